@@ -1,0 +1,1 @@
+"""Physics-based digital twin of camera-based tactile sensors."""

@@ -1,0 +1,39 @@
+"""Array aliases: what the axes are, and which unit, said once.
+
+All coordinates are in the body frame of DESIGN: origin at the centre (block) or apex (finger) of the outer sensing
+surface, right-handed, z into the body. Pixels are (column, row) with (0, 0) at the centre of the top-left pixel.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+"""Any float64 array; its docstring says the shape."""
+
+Ints: TypeAlias = NDArray[np.int64]
+"""Any integer array."""
+
+Bools: TypeAlias = NDArray[np.bool_]
+"""Any mask."""
+
+Points: TypeAlias = NDArray[np.float64]
+"""(n, 3) positions or displacements, mm, axes x, y, z."""
+
+Chart: TypeAlias = NDArray[np.float64]
+"""(n, 2) surface coordinates (s, t), mm: arc lengths along x and y on the outer surface; x and y on a flat one."""
+
+Pixels: TypeAlias = NDArray[np.float64]
+"""(n, 2) picture positions, px, (column, row)."""
+
+Picture: TypeAlias = NDArray[np.uint8]
+"""(height, width, 3) CCD counts, red, green, blue."""
+
+
+def frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Mark an array read-only and return it: results are facts, not scratch space."""
+    array.flags.writeable = False
+    return array

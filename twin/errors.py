@@ -1,0 +1,74 @@
+"""The errors this program raises, and the policy behind them, written once.
+
+Every error says what was wrong, the value with its unit, the allowed range and what to do. Each class carries the
+exit code that the command line returns for it, so that no command decides its own.
+
+=====  ==========================================================
+code   meaning
+=====  ==========================================================
+0      done
+1      failed: the computation itself could not be finished
+2      usage or recipe error: the user can mend the input
+3      finished, but some samples failed
+4      a capability that the job needs is missing on this machine
+130    interrupted
+=====  ==========================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class TwinError(Exception):
+    """Anything that went wrong in a way this program understands (exit code 1)."""
+
+    exit_code = 1
+
+
+class RecipeError(TwinError):
+    """A recipe (scene, body, press) is wrong: all of its problems at once (exit code 2).
+
+    Parameters
+    ----------
+    problems
+        One line each: key, value with unit, allowed range, remedy.
+    where
+        The file, or the object, in which they were found.
+    """
+
+    exit_code = 2
+
+    def __init__(self, problems: str | Iterable[str], where: str | None = None) -> None:
+        self.problems = [problems] if isinstance(problems, str) else list(problems)
+        self.where = where
+        prefix = f"{where}: " if where else ""
+        super().__init__("\n".join(prefix + problem for problem in self.problems))
+
+
+class InputError(TwinError):
+    """A file or an argument given by the user can't be used (exit code 2)."""
+
+    exit_code = 2
+
+
+class OutOfBodyError(InputError):
+    """Points were asked for where there is no body."""
+
+
+class MeshError(TwinError):
+    """A mesh could not be made, or does not pass the quality gates."""
+
+
+class SolveError(TwinError):
+    """A linear system could not be solved to the residual that was asked for."""
+
+
+class ContactError(TwinError):
+    """A press has no equilibrium, or its contact did not converge."""
+
+
+class MissingCapability(TwinError):
+    """This machine lacks something the job needs (exit code 4); the message ends with how to install it."""
+
+    exit_code = 4

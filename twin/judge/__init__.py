@@ -1,0 +1,1 @@
+"""Sees both truth and estimate, and says how far apart they are."""

@@ -1,0 +1,125 @@
+"""Loads: what pushes on the sensing surface, before anyone has cut it into pieces for a solver.
+
+A `Load` is a sum of terms. A term is either a `Traction` (an analytic footprint) or `Rectangles` (the pieces that a
+contact solution consists of). ``twin.Traction.rectangle(...)`` and its siblings return a `Load`; loads add with ``+``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from twin.arrays import Floats, Points, frozen
+from twin.errors import InputError
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rectangles:
+    """Plane rectangles on the sensing surface, each under a uniform traction.
+
+    Attributes
+    ----------
+    centre_mm
+        (k, 3) centres on the outer surface.
+    frames
+        (k, 3, 3) right-handed frames; rows are the two side directions and the inward normal.
+    half_mm
+        (k, 2) half side lengths along the first two rows of the frame.
+    force_n
+        (k, 3) total force of each rectangle, global axes.
+    """
+
+    centre_mm: Points
+    frames: Floats
+    half_mm: Floats
+    force_n: Floats
+
+    def __post_init__(self) -> None:
+        for array in (self.centre_mm, self.frames, self.half_mm, self.force_n):
+            frozen(array)
+
+    def __len__(self) -> int:
+        return len(self.centre_mm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traction:
+    """One analytic footprint on the sensing surface.
+
+    Attributes
+    ----------
+    kind
+        ``rectangle`` and ``disk`` are uniform; ``bump`` is max(0, 1 - r^2/a^2)^2 with the straight distance r to the
+        centre; ``twist`` is tangential and proportional to r. Directions are constant but for the twist.
+    centre_mm
+        (x, y): the outer surface met from -z; or a 3-D surface point. On curved bodies the footprint is cut along the
+        normal at the centre.
+    size_mm
+        (along s, along t) of a rectangle; (2 a, 2 a) of the others.
+    force_n
+        Total force, N; exact.
+    torque_nmm
+        Total torque of a twist about the inward normal at the centre, N mm, positive from x to y; exact.
+    """
+
+    kind: Literal["rectangle", "disk", "bump", "twist"]
+    centre_mm: tuple[float, ...]
+    size_mm: tuple[float, float]
+    force_n: Vector = (0.0, 0.0, 0.0)
+    torque_nmm: float = 0.0
+
+    def __post_init__(self) -> None:
+        numbers = np.array([*self.centre_mm, *self.size_mm, *self.force_n, self.torque_nmm], float)
+        if not np.isfinite(numbers).all():
+            raise InputError(f"{self.kind} traction: every number must be finite, got {self}")
+        if len(self.centre_mm) not in (2, 3):
+            raise InputError(f"{self.kind} traction: centre_mm must be (x, y) or (x, y, z), got {self.centre_mm}")
+        if min(self.size_mm) <= 0:
+            raise InputError(f"{self.kind} traction: the size must be positive, got {self.size_mm} mm")
+
+    @staticmethod
+    def rectangle(centre_mm: tuple[float, ...], size_mm: tuple[float, float], force_n: Vector) -> Load:
+        """Return a uniform traction on a rectangle of ``size_mm`` (along x, along y) with total ``force_n``."""
+        return _single("rectangle", centre_mm, (float(size_mm[0]), float(size_mm[1])), force_n)
+
+    @staticmethod
+    def disk(centre_mm: tuple[float, ...], radius_mm: float, force_n: Vector) -> Load:
+        """Return a uniform traction on a disk of ``radius_mm`` with total ``force_n``."""
+        return _single("disk", centre_mm, (2.0 * radius_mm, 2.0 * radius_mm), force_n)
+
+    @staticmethod
+    def bump(centre_mm: tuple[float, ...], radius_mm: float, force_n: Vector) -> Load:
+        """Return a smooth traction max(0, 1 - r^2/a^2)^2 in the constant direction of ``force_n``, its total."""
+        return _single("bump", centre_mm, (2.0 * radius_mm, 2.0 * radius_mm), force_n)
+
+    @staticmethod
+    def twist(centre_mm: tuple[float, ...], radius_mm: float, torque_nmm: float) -> Load:
+        """Return a tangential traction proportional to r with total ``torque_nmm``, turning x towards y."""
+        return _single("twist", centre_mm, (2.0 * radius_mm, 2.0 * radius_mm), (0.0, 0.0, 0.0), torque_nmm)
+
+
+@dataclass(frozen=True)
+class Load:
+    """A sum of tractions on the sensing surface."""
+
+    terms: tuple[Traction | Rectangles, ...] = ()
+
+    def __add__(self, other: Load) -> Load:
+        return Load(self.terms + other.terms)
+
+
+def _single(
+    kind: Literal["rectangle", "disk", "bump", "twist"],
+    centre_mm: tuple[float, ...],
+    size_mm: tuple[float, float],
+    force_n: Vector,
+    torque_nmm: float = 0.0,
+) -> Load:
+    centre = tuple(float(c) for c in centre_mm)
+    fx, fy, fz = (float(f) for f in force_n)
+    term = Traction(kind=kind, centre_mm=centre, size_mm=size_mm, force_n=(fx, fy, fz), torque_nmm=float(torque_nmm))
+    return Load((term,))

@@ -1,0 +1,40 @@
+"""The rubber: linear, isotropic, quasi-static; rate, creep and hysteresis are outside the model."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from twin.parts.part import Part
+
+
+class Material(Part):
+    """Linear elastic rubber.
+
+    Attributes
+    ----------
+    youngs_modulus_mpa
+        Young's modulus E, MPa.
+    poisson_ratio
+        Poisson's ratio nu; exactly 0.5 is incompressible and is solved as such.
+    refractive_index
+        Of the transparent rubber, for the camera's rays.
+    """
+
+    youngs_modulus_mpa: float = Field(default=1.0, gt=0, le=1e6)
+    poisson_ratio: float = Field(default=0.5, ge=-0.5, le=0.5)
+    refractive_index: float = Field(default=1.41, ge=1, le=3)
+
+
+class Cover(Part):
+    """The black sheet on the sensing surface: it occupies depths 0 to ``thickness_mm`` and has the body's modulus.
+
+    Attributes
+    ----------
+    thickness_mm
+        Thickness, mm.
+    albedo
+        Diffuse reflectance, red, green, blue.
+    """
+
+    thickness_mm: float = Field(default=0.2, gt=0, le=5)
+    albedo: tuple[float, float, float] = (0.03, 0.03, 0.03)

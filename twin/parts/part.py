@@ -1,0 +1,57 @@
+"""The base of every description: frozen, no unknown keys, no NaN, and every number with its provenance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+UNITS = {
+    "mm": "mm", "n": "N", "nmm": "N mm", "mpa": "MPa", "deg": "deg", "px": "px", "pct": "%", "mm3": "mm3",
+    "dn": "DN", "e": "electrons",
+}  # fmt: skip
+
+
+def unit_of(key: str) -> str:
+    """Return the unit that a key's suffix names (``depth_mm`` -> ``mm``), or an empty string."""
+    return UNITS.get(key.rsplit("_", 1)[-1], "") if "_" in key else ""
+
+
+class Part(BaseModel):
+    """A frozen description.
+
+    Attributes
+    ----------
+    source, assumed
+        Where the numbers come from: a text for all numbers of the table, or a table of texts by key. ``source`` names
+        a paper and its section, ``assumed`` gives the reason for a value that no paper states.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+    source: str | dict[str, str] = Field(default_factory=dict, repr=False)
+    assumed: str | dict[str, str] = Field(default_factory=dict, repr=False)
+
+    @model_validator(mode="after")
+    def _provenance_names_keys(self) -> Part:
+        for table in (self.source, self.assumed):
+            if isinstance(table, dict):
+                unknown = sorted(set(table) - set(type(self).model_fields))
+                if unknown:
+                    raise ValueError(f"source or assumed names keys that this table does not have: {', '.join(unknown)}")
+        return self
+
+    def unsourced(self) -> list[str]:
+        """Return the keys that hold numbers given in the recipe and have neither ``source`` nor ``assumed``."""
+        if isinstance(self.source, str) or isinstance(self.assumed, str):
+            return []
+        told = set(self.source) | set(self.assumed)
+        return [k for k in sorted(self.model_fields_set) if k not in told and _holds_number(getattr(self, k))]
+
+
+def _holds_number(value: Any) -> bool:
+    if isinstance(value, bool):
+        return False
+    if isinstance(value, int | float):
+        return True
+    return isinstance(value, tuple | list) and any(_holds_number(v) for v in value)

@@ -1,0 +1,68 @@
+"""What the sensor's software is told to do: how it is calibrated and how it turns motion into forces."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from twin.parts.part import Part
+
+
+class Sites(Part):
+    """The grid of places on the sensing surface where forces are reconstructed.
+
+    Attributes
+    ----------
+    columns, rows, pitch_mm
+        Grid along the surface coordinates (s, t), centred.
+    """
+
+    columns: int = Field(ge=1, le=64)
+    rows: int = Field(ge=1, le=64)
+    pitch_mm: float = Field(gt=0, le=50)
+
+
+class Calibration(Part):
+    """Where the transfer matrix (px/N) comes from.
+
+    Attributes
+    ----------
+    method
+        ``compliance``: the nominal body's compliance seen through the nominal camera; ``halfspace``: the papers'
+        half-space formula; ``sato``: measured presses at every site in three directions.
+    file
+        A calibration file made earlier (``twin calibrate``), relative to the recipe; used only while it matches the
+        scene.
+    press_force_n
+        Normal force of the calibration presses (method ``sato``).
+    press_probe_mm
+        Diameter of the calibration sphere (method ``sato``).
+    load_cell_n
+        Standard deviation of each force component read by the load cell (method ``sato``).
+    """
+
+    method: Literal["compliance", "halfspace", "sato"] = "compliance"
+    file: str | None = None
+    press_force_n: float = Field(default=0.980665, gt=0, le=100)
+    press_probe_mm: float = Field(default=3.0, gt=0, le=100)
+    load_cell_n: float = Field(default=0.005, ge=0, le=1)
+
+
+class Reconstruction(Part):
+    """How the inverse problem is solved.
+
+    Attributes
+    ----------
+    sites
+        Where forces are reconstructed.
+    method
+        ``smooth``: differences of neighbouring forces are kept small (the flat paper's eq. 11 and 12, corrected);
+        ``norm``: the forces themselves (eq. 14 and 15); ``pinv``: the plain pseudo-inverse.
+    weight
+        The papers' omega; ``auto`` chooses it by marginal likelihood.
+    """
+
+    sites: Sites
+    method: Literal["smooth", "norm", "pinv"] = "smooth"
+    weight: float | Literal["auto"] = "auto"

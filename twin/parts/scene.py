@@ -1,0 +1,64 @@
+"""A scene: everything that is needed to take a press through the whole twin, and nothing else."""
+
+from __future__ import annotations
+
+from pydantic import Field, model_validator
+
+from twin.parts.accuracy import Accuracy
+from twin.parts.body import AnyBody
+from twin.parts.camera import Camera
+from twin.parts.ccd import Ccd
+from twin.parts.light import Light
+from twin.parts.markers import MarkerLayer
+from twin.parts.material import Cover, Material
+from twin.parts.part import Part
+from twin.parts.pipeline import Calibration, Reconstruction
+from twin.parts.press import Press
+from twin.parts.tolerance import Tolerance
+
+
+class Scene(Part):
+    """A resolved scene: sensor, surroundings, press and what is asked of the computation.
+
+    Attributes
+    ----------
+    title
+        One line for people.
+    seed
+        Root of every random stream.
+    body, material, cover, markers, camera, light, ccd, press, accuracy, tolerance, calibration, reconstruction
+        See the parts of the same names. A scene without ``camera`` renders nothing; one without ``press`` is only at
+        rest; one without ``reconstruction`` estimates nothing.
+    """
+
+    title: str = ""
+    seed: int = Field(default=1, ge=0, le=2**63 - 1)
+    body: AnyBody
+    material: Material
+    cover: Cover | None = None
+    markers: dict[str, MarkerLayer] = Field(default_factory=dict)
+    camera: Camera | None = None
+    light: Light | None = None
+    ccd: Ccd = Ccd()
+    press: Press | None = None
+    accuracy: Accuracy = Accuracy()
+    tolerance: Tolerance = Tolerance()
+    calibration: Calibration = Calibration()
+    reconstruction: Reconstruction | None = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Scene:
+        if self.camera is not None:
+            front = self.body.base_z_mm + sum(layer.thickness_mm for layer in self.camera.layers)
+            if self.camera.pupil_mm[2] < front:
+                raise ValueError(
+                    f"camera.pupil_mm: z = {self.camera.pupil_mm[2]} mm must lie behind the base and the layers "
+                    f"(z >= {front} mm)"
+                )
+            if self.light is None:
+                raise ValueError("light: a scene with a camera needs a [light] table, or the picture is black")
+            if not self.markers:
+                raise ValueError("markers: a scene with a camera needs at least one [markers.<layer>] table")
+        if self.reconstruction is not None and self.camera is None:
+            raise ValueError("reconstruction: forces are reconstructed from pictures, add a [camera] table")
+        return self

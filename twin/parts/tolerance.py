@@ -1,0 +1,42 @@
+"""How far a real sensor is from its drawing: standard deviations from which the truth is drawn."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from twin.parts.part import Part
+
+
+class Tolerance(Part):
+    """Standard deviations (normal, cut at 2.5) of what a maker does not control.
+
+    Attributes
+    ----------
+    preset
+        ``standard`` uses the numbers below; ``none`` makes the sensor exactly as drawn (for tests).
+    youngs_modulus_pct
+        Of Young's modulus, percent.
+    poisson_ratio
+        Of the shortfall of Poisson's ratio below the nominal value (never above 0.5).
+    depth_mm
+        Of each marker layer's depth.
+    print_mm
+        Of each marker's place along the surface.
+    pupil_mm
+        Of each coordinate of the entrance pupil.
+    tilt_deg
+        Of each of the camera's small rotations.
+    focal_pct
+        Of the focal length, percent.
+    """
+
+    preset: Literal["standard", "none"] = "standard"
+    youngs_modulus_pct: float = Field(default=1.5, ge=0, le=50)
+    poisson_ratio: float = Field(default=0.001, ge=0, le=0.2)
+    depth_mm: float = Field(default=0.03, ge=0, le=5)
+    print_mm: float = Field(default=0.03, ge=0, le=2)
+    pupil_mm: float = Field(default=0.1, ge=0, le=10)
+    tilt_deg: float = Field(default=0.1, ge=0, le=10)
+    focal_pct: float = Field(default=0.3, ge=0, le=10)

@@ -1,0 +1,30 @@
+"""Where files are: the shipped recipes and meshes, and the cache."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+MESHES = ROOT / "meshes"
+SCENES = ROOT / "scenes"
+
+
+@cache
+def cache_folder() -> Path:
+    """Return a writable cache folder: ``$TWIN_CACHE``, else the platform's, else a temporary one with a warning."""
+    import platformdirs
+
+    named = os.environ.get("TWIN_CACHE")
+    for candidate in [Path(named)] if named else [Path(platformdirs.user_cache_dir("twin"))]:
+        try:
+            candidate.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=candidate):
+                return candidate
+        except OSError as problem:
+            print(f"twin: the cache {candidate} can't be written ({problem.strerror}); using a temporary one. "
+                  "Set TWIN_CACHE to a writable folder to keep results between runs.", file=sys.stderr)  # fmt: skip
+    return Path(tempfile.mkdtemp(prefix="twin-cache-"))

@@ -1,0 +1,1 @@
+"""The sensor's software: pictures in, forces out. Blind to the truth: imports nothing of twin.world."""

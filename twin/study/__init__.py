@@ -1,0 +1,1 @@
+"""Puts the parts together: recipes, Sensor, run, calibrate."""

@@ -1,0 +1,1 @@
+"""Closed forms, used by both wings and by the tests."""

@@ -1,0 +1,1 @@
+"""What happens: mesh, elasticity, contact, picture. Holds the truth; never imported by twin.sense."""
