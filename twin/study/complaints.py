@@ -1,0 +1,119 @@
+"""Validation errors in the words of the recipe: key, value with unit, what is allowed, and the nearest known key."""
+
+from __future__ import annotations
+
+import difflib
+import types
+import typing
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from twin.parts.part import unit_of
+from twin.parts.scene import Scene
+
+
+def complaints(problem: ValidationError, table: Mapping[str, Any]) -> list[str]:
+    """Return one line for every error of a failed validation of ``table`` as a `Scene`."""
+    return [_line(dict(error), table) for error in problem.errors(include_url=False)]
+
+
+def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
+    keys = _keys(error["loc"], table)
+    dotted = ".".join(str(k) for k in keys) or "scene"
+    last = str(keys[-1]) if keys else ""
+    if error["type"] == "extra_forbidden":
+        known = _known_keys(keys[:-1], table)
+        near = difflib.get_close_matches(last, known, 1, cutoff=0.5)
+        return f"{dotted}: unknown key; " + (f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}")
+    if error["type"] == "missing":
+        unit = unit_of(last)
+        return f"{dotted}: missing; give a value" + (f" in {unit}" if unit else "")
+    message = str(error["msg"]).removeprefix("Value error, ")
+    message = message.replace("Input should be", "must be")
+    if error["type"] == "union_tag_invalid":
+        context = error["ctx"]
+        dotted = f"{dotted}.{context['discriminator'].strip(chr(39))} = '{context['tag']}'"
+        return f"{dotted}: must be one of {context['expected_tags']}"
+    value = error.get("input")
+    if isinstance(value, dict | BaseModel):
+        return f"{dotted}: {message}"
+    unit = next((u for u in (unit_of(str(k)) for k in reversed(keys)) if u), "")
+    shown = f"'{value}'" if isinstance(value, str) else repr(value)
+    if unit and error["type"] in {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}:
+        message = f"{message} {unit}"
+    allowed = _range(keys, table, unit)
+    return f"{dotted} = {shown}{' ' + unit if unit else ''}: {message}" + (f" (allowed: {allowed})" if allowed else "")
+
+
+def _range(keys: list[Any], table: Mapping[str, Any], unit: str) -> str:
+    """Return the allowed interval of a number, or an empty string."""
+    model = _model_at(keys[:-1], table)
+    field = model.model_fields.get(str(keys[-1])) if model and keys else None
+    if field is None:
+        return ""
+    low = high = None
+    for rule in field.metadata:
+        low = getattr(rule, "gt", None) if low is None else low
+        low = getattr(rule, "ge", None) if low is None else low
+        high = getattr(rule, "lt", None) if high is None else high
+        high = getattr(rule, "le", None) if high is None else high
+    if low is None or high is None:
+        return ""
+    return f"{low:g} to {high:g}{' ' + unit if unit else ''}"
+
+
+def _keys(location: tuple[Any, ...], table: Any) -> list[Any]:
+    """Drop the union tags that the validator puts among the keys."""
+    keys: list[Any] = []
+    here = table
+    for position, part in enumerate(location):
+        if isinstance(here, Mapping):
+            is_tag = part in {here.get("kind"), here.get("shape")} and part not in here and position < len(location) - 1
+            if is_tag or (part not in here and str(part).endswith("]")):
+                continue
+            keys.append(part)
+            here = here.get(part)
+        elif isinstance(here, list | tuple) and isinstance(part, int):
+            keys.append(part)
+            here = here[part] if part < len(here) else None
+        elif position == 0:
+            keys.append(part)
+    return keys
+
+
+def _known_keys(keys: list[Any], table: Mapping[str, Any]) -> list[str]:
+    model = _model_at(keys, table)
+    known = [k for k in model.model_fields if k not in {"source", "assumed"}] if model else []
+    return known + (["base"] if not keys else []) + (["recipe"] if keys == ["body"] else [])
+
+
+def _model_at(keys: list[Any], table: Any) -> type[BaseModel] | None:
+    """Return the description that lives at ``keys``."""
+    model: Any = Scene
+    here = table
+    for key in keys:
+        here = here.get(key) if isinstance(here, Mapping) else here[key] if isinstance(here, list | tuple) else None
+        if isinstance(model, type) and issubclass(model, BaseModel):
+            field = model.model_fields.get(str(key))
+            model = field.annotation if field else None
+        else:  # dict[str, Part] or tuple[Part, ...]
+            model = next((a for a in typing.get_args(model) if a is not Ellipsis and a is not str), None)
+        model = _choose(model, here)
+    return model if isinstance(model, type) and issubclass(model, BaseModel) else None
+
+
+def _choose(annotation: Any, value: Any) -> Any:
+    """Pick the member of a union that the value's tag names."""
+    if typing.get_origin(annotation) is typing.Annotated:
+        annotation = typing.get_args(annotation)[0]
+    if typing.get_origin(annotation) in {typing.Union, types.UnionType}:
+        members = [_choose(a, value) for a in typing.get_args(annotation) if a is not type(None)]
+        models = [m for m in members if isinstance(m, type) and issubclass(m, BaseModel)]
+        tag = (value.get("kind") or value.get("shape")) if isinstance(value, Mapping) else None
+        for model in models:
+            if tag in {model.model_fields[k].default for k in ("kind", "shape") if k in model.model_fields}:
+                return model
+        return models[0] if models else members[0]
+    return annotation

@@ -1,0 +1,202 @@
+"""Recipe files: read, inherit, override, validate, and write back.
+
+A scene is built from up to three files, later ones winning: the body recipe named by ``body.recipe``, the scene named
+by ``base`` (one level deep) and the scene itself; then come the overrides. A value that is replaced loses the
+provenance of the value it replaces.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from twin.errors import InputError, RecipeError
+from twin.parts.scene import Scene
+from twin.places import MESHES, SCENES
+from twin.study.complaints import complaints
+
+PROVENANCE = ("source", "assumed")
+ALTERNATIVES = ("steps", "force_n", "indentation_mm")
+"""Ways to give a press its path: one of them replaces the others."""
+Table = dict[str, Any]
+
+
+def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
+    """Load a scene with everything it inherits.
+
+    Parameters
+    ----------
+    scene
+        Path of a TOML file, or the name of a shipped scene.
+    overrides
+        Values by dotted key (``{"material.poisson_ratio": 0.3}``), applied last.
+
+    Raises
+    ------
+    RecipeError
+        With every problem of the scene at once: file, key, value, unit, allowed range.
+    InputError
+        There is no such file.
+    """
+    path = find_scene(scene)
+    table = _read_with_base(path)
+    for key, value in (overrides or {}).items():
+        _set(table, key, value)
+    body = table.get("body")
+    if isinstance(body, dict) and "recipe" in body:
+        recipe = _find(str(body["recipe"]), MESHES, path.parent, "body recipe", path)
+        below = _read(recipe)
+        if extra := sorted(set(below) - {"body", "material", "title"}):
+            raise RecipeError(f"unknown tables {', '.join(extra)}: a body recipe has body, material", str(recipe))
+        below.pop("title", None)
+        table = _merge(below, {**table, "body": {k: v for k, v in body.items() if k != "recipe"}})
+    return validate_scene(table, str(path))
+
+
+def validate_scene(table: Table, where: str) -> Scene:
+    """Turn a merged table into a `Scene`, or raise one `RecipeError` with all its problems."""
+    try:
+        return Scene.model_validate(table)
+    except ValidationError as problem:
+        raise RecipeError(complaints(problem, table), where) from None
+
+
+def parse_override(text: str) -> tuple[str, Any]:
+    """Split ``key.path=value``; the value is TOML, or a bare string.
+
+    Raises
+    ------
+    InputError
+        There is no ``=``.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise InputError(f"-s {text}: write key.path=value, for example -s material.poisson_ratio=0.49")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value.strip()
+
+
+def shipped_scenes() -> dict[str, Path]:
+    """Return the shipped scenes by name."""
+    return {path.stem: path for path in sorted(SCENES.glob("*.toml"))}
+
+
+def find_scene(scene: str | Path) -> Path:
+    """Return the file of a scene given by path or by the name of a shipped one."""
+    return _find(str(scene), SCENES, Path.cwd(), "scene")
+
+
+def _find(name: str, shipped: Path, beside: Path, what: str, where: Path | None = None) -> Path:
+    given = Path(name).expanduser()
+    for candidate in (given if given.is_absolute() else beside / given, shipped / f"{name}.toml"):
+        if candidate.is_file():
+            return candidate
+    known = [p.stem for p in sorted(shipped.glob("*.toml"))]
+    near = difflib.get_close_matches(given.stem, known, 1)
+    hint = f"did you mean '{near[0]}'?" if near else f"shipped ones are: {', '.join(known)}"
+    prefix = f"{where}: " if where else ""
+    raise InputError(f"{prefix}no {what} '{name}': {hint}")
+
+
+def _read(path: Path) -> Table:
+    try:
+        data = path.read_bytes()
+    except OSError as problem:
+        raise InputError(f"{path}: can't be read ({problem.strerror})") from None
+    if len(data) > 1_000_000:
+        raise RecipeError(f"{len(data)} bytes: a recipe is at most 1 MB", str(path))
+    try:
+        return _by_key(tomllib.loads(data.decode()))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as problem:
+        raise RecipeError(f"not valid TOML: {problem}", str(path)) from None
+
+
+def _read_with_base(path: Path) -> Table:
+    table = _read(path)
+    base = table.pop("base", None)
+    if base is None:
+        return table
+    if not isinstance(base, str):
+        raise RecipeError(f"base = {base!r}: must be the name or path of a scene", str(path))
+    base_path = _find(base, SCENES, path.parent, "base scene", path)
+    below = _read(base_path)
+    if "base" in below:
+        raise RecipeError(f"base = '{base}' has a base itself: inheritance is one level deep", str(path))
+    return _merge(below, table)
+
+
+def _by_key(table: Table) -> Table:
+    """Spell a table-wide provenance text out by key, so that merging can follow single values."""
+    spelt = {k: _by_key(v) if isinstance(v, dict) and k not in PROVENANCE else v for k, v in table.items()}
+    for kind in PROVENANCE:
+        if isinstance(spelt.get(kind), str):
+            spelt[kind] = {k: spelt[kind] for k, v in table.items() if k not in PROVENANCE and not isinstance(v, dict)}
+    return spelt
+
+
+def _merge(below: Table, above: Table) -> Table:
+    merged = dict(below)
+    if set(ALTERNATIVES) & set(above):
+        merged = {k: v for k, v in merged.items() if k not in ALTERNATIVES}
+    for key, value in above.items():
+        if key in PROVENANCE:
+            continue
+        old = below.get(key)
+        same_kind = isinstance(value, dict) and isinstance(old, dict)
+        for tag in ("kind", "shape"):
+            # another kind of probe or body shares no number with the one below it
+            same_kind = same_kind and not (tag in value and tag in old and value[tag] != old[tag])
+        merged[key] = _merge(old, value) if same_kind else value
+        if not same_kind:
+            _forget_provenance(merged, key)
+    for kind in PROVENANCE:
+        if above.get(kind):
+            merged[kind] = {**merged.get(kind, {}), **above[kind]} if isinstance(above[kind], dict) else above[kind]
+    return merged
+
+
+def _forget_provenance(table: Table, key: str) -> None:
+    for kind in PROVENANCE:
+        if isinstance(table.get(kind), dict):
+            table[kind] = {k: v for k, v in table[kind].items() if k != key}
+
+
+def _set(table: Table, dotted: str, value: Any) -> None:
+    *parents, last = dotted.split(".")
+    here = table
+    for name in parents:
+        if not isinstance(here.setdefault(name, {}), dict):
+            raise RecipeError(f"{dotted}: '{name}' is not a table", "override")
+        here[name] = dict(here[name])
+        here = here[name]
+    if parents == ["press"] and last in ALTERNATIVES:
+        for other in ALTERNATIVES:
+            here.pop(other, None)
+    here[last] = value
+    _forget_provenance(here, last)
+    if last not in PROVENANCE and not isinstance(value, dict) and parents != ["markers"]:
+        here["assumed"] = {**(here.get("assumed") or {}), last: "override"}
+
+
+def dump_scene(scene: Scene) -> str:
+    """Return the resolved scene as TOML; reading it back gives the same scene."""
+    import tomli_w
+
+    return tomli_w.dumps(_plain(scene.model_dump(mode="python", exclude_none=True)))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items() if not (k in PROVENANCE and not v)}
+    if isinstance(value, tuple | list):
+        if any(v is None for v in value):  # a step's (None, None, 1.0): TOML has no null, the table form has
+            return {axis: v for axis, v in zip("xyz", value, strict=True) if v is not None}
+        return [_plain(v) for v in value]
+    return value
