@@ -6,7 +6,7 @@ surface, right-handed, z into the body. Pixels are (column, row) with (0, 0) at 
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,10 @@ Picture: TypeAlias = NDArray[np.uint8]
 """(height, width, 3) CCD counts, red, green, blue."""
 
 
-def frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
+AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
+
+
+def frozen(array: AnyArray) -> AnyArray:
     """Mark an array read-only and return it: results are facts, not scratch space."""
     array.flags.writeable = False
     return array

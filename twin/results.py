@@ -143,7 +143,9 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        raise InputError(f"{folder}: the output folder can't be made ({problem.strerror}); give another --out") from None
+        raise InputError(
+            f"{folder}: the output folder can't be made ({problem.strerror}); give another --out"
+        ) from None
     if not os.access(folder, os.W_OK):
         raise InputError(f"{folder}: the output folder can't be written; give another --out")
 

@@ -43,7 +43,7 @@ class Body(Part):
 
     @abstractmethod
     def surface_from_above(self, xy: Floats) -> Points:
-        """Return the (n, 3) points of the sensing surface met when coming from -z at (x, y); NaN where there is none."""
+        """Return the (n, 3) points of the sensing surface met from -z at (x, y); NaN where there is none."""
 
     @property
     @abstractmethod

@@ -116,6 +116,4 @@ def place(body: Body, layers: Mapping[str, MarkerLayer], jitter_mm: Floats | Non
             f"({x:.3g}, {y:.3g}, {z:.3g}) mm: reduce depth_mm, pitch_mm, columns, rows or diameter_mm"
         )
     normals = body.piece_normals(points)[:, 0] if len(points) else np.zeros((0, 3))
-    return MarkerSet(
-        layer=frozen(names), chart=frozen(chart), points=frozen(points), normals=frozen(np.array(normals))
-    )
+    return MarkerSet(layer=frozen(names), chart=frozen(chart), points=frozen(points), normals=frozen(np.array(normals)))

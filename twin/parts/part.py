@@ -38,7 +38,9 @@ class Part(BaseModel):
             if isinstance(table, dict):
                 unknown = sorted(set(table) - set(type(self).model_fields))
                 if unknown:
-                    raise ValueError(f"source or assumed names keys that this table does not have: {', '.join(unknown)}")
+                    raise ValueError(
+                        f"source or assumed names keys that this table does not have: {', '.join(unknown)}"
+                    )
         return self
 
     def unsourced(self) -> list[str]:

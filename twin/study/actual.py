@@ -46,9 +46,7 @@ def make(nominal: Scene) -> Actual:
         update={
             "youngs_modulus_mpa": nominal.material.youngs_modulus_mpa
             * (1 + tolerance.youngs_modulus_pct / 100 * _deviation(rng)),
-            "poisson_ratio": max(
-                -0.5, nominal.material.poisson_ratio - tolerance.poisson_ratio * abs(_deviation(rng))
-            ),
+            "poisson_ratio": max(-0.5, nominal.material.poisson_ratio - tolerance.poisson_ratio * abs(_deviation(rng))),
         }
     )
     markers = {

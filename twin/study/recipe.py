@@ -148,18 +148,21 @@ def _merge(below: Table, above: Table) -> Table:
     for key, value in above.items():
         if key in PROVENANCE:
             continue
-        old = below.get(key)
-        same_kind = isinstance(value, dict) and isinstance(old, dict)
-        for tag in ("kind", "shape"):
-            # another kind of probe or body shares no number with the one below it
-            same_kind = same_kind and not (tag in value and tag in old and value[tag] != old[tag])
-        merged[key] = _merge(old, value) if same_kind else value
-        if not same_kind:
+        old = merged.get(key)
+        if isinstance(value, dict) and isinstance(old, dict) and _same_kind(old, value):
+            merged[key] = _merge(old, value)
+        else:
+            merged[key] = value
             _forget_provenance(merged, key)
     for kind in PROVENANCE:
         if above.get(kind):
             merged[kind] = {**merged.get(kind, {}), **above[kind]} if isinstance(above[kind], dict) else above[kind]
     return merged
+
+
+def _same_kind(below: Table, above: Table) -> bool:
+    """Another kind of probe, or another shape of body, shares no number with the one below it."""
+    return all(above.get(tag, below.get(tag)) == below.get(tag) for tag in ("kind", "shape"))
 
 
 def _forget_provenance(table: Table, key: str) -> None:

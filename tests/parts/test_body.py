@@ -1,0 +1,72 @@
+"""Shapes as level sets: distances, charts, frames and volumes agree with each other and with counting."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin.errors import RecipeError
+from twin.parts.body import Block, Body, Finger
+from twin.parts.markers import MarkerLayer, place
+
+BODIES = [Block(width_mm=30, length_mm=20, thickness_mm=10), Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)]
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
+def test_volume_by_counting(body: Body) -> None:
+    low, high = map(np.array, body.bounds_mm)
+    points = low + np.random.default_rng(1).random((400_000, 3)) * (high - low)
+    assert body.contains(points).mean() * np.prod(high - low) == pytest.approx(body.volume_mm3, rel=5e-3)
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
+def test_normals_are_gradients_of_the_distances(body: Body) -> None:
+    points = body.chart_points(np.random.default_rng(2).uniform(-6, 6, (50, 2)), 1.3)
+    step = 1e-6
+    for axis in range(3):
+        shift = step * np.eye(3)[axis]
+        slope = (body.piece_distances(points + shift) - body.piece_distances(points - shift)) / (2 * step)
+        np.testing.assert_allclose(slope, body.piece_normals(points)[:, :, axis], atol=1e-7)
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
+def test_chart_depth_is_the_depth(body: Body) -> None:
+    chart = np.random.default_rng(3).uniform(-6, 6, (50, 2))
+    np.testing.assert_allclose(body.depth(body.chart_points(chart, 0.7)), 0.7, atol=1e-12)
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
+def test_chart_measures_arc_length_from_the_origin(body: Body) -> None:
+    line = np.linspace(0, 5, 2001)
+    for direction in ([1, 0], [0, 1], [0.6, 0.8]):
+        path = body.chart_points(line[:, None] * np.array(direction))
+        assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(5, rel=1e-6)
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
+def test_frames_are_right_handed_and_point_inwards(body: Body) -> None:
+    frames = body.frames(body.chart_points(np.random.default_rng(4).uniform(-6, 6, (50, 2))))
+    np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(frames), 1)
+    assert (frames[:, 2, 2] > 0).all()
+
+
+def test_markers_keep_the_order_layer_s_t() -> None:
+    grid = {"kind": "print", "pitch_mm": 2, "diameter_mm": 0.5, "columns": 2, "rows": 2, "colour": (1, 0, 0)}
+    layers = {"red": MarkerLayer(depth_mm=1, **grid), "blue": MarkerLayer(depth_mm=3, **grid)}
+    markers = place(BODIES[0], layers)
+    assert markers.layer.tolist() == ["red"] * 4 + ["blue"] * 4
+    assert markers.points[:4].tolist() == [[-1, -1, 1], [-1, 1, 1], [1, -1, 1], [1, 1, 1]]
+    assert markers.points[4:, 2].tolist() == [3] * 4
+
+
+def test_a_marker_outside_the_body_is_refused() -> None:
+    layer = MarkerLayer(depth_mm=1, pitch_mm=9, diameter_mm=0.5, columns=5, rows=1, colour=(1, 0, 0))
+    with pytest.raises(RecipeError, match="2 of 5 markers lie outside"):
+        place(BODIES[0], {"red": layer})
+
+
+def test_a_bead_that_sticks_out_is_refused() -> None:
+    layer = MarkerLayer(depth_mm=0.2, pitch_mm=1, diameter_mm=0.5, columns=1, rows=1, colour=(1, 0, 0))
+    with pytest.raises(RecipeError, match="outside the body"):
+        place(BODIES[0], {"red": layer})

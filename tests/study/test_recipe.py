@@ -1,0 +1,151 @@
+"""Recipes: what is shipped loads, what is wrong is named with file, key, value, unit and range, all at once."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from twin.errors import InputError, RecipeError
+from twin.parts.part import Part
+from twin.study.recipe import dump_scene, load_scene, parse_override, shipped_scenes, validate_scene
+from twin.study.schema import SCHEMA_FILE, schema_text
+
+SCENES = sorted(shipped_scenes())
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_resolved_scene_reads_back_the_same(name: str) -> None:
+    scene = load_scene(name)
+    assert validate_scene(tomllib.loads(dump_scene(scene)), name) == scene
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_number_has_a_source_or_says_that_it_is_assumed(name: str) -> None:
+    told = unsourced(load_scene(name))
+    # the ten-line scene shows how little a user has to write
+    assert told == (["press.at_mm", "press.force_n", "press.probe.diameter_mm"] if name == "first_press" else [])
+
+
+def unsourced(part: Part, path: str = "") -> list[str]:
+    found = [f"{path}{key}" for key in part.unsourced()]
+    for key in type(part).model_fields:
+        value = getattr(part, key)
+        inner = (
+            value.items()
+            if isinstance(value, dict)
+            else enumerate(value)
+            if isinstance(value, tuple)
+            else [("", value)]
+        )
+        for name, child in inner:
+            if isinstance(child, Part):
+                found += unsourced(child, f"{path}{key}.{name}.".replace("..", "."))
+    return found
+
+
+def test_a_number_without_provenance_is_noticed() -> None:
+    scene = load_scene("kamiyama_pillar", {"markers.red.source": {"pitch_mm": "elsewhere"}})
+    assert unsourced(scene) == ["markers.red.depth_mm"]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_shipped_scenes_satisfy_the_schema(name: str) -> None:
+    schema = json.loads(SCHEMA_FILE.read_text())
+    jsonschema.validate(tomllib.loads(shipped_scenes()[name].read_text()), schema)
+
+
+def test_schema_file_is_in_step_with_the_code() -> None:
+    assert SCHEMA_FILE.read_text() == schema_text(), "run: python -m twin.study.schema"
+
+
+def test_schema_refuses_a_misspelt_key() -> None:
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({"markers": {"red": {"depht_mm": 3}}}, json.loads(SCHEMA_FILE.read_text()))
+
+
+def test_one_scene_is_ten_lines_long() -> None:
+    assert len(shipped_scenes()["first_press"].read_text().splitlines()) == 10
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("material.poisson_ratio", 0.7, ["material.poisson_ratio", "0.7", "-0.5 to 0.5"]),
+        ("material.poisson_ratio", float("nan"), ["material.poisson_ratio", "nan", "finite"]),
+        ("markers.red.depth_mm", -1, ["markers.red.depth_mm", "-1 mm", "greater than 0 mm", "0 to 100 mm"]),
+        ("markers.red.depht_mm", 1, ["markers.red.depht_mm", "did you mean 'depth_mm'"]),
+        ("cmaera.width_px", 4, ["cmaera", "did you mean 'camera'"]),
+        ("press.friction", 0.3, ["press.friction", "0.3", "0 (frictionless)"]),
+        ("press.probe.kind", "ball", ["press.probe.kind", "'ball'", "'sphere'"]),
+        ("press.force_n", {"z": -1}, ["press", "push is +z"]),
+        ("body.shape", "cube", ["body.shape", "'cube'", "'block'"]),
+        ("ccd.preset", "idael", ["ccd.preset", "'ideal'"]),
+        ("camera.pupil_mm", [0, 0, 3], ["camera.pupil_mm", "z >= 50"]),
+    ],
+)
+def test_a_wrong_value_is_named_with_what_is_allowed(key: str, value: object, expected: list[str]) -> None:
+    with pytest.raises(RecipeError) as caught:
+        load_scene("kamiyama_pillar", {key: value})
+    assert all(word in str(caught.value) for word in ["kamiyama_pillar.toml", *expected]), str(caught.value)
+
+
+def test_all_problems_of_a_file_come_at_once() -> None:
+    with pytest.raises(RecipeError) as caught:
+        load_scene("kamiyama_pillar", {"material.poisson_ratio": 2, "markers.blue.pitch_mm": 0, "nonsense": 1})
+    assert len(caught.value.problems) == 3
+
+
+def test_overrides_win_and_lose_the_old_provenance() -> None:
+    scene = load_scene("kamiyama_pillar", {"markers.red.depth_mm": 5})
+    assert scene.markers["red"].depth_mm == 5
+    assert scene.markers["red"].source == {k: v for k, v in scene.markers["red"].source.items() if k != "depth_mm"}
+    assert scene.markers["red"].assumed["depth_mm"] == "override"
+
+
+def test_another_probe_replaces_the_one_of_the_base(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('base = "kamiyama_pillar"\n[press.probe]\nkind = "pillar"\nwidth_mm = 3\n')
+    probe = load_scene(mine).press.probe
+    assert (probe.kind, probe.size_mm) == ("pillar", (3, 3))
+
+
+def test_base_is_one_level_deep(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('base = "kamiyama_shear"\n')
+    with pytest.raises(RecipeError, match="one level deep"):
+        load_scene(mine)
+
+
+@pytest.mark.parametrize("text", ["[body\n", "a = " + "[" * 5000, "\x00"])
+def test_broken_toml_is_a_recipe_error(tmp_path: Path, text: str) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text(text)
+    with pytest.raises(RecipeError, match=r"mine\.toml: not valid TOML"):
+        load_scene(mine)
+
+
+def test_a_misspelt_scene_is_suggested() -> None:
+    with pytest.raises(InputError, match="did you mean 'kamiyama_pillar'"):
+        load_scene("kamiyama_piller")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a.b=1", ("a.b", 1)),
+        ("a=[1, 2]", ("a", [1, 2])),
+        ("ccd.preset=ideal", ("ccd.preset", "ideal")),
+        ("f = inf", ("f", float("inf"))),
+    ],
+)
+def test_overrides_are_toml_or_bare_strings(text: str, expected: tuple[str, object]) -> None:
+    assert parse_override(text) == expected
+
+
+def test_an_override_without_a_value_is_an_input_error() -> None:
+    with pytest.raises(InputError, match=r"key\.path=value"):
+        parse_override("seed")

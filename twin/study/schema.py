@@ -1,0 +1,41 @@
+"""The JSON schema of scene files, for editors: ``python -m twin.study.schema`` writes scenes/scene.schema.json.
+
+It describes a file, not a resolved scene: ``base`` and ``body.recipe`` may supply anything, so nothing is required, and
+a step's forces may be given as a table.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from twin.parts.scene import Scene
+from twin.places import SCENES
+
+SCHEMA_FILE = SCENES / "scene.schema.json"
+
+
+def scene_schema() -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of a scene file."""
+    schema = Scene.model_json_schema()
+    for definition in [schema, *schema["$defs"].values()]:
+        definition.pop("required", None)
+    schema["properties"]["base"] = {"type": "string", "description": "scene to inherit from, one level deep"}
+    recipe = {"type": "string", "description": "body recipe of the meshes folder"}
+    for name in ("Block", "Finger"):
+        schema["$defs"][name]["properties"]["recipe"] = recipe
+    schema["properties"]["body"] = {"anyOf": schema["properties"]["body"]["oneOf"]}
+    axes = {"type": "object", "additionalProperties": False, "properties": {a: {"type": "number"} for a in "xyz"}}
+    for name, keys in (("Step", ("force_n", "move_mm")), ("Press", ("force_n",))):
+        for key in keys:
+            schema["$defs"][name]["properties"][key] = {"anyOf": [axes, schema["$defs"][name]["properties"][key]]}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "twin scene", **schema}
+
+
+def schema_text() -> str:
+    """Return the schema file's text."""
+    return json.dumps(scene_schema(), indent=1) + "\n"
+
+
+if __name__ == "__main__":
+    SCHEMA_FILE.write_text(schema_text())
