@@ -1,1 +1,69 @@
-"""Physics-based digital twin of camera-based tactile sensors."""
+"""Physics-based digital twin of camera-based tactile sensors.
+
+The public names are loaded when they are first used, so that ``import twin`` and ``twin --help`` stay light.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.errors import TwinError
+    from twin.parts.load import Load, Traction
+    from twin.parts.press import Cylinder, Pillar, Press, Sphere, Step
+    from twin.parts.scene import Scene
+    from twin.sense.calibration import Calibration, read_calibration
+    from twin.sense.reconstruct import reconstruct
+    from twin.sense.track import track
+    from twin.study.recipe import load_scene
+    from twin.study.run import run
+    from twin.study.sensor import Sensor
+
+_HOMES = {
+    "Calibration": "twin.sense.calibration",
+    "Cylinder": "twin.parts.press",
+    "Load": "twin.parts.load",
+    "Pillar": "twin.parts.press",
+    "Press": "twin.parts.press",
+    "Scene": "twin.parts.scene",
+    "Sensor": "twin.study.sensor",
+    "Sphere": "twin.parts.press",
+    "Step": "twin.parts.press",
+    "Traction": "twin.parts.load",
+    "TwinError": "twin.errors",
+    "load_scene": "twin.study.recipe",
+    "read_calibration": "twin.sense.calibration",
+    "reconstruct": "twin.sense.reconstruct",
+    "run": "twin.study.run",
+    "track": "twin.sense.track",
+}
+
+__all__ = [
+    "Calibration",
+    "Cylinder",
+    "Load",
+    "Pillar",
+    "Press",
+    "Scene",
+    "Sensor",
+    "Sphere",
+    "Step",
+    "Traction",
+    "TwinError",
+    "load_scene",
+    "read_calibration",
+    "reconstruct",
+    "run",
+    "track",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'twin' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -10,7 +10,7 @@ import jsonschema
 import pytest
 
 from twin.errors import InputError, RecipeError
-from twin.parts.part import Part
+from twin.study.check import unsourced
 from twin.study.recipe import dump_scene, load_scene, parse_override, shipped_scenes, validate_scene
 from twin.study.schema import SCHEMA_FILE, schema_text
 
@@ -28,23 +28,6 @@ def test_every_number_has_a_source_or_says_that_it_is_assumed(name: str) -> None
     told = unsourced(load_scene(name))
     # the ten-line scene shows how little a user has to write
     assert told == (["press.at_mm", "press.force_n", "press.probe.diameter_mm"] if name == "first_press" else [])
-
-
-def unsourced(part: Part, path: str = "") -> list[str]:
-    found = [f"{path}{key}" for key in part.unsourced()]
-    for key in type(part).model_fields:
-        value = getattr(part, key)
-        inner = (
-            value.items()
-            if isinstance(value, dict)
-            else enumerate(value)
-            if isinstance(value, tuple)
-            else [("", value)]
-        )
-        for name, child in inner:
-            if isinstance(child, Part):
-                found += unsourced(child, f"{path}{key}.{name}.".replace("..", "."))
-    return found
 
 
 def test_a_number_without_provenance_is_noticed() -> None:

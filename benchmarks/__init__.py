@@ -1,0 +1,1 @@
+"""Run time against error, by stage: ``python -m benchmarks [STAGE ...] [--quick]``."""

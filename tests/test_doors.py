@@ -1,0 +1,83 @@
+"""Who may import whom: parts and theory stay light, world and sense never meet, heavy packages have one home."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import twin
+
+PACKAGE = Path(twin.__file__).parent
+FILES = sorted(PACKAGE.rglob("*.py"))
+HOMES = {
+    "mitsuba": {"world/render.py", "world/variant.py"},
+    "drjit": {"world/render.py", "world/variant.py"},
+    "pytetwild": {"world/tetrahedralise.py"},
+    "pypardiso": {"world/solve.py"},
+    "scipy.sparse.linalg": {"world/solve.py"},
+    "pickle": set(),
+}
+
+
+def imports(file: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def wing(file: Path) -> str:
+    parts = file.relative_to(PACKAGE).parts
+    return parts[0] if len(parts) > 1 else ""
+
+
+@pytest.mark.parametrize(
+    ("from_wing", "forbidden"),
+    [
+        ("world", ["sense", "judge", "study", "show"]),
+        ("sense", ["world", "judge", "study", "show"]),
+        ("judge", ["world", "sense", "study", "show"]),
+        ("show", ["world", "sense", "judge", "study"]),
+        ("parts", ["world", "sense", "judge", "study", "show", "theory"]),
+        ("theory", ["world", "sense", "judge", "study", "show"]),
+    ],
+)
+def test_doors_between_the_wings(from_wing: str, forbidden: list[str]) -> None:
+    files = [file for file in FILES if wing(file) == from_wing]
+    assert files
+    for file in files:
+        crossing = {name for name in imports(file) if any(name.startswith(f"twin.{door}") for door in forbidden)}
+        assert not crossing, f"{file.name} imports {crossing}"
+
+
+@pytest.mark.parametrize("package", sorted(HOMES))
+def test_heavy_packages_have_one_home(package: str) -> None:
+    users = {
+        file.relative_to(PACKAGE).as_posix()
+        for file in FILES
+        if any(name == package or name.startswith(f"{package}.") for name in imports(file))
+    }
+    assert users <= HOMES[package]
+
+
+@pytest.mark.parametrize("folder", ["parts", "theory"])
+def test_descriptions_and_closed_forms_are_light(folder: str) -> None:
+    allowed = {"numpy", "scipy.special", "pydantic", "twin", "numba"} | set(sys.stdlib_module_names)
+    for file in (f for f in FILES if wing(f) == folder):
+        heavy = {n for n in imports(file) if n not in allowed and not any(n.startswith(f"{a}.") for a in allowed)}
+        assert not heavy, f"{file.name} imports {heavy}"
+
+
+@pytest.mark.parametrize("code", ["import twin", "from twin.cli import app", "import twin; twin.Press, twin.load_scene"])
+def test_importing_loads_no_heavy_package(code: str) -> None:
+    heavy = "mitsuba drjit pytetwild pyvista trimesh scipy numba matplotlib".split()
+    check = f"{code}; import sys; print([m for m in {heavy!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,76 @@
+"""Check files and result folders: every problem at once, or a line that says what was checked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from twin.errors import InputError, RecipeError
+from twin.parts.part import Part
+from twin.study.recipe import find_scene, load_scene
+
+
+def check_path(name: str) -> list[str]:
+    """Check a scene (path or shipped name), a calibration file or a result folder.
+
+    Raises
+    ------
+    RecipeError, InputError
+        Something is wrong with it.
+    """
+    path = Path(name)
+    if path.is_dir():
+        return _check_results(path)
+    if path.suffix == ".npz":
+        from twin.sense.calibration import read_calibration
+
+        calibration = read_calibration(path)
+        return [
+            f"{path}: calibration of {len(calibration.site_mm)} sites, {len(calibration.transfer) // 2} markers: ok"
+        ]
+    from twin.study.actual import make
+
+    scene = load_scene(name)
+    make(scene)
+    lines = [f"{find_scene(name)}: ok"]
+    told = unsourced(scene)
+    if told:
+        lines.append(f"numbers without source or assumed: {', '.join(told)}")
+    return lines
+
+
+def unsourced(part: Part, path: str = "") -> list[str]:
+    """Return the dotted keys of all numbers given in a recipe without provenance."""
+    found = [f"{path}{key}" for key in part.unsourced()]
+    for key in type(part).model_fields:
+        value = getattr(part, key)
+        named = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, tuple) else ()
+        children = {f"{key}.{name}": child for name, child in named} if named else {key: value}
+        for name, child in children.items():
+            if isinstance(child, Part):
+                found += unsourced(child, f"{path}{name}.")
+    return found
+
+
+def _check_results(folder: Path) -> list[str]:
+    lines = []
+    if (folder / "scene.toml").is_file():
+        lines += check_path(str(folder / "scene.toml"))[:1]
+    truth_file = folder / "truth.npz"
+    if not truth_file.is_file():
+        if lines:
+            return lines
+        raise InputError(f"{folder}: holds neither scene.toml nor truth.npz, so it is no result folder")
+    try:
+        with np.load(truth_file, allow_pickle=False) as truth:
+            total, pieces = truth["total_force_n"], truth["surface_force_n"]
+            displacement = truth["marker_displacement_mm"]
+    except (OSError, ValueError, KeyError, EOFError) as problem:
+        raise InputError(f"{truth_file}: can't be read ({problem})") from None
+    miss = float(np.abs(pieces.sum(axis=0) - total).max())
+    if miss > 1e-6 * max(1.0, float(np.abs(total).max())):
+        raise RecipeError(f"surface_force_n sums to {miss:.2g} N away from total_force_n", str(truth_file))
+    if not np.isfinite(displacement).all():
+        raise RecipeError("marker_displacement_mm is not finite", str(truth_file))
+    return [*lines, f"{truth_file}: forces balance to {miss:.1e} N, {len(displacement)} displacements finite: ok"]

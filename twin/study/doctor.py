@@ -1,0 +1,67 @@
+"""What this machine can do: versions, Mitsuba variant, solver, GL, caches."""
+
+from __future__ import annotations
+
+import ctypes.util
+import importlib.metadata
+import importlib.util
+import os
+import platform
+from dataclasses import dataclass
+
+from twin.places import MESHES, SCENES, cache_folder
+
+NEEDED = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pytetwild", "trimesh", "pyvista", "pydantic", "matplotlib")
+OPTIONAL = {"pypardiso": "faster factorisation on x86-64: pip install 'tactile-twin[mkl]'"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Examination:
+    """What was found.
+
+    Attributes
+    ----------
+    lines
+        For people, one fact each.
+    missing
+        What the main job lacks; empty if it can run.
+    """
+
+    lines: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+def examine() -> Examination:
+    """Look at this machine without ever loading a package that could crash on it."""
+    lines = [f"python      {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"]
+    missing = []
+    for name in NEEDED:
+        version = _version(name)
+        lines.append(f"{name:11s} {version or 'MISSING'}")
+        if version is None:
+            missing.append(f"{name} is not installed: pip install tactile-twin")
+    for name, use in OPTIONAL.items():
+        lines.append(f"{name:11s} {_version(name) or 'not installed (optional): ' + use}")
+    if not missing:
+        from twin.world.solve import solver_name
+        from twin.world.variant import choose_variant
+
+        variant = choose_variant()
+        lines.append(f"renderer    {variant.name}: {variant.reason}")
+        lines.append(f"solver      {solver_name()}")
+    has_gl = all(ctypes.util.find_library(name) for name in ("GL", "EGL"))
+    lines.append(f"GL          {'found' if has_gl else 'not found: only interactive 3-D windows need it'}")
+    lines.append(f"cache       {cache_folder()}")
+    if not (SCENES.is_dir() and MESHES.is_dir()):
+        missing.append(f"the recipes are not beside the package ({SCENES.parent}): install with pip install -e")
+    lines.append(f"recipes     {SCENES.parent}")
+    return Examination(lines=tuple(lines), missing=tuple(missing))
+
+
+def _version(name: str) -> str | None:
+    if importlib.util.find_spec(name) is None:
+        return None
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown version"

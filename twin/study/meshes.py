@@ -1,0 +1,19 @@
+"""Show a body's meshes, or make them anew."""
+
+from __future__ import annotations
+
+from twin.parts.scene import Scene
+from twin.study.sensor import Progress
+
+
+def describe_meshes(scene: Scene, *, rebuild: bool, progress: Progress | None = None) -> list[str]:
+    """Return a line for each of the body's meshes: size and worst quality; make them anew if asked."""
+    from twin.world.mesh import body_mesh
+    from twin.world.quality import quality
+
+    lines = []
+    for purpose in ("truth", "nominal"):
+        mesh = body_mesh(scene.body, purpose, rebuild=rebuild, progress=progress)  # type: ignore[arg-type]
+        worst = quality(mesh)
+        lines.append(f"{purpose:8s} {len(mesh.tets)} tetrahedra, {len(mesh.points)} nodes; {worst}")
+    return lines

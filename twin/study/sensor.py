@@ -1,0 +1,232 @@
+"""A made sensor: its body, its markers, its camera, each computed when first asked for and then kept.
+
+`Sensor` is where the two wings meet. The *world* side works on the actual sensor, drawn from the tolerances; the
+*sense* side is told the nominal design only, on a mesh of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from twin.arrays import Chart, Floats, Picture, Pixels, Points
+from twin.errors import InputError, RecipeError
+from twin.parts.load import Load, Rectangles
+from twin.parts.markers import MarkerSet, place
+from twin.parts.press import Press
+from twin.parts.scene import Scene
+from twin.streams import Purpose, stream
+from twin.study.actual import Actual, make
+from twin.theory.optics import project
+
+if TYPE_CHECKING:
+    from twin.world.compliance import Compliance
+    from twin.world.contact import ContactState
+    from twin.world.markers import Ellipsoids
+    from twin.world.render import Renderer
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the share that is done, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """What a load does to the markers.
+
+    Attributes
+    ----------
+    displacement_mm
+        (n, 3) displacements of the marker centres, mm.
+    gradient
+        (n, 3, 3) displacement gradients du_i/dx_j there.
+    """
+
+    displacement_mm: Points
+    gradient: Floats
+
+
+class Sensor:
+    """One sensor, made from a scene.
+
+    Parameters
+    ----------
+    scene
+        The nominal design, with tolerances, seed and accuracy.
+    progress
+        Told about work that takes longer.
+    """
+
+    def __init__(self, scene: Scene, progress: Progress | None = None) -> None:
+        self.nominal = scene
+        self.progress = progress
+
+    @cached_property
+    def actual(self) -> Actual:
+        """The sensor as it was made."""
+        return make(self.nominal)
+
+    @cached_property
+    def compliance(self) -> Compliance:
+        """Compliance of the actual body, on the mesh of the truth."""
+        return _compliance(self.actual.scene, "truth", self.progress)
+
+    @cached_property
+    def nominal_compliance(self) -> Compliance:
+        """Compliance of the nominal body, on a mesh of its own: what the sensor's software may be told."""
+        return _compliance(self.nominal, "nominal", self.progress)
+
+    @cached_property
+    def nominal_markers(self) -> MarkerSet:
+        """The markers as drawn."""
+        return place(self.nominal.body, self.nominal.markers)
+
+    @cached_property
+    def renderer(self) -> Renderer:
+        """The camera's view of the actual sensor."""
+        if self.nominal.camera is None:
+            raise RecipeError("this scene has no [camera] table, so there is no picture of it")
+        from twin.world.render import Renderer
+
+        return Renderer(self.actual.scene, self._ellipsoids(None))
+
+    def rectangles(self, load: Load) -> Rectangles:
+        """Cut a load into the rectangles that the solvers work on."""
+        from twin.world.tile import tile
+
+        return tile(load, self.actual.scene.body)
+
+    def displacement(self, points_mm: Points, load: Load) -> Points:
+        """Return the (n, 3) displacement in mm of points inside the body under ``load``.
+
+        Raises
+        ------
+        OutOfBodyError
+            A point lies outside the body.
+        InputError
+            The load misses the sensing surface.
+        """
+        points = np.asarray(points_mm, float)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InputError(f"points_mm: must have shape (n, 3), got {points.shape}")
+        return self.compliance.displacement(points, self.rectangles(load))
+
+    def motion(self, load: Load) -> Motion:
+        """Return how the actual markers move and turn under ``load``."""
+        rectangles = self.rectangles(load)
+        points = self.actual.markers.points
+        return Motion(
+            displacement_mm=self.compliance.displacement(points, rectangles),
+            gradient=self.compliance.gradient(points, rectangles),
+        )
+
+    def press(self, press: Press | None = None) -> ContactState:
+        """Solve a press; the scene's own if none is given.
+
+        Raises
+        ------
+        ContactError
+            There is no equilibrium, or the contact leaves the sensing surface.
+        """
+        from twin.world.contact import press as solve
+
+        wanted = press if press is not None else self.nominal.press
+        if wanted is None:
+            raise RecipeError("this scene has no [press] table: give Sensor.press a Press")
+        material = self.actual.scene.material
+        return solve(
+            wanted,
+            self.actual.scene.body,
+            self.compliance,
+            patches_across=self.nominal.accuracy.contact_patches,
+            youngs_modulus_mpa=material.youngs_modulus_mpa,
+            poisson_ratio=material.poisson_ratio,
+        )
+
+    def picture(self, load: Load | Motion | None, exposure: int | None = None) -> Picture:
+        """Return the CCD picture (height, width, 3) under ``load``, or at rest.
+
+        Parameters
+        ----------
+        load
+            A load, a motion of the markers computed before, or None for the rest state.
+        exposure
+            Number of the exposure: pictures of the same number have the same noise. The rest state is exposure 0, a
+            loaded one 1 if not given.
+        """
+        from twin.world.exposure import expose
+
+        number = exposure if exposure is not None else int(load is not None)
+        radiance = self.renderer.radiance(self.ellipsoids(load))
+        return expose(radiance, self.nominal.ccd, stream(self.nominal.seed, Purpose.EXPOSURE, number))
+
+    def ellipsoids(self, load: Load | Motion | None) -> Ellipsoids:
+        """Return the actual markers as they stand under ``load``."""
+        return self._ellipsoids(self.motion(load) if isinstance(load, Load) else load)
+
+    def _ellipsoids(self, motion: Motion | None) -> Ellipsoids:
+        from twin.world.markers import ellipsoids
+
+        markers, layers = self.actual.markers, self.actual.scene.markers
+        if motion is None:
+            n = len(markers)
+            motion = Motion(displacement_mm=np.zeros((n, 3)), gradient=np.zeros((n, 3, 3)))
+        return ellipsoids(markers, layers, motion.displacement_mm, motion.gradient)
+
+    def project(self, points_mm: Points, which: Literal["actual", "nominal"] = "actual") -> Pixels:
+        """Return the (n, 2) picture places of points, seen by the actual or the nominal camera."""
+        scene = self.actual.scene if which == "actual" else self.nominal
+        if scene.camera is None:
+            return np.zeros((0, 2))
+        return project(points_mm, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
+
+    @cached_property
+    def layout_px(self) -> dict[str, Pixels]:
+        """Nominal rest places of the markers by layer, px: what the tracker is told."""
+        pixels = self.project(self.nominal_markers.points, "nominal")
+        return {name: pixels[self.nominal_markers.of(name)] for name in self.nominal.markers}
+
+    @cached_property
+    def sites(self) -> Rectangles:
+        """The sites where forces are reconstructed, as squares of the sites' pitch under no force yet."""
+        if self.nominal.reconstruction is None:
+            raise RecipeError("this scene has no [reconstruction] table, so there are no sites")
+        return site_rectangles(self.nominal)
+
+
+def site_chart(scene: Scene) -> Chart:
+    """Return the (k, 2) surface coordinates of the reconstruction sites, mm, s outer and t inner."""
+    assert scene.reconstruction is not None
+    grid = scene.reconstruction.sites
+    s = (np.arange(grid.columns) - (grid.columns - 1) / 2) * grid.pitch_mm
+    t = (np.arange(grid.rows) - (grid.rows - 1) / 2) * grid.pitch_mm
+    return np.stack(np.meshgrid(s, t, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def site_rectangles(scene: Scene) -> Rectangles:
+    """Return the reconstruction sites as squares on the surface.
+
+    Raises
+    ------
+    RecipeError
+        A site lies outside the sensing surface.
+    """
+    assert scene.reconstruction is not None
+    points = scene.body.chart_points(site_chart(scene))
+    if not scene.body.contains(points, -1e-6).all():
+        raise RecipeError(
+            "reconstruction.sites: some lie outside the sensing surface; reduce columns, rows or pitch_mm"
+        )
+    half = np.full((len(points), 2), scene.reconstruction.sites.pitch_mm / 2)
+    return Rectangles(
+        centre_mm=points, frames=scene.body.frames(points), half_mm=half, force_n=np.zeros((len(points), 3))
+    )
+
+
+def _compliance(scene: Scene, purpose: Literal["truth", "nominal"], progress: Progress | None) -> Compliance:
+    from twin.world.compliance import Compliance
+
+    return Compliance(scene.body, scene.material, purpose=purpose)
