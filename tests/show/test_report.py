@@ -1,0 +1,371 @@
+"""The report page: whole, self-contained, true to the numbers, the right way up, and visible."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import shutil
+import subprocess
+import time
+from dataclasses import fields, replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from twin.results import Estimate, RunResult, Truth
+from twin.show import plots
+from twin.show.pushes import truth_by_site
+from twin.show.report import data_uri, report, verdict
+
+SCENE = 'title = "Flat sensor, 5 mm pillar"\nseed = 1\n\n[press]\nat_mm = [4, -3]\n'
+SCALE = 0.05  # mm per px
+VOID = {"meta", "img", "br", "link", "input", "hr"}
+
+
+def grid(columns: int, rows: int, pitch: float, z: float) -> np.ndarray:
+    x, y = (pitch * (np.arange(n) - (n - 1) / 2) for n in (columns, rows))
+    xx, yy = np.meshgrid(x, y)
+    return np.column_stack([xx.ravel(), yy.ravel(), np.full(xx.size, z)])
+
+
+def to_px(points: np.ndarray) -> np.ndarray:
+    return np.column_stack([319.5 + points[:, 0] / SCALE, 239.5 - points[:, 1] / SCALE])
+
+
+def pressed(points: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Half-space displacement (Boussinesq and Cerruti at nu = 0.5) under a point force at (4, -3), E = 1."""
+    r = points - [4.0, -3.0, 0.0]
+    d = np.linalg.norm(r, axis=1, keepdims=True)
+    return 1.5 / (4 * np.pi) * (force / d + r * (r @ force)[:, None] / d**3) * 2
+
+
+def camera_picture(rng: np.random.Generator, px: np.ndarray, layer: np.ndarray) -> np.ndarray:
+    light = np.full((480, 640, 3), 12.0)
+    row, column = np.mgrid[:480, :640]
+    for (c, r), name in zip(px, layer, strict=True):
+        if np.isfinite(c):
+            window = np.s_[max(0, int(r) - 9) : int(r) + 10, max(0, int(c) - 9) : int(c) + 10]
+            cover = np.clip(5.5 - np.hypot(column[window] - c, row[window] - r), 0, 1)[..., None]
+            colour = np.array([185.0, 30, 25]) if name == "red" else np.array([22.0, 40, 185])
+            light[window] = cover * colour + (1 - cover) * light[window]
+    return np.clip(light + rng.normal(0, 1.2, light.shape), 0, 255).round().astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def full() -> RunResult:
+    """A run like that of the flat sensor, with plausible errors at every stage."""
+    rng = np.random.default_rng(7)
+    rest = np.vstack([grid(21, 16, 1.5, 6.0), grid(20, 15, 1.5, 3.0)])
+    layer = np.array(["red"] * 336 + ["blue"] * 300)
+    total = np.array([0.4, 0.1, 2.0])
+    moved = pressed(rest, total)
+    rest_px, pressed_px = to_px(rest), to_px(rest + moved)
+    patches = grid(16, 16, 0.3, 0.0)
+    patches = patches[np.hypot(*patches[:, :2].T) < 2.4]
+    share = np.sqrt(1.0001 - (np.hypot(*patches[:, :2].T) / 2.4) ** 2)[:, None]
+    patches += np.array([4.0, -3.0, 0.0])
+    truth = Truth(
+        marker_rest_mm=rest, marker_displacement_mm=moved, marker_layer=layer, marker_rest_px=rest_px,
+        marker_pressed_px=pressed_px, marker_outline_rest_px=rest_px, marker_outline_pressed_px=pressed_px,
+        marker_visible=np.ones(len(rest), bool), surface_mm=patches, surface_force_n=share / share.sum() * total,
+        total_force_n=total, total_torque_nmm=np.array([-6.0, -8.0, 1.6]),
+    )  # fmt: skip
+    shift = pressed_px - rest_px + rng.normal(0, 0.015, rest_px.shape)
+    shift[[10, 40, 400]] = np.nan
+    sites = grid(15, 12, 2.0, 0.0)
+    blurred = np.exp(-((sites - [4.1, -3.1, 0.0]) ** 2).sum(axis=1) / 2 / 1.6**2)[:, None]
+    force = blurred / blurred.sum() * total * 1.02 + rng.normal(0, 0.01, sites.shape)
+    estimate = Estimate(
+        marker_rest_px=rest_px, marker_shift_px=shift, site_mm=sites, force_n=force,
+        total_force_n=total * 1.013, total_torque_nmm=np.array([-6.2, -8.1, 1.5]),
+    )  # fmt: skip
+    return RunResult(
+        scene_toml=SCENE, truth=truth, estimate=estimate, rest=camera_picture(rng, rest_px, layer),
+        pressed=camera_picture(rng, pressed_px, layer),
+        score={
+            "elastic": {"displacement_error": 0.00312},
+            "tracking": {"bias_px": [0.0011, -0.0008], "sd_px": 0.01523, "matched": 0.9953, "gross": 0,
+                         "occluded": {"sd_px": None, "count": 0}},
+            "force": {"field_error": 0.4321, "total_force_error": 0.01313, "torque_error": None,
+                      "centre_error_mm": 0.0642},
+            "reasons": {"force.torque_error": "the torque is below the noise",
+                        "tracking.occluded": "no marker is hidden"},
+        },
+        facts={"contact_radius_mm": 2.4, "indentation_mm": 0.2213, "calibration": "compliance",
+               "shared": ["shape of the body", "number, order and pitch of the markers"],
+               "warnings": ["The contact radius is 0.48 of the probe's: linear elasticity is about 8 % off."]},
+        timings={"mesh": 0.41, "solve": 1.9, "contact": 0.31, "picture": 0.19, "tracking": 0.002, "forces": 0.011},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def page(full: RunResult) -> str:
+    return report(full)
+
+
+class Checker(HTMLParser):
+    """Fails on tags that aren't closed in order; collects tags, attributes and text."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self.feed(page)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        assert len(dict(attrs)) == len(attrs), f"<{tag}> repeats an attribute"
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def headings(page: str) -> list[str]:
+    return re.findall(r"<h2>(.*?)</h2>", page)
+
+
+def without(arrays: Truth | Estimate, *prefixes: str) -> dict[str, np.ndarray]:
+    return {f.name: getattr(arrays, f.name)[:0] for f in fields(arrays) if f.name.startswith(prefixes)}
+
+
+def path_arrows(svg: str, style: str) -> np.ndarray:
+    """Return (n, 4) tail and tip of the arrows of one class, view units, down."""
+    found = re.search(rf'<path class="{style}" d="([^"]*)"', svg)
+    assert found
+    number = r"(-?[\d.]+)"
+    return np.array(re.findall(rf"M{number} {number}L{number} {number}m", found[1]), float)
+
+
+def test_page_is_whole_and_self_contained(page: str) -> None:
+    checker = Checker(page)
+    links = [v for _, a in checker.tags for k, v in a.items() if k in {"src", "href", "srcset", "data", "action"}]
+    assert links
+    assert all(str(v).startswith("data:image/png;base64,") for v in links)
+    assert not re.search(r"https?:|file:|url\(|@import|<script|<link", page)
+    assert all(a.get("alt") for t, a in checker.tags if t == "img")
+    assert all(a.get("role") == "img" and a.get("aria-label") for t, a in checker.tags if t == "svg")
+    assert len(page.encode()) < 3e6
+    assert "nan" not in re.sub(r"base64,[^\"]*", "", page).lower().replace("resonan", "")
+
+
+def test_page_is_quick(full: RunResult) -> None:
+    start = time.process_time()
+    report(full)
+    assert time.process_time() - start < 1.0
+
+
+def test_full_run_has_every_part(page: str) -> None:
+    assert headings(page) == ["Pictures", "Marker motion", "Forces", "Errors by stage", "Time", "Facts"]
+    assert page.count("<img") == 2
+    assert page.count("<svg") == 5  # two layers, two force fields, one profile
+    assert '<p class="alarm">The contact radius is 0.48' in page
+
+
+def test_verdict_says_the_three_figures(full: RunResult) -> None:
+    sentence = verdict(full)
+    assert sentence.count(".") == 1 + 3  # one full stop and three decimal points
+    for figure in ("0.0152 px", "1.31 %", "0.0642 mm"):
+        assert figure in sentence
+
+
+def test_table_holds_the_scores_numbers(page: str) -> None:
+    table = re.search(r"<h2>Errors by stage</h2>(.*?)</section>", page, re.S)
+    assert table
+    told = [float(v) for v in re.findall(r'<data value="([^"]*)"', table[1])]
+    assert told == [0.00312, 0.0011, -0.0008, 0.01523, 0.9953, 0, 0, 0.4321, 0.01313, 0.0642]
+    shown = [re.sub("<[^>]*>", "", c) for c in re.findall(r'<td class="figure">(.*?)</td>', table[1])]
+    assert shown == ["0.312 %", "0.0011 px, −0.0008 px", "0.0152 px", "99.5 %", "0", "—", "0",
+                     "43.2 %", "1.31 %", "—", "0.0642 mm"]  # fmt: skip
+    assert "the torque is below the noise" in table[1]
+    assert "no marker is hidden" in table[1]
+
+
+def test_rest_only_and_displacement_only(full: RunResult) -> None:
+    truth, estimate = full.truth, full.estimate
+    assert truth is not None
+    assert estimate is not None
+    assert headings(report(RunResult(scene_toml=""))) == []
+    bare = replace(truth, **without(truth, "marker_rest_px", "marker_pressed", "marker_outline", "marker_visible"))
+    page = report(RunResult(scene_toml=SCENE, truth=bare))
+    assert headings(page) == ["Marker motion", "Forces"]
+    assert "x (mm)" in page
+    assert "column (px)" not in page
+    largest = np.linalg.norm(truth.marker_displacement_mm, axis=1).max()
+    assert f"The markers move by up to {largest:.3g} mm under 2.04 N." in page
+    no_markers = replace(bare, **without(bare, "marker", "surface", "total"))
+    assert headings(report(RunResult(scene_toml=SCENE, truth=no_markers, timings={"mesh": 1.0}))) == ["Time"]
+    at_rest = replace(bare, marker_displacement_mm=np.zeros_like(bare.marker_displacement_mm), **without(bare, "total"))
+    assert "no marker moves" in report(RunResult(scene_toml=SCENE, truth=at_rest))
+
+
+def test_any_part_may_be_absent(full: RunResult) -> None:
+    truth, estimate = full.truth, full.estimate
+    assert truth is not None
+    assert estimate is not None
+    tracked_only = replace(estimate, **without(estimate, "site", "force", "total"))
+    centres_only = replace(truth, **without(truth, "marker_outline", "marker_visible"))
+    all_lost = replace(estimate, marker_shift_px=np.full_like(estimate.marker_shift_px, np.nan))
+    for change in (
+        {"truth": None}, {"estimate": None}, {"rest": None}, {"pressed": None}, {"rest": None, "pressed": None},
+        {"score": None}, {"score": {"force": None, "reasons": {"force": "no sites"}}}, {"facts": {}}, {"timings": {}},
+        {"estimate": tracked_only}, {"truth": centres_only}, {"estimate": all_lost}, {"truth": None, "score": {}},
+        {"scene_toml": "not [ toml"}, {"facts": {"a": None, "b": {"c_mm": 1.0}, "d": float("nan"), "warnings": []}},
+    ):  # fmt: skip
+        Checker(report(replace(full, **change)))
+    assert "no sites" in report(replace(full, score={"force": None, "reasons": {"force": "no sites"}}))
+    assert "Forces" not in headings(report(replace(full, truth=None, estimate=tracked_only)))
+
+
+def test_texts_of_a_recipe_are_escaped(full: RunResult) -> None:
+    truth = full.truth
+    assert truth is not None
+    evil = "<script>alert(1)</script>"
+    renamed = replace(truth, marker_layer=np.array([evil] * 336 + ['"><img src=x>'] * 300))
+    page = report(
+        replace(
+            full, scene_toml=f"title = '{evil}'\n", truth=renamed, facts={evil: evil, "warnings": [evil], "l": [evil]},
+            timings={evil: 1.0}, score={evil: {evil: None}, "reasons": {f"{evil}.{evil}": evil}},
+        )
+    )  # fmt: skip
+    checker = Checker(page)
+    assert "<script" not in page
+    assert {t for t, _ in checker.tags if t == "script"} == set()
+    assert sum(t == "img" for t, _ in checker.tags) == 2
+    assert evil in "".join(checker.text)
+
+
+@pytest.mark.parametrize("camera", [True, False])
+def test_a_shift_along_y_points_up(full: RunResult, camera: bool) -> None:
+    truth = full.truth
+    assert truth is not None
+    moved = np.tile([0.0, 0.1, 0.0], (len(truth.marker_rest_mm), 1))
+    shifted = replace(
+        truth, marker_displacement_mm=moved, marker_outline_pressed_px=to_px(truth.marker_rest_mm + moved)
+    )
+    if not camera:
+        shifted = replace(shifted, **without(shifted, "marker_rest_px", "marker_pressed", "marker_outline"))
+    x0, y0, x1, y1 = path_arrows(
+        report(replace(full, truth=shifted, estimate=None)), "truth red" if camera else "tracked red"
+    ).T
+    assert np.all(y1 < y0 - 5)
+    np.testing.assert_allclose(x0, x1, atol=0.11)
+    # the first marker of the layer stands at the lowest x and y: lower left
+    assert x0[0] == x0.min()
+    assert y0[0] == y0.max()
+
+
+def test_a_force_along_y_points_up_and_x_right(full: RunResult) -> None:
+    estimate = full.estimate
+    assert estimate is not None
+    force = np.zeros_like(estimate.site_mm)
+    for axis, sign in ((0, 1), (1, -1)):
+        pushed = force.copy()
+        pushed[:, axis] = 0.1
+        tips = path_arrows(report(replace(full, truth=None, estimate=replace(estimate, force_n=pushed))), "force")
+        assert np.all(sign * (tips[:, 2 + axis] - tips[:, axis]) > 5)
+
+
+def test_arrows_have_the_stated_length(full: RunResult, page: str) -> None:
+    truth = full.truth
+    assert truth is not None
+    said = re.search(r"drawn ([\d.]+) times as long as they are; the longest is ([\d.]+) px", page)
+    assert said
+    shift = np.hypot(*(truth.marker_outline_pressed_px - truth.marker_outline_rest_px).T)
+    assert float(said[2]) == pytest.approx(shift.max(), rel=5e-3)
+    drawn = np.concatenate([path_arrows(page, f"truth {c}") for c in ("red", "blue")])
+    length = np.hypot(*(drawn[:, 2:] - drawn[:, :2]).T)
+    per_px = (plots.VIEW - plots.LEFT - plots.RIGHT) / 640
+    assert length.max() == pytest.approx(float(said[1]) * shift.max() * per_px, abs=0.15)
+
+
+def test_lost_markers_are_crossed(page: str) -> None:
+    assert "2 not tracked (×)" in page
+    assert "1 not tracked (×)" in page
+    crosses = re.findall(r'<path class="lost" d="([^"]*)"', page)
+    assert [c.count("M") for c in crosses] == [2, 1]
+
+
+def test_truth_is_summed_into_the_nearest_site(full: RunResult) -> None:
+    truth, estimate = full.truth, full.estimate
+    assert truth is not None
+    assert estimate is not None
+    summed = truth_by_site(truth, estimate.site_mm)
+    np.testing.assert_allclose(summed.sum(axis=0), truth.total_force_n, rtol=1e-12)
+    nearest = [int(np.argmin(np.linalg.norm(estimate.site_mm - p, axis=1))) for p in truth.surface_mm]
+    expected = np.zeros_like(summed)
+    for site, force in zip(nearest, truth.surface_force_n, strict=True):
+        expected[site] += force
+    np.testing.assert_allclose(summed, expected, atol=1e-15)
+
+
+def test_force_colours_share_one_scale(full: RunResult) -> None:
+    truth, estimate = full.truth, full.estimate
+    assert truth is not None
+    assert estimate is not None
+    half = replace(estimate, force_n=truth_by_site(truth, estimate.site_mm) * [1, 1, -0.5])
+    maps = re.findall(r"<svg.*?</svg>", report(replace(full, estimate=half)), re.S)[2:4]
+    first, second = ([float(o) for o in re.findall(r'fill-opacity="([\d.]+)"', m)] for m in maps)
+    assert max(first) == 1.0
+    assert max(second) == pytest.approx(0.5, abs=0.006)
+    assert 'class="push"' in maps[0]
+    assert 'class="pull"' not in maps[0]
+    assert 'class="pull"' in maps[1]
+
+
+def test_pictures_are_lossless_and_bounded(full: RunResult) -> None:
+    assert full.rest is not None
+    uri, share = data_uri(full.rest)
+    assert share == 1
+    with Image.open(io.BytesIO(base64.b64decode(uri.split(",")[1]))) as image:
+        np.testing.assert_array_equal(np.asarray(image), full.rest)
+    noise = np.random.default_rng(1).integers(0, 256, (1000, 1400, 3), dtype=np.uint8)
+    uri, share = data_uri(noise)
+    assert len(uri) < 1.4e6
+    assert share < 1
+
+
+def test_ticks_are_round_and_inside() -> None:
+    assert plots.ticks(-0.5, 639.5) == [0, 100, 200, 300, 400, 500, 600]
+    assert plots.ticks(479.5, -0.5, 5) == [0, 100, 200, 300, 400]
+    assert plots.ticks(-0.013, 0.021, 5) == [-0.01, 0, 0.01, 0.02]
+    assert plots.nice(0.0) == 1.0
+    assert plots.nice(0.049) == pytest.approx(0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1280, 500])
+def test_a_browser_shows_it(page: str, tmp_path: Path, width: int) -> None:
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    assert browser, "this check needs Chromium or Chrome on PATH"
+    (tmp_path / "report.html").write_text(page)
+    subprocess.run(
+        [browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars",
+         "--disable-background-networking", "--disable-component-update", "--disable-sync",
+         f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={tmp_path / 'shot.png'}",
+         f"--window-size={width},3000", (tmp_path / "report.html").as_uri()],
+        check=True, capture_output=True, timeout=120,
+    )  # fmt: skip
+    with Image.open(tmp_path / "shot.png") as image:
+        shot = np.asarray(image.convert("RGB")).astype(int)
+    assert shot.shape[1] == width
+    paper = shot[2, 2]
+    inked = np.abs(shot - paper).sum(axis=2) > 60
+    assert 0.02 < inked.mean() < 0.8
+    # text, pictures, drawings: ink in every tenth of the first 1500 rows, none beyond the right margin
+    assert all(part.any() for part in np.array_split(inked[:1500], 10))
+    assert not inked[:, -8:].any()
