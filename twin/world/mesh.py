@@ -1,0 +1,231 @@
+"""Quadratic tetrahedral meshes: what they are, how they are stored, and where a body's mesh comes from.
+
+Why stored: the mesher is not deterministic and takes minutes, so a mesh is made once, checked, and kept under a key
+made of the geometry and the wanted sizes. The reference bodies' meshes ship with the program.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Ints, Points, frozen
+from twin.errors import InputError
+from twin.parts.body import Body
+from twin.places import MESHES, cache_folder
+from twin.world.sizing import Purpose, Sizing, default_sizing
+from twin.world.snap import signed_volumes
+
+__all__ = ["Mesh", "Purpose", "Sizing", "body_mesh", "mesh_key", "read_mesh", "read_provenance", "write_mesh"]
+
+FORMAT = 1
+"""Version of the file format and of the way meshes are made; part of every key."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """Quadratic tetrahedra with a classified boundary.
+
+    Attributes
+    ----------
+    points
+        (n, 3) all nodes, mm; the corner nodes come first.
+    tets
+        (m, 10) indices in the order of VTK's quadratic tetrahedron: corners 0 to 3, then the middles of the edges 01,
+        12, 02, 03, 13, 23. Volumes are positive.
+    corners
+        Number of corner nodes.
+    faces
+        (f, 6) boundary triangles in the order of VTK's quadratic triangle: three corners, then the middles of 01, 12,
+        20; right-hand normals point out of the body.
+    piece
+        (f,) index into ``body.pieces`` of every boundary triangle: 0 is sensing, the last one held.
+    """
+
+    points: Points
+    tets: Ints
+    corners: int
+    faces: Ints
+    piece: Ints
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the arrays: equal for equal meshes, whatever file they came from."""
+        sha = hashlib.sha256()
+        for array, kind in ((self.points, "<f8"), (self.tets, "<i8"), (self.faces, "<i8"), (self.piece, "<i8")):
+            sha.update(repr(array.shape).encode())
+            sha.update(np.ascontiguousarray(array, dtype=kind).tobytes())
+        sha.update(str(self.corners).encode())
+        return sha.hexdigest()
+
+    @property
+    def unknowns(self) -> int:
+        """Three displacements at every node and one pressure at every corner."""
+        return 3 * len(self.points) + self.corners
+
+
+def write_mesh(mesh: Mesh, path: Path | str, provenance: dict[str, Any]) -> None:
+    """Write a mesh to an ``.npz`` file: under a temporary name first, so that a kill leaves no half file.
+
+    Parameters
+    ----------
+    mesh
+        The mesh.
+    path
+        Where to.
+    provenance
+        How it was made, as plain JSON values.
+    """
+    path = Path(path)
+    told = json.dumps({**provenance, "format": FORMAT, "digest": mesh.digest()}, sort_keys=True)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez_compressed(
+                file,
+                points=mesh.points,
+                tets=mesh.tets.astype(np.int32),
+                corners=np.int64(mesh.corners),
+                faces=mesh.faces.astype(np.int32),
+                piece=mesh.piece.astype(np.int32),
+                provenance=np.array(told),
+            )
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def read_mesh(path: Path | str) -> Mesh:
+    """Read a mesh and make sure that it is whole.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, of another kind, or its arrays don't make a mesh.
+    """
+    return _load(Path(path))[0]
+
+
+def read_provenance(path: Path | str) -> dict[str, Any]:
+    """Return how a mesh file was made: key, body, sizing, quality, format and digest; raises like `read_mesh`."""
+    return _load(Path(path))[1]
+
+
+def _load(path: Path) -> tuple[Mesh, dict[str, Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            mesh = Mesh(
+                points=frozen(np.asarray(file["points"], np.float64)),
+                tets=frozen(np.asarray(file["tets"], np.int64)),
+                corners=int(file["corners"]),
+                faces=frozen(np.asarray(file["faces"], np.int64)),
+                piece=frozen(np.asarray(file["piece"], np.int64)),
+            )
+            provenance = json.loads(str(file["provenance"]))
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such mesh file; make it with `twin mesh SCENE`") from None
+    except (OSError, ValueError, KeyError, TypeError, EOFError, AttributeError, zipfile.BadZipFile) as problem:
+        raise InputError(
+            f"{path}: not a whole mesh file ({type(problem).__name__}: {problem}); make it anew with "
+            "`twin mesh SCENE --rebuild`"
+        ) from problem
+    problem_text = _problem(mesh)
+    if not problem_text and (not isinstance(provenance, dict) or provenance.get("digest") != mesh.digest()):
+        problem_text = "its arrays don't match the digest stored with them"
+    if problem_text:
+        raise InputError(f"{path}: {problem_text}; make it anew with `twin mesh SCENE --rebuild`")
+    return mesh, provenance
+
+
+def _problem(mesh: Mesh) -> str:
+    """Return what keeps the arrays from being a mesh, or an empty string."""
+    nodes = len(mesh.points)
+    shapes = [("points", mesh.points, 3), ("tets", mesh.tets, 10), ("faces", mesh.faces, 6)]
+    for name, array, width in shapes:
+        if array.ndim != 2 or array.shape[1] != width or len(array) == 0:
+            return f"{name} have shape {array.shape} (allowed: (n >= 1, {width}))"
+    if mesh.piece.shape != (len(mesh.faces),):
+        return f"piece has shape {mesh.piece.shape} (allowed: ({len(mesh.faces)},))"
+    if not np.all(np.isfinite(mesh.points)):
+        return "points are not finite"
+    if not 4 <= mesh.corners <= nodes:
+        return f"{mesh.corners} corner nodes (allowed: 4 to {nodes})"
+    for name, array, own_corners in (("tets", mesh.tets, 4), ("faces", mesh.faces, 3)):
+        if array.min() < 0 or array.max() >= nodes or array[:, :own_corners].max() >= mesh.corners:
+            return f"{name} name nodes that are not there (allowed: corners below {mesh.corners}, nodes below {nodes})"
+    if np.min(signed_volumes(mesh.points, mesh.tets)) <= 0:
+        return "a tetrahedron has no positive volume"
+    return ""
+
+
+def mesh_key(body: Body, sizing: Sizing) -> str:
+    """Return the SHA-256 of what a mesh depends on: the body's geometry (not its sources), the sizing, the format."""
+    geometry = body.model_dump(exclude={"source", "assumed"})
+    told = json.dumps({"body": geometry, "sizing": sizing.described(), "format": FORMAT}, sort_keys=True)
+    return hashlib.sha256(told.encode()).hexdigest()
+
+
+def body_mesh(body: Body, purpose: Purpose, *, rebuild: bool = False, progress: Progress | None = None) -> Mesh:
+    """Return a body's mesh: the shipped one if its key matches, else the cached one, else a new one.
+
+    Parameters
+    ----------
+    body
+        The body.
+    purpose
+        ``truth`` for the world, ``nominal`` for the sensor's own, coarser model.
+    rebuild
+        Make a new mesh even if there is one, and put it into the cache.
+    progress
+        Called with a line of text now and then while a mesh is being made.
+
+    Raises
+    ------
+    MeshError
+        If no mesh passes the quality gates, or the mesher fails.
+    """
+    sizing = default_sizing(body, purpose)
+    key = mesh_key(body, sizing)
+    cached = cache_folder() / f"mesh-{key[:32]}.npz"
+    if not rebuild:
+        for path in [cached, *sorted(MESHES.glob(f"*.{purpose}.npz"))]:
+            found = _matching(path, key)
+            if found is not None:
+                return found
+    from twin.world.build import build_mesh
+
+    mesh, measured = build_mesh(body, sizing, progress=progress)
+    provenance = {
+        "key": key,
+        "purpose": purpose,
+        "body": body.model_dump(exclude={"source", "assumed"}),
+        "sizing": sizing.described(),
+        "quality": measured.described(),
+    }
+    write_mesh(mesh, cached, provenance)
+    return mesh
+
+
+def _matching(path: Path, key: str) -> Mesh | None:
+    """Return the mesh in ``path`` if it is whole and made for ``key``; a broken cache entry counts as absent."""
+    if not path.exists():
+        return None
+    try:
+        mesh, provenance = _load(path)
+    except InputError:
+        return None
+    return mesh if provenance.get("key") == key else None
