@@ -95,9 +95,10 @@ def full() -> RunResult:
             "reasons": {"force.torque_error": "the torque is below the noise",
                         "tracking.occluded": "no marker is hidden"},
         },
-        facts={"contact_radius_mm": 2.4, "indentation_mm": 0.2213, "calibration": "compliance",
+        facts={"contact": {"contact_radius_mm": 2.4, "force_n": total, "indentation_mm": 0.2213},
+               "calibration": "compliance",
                "shared": ["shape of the body", "number, order and pitch of the markers"],
-               "warnings": ["The contact radius is 0.48 of the probe's: linear elasticity is about 8 % off."]},
+               "validity": {"mean_strain": 0.11, "warnings": ("the contact radius is 0.48 of the probe's",)}},
         timings={"mesh": 0.41, "solve": 1.9, "contact": 0.31, "picture": 0.19, "tracking": 0.002, "forces": 0.011},
     )  # fmt: skip
 
@@ -189,7 +190,7 @@ def test_table_holds_the_scores_numbers(page: str) -> None:
     told = [float(v) for v in re.findall(r'<data value="([^"]*)"', table[1])]
     assert told == [0.00312, 0.0011, -0.0008, 0.01523, 0.9953, 0, 0, 0.4321, 0.01313, 0.0642]
     shown = [re.sub("<[^>]*>", "", c) for c in re.findall(r'<td class="figure">(.*?)</td>', table[1])]
-    assert shown == ["0.312 %", "0.0011 px, −0.0008 px", "0.0152 px", "99.5 %", "0", "—", "0",
+    assert shown == ["0.312 %", "(0.0011, −0.0008) px", "0.0152 px", "99.5 %", "0", "—", "0",
                      "43.2 %", "1.31 %", "—", "0.0642 mm"]  # fmt: skip
     assert "the torque is below the noise" in table[1]
     assert "no marker is hidden" in table[1]

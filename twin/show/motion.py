@@ -9,7 +9,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Pixels
 from twin.results import RunResult, Truth
 from twin.show import plots
-from twin.show.words import digits
+from twin.show.words import digits, table
 
 STYLES = {"red": "red", "blue": "blue"}
 """Layers that are named after their colour; others take the remaining styles in turn."""
@@ -110,27 +110,25 @@ def _in_body(truth: Truth) -> str:
 
 
 def _table(truth: Truth) -> str:
-    rows = []
+    heads, columns = [], []
     for name, style, mask in layers(truth.marker_layer):
         moved = truth.marker_displacement_mm[mask]
         size = np.linalg.norm(moved, axis=1)
         depths = truth.marker_rest_mm[mask, 2]
         low, high = digits(float(depths.min())), digits(float(depths.max()))
-        values = [
-            str(int(mask.sum())),
-            low if low == high else f"{low} to {high}",
-            digits(float(size.max())),
-            digits(float(np.sqrt(np.mean(size**2)))),
-            digits(float(moved[np.argmax(np.abs(moved[:, 2])), 2])),
-        ]
-        cells = "".join(f"<td>{v}</td>" for v in values)
-        rows.append(f'<tr><th scope="row"><span class="swatch {style}"></span>{escape(name)}</th>{cells}</tr>')
-    heads = ["layer", "markers", "z at rest, mm", "largest, mm", "rms, mm", "largest along z, mm"]
-    head = "".join(f'<th scope="col">{h}</th>' for h in heads)
-    return (
-        '<div class="wide"><table class="numbers"><caption>True displacement</caption>'
-        f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
-    )
+        heads.append(f'<span class="swatch {style}"></span>{escape(name)}')
+        columns.append(
+            [
+                str(int(mask.sum())),
+                low if low == high else f"{low} to {high}",
+                digits(float(size.max())),
+                digits(float(np.sqrt(np.mean(size**2)))),
+                digits(float(moved[np.argmax(np.abs(moved[:, 2])), 2])),
+            ]
+        )
+    names = ["markers", "z at rest, mm", "largest, mm", "root mean square, mm", "largest along z, mm"]
+    rows = [(name, list(cells)) for name, cells in zip(names, zip(*columns, strict=True), strict=True)]
+    return table("True displacement of the markers", heads, rows)
 
 
 def _figure(drawing: str, caption: str) -> str:

@@ -28,6 +28,7 @@ h2 {{ font-size: 1.15rem; margin: 2.75rem 0 .9rem; padding-top: .9rem; border-to
 figure {{ margin: 0; break-inside: avoid }}
 figure.single {{ margin-top: 1.25rem }}
 figcaption, .note {{ color: var(--soft); font-size: .9rem }}
+figcaption {{ margin-top: .25rem }}
 .note {{ max-width: 60em; margin: .6rem 0 0 }}
 img, svg {{ display: block; width: 100%; height: auto }}
 img {{ border-radius: 3px; background: #000 }}
@@ -69,7 +70,9 @@ caption {{ text-align: left; color: var(--soft); font-size: .9rem; padding-botto
 th, td {{ text-align: left; vertical-align: top; padding: .3rem 1.1rem .3rem 0; border-top: 1px solid var(--line);
   font-weight: 400 }}
 thead th, thead td {{ color: var(--soft); font-size: .85rem; border-top: 0; vertical-align: bottom }}
-tbody.stage tr:first-child > * {{ border-top-color: var(--soft) }}
+small {{ display: block; color: var(--soft); font-size: .85rem }}
+.errors {{ width: 100%; max-width: 640px }} .errors .figure {{ padding-right: 0 }}
+.stage tr:first-child > * {{ border-top: 0; font-weight: 600; padding-top: .9rem }}
 .numbers td, .numbers thead th:not(:first-child), .figure {{ text-align: right; white-space: nowrap }}
 .times {{ width: 100%; max-width: 640px }}
 .times td:last-child {{ width: 60%; padding-right: 0 }}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from twin.arrays import Floats, Points
 from twin.results import RunResult, Truth
 from twin.show import plots
-from twin.show.words import digits, finite
+from twin.show.words import cleaned, digits, finite, table
 
 CHUNK = 512
 """Pieces of the truth whose distances to all sites are held at once."""
@@ -68,10 +70,10 @@ def _maps(result: RunResult, sites: Points, fields: list[tuple[str, Floats]]) ->
         where = f"({digits(float(sites[peak, 0]))}, {digits(float(sites[peak, 1]))}) mm"
         say = f"Force field, {name}: largest force along z {digits(float(force[peak, 2]))} N at {where}"
         svg = plots.drawing(axes, content, "x (mm)", "y (mm)", say)
-        panels.append(f"<figure>{svg}<figcaption>{name}</figcaption></figure>")
+        panels.append(f"<figure>{svg}<figcaption>{name.capitalize()}</figcaption></figure>")
     top = digits(normal)
     bar = f'<div class="ramp"><span>−{top} N</span><span class="colours"></span><span>{top} N</span></div>'
-    circle = " The dashed circle is the true contact." if outline is not None else ""
+    circle = " The dashed circle is as large as the true contact." if outline is not None else ""
     note = (
         f"Colour is the force along z on each site (orange pushes into the body, purple pulls out); arrows are the "
         f"force along x and y, one cell ({digits(side)} mm) long for {digits(per_cell)} N.{circle}"
@@ -83,7 +85,8 @@ def _maps(result: RunResult, sites: Points, fields: list[tuple[str, Floats]]) ->
 
 def _contact(result: RunResult) -> tuple[tuple[float, float], float] | None:
     """Return centre and radius of the true contact, mm, if the run tells a radius."""
-    radius, truth = finite(result.facts.get("contact_radius_mm")), result.truth
+    contact, truth = result.facts.get("contact"), result.truth
+    radius = finite((contact if isinstance(contact, Mapping) else result.facts).get("contact_radius_mm"))
     if truth is None or not len(truth.surface_mm) or radius is None or radius <= 0:
         return None
     low, high = truth.surface_mm[:, :2].min(axis=0), truth.surface_mm[:, :2].max(axis=0)
@@ -117,23 +120,14 @@ def _profile(sites: Points, fields: list[tuple[str, Floats]]) -> str:
 
 
 def _resultants(result: RunResult) -> str:
-    rows = []
+    heads, columns = [], []
     for name, arrays in (("truth", result.truth), ("estimate", result.estimate)):
         if arrays is not None and len(arrays.total_force_n) == 3 and len(arrays.total_torque_nmm) == 3:
-            numbers = [*arrays.total_force_n.tolist(), *arrays.total_torque_nmm.tolist()]
-            cells = "".join(f'<td><data value="{n!r}">{digits(n)}</data></td>' for n in _cleaned(numbers))
-            rows.append(f'<tr><th scope="row">{name}</th>{cells}</tr>')
-    if not rows:
+            numbers = cleaned(arrays.total_force_n.tolist()) + cleaned(arrays.total_torque_nmm.tolist())
+            heads.append(name)
+            columns.append([f'<data value="{n!r}">{digits(n)}</data>' for n in numbers])
+    if not columns:
         return ""
-    heads = ["", *(f"F{a}, N" for a in "xyz"), *(f"T{a}, N mm" for a in "xyz")]
-    head = "".join(f'<th scope="col">{h}</th>' for h in heads[1:])
-    return (
-        '<div class="wide"><table class="numbers"><caption>Total force, and torque about the origin</caption>'
-        f"<thead><tr><td></td>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
-    )
-
-
-def _cleaned(numbers: list[float]) -> list[float]:
-    """Return force and torque with round-off (1e-9 of the largest component) shown as zero."""
-    largest = [max(abs(n) for n in numbers[:3])] * 3 + [max(abs(n) for n in numbers[3:])] * 3
-    return [0.0 if abs(n) < 1e-9 * top else n for n, top in zip(numbers, largest, strict=True)]
+    names = [f"force along {a}, N" for a in "xyz"] + [f"torque about {a}, N mm" for a in "xyz"]
+    rows = [(name, list(cells)) for name, cells in zip(names, zip(*columns, strict=True), strict=True)]
+    return table("Total force, and torque about the origin", heads, rows)

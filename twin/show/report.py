@@ -18,7 +18,7 @@ from twin.results import RunResult
 from twin.show.motion import motion
 from twin.show.page import page
 from twin.show.pushes import pushes
-from twin.show.words import amount, digits, finite, name_of, told
+from twin.show.words import amount, digits, finite, name_of, split_unit, told
 
 PICTURE_BYTES = 1_000_000
 """Largest PNG put into the page: two of them, spelt in base64, and the drawings stay below 3 MB together."""
@@ -125,28 +125,23 @@ def data_uri(picture: Picture) -> tuple[str, float]:
 def _errors(score: Mapping[str, Any] | None) -> str:
     if not score:
         return ""
-    reasons = score.get("reasons") if isinstance(score.get("reasons"), Mapping) else {}
+    given = score.get("reasons")
+    reasons: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
     stages = [s for s in STAGES if s in score] + [s for s in score if s not in (*STAGES, "reasons", "facts")]
     bodies = []
     for stage in stages:
         figures = list(_flat(stage, score[stage]))
         rows = []
-        for index, (key, value) in enumerate(figures):
+        for key, value in figures:
             name, meaning = name_of(key)
-            head = f'<th scope="rowgroup" rowspan="{len(figures)}">{told("", stage)}</th>' if index == 0 else ""
-            shown = "—" if value is None or value == [] else told(key, value)
-            meaning = meaning if shown != "—" else _reason(reasons or {}, key)
-            rows.append(
-                f'<tr>{head}<th scope="row">{told("", name)}</th><td class="figure">{shown}</td>'
-                f"<td>{told('', meaning)}</td></tr>"
-            )
+            shown = "—" if value is None else told(key, value)
+            meaning = meaning if value is not None else _reason(reasons, key)
+            small = f"<small>{told('', meaning)}</small>" if meaning else ""
+            rows.append(f'<tr><th scope="row">{told("", name)}{small}</th><td class="figure">{shown}</td></tr>')
         if rows:
-            bodies.append(f'<tbody class="stage">{"".join(rows)}</tbody>')
-    if not bodies:
-        return ""
-    head = "".join(f'<th scope="col"{c}>{h}</th>' for h, c in
-                   (("stage", ""), ("figure", ""), ("value", ' class="figure"'), ("meaning", "")))  # fmt: skip
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead>{"".join(bodies)}</table></div>'
+            head = f'<tr><th scope="rowgroup" colspan="2">{told("", stage)}</th></tr>'
+            bodies.append(f'<tbody class="stage">{head}{"".join(rows)}</tbody>')
+    return f'<table class="errors">{"".join(bodies)}</table>' if bodies else ""
 
 
 def _flat(key: str, value: Any) -> list[tuple[str, Any]]:
@@ -189,29 +184,32 @@ def _seconds(value: float) -> str:
     return f"{digits(1000 * value)} ms" if value < 1 else f"{digits(value)} s"
 
 
-def _is_alarm(key: str) -> bool:
-    return "warning" in key or key == "validity"
+def _is_alarm(key: str, value: Any) -> bool:
+    return ("warning" in key or key == "validity") and isinstance(value, str | list | tuple)
 
 
 def _alarms(facts: Mapping[str, Any]) -> list[str]:
     """Return the warnings among the facts: they stand at the top, where the numbers are read."""
     found: list[str] = []
     for key, value in facts.items():
-        if _is_alarm(key):
-            found += (
-                [value]
-                if isinstance(value, str)
-                else [str(v) for v in value]
-                if isinstance(value, list | tuple)
-                else []
-            )
-    return [text for text in found if text.strip()]
+        if isinstance(value, Mapping):
+            found += _alarms(value)
+        elif _is_alarm(key, value):
+            found += [value] if isinstance(value, str) else [str(v) for v in value]
+    return [text[0].upper() + text[1:] for text in map(str.strip, found) if text]
 
 
 def _facts(facts: Mapping[str, Any]) -> str:
-    rows = []
-    for key, value in facts.items():
-        if _is_alarm(key) and isinstance(value, str | list | tuple):
-            continue
-        rows.append(f"<dt>{told('', name_of(key)[0])}</dt><dd>{told(key, value)}</dd>")
+    rows = [
+        f"<dt>{told('', split_unit(key)[0])}</dt><dd>{told(key, value)}</dd>" for key, value in _calm(facts).items()
+    ]
     return f"<dl>{''.join(rows)}</dl>" if rows else ""
+
+
+def _calm(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the facts without the warnings, which are told at the top."""
+    return {
+        key: _calm(value) if isinstance(value, Mapping) else value
+        for key, value in facts.items()
+        if not _is_alarm(key, value)
+    }

@@ -10,15 +10,21 @@ from typing import Any
 import numpy as np
 
 UNITS = {
-    "mm": "mm", "n": "N", "nmm": "N mm", "mpa": "MPa", "deg": "°", "px": "px", "s": "s", "pct": "%", "mm3": "mm³",
+    "mm": "mm", "n": "N", "nmm": "N mm", "mpa": "MPa", "deg": "°", "px": "px", "s": "s", "pct": "%", "mm2": "mm²",
+    "mm3": "mm³",
 }  # fmt: skip
 """Unit of a key by its suffix. `show` reads results only, so it doesn't ask the parts for theirs."""
 
 NAMES = {
+    "elastic.displacement_error": ("displacement error", "estimated, over the largest displacement"),
+    "elastic.largest_displacement_mm": ("largest displacement", "of a marker, for comparison"),
+    "elastic.contact_residual": ("contact residual", "what is left of the contact's equations, as a share"),
     "tracking.bias_px": ("bias", "mean of tracked minus true shift"),
+    "tracking.bias_axes_px": ("bias by axis", "along column and row"),
     "tracking.sd_px": ("standard deviation", "of the two-frame shift, per axis, markers in full view"),
     "tracking.matched": ("matched", "visible markers found again in the pressed picture"),
-    "tracking.gross": ("gross errors", "markers tracked to a wrong place"),
+    "tracking.gross": ("gross errors", "markers found at a wrong place; left out above"),
+    "tracking.markers": ("markers", "that this stage counts"),
     "force.field_error": ("field error", "squared difference over squared truth, by site cell"),
     "force.total_force_error": ("total force error", "of the resultant, over its size"),
     "force.torque_error": ("torque error", "of the torque about the origin, over its size"),
@@ -39,8 +45,15 @@ def split_unit(key: str) -> tuple[str, str]:
 
 
 def name_of(key: str) -> tuple[str, str]:
-    """Return name and meaning of a figure given as ``stage.key``."""
-    return NAMES.get(key) or (split_unit(key.split(".", 1)[-1].replace(".", " "))[0], "")
+    """Return name and meaning of a figure given as ``stage.key``; ``stage.group.key`` means what ``stage.key`` does."""
+    if key in NAMES:
+        return NAMES[key]
+    stage, *groups = key.split(".")
+    if not groups:
+        return "all figures", ""
+    *groups, last = groups
+    name, meaning = NAMES.get(f"{stage}.{last}", (split_unit(last)[0], ""))
+    return " ".join([*(g.replace("_", " ") + ":" for g in groups), name]), meaning
 
 
 def digits(value: float) -> str:
@@ -69,20 +82,45 @@ def amount(key: str, value: float) -> str:
     return digits(value) + (f" {unit}" if unit else "")
 
 
+def cleaned(numbers: Sequence[float]) -> list[float]:
+    """Return the components of one vector with round-off (1e-9 of the largest) as zero."""
+    largest = max(abs(n) for n in numbers)
+    return [0.0 if abs(n) < 1e-9 * largest else n for n in numbers]
+
+
 def told(key: str, value: Any) -> str:
     """Return any value of a result as HTML: numbers in their unit, lists and tables spelt out, texts escaped."""
-    if value is None or (isinstance(value, float | np.floating) and not math.isfinite(value)):
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "none"
-    if isinstance(value, bool | np.bool_):
+    if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, np.generic):
-        value = value.item()
     if isinstance(value, int | float):
         return f'<data value="{value!r}">{amount(key, value)}</data>'
     if isinstance(value, Mapping):
         return "<br>".join(f"{escape(split_unit(str(k))[0])}: {told(str(k), v)}" for k, v in value.items()) or "none"
-    if isinstance(value, list | tuple | np.ndarray):
-        if len(value) and all(isinstance(v, int | float | np.number) and not isinstance(v, bool) for v in value):
-            return ", ".join(told(key, v) for v in value)
-        return "<ul>" + "".join(f"<li>{told(key, v)}</li>" for v in value) + "</ul>" if len(value) else "none"
+    if isinstance(value, list | tuple):
+        return _list(key, value) if len(value) else "none"
     return escape(str(value))
+
+
+def _list(key: str, values: Sequence[Any]) -> str:
+    """Return a vector as ``(1, 2) mm``, any other list as bullets."""
+    if all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values):
+        unit = split_unit(key)[1]
+        numbers = ", ".join(f'<data value="{v!r}">{digits(v)}</data>' for v in cleaned(values))
+        return f"({numbers})" + (f" {unit}" if unit else "")
+    return "<ul>" + "".join(f"<li>{told(key, v)}</li>" for v in values) + "</ul>"
+
+
+def table(caption: str, heads: list[str], rows: list[tuple[str, list[str]]]) -> str:
+    """Return a table of numbers as HTML: ``heads`` over the columns, each row a name and its cells (all HTML)."""
+    head = "".join(f'<th scope="col">{h}</th>' for h in heads)
+    body = "".join(
+        f'<tr><th scope="row">{name}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>' for name, cells in rows
+    )
+    return (
+        f'<div class="wide"><table class="numbers"><caption>{caption}</caption>'
+        f"<thead><tr><td></td>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
