@@ -1,0 +1,154 @@
+"""Contact of a rigid probe with an elastic half-space: Hertz, the flat punch, and the stuck punch's other stiffnesses.
+
+Every formula is from K. L. Johnson, *Contact Mechanics* (Cambridge, 1985); sections are named with each function. The
+half-space has Young's modulus E and Poisson's ratio nu; the probe is rigid, so that Johnson's E* is the plane-strain
+modulus E / (1 - nu^2). Lengths are in mm, forces in N, moduli and pressures in MPa.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Floats
+from twin.errors import InputError
+
+
+def plane_strain_modulus(youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return E* = E / (1 - nu^2), MPa (Johnson 1985, section 4.2, with a rigid second body)."""
+    return youngs_modulus_mpa / (1.0 - poisson_ratio**2)
+
+
+def shear_modulus(youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return G = E / (2 (1 + nu)), MPa."""
+    return youngs_modulus_mpa / (2.0 * (1.0 + poisson_ratio))
+
+
+@dataclass(frozen=True, kw_only=True)
+class HertzContact:
+    """A rigid sphere pressed without friction on a half-space.
+
+    Attributes
+    ----------
+    radius_mm
+        Radius of the sphere.
+    contact_radius_mm
+        Radius a of the contact.
+    indentation_mm
+        Approach of the sphere from first touch.
+    force_n
+        Normal force.
+    peak_pressure_mpa
+        Pressure in the middle, 3/2 of the mean.
+    """
+
+    radius_mm: float
+    contact_radius_mm: float
+    indentation_mm: float
+    force_n: float
+    peak_pressure_mpa: float
+
+    def pressure(self, distance_mm: Floats) -> Floats:
+        """Return p0 sqrt(1 - r^2/a^2), MPa, at distances r (any shape) from the middle; 0 outside (section 3.4)."""
+        inside = 1.0 - (np.asarray(distance_mm, float) / self.contact_radius_mm) ** 2
+        return self.peak_pressure_mpa * np.sqrt(np.maximum(inside, 0.0))
+
+
+def hertz(
+    *,
+    radius_mm: float,
+    youngs_modulus_mpa: float,
+    poisson_ratio: float,
+    force_n: float | None = None,
+    indentation_mm: float | None = None,
+) -> HertzContact:
+    """Return Hertz's contact of a rigid sphere for a given force or a given indentation.
+
+    Parameters
+    ----------
+    radius_mm
+        Radius R of the sphere.
+    youngs_modulus_mpa, poisson_ratio
+        Of the half-space.
+    force_n, indentation_mm
+        Exactly one of them, greater than 0.
+
+    Raises
+    ------
+    InputError
+        Neither or both of force and indentation are given, or not greater than 0.
+
+    Notes
+    -----
+    a = (3 F R / (4 E*))^(1/3), d = a^2 / R, p0 = 3 F / (2 pi a^2) (Johnson 1985, section 4.2).
+    Validity: a/R below about 0.3, no friction, a body much thicker and wider than a.
+    """
+    if (force_n is None) == (indentation_mm is None):
+        raise InputError("hertz: give exactly one of force_n and indentation_mm")
+    given = force_n if force_n is not None else indentation_mm
+    if given is None or not given > 0 or not radius_mm > 0:
+        raise InputError(f"hertz: radius, force and indentation must be greater than 0, got {radius_mm} mm and {given}")
+    modulus = plane_strain_modulus(youngs_modulus_mpa, poisson_ratio)
+    if force_n is not None:
+        a = (3.0 * force_n * radius_mm / (4.0 * modulus)) ** (1.0 / 3.0)
+        force = force_n
+    else:
+        a = math.sqrt(radius_mm * given)
+        force = 4.0 * modulus * a**3 / (3.0 * radius_mm)
+    return HertzContact(
+        radius_mm=radius_mm,
+        contact_radius_mm=a,
+        indentation_mm=a * a / radius_mm,
+        force_n=force,
+        peak_pressure_mpa=3.0 * force / (2.0 * math.pi * a * a),
+    )
+
+
+def punch_stiffness(radius_mm: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return F / d = 2 a E*, N/mm, of a frictionless flat-ended cylinder (Johnson 1985, section 3.4).
+
+    Validity: no friction; at nu = 0.5 also the stuck punch, whose normal and tangential parts are then uncoupled.
+    """
+    return 2.0 * radius_mm * plane_strain_modulus(youngs_modulus_mpa, poisson_ratio)
+
+
+def punch_pressure(distance_mm: Floats, radius_mm: float, force_n: float) -> Floats:
+    """Return F / (2 pi a sqrt(a^2 - r^2)), MPa, under a frictionless flat-ended cylinder; 0 outside (section 3.4)."""
+    inside = radius_mm**2 - np.asarray(distance_mm, float) ** 2
+    safe = np.where(inside > 0, inside, np.inf)
+    return np.asarray(force_n / (2.0 * math.pi * radius_mm * np.sqrt(safe)))
+
+
+def bonded_punch_stiffness(radius_mm: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return F / d = 4 G a ln(3 - 4 nu) / (1 - 2 nu), N/mm, of a stuck flat-ended cylinder.
+
+    Notes
+    -----
+    Johnson 1985, section 3.8, after Mossakovski. It tends to `punch_stiffness` as nu tends to 0.5 and is 10 %
+    above it at nu = 0.
+    """
+    ratio = 2.0 if poisson_ratio == 0.5 else math.log1p(2.0 - 4.0 * poisson_ratio) / (1.0 - 2.0 * poisson_ratio)
+    return 4.0 * shear_modulus(youngs_modulus_mpa, poisson_ratio) * radius_mm * ratio
+
+
+def tangential_stiffness(radius_mm: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return Q / d = 8 G a / (2 - nu), N/mm, of a stuck circular contact moved sideways.
+
+    Notes
+    -----
+    Johnson 1985, section 7.2 (Cattaneo, Mindlin) with a rigid second body. Validity: the coupling of
+    tangential traction to normal displacement is neglected, which is exact at nu = 0.5.
+    """
+    return 8.0 * shear_modulus(youngs_modulus_mpa, poisson_ratio) * radius_mm / (2.0 - poisson_ratio)
+
+
+def torsional_stiffness(radius_mm: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return T / angle = 16 G a^3 / 3, N mm per radian, of a stuck circular contact turned about its normal.
+
+    Notes
+    -----
+    Johnson 1985, section 3.9, after Reissner and Sagoci. Exact for every nu.
+    """
+    return 16.0 / 3.0 * shear_modulus(youngs_modulus_mpa, poisson_ratio) * radius_mm**3

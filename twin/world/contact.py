@@ -1,0 +1,239 @@
+"""A rigid probe presses a body along a path: from the press's description to forces on the surface.
+
+Without friction every state depends on the probe's place alone, so each step gets a grid of its own under the probe.
+With sticking the history counts and one grid serves the whole path (`twin.world.stick`). The unilateral problem itself
+is in `twin.world.unilateral`, the probe's shape in `twin.world.gap`, the patches in `twin.world.patches`.
+
+Validity: linear elasticity, small turns and slopes; forces act along the normals of the undeformed surface. Every state
+says how far it strains that.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from twin.arrays import Floats
+from twin.errors import ContactError, InputError
+from twin.parts.body import Body
+from twin.parts.press import Press, Step
+from twin.world.contact_state import ContactState, lifted_state, touching_state
+from twin.world.gap import TURN, Z, approach
+from twin.world.patches import Box, Patches, Plane
+from twin.world.region import (
+    Control,
+    Setting,
+    SurfaceCompliance,
+    check_inside,
+    check_somewhere,
+    find_contact,
+    fitted_patches,
+    solve_frictionless,
+    touch_at,
+)
+from twin.world.stick import INCREMENTS, at_first_touch, let_go, stuck_grid, take_step
+from twin.world.unilateral import Equilibrium
+
+__all__ = ["ContactState", "SurfaceCompliance", "press"]
+
+_ACROSS_RANGE = (6, 40)
+_TRIES = 8
+
+
+def press(
+    press: Press,
+    body: Body,
+    compliance: SurfaceCompliance,
+    *,
+    patches_across: int = 16,
+    youngs_modulus_mpa: float,
+    poisson_ratio: float,
+    increments: int = INCREMENTS,
+) -> ContactState:
+    """Press a rigid probe on a body along a path.
+
+    Parameters
+    ----------
+    press
+        Probe, place, path and friction.
+    body
+        The undeformed body.
+    compliance
+        How its surface moves under forces on patches.
+    patches_across
+        Contact patches across the contact.
+    youngs_modulus_mpa, poisson_ratio
+        Of the body; only for the first guess of the contact's size and for the validity report.
+    increments
+        Parts of a sticking step that brings new patches into contact.
+
+    Returns
+    -------
+    The state at the end of the path; its ``path`` holds the states at the end of every step.
+
+    Raises
+    ------
+    InputError
+        The probe misses the body, a normal force pulls, or the number of patches is out of range.
+    ContactError
+        There is no equilibrium, contact runs over the edge, the probe sinks in, or the solution does not converge.
+    """
+    low, high = _ACROSS_RANGE
+    if not low <= patches_across <= high:
+        raise InputError(f"contact: {patches_across} patches across the contact; allowed are {low} to {high}")
+    for number, step in enumerate(press.path, start=1):
+        normal_n = step.force_n[Z]
+        if normal_n is not None and normal_n < 0:
+            raise InputError(
+                f"press: step {number} asks for a normal force of {normal_n:g} N; allowed is 0 (lift off) or "
+                "more, as a probe can't pull"
+            )
+    setting = Setting(
+        body=body, compliance=compliance, first=approach(press.probe, body, press.at_mm), across=patches_across,
+        youngs_modulus_mpa=youngs_modulus_mpa, poisson_ratio=poisson_ratio,
+    )  # fmt: skip
+    states = (
+        _frictionless_path(setting, press.path) if press.friction == 0 else _stuck_path(setting, press.path, increments)
+    )
+    return replace(states[-1], path=tuple(states))
+
+
+def _control(step: Step, place: Floats) -> Control:
+    by_force = np.array([force is not None for force in (*step.force_n, step.torque_nmm)])
+    moves = [move or 0.0 for move in step.move_mm] + [math.radians(step.turn_deg or 0.0)]
+    forces = [force or 0.0 for force in (*step.force_n, step.torque_nmm)]
+    return Control(by_force=by_force, given=np.where(by_force, forces, place + moves))
+
+
+def _lifted(control: Control, touch_z: float) -> bool:
+    return bool(control.given[Z] <= (0.0 if control.by_force[Z] else touch_z + 1e-12))
+
+
+def _asks_nothing(control: Control) -> None:
+    """Raise a ContactError when a lateral force or a torque is asked of a probe that touches nothing."""
+    asked = np.where(control.by_force, control.given, 0.0)
+    if asked.any():
+        raise ContactError(
+            f"contact: force ({', '.join(f'{f:g}' for f in asked[:3])}) N and torque {asked[TURN]:g} N mm are asked of "
+            "a probe that touches nothing at the end of the step: push along z as well"
+        )
+
+
+def _lifted_place(control: Control, place: Floats, touch_z: float) -> Floats:
+    moved = np.where(control.by_force, place, control.given)
+    if control.by_force[Z]:
+        moved[Z] = touch_z
+    return moved
+
+
+def _frictionless_path(setting: Setting, path: tuple[Step, ...]) -> list[ContactState]:
+    place, states = np.zeros(4), []
+    for step in path:
+        control = _control(step, place)
+        plane, touch_z = touch_at(setting, np.where(control.by_force, place, control.given))
+        if _lifted(control, touch_z):
+            _asks_nothing(control)
+            place = _lifted_place(control, place, touch_z)
+            states.append(lifted_state(setting.probe, place))
+            continue
+        patches, found, touch_z = _frictionless(setting, control, place, plane, touch_z)
+        place = found.place
+        states.append(
+            touching_state(
+                setting.probe, setting.body, patches, found, touch_z_mm=touch_z, sticking=False,
+                youngs_modulus_mpa=setting.youngs_modulus_mpa,
+            )
+        )  # fmt: skip
+    return states
+
+
+def _frictionless(
+    setting: Setting, control: Control, place: Floats, plane: Plane, touch_z: float
+) -> tuple[Patches, Equilibrium, float]:
+    """Find the contact, cut the grid that fits it, and solve on it; the grid grows while contact reaches its border."""
+    contact, place = find_contact(setting, control, place, plane, touch_z)
+    for _ in range(_TRIES):
+        patches = fitted_patches(setting, plane, contact)
+        check_somewhere(setting, patches)
+        found = solve_frictionless(setting, patches, control, place, touch_z)
+        place = found.place
+        if not np.any(found.active & patches.border):
+            check_inside(setting, patches, found, float(place[Z]) - touch_z)
+            return patches, found, touch_at(setting, place)[1]
+        contact = _joined(contact, patches.bounds(found.active))
+        check_inside(setting, patches, found, float(place[Z]) - touch_z)
+    raise _no_grid(setting, contact)
+
+
+def _joined(one: Box, other: Box) -> Box:
+    return Box(u0=min(one.u0, other.u0), u1=max(one.u1, other.u1), v0=min(one.v0, other.v0), v1=max(one.v1, other.v1))
+
+
+def _no_grid(setting: Setting, contact: Box) -> ContactError:
+    return ContactError(
+        f"contact: it keeps growing beyond the grid ({contact.size[0]:.3g} by {contact.size[1]:.3g} mm under the "
+        f"{setting.probe.kind}): press with less force, or hold the probe by motion"
+    )
+
+
+def _largest_contact(setting: Setting, path: tuple[Step, ...], plane: Plane, touch_z: float) -> Box:
+    """Return the box that holds the contact of every step, pressed without friction and without motion sideways."""
+    place, whole = np.zeros(4), None
+    for step in path:
+        control = _control(step, place)
+        still = Control(
+            by_force=control.by_force & (np.arange(4) == Z), given=np.where(np.arange(4) == Z, control.given, 0.0)
+        )
+        if _lifted(still, touch_z):
+            place = _lifted_place(still, place, touch_z)
+            continue
+        contact, place = find_contact(setting, still, place, plane, touch_z)
+        whole = contact if whole is None else _joined(whole, contact)
+    assert whole is not None, "the first step of a press pushes"
+    return whole
+
+
+def _stuck_path(setting: Setting, path: tuple[Step, ...], increments: int) -> list[ContactState]:
+    plane, touch_z = touch_at(setting, np.zeros(4))
+    contact = _largest_contact(setting, path, plane, touch_z)
+    for _ in range(_TRIES):
+        patches = fitted_patches(setting, plane, contact)
+        check_somewhere(setting, patches)
+        states, reached = _stuck_on(setting, path, patches, increments)
+        if not np.any(reached & patches.border):
+            return states
+        contact = _joined(contact, patches.bounds(reached))
+    raise _no_grid(setting, contact)
+
+
+def _stuck_on(
+    setting: Setting, path: tuple[Step, ...], patches: Patches, increments: int
+) -> tuple[list[ContactState], np.ndarray]:
+    """Take the whole path on given patches; return the states and which patches were ever in contact."""
+    grid = stuck_grid(setting, patches)
+    memory = at_first_touch(grid)
+    states: list[ContactState] = []
+    reached = np.zeros(len(patches), bool)
+    for step in path:
+        control = _control(step, memory.place)
+        if control.by_force[Z] and control.given[Z] == 0.0:
+            _asks_nothing(control)
+            memory = let_go(memory, _lifted_place(control, memory.place, 0.0))
+            states.append(lifted_state(setting.probe, memory.place))
+            continue
+        memory, found = take_step(grid, memory, control, increments)
+        reached |= found.active
+        if not found.active.any():
+            _asks_nothing(control)
+            states.append(lifted_state(setting.probe, memory.place))
+            continue
+        check_inside(setting, patches, found, float(found.place[Z]))
+        states.append(
+            touching_state(
+                setting.probe, setting.body, patches, found, touch_z_mm=0.0, sticking=True,
+                youngs_modulus_mpa=setting.youngs_modulus_mpa,
+            )
+        )  # fmt: skip
+    return states, reached

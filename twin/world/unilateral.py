@@ -1,0 +1,233 @@
+"""The unilateral contact problem: tractions that only push, gaps that never close below zero, a rigid probe.
+
+Unknown are the forces f of the patches in contact, in each patch's frame (first side, second side, inward normal), and
+the probe's place q = (x, y, z, turn) where it is held by force. For the set A of patches in contact, of which the set S
+sticks,
+
+    u_n + gap(q) = 0        on A              (touching)
+    u_t = T q + b           on S              (carried along by the probe since they touched)
+    sum of W f = given      for each component of q that is held by force
+    f = 0 elsewhere, and f_n >= 0 on A, u_n + gap >= 0 off A
+
+with u = K f. Why one linear system and not a search for the place: forces and place then meet their conditions
+together to round-off, and the set A settles in a few primal-dual (semi-smooth Newton) steps; M. Hintermueller, K. Ito
+and K. Kunisch, SIAM J. Optim. 13 (2002) 865. The exact gap is linearised at each step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Bools, Floats
+from twin.errors import ContactError
+
+GapOfPlace = Callable[[Floats], tuple[Floats, Floats]]
+TOLERANCE = 1e-8
+_STEPS = 80
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unilateral:
+    """One contact problem.
+
+    Attributes
+    ----------
+    compliance
+        (k, 3, k, 3) displacement of patch i along its axis a under a unit force on patch j along its axis b, mm/N.
+    gap
+        Returns (k,) gaps, mm, and their (k, 4) slopes at a place (4,).
+    carried
+        (k, 3, 4) T: displacement of a point of the probe at each patch, in the patch's frame, per unit of place.
+    by_force
+        (4,) whether each component of the place is held by force (torque).
+    given
+        (4,) total force and torque, N and N mm, or the place itself, mm and radians.
+    sticking
+        (k,) S: which patches are carried along when in contact.
+    offset
+        (k, 2) b, mm.
+    """
+
+    compliance: Floats
+    gap: GapOfPlace
+    carried: Floats
+    by_force: Bools
+    given: Floats
+    sticking: Bools
+    offset: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Equilibrium:
+    """A solved contact problem.
+
+    Attributes
+    ----------
+    force_n
+        (k, 3) forces of the patches on the body in their own frames.
+    displacement_mm
+        (k, 3) displacements of the patches in their own frames.
+    place
+        (4,) the probe's place.
+    active
+        (k,) patches in contact.
+    total
+        (4,) total force, N, and torque, N mm.
+    residual
+        Largest of the relative errors of gap, sign, stick and balance.
+    steps
+        Linear solves that were needed.
+    """
+
+    force_n: Floats
+    displacement_mm: Floats
+    place: Floats
+    active: Bools
+    total: Floats
+    residual: float
+    steps: int
+
+
+def _linear_solve(
+    problem: Unilateral, active: Bools, place: Floats, gap: Floats, slope: Floats
+) -> tuple[Floats, Floats]:
+    """Return forces (k, 3) and place (4,) that meet every equation for a fixed set in contact."""
+    k = len(active)
+    touching = np.flatnonzero(active)
+    stuck = np.flatnonzero(active & problem.sticking)
+    rows = np.concatenate([3 * touching + 2, 3 * stuck, 3 * stuck + 1])
+    flat_carried = problem.carried.reshape(3 * k, 4)
+    # A component that these patches don't feel at all (a sphere's x on a barrel) stays put; the balance is checked.
+    felt = np.abs(flat_carried[rows]).max(axis=0) > 1e-9
+    free = np.flatnonzero(problem.by_force & felt)
+    n, m = len(rows), len(free)
+    matrix = np.zeros((n + m, n + m))
+    matrix[:n, :n] = problem.compliance.reshape(3 * k, 3 * k)[np.ix_(rows, rows)]
+    fixed = np.where(problem.by_force, place, problem.given)
+    n_touch = len(touching)
+    matrix[:n_touch, n:] = slope[touching][:, free]
+    matrix[n_touch:n, n:] = -flat_carried[rows[n_touch:]][:, free]
+    matrix[n:, :n] = flat_carried[rows][:, free].T
+    right = np.zeros(n + m)
+    right[:n_touch] = -gap[touching] - slope[touching] @ (fixed - place)
+    right[n_touch:n] = flat_carried[rows[n_touch:]] @ fixed + problem.offset[stuck].T.reshape(-1)
+    right[n:] = problem.given[free]
+    # Compliances and forces differ in size by the modulus: scale both blocks to about one.
+    size = float(np.mean(np.diag(matrix)[:n]))
+    scale = np.concatenate([np.full(n, size**-0.5), np.full(m, size**0.5)])
+    try:
+        found = np.linalg.solve(matrix * scale[:, None] * scale[None, :], right * scale) * scale
+    except np.linalg.LinAlgError as problem_found:
+        raise ContactError(
+            "contact: no place balances the given forces, as a component that is held by force can move freely (a "
+            "probe without friction slides off a slope): hold x, y or the turn by motion (leave it out of force_n and "
+            "torque_nmm), or set friction = inf"
+        ) from problem_found
+    force = np.zeros(3 * k)
+    force[rows] = found[:n]
+    moved = np.array(fixed)
+    moved[free] += found[n:]
+    return force.reshape(k, 3), moved
+
+
+def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
+    """Find the patches in contact, their forces and the probe's place.
+
+    Parameters
+    ----------
+    problem
+        The contact problem.
+    active
+        (k,) first guess of the patches in contact.
+    place
+        (4,) first guess of the place.
+
+    Raises
+    ------
+    ContactError
+        The set in contact does not settle, the equations are singular, or the solution misses its tolerance.
+    """
+    k = len(active)
+    stiffness = 1.0 / problem.compliance.reshape(3 * k, 3 * k).diagonal().reshape(k, 3)[:, 2]
+    force, place = np.zeros((k, 3)), np.where(problem.by_force, place, problem.given)
+    seen: set[bytes] = set()
+    cautious = False
+    for step in range(1, _STEPS + 1):
+        gap, slope = problem.gap(place)
+        active = active & np.isfinite(gap)
+        if not active.any() and problem.by_force[2]:
+            active[int(np.argmin(gap))] = True
+        before = place
+        if active.any():
+            force, place = _linear_solve(problem, active, place, gap, slope)
+        else:
+            force = np.zeros((k, 3))
+        moved_gap, _ = problem.gap(place)
+        displacement = (problem.compliance.reshape(3 * k, 3 * k) @ force.reshape(-1)).reshape(k, 3)
+        opening = moved_gap + displacement[:, 2]
+        curved = float(np.max(np.abs(opening[active & np.isfinite(opening)]), initial=0.0))
+        scale = float(np.max(np.abs(displacement[:, 2]), initial=1e-12))
+        push = np.where(active, force[:, 2], 0.0)
+        slack = 1e-13 * max(float(push.max(initial=0.0)), 1e-300)
+        keep = active & (push > -slack)
+        close = ~active & (opening < -1e-13 * scale)
+        following = _next_set(active, keep, close, push / stiffness, opening, cautious)
+        settled = np.array_equal(following, active)
+        if settled and curved <= 1e-11 * scale and float(np.abs(place - before)[:3].max()) <= 1e-9 * (1 + scale):
+            return _checked(problem, active, force, displacement, place, opening, step)
+        if settled and not active.any():
+            return _checked(problem, active, force, displacement, place, opening, step)
+        key = following.tobytes()
+        cautious = cautious or (not settled and key in seen)
+        seen.add(key)
+        active = following
+    raise ContactError(
+        f"contact: the patches in contact did not settle in {_STEPS} steps ({int(active.sum())} of {k} in contact): "
+        "take smaller steps in the press, or another number of contact patches"
+    )
+
+
+def _next_set(active: Bools, keep: Bools, close: Bools, pull_mm: Floats, opening: Floats, cautious: bool) -> Bools:
+    """Return the next set in contact: all changes at once, or after a cycle only the worst one."""
+    if not cautious:
+        return keep | close
+    following = active.copy()
+    worst = np.where(active & ~keep, -pull_mm, np.where(close, -opening, 0.0))
+    if worst.max() > 0:
+        index = int(np.argmax(worst))
+        following[index] = not following[index]
+    return following
+
+
+def _checked(
+    problem: Unilateral, active: Bools, force: Floats, displacement: Floats, place: Floats, opening: Floats, steps: int
+) -> Equilibrium:
+    k = len(active)
+    total = problem.carried.reshape(3 * k, 4).T @ force.reshape(-1)
+    depth = float(np.max(np.abs(displacement), initial=0.0)) or 1.0
+    push = float(np.max(force[:, 2], initial=0.0)) or 1.0
+    load = float(np.max(np.abs(total[:3]))) or 1.0
+    stuck = active & problem.sticking
+    slip = displacement[stuck, :2] - problem.carried[stuck, :2] @ place - problem.offset[stuck]
+    arm = float(np.max(np.abs(problem.carried[:, :2, 3]), initial=0.0)) or 1.0
+    unbalanced = np.where(problem.by_force, np.abs(total - problem.given), 0.0) / [load, load, load, load * arm]
+    errors = [
+        float(np.max(np.abs(opening[active]), initial=0.0)) / depth,
+        float(np.max(-opening[~active], initial=0.0)) / depth,
+        float(np.max(-force[active, 2], initial=0.0)) / push,
+        float(np.max(np.abs(slip), initial=0.0)) / depth,
+        float(unbalanced.max()) if active.any() else 0.0,
+    ]
+    residual = max(errors)
+    if not residual <= TOLERANCE:
+        raise ContactError(
+            f"contact: the solution misses its conditions by {residual:.1e} (allowed {TOLERANCE:g}; gap, overlap, "
+            f"pull, slip, balance: {', '.join(f'{e:.1e}' for e in errors)}): take smaller steps"
+        )
+    return Equilibrium(
+        force_n=force, displacement_mm=displacement, place=place, active=active, total=total, residual=residual,
+        steps=steps,
+    )  # fmt: skip
