@@ -127,7 +127,8 @@ def read_provenance(path: Path | str) -> dict[str, Any]:
 
 def _load(path: Path) -> tuple[Mesh, dict[str, Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # opened here, because numpy leaves a broken zip file's handle to the garbage collector
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             mesh = Mesh(
                 points=frozen(np.asarray(file["points"], np.float64)),
                 tets=frozen(np.asarray(file["tets"], np.int64)),

@@ -37,7 +37,7 @@ class Quality:
     least_jacobian_ratio
         Least over largest determinant of the quadratic map within an element; 1 for straight ones.
     largest_offset_mm
-        Largest distance of a boundary node (corner or mid-side) from the pieces its faces belong to.
+        Largest distance of a boundary node (corner or mid-side) from the pieces its faces belong to, or outside others.
     open_edges
         Edges of the boundary that don't belong to exactly two faces running along them in opposite directions.
     unclassified
@@ -167,9 +167,11 @@ def shape_gradients(r: float, s: float, t: float) -> Floats:
 
 
 def offsets(mesh: Mesh, body: Body) -> Floats:
-    """Return (f,) largest distances of the six nodes of every boundary face from its piece, mm."""
-    distance = np.abs(body.piece_distances(mesh.points[mesh.faces.ravel()])).reshape(len(mesh.faces), 6, -1)
-    return np.asarray(distance[np.arange(len(mesh.faces)), :, mesh.piece].max(axis=1))
+    """Return (f,) how far the six nodes of every boundary face are off its piece, or outside any other, mm at most."""
+    distance = body.piece_distances(mesh.points[mesh.faces.ravel()]).reshape(len(mesh.faces), 6, -1)
+    known = (mesh.piece >= 0) & (mesh.piece < len(body.pieces))
+    off_piece = np.abs(distance[np.arange(len(mesh.faces)), :, np.where(known, mesh.piece, 0)]).max(axis=1)
+    return np.where(known, np.maximum(off_piece, -distance.min(axis=(1, 2))), np.inf)
 
 
 def open_edges(faces: Ints) -> int:

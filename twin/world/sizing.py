@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from twin.arrays import Floats, Ints, Points
 from twin.parts.body import Body, Finger
@@ -124,6 +123,8 @@ class WantedEdge:
     """The wanted edge length as a function of position, with its two distance trees built once."""
 
     def __init__(self, body: Body, sizing: Sizing) -> None:
+        from scipy.spatial import cKDTree
+
         low, high = np.array(body.bounds_mm)
         spacing = float(np.max(high - low)) / 100
         s, t = (np.linspace(-half, half, 41) for half in sizing.window_mm)

@@ -181,7 +181,8 @@ def _child(given: str, made: str) -> None:
     The alarm's default action ends the process even inside native code, so that an orphan doesn't run on for ever.
     """
     with np.load(given, allow_pickle=False) as request:
-        signal.alarm(int(float(request["limit_s"])) + 60)
+        if hasattr(signal, "alarm"):
+            signal.alarm(int(float(request["limit_s"])) + 60)
         import pytetwild
 
         points, tets = pytetwild.tetrahedralize(
