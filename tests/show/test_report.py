@@ -228,6 +228,8 @@ def test_any_part_may_be_absent(full: RunResult) -> None:
         {"scene_toml": "not [ toml"}, {"facts": {"a": None, "b": {"c_mm": 1.0}, "d": float("nan"), "warnings": []}},
     ):  # fmt: skip
         Checker(report(replace(full, **change)))
+    centres = report(replace(full, truth=centres_only))
+    assert len(path_arrows(centres, "truth red")) == len(path_arrows(report(full), "truth red")) > 300
     assert "no sites" in report(replace(full, score={"force": None, "reasons": {"force": "no sites"}}))
     assert "Forces" not in headings(report(replace(full, truth=None, estimate=tracked_only)))
 
@@ -290,6 +292,7 @@ def test_arrows_have_the_stated_length(full: RunResult, page: str) -> None:
     assert float(said[2]) == pytest.approx(shift.max(), rel=5e-3)
     drawn = np.concatenate([path_arrows(page, f"truth {c}") for c in ("red", "blue")])
     length = np.hypot(*(drawn[:, 2:] - drawn[:, :2]).T)
+    # the markers reach from column 19.5 to 619.5; a margin of 8 % would leave the picture, whose width is 640
     per_px = (plots.VIEW - plots.LEFT - plots.RIGHT) / 640
     assert length.max() == pytest.approx(float(said[1]) * shift.max() * per_px, abs=0.15)
 

@@ -59,13 +59,13 @@ def _in_picture(result: RunResult) -> str:
         tracked_rest, tracked_shift = found.marker_rest_px, found.marker_shift_px
     count = max(len(rest), len(tracked_rest))
     names = truth.marker_layer if truth is not None and len(truth.marker_layer) == count else np.full(count, "markers")
+    left, right, low, high = _around(np.vstack([rest, tracked_rest]))
     picture = result.rest if result.rest is not None else result.pressed
     if picture is not None:
-        height, width = picture.shape[:2]
-        axes = plots.Axes.equal(-0.5, width - 0.5, height - 0.5, -0.5)
-    else:
-        left, right, low, high = _around(np.vstack([rest, tracked_rest]))
-        axes = plots.Axes.equal(left, right, high, low)
+        # the finger's markers fill a quarter of its picture: show their part of it, but nothing outside the picture
+        left, right = max(left, -0.5), min(right, picture.shape[1] - 0.5)
+        low, high = max(low, -0.5), min(high, picture.shape[0] - 0.5)
+    axes = plots.Axes.equal(left, right, high, low)
     # the truth sets the scale if there is one: a few wild tracks must not shrink everything else
     longest = _longest(shift) or _longest(tracked_shift)
     scale = _magnification(axes, names, rest if len(rest) else tracked_rest, longest)
