@@ -1,4 +1,4 @@
-"""``python -m benchmarks [STAGE ...] [--quick]``: run stages, print a table each, write benchmarks/results/STAGE.json."""
+"""``python -m benchmarks [STAGE ...] [--quick]``: run stages, print tables, write benchmarks/results/STAGE.json."""
 
 from __future__ import annotations
 

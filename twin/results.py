@@ -34,7 +34,7 @@ class Truth:
     marker_outline_rest_px, marker_outline_pressed_px
         (n, 2) coverage centroids of the visible outlines, px, NaN where hidden; empty without pictures.
     marker_visible
-        (n,) whether at least half of the outline is seen at rest and pressed; empty without pictures.
+        (n,) whether the whole outline is seen, at rest and pressed; empty without pictures.
     surface_mm, surface_force_n
         (m, 3) places and forces of the pieces of the contact, mm and N.
     total_force_n, total_torque_nmm

@@ -43,12 +43,12 @@ def examine() -> Examination:
     for name, use in OPTIONAL.items():
         lines.append(f"{name:11s} {_version(name) or 'not installed (optional): ' + use}")
     if not missing:
-        from twin.world.solve import solver_name
+        from twin.world.solve import available_solvers
         from twin.world.variant import choose_variant
 
         variant = choose_variant()
         lines.append(f"renderer    {variant.name}: {variant.reason}")
-        lines.append(f"solver      {solver_name()}")
+        lines.append(f"solver      {', '.join(available_solvers())}")
     has_gl = all(ctypes.util.find_library(name) for name in ("GL", "EGL"))
     lines.append(f"GL          {'found' if has_gl else 'not found: only interactive 3-D windows need it'}")
     lines.append(f"cache       {cache_folder()}")

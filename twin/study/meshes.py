@@ -14,6 +14,12 @@ def describe_meshes(scene: Scene, *, rebuild: bool, progress: Progress | None = 
     lines = []
     for purpose in ("truth", "nominal"):
         mesh = body_mesh(scene.body, purpose, rebuild=rebuild, progress=progress)  # type: ignore[arg-type]
-        worst = quality(mesh)
-        lines.append(f"{purpose:8s} {len(mesh.tets)} tetrahedra, {len(mesh.points)} nodes; {worst}")
+        worst = quality(mesh, scene.body)
+        failures = worst.failures()
+        told = (
+            "; ".join(failures) or f"smallest dihedral angle {worst.least_dihedral_deg:.1f} deg, volume and surface ok"
+        )
+        lines.append(
+            f"{purpose:8s} {len(mesh.tets)} tetrahedra, {len(mesh.points)} nodes, {mesh.unknowns} unknowns; {told}"
+        )
     return lines

@@ -91,7 +91,7 @@ class Sensor:
             raise RecipeError("this scene has no [camera] table, so there is no picture of it")
         from twin.world.render import Renderer
 
-        return Renderer(self.actual.scene, self._ellipsoids(None))
+        return Renderer(self.actual.scene, self.ellipsoids(None))
 
     def rectangles(self, load: Load) -> Rectangles:
         """Cut a load into the rectangles that the solvers work on."""
@@ -165,15 +165,12 @@ class Sensor:
 
     def ellipsoids(self, load: Load | Motion | None) -> Ellipsoids:
         """Return the actual markers as they stand under ``load``."""
-        return self._ellipsoids(self.motion(load) if isinstance(load, Load) else load)
-
-    def _ellipsoids(self, motion: Motion | None) -> Ellipsoids:
         from twin.world.markers import ellipsoids
 
         markers, layers = self.actual.markers, self.actual.scene.markers
+        motion = self.motion(load) if isinstance(load, Load) else load
         if motion is None:
-            n = len(markers)
-            motion = Motion(displacement_mm=np.zeros((n, 3)), gradient=np.zeros((n, 3, 3)))
+            return ellipsoids(markers, layers)
         return ellipsoids(markers, layers, motion.displacement_mm, motion.gradient)
 
     def project(self, points_mm: Points, which: Literal["actual", "nominal"] = "actual") -> Pixels:

@@ -1,0 +1,109 @@
+"""The command line: exit codes, messages that help, nothing heavy for help, nothing lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+TWIN = [sys.executable, "-m", "twin"]
+
+
+def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*TWIN, *arguments], capture_output=True, text=True, cwd=cwd, env={**os.environ, **environment}, timeout=300
+    )
+
+
+def test_help_names_every_command_and_an_example() -> None:
+    done = twin("--help")
+    assert done.returncode == 0
+    assert all(word in done.stdout for word in ["run", "mesh", "calibrate", "scenes", "check", "doctor", "Example"])
+
+
+@pytest.mark.parametrize("command", ["run", "mesh", "calibrate", "check"])
+def test_every_command_has_help_with_an_example(command: str) -> None:
+    done = twin(command, "--help")
+    assert done.returncode == 0
+    assert "Example" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["rnu"], ["rnu", 'Did you mean "run"']),
+        (["run"], ["SCENE"]),
+        (["run", "kamiyama_piller"], ["did you mean 'kamiyama_pillar'"]),
+        (["run", "nowhere/at_all.toml"], ["no scene", "shipped ones are"]),
+        (["run", "block_bare", "--ouut", "x"], ["--ouut", "--out"]),
+        (["run", "block_bare", "--want", "dispalcement"], ["did you mean 'displacement'"]),
+        (["run", "block_bare", "--want", "picture"], ["[camera]"]),
+        (["run", "block_bare", "-s", "material.poisson_ratio=0.7"], ["poisson_ratio", "0.7", "-0.5 to 0.5"]),
+        (["run", "block_bare", "-s", "material.poisson_ratio=nan"], ["poisson_ratio", "finite"]),
+        (["run", "kamiyama_pillar", "-s", "markers.red.depth_mm=39.9"], ["markers.red", "outside the body"]),
+        (["run", "kamiyama_pillar", "-s", "seed"], ["key.path=value"]),
+        (["check", "nowhere"], ["no scene 'nowhere'"]),
+        (["calibrate", "--scene", "sato_press", "--out", "x.txt"], [".npz"]),
+        (["calibrate", "--scene", "block_bare", "--out", "x.npz"], ["[reconstruction]"]),
+    ],
+)
+def test_bad_input_is_exit_code_two_and_says_what_to_do(arguments: list[str], words: list[str], tmp_path: Path) -> None:
+    done = twin(*arguments, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert all(word in done.stderr for word in words), done.stderr
+    assert "Traceback" not in done.stderr
+    assert "internal error" not in done.stderr
+
+
+def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("")
+    done = twin("run", "block_bare", "--out", str(tmp_path / "taken"))
+    assert done.returncode == 2
+    assert "output folder can't be made" in done.stderr
+
+
+def test_scenes_are_listed() -> None:
+    done = twin("scenes")
+    assert done.returncode == 0
+    assert "kamiyama_pillar" in done.stdout
+
+
+def test_check_accepts_a_shipped_scene() -> None:
+    done = twin("check", "kamiyama_pillar")
+    assert (done.returncode, done.stdout.rstrip()[-2:]) == (0, "ok")
+
+
+def test_displacement_alone_loads_no_renderer_and_writes_no_picture(tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom twin.cli import main\n"
+        f"try: main(['run', 'kamiyama_pillar', '--want', 'displacement', '--out', {str(tmp_path)!r}])\n"
+        "except SystemExit as done: assert done.code == 0\n"
+        "print([m for m in ('mitsuba', 'drjit', 'pytetwild', 'pyvista', 'trimesh', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]", done.stdout
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["scene.toml", "timings.json", "truth.npz"]
+    with np.load(tmp_path / "truth.npz") as truth:
+        np.testing.assert_allclose(truth["surface_force_n"].sum(axis=0), truth["total_force_n"], atol=1e-6)
+        assert truth["total_force_n"][2] == pytest.approx(3.0, rel=1e-6)
+    assert twin("check", str(tmp_path)).returncode == 0
+
+
+def test_a_scene_without_a_camera_renders_nothing(tmp_path: Path) -> None:
+    done = twin("run", "block_bare", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    names = {p.name for p in tmp_path.iterdir()}
+    assert not names & {"rest.png", "pressed.png", "estimate.npz"}
+    assert json.loads((tmp_path / "score.json").read_text())["tracking"] is None
+
+
+def test_an_unwritable_cache_is_replaced_by_a_temporary_one_with_a_warning(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    done = twin("doctor", TWIN_CACHE=str(tmp_path / "file" / "cache"))
+    assert "can't be written" in done.stderr
+    assert done.returncode == 0

@@ -1,0 +1,300 @@
+"""The main job: one press through the whole twin, doing only what is wanted and what that needs.
+
+=============  ====================================  =============================
+wanted         needs                                 file
+=============  ====================================  =============================
+displacement   press, markers                        truth.npz
+picture        displacement, [camera]                rest.png, pressed.png
+tracking       picture                               estimate.npz
+forces         tracking, [reconstruction]            estimate.npz
+score          what the scene has of the above       score.json
+report         the same                              report.html
+=============  ====================================  =============================
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.errors import RecipeError
+from twin.parts.load import Load
+from twin.parts.scene import Scene
+from twin.results import Estimate, RunResult, Truth, make_folder, write_whole
+from twin.study.actual import shared_by_truth_and_estimate
+from twin.study.recipe import dump_scene
+from twin.study.sensor import Motion, Progress, Sensor
+
+if TYPE_CHECKING:
+    from twin.parts.load import Rectangles
+    from twin.sense.calibration import Calibration
+    from twin.sense.reconstruct import Field
+    from twin.sense.track import Found
+    from twin.world.contact import ContactState
+
+UNOCCLUDED = 0.98
+"""Share of a marker's outline that must be seen at rest and pressed for it to count as unoccluded."""
+
+WANTED = frozenset({"displacement", "picture", "tracking", "forces", "score", "report"})
+
+
+def run(scene: Scene, want: Collection[str] | None = None, progress: Progress | None = None) -> RunResult:
+    """Take the scene's press through the twin.
+
+    Parameters
+    ----------
+    scene
+        A resolved scene.
+    want
+        Any of displacement, picture, tracking, forces, score, report; all if not given.
+    progress
+        Told about every stage.
+
+    Returns
+    -------
+    RunResult
+        What was wanted; the rest is None.
+
+    Raises
+    ------
+    RecipeError
+        The scene lacks what was asked for by name.
+    """
+    asked = frozenset(want) if want is not None else WANTED
+    if unknown := sorted(asked - WANTED):
+        raise RecipeError(f"want: unknown {', '.join(unknown)}; allowed are {', '.join(sorted(WANTED))}")
+    chain = _Chain(Sensor(scene, progress), _needed(scene, asked, by_name=want is not None), progress)
+    return _only_wanted(chain.go(), asked)
+
+
+def run_to_folder(scene: Scene, folder: Path, want: Collection[str], progress: Progress | None = None) -> str:
+    """Run a scene, write its files into ``folder`` and return a summary of a few lines."""
+    make_folder(folder)
+    everything = frozenset(want) == WANTED
+    result = run(scene, None if everything else want, progress)
+    if "report" in want:
+        from twin.show.report import report
+
+        started = time.perf_counter()
+        page = report(result)
+        result = replace(result, timings={**result.timings, "report": time.perf_counter() - started})
+        write_whole(folder / "report.html", lambda f: f.write(page.encode()))
+    result.write(folder)
+    if progress is not None:
+        progress("done", 1.0)
+    return _summary(result, folder)
+
+
+def _needed(scene: Scene, asked: frozenset[str], by_name: bool) -> frozenset[str]:
+    """Close ``asked`` under what each part needs, within what the scene has."""
+    has = {"displacement", "score", "report"}
+    if scene.camera is not None:
+        has |= {"picture", "tracking"}
+    if scene.reconstruction is not None:
+        has |= {"forces"}
+    if by_name and (lacking := sorted(asked - has)):
+        tables = "[reconstruction]" if lacking == ["forces"] and scene.camera else "[camera]"
+        raise RecipeError(f"want {', '.join(lacking)}: this scene has no {tables} table")
+    needs = {"displacement"}
+    if asked & {"score", "report"}:
+        return frozenset(has)
+    if asked & {"picture", "tracking", "forces"}:
+        needs |= {"picture"}
+    if asked & {"tracking", "forces"}:
+        needs |= {"tracking"}
+    return frozenset(needs | asked)
+
+
+@dataclass
+class _Chain:
+    """One run through the stages; holds what later stages need of earlier ones."""
+
+    sensor: Sensor
+    needed: frozenset[str]
+    progress: Progress | None
+    timings: dict[str, float] = field(default_factory=dict)
+    stages: int = 8
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        if self.progress is not None:
+            self.progress(name, min(0.95, len(self.timings) / self.stages))
+        started = time.perf_counter()
+        yield
+        self.timings[name] = time.perf_counter() - started
+
+    def go(self) -> RunResult:
+        sensor, scene = self.sensor, self.sensor.nominal
+        with self.stage("design"):
+            sensor.actual  # noqa: B018  a marker outside the body is said before anything is computed
+        with self.stage("contact"):
+            state = sensor.press() if scene.press is not None else None
+            load = state.load if state is not None else Load()
+        with self.stage("displacement"):
+            motion = sensor.motion(load)
+        truth = self._truth(motion, sensor.rectangles(load))
+        rest = pressed = found = calibration = forces = None
+        if "picture" in self.needed:
+            with self.stage("rest picture"):
+                rest = sensor.picture(None)
+            with self.stage("pressed picture"):
+                pressed = sensor.picture(motion)
+            with self.stage("outlines"):
+                truth = self._with_outlines(truth, motion)
+        if "tracking" in self.needed and rest is not None and pressed is not None:
+            from twin.sense.track import track
+
+            with self.stage("tracking"):
+                found = track(rest, pressed, sensor.layout_px)
+        if "forces" in self.needed and found is not None and scene.reconstruction is not None:
+            from twin.sense.reconstruct import reconstruct
+            from twin.study.calibrate import calibration_of
+
+            with self.stage("calibration"):
+                calibration = calibration_of(sensor)
+            with self.stage("reconstruction"):
+                wanted = scene.reconstruction
+                forces = reconstruct(found, calibration, method=wanted.method, weight=wanted.weight)
+        estimate = _estimate(found, forces)
+        with self.stage("score"):
+            score = self._score(truth, estimate, state)
+        return RunResult(
+            scene_toml=dump_scene(scene),
+            truth=truth,
+            estimate=estimate,
+            rest=rest,
+            pressed=pressed,
+            score=score,
+            facts=self._facts(state, calibration, forces),
+            timings=self.timings,
+        )
+
+    def _truth(self, motion: Motion, rectangles: Rectangles) -> Truth:
+        sensor = self.sensor
+        markers = sensor.actual.markers
+        force, place = rectangles.force_n, rectangles.centre_mm
+        return Truth(
+            marker_rest_mm=markers.points,
+            marker_displacement_mm=motion.displacement_mm,
+            marker_layer=markers.layer,
+            marker_rest_px=sensor.project(markers.points),
+            marker_pressed_px=sensor.project(markers.points + motion.displacement_mm),
+            marker_outline_rest_px=np.zeros((0, 2)),
+            marker_outline_pressed_px=np.zeros((0, 2)),
+            marker_visible=np.zeros(0, bool),
+            surface_mm=place,
+            surface_force_n=force,
+            total_force_n=force.sum(axis=0),
+            total_torque_nmm=np.cross(place, force).sum(axis=0),
+        )
+
+    def _with_outlines(self, truth: Truth, motion: Motion) -> Truth:
+        sensor = self.sensor
+        rest = sensor.renderer.outlines(sensor.ellipsoids(None))
+        pressed = sensor.renderer.outlines(sensor.ellipsoids(motion))
+        return replace(
+            truth,
+            marker_outline_rest_px=rest.centroid_px,
+            marker_outline_pressed_px=pressed.centroid_px,
+            marker_visible=(rest.visible >= UNOCCLUDED) & (pressed.visible >= UNOCCLUDED),
+        )
+
+    def _score(self, truth: Truth, estimate: Estimate | None, state: ContactState | None) -> dict[str, Any]:
+        from twin.judge.score import force_score, score, tracking_score
+
+        moved = np.linalg.norm(truth.marker_displacement_mm, axis=1)
+        elastic = {
+            "displacement_error": self.sensor.compliance.error_estimate,
+            "largest_displacement_mm": float(moved.max()) if len(moved) else None,
+            "contact_residual": state.residual if state is not None else None,
+        }
+        tracking = force = None
+        if estimate is not None:
+            true_shift = truth.marker_outline_pressed_px - truth.marker_outline_rest_px
+            tracking = tracking_score(estimate.marker_shift_px, true_shift, truth.marker_visible)
+        if estimate is not None and len(estimate.site_mm):
+            force = force_score(
+                site_mm=estimate.site_mm,
+                force_n=estimate.force_n,
+                total_force_n=estimate.total_force_n,
+                total_torque_nmm=estimate.total_torque_nmm,
+                surface_mm=truth.surface_mm,
+                surface_force_n=truth.surface_force_n,
+                true_force_n=truth.total_force_n,
+                true_torque_nmm=truth.total_torque_nmm,
+            )
+        return score(elastic=elastic, tracking=tracking, force=force)
+
+    def _facts(
+        self, state: ContactState | None, calibration: Calibration | None, forces: Field | None
+    ) -> dict[str, Any]:
+        scene = self.sensor.nominal
+        facts: dict[str, Any] = {"seed": scene.seed, "shared": shared_by_truth_and_estimate(scene)}
+        if state is not None:
+            facts["contact"] = {
+                "force_n": state.force_n,
+                "torque_nmm": state.torque_nmm,
+                "indentation_mm": state.indentation_mm,
+                "contact_radius_mm": state.contact_radius_mm,
+                "area_mm2": state.area_mm2,
+                "peak_pressure_mpa": state.peak_pressure_mpa,
+            }
+            facts["validity"] = asdict(state.validity)
+        if calibration is not None and forces is not None:
+            facts["calibration"] = {"method": scene.calibration.method, "sites": len(calibration.site_mm)}
+            facts["weight"] = forces.weight
+        if "picture" in self.needed:
+            facts["renderer"] = self.sensor.renderer.variant.name
+        return facts
+
+
+def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
+    if found is None:
+        return None
+    nothing = np.zeros((0, 3))
+    return Estimate(
+        marker_rest_px=found.rest_px,
+        marker_shift_px=found.shift_px,
+        site_mm=forces.site_mm if forces is not None else nothing,
+        force_n=forces.force_n if forces is not None else nothing,
+        total_force_n=forces.total_force_n if forces is not None else np.zeros(0),
+        total_torque_nmm=forces.total_torque_nmm if forces is not None else np.zeros(0),
+    )
+
+
+def _only_wanted(result: RunResult, asked: frozenset[str]) -> RunResult:
+    """Drop what was only needed on the way; a report may show everything."""
+    if "report" in asked:
+        return result
+    return replace(
+        result,
+        truth=result.truth if "displacement" in asked else None,
+        rest=result.rest if "picture" in asked else None,
+        pressed=result.pressed if "picture" in asked else None,
+        estimate=result.estimate if asked & {"tracking", "forces"} else None,
+        score=result.score if "score" in asked else None,
+    )
+
+
+def _summary(result: RunResult, folder: Path) -> str:
+    lines = []
+    score = result.score or {}
+    contact = result.facts.get("contact")
+    if contact is not None:
+        lines.append(
+            f"contact     {contact['force_n'][2]:.4g} N along z, indentation {contact['indentation_mm']:.3g} mm"
+        )
+    tracking, force = score.get("tracking"), score.get("force")
+    if tracking and tracking.get("sd_px") is not None:
+        lines.append(f"tracking    SD {tracking['sd_px']:.3f} px, {100 * tracking['matched']:.1f} % matched")
+    if force and force.get("total_force_error") is not None:
+        lines.append(f"total force {100 * force['total_force_error']:.1f} % off")
+    lines.append(f"time        {sum(result.timings.values()):.1f} s")
+    lines.append(f"written to  {folder}")
+    return "\n".join(lines)
