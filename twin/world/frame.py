@@ -1,0 +1,116 @@
+"""One picture's job for the renderer, in its own units: marker matrices, lamps, and the pixels worth tracing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Bools, Floats
+from twin.parts.scene import Scene
+from twin.world.lighting import lamps_at, may_be_shadowed
+from twin.world.markers import Ellipsoids
+from twin.world.view import Near, View, near_markers
+
+Singles = NDArray[np.float32]
+
+_ABSENT = (1e5, 1e5, -1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """What is traced: markers in units of ``unit_mm``, z = 0 behind all of them.
+
+    Attributes
+    ----------
+    near
+        Pixels near markers.
+    starts
+        (m, 2) where every pixel's rays start: distance from the base, and z.
+    centres
+        (n, 3) centres; lost markers lie far aside.
+    metric
+        (n, 9) the matrix M of each ellipsoid (x - c)^T M (x - c) = 1, row by row.
+    data
+        (n, 10) centre, semi-axes and quaternion (x, y, z, w), as Mitsuba wants ellipsoids.
+    lamps
+        (n, leds, 4) place and power of the LEDs' images per marker.
+    shadowed
+        (n, leds) whether a shadow ray is needed.
+    colour
+        (n, 3) reflectance.
+    """
+
+    near: Near
+    starts: Singles
+    centres: Singles
+    metric: Singles
+    data: Singles
+    lamps: Singles
+    shadowed: Bools
+    colour: Singles
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+
+def make_frame(markers: Ellipsoids, scene: Scene, view: View, unit_mm: float, full_power: float) -> Frame:
+    """Prepare a picture of the markers.
+
+    Parameters
+    ----------
+    markers
+        The markers as they are now.
+    scene, view
+        The actual scene, and its camera's rays.
+    unit_mm
+        Length of the renderer's unit.
+    full_power
+        The irradiance that counts as 1.
+    """
+    base = scene.body.base_z_mm
+    here = markers.present
+    centres = np.where(here[:, None], markers.centres, [0.0, 0.0, base])
+    axes = np.where(here[:, None, None], markers.axes, 1e-3 * np.eye(3))
+    turned, sizes, _ = np.linalg.svd(axes)
+    sizes = np.maximum(sizes, 1e-6)
+    near = near_markers(markers, scene, view)
+    zero = float(np.max(near.start_mm, initial=0.0))
+    lamps = lamps_at(centres, scene)
+    shadowed = may_be_shadowed(centres, sizes[:, 0], lamps) & here[:, None] & (lamps.power > 0)
+    shift = np.array([0.0, 0.0, zero])
+    local = np.where(here[:, None], (centres - shift) / unit_mm, _ABSENT)
+    metric = (turned / (sizes[:, None] / unit_mm) ** 2) @ np.swapaxes(turned, 1, 2)
+    return Frame(
+        near=near,
+        starts=(np.column_stack([base - near.start_mm, near.start_mm - zero]) / unit_mm).astype(np.float32),
+        centres=local.astype(np.float32),
+        metric=metric.reshape(-1, 9).astype(np.float32),
+        data=np.column_stack([local, sizes / unit_mm, quaternions(turned)]).astype(np.float32),
+        lamps=np.concatenate(
+            [(lamps.place - shift) / unit_mm, (lamps.power / (full_power * unit_mm**2))[:, :, None]], axis=2
+        ).astype(np.float32),
+        shadowed=shadowed,
+        colour=markers.colour.astype(np.float32),
+    )
+
+
+def quaternions(axes: Floats) -> Floats:
+    """Return (n, 4) unit quaternions (x, y, z, w) of (n, 3, 3) orthogonal matrices; mirrored ones are mirrored back.
+
+    Notes
+    -----
+    The symmetric matrix K of Bar-Itzhack (J. Guidance 23, 2000) has the quaternion as its leading eigenvector; one of
+    its columns, the one of the largest diagonal entry, is parallel to it for an exact rotation.
+    """
+    r = axes * np.sign(np.linalg.det(axes))[:, None, None]
+    k = np.empty((len(r), 4, 4))
+    trace = np.trace(r, axis1=1, axis2=2)
+    k[:, :3, :3] = r + np.swapaxes(r, 1, 2) + (1 - trace)[:, None, None] * np.eye(3)
+    k[:, :3, 3] = k[:, 3, :3] = np.stack([r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]], 1)
+    k[:, 3, 3] = 1 + trace
+    best = np.argmax(np.diagonal(k, axis1=1, axis2=2), axis=1)
+    column = k[np.arange(len(r)), :, best]
+    quaternion: Floats = column / np.linalg.norm(column, axis=1, keepdims=True)
+    return quaternion

@@ -1,0 +1,143 @@
+"""What the camera's pixels look at: rays inside the body, and which pixels are near markers.
+
+Why rays at pixel corners only: they are smooth, so straight interpolation inside a pixel is off by less than 1e-3 px
+even for a fisheye, and the cost doesn't grow with the number of sub-pixel rays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Bools, Floats, Ints
+from twin.parts.scene import Scene
+from twin.theory.optics import project, projection_jacobian, rays, transmission
+from twin.world.lighting import cover_light
+from twin.world.markers import Ellipsoids
+
+_COARSE = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """The rays of a camera in a body, computed once.
+
+    Attributes
+    ----------
+    corners
+        (height + 1, width + 1, 4) rays through the pixel corners (column - 1/2, row - 1/2): x and y on the base plane,
+        mm, and dx/d(-z), dy/d(-z).
+    sees
+        (height, width) whether all four corners of a pixel have rays that enter the body through its base.
+    vignette
+        (height, width) share of light that passes the interfaces, 1 on the axis.
+    cover
+        (height, width, 3) light from the cover behind the markers, vignette included.
+    """
+
+    corners: Floats
+    sees: Bools
+    vignette: Floats
+    cover: NDArray[np.float32]
+
+
+def look(scene: Scene, top: float) -> View:
+    """Return the view of the scene's camera; ``top`` is the irradiance that counts as 1."""
+    camera = scene.camera
+    assert camera is not None
+    index, base = scene.material.refractive_index, scene.body.base_z_mm
+    width, height = camera.width_px, camera.height_px
+    grid = np.stack(np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5), axis=-1).reshape(-1, 2)
+    origins, directions = rays(grid, camera, index, base)
+    tangents = directions[:, :2] / -directions[:, 2:]
+    inside = np.isfinite(tangents[:, 0]) & scene.body.contains(np.nan_to_num(origins), -1e-6)
+    sees = _pixelwise(inside.reshape(height + 1, width + 1), np.logical_and)
+    sine = np.linalg.norm(directions[:, :2], axis=1) * index
+    passed = transmission(sine / np.sqrt(np.maximum(1 - sine**2, 1e-12)), index, camera.layers)
+    passed = np.nan_to_num(passed).reshape(height + 1, width + 1)
+    vignette = _pixelwise(passed, np.add) / 4
+
+    columns, rows = _coarse(width), _coarse(height)
+    nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    light = cover_light(*rays(nodes, camera, index, base), scene, top).reshape(len(rows), len(columns), 3)
+    light = np.einsum("ri,ijc->rjc", _stretch(rows, height), light)
+    light = np.einsum("cj,rjk->rck", _stretch(columns, width), light)
+    cover = light * (vignette * sees)[:, :, None]
+    corners = np.nan_to_num(np.column_stack([origins[:, :2], tangents])).reshape(height + 1, width + 1, 4)
+    return View(corners=corners, sees=sees, vignette=vignette, cover=cover.astype(np.float32))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Near:
+    """Where markers may be seen.
+
+    Attributes
+    ----------
+    pixels
+        (m,) flat numbers, row * width + column, of the pixels near any marker.
+    start_mm
+        (m,) height z just behind the nearest of those markers: rays start there, close to what they meet.
+    places
+        (n, 2) whole pixel nearest to each marker's projected centre.
+    area_px
+        (n,) area of each unhidden outline to first order; NaN where the camera doesn't see the place.
+    cut
+        (n,) whether the outline may cross the picture's edge.
+    """
+
+    pixels: Ints
+    start_mm: Floats
+    places: Ints
+    area_px: Floats
+    cut: Bools
+
+
+def near_markers(markers: Ellipsoids, scene: Scene, view: View) -> Near:
+    """Return the pixels in which markers can be seen.
+
+    The outline's half extents come from the projection's Jacobian, with room for its curvature.
+    """
+    camera = scene.camera
+    assert camera is not None
+    optics = (camera, scene.material.refractive_index, scene.body.base_z_mm)
+    there = markers.present
+    centres = project(markers.centres, *optics)
+    outline = projection_jacobian(markers.centres, *optics) @ markers.axes
+    conjugate = outline @ np.swapaxes(outline, 1, 2)
+    half = 1.15 * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + 2
+    area = np.pi * np.sqrt(np.maximum(np.linalg.det(np.nan_to_num(conjugate)), 0))
+    size = np.array([camera.width_px, camera.height_px])
+    there &= np.isfinite(centres).all(axis=1) & np.isfinite(half).all(axis=1)
+    low, high = np.where(there[:, None], centres - half, -1e6), np.where(there[:, None], centres + half, -1e6)
+    cut = there & ((low < 0) | (high > size - 1)).any(axis=1)
+    first = np.clip(np.floor(low), 0, size).astype(int)
+    last = np.clip(np.ceil(high) + 1, 0, size).astype(int)
+    thick = np.sqrt(np.sum(markers.axes[:, 2] ** 2, axis=1))
+    tops = np.minimum(markers.centres[:, 2] + 1.2 * thick, scene.body.base_z_mm)
+    start = np.full(view.sees.shape, -np.inf)
+    for (left, upper), (right, lower), top in zip(first.tolist(), last.tolist(), tops.tolist(), strict=True):
+        box = start[upper:lower, left:right]
+        np.maximum(box, top, out=box)
+    places = np.rint(np.clip(np.where(there[:, None], centres, 0), -1e6, 1e6)).astype(int)
+    pixels = np.flatnonzero((start > -np.inf) & view.sees)
+    start_mm = start.ravel()[pixels]
+    return Near(pixels=pixels, start_mm=start_mm, places=places, area_px=np.where(there, area, np.nan), cut=cut)
+
+
+def _pixelwise(corners: Any, join: np.ufunc) -> Any:
+    """Join the values at each pixel's four corners."""
+    rows = join(corners[:-1], corners[1:])
+    return join(rows[:, :-1], rows[:, 1:])
+
+
+def _coarse(size: int) -> Floats:
+    """Return every fourth pixel and the last."""
+    return np.unique(np.append(np.arange(0, size, _COARSE), size - 1)).astype(float)
+
+
+def _stretch(nodes: Floats, size: int) -> Floats:
+    """Return the (size, nodes) matrix of straight interpolation from nodes to pixels."""
+    return np.stack([np.interp(np.arange(size), nodes, column) for column in np.eye(len(nodes))], axis=1)
