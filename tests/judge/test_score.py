@@ -1,0 +1,95 @@
+import json
+
+import numpy as np
+import pytest
+
+from twin.errors import InputError
+from twin.judge.score import force_score, into_cells, score, tracking_score
+
+
+def pushes(**changes):
+    site = np.array([[x, y, 0.0] for x in (-2.0, 0.0, 2.0) for y in (-2.0, 0.0, 2.0)])
+    surface = np.array([[0.3, 0.2, 0.0], [-0.3, 0.2, 0.0], [1.9, 0.1, 0.0]])
+    force = np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0], [0.0, 0.2, 0.5]])
+    cells = into_cells(site, surface, force)
+    given = {
+        "site_mm": site, "force_n": cells, "total_force_n": cells.sum(axis=0),
+        "total_torque_nmm": np.cross(surface, force).sum(axis=0), "surface_mm": surface, "surface_force_n": force,
+        "true_force_n": force.sum(axis=0), "true_torque_nmm": np.cross(surface, force).sum(axis=0),
+    }  # fmt: skip
+    return given | changes
+
+
+def test_truth_scores_zero():
+    given = pushes()
+    result = force_score(**given)
+    assert result["field_error"] == 0
+    assert result["total_force_error"] == 0
+    assert result["torque_error"] == 0
+    centre = given["force_n"][:, 2] @ given["site_mm"][:, :2] / 2.5
+    true = given["surface_force_n"][:, 2] @ given["surface_mm"][:, :2] / 2.5
+    assert result["centre_error_mm"] == pytest.approx(np.linalg.norm(centre - true))
+    assert result["reasons"] == {}
+
+
+def test_errors_as_defined():
+    given = pushes()
+    force = given["force_n"]
+    result = force_score(**pushes(force_n=1.1 * force))
+    assert result["field_error"] == pytest.approx(0.01)
+    total = given["true_force_n"] + [0.0, 0.3, 0.0]
+    result = force_score(**pushes(total_force_n=total))
+    assert result["total_force_error"] == pytest.approx(0.3 / np.linalg.norm(given["true_force_n"]))
+    torque = given["true_torque_nmm"] + [0.0, 0.0, 0.5]
+    scale = max(np.linalg.norm(given["true_torque_nmm"]), np.linalg.norm(given["true_force_n"]))
+    assert force_score(**pushes(total_torque_nmm=torque))["torque_error"] == pytest.approx(0.5 / scale)
+
+
+def test_force_nulls_have_reasons():
+    nothing = np.zeros((3, 3))
+    result = force_score(**pushes(surface_force_n=nothing, true_force_n=np.zeros(3), true_torque_nmm=np.zeros(3)))
+    for key in ("field_error", "total_force_error", "torque_error", "centre_error_mm"):
+        assert result[key] is None
+        assert result["reasons"][key]
+    shear = np.array([[1.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0.01]])
+    result = force_score(**pushes(surface_force_n=shear, true_force_n=shear.sum(axis=0)))
+    assert result["centre_error_mm"] is None
+    assert "hardly pushes" in result["reasons"]["centre_error_mm"]
+    assert force_score(**pushes(force_n=np.full((9, 3), np.nan)))["field_error"] is None
+
+
+def test_tracking_numbers_and_hidden_markers():
+    random = np.random.default_rng(3)
+    true = random.normal(0, 2, (4000, 2))
+    shift = true + random.normal([0.02, -0.01], 0.05, true.shape)
+    shift[:40] = np.nan
+    shift[40:45] += 30.0
+    visible = np.ones(len(true), bool)
+    visible[-400:] = False
+    shift[-400:] += 0.5
+    result = tracking_score(shift, true, visible)
+    assert result["bias_px"] == pytest.approx(np.hypot(0.02, 0.01), abs=0.003)
+    assert result["bias_axes_px"] == pytest.approx([0.02, -0.01], abs=0.003)
+    assert result["sd_px"] == pytest.approx(0.05, rel=0.03)
+    assert result["matched"] == pytest.approx(3560 / 3600)
+    assert result["gross"] == 5
+    assert result["occluded"]["bias_axes_px"][0] == pytest.approx(0.52, abs=0.01)
+
+
+def test_score_gathers_reasons_and_is_plain_json():
+    lost = tracking_score(np.full((5, 2), np.nan), np.zeros((5, 2)))
+    assert lost["matched"] == 0.0
+    assert lost["bias_px"] is None
+    result = score(elastic={"displacement_error": 1e-3}, tracking=lost, force=None)
+    assert result["force"] is None
+    assert {"tracking.bias_px", "tracking.sd_px", "force"} <= set(result["reasons"])
+    json.dumps(result, allow_nan=False)
+    with pytest.raises(InputError, match="displacement_error"):
+        score(elastic={"displacement_error": float("nan")})
+
+
+def test_shapes_are_checked():
+    with pytest.raises(InputError, match="same marker order"):
+        tracking_score(np.zeros((4, 2)), np.zeros((5, 2)))
+    with pytest.raises(InputError, match="surface"):
+        force_score(**pushes(surface_mm=np.zeros((2, 3))))

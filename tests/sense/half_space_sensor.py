@@ -1,0 +1,113 @@
+"""A flat sensor on a half-space, for tests: the papers' point kernels with their errors corrected, and a camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.sense.calibration import Calibration
+from twin.sense.track import Found
+from twin.sense.transfer import from_compliance
+
+
+def kernel(away, nu=0.5, youngs=1.0):
+    """(..., 3, 3) displacement, mm/N, at ``away`` from a point force (columns: force along x, y, z into the body)."""
+    x, y, z = np.moveaxis(away, -1, 0)
+    r = np.sqrt(x**2 + y**2 + z**2)
+    c = (1 + nu) / (2 * np.pi * youngs)
+    along = (2 * (1 - nu) * r + z) / (r * (r + z))
+    beside = (2 * r * (nu * r + z) + z**2) / (r**3 * (r + z) ** 2)
+    outward = z / r**3 - (1 - 2 * nu) / (r * (r + z))
+    lift = (1 - 2 * nu) / (r * (r + z)) + z / r**3
+    rows = [
+        [along + beside * x * x, beside * x * y, outward * x],
+        [beside * x * y, along + beside * y * y, outward * y],
+        [lift * x, lift * y, 2 * (1 - nu) / r + z**2 / r**3],
+    ]
+    return c * np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def compliance(markers, points):
+    """(3n, 3m) mm/N for point forces."""
+    g = kernel(markers[:, None] - points[None])
+    return g.transpose(0, 2, 1, 3).reshape(3 * len(markers), 3 * len(points))
+
+
+def cell_compliance(markers, sites, pitch, cuts=6):
+    """(3n, 3k) mm/N for uniform square cells, each of ``cuts`` x ``cuts`` points."""
+    offsets = ((np.arange(cuts) + 0.5) / cuts - 0.5) * pitch
+    return sum(compliance(markers, sites + np.array([a, b, 0.0])) for a in offsets for b in offsets) / cuts**2
+
+
+def grid(columns, rows, pitch, z=0.0):
+    x = (np.arange(columns) - (columns - 1) / 2) * pitch
+    y = (np.arange(rows) - (rows - 1) / 2) * pitch
+    xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.column_stack([xy, np.full(len(xy), z)])
+
+
+def jacobian(markers, camera_z, px_per_mm):
+    """(n, 2, 3) px/mm of a pinhole on the axis at ``camera_z``; rows grow with -y."""
+    near = camera_z - markers[:, 2]
+    scale = px_per_mm * camera_z / near
+    j = np.zeros((len(markers), 2, 3))
+    j[:, 0, 0], j[:, 1, 1] = scale, -scale
+    j[:, 0, 2], j[:, 1, 2] = scale * markers[:, 0] / near, -scale * markers[:, 1] / near
+    return j
+
+
+def flat_sensor(columns=15, rows=12):
+    """The flat paper's design: 636 markers in two layers, sites at 2 mm. Returns markers, jacobian, calibration."""
+    markers = np.vstack([grid(21, 16, 1.5, 6.0), grid(20, 15, 1.5, 3.0)])
+    layer = np.repeat(["red", "blue"], [336, 300])
+    return _sensor(markers, layer, (columns, rows), 2.0, jacobian(markers, 100.0, 20.0))
+
+
+def finger_sensor():
+    """The finger paper's design laid flat: 61 markers at 2.5 mm, 25 sites at 2.5 mm."""
+    markers = np.vstack([grid(5, 5, 2.5, 0.5), grid(6, 6, 2.5, 2.0)])
+    return _sensor(markers, np.repeat(["red", "blue"], [25, 36]), (5, 5), 2.5, jacobian(markers, 14.0, 30.0))
+
+
+def _sensor(markers, layer, shape, pitch, seen):
+    sites = grid(*shape, pitch)
+    return (
+        markers,
+        seen,
+        Calibration(
+            layer=layer,
+            layout_px=np.einsum("nij,nj->ni", seen, markers * [1, 1, 0]),
+            site_mm=sites,
+            site_frames=np.tile(np.eye(3), (len(sites), 1, 1)),
+            site_area_mm2=np.full(len(sites), pitch**2),
+            grid=shape,
+            transfer=from_compliance(cell_compliance(markers, sites, pitch), seen),
+        ),
+    )
+
+
+def disk(centre, diameter, force, cuts=16):
+    """Points and forces of a uniform disk, finer than any site."""
+    offsets = ((np.arange(cuts) + 0.5) / cuts - 0.5) * diameter
+    xy = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+    xy = xy[np.hypot(*xy.T) <= diameter / 2]
+    return np.column_stack([xy + centre, np.zeros(len(xy))]), np.tile(np.array(force) / len(xy), (len(xy), 1))
+
+
+def shifts(markers, seen, points, forces):
+    """(n, 2) noise-free shifts, px."""
+    motion = (compliance(markers, points) @ forces.ravel()).reshape(-1, 3)
+    return np.einsum("nij,nj->ni", seen, motion)
+
+
+def as_found(shift, calibration, sd=0.03, seed=None):
+    """What tracking would hand over, with noise of ``sd`` px where seeded."""
+    if seed is not None:
+        shift = shift + np.random.default_rng(seed).normal(0, sd, shift.shape)
+    return Found(
+        rest_px=np.array(calibration.layout_px),
+        shift_px=shift,
+        sd_px=np.full(len(shift), sd),
+        layer=calibration.layer,
+        channels={},
+        method="drawn",
+    )

@@ -1,0 +1,113 @@
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from half_space_sensor import cell_compliance, finger_sensor
+
+from twin.errors import InputError
+from twin.sense.calibration import Calibration, read_calibration, write_calibration
+from twin.sense.transfer import from_compliance, from_presses
+
+MARKERS, SEEN, CALIBRATION = finger_sensor()
+
+
+def test_round_trip_on_disk(tmp_path):
+    told = dataclasses.replace(
+        CALIBRATION, noise_px=0.04, diameter_px=15.0, method="sato", provenance=json.dumps({"digest": "ab12"})
+    )
+    path = tmp_path / "finger.npz"
+    write_calibration(told, path)
+    read = read_calibration(path)
+    for field in dataclasses.fields(Calibration):
+        assert np.array_equal(getattr(read, field.name), getattr(told, field.name)), field.name
+    assert read.provenance == told.provenance
+    assert list(read.layout) == ["red", "blue"]
+    assert read.layout["blue"].shape == (36, 2)
+    assert [file.name for file in tmp_path.iterdir()] == ["finger.npz"]
+    with pytest.raises(ValueError, match="read-only"):
+        read.transfer[0] = 0
+
+
+def test_damaged_files(tmp_path):
+    path = tmp_path / "c.npz"
+    with pytest.raises(InputError, match="does not exist"):
+        read_calibration(path)
+    write_calibration(CALIBRATION, path)
+    whole = path.read_bytes()
+    for damaged in (b"", b"not a file", whole[: len(whole) // 2], whole[:200] + bytes(200) + whole[400:]):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError):
+            read_calibration(path)
+    arrays = {f.name: np.asarray(getattr(CALIBRATION, f.name)) for f in dataclasses.fields(Calibration)}
+    for change, words in (
+        ({"version": np.array(99)}, "version"),
+        ({"transfer": arrays["transfer"][:-1]}, "transfer"),
+        ({"site_mm": arrays["site_mm"] * np.nan}, "site_mm"),
+        ({"grid": np.array([3, 3])}, "grid"),
+        ({"provenance": np.array("{")}, "provenance"),
+        ({"layer": np.arange(61)}, "layer"),
+        ({"method": np.array(["a", "b"])}, "single"),
+        ({"site_mm": np.array([{"no": "pickle"}] * 25, object)}, "pickle"),
+    ):
+        np.savez(path, **({"version": np.array(1)} | arrays | change))
+        with pytest.raises(InputError, match=words):
+            read_calibration(path)
+    np.savez(path, transfer=arrays["transfer"])
+    with pytest.raises(InputError, match="lacks"):
+        read_calibration(path)
+
+
+def test_compliance_through_the_camera():
+    """Depth motion counts: du = scale (dX + X dz / (Zc - z)) (flat paper, section 2.5)."""
+    motion = np.array([0.1, -0.2, 0.3])
+    transfer = from_compliance(np.tile(motion[:, None], (len(SEEN), 3)).reshape(-1, 3), SEEN)
+    near = 14.0 - MARKERS[:, 2]
+    scale = 30.0 * 14.0 / near
+    expected = scale * (0.1 + MARKERS[:, 0] * 0.3 / near)
+    assert transfer.reshape(-1, 2, 3)[:, 0] == pytest.approx(np.tile(expected[:, None], 3))
+    rows = scale * -(-0.2 + MARKERS[:, 1] * 0.3 / near)
+    assert transfer.reshape(-1, 2, 3)[:, 1] == pytest.approx(np.tile(rows[:, None], 3))
+    with pytest.raises(InputError, match="compliance"):
+        from_compliance(np.zeros((5, 6)), SEEN)
+
+
+def presses(seed=1):
+    """Presses along z, then along x and y with z kept, and mixed by a probe that is not quite straight."""
+    random = np.random.default_rng(seed)
+    straight = np.array([[1.0, 0.0, 0.05], [0.05, 1.0, 0.0], [0.9, 1.0, 1.0]])
+    forces = straight + random.normal(0, 0.05, (25, 3, 3))
+    transfer = from_compliance(cell_compliance(MARKERS, CALIBRATION.site_mm, 2.5, 2), SEEN)
+    by_site = transfer.reshape(-1, 25, 3)
+    return forces, np.einsum("rkm,kmn->knr", by_site, forces), transfer
+
+
+def test_presses_give_back_the_transfer_matrix():
+    forces, shifts, transfer = presses()
+    assert from_presses(forces, shifts) == pytest.approx(transfer, abs=1e-10)
+    site = np.r_[np.arange(25), np.arange(25)]
+    noisy = np.concatenate([shifts, shifts]) + np.random.default_rng(2).normal(0, 0.02, (50, 3, 122))
+    once = from_presses(forces, noisy[:25])
+    twice = from_presses(np.concatenate([forces, forces]), noisy, site)
+    assert np.std(twice - transfer) == pytest.approx(np.std(once - transfer) / np.sqrt(2), rel=0.1)
+
+
+def test_lost_markers_in_presses():
+    forces, shifts, transfer = presses()
+    shifts[3, 1, 10:12] = np.nan
+    alone = from_presses(forces, shifts)
+    assert np.isnan(alone[10:12, 9:12]).all()
+    rest = np.delete(alone, [10, 11], axis=0)
+    assert rest == pytest.approx(np.delete(transfer, [10, 11], axis=0), abs=1e-10)
+    site = np.r_[np.arange(25), np.arange(25)]
+    again = from_presses(np.concatenate([forces, forces]), np.concatenate([shifts, presses()[1]]), site)
+    assert again == pytest.approx(transfer, abs=1e-10)
+
+
+def test_presses_must_span_three_directions():
+    forces, shifts, _ = presses()
+    forces[4, :, 2] = forces[4, :, 1]
+    with pytest.raises(InputError, match="site 4"):
+        from_presses(forces, shifts)
+    with pytest.raises(InputError, match="forces must be"):
+        from_presses(forces[:, :2], shifts)

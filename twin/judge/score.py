@@ -1,0 +1,205 @@
+"""Truth against estimate, in the fields of score.json.
+
+Inputs are plain arrays, so that recorded data can be scored as well. A score that is not defined is None, and
+``reasons`` says why; nothing is ever NaN or infinite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Pixels, Points
+from twin.errors import InputError
+
+GROSS_PX = 1.0
+"""A shift wrong by more than this is a mistaken marker, not noise: counted apart, and left out of bias and sd."""
+
+LEAST_PUSH = 0.1
+"""The centre of pressure is defined where the push along z is at least this share of the force."""
+
+CENTRE_SHARE = 0.2
+"""Sites with less than this share of the largest push don't count for the estimate's centre: far away they hold noise
+alone, with long levers."""
+
+Score = dict[str, Any]
+
+
+def score(
+    *, elastic: Mapping[str, Any] | None = None, tracking: Score | None = None, force: Score | None = None
+) -> Score:
+    """Return score.json: the three stages, and all their reasons under full names in one table."""
+    reasons: dict[str, str] = {}
+    result: Score = {}
+    for name, part in (("elastic", elastic), ("tracking", tracking), ("force", force)):
+        if part is None:
+            result[name] = None
+            reasons[name] = "not asked for, or the scene has nothing to score"
+            continue
+        own = dict(part)
+        for key, reason in own.pop("reasons", {}).items():
+            reasons[f"{name}.{key}"] = reason
+        result[name] = own
+    _check_finite(result, "score")
+    return {**result, "reasons": reasons}
+
+
+def _check_finite(value: Any, where: str) -> None:
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            _check_finite(inner, f"{where}.{key}")
+    elif isinstance(value, list | tuple):
+        for index, inner in enumerate(value):
+            _check_finite(inner, f"{where}[{index}]")
+    elif isinstance(value, float | np.floating) and not np.isfinite(value):
+        raise InputError(f"{where} = {value}: a score must be finite, or None with a reason")
+
+
+def tracking_score(shift_px: Pixels, true_shift_px: Pixels, visible: Bools | None = None) -> Score:
+    """Score marker motion.
+
+    Parameters
+    ----------
+    shift_px
+        (n, 2) measured shifts, px, NaN where not found.
+    true_shift_px
+        (n, 2) true shifts of the same thing, px: of the visible outline's centroid where there is one.
+    visible
+        (n,) whether the marker is fully visible in both pictures; all are if not given.
+
+    Returns
+    -------
+    dict
+        Over the visible markers: ``bias_px`` (length of the mean error), ``bias_axes_px``, ``sd_px`` (of the two-frame
+        shift, per axis, about the mean), ``matched`` (share found), ``gross`` (number of errors above 1 px; these are
+        left out of bias and sd), ``markers``. The same for the others under ``occluded``. ``reasons``.
+    """
+    shift, true = np.asarray(shift_px, float), np.asarray(true_shift_px, float)
+    if shift.shape != true.shape or shift.ndim != 2 or shift.shape[1] != 2:
+        raise InputError(f"shifts must be (n, 2) px in the same marker order, got {shift.shape} and {true.shape}")
+    seen: Bools = np.ones(len(shift), np.bool_)
+    if visible is not None:
+        seen = np.array(visible, np.bool_, ndmin=1)
+    if seen.shape != (len(shift),):
+        raise InputError(f"visible must be ({len(shift)},), got {seen.shape}")
+    front, back = np.flatnonzero(seen), np.flatnonzero(seen == 0)
+    result, reasons = _tracking_part(shift[front], true[front])
+    result["occluded"], behind = _tracking_part(shift[back], true[back])
+    if len(back):
+        reasons |= {f"occluded.{key}": reason for key, reason in behind.items()}
+    else:
+        reasons["occluded"] = "no marker is hidden"
+        result["occluded"] = None
+    return {**result, "reasons": reasons}
+
+
+def _tracking_part(shift: Pixels, true: Pixels) -> tuple[Score, dict[str, str]]:
+    error = shift - true
+    found: Bools = np.asarray(np.isfinite(shift).all(axis=1), np.bool_)
+    usable = np.asarray(found & np.isfinite(true).all(axis=1))
+    length = np.linalg.norm(np.where(usable[:, None], error, 0.0), axis=1)
+    fine = error[usable & (length <= GROSS_PX)]
+    result: Score = {
+        "bias_px": None, "bias_axes_px": None, "sd_px": None,
+        "matched": float(found.mean()) if len(shift) else None,
+        "gross": int((length > GROSS_PX).sum()), "markers": len(shift),
+    }  # fmt: skip
+    reasons = {}
+    if not len(shift):
+        reasons["matched"] = "there are no such markers"
+    if len(fine):
+        mean = fine.mean(axis=0)
+        result |= {"bias_px": float(np.linalg.norm(mean)), "bias_axes_px": [float(v) for v in mean]}
+    else:
+        reasons["bias_px"] = "no marker was found within 1 px of its true place"
+    if len(fine) > 1:
+        result["sd_px"] = float(np.sqrt(fine.var(axis=0, ddof=1).mean()))
+    else:
+        reasons["sd_px"] = "fewer than two markers were found within 1 px of their true places"
+    return result, reasons
+
+
+def force_score(
+    *,
+    site_mm: Points,
+    force_n: Floats,
+    total_force_n: Floats,
+    total_torque_nmm: Floats,
+    surface_mm: Points,
+    surface_force_n: Floats,
+    true_force_n: Floats,
+    true_torque_nmm: Floats,
+) -> Score:
+    """Score a reconstructed force field.
+
+    Parameters
+    ----------
+    site_mm, force_n, total_force_n, total_torque_nmm
+        Estimate: (k, 3) sites, mm, their forces, N, and its (3,) totals, N and N mm.
+    surface_mm, surface_force_n, true_force_n, true_torque_nmm
+        Truth: (m, 3) surface points, mm, their forces, N, and the (3,) totals.
+
+    Returns
+    -------
+    dict
+        ``field_error`` |f^ - f|^2/|f|^2, the truth being summed into the cell of its nearest site;
+        ``total_force_error`` |F^ - F|/|F|; ``torque_error`` |T^ - T|/max(|T|, |F| 1 mm); ``centre_error_mm``, the
+        distance in (x, y) of the push's centres, sum fz (x, y)/sum fz (of the estimate only the sites above a fifth of
+        the largest push). ``reasons``.
+    """
+    result: Score = dict.fromkeys(("field_error", "total_force_error", "torque_error", "centre_error_mm"))
+    reasons: dict[str, str] = {}
+    truth, estimate = np.asarray(surface_force_n, float), np.asarray(force_n, float)
+    _same_points(surface_mm, truth, "surface")
+    _same_points(site_mm, estimate, "site")
+    force, torque = np.asarray(true_force_n, float), np.asarray(true_torque_nmm, float)
+    numbers = (estimate, truth, total_force_n, total_torque_nmm, force, torque, site_mm, surface_mm)
+    if not all(np.isfinite(v).all() for v in numbers):
+        return {**result, "reasons": dict.fromkeys(result, "truth or estimate hold numbers that are not finite")}
+    cells = into_cells(site_mm, surface_mm, truth)
+    energy, size = float((cells**2).sum()), float(np.linalg.norm(force))
+    if energy > 0:
+        result["field_error"] = float(((estimate - cells) ** 2).sum() / energy)
+    else:
+        reasons["field_error"] = "the true field is zero"
+    if size > 0:
+        result["total_force_error"] = float(np.linalg.norm(total_force_n - force) / size)
+    else:
+        reasons["total_force_error"] = "the true total force is zero"
+    scale = max(float(np.linalg.norm(torque)), size * 1.0)
+    if scale > 0:
+        result["torque_error"] = float(np.linalg.norm(total_torque_nmm - torque) / scale)
+    else:
+        reasons["torque_error"] = "the true total force and torque are zero"
+    true_push, push = truth[:, 2], np.clip(estimate[:, 2], 0.0, None)
+    if size == 0 or true_push.sum() < LEAST_PUSH * size:
+        reasons["centre_error_mm"] = "the true force hardly pushes along z, so it has no centre of pressure"
+    elif push.max(initial=0.0) <= 0:
+        reasons["centre_error_mm"] = "the estimate pushes nowhere along z"
+    else:
+        push = np.where(push >= CENTRE_SHARE * push.max(), push, 0.0)
+        centres = [_centre(surface_mm, true_push), _centre(site_mm, push)]
+        result["centre_error_mm"] = float(np.linalg.norm(centres[1] - centres[0]))
+    return {**result, "reasons": reasons}
+
+
+def into_cells(site_mm: Points, surface_mm: Points, surface_force_n: Floats) -> Floats:
+    """Return (k, 3) the surface forces summed into the cells of their nearest sites, N."""
+    from scipy.spatial import cKDTree
+
+    cells = np.zeros((len(site_mm), 3))
+    if len(surface_mm):
+        _, nearest = cKDTree(site_mm).query(surface_mm)
+        np.add.at(cells, nearest, surface_force_n)
+    return cells
+
+
+def _centre(points: Points, push: Floats) -> Floats:
+    return np.asarray(push @ np.asarray(points)[:, :2] / push.sum())
+
+
+def _same_points(points: Points, forces: Floats, what: str) -> None:
+    if np.shape(points) != forces.shape or forces.ndim != 2 or forces.shape[1] != 3:
+        raise InputError(f"{what} points and forces must both be (n, 3), got {np.shape(points)} and {forces.shape}")

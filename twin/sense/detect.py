@@ -1,0 +1,329 @@
+"""Find markers in a layer's signal and measure their centres: the soft-window centroid.
+
+Why not the plain centroid of a cell: LEDs beside the lens light a marker from one side, which pulls an intensity
+centroid up to a pixel away from the centre of the marker's outline, and pixels far from the marker only add noise.
+Here each marker is cut out by a threshold at its own level, its brightness is levelled by a plane fitted to its inner
+pixels, its ground is taken from a ring around it, and the centroid is taken under a window that follows the marker's
+own ellipse and fades out a few pixels outside its edge.
+
+Validity: markers at least about 4 px wide, sharp to about 2 px, and apart from others of their layer by 2 px or more;
+merged ones show by their area.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from twin.arrays import Floats, Pixels
+from twin.sense.split import Signal
+
+COLUMNS = 11
+"""Numbers that `_measure` gives for every blob: see `Blobs`."""
+
+THRESHOLD = 0.4
+"""Share of a marker's middle brightness above which a pixel belongs to it."""
+
+SD_FLOOR_PX = 0.002
+"""No centre is taken to be better than this: what a lens and a finite pixel leave even without noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blobs:
+    """Marker-like spots of one signal.
+
+    Attributes
+    ----------
+    centre_px
+        (b, 2) centres, px.
+    sd_px
+        (b,) standard deviation of each centre, per axis, from the measured noise.
+    level_dn
+        (b,) brightness of the middle above the ground.
+    area_px
+        (b,) pixels above threshold.
+    crowding
+        (b,) share of the ring outside the edge that shows the other layer's colour, 0 to 1.
+    whole
+        (b,) whether the spot lies fully inside the picture and its window.
+    """
+
+    centre_px: Pixels
+    sd_px: Floats
+    level_dn: Floats
+    area_px: Floats
+    crowding: Floats
+    whole: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.area_px)
+
+    @property
+    def diameter_px(self) -> Floats:
+        """(b,) diameters of circles of the same area, px."""
+        return np.asarray(2.0 * np.sqrt(self.area_px / np.pi))
+
+
+@njit(cache=True)
+def _box(signal, half):  # type: ignore[no-untyped-def]
+    """Running mean over (2 half + 1)^2 pixels, edges repeated."""
+    height, width = signal.shape
+    across = np.empty((height, width), np.float32)
+    share = np.float32(1.0 / (2 * half + 1))
+    for row in range(height):
+        total = np.float64(0.0)
+        for offset in range(-half, half + 1):
+            total += signal[row, min(max(offset, 0), width - 1)]
+        for column in range(width):
+            across[row, column] = total * share
+            total += signal[row, min(column + half + 1, width - 1)] - signal[row, max(column - half, 0)]
+    down = np.empty((height, width), np.float32)
+    totals = np.zeros(width, np.float64)
+    for offset in range(-half, half + 1):
+        row = min(max(offset, 0), height - 1)
+        for column in range(width):
+            totals[column] += across[row, column]
+    for row in range(height):
+        enter, leave = min(row + half + 1, height - 1), max(row - half, 0)
+        for column in range(width):
+            down[row, column] = totals[column] * share
+            totals[column] += across[enter, column] - across[leave, column]
+    return down
+
+
+@njit(cache=True)
+def _peaks(smooth, broad, radius, contrast, most):  # type: ignore[no-untyped-def]
+    """Local maxima of smooth - broad within a square of ``radius``, above ``contrast``: (column, row) each."""
+    height, width = smooth.shape
+    found = np.empty((most, 2), np.int64)
+    count = 0
+    for row in range(1, height - 1):
+        for column in range(1, width - 1):
+            here = smooth[row, column]
+            if here - broad[row, column] < contrast:
+                continue
+            if here < smooth[row, column - 1] or here <= smooth[row, column + 1]:
+                continue
+            if here < smooth[row - 1, column] or here <= smooth[row + 1, column]:
+                continue
+            highest = True
+            for other in range(max(row - radius, 0), min(row + radius, height - 1) + 1):
+                for beside in range(max(column - radius, 0), min(column + radius, width - 1) + 1):
+                    value = smooth[other, beside]
+                    later = other > row or (other == row and beside > column)
+                    if value > here or (value == here and later):
+                        highest = False
+                        break
+                if not highest:
+                    break
+            if highest and count < most:
+                found[count, 0] = column
+                found[count, 1] = row
+                count += 1
+    return found[:count]
+
+
+@njit(cache=True)
+def _ring(signal, column, row, inner, outer, cut):  # type: ignore[no-untyped-def]
+    """Mean and variance of the ground: pixels of a ring below ``cut``, then those within 3 sd of their mean."""
+    height, width = signal.shape
+    low, high = -1e30, cut
+    mean, variance = 0.0, 0.0
+    for _ in range(3):
+        count, total, squares = 0, 0.0, 0.0
+        for y in range(max(row - outer, 0), min(row + outer, height - 1) + 1):
+            for x in range(max(column - outer, 0), min(column + outer, width - 1) + 1):
+                distance = (x - column) ** 2 + (y - row) ** 2
+                value = np.float64(signal[y, x])
+                if inner * inner <= distance <= outer * outer and low <= value <= high:
+                    count += 1
+                    total += value
+                    squares += value * value
+        if count < 4:
+            break
+        mean = total / count
+        variance = max(squares / count - mean * mean, 0.0)
+        reach = 3.0 * np.sqrt(variance) + 1.0
+        low, high = mean - reach, mean + reach
+    return mean, variance
+
+
+@njit(cache=True)
+def _cut_out(signal, column, row, level, reach, mark, stamp, stack):  # type: ignore[no-untyped-def]
+    """Flood from a peak: area, centroid, second moments (xx, xy, yy) of the pixels above ``level``; whether whole."""
+    height, width = signal.shape
+    top, area = 1, 0
+    stack[0, 0], stack[0, 1] = column, row
+    mark[row, column] = stamp
+    sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0
+    whole = True
+    while top > 0:
+        top -= 1
+        x, y = stack[top, 0], stack[top, 1]
+        dx, dy = np.float64(x - column), np.float64(y - row)
+        area += 1
+        sx += dx
+        sy += dy
+        sxx += dx * dx
+        sxy += dx * dy
+        syy += dy * dy
+        if x == 0 or y == 0 or x == width - 1 or y == height - 1 or abs(dx) >= reach or abs(dy) >= reach:
+            whole = False
+            continue
+        for nx, ny in ((x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)):
+            if mark[ny, nx] != stamp and signal[ny, nx] > level and top < stack.shape[0]:
+                mark[ny, nx] = stamp
+                stack[top, 0], stack[top, 1] = nx, ny
+                top += 1
+    mx, my = sx / area, sy / area
+    return area, column + mx, row + my, sxx / area - mx * mx, sxy / area - mx * my, syy / area - my * my, whole
+
+
+@njit(cache=True)
+def _levelling(signal, cx, cy, ixx, ixy, iyy, core, box, ground, level):  # type: ignore[no-untyped-def]
+    """Plane a + b x + c y through a marker's inner pixels, their variance about it, and the variance of a slope."""
+    n, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    t0, tx, ty, tt = 0.0, 0.0, 0.0, 0.0
+    for y in range(box[2], box[3] + 1):
+        for x in range(box[0], box[1] + 1):
+            dx, dy = x - cx, y - cy
+            if ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy <= core * core:
+                value = signal[y, x] - ground
+                n += 1
+                sx += dx
+                sy += dy
+                sxx += dx * dx
+                sxy += dx * dy
+                syy += dy * dy
+                t0 += value
+                tx += value * dx
+                ty += value * dy
+                tt += value * value
+    if n < 9:
+        return level, 0.0, 0.0, 0.0, 0.0
+    mx, my, mean = sx / n, sy / n, t0 / n
+    vxx, vxy, vyy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
+    wx, wy = tx / n - mean * mx, ty / n - mean * my
+    determinant = vxx * vyy - vxy * vxy
+    if determinant < 1e-6:
+        return mean, 0.0, 0.0, 0.0, 0.0
+    b = (vyy * wx - vxy * wy) / determinant
+    c = (vxx * wy - vxy * wx) / determinant
+    variance = max(tt / n - mean * mean - b * wx - c * wy, 0.0) * n / (n - 3)
+    slope_variance = variance * max(vxx, vyy) / determinant / n
+    return mean - b * mx - c * my, b, c, variance, slope_variance
+
+
+@njit(cache=True)
+def _measure(signal, smooth, peaks, diameter, crowd_level, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` (n, 11): column, row, variance x, variance y, level, area, crowding, whole, ground, 2 semi-axes."""
+    height, width = signal.shape
+    reach = int(np.ceil(1.5 * diameter)) + 2
+    mark = np.zeros((height, width), np.int32)
+    stack = np.empty(((2 * reach + 3) ** 2 * 4, 2), np.int64)
+    box = np.empty(4, np.int64)
+    inner, outer = int(np.ceil(0.5 * diameter)) + 3, int(np.ceil(0.5 * diameter)) + 7
+    for k in range(len(peaks)):
+        column, row = peaks[k, 0], peaks[k, 1]
+        top = np.float64(smooth[row, column])
+        ground, ground_variance = _ring(signal, column, row, inner, outer, 1e30)
+        ground, ground_variance = _ring(signal, column, row, inner, outer, 0.5 * (top + ground))
+        level = top - ground
+        out[k, 4], out[k, 5], out[k, 8] = level, 0.0, ground
+        if level <= 0:
+            continue
+        area, cx, cy, xx, xy, yy, whole = _cut_out(
+            signal, column, row, ground + THRESHOLD * level, reach, mark, k + 1, stack
+        )
+        xx, yy = xx + 1 / 12, yy + 1 / 12
+        determinant = max(xx * yy - xy * xy, 1e-6)
+        ixx, ixy, iyy = yy / determinant / 4, -xy / determinant / 4, xx / determinant / 4
+        middle, gap = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+        major, minor = 2 * np.sqrt(middle + gap), 2 * np.sqrt(max(middle - gap, 0.01))
+        span = int(np.ceil(min(major, 2.0 * reach))) + 5
+        box[0], box[1] = max(int(cx) - span, 0), min(int(cx) + span, width - 1)
+        box[2], box[3] = max(int(cy) - span, 0), min(int(cy) + span, height - 1)
+        core = max(1.0 - 1.8 / minor, 0.0)
+        a, b, c, variance, slope_variance = _levelling(signal, cx, cy, ixx, ixy, iyy, core, box, ground, level)
+        px, py = cx, cy
+        mean_radius = np.sqrt(major * minor)
+        mass, sxx, syy, vx, vy, ring, crowded = 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0
+        for _ in range(4):
+            mass, sx, sy, sxx, syy, vx, vy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            ring, crowded = 0, 0
+            for y in range(box[2], box[3] + 1):
+                for x in range(box[0], box[1] + 1):
+                    dx, dy = x - cx, y - cy
+                    rho = np.sqrt(ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy)
+                    edge = (rho - 1.0) * mean_radius
+                    if edge >= 4.0:
+                        continue
+                    weight = 1.0 if edge <= 1.5 else 0.5 + 0.5 * np.cos(np.pi * (edge - 1.5) / 2.5)
+                    flat = max(a + b * (x - px) + c * (y - py), 0.3 * a)
+                    value = weight * min((signal[y, x] - ground) / flat, 1.5)
+                    mass += value
+                    sx += value * dx
+                    sy += value * dy
+                    sxx += value * dx * dx
+                    syy += value * dy * dy
+                    noise = weight * weight * (variance if rho < 1.0 else ground_variance) / (flat * flat)
+                    vx += noise * dx * dx
+                    vy += noise * dy * dy
+                    if 0.0 < edge < 3.0:
+                        ring += 1
+                        crowded += 1 if signal[y, x] <= crowd_level else 0
+            if mass <= 0.0:
+                whole = False
+                break
+            step_x, step_y = sx / mass, sy / mass
+            cx += min(max(step_x, -2.0), 2.0)
+            cy += min(max(step_y, -2.0), 2.0)
+            if step_x * step_x + step_y * step_y < 1e-8:
+                break
+        mass = max(mass, 1e-9)
+        out[k, 0], out[k, 1] = cx, cy
+        tilt = slope_variance / (a * a) if a > 0 else 0.0
+        out[k, 2] = vx / (mass * mass) + tilt * (sxx / mass) ** 2
+        out[k, 3] = vy / (mass * mass) + tilt * (syy / mass) ** 2
+        out[k, 5], out[k, 6], out[k, 7] = area, crowded / max(ring, 1), 1.0 if whole else 0.0
+        out[k, 9], out[k, 10] = major, minor
+
+
+def find_blobs(signal: Signal, diameter_px: float, contrast_dn: float, crowd_dn: float = -np.inf) -> Blobs:
+    """Find and measure the marker-like spots of a signal.
+
+    Parameters
+    ----------
+    signal
+        (h, w) counts.
+    diameter_px
+        About how wide the markers are, px; a factor of two either way does no harm.
+    contrast_dn
+        Least contrast of a spot above its surroundings.
+    crowd_dn
+        A pixel at or below this count shows another layer's colour.
+    """
+    half = max(1, round(0.3 * diameter_px))
+    smooth = _box(signal, half)
+    broad = _box(signal, max(2 * half + 2, round(1.5 * diameter_px)))
+    peaks = _peaks(smooth, broad, max(2, round(0.5 * diameter_px)), np.float32(contrast_dn), 20_000)
+    out = np.zeros((len(peaks), COLUMNS))
+    _measure(signal, smooth, peaks, float(diameter_px), float(crowd_dn), out)
+    out = out[(out[:, 5] >= 4) & (out[:, 4] >= contrast_dn)]
+    out = out[_distinct(out)]
+    return Blobs(
+        centre_px=np.ascontiguousarray(out[:, :2]),
+        sd_px=np.sqrt(np.mean(out[:, 2:4], axis=1) + SD_FLOOR_PX**2),
+        level_dn=out[:, 4].copy(),
+        area_px=out[:, 5].copy(),
+        crowding=out[:, 6].copy(),
+        whole=out[:, 7] > 0,
+    )
+
+
+def _distinct(out: Floats) -> np.ndarray:
+    """Return which rows to keep: of peaks that flooded into one spot (equal centres) only the first."""
+    _, first = np.unique(np.rint(out[:, :2] * 4).astype(np.int64), axis=0, return_index=True)
+    return np.asarray(np.sort(first))

@@ -1,0 +1,101 @@
+"""The transfer matrix, px/N: from a nominal body's compliance seen through the camera, or from measured presses.
+
+Both give (2n, 3k): rows marker by marker (column, row), columns site by site (force along global x, y, z).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.arrays import Floats
+from twin.errors import InputError
+
+LARGEST_CONDITION = 1e3
+"""Of a site's matrix of measured forces, each press scaled to 1 N: beyond it the three directions aren't told apart."""
+
+
+def from_compliance(compliance: Floats, jacobian: Floats) -> Floats:
+    """Return the transfer matrix of a body of known compliance.
+
+    Parameters
+    ----------
+    compliance
+        (3n, 3k) marker displacement per site force, mm/N, marker by marker and site by site, axes x, y, z.
+    jacobian
+        (n, 2, 3) derivative of every marker's place in the picture, px/mm: the projection of all three axes, z
+        included (the flat paper's section 2.5).
+
+    Returns
+    -------
+    (2n, 3k) px/N
+    """
+    compliance, jacobian = np.asarray(compliance, float), np.asarray(jacobian, float)
+    markers = len(jacobian)
+    good = jacobian.shape == (markers, 2, 3) and compliance.ndim == 2 and compliance.shape[0] == 3 * markers
+    if not good or compliance.shape[1] % 3:
+        raise InputError(
+            f"compliance must be (3n, 3k) and jacobian (n, 2, 3), got {compliance.shape} and {jacobian.shape}"
+        )
+    return np.asarray(np.matmul(jacobian, compliance.reshape(markers, 3, -1)).reshape(2 * markers, -1))
+
+
+def from_presses(forces_n: Floats, shifts_px: Floats, site: np.ndarray | None = None) -> Floats:
+    """Return the transfer matrix from measured presses: h_n = u_n f_n^-1 by least squares (finger paper, eqs. 3-5).
+
+    The measured forces are used as they are: a press along x or y follows one along z and still carries it.
+
+    Parameters
+    ----------
+    forces_n
+        (p, 3, 3) f_n of every calibrated place: ``[:, m, n]`` is the force along m under the n-th press, N (eq. 3).
+    shifts_px
+        (p, 3, 2N) movement of the markers under the n-th press, px; NaN where a marker was lost.
+    site
+        (p,) which site each triple was taken at, so that a site may have several; by default triple p is site p.
+
+    Returns
+    -------
+    (2N, 3k) px/N, NaN for a marker that too few presses at some site saw.
+
+    Raises
+    ------
+    InputError
+        The presses of a site don't span three directions, or a site has none.
+    """
+    forces, shifts = np.asarray(forces_n, float), np.asarray(shifts_px, float)
+    triples = len(forces)
+    if forces.shape != (triples, 3, 3) or shifts.ndim != 3 or shifts.shape[:2] != (triples, 3) or shifts.shape[2] % 2:
+        raise InputError(f"forces must be (p, 3, 3) and shifts (p, 3, 2N), got {forces.shape} and {shifts.shape}")
+    if not np.isfinite(forces).all():
+        raise InputError("the measured forces of calibration presses must be finite, N")
+    where = np.arange(triples) if site is None else np.asarray(site, int)
+    columns = []
+    for number in range(int(where.max()) + 1 if triples else 0):
+        mine = where == number
+        if not mine.any():
+            raise InputError(f"site {number} has no calibration press: press every site in three directions")
+        presses = forces[mine].transpose(0, 2, 1).reshape(-1, 3)
+        columns.append(_site_columns(presses, shifts[mine].reshape(len(presses), -1), number))
+    if not columns:
+        raise InputError("there are no calibration presses")
+    return np.concatenate(columns, axis=1)
+
+
+def _site_columns(presses: Floats, shifts: Floats, number: int) -> Floats:
+    """Return (2N, 3) from (q, 3) forces and (q, 2N) shifts; a marker counts only the presses that saw it."""
+    length = np.linalg.norm(presses, axis=1, keepdims=True)
+    spread = np.linalg.cond(presses / length) if np.all(length > 0) else np.inf
+    if spread > LARGEST_CONDITION:
+        raise InputError(
+            f"site {number}: the measured forces of its presses have condition number {spread:.3g} (allowed up to "
+            f"{LARGEST_CONDITION:.0f}): press along z, then also along x and along y"
+        )
+    seen = np.isfinite(shifts.reshape(len(presses), -1, 2)).all(axis=2).repeat(2, axis=1)
+    columns = np.full((shifts.shape[1], 3), np.nan)
+    patterns, which = np.unique(seen.T, axis=0, return_inverse=True)
+    for index, pattern in enumerate(patterns):
+        if pattern.sum() < 3 or np.linalg.cond((presses / length)[pattern]) > LARGEST_CONDITION:
+            continue
+        mine = which.ravel() == index
+        columns[mine] = np.linalg.lstsq(presses[pattern], shifts[np.ix_(pattern, mine)], rcond=None)[0].T
+    return columns
