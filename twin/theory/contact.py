@@ -121,6 +121,19 @@ def punch_pressure(distance_mm: Floats, radius_mm: float, force_n: float) -> Flo
     return np.asarray(force_n / (2.0 * math.pi * radius_mm * np.sqrt(safe)))
 
 
+def square_punch_stiffness(side_mm: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return F / d = 1.1523 E* side, N/mm, of a frictionless flat-ended square pillar.
+
+    Notes
+    -----
+    Pressure under a frictionless flat punch is distributed like charge on a plate of its shape, so F / d is E* pi times
+    the plate's capacitance in units of 4 pi epsilon0 (Johnson 1985, section 3.3, gives the analogy's kernel); for the
+    unit square that is 0.36679 (F. H. Read, J. Comput. Phys. 133 (1997) 1). For a disc it is 2 a / pi, which gives
+    `punch_stiffness`.
+    """
+    return math.pi * 0.36679 * side_mm * plane_strain_modulus(youngs_modulus_mpa, poisson_ratio)
+
+
 def bonded_punch_stiffness(radius_mm: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
     """Return F / d = 4 G a ln(3 - 4 nu) / (1 - 2 nu), N/mm, of a stuck flat-ended cylinder.
 
@@ -142,6 +155,24 @@ def tangential_stiffness(radius_mm: float, youngs_modulus_mpa: float, poisson_ra
     tangential traction to normal displacement is neglected, which is exact at nu = 0.5.
     """
     return 8.0 * shear_modulus(youngs_modulus_mpa, poisson_ratio) * radius_mm / (2.0 - poisson_ratio)
+
+
+def oblique_motion(radius_mm: float, force_n: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return the sideways motion, mm, of a stuck sphere whose lateral force grows in proportion to its normal force.
+
+    Parameters
+    ----------
+    radius_mm
+        Final radius of the contact.
+    force_n
+        Final lateral force.
+
+    Notes
+    -----
+    The stiffness 8 G a / (2 - nu) grows with a while the force grows like a^3: integrating dQ / stiffness gives 3/2 of
+    the motion under the same force at the final radius (Johnson 1985, section 7.2 and 7.3: the limit without slip).
+    """
+    return 1.5 * force_n / tangential_stiffness(radius_mm, youngs_modulus_mpa, poisson_ratio)
 
 
 def torsional_stiffness(radius_mm: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
