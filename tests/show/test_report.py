@@ -173,7 +173,7 @@ def test_page_is_quick(full: RunResult) -> None:
 def test_full_run_has_every_part(page: str) -> None:
     assert headings(page) == ["Pictures", "Marker motion", "Forces", "Errors by stage", "Time", "Facts"]
     assert page.count("<img") == 2
-    assert page.count("<svg") == 5  # two layers, two force fields, one profile
+    assert page.count("<svg") == 6  # two layers, tracking errors, two force fields, one profile
     assert '<p class="alarm">The contact radius is 0.48' in page
 
 
@@ -292,9 +292,28 @@ def test_arrows_have_the_stated_length(full: RunResult, page: str) -> None:
     assert float(said[2]) == pytest.approx(shift.max(), rel=5e-3)
     drawn = np.concatenate([path_arrows(page, f"truth {c}") for c in ("red", "blue")])
     length = np.hypot(*(drawn[:, 2:] - drawn[:, :2]).T)
-    # the markers reach from column 19.5 to 619.5; a margin of 8 % would leave the picture, whose width is 640
+    # the markers reach from column 19.5 to 619.5; their margin would leave the picture, whose width is 640
     per_px = (plots.VIEW - plots.LEFT - plots.RIGHT) / 640
     assert length.max() == pytest.approx(float(said[1]) * shift.max() * per_px, abs=0.15)
+
+
+def test_tracking_errors_are_tracked_minus_true(full: RunResult) -> None:
+    truth, estimate = full.truth, full.estimate
+    assert truth is not None
+    assert estimate is not None
+    true = truth.marker_outline_pressed_px - truth.marker_outline_rest_px
+    off = true + [0.0, 0.1]  # noqa: RUF005  one row too low
+    off[5] += 3.0
+    page = report(replace(full, estimate=replace(estimate, marker_shift_px=off)))
+    said = re.search(r"Tracking error .*? drawn ([\d.]+) times .*? square ([\d.]+) px per axis; 1 above 1 px", page)
+    assert said
+    assert float(said[2]) == pytest.approx(0.1 / np.sqrt(2), abs=1e-4)
+    drawing = re.findall(r"<svg.*?</svg>", page, re.S)[2]
+    drawn = path_arrows(drawing, "tracked red")
+    assert len(drawn) == 335
+    per_px = (plots.VIEW - plots.LEFT - plots.RIGHT) / 640
+    np.testing.assert_allclose(drawn[:, 3] - drawn[:, 1], 0.1 * float(said[1]) * per_px, atol=0.11)
+    np.testing.assert_allclose(drawn[:, 2], drawn[:, 0], atol=0.11)
 
 
 def test_lost_markers_are_crossed(page: str) -> None:
@@ -322,7 +341,7 @@ def test_force_colours_share_one_scale(full: RunResult) -> None:
     assert truth is not None
     assert estimate is not None
     half = replace(estimate, force_n=truth_by_site(truth, estimate.site_mm) * [1, 1, -0.5])
-    maps = re.findall(r"<svg.*?</svg>", report(replace(full, estimate=half)), re.S)[2:4]
+    maps = re.findall(r"<svg.*?</svg>", report(replace(full, estimate=half)), re.S)[3:5]
     first, second = ([float(o) for o in re.findall(r'fill-opacity="([\d.]+)"', m)] for m in maps)
     assert max(first) == 1.0
     assert max(second) == pytest.approx(0.5, abs=0.006)
