@@ -1,0 +1,69 @@
+"""Quadratic tetrahedra and triangles: shape functions and quadrature, once for all who need them.
+
+Node order is VTK's: corners, then the middles of the edges 01, 12, 02, 03, 13, 23 (triangle: 01, 12, 20).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.arrays import Floats
+
+TET_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+TRIANGLE_EDGES = ((0, 1), (1, 2), (2, 0))
+
+
+def tet_shapes(places: Floats) -> tuple[Floats, Floats]:
+    """Return the values (q, 10) and slopes (q, 10, 3) of the quadratic shape functions at reference ``places`` (q, 3).
+
+    The reference tetrahedron has its corners at the origin and at the ends of the three axes.
+    """
+    return _shapes(places, TET_EDGES)
+
+
+def triangle_shapes(places: Floats) -> tuple[Floats, Floats]:
+    """Return the values (q, 6) and slopes (q, 6, 2) of the quadratic shape functions at reference ``places`` (q, 2)."""
+    return _shapes(places, TRIANGLE_EDGES)
+
+
+def _shapes(places: Floats, edges: tuple[tuple[int, int], ...]) -> tuple[Floats, Floats]:
+    axes = places.shape[1]
+    share = np.column_stack([1.0 - places.sum(axis=1), places])
+    slope = np.vstack([-np.ones(axes), np.eye(axes)])
+    a, b = np.array(edges).T
+    values = np.hstack([share * (2.0 * share - 1.0), 4.0 * share[:, a] * share[:, b]])
+    corner = (4.0 * share - 1.0)[:, :, None] * slope
+    middle = 4.0 * (share[:, a, None] * slope[b] + share[:, b, None] * slope[a])
+    return values, np.concatenate([corner, middle], axis=1)
+
+
+def tet_quadrature() -> tuple[Floats, Floats]:
+    """Return places (14, 3) and weights (14,), exact to degree 5 (N. J. Walkington 2000); weights sum to 1/6."""
+    places, weights = [], []
+    for a, weight in (
+        (0.31088591926330060980, 0.11268792571801585080),
+        (0.092735250310891226402, 0.073493043116361949544),
+    ):
+        for i in range(4):
+            share = np.full(4, a)
+            share[i] = 1.0 - 3.0 * a
+            places.append(share[1:])
+            weights.append(weight / 6.0)
+    a, weight = 0.045503704125649649492, 0.042546020777081466438
+    for i, j in TET_EDGES:
+        share = np.full(4, a)
+        share[[i, j]] = 0.5 - a
+        places.append(share[1:])
+        weights.append(weight / 6.0)
+    return np.array(places), np.array(weights)
+
+
+def triangle_quadrature() -> tuple[Floats, Floats]:
+    """Return places (7, 2) and weights (7,), exact to degree 5 (J. Radon 1948); weights sum to 1/2."""
+    root = np.sqrt(15.0)
+    places, weights = [[1 / 3, 1 / 3]], [0.225 / 2]
+    for sign in (-1.0, 1.0):
+        a, weight = (6.0 + sign * root) / 21.0, (155.0 + sign * root) / 2400.0
+        places += [[a, a], [1 - 2 * a, a], [a, 1 - 2 * a]]
+        weights += [weight] * 3
+    return np.array(places), np.array(weights)

@@ -1,0 +1,255 @@
+"""Linear elasticity by Taylor-Hood elements: quadratic displacement, linear pressure, curved tetrahedra.
+
+The unknowns are the displacement u at all nodes and the mean tension p = kappa div u (kappa the bulk modulus) at the
+corners; for all virtual v and q
+
+    integral 2 G dev e(u) : e(v) + p div v = integral t . v over the surface,    integral q div u - p q / kappa = 0.
+
+Why this pair: 1/kappa = 3 (1 - 2 nu) / E is zero at nu = 1/2, so incompressible rubber is solved as such, without
+locking (P. Hood and C. Taylor 1974); splitting off the bulk modulus instead of Lame's lambda keeps the same form for
+every nu in [-1/2, 1/2]. Everything is computed for E = 1 MPa; displacements go with 1/E.
+
+Validity: small strain, homogeneous isotropic rubber.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from twin.arrays import Bools, Floats, Ints
+from twin.errors import InputError
+from twin.world.elements import tet_quadrature, tet_shapes
+from twin.world.mesh import Mesh
+from twin.world.solve import Factor, Solver
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blocks:
+    """The parts of the matrix that don't depend on nu, as sparse matrices in (node, axis) order.
+
+    Attributes
+    ----------
+    deviatoric
+        (3 N, 3 N) integral of 2 dev e(u) : e(v).
+    divergence
+        (C, 3 N) integral of q div u.
+    mass
+        (C, C) integral of p q.
+    """
+
+    deviatoric: Any
+    divergence: Any
+    mass: Any
+
+
+class TaylorHood:
+    """The elastic system of a mesh, held on its last piece; factored once, at the first solve.
+
+    Parameters
+    ----------
+    mesh
+        Quadratic tetrahedra; ``mesh.piece`` says which faces are held.
+    poisson_ratio
+        nu in [-0.5, 0.5].
+    solver
+        See `twin.world.solve.Factor`.
+    held
+        (N,) which nodes are held; those of the mesh's last piece if not given.
+    """
+
+    def __init__(self, mesh: Mesh, poisson_ratio: float, solver: Solver = "auto", *, held: Bools | None = None) -> None:
+        if not -0.5 <= poisson_ratio <= 0.5:
+            raise InputError(f"poisson_ratio = {poisson_ratio}: allowed is -0.5 to 0.5")
+        self.mesh = mesh
+        self.poisson_ratio = poisson_ratio
+        self._solver: Solver = solver
+        if held is None:
+            held = np.zeros(len(mesh.points), bool)
+            held[mesh.faces[mesh.piece == mesh.piece.max()]] = True
+        self.held = np.asarray(held, bool)
+
+    @cached_property
+    def _matrix(self) -> Any:
+        from scipy.sparse import bmat
+
+        nu, blocks = self.poisson_ratio, assemble(self.mesh)
+        shear = 0.5 / (1.0 + nu)
+        return bmat(
+            [
+                [shear * blocks.deviatoric, blocks.divergence.T],
+                [blocks.divergence, -3.0 * (1.0 - 2.0 * nu) * blocks.mass],
+            ],
+            format="csr",
+        )
+
+    @cached_property
+    def _free(self) -> Ints:
+        held = np.concatenate([np.repeat(self.held, 3), np.zeros(self.mesh.corners, bool)])
+        return np.flatnonzero(~held)
+
+    @cached_property
+    def factor(self) -> Factor:
+        """The factored system of the free unknowns."""
+        mass = assemble_mass_diagonal(self.mesh)
+        scale = np.concatenate([np.zeros(3 * len(self.mesh.points)), mass * (1.0 + self.poisson_ratio)])
+        return Factor(self._matrix[self._free][:, self._free], scale[self._free], self._solver)
+
+    def solve(self, force: Floats, held_to: Floats | None = None) -> Floats:
+        """Return the displacement (N, 3, m), mm, for E = 1 MPa.
+
+        Parameters
+        ----------
+        force
+            (N, 3, m) nodal forces, N.
+        held_to
+            (N, 3, m) displacement to which held nodes are moved (others are ignored); zero if not given.
+
+        Raises
+        ------
+        SolveError
+            See `twin.world.solve.Factor.solve`.
+        """
+        return self._solve(force, held_to)[: 3 * len(self.mesh.points)].reshape(force.shape)
+
+    def _solve(self, force: Floats, held_to: Floats | None) -> Floats:
+        nodes, columns = len(self.mesh.points), force.shape[2]
+        right = np.zeros((3 * nodes + self.mesh.corners, columns))
+        right[: 3 * nodes] = force.reshape(3 * nodes, columns)
+        solution = np.zeros_like(right)
+        if held_to is not None:
+            solution[: 3 * nodes] = np.where(self.held[:, None, None], held_to, 0.0).reshape(3 * nodes, columns)
+            right -= self._matrix @ solution
+        solution[self._free] = self.factor.solve(right[self._free])
+        return solution
+
+    def reaction(self, force: Floats) -> Floats:
+        """Return the holder's (3, m) total force on the body under nodal forces (N, 3, m): minus the load."""
+        nodes = len(self.mesh.points)
+        out = (self._matrix @ self._solve(force, None))[: 3 * nodes].reshape(force.shape) - force
+        return np.asarray(out[self.held].sum(axis=0))
+
+
+def assemble(mesh: Mesh) -> Blocks:
+    """Integrate the nu-independent parts of the matrix over the curved elements (degree 5 in the reference element)."""
+    from scipy.sparse import bsr_matrix
+
+    nodes, tets, corners = len(mesh.points), mesh.tets, mesh.corners
+    uu = _pattern(tets, tets, (nodes, nodes))
+    pu = _pattern(tets[:, :4], tets, (corners, nodes))
+    pp = _pattern(tets[:, :4], tets[:, :4], (corners, corners))
+    places, weights = tet_quadrature()
+    slopes = tet_shapes(places)[1]
+    shares = np.column_stack([1.0 - places.sum(axis=1), places])
+    k, b, m = np.zeros((len(uu[1]), 3, 3)), np.zeros((len(pu[1]), 1, 3)), np.zeros((len(pp[1]), 1, 1))
+    _integrate(mesh.points, tets, slopes, shares, weights, *uu, k, *pu, b, *pp, m)
+    return Blocks(
+        deviatoric=bsr_matrix((k, uu[1], uu[0]), shape=(3 * nodes, 3 * nodes)).tocsr(),
+        divergence=bsr_matrix((b, pu[1], pu[0]), shape=(corners, 3 * nodes)).tocsr(),
+        mass=bsr_matrix((m, pp[1], pp[0]), shape=(corners, corners)).tocsr(),
+    )
+
+
+def assemble_mass_diagonal(mesh: Mesh) -> Floats:
+    """Return (C,) a tenth of the volume around every corner, mm3: the pressure mass's diagonal on flat elements."""
+    a, b, c, d = (mesh.points[mesh.tets[:, i]] for i in range(4))
+    volume = np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))) / 6.0
+    tenths = np.repeat(volume / 10.0, 4)
+    return np.asarray(np.bincount(mesh.tets[:, :4].ravel(), tenths, minlength=mesh.corners), float)
+
+
+def _pattern(rows: Ints, columns: Ints, shape: tuple[int, int]) -> tuple[Ints, Ints]:
+    """Return indptr and sorted indices of the sparse pattern in which every row node meets every column node."""
+    from scipy.sparse import coo_matrix
+
+    i = np.repeat(rows, columns.shape[1], axis=1).ravel()
+    j = np.tile(columns, (1, rows.shape[1])).ravel()
+    pattern = coo_matrix((np.ones(len(i), np.int8), (i, j)), shape=shape).tocsr()
+    pattern.sort_indices()
+    return pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _find(indptr: Ints, indices: Ints, row: int, column: int) -> int:
+    low, high = indptr[row], indptr[row + 1]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if indices[middle] <= column:
+            low = middle
+        else:
+            high = middle
+    return int(low)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _integrate(
+    points: Floats,
+    tets: Ints,
+    slopes: Floats,
+    shares: Floats,
+    weights: Floats,
+    uu_ptr: Ints,
+    uu_ind: Ints,
+    k: Floats,
+    pu_ptr: Ints,
+    pu_ind: Ints,
+    b: Floats,
+    pp_ptr: Ints,
+    pp_ind: Ints,
+    m: Floats,
+) -> None:
+    """Add every element's k (., 3, 3), b (., 1, 3) and m (., 1, 1) into the blocks of the three patterns."""
+    jac, inv, g = np.empty((3, 3)), np.empty((3, 3)), np.empty((10, 3))
+    ke, be, me = np.empty((10, 10, 3, 3)), np.empty((4, 10, 3)), np.empty((4, 4))
+    for t in range(len(tets)):
+        ke[:] = 0.0
+        be[:] = 0.0
+        me[:] = 0.0
+        for q in range(len(weights)):
+            jac[:] = 0.0
+            for a in range(10):
+                for i in range(3):
+                    for j in range(3):
+                        jac[i, j] += points[tets[t, a], i] * slopes[q, a, j]
+            volume = _invert(jac, inv) * weights[q]
+            for a in range(10):
+                for i in range(3):
+                    g[a, i] = slopes[q, a, 0] * inv[0, i] + slopes[q, a, 1] * inv[1, i] + slopes[q, a, 2] * inv[2, i]
+            for a in range(10):
+                for c in range(10):
+                    dot = g[a, 0] * g[c, 0] + g[a, 1] * g[c, 1] + g[a, 2] * g[c, 2]
+                    for i in range(3):
+                        ke[a, c, i, i] += volume * dot
+                        for j in range(3):
+                            ke[a, c, i, j] += volume * (g[a, j] * g[c, i] - 2.0 / 3.0 * g[a, i] * g[c, j])
+            for p in range(4):
+                for a in range(10):
+                    for i in range(3):
+                        be[p, a, i] += volume * shares[q, p] * g[a, i]
+                for s in range(4):
+                    me[p, s] += volume * shares[q, p] * shares[q, s]
+        for a in range(10):
+            for c in range(10):
+                k[_find(uu_ptr, uu_ind, tets[t, a], tets[t, c])] += ke[a, c]
+        for p in range(4):
+            for a in range(10):
+                b[_find(pu_ptr, pu_ind, tets[t, p], tets[t, a]), 0] += be[p, a]
+            for s in range(4):
+                m[_find(pp_ptr, pp_ind, tets[t, p], tets[t, s]), 0, 0] += me[p, s]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _invert(jac: Floats, inv: Floats) -> float:
+    """Set ``inv`` to the inverse of the 3 x 3 matrix ``jac`` and return the determinant."""
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for c in range(3):
+            d, e = (c + 1) % 3, (c + 2) % 3
+            inv[c, i] = jac[j, d] * jac[k, e] - jac[j, e] * jac[k, d]
+    determinant = jac[0, 0] * inv[0, 0] + jac[0, 1] * inv[1, 0] + jac[0, 2] * inv[2, 0]
+    inv /= determinant
+    return float(determinant)

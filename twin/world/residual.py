@@ -1,0 +1,227 @@
+"""What the half-space field of a load leaves undone on the real body: tractions on its free faces, motion of its base.
+
+The closed-form field of every rectangle is exact in the half-space of the rectangle's own plane. The body's other
+faces cut through that half-space, so the smooth rest w must carry the tractions -sigma n there and undo the
+displacement on the held face. Within a rectangle's own footprint traction and stress cancel, and nothing is added.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from twin.arrays import Bools, Floats, Ints, Points
+from twin.parts.load import Rectangles
+from twin.theory.halfspace_kernels import GAUSS_2, point_slopes, point_terms, rectangle_slopes, rectangle_terms
+from twin.world.elements import triangle_quadrature, triangle_shapes
+from twin.world.mesh import Mesh
+
+NEAR, FAR = 6.0, 20.0
+"""Half diagonals within which a rectangle's stress is in closed form, and beyond which one point force replaces four."""
+
+GROWTH = 0.7
+"""Largest size of a piece of face over its distance to the load."""
+
+FINEST = 0.25
+"""Size of the pieces under the load, over the load's radius."""
+
+LEVELS = 9
+
+
+def nodal_forces(mesh: Mesh, load: Rectangles, columns: Floats, poisson_ratio: float) -> Floats:
+    """Return the (N, 3, m) nodal forces in N of the tractions that w must carry on the free faces.
+
+    Parameters
+    ----------
+    mesh
+        The body's mesh; faces of the last piece are held, all others are free.
+    load
+        (k) rectangles; their own ``force_n`` is ignored.
+    columns
+        (k, 3, m) force of every rectangle in m load cases, N, global axes.
+    poisson_ratio
+        nu.
+    """
+    faces = mesh.faces[(mesh.piece != mesh.piece.max())]
+    faces = faces[~_in_plane(mesh.points[faces], load)]
+    out = np.zeros((len(mesh.points), 3, columns.shape[2]))
+    if len(faces) == 0 or len(load) == 0:
+        return out
+    centre = load.centre_mm.mean(axis=0)
+    radius = float(np.max(np.linalg.norm(load.centre_mm - centre, axis=1) + np.linalg.norm(load.half_mm, axis=1)))
+    face, triangles = _split(mesh.points, faces, centre, radius)
+    places, weights = triangle_quadrature()
+    where = triangles[:, :1] + places[:, :1] * (triangles[:, 1:2] - triangles[:, :1])
+    where = (where + places[:, 1:] * (triangles[:, 2:] - triangles[:, :1])).reshape(-1, 2)
+    face = np.repeat(face, len(places))
+    values, slopes = triangle_shapes(where)
+    nodes = mesh.points[faces[face]]
+    points = np.einsum("qa,qai->qi", values, nodes)
+    tangents = np.einsum("qam,qai->qmi", slopes, nodes)
+    sides = triangles[:, 1:] - triangles[:, :1]
+    share = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    areas = np.cross(tangents[:, 0], tangents[:, 1]) * (share[:, None] * weights).ravel()[:, None]
+    columns = np.ascontiguousarray(columns)
+    _add(
+        points, areas, values, faces[face], load.centre_mm, load.frames, load.half_mm, columns, poisson_ratio, out
+    )  # fmt: skip
+    return out
+
+
+def _in_plane(nodes: Floats, load: Rectangles) -> Bools:
+    """Tell which faces (f, 6, 3) lie in the plane of all rectangles: nothing is left there."""
+    height = (nodes - load.centre_mm[0]) @ load.frames[0, 2]
+    same = np.allclose(load.frames[:, 2], load.frames[0, 2], atol=1e-12, rtol=0.0) and np.allclose(
+        (load.centre_mm - load.centre_mm[0]) @ load.frames[0, 2], 0.0, atol=1e-9
+    )
+    return np.asarray(np.all(np.abs(height) < 1e-9, axis=1) & same)
+
+
+def _split(points: Points, faces: Ints, centre: Points, radius: float) -> tuple[Ints, Floats]:
+    """Return the face (t,) and corners (t, 3, 2) of pieces of faces, small near the ball around the load."""
+    face = np.arange(len(faces))
+    triangles = np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (len(faces), 1, 1))
+    done: list[tuple[Ints, Floats]] = []
+    for level in range(LEVELS + 1):
+        values = triangle_shapes(triangles.reshape(-1, 2))[0].reshape(-1, 3, 6)
+        corners = np.einsum("tca,tai->tci", values, points[faces[face]])
+        size = np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1)
+        away = np.linalg.norm(corners.mean(axis=1) - centre, axis=1) - radius
+        big = (size > np.maximum(GROWTH * away, FINEST * radius)) & (level < LEVELS)
+        done.append((face[~big], triangles[~big]))
+        if not np.any(big):
+            break
+        a, b, c = (triangles[big, i] for i in range(3))
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+        triangles = np.concatenate([np.stack(q, axis=1) for q in quarters])
+        face = np.tile(face[big], 4)
+    return np.concatenate([f for f, _ in done]), np.concatenate([t for _, t in done])
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _add(
+    points: Floats,
+    areas: Floats,
+    values: Floats,
+    nodes: Ints,
+    centre: Floats,
+    frames: Floats,
+    half: Floats,
+    columns: Floats,
+    nu: float,
+    out: Floats,
+) -> None:
+    """Add every point's traction, spread by the shape functions, to the nodal forces."""
+    cases = columns.shape[2]
+    total, t = np.empty((3, cases)), np.empty((3, 3))
+    d, u, n, g = np.empty((3, 3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    away = np.empty(3)
+    for q in range(len(points)):
+        total[:] = 0.0
+        for k in range(len(centre)):
+            for i in range(3):
+                away[i] = points[q, i] - centre[k, i]
+            size = half[k, 0] * half[k, 0] + half[k, 1] * half[k, 1]
+            distance = away[0] * away[0] + away[1] * away[1] + away[2] * away[2]
+            if distance == 0.0:
+                continue
+            if nu == 0.5 and distance > NEAR * NEAR * size:
+                _radial(away, areas[q], frames[k], half[k], distance > FAR * FAR * size, t)
+            else:
+                _general(away, areas[q], frames[k], half[k], nu, t, d, u, n, g)
+            for i in range(3):
+                for case in range(cases):
+                    force = (
+                        t[i, 0] * columns[k, 0, case] + t[i, 1] * columns[k, 1, case] + t[i, 2] * columns[k, 2, case]
+                    )
+                    total[i, case] -= force
+        for a in range(6):
+            for i in range(3):
+                for case in range(cases):
+                    out[nodes[q, a], i, case] += values[q, a] * total[i, case]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _radial(away: Floats, area: Floats, frame: Floats, half: Floats, far: bool, t: Floats) -> None:
+    """Set t[i, j] to sigma n dA per unit force j at nu = 1/2, where a point force's stress is purely radial:
+    sigma = -3 (f . x) x x / (2 pi r^5). One or four point forces stand for the rectangle.
+    """
+    t[:] = 0.0
+    for s in range(1 if far else 4):
+        first = 0.0 if far else half[0] * GAUSS_2[s % 2]
+        second = 0.0 if far else half[1] * GAUSS_2[s // 2]
+        x = away[0] - first * frame[0, 0] - second * frame[1, 0]
+        y = away[1] - first * frame[0, 1] - second * frame[1, 1]
+        z = away[2] - first * frame[0, 2] - second * frame[1, 2]
+        r2 = x * x + y * y + z * z
+        c = (x * area[0] + y * area[1] + z * area[2]) * (-1.5 if far else -0.375) / (math.pi * r2 * r2 * math.sqrt(r2))
+        t[0, 0] += c * x * x
+        t[1, 1] += c * y * y
+        t[2, 2] += c * z * z
+        t[0, 1] += c * x * y
+        t[0, 2] += c * x * z
+        t[1, 2] += c * y * z
+    t[1, 0], t[2, 0], t[2, 1] = t[0, 1], t[0, 2], t[1, 2]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _general(
+    away: Floats,
+    area: Floats,
+    frame: Floats,
+    half: Floats,
+    nu: float,
+    t: Floats,
+    d: Floats,
+    u: Floats,
+    n: Floats,
+    g: Floats,
+) -> None:
+    """Set t[i, j] to sigma n dA per unit force j, for any nu and at any distance; d, u, n, g are scratch.
+
+    In the rectangle's own footprint the applied traction is taken off, and what is left is small.
+    """
+    x = frame[0, 0] * away[0] + frame[0, 1] * away[1] + frame[0, 2] * away[2]
+    y = frame[1, 0] * away[0] + frame[1, 1] * away[1] + frame[1, 2] * away[2]
+    z = max(frame[2, 0] * away[0] + frame[2, 1] * away[1] + frame[2, 2] * away[2], 0.0)
+    a, b = half[0], half[1]
+    size, squared = a * a + b * b, x * x + y * y + z * z
+    k = 1.0 - 2.0 * nu
+    n[:] = 0.0
+    if squared > NEAR * NEAR * size:
+        d[:] = 0.0
+        u[:] = 0.0
+        far = squared > FAR * FAR * size
+        for s in range(1 if far else 4):
+            dx = x - (0.0 if far else a * GAUSS_2[s % 2])
+            dy = y - (0.0 if far else b * GAUSS_2[s // 2])
+            point_slopes(dx, dy, z, k, 1.0 if far else 0.25, d)
+            point_terms(dx, dy, z, k, 1.0 if far else 0.25, u, n)
+    else:
+        rectangle_slopes(x, y, z, a, b, k, d)
+        rectangle_terms(x, y, z, a, b, k, u, n)
+    for i in range(3):
+        u[i, 0] = frame[i, 0] * area[0] + frame[i, 1] * area[1] + frame[i, 2] * area[2]
+    inside = abs(x) <= a and abs(y) <= b and z * z <= size
+    for i in range(3):
+        for j in range(3):
+            g[i, j] = -nu / math.pi * n[j] * u[i, 0]
+            for m in range(3):
+                g[i, j] += 0.25 / math.pi * (d[i, j, m] + d[m, j, i]) * u[m, 0]
+        if inside and size > 0.0:
+            g[i, i] += 0.25 * u[2, 0] / (a * b)
+    _turn(g, frame, u, t)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _turn(g: Floats, frame: Floats, u: Floats, t: Floats) -> None:
+    """Set ``t`` to the tensor ``g`` of the rectangle's frame in global axes; ``u`` is scratch."""
+    for i in range(3):
+        for j in range(3):
+            u[i, j] = g[i, 0] * frame[0, j] + g[i, 1] * frame[1, j] + g[i, 2] * frame[2, j]
+    for i in range(3):
+        for j in range(3):
+            t[i, j] = frame[0, i] * u[0, j] + frame[1, i] * u[1, j] + frame[2, i] * u[2, j]

@@ -1,0 +1,251 @@
+"""Cutting loads into plane rectangles, the only thing that the elastic solution knows.
+
+On a flat face a rectangle stays one rectangle, exactly; disks and twists become strips whose ends follow the circle
+(fine where the circle is steep), bumps a fine grid. On a curved body every footprint is cut along the normal at its
+centre into a grid of tiles, each in its own tangent plane on the true surface. Totals of force and torque are exact;
+the grain of the tiles dies out within a tile's width below the surface, like exp(-2 pi depth / width).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Points
+from twin.errors import InputError
+from twin.parts.body import Body
+from twin.parts.load import Load, Rectangles, Traction
+
+STRIPS = 64
+"""Strips across a flat disk."""
+
+ACROSS = 40
+"""Tiles across a footprint, unless a spacing is given."""
+
+SAMPLES = 5
+"""Samples per side of a tile that weigh its share of the footprint."""
+
+ON_SURFACE_MM = 1e-3
+"""How far off the sensing surface a 3-D centre may be; it is then moved onto it."""
+
+
+def tile(load: Load, body: Body, spacing_mm: float | None = None) -> Rectangles:
+    """Return the load as rectangles on the outer surface.
+
+    Parameters
+    ----------
+    load
+        Tractions, and rectangles that are passed through.
+    body
+        The body whose sensing surface is loaded.
+    spacing_mm
+        Side of the tiles on curved surfaces and under bumps; a fortieth of the footprint's width if not given.
+
+    Raises
+    ------
+    InputError
+        A footprint lies partly off the sensing surface, or its centre is not on it.
+    """
+    parts = [term if isinstance(term, Rectangles) else _tile_one(term, body, spacing_mm) for term in load.terms]
+    return join(parts)
+
+
+def join(parts: list[Rectangles]) -> Rectangles:
+    """Return all rectangles of ``parts`` in one, in their order."""
+    return Rectangles(
+        centre_mm=np.concatenate([np.zeros((0, 3)), *(p.centre_mm for p in parts)]),
+        frames=np.concatenate([np.zeros((0, 3, 3)), *(p.frames for p in parts)]),
+        half_mm=np.concatenate([np.zeros((0, 2)), *(p.half_mm for p in parts)]),
+        force_n=np.concatenate([np.zeros((0, 3)), *(p.force_n for p in parts)]),
+    )
+
+
+def footprint_centre(traction: Traction, body: Body) -> Points:
+    """Return the (3,) surface point at the centre of a footprint.
+
+    Raises
+    ------
+    InputError
+        There is no sensing surface there.
+    """
+    centre = np.array(traction.centre_mm, float)
+    if len(centre) == 2:
+        centre = body.surface_from_above(centre[None])[0]
+    if not np.isfinite(centre).all():
+        low, high = body.bounds_mm
+        raise InputError(
+            f"{traction.kind} traction: there is no sensing surface above centre_mm = {traction.centre_mm}; the body "
+            f"spans x {low[0]:g} to {high[0]:g} and y {low[1]:g} to {high[1]:g} mm"
+        )
+    distances = body.piece_distances(centre[None])[0]
+    if abs(distances[0]) > ON_SURFACE_MM or np.min(distances[1:]) < 0.0:
+        raise InputError(
+            f"{traction.kind} traction: centre_mm = {traction.centre_mm} is {abs(distances[0]):.3g} mm off the sensing "
+            f"surface (allowed {ON_SURFACE_MM:g} mm): give (x, y), or a point on the surface"
+        )
+    return np.asarray(centre - distances[0] * body.piece_normals(centre[None])[0, 0])
+
+
+def _tile_one(traction: Traction, body: Body, spacing_mm: float | None) -> Rectangles:
+    centre = footprint_centre(traction, body)
+    frame = body.frames(centre[None])[0]
+    half = np.array(traction.size_mm) / 2.0
+    rim = _rim(traction, half)
+    on_rim = _onto_surface(rim, centre, frame, body, traction)
+    flat = float(np.max(np.abs(body.piece_normals(on_rim)[:, 0] - frame[2]))) < 1e-12
+    if flat and traction.kind == "rectangle":
+        return _plane(centre, frame, np.zeros((1, 2)), half[None], np.array([traction.force_n]))
+    if flat and traction.kind == "disk":
+        offset, sides = _strips(half[0])
+        share = sides[:, 0] * sides[:, 1]
+        return _plane(centre, frame, offset, sides, np.outer(share / share.sum(), traction.force_n))
+    if flat and traction.kind == "twist":
+        return _flat_twist(traction, centre, frame, half[0])
+    return _grid(traction, centre, frame, half, body, spacing_mm)
+
+
+def _rim(traction: Traction, half: Floats) -> Floats:
+    """Return (r, 2) points on the footprint's edge."""
+    if traction.kind == "rectangle":
+        s = np.linspace(-1.0, 1.0, 9)
+        one = np.ones_like(s)
+        rim = np.concatenate(
+            [np.column_stack([s, o * one]) for o in (-1, 1)] + [np.column_stack([o * one, s]) for o in (-1, 1)]
+        )
+        return np.asarray(rim * half)
+    angle = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
+    return half[0] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _onto_surface(offsets: Floats, centre: Points, frame: Floats, body: Body, traction: Traction) -> Points:
+    """Return the (n, 3) surface points met along the centre's normal, ``offsets`` (n, 2) beside the centre."""
+    points = centre + offsets @ frame[:2]
+    for _ in range(50):
+        distance = body.piece_distances(points)[:, 0]
+        slope = body.piece_normals(points)[:, 0] @ frame[2]
+        step = -distance / np.where(slope > 0.05, slope, np.nan)
+        points = points + step[:, None] * frame[2]
+        if not np.max(np.abs(step)) > 1e-12:
+            break
+    inside: Bools = np.asarray(np.isfinite(points).all(axis=1))
+    inside[inside] = np.min(body.piece_distances(points[inside]), axis=1) >= -1e-9
+    if not inside.all():
+        place = ", ".join(f"{c:.4g}" for c in centre)
+        raise InputError(
+            f"{traction.kind} traction of {traction.size_mm[0]:g} x {traction.size_mm[1]:g} mm at ({place}) mm lies "
+            "partly off the sensing surface: move it inwards or make it smaller"
+        )
+    return np.asarray(points)
+
+
+def _plane(centre: Points, frame: Floats, offsets: Floats, half: Floats, force: Floats) -> Rectangles:
+    return Rectangles(
+        centre_mm=centre + offsets @ frame[:2],
+        frames=np.tile(frame, (len(offsets), 1, 1)),
+        half_mm=np.array(half),
+        force_n=np.array(force, float),
+    )
+
+
+def _strips(radius: float) -> tuple[Floats, Floats]:
+    """Return offsets (n, 2) and half sides (n, 2) of strips along the first axis that fill a disk, area exact."""
+    angle = np.linspace(-math.pi / 2, math.pi / 2, STRIPS + 1)
+    edge = radius * np.sin(angle)
+    width = np.diff(edge)
+    area = radius**2 * np.diff(angle + np.sin(2 * angle) / 2) / 2 * 2
+    offsets = np.column_stack([np.zeros(STRIPS), (edge[1:] + edge[:-1]) / 2])
+    return offsets, np.column_stack([area / width / 2, width / 2])
+
+
+def _flat_twist(traction: Traction, centre: Points, frame: Floats, radius: float) -> Rectangles:
+    """Return strips along the first axis for the traction's first component -t, and across for the second, s."""
+    offsets, half = _strips(radius)
+    arm = offsets[:, 1]
+    area = half[:, 0] * half[:, 1]
+    force = 0.5 * traction.torque_nmm * area * arm / np.sum(area * arm**2)
+    along = _plane(centre, frame, offsets, half, np.outer(-force, frame[0]))
+    across = _plane(centre, frame, offsets[:, ::-1], half[:, ::-1], np.outer(force, frame[1]))
+    return join([along, across])
+
+
+def _grid(
+    traction: Traction, centre: Points, frame: Floats, half: Floats, body: Body, spacing_mm: float | None
+) -> Rectangles:
+    """Return tiles in their own tangent planes on the true surface; weights are integrals over the true area."""
+    spacing = spacing_mm or 2.0 * float(np.max(half)) / ACROSS
+    number = np.maximum(np.ceil(2.0 * half / spacing).astype(int), 4)
+    side = 2.0 * half / number
+    s, t = ((np.arange(n) + 0.5) * d - h for n, d, h in zip(number, side, half, strict=True))
+    offsets = np.stack(np.meshgrid(s, t, indexing="ij"), axis=-1).reshape(-1, 2)
+    inner = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    within = np.stack(np.meshgrid(inner, inner, indexing="ij"), axis=-1).reshape(-1, 2) * side
+    if traction.kind != "rectangle":
+        offsets = offsets[np.hypot(*offsets.T) < half[0] + np.hypot(*side) / 2]
+    samples = (offsets[:, None] + within).reshape(-1, 2)
+    used = _density(traction, np.column_stack([samples, np.zeros(len(samples))]), half) > 0.0
+    points = np.full((len(samples), 3), np.nan)
+    points[used] = _onto_surface(samples[used], centre, frame, body, traction)
+    density = np.zeros((len(samples), 3))
+    from_centre = (points[used] - centre) @ frame.T
+    cosine = body.piece_normals(points[used])[:, 0] @ frame[2]
+    density[used] = (_density(traction, from_centre, half) / cosine)[:, None] * _direction(traction, from_centre, frame)
+    force = density.reshape(len(offsets), -1, 3).mean(axis=1)
+    loaded = np.any(force != 0.0, axis=1)
+    offsets, force = offsets[loaded], force[loaded]
+    middles = _onto_surface(_pulled_in(offsets, samples, used, loaded), centre, frame, body, traction)
+    force = _exact(traction, force, (middles - centre) @ frame.T, frame)
+    return _tangent_tiles(middles, frame, side, force, body)
+
+
+def _pulled_in(offsets: Floats, samples: Floats, used: Bools, loaded: Bools) -> Floats:
+    """Return tile centres (n, 2); tiles cut by the footprint's edge move to the middle of their loaded part."""
+    weight = used.reshape(len(loaded), -1)[loaded].astype(float)
+    places = samples.reshape(len(loaded), -1, 2)[loaded]
+    middle = np.einsum("ns,nsi->ni", weight, places) / weight.sum(axis=1, keepdims=True)
+    return np.where(weight.all(axis=1)[:, None], offsets, middle)
+
+
+def _density(traction: Traction, local: Floats, half: Floats) -> Floats:
+    """Return (n,) the traction's size over true area, up to a factor, at (n, 3) places in the centre's frame."""
+    across = np.hypot(local[:, 0], local[:, 1])
+    if traction.kind == "rectangle":
+        return np.ones(len(local))
+    if traction.kind == "bump":
+        squared = np.sum(local**2, axis=1) / half[0] ** 2
+        return np.asarray(np.maximum(0.0, 1.0 - squared) ** 2)
+    inside = (across < half[0]).astype(float)
+    return np.asarray(inside * across if traction.kind == "twist" else inside)
+
+
+def _direction(traction: Traction, local: Floats, frame: Floats) -> Floats:
+    """Return (n, 3) global directions; a twist turns about the normal at the footprint's centre."""
+    if traction.kind != "twist":
+        return np.tile(traction.force_n, (len(local), 1))
+    turned = np.column_stack([-local[:, 1], local[:, 0], np.zeros(len(local))])
+    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    return np.asarray(turned / np.where(length > 0.0, length, 1.0) @ frame)
+
+
+def _exact(traction: Traction, force: Floats, local: Floats, frame: Floats) -> Floats:
+    """Return the tiles' forces with exact totals: force, or for a twist torque without force."""
+    if traction.kind != "twist":
+        total = float(np.sum(force @ np.array(traction.force_n)))
+        squared = float(np.dot(traction.force_n, traction.force_n))
+        return force * (squared / total) if squared > 0.0 else force
+    force = force - force.mean(axis=0)
+    along = force @ frame.T
+    torque = float(np.sum(local[:, 0] * along[:, 1] - local[:, 1] * along[:, 0]))
+    return np.asarray(force * (traction.torque_nmm / torque))
+
+
+def _tangent_tiles(middles: Points, frame: Floats, side: Floats, force: Floats, body: Body) -> Rectangles:
+    """Return rectangles in the tangent planes at ``middles`` that cover a grid cell each when seen along the normal."""
+    normal = body.piece_normals(middles)[:, 0]
+    cosine = normal @ frame[2]
+    first = frame[0] - (normal @ frame[0] / cosine)[:, None] * frame[2]
+    stretch = np.linalg.norm(first, axis=1)
+    first = first / stretch[:, None]
+    frames = np.stack([first, np.cross(normal, first), normal], axis=1)
+    half = np.column_stack([side[0] * stretch, side[1] / (cosine * stretch)]) / 2.0
+    return Rectangles(centre_mm=middles, frames=frames, half_mm=half, force_n=force)
