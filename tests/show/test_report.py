@@ -88,7 +88,7 @@ def full() -> RunResult:
         pressed=camera_picture(rng, pressed_px, layer),
         score={
             "elastic": {"displacement_error": 0.00312},
-            "tracking": {"bias_px": [0.0011, -0.0008], "sd_px": 0.01523, "matched": 0.9953, "gross": 0,
+            "tracking": {"bias_axes_px": [0.0011, -0.0008], "sd_px": 0.01523, "matched": 0.9953, "gross": 0,
                          "occluded": {"sd_px": None, "count": 0}},
             "force": {"field_error": 0.4321, "total_force_error": 0.01313, "torque_error": None,
                       "centre_error_mm": 0.0642},
