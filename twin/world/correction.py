@@ -6,6 +6,8 @@ and needs few elements. 7 000 unknowns with the subtraction beat 50 000 without 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from twin.arrays import Floats
@@ -15,17 +17,17 @@ from twin.world.fem import TaylorHood
 from twin.world.residual import nodal_forces
 
 
-def correction(system: TaylorHood, load: Rectangles, columns: Floats | None = None) -> Floats:
-    """Return w at the nodes, (N, 3, m) in mm for E = 1 MPa.
+def correction(system: TaylorHood, loads: Sequence[Rectangles], columns: Sequence[Floats] | None = None) -> Floats:
+    """Return w at the nodes, (N, 3, sum of m) in mm for E = 1 MPa; all load cases are solved together.
 
     Parameters
     ----------
     system
         The body's elastic system.
-    load
-        (k) rectangles in the planes of their own half-spaces.
+    loads
+        Loads of (k) rectangles, each in the plane of its own half-space.
     columns
-        (k, 3, m) forces in m load cases, N; one case, the load's own ``force_n``, if not given.
+        For every load (k, 3, m) forces in m load cases, N; if not given one case each, the load's own ``force_n``.
 
     Raises
     ------
@@ -33,10 +35,10 @@ def correction(system: TaylorHood, load: Rectangles, columns: Floats | None = No
         See `twin.world.solve.Factor.solve`.
     """
     mesh, nu = system.mesh, system.poisson_ratio
-    if columns is None:
-        columns = load.force_n[:, :, None]
-    force = nodal_forces(mesh, load, columns, nu)
-    held = np.zeros_like(force)
-    compliance = halfspace.compliance(mesh.points[system.held], load, 1.0, nu)
-    held[system.held] = -(compliance @ columns.reshape(-1, columns.shape[2])).reshape(-1, *force.shape[1:])
-    return system.solve(force, held)
+    forces, held = [], []
+    for load, cases in zip(loads, columns or [load.force_n[:, :, None] for load in loads], strict=True):
+        forces.append(nodal_forces(mesh, load, cases, nu))
+        moved = halfspace.compliance(mesh.points[system.held], load, 1.0, nu) @ cases.reshape(-1, cases.shape[2])
+        held.append(np.zeros_like(forces[-1]))
+        held[-1][system.held] = -moved.reshape(-1, 3, cases.shape[2])
+    return system.solve(np.concatenate(forces, axis=2), np.concatenate(held, axis=2))

@@ -146,7 +146,7 @@ def _outside_ball(point: Floats, nodes: Floats, tet: Ints) -> bool:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _invert_map(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> float:
-    """Set ``place`` to where ``point`` is in the reference element (Newton); return its least barycentric coordinate."""
+    """Set ``place`` to where ``point`` is in the reference element (Newton); return its least barycentric share."""
     place[:] = 0.25
     for _ in range(12):
         x, jac = point.copy(), np.zeros((3, 3))

@@ -19,7 +19,7 @@ from twin.world.elements import triangle_quadrature, triangle_shapes
 from twin.world.mesh import Mesh
 
 NEAR, FAR = 6.0, 20.0
-"""Half diagonals within which a rectangle's stress is in closed form, and beyond which one point force replaces four."""
+"""Half diagonals within which a stress is in closed form, and beyond which one point force replaces four."""
 
 GROWTH = 0.7
 """Largest size of a piece of face over its distance to the load."""

@@ -92,7 +92,7 @@ def _tile_one(traction: Traction, body: Body, spacing_mm: float | None) -> Recta
     frame = body.frames(centre[None])[0]
     half = np.array(traction.size_mm) / 2.0
     rim = _rim(traction, half)
-    on_rim = _onto_surface(rim, centre, frame, body, traction)
+    on_rim = onto_surface(rim, centre, frame, body, traction)
     flat = float(np.max(np.abs(body.piece_normals(on_rim)[:, 0] - frame[2]))) < 1e-12
     if flat and traction.kind == "rectangle":
         return _plane(centre, frame, np.zeros((1, 2)), half[None], np.array([traction.force_n]))
@@ -115,10 +115,10 @@ def _rim(traction: Traction, half: Floats) -> Floats:
         )
         return np.asarray(rim * half)
     angle = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
-    return half[0] * np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(half[0] * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
-def _onto_surface(offsets: Floats, centre: Points, frame: Floats, body: Body, traction: Traction) -> Points:
+def onto_surface(offsets: Floats, centre: Points, frame: Floats, body: Body, traction: Traction) -> Points:
     """Return the (n, 3) surface points met along the centre's normal, ``offsets`` (n, 2) beside the centre."""
     points = centre + offsets @ frame[:2]
     for _ in range(50):
@@ -183,17 +183,16 @@ def _grid(
     if traction.kind != "rectangle":
         offsets = offsets[np.hypot(*offsets.T) < half[0] + np.hypot(*side) / 2]
     samples = (offsets[:, None] + within).reshape(-1, 2)
-    used = _density(traction, np.column_stack([samples, np.zeros(len(samples))]), half) > 0.0
+    used: Bools = np.asarray(_density(traction, np.column_stack([samples, np.zeros(len(samples))]), half) > 0.0)
     points = np.full((len(samples), 3), np.nan)
-    points[used] = _onto_surface(samples[used], centre, frame, body, traction)
-    density = np.zeros((len(samples), 3))
+    points[used] = onto_surface(samples[used], centre, frame, body, traction)
     from_centre = (points[used] - centre) @ frame.T
-    cosine = body.piece_normals(points[used])[:, 0] @ frame[2]
-    density[used] = (_density(traction, from_centre, half) / cosine)[:, None] * _direction(traction, from_centre, frame)
-    force = density.reshape(len(offsets), -1, 3).mean(axis=1)
-    loaded = np.any(force != 0.0, axis=1)
-    offsets, force = offsets[loaded], force[loaded]
-    middles = _onto_surface(_pulled_in(offsets, samples, used, loaded), centre, frame, body, traction)
+    density, weighted = np.zeros((len(samples), 1)), np.zeros((len(samples), 3))
+    density[used, 0] = _density(traction, from_centre, half) / (body.piece_normals(points[used])[:, 0] @ frame[2])
+    weighted[used] = density[used] * _direction(traction, from_centre, frame)
+    loaded: Bools = np.asarray(density.reshape(len(offsets), -1).max(axis=1) > 0.0)
+    offsets, force = offsets[loaded], weighted.reshape(len(offsets), -1, 3).mean(axis=1)[loaded]
+    middles = onto_surface(_pulled_in(offsets, samples, used, loaded), centre, frame, body, traction)
     force = _exact(traction, force, (middles - centre) @ frame.T, frame)
     return _tangent_tiles(middles, frame, side, force, body)
 
@@ -203,7 +202,7 @@ def _pulled_in(offsets: Floats, samples: Floats, used: Bools, loaded: Bools) -> 
     weight = used.reshape(len(loaded), -1)[loaded].astype(float)
     places = samples.reshape(len(loaded), -1, 2)[loaded]
     middle = np.einsum("ns,nsi->ni", weight, places) / weight.sum(axis=1, keepdims=True)
-    return np.where(weight.all(axis=1)[:, None], offsets, middle)
+    return np.where(weight.min(axis=1, keepdims=True) > 0.0, offsets, middle)
 
 
 def _density(traction: Traction, local: Floats, half: Floats) -> Floats:

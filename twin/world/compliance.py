@@ -1,0 +1,251 @@
+"""Compliance: how far every point of a body moves under forces on its surface. The central noun of the world.
+
+A body is factored once, at the first load that needs it; every further press, marker layout or calibration is a
+product. The default method is the half-space field of the load in closed form plus the smooth rest of the finite body
+(`twin.world.correction`); ``direct`` is plain Taylor-Hood, kept as an independent check.
+
+Validity: linear elasticity, small strain, quasi-static. The rest is smooth on the scale of the mesh; loads nearer to
+a free edge than an element are less accurate.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from twin.arrays import Floats, Points
+from twin.errors import InputError
+from twin.parts.body import Body
+from twin.parts.load import Rectangles
+from twin.parts.material import Material
+from twin.theory import halfspace
+from twin.world.correction import correction
+from twin.world.fem import TaylorHood
+from twin.world.interpolate import Locator, Places, require_inside
+from twin.world.mesh import Mesh, Purpose, body_mesh
+from twin.world.solve import Solver
+from twin.world.spread import patch_rests
+from twin.world.tile import ON_SURFACE_MM
+
+Method = Literal["subtracted", "direct"]
+
+REMEMBERED = 8
+"""Loads whose nodal fields, and point sets whose places, are kept."""
+
+
+class Compliance:
+    """The elastic response of one body.
+
+    Parameters
+    ----------
+    body, material
+        What it is. Young's modulus only scales the answer.
+    mesh
+        Its mesh; the one of ``purpose`` is read or made when it is first needed if not given.
+    purpose
+        ``truth`` or ``nominal``: the two live on different meshes.
+    method
+        ``subtracted`` or ``direct``.
+    solver
+        See `twin.world.solve.Factor`.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        material: Material,
+        mesh: Mesh | None = None,
+        *,
+        purpose: Purpose = "truth",
+        method: Method = "subtracted",
+        solver: Solver = "auto",
+    ) -> None:
+        self.body = body
+        self.material = material
+        self.purpose: Purpose = purpose
+        self.method: Method = method
+        self.asymmetry = 0.0
+        self._given_mesh = mesh
+        self._solver: Solver = solver
+        self._fields: dict[str, Floats] = {}
+        self._places: dict[str, Places] = {}
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The mesh of the rest."""
+        return self._given_mesh if self._given_mesh is not None else body_mesh(self.body, self.purpose)
+
+    @cached_property
+    def system(self) -> TaylorHood:
+        """The elastic system, factored at its first solve."""
+        return TaylorHood(self.mesh, self.material.poisson_ratio, self._solver)
+
+    @cached_property
+    def _locator(self) -> Locator:
+        return Locator(self.mesh)
+
+    def displacement(self, points: Points, load: Rectangles) -> Points:
+        """Return the (n, 3) displacement in mm of ``points`` (n, 3) in the body under ``load``.
+
+        Raises
+        ------
+        OutOfBodyError
+            A point is outside the body.
+        InputError
+            A rectangle is not on the sensing surface, or its force is not finite.
+        SolveError
+            See `twin.world.solve.Factor.solve`.
+        """
+        points = self._checked(points, load)
+        if not np.any(load.force_n):
+            return np.zeros_like(points)
+        rest = self._place(points).values(self._field(load)) / self._modulus
+        return rest + halfspace.displacement(points, load, *self._rubber) if self._subtracted else rest
+
+    def gradient(self, points: Points, load: Rectangles) -> Floats:
+        """Return (n, 3, 3) du_i/dx_j at ``points`` (n, 3): strain and turn. Raises like `displacement`."""
+        points = self._checked(points, load)
+        if not np.any(load.force_n):
+            return np.zeros((len(points), 3, 3))
+        rest = self._place(points).gradients(self._field(load)) / self._modulus
+        return rest + halfspace.gradient(points, load, *self._rubber) if self._subtracted else rest
+
+    def to_points(self, points: Points, rectangles: Rectangles) -> Floats:
+        """Return the (3 n, 3 k) displacement in mm/N of ``points`` (n, 3) per unit global force on each rectangle.
+
+        The rectangles' own ``force_n`` is ignored. Raises like `displacement`.
+        """
+        points = self._checked(points, rectangles)
+        shape = (3 * len(points), 3 * len(rectangles))
+        if 0 in shape:
+            return np.zeros(shape)
+        if not self._subtracted:
+            return self._direct(self._place(points), rectangles).reshape(shape)
+        rest = patch_rests(self.system, self.body, self._place(points), rectangles).reshape(shape)
+        return np.asarray(halfspace.compliance(points, rectangles, *self._rubber) + rest / self._modulus)
+
+    def surface(self, rectangles: Rectangles) -> Floats:
+        """Return the symmetric (3 k, 3 k) displacement in mm/N of the rectangles' centres per unit force on each.
+
+        Betti's theorem makes it symmetric for small patches; `asymmetry` keeps how far, relative to the largest
+        entry, it was from that before it was made so. Raises like `displacement`.
+        """
+        matrix = self.to_points(rectangles.centre_mm, rectangles)
+        largest = float(np.max(np.abs(matrix), initial=0.0))
+        self.asymmetry = float(np.max(np.abs(matrix - matrix.T), initial=0.0)) / largest if largest else 0.0
+        return np.asarray((matrix + matrix.T) / 2.0)
+
+    @property
+    def error_estimate(self) -> float:
+        """Largest displacement error over largest displacement to be expected 0.3 mm deep and deeper.
+
+        Measured against converged solutions by an independent program on both reference bodies and rounded up
+        (``benchmarks/elasticity.py`` repeats the measurement); other bodies are meshed by the same rules.
+        """
+        if not self._subtracted:
+            return 0.15 if self.purpose == "nominal" else 0.1
+        flat = self.body.pieces[0] == "sensing" and len(self.body.pieces) == 6
+        return {(True, "truth"): 6e-4, (True, "nominal"): 2e-3, (False, "truth"): 5e-3, (False, "nominal"): 1e-2}[
+            flat, self.purpose
+        ]
+
+    @property
+    def _subtracted(self) -> bool:
+        return self.method == "subtracted"
+
+    @property
+    def _modulus(self) -> float:
+        return self.material.youngs_modulus_mpa
+
+    @property
+    def _rubber(self) -> tuple[float, float]:
+        return self.material.youngs_modulus_mpa, self.material.poisson_ratio
+
+    def _checked(self, points: Points, load: Rectangles) -> Points:
+        points = np.ascontiguousarray(points, float)
+        require_inside(self.body, points)
+        if len(load) == 0:
+            return points
+        if not np.all(np.isfinite(load.force_n)):
+            raise InputError("a rectangle's force is not finite: check the load")
+        distances = self.body.piece_distances(load.centre_mm)
+        off = (np.abs(distances[:, 0]) > ON_SURFACE_MM) | (np.min(distances, axis=1) < -ON_SURFACE_MM)
+        if np.any(off):
+            first = int(np.argmax(off))
+            place = ", ".join(f"{c:.4g}" for c in load.centre_mm[first])
+            raise InputError(
+                f"rectangle {first} at ({place}) mm is not on the sensing surface (allowed {ON_SURFACE_MM:g} mm off): "
+                "the load would miss the body"
+            )
+        return points
+
+    def _place(self, points: Points) -> Places:
+        key = _digest(points)
+        if key not in self._places:
+            _make_room(self._places)
+            self._places[key] = self._locator.locate(points)
+        return self._places[key]
+
+    def _field(self, load: Rectangles) -> Floats:
+        """Return the nodal field (N, 3) for E = 1 MPa: the rest, or everything with the direct method."""
+        key = _digest(load.centre_mm, load.frames, load.half_mm, load.force_n)
+        if key not in self._fields:
+            _make_room(self._fields)
+            if self._subtracted:
+                self._fields[key] = correction(self.system, [load])[:, :, 0]
+            else:
+                self._fields[key] = self.system.solve(self.consistent_forces(load)[:, :, None])[:, :, 0]
+        return self._fields[key]
+
+    def consistent_forces(self, load: Rectangles) -> Floats:
+        """Return the (N, 3) nodal forces in N that do the same work as ``load`` on every field of the elements.
+
+        Each rectangle acts at its 2 x 2 Gauss points, or at its centre where those are off the body; totals are kept.
+        """
+        first, second = (load.half_mm[:, i, None] * load.frames[:, i] / np.sqrt(3.0) for i in range(2))
+        corners = [load.centre_mm + s * first + t * second for s in (-1, 1) for t in (-1, 1)]
+        points = np.concatenate(corners)
+        normal_depth = self.body.depth(points)
+        points = points - normal_depth[:, None] * self.body.piece_normals(points)[:, 0]
+        outside = ~self.body.contains(points, -1e-6)
+        points[outside] = np.tile(load.centre_mm, (4, 1))[outside]
+        spread = self._locator.locate(points).matrix(len(self.mesh.points))
+        forces = np.asarray(spread.T @ np.tile(load.force_n / 4.0, (4, 1)))
+        total, wanted = forces.sum(axis=0), load.force_n.sum(axis=0)
+        if not np.allclose(total, wanted, rtol=1e-9, atol=1e-9 * float(np.abs(load.force_n).sum())):
+            raise InputError(f"the load puts {total} N on the mesh, wanted are {wanted} N: it misses the surface")
+        return forces
+
+    def _direct(self, places: Places, rectangles: Rectangles) -> Floats:
+        nodes, count = len(self.mesh.points), len(rectangles)
+        forces = np.zeros((nodes, 3, count, 3))
+        for i in range(count):
+            for axis in range(3):
+                force = np.zeros((count, 3))
+                force[i, axis] = 1.0
+                forces[:, :, i, axis] = self.consistent_forces(
+                    Rectangles(
+                        centre_mm=rectangles.centre_mm,
+                        frames=rectangles.frames,
+                        half_mm=rectangles.half_mm,
+                        force_n=force,
+                    )
+                )
+        fields = self.system.solve(forces.reshape(nodes, 3, -1))
+        return np.asarray(places.values(fields) / self._modulus)
+
+
+def _digest(*arrays: Floats) -> str:
+    sha = hashlib.sha1(usedforsecurity=False)
+    for array in arrays:
+        sha.update(repr(array.shape).encode())
+        sha.update(np.ascontiguousarray(array).tobytes())
+    return sha.hexdigest()
+
+
+def _make_room(memory: dict[str, Floats] | dict[str, Places]) -> None:
+    while len(memory) >= REMEMBERED:
+        memory.pop(next(iter(memory)))
