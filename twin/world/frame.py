@@ -17,6 +17,24 @@ Singles = NDArray[np.float32]
 
 _ABSENT = (1e5, 1e5, -1.0)
 
+NOWHERE = np.array([*_ABSENT, 1e-3, 1e-3, 1e-3, 0, 0, 0, 1], np.float32)
+"""An ellipsoid that no ray meets."""
+
+INSIDE = 0.01
+"""How far inside its marker a shadow ray starts, share of the radius: ellipsoids are met from outside only."""
+
+STEP = 1e-3
+"""How far behind a hit a ray goes on, renderer units."""
+
+DEPTH = 6
+"""Markers that a ray is followed through."""
+
+OPAQUE = 1e-3
+"""Share of a ray that needs no following any more."""
+
+WEIGHT = 4096
+"""Whole-number weight of a fully covered sub-pixel."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
@@ -31,9 +49,14 @@ class Frame:
     centres
         (n, 3) centres; lost markers lie far aside.
     metric
-        (n, 9) the matrix M of each ellipsoid (x - c)^T M (x - c) = 1, row by row.
-    data
-        (n, 10) centre, semi-axes and quaternion (x, y, z, w), as Mitsuba wants ellipsoids.
+        (n, 3, 3) the matrix M of each ellipsoid (x - c)^T M (x - c) = 1.
+    spread
+        (n, 2, 2) inverse of the outline's matrix, 1 / px^2.
+    exact, padded
+        (n, 10) centre, semi-axes and quaternion (x, y, z, w), as Mitsuba wants ellipsoids; ``padded`` ones are larger
+        by what the search for edges needs.
+    subpixels
+        k of the k x k rays in a pixel.
     lamps
         (n, leds, 4) place and power of the LEDs' images per marker.
     shadowed
@@ -46,7 +69,10 @@ class Frame:
     starts: Singles
     centres: Singles
     metric: Singles
-    data: Singles
+    spread: Singles
+    exact: Singles
+    padded: Singles
+    subpixels: int
     lamps: Singles
     shadowed: Bools
     colour: Singles
@@ -55,7 +81,9 @@ class Frame:
         return len(self.centres)
 
 
-def make_frame(markers: Ellipsoids, scene: Scene, view: View, unit_mm: float, full_power: float) -> Frame:
+def make_frame(
+    markers: Ellipsoids, scene: Scene, view: View, *, unit_mm: float, full_power: float, subpixels: int
+) -> Frame:
     """Prepare a picture of the markers.
 
     Parameters
@@ -68,6 +96,8 @@ def make_frame(markers: Ellipsoids, scene: Scene, view: View, unit_mm: float, fu
         Length of the renderer's unit.
     full_power
         The irradiance that counts as 1.
+    subpixels
+        k of the k x k rays in a pixel.
     """
     base = scene.body.base_z_mm
     here = markers.present
@@ -75,19 +105,23 @@ def make_frame(markers: Ellipsoids, scene: Scene, view: View, unit_mm: float, fu
     axes = np.where(here[:, None, None], markers.axes, 1e-3 * np.eye(3))
     turned, sizes, _ = np.linalg.svd(axes)
     sizes = np.maximum(sizes, 1e-6)
-    near = near_markers(markers, scene, view)
+    near = near_markers(markers, scene, view, subpixels)
     zero = float(np.max(near.start_mm, initial=0.0))
     lamps = lamps_at(centres, scene)
     shadowed = may_be_shadowed(centres, sizes[:, 0], lamps) & here[:, None] & (lamps.power > 0)
     shift = np.array([0.0, 0.0, zero])
     local = np.where(here[:, None], (centres - shift) / unit_mm, _ABSENT)
     metric = (turned / (sizes[:, None] / unit_mm) ** 2) @ np.swapaxes(turned, 1, 2)
+    turns = quaternions(turned)
     return Frame(
         near=near,
         starts=(np.column_stack([base - near.start_mm, near.start_mm - zero]) / unit_mm).astype(np.float32),
         centres=local.astype(np.float32),
-        metric=metric.reshape(-1, 9).astype(np.float32),
-        data=np.column_stack([local, sizes / unit_mm, quaternions(turned)]).astype(np.float32),
+        metric=metric.astype(np.float32),
+        spread=np.linalg.inv(near.conjugate).astype(np.float32),
+        exact=np.column_stack([local, sizes / unit_mm, turns]).astype(np.float32),
+        padded=np.column_stack([local, (sizes + near.pad_mm[:, None]) / unit_mm, turns]).astype(np.float32),
+        subpixels=subpixels,
         lamps=np.concatenate(
             [(lamps.place - shift) / unit_mm, (lamps.power / (full_power * unit_mm**2))[:, :, None]], axis=2
         ).astype(np.float32),

@@ -2,15 +2,21 @@
 
 The literal scene (camera and LEDs in air, dielectric plates between) gives black or noisy pictures, so the optics are
 folded: camera rays start inside the body with Snell's exact directions, and LEDs shine from their virtual images.
-Mitsuba holds one ``ellipsoids`` shape with all markers; its intersections and shadow rays are evaluated on a fixed
-k x k grid in every pixel near a marker. Moving markers rewrites that shape's numbers: nothing is rebuilt or recompiled.
+Mitsuba holds all markers in one ``ellipsoids`` shape; camera and shadow rays are traced on a fixed k x k grid in every
+pixel near a marker. Moving markers rewrites that shape's numbers: nothing is rebuilt or recompiled.
 
-Why a fixed grid and no sampler: the same number of random samples makes centroids 3 to 5 times worse. Why our own loop:
-the sum over LEDs is analytic, so stock path tracing is some ten times slower at equal centroid error.
+Why not plain hits: a hard edge on a k x k grid is off by 0.15 k^-1.5 R^-0.5 px in the centroid of a disc of R px, which
+is as much as the camera's noise. So camera rays look for ellipsoids that are larger by a sub-pixel, and the share that
+the true one covers follows from the ray's distance to its silhouette: ten times smaller errors for the same rays.
 
-Units inside Mitsuba: the median marker radius is 1 and rays start just behind the markers, because the intersection
-with an ellipsoid loses digits in float32 when it is small or far. Ellipsoids are hit from outside only, so shadow rays
-start a little inside their marker and never meet it again.
+Why a fixed grid and no sampler: random samples make centroids 3 to 5 times worse. Why our own loop: the sum over LEDs
+is analytic, so stock path tracing is some ten times slower at equal centroid error.
+
+Units inside Mitsuba: the median marker radius is 1 and rays start just behind the markers that they may meet, because
+the intersection with an ellipsoid loses digits in float32 when it is thin or far: rays from the base lose up to a third
+of a thin print in the finger.
+
+Validity: markers at least a sub-pixel in radius; sharp focus; the cover's bulge under a press is not shown.
 """
 
 from __future__ import annotations
@@ -18,23 +24,25 @@ from __future__ import annotations
 import importlib
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from twin.arrays import Floats, Ints, Pixels, frozen
+from twin.arrays import Floats, Pixels, frozen
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
 from twin.world.exposure import white_level
-from twin.world.frame import Frame, Singles, make_frame
+from twin.world.frame import NOWHERE, WEIGHT, Frame, Singles, make_frame
 from twin.world.lighting import brightest
 from twin.world.markers import Ellipsoids
+from twin.world.rays import RayByRay
 from twin.world.variant import Variant, choose_variant
-from twin.world.view import View, look
+from twin.world.view import look
+from twin.world.wavefront import Wavefront
 
-_INSIDE = 0.01
-_LAYERS_THROUGH = 6
+
+_HIDDEN = 0.01
+"""A smaller share of an outline that is seen counts as none: edges just behind edges leave such specks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,12 +62,6 @@ class Outlines:
     centroid_px: Pixels
     visible: Floats
     area_px: Floats
-
-
-class _Tracer(Protocol):
-    def load(self, frame: Frame) -> None: ...
-    def shade(self, frame: Frame, k: int) -> tuple[Singles, Singles]: ...
-    def count(self, frame: Frame, k: int) -> tuple[Ints, Ints, Ints]: ...
 
 
 class Renderer:
@@ -94,18 +96,25 @@ class Renderer:
         self._gain = white_level(scene.ccd) / white
         self._unit = float(np.median([layer.diameter_mm / 2 for layer in scene.markers.values()]))
         self._view = look(scene, self._top)
-        tracer = _Scalar if self.variant.name == "scalar_rgb" else _Wavefront
-        self._tracer: _Tracer = tracer(self.variant.name, self._view, self._unit, scene.light.ambient)
+        self._mi = importlib.import_module("mitsuba")
+        self._switch()
+        self._tracer: Wavefront | RayByRay
+        if self.variant.name == "scalar_rgb":
+            self._tracer = RayByRay(self._mi, self._view, self._unit, scene.light.ambient)
+        else:
+            drjit = importlib.import_module("drjit")
+            self._tracer = Wavefront(self._mi, drjit, self._view, self._unit, scene.light.ambient)
+        self._padded, self._exact = _Shape(self._mi), _Shape(self._mi)
 
     def radiance(self, markers: Ellipsoids) -> Singles:
         """Return the (height, width, 3) light on the sensor, 1 filling its wells.
 
         The exposure is set at rest, where the brightest marker has ``ccd.white_dn`` (before blur and noise).
         """
-        frame = self._load(markers)
+        frame = self._frame(markers, self.subpixels)
         light = self._view.cover.copy()
         if len(frame.near.pixels):
-            marks, free = self._tracer.shade(frame, self.subpixels)
+            marks, free = self._tracer.shade(frame, self._padded.hold(frame.padded), self._exact.hold(frame.exact))
             rows, columns = np.divmod(frame.near.pixels, light.shape[1])
             vignette = self._view.vignette[rows, columns].astype(np.float32)
             light[rows, columns] = light[rows, columns] * free[:, None] + marks * vignette[:, None]
@@ -122,22 +131,59 @@ class Renderer:
         subpixels
             Another k than the picture's.
         """
-        frame = self._load(markers)
         k = subpixels or self.subpixels
-        seen, whole, moments = self._tracer.count(frame, k)
+        frame = self._frame(markers, k)
+        near = frame.near
+        seen, whole, moments = self._tracer.count(frame, self._padded.hold(frame.padded))
+        area = seen / (k * k * WEIGHT)
+        expected = whole / (k * k * WEIGHT)
+        first_order = np.pi * np.sqrt(np.linalg.det(near.conjugate))
+        expected = np.where(near.cut, np.maximum(expected, first_order), expected)
+        seen = np.where(area >= _HIDDEN * expected, seen, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            centroid = frame.near.places + (moments / seen[:, None] + 0.5) / k - 0.5
-            expected = np.where(frame.near.cut, np.maximum(whole, frame.near.area_px * k**2), whole)
-            visible = np.where(seen > 0, np.minimum(seen / expected, 1.0), 0.0)
-        area = seen / k**2
+            centroid = np.rint(near.centres_px) + (moments / seen[:, None] + 0.5) / k - 0.5
+            visible = np.where(seen > 0, np.minimum(area / expected, 1.0), 0.0)
+        area = np.where(seen > 0, area, 0.0)
         for array in (centroid, visible, area):
             frozen(array)
         return Outlines(centroid_px=centroid, visible=visible, area_px=area)
 
-    def _load(self, markers: Ellipsoids) -> Frame:
-        frame = make_frame(markers, self.scene, self._view, self._unit, self._top)
-        self._tracer.load(frame)
-        return frame
+    def _frame(self, markers: Ellipsoids, subpixels: int) -> Frame:
+        self._switch()
+        return make_frame(
+            markers, self.scene, self._view, unit_mm=self._unit, full_power=self._top, subpixels=subpixels
+        )
+
+    def _switch(self) -> None:
+        """Switch Mitsuba to our variant: the switch is global, and another renderer may have turned it."""
+        if self._mi.variant() != self.variant.name:
+            self._mi.set_variant(self.variant.name)
+
+
+class _Shape:
+    """A Mitsuba scene that holds ellipsoids; new numbers for as many of them are written over the old."""
+
+    def __init__(self, mi: Any) -> None:
+        self._mi = mi
+        self._scene: Any = None
+        self._params: Any = None
+        self._count = -1
+
+    def hold(self, data: Singles) -> Any:
+        """Return the scene with these (n, 10) ellipsoids."""
+        mi = self._mi
+        # Mitsuba takes a tensor of three rows for a colour first, and complains: three markers get company far aside.
+        data = np.concatenate([data, np.tile(NOWHERE, (max(4 - len(data), 0), 1))])
+        if len(data) != self._count:
+            shape = {"type": "ellipsoids", "data": mi.TensorXf(data), "extent": 1.0}
+            self._scene = mi.load_dict({"type": "scene", "markers": shape})
+            self._params = mi.traverse(self._scene)
+            self._count = len(data)
+        else:
+            numbers = data.ravel()
+            self._params["markers.data"] = numbers if mi.variant().startswith("scalar") else mi.Float(numbers)
+            self._params.update()
+        return self._scene
 
 
 def subpixels_for(centroid_px: float | str) -> int:
@@ -145,250 +191,10 @@ def subpixels_for(centroid_px: float | str) -> int:
 
     Notes
     -----
-    Largest error measured for markers of 10 px: 0.06 px / k^1.9 (see the picture benchmark).
+    Largest error of coverage centroids measured for markers of 10 px: 0.025 px / k^1.65 (see the picture benchmark).
+    Edges of shadows are not smoothed; ``auto`` leaves room for them.
     """
     if isinstance(centroid_px, str):
         return 3
-    wanted: float = (0.06 / centroid_px) ** (1 / 1.9)
+    wanted: float = (0.025 / centroid_px) ** (1 / 1.65)
     return min(max(math.ceil(wanted - 1e-9), 1), 16)
-
-
-def _mitsuba(name: str) -> Any:
-    """Return Mitsuba, switched to a variant: the switch is global, so every entry sets it."""
-    mitsuba = importlib.import_module("mitsuba")
-    if mitsuba.variant() != name:
-        mitsuba.set_variant(name)
-    return mitsuba
-
-
-def _build(mitsuba: Any, data: Singles) -> tuple[Any, Any]:
-    """Return a Mitsuba scene with one shape that holds all ellipsoids, and its editable numbers."""
-    shape = {"type": "ellipsoids", "data": mitsuba.TensorXf(data), "extent": 1.0}
-    scene = mitsuba.load_dict({"type": "scene", "markers": shape})
-    return scene, mitsuba.traverse(scene)
-
-
-class _Wavefront:
-    """Tracing in one Dr.Jit kernel (LLVM or CUDA): a symbolic loop over the sub-pixel grid, one lane per pixel."""
-
-    def __init__(self, name: str, view: View, unit_mm: float, ambient: float) -> None:
-        self._name = name
-        mi = _mitsuba(name)
-        self._width = view.sees.shape[1]
-        self._corners = mi.Float((view.corners / [unit_mm, unit_mm, 1, 1]).astype(np.float32).ravel())
-        self._ambient = ambient
-        self._scene: Any = None
-        self._params: Any = None
-        self._size = 0
-
-    def load(self, frame: Frame) -> None:
-        mi = _mitsuba(self._name)
-        if len(frame) != self._size:
-            self._scene, self._params = _build(mi, frame.data)
-            self._size = len(frame)
-            return
-        self._params["markers.data"] = mi.Float(frame.data.ravel())
-        self._params.update()
-
-    def _ray(self, mi: Any, dr: Any, pixel: Any, sample: Any, k: int, begin: Any) -> Any:
-        """Return the ray of one sub-pixel of every lane, by interpolation between the pixel's corners."""
-        row = pixel // self._width
-        corner = row * (self._width + 1) + (pixel - row * self._width)
-        across = (mi.Float(sample % k) + 0.5) / k
-        down = (mi.Float(sample // k) + 0.5) / k
-        here, right, below, both = (
-            dr.gather(mi.Vector4f, self._corners, corner + step) for step in (0, 1, self._width + 1, self._width + 2)
-        )
-        upper, lower = here + (right - here) * across, below + (both - below) * across
-        ray = upper + (lower - upper) * down
-        start = mi.Point3f(ray.x + ray.z * begin.x, ray.y + ray.w * begin.x, begin.y)
-        return mi.Ray3f(start, dr.normalize(mi.Vector3f(ray.z, ray.w, -1)))
-
-    def shade(self, frame: Frame, k: int) -> tuple[Singles, Singles]:
-        mi = _mitsuba(self._name)
-        dr = importlib.import_module("drjit")
-        scene, leds = self._scene, frame.lamps.shape[1]
-        pixel = mi.UInt32(frame.near.pixels.astype(np.uint32))
-        centres, metric = mi.Float(frame.centres.ravel()), mi.Float(frame.metric.ravel())
-        lamps, colours = mi.Float(frame.lamps.ravel()), mi.Float(frame.colour.ravel())
-        shadowed = mi.Bool(frame.shadowed.ravel())
-        begin, ambient = mi.Vector2f(frame.starts.T.copy()), self._ambient
-
-        def one_led(led: Any, total: Any, marker: Any, point: Any, inside: Any, normal: Any, hit: Any) -> Any:
-            lamp = dr.gather(mi.Vector4f, lamps, marker * leds + led, hit)
-            towards = mi.Vector3f(lamp.x, lamp.y, lamp.z) - point
-            inverse = dr.rsqrt(dr.squared_norm(towards))
-            cosine = dr.dot(normal, towards) * inverse
-            facing = hit & (cosine > 0)
-            doubt = facing & dr.gather(mi.Bool, shadowed, marker * leds + led, hit)
-            dark = scene.ray_test(mi.Ray3f(inside, towards * inverse), doubt)
-            share = dr.select(facing & ~dark, lamp.w * cosine * inverse * inverse, 0)
-            return led + 1, total + share, marker, point, inside, normal, hit
-
-        def one_sample(sample: Any, light: Any, free: Any) -> Any:
-            ray = self._ray(mi, dr, pixel, sample, k, begin)
-            found = scene.ray_intersect_preliminary(ray, True)
-            hit, marker = found.is_valid(), found.prim_index
-            point = mi.Vector3f(ray(found.t))
-            centre = dr.gather(mi.Vector3f, centres, marker, hit)
-            away = point - centre
-            m = [dr.gather(mi.Float, metric, marker * 9 + i, hit) for i in range(9)]
-            normal = dr.normalize(
-                mi.Vector3f(*(m[3 * i] * away.x + m[3 * i + 1] * away.y + m[3 * i + 2] * away.z for i in range(3)))
-            )
-            inside = mi.Point3f(centre + away * (1 - _INSIDE))
-            state = (mi.UInt32(0), mi.Float(0), marker, point, inside, normal, hit)
-            total = dr.while_loop(state, lambda led, *_: led < leds, one_led)[1]
-            colour = dr.gather(mi.Vector3f, colours, marker, hit)
-            bright = dr.select(hit, (1 - ambient) * total + ambient, 0)
-            return sample + 1, light + dr.select(hit, colour * bright, 0), free + dr.select(hit, mi.Float(0), 1)
-
-        state = (mi.UInt32(0), mi.Vector3f(0), dr.zeros(mi.Float, len(frame.near.pixels)))
-        _, light, free = dr.while_loop(state, lambda sample, *_: sample < k * k, one_sample)
-        dr.eval(light, free)
-        share = np.float32(1 / (k * k))
-        return np.array(light, np.float32).T * share, np.array(free, np.float32) * share
-
-    def count(self, frame: Frame, k: int) -> tuple[Ints, Ints, Ints]:
-        mi = _mitsuba(self._name)
-        dr = importlib.import_module("drjit")
-        scene, n = self._scene, len(frame)
-        pixel = mi.UInt32(frame.near.pixels.astype(np.uint32))
-        places = mi.Int32(frame.near.places.astype(np.int32).ravel())
-        begin = mi.Vector2f(frame.starts.T.copy())
-        tallies = dr.zeros(mi.Int32, 4 * n)
-
-        def one_hit(ray: Any, going: Any, last: Any, depth: Any, column: Any, row: Any) -> Any:
-            found = scene.ray_intersect_preliminary(ray, True, active=going)
-            going = going & found.is_valid()
-            marker = found.prim_index
-            first = going & (depth == 0)
-            dr.scatter_add(tallies, mi.Int32(1), marker * 4, going & (marker != last))
-            dr.scatter_add(tallies, mi.Int32(1), marker * 4 + 1, first)
-            for axis, place in enumerate((column, row)):
-                middle = dr.gather(mi.Int32, places, marker * 2 + axis, first) * k
-                dr.scatter_add(tallies, place - middle, marker * 4 + 2 + axis, first)
-            onward = mi.Ray3f(dr.select(going, ray(found.t + _INSIDE), ray.o), ray.d)
-            return onward, going, mi.UInt32(marker), depth + 1, column, row
-
-        def one_sample(sample: Any) -> Any:
-            ray = self._ray(mi, dr, pixel, sample, k, begin)
-            row = mi.Int32(pixel // self._width)
-            column = mi.Int32(pixel) - row * self._width
-            state = (
-                ray,
-                mi.Bool(True),
-                mi.UInt32(n),
-                mi.UInt32(0),
-                column * k + mi.Int32(sample % k),
-                row * k + mi.Int32(sample // k),
-            )
-            dr.while_loop(state, lambda _, going, last, depth, *__: going & (depth < _LAYERS_THROUGH), one_hit)
-            return (sample + 1,)
-
-        if len(frame.near.pixels):
-            start = dr.zeros(mi.UInt32, len(frame.near.pixels))
-            dr.while_loop((start,), lambda sample: sample < k * k, one_sample)
-            dr.eval(tallies)
-        whole, seen, columns, rows = np.array(tallies).astype(np.int64).reshape(n, 4).T
-        return seen, whole, np.column_stack([columns, rows])
-
-
-class _Scalar:
-    """Tracing ray by ray in Mitsuba's scalar variant, which runs everywhere; the arithmetic around it is numpy's."""
-
-    def __init__(self, name: str, view: View, unit_mm: float, ambient: float) -> None:
-        self._name = name
-        self._corners = view.corners / [unit_mm, unit_mm, 1, 1]
-        self._ambient = ambient
-        self._scene: Any = None
-        self._params: Any = None
-        self._size = 0
-
-    def load(self, frame: Frame) -> None:
-        mi = _mitsuba(self._name)
-        if len(frame) != self._size:
-            self._scene, self._params = _build(mi, frame.data)
-            self._size = len(frame)
-            return
-        self._params["markers.data"] = frame.data.ravel()
-        self._params.update()
-
-    def _rays(self, frame: Frame, k: int, sample: int) -> tuple[Floats, Floats]:
-        """Return (m, 3) starts and directions of one sub-pixel of every pixel."""
-        row, column = np.divmod(frame.near.pixels, self._corners.shape[1] - 1)
-        across, down = (sample % k + 0.5) / k, (sample // k + 0.5) / k
-        c = self._corners
-        upper = c[row, column] * (1 - across) + c[row, column + 1] * across
-        lower = c[row + 1, column] * (1 - across) + c[row + 1, column + 1] * across
-        ray = upper * (1 - down) + lower * down
-        starts = np.column_stack([ray[:, :2] + ray[:, 2:] * frame.starts[:, :1], frame.starts[:, 1]])
-        along = np.column_stack([ray[:, 2:], -np.ones(len(ray))])
-        return starts, along / np.linalg.norm(along, axis=1, keepdims=True)
-
-    def _hits(self, starts: Floats, along: Floats) -> tuple[Ints, Floats]:
-        """Return the (m,) first marker on each ray, -1 for none, and the distance."""
-        mi = _mitsuba(self._name)
-        intersect, ray, point, vector = self._scene.ray_intersect_preliminary, mi.Ray3f, mi.Point3f, mi.Vector3f
-        found = [
-            intersect(ray(point(*o), vector(*d)), True) for o, d in zip(starts.tolist(), along.tolist(), strict=True)
-        ]
-        distance = np.array([f.t for f in found], float)
-        marker = np.array([f.prim_index for f in found], np.int64)
-        return np.where(np.isfinite(distance), marker, -1), distance
-
-    def _blocked(self, starts: Floats, along: Floats) -> NDArray[np.bool_]:
-        mi = _mitsuba(self._name)
-        test, ray, point, vector = self._scene.ray_test, mi.Ray3f, mi.Point3f, mi.Vector3f
-        pairs = zip(starts.tolist(), along.tolist(), strict=True)
-        return np.array([test(ray(point(*o), vector(*d))) for o, d in pairs], bool)
-
-    def shade(self, frame: Frame, k: int) -> tuple[Singles, Singles]:
-        light = np.zeros((len(frame.near.pixels), 3))
-        free = np.zeros(len(frame.near.pixels))
-        for sample in range(k * k):
-            starts, along = self._rays(frame, k, sample)
-            marker, distance = self._hits(starts, along)
-            hit = np.flatnonzero(marker >= 0)
-            marker = marker[hit]
-            points = starts[hit] + along[hit] * distance[hit, None]
-            away = points - frame.centres[marker]
-            normal = np.einsum("nij,nj->ni", frame.metric[marker].reshape(-1, 3, 3), away)
-            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-            total = np.zeros(len(hit))
-            for led in range(frame.lamps.shape[1]):
-                lamp = frame.lamps[marker, led]
-                towards = lamp[:, :3] - points
-                length = np.linalg.norm(towards, axis=1)
-                cosine = np.einsum("ni,ni->n", normal, towards) / length
-                lit = cosine > 0
-                doubt = np.flatnonzero(lit & frame.shadowed[marker, led])
-                inside = points[doubt] - away[doubt] * _INSIDE
-                lit[doubt] = ~self._blocked(inside, towards[doubt] / length[doubt, None])
-                total += np.where(lit, lamp[:, 3] * cosine / length**2, 0.0)
-            light[hit] += frame.colour[marker] * ((1 - self._ambient) * total + self._ambient)[:, None]
-            free += 1
-            free[hit] -= 1
-        return (light / k**2).astype(np.float32), (free / k**2).astype(np.float32)
-
-    def count(self, frame: Frame, k: int) -> tuple[Ints, Ints, Ints]:
-        n = len(frame)
-        seen, whole, moments = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros((n, 2), np.int64)
-        row, column = np.divmod(frame.near.pixels, self._corners.shape[1] - 1)
-        for sample in range(k * k):
-            starts, along = self._rays(frame, k, sample)
-            last = np.full(len(starts), -1)
-            place = np.column_stack([column * k + sample % k, row * k + sample // k])
-            for depth in range(_LAYERS_THROUGH):
-                marker, distance = self._hits(starts, along)
-                hit = marker >= 0
-                marker = marker[hit]
-                whole += np.bincount(marker[marker != last[hit]], minlength=n)
-                if depth == 0:
-                    seen += np.bincount(marker, minlength=n)
-                    np.add.at(moments, marker, place[hit] - k * frame.near.places[marker])
-                starts, along = starts[hit] + along[hit] * (distance[hit, None] + _INSIDE), along[hit]
-                last = marker
-                if not len(starts):
-                    break
-        return seen, whole, moments

@@ -19,6 +19,8 @@ from twin.world.lighting import cover_light
 from twin.world.markers import Ellipsoids
 
 _COARSE = 4
+_EDGE_SEARCH = 1.2
+"""Sub-pixels: a ray reaches half a diagonal, 0.71, and an ellipsoid grows by less than its axes between them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,51 +82,72 @@ class Near:
         (m,) flat numbers, row * width + column, of the pixels near any marker.
     start_mm
         (m,) height z just behind the nearest of those markers: rays start there, close to what they meet.
-    places
-        (n, 2) whole pixel nearest to each marker's projected centre.
-    area_px
-        (n,) area of each unhidden outline to first order; NaN where the camera doesn't see the place.
+    centres_px
+        (n, 2) projected centres; 0 where the camera doesn't see the place.
+    conjugate
+        (n, 2, 2) matrix C of each outline to first order, x^T C^-1 x = 1 about the projected centre, px^2; the unit
+        matrix where the camera doesn't see the place.
+    pad_mm
+        (n,) how much larger than a marker a search for its edge has to be.
+    seen
+        (n,) whether the camera's lens and layers let it see the place.
     cut
         (n,) whether the outline may cross the picture's edge.
     """
 
     pixels: Ints
     start_mm: Floats
-    places: Ints
-    area_px: Floats
+    centres_px: Floats
+    conjugate: Floats
+    pad_mm: Floats
+    seen: Bools
     cut: Bools
 
 
-def near_markers(markers: Ellipsoids, scene: Scene, view: View) -> Near:
-    """Return the pixels in which markers can be seen.
+def near_markers(markers: Ellipsoids, scene: Scene, view: View, subpixels: int) -> Near:
+    """Return the pixels in which markers can be seen, ``subpixels`` squared rays going through each.
 
     The outline's half extents come from the projection's Jacobian, with room for its curvature.
     """
     camera = scene.camera
     assert camera is not None
     optics = (camera, scene.material.refractive_index, scene.body.base_z_mm)
-    there = markers.present
     centres = project(markers.centres, *optics)
-    outline = projection_jacobian(markers.centres, *optics) @ markers.axes
-    conjugate = outline @ np.swapaxes(outline, 1, 2)
+    jacobian = projection_jacobian(markers.centres, *optics)
+    outline = jacobian @ markers.axes
+    seen = markers.present & np.isfinite(centres).all(axis=1) & np.isfinite(outline).all(axis=(1, 2))
+    centres = np.where(seen[:, None], centres, 0.0)
+    conjugate = np.where(seen[:, None, None], outline @ np.swapaxes(outline, 1, 2), np.eye(2))
+    scale = np.where(seen[:, None, None], jacobian, np.eye(2, 3))
+    least = np.sqrt(np.linalg.eigvalsh(scale @ np.swapaxes(scale, 1, 2))[:, 0])
+    pad = np.where(seen, _EDGE_SEARCH / subpixels / least, 0.0)
     half = 1.15 * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + 2
-    area = np.pi * np.sqrt(np.maximum(np.linalg.det(np.nan_to_num(conjugate)), 0))
     size = np.array([camera.width_px, camera.height_px])
-    there &= np.isfinite(centres).all(axis=1) & np.isfinite(half).all(axis=1)
-    low, high = np.where(there[:, None], centres - half, -1e6), np.where(there[:, None], centres + half, -1e6)
-    cut = there & ((low < 0) | (high > size - 1)).any(axis=1)
-    first = np.clip(np.floor(low), 0, size).astype(int)
-    last = np.clip(np.ceil(high) + 1, 0, size).astype(int)
+    low, high = np.clip(centres - half, -10, size + 10), np.clip(centres + half, -10, size + 10)
+    cut = seen & ((low < 0) | (high > size - 1)).any(axis=1)
     thick = np.sqrt(np.sum(markers.axes[:, 2] ** 2, axis=1))
-    tops = np.minimum(markers.centres[:, 2] + 1.2 * thick, scene.body.base_z_mm)
-    start = np.full(view.sees.shape, -np.inf)
-    for (left, upper), (right, lower), top in zip(first.tolist(), last.tolist(), tops.tolist(), strict=True):
-        box = start[upper:lower, left:right]
-        np.maximum(box, top, out=box)
-    places = np.rint(np.clip(np.where(there[:, None], centres, 0), -1e6, 1e6)).astype(int)
+    tops = np.minimum(markers.centres[:, 2] + 1.02 * (thick + pad), scene.body.base_z_mm)
+    start = _highest(np.floor(low), np.ceil(high) + 1, np.where(seen, tops, -np.inf), view.sees.shape)
     pixels = np.flatnonzero((start > -np.inf) & view.sees)
-    start_mm = start.ravel()[pixels]
-    return Near(pixels=pixels, start_mm=start_mm, places=places, area_px=np.where(there, area, np.nan), cut=cut)
+    return Near(
+        pixels=pixels,
+        start_mm=start.ravel()[pixels],
+        centres_px=centres,
+        conjugate=conjugate,
+        pad_mm=pad,
+        seen=seen,
+        cut=cut,
+    )
+
+
+def _highest(low: Floats, high: Floats, tops: Floats, shape: tuple[int, ...]) -> Floats:
+    """Return a picture of the highest of the markers whose boxes (column, row) cover each pixel, -inf where none."""
+    picture = np.full(shape, -np.inf)
+    first, last = np.maximum(low, 0).astype(int), np.maximum(high, 0).astype(int)
+    for (left, upper), (right, lower), top in zip(first.tolist(), last.tolist(), tops.tolist(), strict=True):
+        box = picture[upper:lower, left:right]
+        np.maximum(box, top, out=box)
+    return picture
 
 
 def _pixelwise(corners: Any, join: np.ufunc) -> Any:

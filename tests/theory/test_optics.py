@@ -1,0 +1,174 @@
+"""The camera in closed form, against exact inversion, the paraxial limit, Snell's law and finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin.errors import RecipeError
+from twin.parts.camera import Camera, Layer
+from twin.theory.optics import (
+    air_tangents,
+    project,
+    projection_jacobian,
+    rays,
+    sideways,
+    tilt_matrix,
+    transmission,
+)
+
+GLASS = Layer(index=1.49, thickness_mm=10)
+FLAT = Camera(focal_px=1814.8, pupil_mm=(0, 0, 108.85), layers=(GLASS,))
+TURNED = Camera(
+    focal_px=1814.8, pupil_mm=(1, -2, 108.85), tilt_deg=(0.5, -1, 2), distortion=(-0.1, 0.02), layers=(GLASS,)
+)
+WIDE = Camera(
+    lens="equidistant",
+    focal_px=230,
+    pupil_mm=(0.1, 0, 12),
+    tilt_deg=(0.5, -1, 2),
+    distortion=(-0.02, 0.001),
+    layers=(Layer(index=1.49, thickness_mm=1),),
+)
+CASES = [(FLAT, 40.0, 16.0), (TURNED, 40.0, 16.0), (WIDE, 10.0, 8.0)]
+RUBBER = 1.41
+
+
+def points_in(base_mm: float, half_mm: float, camera: Camera) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    points = np.column_stack([rng.uniform(-half_mm, half_mm, (300, 2)), rng.uniform(0, base_mm, 300)])
+    points[0, :2] = camera.pupil_mm[:2]
+    return points
+
+
+@pytest.mark.parametrize(("camera", "base", "half"), CASES)
+def test_points_and_pixels_invert_each_other(camera: Camera, base: float, half: float) -> None:
+    points = points_in(base, half, camera)
+    origins, directions = rays(project(points, camera, RUBBER, base), camera, RUBBER, base)
+    along = (points[:, 2] - base) / directions[:, 2]
+    np.testing.assert_allclose(origins + along[:, None] * directions, points, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-14)
+
+    pixels = np.random.default_rng(6).uniform((60, 40), (580, 440), (300, 2))
+    origins, directions = rays(pixels, camera, RUBBER, base)
+    back = project(origins + 3 * directions, camera, RUBBER, base)
+    assert np.abs(back - pixels).max() < 1e-6
+
+
+@pytest.mark.parametrize(("camera", "base", "half"), CASES)
+def test_jacobian_is_the_derivative(camera: Camera, base: float, half: float) -> None:
+    points = points_in(base - 0.01, half, camera)
+    h = 1e-4
+    steps = [
+        (project(points + h * axis, camera, RUBBER, base) - project(points - h * axis, camera, RUBBER, base)) / (2 * h)
+        for axis in np.eye(3)
+    ]
+    analytic = projection_jacobian(points, camera, RUBBER, base)
+    np.testing.assert_allclose(analytic, np.stack(steps, axis=-1), atol=2e-6 * np.abs(analytic).max())
+
+
+def test_magnification_on_the_axis_is_the_focal_length_over_the_apparent_distance() -> None:
+    # A slab of index n looks n times thinner: 40 - z of rubber, 10 of glass, 58.85 of air.
+    for z in (0.0, 4.5, 20.0):
+        apparent = (40 - z) / RUBBER + 10 / 1.49 + 58.85
+        jacobian = projection_jacobian(np.array([[0.0, 0.0, z]]), FLAT, RUBBER, 40.0)[0]
+        np.testing.assert_allclose(jacobian[:, :2], np.diag([1, -1]) * 1814.8 / apparent, rtol=1e-12)
+        np.testing.assert_allclose(jacobian[:, 2], 0, atol=1e-12)
+
+
+def test_the_papers_scale_is_a_twentieth_of_a_millimetre_per_pixel() -> None:
+    assert projection_jacobian(np.array([[0.0, 0.0, 4.5]]), FLAT, RUBBER, 40.0)[0, 0, 0] == pytest.approx(20, rel=0.01)
+
+
+def test_the_picture_is_no_mirror() -> None:
+    places = project(np.array([[0.0, 0, 5], [1, 0, 5], [0, 1, 5]]), FLAT, RUBBER, 40.0)
+    np.testing.assert_allclose(places[0], FLAT.centre_px, atol=1e-9)
+    assert places[1, 0] > places[0, 0]
+    assert places[1, 1] == pytest.approx(places[0, 1])
+    assert places[2, 1] < places[0, 1]
+
+
+def test_without_refraction_it_is_a_straight_line() -> None:
+    bare = Camera(focal_px=500, pupil_mm=(1, 2, 60), principal_px=(300, 200))
+    points = points_in(40, 20, bare)
+    ahead = 60 - points[:, 2]
+    straight = np.column_stack([300 + 500 * (points[:, 0] - 1) / ahead, 200 - 500 * (points[:, 1] - 2) / ahead])
+    np.testing.assert_allclose(project(points, bare, 1.0, 40.0), straight, atol=1e-9)
+
+
+def test_snells_law_holds_between_body_and_air() -> None:
+    pixel = np.array([[600.0, 30.0]])
+    _, inside = rays(pixel, FLAT, RUBBER, 40.0)
+    flat = (pixel - FLAT.centre_px) / 1814.8
+    in_air = np.arctan(np.linalg.norm(flat))
+    in_rubber = np.arcsin(np.linalg.norm(inside[0, :2]))
+    assert RUBBER * np.sin(in_rubber) == pytest.approx(np.sin(in_air), rel=1e-12)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_tilt_turns_the_camera_about_its_axis(axis: int) -> None:
+    tilt = [0.0, 0.0, 0.0]
+    tilt[axis] = 90.0
+    turn = tilt_matrix(FLAT.model_copy(update={"tilt_deg": tuple(tilt)}))
+    np.testing.assert_allclose(turn[:, (axis + 1) % 3], np.eye(3)[(axis + 2) % 3], atol=1e-12)
+
+
+def test_tilts_are_applied_about_x_then_y_then_z() -> None:
+    def alone(axis: int, angle: float) -> np.ndarray:
+        tilt = tuple(angle if i == axis else 0.0 for i in range(3))
+        return tilt_matrix(FLAT.model_copy(update={"tilt_deg": tilt}))
+
+    np.testing.assert_allclose(
+        tilt_matrix(FLAT.model_copy(update={"tilt_deg": (3.0, 5.0, 7.0)})), alone(2, 7) @ alone(1, 5) @ alone(0, 3)
+    )
+
+
+def test_places_without_a_ray_are_nan() -> None:
+    behind = project(np.array([[0.0, 0, 41]]), FLAT, RUBBER, 40.0)
+    assert np.isnan(behind).all()
+    touching = Camera(focal_px=500, pupil_mm=(0, 0, 50), layers=(GLASS,))
+    assert np.isnan(project(np.array([[200.0, 0, 35]]), touching, RUBBER, 40.0)).all()
+    past_horizon = WIDE.centre_px[0] + 230 * 1.7
+    origins, directions = rays(np.array([[past_horizon, 240.0]]), WIDE, RUBBER, 10.0)
+    assert np.isnan(origins).all()
+    assert np.isnan(directions).all()
+
+
+def test_a_folding_distortion_shows_nothing_twice() -> None:
+    folding = Camera(focal_px=300, pupil_mm=(0, 0, 60), distortion=(-0.3, 0.0))
+    fold = np.sqrt(1 / 0.9)
+    x = 60 * np.array([0.5, 0.99, 1.01, 2.0]) * fold
+    places = project(np.column_stack([x, 0 * x, 0 * x]), folding, 1.0, 40.0)
+    assert np.isfinite(places[:2]).all()
+    assert np.isnan(places[2:]).all()
+    assert np.isnan(rays(np.array([[319.5 + 300.0, 239.5]]), folding, 1.0, 40.0)[0]).all()
+
+
+def test_newton_climbs_to_grazing_rays() -> None:
+    p = np.array([0.0, 1e-6, 0.3, 3.0, 50.0, 1e4])
+    reach, slope = sideways(p, np.full(6, 10.0), RUBBER, (GLASS,), 0.5)
+    np.testing.assert_allclose(air_tangents(reach, np.full(6, 10.0), RUBBER, (GLASS,), 0.5), p, rtol=1e-9, atol=1e-12)
+    more, _ = sideways(p + 1e-6, np.full(6, 10.0), RUBBER, (GLASS,), 0.5)
+    np.testing.assert_allclose((more - reach) / 1e-6, slope, rtol=1e-4)
+
+
+def test_fresnel_passes_everything_straight_and_nothing_grazing() -> None:
+    passed = transmission(np.array([0.0, 0.5, 2.0, 1e6]), RUBBER, (GLASS,))
+    assert passed[0] == pytest.approx(1)
+    assert (np.diff(passed) < 0).all()
+    assert passed[-1] < 1e-4
+    # One interface at Brewster's angle: the polarisation along the plane passes whole.
+    n = 1.5
+    across = ((1 - n**2) / (1 + n**2)) ** 2
+    straight = 1 - ((1 - n) / (1 + n)) ** 2
+    assert transmission(np.array([n]), n, ())[0] == pytest.approx((1 - across / 2) / straight)
+
+
+def test_a_pupil_inside_the_layers_is_refused() -> None:
+    with pytest.raises(RecipeError, match="pupil_mm"):
+        project(np.zeros((1, 3)), FLAT, RUBBER, 100.0)
+
+
+def test_no_points_give_no_pixels() -> None:
+    assert project(np.zeros((0, 3)), FLAT, RUBBER, 40.0).shape == (0, 2)
+    assert projection_jacobian(np.zeros((0, 3)), FLAT, RUBBER, 40.0).shape == (0, 2, 3)

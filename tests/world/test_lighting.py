@@ -1,0 +1,101 @@
+"""LEDs through flat layers, against the inverse-square law, conservation of light and brute-force visibility."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin.errors import RecipeError
+from twin.parts.scene import Scene
+from twin.world.lighting import Lamps, brightest, cover_light, irradiance, lamps_at, may_be_shadowed
+from twin.world.markers import Ellipsoids
+
+
+def scene(index: float = 1.41, glass: float = 1.49, led: tuple[float, float, float] = (10.0, 5.0, 70.0)) -> Scene:
+    return Scene.model_validate(
+        {
+            "body": {"shape": "block", "width_mm": 100, "length_mm": 90, "thickness_mm": 40},
+            "material": {"refractive_index": index},
+            "cover": {"albedo": (0.2, 0.1, 0.05)},
+            "markers": {"red": {"depth_mm": 3, "pitch_mm": 2, "diameter_mm": 0.5, "columns": 1, "rows": 1,
+                                "colour": (1, 0, 0)}},
+            "camera": {"focal_px": 500, "pupil_mm": (0, 0, 100), "layers": [{"index": glass, "thickness_mm": 10}]},
+            "light": {"positions_mm": [led], "exponent": 1.0, "ambient": 0.0},
+        }
+    )  # fmt: skip
+
+
+def test_without_refraction_light_falls_with_the_squared_distance() -> None:
+    points = np.array([[0.0, 0, 3], [20, -10, 6], [10, 5, 0]])
+    lamps = lamps_at(points, scene(1.0, 1.0))
+    np.testing.assert_allclose(lamps.place, np.broadcast_to([10, 5, 70], (3, 1, 3)), atol=1e-9)
+    towards = np.array([10.0, 5, 70]) - points
+    distance = np.linalg.norm(towards, axis=1)
+    cosine = towards[:, 2] / distance
+    np.testing.assert_allclose(irradiance(points, towards / distance[:, None], lamps), cosine / distance**2, rtol=1e-9)
+
+
+def test_refraction_keeps_the_light_of_the_led() -> None:
+    # All light of cos^1 emission is pi; a plane far wider than the LED's height collects what is not reflected.
+    made = scene(1.41, 1.41, (0.0, 0.0, 55.0)).model_copy(update={"body": scene().body.model_copy(
+        update={"width_mm": 500, "length_mm": 500})})  # fmt: skip
+    r = np.linspace(0.005, 150, 4000)
+    points = np.column_stack([r, 0 * r, np.full(len(r), 39.9)])
+    flux = np.sum(2 * np.pi * r * irradiance(points, np.tile([0.0, 0, 1], (len(r), 1)), lamps_at(points, made)))
+    # Fresnel's reflection takes 6 % of evenly spread light beyond the 3 % of normal incidence.
+    assert flux * (r[1] - r[0]) == pytest.approx(np.pi * 0.94, rel=0.02)
+
+
+def test_the_image_on_the_axis_is_the_paraxial_one() -> None:
+    points = np.array([[10.0, 5.0, 4.0]])
+    lamps = lamps_at(points, scene())
+    apparent = 36 + 1.41 * (10 / 1.49 + 20)
+    np.testing.assert_allclose(lamps.place[0, 0], [10, 5, 4 + apparent], atol=1e-6)
+
+
+def test_the_cover_sends_its_albedo_back() -> None:
+    made = scene()
+    origins = np.array([[0.0, 0, 40], [0, 0, 40], [np.nan, 0, 40], [60, 0, 40]])
+    directions = np.array([[0.0, 0, -1], [0.9, 0, -np.sqrt(0.19)], [0, 0, -1], [0, 0, -1]])
+    light = cover_light(origins, directions, made, 1.0)
+    down = np.array([[0.0, 0, 1]])
+    below = np.array([[0.0, 0, 0.2]])
+    expected = irradiance(below, down, lamps_at(below, made)) * np.array([0.2, 0.1, 0.05])
+    np.testing.assert_allclose(light[0], expected, rtol=1e-6)
+    assert (light[1:] == 0).all()  # out of the side wall, no ray, beside the body
+    assert (cover_light(origins, directions, made.model_copy(update={"cover": None}), 1.0) == 0).all()
+
+
+def test_shadow_candidates_contain_every_true_shadow() -> None:
+    rng = np.random.default_rng(2)
+    centres = np.column_stack([rng.uniform(-5, 5, (200, 2)), rng.choice([3.0, 6.0], 200)])
+    place = np.tile(np.array([[25.0, 20, 100], [-25, 20, 100]]), (200, 1, 1))
+    lamps = Lamps(place=place, power=np.ones((200, 2)))
+    flags = may_be_shadowed(centres, np.full(200, 0.25), lamps)
+    for led in range(2):
+        towards = place[:, led] - centres
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        for i in range(200):
+            w = centres - centres[i]
+            along = w @ towards[i]
+            miss = np.linalg.norm(w - along[:, None] * towards[i], axis=1)
+            blocked = ((along > 0) & (miss < 0.5) & (np.arange(200) != i)).any()
+            assert flags[i, led] or not blocked
+    assert 0.02 < flags.mean() < 0.8
+
+
+def test_the_brightest_marker_sets_the_exposure() -> None:
+    made = scene()
+    markers = Ellipsoids(
+        centres=np.array([[10.0, 5, 3], [-30, 5, 3]]), axes=np.tile(0.25 * np.eye(3), (2, 1, 1)), colour=np.eye(3)[:2]
+    )
+    top, white = brightest(markers, made)
+    lamps = lamps_at(markers.centres, made)
+    nearest = Lamps(place=lamps.place[:1], power=lamps.power[:1])
+    assert top == pytest.approx(irradiance(markers.centres[:1], np.array([[0.0, 0, 1]]), nearest)[0])
+    assert white == pytest.approx(1 - 2 * made.ccd.crosstalk)
+
+
+def test_an_led_inside_the_plate_is_refused() -> None:
+    with pytest.raises(RecipeError, match="positions_mm"):
+        lamps_at(np.zeros((1, 3)), scene(led=(0.0, 0.0, 45.0)))
