@@ -51,7 +51,7 @@ def test_shift_noise_and_bias(sensor, shading):
     assert spread <= 0.03
     bound = np.sqrt(2) * centre_bound_px(diameter)
     assert bound < spread < 3.0 * bound
-    assert np.median(np.concatenate(stated)) == pytest.approx(spread, rel=0.4)
+    assert np.median(np.concatenate(stated)) == pytest.approx(spread, rel=0.25)
 
 
 def test_soft_window_beats_the_papers_cells():

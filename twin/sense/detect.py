@@ -20,11 +20,23 @@ from numba import njit
 from twin.arrays import Floats, Pixels
 from twin.sense.split import Signal
 
-COLUMNS = 11
+COLUMNS = 8
 """Numbers that `_measure` gives for every blob: see `Blobs`."""
 
 THRESHOLD = 0.4
 """Share of a marker's middle brightness above which a pixel belongs to it."""
+
+CEILING = 0.8
+"""Levelled brightness above which a pixel counts in full, so that shadows and sheen inside a marker weigh little."""
+
+CORE_PX = 0.35
+"""The plane is fitted inside the edge by this much, px."""
+
+EDGE_START, EDGE_END = 1.2, 3.0
+"""Distances outside the edge between which the window fades out, px."""
+
+TURNS = 5
+"""Times the window is moved to the centroid; the plane is fitted anew every second time."""
 
 SD_FLOOR_PX = 0.002
 """No centre is taken to be better than this: what a lens and a finite pixel leave even without noise."""
@@ -126,27 +138,28 @@ def _peaks(smooth, broad, radius, contrast, most):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True)
-def _ring(signal, column, row, inner, outer, cut):  # type: ignore[no-untyped-def]
-    """Mean and variance of the ground: pixels of a ring below ``cut``, then those within 3 sd of their mean."""
+def _ring(signal, column, row, inner, outer, top):  # type: ignore[no-untyped-def]
+    """Mean and variance of the ground: of a ring, then its pixels nearer to that than to ``top``, then within 3 sd."""
     height, width = signal.shape
-    low, high = -1e30, cut
+    low, high = -1e30, 1e30
     mean, variance = 0.0, 0.0
-    for _ in range(3):
+    for turn in range(3):
         count, total, squares = 0, 0.0, 0.0
         for y in range(max(row - outer, 0), min(row + outer, height - 1) + 1):
             for x in range(max(column - outer, 0), min(column + outer, width - 1) + 1):
                 distance = (x - column) ** 2 + (y - row) ** 2
-                value = np.float64(signal[y, x])
-                if inner * inner <= distance <= outer * outer and low <= value <= high:
-                    count += 1
-                    total += value
-                    squares += value * value
+                if inner * inner <= distance <= outer * outer:
+                    value = np.float64(signal[y, x])
+                    if low <= value <= high:
+                        count += 1
+                        total += value
+                        squares += value * value
         if count < 4:
             break
         mean = total / count
         variance = max(squares / count - mean * mean, 0.0)
         reach = 3.0 * np.sqrt(variance) + 1.0
-        low, high = mean - reach, mean + reach
+        low, high = (-1e30, 0.5 * (mean + top)) if turn == 0 else (mean - reach, mean + reach)
     return mean, variance
 
 
@@ -183,25 +196,34 @@ def _cut_out(signal, column, row, level, reach, mark, stamp, stack):  # type: ig
 
 @njit(cache=True)
 def _levelling(signal, cx, cy, ixx, ixy, iyy, core, box, ground, level):  # type: ignore[no-untyped-def]
-    """Plane a + b x + c y through a marker's inner pixels, their variance about it, and the variance of a slope."""
-    n, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    t0, tx, ty, tt = 0.0, 0.0, 0.0, 0.0
-    for y in range(box[2], box[3] + 1):
-        for x in range(box[0], box[1] + 1):
+    """Plane a + b x + c y about (cx, cy) through a marker's inner pixels, the noise's variance, and a slope's.
+
+    The weights fall smoothly to zero at the share ``core`` of the semi-axes: a sharp limit would let single pixels of a
+    bead's darker rim in and out as it moves, and tilt the plane. The noise is read off 2 x 2 differences, which neither
+    a slope nor a round marker's shading feels.
+    """
+    n, sx, sy, sxx, sxy, syy, nn = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    t0, tx, ty, rough = 0.0, 0.0, 0.0, 0.0
+    for y in range(box[2], box[3]):
+        for x in range(box[0], box[1]):
             dx, dy = x - cx, y - cy
-            if ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy <= core * core:
-                value = signal[y, x] - ground
-                n += 1
-                sx += dx
-                sy += dy
-                sxx += dx * dx
-                sxy += dx * dy
-                syy += dy * dy
+            inside = core * core - (ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy)
+            if inside > 0.0:
+                w = (inside / (core * core)) ** 2
+                value = w * (signal[y, x] - ground)
+                n += w
+                nn += w * w
+                sx += w * dx
+                sy += w * dy
+                sxx += w * dx * dx
+                sxy += w * dx * dy
+                syy += w * dy * dy
                 t0 += value
                 tx += value * dx
                 ty += value * dy
-                tt += value * value
-    if n < 9:
+                twist = signal[y, x] - signal[y + 1, x] - signal[y, x + 1] + signal[y + 1, x + 1]
+                rough += w * w * twist * twist
+    if n < 4.0:
         return level, 0.0, 0.0, 0.0, 0.0
     mx, my, mean = sx / n, sy / n, t0 / n
     vxx, vxy, vyy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
@@ -211,14 +233,82 @@ def _levelling(signal, cx, cy, ixx, ixy, iyy, core, box, ground, level):  # type
         return mean, 0.0, 0.0, 0.0, 0.0
     b = (vyy * wx - vxy * wy) / determinant
     c = (vxx * wy - vxy * wx) / determinant
-    variance = max(tt / n - mean * mean - b * wx - c * wy, 0.0) * n / (n - 3)
-    slope_variance = variance * max(vxx, vyy) / determinant / n
+    variance = 0.25 * rough / nn
+    slope_variance = variance * max(vxx, vyy) / determinant * nn / (n * n)
     return mean - b * mx - c * my, b, c, variance, slope_variance
 
 
 @njit(cache=True)
+def _ellipse(xx, xy, yy):  # type: ignore[no-untyped-def]
+    """Inverse form (xx, xy, yy), equal to 1 on the edge, and semi-axes of the ellipse with these second moments."""
+    xx, yy = xx + 1 / 12, yy + 1 / 12
+    determinant = max(xx * yy - xy * xy, 1e-6)
+    middle, gap = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    major, minor = 2 * np.sqrt(middle + gap), 2 * np.sqrt(max(middle - gap, 0.01))
+    return yy / determinant / 4, -xy / determinant / 4, xx / determinant / 4, major, minor
+
+
+@njit(cache=True)
+def _window(form, limits):  # type: ignore[no-untyped-def]
+    """Weight of a pixel: 1 up to a little outside the edge, then fading to 0; ``form`` is the squared radius."""
+    if form <= limits[0] * limits[0]:
+        return 1.0
+    share = (np.sqrt(form) - limits[0]) / (limits[1] - limits[0])
+    return 0.5 + 0.5 * np.cos(np.pi * share)
+
+
+@njit(cache=True)
+def _centroid(signal, cx, cy, ixx, ixy, iyy, limits, box, plane, ground):  # type: ignore[no-untyped-def]
+    """One pass: mass, and mean offset from (cx, cy), of the levelled signal under the window."""
+    a, b, c, px, py = plane
+    mass, sx, sy = 0.0, 0.0, 0.0
+    last = limits[1] * limits[1]
+    for y in range(box[2], box[3] + 1):
+        dy = y - cy
+        for x in range(box[0], box[1] + 1):
+            dx = x - cx
+            form = ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy
+            if form < last:
+                full = CEILING * max(a + b * (x - px) + c * (y - py), 0.3 * a)
+                value = _window(form, limits) * min((signal[y, x] - ground) / full, 1.0)
+                mass += value
+                sx += value * dx
+                sy += value * dy
+    return mass, sx / max(mass, 1e-9), sy / max(mass, 1e-9)
+
+
+@njit(cache=True)
+def _spread(signal, cx, cy, ixx, ixy, iyy, limits, box, plane, ground, noise, mass, crowd_level):  # type: ignore[no-untyped-def]
+    """Variances (x, y) of a centre from ``noise`` (inside, outside, slope), and the crowding of the ring outside."""
+    a, b, c, px, py = plane
+    sxx, syy, vx, vy, ring, crowded = 0.0, 0.0, 0.0, 0.0, 0, 0
+    last = limits[1] * limits[1]
+    for y in range(box[2], box[3] + 1):
+        for x in range(box[0], box[1] + 1):
+            dx, dy = x - cx, y - cy
+            form = ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy
+            if form >= last:
+                continue
+            full = CEILING * max(a + b * (x - px) + c * (y - py), 0.3 * a)
+            weight, value = _window(form, limits), (signal[y, x] - ground) / full
+            if value < 1.0:
+                sxx += weight * value * dx * dx
+                syy += weight * value * dy * dy
+                share = weight * weight * (noise[0] if form < 1.0 else noise[1]) / (full * full)
+                vx += share * dx * dx
+                vy += share * dy * dy
+            if form > 1.0:
+                ring += 1
+                crowded += 1 if signal[y, x] <= crowd_level else 0
+    tilt = noise[2] / (a * a) if a > 0 else 0.0
+    vx = vx / (mass * mass) + tilt * (sxx / mass) ** 2
+    vy = vy / (mass * mass) + tilt * (syy / mass) ** 2
+    return vx, vy, crowded / max(ring, 1)
+
+
+@njit(cache=True)
 def _measure(signal, smooth, peaks, diameter, crowd_level, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` (n, 11): column, row, variance x, variance y, level, area, crowding, whole, ground, 2 semi-axes."""
+    """Fill ``out`` (n, 8): column, row, variance x, variance y, level, area, crowding, whole; area 0 for no spot."""
     height, width = signal.shape
     reach = int(np.ceil(1.5 * diameter)) + 2
     mark = np.zeros((height, width), np.int32)
@@ -228,67 +318,38 @@ def _measure(signal, smooth, peaks, diameter, crowd_level, out):  # type: ignore
     for k in range(len(peaks)):
         column, row = peaks[k, 0], peaks[k, 1]
         top = np.float64(smooth[row, column])
-        ground, ground_variance = _ring(signal, column, row, inner, outer, 1e30)
-        ground, ground_variance = _ring(signal, column, row, inner, outer, 0.5 * (top + ground))
+        ground, outside = _ring(signal, column, row, inner, outer, top)
         level = top - ground
-        out[k, 4], out[k, 5], out[k, 8] = level, 0.0, ground
+        out[k, 4], out[k, 5] = level, 0.0
         if level <= 0:
             continue
         area, cx, cy, xx, xy, yy, whole = _cut_out(
             signal, column, row, ground + THRESHOLD * level, reach, mark, k + 1, stack
         )
-        xx, yy = xx + 1 / 12, yy + 1 / 12
-        determinant = max(xx * yy - xy * xy, 1e-6)
-        ixx, ixy, iyy = yy / determinant / 4, -xy / determinant / 4, xx / determinant / 4
-        middle, gap = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-        major, minor = 2 * np.sqrt(middle + gap), 2 * np.sqrt(max(middle - gap, 0.01))
-        span = int(np.ceil(min(major, 2.0 * reach))) + 5
+        ixx, ixy, iyy, major, minor = _ellipse(xx, xy, yy)
+        mean_radius = np.sqrt(major * minor)
+        limits = (1.0 + EDGE_START / mean_radius, 1.0 + EDGE_END / mean_radius)
+        span = int(np.ceil(min(major, 2.0 * reach) * limits[1])) + 1
         box[0], box[1] = max(int(cx) - span, 0), min(int(cx) + span, width - 1)
         box[2], box[3] = max(int(cy) - span, 0), min(int(cy) + span, height - 1)
-        core = max(1.0 - 1.8 / minor, 0.0)
-        a, b, c, variance, slope_variance = _levelling(signal, cx, cy, ixx, ixy, iyy, core, box, ground, level)
-        px, py = cx, cy
-        mean_radius = np.sqrt(major * minor)
-        mass, sxx, syy, vx, vy, ring, crowded = 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0
-        for _ in range(4):
-            mass, sx, sy, sxx, syy, vx, vy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            ring, crowded = 0, 0
-            for y in range(box[2], box[3] + 1):
-                for x in range(box[0], box[1] + 1):
-                    dx, dy = x - cx, y - cy
-                    rho = np.sqrt(ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy)
-                    edge = (rho - 1.0) * mean_radius
-                    if edge >= 4.0:
-                        continue
-                    weight = 1.0 if edge <= 1.5 else 0.5 + 0.5 * np.cos(np.pi * (edge - 1.5) / 2.5)
-                    flat = max(a + b * (x - px) + c * (y - py), 0.3 * a)
-                    value = weight * min((signal[y, x] - ground) / flat, 1.5)
-                    mass += value
-                    sx += value * dx
-                    sy += value * dy
-                    sxx += value * dx * dx
-                    syy += value * dy * dy
-                    noise = weight * weight * (variance if rho < 1.0 else ground_variance) / (flat * flat)
-                    vx += noise * dx * dx
-                    vy += noise * dy * dy
-                    if 0.0 < edge < 3.0:
-                        ring += 1
-                        crowded += 1 if signal[y, x] <= crowd_level else 0
+        core = max(1.0 - CORE_PX / minor, 0.2)
+        plane, inside, slope = (level, 0.0, 0.0, cx, cy), 0.0, 0.0
+        mass = 0.0
+        for turn in range(TURNS):
+            if turn % 2 == 0:
+                a, b, c, inside, slope = _levelling(signal, cx, cy, ixx, ixy, iyy, core, box, ground, level)
+                plane = (a, b, c, cx, cy)
+            mass, step_x, step_y = _centroid(signal, cx, cy, ixx, ixy, iyy, limits, box, plane, ground)
             if mass <= 0.0:
                 whole = False
                 break
-            step_x, step_y = sx / mass, sy / mass
             cx += min(max(step_x, -2.0), 2.0)
             cy += min(max(step_y, -2.0), 2.0)
-            if step_x * step_x + step_y * step_y < 1e-8:
-                break
-        mass = max(mass, 1e-9)
-        out[k, 0], out[k, 1] = cx, cy
-        tilt = slope_variance / (a * a) if a > 0 else 0.0
-        out[k, 2] = vx / (mass * mass) + tilt * (sxx / mass) ** 2
-        out[k, 3] = vy / (mass * mass) + tilt * (syy / mass) ** 2
-        out[k, 5], out[k, 6], out[k, 7] = area, crowded / max(ring, 1), 1.0 if whole else 0.0
-        out[k, 9], out[k, 10] = major, minor
+        noise = (inside, outside, slope)
+        out[k, 2], out[k, 3], out[k, 6] = _spread(
+            signal, cx, cy, ixx, ixy, iyy, limits, box, plane, ground, noise, max(mass, 1e-9), crowd_level
+        )
+        out[k, 0], out[k, 1], out[k, 5], out[k, 7] = cx, cy, area, 1.0 if whole else 0.0
 
 
 def find_blobs(signal: Signal, diameter_px: float, contrast_dn: float, crowd_dn: float = -np.inf) -> Blobs:

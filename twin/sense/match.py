@@ -77,8 +77,9 @@ def nominal_to_rest(nominal: list[Pixels], spots: list[Pixels], spacing_px: floa
 def _steps(start: Pixels, spots: Pixels, reach: float) -> Pixels:
     if not len(start) or not len(spots):
         return np.zeros((0, 2))
-    steps = spots[None] - start[:, None]
-    return np.asarray(steps[np.hypot(steps[..., 0], steps[..., 1]) < reach])
+    near = cKDTree(start).query_ball_tree(cKDTree(spots), reach)
+    of = np.repeat(np.arange(len(start)), [len(n) for n in near])
+    return np.asarray(spots[np.concatenate([np.asarray(n, np.int64) for n in near])] - start[of])
 
 
 def _apply(affine: Floats, points: Pixels) -> Pixels:

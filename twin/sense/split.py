@@ -24,6 +24,9 @@ from twin.errors import InputError
 Weights = tuple[float, float, float]
 Signal = NDArray[np.float32]
 
+SAMPLES = 4000
+"""Marker pixels that are looked at for the colours."""
+
 UNSPLIT_COSINE = 0.97
 """Two marker colours closer than this in direction can't be split; their layers then share one signal."""
 
@@ -130,7 +133,7 @@ def _contrasts(image: Picture, layout: Mapping[str, Pixels], spacing_px: float, 
     if np.any(high <= low):
         return None
     part = image[low[1] : high[1] + 1, low[0] : high[0] + 1]
-    pixels = part.reshape(-1, 3)[:: max(1, part.size // 600_000)].astype(float)
+    pixels = part.reshape(-1, 3)[:: max(1, part.size // 300_000)].astype(float)
     ground = np.median(pixels, axis=0)
     away = pixels - ground
     if polarity is not None:
@@ -142,7 +145,8 @@ def _contrasts(image: Picture, layout: Mapping[str, Pixels], spacing_px: float, 
     spread = 1.4826 * np.median(strength)
     if top < max(8.0, 3.0 * spread):
         return None
-    return np.asarray(away[strength > 0.5 * top])
+    strong = away[strength > 0.5 * top]
+    return np.asarray(strong[:: max(1, len(strong) // SAMPLES)])
 
 
 def _clusters(samples: Floats, count: int) -> Floats | None:

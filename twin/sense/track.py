@@ -287,7 +287,9 @@ def _first_look(picture: Picture, weights: Weights, nominal: Pixels, diameter_px
             whole = blobs.diameter_px[blobs.whole]
             if not len(whole):
                 break
-            width = float(np.clip(np.median(whole), 3.0, 0.9 * max(spacing(nominal), 4.0)))
+            before, width = width, float(np.clip(np.median(whole), 3.0, 0.9 * max(spacing(nominal), 4.0)))
+            if 0.8 < width / before < 1.25:
+                break
             blobs = find_blobs(signal, width, contrast, _crowd_level(floor))
     usual = float(np.median(blobs.area_px)) if len(blobs) else 0.0
     keep = blobs.whole & (blobs.area_px > 0.3 * usual) & (blobs.area_px < 2.5 * usual)
