@@ -40,7 +40,6 @@ from twin.world.variant import Variant, choose_variant
 from twin.world.view import look
 from twin.world.wavefront import Wavefront
 
-
 _HIDDEN = 0.01
 """A smaller share of an outline that is seen counts as none: edges just behind edges leave such specks."""
 
@@ -142,6 +141,7 @@ class Renderer:
         seen = np.where(area >= _HIDDEN * expected, seen, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             centroid = np.rint(near.centres_px) + (moments / seen[:, None] + 0.5) / k - 0.5
+            centroid = np.where(seen[:, None] > 0, centroid, np.nan)
             visible = np.where(seen > 0, np.minimum(area / expected, 1.0), 0.0)
         area = np.where(seen > 0, area, 0.0)
         for array in (centroid, visible, area):
