@@ -70,7 +70,8 @@ class ContactState:
     traction_mpa
         (k, 3) tractions on the body of the patches in contact, global axes.
     slip
-        (k,) whether each of them slides on the probe: all without friction, none when sticking.
+        (k,) whether each of them slid on the probe: all without friction; when sticking only those that were pulled
+        off and pushed back at the end of the step.
     residual
         Largest relative error of gap, sign, stick and balance; at most 1e-8.
     validity
@@ -173,7 +174,7 @@ def touching_state(
         peak_pressure_mpa=float(pressure.max()),
         pressure_mpa=pressure,
         traction_mpa=force[active] / area[:, None],
-        slip=np.full(int(active.sum()), not sticking),
+        slip=equilibrium.let_go[active] if sticking else np.ones(int(active.sum()), bool),
         residual=equilibrium.residual,
         validity=_validity(probe, body, radius, mean, depth, youngs_modulus_mpa),
     )

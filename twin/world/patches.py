@@ -172,7 +172,7 @@ def _tangent_rectangles(plane: Plane, cell: Floats, normals: Floats) -> tuple[Fl
     A projected cell is a parallelogram; the rectangle keeps its first side's length and direction, and its area.
     """
     u, v, along = plane.axes
-    slope = normals @ along
+    slope = np.maximum(normals @ along, _STEEP)
     side_u = u - np.outer(normals @ u / slope, along)
     side_v = v - np.outer(normals @ v / slope, along)
     length = np.linalg.norm(side_u, axis=1)

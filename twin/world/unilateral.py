@@ -12,12 +12,17 @@ sticks,
 with u = K f. Why one linear system and not a search for the place: forces and place then meet their conditions
 together to round-off, and the set A settles in a few primal-dual (semi-smooth Newton) steps; M. Hintermueller, K. Ito
 and K. Kunisch, SIAM J. Optim. 13 (2002) 865. The exact gap is linearised at each step.
+
+A sticking patch can be pulled off by the shear around it and, once free, be pushed back: the conditions above then have
+no solution, and the set repeats itself. From there on a patch that lets go no longer sticks (it may come back, and
+slides), which leaves a problem that has one; if the set still repeats, patches that pull leave before others come, and
+at last it changes by one patch at a time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +31,8 @@ from twin.errors import ContactError
 
 GapOfPlace = Callable[[Floats], tuple[Floats, Floats]]
 TOLERANCE = 1e-8
-_STEPS = 80
+_STEPS = 400
+_ALL_AT_ONCE, _LETTING_GO, _PULLS_FIRST, _ONE_BY_ONE = range(4)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +82,8 @@ class Equilibrium:
         (k,) patches in contact.
     total
         (4,) total force, N, and torque, N mm.
+    let_go
+        (k,) sticking patches that had to let go for an equilibrium to exist; those in contact slid.
     residual
         Largest of the relative errors of gap, sign, stick and balance.
     steps
@@ -87,6 +95,7 @@ class Equilibrium:
     place: Floats
     active: Bools
     total: Floats
+    let_go: Bools
     residual: float
     steps: int
 
@@ -154,7 +163,7 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
     stiffness = 1.0 / problem.compliance.reshape(3 * k, 3 * k).diagonal().reshape(k, 3)[:, 2]
     force, place = np.zeros((k, 3)), np.where(problem.by_force, place, problem.given)
     seen: set[bytes] = set()
-    cautious = False
+    mode, let_go = _ALL_AT_ONCE, np.zeros(k, bool)
     for step in range(1, _STEPS + 1):
         gap, slope = problem.gap(place)
         active = active & np.isfinite(gap)
@@ -168,21 +177,21 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
         moved_gap, _ = problem.gap(place)
         displacement = (problem.compliance.reshape(3 * k, 3 * k) @ force.reshape(-1)).reshape(k, 3)
         opening = moved_gap + displacement[:, 2]
-        curved = float(np.max(np.abs(opening[active & np.isfinite(opening)]), initial=0.0))
         scale = float(np.max(np.abs(displacement[:, 2]), initial=1e-12))
-        push = np.where(active, force[:, 2], 0.0)
-        slack = 1e-13 * max(float(push.max(initial=0.0)), 1e-300)
-        keep = active & (push > -slack)
-        close = ~active & (opening < -1e-13 * scale)
-        following = _next_set(active, keep, close, push / stiffness, opening, cautious)
+        following = _next_set(active, force[:, 2] / stiffness, opening, 1e-13 * scale, mode)
+        curved = float(np.max(np.abs(opening[active & np.isfinite(opening)]), initial=0.0))
+        still = float(np.abs(place - before)[:3].max()) <= 1e-9 * (1 + scale) and curved <= 1e-11 * scale
         settled = np.array_equal(following, active)
-        if settled and curved <= 1e-11 * scale and float(np.abs(place - before)[:3].max()) <= 1e-9 * (1 + scale):
-            return _checked(problem, active, force, displacement, place, opening, step)
-        if settled and not active.any():
-            return _checked(problem, active, force, displacement, place, opening, step)
-        key = following.tobytes()
-        cautious = cautious or (not settled and key in seen)
-        seen.add(key)
+        if settled and (still or not active.any()):
+            return _checked(problem, active, force, displacement, place, opening, let_go, step)
+        if not settled and following.tobytes() + problem.sticking.tobytes() in seen:
+            mode = min(mode + 1, _ONE_BY_ONE)
+            seen.clear()
+            following = _next_set(active, force[:, 2] / stiffness, opening, 1e-13 * scale, mode)
+        seen.add(following.tobytes() + problem.sticking.tobytes())
+        if mode != _ALL_AT_ONCE:
+            let_go |= active & ~following & problem.sticking
+            problem = replace(problem, sticking=problem.sticking & ~let_go)
         active = following
     raise ContactError(
         f"contact: the patches in contact did not settle in {_STEPS} steps ({int(active.sum())} of {k} in contact): "
@@ -190,12 +199,19 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
     )
 
 
-def _next_set(active: Bools, keep: Bools, close: Bools, pull_mm: Floats, opening: Floats, cautious: bool) -> Bools:
-    """Return the next set in contact: all changes at once, or after a cycle only the worst one."""
-    if not cautious:
-        return keep | close
+def _next_set(active: Bools, push_mm: Floats, opening: Floats, slack: float, mode: int) -> Bools:
+    """Return the next set in contact: without those that pull, with those that overlap; or only the worst changed.
+
+    ``push_mm`` are the patches' normal forces in terms of the displacement that each would cause alone.
+    """
+    pulls = np.where(active & (push_mm < -slack), -push_mm, 0.0)
+    overlaps = np.where(~active & (opening < -slack), -opening, 0.0)
+    if mode >= _PULLS_FIRST and pulls.any():
+        overlaps[:] = 0.0
+    worst = pulls + overlaps
+    if mode != _ONE_BY_ONE:
+        return active ^ (worst > 0)
     following = active.copy()
-    worst = np.where(active & ~keep, -pull_mm, np.where(close, -opening, 0.0))
     if worst.max() > 0:
         index = int(np.argmax(worst))
         following[index] = not following[index]
@@ -203,7 +219,14 @@ def _next_set(active: Bools, keep: Bools, close: Bools, pull_mm: Floats, opening
 
 
 def _checked(
-    problem: Unilateral, active: Bools, force: Floats, displacement: Floats, place: Floats, opening: Floats, steps: int
+    problem: Unilateral,
+    active: Bools,
+    force: Floats,
+    displacement: Floats,
+    place: Floats,
+    opening: Floats,
+    let_go: Bools,
+    steps: int,
 ) -> Equilibrium:
     k = len(active)
     total = problem.carried.reshape(3 * k, 4).T @ force.reshape(-1)
@@ -228,6 +251,6 @@ def _checked(
             f"pull, slip, balance: {', '.join(f'{e:.1e}' for e in errors)}): take smaller steps"
         )
     return Equilibrium(
-        force_n=force, displacement_mm=displacement, place=place, active=active, total=total, residual=residual,
-        steps=steps,
+        force_n=force, displacement_mm=displacement, place=place, active=active, total=total, let_go=let_go,
+        residual=residual, steps=steps,
     )  # fmt: skip
