@@ -14,11 +14,11 @@ from numba import njit
 
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.parts.load import Rectangles
-from twin.theory.halfspace_kernels import GAUSS_2, point_slopes, point_terms, rectangle_slopes, rectangle_terms
+from twin.theory.halfspace_kernels import GAUSS_2, rectangle_slopes, rectangle_terms
 from twin.world.elements import triangle_quadrature, triangle_shapes
 from twin.world.mesh import Mesh
 
-NEAR, FAR = 6.0, 20.0
+NEAR, FAR = 3.5, 10.0
 """Half diagonals within which a stress is in closed form, and beyond which one point force replaces four."""
 
 GROWTH = 0.7
@@ -128,10 +128,10 @@ def _add(
             distance = away[0] * away[0] + away[1] * away[1] + away[2] * away[2]
             if distance == 0.0:
                 continue
-            if nu == 0.5 and distance > NEAR * NEAR * size:
-                _radial(away, areas[q], frames[k], half[k], distance > FAR * FAR * size, t)
+            if distance > NEAR * NEAR * size:
+                _far(away, areas[q], frames[k], half[k], distance > FAR * FAR * size, nu, t)
             else:
-                _general(away, areas[q], frames[k], half[k], nu, t, d, u, n, g)
+                _near(away, areas[q], frames[k], half[k], nu, t, d, u, n, g)
             for i in range(3):
                 for case in range(cases):
                     force = (
@@ -145,19 +145,22 @@ def _add(
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _radial(away: Floats, area: Floats, frame: Floats, half: Floats, far: bool, t: Floats) -> None:
-    """Set t[i, j] to sigma n dA per unit force j at nu = 1/2, where a point force's stress is purely radial:
-    sigma = -3 (f . x) x x / (2 pi r^5). One or four point forces stand for the rectangle.
+def _far(away: Floats, area: Floats, frame: Floats, half: Floats, single: bool, nu: float, t: Floats) -> None:
+    """Set t[i, j] to sigma n dA per unit force j; one or four point forces stand for the rectangle.
+
+    A point force's stress is radial, -3 (f . x) x x / (2 pi r^5), plus (1 - 2 nu) times a plane part that has no
+    component along the normal (Boussinesq, Cerruti; H is the potential of `twin.theory.halfspace_kernels`).
     """
     t[:] = 0.0
-    for s in range(1 if far else 4):
-        first = 0.0 if far else half[0] * GAUSS_2[s % 2]
-        second = 0.0 if far else half[1] * GAUSS_2[s // 2]
+    for s in range(1 if single else 4):
+        first = 0.0 if single else half[0] * GAUSS_2[s % 2]
+        second = 0.0 if single else half[1] * GAUSS_2[s // 2]
+        weight = 1.0 if single else 0.25
         x = away[0] - first * frame[0, 0] - second * frame[1, 0]
         y = away[1] - first * frame[0, 1] - second * frame[1, 1]
         z = away[2] - first * frame[0, 2] - second * frame[1, 2]
         r2 = x * x + y * y + z * z
-        c = (x * area[0] + y * area[1] + z * area[2]) * (-1.5 if far else -0.375) / (math.pi * r2 * r2 * math.sqrt(r2))
+        c = -1.5 / math.pi * weight * (x * area[0] + y * area[1] + z * area[2]) / (r2 * r2 * math.sqrt(r2))
         t[0, 0] += c * x * x
         t[1, 1] += c * y * y
         t[2, 2] += c * z * z
@@ -165,10 +168,44 @@ def _radial(away: Floats, area: Floats, frame: Floats, half: Floats, far: bool, 
         t[0, 2] += c * x * z
         t[1, 2] += c * y * z
     t[1, 0], t[2, 0], t[2, 1] = t[0, 1], t[0, 2], t[1, 2]
+    if nu != 0.5:
+        for s in range(1 if single else 4):
+            first = 0.0 if single else half[0] * GAUSS_2[s % 2]
+            second = 0.0 if single else half[1] * GAUSS_2[s // 2]
+            _add_plane_part(away, area, frame, first, second, (1.0 - 2.0 * nu) * (1.0 if single else 0.25), t)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _general(
+def _add_plane_part(
+    away: Floats, area: Floats, frame: Floats, first: float, second: float, weight: float, t: Floats
+) -> None:
+    """Add weight / (2 pi) [x_j A_i / r^3 - H_ijx A_x - H_ijy A_y], i in the plane, turned to global axes."""
+    x = frame[0, 0] * away[0] + frame[0, 1] * away[1] + frame[0, 2] * away[2] - first
+    y = frame[1, 0] * away[0] + frame[1, 1] * away[1] + frame[1, 2] * away[2] - second
+    z = max(frame[2, 0] * away[0] + frame[2, 1] * away[1] + frame[2, 2] * away[2], 0.0)
+    ax = frame[0, 0] * area[0] + frame[0, 1] * area[1] + frame[0, 2] * area[2]
+    ay = frame[1, 0] * area[0] + frame[1, 1] * area[1] + frame[1, 2] * area[2]
+    over_r = 1.0 / math.sqrt(x * x + y * y + z * z)
+    c, r3 = weight * 0.5 / math.pi, over_r * over_r * over_r
+    s = 1.0 / (1.0 / over_r + z)
+    p = over_r * s * s
+    q, v = p * over_r * (over_r + 2.0 * s), over_r * s * over_r * (over_r + s)
+    hxxx, hxxy = x * (3.0 * p - x * x * q), y * (p - x * x * q)
+    hxyy, hyyy = x * (p - y * y * q), y * (3.0 * p - y * y * q)
+    hxxz, hyyz, hxyz = over_r * s - x * x * v, over_r * s - y * y * v, -x * y * v
+    rows = (
+        (x * ax * r3 - hxxx * ax - hxxy * ay, y * ax * r3 - hxxy * ax - hxyy * ay, z * ax * r3 - hxxz * ax - hxyz * ay),
+        (x * ay * r3 - hxxy * ax - hxyy * ay, y * ay * r3 - hxyy * ax - hyyy * ay, z * ay * r3 - hxyz * ax - hyyz * ay),
+    )
+    for j in range(3):
+        on_x = c * (rows[0][0] * frame[0, j] + rows[0][1] * frame[1, j] + rows[0][2] * frame[2, j])
+        on_y = c * (rows[1][0] * frame[0, j] + rows[1][1] * frame[1, j] + rows[1][2] * frame[2, j])
+        for i in range(3):
+            t[i, j] += frame[0, i] * on_x + frame[1, i] * on_y
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _near(
     away: Floats,
     area: Floats,
     frame: Floats,
@@ -180,38 +217,25 @@ def _general(
     n: Floats,
     g: Floats,
 ) -> None:
-    """Set t[i, j] to sigma n dA per unit force j, for any nu and at any distance; d, u, n, g are scratch.
+    """Set t[i, j] to sigma n dA per unit force j in closed form; d, u, n, g are scratch.
 
     In the rectangle's own footprint the applied traction is taken off, and what is left is small.
     """
     x = frame[0, 0] * away[0] + frame[0, 1] * away[1] + frame[0, 2] * away[2]
     y = frame[1, 0] * away[0] + frame[1, 1] * away[1] + frame[1, 2] * away[2]
     z = max(frame[2, 0] * away[0] + frame[2, 1] * away[1] + frame[2, 2] * away[2], 0.0)
-    a, b = half[0], half[1]
-    size, squared = a * a + b * b, x * x + y * y + z * z
-    k = 1.0 - 2.0 * nu
-    n[:] = 0.0
-    if squared > NEAR * NEAR * size:
-        d[:] = 0.0
-        u[:] = 0.0
-        far = squared > FAR * FAR * size
-        for s in range(1 if far else 4):
-            dx = x - (0.0 if far else a * GAUSS_2[s % 2])
-            dy = y - (0.0 if far else b * GAUSS_2[s // 2])
-            point_slopes(dx, dy, z, k, 1.0 if far else 0.25, d)
-            point_terms(dx, dy, z, k, 1.0 if far else 0.25, u, n)
-    else:
-        rectangle_slopes(x, y, z, a, b, k, d)
-        rectangle_terms(x, y, z, a, b, k, u, n)
+    a, b, k = half[0], half[1], 1.0 - 2.0 * nu
+    rectangle_slopes(x, y, z, a, b, k, d)
+    rectangle_terms(x, y, z, a, b, k, u, n)
     for i in range(3):
         u[i, 0] = frame[i, 0] * area[0] + frame[i, 1] * area[1] + frame[i, 2] * area[2]
-    inside = abs(x) <= a and abs(y) <= b and z * z <= size
+    inside = abs(x) <= a and abs(y) <= b and z * z <= a * a + b * b
     for i in range(3):
         for j in range(3):
             g[i, j] = -nu / math.pi * n[j] * u[i, 0]
             for m in range(3):
                 g[i, j] += 0.25 / math.pi * (d[i, j, m] + d[m, j, i]) * u[m, 0]
-        if inside and size > 0.0:
+        if inside:
             g[i, i] += 0.25 * u[2, 0] / (a * b)
     _turn(g, frame, u, t)
 

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Points
+from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles, Traction
@@ -20,8 +20,8 @@ from twin.parts.load import Load, Rectangles, Traction
 STRIPS = 64
 """Strips across a flat disk."""
 
-ACROSS = 40
-"""Tiles across a footprint, unless a spacing is given."""
+ACROSS, WIDEST_MM = {"rectangle": 24, "disk": 40, "twist": 40, "bump": 20}, 0.2
+"""Tiles across a footprint, and their largest side, unless a spacing is given."""
 
 SAMPLES = 5
 """Samples per side of a tile that weigh its share of the footprint."""
@@ -40,7 +40,7 @@ def tile(load: Load, body: Body, spacing_mm: float | None = None) -> Rectangles:
     body
         The body whose sensing surface is loaded.
     spacing_mm
-        Side of the tiles on curved surfaces and under bumps; a fortieth of the footprint's width if not given.
+        Largest side of the tiles on curved surfaces and under bumps; from the footprint's width if not given.
 
     Raises
     ------
@@ -173,15 +173,17 @@ def _grid(
     traction: Traction, centre: Points, frame: Floats, half: Floats, body: Body, spacing_mm: float | None
 ) -> Rectangles:
     """Return tiles in their own tangent planes on the true surface; weights are integrals over the true area."""
-    spacing = spacing_mm or 2.0 * float(np.max(half)) / ACROSS
+    spacing = spacing_mm or min(2.0 * float(np.max(half)) / ACROSS[traction.kind], WIDEST_MM)
     number = np.maximum(np.ceil(2.0 * half / spacing).astype(int), 4)
     side = 2.0 * half / number
     s, t = ((np.arange(n) + 0.5) * d - h for n, d, h in zip(number, side, half, strict=True))
     offsets = np.stack(np.meshgrid(s, t, indexing="ij"), axis=-1).reshape(-1, 2)
     inner = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     within = np.stack(np.meshgrid(inner, inner, indexing="ij"), axis=-1).reshape(-1, 2) * side
+    cells = np.arange(len(offsets))
     if traction.kind != "rectangle":
-        offsets = offsets[np.hypot(*offsets.T) < half[0] + np.hypot(*side) / 2]
+        cells = np.flatnonzero(np.hypot(*offsets.T) < half[0] + np.hypot(*side) / 2)
+        offsets = offsets[cells]
     samples = (offsets[:, None] + within).reshape(-1, 2)
     used: Bools = np.asarray(_density(traction, np.column_stack([samples, np.zeros(len(samples))]), half) > 0.0)
     points = np.full((len(samples), 3), np.nan)
@@ -191,14 +193,32 @@ def _grid(
     density[used, 0] = _density(traction, from_centre, half) / (body.piece_normals(points[used])[:, 0] @ frame[2])
     weighted[used] = density[used] * _direction(traction, from_centre, frame)
     loaded: Bools = np.asarray(density.reshape(len(offsets), -1).max(axis=1) > 0.0)
-    offsets, force = offsets[loaded], weighted.reshape(len(offsets), -1, 3).mean(axis=1)[loaded]
-    middles = onto_surface(_pulled_in(offsets, samples, used, loaded), centre, frame, body, traction)
-    force = _exact(traction, force, (middles - centre) @ frame.T, frame)
-    return _tangent_tiles(middles, frame, side, force, body)
+    force = weighted.reshape(len(offsets), -1, 3).mean(axis=1)
+    if traction.kind == "bump":
+        force = _sharpened(force, cells, number)
+    cover = used.reshape(len(offsets), -1).mean(axis=1)[loaded]
+    middles = onto_surface(_pulled_in(offsets[loaded], samples, used, loaded), centre, frame, body, traction)
+    force = _exact(traction, force[loaded], (middles - centre) @ frame.T, frame)
+    return _tangent_tiles(middles, frame, np.sqrt(cover)[:, None] * side, force, body)
+
+
+def _sharpened(force: Floats, cells: Ints, number: Ints) -> Floats:
+    """Return the forces (n, 3) of grid ``cells`` less a twelfth of their Laplacian.
+
+    Averaging a smooth traction over a tile and spreading it evenly over the tile widen it by side^2 / 12 each; taking
+    that off makes the tiles' error fourth order in their side instead of second.
+    """
+    grid = np.zeros((number[0] + 2, number[1] + 2, 3))
+    place = np.unravel_index(cells, tuple(number))
+    inside = (place[0] + 1, place[1] + 1)
+    grid[inside] = force
+    laplacian = np.zeros_like(grid)
+    laplacian[1:-1, 1:-1] = grid[2:, 1:-1] + grid[:-2, 1:-1] + grid[1:-1, 2:] + grid[1:-1, :-2] - 4 * grid[1:-1, 1:-1]
+    return np.asarray((grid - laplacian / 12.0)[inside])
 
 
 def _pulled_in(offsets: Floats, samples: Floats, used: Bools, loaded: Bools) -> Floats:
-    """Return tile centres (n, 2); tiles cut by the footprint's edge move to the middle of their loaded part."""
+    """Return the loaded tiles' centres (n, 2), in the middle of the loaded part where the footprint's edge cuts one."""
     weight = used.reshape(len(loaded), -1)[loaded].astype(float)
     places = samples.reshape(len(loaded), -1, 2)[loaded]
     middle = np.einsum("ns,nsi->ni", weight, places) / weight.sum(axis=1, keepdims=True)
@@ -246,5 +266,5 @@ def _tangent_tiles(middles: Points, frame: Floats, side: Floats, force: Floats, 
     stretch = np.linalg.norm(first, axis=1)
     first = first / stretch[:, None]
     frames = np.stack([first, np.cross(normal, first), normal], axis=1)
-    half = np.column_stack([side[0] * stretch, side[1] / (cosine * stretch)]) / 2.0
+    half = np.column_stack([side[:, 0] * stretch, side[:, 1] / (cosine * stretch)]) / 2.0
     return Rectangles(centre_mm=middles, frames=frames, half_mm=half, force_n=force)
