@@ -99,7 +99,7 @@ def quality(mesh: Mesh, body: Body) -> Quality:
         largest_dihedral_deg=float(np.max(angles)),
         least_scaled_jacobian=float(np.min(scaled_jacobians(mesh.points, corner_tets))),
         least_jacobian_ratio=float(np.min(jacobian_ratios(mesh.points, mesh.tets))),
-        largest_offset_mm=float(np.max(offsets(mesh, body))),
+        largest_offset_mm=max(0.0, float(np.max(offsets(mesh, body)))),
         open_edges=open_edges(mesh.faces),
         unclassified=_unclassified(mesh, body),
         volume_error=enclosed_volume(mesh.points, mesh.faces) / body.volume_mm3 - 1,
