@@ -82,7 +82,14 @@ class Frame:
 
 
 def make_frame(
-    markers: Ellipsoids, scene: Scene, view: View, *, unit_mm: float, full_power: float, subpixels: int
+    markers: Ellipsoids,
+    scene: Scene,
+    view: View,
+    *,
+    unit_mm: float,
+    full_power: float,
+    subpixels: int,
+    shadows: bool = True,
 ) -> Frame:
     """Prepare a picture of the markers.
 
@@ -98,6 +105,8 @@ def make_frame(
         The irradiance that counts as 1.
     subpixels
         k of the k x k rays in a pixel.
+    shadows
+        Whether markers shadow each other.
     """
     base = scene.body.base_z_mm
     here = markers.present
@@ -108,7 +117,11 @@ def make_frame(
     near = near_markers(markers, scene, view, subpixels)
     zero = float(np.max(near.start_mm, initial=0.0))
     lamps = lamps_at(centres, scene)
-    shadowed = may_be_shadowed(centres, sizes[:, 0], lamps) & here[:, None] & (lamps.power > 0)
+    shadowed = here[:, None] & (lamps.power > 0)
+    if shadows:
+        shadowed &= may_be_shadowed(centres, sizes[:, 0], lamps)
+    else:
+        shadowed = np.zeros_like(shadowed)
     shift = np.array([0.0, 0.0, zero])
     local = np.where(here[:, None], (centres - shift) / unit_mm, _ABSENT)
     metric = (turned / (sizes[:, None] / unit_mm) ** 2) @ np.swapaxes(turned, 1, 2)

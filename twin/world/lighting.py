@@ -172,7 +172,7 @@ def may_be_shadowed(centres: Points, radii: Floats, lamps: Lamps) -> Bools:
     very many markers the test costs more than the shadow rays it saves, and everything may be shadowed.
     """
     flags: Bools = np.ones(lamps.power.shape, bool)
-    if len(centres) > _MANY:
+    if not 0 < len(centres) <= _MANY:
         return flags
     towards = (lamps.place - centres[:, None]).astype(np.float32)
     towards /= np.linalg.norm(towards, axis=2, keepdims=True)

@@ -121,7 +121,7 @@ def near_markers(markers: Ellipsoids, scene: Scene, view: View, subpixels: int) 
     scale = np.where(seen[:, None, None], jacobian, np.eye(2, 3))
     least = np.sqrt(np.linalg.eigvalsh(scale @ np.swapaxes(scale, 1, 2))[:, 0])
     pad = np.where(seen, _EDGE_SEARCH / subpixels / least, 0.0)
-    half = 1.15 * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + 2
+    half = 1.05 * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + 1.2
     size = np.array([camera.width_px, camera.height_px])
     low, high = np.clip(centres - half, -10, size + 10), np.clip(centres + half, -10, size + 10)
     cut = seen & ((low < 0) | (high > size - 1)).any(axis=1)

@@ -180,6 +180,6 @@ class Wavefront:
 
         def irradiance(marker: Any, centre: Any, away: Any, normal: Any, active: Any) -> Any:
             state = (mi.UInt32(0), mi.Float(0), marker, centre, away, normal, active)
-            return dr.while_loop(state, lambda led, *_: led < leds, one_led)[1]
+            return dr.while_loop(state, lambda led, *rest: rest[-1] & (led < leds), one_led)[1]
 
         return irradiance
