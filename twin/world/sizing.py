@@ -81,8 +81,8 @@ def default_sizing(body: Body, purpose: Purpose) -> Sizing:
 
     Notes
     -----
-    Lengths are proportions of the body; `Sizing.unknowns` sets their scale. On the block what a mesh gets wrong is nearly all
-    one shift of the whole sensing face, the slab's shear stiffness: under 4 mm patches the red layer is 0.1 % off
+    Lengths are proportions of the body; `Sizing.unknowns` sets their scale. On the block a mesh's error is nearly all one
+    shift of the whole sensing face, the slab's shear stiffness: under 4 mm patches the red layer is 0.1 % off
     at 28 000 unknowns and 0.25 % at 9 500. A finer window under the load doesn't help there, so there is none.
     """
     low, high = np.array(body.bounds_mm)
