@@ -20,7 +20,9 @@ from twin.theory.contact import (
     tangential_stiffness,
     torsional_stiffness,
 )
+from twin.world import region
 from twin.world.contact import ContactState, press
+from twin.world.patches import Box, Plane, candidate_patches
 
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
@@ -170,6 +172,9 @@ def test_equilibrium_and_complementarity(name: str) -> None:
     for given, got in zip(probe.path[-1].force_n, state.force_n, strict=True):
         if given is not None:
             assert got == pytest.approx(given, abs=1e-8 * state.force_n[2])
+    arm = patches.centre_mm - [*probe.at_mm, 0.0]
+    torque = np.cross(arm, patches.force_n)[:, 2].sum()
+    assert state.torque_nmm == pytest.approx(torque, abs=1e-10)
     assert state.residual <= 1e-8
     assert state.pressure_mpa.min() > 0
     assert np.abs(body.depth(patches.centre_mm)).max() < 1e-9
@@ -299,7 +304,8 @@ def test_a_ball_on_the_seam_of_the_finger_rolls_to_where_nothing_pushes_it() -> 
         (BLOCK, ContactError, "touches nothing",
          Press(probe=Sphere(diameter_mm=3), friction=STUCK, steps=(down(0.1), Step(force_n=(0.1, None, 0.0))))),
         (FINGER, ContactError, "hold x", Press(probe=Cylinder(diameter_mm=10), force_n=(0, 0, 1))),
-        (FINGER, ContactError, "slides", Press(probe=Sphere(diameter_mm=3), at_mm=(-4, 4), force_n=(0, 0, 0.5))),
+        (FINGER, ContactError, "mm sideways", Press(probe=Sphere(diameter_mm=3), at_mm=(-4, 1), force_n=(0, 0, 0.5))),
+        (FINGER, ContactError, "hold x", Press(probe=Sphere(diameter_mm=3), at_mm=(-4, 4), force_n=(0, 0, 0.5))),
     ],
 )  # fmt: skip
 def test_refusals(body: Body, error: type[Exception], words: str, probe: Press) -> None:
@@ -310,3 +316,37 @@ def test_refusals(body: Body, error: type[Exception], words: str, probe: Press) 
 def test_the_number_of_patches_has_a_range() -> None:
     with pytest.raises(InputError, match="6 to 40"):
         pressed(Press(probe=Sphere(diameter_mm=3), force_n=(0, 0, 1)), across=100)
+
+
+# --- grids ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_grid_that_is_too_small_grows(monkeypatch: pytest.MonkeyPatch) -> None:
+    probe = Press(probe=Sphere(diameter_mm=3), at_mm=(-2, 3), steps=(down(0.3),))
+    whole = pressed(probe, FINGER)
+    monkeypatch.setattr(region, "_MARGIN", 0.01)
+    assert pressed(probe, FINGER).force_n[2] == pytest.approx(whole.force_n[2], rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("at", "area"), [((-4.0, 5.0), 3.0 * 8 * (math.asin(6.5 / 8) - math.asin(3.5 / 8))), ((3.0, 2.0), None)]
+)
+def test_patches_tile_the_curved_surface(at: tuple[float, float], area: float | None) -> None:
+    """Under a square of 3 mm: exactly on the barrel; on the tip against the slope integrated over the footprint."""
+    plane = Plane(origin_mm=np.array([*at, 0.0]), axes=np.eye(3))
+    box = Box(u0=-1.5, u1=1.5, v0=-1.5, v1=1.5)
+    patches = candidate_patches(FINGER, Pillar(width_mm=3), plane, box, (16, 16))
+    if area is None:
+        steps = (np.arange(400) + 0.5) / 400 * 3 - 1.5
+        x, y = np.meshgrid(at[0] + steps, at[1] + steps)
+        area = float((8 / np.sqrt(64 - x**2 - y**2)).mean()) * 9
+    assert patches.area_mm2.sum() == pytest.approx(area, rel=2e-3)
+
+
+def test_a_probe_sheared_harder_than_it_is_pressed_peels_off_its_trailing_side() -> None:
+    steps = (Step(force_n={"z": 0.05}), Step(move_mm=(0.1, None, None)))
+    one, sheared = pressed(Press(probe=Sphere(diameter_mm=6), friction=STUCK, steps=steps), nu=0.3).path
+    assert sheared.residual <= 1e-8
+    assert sheared.force_n[0] > one.force_n[2]
+    front = only(sheared).force_n[:, 2] @ only(sheared).centre_mm[:, 0]
+    assert abs(front) > 10 * abs(only(one).force_n[:, 2] @ only(one).centre_mm[:, 0])

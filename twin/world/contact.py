@@ -162,13 +162,19 @@ def _frictionless(
         if not np.any(found.active & patches.border):
             check_inside(setting, patches, found, float(place[Z]) - touch_z)
             return patches, found, touch_at(setting, place)[1]
-        contact = _joined(contact, patches.bounds(found.active))
+        contact = _enlarged(contact, patches.bounds(found.active))
         check_inside(setting, patches, found, float(place[Z]) - touch_z)
     raise _no_grid(setting, contact)
 
 
 def _joined(one: Box, other: Box) -> Box:
     return Box(u0=min(one.u0, other.u0), u1=max(one.u1, other.u1), v0=min(one.v0, other.v0), v1=max(one.v1, other.v1))
+
+
+def _enlarged(contact: Box, reached: Box) -> Box:
+    """Return the box of a contact that has reached its grid's border, a tenth larger: where it ends is not known yet."""
+    both = _joined(contact, reached)
+    return both.grown(0.05 * both.size[0], 0.05 * both.size[1])
 
 
 def _no_grid(setting: Setting, contact: Box) -> ContactError:
@@ -204,7 +210,7 @@ def _stuck_path(setting: Setting, path: tuple[Step, ...], increments: int) -> li
         states, reached = _stuck_on(setting, path, patches, increments)
         if not np.any(reached & patches.border):
             return states
-        contact = _joined(contact, patches.bounds(reached))
+        contact = _enlarged(contact, patches.bounds(reached))
     raise _no_grid(setting, contact)
 
 
