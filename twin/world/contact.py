@@ -172,7 +172,7 @@ def _joined(one: Box, other: Box) -> Box:
 
 
 def _enlarged(contact: Box, reached: Box) -> Box:
-    """Return the box of a contact that has reached its grid's border, a tenth larger: where it ends is not known yet."""
+    """Return the box of a contact that reached its grid's border, a tenth larger: where it ends is not known yet."""
     both = _joined(contact, reached)
     return both.grown(0.05 * both.size[0], 0.05 * both.size[1])
 
