@@ -81,7 +81,7 @@ def default_sizing(body: Body, purpose: Purpose) -> Sizing:
 
     Notes
     -----
-    Lengths are proportions of the body; `Sizing.unknowns` sets their scale. On the block a mesh's error is nearly all one
+    Lengths are proportions of the body; `Sizing.unknowns` sets their scale. On the block a mesh's error is mostly one
     shift of the whole sensing face, the slab's shear stiffness: under 4 mm patches the red layer is 0.1 % off
     at 28 000 unknowns and 0.25 % at 9 500. A finer window under the load doesn't help there, so there is none.
     """
