@@ -36,7 +36,7 @@ EDGE_START, EDGE_END = 1.2, 3.0
 """Distances outside the edge between which the window fades out, px."""
 
 TURNS = 5
-"""Times the window is moved to the centroid; the plane is fitted anew every second time."""
+"""Times the window is moved to the centroid at most; the plane is fitted anew every second time."""
 
 SD_FLOOR_PX = 0.002
 """No centre is taken to be better than this: what a lens and a finite pixel leave even without noise."""
@@ -345,6 +345,8 @@ def _measure(signal, smooth, peaks, diameter, crowd_level, out):  # type: ignore
                 break
             cx += min(max(step_x, -2.0), 2.0)
             cy += min(max(step_y, -2.0), 2.0)
+            if turn >= 2 and step_x * step_x + step_y * step_y < 1e-6:
+                break
         noise = (inside, outside, slope)
         out[k, 2], out[k, 3], out[k, 6] = _spread(
             signal, cx, cy, ixx, ixy, iyy, limits, box, plane, ground, noise, max(mass, 1e-9), crowd_level

@@ -55,8 +55,9 @@ def nominal_to_rest(nominal: list[Pixels], spots: list[Pixels], spacing_px: floa
     width = max(0.12 * spacing_px, 1.0)
     sample = votes[:: max(1, len(votes) // 2000)]
     tree = cKDTree(votes)
-    support = np.array([len(near) for near in tree.query_ball_point(sample, width)], float)
-    support *= 1.0 - 0.1 * np.linalg.norm(sample, axis=1) / spacing_px
+    support = tree.query_ball_point(sample, width, return_length=True) * (
+        1.0 - 0.1 * np.linalg.norm(sample, axis=1) / spacing_px
+    )
     peak = sample[np.argmax(support)]
     shift = votes[np.linalg.norm(votes - peak, axis=1) < width].mean(axis=0)
     affine = np.vstack([np.eye(2), shift])
@@ -77,9 +78,9 @@ def nominal_to_rest(nominal: list[Pixels], spots: list[Pixels], spacing_px: floa
 def _steps(start: Pixels, spots: Pixels, reach: float) -> Pixels:
     if not len(start) or not len(spots):
         return np.zeros((0, 2))
-    near = cKDTree(start).query_ball_tree(cKDTree(spots), reach)
-    of = np.repeat(np.arange(len(start)), [len(n) for n in near])
-    return np.asarray(spots[np.concatenate([np.asarray(n, np.int64) for n in near])] - start[of])
+    distance, index = cKDTree(spots).query(start, k=min(CANDIDATES, len(spots)), distance_upper_bound=reach)
+    of, which = np.nonzero(np.isfinite(distance.reshape(len(start), -1)))
+    return np.asarray(spots[index.reshape(len(start), -1)[of, which]] - start[of])
 
 
 def _apply(affine: Floats, points: Pixels) -> Pixels:
@@ -181,7 +182,7 @@ def _cold_starts(around: Neighbourhood, spots: Pixels) -> list[tuple[Pixels, flo
     starts = [(still, 0.2)]
     steps = _steps(around.rest_px[known], spots, 0.95 * size)
     if len(steps):
-        support = np.array([len(s) for s in cKDTree(steps).query_ball_point(steps, 0.12 * size)], float)
+        support = cKDTree(steps).query_ball_point(steps, 0.12 * size, return_length=True)
         peak = steps[np.argmax(support * (1.0 - 0.05 * np.linalg.norm(steps, axis=1) / size))]
         if np.linalg.norm(peak) > 0.1 * size:
             starts.append((still + peak, 0.2))
