@@ -21,10 +21,10 @@ from twin.world.mesh import Mesh
 NEAR, FAR = 3.5, 10.0
 """Half diagonals within which a stress is in closed form, and beyond which one point force replaces four."""
 
-GROWTH = 0.7
+GROWTH = 1.2
 """Largest size of a piece of face over its distance to the load."""
 
-FINEST = 0.25
+FINEST = 0.12
 """Size of the pieces under the load, over the load's radius."""
 
 LEVELS = 9
@@ -49,9 +49,7 @@ def nodal_forces(mesh: Mesh, load: Rectangles, columns: Floats, poisson_ratio: f
     out = np.zeros((len(mesh.points), 3, columns.shape[2]))
     if len(faces) == 0 or len(load) == 0:
         return out
-    centre = load.centre_mm.mean(axis=0)
-    radius = float(np.max(np.linalg.norm(load.centre_mm - centre, axis=1) + np.linalg.norm(load.half_mm, axis=1)))
-    face, triangles = _split(mesh.points, faces, centre, radius)
+    face, triangles = _split(mesh.points, faces, *_balls(load))
     places, weights = triangle_quadrature()
     where = triangles[:, :1] + places[:, :1] * (triangles[:, 1:2] - triangles[:, :1])
     where = (where + places[:, 1:] * (triangles[:, 2:] - triangles[:, :1])).reshape(-1, 2)
@@ -79,8 +77,24 @@ def _in_plane(nodes: Floats, load: Rectangles) -> Bools:
     return np.asarray(np.all(np.abs(height) < 1e-9, axis=1) & same)
 
 
-def _split(points: Points, faces: Ints, centre: Points, radius: float) -> tuple[Ints, Floats]:
-    """Return the face (t,) and corners (t, 3, 2) of pieces of faces, small near the ball around the load."""
+def _balls(load: Rectangles) -> tuple[Points, Floats]:
+    """Return centres (c, 3) and radii (c,) of balls around the separate groups of rectangles."""
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    reach = np.linalg.norm(load.half_mm, axis=1)
+    pairs = cKDTree(load.centre_mm).sparse_distance_matrix(cKDTree(load.centre_mm), 3.0 * float(reach.max()) + 1e-9)
+    number, group = connected_components(pairs)
+    centres, radii = np.empty((number, 3)), np.empty(number)
+    for i in range(number):
+        of_group = load.centre_mm[group == i]
+        centres[i] = of_group.mean(axis=0)
+        radii[i] = np.max(np.linalg.norm(of_group - centres[i], axis=1) + reach[group == i])
+    return centres, radii
+
+
+def _split(points: Points, faces: Ints, centres: Points, radii: Floats) -> tuple[Ints, Floats]:
+    """Return the face (t,) and corners (t, 3, 2) of pieces of faces, small near the balls around the load."""
     face = np.arange(len(faces))
     triangles = np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (len(faces), 1, 1))
     done: list[tuple[Ints, Floats]] = []
@@ -88,8 +102,9 @@ def _split(points: Points, faces: Ints, centre: Points, radius: float) -> tuple[
         values = triangle_shapes(triangles.reshape(-1, 2))[0].reshape(-1, 3, 6)
         corners = np.einsum("tca,tai->tci", values, points[faces[face]])
         size = np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1)
-        away = np.linalg.norm(corners.mean(axis=1) - centre, axis=1) - radius
-        big = (size > np.maximum(GROWTH * away, FINEST * radius)) & (level < LEVELS)
+        away = np.linalg.norm(corners.mean(axis=1)[:, None] - centres, axis=2) - radii
+        wanted = np.min(np.maximum(GROWTH * away, FINEST * radii), axis=1)
+        big = (size > wanted) & (level < LEVELS)
         done.append((face[~big], triangles[~big]))
         if not np.any(big):
             break

@@ -1,0 +1,64 @@
+"""Elasticity: error against converged solutions of an independent program, beside seconds and unknowns.
+
+The first press of a method pays for everything (mesh, factor), the others for their own load only.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+import numpy as np
+
+from twin.parts.body import Block, Body, Finger
+from twin.parts.load import Traction
+from twin.parts.material import Material
+from twin.places import ROOT
+from twin.world.compliance import Compliance, Method
+from twin.world.mesh import Purpose
+from twin.world.tile import tile
+
+BODIES: dict[str, Body] = {
+    "block": Block(width_mm=100, length_mm=90, thickness_mm=40),
+    "finger": Finger(radius_mm=8, barrel_mm=8, skirt_mm=2),
+}
+WAYS: tuple[tuple[Method, Purpose], ...] = (
+    ("subtracted", "truth"),
+    ("subtracted", "nominal"),
+    ("direct", "truth"),
+    ("direct", "nominal"),
+)
+
+
+def run(quick: bool) -> list[dict[str, Any]]:
+    """Return one row a case and method; the quick form takes three cases of each body."""
+    rows = []
+    for name, body in BODIES.items():
+        with np.load(ROOT / "tests" / "reference" / f"{name}.npz") as file:
+            data = {key: file[key] for key in file.files}
+        cases = json.loads(str(data["cases"]))
+        for method, purpose in WAYS[:2] if quick else WAYS:
+            made: dict[float, Compliance] = {}
+            for case in cases[:3] if quick else cases:
+                start = time.perf_counter()
+                nu = case["nu"]
+                first = nu not in made
+                if first:
+                    material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
+                    made[nu] = Compliance(body, material, purpose=purpose, method=method)
+                words = dict(case["load"])
+                load = tile(getattr(Traction, words.pop("kind"))(**words), body)
+                moved = made[nu].displacement(data["points"], load)
+                seconds = time.perf_counter() - start
+                wrong = np.linalg.norm(moved - data[case["key"]], axis=1).max()
+                rows.append(
+                    {
+                        "case": f"{name} {case['key']}",
+                        "method": f"{method}, {purpose} mesh" + (", first press" if first else ""),
+                        "unknowns": made[nu].mesh.unknowns,
+                        "seconds": seconds,
+                        "error": float(wrong / np.linalg.norm(data[case["key"]], axis=1).max()),
+                    }
+                )
+    return rows

@@ -1,0 +1,125 @@
+"""The half-space kernels against each other, against equilibrium, and against Love's closed form."""
+
+import numpy as np
+import pytest
+
+from twin.parts.load import Rectangles
+from twin.theory import halfspace
+
+AXES = np.eye(3)
+NUS = (0.5, 0.3, -0.2)
+
+
+def rectangles(centre, half, force, frame=AXES):
+    centre = np.atleast_2d(np.asarray(centre, float))
+    count = len(centre)
+    return Rectangles(
+        centre_mm=centre,
+        frames=np.tile(frame, (count, 1, 1)),
+        half_mm=np.tile(np.asarray(half, float), (count, 1)),
+        force_n=np.array(np.broadcast_to(np.asarray(force, float), (count, 3))),
+    )
+
+
+@pytest.fixture
+def points():
+    rng = np.random.default_rng(3)
+    return np.column_stack([rng.uniform(-2.5, 2.5, (25, 2)), rng.uniform(0.3, 4.0, 25)])
+
+
+@pytest.mark.parametrize("nu", NUS)
+@pytest.mark.parametrize("axis", range(3))
+def test_rectangle_is_the_integral_of_point_forces(points, nu, axis):
+    node, weight = np.polynomial.legendre.leggauss(40)
+    x, y = np.meshgrid(0.3 + 1.0 * node, -0.2 + 0.6 * node, indexing="ij")
+    share = np.outer(weight, weight).ravel() / 4.0
+    cloud = rectangles(np.column_stack([x.ravel(), y.ravel(), 0.0 * share]), (0.0, 0.0), share[:, None] * AXES[axis])
+    whole = rectangles([0.3, -0.2, 0.0], (1.0, 0.6), AXES[axis])
+    for field in (halfspace.displacement, halfspace.gradient):
+        expected = field(points, cloud, 0.5, nu)
+        np.testing.assert_allclose(field(points, whole, 0.5, nu), expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("nu", NUS)
+def test_point_force_is_the_corrected_formula_of_the_flat_paper(nu):
+    x, y, z, young = 0.7, -0.4, 1.1, 0.8
+    fx, fy, fz = 0.3, -0.5, 0.9
+    r, c = np.sqrt(x * x + y * y + z * z), (1 + nu) / (2 * np.pi * young)
+    a = (2 * (1 - nu) * r + z) / (r * (r + z))
+    b = (2 * r * (nu * r + z) + z * z) / (r**3 * (r + z) ** 2)
+    normal = 1 / r**3 * z - (1 - 2 * nu) / (r * (r + z))
+    expected = c * np.array(
+        [
+            a * fx + b * x * (x * fx + y * fy) + x * normal * fz,
+            a * fy + b * y * (x * fx + y * fy) + y * normal * fz,
+            ((1 - 2 * nu) / (r * (r + z)) + z / r**3) * (x * fx + y * fy) + (2 * (1 - nu) / r + z * z / r**3) * fz,
+        ]
+    )
+    got = halfspace.displacement(np.array([[x, y, z]]), rectangles([0, 0, 0], (0, 0), (fx, fy, fz)), young, nu)
+    np.testing.assert_allclose(got[0], expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize("nu", NUS)
+def test_gradient_and_stress_are_consistent_and_in_equilibrium(points, nu):
+    load, step = rectangles([0.3, -0.2, 0.0], (1.0, 0.6), (0.3, -0.4, 1.0)), 1e-4
+
+    def slope(field):
+        return np.stack([(field(points + step * e) - field(points - step * e)) / (2 * step) for e in AXES], axis=-1)
+
+    gradient = halfspace.gradient(points, load, 0.5, nu)
+    differences = slope(lambda p: halfspace.displacement(p, load, 0.5, nu))
+    np.testing.assert_allclose(gradient, differences, atol=1e-6 * np.abs(gradient).max())
+    stress = halfspace.stress(points, load, nu)
+    divergence = np.trace(slope(lambda p: halfspace.stress(p, load, nu)), axis1=2, axis2=3)
+    np.testing.assert_allclose(divergence, 0.0, atol=1e-6 * np.abs(stress).max())
+    if nu < 0.5:
+        shear, lame = 0.25 / (1 + nu), 0.5 * nu / ((1 + nu) * (1 - 2 * nu))
+        law = shear * (gradient + gradient.transpose(0, 2, 1))
+        law += lame * np.trace(gradient, axis1=1, axis2=2)[:, None, None] * AXES
+        np.testing.assert_allclose(stress, law, atol=1e-12)
+    else:
+        np.testing.assert_allclose(np.trace(gradient, axis1=1, axis2=2), 0.0, atol=1e-12)
+
+
+def test_uniform_square_sinks_as_love_says():
+    """Centre and corner of a square of side 2 a under p: 8 ln(1 + sqrt 2) and 4 ln(1 + sqrt 2) times p a / (pi E*)."""
+    young, nu, a = 0.7, 0.3, 1.5
+    square = rectangles([0, 0, 0], (a, a), (0, 0, 4 * a * a))
+    centre, corner = halfspace.displacement(np.array([[0, 0, 0.0], [a, a, 0.0]]), square, young, nu)[:, 2]
+    unit = 4 * (1 - nu**2) / (np.pi * young) * a * np.log(1 + np.sqrt(2))
+    np.testing.assert_allclose([centre, corner], [2 * unit, unit], rtol=1e-12)
+
+
+@pytest.mark.parametrize("nu", NUS)
+def test_surface_edges_corners_and_far_points_are_finite_and_continuous(nu):
+    load = rectangles([0, 0, 0], (0.5, 0.4), (0.3, 0.4, 1.0))
+    on = np.array([[0.5, 0.4, 0.0], [0.5, 0.0, 0.0], [0.0, -0.4, 0.0], [0.5, 2.0, 0.0], [-3.0, 0.4, 0.0], [0, 0, 0]])
+    at = halfspace.displacement(on, load, 0.5, nu)
+    near = halfspace.displacement(on + np.array([1e-9, -1e-9, 1e-9]), load, 0.5, nu)
+    np.testing.assert_allclose(at, near, atol=1e-6)
+    assert np.isfinite(halfspace.gradient(on, load, 0.5, nu)).all()
+    assert np.isfinite(halfspace.stress(on, load, nu)).all()
+    direction = np.array([0.5, 0.6, 0.3]) / np.linalg.norm([0.5, 0.6, 0.3])
+    for reach in (8.0, 40.0):
+        edge = reach * np.hypot(0.5, 0.4)
+        pair = halfspace.displacement(np.outer([edge * (1 - 1e-9), edge * (1 + 1e-9)], direction), load, 0.5, nu)
+        np.testing.assert_allclose(pair[0], pair[1], rtol=3e-7)
+
+
+def test_turned_rectangles_turn_the_field(points):
+    angle = 0.7
+    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    flat = rectangles([0, 0, 0], (0.5, 0.3), (0.2, 0.5, 1.0))
+    turned = rectangles([0, 0, 0], (0.5, 0.3), turn.T @ [0.2, 0.5, 1.0], frame=turn)
+    for field in (halfspace.displacement, halfspace.gradient):
+        here, there = field(points, flat, 0.5, 0.4), field(points @ turn, turned, 0.5, 0.4)
+        back = there @ turn.T if here.ndim == 2 else np.einsum("pi,nij,qj->npq", turn, there, turn)
+        np.testing.assert_allclose(back, here, atol=1e-12)
+
+
+def test_compliance_times_force_is_displacement(points):
+    load = rectangles([[0, 0, 0], [1.0, 0.5, 0]], (0.5, 0.3), [[0.2, 0.5, 1.0], [-0.3, 0.1, 0.4]])
+    matrix = halfspace.compliance(points, load, 0.5, 0.4)
+    np.testing.assert_allclose(
+        (matrix @ load.force_n.ravel()).reshape(-1, 3), halfspace.displacement(points, load, 0.5, 0.4), rtol=1e-12
+    )
