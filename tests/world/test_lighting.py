@@ -55,13 +55,15 @@ def test_the_image_on_the_axis_is_the_paraxial_one() -> None:
 
 def test_the_cover_sends_its_albedo_back() -> None:
     made = scene()
+    assert made.light is not None
+    made = made.model_copy(update={"light": made.light.model_copy(update={"ambient": 0.3})})
     origins = np.array([[0.0, 0, 40], [0, 0, 40], [np.nan, 0, 40], [60, 0, 40]])
     directions = np.array([[0.0, 0, -1], [0.9, 0, -np.sqrt(0.19)], [0, 0, -1], [0, 0, -1]])
     light = cover_light(origins, directions, made, 1.0)
     down = np.array([[0.0, 0, 1]])
     below = np.array([[0.0, 0, 0.2]])
-    expected = irradiance(below, down, lamps_at(below, made)) * np.array([0.2, 0.1, 0.05])
-    np.testing.assert_allclose(light[0], expected, rtol=1e-6)
+    expected = 0.3 + 0.7 * irradiance(below, down, lamps_at(below, made))
+    np.testing.assert_allclose(light[0], expected * np.array([0.2, 0.1, 0.05]), rtol=1e-6)
     assert (light[1:] == 0).all()  # out of the side wall, no ray, beside the body
     assert (cover_light(origins, directions, made.model_copy(update={"cover": None}), 1.0) == 0).all()
 

@@ -270,8 +270,18 @@ def test_finer_grids_converge() -> None:
 
 
 @pytest.mark.slow
-def test_the_same_picture_has_the_same_bytes() -> None:
+def test_threads_do_not_change_a_byte() -> None:
     scene = finger()
     markers = rest_of(scene)
-    pictures = [Renderer(scene, markers, fast()).radiance(markers) for _ in range(2)]
-    np.testing.assert_array_equal(*pictures)
+    renderer = Renderer(scene, markers, fast())
+    import drjit
+
+    before = drjit.thread_count()
+    found = []
+    for threads in (1, 2, 4):
+        drjit.set_thread_count(threads)
+        found.append((renderer.radiance(markers), renderer.outlines(markers).centroid_px))
+    drjit.set_thread_count(before)
+    for light, centroids in found[1:]:
+        np.testing.assert_array_equal(light, found[0][0])
+        np.testing.assert_array_equal(centroids, found[0][1])

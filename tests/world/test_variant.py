@@ -49,7 +49,7 @@ def test_a_file_that_is_no_library_is_refused_and_remembered(tmp_path: Path, mon
 def test_a_library_that_kills_its_process_leaves_ours_alive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = tmp_path / "libLLVM.so.98"
     fake.write_bytes(b"")
-    monkeypatch.setattr(variant, "_PROBE", "import os; os.abort()")
+    monkeypatch.setattr(variant, "_PROBE", "import os; print('good', 19, flush=True); os.abort()")
     chosen = choose_variant(candidates=[str(fake)])
     assert chosen.name == "scalar_rgb"
     assert "ends with code" in chosen.reason
