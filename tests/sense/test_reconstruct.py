@@ -147,6 +147,21 @@ def test_noisy_markers_weigh_less():
     assert errors[0] < 0.7 * errors[1]
 
 
+def test_kept_factorisation_serves_other_noise():
+    """Even noise only scales: force and weight must not depend on its stated size, nor on what was solved before."""
+    markers, seen, calibration = finger_sensor()
+    points, forces = disk((0, 0), 3.0, (0.2, 0, 1.0))
+    found = as_found(shifts(markers, seen, points, forces), calibration, 0.03, 1)
+    first = reconstruct(found, calibration)
+    louder = reconstruct(dataclasses.replace(found, sd_px=3 * found.sd_px), calibration)
+    fresh = reconstruct(found, dataclasses.replace(calibration))
+    for other in (louder, fresh):
+        assert other.force_n == pytest.approx(first.force_n, rel=1e-6, abs=1e-9)
+        assert other.weight == pytest.approx(first.weight, rel=1e-6)
+        assert other.noise_px == pytest.approx(first.noise_px, rel=1e-6)
+        assert other.sd_total_n == pytest.approx(first.sd_total_n, rel=1e-6)
+
+
 def test_nothing_pressed_is_nothing_felt():
     _, _, calibration = FLAT
     still = np.zeros((len(calibration.layer), 2))
