@@ -28,6 +28,7 @@ from twin.world.interpolate import Locator, Places, require_inside
 from twin.world.mesh import Mesh, Purpose, body_mesh
 from twin.world.solve import Solver
 from twin.world.spread import patch_rests
+from twin.world.table import Table, TableAtNu, shipped_table
 from twin.world.tile import ON_SURFACE_MM
 
 Method = Literal["subtracted", "direct"]
@@ -51,6 +52,8 @@ class Compliance:
         ``subtracted`` or ``direct``.
     solver
         See `twin.world.solve.Factor`.
+    table
+        Whether the shipped table of the standard block may replace solves.
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class Compliance:
         purpose: Purpose = "truth",
         method: Method = "subtracted",
         solver: Solver = "auto",
+        table: bool = True,
     ) -> None:
         self.body = body
         self.material = material
@@ -70,6 +74,7 @@ class Compliance:
         self.asymmetry = 0.0
         self._given_mesh = mesh
         self._solver: Solver = solver
+        self._use_table = table
         self._fields: dict[str, Floats] = {}
         self._places: dict[str, Places] = {}
 
@@ -87,6 +92,19 @@ class Compliance:
     def _locator(self) -> Locator:
         return Locator(self.mesh)
 
+    @cached_property
+    def _table(self) -> Table | None:
+        return shipped_table(self.body, self.purpose, self._given_mesh) if self._use_table else None
+
+    @cached_property
+    def _table_at_nu(self) -> TableAtNu | None:
+        return self._table.at(self.material.poisson_ratio) if self._table else None
+
+    def _table_for(self, points: Points, load: Rectangles) -> TableAtNu | None:
+        if self._subtracted and self._table and self._table.covers(points, load, self.material.poisson_ratio):
+            return self._table_at_nu
+        return None
+
     def displacement(self, points: Points, load: Rectangles) -> Points:
         """Return the (n, 3) displacement in mm of ``points`` (n, 3) in the body under ``load``.
 
@@ -102,7 +120,9 @@ class Compliance:
         points = self._checked(points, load)
         if not np.any(load.force_n):
             return np.zeros_like(points)
-        rest = self._place(points).values(self._field(load)) / self._modulus
+        table = self._table_for(points, load)
+        rest = table.displacement(points, load) if table else self._place(points).values(self._field(load))
+        rest = rest / self._modulus
         return rest + halfspace.displacement(points, load, *self._rubber) if self._subtracted else rest
 
     def gradient(self, points: Points, load: Rectangles) -> Floats:
@@ -110,7 +130,9 @@ class Compliance:
         points = self._checked(points, load)
         if not np.any(load.force_n):
             return np.zeros((len(points), 3, 3))
-        rest = self._place(points).gradients(self._field(load)) / self._modulus
+        table = self._table_for(points, load)
+        rest = table.gradient(points, load) if table else self._place(points).gradients(self._field(load))
+        rest = rest / self._modulus
         return rest + halfspace.gradient(points, load, *self._rubber) if self._subtracted else rest
 
     def to_points(self, points: Points, rectangles: Rectangles) -> Floats:
@@ -124,7 +146,10 @@ class Compliance:
             return np.zeros(shape)
         if not self._subtracted:
             return self._direct(self._place(points), rectangles).reshape(shape)
-        rest = patch_rests(self.system, self.body, self._place(points), rectangles).reshape(shape)
+        if table := self._table_for(points, rectangles):
+            rest = table.rests(points, rectangles).reshape(shape)
+        else:
+            rest = patch_rests(self.system, self.body, self._place(points), rectangles).reshape(shape)
         return np.asarray(halfspace.compliance(points, rectangles, *self._rubber) + rest / self._modulus)
 
     def surface(self, rectangles: Rectangles) -> Floats:
