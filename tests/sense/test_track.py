@@ -220,17 +220,28 @@ def test_two_layers_in_a_grey_picture():
     assert np.nanmax(np.abs(found.rest_px - joined(layout))) < 0.1
 
 
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_few_markers(count):
+    layout = {"beads": np.array([[60.0, 50.0], [110.0, 52.0], [75.0, 95.0]])[:count]}
+    moved = layout["beads"] + [4.0, -3.0]
+    pictures = [expose(clean_picture((160, 140), [(p, (180.0,) * 3)], diameter=10), i)
+                for i, p in enumerate((layout["beads"], moved))]  # fmt: skip
+    found = track(*pictures, layout)
+    assert found.shift_px == pytest.approx(np.tile([4.0, -3.0], (count, 1)), abs=0.06)
+
+
+@pytest.mark.parametrize("method", ["soft-window", "two-pass"])
 @pytest.mark.parametrize("noise", [False, True])
-def test_blank_pictures_yield_nothing(noise):
+def test_blank_pictures_yield_nothing(noise, method):
     size, layout, diameter = FLAT
     blank = np.full((size[1], size[0], 3), 8.0)
     blank = expose(blank, 5) if noise else blank.astype(np.uint8)
     rest = render(layout, {}, size=size, diameter=diameter, seed=1)
     for first, second in ((blank, blank), (rest, blank), (blank, rest)):
-        found = track(first, second, layout)
+        found = track(first, second, layout, method=method)
         assert not found.seen.any()
         assert np.isnan(found.sd_px).all()
-    assert np.isnan(track(blank, blank, layout).rest_px).all()
+    assert np.isnan(track(blank, blank, layout, method=method).rest_px).all()
 
 
 def test_a_sequence_starts_from_the_previous_picture():

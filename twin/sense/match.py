@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from twin.arrays import Bools, Floats, Ints, Pixels
 
 NEIGHBOURS = 10
+LEAST_NEIGHBOURS = 3
 CANDIDATES = 8
 GATE = 0.35
 """Largest distance between prediction and spot, in spacings."""
@@ -196,9 +197,10 @@ def _grow(around: Neighbourhood, spots: Pixels, alike: Bools, guess: Pixels, gat
     spot = _nearest_pairs(np.where(np.isfinite(rest + guess), rest + guess, -1e9), reach, alike, gate * size)
     motion = np.where((spot >= 0)[:, None], spots[spot] - rest, np.nan)
     misfit = np.zeros(len(rest))
+    alone = np.count_nonzero(around.fit_weight, axis=1) < LEAST_NEIGHBOURS
     for turn in range(ROUNDS):
         expected, certain = _predict(around, motion)
-        seed = certain | (turn == 0)
+        seed = certain | alone | (turn == 0)
         target = np.where(certain[:, None], rest + expected, rest + np.where(np.isfinite(motion), motion, guess))
         target = np.where(np.isfinite(target) & seed[:, None], target, -1e9)
         new = _nearest_pairs(target, reach, alike, GATE * size)
@@ -233,7 +235,7 @@ def _nearest_pairs(target: Pixels, spots: cKDTree, alike: Bools, gate: float) ->
 
 
 def _predict(around: Neighbourhood, motion: Pixels) -> tuple[Pixels, Bools]:
-    """Return every marker's motion as its matched neighbours have it (local affine), and where at least 3 say so."""
+    """Return every marker's motion as its matched neighbours have it (local affine), and where enough of them do."""
     moved = np.isfinite(motion).all(axis=1)
     weight = around.fit_weight * np.take(moved, around.near)
     total = weight.sum(axis=1)
@@ -248,4 +250,4 @@ def _predict(around: Neighbourhood, motion: Pixels) -> tuple[Pixels, Bools]:
     slope = np.linalg.solve(normal, moment)
     predicted = mean - np.einsum("ni,nij->nj", middle, slope)
     known = np.isfinite(around.rest_px).all(axis=1)
-    return predicted, np.asarray((np.count_nonzero(weight, axis=1) >= 3) & known)
+    return predicted, np.asarray((np.count_nonzero(weight, axis=1) >= LEAST_NEIGHBOURS) & known)

@@ -109,7 +109,10 @@ def analyse_rest(
     nominal = np.concatenate(list(drawn.values()))
     prepared = [_first_look(picture, w, nominal[r], diameter_px) for w, r in zip(projections, rows, strict=True)]
     if method == "two-pass":
-        measured = [cell_centroids(look.signal, nominal[r], size) for look, r in zip(prepared, rows, strict=True)]
+        measured = [
+            cell_centroids(look.signal, nominal[r], size, look.contrast_dn)
+            for look, r in zip(prepared, rows, strict=True)
+        ]
         pairs = [np.where(np.isfinite(m[:, 0]), np.arange(len(m)), -1) for m in measured]
         groups = [
             _group(look, r, m, p, size, None) for look, r, m, p in zip(prepared, rows, measured, pairs, strict=True)

@@ -126,7 +126,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
         signal = project(picture, group.weights, group.ground_dn + group.floor_dn) - np.float32(group.ground_dn)
         known = group.around.rest_px
         if rest.method == "two-pass":
-            shift[group.rows] = cell_centroids(signal, known, group.around.spacing_px) - known
+            shift[group.rows] = cell_centroids(signal, known, group.around.spacing_px, group.contrast_dn) - known
             sd[group.rows] = CELLS_SD_PX
             continue
         blobs = find_blobs(signal, group.diameter_px, group.contrast_dn, crowd_level(group.floor_dn))
