@@ -36,6 +36,12 @@ def test_chart_depth_is_the_depth(body: Body) -> None:
 
 
 @pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
+def test_chart_of_inverts_the_chart(body: Body) -> None:
+    chart = np.random.default_rng(5).uniform(-7, 7, (200, 2))
+    np.testing.assert_allclose(body.chart_of(body.chart_points(chart, 0.4)), chart, atol=1e-9)
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
 def test_chart_measures_arc_length_from_the_origin(body: Body) -> None:
     line = np.linspace(0, 5, 2001)
     for direction in ([1, 0], [0, 1], [0.6, 0.8]):

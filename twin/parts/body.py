@@ -42,6 +42,10 @@ class Body(Part):
         """Return the (n, 3) points at arc lengths (s, t) on the outer surface, ``depth_mm`` below it."""
 
     @abstractmethod
+    def chart_of(self, points: Points) -> Chart:
+        """Return the (n, 2) arc lengths (s, t) of the surface points above ``points``: inverse of `chart_points`."""
+
+    @abstractmethod
     def surface_from_above(self, xy: Floats) -> Points:
         """Return the (n, 3) points of the sensing surface met from -z at (x, y); NaN where there is none."""
 
@@ -104,6 +108,9 @@ class Block(Body):
     def chart_points(self, chart: Chart, depth_mm: Floats | float = 0.0) -> Points:
         chart = np.asarray(chart, float)
         return np.column_stack([chart, np.broadcast_to(np.asarray(depth_mm, float), len(chart))])
+
+    def chart_of(self, points: Points) -> Chart:
+        return np.array(points, float)[:, :2]
 
     def surface_from_above(self, xy: Floats) -> Points:
         points = self.chart_points(xy)
@@ -172,6 +179,15 @@ class Finger(Body):
         along = r * np.sin(rho / radius) / safe
         x = np.where(s > 0, along * s, s)
         return np.column_stack([x, along * t, radius - r * np.cos(rho / radius)])
+
+    def chart_of(self, points: Points) -> Chart:
+        away, distance = self._from_core(points)
+        sideways = np.where(away[:, :1] > 0, away[:, :2], away[:, :2] * [0.0, 1.0])
+        length = np.linalg.norm(sideways, axis=1)
+        rho = self.radius_mm * np.arctan2(length, -away[:, 2])
+        chart = sideways * (rho / np.where(length > 0, length, 1.0))[:, None]
+        chart[:, 0] += np.minimum(np.asarray(points, float)[:, 0], 0.0)
+        return np.asarray(chart)
 
     def surface_from_above(self, xy: Floats) -> Points:
         x, y = np.asarray(xy, float).T

@@ -100,7 +100,7 @@ class Press(Part):
         (x, y) of the probe's axis; it comes from -z.
     steps
         The path. ``force_n`` (three numbers) or ``indentation_mm`` (a motion along z from first touch) are shorthand
-        for a path of one step.
+        for a path of one step; without friction a side force of 0 there means that the probe is guided along z.
     friction
         Coulomb's coefficient: 0 is frictionless, inf is sticking. Others wait for the contact solver with slip.
     """
@@ -147,4 +147,7 @@ class Press(Part):
             return self.steps
         if self.indentation_mm is not None:
             return (Step(move_mm=(None, None, self.indentation_mm)),)
-        return (Step(force_n=self.force_n or (None, None, None)),)
+        fx, fy, fz = self.force_n or (None, None, None)
+        if self.friction == 0.0:  # a frictionless probe can't be steered by forces: no side force means guided
+            fx, fy = fx or None, fy or None
+        return (Step(force_n=(fx, fy, fz)),)
