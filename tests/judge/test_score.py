@@ -36,7 +36,7 @@ def test_errors_as_defined():
     given = pushes()
     force = given["force_n"]
     result = force_score(**pushes(force_n=1.1 * force))
-    assert result["field_error"] == pytest.approx(0.01)
+    assert result["field_error"] == pytest.approx(0.1)
     total = given["true_force_n"] + [0.0, 0.3, 0.0]
     result = force_score(**pushes(total_force_n=total))
     assert result["total_force_error"] == pytest.approx(0.3 / np.linalg.norm(given["true_force_n"]))

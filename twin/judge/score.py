@@ -144,7 +144,7 @@ def force_score(
     Returns
     -------
     dict
-        ``field_error`` |f^ - f|^2/|f|^2, the truth being summed into the cell of its nearest site;
+        ``field_error`` |f^ - f|/|f| in the 2-norm, the truth being summed into the cell of its nearest site;
         ``total_force_error`` |F^ - F|/|F|; ``torque_error`` |T^ - T|/max(|T|, |F| 1 mm); ``centre_error_mm``, the
         distance in (x, y) of the push's centres, sum fz (x, y)/sum fz (of the estimate only the sites above a fifth of
         the largest push). ``reasons``.
@@ -159,9 +159,9 @@ def force_score(
     if not all(np.isfinite(v).all() for v in numbers):
         return {**result, "reasons": dict.fromkeys(result, "truth or estimate hold numbers that are not finite")}
     cells = into_cells(site_mm, surface_mm, truth)
-    energy, size = float((cells**2).sum()), float(np.linalg.norm(force))
-    if energy > 0:
-        result["field_error"] = float(((estimate - cells) ** 2).sum() / energy)
+    field_size, size = float(np.linalg.norm(cells)), float(np.linalg.norm(force))
+    if field_size > 0:
+        result["field_error"] = float(np.linalg.norm(estimate - cells) / field_size)
     else:
         reasons["field_error"] = "the true field is zero"
     if size > 0:

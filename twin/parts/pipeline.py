@@ -60,7 +60,7 @@ class Reconstruction(Part):
         ``smooth``: differences of neighbouring forces are kept small (the flat paper's eq. 11 and 12, corrected);
         ``norm``: the forces themselves (eq. 14 and 15); ``pinv``: the plain pseudo-inverse.
     weight
-        The papers' omega; ``auto`` chooses it by marginal likelihood.
+        The papers' omega; ``auto`` chooses it by marginal likelihood and robust cross-validation.
     """
 
     sites: Sites

@@ -27,7 +27,7 @@ from twin.world.fem import TaylorHood
 from twin.world.interpolate import Locator, Places, require_inside
 from twin.world.mesh import Mesh, Purpose, body_mesh
 from twin.world.solve import Solver
-from twin.world.spread import patch_rests
+from twin.world.spread import Region, patch_rests, worth_a_region
 from twin.world.table import Table, TableAtNu, shipped_table
 from twin.world.tile import ON_SURFACE_MM
 
@@ -77,6 +77,7 @@ class Compliance:
         self._use_table = table
         self._fields: dict[str, Floats] = {}
         self._places: dict[str, Places] = {}
+        self._region: Region | None = None
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -149,8 +150,19 @@ class Compliance:
         if table := self._table_for(points, rectangles):
             rest = table.rests(points, rectangles).reshape(shape)
         else:
-            rest = patch_rests(self.system, self.body, self._place(points), rectangles).reshape(shape)
+            rest = self._solved_rests(self._place(points), rectangles).reshape(shape)
         return np.asarray(halfspace.compliance(points, rectangles, *self._rubber) + rest / self._modulus)
+
+    def _solved_rests(self, places: Places, rectangles: Rectangles) -> Floats:
+        """Return (n, 3, k, 3) from the latest region if it covers the patches, a new region, or patch by patch."""
+        if not worth_a_region(rectangles):
+            return patch_rests(self.system, places, rectangles)
+        if self._region is None or not self._region.covers(rectangles):
+            try:
+                self._region = Region(self.system, self.body, rectangles)
+            except InputError:  # so near to the end of the surface that the region would run over it
+                return patch_rests(self.system, places, rectangles)
+        return self._region.rests(places, rectangles)
 
     def surface(self, rectangles: Rectangles) -> Floats:
         """Return the symmetric (3 k, 3 k) displacement in mm/N of the rectangles' centres per unit force on each.

@@ -2,17 +2,18 @@
 
 Where a patch is moved within a contact, its rest w changes smoothly; so w is solved for probe patches at the nodes of
 a Chebyshev grid over the region, and interpolated in the patch's place, the force being held in the patch's own frame.
+A region is kept: the next grid of the same press, or the next step of its path, costs products only.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebpts1
 
 from twin.arrays import Floats, Points
-from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles, Traction
 from twin.world.correction import correction
@@ -26,85 +27,99 @@ GRAIN_MM = 1.2
 MOST = 9
 """Nodes per direction at most."""
 
+ROOM = 0.15
+"""Share of its size by which a region is made larger on every side, for contact that grows or moves."""
+
 BATCH = 32
 """Patches per block of right-hand sides, which bounds the memory."""
 
 
-def patch_rests(
-    system: TaylorHood, body: Body, places: Places, rectangles: Rectangles, grain_mm: float = GRAIN_MM
-) -> Floats:
-    """Return (n, 3, k, 3): w in mm/N at ``places`` (n), for E = 1 MPa, per unit global force on each rectangle.
+class Region:
+    """Solved rests of probe patches all over one region of the surface, for any patches within it.
 
     Parameters
     ----------
     system, body
         The elastic system and the body it belongs to.
-    places
-        Where w is read.
     rectangles
-        (k) patches.
-    grain_mm
-        Wanted distance of the probes.
+        The patches whose region this is to be, `ROOM` larger than they need.
 
-    Notes
-    -----
-    Few patches, or patches all over the body, are solved one by one: interpolation has to save solves to be used.
+    Raises
+    ------
+    InputError
+        The region runs over the end of the sensing surface.
     """
-    centre = rectangles.centre_mm.mean(axis=0)
-    centre = centre - body.depth(centre[None])[0] * body.piece_normals(centre[None])[0, 0]
-    frame = body.frames(centre[None])[0]
-    offsets = (rectangles.centre_mm - centre) @ frame[:2].T
-    low, high = offsets.min(axis=0), offsets.max(axis=0)
-    number = [min(3 + math.ceil((b - a) / grain_mm), MOST) for a, b in zip(low, high, strict=True)]
-    sparse = max(b - a for a, b in zip(low, high, strict=True)) > 2.0 * MOST * grain_mm
-    if sparse or len(rectangles) <= 1.2 * number[0] * number[1]:
-        return _one_by_one(system, places, rectangles)
-    nodes = [
-        (a + b) / 2 + max((b - a) / 2, grain_mm / 4) * chebpts1(n) for a, b, n in zip(low, high, number, strict=True)
-    ]
-    try:
-        probes = _probes(nodes, centre, frame, body, rectangles)
-    except InputError:
-        return _one_by_one(system, places, rectangles)
-    rests = _one_by_one(system, places, probes, local=True)
-    weight = np.einsum("ka,kb->kab", _lagrange(nodes[0], offsets[:, 0]), _lagrange(nodes[1], offsets[:, 1]))
-    out: Floats = np.einsum(
-        "nijc,kj,kcg->nikg", rests, weight.reshape(len(rectangles), -1), rectangles.frames, optimize=True
-    )
-    return out
+
+    def __init__(self, system: TaylorHood, body: Body, rectangles: Rectangles) -> None:
+        centre = rectangles.centre_mm.mean(axis=0)
+        centre = centre - body.depth(centre[None])[0] * body.piece_normals(centre[None])[0, 0]
+        self._centre, self._frame, self._system = centre, body.frames(centre[None])[0], system
+        offsets = self._offsets(rectangles)
+        low, high = offsets.min(axis=0), offsets.max(axis=0)
+        room = np.maximum(ROOM * (high - low), GRAIN_MM / 4)
+        self._low, self._high = low - room, high + room
+        self._nodes = [
+            (a + b) / 2 + (b - a) / 2 * chebpts1(min(3 + math.ceil((b - a) / GRAIN_MM), MOST))
+            for a, b in zip(self._low, self._high, strict=True)
+        ]
+        probes = self._probes(body, rectangles.half_mm.mean(axis=0))
+        axes = probes.frames.transpose(0, 2, 1)
+        self._fields = np.concatenate([field for _, field in _solved(system, probes, axes)], axis=2)
+
+    def covers(self, rectangles: Rectangles) -> bool:
+        """Return whether all patches lie in the region."""
+        offsets = self._offsets(rectangles)
+        return bool((offsets >= self._low).all() and (offsets <= self._high).all())
+
+    def rests(self, places: Places, rectangles: Rectangles) -> Floats:
+        """Return (n, 3, k, 3): w in mm/N at ``places`` (n), for E = 1 MPa, per unit global force on each rectangle."""
+        offsets, k = self._offsets(rectangles), len(rectangles)
+        along = [_lagrange(nodes, offsets[:, axis]) for axis, nodes in enumerate(self._nodes)]
+        weight = np.einsum("ka,kb->kab", *along).reshape(k, -1)
+        values = places.matrix(len(self._system.mesh.points)) @ self._fields.reshape(len(self._fields), -1)
+        turned = np.einsum("kj,kcg->jckg", weight, rectangles.frames).reshape(-1, 3 * k)
+        return np.asarray((values.reshape(-1, len(turned)) @ turned).reshape(-1, 3, k, 3))
+
+    def _offsets(self, rectangles: Rectangles) -> Floats:
+        return np.asarray((rectangles.centre_mm - self._centre) @ self._frame[:2].T)
+
+    def _probes(self, body: Body, half_mm: Floats) -> Rectangles:
+        offsets = np.stack(np.meshgrid(*self._nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+        size = self._high - self._low
+        whole = Traction(kind="rectangle", centre_mm=tuple(self._centre), size_mm=(float(size[0]), float(size[1])))
+        points: Points = onto_surface(offsets, self._centre, self._frame, body, whole)
+        return Rectangles(
+            centre_mm=points,
+            frames=body.frames(points),
+            half_mm=np.tile(half_mm, (len(points), 1)),
+            force_n=np.zeros((len(points), 3)),
+        )
 
 
-def _probes(nodes: list[Floats], centre: Points, frame: Floats, body: Body, rectangles: Rectangles) -> Rectangles:
-    offsets = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
-    half = rectangles.half_mm.mean(axis=0)
-    whole = Traction(
-        kind="rectangle", centre_mm=tuple(centre), size_mm=(float(np.ptp(nodes[0])), float(np.ptp(nodes[1])))
-    )
-    points = onto_surface(offsets, centre, frame, body, whole)
-    return Rectangles(
-        centre_mm=points,
-        frames=body.frames(points),
-        half_mm=np.tile(half, (len(points), 1)),
-        force_n=np.zeros((len(points), 3)),
-    )
+def worth_a_region(rectangles: Rectangles) -> bool:
+    """Return whether patches are many, and close enough together, for interpolation to save solves."""
+    size = np.sort(np.ptp(rectangles.centre_mm, axis=0))[1:] * (1.0 + 2.0 * ROOM)
+    nodes = 3 + np.ceil(np.maximum(size, GRAIN_MM / 2) / GRAIN_MM)
+    return bool(nodes.max() <= 2 * MOST and len(rectangles) > np.minimum(nodes, MOST).prod())
 
 
-def _one_by_one(system: TaylorHood, places: Places, rectangles: Rectangles, local: bool = False) -> Floats:
-    """Return (n, 3, k, 3), per unit force along the global axes, or along the axes of each patch's frame."""
+def patch_rests(system: TaylorHood, places: Places, rectangles: Rectangles) -> Floats:
+    """Return (n, 3, k, 3) like `Region.rests`, every patch being solved for itself."""
     out = np.empty((len(places.nodes), 3, len(rectangles), 3))
     matrix = places.matrix(len(system.mesh.points))
-    for start in range(0, len(rectangles), BATCH):
-        batch = range(start, min(start + BATCH, len(rectangles)))
-        fields = correction(
-            system, [single(rectangles, i) for i in batch], [_axes(rectangles, i, local) for i in batch]
-        )
+    axes = np.broadcast_to(np.eye(3), (len(rectangles), 3, 3))
+    for part, fields in _solved(system, rectangles, axes):
         values = matrix @ fields.reshape(len(fields), -1)
-        out[:, :, start : batch.stop] = values.reshape(len(out), 3, len(batch), 3)
+        out[:, :, part] = values.reshape(len(out), 3, -1, 3)
     return out
 
 
-def _axes(rectangles: Rectangles, index: int, local: bool) -> Floats:
-    return (rectangles.frames[index].T if local else np.eye(3))[None]
+def _solved(system: TaylorHood, rectangles: Rectangles, axes: Floats) -> Iterator[tuple[slice, Floats]]:
+    """Yield which patches, and the (N, 3, 3 k) rests under unit forces along the columns of each patch's axes."""
+    for start in range(0, len(rectangles), BATCH):
+        part = slice(start, min(start + BATCH, len(rectangles)))
+        each = range(part.start, part.stop)
+        yield part, correction(system, [single(rectangles, i) for i in each], [axes[i][None] for i in each])
 
 
 def single(rectangles: Rectangles, index: int) -> Rectangles:
