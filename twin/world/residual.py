@@ -18,7 +18,7 @@ from twin.theory.halfspace_kernels import GAUSS_2, rectangle_slopes, rectangle_t
 from twin.world.elements import triangle_quadrature, triangle_shapes
 from twin.world.mesh import Mesh
 
-NEAR, FAR = 3.5, 10.0
+NEAR, FAR = 2.2, 6.0
 """Half diagonals within which a stress is in closed form, and beyond which one point force replaces four."""
 
 GROWTH = 1.2
@@ -28,6 +28,9 @@ FINEST = 0.12
 """Size of the pieces under the load, over the load's radius."""
 
 LEVELS = 9
+
+DISTANT, CELLS, MERGEABLE = 2.5, 6.0, 64
+"""Load radii beyond which a load of at least so many rectangles is merged into cells, so many across."""
 
 
 def nodal_forces(mesh: Mesh, load: Rectangles, columns: Floats, poisson_ratio: float) -> Floats:
@@ -49,23 +52,68 @@ def nodal_forces(mesh: Mesh, load: Rectangles, columns: Floats, poisson_ratio: f
     out = np.zeros((len(mesh.points), 3, columns.shape[2]))
     if len(faces) == 0 or len(load) == 0:
         return out
-    face, triangles = _split(mesh.points, faces, *_balls(load))
+    balls = _balls(load)
+    points, areas, values, nodes = _quadrature(mesh.points, faces, *balls)
+    columns = np.ascontiguousarray(columns)
+    coarse, sums = _merged(load, columns)
+    away = np.min(np.linalg.norm(points[:, None] - balls[0], axis=2) / np.maximum(balls[1], 1e-300), axis=1)
+    far = away > DISTANT
+    for part, forces, loads in ((~far, columns, load), (far, sums, coarse)):
+        _add(
+            points[part], areas[part], values[part], nodes[part], loads.centre_mm, loads.frames, loads.half_mm, forces,
+            poisson_ratio, out,
+        )  # fmt: skip
+    return out
+
+
+def _quadrature(points: Points, faces: Ints, centres: Points, radii: Floats) -> tuple[Points, Floats, Floats, Ints]:
+    """Return quadrature places (q, 3), area vectors (q, 3), shape functions (q, 6) and face nodes (q, 6)."""
+    face, triangles = _split(points, faces, centres, radii)
     places, weights = triangle_quadrature()
     where = triangles[:, :1] + places[:, :1] * (triangles[:, 1:2] - triangles[:, :1])
     where = (where + places[:, 1:] * (triangles[:, 2:] - triangles[:, :1])).reshape(-1, 2)
     face = np.repeat(face, len(places))
     values, slopes = triangle_shapes(where)
-    nodes = mesh.points[faces[face]]
-    points = np.einsum("qa,qai->qi", values, nodes)
+    nodes = points[faces[face]]
     tangents = np.einsum("qam,qai->qmi", slopes, nodes)
     sides = triangles[:, 1:] - triangles[:, :1]
     share = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
     areas = np.cross(tangents[:, 0], tangents[:, 1]) * (share[:, None] * weights).ravel()[:, None]
-    columns = np.ascontiguousarray(columns)
-    _add(
-        points, areas, values, faces[face], load.centre_mm, load.frames, load.half_mm, columns, poisson_ratio, out
-    )  # fmt: skip
-    return out
+    return np.einsum("qa,qai->qi", values, nodes), areas, values, faces[face]
+
+
+def _merged(load: Rectangles, columns: Floats) -> tuple[Rectangles, Floats]:
+    """Return fewer point forces (c) and their forces (c, 3, m) that stand for a fine load at a distance.
+
+    Loads of few rectangles, several cases at once, and neighbours that pull in opposite directions are left alone.
+    """
+    if len(load) < MERGEABLE or columns.shape[2] != 1:
+        return load, columns
+    size = np.max(np.ptp(load.centre_mm, axis=0)) / CELLS
+    _, group = np.unique(np.round(load.centre_mm / size).astype(int), axis=0, return_inverse=True)
+    group = group.ravel()
+    strength = np.linalg.norm(columns[:, :, 0], axis=1)
+    weight = strength + 1e-12 * strength.max(initial=1.0)
+    total = np.bincount(group, weight)
+
+    def summed(array: Floats) -> Floats:
+        return np.column_stack([np.bincount(group, array[:, i]) for i in range(3)])
+
+    force = summed(columns[:, :, 0])
+    if np.linalg.norm(force, axis=1).sum() < 0.98 * strength.sum():
+        return load, columns
+    normal = summed(weight[:, None] * load.frames[:, 2])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    first = load.frames[np.unique(group, return_index=True)[1], 0]
+    first = first - np.sum(first * normal, axis=1, keepdims=True) * normal
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    coarse = Rectangles(
+        centre_mm=summed(weight[:, None] * load.centre_mm) / total[:, None],
+        frames=np.stack([first, np.cross(normal, first), normal], axis=1),
+        half_mm=np.zeros((len(total), 2)),
+        force_n=np.zeros((len(total), 3)),
+    )
+    return coarse, np.ascontiguousarray(force[:, :, None])
 
 
 def _in_plane(nodes: Floats, load: Rectangles) -> Bools:
@@ -136,17 +184,32 @@ def _add(
     away = np.empty(3)
     for q in range(len(points)):
         total[:] = 0.0
+        px, py, pz = points[q, 0], points[q, 1], points[q, 2]
+        sx, sy, sz = areas[q, 0], areas[q, 1], areas[q, 2]
         for k in range(len(centre)):
-            for i in range(3):
-                away[i] = points[q, i] - centre[k, i]
+            x, y, z = px - centre[k, 0], py - centre[k, 1], pz - centre[k, 2]
             size = half[k, 0] * half[k, 0] + half[k, 1] * half[k, 1]
-            distance = away[0] * away[0] + away[1] * away[1] + away[2] * away[2]
-            if distance == 0.0:
+            r2 = x * x + y * y + z * z
+            if r2 == 0.0:
                 continue
-            if distance > NEAR * NEAR * size:
-                _far(away, areas[q], frames[k], half[k], distance > FAR * FAR * size, nu, t)
+            if r2 > FAR * FAR * size:
+                c = 1.5 / math.pi * (x * sx + y * sy + z * sz) / (r2 * r2 * math.sqrt(r2))
+                for case in range(cases):
+                    force = c * (x * columns[k, 0, case] + y * columns[k, 1, case] + z * columns[k, 2, case])
+                    total[0, case] += force * x
+                    total[1, case] += force * y
+                    total[2, case] += force * z
+                if nu == 0.5:
+                    continue
+                away[0], away[1], away[2] = x, y, z
+                t[:] = 0.0
+                _add_plane_part(away, areas[q], frames[k], 0.0, 0.0, 1.0 - 2.0 * nu, t)
             else:
-                _near(away, areas[q], frames[k], half[k], nu, t, d, u, n, g)
+                away[0], away[1], away[2] = x, y, z
+                if r2 > NEAR * NEAR * size:
+                    _far(away, areas[q], frames[k], half[k], nu, t)
+                else:
+                    _near(away, areas[q], frames[k], half[k], nu, t, d, u, n, g)
             for i in range(3):
                 for case in range(cases):
                     force = (
@@ -160,22 +223,20 @@ def _add(
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _far(away: Floats, area: Floats, frame: Floats, half: Floats, single: bool, nu: float, t: Floats) -> None:
-    """Set t[i, j] to sigma n dA per unit force j; one or four point forces stand for the rectangle.
+def _far(away: Floats, area: Floats, frame: Floats, half: Floats, nu: float, t: Floats) -> None:
+    """Set t[i, j] to sigma n dA per unit force j, four point forces standing for the rectangle.
 
     A point force's stress is radial, -3 (f . x) x x / (2 pi r^5), plus (1 - 2 nu) times a plane part that has no
     component along the normal (Boussinesq, Cerruti; H is the potential of `twin.theory.halfspace_kernels`).
     """
     t[:] = 0.0
-    for s in range(1 if single else 4):
-        first = 0.0 if single else half[0] * GAUSS_2[s % 2]
-        second = 0.0 if single else half[1] * GAUSS_2[s // 2]
-        weight = 1.0 if single else 0.25
+    for s in range(4):
+        first, second = half[0] * GAUSS_2[s % 2], half[1] * GAUSS_2[s // 2]
         x = away[0] - first * frame[0, 0] - second * frame[1, 0]
         y = away[1] - first * frame[0, 1] - second * frame[1, 1]
         z = away[2] - first * frame[0, 2] - second * frame[1, 2]
         r2 = x * x + y * y + z * z
-        c = -1.5 / math.pi * weight * (x * area[0] + y * area[1] + z * area[2]) / (r2 * r2 * math.sqrt(r2))
+        c = -0.375 / math.pi * (x * area[0] + y * area[1] + z * area[2]) / (r2 * r2 * math.sqrt(r2))
         t[0, 0] += c * x * x
         t[1, 1] += c * y * y
         t[2, 2] += c * z * z
@@ -184,10 +245,9 @@ def _far(away: Floats, area: Floats, frame: Floats, half: Floats, single: bool, 
         t[1, 2] += c * y * z
     t[1, 0], t[2, 0], t[2, 1] = t[0, 1], t[0, 2], t[1, 2]
     if nu != 0.5:
-        for s in range(1 if single else 4):
-            first = 0.0 if single else half[0] * GAUSS_2[s % 2]
-            second = 0.0 if single else half[1] * GAUSS_2[s // 2]
-            _add_plane_part(away, area, frame, first, second, (1.0 - 2.0 * nu) * (1.0 if single else 0.25), t)
+        for s in range(4):
+            first, second = half[0] * GAUSS_2[s % 2], half[1] * GAUSS_2[s // 2]
+            _add_plane_part(away, area, frame, first, second, 0.25 * (1.0 - 2.0 * nu), t)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
