@@ -1,0 +1,125 @@
+"""The whole chain against the truth: the figures that the scenes promise, and the work that is skipped."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import twin
+from twin.results import RunResult
+from twin.sense.calibration import Calibration
+from twin.sense.reconstruct import reconstruct
+from twin.sense.track import track
+from twin.sense.transfer import from_compliance
+from twin.study.calibrate import calibration_of
+from twin.theory.optics import projection_jacobian
+
+GRAM_FORCE = 9.80665e-3
+
+
+def test_a_second_press_factors_nothing() -> None:
+    from twin.world.solve import factorisations
+
+    sensor = twin.Sensor(twin.load_scene("finger_bare"))
+    load = twin.Traction.bump((0, 0), 1.5, (0, 0, 1))
+    sensor.displacement(np.array([[0.0, 0.0, 2.0]]), load)
+    before = factorisations()
+    sensor.displacement(np.array([[0.0, 0.0, 2.0]]), twin.Traction.bump((1, 1), 1.0, (1, 0, 0)))
+    assert factorisations() == before
+
+
+def test_the_made_sensor_differs_from_its_drawing() -> None:
+    sensor = twin.Sensor(twin.load_scene("kamiyama_pillar"))
+    made, drawn = sensor.actual.scene, sensor.nominal
+    assert made.material.youngs_modulus_mpa != drawn.material.youngs_modulus_mpa
+    assert made.material.poisson_ratio < drawn.material.poisson_ratio
+    assert made.camera != drawn.camera
+    assert made.markers["red"].depth_mm != drawn.markers["red"].depth_mm
+    assert 0.01 < np.std(sensor.actual.jitter_mm) < 0.05
+    assert sensor.compliance.mesh.digest() != sensor.nominal_compliance.mesh.digest()
+
+
+def test_without_tolerance_the_sensor_is_as_drawn() -> None:
+    sensor = twin.Sensor(twin.load_scene("kamiyama_pillar", {"tolerance.preset": "none"}))
+    assert sensor.actual.scene == sensor.nominal
+    assert not sensor.actual.jitter_mm.any()
+
+
+def test_the_seed_draws_the_sensor() -> None:
+    one, again, other = (
+        twin.Sensor(twin.load_scene("sato_press", {"seed": s})).actual.markers.points for s in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(one, again)
+    assert np.abs(one - other).max() > 1e-3
+
+
+@cache
+def result_of(name: str) -> RunResult:
+    return twin.run(twin.load_scene(name))
+
+
+FLAT = ["kamiyama_pillar", "kamiyama_shear", "kamiyama_twist", "kamiyama_wide", "first_press"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*FLAT, "sato_press", "sato_shear"])
+def test_tracking_reaches_its_figures(name: str) -> None:
+    tracking = result_of(name).score["tracking"]
+    assert tracking["sd_px"] <= 0.05
+    assert tracking["matched"] > 0.98
+    assert tracking["gross"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FLAT)
+def test_flat_forces_reach_their_figures(name: str) -> None:
+    force = result_of(name).score["force"]
+    assert force["total_force_error"] <= 0.05
+    assert force["centre_error_mm"] <= 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["sato_press", "sato_shear"])
+def test_finger_forces_reach_their_figures(name: str) -> None:
+    assert result_of(name).score["force"]["total_force_error"] <= 0.10
+
+
+@pytest.mark.slow
+def test_half_space_calibration_is_an_option_with_its_error() -> None:
+    result = twin.run(twin.load_scene("kamiyama_pillar", {"calibration.method": "halfspace"}))
+    assert 0.05 < result.score["force"]["total_force_error"] < 0.6
+
+
+@cache
+def finger() -> twin.Sensor:
+    return twin.Sensor(twin.load_scene("sato_press"))
+
+
+def exact_calibration(sensor: twin.Sensor) -> Calibration:
+    """The transfer matrix that the made sensor really has, at the sites: more than any calibration can know."""
+    scene, markers = sensor.actual.scene, sensor.actual.markers.points
+    footprint = replace(sensor.sites, half_mm=np.full((len(sensor.sites), 2), 0.8))
+    compliance = sensor.compliance.to_points(markers, footprint)
+    jacobian = projection_jacobian(markers, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
+    return replace(calibration_of(sensor), transfer=from_compliance(compliance, jacobian))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("probe", [twin.Sphere(diameter_mm=4), twin.Sphere(diameter_mm=10)], ids=["4 mm", "10 mm"])
+@pytest.mark.parametrize("gram_force", [70, 150])
+@pytest.mark.parametrize("at_mm", [(0.0, 0.0), (1.25, 0.0), (0.0, 1.25), (1.25, 1.25)], ids=str)
+def test_finger_forces_between_the_calibrated_sites(
+    at_mm: tuple[float, float], gram_force: float, probe: twin.Sphere
+) -> None:
+    sensor = finger()
+    state = sensor.press(twin.Press(probe=probe, at_mm=at_mm, force_n={"z": gram_force * GRAM_FORCE}))
+    found = track(sensor.picture(None), sensor.picture(state.load), sensor.layout_px)
+    wanted = sensor.nominal.reconstruction
+    errors = []
+    for calibration in (calibration_of(sensor), exact_calibration(sensor)):
+        field = reconstruct(found, calibration, method=wanted.method, weight=wanted.weight)
+        errors.append(np.linalg.norm(field.total_force_n - state.force_n) / np.linalg.norm(state.force_n))
+    assert errors[0] <= max(0.10, 1.2 * errors[1])
