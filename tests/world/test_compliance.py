@@ -88,7 +88,7 @@ def test_superposition_modulus_and_gradient(name, at):
     both = stiff.displacement(points, join([one, two]))
     parts = stiff.displacement(points, one) + stiff.displacement(points, two)
     np.testing.assert_allclose(both, parts, atol=2e-3 * np.abs(both).max())
-    softer = Compliance(body, Material(youngs_modulus_mpa=0.25), stiff.mesh, purpose="nominal")
+    softer = Compliance(body, Material(youngs_modulus_mpa=0.25), stiff.mesh, purpose="nominal", table=False)
     softer.__dict__["system"] = stiff.system
     np.testing.assert_allclose(softer.displacement(points, one), 2 * stiff.displacement(points, one), rtol=1e-12)
     step = 1e-4
