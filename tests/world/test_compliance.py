@@ -62,10 +62,17 @@ def test_reference_all(name, purpose, case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "index"), [("block", 2), ("finger", 2), ("finger", 3)])
-def test_plain_taylor_hood_agrees(name, index):
-    """Without the half-space the mesh has to resolve the load itself: coarse agreement is all that it gives."""
-    assert reference_error(name, "truth", CASES[name][index], "direct") < (0.15 if name == "block" else 0.08)
+@pytest.mark.parametrize("axis", [0, 2])
+def test_plain_taylor_hood_agrees_where_the_mesh_resolves_the_load(axis):
+    """Without the half-space the mesh has to carry the load itself: a wide bump agrees, a narrow one less."""
+    points = np.load(REFERENCE / "finger.npz")["points"]
+    for radius, bound in ((4.0, 0.01), (2.0, 0.03)):
+        tiles = tile(Traction.bump((0, 0), radius, tuple(np.eye(3)[axis])), FINGER)
+        one, other = (
+            compliance("finger", "truth", 0.5, method).displacement(points, tiles)
+            for method in ("direct", "subtracted")
+        )
+        assert np.abs(one - other).max() < bound * np.abs(other).max()
 
 
 def test_second_press_factors_nothing_and_moving_markers_neither():

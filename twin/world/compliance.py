@@ -23,11 +23,12 @@ from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.world.correction import correction
+from twin.world.direct import consistent_forces
 from twin.world.fem import TaylorHood
 from twin.world.interpolate import Locator, Places, require_inside
 from twin.world.mesh import Mesh, Purpose, body_mesh
 from twin.world.solve import Solver
-from twin.world.spread import Region, patch_rests, worth_a_region
+from twin.world.spread import Region, patch_rests, single, worth_a_region
 from twin.world.table import Table, TableAtNu, shipped_table
 from twin.world.tile import ON_SURFACE_MM
 
@@ -177,13 +178,14 @@ class Compliance:
 
     @property
     def error_estimate(self) -> float:
-        """Largest displacement error over largest displacement to be expected 0.3 mm deep and deeper.
+        """Largest displacement error over largest displacement to be expected 0.3 mm deep and deeper, for loads farther
+        from free edges than they are wide (2 mm from the finger's back face it doubles, on the block's rim it is 3 %).
 
         Measured against converged solutions by an independent program on both reference bodies and rounded up
         (``benchmarks/elasticity.py`` repeats the measurement); other bodies are meshed by the same rules.
         """
         if not self._subtracted:
-            return 0.15 if self.purpose == "nominal" else 0.1
+            return 0.3
         flat = self.body.pieces[0] == "sensing" and len(self.body.pieces) == 6
         return {(True, "truth"): 6e-4, (True, "nominal"): 2e-3, (False, "truth"): 5e-3, (False, "nominal"): 1e-2}[
             flat, self.purpose
@@ -234,43 +236,20 @@ class Compliance:
             if self._subtracted:
                 self._fields[key] = correction(self.system, [load])[:, :, 0]
             else:
-                self._fields[key] = self.system.solve(self.consistent_forces(load)[:, :, None])[:, :, 0]
+                forces = consistent_forces(self.body, self.mesh, self._locator, load)
+                self._fields[key] = self.system.solve(forces[:, :, None])[:, :, 0]
         return self._fields[key]
-
-    def consistent_forces(self, load: Rectangles) -> Floats:
-        """Return the (N, 3) nodal forces in N that do the same work as ``load`` on every field of the elements.
-
-        Each rectangle acts at its 2 x 2 Gauss points, or at its centre where those are off the body; totals are kept.
-        """
-        first, second = (load.half_mm[:, i, None] * load.frames[:, i] / np.sqrt(3.0) for i in range(2))
-        corners = [load.centre_mm + s * first + t * second for s in (-1, 1) for t in (-1, 1)]
-        points = np.concatenate(corners)
-        normal_depth = self.body.depth(points)
-        points = points - normal_depth[:, None] * self.body.piece_normals(points)[:, 0]
-        outside = ~self.body.contains(points, -1e-6)
-        points[outside] = np.tile(load.centre_mm, (4, 1))[outside]
-        spread = self._locator.locate(points).matrix(len(self.mesh.points))
-        forces = np.asarray(spread.T @ np.tile(load.force_n / 4.0, (4, 1)))
-        total, wanted = forces.sum(axis=0), load.force_n.sum(axis=0)
-        if not np.allclose(total, wanted, rtol=1e-9, atol=1e-9 * float(np.abs(load.force_n).sum())):
-            raise InputError(f"the load puts {total} N on the mesh, wanted are {wanted} N: it misses the surface")
-        return forces
 
     def _direct(self, places: Places, rectangles: Rectangles) -> Floats:
         nodes, count = len(self.mesh.points), len(rectangles)
         forces = np.zeros((nodes, 3, count, 3))
         for i in range(count):
+            one = single(rectangles, i)
             for axis in range(3):
-                force = np.zeros((count, 3))
-                force[i, axis] = 1.0
-                forces[:, :, i, axis] = self.consistent_forces(
-                    Rectangles(
-                        centre_mm=rectangles.centre_mm,
-                        frames=rectangles.frames,
-                        half_mm=rectangles.half_mm,
-                        force_n=force,
-                    )
+                unit = Rectangles(
+                    centre_mm=one.centre_mm, frames=one.frames, half_mm=one.half_mm, force_n=np.eye(3)[axis : axis + 1]
                 )
+                forces[:, :, i, axis] = consistent_forces(self.body, self.mesh, self._locator, unit)
         fields = self.system.solve(forces.reshape(nodes, 3, -1))
         return np.asarray(places.values(fields) / self._modulus)
 
