@@ -280,10 +280,20 @@ def test_unloading_a_stuck_sheared_sphere_lets_go_from_the_outside() -> None:
 
 def test_a_ball_on_the_seam_of_the_finger_rolls_to_where_nothing_pushes_it() -> None:
     """All three forces given: the frictionless ball leaves the tip's slope for the barrel, and says so in its move."""
-    state = pressed(Press(probe=Sphere(diameter_mm=3), force_n=(0, 0, 0.5)), FINGER)
+    state = pressed(Press(probe=Sphere(diameter_mm=3), steps=(Step(force_n=(0, 0, 0.5)),)), FINGER)
     np.testing.assert_allclose(state.force_n, [0, 0, 0.5], atol=5e-9)
     assert -1.2 * state.contact_radius_mm < state.move_mm[0] < -0.5 * state.contact_radius_mm
 
+
+def test_without_friction_the_shorthand_is_a_guided_push() -> None:
+    """No side force is given, so the probe stays over its place and the slope's side force is its guide's."""
+    state = pressed(Press(probe=Sphere(diameter_mm=3), at_mm=(2, 0), force_n=(0, 0, 0.5)), FINGER)
+    assert state.move_mm[:2].tolist() == [0, 0]
+    assert state.force_n[2] == pytest.approx(0.5, rel=1e-8)
+    assert state.force_n[0] < -0.02
+
+
+FREE = (Step(force_n=(0, 0, 0.5)),)
 
 # --- refusals ------------------------------------------------------------------------------------------------------
 
@@ -303,9 +313,9 @@ def test_a_ball_on_the_seam_of_the_finger_rolls_to_where_nothing_pushes_it() -> 
          Press(probe=Sphere(diameter_mm=3), steps=(down(0.1), Step(force_n={"z": -0.1})))),
         (BLOCK, ContactError, "touches nothing",
          Press(probe=Sphere(diameter_mm=3), friction=STUCK, steps=(down(0.1), Step(force_n=(0.1, None, 0.0))))),
-        (FINGER, ContactError, "hold x", Press(probe=Cylinder(diameter_mm=10), force_n=(0, 0, 1))),
-        (FINGER, ContactError, "mm sideways", Press(probe=Sphere(diameter_mm=3), at_mm=(-4, 1), force_n=(0, 0, 0.5))),
-        (FINGER, ContactError, "hold x", Press(probe=Sphere(diameter_mm=3), at_mm=(-4, 4), force_n=(0, 0, 0.5))),
+        (FINGER, ContactError, "hold x", Press(probe=Cylinder(diameter_mm=10), steps=FREE)),
+        (FINGER, ContactError, "mm sideways", Press(probe=Sphere(diameter_mm=3), at_mm=(-4, 1), steps=FREE)),
+        (FINGER, ContactError, "hold x", Press(probe=Sphere(diameter_mm=3), at_mm=(-4, 4), steps=FREE)),
     ],
 )  # fmt: skip
 def test_refusals(body: Body, error: type[Exception], words: str, probe: Press) -> None:

@@ -185,12 +185,17 @@ def _no_grid(setting: Setting, contact: Box) -> ContactError:
 
 
 def _largest_contact(setting: Setting, path: tuple[Step, ...], plane: Plane, touch_z: float) -> Box:
-    """Return the box that holds the contact of every step, pressed without friction and without motion sideways."""
+    """Return the box that holds the contact of every step, pressed without friction and without motion sideways.
+
+    A sticking probe on a slope carries part of a force along z by friction: its normal force is F n_z, for which a
+    frictionless one that is held sideways needs F n_z^2 along z.
+    """
     place, whole = np.zeros(4), None
     for step in path:
         control = _control(step, place)
+        along_z = control.given[Z] * (plane.axes[2, 2] ** 2 if control.by_force[Z] else 1.0)
         still = Control(
-            by_force=control.by_force & (np.arange(4) == Z), given=np.where(np.arange(4) == Z, control.given, 0.0)
+            by_force=control.by_force & (np.arange(4) == Z), given=np.where(np.arange(4) == Z, along_z, 0.0)
         )
         if _lifted(still, touch_z):
             place = _lifted_place(still, place, touch_z)

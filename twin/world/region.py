@@ -201,10 +201,13 @@ def fitted_patches(setting: Setting, plane: Plane, contact: Box) -> Patches:
 def find_contact(setting: Setting, control: Control, start: Floats, plane: Plane, touch_z: float) -> tuple[Box, Floats]:
     """Return the box of the contact in the plane and the probe's place, from frictionless solves on coarse grids."""
     force_z = float(control.given[Z]) if control.by_force[Z] else None
-    box, depth = guess_box(setting, force_z, float(control.given[Z]) - touch_z)
+    upright = float(plane.axes[2, 2])
+    # on a slope the normal force is larger than its part along z, and the probe sinks further along z than along n
+    normal_force = None if force_z is None else force_z / upright
+    box, depth = guess_box(setting, normal_force, (float(control.given[Z]) - touch_z) * upright)
     place = np.where(control.by_force, start, control.given)
     if control.by_force[Z]:
-        place[Z] = touch_z + depth
+        place[Z] = touch_z + depth / upright
     for _ in range(_ROUNDS):
         whole = box.clipped(setting.probe)
         patches = candidate_patches(setting.body, setting.probe, plane, whole, _counts(_COARSE, whole, whole))
