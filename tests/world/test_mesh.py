@@ -316,7 +316,7 @@ def test_the_best_of_the_good_tries_is_kept_and_bad_ones_are_told(monkeypatch):
     lines: list[str] = []
     monkeypatch.setattr(twin.world.build, "_one", lambda *_: small_mesh(jitter_mm=next(tries)))
     sizing = replace(default_sizing(SMALL, "truth"), unknowns=small_mesh().unknowns)
-    mesh, measured = twin.world.build.build_mesh(SMALL, sizing, progress=lines.append)
+    mesh, measured = twin.world.build.build_mesh(SMALL, sizing, progress=lambda line, share: lines.append(line))
     assert measured.failures() == []
     assert mesh.digest() == small_mesh().digest()  # the undisturbed grid has the best angles
     assert len(lines) == 4
@@ -335,11 +335,11 @@ def test_a_real_build_through_the_guarded_mesher_passes_and_is_cached(tmp_path, 
     monkeypatch.setattr(twin.world.mesh, "cache_folder", lambda: tmp_path)
     body = Block(width_mm=10, length_mm=10, thickness_mm=6)
     lines: list[str] = []
-    mesh = body_mesh(body, "nominal", progress=lines.append)
+    mesh = body_mesh(body, "nominal", progress=lambda line, share: lines.append(line))
     assert check(mesh, body).volume_error == pytest.approx(0, abs=1e-12)
     assert lines
     count = len(lines)
-    assert body_mesh(body, "nominal", progress=lines.append).digest() == mesh.digest()
+    assert body_mesh(body, "nominal", progress=lambda line, share: lines.append(line)).digest() == mesh.digest()
     assert len(lines) == count
 
 

@@ -181,7 +181,7 @@ class Finger(Body):
         return np.column_stack([x, along * t, radius - r * np.cos(rho / radius)])
 
     def chart_of(self, points: Points) -> Chart:
-        away, distance = self._from_core(points)
+        away, _distance = self._from_core(points)
         sideways = np.where(away[:, :1] > 0, away[:, :2], away[:, :2] * [0.0, 1.0])
         length = np.linalg.norm(sideways, axis=1)
         rho = self.radius_mm * np.arctan2(length, -away[:, 2])

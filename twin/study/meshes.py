@@ -8,12 +8,13 @@ from twin.study.sensor import Progress
 
 def describe_meshes(scene: Scene, *, rebuild: bool, progress: Progress | None = None) -> list[str]:
     """Return a line for each of the body's meshes: size and worst quality; make them anew if asked."""
-    from twin.world.mesh import body_mesh
+    from twin.world.mesh import Purpose, body_mesh
     from twin.world.quality import quality
 
     lines = []
-    for purpose in ("truth", "nominal"):
-        mesh = body_mesh(scene.body, purpose, rebuild=rebuild, progress=progress)  # type: ignore[arg-type]
+    purposes: tuple[Purpose, ...] = ("truth", "nominal")
+    for purpose in purposes:
+        mesh = body_mesh(scene.body, purpose, rebuild=rebuild, progress=progress)
         worst = quality(mesh, scene.body)
         failures = worst.failures()
         told = (
@@ -22,4 +23,6 @@ def describe_meshes(scene: Scene, *, rebuild: bool, progress: Progress | None = 
         lines.append(
             f"{purpose:8s} {len(mesh.tets)} tetrahedra, {len(mesh.points)} nodes, {mesh.unknowns} unknowns; {told}"
         )
+    if progress is not None:
+        progress("done", 1.0)
     return lines

@@ -226,4 +226,4 @@ def site_rectangles(scene: Scene) -> Rectangles:
 def _compliance(scene: Scene, purpose: Literal["truth", "nominal"], progress: Progress | None) -> Compliance:
     from twin.world.compliance import Compliance
 
-    return Compliance(scene.body, scene.material, purpose=purpose)
+    return Compliance(scene.body, scene.material, purpose=purpose, progress=progress)

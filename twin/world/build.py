@@ -39,7 +39,7 @@ def build_mesh(
     body: Body,
     sizing: Sizing,
     *,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
     good_tries: int = GOOD_TRIES,
     limit_s: float = 600.0,
 ) -> tuple[Mesh, Quality]:
@@ -52,7 +52,7 @@ def build_mesh(
     sizing
         Proportions of the wanted edges and the number of unknowns.
     progress
-        Called with a line of text after every try.
+        Called with a line of text and the share that is done after every try.
     good_tries
         Meshes that must pass before the best of them is taken.
     limit_s
@@ -81,7 +81,10 @@ def build_mesh(
             good.append((mesh, measured))
         if progress:
             verdict = "; ".join(faults) or f"good, smallest angle {measured.least_dihedral_deg:.1f} deg"
-            progress(f"mesh of the {body_name(body)}, try {attempt}: {measured.unknowns} unknowns, {verdict}")
+            progress(
+                f"mesh of the {body_name(body)}, try {attempt}: {measured.unknowns} unknowns, {verdict}",
+                len(good) / good_tries,
+            )
         if len(good) >= good_tries:
             break
     if not good:

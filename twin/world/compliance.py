@@ -26,7 +26,7 @@ from twin.world.correction import correction
 from twin.world.direct import consistent_forces
 from twin.world.fem import TaylorHood
 from twin.world.interpolate import Locator, Places, require_inside
-from twin.world.mesh import Mesh, Purpose, body_mesh
+from twin.world.mesh import Mesh, Progress, Purpose, body_mesh
 from twin.world.solve import Solver
 from twin.world.spread import Region, patch_rests, single, worth_a_region
 from twin.world.table import Table, TableAtNu, shipped_table
@@ -55,6 +55,8 @@ class Compliance:
         See `twin.world.solve.Factor`.
     table
         Whether the shipped table of the standard block may replace solves.
+    progress
+        Told when a mesh has to be made.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class Compliance:
         method: Method = "subtracted",
         solver: Solver = "auto",
         table: bool = True,
+        progress: Progress | None = None,
     ) -> None:
         self.body = body
         self.material = material
@@ -74,6 +77,7 @@ class Compliance:
         self.method: Method = method
         self.asymmetry = 0.0
         self._given_mesh = mesh
+        self._progress = progress
         self._solver: Solver = solver
         self._use_table = table
         self._fields: dict[str, Floats] = {}
@@ -83,7 +87,11 @@ class Compliance:
     @cached_property
     def mesh(self) -> Mesh:
         """The mesh of the rest."""
-        return self._given_mesh if self._given_mesh is not None else body_mesh(self.body, self.purpose)
+        return (
+            self._given_mesh
+            if self._given_mesh is not None
+            else body_mesh(self.body, self.purpose, progress=self._progress)
+        )
 
     @cached_property
     def system(self) -> TaylorHood:

@@ -30,7 +30,7 @@ __all__ = ["Mesh", "Purpose", "Sizing", "body_mesh", "mesh_key", "read_mesh", "r
 FORMAT = 1
 """Version of the file format and of the way meshes are made; part of every key."""
 
-Progress = Callable[[str], None]
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +192,7 @@ def body_mesh(body: Body, purpose: Purpose, *, rebuild: bool = False, progress: 
     rebuild
         Make a new mesh even if there is one, and put it into the cache.
     progress
-        Called with a line of text now and then while a mesh is being made.
+        Called with a line of text and the share that is done while a mesh is being made.
 
     Raises
     ------
