@@ -1,4 +1,4 @@
-"""The README's result tables, from benchmarks/results: ``python -m benchmarks.readme`` puts them in."""
+"""The README: ``python -m benchmarks.readme`` puts the stored results in and draws docs/chain.png."""
 
 from __future__ import annotations
 
@@ -30,7 +30,45 @@ def results_section() -> str:
     return "\n".join(["", *parts]) if parts else ""
 
 
+def draw_chain() -> None:
+    """Draw the README's picture from a run: CCD picture, marker motion, force field; both sensors."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    from twin.study.recipe import load_scene
+    from twin.study.run import run
+
+    figure, panels = plt.subplots(2, 3, figsize=(12, 6.2), layout="constrained")
+    for row, name in zip(panels, ("kamiyama_shear", "sato_press"), strict=True):
+        result = run(load_scene(name))
+        truth, estimate = result.truth, result.estimate
+        assert truth is not None
+        assert estimate is not None
+        assert result.pressed is not None
+        row[0].imshow(np.minimum(result.pressed.astype(int) * 3 // 2, 255))
+        row[0].set_title("what the CCD sees")
+        rest, shift = estimate.marker_rest_px, estimate.marker_shift_px
+        for layer, colour in (("red", "#c0392b"), ("blue", "#2457c5")):
+            mine = truth.marker_layer == layer
+            row[1].quiver(*rest[mine].T, *shift[mine].T, color=colour, angles="xy", width=0.003)
+        row[1].set(xlim=(0, 640), ylim=(480, 0), aspect="equal", title="how the markers moved")
+        columns = len(np.unique(estimate.site_mm[:, 0].round(3))) if name == "kamiyama_shear" else 5
+        x, y = estimate.site_mm[:, :2].T
+        fx, fy, fz = estimate.force_n.T
+        row[2].scatter(x, y, c=fz, cmap="magma_r", marker="s", s=17_000 / columns**2)
+        row[2].quiver(x, y, fx, fy, color="#0b6", angles="xy", width=0.004)
+        row[2].set(aspect="equal", title="the forces that the sensor reports")
+        for panel in row:
+            panel.set_xticks([])
+            panel.set_yticks([])
+    figure.savefig(README.parent / "docs" / "chain.png", dpi=100)
+
+
 if __name__ == "__main__":
+    draw_chain()
     text = README.read_text()
     marks = r"(<!-- results -->\n).*?(<!-- end of results -->)"
     README.write_text(re.sub(marks, lambda m: m.group(1) + results_section() + m.group(2), text, flags=re.DOTALL))
