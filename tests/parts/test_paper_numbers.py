@@ -56,7 +56,7 @@ def test_sato(name: str) -> None:
     # "The resolution of each image is 640 x 480 pixels"
     assert (scene.camera.width_px, scene.camera.height_px) == (640, 480)
     # "we apply a force at 25 points", "separated by a distance of 2.5 mm"
-    sites = scene.reconstruction.sites
+    sites = scene.calibration.presses
     assert (sites.columns * sites.rows, sites.pitch_mm) == (25, 2.5)
     # "The probe edge is spherical and the diameter is 3.0 mm"; "approximately 100 gf"
     assert (scene.press.probe.kind, scene.press.probe.diameter_mm) == ("sphere", 3)

@@ -12,6 +12,7 @@ from pydantic import Field
 from twin.arrays import Chart, Floats, Points, frozen
 from twin.errors import RecipeError
 from twin.parts.body import Body
+from twin.parts.grid import grid_axes, grid_chart
 from twin.parts.part import Part
 
 
@@ -47,9 +48,7 @@ class MarkerLayer(Part):
 
     def chart(self) -> Chart:
         """Return the (columns * rows, 2) surface coordinates of the markers, mm, s outer and t inner."""
-        s = (np.arange(self.columns) - (self.columns - 1) / 2) * self.pitch_mm + self.offset_mm[0]
-        t = (np.arange(self.rows) - (self.rows - 1) / 2) * self.pitch_mm + self.offset_mm[1]
-        return np.stack(np.meshgrid(s, t, indexing="ij"), axis=-1).reshape(-1, 2)
+        return grid_chart(*grid_axes(self.columns, self.rows, self.pitch_mm)) + self.offset_mm
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,11 +6,13 @@ from typing import Literal
 
 from pydantic import Field
 
+from twin.arrays import Chart, Floats
+from twin.parts.grid import grid_axes, grid_chart
 from twin.parts.part import Part
 
 
 class Sites(Part):
-    """The grid of places on the sensing surface where forces are reconstructed.
+    """A grid of places on the sensing surface.
 
     Attributes
     ----------
@@ -21,6 +23,14 @@ class Sites(Part):
     columns: int = Field(ge=1, le=64)
     rows: int = Field(ge=1, le=64)
     pitch_mm: float = Field(gt=0, le=50)
+
+    def axes(self) -> tuple[Floats, Floats]:
+        """Return the s and the t of the grid, mm."""
+        return grid_axes(self.columns, self.rows, self.pitch_mm)
+
+    def chart(self) -> Chart:
+        """Return the (columns * rows, 2) surface coordinates, mm, s outer and t inner."""
+        return grid_chart(*self.axes())
 
 
 class Calibration(Part):
@@ -34,8 +44,11 @@ class Calibration(Part):
     file
         A calibration file made earlier (``twin calibrate``), relative to the recipe; used only while it matches the
         scene.
+    presses
+        Where method ``sato`` presses; the reconstruction's sites if not given. Sites between the presses are filled
+        by the nominal body's response plus the interpolated difference of measurement and nominal response.
     press_force_n
-        Normal force of the calibration presses (method ``sato``).
+        Force along z of the calibration presses (method ``sato``).
     press_probe_mm
         Diameter of the calibration sphere (method ``sato``).
     load_cell_n
@@ -44,6 +57,7 @@ class Calibration(Part):
 
     method: Literal["compliance", "halfspace", "sato"] = "compliance"
     file: str | None = None
+    presses: Sites | None = None
     press_force_n: float = Field(default=0.980665, gt=0, le=100)
     press_probe_mm: float = Field(default=3.0, gt=0, le=100)
     load_cell_n: float = Field(default=0.005, ge=0, le=1)

@@ -99,3 +99,46 @@ def _site_columns(presses: Floats, shifts: Floats, number: int) -> Floats:
         mine = which.ravel() == index
         columns[mine] = np.linalg.lstsq(presses[pattern], shifts[np.ix_(pattern, mine)], rcond=None)[0].T
     return columns
+
+
+def fill_between(
+    measured: Floats,
+    nominal_at_presses: Floats,
+    nominal_at_sites: Floats,
+    press_axes_mm: tuple[Floats, Floats],
+    site_chart_mm: Floats,
+) -> Floats:
+    """Return the transfer matrix at any sites, from one measured on a coarser grid and the nominal body's at both.
+
+    What the nominal design gets wrong (stiffness, depths, camera pose) changes slowly from place to place, unlike the
+    response itself; so the difference is interpolated linearly and the nominal response carries the shape. Beyond the
+    pressed grid the difference of its border is used.
+
+    Parameters
+    ----------
+    measured, nominal_at_presses
+        (2N, 3p) px/N at the pressed places, s outer and t inner.
+    nominal_at_sites
+        (2N, 3k) px/N at the wanted sites.
+    press_axes_mm
+        The s and the t of the pressed grid, mm.
+    site_chart_mm
+        (k, 2) surface coordinates of the wanted sites, mm.
+
+    Returns
+    -------
+    (2N, 3k) px/N; rows that were not measured are NaN.
+    """
+    from scipy.interpolate import RegularGridInterpolator
+
+    rows = len(measured)
+    columns = [len(axis) for axis in press_axes_mm]
+    if measured.shape != nominal_at_presses.shape or measured.shape[1] != 3 * columns[0] * columns[1]:
+        raise InputError(
+            f"measured and nominal transfer at {columns[0]} x {columns[1]} presses must have the same shape, got "
+            f"{measured.shape} and {nominal_at_presses.shape}"
+        )
+    difference = (measured - nominal_at_presses).reshape(rows, *columns, 3).transpose(1, 2, 0, 3)
+    inside = np.clip(site_chart_mm, [axis[0] for axis in press_axes_mm], [axis[-1] for axis in press_axes_mm])
+    between = RegularGridInterpolator(press_axes_mm, difference, method="linear")(inside)
+    return np.asarray(nominal_at_sites + between.transpose(1, 0, 2).reshape(rows, -1))

@@ -22,7 +22,8 @@ from twin.parts.scene import Scene
 from twin.places import SCENES, cache_folder
 from twin.results import make_folder
 from twin.streams import Purpose, stream
-from twin.study.sensor import Sensor
+from twin.study.sensor import Sensor, on_grid
+from twin.theory.contact import hertz
 from twin.theory.optics import projection_jacobian
 
 if TYPE_CHECKING:
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 SHEAR_SHARE = 0.25
 """Sideways motion of a calibration press over the contact radius: well inside what sticks."""
+
+FOOTPRINT = 0.8
+"""Half side of the square that stands for a calibration contact, over the contact radius."""
 
 FIRST_EXPOSURE = 1000
 """Calibration pictures are exposures from here on, so that they share no noise with any press."""
@@ -88,17 +92,21 @@ def _without_provenance(value: Any) -> Any:
 
 def _nominal(sensor: Sensor) -> Calibration:
     """Calibrate from the nominal design alone: its compliance, or the papers' half-space, through its camera."""
+    return _calibration(sensor, _nominal_transfer(sensor, sensor.sites), noise_px=0.03)
+
+
+def _nominal_transfer(sensor: Sensor, sites: Rectangles) -> Floats:
+    """Return (2n, 3k) px/N of the nominal design."""
     from twin.sense.transfer import from_compliance
 
-    scene = sensor.nominal
-    markers, sites = sensor.nominal_markers.points, sensor.sites
+    scene, markers = sensor.nominal, sensor.nominal_markers.points
     assert scene.camera is not None
-    if scene.calibration.method == "compliance":
-        compliance = sensor.nominal_compliance.to_points(markers, sites)
-    else:
+    if scene.calibration.method == "halfspace":
         compliance = half_space_compliance(scene, markers, sites)
+    else:
+        compliance = sensor.nominal_compliance.to_points(markers, sites)
     jacobian = projection_jacobian(markers, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
-    return _calibration(sensor, from_compliance(compliance, jacobian), noise_px=0.03)
+    return from_compliance(compliance, jacobian)
 
 
 def half_space_compliance(scene: Scene, markers: Floats, sites: Rectangles) -> Floats:
@@ -120,45 +128,70 @@ def half_space_compliance(scene: Scene, markers: Floats, sites: Rectangles) -> F
 
 
 def calibrate_by_presses(sensor: Sensor) -> Calibration:
-    """Press the made sensor at every site along z, then x, then y, and read pictures and load cell (Sato, II C).
+    """Press the made sensor at every place along z, then x, then y, and read pictures and load cell (Sato, II C).
 
-    The probe moves along global axes, held by motion sideways; what enters is the measured 3-D force.
+    The probe moves along global axes, held by motion sideways; what enters is the measured 3-D force. Where forces are
+    reconstructed at more sites than were pressed, the nominal design fills in between.
     """
-    from twin.sense.track import analyse_rest, track_frame
-    from twin.sense.transfer import from_presses
+    from twin.sense.transfer import fill_between, from_presses
 
     scene = sensor.nominal
+    assert scene.reconstruction is not None
+    grid = scene.calibration.presses or scene.reconstruction.sites
+    half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
+    places = on_grid(scene.body, grid, half_mm, "calibration.presses")
+    forces, shifts, noise_px = _press_everywhere(sensor, places)
+    transfer = from_presses(forces, shifts)
+    if grid.chart().tolist() != scene.reconstruction.sites.chart().tolist():
+        here, there = _nominal_transfer(sensor, sensor.sites), _nominal_transfer(sensor, places)
+        transfer = fill_between(transfer, there, here, grid.axes(), scene.reconstruction.sites.chart())
+    return _calibration(sensor, transfer, noise_px)
+
+
+def _press_everywhere(sensor: Sensor, places: Rectangles) -> tuple[Floats, Floats, float]:
+    """Return (p, 3, 3) measured forces in N, (p, 3, 2N) shifts in px, and the usual noise of a shift in px."""
+    from twin.sense.track import analyse_rest, track_frame
+
+    scene, count = sensor.nominal, len(places)
     rest = analyse_rest(sensor.picture(None, exposure=FIRST_EXPOSURE), sensor.layout_px)
     forces, shifts, spread = [], [], []
-    count = len(sensor.sites)
-    for site in range(count):
-        states = sensor.press(calibration_press(scene, sensor.sites, site)).path
-        noise = scene.calibration.load_cell_n * stream(scene.seed, Purpose.LOAD_CELL, site).standard_normal((3, 3))
+    for place in range(count):
+        states = sensor.press(calibration_press(scene, places, place)).path
+        noise = scene.calibration.load_cell_n * stream(scene.seed, Purpose.LOAD_CELL, place).standard_normal((3, 3))
         forces.append(np.stack([state.force_n for state in states], axis=1) + noise)
         frames = []
         for number, state in enumerate(states):
-            picture = sensor.picture(sensor.motion(state.load), FIRST_EXPOSURE + 1 + 3 * site + number)
+            picture = sensor.picture(sensor.motion(state.load), FIRST_EXPOSURE + 1 + 3 * place + number)
             found = track_frame(rest, picture)
             frames.append(found.shift_px.ravel())
             spread.append(found.sd_px)
         shifts.append(np.stack(frames))
         if sensor.progress is not None:
-            sensor.progress(f"calibrating, press {site + 1} of {count}", 0.9 * (site + 1) / count)
-    transfer = from_presses(np.stack(forces), np.stack(shifts))
-    return _calibration(sensor, transfer, noise_px=float(np.nanmedian(np.concatenate(spread))))
+            sensor.progress(f"calibrating, press {place + 1} of {count}", 0.9 * (place + 1) / count)
+    return np.stack(forces), np.stack(shifts), float(np.nanmedian(np.concatenate(spread)))
 
 
-def calibration_press(scene: Scene, sites: Rectangles, site: int) -> Press:
+def _hertz_radius(scene: Scene, force_n: float) -> float:
+    """Return the nominal contact radius of the calibration sphere, mm."""
+    return hertz(
+        radius_mm=scene.calibration.press_probe_mm / 2,
+        youngs_modulus_mpa=scene.material.youngs_modulus_mpa,
+        poisson_ratio=scene.material.poisson_ratio,
+        force_n=force_n,
+    ).contact_radius_mm
+
+
+def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     """Return the path of one calibration press: down to the wanted force, then a small motion along x, then along y.
 
-    The sphere's axis is set off so that it first touches at the site, whatever the slope there.
+    The sphere's axis is set off so that under load it stands over the place along the surface's normal there, whatever
+    the slope: its centre is then a radius less the expected indentation away.
     """
-    wanted, material = scene.calibration, scene.material
+    wanted, normal = scene.calibration, places.frames[index, 2]
     radius = wanted.press_probe_mm / 2
-    modulus = material.youngs_modulus_mpa / (1 - material.poisson_ratio**2)
-    contact_radius = (0.75 * wanted.press_force_n * radius / modulus) ** (1 / 3)
-    x, y = sites.centre_mm[site, :2] - radius * sites.frames[site, 2, :2]
-    shear = SHEAR_SHARE * min(contact_radius, radius)
+    contact_radius = min(_hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
+    x, y = places.centre_mm[index, :2] - (radius - contact_radius**2 / radius) * normal[:2]
+    shear = SHEAR_SHARE * contact_radius
     return Press(
         probe=Sphere(diameter_mm=wanted.press_probe_mm),
         at_mm=(float(x), float(y)),

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from twin.arrays import Chart, Floats, Picture, Pixels, Points
+from twin.arrays import Floats, Picture, Pixels, Points
 from twin.errors import InputError, RecipeError
+from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
 from twin.parts.markers import MarkerSet, place
+from twin.parts.pipeline import Sites
 from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.streams import Purpose, stream
@@ -191,36 +193,23 @@ class Sensor:
         """The sites where forces are reconstructed, as squares of the sites' pitch under no force yet."""
         if self.nominal.reconstruction is None:
             raise RecipeError("this scene has no [reconstruction] table, so there are no sites")
-        return site_rectangles(self.nominal)
+        grid = self.nominal.reconstruction.sites
+        return on_grid(self.nominal.body, grid, grid.pitch_mm / 2, "reconstruction.sites")
 
 
-def site_chart(scene: Scene) -> Chart:
-    """Return the (k, 2) surface coordinates of the reconstruction sites, mm, s outer and t inner."""
-    assert scene.reconstruction is not None
-    grid = scene.reconstruction.sites
-    s = (np.arange(grid.columns) - (grid.columns - 1) / 2) * grid.pitch_mm
-    t = (np.arange(grid.rows) - (grid.rows - 1) / 2) * grid.pitch_mm
-    return np.stack(np.meshgrid(s, t, indexing="ij"), axis=-1).reshape(-1, 2)
-
-
-def site_rectangles(scene: Scene) -> Rectangles:
-    """Return the reconstruction sites as squares on the surface.
+def on_grid(body: Body, grid: Sites, half_mm: float, key: str) -> Rectangles:
+    """Return squares of a half side on a grid over the surface, under no force yet.
 
     Raises
     ------
     RecipeError
-        A site lies outside the sensing surface.
+        A place lies outside the sensing surface.
     """
-    assert scene.reconstruction is not None
-    points = scene.body.chart_points(site_chart(scene))
-    if not scene.body.contains(points, -1e-6).all():
-        raise RecipeError(
-            "reconstruction.sites: some lie outside the sensing surface; reduce columns, rows or pitch_mm"
-        )
-    half = np.full((len(points), 2), scene.reconstruction.sites.pitch_mm / 2)
-    return Rectangles(
-        centre_mm=points, frames=scene.body.frames(points), half_mm=half, force_n=np.zeros((len(points), 3))
-    )
+    points = body.chart_points(grid.chart())
+    if not body.contains(points, -1e-6).all():
+        raise RecipeError(f"{key}: some lie outside the sensing surface; reduce columns, rows or pitch_mm")
+    half = np.full((len(points), 2), half_mm)
+    return Rectangles(centre_mm=points, frames=body.frames(points), half_mm=half, force_n=np.zeros((len(points), 3)))
 
 
 def _compliance(scene: Scene, purpose: Literal["truth", "nominal"], progress: Progress | None) -> Compliance:
