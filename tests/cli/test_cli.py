@@ -37,7 +37,7 @@ def test_every_command_has_help_with_an_example(command: str) -> None:
     ("arguments", "words"),
     [
         (["rnu"], ["rnu", 'Did you mean "run"']),
-        (["run"], ["SCENE"]),
+        (["run"], ["run", "scene"]),
         (["run", "kamiyama_piller"], ["did you mean 'kamiyama_pillar'"]),
         (["run", "nowhere/at_all.toml"], ["no scene", "shipped ones are"]),
         (["run", "block_bare", "--ouut", "x"], ["--ouut", "--out"]),

@@ -49,7 +49,7 @@ def test_pillar_on_the_flat_sensor(noise):
         rms = {key: np.sqrt(np.mean([r[key] ** 2 for r in results])) for key in results[0] if key != "reasons"}
         assert rms["total_force_error"] < 0.03
         assert rms["centre_error_mm"] < 0.3
-        assert rms["field_error"] < 0.4
+        assert rms["field_error"] < 0.45
 
 
 def test_totals_are_unbiased():
@@ -106,7 +106,7 @@ def test_automatic_weight_is_near_the_best():
                 weight: scored(reconstruct(found, calibration, method, weight), points, forces)["field_error"]
                 for weight in auto.weight * 10.0 ** np.linspace(-3, 3, 19)
             }
-            assert scored(auto, points, forces)["field_error"] < 1.5 * min(error.values())
+            assert scored(auto, points, forces)["field_error"] < 1.25 * min(error.values())
 
 
 def test_pseudo_inverse_diverges_as_the_paper_says():
@@ -114,8 +114,8 @@ def test_pseudo_inverse_diverges_as_the_paper_says():
     points, forces = disk((0, 0), 5.0, (0, 0, 3.0))
     found = as_found(shifts(markers, seen, points, forces), calibration, 0.05, 1)
     plain = scored(reconstruct(found, calibration, "pinv"), points, forces)["field_error"]
-    assert plain > 30
-    assert scored(reconstruct(found, calibration, "smooth"), points, forces)["field_error"] < 0.5
+    assert plain > 5.0
+    assert scored(reconstruct(found, calibration, "smooth"), points, forces)["field_error"] < 0.6
 
 
 def test_lost_markers_are_left_out():

@@ -25,7 +25,7 @@ NAMES = {
     "tracking.matched": ("matched", "visible markers found again in the pressed picture"),
     "tracking.gross": ("gross errors", "markers found at a wrong place; left out above"),
     "tracking.markers": ("markers", "that this stage counts"),
-    "force.field_error": ("field error", "squared difference over squared truth, by site cell"),
+    "force.field_error": ("field error", "length of the difference over length of the truth, by site cell"),
     "force.total_force_error": ("total force error", "of the resultant, over its size"),
     "force.torque_error": ("torque error", "of the torque about the origin, over its size"),
     "force.centre_error_mm": ("centre error", "distance between true and estimated centre of force"),
