@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import sys
 import tempfile
 from functools import cache
@@ -27,4 +29,6 @@ def cache_folder() -> Path:
         except OSError as problem:
             print(f"twin: the cache {candidate} can't be written ({problem.strerror}); using a temporary one. "
                   "Set TWIN_CACHE to a writable folder to keep results between runs.", file=sys.stderr)  # fmt: skip
-    return Path(tempfile.mkdtemp(prefix="twin-cache-"))
+    temporary = Path(tempfile.mkdtemp(prefix="twin-cache-"))
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    return temporary

@@ -107,7 +107,7 @@ class RunResult:
     timings: dict[str, float] = field(default_factory=dict)
 
     def write(self, folder: Path) -> None:
-        """Write all files but the report into ``folder``.
+        """Write all files but the report into ``folder``; `remove_results` has removed those of an earlier run.
 
         Raises
         ------
@@ -130,6 +130,18 @@ class RunResult:
         if self.score is not None:
             write_json(folder / "score.json", {**self.score, "facts": self.facts})
         write_json(folder / "timings.json", self.timings)
+
+
+RESULT_FILES = (
+    "rest.png", "pressed.png", "truth.npz", "estimate.npz", "score.json", "timings.json", "scene.toml", "report.html",
+)  # fmt: skip
+"""What a run may write; files of these names are an earlier run's."""
+
+
+def remove_results(folder: Path) -> None:
+    """Remove an earlier run's files, so that a folder never mixes two runs."""
+    for name in RESULT_FILES:
+        (folder / name).unlink(missing_ok=True)
 
 
 def make_folder(folder: Path) -> None:

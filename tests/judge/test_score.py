@@ -93,3 +93,9 @@ def test_shapes_are_checked():
         tracking_score(np.zeros((4, 2)), np.zeros((5, 2)))
     with pytest.raises(InputError, match="surface"):
         force_score(**pushes(surface_mm=np.zeros((2, 3))))
+
+
+def test_a_piece_on_the_border_of_cells_is_shared() -> None:
+    sites = np.array([[0.0, 0, 0], [2.0, 0, 0]])
+    cells = into_cells(sites, np.array([[1.0, 0, 0], [0.5, 0, 0]]), np.array([[0.0, 0, 2.0], [0, 0, 3.0]]))
+    assert cells[:, 2].tolist() == [4.0, 1.0]

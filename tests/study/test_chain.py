@@ -90,7 +90,9 @@ def test_finger_forces_reach_their_figures(name: str) -> None:
 @pytest.mark.slow
 def test_half_space_calibration_is_an_option_with_its_error() -> None:
     result = twin.run(twin.load_scene("kamiyama_pillar", {"calibration.method": "halfspace"}))
-    assert 0.05 < result.score["force"]["total_force_error"] < 0.6
+    papers = result.score["force"]["total_force_error"]
+    finite = result_of("kamiyama_pillar").score["force"]["total_force_error"]
+    assert 3 * finite < papers < 0.6, "the real block is not the papers' half-space"
 
 
 @cache

@@ -17,6 +17,9 @@ from twin.errors import InputError
 GROSS_PX = 1.0
 """A shift wrong by more than this is a mistaken marker, not noise: counted apart, and left out of bias and sd."""
 
+TIE_MM = 1e-6
+"""Sites that differ by less in their distance to a surface piece share it."""
+
 LEAST_PUSH = 0.1
 """The centre of pressure is defined where the push along z is at least this share of the force."""
 
@@ -186,13 +189,21 @@ def force_score(
 
 
 def into_cells(site_mm: Points, surface_mm: Points, surface_force_n: Floats) -> Floats:
-    """Return (k, 3) the surface forces summed into the cells of their nearest sites, N."""
+    """Return (k, 3) the surface forces summed into the cells of their nearest sites, N.
+
+    A piece on the border of cells is shared evenly, so that a symmetric press stays symmetric.
+    """
     from scipy.spatial import cKDTree
 
     cells = np.zeros((len(site_mm), 3))
-    if len(surface_mm):
-        _, nearest = cKDTree(site_mm).query(surface_mm)
-        np.add.at(cells, nearest, surface_force_n)
+    if not len(surface_mm):
+        return cells
+    distance, nearest = cKDTree(site_mm).query(surface_mm, k=min(4, len(site_mm)))
+    distance, nearest = distance.reshape(len(surface_mm), -1), nearest.reshape(len(surface_mm), -1)
+    share = (distance <= distance[:, :1] + TIE_MM).astype(float)
+    share /= share.sum(axis=1, keepdims=True)
+    for column, site in zip(share.T, nearest.T, strict=True):
+        np.add.at(cells, site, column[:, None] * surface_force_n)
     return cells
 
 

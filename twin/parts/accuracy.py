@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -23,5 +23,5 @@ class Accuracy(Part):
     """
 
     displacement: float = Field(default=5e-3, ge=1e-5, le=0.2)
-    centroid_px: float | Literal["auto"] = "auto"
+    centroid_px: Annotated[float, Field(ge=1e-4, le=1)] | Literal["auto"] = "auto"
     contact_patches: int = Field(default=16, ge=6, le=64)

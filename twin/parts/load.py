@@ -84,6 +84,8 @@ class Traction:
     @staticmethod
     def rectangle(centre_mm: tuple[float, ...], size_mm: tuple[float, float], force_n: Vector) -> Load:
         """Return a uniform traction on a rectangle of ``size_mm`` (along x, along y) with total ``force_n``."""
+        if np.shape(size_mm) != (2,):
+            raise InputError(f"rectangle traction: size_mm must be two numbers (along x, along y), got {size_mm!r}")
         return _single("rectangle", centre_mm, (float(size_mm[0]), float(size_mm[1])), force_n)
 
     @staticmethod
@@ -109,7 +111,15 @@ class Load:
     terms: tuple[Traction | Rectangles, ...] = ()
 
     def __add__(self, other: Load) -> Load:
+        if not isinstance(other, Load):
+            return NotImplemented
         return Load(self.terms + other.terms)
+
+    def __radd__(self, other: object) -> Load:
+        """Let ``sum(loads)`` start from its 0."""
+        if other != 0:
+            return NotImplemented
+        return self
 
 
 def _single(
@@ -119,7 +129,13 @@ def _single(
     force_n: Vector,
     torque_nmm: float = 0.0,
 ) -> Load:
-    centre = tuple(float(c) for c in centre_mm)
-    fx, fy, fz = (float(f) for f in force_n)
+    try:
+        centre = tuple(float(c) for c in centre_mm)
+        fx, fy, fz = (float(f) for f in force_n)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{kind} traction: centre_mm must be two or three numbers and force_n three, got {centre_mm!r} and "
+            f"{force_n!r}"
+        ) from None
     term = Traction(kind=kind, centre_mm=centre, size_mm=size_mm, force_n=(fx, fy, fz), torque_nmm=float(torque_nmm))
     return Load((term,))

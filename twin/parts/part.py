@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from twin.errors import RecipeError
 
 UNITS = {
     "mm": "mm", "n": "N", "nmm": "N mm", "mpa": "MPa", "deg": "deg", "px": "px", "pct": "%", "mm3": "mm3",
@@ -32,6 +34,17 @@ class Part(BaseModel):
     source: str | dict[str, str] = Field(default_factory=dict, repr=False)
     assumed: str | dict[str, str] = Field(default_factory=dict, repr=False)
 
+    def __init__(self, **values: Any) -> None:
+        """Validate and keep ``values``; raise a `RecipeError` with every problem at once."""
+        try:
+            super().__init__(**values)
+        except ValidationError as problem:
+            lines = [_complaint(dict(error)) for error in problem.errors(include_url=False)]
+            raise RecipeError(lines, type(self).__name__) from None
+
+    # Whole files are validated without a call of this constructor, so that their complaints can name the file's keys.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
     @model_validator(mode="after")
     def _provenance_names_keys(self) -> Part:
         for table in (self.source, self.assumed):
@@ -49,6 +62,14 @@ class Part(BaseModel):
             return []
         told = set(self.source) | set(self.assumed)
         return [k for k in sorted(self.model_fields_set) if k not in told and _holds_number(getattr(self, k))]
+
+
+def _complaint(error: dict[str, Any]) -> str:
+    key = ".".join(str(k) for k in error["loc"])
+    unit = unit_of(str(error["loc"][-1])) if error["loc"] else ""
+    message = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
+    given = "" if isinstance(error["input"], dict) or not key else f" = {error['input']!r}{' ' + unit if unit else ''}"
+    return f"{key}{given}: {message}" if key else message
 
 
 def _holds_number(value: Any) -> bool:

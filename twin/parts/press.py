@@ -101,6 +101,8 @@ class Press(Part):
     steps
         The path. ``force_n`` (three numbers) or ``indentation_mm`` (a motion along z from first touch) are shorthand
         for a path of one step; without friction a side force of 0 there means that the probe is guided along z.
+    direction
+        Way of approach; None is +z, the only one until the contact solver takes others.
     friction
         Coulomb's coefficient: 0 is frictionless, inf is sticking. Others wait for the contact solver with slip.
     """
@@ -112,9 +114,17 @@ class Press(Part):
     steps: tuple[Step, ...] = ()
     force_n: Triple | None = None
     indentation_mm: float | None = None
+    direction: tuple[float, float, float] | None = None
     friction: float = 0.0
 
     _tables = field_validator("force_n", mode="before")(_triple)
+
+    @field_validator("direction")
+    @classmethod
+    def _along_z(cls, value: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        if value is not None and value != (0.0, 0.0, 1.0):
+            raise ValueError("allowed is (0, 0, 1), along z, or nothing")
+        return value
 
     @field_validator("friction")
     @classmethod

@@ -123,7 +123,10 @@ def _resultants(result: RunResult) -> str:
     heads, columns = [], []
     for name, arrays in (("truth", result.truth), ("estimate", result.estimate)):
         if arrays is not None and len(arrays.total_force_n) == 3 and len(arrays.total_torque_nmm) == 3:
-            numbers = cleaned(arrays.total_force_n.tolist()) + cleaned(arrays.total_torque_nmm.tolist())
+            force = arrays.total_force_n.tolist()
+            arm_mm = 1.0  # a torque below a billionth of the force times a millimetre is round-off
+            scale = arm_mm * max(abs(f) for f in force)
+            numbers = cleaned(force) + cleaned(arrays.total_torque_nmm.tolist(), scale)
             heads.append(name)
             columns.append([f'<data value="{n!r}">{digits(n)}</data>' for n in numbers])
     if not columns:

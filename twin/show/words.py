@@ -82,9 +82,9 @@ def amount(key: str, value: float) -> str:
     return digits(value) + (f" {unit}" if unit else "")
 
 
-def cleaned(numbers: Sequence[float]) -> list[float]:
-    """Return the components of one vector with round-off (1e-9 of the largest) as zero."""
-    largest = max(abs(n) for n in numbers)
+def cleaned(numbers: Sequence[float], scale: float = 0.0) -> list[float]:
+    """Return the components of one vector with round-off (1e-9 of the largest, or of ``scale``) as zero."""
+    largest = max(scale, *(abs(n) for n in numbers))
     return [0.0 if abs(n) < 1e-9 * largest else n for n in numbers]
 
 

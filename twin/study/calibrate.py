@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from twin.errors import InputError, RecipeError
 from twin.parts.body import Block
 from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
-from twin.places import SCENES, cache_folder
+from twin.places import cache_folder
 from twin.results import make_folder
 from twin.streams import Purpose, stream
 from twin.study.sensor import Sensor, on_grid
@@ -49,11 +50,15 @@ def calibration_of(sensor: Sensor) -> Calibration:
 
     digest = sensor_digest(scene)
     cached = cache_folder() / f"calibration-{digest[:32]}.npz"
-    for path in (SCENES / (scene.calibration.file or "-"), cached):
+    given = [Path(scene.calibration.file)] if scene.calibration.file else []
+    for path in [*given, cached]:
         if path.is_file():
             found = read_calibration(path)
             if json.loads(found.provenance).get("digest") == digest:
                 return found
+    if given and sensor.progress is None:
+        print(f"twin: {given[0].name} was made for another sensor than this scene's; calibrating anew, which takes "
+              "minutes", file=sys.stderr)  # fmt: skip
     made = calibrate_by_presses(sensor)
     write_calibration(made, cached)
     return made

@@ -55,7 +55,25 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
             raise RecipeError(f"unknown tables {', '.join(extra)}: a body recipe has body, material", str(recipe))
         below.pop("title", None)
         table = _merge(below, {**table, "body": {k: v for k, v in body.items() if k != "recipe"}})
+    _find_calibration(table, path)
     return validate_scene(table, str(path))
+
+
+def _find_calibration(table: Table, path: Path) -> None:
+    """Make the calibration file's path absolute: it is relative to the recipe, or names a shipped file."""
+    calibration = table.get("calibration")
+    if not isinstance(calibration, dict) or not isinstance(calibration.get("file"), str):
+        return
+    name = calibration["file"]
+    for folder in (path.parent, SCENES):
+        if (folder / name).is_file():
+            table["calibration"] = {**calibration, "file": str((folder / name).resolve())}
+            return
+    raise RecipeError(
+        f"calibration.file = '{name}': there is no such file beside the recipe or the shipped scenes; make it with "
+        "twin calibrate, or leave the key out",
+        str(path),
+    )
 
 
 def validate_scene(table: Table, where: str) -> Scene:

@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.errors import RecipeError
+from twin.errors import InputError, RecipeError
 from twin.parts.load import Load
 from twin.parts.scene import Scene
-from twin.results import Estimate, RunResult, Truth, make_folder, write_whole
+from twin.results import Estimate, RunResult, Truth, make_folder, remove_results, write_whole
 from twin.study.actual import shared_by_truth_and_estimate
 from twin.study.recipe import dump_scene
 from twin.study.sensor import Motion, Progress, Sensor
@@ -66,18 +66,25 @@ def run(scene: Scene, want: Collection[str] | None = None, progress: Progress | 
     RecipeError
         The scene lacks what was asked for by name.
     """
+    if isinstance(want, str):
+        want = {want}
     asked = frozenset(want) if want is not None else WANTED
+    return _only_wanted(_run(scene, asked, by_name=want is not None, progress=progress), asked)
+
+
+def _run(scene: Scene, asked: frozenset[str], *, by_name: bool, progress: Progress | None) -> RunResult:
+    """Return everything that had to be computed for what was asked."""
     if unknown := sorted(asked - WANTED):
         raise RecipeError(f"want: unknown {', '.join(unknown)}; allowed are {', '.join(sorted(WANTED))}")
-    chain = _Chain(Sensor(scene, progress), _needed(scene, asked, by_name=want is not None), progress)
-    return _only_wanted(chain.go(), asked)
+    return _Chain(Sensor(scene, progress), _needed(scene, asked, by_name=by_name), progress).go()
 
 
 def run_to_folder(scene: Scene, folder: Path, want: Collection[str], progress: Progress | None = None) -> str:
     """Run a scene, write its files into ``folder`` and return a summary of a few lines."""
     make_folder(folder)
-    everything = frozenset(want) == WANTED
-    result = run(scene, None if everything else want, progress)
+    asked = frozenset(want)
+    result = _run(scene, asked, by_name=asked != WANTED, progress=progress)
+    remove_results(folder)
     if "report" in want:
         from twin.show.report import report
 
@@ -85,7 +92,7 @@ def run_to_folder(scene: Scene, folder: Path, want: Collection[str], progress: P
         page = report(result)
         result = replace(result, timings={**result.timings, "report": time.perf_counter() - started})
         write_whole(folder / "report.html", lambda f: f.write(page.encode()))
-    result.write(folder)
+    _only_wanted(result, asked).write(folder)
     if progress is not None:
         progress("done", 1.0)
     return _summary(result, folder)
@@ -120,6 +127,7 @@ class _Chain:
     progress: Progress | None
     timings: dict[str, float] = field(default_factory=dict)
     stages: int = 8
+    failures: dict[str, str] = field(default_factory=dict)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -151,7 +159,10 @@ class _Chain:
             from twin.sense.track import track
 
             with self.stage("tracking"):
-                found = track(rest, pressed, sensor.layout_px)
+                try:
+                    found = track(rest, pressed, sensor.layout_px)
+                except InputError as problem:  # the picture shows too little: truth and pictures are still worth having
+                    self.failures |= {"tracking": str(problem), "force": "nothing was tracked"}
         if "forces" in self.needed and found is not None and scene.reconstruction is not None:
             from twin.sense.reconstruct import reconstruct
             from twin.study.calibrate import calibration_of
@@ -160,7 +171,10 @@ class _Chain:
                 calibration = calibration_of(sensor)
             with self.stage("reconstruction"):
                 wanted = scene.reconstruction
-                forces = reconstruct(found, calibration, method=wanted.method, weight=wanted.weight)
+                try:
+                    forces = reconstruct(found, calibration, method=wanted.method, weight=wanted.weight)
+                except InputError as problem:
+                    self.failures["force"] = str(problem)
         estimate = _estimate(found, forces)
         with self.stage("score"):
             score = self._score(truth, estimate, state)
@@ -229,7 +243,9 @@ class _Chain:
                 true_force_n=truth.total_force_n,
                 true_torque_nmm=truth.total_torque_nmm,
             )
-        return score(elastic=elastic, tracking=tracking, force=force)
+        result = score(elastic=elastic, tracking=tracking, force=force)
+        result["reasons"] |= self.failures
+        return result
 
     def _facts(
         self, state: ContactState | None, calibration: Calibration | None, forces: Field | None
@@ -269,9 +285,7 @@ def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
 
 
 def _only_wanted(result: RunResult, asked: frozenset[str]) -> RunResult:
-    """Drop what was only needed on the way; a report may show everything."""
-    if "report" in asked:
-        return result
+    """Drop what was only needed on the way."""
     return replace(
         result,
         truth=result.truth if "displacement" in asked else None,
@@ -291,6 +305,9 @@ def _summary(result: RunResult, folder: Path) -> str:
             f"contact     {contact['force_n'][2]:.4g} N along z, indentation {contact['indentation_mm']:.3g} mm"
         )
     tracking, force = score.get("tracking"), score.get("force")
+    for stage in ("tracking", "force"):
+        if score.get(stage) is None and "tracking" in result.timings and stage in score.get("reasons", {}):
+            lines.append(f"{stage:11s} failed: {score['reasons'][stage]}")
     if tracking and tracking.get("sd_px") is not None:
         lines.append(f"tracking    SD {tracking['sd_px']:.3f} px, {100 * tracking['matched']:.1f} % matched")
     if force and force.get("total_force_error") is not None:

@@ -20,7 +20,7 @@ from twin.errors import ContactError, InputError
 from twin.parts.body import Body
 from twin.parts.press import Press, Step
 from twin.world.contact_state import ContactState, lifted_state, touching_state
-from twin.world.gap import TURN, Z, approach
+from twin.world.gap import TURN, Z, approach, outline
 from twin.world.patches import Box, Patches, Plane
 from twin.world.region import (
     Control,
@@ -94,10 +94,24 @@ def press(
         body=body, compliance=compliance, first=approach(press.probe, body, press.at_mm), across=patches_across,
         youngs_modulus_mpa=youngs_modulus_mpa, poisson_ratio=poisson_ratio,
     )  # fmt: skip
+    _refuse_overhang(setting)
     states = (
         _frictionless_path(setting, press.path) if press.friction == 0 else _stuck_path(setting, press.path, increments)
     )
     return replace(states[-1], path=tuple(states))
+
+
+def _refuse_overhang(setting: Setting) -> None:
+    """Raise a ContactError where a flat face is bound to run over the edge of a flat surface."""
+    place = np.array(setting.first.axis_mm[:2])
+    under = setting.body.surface_from_above(place + outline(setting.probe))
+    missing = np.isnan(under[:, 2])
+    if missing.any() and not np.any(under[~missing, 2]):  # depth 0 all round: the surface is flat here
+        x, y = place
+        raise ContactError(
+            f"contact: the {setting.probe.kind} at ({x:g}, {y:g}) mm stands out over the edge of the sensing surface: "
+            "press further inside, or with a smaller probe"
+        )
 
 
 def _control(step: Step, place: Floats) -> Control:

@@ -101,6 +101,17 @@ def within_footprint(probe: Cylinder | Pillar, offset_mm: Floats, turn: float) -
     return np.asarray(np.all(turned <= np.array(probe.size_mm) / 2 * 1.005, axis=1))
 
 
+def outline(probe: Probe) -> Floats:
+    """Return (16, 2) offsets from the axis around the probe's flat face; none for a sphere."""
+    if isinstance(probe, Sphere):
+        return np.zeros((0, 2))
+    angle = np.arange(16) * math.pi / 8
+    around = np.column_stack([np.cos(angle), np.sin(angle)])
+    if isinstance(probe, Pillar):
+        around /= np.abs(around).max(axis=1, keepdims=True)
+    return np.asarray(around * half_extent(probe))
+
+
 def half_extent(probe: Probe) -> tuple[float, float]:
     """Return the probe's half sizes along its own first and second axis, mm."""
     if isinstance(probe, Pillar):

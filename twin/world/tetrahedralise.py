@@ -9,6 +9,7 @@ Run as ``python -m twin.world.tetrahedralise IN.npz OUT.npz`` this module *is* t
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -24,6 +25,8 @@ from twin.arrays import Floats, Ints, Points, frozen
 from twin.errors import InputError, MeshError
 from twin.places import ROOT
 from twin.world.snap import signed_volumes
+
+_PR_SET_PDEATHSIG = 1
 
 _STOP_ENERGY = 10.0
 """Element quality (conformal AMIPS energy) at which the mesher stops improving."""
@@ -181,6 +184,7 @@ def _child(given: str, made: str) -> None:
     The alarm's default action ends the process even inside native code, so that an orphan doesn't run on for ever.
     """
     with np.load(given, allow_pickle=False) as request:
+        _end_with_parent()
         if hasattr(signal, "alarm"):
             signal.alarm(int(float(request["limit_s"])) + 60)
         import pytetwild
@@ -199,6 +203,12 @@ def _child(given: str, made: str) -> None:
         )
     with Path(made).open("wb") as file:
         _write(file, {"points": points, "tets": np.asarray(tets, np.int64)})
+
+
+def _end_with_parent() -> None:
+    """Ask Linux to kill this process when its parent dies, however that happens."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _write(file: BinaryIO, values: dict[str, Any]) -> None:

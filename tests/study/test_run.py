@@ -1,0 +1,100 @@
+"""The main job writes what is wanted and nothing else, and survives pictures that show nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import twin
+from twin.errors import RecipeError
+from twin.results import RESULT_FILES
+from twin.study.run import run_to_folder
+
+SMALL = {
+    "camera.width_px": 160, "camera.height_px": 120, "camera.focal_px": 450,
+    "markers.red.columns": 7, "markers.red.rows": 5, "markers.blue.columns": 6, "markers.blue.rows": 4,
+    "reconstruction.sites.columns": 5, "reconstruction.sites.rows": 4,
+}  # fmt: skip
+"""A picture that even the slowest renderer makes at once."""
+
+
+@pytest.mark.parametrize(
+    ("want", "files"),
+    [
+        ({"displacement"}, {"truth.npz"}),
+        ({"picture"}, {"rest.png", "pressed.png"}),
+        ({"tracking"}, {"estimate.npz"}),
+        ({"score"}, {"score.json"}),
+        ({"report"}, {"report.html"}),
+    ],
+)
+def test_only_wanted_files_are_written_and_old_ones_removed(want: set[str], files: set[str], tmp_path: Path) -> None:
+    for name in RESULT_FILES:
+        (tmp_path / name).write_text("of an earlier run")
+    (tmp_path / "mine.txt").write_text("kept")
+    run_to_folder(twin.load_scene("kamiyama_pillar", SMALL), tmp_path, want)
+    assert {p.name for p in tmp_path.iterdir()} == files | {"scene.toml", "timings.json", "mine.txt"}
+
+
+def test_a_picture_without_markers_leaves_truth_and_says_why(tmp_path: Path) -> None:
+    scene = twin.load_scene("kamiyama_pillar", {**SMALL, "camera.width_px": 4, "camera.height_px": 4})
+    summary = run_to_folder(scene, tmp_path, {"displacement", "picture", "tracking", "score"})
+    assert "force       failed: only 0 of 59 markers were found" in summary
+    assert (tmp_path / "truth.npz").is_file()
+    assert '"force": null' in (tmp_path / "score.json").read_text()
+
+
+def test_truth_is_what_the_design_page_says() -> None:
+    truth = twin.run(twin.load_scene("kamiyama_pillar", SMALL), want={"displacement"}).truth
+    n, m = len(truth.marker_layer), len(truth.surface_mm)
+    assert truth.marker_rest_mm.shape == truth.marker_displacement_mm.shape == (n, 3) == (59, 3)
+    assert truth.marker_rest_px.shape == truth.marker_pressed_px.shape == (n, 2)
+    assert truth.surface_force_n.shape == (m, 3)
+    np.testing.assert_allclose(truth.surface_force_n.sum(axis=0), truth.total_force_n, atol=1e-6)
+    np.testing.assert_allclose(truth.total_force_n, [0, 0, 3], atol=1e-6)
+
+
+def test_a_push_moves_markers_outwards_and_a_shift_along_y_moves_them_up() -> None:
+    truth = twin.run(twin.load_scene("kamiyama_pillar", SMALL), want={"displacement"}).truth
+    outward = np.einsum("ni,ni->n", truth.marker_rest_mm[:, :2], truth.marker_displacement_mm[:, :2])
+    assert (outward[np.linalg.norm(truth.marker_rest_mm[:, :2], axis=1) > 1] > 0).all()
+    sensor = twin.Sensor(twin.load_scene("kamiyama_pillar", SMALL))
+    motion = sensor.motion(twin.Traction.disk((0, 0), 4, (0, 1, 0)))
+    moved = sensor.project(sensor.actual.markers.points + motion.displacement_mm)
+    assert (moved - sensor.project(sensor.actual.markers.points))[:, 1].max() < 0
+
+
+def test_unknown_wants_are_refused() -> None:
+    scene = twin.load_scene("block_bare")
+    with pytest.raises(RecipeError, match="unknown displacements"):
+        twin.run(scene, want="displacements")
+
+
+def test_python_mistakes_are_this_programs_errors() -> None:
+    with pytest.raises(twin.TwinError, match=r"diameter_mm = -3 mm: must be greater than 0"):
+        twin.Sphere(diameter_mm=-3)
+    with pytest.raises(twin.TwinError, match="frictionless"):
+        twin.Press(probe=twin.Sphere(diameter_mm=3), force_n=(0, 0, 1), friction=0.5)
+    with pytest.raises(twin.TwinError, match="size_mm"):
+        twin.Traction.rectangle((0, 0), 4, (0, 0, 1))
+    with pytest.raises(twin.TwinError, match="force_n three"):
+        twin.Traction.disk((0, 0), 4, (0, 1))
+
+
+def test_loads_add() -> None:
+    one, two = twin.Traction.disk((0, 0), 1, (0, 0, 1)), twin.Traction.disk((1, 0), 1, (0, 0, 2))
+    assert sum([one, two]) == one + two
+    with pytest.raises(TypeError):
+        one + 1
+
+
+def test_a_calibration_file_is_looked_for_beside_the_recipe(tmp_path: Path) -> None:
+    (tmp_path / "mine.npz").write_bytes(b"")
+    recipe = tmp_path / "mine.toml"
+    recipe.write_text('base = "sato_press"\n[calibration]\nfile = "mine.npz"\n')
+    assert twin.load_scene(recipe).calibration.file == str(tmp_path / "mine.npz")
+    recipe.write_text('base = "sato_press"\n[calibration]\nfile = "none.npz"\n')
+    with pytest.raises(RecipeError, match=r"calibration\.file = 'none\.npz'"):
+        twin.load_scene(recipe)
