@@ -33,6 +33,19 @@ class Sites(Part):
         return grid_chart(*self.axes())
 
 
+class Tracking(Part):
+    """How marker centres are measured.
+
+    Attributes
+    ----------
+    method
+        ``soft-window``: centroid in a window with soft edges, on a levelled signal; ``two-pass``: the flat paper's
+        mesh centroid (section 2.1), its cell as wide as the pitch.
+    """
+
+    method: Literal["soft-window", "two-pass"] = "soft-window"
+
+
 class Calibration(Part):
     """Where the transfer matrix (px/N) comes from.
 

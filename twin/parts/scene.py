@@ -12,7 +12,7 @@ from twin.parts.light import Light
 from twin.parts.markers import MarkerLayer
 from twin.parts.material import Cover, Material
 from twin.parts.part import Part
-from twin.parts.pipeline import Calibration, Reconstruction
+from twin.parts.pipeline import Calibration, Reconstruction, Tracking
 from twin.parts.press import Press
 from twin.parts.tolerance import Tolerance
 
@@ -26,7 +26,8 @@ class Scene(Part):
         One line for people.
     seed
         Root of every random stream.
-    body, material, cover, markers, camera, light, ccd, press, accuracy, tolerance, calibration, reconstruction
+    body, material, cover, markers, camera, light, ccd, press, accuracy, tolerance, tracking, calibration,
+    reconstruction
         See the parts of the same names. A scene without ``camera`` renders nothing; one without ``press`` is only at
         rest; one without ``reconstruction`` estimates nothing.
     """
@@ -43,6 +44,7 @@ class Scene(Part):
     press: Press | None = None
     accuracy: Accuracy = Accuracy()
     tolerance: Tolerance = Tolerance()
+    tracking: Tracking = Tracking()
     calibration: Calibration = Calibration()
     reconstruction: Reconstruction | None = None
 

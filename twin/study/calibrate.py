@@ -158,7 +158,8 @@ def _press_everywhere(sensor: Sensor, places: Rectangles) -> tuple[Floats, Float
     from twin.sense.track import analyse_rest, track_frame
 
     scene, count = sensor.nominal, len(places)
-    rest = analyse_rest(sensor.picture(None, exposure=FIRST_EXPOSURE), sensor.layout_px)
+    picture = sensor.picture(None, exposure=FIRST_EXPOSURE)
+    rest = analyse_rest(picture, sensor.layout_px, method=scene.tracking.method)
     forces, shifts, spread = [], [], []
     for place in range(count):
         states = sensor.press(calibration_press(scene, places, place)).path

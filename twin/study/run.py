@@ -160,7 +160,7 @@ class _Chain:
 
             with self.stage("tracking"):
                 try:
-                    found = track(rest, pressed, sensor.layout_px)
+                    found = track(rest, pressed, sensor.layout_px, method=scene.tracking.method)
                 except InputError as problem:  # the picture shows too little: truth and pictures are still worth having
                     self.failures |= {"tracking": str(problem), "force": "nothing was tracked"}
         if "forces" in self.needed and found is not None and scene.reconstruction is not None:
@@ -266,7 +266,8 @@ class _Chain:
             facts["calibration"] = {"method": scene.calibration.method, "sites": len(calibration.site_mm)}
             facts["weight"] = forces.weight
         if "picture" in self.needed:
-            facts["renderer"] = self.sensor.renderer.variant.name
+            variant = self.sensor.renderer.variant
+            facts["renderer"] = f"{variant.name}: {variant.reason}"
         return facts
 
 
@@ -304,6 +305,8 @@ def _summary(result: RunResult, folder: Path) -> str:
         lines.append(
             f"contact     {contact['force_n'][2]:.4g} N along z, indentation {contact['indentation_mm']:.3g} mm"
         )
+    if "renderer" in result.facts:
+        lines.append(f"renderer    {result.facts['renderer']}")
     tracking, force = score.get("tracking"), score.get("force")
     for stage in ("tracking", "force"):
         if score.get(stage) is None and "tracking" in result.timings and stage in score.get("reasons", {}):
