@@ -165,12 +165,12 @@ class Compliance:
     def _solved_rests(self, places: Places, rectangles: Rectangles) -> Floats:
         """Return (n, 3, k, 3) from the latest region if it covers the patches, a new region, or patch by patch."""
         if not worth_a_region(rectangles):
-            return patch_rests(self.system, places, rectangles)
+            return patch_rests(self.system, self.body, places, rectangles)
         if self._region is None or not self._region.covers(rectangles):
             try:
                 self._region = Region(self.system, self.body, rectangles)
             except InputError:  # so near to the end of the surface that the region would run over it
-                return patch_rests(self.system, places, rectangles)
+                return patch_rests(self.system, self.body, places, rectangles)
         return self._region.rests(places, rectangles)
 
     def surface(self, rectangles: Rectangles) -> Floats:
@@ -242,7 +242,7 @@ class Compliance:
         if key not in self._fields:
             _make_room(self._fields)
             if self._subtracted:
-                self._fields[key] = correction(self.system, [load])[:, :, 0]
+                self._fields[key] = correction(self.system, self.body, [load])[:, :, 0]
             else:
                 forces = consistent_forces(self.body, self.mesh, self._locator, load)
                 self._fields[key] = self.system.solve(forces[:, :, None])[:, :, 0]

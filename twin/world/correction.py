@@ -11,19 +11,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from twin.arrays import Floats
+from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
 from twin.world.fem import TaylorHood
 from twin.world.residual import nodal_forces
 
 
-def correction(system: TaylorHood, loads: Sequence[Rectangles], columns: Sequence[Floats] | None = None) -> Floats:
+def correction(
+    system: TaylorHood, body: Body, loads: Sequence[Rectangles], columns: Sequence[Floats] | None = None
+) -> Floats:
     """Return w at the nodes, (N, 3, sum of m) in mm for E = 1 MPa; all load cases are solved together.
 
     Parameters
     ----------
-    system
-        The body's elastic system.
+    system, body
+        The elastic system and the body it belongs to.
     loads
         Loads of (k) rectangles, each in the plane of its own half-space.
     columns
@@ -37,7 +40,7 @@ def correction(system: TaylorHood, loads: Sequence[Rectangles], columns: Sequenc
     mesh, nu = system.mesh, system.poisson_ratio
     forces, held = [], []
     for load, cases in zip(loads, columns or [load.force_n[:, :, None] for load in loads], strict=True):
-        forces.append(nodal_forces(mesh, load, cases, nu))
+        forces.append(nodal_forces(mesh, body, load, cases, nu))
         moved = halfspace.compliance(mesh.points[system.held], load, 1.0, nu) @ cases.reshape(-1, cases.shape[2])
         held.append(np.zeros_like(forces[-1]))
         held[-1][system.held] = -moved.reshape(-1, 3, cases.shape[2])

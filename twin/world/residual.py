@@ -3,16 +3,23 @@
 The closed-form field of every rectangle is exact in the half-space of the rectangle's own plane. The body's other
 faces cut through that half-space, so the smooth rest w must carry the tractions -sigma n there and undo the
 displacement on the held face. Within a rectangle's own footprint traction and stress cancel, and nothing is added.
+
+Why the tractions are read on the body's true surface: quadratic faces lie up to 6 um beside it on the finger. Seen from
+so deep, a load narrower than that is a point force whose whole flux comes through the face, as a traction that cancels
+the load. On the true surface the traction of a force F at distance r is about F / (R r) (R the radius of curvature),
+which any quadrature bears, whatever the size of the load.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from twin.arrays import Bools, Floats, Ints, Points
+from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.theory.halfspace_kernels import GAUSS_2, rectangle_slopes, rectangle_terms
 from twin.world.elements import triangle_quadrature, triangle_shapes
@@ -27,19 +34,21 @@ GROWTH = 1.2
 FINEST = 0.12
 """Size of the pieces under the load, over the load's radius."""
 
-LEVELS = 9
+LEVELS = 16
 
 DISTANT, CELLS, MERGEABLE = 2.5, 6.0, 64
 """Load radii beyond which a load of at least so many rectangles is merged into cells, so many across."""
 
 
-def nodal_forces(mesh: Mesh, load: Rectangles, columns: Floats, poisson_ratio: float) -> Floats:
+def nodal_forces(mesh: Mesh, body: Body, load: Rectangles, columns: Floats, poisson_ratio: float) -> Floats:
     """Return the (N, 3, m) nodal forces in N of the tractions that w must carry on the free faces.
 
     Parameters
     ----------
     mesh
         The body's mesh; faces of the last piece are held, all others are free.
+    body
+        The body: its true surface is where tractions are read.
     load
         (k) rectangles; their own ``force_n`` is ignored.
     columns
@@ -47,13 +56,14 @@ def nodal_forces(mesh: Mesh, load: Rectangles, columns: Floats, poisson_ratio: f
     poisson_ratio
         nu.
     """
-    faces = mesh.faces[(mesh.piece != mesh.piece.max())]
-    faces = faces[~_in_plane(mesh.points[faces], load)]
+    free = mesh.piece != mesh.piece.max()
+    free[free] = ~_in_plane(mesh.points[mesh.faces[free]], load)
+    faces, surface = mesh.faces[free], _Surface(body, mesh.piece[free])
     out = np.zeros((len(mesh.points), 3, columns.shape[2]))
     if len(faces) == 0 or len(load) == 0:
         return out
     balls = _balls(load)
-    points, areas, values, nodes = _quadrature(mesh.points, faces, *balls)
+    points, areas, values, nodes = _quadrature(mesh.points, faces, surface, *balls)
     columns = np.ascontiguousarray(columns)
     coarse, sums = _merged(load, columns)
     away = np.min(np.linalg.norm(points[:, None] - balls[0], axis=2) / np.maximum(balls[1], 1e-300), axis=1)
@@ -66,9 +76,27 @@ def nodal_forces(mesh: Mesh, load: Rectangles, columns: Floats, poisson_ratio: f
     return out
 
 
-def _quadrature(points: Points, faces: Ints, centres: Points, radii: Floats) -> tuple[Points, Floats, Floats, Ints]:
-    """Return quadrature places (q, 3), area vectors (q, 3), shape functions (q, 6) and face nodes (q, 6)."""
-    face, triangles = _split(points, faces, centres, radii)
+@dataclass(frozen=True)
+class _Surface:
+    """The true surface of a body behind the faces of its mesh, which are of ``piece`` (f,)."""
+
+    body: Body
+    piece: Ints
+
+    def nearest(self, points: Points, face: Ints) -> tuple[Points, Floats]:
+        """Return the nearest points (q, 3) on the pieces of ``face`` (q,), and the inward normals (q, 3) there."""
+        row, piece = np.arange(len(points)), self.piece[face]
+        for _ in range(2):
+            normal = self.body.piece_normals(points)[row, piece]
+            points = points - self.body.piece_distances(points)[row, piece, None] * normal
+        return points, normal
+
+
+def _quadrature(
+    points: Points, faces: Ints, surface: _Surface, centres: Points, radii: Floats
+) -> tuple[Points, Floats, Floats, Ints]:
+    """Return true surface places (q, 3), area vectors (q, 3), shape functions (q, 6) and face nodes (q, 6)."""
+    face, triangles = _split(points, faces, surface, centres, radii)
     places, weights = triangle_quadrature()
     where = triangles[:, :1] + places[:, :1] * (triangles[:, 1:2] - triangles[:, :1])
     where = (where + places[:, 1:] * (triangles[:, 2:] - triangles[:, :1])).reshape(-1, 2)
@@ -79,7 +107,9 @@ def _quadrature(points: Points, faces: Ints, centres: Points, radii: Floats) -> 
     sides = triangles[:, 1:] - triangles[:, :1]
     share = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
     areas = np.cross(tangents[:, 0], tangents[:, 1]) * (share[:, None] * weights).ravel()[:, None]
-    return np.einsum("qa,qai->qi", values, nodes), areas, values, faces[face]
+    places, normal = surface.nearest(np.einsum("qa,qai->qi", values, nodes), face)
+    areas = np.sum(areas * normal, axis=1, keepdims=True) * normal
+    return places, areas, values, faces[face]
 
 
 def _merged(load: Rectangles, columns: Floats) -> tuple[Rectangles, Floats]:
@@ -141,7 +171,7 @@ def _balls(load: Rectangles) -> tuple[Points, Floats]:
     return centres, radii
 
 
-def _split(points: Points, faces: Ints, centres: Points, radii: Floats) -> tuple[Ints, Floats]:
+def _split(points: Points, faces: Ints, surface: _Surface, centres: Points, radii: Floats) -> tuple[Ints, Floats]:
     """Return the face (t,) and corners (t, 3, 2) of pieces of faces, small near the balls around the load."""
     face = np.arange(len(faces))
     triangles = np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (len(faces), 1, 1))
@@ -149,6 +179,7 @@ def _split(points: Points, faces: Ints, centres: Points, radii: Floats) -> tuple
     for level in range(LEVELS + 1):
         values = triangle_shapes(triangles.reshape(-1, 2))[0].reshape(-1, 3, 6)
         corners = np.einsum("tca,tai->tci", values, points[faces[face]])
+        corners = surface.nearest(corners.reshape(-1, 3), np.repeat(face, 3))[0].reshape(-1, 3, 3)
         size = np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1)
         away = np.linalg.norm(corners.mean(axis=1)[:, None] - centres, axis=2) - radii
         wanted = np.min(np.maximum(GROWTH * away, FINEST * radii), axis=1)

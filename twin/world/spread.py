@@ -64,7 +64,7 @@ class Region:
         ]
         probes = self._probes(body, rectangles.half_mm.mean(axis=0))
         axes = probes.frames.transpose(0, 2, 1)
-        self._fields = np.concatenate([field for _, field in _solved(system, probes, axes)], axis=2)
+        self._fields = np.concatenate([field for _, field in _solved(system, body, probes, axes)], axis=2)
 
     def covers(self, rectangles: Rectangles) -> bool:
         """Return whether all patches lie in the region."""
@@ -103,23 +103,23 @@ def worth_a_region(rectangles: Rectangles) -> bool:
     return bool(nodes.max() <= 2 * MOST and len(rectangles) > np.minimum(nodes, MOST).prod())
 
 
-def patch_rests(system: TaylorHood, places: Places, rectangles: Rectangles) -> Floats:
+def patch_rests(system: TaylorHood, body: Body, places: Places, rectangles: Rectangles) -> Floats:
     """Return (n, 3, k, 3) like `Region.rests`, every patch being solved for itself."""
     out = np.empty((len(places.nodes), 3, len(rectangles), 3))
     matrix = places.matrix(len(system.mesh.points))
     axes = np.broadcast_to(np.eye(3), (len(rectangles), 3, 3))
-    for part, fields in _solved(system, rectangles, axes):
+    for part, fields in _solved(system, body, rectangles, axes):
         values = matrix @ fields.reshape(len(fields), -1)
         out[:, :, part] = values.reshape(len(out), 3, -1, 3)
     return out
 
 
-def _solved(system: TaylorHood, rectangles: Rectangles, axes: Floats) -> Iterator[tuple[slice, Floats]]:
+def _solved(system: TaylorHood, body: Body, rectangles: Rectangles, axes: Floats) -> Iterator[tuple[slice, Floats]]:
     """Yield which patches, and the (N, 3, 3 k) rests under unit forces along the columns of each patch's axes."""
     for start in range(0, len(rectangles), BATCH):
         part = slice(start, min(start + BATCH, len(rectangles)))
         each = range(part.start, part.stop)
-        yield part, correction(system, [single(rectangles, i) for i in each], [axes[i][None] for i in each])
+        yield part, correction(system, body, [single(rectangles, i) for i in each], [axes[i][None] for i in each])
 
 
 def single(rectangles: Rectangles, index: int) -> Rectangles:

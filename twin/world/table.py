@@ -182,7 +182,7 @@ def make_table(body: Body, mesh: Mesh, solver: Solver = "auto") -> Table:
     for n, nu in enumerate((low + high + (high - low) * chebpts1(SIZES[0])) / 2.0):
         system = TaylorHood(mesh, float(nu), solver)
         loads = [_point_force(c, body) for c in centres]
-        fields = correction(system, loads, [np.eye(3)[None]] * len(loads))
+        fields = correction(system, body, loads, [np.eye(3)[None]] * len(loads))
         values = (matrix @ fields.reshape(len(fields), -1)).reshape(*SIZES[3:], 3, SIZES[1], SIZES[2], 3)
         samples[n] = np.transpose(values, (4, 5, 6, 3, 0, 1, 2))
     for axis, size in zip((0, 1, 2, 5, 6, 7), SIZES, strict=True):
