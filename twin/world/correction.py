@@ -16,10 +16,15 @@ from twin.parts.load import Rectangles
 from twin.theory import halfspace
 from twin.world.fem import TaylorHood
 from twin.world.residual import nodal_forces
+from twin.world.solve import GOAL
 
 
 def correction(
-    system: TaylorHood, body: Body, loads: Sequence[Rectangles], columns: Sequence[Floats] | None = None
+    system: TaylorHood,
+    body: Body,
+    loads: Sequence[Rectangles],
+    columns: Sequence[Floats] | None = None,
+    goal: float = GOAL,
 ) -> Floats:
     """Return w at the nodes, (N, 3, sum of m) in mm for E = 1 MPa; all load cases are solved together.
 
@@ -31,6 +36,8 @@ def correction(
         Loads of (k) rectangles, each in the plane of its own half-space.
     columns
         For every load (k, 3, m) forces in m load cases, N; if not given one case each, the load's own ``force_n``.
+    goal
+        Relative residual at which the solver's refinement stops.
 
     Raises
     ------
@@ -44,4 +51,4 @@ def correction(
         moved = halfspace.compliance(mesh.points[system.held], load, 1.0, nu) @ cases.reshape(-1, cases.shape[2])
         held.append(np.zeros_like(forces[-1]))
         held[-1][system.held] = -moved.reshape(-1, 3, cases.shape[2])
-    return system.solve(np.concatenate(forces, axis=2), np.concatenate(held, axis=2))
+    return system.solve(np.concatenate(forces, axis=2), np.concatenate(held, axis=2), goal)

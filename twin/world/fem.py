@@ -25,7 +25,7 @@ from twin.arrays import Bools, Floats, Ints
 from twin.errors import InputError
 from twin.world.elements import tet_quadrature, tet_shapes
 from twin.world.mesh import Mesh
-from twin.world.solve import Factor, Solver
+from twin.world.solve import GOAL, Factor, Solver
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +99,7 @@ class TaylorHood:
         scale = np.concatenate([np.zeros(3 * len(self.mesh.points)), mass * (1.0 + self.poisson_ratio)])
         return Factor(self._matrix[self._free][:, self._free], scale[self._free], self._solver)
 
-    def solve(self, force: Floats, held_to: Floats | None = None) -> Floats:
+    def solve(self, force: Floats, held_to: Floats | None = None, goal: float = GOAL) -> Floats:
         """Return the displacement (N, 3, m), mm, for E = 1 MPa.
 
         Parameters
@@ -108,15 +108,17 @@ class TaylorHood:
             (N, 3, m) nodal forces, N.
         held_to
             (N, 3, m) displacement to which held nodes are moved (others are ignored); zero if not given.
+        goal
+            Relative residual at which refinement stops.
 
         Raises
         ------
         SolveError
             See `twin.world.solve.Factor.solve`.
         """
-        return self._solve(force, held_to)[: 3 * len(self.mesh.points)].reshape(force.shape)
+        return self._solve(force, held_to, goal)[: 3 * len(self.mesh.points)].reshape(force.shape)
 
-    def _solve(self, force: Floats, held_to: Floats | None) -> Floats:
+    def _solve(self, force: Floats, held_to: Floats | None, goal: float) -> Floats:
         nodes, columns = len(self.mesh.points), force.shape[2]
         right = np.zeros((3 * nodes + self.mesh.corners, columns))
         right[: 3 * nodes] = force.reshape(3 * nodes, columns)
@@ -124,13 +126,13 @@ class TaylorHood:
         if held_to is not None:
             solution[: 3 * nodes] = np.where(self.held[:, None, None], held_to, 0.0).reshape(3 * nodes, columns)
             right -= self._matrix @ solution
-        solution[self._free] = self.factor.solve(right[self._free])
+        solution[self._free] = self.factor.solve(right[self._free], goal)
         return solution
 
     def reaction(self, force: Floats) -> Floats:
         """Return the holder's (3, m) total force on the body under nodal forces (N, 3, m): minus the load."""
         nodes = len(self.mesh.points)
-        out = (self._matrix @ self._solve(force, None))[: 3 * nodes].reshape(force.shape) - force
+        out = (self._matrix @ self._solve(force, None, GOAL))[: 3 * nodes].reshape(force.shape) - force
         return np.asarray(out[self.held].sum(axis=0))
 
 

@@ -80,13 +80,18 @@ class Factor:
         _count["factorisations"] += 1
         self._apply = _pardiso(shifted) if self.solver == "pardiso" else _superlu(shifted)
 
-    def solve(self, right: Floats) -> Floats:
+    def solve(self, right: Floats, goal: float = GOAL) -> Floats:
         """Return the solution (n, m) or (n,) for ``right`` of the same shape; `residual` keeps the worst one reached.
+
+        Parameters
+        ----------
+        goal
+            Relative residual at which refinement stops.
 
         Raises
         ------
         SolveError
-            The relative residual stays above 1e-9 after refinement.
+            The relative residual stays above 1e-9, or the goal if that is larger, after refinement.
         """
         columns = self._root[:, None] * right.reshape(len(right), -1)
         size = np.linalg.norm(columns, axis=0)
@@ -97,7 +102,7 @@ class Factor:
         remainder = columns - self._matrix @ solution
         worst = _worst(remainder)
         for _ in range(STEPS):
-            if not worst > GOAL:
+            if not worst > goal:
                 break
             better = solution + self._apply(remainder)
             remainder = columns - self._matrix @ better
@@ -105,9 +110,10 @@ class Factor:
                 break
             solution, worst = better, _worst(remainder)
         self.residual = worst
-        if not worst <= LIMIT:
+        allowed = max(LIMIT, goal)
+        if not worst <= allowed:
             raise SolveError(
-                f"the elastic system was solved to a relative residual of {worst:.1e} only, allowed is {LIMIT:.0e}: "
+                f"the elastic system was solved to a relative residual of {worst:.1e} only, allowed is {allowed:.0e}: "
                 "the body may be held nowhere, or the mesh may have degenerate elements"
             )
         result: Floats = (self._root[:, None] * solution * size).reshape(right.shape)

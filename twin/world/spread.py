@@ -30,6 +30,9 @@ MOST = 9
 ROOM = 0.15
 """Share of its size by which a region is made larger on every side, for contact that grows or moves."""
 
+PROBE_GOAL = 1e-6
+"""Relative residual that is enough for what is interpolated to a few parts in a thousand: it saves the refinement."""
+
 BATCH = 32
 """Patches per block of right-hand sides, which bounds the memory."""
 
@@ -119,7 +122,8 @@ def _solved(system: TaylorHood, body: Body, rectangles: Rectangles, axes: Floats
     for start in range(0, len(rectangles), BATCH):
         part = slice(start, min(start + BATCH, len(rectangles)))
         each = range(part.start, part.stop)
-        yield part, correction(system, body, [single(rectangles, i) for i in each], [axes[i][None] for i in each])
+        patches, columns = [single(rectangles, i) for i in each], [axes[i][None] for i in each]
+        yield part, correction(system, body, patches, columns, PROBE_GOAL)
 
 
 def single(rectangles: Rectangles, index: int) -> Rectangles:
