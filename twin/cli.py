@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -158,10 +159,17 @@ def _progress() -> Any:
     return progress_on_terminal()
 
 
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning as one line on stderr, without the place in the source."""
+    print(f"twin: warning: {message}", file=sys.stderr)
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with the code that `twin.errors` lists."""
     try:
-        app(list(arguments) if arguments is not None else None, exit_on_error=False, print_error=False)
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            app(list(arguments) if arguments is not None else None, exit_on_error=False, print_error=False)
         sys.stdout.flush()
         code = 0
     except CycloptsError as problem:

@@ -72,3 +72,7 @@ class MissingCapability(TwinError):
     """This machine lacks something the job needs (exit code 4); the message ends with how to install it."""
 
     exit_code = 4
+
+
+class AccuracyWarning(UserWarning):
+    """A result is less accurate than the scene asks for; the message says what was asked, what it is, and a remedy."""

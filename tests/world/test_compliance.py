@@ -141,3 +141,41 @@ def test_points_outside_and_loads_off_the_surface_are_refused():
     )
     with pytest.raises(InputError, match="not on the sensing surface"):
         stiff.displacement(np.array([[0.0, 0, 1]]), sunk)
+
+
+def mirror_error(name, purpose, centre, size, flip):
+    """Return how far the answer is from the answer of the mirrored load, over axes and deep and shallow points."""
+    body, stiff, flip = BODIES[name][0], compliance(name, purpose, 0.5), np.array(flip)
+    place = body.chart_points(np.array([centre], float))[0]
+    around = np.stack(np.meshgrid([-3, -1, 0, 1, 3], [-3, -1, 0, 1, 3]), axis=-1).reshape(-1, 2) + centre
+    points = np.vstack([body.chart_points(around, depth) for depth in (0.5, 3.0)])
+    points, error = points[body.contains(points, 0.3)], 0.0
+    for force in np.eye(3):
+        load, mirrored = (
+            tile(Traction.rectangle(tuple(place * m), (size, size), tuple(force * m)), body) for m in (1, flip)
+        )
+        here, there = stiff.displacement(points, load), stiff.displacement(points * flip, mirrored) * flip
+        error = max(error, np.linalg.norm(here - there, axis=1).max() / np.linalg.norm(here, axis=1).max())
+    return error, stiff.error_estimate(load)
+
+
+EDGES = [("block", (40, 0), 4, (-1, 1, 1)), ("block", (45, 0), 4, (-1, 1, 1)), ("block", (0, 38), 4, (1, -1, 1)),
+         ("finger", (-6, 4), 1, (1, -1, 1)), ("finger", (-6.5, 2), 1, (1, -1, 1))]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "centre", "size", "flip"), EDGES)
+def test_estimate_covers_the_mirror_error_near_edges(name, centre, size, flip):
+    error, estimate = mirror_error(name, "nominal", centre, size, flip)
+    assert error < estimate < 20 * error
+
+
+def test_estimate_grows_towards_edges_and_is_the_measured_bound_inside():
+    def estimate(name, purpose, centre, size=1.0):
+        load = Traction.rectangle(tuple(BODIES[name][0].chart_points(np.array([centre]))[0]), (size, size), (0, 0, 1))
+        return compliance(name, purpose, 0.5).error_estimate(tile(load, BODIES[name][0]))
+
+    assert estimate("block", "truth", (0.0, 0.0), 4.0) == pytest.approx(6e-4)
+    assert estimate("finger", "truth", (0.0, 0.0)) == pytest.approx(5e-3)
+    growing = [estimate("block", "truth", (x, 0.0), 4.0) for x in (20.0, 35.0, 40.0, 45.0)]
+    assert growing == sorted(growing)
+    assert growing[-1] > 0.05

@@ -224,7 +224,9 @@ class _Chain:
 
         moved = np.linalg.norm(truth.marker_displacement_mm, axis=1)
         elastic = {
-            "displacement_error": self.sensor.compliance.error_estimate,
+            "displacement_error": self.sensor.compliance.error_estimate(
+                self.sensor.rectangles(state.load if state is not None else Load())
+            ),
             "largest_displacement_mm": float(moved.max()) if len(moved) else None,
             "contact_residual": state.residual if state is not None else None,
         }

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from twin.arrays import Floats, Picture, Pixels, Points
-from twin.errors import InputError, RecipeError
+from twin.errors import AccuracyWarning, InputError, RecipeError
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
 from twin.parts.markers import MarkerSet, place
@@ -65,6 +66,7 @@ class Sensor:
     def __init__(self, scene: Scene, progress: Progress | None = None) -> None:
         self.nominal = scene
         self.progress = progress
+        self._warned = False
 
     @cached_property
     def actual(self) -> Actual:
@@ -114,16 +116,31 @@ class Sensor:
         points = np.asarray(points_mm, float)
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"points_mm: must have shape (n, 3), got {points.shape}")
-        return self.compliance.displacement(points, self.rectangles(load))
+        rectangles = self.rectangles(load)
+        self._warn_if_inaccurate(rectangles)
+        return self.compliance.displacement(points, rectangles)
 
     def motion(self, load: Load) -> Motion:
         """Return how the actual markers move and turn under ``load``."""
         rectangles = self.rectangles(load)
+        self._warn_if_inaccurate(rectangles)
         points = self.actual.markers.points
         return Motion(
             displacement_mm=self.compliance.displacement(points, rectangles),
             gradient=self.compliance.gradient(points, rectangles),
         )
+
+    def _warn_if_inaccurate(self, load: Rectangles) -> None:
+        """Warn, once per sensor, of a load under which the asked accuracy is not to be expected."""
+        asked, got = self.nominal.accuracy.displacement, self.compliance.error_estimate(load)
+        if got > asked * (1.0 + 1e-9) and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"accuracy.displacement = {asked:g} is asked, but displacements may be {got:.2g} of the largest off: "
+                "move the load away from the edges of the sensing surface, or allow more",
+                AccuracyWarning,
+                stacklevel=3,
+            )
 
     def press(self, press: Press | None = None) -> ContactState:
         """Solve a press; the scene's own if none is given.
