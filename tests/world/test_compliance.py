@@ -179,3 +179,13 @@ def test_estimate_grows_towards_edges_and_is_the_measured_bound_inside():
     growing = [estimate("block", "truth", (x, 0.0), 4.0) for x in (20.0, 35.0, 40.0, 45.0)]
     assert growing == sorted(growing)
     assert growing[-1] > 0.05
+
+
+@pytest.mark.parametrize("name", ["block", "finger"])
+def test_no_points_give_no_displacements(name):
+    body, material = BODIES[name][0], Material(youngs_modulus_mpa=0.5)
+    load, nowhere = tile(Traction.bump((0, 0), 1.0, (0, 0, 1)), body), np.zeros((0, 3))
+    for stiff in (Compliance(body, material), compliance(name, "nominal", 0.5)):
+        assert stiff.displacement(nowhere, load).shape == (0, 3)
+        assert stiff.gradient(nowhere, load).shape == (0, 3, 3)
+        assert stiff.to_points(nowhere, load).shape == (0, 3 * len(load))

@@ -65,6 +65,17 @@ def test_foreign_file_is_refused(tmp_path):
         read_table(tmp_path / "t.npz")
 
 
+@pytest.mark.parametrize("damage", [lambda whole: whole[:20000], lambda whole: b"", lambda whole: whole[:100]])
+def test_damaged_table_is_refused_and_solved_around(tmp_path, monkeypatch, damage):
+    path = tmp_path / "t.npz"
+    path.write_bytes(damage(shipped_path("nominal").read_bytes()))
+    with pytest.raises(InputError, match="not a table"):
+        read_table(path)
+    monkeypatch.setattr("twin.world.table.shipped_path", lambda purpose: path)
+    with pytest.warns(UserWarning, match="solving without the table"):
+        assert shipped_table(STANDARD, "nominal") is None
+
+
 @pytest.mark.slow
 def test_table_can_be_made_anew():
     made = make_table(STANDARD, read_mesh(MESHES / "kamiyama_block.nominal.npz")).coefficients

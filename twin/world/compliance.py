@@ -150,7 +150,7 @@ class Compliance:
             See `twin.world.solve.Factor.solve`.
         """
         points = self._checked(points, load)
-        if not np.any(load.force_n):
+        if len(points) == 0 or not np.any(load.force_n):
             return np.zeros_like(points)
         table = self._table_for(points, load)
         rest = table.displacement(points, load) if table else self._place(points).values(self._field(load))
@@ -160,7 +160,7 @@ class Compliance:
     def gradient(self, points: Points, load: Rectangles) -> Floats:
         """Return (n, 3, 3) du_i/dx_j at ``points`` (n, 3): strain and turn. Raises like `displacement`."""
         points = self._checked(points, load)
-        if not np.any(load.force_n):
+        if len(points) == 0 or not np.any(load.force_n):
             return np.zeros((len(points), 3, 3))
         table = self._table_for(points, load)
         rest = table.gradient(points, load) if table else self._place(points).gradients(self._field(load))

@@ -14,6 +14,9 @@ Validity: forces in the window, points in the box, nu in [0.3, 0.5], the block a
 from __future__ import annotations
 
 import json
+import warnings
+import zipfile
+import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -158,13 +161,20 @@ def shipped_path(purpose: Purpose) -> Path:
 
 
 def shipped_table(body: Body, purpose: Purpose, mesh: Mesh | None = None) -> Table | None:
-    """Return the shipped table if it was made of this body (and, if one is given, of this mesh), else None."""
+    """Return the shipped table if it was made of this body (and, if one is given, of this mesh), else None.
+
+    Warns, and returns None, if its file is damaged.
+    """
     if not isinstance(body, Block) or not shipped_path(purpose).exists():
         return None
     size = (body.width_mm, body.length_mm, body.thickness_mm)
     if size != (STANDARD.width_mm, STANDARD.length_mm, STANDARD.thickness_mm):
         return None
-    table = read_table(shipped_path(purpose))
+    try:
+        table = read_table(shipped_path(purpose))
+    except InputError as problem:  # the table only saves time, so a damaged one must not stop a run
+        warnings.warn(f"{problem}; solving without the table, which takes a few seconds longer", stacklevel=2)
+        return None
     return table if mesh is None or mesh.digest() == table.digest else None
 
 
@@ -222,16 +232,19 @@ def read_table(path: Path) -> Table:
         The file is not a table of this program's sizes.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # opened here, because numpy leaves a broken zip file's handle to the garbage collector
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             words = json.loads(str(file["words"]))
             index, value = np.cumsum(file["gap"].astype(np.int64)), file["value"].astype(float)
-    except (OSError, ValueError, KeyError) as problem:
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as problem:
         raise InputError(f"{path} is not a table of the rest ({problem}): make it anew") from problem
     expected = {"sizes": list(SIZES), "window_mm": list(WINDOW_MM), "box_mm": list(BOX_MM)}
     if {key: words.get(key) for key in expected} != expected:
         raise InputError(f"{path} was made for another window or size: make it anew with python -m twin.world.table")
     shape = (*SIZES[:3], 3, 3, *SIZES[3:])
     flat = np.zeros(int(np.prod(shape)))
+    if index.shape != value.shape or np.any(index >= flat.size) or not np.isfinite(value).all():
+        raise InputError(f"{path} is not a table of the rest (its arrays don't fit together): make it anew")
     flat[index] = value
     coefficients = flat.reshape(shape)
     frozen(coefficients)
