@@ -6,6 +6,7 @@ import pytest
 from twin.errors import InputError
 from twin.parts.body import Block, Finger
 from twin.parts.load import Traction
+from twin.theory import halfspace
 from twin.world.tile import tile
 
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
@@ -54,6 +55,16 @@ def test_flat_rectangle_stays_one_and_twist_turns_x_to_y():
     twist = tile(Traction.twist((0, 0), 2.0, 5.0), BLOCK)
     on_x = np.argmax(twist.centre_mm[:, 0])
     assert twist.force_n[on_x, 1] > 0
+
+
+def test_wide_loads_are_cut_into_few_tiles_that_do_as_well_as_many():
+    load = Traction.bump((0, 0), 44.0, (0, 0.3, 1))
+    points = np.random.default_rng(0).uniform([-44, -44, 0.3], [44, 44, 0.31], (30, 3))
+    few, many = tile(load, BLOCK), tile(load, BLOCK, spacing_mm=0.4)
+    assert len(few) <= 10_000 < len(many)
+    got, expected = (halfspace.displacement(points, tiles, 0.5, 0.5) for tiles in (few, many))
+    assert np.abs(got - expected).max() < 1e-4 * np.abs(expected).max()
+    assert tile(Traction.bump((0, 0), 6.0, FORCE), BLOCK).half_mm.max() <= 0.1
 
 
 @pytest.mark.parametrize(

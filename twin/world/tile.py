@@ -3,7 +3,8 @@
 On a flat face a rectangle stays one rectangle, exactly; disks and twists become strips whose ends follow the circle
 (fine where the circle is steep), bumps a fine grid. On a curved body every footprint is cut along the normal at its
 centre into a grid of tiles, each in its own tangent plane on the true surface. Totals of force and torque are exact;
-the grain of the tiles dies out within a tile's width below the surface, like exp(-2 pi depth / width).
+the grain of the tiles dies out within a tile's width below the surface, like exp(-2 pi depth / width). The number of
+tiles is bounded: a bump of 44 mm radius in tiles of .88 mm moves points .3 mm deep 2e-5 of the largest off.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ STRIPS = 64
 
 ACROSS, WIDEST_MM = {"rectangle": 24, "disk": 40, "twist": 40, "bump": 20}, 0.2
 """Tiles across a footprint, and their largest side, unless a spacing is given."""
+
+MOST = 10_000
+"""Tiles in a grid at most, unless a spacing is given: 100 across a footprint wider than 20 mm."""
 
 SAMPLES = 5
 """Samples per side of a tile that weigh its share of the footprint."""
@@ -173,7 +177,8 @@ def _grid(
     traction: Traction, centre: Points, frame: Floats, half: Floats, body: Body, spacing_mm: float | None
 ) -> Rectangles:
     """Return tiles in their own tangent planes on the true surface; weights are integrals over the true area."""
-    spacing = spacing_mm or min(2.0 * float(np.max(half)) / ACROSS[traction.kind], WIDEST_MM)
+    fine = min(2.0 * float(np.max(half)) / ACROSS[traction.kind], WIDEST_MM)
+    spacing = spacing_mm or max(fine, 2.0 * math.sqrt(half[0] * half[1] / MOST) * (1.0 + 1e-9))
     number = np.maximum(np.ceil(2.0 * half / spacing).astype(int), 4)
     side = 2.0 * half / number
     s, t = ((np.arange(n) + 0.5) * d - h for n, d, h in zip(number, side, half, strict=True))
