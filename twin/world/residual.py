@@ -8,6 +8,9 @@ Why the tractions are read on the body's true surface: quadratic faces lie up to
 so deep, a load narrower than that is a point force whose whole flux comes through the face, as a traction that cancels
 the load. On the true surface the traction of a force F at distance r is about F / (R r) (R the radius of curvature),
 which any quadrature bears, whatever the size of the load.
+
+Validity: on a curved body a narrow twist is two nearly cancelling forces that grow like 1 / radius, and so do the
+quadrature's errors: twists of 0.3 mm radius and less are 1 to 4 % off there.
 """
 
 from __future__ import annotations
