@@ -55,11 +55,12 @@ def draw_chain() -> None:
             mine = truth.marker_layer == layer
             row[1].quiver(*rest[mine].T, *shift[mine].T, color=colour, angles="xy", width=0.003)
         row[1].set(xlim=(0, 640), ylim=(480, 0), aspect="equal", title="how the markers moved")
-        columns = len(np.unique(estimate.site_mm[:, 0].round(3))) if name == "kamiyama_shear" else 5
         x, y = estimate.site_mm[:, :2].T
         fx, fy, fz = estimate.force_n.T
-        row[2].scatter(x, y, c=fz, cmap="magma_r", marker="s", s=17_000 / columns**2)
-        row[2].quiver(x, y, fx, fy, color="#0b6", angles="xy", width=0.004)
+        row[2].scatter(x, y, c=fz, cmap="magma_r", marker="s", s=60)
+        pitch, largest = load_scene(name).reconstruction.sites.pitch_mm, np.hypot(fx, fy).max()
+        scale = largest / (1.5 * pitch)
+        row[2].quiver(x, y, fx, fy, color="#0b6", angles="xy", scale_units="xy", scale=scale, width=0.004)
         row[2].set(aspect="equal", title="the forces that the sensor reports")
         for panel in row:
             panel.set_xticks([])

@@ -133,7 +133,7 @@ class Sensor:
     def _warn_if_inaccurate(self, load: Rectangles) -> None:
         """Warn, once per sensor, of a load under which the asked accuracy is not to be expected."""
         asked, got = self.nominal.accuracy.displacement, self.compliance.error_estimate(load)
-        if got > asked * (1.0 + 1e-9) and not self._warned:
+        if got > 1.1 * asked and not self._warned:
             self._warned = True
             warnings.warn(
                 f"accuracy.displacement = {asked:g} is asked, but displacements may be {got:.2g} of the largest off: "

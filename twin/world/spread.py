@@ -27,7 +27,7 @@ GRAIN_MM = 1.2
 MOST = 9
 """Nodes per direction at most."""
 
-ROOM = 0.15
+ROOM = 0.3
 """Share of its size by which a region is made larger on every side, for contact that grows or moves."""
 
 PROBE_GOAL = 1e-6
