@@ -12,8 +12,8 @@ from benchmarks.__main__ import RESULTS, table
 
 README = Path(__file__).parent.parent / "README.md"
 TITLES = {
-    "elasticity": "Elasticity, against converged fields of an independent code (error: largest over all points, relative; direct is the "
-    "same small mesh without the half-space)",
+    "elasticity": "Elasticity, against converged fields of an independent code (error: largest over all points, "
+    "relative; direct is the same small mesh without the half-space)",
     "picture": "Picture, 640x480, against a converged picture",
     "chain": "Whole chain, one press",
 }
