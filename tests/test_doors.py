@@ -19,6 +19,8 @@ HOMES = {
     "pytetwild": {"world/tetrahedralise.py"},
     "pypardiso": {"world/solve.py"},
     "scipy.sparse.linalg": {"world/solve.py"},
+    "pyvista": {"world/export.py"},
+    "trimesh": {"world/surface.py"},
     "pickle": set(),
 }
 

@@ -74,12 +74,13 @@ def mesh(
     scene: SceneName,
     *,
     rebuild: Annotated[bool, Parameter(help="Make the meshes anew, even if shipped or cached.", negative="")] = False,
+    export: Annotated[Path | None, Parameter(help="Write the truth's mesh as .vtu for other programs.")] = None,
     set_: Overrides = (),
 ) -> None:
     """Show the meshes of a scene's body, or make them anew."""
     from twin.study.meshes import describe_meshes
 
-    for line in describe_meshes(_load(scene, set_), rebuild=rebuild, progress=_progress()):
+    for line in describe_meshes(_load(scene, set_), rebuild=rebuild, export=export, progress=_progress()):
         print(line)
 
 

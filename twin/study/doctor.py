@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from twin.places import MESHES, SCENES, cache_folder
 
-NEEDED = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pytetwild", "trimesh", "pyvista", "pydantic", "matplotlib")
+NEEDED = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pytetwild", "trimesh", "pyvista", "pydantic")
 OPTIONAL = {"pypardiso": "faster factorisation on x86-64: pip install 'tactile-twin[mkl]'"}
 
 

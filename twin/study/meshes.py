@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from twin.parts.scene import Scene
 from twin.study.sensor import Progress
 
 
-def describe_meshes(scene: Scene, *, rebuild: bool, progress: Progress | None = None) -> list[str]:
-    """Return a line for each of the body's meshes: size and worst quality; make them anew if asked."""
+def describe_meshes(
+    scene: Scene, *, rebuild: bool, export: Path | None = None, progress: Progress | None = None
+) -> list[str]:
+    """Return a line for each of the body's meshes: size and worst quality; make them anew, or export, if asked."""
     from twin.world.mesh import Purpose, body_mesh
     from twin.world.quality import quality
 
@@ -15,6 +19,10 @@ def describe_meshes(scene: Scene, *, rebuild: bool, progress: Progress | None = 
     purposes: tuple[Purpose, ...] = ("truth", "nominal")
     for purpose in purposes:
         mesh = body_mesh(scene.body, purpose, rebuild=rebuild, progress=progress)
+        if export is not None and purpose == "truth":
+            from twin.world.export import export_mesh
+
+            export_mesh(mesh, scene.body, export)
         worst = quality(mesh, scene.body)
         failures = worst.failures()
         told = (
