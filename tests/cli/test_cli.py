@@ -78,6 +78,13 @@ def test_check_accepts_a_shipped_scene() -> None:
     assert (done.returncode, done.stdout.rstrip()[-2:]) == (0, "ok")
 
 
+def test_check_names_a_damaged_result(tmp_path: Path) -> None:
+    (tmp_path / "truth.npz").write_bytes(b"PK\x03\x04 cut short")
+    done = twin("check", str(tmp_path))
+    assert done.returncode == 2
+    assert "truth.npz: can't be read" in done.stderr
+
+
 def test_displacement_alone_loads_no_renderer_and_writes_no_picture(tmp_path: Path) -> None:
     code = (
         "import sys\nfrom twin.cli import main\n"

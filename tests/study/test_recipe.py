@@ -89,6 +89,15 @@ def test_overrides_win_and_lose_the_old_provenance() -> None:
     assert scene.markers["red"].assumed["depth_mm"] == "override"
 
 
+@pytest.mark.parametrize("scene", ["sato_press", "sato_shear"])
+@pytest.mark.parametrize("override", [{"press.force_n.z": 0.3}, {"press.force_n": {"z": 0.3}}])
+def test_one_component_of_a_force_can_be_overridden(scene: str, override: dict[str, object]) -> None:
+    press = load_scene(scene, override).press
+    assert press.path[0].force_n == (None, None, 0.3)
+    assert len(press.path) == 1
+    assert press.assumed["force_n"] == "override"
+
+
 def test_another_probe_replaces_the_one_of_the_base(tmp_path: Path) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text('base = "kamiyama_pillar"\n[press.probe]\nkind = "pillar"\nwidth_mm = 3\n')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,7 @@ def _check_results(folder: Path) -> list[str]:
         with np.load(truth_file, allow_pickle=False) as truth:
             total, pieces = truth["total_force_n"], truth["surface_force_n"]
             displacement = truth["marker_displacement_mm"]
-    except (OSError, ValueError, KeyError, EOFError) as problem:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as problem:
         raise InputError(f"{truth_file}: can't be read ({problem})") from None
     miss = float(np.abs(pieces.sum(axis=0) - total).max())
     if miss > 1e-6 * max(1.0, float(np.abs(total).max())):

@@ -23,6 +23,9 @@ from twin.study.complaints import complaints
 PROVENANCE = ("source", "assumed")
 ALTERNATIVES = ("steps", "force_n", "indentation_mm")
 """Ways to give a press its path: one of them replaces the others."""
+VECTORS = ("force_n", "move_mm")
+"""Keys whose value may be a table of components."""
+
 Table = dict[str, Any]
 
 
@@ -191,19 +194,31 @@ def _forget_provenance(table: Table, key: str) -> None:
 
 def _set(table: Table, dotted: str, value: Any) -> None:
     *parents, last = dotted.split(".")
-    here = table
-    for name in parents:
-        if not isinstance(here.setdefault(name, {}), dict):
-            raise RecipeError(f"{dotted}: '{name}' is not a table", "override")
-        here[name] = dict(here[name])
-        here = here[name]
+    if parents and parents[-1] in VECTORS:  # press.force_n.z: the vector is one value of its table
+        *parents, vector = parents
+        here = _table_at(table, parents, dotted)
+        old = here.get(vector)
+        last, value = vector, {**(old if isinstance(old, dict) else {}), last: value}
+    here = _table_at(table, parents, dotted)
     if parents == ["press"] and last in ALTERNATIVES:
         for other in ALTERNATIVES:
             here.pop(other, None)
     here[last] = value
     _forget_provenance(here, last)
-    if last not in PROVENANCE and not isinstance(value, dict) and parents != ["markers"]:
+    one_value = not isinstance(value, dict) or last in VECTORS
+    if last not in PROVENANCE and one_value and parents != ["markers"]:
         here["assumed"] = {**(here.get("assumed") or {}), last: "override"}
+
+
+def _table_at(table: Table, names: list[str], dotted: str) -> Table:
+    """Return the table at ``names``, made or copied on the way."""
+    here = table
+    for name in names:
+        if not isinstance(here.setdefault(name, {}), dict):
+            raise RecipeError(f"{dotted}: '{name}' is not a table", "override")
+        here[name] = dict(here[name])
+        here = here[name]
+    return here
 
 
 def dump_scene(scene: Scene) -> str:
