@@ -8,12 +8,14 @@ import zipfile
 import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.arrays import Floats, Pixels, Points, frozen
-from twin.errors import InputError
+from twin.errors import InputError, TwinError
+from twin.results import write_whole
 
 VERSION = 1
 
@@ -106,13 +108,14 @@ def write_calibration(calibration: Calibration, path: str | os.PathLike[str]) ->
     """Write a calibration file (npz), whole or not at all."""
     target = Path(path)
     arrays = {field.name: np.asarray(getattr(calibration, field.name)) for field in fields(Calibration)}
-    part = target.with_name(target.name + ".part")
+
+    def write(stream: IO[bytes]) -> None:
+        np.savez_compressed(stream, allow_pickle=False, version=np.array(VERSION), **arrays)
+
     try:
-        with open(part, "wb") as stream:
-            np.savez_compressed(stream, allow_pickle=False, version=np.array(VERSION), **arrays)
-        os.replace(part, target)
-    except OSError as problem:
-        raise InputError(f"calibration file {target} can't be written: {problem.strerror}") from None
+        write_whole(target, write)
+    except TwinError as problem:
+        raise InputError(f"calibration file {problem}") from None
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Calibration:
