@@ -97,7 +97,9 @@ class TaylorHood:
         """The factored system of the free unknowns."""
         mass = assemble_mass_diagonal(self.mesh)
         scale = np.concatenate([np.zeros(3 * len(self.mesh.points)), mass * (1.0 + self.poisson_ratio)])
-        return Factor(self._matrix[self._free][:, self._free], scale[self._free], self._solver)
+        node = np.concatenate([np.repeat(np.arange(len(self.mesh.points)), 3), np.arange(self.mesh.corners)])
+        free = self._free
+        return Factor(self._matrix[free][:, free], scale[free], self._solver, node=node[free])
 
     def solve(self, force: Floats, held_to: Floats | None = None, goal: float = GOAL) -> Floats:
         """Return the displacement (N, 3, m), mm, for E = 1 MPa.
