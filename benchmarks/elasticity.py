@@ -16,19 +16,19 @@ from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.places import ROOT
 from twin.world.compliance import Compliance, Method
-from twin.world.mesh import Purpose
+from twin.world.mesh import Level
 from twin.world.tile import tile
 
 BODIES: dict[str, Body] = {
     "block": Block(width_mm=100, length_mm=90, thickness_mm=40),
     "finger": Finger(radius_mm=8, barrel_mm=8, skirt_mm=2),
 }
-WAYS: dict[str, tuple[Method, Purpose, bool]] = {
-    "table, truth": ("subtracted", "truth", True),
+WAYS: dict[str, tuple[Method, Level, bool]] = {
+    "table, truth": ("subtracted", "standard", True),
     "table, nominal": ("subtracted", "nominal", True),
-    "subtracted, truth": ("subtracted", "truth", False),
+    "subtracted, truth": ("subtracted", "standard", False),
     "subtracted, nominal": ("subtracted", "nominal", False),
-    "direct, truth": ("direct", "truth", False),
+    "direct, truth": ("direct", "standard", False),
     "direct, nominal": ("direct", "nominal", False),
 }
 """Names of the ways, each with its method, its mesh, and whether the shipped table is used; only the block has one."""
@@ -41,7 +41,7 @@ def run(quick: bool) -> list[dict[str, Any]]:
         with np.load(ROOT / "tests" / "reference" / f"{name}.npz") as file:
             data = {key: file[key] for key in file.files}
         cases = json.loads(str(data["cases"]))
-        for way, (method, purpose, table) in WAYS.items():
+        for way, (method, level, table) in WAYS.items():
             if (table and name != "block") or (quick and method == "direct"):
                 continue
             made: dict[float, Compliance] = {}
@@ -51,7 +51,7 @@ def run(quick: bool) -> list[dict[str, Any]]:
                 first = nu not in made
                 if first:
                     material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
-                    made[nu] = Compliance(body, material, purpose=purpose, method=method, table=table)
+                    made[nu] = Compliance(body, material, level=level, method=method, table=table)
                 words = dict(case["load"])
                 load = tile(getattr(Traction, words.pop("kind"))(**words), body)
                 moved = made[nu].displacement(data["points"], load)

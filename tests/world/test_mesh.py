@@ -16,15 +16,15 @@ from twin.parts.body import Block, Body, Finger
 from twin.places import MESHES
 from twin.world.mesh import Mesh, body_mesh, mesh_key, read_mesh, read_provenance, write_mesh
 from twin.world.quality import check, enclosed_volume, offsets, quality
-from twin.world.sizing import Purpose, WantedEdge, default_sizing
+from twin.world.sizing import Level, WantedEdge, default_sizing
 from twin.world.snap import quadratic, snapped
 
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
-SHIPPED: list[tuple[str, Body, Purpose]] = [
-    ("kamiyama_block", BLOCK, "truth"),
+SHIPPED: list[tuple[str, Body, Level]] = [
+    ("kamiyama_block", BLOCK, "standard"),
     ("kamiyama_block", BLOCK, "nominal"),
-    ("sato_finger", FINGER, "truth"),
+    ("sato_finger", FINGER, "standard"),
     ("sato_finger", FINGER, "nominal"),
 ]
 KUHN = np.array([(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)])
@@ -55,18 +55,18 @@ def face_normals(mesh: Mesh) -> np.ndarray:
 
 
 @pytest.fixture(params=SHIPPED, ids=lambda entry: f"{entry[0]}.{entry[2]}")
-def shipped(request: pytest.FixtureRequest) -> tuple[Mesh, Body, Purpose, Path]:
-    name, body, purpose = request.param
-    path = MESHES / f"{name}.{purpose}.npz"
-    return read_mesh(path), body, purpose, path
+def shipped(request: pytest.FixtureRequest) -> tuple[Mesh, Body, Level, Path]:
+    name, body, level = request.param
+    path = MESHES / f"{name}.{level}.npz"
+    return read_mesh(path), body, level, path
 
 
 def test_shipped_meshes_pass_the_gates_and_are_small_enough_to_factor(shipped):
-    mesh, body, purpose, _ = shipped
+    mesh, body, level, _ = shipped
     measured = check(mesh, body)
     assert measured.least_dihedral_deg > 12
     assert measured.unknowns == mesh.unknowns == 3 * len(mesh.points) + mesh.corners
-    assert (20_000 < mesh.unknowns < 30_000) if purpose == "truth" else (7_000 < mesh.unknowns < 14_500)
+    assert (20_000 < mesh.unknowns < 30_000) if level == "standard" else (7_000 < mesh.unknowns < 14_500)
 
 
 def test_boundary_nodes_lie_on_the_true_surface_and_inner_nodes_inside(shipped):
@@ -99,7 +99,7 @@ def test_volume_and_held_area_are_exact_on_the_block_and_near_on_the_finger(ship
 
 
 def test_quadratic_faces_carry_the_finger_s_volume_far_better_than_straight_ones():
-    mesh = read_mesh(MESHES / "sato_finger.truth.npz")
+    mesh = read_mesh(MESHES / "sato_finger.standard.npz")
     straight = mesh.points.copy()
     for side, (a, b) in enumerate([(0, 1), (1, 2), (2, 0)]):
         straight[mesh.faces[:, 3 + side]] = mesh.points[mesh.faces[:, [a, b]]].mean(axis=1)
@@ -111,30 +111,30 @@ def test_quadratic_faces_carry_the_finger_s_volume_far_better_than_straight_ones
 
 
 def test_edges_are_graded_to_the_clamped_rim(shipped):
-    mesh, body, purpose, _ = shipped
+    mesh, body, level, _ = shipped
     pairs = np.unique(np.sort(mesh.tets[:, [0, 1, 1, 2, 0, 2, 0, 3, 1, 3, 2, 3]].reshape(-1, 2), axis=1), axis=0)
     ends = mesh.points[pairs]
     length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-    wanted = WantedEdge(body, default_sizing(body, purpose))(ends.mean(axis=1))
+    wanted = WantedEdge(body, default_sizing(body, level))(ends.mean(axis=1))
     assert 0.6 < np.median(length / wanted) < 1.4
     assert np.corrcoef(np.log(length), np.log(wanted))[0, 1] > 0.35
 
 
 def test_truth_and_nominal_never_share_a_mesh():
     for body in (BLOCK, FINGER):
-        assert body_mesh(body, "truth").digest() != body_mesh(body, "nominal").digest()
+        assert body_mesh(body, "standard").digest() != body_mesh(body, "nominal").digest()
 
 
 def test_shipped_files_say_how_they_were_made(shipped):
-    mesh, body, purpose, path = shipped
+    mesh, body, level, path = shipped
     told = read_provenance(path)
-    assert told["key"] == mesh_key(body, default_sizing(body, purpose))
+    assert told["key"] == mesh_key(body, default_sizing(body, level))
     assert told["digest"] == mesh.digest()
     assert told["quality"]["unknowns"] == mesh.unknowns
 
 
 def test_the_key_follows_geometry_and_sizing_but_not_the_recipe_s_sources():
-    sizing = default_sizing(BLOCK, "truth")
+    sizing = default_sizing(BLOCK, "standard")
     key = mesh_key(BLOCK, sizing)
     assert key == mesh_key(BLOCK.model_copy(update={"source": "somewhere"}), sizing)
     assert key != mesh_key(BLOCK.model_copy(update={"thickness_mm": 40.001}), sizing)
@@ -287,16 +287,16 @@ def test_a_new_body_is_built_once_then_cached_and_a_broken_cache_entry_is_mended
 
     monkeypatch.setattr(twin.world.mesh, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(twin.world.build, "build_mesh", build)
-    first = body_mesh(SMALL, "truth")
-    assert body_mesh(SMALL, "truth").digest() == first.digest()
+    first = body_mesh(SMALL, "standard")
+    assert body_mesh(SMALL, "standard").digest() == first.digest()
     assert len(built) == 1
     body_mesh(SMALL, "nominal")
     assert len(built) == 2
     for entry in tmp_path.iterdir():
         entry.write_bytes(b"broken")
-    assert body_mesh(SMALL, "truth").digest() == first.digest()
+    assert body_mesh(SMALL, "standard").digest() == first.digest()
     assert len(built) == 3
-    body_mesh(SMALL, "truth", rebuild=True)
+    body_mesh(SMALL, "standard", rebuild=True)
     assert len(built) == 4
     assert len(list(tmp_path.iterdir())) == 2
 
@@ -307,15 +307,15 @@ def test_shipped_bodies_need_no_mesher(tmp_path, monkeypatch):
 
     monkeypatch.setattr(twin.world.mesh, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(twin.world.build, "build_mesh", build)
-    for name, body, purpose in SHIPPED:
-        assert body_mesh(body, purpose).digest() == read_mesh(MESHES / f"{name}.{purpose}.npz").digest()
+    for name, body, level in SHIPPED:
+        assert body_mesh(body, level).digest() == read_mesh(MESHES / f"{name}.{level}.npz").digest()
 
 
 def test_the_best_of_the_good_tries_is_kept_and_bad_ones_are_told(monkeypatch):
     tries = iter([0.0, 0.6, 0.1, 0.3, 0.2])
     lines: list[str] = []
     monkeypatch.setattr(twin.world.build, "_one", lambda *_: small_mesh(jitter_mm=next(tries)))
-    sizing = replace(default_sizing(SMALL, "truth"), unknowns=small_mesh().unknowns)
+    sizing = replace(default_sizing(SMALL, "standard"), unknowns=small_mesh().unknowns)
     mesh, measured = twin.world.build.build_mesh(SMALL, sizing, progress=lambda line, share: lines.append(line))
     assert measured.failures() == []
     assert mesh.digest() == small_mesh().digest()  # the undisturbed grid has the best angles
@@ -325,7 +325,7 @@ def test_the_best_of_the_good_tries_is_kept_and_bad_ones_are_told(monkeypatch):
 
 def test_a_build_gives_up_with_the_reason_when_no_try_is_good(monkeypatch):
     monkeypatch.setattr(twin.world.build, "_one", lambda *_: small_mesh())
-    sizing = replace(default_sizing(SMALL, "truth"), unknowns=1_000_000)
+    sizing = replace(default_sizing(SMALL, "standard"), unknowns=1_000_000)
     with pytest.raises(MeshError, match=r"none of 10 meshes of the block.*wanted: 1000000"):
         twin.world.build.build_mesh(SMALL, sizing)
 

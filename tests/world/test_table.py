@@ -25,19 +25,19 @@ def points():
     return np.random.default_rng(1).uniform([-20, -17, 0.3], [20, 17, 9.5], (120, 3))
 
 
-@pytest.mark.parametrize("purpose", ["truth", "nominal"])
-def test_shipped_table_is_made_of_the_shipped_mesh(purpose):
-    mesh = read_mesh(MESHES / f"kamiyama_block.{purpose}.npz")
-    assert read_table(shipped_path(purpose)).digest == mesh.digest(), "run python -m twin.world.table"
-    assert shipped_table(STANDARD, purpose, mesh) is not None
-    assert shipped_table(Block(width_mm=90, length_mm=90, thickness_mm=40), purpose) is None
+@pytest.mark.parametrize("level", ["standard", "nominal"])
+def test_shipped_table_is_made_of_the_shipped_mesh(level):
+    mesh = read_mesh(MESHES / f"kamiyama_block.{level}.npz")
+    assert read_table(shipped_path(level)).digest == mesh.digest(), "run python -m twin.world.table"
+    assert shipped_table(STANDARD, level, mesh) is not None
+    assert shipped_table(Block(width_mm=90, length_mm=90, thickness_mm=40), level) is None
 
 
 @pytest.mark.parametrize("nu", [0.5, 0.42])
 def test_table_equals_a_solve_and_factors_nothing(nu):
     material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
-    tabulated = Compliance(STANDARD, material, purpose="nominal")
-    solved = Compliance(STANDARD, material, purpose="nominal", table=False)
+    tabulated = Compliance(STANDARD, material, level="nominal")
+    solved = Compliance(STANDARD, material, level="nominal", table=False)
     for load in LOADS:
         tiles, before = tile(load, STANDARD), factorisations()
         got, slopes = tabulated.displacement(points(), tiles), tabulated.gradient(points(), tiles)
@@ -71,7 +71,7 @@ def test_damaged_table_is_refused_and_solved_around(tmp_path, monkeypatch, damag
     path.write_bytes(damage(shipped_path("nominal").read_bytes()))
     with pytest.raises(InputError, match="not a table"):
         read_table(path)
-    monkeypatch.setattr("twin.world.table.shipped_path", lambda purpose: path)
+    monkeypatch.setattr("twin.world.table.shipped_path", lambda level: path)
     with pytest.warns(UserWarning, match="solving without the table"):
         assert shipped_table(STANDARD, "nominal") is None
 

@@ -12,14 +12,14 @@ def describe_meshes(
     scene: Scene, *, rebuild: bool, export: Path | None = None, progress: Progress | None = None
 ) -> list[str]:
     """Return a line for each of the body's meshes: size and worst quality; make them anew, or export, if asked."""
-    from twin.world.mesh import Purpose, body_mesh
+    from twin.world.mesh import Level, body_mesh
     from twin.world.quality import quality
 
     lines = []
-    purposes: tuple[Purpose, ...] = ("truth", "nominal")
-    for purpose in purposes:
-        mesh = body_mesh(scene.body, purpose, rebuild=rebuild, progress=progress)
-        if export is not None and purpose == "truth":
+    levels: tuple[Level, ...] = ("standard", "nominal")
+    for level in levels:
+        mesh = body_mesh(scene.body, level, rebuild=rebuild, progress=progress)
+        if export is not None and level == "standard":
             from twin.world.export import export_mesh
 
             export_mesh(mesh, scene.body, export)
@@ -29,7 +29,7 @@ def describe_meshes(
             "; ".join(failures) or f"smallest dihedral angle {worst.least_dihedral_deg:.1f} deg, volume and surface ok"
         )
         lines.append(
-            f"{purpose:8s} {len(mesh.tets)} tetrahedra, {len(mesh.points)} nodes, {mesh.unknowns} unknowns; {told}"
+            f"{level:8s} {len(mesh.tets)} tetrahedra, {len(mesh.points)} nodes, {mesh.unknowns} unknowns; {told}"
         )
     if progress is not None:
         progress("done", 1.0)

@@ -22,7 +22,7 @@ from twin.parts.markers import MarkerSet, place
 from twin.parts.pipeline import Sites
 from twin.parts.press import Press
 from twin.parts.scene import Scene
-from twin.streams import Purpose, stream
+from twin.streams import Level, stream
 from twin.study.actual import Actual, make
 from twin.theory.optics import project
 
@@ -76,7 +76,7 @@ class Sensor:
     @cached_property
     def compliance(self) -> Compliance:
         """Compliance of the actual body, on the mesh of the truth."""
-        return _compliance(self.actual.scene, "truth", self.progress)
+        return _compliance(self.actual.scene, "standard", self.progress)
 
     @cached_property
     def nominal_compliance(self) -> Compliance:
@@ -180,7 +180,7 @@ class Sensor:
 
         number = exposure if exposure is not None else int(load is not None)
         radiance = self.renderer.radiance(self.ellipsoids(load))
-        return expose(radiance, self.nominal.ccd, stream(self.nominal.seed, Purpose.EXPOSURE, number))
+        return expose(radiance, self.nominal.ccd, stream(self.nominal.seed, Level.EXPOSURE, number))
 
     def ellipsoids(self, load: Load | Motion | None) -> Ellipsoids:
         """Return the actual markers as they stand under ``load``."""
@@ -229,7 +229,7 @@ def on_grid(body: Body, grid: Sites, half_mm: float, key: str) -> Rectangles:
     return Rectangles(centre_mm=points, frames=body.frames(points), half_mm=half, force_n=np.zeros((len(points), 3)))
 
 
-def _compliance(scene: Scene, purpose: Literal["truth", "nominal"], progress: Progress | None) -> Compliance:
+def _compliance(scene: Scene, level: Literal["standard", "nominal"], progress: Progress | None) -> Compliance:
     from twin.world.compliance import Compliance
 
-    return Compliance(scene.body, scene.material, purpose=purpose, progress=progress)
+    return Compliance(scene.body, scene.material, level=level, progress=progress)

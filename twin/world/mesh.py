@@ -11,21 +11,22 @@ import json
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from twin.arrays import Ints, Points, frozen
+from twin.arrays import Bools, Ints, Points, frozen
 from twin.errors import InputError
 from twin.parts.body import Body
+from twin.parts.part import without_later
 from twin.places import MESHES, cache_folder
-from twin.world.sizing import Purpose, Sizing, default_sizing
+from twin.world.sizing import Level, Sizing, default_sizing
 from twin.world.snap import signed_volumes
 
-__all__ = ["Mesh", "Purpose", "Sizing", "body_mesh", "mesh_key", "read_mesh", "read_provenance", "write_mesh"]
+__all__ = ["Level", "Mesh", "Sizing", "body_mesh", "mesh_key", "read_mesh", "read_provenance", "write_mesh"]
 
 FORMAT = 1
 """Version of the file format and of the way meshes are made; part of every key."""
@@ -50,7 +51,7 @@ class Mesh:
         (f, 6) boundary triangles in the order of VTK's quadratic triangle: three corners, then the middles of 01, 12,
         20; right-hand normals point out of the body.
     piece
-        (f,) index into ``body.pieces`` of every boundary triangle: 0 is sensing, the last one held.
+        (f,) index into ``body.pieces`` of every boundary triangle: 0 is sensing, ``body.held_pieces`` are held.
     """
 
     points: Points
@@ -58,6 +59,12 @@ class Mesh:
     corners: int
     faces: Ints
     piece: Ints
+
+    def nodes_on(self, pieces: Sequence[int]) -> Bools:
+        """Return (n,) which nodes lie on boundary triangles of ``pieces``."""
+        on = np.zeros(len(self.points), bool)
+        on[self.faces[np.isin(self.piece, pieces)]] = True
+        return on
 
     def digest(self) -> str:
         """Return the SHA-256 of the arrays: equal for equal meshes, whatever file they came from."""
@@ -175,20 +182,20 @@ def _problem(mesh: Mesh) -> str:
 
 def mesh_key(body: Body, sizing: Sizing) -> str:
     """Return the SHA-256 of what a mesh depends on: the body's geometry (not its sources), the sizing, the format."""
-    geometry = body.model_dump(exclude={"source", "assumed"})
+    geometry = without_later(body.model_dump(exclude={"source", "assumed"}))
     told = json.dumps({"body": geometry, "sizing": sizing.described(), "format": FORMAT}, sort_keys=True)
     return hashlib.sha256(told.encode()).hexdigest()
 
 
-def body_mesh(body: Body, purpose: Purpose, *, rebuild: bool = False, progress: Progress | None = None) -> Mesh:
+def body_mesh(body: Body, level: Level, *, rebuild: bool = False, progress: Progress | None = None) -> Mesh:
     """Return a body's mesh: the shipped one if its key matches, else the cached one, else a new one.
 
     Parameters
     ----------
     body
         The body.
-    purpose
-        ``truth`` for the world, ``nominal`` for the sensor's own, coarser model.
+    level
+        See `twin.world.sizing.Level`.
     rebuild
         Make a new mesh even if there is one, and put it into the cache.
     progress
@@ -199,11 +206,11 @@ def body_mesh(body: Body, purpose: Purpose, *, rebuild: bool = False, progress: 
     MeshError
         If no mesh passes the quality gates, or the mesher fails.
     """
-    sizing = default_sizing(body, purpose)
+    sizing = default_sizing(body, level)
     key = mesh_key(body, sizing)
     cached = cache_folder() / f"mesh-{key[:32]}.npz"
     if not rebuild:
-        for path in [cached, *sorted(MESHES.glob(f"*.{purpose}.npz"))]:
+        for path in [cached, *sorted(MESHES.glob(f"*.{level}.npz"))]:
             found = _matching(path, key)
             if found is not None:
                 return found
@@ -212,7 +219,7 @@ def body_mesh(body: Body, purpose: Purpose, *, rebuild: bool = False, progress: 
     mesh, measured = build_mesh(body, sizing, progress=progress)
     provenance = {
         "key": key,
-        "purpose": purpose,
+        "level": level,
         "body": body.model_dump(exclude={"source", "assumed"}),
         "sizing": sizing.described(),
         "quality": measured.described(),

@@ -9,16 +9,21 @@ and must be, for a direct solver's cost climbs steeply with the number of unknow
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
 
 from twin.arrays import Floats, Ints, Points
-from twin.parts.body import Body, Finger
+from twin.parts.body import Block, Body
 from twin.world.snap import onto_pieces
 from twin.world.surface import surface_samples
 
-Purpose = Literal["truth", "nominal"]
+Level = Literal["nominal", "sketch", "coarse", "standard", "fine"]
+"""``nominal`` is the sensor's own model; the others are the world's, each about three times the last."""
+
+WORLD: tuple[Level, ...] = ("sketch", "coarse", "standard", "fine")
+"""The world's levels, coarsest first."""
 
 _KUHN = [(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)]
 """Six tetrahedra of a unit cube whose corner (i, j, k) has number i + 2 j + 4 k."""
@@ -69,15 +74,42 @@ class Sizing:
         return asdict(self)
 
 
-def default_sizing(body: Body, purpose: Purpose) -> Sizing:
+@dataclass(frozen=True)
+class _Shares:
+    """Edges as shares of the body's size, and the unknowns that set their common scale."""
+
+    coarse: float
+    fine: float
+    rim: float
+    unknowns: int
+
+
+_FLAT: dict[Level, _Shares] = {
+    "nominal": _Shares(0.18, 0.18, 0.05, 9500),
+    "sketch": _Shares(0.22, 0.22, 0.08, 3600),
+    "coarse": _Shares(0.17, 0.17, 0.04, 10500),
+    "standard": _Shares(0.11, 0.11, 0.018, 28000),
+    "fine": _Shares(0.075, 0.075, 0.009, 90000),
+}
+
+_CURVED: dict[Level, _Shares] = {
+    "nominal": _Shares(0.3, 0.18, 0.16, 13000),
+    "sketch": _Shares(0.4, 0.27, 0.24, 5500),
+    "coarse": _Shares(0.29, 0.175, 0.15, 14000),
+    "standard": _Shares(0.225, 0.1375, 0.1125, 28000),
+    "fine": _Shares(0.15, 0.085, 0.06, 80000),
+}
+
+
+def default_sizing(body: Body, level: Level) -> Sizing:
     """Return the sizing of a body's mesh.
 
     Parameters
     ----------
     body
         The body.
-    purpose
-        ``truth`` for the world, ``nominal`` for the sensor's own model: coarser, so that the two never share a mesh.
+    level
+        Which of the meshes: the sensor's own model and the world never share one.
 
     Notes
     -----
@@ -86,37 +118,32 @@ def default_sizing(body: Body, purpose: Purpose) -> Sizing:
     at 28 000 unknowns and 0.25 % at 9 500. A finer window under the load doesn't help there, so there is none.
     """
     low, high = np.array(body.bounds_mm)
-    if isinstance(body, Finger):
-        radius = body.radius_mm
-        return Sizing(
-            coarse_mm=(0.225 if purpose == "truth" else 0.3) * radius,
-            fine_mm=(0.1375 if purpose == "truth" else 0.18) * radius,
-            rim_mm=(0.1125 if purpose == "truth" else 0.16) * radius,
-            growth=0.4,
-            window_mm=(0.875 * radius, 0.875 * radius),
-            unknowns=28000 if purpose == "truth" else 13000,
-        )
-    longest = float(np.max(high - low))
-    edge = (0.11 if purpose == "truth" else 0.18) * longest
+    if isinstance(body, Block):
+        shares, size, growth = _FLAT[level], float(np.max(high - low)), 0.8
+        window = (float(min(16.0, 0.4 * (high - low)[0])), float(min(12.0, 0.4 * (high - low)[1])))
+    else:
+        shares, size, growth = _CURVED[level], float(np.min((high - low)[:2])) / 2.0, 0.4
+        window = (0.875 * size, 0.875 * size)
     return Sizing(
-        coarse_mm=edge,
-        fine_mm=edge,
-        rim_mm=(0.018 if purpose == "truth" else 0.05) * longest,
-        growth=0.8,
-        window_mm=(float(min(16.0, 0.4 * (high - low)[0])), float(min(12.0, 0.4 * (high - low)[1]))),
-        unknowns=28000 if purpose == "truth" else 9500,
+        coarse_mm=shares.coarse * size,
+        fine_mm=shares.fine * size,
+        rim_mm=shares.rim * size,
+        growth=growth,
+        window_mm=window,
+        unknowns=shares.unknowns,
     )
 
 
 def rim_points(body: Body, spacing_mm: float) -> Points:
-    """Return points (n, 3), mm, on the clamped rim: the curve where the held piece meets the other pieces."""
+    """Return points (n, 3), mm, on the clamped rim: the curves where held pieces meet the others."""
     samples = surface_samples(body, spacing_mm)
     near = np.abs(body.piece_distances(samples)) < 2 * spacing_mm
     found = []
-    for other in range(len(body.pieces) - 1):
-        candidates = samples[near[:, -1] & near[:, other]]
+    free = [other for other in range(len(body.pieces)) if other not in body.held_pieces]
+    for pair in product(free, body.held_pieces):
+        candidates = samples[near[:, pair].all(axis=1)]
         on = np.zeros((len(candidates), len(body.pieces)), dtype=bool)
-        on[:, [other, -1]] = True
+        on[:, pair] = True
         rim = onto_pieces(body, candidates, on)
         found.append(rim[body.contains(rim, -1e-6)])
     return np.concatenate(found)

@@ -32,7 +32,7 @@ from twin.places import MESHES
 from twin.world.correction import correction
 from twin.world.fem import TaylorHood
 from twin.world.interpolate import Locator
-from twin.world.mesh import Mesh, Purpose, body_mesh
+from twin.world.mesh import Level, Mesh, body_mesh
 from twin.world.solve import Solver
 
 STANDARD = Block(width_mm=100, length_mm=90, thickness_mm=40)
@@ -155,23 +155,23 @@ def _kept() -> Bools:
     return np.broadcast_to(even_x & even_y & (n >= 0), (*SIZES[:3], 3, 3, *SIZES[3:]))
 
 
-def shipped_path(purpose: Purpose) -> Path:
+def shipped_path(level: Level) -> Path:
     """Return where the shipped table of the standard block is."""
-    return MESHES / f"kamiyama_block.{purpose}.table.npz"
+    return MESHES / f"kamiyama_block.{level}.table.npz"
 
 
-def shipped_table(body: Body, purpose: Purpose, mesh: Mesh | None = None) -> Table | None:
+def shipped_table(body: Body, level: Level, mesh: Mesh | None = None) -> Table | None:
     """Return the shipped table if it was made of this body (and, if one is given, of this mesh), else None.
 
     Warns, and returns None, if its file is damaged.
     """
-    if not isinstance(body, Block) or not shipped_path(purpose).exists():
+    if not isinstance(body, Block) or not shipped_path(level).exists():
         return None
     size = (body.width_mm, body.length_mm, body.thickness_mm)
     if size != (STANDARD.width_mm, STANDARD.length_mm, STANDARD.thickness_mm):
         return None
     try:
-        table = read_table(shipped_path(purpose))
+        table = read_table(shipped_path(level))
     except InputError as problem:  # the table only saves time, so a damaged one must not stop a run
         warnings.warn(f"{problem}; solving without the table, which takes a few seconds longer", stacklevel=2)
         return None
@@ -253,10 +253,10 @@ def read_table(path: Path) -> Table:
 
 def main() -> None:
     """Make both shipped tables."""
-    purposes: tuple[Purpose, ...] = ("truth", "nominal")
-    for purpose in purposes:
-        write_table(make_table(STANDARD, body_mesh(STANDARD, purpose)), shipped_path(purpose))
-        print(f"{shipped_path(purpose)}: {shipped_path(purpose).stat().st_size} bytes")
+    levels: tuple[Level, ...] = ("standard", "nominal")
+    for level in levels:
+        write_table(make_table(STANDARD, body_mesh(STANDARD, level)), shipped_path(level))
+        print(f"{shipped_path(level)}: {shipped_path(level).stat().st_size} bytes")
 
 
 if __name__ == "__main__":
