@@ -76,3 +76,11 @@ def test_a_bead_that_sticks_out_is_refused() -> None:
     layer = MarkerLayer(depth_mm=0.2, pitch_mm=1, diameter_mm=0.5, columns=1, rows=1, colour=(1, 0, 0))
     with pytest.raises(RecipeError, match="outside the body"):
         place(BODIES[0], {"red": layer})
+
+
+def test_the_fingers_back_is_free_unless_held() -> None:
+    finger = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
+    assert [finger.pieces[k] for k in finger.held_pieces] == ["held"]
+    assert [finger.pieces[k] for k in finger.model_copy(update={"back": "held"}).held_pieces] == ["back", "held"]
+    with pytest.raises(RecipeError, match="back"):
+        Finger(radius_mm=8, barrel_mm=8, skirt_mm=2, back="glued")

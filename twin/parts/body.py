@@ -18,13 +18,13 @@ from twin.parts.part import Part
 
 
 class Body(Part):
-    """A solid, held on one piece of its boundary, pressed on another.
+    """A solid, held on some pieces of its boundary, pressed on another.
 
     Attributes
     ----------
     pieces
-        Names of the smooth pieces of the boundary, in the order of `piece_distances`; ``sensing`` comes first and
-        ``held`` last.
+        Names of the smooth pieces of the boundary, in the order of `piece_distances`; ``sensing`` comes first,
+        ``held``, the base, last.
     """
 
     pieces: ClassVar[tuple[str, ...]]
@@ -58,6 +58,11 @@ class Body(Part):
     @abstractmethod
     def volume_mm3(self) -> float:
         """Exact volume."""
+
+    @property
+    def held_pieces(self) -> tuple[int, ...]:
+        """Indices into `pieces` of the pieces that are bonded to something rigid; all others are free."""
+        return (len(self.pieces) - 1,)
 
     @property
     def base_z_mm(self) -> float:
@@ -136,9 +141,11 @@ class Finger(Body):
     radius_mm
         Radius of cylinder and sphere; the apex is the origin.
     barrel_mm
-        Length of the cylindrical part; its flat end x = -barrel is free.
+        Length of the cylindrical part, which ends flat at x = -barrel.
     skirt_mm
         Height of the straight part between the half cylinder and the base.
+    back
+        Whether the flat end is ``free`` or ``held``, bonded to something rigid.
     """
 
     pieces: ClassVar[tuple[str, ...]] = ("sensing", "back", "held")
@@ -146,6 +153,11 @@ class Finger(Body):
     radius_mm: float = Field(ge=2, le=100)
     barrel_mm: float = Field(ge=1, le=200)
     skirt_mm: float = Field(ge=0.5, le=100)
+    back: Literal["free", "held"] = "free"
+
+    @property
+    def held_pieces(self) -> tuple[int, ...]:
+        return (2,) if self.back == "free" else (1, 2)
 
     def _from_core(self, points: Points) -> tuple[Floats, Floats]:
         points = np.asarray(points, float)

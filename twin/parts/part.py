@@ -14,6 +14,16 @@ UNITS = {
 }  # fmt: skip
 
 
+LATER = (("back", "free"), ("youngs_modulus_mpa", None), ("poisson_ratio", None))
+"""Keys that came later, with the value that stands for what was before: hashes leave them out, so that files stored
+under a hash of all keys stay valid."""
+
+
+def without_later(table: dict[str, Any]) -> dict[str, Any]:
+    """Return a description's plain keys and values without those that say nothing new (see `LATER`)."""
+    return {key: value for key, value in table.items() if not any(key == k and value == v for k, v in LATER)}
+
+
 def unit_of(key: str) -> str:
     """Return the unit that a key's suffix names (``depth_mm`` -> ``mm``), or an empty string."""
     return UNITS.get(key.rsplit("_", 1)[-1], "") if "_" in key else ""

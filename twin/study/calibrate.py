@@ -18,6 +18,7 @@ import numpy as np
 from twin.arrays import Floats
 from twin.errors import InputError, RecipeError
 from twin.parts.body import Block
+from twin.parts.part import without_later
 from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
 from twin.places import cache_folder
@@ -91,7 +92,8 @@ def sensor_digest(scene: Scene) -> str:
 
 def _without_provenance(value: Any) -> Any:
     if isinstance(value, dict):
-        return {k: _without_provenance(v) for k, v in value.items() if k not in {"source", "assumed"}}
+        told = without_later(value)
+        return {k: _without_provenance(v) for k, v in told.items() if k not in {"source", "assumed"}}
     return [_without_provenance(v) for v in value] if isinstance(value, list) else value
 
 

@@ -49,7 +49,7 @@ def nodal_forces(mesh: Mesh, body: Body, load: Rectangles, columns: Floats, pois
     Parameters
     ----------
     mesh
-        The body's mesh; faces of the last piece are held, all others are free.
+        The body's mesh; faces of ``body.held_pieces`` are held, all others are free.
     body
         The body: its true surface is where tractions are read.
     load
@@ -59,7 +59,7 @@ def nodal_forces(mesh: Mesh, body: Body, load: Rectangles, columns: Floats, pois
     poisson_ratio
         nu.
     """
-    free = mesh.piece != mesh.piece.max()
+    free = ~np.isin(mesh.piece, body.held_pieces)
     free[free] = ~_in_plane(mesh.points[mesh.faces[free]], load)
     faces, surface = mesh.faces[free], _Surface(body, mesh.piece[free])
     out = np.zeros((len(mesh.points), 3, columns.shape[2]))
