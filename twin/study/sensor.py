@@ -22,7 +22,7 @@ from twin.parts.markers import MarkerSet, place
 from twin.parts.pipeline import Sites
 from twin.parts.press import Press
 from twin.parts.scene import Scene
-from twin.streams import Level, stream
+from twin.streams import Purpose, stream
 from twin.study.actual import Actual, make
 from twin.theory.optics import project
 
@@ -180,7 +180,7 @@ class Sensor:
 
         number = exposure if exposure is not None else int(load is not None)
         radiance = self.renderer.radiance(self.ellipsoids(load))
-        return expose(radiance, self.nominal.ccd, stream(self.nominal.seed, Level.EXPOSURE, number))
+        return expose(radiance, self.nominal.ccd, stream(self.nominal.seed, Purpose.EXPOSURE, number))
 
     def ellipsoids(self, load: Load | Motion | None) -> Ellipsoids:
         """Return the actual markers as they stand under ``load``."""
