@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 
 from twin.errors import RecipeError
-from twin.parts.body import Block, Body, Finger
+from twin.parts.body import Block, Body, Dome, Finger
 from twin.parts.markers import MarkerLayer, place
 
-BODIES = [Block(width_mm=30, length_mm=20, thickness_mm=10), Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)]
+BODIES = [
+    Block(width_mm=30, length_mm=20, thickness_mm=10),
+    Finger(radius_mm=8, barrel_mm=8, skirt_mm=2),
+    Dome(radius_mm=12, height_mm=9),
+    Dome(radius_mm=10, height_mm=10),
+]
 
 
 @pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
@@ -84,3 +89,26 @@ def test_the_fingers_back_is_free_unless_held() -> None:
     assert [finger.pieces[k] for k in finger.model_copy(update={"back": "held"}).held_pieces] == ["back", "held"]
     with pytest.raises(RecipeError, match="back"):
         Finger(radius_mm=8, barrel_mm=8, skirt_mm=2, back="glued")
+
+
+def test_a_dome_is_round_its_depth_is_exact_and_its_base_is_where_it_is_cut() -> None:
+    dome = Dome(radius_mm=12, height_mm=9)
+    rng = np.random.default_rng(6)
+    points = rng.uniform([-11, -11, 0.3], [11, 11, 8.9], (300, 3))
+    points = points[dome.contains(points, 0.2)]
+    turn = rng.normal(size=(200_000, 3))
+    cap = 12 * turn / np.linalg.norm(turn, axis=1, keepdims=True) + [0, 0, 12]
+    cap = cap[cap[:, 2] <= 9]
+    nearest = [np.min(np.linalg.norm(cap - point, axis=1)) for point in points]
+    np.testing.assert_allclose(dome.depth(points), nearest, atol=0.02)  # the samples are about 0.1 mm apart
+    assert (dome.depth(points) <= np.array(nearest) + 1e-12).all()
+    rim = dome.base_radius_mm * np.array([[1, 0], [0, -1], [0.6, 0.8]])
+    np.testing.assert_allclose(dome.surface_from_above(0.999999 * rim)[:, 2], 9, atol=1e-4)
+    assert np.isnan(dome.surface_from_above(1.000001 * rim)[:, 2]).all()
+    np.testing.assert_allclose(dome.piece_distances(np.column_stack([rim, np.full(3, 9.0)])), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("height", [2.9, 10.01])
+def test_a_dome_too_flat_or_higher_than_its_radius_is_refused(height: float) -> None:
+    with pytest.raises(RecipeError, match=r"height_mm = .* must be 0.3 to 1 radius"):
+        Dome(radius_mm=10, height_mm=height)

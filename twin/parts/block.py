@@ -1,0 +1,64 @@
+"""The flat body of Kamiyama's sensor: a rectangular block."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from twin.arrays import Chart, Floats, Points
+from twin.parts.shape import Body
+
+
+class Block(Body):
+    """A rectangular block, its sensing face z = 0 centred on the origin, bonded at z = thickness.
+
+    Attributes
+    ----------
+    width_mm, length_mm, thickness_mm
+        Extents along x, y and z.
+    """
+
+    shape: Literal["block"] = "block"
+    width_mm: float = Field(ge=5, le=500)
+    length_mm: float = Field(ge=5, le=500)
+    thickness_mm: float = Field(ge=1, le=500)
+
+    @property
+    def pieces(self) -> tuple[str, ...]:
+        return ("sensing", "x_min", "x_max", "y_min", "y_max", "held")
+
+    @property
+    def is_flat(self) -> bool:
+        return True
+
+    def piece_distances(self, points: Points) -> Floats:
+        x, y, z = np.asarray(points, float).T
+        a, b = self.width_mm / 2, self.length_mm / 2
+        return np.stack([z, x + a, a - x, y + b, b - y, self.thickness_mm - z], axis=1)
+
+    def piece_normals(self, points: Points) -> Floats:
+        inward = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]], float)
+        return np.broadcast_to(inward, (len(points), 6, 3))
+
+    def chart_points(self, chart: Chart, depth_mm: Floats | float = 0.0) -> Points:
+        chart = np.asarray(chart, float)
+        return np.column_stack([chart, np.broadcast_to(np.asarray(depth_mm, float), len(chart))])
+
+    def chart_of(self, points: Points) -> Chart:
+        return np.array(points, float)[:, :2]
+
+    def surface_from_above(self, xy: Floats) -> Points:
+        points = self.chart_points(xy)
+        points[~self.contains(points, -1e-9)] = np.nan
+        return points
+
+    @property
+    def bounds_mm(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        a, b = self.width_mm / 2, self.length_mm / 2
+        return (-a, -b, 0.0), (a, b, self.thickness_mm)
+
+    @property
+    def volume_mm3(self) -> float:
+        return self.width_mm * self.length_mm * self.thickness_mm

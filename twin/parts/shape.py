@@ -1,0 +1,100 @@
+"""What every body is: its shape as level sets, so that surface, cover, marker layers and meshes all read one formula.
+
+Why level sets: depth below the outer sensing surface is an exact distance for both sensors, so the marker layers, the
+cover and the snapping of mesh nodes need no triangles, and a new body is one class with three formulas.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Bools, Chart, Floats, Ints, Points
+from twin.parts.part import Part
+
+
+class Body(Part):
+    """A solid, held on some pieces of its boundary, pressed on another."""
+
+    @property
+    @abstractmethod
+    def pieces(self) -> tuple[str, ...]:
+        """Names of the smooth pieces of the boundary, in the order of `piece_distances`: ``sensing`` comes first,
+        ``held``, the base, last."""
+
+    @abstractmethod
+    def piece_distances(self, points: Points) -> Floats:
+        """Return (n, pieces) distances in mm to every boundary piece, positive on the inner side."""
+
+    @abstractmethod
+    def piece_normals(self, points: Points) -> Floats:
+        """Return (n, pieces, 3) unit inward normals: the gradients of `piece_distances`."""
+
+    @abstractmethod
+    def chart_points(self, chart: Chart, depth_mm: Floats | float = 0.0) -> Points:
+        """Return the (n, 3) points at arc lengths (s, t) on the outer surface, ``depth_mm`` below it."""
+
+    @abstractmethod
+    def chart_of(self, points: Points) -> Chart:
+        """Return the (n, 2) arc lengths (s, t) of the surface points above ``points``: inverse of `chart_points`."""
+
+    @abstractmethod
+    def surface_from_above(self, xy: Floats) -> Points:
+        """Return the (n, 3) points of the sensing surface met from -z at (x, y); NaN where there is none."""
+
+    @property
+    @abstractmethod
+    def bounds_mm(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Lowest and highest corner of the box around the body, mm."""
+
+    @property
+    @abstractmethod
+    def volume_mm3(self) -> float:
+        """Exact volume."""
+
+    @property
+    def held_pieces(self) -> tuple[int, ...]:
+        """Indices into `pieces` of the pieces that are bonded to something rigid; all others are free."""
+        return (len(self.pieces) - 1,)
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the sensing surface is a plane."""
+        return False
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether the body lies behind every tangent plane of its surface, as all the parametric ones do."""
+        return True
+
+    @property
+    def own_surface(self) -> tuple[Points, Ints] | None:
+        """Vertices (n, 3) and outward triangles (m, 3) of a body given by them; None where formulas give it."""
+        return None
+
+    def geometry(self) -> dict[str, Any]:
+        """Return what the shape depends on, as plain values: all numbers without where they come from."""
+        return self.model_dump(exclude={"source", "assumed"})
+
+    @property
+    def base_z_mm(self) -> float:
+        """Height of the held base plane, mm; the camera looks through it."""
+        return self.bounds_mm[1][2]
+
+    def depth(self, points: Points) -> Floats:
+        """Return (n,) depths below the outer sensing surface, mm, positive inside."""
+        return self.piece_distances(points)[:, 0]
+
+    def contains(self, points: Points, margin_mm: float = 0.0) -> Bools:
+        """Return (n,) whether each point is at least ``margin_mm`` inside (a negative margin forgives round-off)."""
+        return np.asarray(np.all(self.piece_distances(points) >= margin_mm, axis=1))
+
+    def frames(self, points: Points) -> Floats:
+        """Return (n, 3, 3) right-handed frames at surface points: rows are tangent s, tangent t, inward normal."""
+        normal = self.piece_normals(points)[:, 0]
+        along_s = np.array([1.0, 0.0, 0.0]) - normal[:, :1] * normal
+        length = np.linalg.norm(along_s, axis=1, keepdims=True)
+        along_s = np.where(length > 1e-9, along_s / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+        return np.stack([along_s, np.cross(normal, along_s), normal], axis=1)
