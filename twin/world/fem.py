@@ -7,13 +7,17 @@ corners; for all virtual v and q
 
 Why this pair: 1/kappa = 3 (1 - 2 nu) / E is zero at nu = 1/2, so incompressible rubber is solved as such, without
 locking (P. Hood and C. Taylor 1974); splitting off the bulk modulus instead of Lame's lambda keeps the same form for
-every nu in [-1/2, 1/2]. Everything is computed for E = 1 MPa; displacements go with 1/E.
+every nu in [-1/2, 1/2]. Everything is computed for a body of E = 1 MPa; displacements go with 1/E.
 
-Validity: small strain, homogeneous isotropic rubber.
+Layers (a cover, a base) have moduli of their own. Tension jumps where moduli do, so pressures are doubled there: one
+for each side of the interface. A continuous pressure would smear the jump over an element on either side.
+
+Validity: small strain, isotropic materials, each homogeneous within its region of the mesh.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -29,17 +33,33 @@ from twin.world.solve import GOAL, Factor, Solver
 
 
 @dataclass(frozen=True, kw_only=True)
+class Layer:
+    """What a further region of a mesh is made of.
+
+    Attributes
+    ----------
+    modulus_ratio
+        Young's modulus over the body's.
+    poisson_ratio
+        nu in [-0.5, 0.5].
+    """
+
+    modulus_ratio: float
+    poisson_ratio: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Blocks:
-    """The parts of the matrix that don't depend on nu, as sparse matrices in (node, axis) order.
+    """The parts of the matrix, as sparse matrices in (node, axis) order; P pressures.
 
     Attributes
     ----------
     deviatoric
-        (3 N, 3 N) integral of 2 dev e(u) : e(v).
+        (3 N, 3 N) integral of 2 G dev e(u) : e(v).
     divergence
-        (C, 3 N) integral of q div u.
+        (P, 3 N) integral of q div u.
     mass
-        (C, C) integral of p q.
+        (P, P) integral of p q / kappa.
     """
 
     deviatoric: Any
@@ -60,13 +80,23 @@ class TaylorHood:
         See `twin.world.solve.Factor`.
     held
         (N,) which nodes are held; those of the mesh's last piece if not given.
+    layers
+        What the mesh's regions 1, 2, ... are made of; region 0 is the body, of modulus 1.
     """
 
-    def __init__(self, mesh: Mesh, poisson_ratio: float, solver: Solver = "auto", *, held: Bools | None = None) -> None:
-        if not -0.5 <= poisson_ratio <= 0.5:
-            raise InputError(f"poisson_ratio = {poisson_ratio}: allowed is -0.5 to 0.5")
+    def __init__(
+        self,
+        mesh: Mesh,
+        poisson_ratio: float,
+        solver: Solver = "auto",
+        *,
+        held: Bools | None = None,
+        layers: Sequence[Layer] = (),
+    ) -> None:
         self.mesh = mesh
         self.poisson_ratio = poisson_ratio
+        self.made_of = (Layer(modulus_ratio=1.0, poisson_ratio=poisson_ratio), *layers)
+        _check(self.made_of, mesh)
         self._solver: Solver = solver
         if held is None:
             held = np.zeros(len(mesh.points), bool)
@@ -77,31 +107,56 @@ class TaylorHood:
     def _matrix(self) -> Any:
         from scipy.sparse import bmat
 
-        nu, blocks = self.poisson_ratio, assemble(self.mesh)
-        shear = 0.5 / (1.0 + nu)
+        blocks = assemble(self.mesh, self._shear, self._softness, self._pressure)
         return bmat(
-            [
-                [shear * blocks.deviatoric, blocks.divergence.T],
-                [blocks.divergence, -3.0 * (1.0 - 2.0 * nu) * blocks.mass],
-            ],
+            [[blocks.deviatoric, blocks.divergence.T], [blocks.divergence, -blocks.mass]],
             format="csr",
         )
 
     @cached_property
+    def _shear(self) -> Floats:
+        """(m,) shear modulus G of every element, MPa."""
+        each = [0.5 * of.modulus_ratio / (1.0 + of.poisson_ratio) for of in self.made_of]
+        return np.array(each)[self.mesh.region]
+
+    @cached_property
+    def _softness(self) -> Floats:
+        """(m,) 1 / kappa of every element, 1/MPa."""
+        each = [3.0 * (1.0 - 2.0 * of.poisson_ratio) / of.modulus_ratio for of in self.made_of]
+        return np.array(each)[self.mesh.region]
+
+    @cached_property
+    def _pressure(self) -> Ints:
+        """(m, 4) pressure unknowns of every element: one at every corner for each of the materials that meet there."""
+        of_region = np.array([self.made_of.index(of) for of in self.made_of])
+        place = of_region[self.mesh.region][:, None] * self.mesh.corners + self.mesh.tets[:, :4]
+        return np.unique(place, return_inverse=True)[1].reshape(-1, 4)
+
+    @property
+    def pressures(self) -> int:
+        """Number of pressure unknowns."""
+        return int(self._pressure.max()) + 1
+
+    @cached_property
     def _free(self) -> Ints:
-        held = np.concatenate([np.repeat(self.held, 3), np.zeros(self.mesh.corners, bool)])
+        held = np.concatenate([np.repeat(self.held, 3), np.zeros(self.pressures, bool)])
         return np.flatnonzero(~held)
 
     @cached_property
     def factor(self) -> Factor:
         """The factored system of the free unknowns."""
-        mass = assemble_mass_diagonal(self.mesh)
-        scale = np.concatenate([np.zeros(3 * len(self.mesh.points)), mass * (1.0 + self.poisson_ratio)])
-        node = np.concatenate([np.repeat(np.arange(len(self.mesh.points)), 3), np.arange(self.mesh.corners)])
+        tenths = np.repeat(_volumes(self.mesh) / 10.0 * 0.5 / self._shear, 4)
+        schur = np.bincount(self._pressure.ravel(), tenths)
+        scale = np.concatenate([np.zeros(3 * len(self.mesh.points)), schur])
+        corner = np.empty(self.pressures, np.int64)
+        corner[self._pressure] = self.mesh.tets[:, :4]
+        node = np.concatenate([np.repeat(np.arange(len(self.mesh.points)), 3), corner])
         free = self._free
         return Factor(self._matrix[free][:, free], scale[free], self._solver, node=node[free])
 
-    def solve(self, force: Floats, held_to: Floats | None = None, goal: float = GOAL) -> Floats:
+    def solve(
+        self, force: Floats, held_to: Floats | None = None, goal: float = GOAL, dilation: Floats | None = None
+    ) -> Floats:
         """Return the displacement (N, 3, m), mm, for E = 1 MPa.
 
         Parameters
@@ -112,18 +167,24 @@ class TaylorHood:
             (N, 3, m) displacement to which held nodes are moved (others are ignored); zero if not given.
         goal
             Relative residual at which refinement stops.
+        dilation
+            (P, m) integrals of q (div u - p / kappa) for every pressure unknown's q, mm3; zero if not given.
 
         Raises
         ------
         SolveError
             See `twin.world.solve.Factor.solve`.
         """
-        return self._solve(force, held_to, goal)[: 3 * len(self.mesh.points)].reshape(force.shape)
+        return self._solve(force, held_to, goal, dilation)[: 3 * len(self.mesh.points)].reshape(force.shape)
 
-    def _solve(self, force: Floats, held_to: Floats | None, goal: float) -> Floats:
+    def _solve(
+        self, force: Floats, held_to: Floats | None = None, goal: float = GOAL, dilation: Floats | None = None
+    ) -> Floats:
         nodes, columns = len(self.mesh.points), force.shape[2]
-        right = np.zeros((3 * nodes + self.mesh.corners, columns))
+        right = np.zeros((3 * nodes + self.pressures, columns))
         right[: 3 * nodes] = force.reshape(3 * nodes, columns)
+        if dilation is not None:
+            right[3 * nodes :] = dilation
         solution = np.zeros_like(right)
         if held_to is not None:
             solution[: 3 * nodes] = np.where(self.held[:, None, None], held_to, 0.0).reshape(3 * nodes, columns)
@@ -134,36 +195,58 @@ class TaylorHood:
     def reaction(self, force: Floats) -> Floats:
         """Return the holder's (3, m) total force on the body under nodal forces (N, 3, m): minus the load."""
         nodes = len(self.mesh.points)
-        out = (self._matrix @ self._solve(force, None, GOAL))[: 3 * nodes].reshape(force.shape) - force
+        out = (self._matrix @ self._solve(force))[: 3 * nodes].reshape(force.shape) - force
         return np.asarray(out[self.held].sum(axis=0))
 
 
-def assemble(mesh: Mesh) -> Blocks:
-    """Integrate the nu-independent parts of the matrix over the curved elements (degree 5 in the reference element)."""
+def _check(made_of: Sequence[Layer], mesh: Mesh) -> None:
+    for region, of in enumerate(made_of):
+        where = "" if region == 0 else f" of region {region}"
+        if not -0.5 <= of.poisson_ratio <= 0.5:
+            raise InputError(f"poisson_ratio = {of.poisson_ratio}{where}: allowed is -0.5 to 0.5")
+        if not 0.0 < of.modulus_ratio < np.inf:
+            raise InputError(f"modulus_ratio = {of.modulus_ratio}{where}: must be finite and above 0")
+    if mesh.region.max() >= len(made_of):
+        raise InputError(
+            f"the mesh has regions 0 to {mesh.region.max()}, but materials are given for {len(made_of)} only: say what "
+            "every layer is made of"
+        )
+
+
+def assemble(mesh: Mesh, shear: Floats, softness: Floats, pressure: Ints) -> Blocks:
+    """Integrate the matrix's parts over the curved elements (degree 5 in the reference element).
+
+    Parameters
+    ----------
+    mesh
+        The mesh.
+    shear, softness
+        (m,) G in MPa and 1/kappa in 1/MPa of every element.
+    pressure
+        (m, 4) numbers of every element's pressure unknowns.
+    """
     from scipy.sparse import bsr_matrix
 
-    nodes, tets, corners = len(mesh.points), mesh.tets, mesh.corners
+    nodes, tets, pressures = len(mesh.points), mesh.tets, int(pressure.max()) + 1
     uu = _pattern(tets, tets, (nodes, nodes))
-    pu = _pattern(tets[:, :4], tets, (corners, nodes))
-    pp = _pattern(tets[:, :4], tets[:, :4], (corners, corners))
+    pu = _pattern(pressure, tets, (pressures, nodes))
+    pp = _pattern(pressure, pressure, (pressures, pressures))
     places, weights = tet_quadrature()
     slopes = tet_shapes(places)[1]
     shares = np.column_stack([1.0 - places.sum(axis=1), places])
     k, b, m = np.zeros((len(uu[1]), 3, 3)), np.zeros((len(pu[1]), 1, 3)), np.zeros((len(pp[1]), 1, 1))
-    _integrate(mesh.points, tets, slopes, shares, weights, *uu, k, *pu, b, *pp, m)
+    _integrate(mesh.points, tets, pressure, shear, softness, slopes, shares, weights, *uu, k, *pu, b, *pp, m)
     return Blocks(
         deviatoric=bsr_matrix((k, uu[1], uu[0]), shape=(3 * nodes, 3 * nodes)).tocsr(),
-        divergence=bsr_matrix((b, pu[1], pu[0]), shape=(corners, 3 * nodes)).tocsr(),
-        mass=bsr_matrix((m, pp[1], pp[0]), shape=(corners, corners)).tocsr(),
+        divergence=bsr_matrix((b, pu[1], pu[0]), shape=(pressures, 3 * nodes)).tocsr(),
+        mass=bsr_matrix((m, pp[1], pp[0]), shape=(pressures, pressures)).tocsr(),
     )
 
 
-def assemble_mass_diagonal(mesh: Mesh) -> Floats:
-    """Return (C,) a tenth of the volume around every corner, mm3: the pressure mass's diagonal on flat elements."""
+def _volumes(mesh: Mesh) -> Floats:
+    """Return (m,) volumes of the elements, taken as flat, mm3; a tenth of it is a pressure mass's diagonal."""
     a, b, c, d = (mesh.points[mesh.tets[:, i]] for i in range(4))
-    volume = np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))) / 6.0
-    tenths = np.repeat(volume / 10.0, 4)
-    return np.asarray(np.bincount(mesh.tets[:, :4].ravel(), tenths, minlength=mesh.corners), float)
+    return np.asarray(np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))) / 6.0)
 
 
 def _pattern(rows: Ints, columns: Ints, shape: tuple[int, int]) -> tuple[Ints, Ints]:
@@ -193,6 +276,9 @@ def _find(indptr: Ints, indices: Ints, row: int, column: int) -> int:
 def _integrate(
     points: Floats,
     tets: Ints,
+    pressure: Ints,
+    shear: Floats,
+    softness: Floats,
     slopes: Floats,
     shares: Floats,
     weights: Floats,
@@ -220,6 +306,7 @@ def _integrate(
                     for j in range(3):
                         jac[i, j] += points[tets[t, a], i] * slopes[q, a, j]
             volume = _invert(jac, inv) * weights[q]
+            stiff = volume * shear[t]
             for a in range(10):
                 for i in range(3):
                     g[a, i] = slopes[q, a, 0] * inv[0, i] + slopes[q, a, 1] * inv[1, i] + slopes[q, a, 2] * inv[2, i]
@@ -227,23 +314,23 @@ def _integrate(
                 for c in range(10):
                     dot = g[a, 0] * g[c, 0] + g[a, 1] * g[c, 1] + g[a, 2] * g[c, 2]
                     for i in range(3):
-                        ke[a, c, i, i] += volume * dot
+                        ke[a, c, i, i] += stiff * dot
                         for j in range(3):
-                            ke[a, c, i, j] += volume * (g[a, j] * g[c, i] - 2.0 / 3.0 * g[a, i] * g[c, j])
+                            ke[a, c, i, j] += stiff * (g[a, j] * g[c, i] - 2.0 / 3.0 * g[a, i] * g[c, j])
             for p in range(4):
                 for a in range(10):
                     for i in range(3):
                         be[p, a, i] += volume * shares[q, p] * g[a, i]
                 for s in range(4):
-                    me[p, s] += volume * shares[q, p] * shares[q, s]
+                    me[p, s] += volume * softness[t] * shares[q, p] * shares[q, s]
         for a in range(10):
             for c in range(10):
                 k[_find(uu_ptr, uu_ind, tets[t, a], tets[t, c])] += ke[a, c]
         for p in range(4):
             for a in range(10):
-                b[_find(pu_ptr, pu_ind, tets[t, p], tets[t, a]), 0] += be[p, a]
+                b[_find(pu_ptr, pu_ind, pressure[t, p], tets[t, a]), 0] += be[p, a]
             for s in range(4):
-                m[_find(pp_ptr, pp_ind, tets[t, p], tets[t, s]), 0, 0] += me[p, s]
+                m[_find(pp_ptr, pp_ind, pressure[t, p], pressure[t, s]), 0, 0] += me[p, s]
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

@@ -12,7 +12,7 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,8 @@ class Mesh:
         20; right-hand normals point out of the body.
     piece
         (f,) index into ``body.pieces`` of every boundary triangle: 0 is sensing, ``body.held_pieces`` are held.
+    region
+        (m,) what every element is made of: 0 the body (all of them, if not given), then its layers one by one.
     """
 
     points: Points
@@ -59,6 +61,11 @@ class Mesh:
     corners: int
     faces: Ints
     piece: Ints
+    region: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if len(self.region) == 0:
+            object.__setattr__(self, "region", frozen(np.zeros(len(self.tets), np.int64)))
 
     def nodes_on(self, pieces: Sequence[int]) -> Bools:
         """Return (n,) which nodes lie on boundary triangles of ``pieces``."""
@@ -73,6 +80,8 @@ class Mesh:
             sha.update(repr(array.shape).encode())
             sha.update(np.ascontiguousarray(array, dtype=kind).tobytes())
         sha.update(str(self.corners).encode())
+        if np.any(self.region):
+            sha.update(np.ascontiguousarray(self.region, dtype="<i8").tobytes())
         return sha.hexdigest()
 
     @property
@@ -105,6 +114,7 @@ def write_mesh(mesh: Mesh, path: Path | str, provenance: dict[str, Any]) -> None
                 corners=np.int64(mesh.corners),
                 faces=mesh.faces.astype(np.int32),
                 piece=mesh.piece.astype(np.int32),
+                region=mesh.region.astype(np.int32),
                 provenance=np.array(told),
             )
             file.flush()
@@ -142,6 +152,7 @@ def _load(path: Path) -> tuple[Mesh, dict[str, Any]]:
                 corners=int(file["corners"]),
                 faces=frozen(np.asarray(file["faces"], np.int64)),
                 piece=frozen(np.asarray(file["piece"], np.int64)),
+                region=frozen(np.asarray(file.get("region", []), np.int64)),
             )
             provenance = json.loads(str(file["provenance"]))
     except FileNotFoundError:
@@ -168,6 +179,8 @@ def _problem(mesh: Mesh) -> str:
             return f"{name} have shape {array.shape} (allowed: (n >= 1, {width}))"
     if mesh.piece.shape != (len(mesh.faces),):
         return f"piece has shape {mesh.piece.shape} (allowed: ({len(mesh.faces)},))"
+    if mesh.region.shape != (len(mesh.tets),) or mesh.region.min() < 0:
+        return f"region has shape {mesh.region.shape} or negative numbers (allowed: ({len(mesh.tets)},), 0 and up)"
     if not np.all(np.isfinite(mesh.points)):
         return "points are not finite"
     if not 4 <= mesh.corners <= nodes:

@@ -30,6 +30,10 @@ SHIFT = 1e-6
 GOAL, LIMIT, STEPS = 1e-12, 1e-9, 8
 """Relative residual at which refinement stops, above which a solve is refused, and the largest number of steps."""
 
+ROUNDING = 1e-4
+"""Weight of the solution beside the right-hand side in the relative residual: where layers differ a million times in
+stiffness the solution is a million times longer, and round-off alone leaves more than the limit of the right side."""
+
 _count = {"factorisations": 0}
 
 
@@ -108,15 +112,15 @@ class Factor:
         columns = columns / np.where(size > 0.0, size, 1.0)
         solution = self._apply(columns)
         remainder = columns - self._matrix @ solution
-        worst = _worst(remainder)
+        worst = _worst(remainder, solution)
         for _ in range(STEPS):
             if not worst > goal:
                 break
             better = solution + self._apply(remainder)
             remainder = columns - self._matrix @ better
-            if not _worst(remainder) < worst:
+            if not _worst(remainder, better) < worst:
                 break
-            solution, worst = better, _worst(remainder)
+            solution, worst = better, _worst(remainder, better)
         self.residual = worst
         allowed = max(LIMIT, goal)
         if not worst <= allowed:
@@ -128,10 +132,12 @@ class Factor:
         return result
 
 
-def _worst(remainder: Floats) -> float:
+def _worst(remainder: Floats, solution: Floats) -> float:
+    """Return the largest relative residual of scaled systems whose right sides and matrix have norms of about 1."""
     if remainder.shape[1] == 0:
         return 0.0
-    largest = float(np.max(np.linalg.norm(remainder, axis=0)))
+    size = 1.0 + ROUNDING * np.linalg.norm(solution, axis=0)
+    largest = float(np.max(np.linalg.norm(remainder, axis=0) / size))
     return largest if np.isfinite(largest) else np.inf
 
 
