@@ -39,7 +39,7 @@ def signed_volumes(points: Points, tets: Ints) -> Floats:
     return np.asarray(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6)
 
 
-def onto_pieces(body: Body, points: Points, on: Bools) -> Points:
+def onto_pieces(body: Body, points: Points, on: Bools, *, depth_mm: float = 0.0) -> Points:
     """Project points onto the pieces asked for, by Newton steps of least length.
 
     Parameters
@@ -50,6 +50,8 @@ def onto_pieces(body: Body, points: Points, on: Bools) -> Points:
         (n, 3), mm.
     on
         (n, pieces): the pieces that each point shall lie on; none leaves the point where it is.
+    depth_mm
+        Depth of the level set that takes the sensing piece's place.
 
     Returns
     -------
@@ -60,7 +62,8 @@ def onto_pieces(body: Body, points: Points, on: Bools) -> Points:
     if len(points) == 0:
         return points
     for _ in range(30):
-        distance = np.where(on, body.piece_distances(points), 0.0)
+        away = body.piece_distances(points) - depth_mm * (np.arange(on.shape[1]) == 0)
+        distance = np.where(on, away, 0.0)
         if np.max(np.abs(distance)) < 1e-14:
             break
         normals = np.where(on[:, :, None], body.piece_normals(points), 0.0)
