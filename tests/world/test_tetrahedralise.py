@@ -77,7 +77,7 @@ def test_projection_reaches_surface_edge_and_corner_of_the_finger():
 
 
 def test_wanted_edges_at_rim_and_window_and_their_growth():
-    sizing = default_sizing(FINGER, "truth")
+    sizing = default_sizing(FINGER, "standard")
     wanted = WantedEdge(FINGER, sizing)
     rim = rim_points(FINGER, 0.2)
     on_rim = np.abs(FINGER.piece_distances(rim))

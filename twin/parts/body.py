@@ -10,7 +10,8 @@ from twin.parts.block import Block
 from twin.parts.dome import Dome
 from twin.parts.finger import Finger
 from twin.parts.shape import Body
+from twin.parts.solid import Solid
 
-__all__ = ["AnyBody", "Block", "Body", "Dome", "Finger"]
+__all__ = ["AnyBody", "Block", "Body", "Dome", "Finger", "Solid"]
 
-AnyBody = Annotated[Block | Dome | Finger, Field(discriminator="shape")]
+AnyBody = Annotated[Block | Dome | Finger | Solid, Field(discriminator="shape")]

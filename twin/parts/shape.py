@@ -74,6 +74,11 @@ class Body(Part):
         """Vertices (n, 3) and outward triangles (m, 3) of a body given by them; None where formulas give it."""
         return None
 
+    @property
+    def own_rim(self) -> Floats | None:
+        """Ends (e, 2, 3) of the edges between what is held and what is free, of a body given by triangles."""
+        return None
+
     def geometry(self) -> dict[str, Any]:
         """Return what the shape depends on, as plain values: all numbers without where they come from."""
         return self.model_dump(exclude={"source", "assumed"})

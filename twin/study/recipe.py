@@ -48,17 +48,20 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
     """
     path = find_scene(scene)
     table = _read_with_base(path)
+    folders = [path.parent]
     for key, value in (overrides or {}).items():
         _set(table, key, value)
     body = table.get("body")
     if isinstance(body, dict) and "recipe" in body:
         recipe = _find(str(body["recipe"]), MESHES, path.parent, "body recipe", path)
         below = _read(recipe)
+        folders.append(recipe.parent)
         if extra := sorted(set(below) - {"body", "material", "title"}):
             raise RecipeError(f"unknown tables {', '.join(extra)}: a body recipe has body, material", str(recipe))
         below.pop("title", None)
         table = _merge(below, {**table, "body": {k: v for k, v in body.items() if k != "recipe"}})
     _find_calibration(table, path)
+    _find_solid(table, folders, path)
     return validate_scene(table, str(path))
 
 
@@ -76,6 +79,20 @@ def _find_calibration(table: Table, path: Path) -> None:
         f"calibration.file = '{name}': there is no such file beside the recipe or the shipped scenes; make it with "
         "twin calibrate, or leave the key out",
         str(path),
+    )
+
+
+def _find_solid(table: Table, folders: list[Path], path: Path) -> None:
+    """Make the path of a body's own file absolute: it is relative to the scene, or to the body recipe."""
+    body = table.get("body")
+    if not isinstance(body, dict) or body.get("shape") != "solid" or not isinstance(body.get("file"), str):
+        return
+    for folder in folders:
+        if (folder / body["file"]).is_file():
+            table["body"] = {**body, "file": str((folder / body["file"]).resolve())}
+            return
+    raise RecipeError(
+        f"body.file = '{body['file']}': there is no such file beside the recipe; check the path", str(path)
     )
 
 

@@ -22,7 +22,7 @@ def scene_schema() -> dict[str, Any]:
         definition.pop("required", None)
     schema["properties"]["base"] = {"type": "string", "description": "scene to inherit from, one level deep"}
     recipe = {"type": "string", "description": "body recipe of the meshes folder"}
-    for name in ("Block", "Dome", "Finger"):
+    for name in ("Block", "Dome", "Finger", "Solid"):
         schema["$defs"][name]["properties"]["recipe"] = recipe
     schema["properties"]["body"] = {"anyOf": schema["properties"]["body"]["oneOf"]}
     axes = {"type": "object", "additionalProperties": False, "properties": {a: {"type": "number"} for a in "xyz"}}

@@ -195,7 +195,7 @@ def _problem(mesh: Mesh) -> str:
 
 def mesh_key(body: Body, sizing: Sizing) -> str:
     """Return the SHA-256 of what a mesh depends on: the body's geometry (not its sources), the sizing, the format."""
-    geometry = without_later(body.model_dump(exclude={"source", "assumed"}))
+    geometry = without_later(body.geometry())
     told = json.dumps({"body": geometry, "sizing": sizing.described(), "format": FORMAT}, sort_keys=True)
     return hashlib.sha256(told.encode()).hexdigest()
 
@@ -233,7 +233,7 @@ def body_mesh(body: Body, level: Level, *, rebuild: bool = False, progress: Prog
     provenance = {
         "key": key,
         "level": level,
-        "body": body.model_dump(exclude={"source", "assumed"}),
+        "body": body.geometry(),
         "sizing": sizing.described(),
         "quality": measured.described(),
     }

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from twin.arrays import Floats, Ints, Points
-from twin.parts.body import Block, Body
+from twin.parts.body import Body
 from twin.world.snap import onto_pieces
 from twin.world.surface import surface_samples
 
@@ -118,7 +118,7 @@ def default_sizing(body: Body, level: Level) -> Sizing:
     at 28 000 unknowns and 0.25 % at 9 500. A finer window under the load doesn't help there, so there is none.
     """
     low, high = np.array(body.bounds_mm)
-    if isinstance(body, Block):
+    if body.is_flat:
         shares, size, growth = _FLAT[level], float(np.max(high - low)), 0.8
         window = (float(min(16.0, 0.4 * (high - low)[0])), float(min(12.0, 0.4 * (high - low)[1])))
     else:
@@ -134,8 +134,19 @@ def default_sizing(body: Body, level: Level) -> Sizing:
     )
 
 
+def along(edges: Floats, spacing_mm: float) -> Points:
+    """Return points (n, 3) on straight edges (e, 2, 3), at most ``spacing_mm`` apart."""
+    length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+    parts = np.ceil(length / spacing_mm).astype(int) + 1
+    share = np.concatenate([np.linspace(0.0, 1.0, number) for number in parts])[:, None]
+    ends = np.repeat(edges, parts, axis=0)
+    return np.asarray(ends[:, 0] * (1.0 - share) + ends[:, 1] * share)
+
+
 def rim_points(body: Body, spacing_mm: float) -> Points:
     """Return points (n, 3), mm, on the clamped rim: the curves where held pieces meet the others."""
+    if body.own_rim is not None:
+        return along(body.own_rim, spacing_mm)
     samples = surface_samples(body, spacing_mm)
     near = np.abs(body.piece_distances(samples)) < 2 * spacing_mm
     found = []
@@ -159,6 +170,7 @@ class WantedEdge:
         spacing = float(np.max(high - low)) / 100
         s, t = (np.linspace(-half, half, 41) for half in sizing.window_mm)
         window = body.chart_points(np.stack(np.meshgrid(s, t, indexing="ij"), axis=-1).reshape(-1, 2))
+        window = window[body.contains(window, -1e-6)]
         self._sizing = sizing
         self._window = cKDTree(window)
         self._rim = cKDTree(rim_points(body, spacing))

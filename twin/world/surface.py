@@ -1,10 +1,12 @@
 """A body's outer surface as closed triangles, for the mesher.
 
-Why a convex hull: every body described so far is convex, and the hull of enough exact surface points, its edges and
+Why a convex hull: every body given by formulas is convex, and the hull of enough exact surface points, its edges and
 corners among them, is closed and consistently wound by construction. The mesh that comes of it is snapped to the level
-sets afterwards, so the triangles only have to be near.
+sets afterwards, so the triangles only have to be near. A body that brings its own triangles may have dents; they are
+taken as they are.
 
-*Validity*: convex bodies; any other is refused, because the hull's volume does not match the body's.
+*Validity*: bodies given by formulas must be convex; any other is refused, because the hull's volume does not match the
+body's.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ def outer_surface(body: Body, spacing_mm: float) -> tuple[Points, Ints]:
     Parameters
     ----------
     body
-        A convex body.
+        A body; convex, if it is given by formulas.
     spacing_mm
         Distance between the points on curved pieces, mm.
 
@@ -58,6 +60,8 @@ def outer_surface(body: Body, spacing_mm: float) -> tuple[Points, Ints]:
     MeshError
         If the triangles are not closed, or their volume differs by more than 1 % from the body's.
     """
+    if body.own_surface is not None:
+        return body.own_surface
     import trimesh
 
     samples = surface_samples(body, spacing_mm)

@@ -1,0 +1,1 @@
+"""Closed triangulated surfaces: reading, checking, and measuring distances. Knows nothing of sensors or elasticity."""

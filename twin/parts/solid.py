@@ -1,0 +1,304 @@
+"""A body of the user's own, given by the closed triangles of an STL file, and which part of it is held and pressed.
+
+Why regions and not names: an STL file is a heap of triangles, it can't say which of them are bonded to the base. So the
+recipe picks them by a plane, a box, or the direction they face; what is neither held nor sensing is free.
+
+The file is read, and its digest kept, when the recipe is: a run never mixes two versions of it, and a digest given in
+the recipe (`sha256`, which written-out scenes carry) must match.
+
+Validity: the surface is the file's triangles, not the curved surface they may stand for: export curved parts finely
+(`twin.geometry.pieces` says what is lost). The chart is plain x and y, so the pitch of markers and sites is measured in
+the x, y plane, not along a slope. Sharp edges inside the sensing region are rounded by the mesh.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from twin.arrays import Bools, Chart, Floats, Ints, Points, frozen
+from twin.errors import InputError
+from twin.parts.part import Part
+from twin.parts.shape import Body
+
+if TYPE_CHECKING:
+    from twin.geometry.closed import Surface
+    from twin.geometry.pieces import Pieces
+
+Vector = tuple[float, float, float]
+
+CREASE_DEG = 30.0
+"""Neighbouring triangles that meet at a sharper angle belong to different pieces."""
+
+MOST_PIECES = 40
+"""Smooth pieces at most: every one is measured for every point."""
+
+_ORIGIN_MM = 1e-3
+
+
+class PlaneRegion(Part):
+    """Triangles whose corners all lie within ``within_mm`` of a plane and that face along its ``normal``.
+
+    Attributes
+    ----------
+    point_mm
+        A point of the plane.
+    normal
+        Out of the body; any length.
+    within_mm
+        Distance allowed.
+    """
+
+    point_mm: Vector
+    normal: Vector
+    within_mm: float = Field(default=0.01, gt=0, le=10)
+
+
+class BoxRegion(Part):
+    """Triangles whose corners all lie in a box."""
+
+    low_mm: Vector
+    high_mm: Vector
+
+
+class Region(Part):
+    """Triangles of a surface, picked by everything that is given here at once.
+
+    Attributes
+    ----------
+    plane, box
+        See `PlaneRegion` and `BoxRegion`.
+    normal, within_deg
+        Triangles whose outward normal is at most ``within_deg`` from ``normal``.
+    """
+
+    plane: PlaneRegion | None = None
+    box: BoxRegion | None = None
+    normal: Vector | None = None
+    within_deg: float = Field(default=45, gt=0, le=180)
+
+    @model_validator(mode="after")
+    def _picks_something(self) -> Region:
+        if self.plane is None and self.box is None and self.normal is None:
+            raise ValueError("give at least one of plane, box and normal")
+        for normal in (self.normal, self.plane.normal if self.plane else None):
+            if normal is not None and not any(normal):
+                raise ValueError("normal must not be (0, 0, 0): give the outward direction")
+        return self
+
+    def picks(self, corners: Floats) -> Bools:
+        """Return (m,) which of the triangles (m, 3, 3) are in the region."""
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        chosen = np.ones(len(corners), bool)
+        if self.plane is not None:
+            outward = np.array(self.plane.normal) / np.linalg.norm(self.plane.normal)
+            near = np.abs((corners - self.plane.point_mm) @ outward).max(axis=1) <= self.plane.within_mm
+            chosen &= near & (normal @ outward > 0.5)
+        if self.box is not None:
+            chosen &= ((corners >= self.box.low_mm) & (corners <= self.box.high_mm)).all(axis=(1, 2))
+        if self.normal is not None:
+            outward = np.array(self.normal) / np.linalg.norm(self.normal)
+            chosen &= normal @ outward >= np.cos(np.radians(self.within_deg)) - 1e-12
+        return chosen
+
+
+class Solid(Body):
+    """The inside of a closed STL surface.
+
+    Attributes
+    ----------
+    file
+        STL file in mm, relative to the recipe.
+    sha256
+        Digest of the file; filled in when it is read, checked when it is given.
+    origin_mm
+        The file's place that becomes the origin; there the sensing surface must be met from -z.
+    held
+        What is bonded to a rigid base.
+    sensing
+        What may be pressed.
+    """
+
+    shape: Literal["solid"] = "solid"
+    file: str
+    sha256: str = Field(default="", pattern="^([0-9a-f]{64})?$")
+    origin_mm: Vector = (0.0, 0.0, 0.0)
+    held: Region
+    sensing: Region
+
+    @field_validator("file")
+    @classmethod
+    def _is_a_closed_surface(cls, file: str) -> str:
+        try:
+            _read(file)
+        except InputError as problem:
+            raise ValueError(str(problem)) from None
+        return file
+
+    @model_validator(mode="before")
+    @classmethod
+    def _carries_a_digest(cls, table: Any) -> Any:
+        """Fill in the digest of the file, so that hashes and copies of the description stand for its content."""
+        if isinstance(table, dict) and isinstance(table.get("file"), str) and not table.get("sha256"):
+            path = Path(table["file"])
+            if path.is_file():
+                return {**table, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        return table
+
+    @model_validator(mode="after")
+    def _regions_fit(self) -> Solid:
+        found = hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
+        if self.sha256 != found:
+            raise ValueError(
+                f"sha256 = {self.sha256[:12]}... but {Path(self.file).name} has {found[:12]}...: the file was changed; "
+                "leave sha256 out to take the new one"
+            )
+        corners = self._surface.vertices[self._surface.triangles]
+        held, sensing = self.held.picks(corners), self.sensing.picks(corners)
+        low, high = _told(corners.min(axis=(0, 1))), _told(corners.max(axis=(0, 1)))
+        for name, chosen in (("held", held), ("sensing", sensing)):
+            if not chosen.any():
+                raise ValueError(
+                    f"{name}: no triangle of the {len(corners)} is in it; the body lies between {low} and {high} mm: "
+                    "move or widen it"
+                )
+        both = int((held & sensing).sum())
+        if both:
+            raise ValueError(f"held and sensing: {both} triangles are in both; narrow one of them")
+        count = self._pieces.count
+        if count > MOST_PIECES:
+            raise ValueError(
+                f"file: sharp edges cut the surface into {count} pieces (allowed: {MOST_PIECES}); smooth it"
+            )
+        z = self.surface_from_above(np.zeros((1, 2)))[0, 2]
+        if not abs(z) <= _ORIGIN_MM:
+            seen = "not met there" if np.isnan(z) else f"met at z = {z:.6g} mm"
+            raise ValueError(
+                f"origin_mm = {_told(self.origin_mm)} mm: the sensing surface must be met there from -z, at z = 0, but "
+                f"is {seen}; give a place of the file's sensing surface"
+            )
+        return self
+
+    @cached_property
+    def _surface(self) -> Surface:
+        from twin.geometry.closed import Surface
+
+        read = _read(self.file)
+        moved = frozen(read.vertices - self.origin_mm)
+        return Surface(vertices=moved, triangles=read.triangles, volume_mm3=read.volume_mm3)
+
+    @cached_property
+    def _numbered(self) -> tuple[Ints, int]:
+        """(m,) piece of every triangle: sensing, smooth parts of the free sides and of what is held; the first held."""
+        from twin.geometry.pieces import smooth_parts
+
+        corners = self._surface.vertices[self._surface.triangles]
+        held, sensing = self.held.picks(corners), self.sensing.picks(corners)
+        free = smooth_parts(self._surface, ~held & ~sensing, CREASE_DEG)
+        first_held = int(free.max()) + 2
+        fixed = smooth_parts(self._surface, held, CREASE_DEG)
+        return np.where(sensing, 0, np.where(held, first_held + fixed, 1 + free)), first_held
+
+    @cached_property
+    def _pieces(self) -> Pieces:
+        from twin.geometry.pieces import Pieces
+
+        return Pieces(self._surface, self._numbered[0])
+
+    @property
+    def pieces(self) -> tuple[str, ...]:
+        first_held = self._numbered[1]
+        sides = [f"side_{k}" for k in range(1, first_held)]
+        held = [f"held_{k}" for k in range(1, self._pieces.count - first_held)]
+        return ("sensing", *sides, *held, "held")
+
+    @property
+    def held_pieces(self) -> tuple[int, ...]:
+        return tuple(range(self._numbered[1], self._pieces.count))
+
+    @property
+    def is_flat(self) -> bool:
+        return 0 in self._pieces.planes
+
+    @property
+    def is_convex(self) -> bool:
+        return self._pieces.is_convex
+
+    @property
+    def own_surface(self) -> tuple[Points, Ints] | None:
+        return self._surface.vertices, self._surface.triangles
+
+    @property
+    def own_rim(self) -> Floats | None:
+        return self._pieces.edges(np.arange(self._pieces.count) >= self._numbered[1])
+
+    def geometry(self) -> dict[str, Any]:
+        regions = {name: getattr(self, name).model_dump(exclude_defaults=True) for name in ("held", "sensing")}
+        return {"shape": self.shape, "sha256": self.sha256, "origin_mm": self.origin_mm, **regions}
+
+    def piece_distances(self, points: Points) -> Floats:
+        return self._pieces.distances_and_normals(points)[0]
+
+    def piece_normals(self, points: Points) -> Floats:
+        return self._pieces.distances_and_normals(points)[1]
+
+    def chart_points(self, chart: Chart, depth_mm: Floats | float = 0.0) -> Points:
+        chart = np.asarray(chart, float)
+        depth = np.broadcast_to(np.asarray(depth_mm, float), len(chart))
+        points = self.surface_from_above(chart)
+        missing = np.isnan(points[:, 2])
+        points[missing, 2] = self.bounds_mm[0][2] - 1.0  # outside the body, so that whoever asked is told so
+        for _ in range(60):
+            distance, normal = self._pieces.distances_and_normals(points)
+            step = (depth - distance[:, 0]) / np.maximum(normal[:, 0, 2], 0.05)
+            step[missing] = 0.0
+            points[:, 2] += step
+            if np.max(np.abs(step), initial=0.0) < 1e-12:
+                break
+        return points
+
+    def chart_of(self, points: Points) -> Chart:
+        return np.array(points, float)[:, :2]
+
+    def surface_from_above(self, xy: Floats) -> Points:
+        piece, points = self._pieces.from_below(np.asarray(xy, float))
+        points[piece != 0, 2] = np.nan
+        return points
+
+    @property
+    def bounds_mm(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        low, high = self._surface.vertices.min(axis=0), self._surface.vertices.max(axis=0)
+        return (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
+
+    @property
+    def volume_mm3(self) -> float:
+        return self._surface.volume_mm3
+
+
+def _read(file: str) -> Surface:
+    """Return the checked surface of a file, which is kept while the file stays as it is."""
+    path = Path(file)
+    try:
+        state = path.stat()
+    except OSError as problem:
+        raise InputError(f"{path.name}: can't be read ({problem.strerror}); check the path") from None
+    return _read_once(file, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=4)
+def _read_once(file: str, _changed: int, _size: int) -> Surface:
+    from twin.geometry.closed import closed_surface
+    from twin.geometry.stl import read_triangles
+
+    path = Path(file)
+    return closed_surface(read_triangles(path), path.name)
+
+
+def _told(place: Any) -> str:
+    return "(" + ", ".join(f"{c:.6g}" for c in place) + ")"
