@@ -16,7 +16,6 @@ quadrature's errors: twists of 0.3 mm radius and less are 1 to 4 % off there.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -26,6 +25,7 @@ from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.theory.halfspace_kernels import GAUSS_2, rectangle_slopes, rectangle_terms
 from twin.world.elements import triangle_quadrature, triangle_shapes
+from twin.world.interfaces import Skin, skin
 from twin.world.mesh import Mesh
 
 NEAR, FAR = 2.2, 6.0
@@ -43,8 +43,15 @@ DISTANT, CELLS, MERGEABLE = 2.5, 6.0, 64
 """Load radii beyond which a load of at least so many rectangles is merged into cells, so many across."""
 
 
-def nodal_forces(mesh: Mesh, body: Body, load: Rectangles, columns: Floats, poisson_ratio: float) -> Floats:
-    """Return the (N, 3, m) nodal forces in N of the tractions that w must carry on the free faces.
+def nodal_forces(
+    mesh: Mesh,
+    body: Body,
+    load: Rectangles,
+    columns: Floats,
+    poisson_ratio: float,
+    shares: Floats | None = None,
+) -> Floats:
+    """Return the (N, 3, m) nodal forces in N of the tractions that w must carry on free faces and interfaces.
 
     Parameters
     ----------
@@ -57,16 +64,17 @@ def nodal_forces(mesh: Mesh, body: Body, load: Rectangles, columns: Floats, pois
     columns
         (k, 3, m) force of every rectangle in m load cases, N, global axes.
     poisson_ratio
-        nu.
+        nu of the half-space, which is that of the material under the load.
+    shares
+        (regions,) shear modulus of every region of the mesh over that of the material under the load; 1 if not given.
     """
-    free = ~np.isin(mesh.piece, body.held_pieces)
-    free[free] = ~_in_plane(mesh.points[mesh.faces[free]], load)
-    faces, surface = mesh.faces[free], _Surface(body, mesh.piece[free])
+    surface = skin(mesh, body, np.ones(1) if shares is None else shares)
+    surface = surface[~_in_plane(mesh.points[surface.faces], load) & (surface.weight != 0.0)]
     out = np.zeros((len(mesh.points), 3, columns.shape[2]))
-    if len(faces) == 0 or len(load) == 0:
+    if len(surface.faces) == 0 or len(load) == 0:
         return out
     balls = _balls(load)
-    points, areas, values, nodes = _quadrature(mesh.points, faces, surface, *balls)
+    points, areas, values, nodes = _quadrature(mesh.points, surface, *balls)
     columns = np.ascontiguousarray(columns)
     coarse, sums = _merged(load, columns)
     away = np.min(np.linalg.norm(points[:, None] - balls[0], axis=2) / np.maximum(balls[1], 1e-300), axis=1)
@@ -79,27 +87,10 @@ def nodal_forces(mesh: Mesh, body: Body, load: Rectangles, columns: Floats, pois
     return out
 
 
-@dataclass(frozen=True)
-class _Surface:
-    """The true surface of a body behind the faces of its mesh, which are of ``piece`` (f,)."""
-
-    body: Body
-    piece: Ints
-
-    def nearest(self, points: Points, face: Ints) -> tuple[Points, Floats]:
-        """Return the nearest points (q, 3) on the pieces of ``face`` (q,), and the inward normals (q, 3) there."""
-        row, piece = np.arange(len(points)), self.piece[face]
-        for _ in range(2):
-            normal = self.body.piece_normals(points)[row, piece]
-            points = points - self.body.piece_distances(points)[row, piece, None] * normal
-        return points, normal
-
-
-def _quadrature(
-    points: Points, faces: Ints, surface: _Surface, centres: Points, radii: Floats
-) -> tuple[Points, Floats, Floats, Ints]:
-    """Return true surface places (q, 3), area vectors (q, 3), shape functions (q, 6) and face nodes (q, 6)."""
-    face, triangles = _split(points, faces, surface, centres, radii)
+def _quadrature(points: Points, surface: Skin, centres: Points, radii: Floats) -> tuple[Points, Floats, Floats, Ints]:
+    """Return true surface places (q, 3), weighted area vectors (q, 3), shape functions (q, 6), face nodes (q, 6)."""
+    faces = surface.faces
+    face, triangles = _split(points, surface, centres, radii)
     places, weights = triangle_quadrature()
     where = triangles[:, :1] + places[:, :1] * (triangles[:, 1:2] - triangles[:, :1])
     where = (where + places[:, 1:] * (triangles[:, 2:] - triangles[:, :1])).reshape(-1, 2)
@@ -109,6 +100,7 @@ def _quadrature(
     tangents = np.einsum("qam,qai->qmi", slopes, nodes)
     sides = triangles[:, 1:] - triangles[:, :1]
     share = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    share = share * surface.weight[face[:: len(places)]]
     areas = np.cross(tangents[:, 0], tangents[:, 1]) * (share[:, None] * weights).ravel()[:, None]
     places, normal = surface.nearest(np.einsum("qa,qai->qi", values, nodes), face)
     areas = np.sum(areas * normal, axis=1, keepdims=True) * normal
@@ -174,8 +166,9 @@ def _balls(load: Rectangles) -> tuple[Points, Floats]:
     return centres, radii
 
 
-def _split(points: Points, faces: Ints, surface: _Surface, centres: Points, radii: Floats) -> tuple[Ints, Floats]:
+def _split(points: Points, surface: Skin, centres: Points, radii: Floats) -> tuple[Ints, Floats]:
     """Return the face (t,) and corners (t, 3, 2) of pieces of faces, small near the balls around the load."""
+    faces = surface.faces
     face = np.arange(len(faces))
     triangles = np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (len(faces), 1, 1))
     done: list[tuple[Ints, Floats]] = []
