@@ -25,6 +25,7 @@ BOUND = {
     ("block", "nominal"): 2e-3,
     ("finger", "standard"): 5e-3,
     ("finger", "nominal"): 1e-2,
+    ("finger", "fine"): 1e-3,
 }
 CASES = {name: json.loads(str(np.load(REFERENCE / f"{name}.npz")["cases"])) for name in BODIES}
 _made: dict[tuple[str, str, float, str], Compliance] = {}
@@ -64,6 +65,45 @@ def test_reference_quick(name, level, index):
 @pytest.mark.parametrize(("name", "case"), [(n, c) for n, cases in CASES.items() for c in cases])
 def test_reference_all(name, level, case):
     assert reference_error(name, level, case) < BOUND[name, level]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [0, 1, 2, 3, 4])
+def test_a_tenth_of_a_percent_is_reached_on_the_finger(index):
+    assert reference_error("finger", "fine", CASES["finger"][index]) < BOUND["finger", "fine"]
+
+
+def estimate_ratio(stiff, name, case):
+    """Return the estimated over the true error, and the true one."""
+    data, words = np.load(REFERENCE / f"{name}.npz"), dict(case["load"])
+    tiles = tile(getattr(Traction, words.pop("kind"))(**words), stiff.body)
+    wrong = np.linalg.norm(stiff.displacement(data["points"], tiles) - data[case["key"]], axis=1).max()
+    error = wrong / np.linalg.norm(data[case["key"]], axis=1).max()
+    return stiff.error_estimate(data["points"], tiles) / error, error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("level", ["coarse", "standard"])
+@pytest.mark.parametrize("name", ["block", "finger"])
+def test_estimate_is_one_to_three_times_the_true_error(name, level):
+    made = {}
+    for case in CASES[name]:
+        if case["nu"] not in made:
+            material = Material(youngs_modulus_mpa=0.5, poisson_ratio=case["nu"])
+            made[case["nu"]] = Compliance(BODIES[name][0], material, level=level, table=False)
+        ratio, error = estimate_ratio(made[case["nu"]], name, case)
+        assert 1.0 < ratio < 3.0, (case["key"], error)
+
+
+@pytest.mark.parametrize("case", CASES["block"], ids=lambda case: case["key"])
+def test_table_reaches_a_fiftieth_of_a_percent_and_knows_it(case):
+    """The reference is good to 3e-5 only, which is what the smallest of these errors are."""
+    before = factorisations()
+    material = Material(youngs_modulus_mpa=0.5, poisson_ratio=case["nu"])
+    ratio, error = estimate_ratio(Compliance(BLOCK, material), "block", case)
+    assert error < 2e-4
+    assert 1.0 < ratio < (3.0 if error > 3e-5 else 5.0)
+    assert factorisations() == before
 
 
 @pytest.mark.slow
@@ -161,7 +201,7 @@ def mirror_error(name, level, centre, size, flip):
         )
         here, there = stiff.displacement(points, load), stiff.displacement(points * flip, mirrored) * flip
         error = max(error, np.linalg.norm(here - there, axis=1).max() / np.linalg.norm(here, axis=1).max())
-    return error, stiff.error_estimate(load)
+    return error, stiff.expected_error(load)
 
 
 EDGES = [("block", (40, 0), 4, (-1, 1, 1)), ("block", (45, 0), 4, (-1, 1, 1)), ("block", (0, 38), 4, (1, -1, 1)),
@@ -169,15 +209,15 @@ EDGES = [("block", (40, 0), 4, (-1, 1, 1)), ("block", (45, 0), 4, (-1, 1, 1)), (
 
 
 @pytest.mark.parametrize(("name", "centre", "size", "flip"), EDGES)
-def test_estimate_covers_the_mirror_error_near_edges(name, centre, size, flip):
+def test_expected_error_covers_the_mirror_error_near_edges(name, centre, size, flip):
     error, estimate = mirror_error(name, "nominal", centre, size, flip)
     assert error < estimate < 20 * error
 
 
-def test_estimate_grows_towards_edges_and_is_the_measured_bound_inside():
+def test_expected_error_grows_towards_edges_and_is_the_measured_bound_inside():
     def estimate(name, level, centre, size=1.0):
         load = Traction.rectangle(tuple(BODIES[name][0].chart_points(np.array([centre]))[0]), (size, size), (0, 0, 1))
-        return compliance(name, level, 0.5).error_estimate(tile(load, BODIES[name][0]))
+        return compliance(name, level, 0.5).expected_error(tile(load, BODIES[name][0]))
 
     assert estimate("block", "standard", (0.0, 0.0), 4.0) == pytest.approx(6e-4)
     assert estimate("finger", "standard", (0.0, 0.0)) == pytest.approx(5e-3)
@@ -191,6 +231,7 @@ def test_no_points_give_no_displacements(name):
     body, material = BODIES[name][0], Material(youngs_modulus_mpa=0.5)
     load, nowhere = tile(Traction.bump((0, 0), 1.0, (0, 0, 1)), body), np.zeros((0, 3))
     for stiff in (Compliance(body, material), compliance(name, "nominal", 0.5)):
+        assert stiff.error_estimate(nowhere, load) == 0.0
         assert stiff.displacement(nowhere, load).shape == (0, 3)
         assert stiff.gradient(nowhere, load).shape == (0, 3, 3)
         assert stiff.to_points(nowhere, load).shape == (0, 3 * len(load))

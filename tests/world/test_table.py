@@ -1,17 +1,18 @@
-"""The tabulated rest of the standard block: made of the shipped mesh, equal to a solve, and honest about its limits."""
+"""The tabulated rest of blocks: made of the shipped meshes, equal to a solve, and honest about its limits."""
 
 import numpy as np
 import pytest
 
 from twin.errors import InputError
 from twin.parts.body import Block
-from twin.parts.load import Traction
+from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
 from twin.places import MESHES
 from twin.world.compliance import Compliance
-from twin.world.mesh import read_mesh
+from twin.world.mesh import Mesh, read_mesh
 from twin.world.solve import factorisations
-from twin.world.table import STANDARD, make_table, read_table, shipped_path, shipped_table
+from twin.world.tabulate import ROLES, STANDARD, cached_path, find_table, make_table, read_table, shipped_path
+from twin.world.tabulate import SHIPPED, USABLE, write_table
 from twin.world.tile import tile
 
 LOADS = (
@@ -25,15 +26,17 @@ def points():
     return np.random.default_rng(1).uniform([-20, -17, 0.3], [20, 17, 9.5], (120, 3))
 
 
-@pytest.mark.parametrize("level", ["standard", "nominal"])
-def test_shipped_table_is_made_of_the_shipped_mesh(level):
-    mesh = read_mesh(MESHES / f"kamiyama_block.{level}.npz")
-    assert read_table(shipped_path(level)).digest == mesh.digest(), "run python -m twin.world.table"
-    assert shipped_table(STANDARD, level, mesh) is not None
-    assert shipped_table(Block(width_mm=90, length_mm=90, thickness_mm=40), level) is None
+@pytest.mark.parametrize("role", ROLES)
+def test_shipped_table_is_made_of_the_shipped_mesh(role):
+    mesh = read_mesh(MESHES / f"kamiyama_block.{SHIPPED[role]}.npz")
+    table = read_table(shipped_path(role))
+    assert table.digest == mesh.digest(), "run python -m twin.world.tabulate"
+    assert table.error < USABLE
+    assert find_table(STANDARD, role) is not None
+    assert find_table(Block(width_mm=90, length_mm=90, thickness_mm=40), role) is None
 
 
-@pytest.mark.parametrize("nu", [0.5, 0.42])
+@pytest.mark.parametrize("nu", [0.5, 0.42, 0.1])
 def test_table_equals_a_solve_and_factors_nothing(nu):
     material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
     tabulated = Compliance(STANDARD, material, level="nominal")
@@ -55,7 +58,7 @@ def test_outside_its_range_the_table_steps_back():
     inside, load = np.array([[0.0, 0.0, 5.0]]), tile(LOADS[0], STANDARD)
     assert table.covers(inside, load, 0.4)
     assert not table.covers(inside + np.array([0, 0, 6.0]), load, 0.4)
-    assert not table.covers(inside, load, 0.2)
+    assert not table.covers(inside, load, -0.1)
     assert not table.covers(inside, tile(Traction.rectangle((19, 0), (4, 4), (0, 0, 1)), STANDARD), 0.4)
 
 
@@ -71,9 +74,18 @@ def test_damaged_table_is_refused_and_solved_around(tmp_path, monkeypatch, damag
     path.write_bytes(damage(shipped_path("nominal").read_bytes()))
     with pytest.raises(InputError, match="not a table"):
         read_table(path)
-    monkeypatch.setattr("twin.world.table.shipped_path", lambda level: path)
+    monkeypatch.setattr("twin.world.tabulate.shipped_path", lambda role: path)
     with pytest.warns(UserWarning, match="solving without the table"):
-        assert shipped_table(STANDARD, "nominal") is None
+        assert find_table(STANDARD, "nominal") is None
+
+
+def test_foreign_sizes_are_refused(tmp_path):
+    with np.load(shipped_path("nominal")) as file:
+        arrays = {name: file[name] for name in file.files}
+    words = str(arrays.pop("words")).replace('"sizes": [5', '"sizes": [7')
+    np.savez(tmp_path / "t.npz", words=np.array(words), **arrays)
+    with pytest.raises(InputError, match="made for other sizes"):
+        read_table(tmp_path / "t.npz")
 
 
 @pytest.mark.slow
@@ -81,3 +93,44 @@ def test_table_can_be_made_anew():
     made = make_table(STANDARD, read_mesh(MESHES / "kamiyama_block.nominal.npz")).coefficients
     shipped = read_table(shipped_path("nominal")).coefficients
     np.testing.assert_allclose(shipped, made, atol=1e-6 * np.abs(made).max())
+
+
+@pytest.mark.slow
+def test_another_block_gets_its_table_when_many_compliances_are_asked_for(tmp_path, monkeypatch):
+    """The standard block at half its size: the same mesh, scaled, so that w must be twice the standard one's."""
+    half = Block(width_mm=50, length_mm=45, thickness_mm=20)
+    small = {}
+    for level in ("standard", "coarse"):
+        mesh = read_mesh(MESHES / f"kamiyama_block.{level}.npz")
+        small[level] = Mesh(**{**vars(mesh), "points": mesh.points / 2.0})
+    monkeypatch.setattr("twin.world.tabulate.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("twin.world.tabulate.body_mesh", lambda body, level, progress=None: small[level])
+    stiff = Compliance(half, Material(youngs_modulus_mpa=0.5, poisson_ratio=0.45))
+    grid = np.stack(np.meshgrid(np.linspace(-2, 2, 12), np.linspace(-2, 2, 12), indexing="ij"), -1).reshape(-1, 2)
+    many = Rectangles(
+        centre_mm=np.column_stack([grid, np.zeros(len(grid))]),
+        frames=np.tile(np.eye(3), (len(grid), 1, 1)),
+        half_mm=np.full((len(grid), 2), 0.15),
+        force_n=np.random.default_rng(2).normal(size=(len(grid), 3)),
+    )
+    inside = points() / 2.0
+    matrix = stiff.to_points(inside, many)
+    assert cached_path(half, "truth").exists()
+    before = factorisations()
+    got = Compliance(half, stiff.material).displacement(inside, many)
+    assert factorisations() == before
+    twice = Rectangles(centre_mm=2 * many.centre_mm, frames=many.frames, half_mm=2 * many.half_mm, force_n=many.force_n)
+    expected = 2.0 * Compliance(STANDARD, stiff.material).displacement(points(), twice)
+    np.testing.assert_allclose(got, expected, atol=6e-4 * np.abs(expected).max())
+    np.testing.assert_allclose((matrix @ many.force_n.ravel()).reshape(-1, 3), got, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_plate_too_thin_for_the_polynomials_is_solved_instead(tmp_path, monkeypatch):
+    mesh = read_mesh(MESHES / "kamiyama_block.nominal.npz")
+    thin = Block(width_mm=100, length_mm=90, thickness_mm=8)
+    flat = Mesh(**{**vars(mesh), "points": mesh.points * [1.0, 1.0, 0.2]})
+    monkeypatch.setattr("twin.world.tabulate.cache_folder", lambda: tmp_path)
+    write_table(make_table(thin, flat), cached_path(thin, "truth"))
+    assert read_table(cached_path(thin, "truth")).error > USABLE
+    assert find_table(thin, "truth") is None

@@ -16,7 +16,7 @@ def describe_meshes(
     from twin.world.quality import quality
 
     lines = []
-    levels: tuple[Level, ...] = ("standard", "nominal")
+    levels: tuple[Level, ...] = ("standard", "nominal")  # what most scenes need; the others are made when asked for
     for level in levels:
         mesh = body_mesh(scene.body, level, rebuild=rebuild, progress=progress)
         if export is not None and level == "standard":

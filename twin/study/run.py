@@ -177,7 +177,7 @@ class _Chain:
                     self.failures["force"] = str(problem)
         estimate = _estimate(found, forces)
         with self.stage("score"):
-            score = self._score(truth, estimate, state)
+            score = self._score(truth, motion, estimate, state)
         return RunResult(
             scene_toml=dump_scene(scene),
             truth=truth,
@@ -219,14 +219,14 @@ class _Chain:
             marker_visible=(rest.visible >= UNOCCLUDED) & (pressed.visible >= UNOCCLUDED),
         )
 
-    def _score(self, truth: Truth, estimate: Estimate | None, state: ContactState | None) -> dict[str, Any]:
+    def _score(
+        self, truth: Truth, motion: Motion, estimate: Estimate | None, state: ContactState | None
+    ) -> dict[str, Any]:
         from twin.judge.score import force_score, score, tracking_score
 
         moved = np.linalg.norm(truth.marker_displacement_mm, axis=1)
         elastic = {
-            "displacement_error": self.sensor.compliance.error_estimate(
-                self.sensor.rectangles(state.load if state is not None else Load())
-            ),
+            "displacement_error": motion.error,
             "largest_displacement_mm": float(moved.max()) if len(moved) else None,
             "contact_residual": state.residual if state is not None else None,
         }

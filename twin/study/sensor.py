@@ -29,6 +29,7 @@ from twin.theory.optics import project
 if TYPE_CHECKING:
     from twin.world.compliance import Compliance
     from twin.world.contact import ContactState
+    from twin.world.ladder import Ladder
     from twin.world.markers import Ellipsoids
     from twin.world.render import Renderer
 
@@ -46,10 +47,13 @@ class Motion:
         (n, 3) displacements of the marker centres, mm.
     gradient
         (n, 3, 3) displacement gradients du_i/dx_j there.
+    error
+        Estimated largest error of the displacements over the largest displacement.
     """
 
     displacement_mm: Points
     gradient: Floats
+    error: float
 
 
 class Sensor:
@@ -74,14 +78,24 @@ class Sensor:
         return make(self.nominal)
 
     @cached_property
+    def ladder(self) -> Ladder:
+        """The actual body on as many levels of mesh as the asked accuracy takes."""
+        from twin.world.ladder import Ladder
+
+        scene = self.actual.scene
+        return Ladder(scene.body, scene.material, scene.accuracy.displacement, progress=self.progress)
+
+    @property
     def compliance(self) -> Compliance:
-        """Compliance of the actual body, on the mesh of the truth."""
-        return _compliance(self.actual.scene, "standard", self.progress)
+        """Compliance of the actual body, on the level that the asked accuracy takes."""
+        return self.ladder.base
 
     @cached_property
     def nominal_compliance(self) -> Compliance:
         """Compliance of the nominal body, on a mesh of its own: what the sensor's software may be told."""
-        return _compliance(self.nominal, "nominal", self.progress)
+        from twin.world.compliance import Compliance
+
+        return Compliance(self.nominal.body, self.nominal.material, level="nominal", progress=self.progress)
 
     @cached_property
     def nominal_markers(self) -> MarkerSet:
@@ -116,23 +130,25 @@ class Sensor:
         points = np.asarray(points_mm, float)
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"points_mm: must have shape (n, 3), got {points.shape}")
-        rectangles = self.rectangles(load)
-        self._warn_if_inaccurate(rectangles)
-        return self.compliance.displacement(points, rectangles)
+        answer = self.ladder.displacement(points, self.rectangles(load), always=False)
+        self._warn_if_inaccurate(answer.error)
+        return answer.displacement_mm
 
     def motion(self, load: Load) -> Motion:
         """Return how the actual markers move and turn under ``load``."""
         rectangles = self.rectangles(load)
-        self._warn_if_inaccurate(rectangles)
         points = self.actual.markers.points
+        answer = self.ladder.displacement(points, rectangles)
+        self._warn_if_inaccurate(answer.error)
         return Motion(
-            displacement_mm=self.compliance.displacement(points, rectangles),
-            gradient=self.compliance.gradient(points, rectangles),
+            displacement_mm=answer.displacement_mm,
+            gradient=answer.compliance.gradient(points, rectangles),
+            error=answer.error,
         )
 
-    def _warn_if_inaccurate(self, load: Rectangles) -> None:
-        """Warn, once per sensor, of a load under which the asked accuracy is not to be expected."""
-        asked, got = self.nominal.accuracy.displacement, self.compliance.error_estimate(load)
+    def _warn_if_inaccurate(self, got: float) -> None:
+        """Warn, once per sensor, of a load under which the asked accuracy is not reached."""
+        asked = self.nominal.accuracy.displacement
         if got > 1.1 * asked and not self._warned:
             self._warned = True
             warnings.warn(
@@ -227,9 +243,3 @@ def on_grid(body: Body, grid: Sites, half_mm: float, key: str) -> Rectangles:
         raise RecipeError(f"{key}: some lie outside the sensing surface; reduce columns, rows or pitch_mm")
     half = np.full((len(points), 2), half_mm)
     return Rectangles(centre_mm=points, frames=body.frames(points), half_mm=half, force_n=np.zeros((len(points), 3)))
-
-
-def _compliance(scene: Scene, level: Literal["standard", "nominal"], progress: Progress | None) -> Compliance:
-    from twin.world.compliance import Compliance
-
-    return Compliance(scene.body, scene.material, level=level, progress=progress)

@@ -4,8 +4,12 @@ A body is factored once, at the first load that needs it; every further press, m
 product. The default method is the half-space field of the load in closed form plus the smooth rest of the finite body
 (`twin.world.correction`); ``direct`` is plain Taylor-Hood, kept as an independent check.
 
+Errors are told twice: `Compliance.expected_error` before anything is solved, from the load's place, which is what a
+mesh is chosen by (`twin.world.ladder`); and `Compliance.error_estimate` afterwards, from the difference to the next
+coarser level's answer.
+
 Validity: linear elasticity, small strain, quasi-static. The rest is smooth on the scale of the mesh; loads nearer to
-a free edge than an element are less accurate, which `Compliance.error_estimate` says.
+a free edge than an element are less accurate, which both say.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,9 +33,11 @@ from twin.world.direct import consistent_forces
 from twin.world.fem import TaylorHood
 from twin.world.interpolate import Locator, Places, require_inside
 from twin.world.mesh import Level, Mesh, Progress, body_mesh
+from twin.world.sizing import WORLD
 from twin.world.solve import Solver
 from twin.world.spread import Region, patch_rests, single, worth_a_region
-from twin.world.table import Table, TableAtNu, shipped_table
+from twin.world.table import Basis, Table, TableAtNu
+from twin.world.tabulate import Role, find_table, table_level
 from twin.world.tile import ON_SURFACE_MM
 
 Method = Literal["subtracted", "direct"]
@@ -42,22 +48,36 @@ REMEMBERED = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Expected:
-    """Displacement error over largest displacement: far inside, a fifth of the body's height from an edge, at most."""
+    """Displacement error over largest displacement: far inside, a fifth of the body's height from an edge, at most.
+
+    ``trust`` is the largest share of the difference to the next coarser level that was this level's own error.
+    """
 
     inside: float
     at_fifth: float
     power: float
     most: float
+    trust: float
 
 
-EXPECTED = {
-    (True, "standard"): Expected(inside=6e-4, at_fifth=0.026, power=3.5, most=0.1),
-    (True, "nominal"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14),
-    (False, "standard"): Expected(inside=5e-3, at_fifth=0.02, power=1.5, most=0.06),
-    (False, "nominal"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09),
+EXPECTED: dict[tuple[bool, Level], Expected] = {
+    (True, "fine"): Expected(inside=2.5e-4, at_fifth=0.015, power=3.5, most=0.08, trust=0.5),
+    (True, "standard"): Expected(inside=6e-4, at_fifth=0.026, power=3.5, most=0.1, trust=0.8),
+    (True, "coarse"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.2),
+    (True, "nominal"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.2),
+    (True, "sketch"): Expected(inside=4e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.0),
+    (False, "fine"): Expected(inside=2e-3, at_fifth=0.012, power=1.5, most=0.04, trust=0.45),
+    (False, "standard"): Expected(inside=5e-3, at_fifth=0.02, power=1.5, most=0.06, trust=0.9),
+    (False, "coarse"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09, trust=1.6),
+    (False, "nominal"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09, trust=1.6),
+    (False, "sketch"): Expected(inside=1.5e-2, at_fifth=0.06, power=1.5, most=0.2, trust=1.0),
 }
 """By whether the body is a block, and by mesh: inside from independent converged solutions (repeated by
 ``benchmarks/elasticity.py``), near edges from mirrored loads and from the two meshes' difference."""
+
+UNSEEN = {True: 4e-5, False: 4e-4}
+"""Error that two levels share, and so can't tell (a block's, another body's): of cutting a load into rectangles, and of
+the solutions that the estimate was checked against."""
 
 
 class Compliance:
@@ -76,7 +96,7 @@ class Compliance:
     solver
         See `twin.world.solve.Factor`.
     table
-        Whether the shipped table of the standard block may replace solves.
+        Whether a table of the body, shipped or cached, may replace solves; a given mesh has none.
     progress
         Told when a mesh has to be made.
     """
@@ -104,6 +124,7 @@ class Compliance:
         self._use_table = table
         self._fields: dict[str, Floats] = {}
         self._places: dict[str, Places] = {}
+        self._bases: dict[str, Basis] = {}
         self._region: Region | None = None
 
     @cached_property
@@ -127,16 +148,51 @@ class Compliance:
 
     @cached_property
     def _table(self) -> Table | None:
-        return shipped_table(self.body, self.level, self._given_mesh) if self._use_table else None
+        return self._tabled("nominal" if self.level == "nominal" else "truth")
 
     @cached_property
     def _table_at_nu(self) -> TableAtNu | None:
         return self._table.at(self.material.poisson_ratio) if self._table else None
 
+    @cached_property
+    def _check_at_nu(self) -> TableAtNu | None:
+        check = self._tabled("check")
+        return check.at(self.material.poisson_ratio) if check else None
+
+    def _tabled(self, role: Role, make: bool = False) -> Table | None:
+        if not self._use_table or self._given_mesh is not None or not self._subtracted:
+            return None
+        return find_table(self.body, role, make=make, solver=self._solver, progress=self._progress)
+
     def _table_for(self, points: Points, load: Rectangles) -> TableAtNu | None:
-        if self._subtracted and self._table and self._table.covers(points, load, self.material.poisson_ratio):
+        if self._table and self._table.covers(points, load, self.material.poisson_ratio):
             return self._table_at_nu
         return None
+
+    def make_table(self) -> None:
+        """Make, and keep in the cache, the tables of a block that has none: some seconds for all loads ever after."""
+        if self._table is None and isinstance(self.body, Block) and self.level != "nominal":
+            self._tabled("check", make=True)
+            self.__dict__["_table"] = self._tabled("truth", make=True)
+            for name in ("_table_at_nu", "_check_at_nu"):
+                self.__dict__.pop(name, None)
+
+    @cached_property
+    def coarser(self) -> Compliance | None:
+        """The same body on the next coarser level, by whose answer the error is estimated; None below the coarsest."""
+        level: Level = "coarse" if self.level == "nominal" else self.level
+        rank = WORLD.index(level)
+        if rank == 0 or self._given_mesh is not None:
+            return None
+        return Compliance(
+            self.body,
+            self.material,
+            level=WORLD[rank - 1],
+            method=self.method,
+            solver=self._solver,
+            table=False,
+            progress=self._progress,
+        )
 
     def displacement(self, points: Points, load: Rectangles) -> Points:
         """Return the (n, 3) displacement in mm of ``points`` (n, 3) in the body under ``load``.
@@ -153,10 +209,14 @@ class Compliance:
         points = self._checked(points, load)
         if len(points) == 0 or not np.any(load.force_n):
             return np.zeros_like(points)
-        table = self._table_for(points, load)
-        rest = table.displacement(points, load) if table else self._place(points).values(self._field(load))
-        rest = rest / self._modulus
+        rest = self._rest(points, load)
         return rest + halfspace.displacement(points, load, *self._rubber) if self._subtracted else rest
+
+    def _rest(self, points: Points, load: Rectangles) -> Points:
+        """Return (n, 3) what the half-space lacks, mm; everything with the direct method."""
+        if table := self._table_for(points, load):
+            return table.displacement(self._basis(table, points), load) / self._modulus
+        return self._place(points).values(self._field(load)) / self._modulus
 
     def gradient(self, points: Points, load: Rectangles) -> Floats:
         """Return (n, 3, 3) du_i/dx_j at ``points`` (n, 3): strain and turn. Raises like `displacement`."""
@@ -164,7 +224,10 @@ class Compliance:
         if len(points) == 0 or not np.any(load.force_n):
             return np.zeros((len(points), 3, 3))
         table = self._table_for(points, load)
-        rest = table.gradient(points, load) if table else self._place(points).gradients(self._field(load))
+        if table:
+            rest = table.gradient(self._basis(table, points), load)
+        else:
+            rest = self._place(points).gradients(self._field(load))
         rest = rest / self._modulus
         return rest + halfspace.gradient(points, load, *self._rubber) if self._subtracted else rest
 
@@ -179,8 +242,10 @@ class Compliance:
             return np.zeros(shape)
         if not self._subtracted:
             return self._direct(self._place(points), rectangles).reshape(shape)
+        if worth_a_region(rectangles):
+            self.make_table()
         if table := self._table_for(points, rectangles):
-            rest = table.rests(points, rectangles).reshape(shape)
+            rest = table.rests(self._basis(table, points), rectangles).reshape(shape)
         else:
             rest = self._solved_rests(self._place(points), rectangles).reshape(shape)
         return np.asarray(halfspace.compliance(points, rectangles, *self._rubber) + rest / self._modulus)
@@ -207,7 +272,33 @@ class Compliance:
         self.asymmetry = float(np.max(np.abs(matrix - matrix.T), initial=0.0)) / largest if largest else 0.0
         return np.asarray((matrix + matrix.T) / 2.0)
 
-    def error_estimate(self, load: Rectangles) -> float:
+    def error_estimate(self, points: Points, load: Rectangles) -> float:
+        """Return the estimated largest error of `displacement` at ``points`` over the largest displacement there.
+
+        A share of the difference to the coarser level's answer (or to the check table's), `Expected.trust`, plus what
+        both share, `UNSEEN`: on all reference cases the estimate is one to three times the true error.
+
+        Validity: the law of `expected_error` where there is no coarser level. Raises like `displacement`.
+        """
+        points = self._checked(points, load)
+        if len(points) == 0 or not np.any(load.force_n):
+            return 0.0
+        moved = float(np.linalg.norm(self.displacement(points, load), axis=1).max())
+        level = self.level
+        if self._table_for(points, load):
+            if self._check_at_nu is None or level == "nominal":
+                return self.expected_error(load)
+            level = table_level(self.body, "truth")
+            other = self._check_at_nu.displacement(self._basis(self._check_at_nu, points), load) / self._modulus
+        elif self.coarser is not None:
+            other = self.coarser._rest(points, load)
+        else:
+            return self.expected_error(load)
+        flat = isinstance(self.body, Block)
+        differ = float(np.linalg.norm(self._rest(points, load) - other, axis=1).max()) / moved
+        return EXPECTED[flat, level].trust * differ + UNSEEN[flat]
+
+    def expected_error(self, load: Rectangles) -> float:
         """Return the largest displacement error over the largest displacement to be expected 0.3 mm deep and deeper.
 
         The mean over the load's force of a law in the distance d to the nearest other face: constant far from it, then
@@ -260,6 +351,13 @@ class Compliance:
             )
         return points
 
+    def _basis(self, table: TableAtNu, points: Points) -> Basis:
+        key = _digest(points)
+        if key not in self._bases:
+            _make_room(self._bases)
+            self._bases[key] = table.basis(points)
+        return self._bases[key]
+
     def _place(self, points: Points) -> Places:
         key = _digest(points)
         if key not in self._places:
@@ -301,6 +399,6 @@ def _digest(*arrays: Floats) -> str:
     return sha.hexdigest()
 
 
-def _make_room(memory: dict[str, Floats] | dict[str, Places]) -> None:
+def _make_room(memory: dict[str, Any]) -> None:
     while len(memory) >= REMEMBERED:
         memory.pop(next(iter(memory)))

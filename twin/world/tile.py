@@ -18,7 +18,7 @@ from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles, Traction
 
-STRIPS = 64
+STRIPS = 128
 """Strips across a flat disk."""
 
 ACROSS, WIDEST_MM = {"rectangle": 24, "disk": 40, "twist": 40, "bump": 20}, 0.2
