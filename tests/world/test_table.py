@@ -11,8 +11,18 @@ from twin.places import MESHES
 from twin.world.compliance import Compliance
 from twin.world.mesh import Mesh, read_mesh
 from twin.world.solve import factorisations
-from twin.world.tabulate import ROLES, STANDARD, cached_path, find_table, make_table, read_table, shipped_path
-from twin.world.tabulate import SHIPPED, USABLE, write_table
+from twin.world.tabulate import (
+    ROLES,
+    SHIPPED,
+    STANDARD,
+    USABLE,
+    cached_path,
+    find_table,
+    make_table,
+    read_table,
+    shipped_path,
+    write_table,
+)
 from twin.world.tile import tile
 
 LOADS = (
