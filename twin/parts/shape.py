@@ -69,6 +69,10 @@ class Body(Part):
         """Whether the body lies behind every tangent plane of its surface, as all the parametric ones do."""
         return True
 
+    def stands_out(self, points: Points, normals: Floats) -> Floats:
+        """Return (n,) how far the body reaches over planes through ``points`` (n, 3) with inward ``normals``, mm."""
+        return np.zeros(len(points))
+
     @property
     def own_surface(self) -> tuple[Points, Ints] | None:
         """Vertices (n, 3) and outward triangles (m, 3) of a body given by them; None where formulas give it."""

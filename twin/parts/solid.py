@@ -230,6 +230,12 @@ class Solid(Body):
     def is_convex(self) -> bool:
         return self._pieces.is_convex
 
+    def stands_out(self, points: Points, normals: Floats) -> Floats:
+        if self.is_convex:
+            return np.zeros(len(points))
+        height = self._pieces.hull_vertices @ normals.T - np.einsum("ni,ni->n", points, normals)
+        return np.asarray(np.maximum(-height.min(axis=0), 0.0))
+
     @property
     def own_surface(self) -> tuple[Points, Ints] | None:
         return self._surface.vertices, self._surface.triangles

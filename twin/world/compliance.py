@@ -31,6 +31,7 @@ from twin.theory.halfspace_kernels import GAUSS_2
 from twin.world.correction import correction
 from twin.world.direct import consistent_forces
 from twin.world.fem import TaylorHood
+from twin.world.half_space import require_half_space
 from twin.world.interpolate import Locator, Places, require_inside
 from twin.world.mesh import Level, Mesh, Progress, body_mesh
 from twin.world.sizing import WORLD
@@ -349,6 +350,8 @@ class Compliance:
                 f"rectangle {first} at ({place}) mm is not on the sensing surface (allowed {ON_SURFACE_MM:g} mm off): "
                 "the load would miss the body"
             )
+        if self._subtracted:
+            require_half_space(self.body, load)
         return points
 
     def _basis(self, table: TableAtNu, points: Points) -> Basis:
