@@ -37,6 +37,7 @@ from twin.world.mesh import Level, Mesh, Progress, body_mesh
 from twin.world.sizing import WORLD
 from twin.world.solve import Solver
 from twin.world.spread import Region, patch_rests, single, worth_a_region
+from twin.world.store import field_key, kept
 from twin.world.table import Basis, Table, TableAtNu
 from twin.world.tabulate import Role, find_table, table_level
 from twin.world.tile import ON_SURFACE_MM
@@ -370,15 +371,20 @@ class Compliance:
 
     def _field(self, load: Rectangles) -> Floats:
         """Return the nodal field (N, 3) for E = 1 MPa: the rest, or everything with the direct method."""
-        key = _digest(load.centre_mm, load.frames, load.half_mm, load.force_n)
+        parts = (load.centre_mm, load.frames, load.half_mm, load.force_n)
+        key = _digest(*parts)
         if key not in self._fields:
             _make_room(self._fields)
-            if self._subtracted:
-                self._fields[key] = correction(self.system, self.body, [load])[:, :, 0]
-            else:
-                forces = consistent_forces(self.body, self.mesh, self._locator, load)
-                self._fields[key] = self.system.solve(forces[:, :, None])[:, :, 0]
+            self._fields[key] = kept(
+                field_key(self.system, self.body, *parts, np.array(self._subtracted)), lambda: self._solve(load)
+            )
         return self._fields[key]
+
+    def _solve(self, load: Rectangles) -> Floats:
+        if self._subtracted:
+            return correction(self.system, self.body, [load])[:, :, 0]
+        forces = consistent_forces(self.body, self.mesh, self._locator, load)
+        return self.system.solve(forces[:, :, None])[:, :, 0]
 
     def _direct(self, places: Places, rectangles: Rectangles) -> Floats:
         nodes, count = len(self.mesh.points), len(rectangles)

@@ -2,7 +2,8 @@
 
 Where a patch is moved within a contact, its rest w changes smoothly; so w is solved for probe patches at the nodes of
 a Chebyshev grid over the region, and interpolated in the patch's place, the force being held in the patch's own frame.
-A region is kept: the next grid of the same press, or the next step of its path, costs products only.
+A region is kept, in memory and on disk: the next grid of the same press, the next step of its path, or the same press
+in another run costs products only. Its place and size are rounded, so that presses near each other share it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from twin.parts.load import Rectangles, Traction
 from twin.world.correction import correction
 from twin.world.fem import TaylorHood
 from twin.world.interpolate import Places
+from twin.world.store import field_key, kept
 from twin.world.tile import onto_surface
 
 GRAIN_MM = 1.2
@@ -32,6 +34,9 @@ ROOM = 0.3
 
 PROBE_GOAL = 1e-6
 """Relative residual that is enough for what is interpolated to a few parts in a thousand: it saves the refinement."""
+
+SNAP_MM, SNAP_SIZE = 0.5, 1.1
+"""Grid to which a region's place and ends are rounded, and ratio to whose powers its patches' sizes are."""
 
 BATCH = 32
 """Patches per block of right-hand sides, which bounds the memory."""
@@ -54,20 +59,25 @@ class Region:
     """
 
     def __init__(self, system: TaylorHood, body: Body, rectangles: Rectangles) -> None:
-        centre = rectangles.centre_mm.mean(axis=0)
-        centre = centre - body.depth(centre[None])[0] * body.piece_normals(centre[None])[0, 0]
-        self._centre, self._frame, self._system = centre, body.frames(centre[None])[0], system
+        chart = body.chart_of(rectangles.centre_mm.mean(axis=0)[None])
+        centre = body.chart_points(np.round(chart / SNAP_MM) * SNAP_MM)
+        self._centre, self._frame, self._system = centre[0], body.frames(centre)[0], system
         offsets = self._offsets(rectangles)
         low, high = offsets.min(axis=0), offsets.max(axis=0)
         room = np.maximum(ROOM * (high - low), GRAIN_MM / 4)
-        self._low, self._high = low - room, high + room
+        self._low, self._high = SNAP_MM * np.floor((low - room) / SNAP_MM), SNAP_MM * np.ceil((high + room) / SNAP_MM)
         self._nodes = [
             (a + b) / 2 + (b - a) / 2 * chebpts1(min(3 + math.ceil((b - a) / GRAIN_MM), MOST))
             for a, b in zip(self._low, self._high, strict=True)
         ]
-        probes = self._probes(body, rectangles.half_mm.mean(axis=0))
+        half = SNAP_SIZE ** np.round(np.log(rectangles.half_mm.mean(axis=0)) / math.log(SNAP_SIZE))
+        probes = self._probes(body, half)
         axes = probes.frames.transpose(0, 2, 1)
-        self._fields = np.concatenate([field for _, field in _solved(system, body, probes, axes)], axis=2)
+        self._fields = kept(
+            field_key(system, body, probes.centre_mm, probes.half_mm),
+            lambda: np.concatenate([field for _, field in _solved(system, body, probes, axes)], axis=2),
+            single=True,
+        )
 
     def covers(self, rectangles: Rectangles) -> bool:
         """Return whether all patches lie in the region."""
