@@ -53,6 +53,17 @@ def test_a_second_process_reads_what_the_first_solved(folder):
     np.testing.assert_array_equal(again[1], first[1])
 
 
+def test_moved_markers_read_the_kept_fields_of_separate_patches(folder, monkeypatch):
+    apart = tile(Traction.rectangle((0, 0), (6.0, 6.0), (0, 0, 1)), FINGER, 2.0)
+    first, count = solves(lambda: stiff().to_points(POINTS, apart))
+    assert count == 1
+    assert solves(lambda: stiff().to_points(POINTS + 0.1, apart))[1] == 0
+    monkeypatch.setattr("twin.world.spread.KEPT_BYTES", 0)
+    again, count = solves(lambda: stiff().to_points(POINTS, apart))
+    assert count == 1
+    np.testing.assert_allclose(again, first, atol=1e-6 * np.abs(first).max())
+
+
 def test_another_load_material_or_code_is_another_field(folder, monkeypatch):
     stiff().displacement(POINTS, load())
     assert solves(lambda: stiff().displacement(POINTS, load(0.1)))[1] == 1

@@ -38,6 +38,9 @@ PROBE_GOAL = 1e-6
 SNAP_MM, SNAP_SIZE = 0.5, 1.1
 """Grid to which a region's place and ends are rounded, and ratio to whose powers its patches' sizes are."""
 
+KEPT_BYTES = 150_000_000
+"""Largest size of the solved fields of separate patches that is worth the disk."""
+
 BATCH = 32
 """Patches per block of right-hand sides, which bounds the memory."""
 
@@ -117,13 +120,20 @@ def worth_a_region(rectangles: Rectangles) -> bool:
 
 
 def patch_rests(system: TaylorHood, body: Body, places: Places, rectangles: Rectangles) -> Floats:
-    """Return (n, 3, k, 3) like `Region.rests`, every patch being solved for itself."""
-    out = np.empty((len(places.nodes), 3, len(rectangles), 3))
-    matrix = places.matrix(len(system.mesh.points))
+    """Return (n, 3, k, 3) like `Region.rests`, every patch being solved for itself; the fields are kept on disk.
+
+    Patches whose fields would fill more than `KEPT_BYTES` are solved again each time.
+    """
     axes = np.broadcast_to(np.eye(3), (len(rectangles), 3, 3))
-    for part, fields in _solved(system, body, rectangles, axes):
-        values = matrix @ fields.reshape(len(fields), -1)
-        out[:, :, part] = values.reshape(len(out), 3, -1, 3)
+    solved = _solved(system, body, rectangles, axes)
+    matrix = places.matrix(len(system.mesh.points))
+    if 4 * 9 * len(system.mesh.points) * len(rectangles) <= KEPT_BYTES:
+        key = field_key(system, body, rectangles.centre_mm, rectangles.frames, rectangles.half_mm)
+        fields = kept(key, lambda: np.concatenate([field for _, field in solved], axis=2), single=True)
+        solved = iter([(slice(None), fields)])
+    out = np.empty((len(places.nodes), 3, len(rectangles), 3))
+    for part, fields in solved:
+        out[:, :, part] = (matrix @ fields.reshape(len(fields), -1)).reshape(len(out), 3, -1, 3)
     return out
 
 
