@@ -24,7 +24,7 @@ _WELD = 1e-6
 """Corners nearer than this share of the box's diagonal are one, where exact equality leaves the surface open."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
     """A closed surface.
 
@@ -90,12 +90,20 @@ def closed_surface(corners: Floats, name: str) -> Surface:
 
 def _welded(corners: Floats, distance_mm: float) -> tuple[Points, Ints]:
     """Return vertices and triangles, corners nearer than a distance being one, collapsed triangles left out."""
-    flat = corners.reshape(-1, 3)
-    cells = np.round(flat / distance_mm) if distance_mm else flat + 0.0  # + 0.0 makes -0.0 and 0.0 the same bits
-    _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    # + 0.0 makes -0.0 and 0.0 the same bits
+    vertices, number = np.unique(corners.reshape(-1, 3) + 0.0, axis=0, return_inverse=True)
+    if distance_mm:
+        from scipy.sparse.csgraph import connected_components
+        from scipy.spatial import cKDTree
+
+        near = cKDTree(vertices).sparse_distance_matrix(cKDTree(vertices), distance_mm, output_type="coo_matrix")
+        near.data[:] = 1.0
+        _, group = connected_components(near, directed=False)
+        _, first = np.unique(group, return_index=True)
+        vertices, number = vertices[first], group[number.ravel()]
     triangles = number.reshape(-1, 3).astype(np.int64)
     kept = (np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)
-    return flat[first] + 0.0, triangles[kept]
+    return vertices, triangles[kept]
 
 
 def _directed_edges(triangles: Ints) -> Ints:

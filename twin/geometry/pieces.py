@@ -2,8 +2,8 @@
 
 Why pieces: meshes are snapped to one smooth piece at a time, and to the edges where two meet. Beyond its own border a
 piece goes on in the plane of its last triangle, as the plane or sphere of a parametric body does; without that, points
-near a sharp edge would be drawn along the edge's rounding instead of onto both pieces. Where that continuation would
-cut into a body with dents, the plain distance is taken instead.
+near a sharp edge would be drawn along the edge's rounding instead of onto both pieces. In a body with dents such a
+plane may cut through the body's other parts, so inside it the plain distance is taken.
 
 The side of the surface comes from normals averaged by angle over the nearest corner or edge (J. A. Baerentzen, H.
 Aanaes, 2005), which is right for every closed surface.
@@ -106,7 +106,7 @@ class Pieces:
         shape = (len(points), self.count)
         distance, normal = np.empty(shape), np.empty((*shape, 3))
         plain, towards = np.empty(shape), np.empty((*shape, 3))
-        beyond, within = np.zeros(shape, bool), np.empty(shape, bool)
+        within = np.empty(shape, bool)
         for k in range(self.count):
             if self.is_convex and k in self.planes:
                 origin, inward = self.planes[k]
@@ -120,20 +120,20 @@ class Pieces:
             outward = self._outward[triangle, feature]
             within[:, k] = np.einsum("ni,ni->n", away, outward) <= 0.0
             side = np.where(within[:, k], 1.0, -1.0)
-            beyond[:, k] = self._border[triangle, feature]
-            inward = -np.where(beyond[:, k, None], self._outward[triangle, FACE], outward)
+            beyond = self._border[triangle, feature]
+            inward = -np.where(beyond[:, None], self._outward[triangle, FACE], outward)
             on_plane = np.einsum("ni,ni->n", away, inward)
-            distance[:, k] = np.where(beyond[:, k], on_plane, side * plain[:, k])
+            distance[:, k] = np.where(beyond, on_plane, side * plain[:, k])
             clear = plain[:, k] > _TOUCHING_MM
             towards[:, k] = away / np.where(clear, plain[:, k], 1.0)[:, None]
-            plain_way = clear & ~beyond[:, k]
+            plain_way = clear & ~beyond
             normal[:, k] = np.where(plain_way[:, None], side[:, None] * towards[:, k], inward)
         if not self.is_convex:
             row, first = np.arange(len(points)), np.argmin(plain, axis=1)
             depth = np.where(within[row, first], 1.0, -1.0) * plain[row, first]
-            cuts_in = beyond & (distance < np.minimum(depth, 0.0)[:, None] - _TOUCHING_MM)
-            distance = np.where(cuts_in, plain, distance)
-            normal = np.where(cuts_in[:, :, None], towards, normal)
+            far_away = (depth[:, None] > _TOUCHING_MM) | (distance < depth[:, None] - _TOUCHING_MM)
+            distance = np.where(far_away, plain, distance)
+            normal = np.where(far_away[:, :, None] & (plain > _TOUCHING_MM)[:, :, None], towards, normal)
         return distance, normal
 
     def from_below(self, xy: Floats, preferred: int = 0) -> tuple[Ints, Points]:

@@ -194,33 +194,31 @@ class Solid(Body):
         return Surface(vertices=moved, triangles=read.triangles, volume_mm3=read.volume_mm3)
 
     @cached_property
-    def _numbered(self) -> tuple[Ints, int]:
-        """(m,) piece of every triangle: sensing, smooth parts of the free sides and of what is held; the first held."""
-        from twin.geometry.pieces import smooth_parts
+    def _pieces(self) -> Pieces:
+        """Triangles by piece: sensing, the smooth parts of the free sides, then those of what is held."""
+        from twin.geometry.pieces import Pieces, smooth_parts
 
         corners = self._surface.vertices[self._surface.triangles]
         held, sensing = self.held.picks(corners), self.sensing.picks(corners)
         free = smooth_parts(self._surface, ~held & ~sensing, CREASE_DEG)
-        first_held = int(free.max()) + 2
         fixed = smooth_parts(self._surface, held, CREASE_DEG)
-        return np.where(sensing, 0, np.where(held, first_held + fixed, 1 + free)), first_held
+        number = np.where(held, int(free.max()) + 2 + fixed, 1 + free)
+        return Pieces(self._surface, np.where(sensing, 0, number))
 
     @cached_property
-    def _pieces(self) -> Pieces:
-        from twin.geometry.pieces import Pieces
-
-        return Pieces(self._surface, self._numbered[0])
+    def _first_held(self) -> int:
+        held = self.held.picks(self._surface.vertices[self._surface.triangles])
+        return int(self._pieces.piece[held].min())
 
     @property
     def pieces(self) -> tuple[str, ...]:
-        first_held = self._numbered[1]
-        sides = [f"side_{k}" for k in range(1, first_held)]
-        held = [f"held_{k}" for k in range(1, self._pieces.count - first_held)]
+        sides = [f"side_{k}" for k in range(1, self._first_held)]
+        held = [f"held_{k}" for k in range(1, self._pieces.count - self._first_held)]
         return ("sensing", *sides, *held, "held")
 
     @property
     def held_pieces(self) -> tuple[int, ...]:
-        return tuple(range(self._numbered[1], self._pieces.count))
+        return tuple(range(self._first_held, self._pieces.count))
 
     @property
     def is_flat(self) -> bool:
@@ -242,7 +240,7 @@ class Solid(Body):
 
     @property
     def own_rim(self) -> Floats | None:
-        return self._pieces.edges(np.arange(self._pieces.count) >= self._numbered[1])
+        return self._pieces.edges(np.arange(self._pieces.count) >= self._first_held)
 
     def geometry(self) -> dict[str, Any]:
         regions = {name: getattr(self, name).model_dump(exclude_defaults=True) for name in ("held", "sensing")}

@@ -1,0 +1,157 @@
+"""Solids: regions, the origin, charts, keys that follow the content, and every refusal of a recipe."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from stl_shapes import HELD_ABOVE, SENSING_BELOW, box, bracket, solid_box, solid_bracket, solid_dome, write_stl
+
+from twin.errors import RecipeError
+from twin.parts.body import Solid
+from twin.study.recipe import dump_scene, load_scene, validate_scene
+from twin.world.mesh import mesh_key
+from twin.world.sizing import default_sizing, rim_points
+
+RECIPE = """
+[body]
+shape = "solid"
+file = "shapes/box.stl"
+
+[body.held]
+plane = {point_mm = [0, 0, 10], normal = [0, 0, 1], within_mm = 0.1}
+
+[body.sensing]
+normal = [0, 0, -1]
+within_deg = 60
+"""
+SCENE = '[body]\nrecipe = "thing.toml"\n\n[material]\nyoungs_modulus_mpa = 1.0\n'
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    (tmp_path / "shapes").mkdir()
+    write_stl(tmp_path / "shapes" / "box.stl", box(30, 20, 10))
+    (tmp_path / "thing.toml").write_text(RECIPE)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    return tmp_path / "scene.toml"
+
+
+def test_the_file_is_found_beside_the_recipe_and_its_digest_goes_with_the_scene(scene_file, tmp_path):
+    scene = load_scene(scene_file)
+    assert scene.body.file == str(tmp_path / "shapes" / "box.stl")
+    assert len(scene.body.sha256) == 64
+    (tmp_path / "again.toml").write_text(dump_scene(scene))
+    assert load_scene(tmp_path / "again.toml") == scene
+    write_stl(tmp_path / "shapes" / "box.stl", box(30, 20, 10.5))
+    with pytest.raises(RecipeError, match="the file was changed"):
+        load_scene(tmp_path / "again.toml")
+
+
+def test_keys_follow_the_content_and_not_the_place(tmp_path):
+    (tmp_path / "other").mkdir()
+    one = solid_box(tmp_path, 30, 20, 10)
+    moved = one.model_dump() | {"file": str(shutil.copy(one.file, tmp_path / "other" / "moved.stl"))}
+    sizing = default_sizing(one, "coarse")
+    assert mesh_key(one, sizing) == mesh_key(Solid(**moved), sizing)
+    assert mesh_key(one, sizing) != mesh_key(solid_box(tmp_path / "other", 30, 20, 10.1), sizing)
+    narrow = one.model_dump() | {"sensing": SENSING_BELOW | {"within_deg": 20}}
+    assert mesh_key(one, sizing) != mesh_key(Solid(**narrow), sizing)
+
+
+@pytest.mark.parametrize(
+    "held",
+    [
+        {"plane": {"point_mm": (3, 4, 10), "normal": (0, 0, 2)}},
+        {"box": {"low_mm": (-20, -20, 9.9), "high_mm": (20, 20, 10.1)}},
+        {"normal": (0, 0, 1), "within_deg": 1},
+        {"normal": (0, 0, 1), "plane": {"point_mm": (0, 0, 9.5), "normal": (0, 0, 1), "within_mm": 0.6}},
+    ],
+)
+def test_a_region_is_picked_by_plane_box_or_normal(tmp_path, held):
+    file = write_stl(tmp_path / "box.stl", box(30, 20, 10))
+    solid = Solid(file=str(file), held=held, sensing=SENSING_BELOW)
+    assert solid.pieces == ("sensing", "side_1", "side_2", "side_3", "side_4", "held")
+    assert solid.held_pieces == (5,)
+    np.testing.assert_allclose(solid.piece_distances(np.array([[1.0, 2, 3]]))[0, [0, 5]], [3, 7])
+
+
+def test_what_is_held_may_have_edges(tmp_path):
+    file = write_stl(tmp_path / "box.stl", box(30, 20, 10))
+    clamp = {"box": {"low_mm": (-16, -11, -1), "high_mm": (-14, 11, 11)}}
+    solid = Solid(file=str(file), held=clamp, sensing=SENSING_BELOW)
+    assert [solid.pieces[k] for k in solid.held_pieces] == ["held"]
+    both = Solid(**solid.model_dump() | {"held": {"normal": (-1, 0, 1), "within_deg": 50}})
+    assert [both.pieces[k] for k in both.held_pieces] == ["held_1", "held"]
+    rim = rim_points(both, 0.5)
+    np.testing.assert_allclose(both.piece_distances(rim)[:, list(both.held_pieces)].min(axis=1), 0, atol=1e-9)
+    free = [k for k in range(len(both.pieces)) if k not in both.held_pieces]
+    np.testing.assert_allclose(both.piece_distances(rim)[:, free].min(axis=1), 0, atol=1e-9)
+
+
+FITS = {"held": HELD_ABOVE, "sensing": SENSING_BELOW}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"held": {"normal": (0, 1, 1), "within_deg": 10}}, "held: no triangle of the 12"),
+        ({"sensing": {"plane": {"point_mm": (0, 0, 1), "normal": (0, 0, -1)}}}, "sensing: no triangle"),
+        ({"sensing": {"normal": (0, 0, 1)}}, "2 triangles are in both"),
+        ({"held": {}}, "at least one of plane, box and normal"),
+        ({"held": {"normal": (0, 0, 0)}}, r"normal must not be \(0, 0, 0\)"),
+        ({"held": {"normal": (0, 0, 1), "within_deg": 270}}, "within_deg"),
+        ({"origin_mm": (0, 0, 2)}, "met at z = -2 mm"),
+        ({"origin_mm": (40, 0, 0)}, "not met there"),
+        ({"sha256": "ab"}, "sha256"),
+        ({"file": "nowhere.stl"}, "nowhere.stl: can't be read"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_a_recipe_that_does_not_fit_is_refused(tmp_path, change, words):
+    file = write_stl(tmp_path / "box.stl", box(30, 20, 10))
+    with pytest.raises(RecipeError, match=words):
+        Solid(**{"file": str(file), **FITS, **change})
+
+
+def test_every_problem_of_a_scene_is_told_with_its_key(scene_file):
+    table = {"body": {"shape": "solid", "file": str(scene_file), "held": {"normal": [0, 0, 1]}}, "material": {}}
+    with pytest.raises(RecipeError) as problem:
+        validate_scene(table, "scene.toml")
+    said = str(problem.value)
+    assert "body.file = " in said
+    assert "no STL" in said
+    assert "body.sensing: missing" in said
+
+
+def test_the_origin_moves_the_body(tmp_path):
+    file = write_stl(tmp_path / "box.stl", box(30, 20, 10) + np.array([100.0, 50, 7]))
+    solid = Solid(file=str(file), origin_mm=(95, 50, 7), **FITS)
+    assert solid.bounds_mm == ((-10, -10, 0), (20, 10, 10))
+    np.testing.assert_allclose(solid.surface_from_above(np.array([[19.0, 9]])), [[19, 9, 0]], atol=1e-12)
+    assert np.isnan(solid.surface_from_above(np.array([[21.0, 9]]))[0, 2])
+
+
+def test_the_chart_is_x_and_y_at_every_depth(tmp_path):
+    solid, dome = solid_dome(tmp_path, 1.0)
+    chart = np.random.default_rng(1).uniform(-5, 5, (200, 2))
+    points = solid.chart_points(chart, 1.3)
+    np.testing.assert_allclose(solid.depth(points), 1.3, atol=1e-9)
+    np.testing.assert_allclose(solid.chart_of(points), chart, atol=1e-12)
+    assert np.abs(dome.depth(points) - 1.3).max() < 0.03
+    assert not solid.contains(solid.chart_points(np.array([[12.0, 0]]), 1.0)).any()
+    frames = solid.frames(solid.chart_points(chart))
+    np.testing.assert_allclose(np.linalg.det(frames), 1)
+    assert (frames[:, 2, 2] > 0).all()
+
+
+def test_only_the_sensing_surface_is_met_from_above(tmp_path):
+    solid = solid_bracket(tmp_path)
+    np.testing.assert_allclose(solid.surface_from_above(np.array([[5.0, 0], [-5, 4]]))[:, 2], 0, atol=1e-12)
+    leg = {"plane": {"point_mm": (0, 0, 12), "normal": (0, 0, 1)}}
+    turned = bracket() * np.array([1.0, 1, -1])
+    file = write_stl(tmp_path / "turned.stl", turned[:, ::-1] + np.array([0, 0, 12.0]))
+    upside_down = Solid(file=str(file), origin_mm=(-3, 0, 0), held=leg, sensing=SENSING_BELOW)
+    heights = upside_down.surface_from_above(np.array([[0.0, 0], [8, 0]]))[:, 2]
+    np.testing.assert_allclose(heights, [0, 8], atol=1e-12)
