@@ -30,6 +30,7 @@ from twin.errors import InputError
 from twin.world.elements import tet_quadrature, tet_shapes
 from twin.world.mesh import Mesh
 from twin.world.solve import GOAL, Factor, Solver
+from twin.world.soundness import require_finite, require_solvable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,6 +146,7 @@ class TaylorHood:
     @cached_property
     def factor(self) -> Factor:
         """The factored system of the free unknowns."""
+        require_solvable(self.mesh, self.held)
         tenths = np.repeat(_volumes(self.mesh) / 10.0 * 0.5 / self._shear, 4)
         schur = np.bincount(self._pressure.ravel(), tenths)
         scale = np.concatenate([np.zeros(3 * len(self.mesh.points)), schur])
@@ -172,8 +174,10 @@ class TaylorHood:
 
         Raises
         ------
-        SolveError
-            See `twin.world.solve.Factor.solve`.
+        MeshError, SolveError
+            See `twin.world.soundness.require_solvable` and `twin.world.solve.Factor.solve`.
+        InputError
+            A force or a given displacement is not finite.
         """
         return self._solve(force, held_to, goal, dilation)[: 3 * len(self.mesh.points)].reshape(force.shape)
 
@@ -181,12 +185,14 @@ class TaylorHood:
         self, force: Floats, held_to: Floats | None = None, goal: float = GOAL, dilation: Floats | None = None
     ) -> Floats:
         nodes, columns = len(self.mesh.points), force.shape[2]
+        require_finite(self.mesh, force, "force", "N")
         right = np.zeros((3 * nodes + self.pressures, columns))
         right[: 3 * nodes] = force.reshape(3 * nodes, columns)
         if dilation is not None:
             right[3 * nodes :] = dilation
         solution = np.zeros_like(right)
         if held_to is not None:
+            require_finite(self.mesh, held_to, "given displacement", "mm")
             solution[: 3 * nodes] = np.where(self.held[:, None, None], held_to, 0.0).reshape(3 * nodes, columns)
             right -= self._matrix @ solution
         solution[self._free] = self.factor.solve(right[self._free], goal)

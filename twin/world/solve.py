@@ -34,6 +34,10 @@ ROUNDING = 1e-4
 """Weight of the solution beside the right-hand side in the relative residual: where layers differ a million times in
 stiffness the solution is a million times longer, and round-off alone leaves more than the limit of the right side."""
 
+LENIENCE = 1e3
+"""How many times the residual may exceed its limit for a long solution at most: beyond it load and answer are no more
+in balance to a millionth. Without this bound a body that can drift is "solved" to 1e14 mm."""
+
 _count = {"factorisations": 0}
 
 
@@ -106,10 +110,12 @@ class Factor:
             The relative residual stays above 1e-9, or the goal if that is larger, after refinement.
         """
         columns = self._root[:, None] * right.reshape(len(right), -1)
-        size = np.linalg.norm(columns, axis=0)
+        size = np.max(np.abs(columns), axis=0, initial=0.0)
         if not np.all(np.isfinite(size)):
             raise SolveError("the right-hand side of the elastic system is not finite: check the load")
-        columns = columns / np.where(size > 0.0, size, 1.0)
+        columns = columns / np.where(size > 0.0, size, 1.0)  # first, so that squares in the norm don't leave the range
+        length = np.linalg.norm(columns, axis=0)
+        columns = columns / np.where(length > 0.0, length, 1.0)
         solution = self._apply(columns)
         remainder = columns - self._matrix @ solution
         worst = _worst(remainder, solution)
@@ -126,9 +132,9 @@ class Factor:
         if not worst <= allowed:
             raise SolveError(
                 f"the elastic system was solved to a relative residual of {worst:.1e} only, allowed is {allowed:.0e}: "
-                "the body may be held nowhere, or the mesh may have degenerate elements"
+                + _cause(solution)
             )
-        result: Floats = (self._root[:, None] * solution * size).reshape(right.shape)
+        result: Floats = (self._root[:, None] * solution * length * size).reshape(right.shape)
         return result
 
 
@@ -136,9 +142,23 @@ def _worst(remainder: Floats, solution: Floats) -> float:
     """Return the largest relative residual of scaled systems whose right sides and matrix have norms of about 1."""
     if remainder.shape[1] == 0:
         return 0.0
-    size = 1.0 + ROUNDING * np.linalg.norm(solution, axis=0)
+    size = np.minimum(1.0 + ROUNDING * np.linalg.norm(solution, axis=0), LENIENCE)
     largest = float(np.max(np.linalg.norm(remainder, axis=0) / size))
     return largest if np.isfinite(largest) else np.inf
+
+
+def _cause(solution: Floats) -> str:
+    """Say why a scaled system was likely not solved: with right sides of norm 1 a sound body's solution is short."""
+    length = float(np.max(np.linalg.norm(solution, axis=0)))
+    if not length < LENIENCE / ROUNDING:
+        return (
+            f"some motion takes {length:.0e} times less force than others, so a part of the body is likely not held, "
+            "or hangs on a single node or edge, or layers differ too much in stiffness (1e7 times still work)"
+        )
+    return (
+        "an incompressible body that is held all round was likely given a motion that changes its volume, or elements "
+        "are nearly flat"
+    )
 
 
 def _dissection(matrix: Any, node: Ints) -> Ints:
