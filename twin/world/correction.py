@@ -2,6 +2,9 @@
 
 Why: a load's field is steep near the load, where the closed form knows it exactly; what a finite body adds is smooth
 and needs few elements. 7 000 unknowns with the subtraction beat 50 000 without it.
+
+Under a cover of another modulus the half-space is made of the cover, so that w is smooth where the load is. At the
+interface, a cover's thickness below, w must turn the cover's field into the body's: there it is as steep as the field.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from twin.arrays import Floats
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
+from twin.world.dilation import dilation
 from twin.world.fem import TaylorHood
 from twin.world.residual import nodal_forces
 from twin.world.solve import GOAL
@@ -44,11 +48,17 @@ def correction(
     SolveError
         See `twin.world.solve.Factor.solve`.
     """
-    mesh, nu = system.mesh, system.poisson_ratio
-    forces, held = [], []
+    mesh, top = system.mesh, system.under_load
+    shares = np.array([of.shear_ratio / top.shear_ratio for of in system.made_of])
+    swelling = (top.softness - shares * [of.softness for of in system.made_of])[mesh.region]
+    forces, held, swollen = [], [], []
     for load, cases in zip(loads, columns or [load.force_n[:, :, None] for load in loads], strict=True):
-        forces.append(nodal_forces(mesh, body, load, cases, nu))
-        moved = halfspace.compliance(mesh.points[system.held], load, 1.0, nu) @ cases.reshape(-1, cases.shape[2])
+        forces.append(nodal_forces(mesh, body, load, cases, top.poisson_ratio, shares))
+        swollen.append(dilation(mesh, system.pressure, swelling, load, cases, top.poisson_ratio))
+        known = halfspace.compliance(mesh.points[system.held], load, top.modulus_ratio, top.poisson_ratio)
+        moved = known @ cases.reshape(-1, cases.shape[2])
         held.append(np.zeros_like(forces[-1]))
         held[-1][system.held] = -moved.reshape(-1, 3, cases.shape[2])
-    return system.solve(np.concatenate(forces, axis=2), np.concatenate(held, axis=2), goal)
+    return system.solve(
+        np.concatenate(forces, axis=2), np.concatenate(held, axis=2), goal, np.concatenate(swollen, axis=1)
+    )

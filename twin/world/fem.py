@@ -28,6 +28,7 @@ from numba import njit
 from twin.arrays import Bools, Floats, Ints
 from twin.errors import InputError
 from twin.world.elements import tet_quadrature, tet_shapes
+from twin.world.interfaces import regions_behind
 from twin.world.mesh import Mesh
 from twin.world.solve import GOAL, Factor, Solver
 from twin.world.soundness import require_finite, require_solvable
@@ -47,6 +48,16 @@ class Layer:
 
     modulus_ratio: float
     poisson_ratio: float
+
+    @property
+    def shear_ratio(self) -> float:
+        """Shear modulus G, MPa, where the body's E is 1 MPa."""
+        return 0.5 * self.modulus_ratio / (1.0 + self.poisson_ratio)
+
+    @property
+    def softness(self) -> float:
+        """1 / kappa, 1/MPa, where the body's E is 1 MPa."""
+        return 3.0 * (1.0 - 2.0 * self.poisson_ratio) / self.modulus_ratio
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +119,7 @@ class TaylorHood:
     def _matrix(self) -> Any:
         from scipy.sparse import bmat
 
-        blocks = assemble(self.mesh, self._shear, self._softness, self._pressure)
+        blocks = assemble(self.mesh, self._shear, self._softness, self.pressure)
         return bmat(
             [[blocks.deviatoric, blocks.divergence.T], [blocks.divergence, -blocks.mass]],
             format="csr",
@@ -117,26 +128,29 @@ class TaylorHood:
     @cached_property
     def _shear(self) -> Floats:
         """(m,) shear modulus G of every element, MPa."""
-        each = [0.5 * of.modulus_ratio / (1.0 + of.poisson_ratio) for of in self.made_of]
-        return np.array(each)[self.mesh.region]
+        return np.array([of.shear_ratio for of in self.made_of])[self.mesh.region]
 
     @cached_property
     def _softness(self) -> Floats:
         """(m,) 1 / kappa of every element, 1/MPa."""
-        each = [3.0 * (1.0 - 2.0 * of.poisson_ratio) / of.modulus_ratio for of in self.made_of]
-        return np.array(each)[self.mesh.region]
+        return np.array([of.softness for of in self.made_of])[self.mesh.region]
 
     @cached_property
-    def _pressure(self) -> Ints:
+    def pressure(self) -> Ints:
         """(m, 4) pressure unknowns of every element: one at every corner for each of the materials that meet there."""
         of_region = np.array([self.made_of.index(of) for of in self.made_of])
         place = of_region[self.mesh.region][:, None] * self.mesh.corners + self.mesh.tets[:, :4]
         return np.unique(place, return_inverse=True)[1].reshape(-1, 4)
 
+    @cached_property
+    def under_load(self) -> Layer:
+        """What the sensing surface is made of."""
+        return self.made_of[int(np.max(regions_behind(self.mesh, self.mesh.faces[self.mesh.piece == 0]), initial=0))]
+
     @property
     def pressures(self) -> int:
         """Number of pressure unknowns."""
-        return int(self._pressure.max()) + 1
+        return int(self.pressure.max()) + 1
 
     @cached_property
     def _free(self) -> Ints:
@@ -148,10 +162,10 @@ class TaylorHood:
         """The factored system of the free unknowns."""
         require_solvable(self.mesh, self.held)
         tenths = np.repeat(_volumes(self.mesh) / 10.0 * 0.5 / self._shear, 4)
-        schur = np.bincount(self._pressure.ravel(), tenths)
+        schur = np.bincount(self.pressure.ravel(), tenths)
         scale = np.concatenate([np.zeros(3 * len(self.mesh.points)), schur])
         corner = np.empty(self.pressures, np.int64)
-        corner[self._pressure] = self.mesh.tets[:, :4]
+        corner[self.pressure] = self.mesh.tets[:, :4]
         node = np.concatenate([np.repeat(np.arange(len(self.mesh.points)), 3), corner])
         free = self._free
         return Factor(self._matrix[free][:, free], scale[free], self._solver, node=node[free])

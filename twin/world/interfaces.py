@@ -13,6 +13,8 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.parts.body import Body
+from twin.parts.load import Rectangles
+from twin.theory import halfspace
 from twin.world.elements import TET_EDGES
 from twin.world.mesh import Mesh
 from twin.world.snap import FACE_CORNERS
@@ -32,6 +34,8 @@ class Skin:
         (f,) piece of the body that each lies on, and how far below it.
     weight
         (f,) how many times the half-space's traction is out of balance there.
+    inside
+        (f,) whether each is an interface.
     """
 
     body: Body
@@ -39,9 +43,11 @@ class Skin:
     piece: Ints
     depth_mm: Floats
     weight: Floats
+    inside: Bools
 
     def __getitem__(self, chosen: Bools) -> Skin:
-        return Skin(self.body, self.faces[chosen], self.piece[chosen], self.depth_mm[chosen], self.weight[chosen])
+        arrays = {key: value[chosen] for key, value in vars(self).items() if key != "body"}
+        return Skin(self.body, **arrays)
 
     def nearest(self, points: Points, face: Ints) -> tuple[Points, Floats]:
         """Return the nearest points (q, 3) on the surfaces of ``face`` (q,), and the inward normals (q, 3) there."""
@@ -57,7 +63,9 @@ def skin(mesh: Mesh, body: Body, shares: Floats) -> Skin:
     outside = ~np.isin(mesh.piece, body.held_pieces) & (mesh.piece < len(body.pieces))
     faces, piece = mesh.faces[outside], mesh.piece[outside]
     if not np.any(mesh.region):
-        return Skin(body, faces, piece, np.zeros(len(faces)), np.full(len(faces), shares[0]))
+        return Skin(
+            body, faces, piece, np.zeros(len(faces)), np.full(len(faces), shares[0]), np.zeros(len(faces), bool)
+        )
     inner, sides = interfaces(mesh)
     depth = body.depth(mesh.points[inner[:, :3].ravel()]).reshape(-1, 3)
     level = np.ptp(depth, axis=1) < 1e-9
@@ -66,8 +74,31 @@ def skin(mesh: Mesh, body: Body, shares: Floats) -> Skin:
         np.concatenate([faces, inner]),
         np.concatenate([piece, np.where(level, 0, len(body.pieces) - 1)]),
         np.concatenate([np.zeros(len(faces)), np.where(level, depth.mean(axis=1), 0.0)]),
-        np.concatenate([shares[_region_of(mesh, faces)], shares[sides[:, 0]] - shares[sides[:, 1]]]),
+        np.concatenate([shares[regions_behind(mesh, faces)], shares[sides[:, 0]] - shares[sides[:, 1]]]),
+        np.arange(len(faces) + len(inner)) >= len(faces),
     )
+
+
+def add_exactly(
+    points: Points,
+    areas: Floats,
+    values: Floats,
+    nodes: Ints,
+    centre: Points,
+    frames: Floats,
+    half: Floats,
+    columns: Floats,
+    poisson_ratio: float,
+    out: Floats,
+) -> None:
+    """Add every point's traction -sigma n, spread by the shape functions (q, 6), to the nodal forces (N, 3, m).
+
+    In closed form all over: under a load the interface carries all of it, where a free face carries next to nothing.
+    """
+    for case in range(columns.shape[2]):
+        load = Rectangles(centre_mm=centre, frames=frames, half_mm=half, force_n=columns[:, :, case])
+        traction = -np.einsum("qij,qj->qi", halfspace.stress(points, load, poisson_ratio), areas)
+        np.add.at(out[:, :, case], nodes, values[:, :, None] * traction[:, None])
 
 
 def interfaces(mesh: Mesh) -> tuple[Ints, Ints]:
@@ -99,8 +130,10 @@ def _with_middles(mesh: Mesh, corners: Ints, owner: Ints) -> Ints:
     return np.hstack([corners, np.take_along_axis(mesh.tets[owner, 4:], which, axis=1)])
 
 
-def _region_of(mesh: Mesh, faces: Ints) -> Ints:
+def regions_behind(mesh: Mesh, faces: Ints) -> Ints:
     """Return the region (f,) behind boundary faces."""
+    if not np.any(mesh.region):
+        return np.zeros(len(faces), np.int64)
     corners, owner = _all_faces(mesh)
     scale = np.array([mesh.corners**2, mesh.corners, 1])
     keys = np.sort(corners, axis=1) @ scale

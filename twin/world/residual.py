@@ -25,7 +25,7 @@ from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.theory.halfspace_kernels import GAUSS_2, rectangle_slopes, rectangle_terms
 from twin.world.elements import triangle_quadrature, triangle_shapes
-from twin.world.interfaces import Skin, skin
+from twin.world.interfaces import Skin, add_exactly, skin
 from twin.world.mesh import Mesh
 
 NEAR, FAR = 2.2, 6.0
@@ -36,6 +36,9 @@ GROWTH = 1.2
 
 FINEST = 0.12
 """Size of the pieces under the load, over the load's radius."""
+
+FINEST_INSIDE = 0.25
+"""The same on interfaces, which lie a layer deeper."""
 
 LEVELS = 16
 
@@ -74,23 +77,30 @@ def nodal_forces(
     if len(surface.faces) == 0 or len(load) == 0:
         return out
     balls = _balls(load)
-    points, areas, values, nodes = _quadrature(mesh.points, surface, *balls)
     columns = np.ascontiguousarray(columns)
     coarse, sums = _merged(load, columns)
-    away = np.min(np.linalg.norm(points[:, None] - balls[0], axis=2) / np.maximum(balls[1], 1e-300), axis=1)
-    far = away > DISTANT
-    for part, forces, loads in ((~far, columns, load), (far, sums, coarse)):
-        _add(
-            points[part], areas[part], values[part], nodes[part], loads.centre_mm, loads.frames, loads.half_mm, forces,
-            poisson_ratio, out,
-        )  # fmt: skip
+    for inside in (False, True):
+        chosen = surface[surface.inside == inside]
+        if len(chosen.faces) == 0:
+            continue
+        points, areas, values, nodes = _quadrature(mesh.points, chosen, *balls, FINEST_INSIDE if inside else FINEST)
+        away = np.min(np.linalg.norm(points[:, None] - balls[0], axis=2) / np.maximum(balls[1], 1e-300), axis=1)
+        far = away > DISTANT
+        for part, forces, loads in ((~far, columns, load), (far, sums, coarse)):
+            add = add_exactly if inside else _add
+            add(
+                points[part], areas[part], values[part], nodes[part], loads.centre_mm, loads.frames, loads.half_mm,
+                forces, poisson_ratio, out,
+            )  # fmt: skip
     return out
 
 
-def _quadrature(points: Points, surface: Skin, centres: Points, radii: Floats) -> tuple[Points, Floats, Floats, Ints]:
+def _quadrature(
+    points: Points, surface: Skin, centres: Points, radii: Floats, finest: float
+) -> tuple[Points, Floats, Floats, Ints]:
     """Return true surface places (q, 3), weighted area vectors (q, 3), shape functions (q, 6), face nodes (q, 6)."""
     faces = surface.faces
-    face, triangles = _split(points, surface, centres, radii)
+    face, triangles = _split(points, surface, centres, radii, finest)
     places, weights = triangle_quadrature()
     where = triangles[:, :1] + places[:, :1] * (triangles[:, 1:2] - triangles[:, :1])
     where = (where + places[:, 1:] * (triangles[:, 2:] - triangles[:, :1])).reshape(-1, 2)
@@ -166,7 +176,7 @@ def _balls(load: Rectangles) -> tuple[Points, Floats]:
     return centres, radii
 
 
-def _split(points: Points, surface: Skin, centres: Points, radii: Floats) -> tuple[Ints, Floats]:
+def _split(points: Points, surface: Skin, centres: Points, radii: Floats, finest: float) -> tuple[Ints, Floats]:
     """Return the face (t,) and corners (t, 3, 2) of pieces of faces, small near the balls around the load."""
     faces = surface.faces
     face = np.arange(len(faces))
@@ -178,7 +188,7 @@ def _split(points: Points, surface: Skin, centres: Points, radii: Floats) -> tup
         corners = surface.nearest(corners.reshape(-1, 3), np.repeat(face, 3))[0].reshape(-1, 3, 3)
         size = np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1)
         away = np.linalg.norm(corners.mean(axis=1)[:, None] - centres, axis=2) - radii
-        wanted = np.min(np.maximum(GROWTH * away, FINEST * radii), axis=1)
+        wanted = np.min(np.maximum(GROWTH * away, finest * radii), axis=1)
         big = (size > wanted) & (level < LEVELS)
         done.append((face[~big], triangles[~big]))
         if not np.any(big):
