@@ -349,3 +349,34 @@ def test_a_finger_is_rebuilt_within_the_gates(tmp_path, monkeypatch, body):
     monkeypatch.setattr(twin.world.mesh, "cache_folder", lambda: tmp_path)
     measured = check(body_mesh(body, "nominal", rebuild=True), body)
     assert abs(measured.volume_error) < 5e-5
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        Block(width_mm=50, length_mm=45, thickness_mm=20),
+        Block(width_mm=90, length_mm=100, thickness_mm=25),
+        Finger(radius_mm=10, barrel_mm=10, skirt_mm=2.5),
+    ],
+)
+def test_a_shipped_mesh_is_stretched_to_another_size(body, monkeypatch, tmp_path):
+    monkeypatch.setattr("twin.world.mesh.cache_folder", lambda: tmp_path)
+    mesh = body_mesh(body, "coarse")
+    assert not quality(mesh, body).failures()
+    a, b, c, d = (mesh.points[mesh.tets[:, i]] for i in range(4))
+    straight = np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))).sum() / 6.0
+    assert straight == pytest.approx(body.volume_mm3, rel=1e-9 if isinstance(body, Block) else 0.02)
+
+
+@pytest.mark.parametrize(
+    "body", [Block(width_mm=30, length_mm=90, thickness_mm=10), Finger(radius_mm=8, barrel_mm=12, skirt_mm=2)]
+)
+def test_what_no_stretched_mesh_fits_is_meshed(body, monkeypatch, tmp_path):
+    monkeypatch.setattr("twin.world.mesh.cache_folder", lambda: tmp_path)
+
+    def build(*arguments, **words):
+        raise MeshError("asked for a mesh")
+
+    monkeypatch.setattr("twin.world.build.build_mesh", build)
+    with pytest.raises(MeshError, match="asked for a mesh"):
+        body_mesh(body, "coarse")

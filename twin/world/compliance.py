@@ -64,7 +64,7 @@ class Expected:
 
 EXPECTED: dict[tuple[bool, Level], Expected] = {
     (True, "fine"): Expected(inside=2.5e-4, at_fifth=0.015, power=3.5, most=0.08, trust=0.5),
-    (True, "standard"): Expected(inside=6e-4, at_fifth=0.026, power=3.5, most=0.1, trust=0.8),
+    (True, "standard"): Expected(inside=6e-4, at_fifth=0.026, power=3.5, most=0.1, trust=0.5),
     (True, "coarse"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.2),
     (True, "nominal"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.2),
     (True, "sketch"): Expected(inside=4e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.0),
