@@ -11,7 +11,7 @@ from twin.parts.body import Block, Finger
 from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
 from twin.places import MESHES
-from twin.world.compliance import Compliance
+from twin.world.compliance import FEW, Compliance
 from twin.world.mesh import read_mesh
 from twin.world.solve import factorisations
 from twin.world.tile import join, tile
@@ -235,3 +235,16 @@ def test_no_points_give_no_displacements(name):
         assert stiff.displacement(nowhere, load).shape == (0, 3)
         assert stiff.gradient(nowhere, load).shape == (0, 3, 3)
         assert stiff.to_points(nowhere, load).shape == (0, 3 * len(load))
+
+
+def test_adjoint_and_primal_solves_agree_and_few_points_take_the_adjoint(monkeypatch):
+    """Two points and nine separate patches: three solves a point give what three solves a patch give."""
+    few, body = np.array([[0.0, 0.5, 1.5], [-1.0, 1.0, 3.0]]), FINGER
+    apart = tile(Traction.rectangle((0, 0), (6.0, 6.0), (0, 0, 1)), body, 2.0)
+    stiff = compliance("finger", "nominal", 0.5)
+    assert len(apart) > FEW * len(few)
+    by_point = stiff.to_points(few, apart)
+    assert stiff._readings
+    many = np.vstack([few, body.chart_points(np.random.default_rng(3).uniform(-3, 3, (len(apart), 2)), 1.0)])
+    by_patch = stiff.to_points(many, apart)[: 3 * len(few)]
+    np.testing.assert_allclose(by_point, by_patch, atol=2e-6 * np.abs(by_patch).max())

@@ -15,7 +15,6 @@ a free edge than an element are less accurate, which both say.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
@@ -27,16 +26,16 @@ from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.theory import halfspace
-from twin.theory.halfspace_kernels import GAUSS_2
 from twin.world.correction import correction
 from twin.world.direct import consistent_forces
+from twin.world.expected import DIRECT, estimated_error, expected_error
 from twin.world.fem import TaylorHood
 from twin.world.half_space import require_half_space
 from twin.world.interpolate import Locator, Places, require_inside
 from twin.world.mesh import Level, Mesh, Progress, body_mesh
 from twin.world.sizing import WORLD
 from twin.world.solve import Solver
-from twin.world.spread import Region, patch_rests, single, worth_a_region
+from twin.world.spread import Readings, Region, patch_rests, single, worth_a_region
 from twin.world.store import field_key, kept
 from twin.world.table import Basis, Table, TableAtNu
 from twin.world.tabulate import Role, find_table, table_level
@@ -44,42 +43,11 @@ from twin.world.tile import ON_SURFACE_MM
 
 Method = Literal["subtracted", "direct"]
 
+FEW = 3
+"""Points are read by adjoint solves where patches are more than this many times as many."""
+
 REMEMBERED = 8
 """Loads whose nodal fields, and point sets whose places, are kept."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Expected:
-    """Displacement error over largest displacement: far inside, a fifth of the body's height from an edge, at most.
-
-    ``trust`` is the largest share of the difference to the next coarser level that was this level's own error.
-    """
-
-    inside: float
-    at_fifth: float
-    power: float
-    most: float
-    trust: float
-
-
-EXPECTED: dict[tuple[bool, Level], Expected] = {
-    (True, "fine"): Expected(inside=2.5e-4, at_fifth=0.015, power=3.5, most=0.08, trust=0.5),
-    (True, "standard"): Expected(inside=6e-4, at_fifth=0.026, power=3.5, most=0.1, trust=0.5),
-    (True, "coarse"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.2),
-    (True, "nominal"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.2),
-    (True, "sketch"): Expected(inside=4e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.0),
-    (False, "fine"): Expected(inside=2e-3, at_fifth=0.012, power=1.5, most=0.04, trust=0.45),
-    (False, "standard"): Expected(inside=5e-3, at_fifth=0.02, power=1.5, most=0.06, trust=0.9),
-    (False, "coarse"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09, trust=1.6),
-    (False, "nominal"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09, trust=1.6),
-    (False, "sketch"): Expected(inside=1.5e-2, at_fifth=0.06, power=1.5, most=0.2, trust=1.0),
-}
-"""By whether the body is a block, and by mesh: inside from independent converged solutions (repeated by
-``benchmarks/elasticity.py``), near edges from mirrored loads and from the two meshes' difference."""
-
-UNSEEN = {True: 4e-5, False: 4e-4}
-"""Error that two levels share, and so can't tell (a block's, another body's): of cutting a load into rectangles, and of
-the solutions that the estimate was checked against."""
 
 
 class Compliance:
@@ -127,6 +95,7 @@ class Compliance:
         self._fields: dict[str, Floats] = {}
         self._places: dict[str, Places] = {}
         self._bases: dict[str, Basis] = {}
+        self._readings: dict[str, Readings] = {}
         self._region: Region | None = None
 
     @cached_property
@@ -249,19 +218,26 @@ class Compliance:
         if table := self._table_for(points, rectangles):
             rest = table.rests(self._basis(table, points), rectangles).reshape(shape)
         else:
-            rest = self._solved_rests(self._place(points), rectangles).reshape(shape)
+            rest = self._solved_rests(points, rectangles).reshape(shape)
         return np.asarray(halfspace.compliance(points, rectangles, *self._rubber) + rest / self._modulus)
 
-    def _solved_rests(self, places: Places, rectangles: Rectangles) -> Floats:
-        """Return (n, 3, k, 3) from the latest region if it covers the patches, a new region, or patch by patch."""
-        if not worth_a_region(rectangles):
-            return patch_rests(self.system, self.body, places, rectangles)
-        if self._region is None or not self._region.covers(rectangles):
+    def _solved_rests(self, points: Points, rectangles: Rectangles) -> Floats:
+        """Return (n, 3, k, 3) by the fewest solves: a region for patches close together, else by patch or by point."""
+        places = self._place(points)
+        if worth_a_region(rectangles):
+            if self._region is not None and self._region.covers(rectangles):
+                return self._region.rests(places, rectangles)
             try:
                 self._region = Region(self.system, self.body, rectangles)
+                return self._region.rests(places, rectangles)
             except InputError:  # so near to the end of the surface that the region would run over it
-                return patch_rests(self.system, self.body, places, rectangles)
-        return self._region.rests(places, rectangles)
+                pass
+        if FEW * len(points) >= len(rectangles):  # fields, unlike readings, serve points that move
+            return patch_rests(self.system, self.body, places, rectangles)
+        key = _digest(points)
+        if key not in self._readings:
+            self._readings = {key: Readings(self.system, self.body, places)}
+        return self._readings[key].rests(rectangles)
 
     def surface(self, rectangles: Rectangles) -> Floats:
         """Return the symmetric (3 k, 3 k) displacement in mm/N of the rectangles' centres per unit force on each.
@@ -277,8 +253,8 @@ class Compliance:
     def error_estimate(self, points: Points, load: Rectangles) -> float:
         """Return the estimated largest error of `displacement` at ``points`` over the largest displacement there.
 
-        A share of the difference to the coarser level's answer (or to the check table's), `Expected.trust`, plus what
-        both share, `UNSEEN`: on all reference cases the estimate is one to three times the true error.
+        A share of the difference to the coarser level's answer (or to the check table's), plus what both share
+        (`twin.world.expected`): on all reference cases the estimate is one to three times the true error.
 
         Validity: the law of `expected_error` where there is no coarser level. Raises like `displacement`.
         """
@@ -296,32 +272,12 @@ class Compliance:
             other = self.coarser._rest(points, load)
         else:
             return self.expected_error(load)
-        flat = isinstance(self.body, Block)
         differ = float(np.linalg.norm(self._rest(points, load) - other, axis=1).max()) / moved
-        return EXPECTED[flat, level].trust * differ + UNSEEN[flat]
+        return estimated_error(self.body, level, differ)
 
     def expected_error(self, load: Rectangles) -> float:
-        """Return the largest displacement error over the largest displacement to be expected 0.3 mm deep and deeper.
-
-        The mean over the load's force of a law in the distance d to the nearest other face: constant far from it, then
-        ``at_fifth`` (height / (5 d))^power up to ``most`` (see `Expected`).
-
-        Validity: fitted to mirrored loads 1 and 4 mm wide and to the difference of the two meshes on both reference
-        bodies, within a factor of three and mostly above; other bodies are meshed by the same rules.
-        """
-        if not self._subtracted:
-            return 0.3
-        law = EXPECTED[isinstance(self.body, Block), self.level]
-        if len(load) == 0:
-            return law.inside
-        at = np.array(GAUSS_2)
-        offsets = np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1).reshape(-1, 2)
-        points = load.centre_mm[:, None] + np.einsum("qs,ks,ksi->kqi", offsets, load.half_mm, load.frames[:, :2])
-        away = self.body.piece_distances(points.reshape(-1, 3))[:, 1:].min(axis=1).reshape(len(load), -1)
-        near = law.at_fifth * (self.body.base_z_mm / (5.0 * np.maximum(away, 1e-9))) ** law.power
-        each = np.clip(near, law.inside, law.most).mean(axis=1)
-        strength = np.linalg.norm(load.force_n, axis=1)
-        return float(np.average(each, weights=strength if strength.any() else None))
+        """Return the error to be expected before anything is solved: see `twin.world.expected`."""
+        return expected_error(self.body, self.level, load) if self._subtracted else DIRECT
 
     @property
     def _subtracted(self) -> bool:

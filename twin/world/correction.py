@@ -48,6 +48,14 @@ def correction(
     SolveError
         See `twin.world.solve.Factor.solve`.
     """
+    forces, held, swollen = unbalanced(system, body, loads, columns)
+    return system.solve(forces, held, goal, swollen)
+
+
+def unbalanced(
+    system: TaylorHood, body: Body, loads: Sequence[Rectangles], columns: Sequence[Floats] | None = None
+) -> tuple[Floats, Floats, Floats]:
+    """Return what drives w: nodal forces and given displacements (N, 3, m), and dilations (P, m); see `correction`."""
     mesh, top = system.mesh, system.under_load
     shares = np.array([of.shear_ratio / top.shear_ratio for of in system.made_of])
     swelling = (top.softness - shares * [of.softness for of in system.made_of])[mesh.region]
@@ -59,6 +67,4 @@ def correction(
         moved = known @ cases.reshape(-1, cases.shape[2])
         held.append(np.zeros_like(forces[-1]))
         held[-1][system.held] = -moved.reshape(-1, 3, cases.shape[2])
-    return system.solve(
-        np.concatenate(forces, axis=2), np.concatenate(held, axis=2), goal, np.concatenate(swollen, axis=1)
-    )
+    return np.concatenate(forces, axis=2), np.concatenate(held, axis=2), np.concatenate(swollen, axis=1)

@@ -198,6 +198,12 @@ class TaylorHood:
     def _solve(
         self, force: Floats, held_to: Floats | None = None, goal: float = GOAL, dilation: Floats | None = None
     ) -> Floats:
+        right, solution = self._right(force, held_to, dilation)
+        solution[self._free] = self.factor.solve(right, goal)
+        return solution
+
+    def _right(self, force: Floats, held_to: Floats | None, dilation: Floats | None) -> tuple[Floats, Floats]:
+        """Return the right-hand side of the free unknowns, and the (n, m) unknowns with the held ones in place."""
         nodes, columns = len(self.mesh.points), force.shape[2]
         require_finite(self.mesh, force, "force", "N")
         right = np.zeros((3 * nodes + self.pressures, columns))
@@ -209,8 +215,33 @@ class TaylorHood:
             require_finite(self.mesh, held_to, "given displacement", "mm")
             solution[: 3 * nodes] = np.where(self.held[:, None, None], held_to, 0.0).reshape(3 * nodes, columns)
             right -= self._matrix @ solution
-        solution[self._free] = self.factor.solve(right[self._free], goal)
-        return solution
+        return right[self._free], solution
+
+    def influence(self, reading: Any, goal: float = GOAL) -> Floats:
+        """Return (n, 3 r): what a unit right-hand side in every free unknown adds to r readings of the displacement.
+
+        One solve a reading and axis; the matrix is symmetric, so these adjoint solves use the same factor.
+
+        Parameters
+        ----------
+        reading
+            (r, N) sparse matrix from a nodal field to the readings.
+        goal
+            Relative residual at which refinement stops.
+        """
+        from scipy.sparse import hstack, kron
+
+        wide = hstack([kron(reading, np.eye(3)), np.zeros((3 * reading.shape[0], self.pressures))]).tocsr()
+        return self.factor.solve(wide[:, self._free].T.toarray(), goal)
+
+    def read(
+        self, influence: Floats, reading: Any, force: Floats, held_to: Floats | None, dilation: Floats | None = None
+    ) -> Floats:
+        """Return the (r, 3, m) readings of the solution by products alone; arguments as in `solve` and `influence`."""
+        right, solution = self._right(force, held_to, dilation)
+        held = solution[: 3 * len(self.mesh.points)].reshape(len(self.mesh.points), -1)
+        columns = force.shape[2]
+        return np.asarray(influence.T @ right + (reading @ held).reshape(-1, columns)).reshape(-1, 3, columns)
 
     def reaction(self, force: Floats) -> Floats:
         """Return the holder's (3, m) total force on the body under nodal forces (N, 3, m): minus the load."""

@@ -14,7 +14,8 @@ from twin.arrays import Points
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
-from twin.world.compliance import EXPECTED, Compliance
+from twin.world.compliance import Compliance
+from twin.world.expected import EXPECTED
 from twin.world.mesh import Progress
 from twin.world.sizing import WORLD, Level
 

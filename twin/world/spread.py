@@ -17,7 +17,7 @@ from numpy.polynomial.chebyshev import chebpts1
 from twin.arrays import Floats, Points
 from twin.parts.body import Body
 from twin.parts.load import Rectangles, Traction
-from twin.world.correction import correction
+from twin.world.correction import correction, unbalanced
 from twin.world.fem import TaylorHood
 from twin.world.interpolate import Places
 from twin.world.store import field_key, kept
@@ -137,13 +137,43 @@ def patch_rests(system: TaylorHood, body: Body, places: Places, rectangles: Rect
     return out
 
 
+class Readings:
+    """Adjoint solves for points: after three a point, the rests of any number of patches are products.
+
+    Parameters
+    ----------
+    system, body
+        The elastic system and its body.
+    places
+        The points, located in the system's mesh.
+    """
+
+    def __init__(self, system: TaylorHood, body: Body, places: Places) -> None:
+        self._system, self._body = system, body
+        self._matrix = places.matrix(len(system.mesh.points))
+        self._influence = system.influence(self._matrix, PROBE_GOAL)
+
+    def rests(self, rectangles: Rectangles) -> Floats:
+        """Return (n, 3, k, 3) like `patch_rests`."""
+        out = np.empty((self._matrix.shape[0], 3, len(rectangles), 3))
+        axes = np.broadcast_to(np.eye(3), (len(rectangles), 3, 3))
+        for part, patches, columns in _batches(rectangles, axes):
+            drive = unbalanced(self._system, self._body, patches, columns)
+            out[:, :, part] = self._system.read(self._influence, self._matrix, *drive).reshape(len(out), 3, -1, 3)
+        return out
+
+
 def _solved(system: TaylorHood, body: Body, rectangles: Rectangles, axes: Floats) -> Iterator[tuple[slice, Floats]]:
     """Yield which patches, and the (N, 3, 3 k) rests under unit forces along the columns of each patch's axes."""
+    for part, patches, columns in _batches(rectangles, axes):
+        yield part, correction(system, body, patches, columns, PROBE_GOAL)
+
+
+def _batches(rectangles: Rectangles, axes: Floats) -> Iterator[tuple[slice, list[Rectangles], list[Floats]]]:
     for start in range(0, len(rectangles), BATCH):
         part = slice(start, min(start + BATCH, len(rectangles)))
         each = range(part.start, part.stop)
-        patches, columns = [single(rectangles, i) for i in each], [axes[i][None] for i in each]
-        yield part, correction(system, body, patches, columns, PROBE_GOAL)
+        yield part, [single(rectangles, i) for i in each], [axes[i][None] for i in each]
 
 
 def single(rectangles: Rectangles, index: int) -> Rectangles:

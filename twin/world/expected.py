@@ -1,0 +1,79 @@
+"""How wrong a displacement may be: what is expected before a solve, and what two levels' difference says after it.
+
+Both were fitted to independent converged solutions (repeated by ``benchmarks/elasticity.py``); near edges, where there
+are none, to mirrored loads 1 and 4 mm wide and to the difference of two meshes.
+
+Validity: the two reference bodies; other bodies are meshed by the same rules, and curved ones count as fingers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.parts.body import Block, Body
+from twin.parts.load import Rectangles
+from twin.theory.halfspace_kernels import GAUSS_2
+from twin.world.sizing import Level
+
+DIRECT = 0.3
+"""Error of the direct method under loads narrower than its elements."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expected:
+    """Displacement error over largest displacement: far inside, a fifth of the body's height from an edge, at most.
+
+    ``trust`` is the largest share of the difference to the next coarser level that was this level's own error.
+    """
+
+    inside: float
+    at_fifth: float
+    power: float
+    most: float
+    trust: float
+
+
+EXPECTED: dict[tuple[bool, Level], Expected] = {
+    (True, "fine"): Expected(inside=2.5e-4, at_fifth=0.015, power=3.5, most=0.08, trust=0.5),
+    (True, "standard"): Expected(inside=6e-4, at_fifth=0.026, power=3.5, most=0.1, trust=0.5),
+    (True, "coarse"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.2),
+    (True, "nominal"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.2),
+    (True, "sketch"): Expected(inside=4e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.0),
+    (False, "fine"): Expected(inside=2e-3, at_fifth=0.012, power=1.5, most=0.04, trust=0.45),
+    (False, "standard"): Expected(inside=5e-3, at_fifth=0.02, power=1.5, most=0.06, trust=0.9),
+    (False, "coarse"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09, trust=1.6),
+    (False, "nominal"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09, trust=1.6),
+    (False, "sketch"): Expected(inside=1.5e-2, at_fifth=0.06, power=1.5, most=0.2, trust=1.0),
+}
+"""By whether the body is a block, and by level."""
+
+UNSEEN = {True: 4e-5, False: 4e-4}
+"""Error that two levels share, and so can't tell (a block's, another body's): of cutting a load into rectangles, and of
+the solutions that the estimate was checked against."""
+
+
+def expected_error(body: Body, level: Level, load: Rectangles) -> float:
+    """Return the largest displacement error over the largest displacement to be expected 0.3 mm deep and deeper.
+
+    The mean over the load's force of a law in the distance d to the nearest other face: constant far from it, then
+    ``at_fifth`` (height / (5 d))^power up to ``most`` (see `Expected`); within a factor of three, mostly above.
+    """
+    law = EXPECTED[isinstance(body, Block), level]
+    if len(load) == 0:
+        return law.inside
+    at = np.array(GAUSS_2)
+    offsets = np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1).reshape(-1, 2)
+    points = load.centre_mm[:, None] + np.einsum("qs,ks,ksi->kqi", offsets, load.half_mm, load.frames[:, :2])
+    away = body.piece_distances(points.reshape(-1, 3))[:, 1:].min(axis=1).reshape(len(load), -1)
+    near = law.at_fifth * (body.base_z_mm / (5.0 * np.maximum(away, 1e-9))) ** law.power
+    each = np.clip(near, law.inside, law.most).mean(axis=1)
+    strength = np.linalg.norm(load.force_n, axis=1)
+    return float(np.average(each, weights=strength if strength.any() else None))
+
+
+def estimated_error(body: Body, level: Level, difference: float) -> float:
+    """Return the error of a level's answer, from its difference to the next coarser level's (both relative)."""
+    flat = isinstance(body, Block)
+    return EXPECTED[flat, level].trust * difference + UNSEEN[flat]
