@@ -55,11 +55,12 @@ def test_a_second_process_reads_what_the_first_solved(folder):
 
 def test_moved_markers_read_the_kept_fields_of_separate_patches(folder, monkeypatch):
     apart = tile(Traction.rectangle((0, 0), (6.0, 6.0), (0, 0, 1)), FINGER, 2.0)
-    first, count = solves(lambda: stiff().to_points(POINTS, apart))
+    points = np.vstack([POINTS, POINTS + 0.5])
+    first, count = solves(lambda: stiff().to_points(points, apart))
     assert count == 1
-    assert solves(lambda: stiff().to_points(POINTS + 0.1, apart))[1] == 0
+    assert solves(lambda: stiff().to_points(points + 0.1, apart))[1] == 0
     monkeypatch.setattr("twin.world.spread.KEPT_BYTES", 0)
-    again, count = solves(lambda: stiff().to_points(POINTS, apart))
+    again, count = solves(lambda: stiff().to_points(points, apart))
     assert count == 1
     np.testing.assert_allclose(again, first, atol=1e-6 * np.abs(first).max())
 
