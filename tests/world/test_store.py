@@ -55,7 +55,7 @@ def test_a_second_process_reads_what_the_first_solved(folder):
 
 def test_moved_markers_read_the_kept_fields_of_separate_patches(folder, monkeypatch):
     apart = tile(Traction.rectangle((0, 0), (6.0, 6.0), (0, 0, 1)), FINGER, 2.0)
-    points = np.vstack([POINTS, POINTS + 0.5])
+    points = np.vstack([POINTS, POINTS + 0.5, POINTS + 1.0])
     first, count = solves(lambda: stiff().to_points(points, apart))
     assert count == 1
     assert solves(lambda: stiff().to_points(points + 0.1, apart))[1] == 0
