@@ -149,6 +149,17 @@ class Pieces:
         shared = [(int(a), int(b)) for a, b in _sides(self.surface.triangles[own]) if (int(a), int(b)) in others]
         return np.asarray(self.surface.vertices[np.array(shared, np.int64).reshape(-1, 2)])
 
+    def dents(self, crease_deg: float) -> Points:
+        """Return the (e, 2, 3) ends of the edges at which the surface is folded inwards by more than ``crease_deg``."""
+        face, across = self._outward[:, FACE], neighbours(self.surface.triangles)
+        own, side = np.meshgrid(np.arange(len(face)), np.arange(3), indexing="ij")
+        other = across[own, side]
+        ends = np.stack([self._corners[own, side], self._corners[own, (side + 1) % 3]], axis=2)
+        outer = self._corners[other].mean(axis=2) - ends[:, :, 0]
+        inwards = np.einsum("msi,mi->ms", outer, face) > 0.0
+        folded = np.einsum("mi,msi->ms", face, face[other]) < np.cos(np.radians(crease_deg))
+        return np.asarray(ends[inwards & folded & (own < other)])
+
 
 def _sides(triangles: Ints) -> Ints:
     """Return (3 m, 2) directed edges in the order of the triangles, 01, 12, 20."""

@@ -80,7 +80,8 @@ class Body(Part):
 
     @property
     def own_rim(self) -> Floats | None:
-        """Ends (e, 2, 3) of the edges between what is held and what is free, of a body given by triangles."""
+        """Ends (e, 2, 3) of the edges where stress is singular, of a body given by triangles: where what is held meets
+        what is free, and where the surface is folded inwards."""
         return None
 
     def geometry(self) -> dict[str, Any]:

@@ -240,7 +240,8 @@ class Solid(Body):
 
     @property
     def own_rim(self) -> Floats | None:
-        return self._pieces.edges(np.arange(self._pieces.count) >= self._first_held)
+        rim = self._pieces.edges(np.arange(self._pieces.count) >= self._first_held)
+        return np.concatenate([rim, self._pieces.dents(CREASE_DEG)])
 
     def geometry(self) -> dict[str, Any]:
         regions = {name: getattr(self, name).model_dump(exclude_defaults=True) for name in ("held", "sensing")}

@@ -68,6 +68,7 @@ def build_mesh(
     good: list[tuple[Mesh, Quality]] = []
     spare: list[tuple[Mesh, Quality]] = []
     failures: list[str] = []
+    tried: list[tuple[float, float]] = []
     scale = 1.0
     for attempt in range(1, MOST_TRIES + 1):
         mesh = _one(body, sizing.scaled(scale), surface, limit_s)
@@ -78,7 +79,8 @@ def build_mesh(
             spare.append((mesh, measured))
         if not _FEWEST <= ratio <= _MOST:
             faults = [f"{measured.unknowns} unknowns (wanted: {sizing.unknowns})", *faults]
-            scale *= ratio ** (1 / _POWER)
+            tried.append((scale, ratio))
+            scale = _next_scale(tried)
         if faults:
             failures.append("; ".join(faults))
         else:
@@ -99,6 +101,21 @@ def build_mesh(
             "try again (the mesher differs from run to run) or change the sizing"
         )
     return max(good, key=lambda pair: pair[1].least_dihedral_deg)
+
+
+def _next_scale(tried: list[tuple[float, float]]) -> float:
+    """Return the scale to try next, from scales and the unknowns they gave over the wanted ones.
+
+    The usual power law until there is one scale with too many unknowns and one with too few, then the place between
+    the two best of them: on bodies whose coarse part is a few elements thick the law is far steeper, and swings.
+    """
+    over, under = [t for t in tried if t[1] > 1], [t for t in tried if t[1] <= 1]
+    if not over or not under:
+        scale, ratio = tried[-1]
+        return float(scale * ratio ** (1 / _POWER))
+    (one, above), (other, below) = min(over, key=lambda t: t[1]), max(under, key=lambda t: t[1])
+    share = math.log(above) / (math.log(above) - math.log(below))
+    return math.exp((1 - share) * math.log(one) + share * math.log(other))
 
 
 def _one(body: Body, sizing: Sizing, surface: tuple[Points, Ints], limit_s: float) -> Mesh:

@@ -1,0 +1,122 @@
+"""The dome's elastic field: against an independent program, its own symmetries, and the half-space near small loads.
+
+How the reference was made: ``tests/reference/make_dome.py``.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.parts.body import Dome
+from twin.parts.load import Traction
+from twin.parts.material import Material
+from twin.places import MESHES
+from twin.theory import halfspace
+from twin.world.compliance import Compliance
+from twin.world.mesh import mesh_key, read_mesh, read_provenance
+from twin.world.quality import check
+from twin.world.sizing import WORLD, default_sizing
+from twin.world.tile import join, tile
+
+REFERENCE = np.load(Path(__file__).parent.parent / "reference" / "dome.npz")
+CASES = json.loads(str(REFERENCE["cases"]))
+DOME = Dome(radius_mm=10, height_mm=7)
+
+
+@cache
+def compliance(level, nu):
+    """Return the dome's compliance on a shipped mesh."""
+    material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
+    return Compliance(DOME, material, read_mesh(MESHES / f"dome.{level}.npz"), level=level)
+
+
+def error(level, case):
+    """Return the largest error over the largest displacement of one case of the reference."""
+    words = dict(case["load"])
+    load = tile(getattr(Traction, words.pop("kind"))(**words), DOME)
+    moved, true = compliance(level, case["nu"]).displacement(REFERENCE["points"], load), REFERENCE[case["key"]]
+    return np.linalg.norm(moved - true, axis=1).max() / np.linalg.norm(true, axis=1).max()
+
+
+@pytest.mark.parametrize("level", ["nominal", *WORLD])
+def test_shipped_meshes_pass_the_gates_and_are_the_ones_that_would_be_made(level):
+    path = MESHES / f"dome.{level}.npz"
+    measured = check(read_mesh(path), DOME)
+    assert measured.least_dihedral_deg > 12
+    assert abs(measured.volume_error) < 1e-4
+    assert read_provenance(path)["key"] == mesh_key(DOME, default_sizing(DOME, level))
+
+
+def test_the_small_mesh_is_within_three_thousandths_of_the_independent_program():
+    wanted = {"apex_x_nu0.5", "apex_z_nu0.5", "side_x_nu0.5", "side_z_nu0.5"}
+    errors = [error("nominal", case) for case in CASES if case["key"] in wanted]
+    assert len(errors) == 4
+    assert max(errors) < 3e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("level", "bound"), [("nominal", 3e-3), ("sketch", 1e-2), ("coarse", 5e-3),
+                                              ("standard", 1.5e-3), ("fine", 1e-3)])  # fmt: skip
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["key"])
+def test_every_level_against_the_independent_program(level, bound, case):
+    assert error(level, case) < bound
+
+
+def test_turning_the_load_about_the_axis_turns_the_field():
+    stiff, angle = compliance("nominal", 0.5), np.radians(50)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    rng = np.random.default_rng(1)
+    points = DOME.chart_points(rng.uniform(-5, 5, (80, 2)), rng.uniform(0.3, 4, 80))
+    centre, force = DOME.chart_points(np.array([[4.0, 0]]))[0], np.array([0.3, 0.4, 1.0])
+    one = stiff.displacement(points, tile(Traction.bump(tuple(centre), 1.5, tuple(force)), DOME))
+    load = tile(Traction.bump(tuple(turn @ centre), 1.5, tuple(turn @ force)), DOME)
+    other = stiff.displacement(points @ turn.T, load)
+    assert np.abs(other - one @ turn.T).max() < 3e-3 * np.abs(one).max()
+
+
+def test_a_push_on_the_apex_moves_nothing_sideways_there_and_a_twist_only_turns():
+    stiff = compliance("nominal", 0.5)
+    axis = np.column_stack([np.zeros((5, 2)), np.linspace(0.3, 6, 5)])
+    pushed = stiff.displacement(axis, tile(Traction.disk((0, 0), 1.5, (0, 0, 1)), DOME))
+    assert np.abs(pushed[:, :2]).max() < 1e-3 * np.abs(pushed).max()
+    ring = DOME.chart_points(3 * np.array([[1.0, 0], [0, 1], [-0.6, 0.8]]), 1.0)
+    twisted = stiff.displacement(ring, tile(Traction.twist((0, 0), 2.0, 10.0), DOME))
+    around = np.column_stack([-ring[:, 1], ring[:, 0]]) / np.hypot(ring[:, 0], ring[:, 1])[:, None]
+    along = np.einsum("ni,ni->n", twisted[:, :2], around)
+    assert (along > 0).all()
+    np.testing.assert_allclose(along, along.mean(), rtol=0.01)
+    assert np.abs(twisted - along[:, None] * np.column_stack([around, np.zeros(3)])).max() < 0.01 * along.mean()
+
+
+def test_small_patches_answer_each_other_alike():
+    centres = DOME.chart_points(np.array([[0.0, 0], [3, 1], [-2, 4], [5, -2]]))
+    patches = join([tile(Traction.rectangle(tuple(c), (0.3, 0.3), (0, 0, 1)), DOME, 0.3) for c in centres])
+    stiff = compliance("nominal", 0.5)
+    stiff.surface(patches)
+    assert 0 < stiff.asymmetry < 2e-3
+
+
+@pytest.mark.parametrize("force", [(0, 0, 1), (1, 0, 0)])
+def test_the_smaller_the_load_the_nearer_its_own_field_is_to_the_half_space(force):
+    off = []
+    for radius in (0.8, 0.4, 0.2):
+        load = tile(Traction.disk((0, 0), radius, force), DOME)
+        below = radius * np.array([[0.0, 0, 0.5], [0.3, 0.2, 1.0], [0, 0.8, 1.5]])
+        moved = compliance("nominal", 0.5).displacement(below, load)
+        flat = tile(Traction.disk((0, 0), radius, force), _flat())
+        alone = halfspace.displacement(below, flat, 0.5, 0.5)
+        off.append(np.abs(moved - alone).max() / np.abs(alone).max())
+    assert off[0] < 0.25
+    assert off[2] < off[1] < off[0]
+    assert 1.5 < off[1] / off[2] < 2.3
+
+
+def _flat():
+    from twin.parts.body import Block
+
+    return Block(width_mm=50, length_mm=50, thickness_mm=20)
