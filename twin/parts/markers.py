@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from twin.arrays import Chart, Floats, Points, frozen
 from twin.errors import RecipeError
@@ -35,6 +35,11 @@ class MarkerLayer(Part):
         (s, t) of the grid's centre.
     colour
         Diffuse reflectance in the camera's red, green and blue channels.
+    stiff
+        Whether the truth takes the beads as rigid against the rubber: each moves with the mean of the field over its
+        surface and pushes back on the rubber, which moves all markers, to first order in the beads' share of volume.
+        Otherwise they are points that the rubber carries. For beads in an incompressible block (`twin.parts.stiff`);
+        the sensor's software is not told.
     """
 
     kind: Literal["bead", "print"] = "bead"
@@ -45,6 +50,16 @@ class MarkerLayer(Part):
     rows: int = Field(ge=1, le=200)
     offset_mm: tuple[float, float] = (0.0, 0.0)
     colour: tuple[float, float, float]
+    stiff: bool = False
+
+    @model_validator(mode="after")
+    def _prints_are_soft(self) -> MarkerLayer:
+        if self.stiff and self.kind != "bead":
+            raise ValueError(
+                f"stiff = true: a {self.kind} strains with its level set; only kind = 'bead' can be stiff, or leave "
+                "stiff out"
+            )
+        return self
 
     def chart(self) -> Chart:
         """Return the (columns * rows, 2) surface coordinates of the markers, mm, s outer and t inner."""

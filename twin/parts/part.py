@@ -14,7 +14,7 @@ UNITS = {
 }  # fmt: skip
 
 
-LATER = (("back", "free"), ("youngs_modulus_mpa", None), ("poisson_ratio", None))
+LATER = (("back", "free"), ("youngs_modulus_mpa", None), ("poisson_ratio", None), ("stiff", False))
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so that files stored
 under a hash of all keys stay valid."""
 

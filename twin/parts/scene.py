@@ -14,7 +14,8 @@ from twin.parts.material import Cover, Material
 from twin.parts.part import Part
 from twin.parts.pipeline import Calibration, Reconstruction, Tracking
 from twin.parts.press import Press
-from twin.parts.tolerance import Tolerance
+from twin.parts.stiff import stiff_problems
+from twin.parts.tolerance import CUT, Tolerance
 
 
 class Scene(Part):
@@ -61,6 +62,9 @@ class Scene(Part):
                 raise ValueError("light: a scene with a camera needs a [light] table, or the picture is black")
             if not self.markers:
                 raise ValueError("markers: a scene with a camera needs at least one [markers.<layer>] table")
+        below = CUT * self.tolerance.poisson_ratio if self.tolerance.preset != "none" else 0.0
+        if problems := stiff_problems(self.body, self.markers, self.material.poisson_ratio - below):
+            raise ValueError("; ".join(problems))
         if self.reconstruction is not None and self.camera is None:
             raise ValueError("reconstruction: forces are reconstructed from pictures, add a [camera] table")
         return self

@@ -8,6 +8,9 @@ from pydantic import Field
 
 from twin.parts.part import Part
 
+CUT = 2.5
+"""Standard deviations beyond which there are none: a maker rejects worse ones."""
+
 
 class Tolerance(Part):
     """Standard deviations (normal, cut at 2.5) of what a maker does not control.

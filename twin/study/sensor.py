@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from twin.world.ladder import Ladder
     from twin.world.markers import Ellipsoids
     from twin.world.render import Renderer
+    from twin.world.stiff import StiffBeads
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0 to 1."""
@@ -140,11 +141,22 @@ class Sensor:
         points = self.actual.markers.points
         answer = self.ladder.displacement(points, rectangles)
         self._warn_if_inaccurate(answer.error)
-        return Motion(
-            displacement_mm=answer.displacement_mm,
-            gradient=answer.compliance.gradient(points, rectangles),
-            error=answer.error,
-        )
+        moved, error = answer.displacement_mm, answer.error
+        gradient = answer.compliance.gradient(points, rectangles)
+        if self.stiff_beads is not None and moved.any():
+            change = self.stiff_beads.change(lambda p: answer.compliance.displacement(p, rectangles), gradient)
+            error += self.stiff_beads.error(change, moved)
+            moved = moved + change
+        return Motion(displacement_mm=moved, gradient=gradient, error=error)
+
+    @cached_property
+    def stiff_beads(self) -> StiffBeads | None:
+        """The actual rigid beads and how they push each other; None where no layer is ``stiff``."""
+        if not any(layer.stiff for layer in self.actual.scene.markers.values()):
+            return None
+        from twin.world.stiff import stiff_beads
+
+        return stiff_beads(self.actual.markers, self.actual.scene.markers)
 
     def _warn_if_inaccurate(self, got: float) -> None:
         """Warn, once per sensor, of a load under which the asked accuracy is not reached."""

@@ -1,7 +1,7 @@
 """Rigid beads in incompressible rubber under a free flat surface: how they move and what they do to their neighbours.
 
-The rest of the twin takes markers as passive points. A hard bead differs in two ways. It can't strain, so it moves with
-the mean of the field over its surface, and it pushes back on the rubber around it, which moves the other beads.
+Markers that nobody says are stiff are passive points. A hard bead differs in two ways. It can't strain, so it moves
+with the mean of the field over its surface, and it pushes back on the rubber around it, which moves the other beads.
 
 Why the mean over the surface: a rigid sphere that is pushed through an endless elastic body has the same traction all
 over its surface, F / (4 pi a^2), because the field of an even shell of point forces, (1 + a^2/6 laplacian) G F, is the
@@ -21,16 +21,20 @@ out here, are 5 % of the change). The body's far faces are left out of the respo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.arrays import Floats, Points, frozen
 
 CHUNK = 32
 """Points at a time in `dipole_displacement`: keeps its memory near 20 MB for 636 beads."""
+
+COMPONENT = ((0, 5, 4), (5, 1, 3), (4, 3, 2))
+"""Where a symmetric tensor's entry stands among xx, yy, zz, yz, xz, xy."""
 
 TINY = 1e-30
 """Imaginary step, mm: derivatives of an analytic formula to the last digit, as nothing is subtracted."""
@@ -103,22 +107,23 @@ def bead_motion(
     return BeadMotion(passive=frozen(passive), alone=frozen(alone), together=frozen(together))
 
 
-def mean_on_sphere(field: Callable[[Points], Points], centres: Points, radius_mm: float) -> Points:
-    """Return the (n, 3) mean of ``field`` over spheres: Faxen's first law, u + a^2/6 laplacian(u).
+def mean_on_sphere(field: Callable[[Points], Points], centres: Points, radius_mm: float | Floats) -> Points:
+    """Return the (n, 3) mean of ``field`` over spheres of one radius or of (n,): Faxen's law, u + a^2/6 laplacian(u).
 
     Six points do: their mean is that of the sphere up to fourth derivatives of the field.
     """
-    sides = [field(centres + sign * radius_mm * axis) for axis in np.eye(3) for sign in (1, -1)]
-    return np.asarray(np.mean(sides, axis=0))
+    arms = np.concatenate([np.eye(3), -np.eye(3)])[:, None] * np.reshape(radius_mm, (-1, 1))
+    return np.asarray(field((centres + arms).reshape(-1, 3)).reshape(6, -1, 3).mean(axis=0))
 
 
-def stresslet(strain: Floats, radius_mm: float, shear_modulus_mpa: float) -> Floats:
-    """Return the (n, 3, 3) force dipole, N mm, by which a rigid bead pushes back on rubber of strain (n, 3, 3).
+def stresslet(strain: Floats, radius_mm: float | Floats, shear_modulus_mpa: float) -> Floats:
+    """Return the (n, 3, 3) force dipole, N mm, by which rigid beads push back on rubber of strain (n, 3, 3).
 
-    Force along j at an arm along k. -(20/3) pi G a^3 e at Poisson's ratio 1/2; its sum over a share of volume phi is
-    the stress of a material 1 + 5/2 phi times as stiff (Einstein, Smallwood).
+    Force along j at an arm along k; the beads have one radius or (n,). -(20/3) pi G a^3 e at Poisson's ratio 1/2; its
+    sum over a share of volume phi is the stress of a material 1 + 5/2 phi times as stiff (Einstein, Smallwood).
     """
-    return -20.0 / 3.0 * math.pi * shear_modulus_mpa * radius_mm**3 * strain
+    volumes = np.reshape(np.asarray(radius_mm, float) ** 3, (-1, 1, 1))
+    return np.asarray(-20.0 / 3.0 * math.pi * shear_modulus_mpa * volumes * strain)
 
 
 def stiffening(radius_mm: float, pitch_mm: float) -> tuple[float, float]:
@@ -164,20 +169,42 @@ def dipole_displacement(
 ) -> Points:
     """Return the (n, 3) displacement in mm of ``points`` under force dipoles (m, 3, 3), N mm, at ``centres`` (m, 3).
 
-    ``own`` (n,) names for every point the centre of which only the reflection at the free surface counts.
+    ``own`` (n,) names for every point the centre of which only the reflection at the free surface counts, -1 for none.
     """
     out = np.zeros((len(points), 3))
+    for some, k, slope in _slopes(points, centres, shear_modulus_mpa, own):
+        out[some] += np.einsum("nmij,mj->ni", slope, dipoles[:, :, k])
+    return out
+
+
+def shift_per_strain(points: Points, centres: Points, own: np.ndarray) -> NDArray[np.float32]:
+    """Return (3 n, 6 m) by how many mm ``points`` move per unit strain at beads of radius 1 mm at ``centres`` (m, 3).
+
+    The strain's components are xx, yy, zz, yz, xz, xy; the rubber's modulus cancels. Single precision: seven digits of
+    what is itself a correction. ``own`` as in `dipole_displacement`.
+    """
+    out = np.zeros((len(points), 3, len(centres), 6), np.float32)
+    size = float(stresslet(np.ones((1, 1, 1)), 1.0, 1.0)[0, 0, 0])
+    for some, k, slope in _slopes(points, centres, 1.0, own):
+        for j in range(3):
+            out[some, :, :, COMPONENT[j][k]] += size * slope[:, :, :, j].swapaxes(1, 2)
+    return out.reshape(3 * len(points), -1)
+
+
+def _slopes(
+    points: Points, centres: Points, shear_modulus_mpa: float, own: np.ndarray | None
+) -> Iterator[tuple[slice, int, Floats]]:
+    """Yield some points and an axis k at a time, and (some, m, 3, 3) d/dk of `point_force` as its source moves."""
     for start in range(0, len(points), CHUNK):
         some = slice(start, start + CHUNK)
         direct = np.ones((len(points[some]), len(centres)), bool)
         if own is not None:
-            direct[np.arange(len(direct)), own[some]] = False
+            inside = np.flatnonzero(own[some] >= 0)
+            direct[inside, own[some][inside]] = False
         here = np.broadcast_to(points[some, None], (*direct.shape, 3))
         for k in range(3):
             there = centres + 1j * TINY * np.eye(3)[k]
-            slope = point_force(here, np.broadcast_to(there, here.shape), shear_modulus_mpa, direct).imag / TINY
-            out[some] += np.einsum("nmij,mj->ni", slope, dipoles[:, :, k])
-    return out
+            yield some, k, point_force(here, np.broadcast_to(there, here.shape), shear_modulus_mpa, direct).imag / TINY
 
 
 def _symmetric(gradient: Floats) -> Floats:

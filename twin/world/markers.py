@@ -1,8 +1,9 @@
 """Markers in a deformed body, as ellipsoids: what the camera looks at.
 
 Why ellipsoids for both kinds: a strained ellipsoid is an ellipsoid again, the renderer intersects it exactly, and
-moving all markers is one array. Markers are passive points of the displacement field: a bead's own stiffness is left
-out, which is right to second order in (diameter / depth).
+moving all markers is one array. How far markers move is given: as points of the rubber, or as stiff beads
+(`twin.world.stiff`). A bead is drawn round and turns as the rubber does; it is a sphere of one colour, so no picture
+shows its turn.
 """
 
 from __future__ import annotations
