@@ -39,7 +39,7 @@ from twin.world.spread import Readings, Region, patch_rests, single, worth_a_reg
 from twin.world.store import field_key, kept
 from twin.world.table import Basis, Table, TableAtNu
 from twin.world.tabulate import Role, find_table, table_level
-from twin.world.tile import ON_SURFACE_MM
+from twin.world.tile import require_on_surface
 
 Method = Literal["subtracted", "direct"]
 
@@ -173,7 +173,7 @@ class Compliance:
         OutOfBodyError
             A point is outside the body.
         InputError
-            A rectangle is not on the sensing surface, or its force is not finite.
+            A rectangle is not on the sensing surface or hangs over its end, or its force is not finite.
         SolveError
             See `twin.world.solve.Factor.solve`.
         """
@@ -296,17 +296,7 @@ class Compliance:
         require_inside(self.body, points)
         if len(load) == 0:
             return points
-        if not np.all(np.isfinite(load.force_n)):
-            raise InputError("a rectangle's force is not finite: check the load")
-        distances = self.body.piece_distances(load.centre_mm)
-        off = (np.abs(distances[:, 0]) > ON_SURFACE_MM) | (np.min(distances, axis=1) < -ON_SURFACE_MM)
-        if np.any(off):
-            first = int(np.argmax(off))
-            place = ", ".join(f"{c:.4g}" for c in load.centre_mm[first])
-            raise InputError(
-                f"rectangle {first} at ({place}) mm is not on the sensing surface (allowed {ON_SURFACE_MM:g} mm off): "
-                "the load would miss the body"
-            )
+        require_on_surface(self.body, load)
         if self._subtracted:
             require_half_space(self.body, load)
         return points

@@ -40,7 +40,8 @@ FINEST = 0.12
 FINEST_INSIDE = 0.25
 """The same on interfaces, which lie a layer deeper."""
 
-LEVELS = 16
+LEVELS = 40
+"""Halvings of a face at most, down to 1e-11 mm: narrow loads at an edge need them, others stop by their own size."""
 
 DISTANT, CELLS, MERGEABLE = 2.5, 6.0, 64
 """Load radii beyond which a load of at least so many rectangles is merged into cells, so many across."""

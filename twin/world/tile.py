@@ -33,6 +33,10 @@ SAMPLES = 5
 ON_SURFACE_MM = 1e-3
 """How far off the sensing surface a 3-D centre may be; it is then moved onto it."""
 
+EDGE_MM, OVERHANG = 1e-4, 0.25
+"""How near to another face a rectangle's centre may be, and which share of its half side may hang over that face: what
+is nearer or hangs over pushes partly on nothing, and the half-space's tractions would not add up to the load."""
+
 
 def tile(load: Load, body: Body, spacing_mm: float | None = None) -> Rectangles:
     """Return the load as rectangles on the outer surface.
@@ -89,6 +93,56 @@ def footprint_centre(traction: Traction, body: Body) -> Points:
             f"surface (allowed {ON_SURFACE_MM:g} mm): give (x, y), or a point on the surface"
         )
     return np.asarray(centre - distances[0] * body.piece_normals(centre[None])[0, 0])
+
+
+def require_on_surface(body: Body, load: Rectangles) -> None:
+    """Raise an `InputError` unless every rectangle is made of finite numbers and lies on the sensing surface.
+
+    Where the sensing surface is curved, corners in the tangent plane may hang over its end a little (`OVERHANG`).
+    """
+    for what, values, unit in (
+        ("force", load.force_n, "N"), ("centre", load.centre_mm, "mm"), ("half side", load.half_mm, "mm"),
+        ("frame", load.frames.reshape(-1, 9), ""),
+    ):  # fmt: skip
+        finite = np.isfinite(values).all(axis=1)
+        if not finite.all():
+            first = int(np.argmin(finite))
+            raise InputError(f"rectangle {first}: its {what} {values[first]} {unit} is not finite: check the load")
+    distances = body.piece_distances(load.centre_mm)
+    off = (np.abs(distances[:, 0]) > ON_SURFACE_MM) | (np.min(distances, axis=1) < -ON_SURFACE_MM)
+    if np.any(off):
+        raise InputError(
+            f"{_named(load, int(np.argmax(off)))} is not on the sensing surface (allowed {ON_SURFACE_MM:g} mm off): "
+            "the load would miss the body"
+        )
+    inside = np.min(distances[:, 1:], axis=1)
+    if np.any(inside < EDGE_MM):
+        first = int(np.argmin(inside))
+        face = body.pieces[1 + int(np.argmin(distances[first, 1:]))]
+        raise InputError(
+            f"{_named(load, first)} is {inside[first]:.2g} mm from the body's {face} face (allowed: {EDGE_MM:g} mm and "
+            "more): on an edge a part of the load would miss the body; move it inwards"
+        )
+    out = _overhang(body, load)
+    if np.any(out > OVERHANG):
+        first = int(np.argmax(out))
+        raise InputError(
+            f"{_named(load, first)} hangs over the end of the sensing surface by {out[first]:.2g} of its half side "
+            f"(allowed: {OVERHANG:g}): move it inwards or make it smaller"
+        )
+
+
+def _overhang(body: Body, load: Rectangles) -> Floats:
+    """Return (k,) how far each rectangle's corners are outside the other faces, over its half side there."""
+    signs = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], float)
+    corners = load.centre_mm[:, None] + np.einsum("qs,ks,ksi->kqi", signs, load.half_mm, load.frames[:, :2])
+    out = -body.piece_distances(corners.reshape(-1, 3))[:, 1:].min(axis=1).reshape(len(load), -1).min(axis=1)
+    return np.asarray(out / np.maximum(load.half_mm.max(axis=1), ON_SURFACE_MM))
+
+
+def _named(load: Rectangles, index: int) -> str:
+    place = ", ".join(f"{c:.4g}" for c in load.centre_mm[index])
+    return f"rectangle {index} at ({place}) mm"
 
 
 def _tile_one(traction: Traction, body: Body, spacing_mm: float | None) -> Rectangles:
