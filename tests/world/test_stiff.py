@@ -24,13 +24,13 @@ SHEAR = 0.7
 def field(p):
     """An uneven field without divergence."""
     x, y, z = p.T
-    return 1e-3 * np.column_stack([z * z + y, x * z, x * y - 0.5 * x * x])
+    return 1e-3 * np.column_stack([z * z + y + x, x * z + 2 * y, x * y - 0.5 * x * x - 3 * z])
 
 
 def gradient(p):
     x, y, z = p.T
     zero = 0 * x
-    rows = [[zero, zero + 1, 2 * z], [z, zero, x], [y - x, x, zero]]
+    rows = [[zero + 1, zero + 1, 2 * z], [z, zero + 2, x], [y - x, x, zero - 3]]
     return 1e-3 * np.array(rows).transpose(2, 0, 1)
 
 
