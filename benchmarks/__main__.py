@@ -10,7 +10,10 @@ import platform
 import sys
 from pathlib import Path
 
-STAGES = ("elasticity", "picture", "chain")
+STAGES = ("elasticity", "peers", "growth", "picture", "chain", "stress")
+SLOW = ("peers", "growth")
+"""Stages that a quick run leaves out unless they are named: they need other programs, or much memory."""
+
 RESULTS = Path(__file__).parent / "results"
 
 
@@ -22,7 +25,8 @@ def main() -> int:
     arguments = parser.parse_args()
     if unknown := sorted(set(arguments.stage) - set(STAGES)):
         parser.error(f"unknown stages {', '.join(unknown)}: choose from {', '.join(STAGES)}")
-    for stage in arguments.stage or STAGES:
+    everything = [stage for stage in STAGES if not (arguments.quick and stage in SLOW)]
+    for stage in arguments.stage or everything:
         print(f"\n{stage}\n")
         rows = importlib.import_module(f"benchmarks.{stage}").run(quick=arguments.quick)
         print(table(rows))

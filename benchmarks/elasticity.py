@@ -1,69 +1,89 @@
 """Elasticity: error against converged solutions of an independent program, beside seconds and unknowns.
 
-The first press of a method pays for everything (mesh, factor), the others for their own load only.
+Every way of answering on every reference case. The clock starts with the mesh in memory and the load in words. The
+first load of a way and Poisson's ratio pays for the factor; a next load, for its own tiles and solve only. Compiled
+code is warmed up before, and nothing solved earlier is read from the cache.
 """
 
 from __future__ import annotations
 
-import json
-import time
+import gc
 from typing import Any
 
-import numpy as np
-
-from twin.parts.body import Block, Body, Finger
-from twin.parts.load import Traction
+from benchmarks.clock import Clock, empty_cache
+from benchmarks.reference import BODIES, YOUNGS_MODULUS_MPA, Case, reference
 from twin.parts.material import Material
-from twin.places import ROOT
 from twin.world.compliance import Compliance, Method
 from twin.world.mesh import Level
-from twin.world.tile import tile
+from twin.world.sizing import WORLD
 
-BODIES: dict[str, Body] = {
-    "block": Block(width_mm=100, length_mm=90, thickness_mm=40),
-    "finger": Finger(radius_mm=8, barrel_mm=8, skirt_mm=2),
-}
-WAYS: dict[str, tuple[Method, Level, bool]] = {
-    "table, truth": ("subtracted", "standard", True),
-    "table, nominal": ("subtracted", "nominal", True),
-    "subtracted, truth": ("subtracted", "standard", False),
-    "subtracted, nominal": ("subtracted", "nominal", False),
-    "direct, truth": ("direct", "standard", False),
-    "direct, nominal": ("direct", "nominal", False),
-}
-"""Names of the ways, each with its method, its mesh, and whether the shipped table is used; only the block has one."""
+TABLES: dict[str, Level] = {"table, truth": "standard", "table, nominal": "nominal"}
+"""Ways of the block without a solve; a truth's table is one and the same for every level."""
+
+LEVELS: tuple[Level, ...] = ("nominal", *WORLD)
+QUICK: tuple[Level, ...] = ("nominal", "sketch", "coarse", "standard")
 
 
 def run(quick: bool) -> list[dict[str, Any]]:
-    """Return one row a case and method; the quick form takes three cases of each body."""
+    """Return one row a case and way; the quick form takes three cases of each body and leaves out the slow ways."""
     rows = []
-    for name, body in BODIES.items():
-        with np.load(ROOT / "tests" / "reference" / f"{name}.npz") as file:
-            data = {key: file[key] for key in file.files}
-        cases = json.loads(str(data["cases"]))
-        for way, (method, level, table) in WAYS.items():
-            if (table and name != "block") or (quick and method == "direct"):
-                continue
-            made: dict[float, Compliance] = {}
-            for case in cases[:3] if quick else cases:
-                start = time.perf_counter()
-                nu = case["nu"]
-                first = nu not in made
-                if first:
-                    material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
-                    made[nu] = Compliance(body, material, level=level, method=method, table=table)
-                words = dict(case["load"])
-                load = tile(getattr(Traction, words.pop("kind"))(**words), body)
-                moved = made[nu].displacement(data["points"], load)
-                seconds = time.perf_counter() - start
-                wrong = np.linalg.norm(moved - data[case["key"]], axis=1).max()
-                rows.append(
-                    {
-                        "case": f"{name} {case['key']}",
-                        "method": way + (", first press" if first else ""),
-                        "unknowns": 0 if table else made[nu].mesh.unknowns,
-                        "seconds": seconds,
-                        "error": float(wrong / np.linalg.norm(data[case["key"]], axis=1).max()),
-                    }
-                )
+    for body in BODIES:
+        ways: list[tuple[str, Method, Level, bool]] = []
+        if body == "block":
+            ways += [(name, "subtracted", level, True) for name, level in TABLES.items()]
+        ways += [(f"subtracted, {level}", "subtracted", level, False) for level in (QUICK if quick else LEVELS)]
+        if not quick:
+            ways += [(f"direct, {level}", "direct", level, False) for level in LEVELS]
+        for way in ways:
+            warm_up(body, *way)
+            with empty_cache():
+                rows += way_rows(body, *way, quick)
+            gc.collect()
     return rows
+
+
+def way_rows(body: str, way: str, method: Method, level: Level, table: bool, quick: bool) -> list[dict[str, Any]]:
+    """Return the rows of one way, one a case."""
+    truth, made, rows = reference(body), dict[float, Compliance](), []
+    for case in truth.cases[:3] if quick else truth.cases:
+        first = case.nu not in made
+        if first:
+            made[case.nu] = compliance(body, case.nu, method, level, table)
+        stiff = made[case.nu]
+        clock = Clock()
+        load = case.load(BODIES[body])
+        moved = stiff.displacement(truth.points, load)
+        cost = clock.lap()
+        error, at_markers = truth.errors(moved, case.right)
+        row = {
+            "body": body,
+            "case": case.key,
+            "way": way,
+            "unknowns": 0 if table else stiff.mesh.unknowns,
+            "load": "first" if first else "next",
+            "wall_s": cost.wall,
+            "cpu_s": cost.cpu,
+            "error": error,
+            "marker_error": at_markers,
+        }
+        if method == "subtracted":
+            row["estimate"] = stiff.error_estimate(truth.points, load)
+        rows.append(row)
+    return rows
+
+
+def compliance(body: str, nu: float, method: Method, level: Level, table: bool) -> Compliance:
+    """Return a new compliance with its mesh, or its table, in memory and nothing solved."""
+    material = Material(youngs_modulus_mpa=YOUNGS_MODULUS_MPA, poisson_ratio=nu)
+    made = Compliance(BODIES[body], material, level=level, method=method, table=table)
+    if not table:
+        _ = made.mesh
+    return made
+
+
+def warm_up(body: str, way: str, method: Method, level: Level, table: bool) -> None:
+    """Answer once and forget it: compiled code and libraries are loaded afterwards."""
+    case: Case = reference(body).cases[-1]
+    small: Level = level if table else "sketch"
+    with empty_cache():
+        compliance(body, case.nu, method, small, table).displacement(reference(body).points, case.load(BODIES[body]))

@@ -1,0 +1,59 @@
+"""What a piece of work costs: wall and CPU seconds, child processes counted, nothing remembered from earlier runs.
+
+CPU seconds are what methods are compared by: they hold on a busy machine, and two cores can't hide work.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from twin.places import cache_folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cost:
+    """Seconds that a piece of work took: wall, and CPU of all threads and finished children."""
+
+    wall: float
+    cpu: float
+
+
+class Clock:
+    """Started when made; `lap` returns the cost since then or since the last lap."""
+
+    def __init__(self) -> None:
+        self._last = _now()
+
+    def lap(self) -> Cost:
+        """Return the cost since the last call."""
+        now, last = _now(), self._last
+        self._last = _now()
+        return Cost(wall=now[0] - last[0], cpu=now[1] - last[1])
+
+
+def _now() -> tuple[float, float]:
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.perf_counter(), time.process_time() + children.ru_utime + children.ru_stime
+
+
+@contextmanager
+def empty_cache() -> Iterator[None]:
+    """Give the program a cache folder of its own that is empty, so that nothing solved before is read."""
+    before = os.environ.get("TWIN_CACHE")
+    with tempfile.TemporaryDirectory(prefix="twin-benchmark-") as folder:
+        os.environ["TWIN_CACHE"] = folder
+        cache_folder.cache_clear()
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ["TWIN_CACHE"]
+            else:
+                os.environ["TWIN_CACHE"] = before
+            cache_folder.cache_clear()

@@ -1,0 +1,43 @@
+"""Comparing programs by error and time: fronts, interpolation between runs, and powers of growth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks.fronts import front, seconds_to
+from benchmarks.growth_law import exponent
+
+SIZES = st.floats(1e-6, 1e3)
+RUNS = st.lists(st.tuples(SIZES, SIZES), max_size=12)
+
+
+@given(RUNS)
+def test_no_run_beats_the_front_and_every_other_run_is_beaten(runs):
+    best = front(runs)
+    for seconds, error in best:
+        assert not any(s <= seconds and e <= error and (s, e) != (seconds, error) for s, e in runs)
+    for seconds, error in runs:
+        assert any(s <= seconds and e <= error for s, e in best)
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+def test_interpolation_is_exact_for_a_power_law(power):
+    """Half the error for twice the power of time, in whatever order the runs come, with worse runs in between."""
+    runs = [(0.1 * error**-power, error) for error in (0.05, 0.002, 0.0004, 0.01)]
+    assert seconds_to([*runs, (1e4, 0.5)], 0.003) == pytest.approx(0.1 * 0.003**-power, rel=1e-12)
+
+
+def test_a_goal_beyond_the_best_run_is_not_reached_and_one_below_the_first_costs_the_first():
+    runs = [(1.0, 0.01), (10.0, 0.001)]
+    assert seconds_to(runs, 0.0009) is None
+    assert seconds_to(runs, 0.5) == 1.0
+    assert seconds_to([], 0.5) is None
+
+
+def test_exponent_is_the_power():
+    sizes = np.array([1e4, 3e4, 2e5])
+    rows = [{"unknowns": n, "seconds": 3e-7 * n**1.7} for n in sizes]
+    assert exponent(rows, "seconds") == pytest.approx(1.7, abs=1e-12)
