@@ -68,23 +68,23 @@ def may_be_loaded(body: str, middles: Points) -> Bools:
     return np.asarray(np.linalg.norm(middles, axis=1) < 2 * BUMP_MM)
 
 
-# Points and weights of degree 5 on the triangle (J. Radon 1948).
 _A, _B = (6 - np.sqrt(15)) / 21, (6 + np.sqrt(15)) / 21
-_PLACES = np.array([[1 / 3, 1 / 3], *[[a, b] for s in (_A, _B) for a, b in ((s, s), (1 - 2 * s, s), (s, 1 - 2 * s))]])
-_WEIGHTS = np.array([9 / 80] + [(155 - np.sqrt(15)) / 2400] * 3 + [(155 + np.sqrt(15)) / 2400] * 3)
+PLACES = np.array([[1 / 3, 1 / 3], *[[a, b] for s in (_A, _B) for a, b in ((s, s), (1 - 2 * s, s), (s, 1 - 2 * s))]])
+WEIGHTS = np.array([9 / 80] + [(155 - np.sqrt(15)) / 2400] * 3 + [(155 + np.sqrt(15)) / 2400] * 3)
+"""Points (7, 2) and weights (7,) that integrate polynomials of degree 5 over the unit triangle (J. Radon 1948)."""
 
 
 def nodal_shares(body: str, mesh: Mesh) -> Floats:
     """Return the (N,) forces on the nodes of quadratic elements that a total of 1 N makes, N."""
     faces = mesh.faces[mesh.piece == 0]
-    a, b = _PLACES.T
+    a, b = PLACES.T
     c = 1.0 - a - b
     shape = np.stack([c * (2 * c - 1), a * (2 * a - 1), b * (2 * b - 1), 4 * a * c, 4 * a * b, 4 * b * c], axis=1)
     along_a = np.stack([1 - 4 * c, 4 * a - 1, 0 * a, 4 * (c - a), 4 * b, -4 * b], axis=1)
     along_b = np.stack([1 - 4 * c, 0 * a, 4 * b - 1, -4 * a, 4 * a, 4 * (c - b)], axis=1)
     nodes = mesh.points[faces]
     places, one, two = (np.einsum("qa,fai->fqi", table, nodes) for table in (shape, along_a, along_b))
-    area = np.linalg.norm(np.cross(one, two), axis=2) * _WEIGHTS
+    area = np.linalg.norm(np.cross(one, two), axis=2) * WEIGHTS
     strength = traction(body, places.reshape(-1, 3)).reshape(area.shape) * area
     out = np.bincount(faces.ravel(), (strength @ shape).ravel(), len(mesh.points))
     return np.asarray(out / out.sum())

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 
 from benchmarks import peers
 from benchmarks.peers_mesh import BUMP_MM, Edges, curved, netgen_mesh
-from benchmarks.peers_run import Problem, nodal_shares
+from benchmarks.peers_run import PLACES, WEIGHTS, Problem, nodal_shares
 from benchmarks.reference import BODIES, reference
 from twin.world.mesh import body_mesh
 
 COARSE = Edges(ring=1.3, load=1.3, rim=25, far=25, grading=0.5)
+
+
+def test_quadrature_is_exact_to_degree_five():
+    for i, j in itertools.product(range(6), repeat=2):
+        if i + j > 5:
+            continue
+        exact = math.factorial(i) * math.factorial(j) / math.factorial(i + j + 2)
+        assert WEIGHTS @ (PLACES[:, 0] ** i * PLACES[:, 1] ** j) == pytest.approx(exact, rel=1e-12)
 
 
 def test_nodal_forces_balance_the_bump():
