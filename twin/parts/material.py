@@ -26,7 +26,7 @@ class Material(Part):
 
 
 class Cover(Part):
-    """The black sheet on the sensing surface: it occupies depths 0 to ``thickness_mm`` and has the body's modulus.
+    """The black sheet on the sensing surface: it occupies depths 0 to ``thickness_mm``.
 
     Attributes
     ----------
@@ -34,7 +34,11 @@ class Cover(Part):
         Thickness, mm.
     albedo
         Diffuse reflectance, red, green, blue.
+    youngs_modulus_mpa, poisson_ratio
+        Its own modulus, MPa, and Poisson's ratio; those of the body if not given.
     """
 
     thickness_mm: float = Field(default=0.2, gt=0, le=5)
     albedo: tuple[float, float, float] = (0.03, 0.03, 0.03)
+    youngs_modulus_mpa: float | None = Field(default=None, gt=0, le=1e6)
+    poisson_ratio: float | None = Field(default=None, ge=-0.5, le=0.5)

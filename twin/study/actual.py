@@ -49,6 +49,10 @@ def make(nominal: Scene) -> Actual:
             "poisson_ratio": max(-0.5, nominal.material.poisson_ratio - tolerance.poisson_ratio * abs(_deviation(rng))),
         }
     )
+    cover = nominal.cover
+    if cover is not None and cover.youngs_modulus_mpa is not None:
+        stiffer = material.youngs_modulus_mpa / nominal.material.youngs_modulus_mpa
+        cover = cover.model_copy(update={"youngs_modulus_mpa": cover.youngs_modulus_mpa * stiffer})
     markers = {
         name: layer.model_copy(update={"depth_mm": layer.depth_mm + tolerance.depth_mm * _deviation(rng)})
         for name, layer in nominal.markers.items()
@@ -61,7 +65,7 @@ def make(nominal: Scene) -> Actual:
         focal = camera.focal_px * (1 + tolerance.focal_pct / 100 * _deviation(rng))
         pose = {"pupil_mm": (x, y, max(z, front)), "tilt_deg": (a, b, c), "focal_px": focal}
         camera = camera.model_copy(update=pose)
-    scene = nominal.model_copy(update={"material": material, "markers": markers, "camera": camera})
+    scene = nominal.model_copy(update={"material": material, "cover": cover, "markers": markers, "camera": camera})
     noise = stream(nominal.seed, Purpose.PRINT).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)
     return Actual(scene=scene, jitter_mm=frozen(jitter), markers=place(nominal.body, markers, jitter))

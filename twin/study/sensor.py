@@ -29,6 +29,7 @@ from twin.theory.optics import project
 if TYPE_CHECKING:
     from twin.world.compliance import Compliance
     from twin.world.contact import ContactState
+    from twin.world.covered import Covered, CoveredLadder
     from twin.world.ladder import Ladder
     from twin.world.markers import Ellipsoids
     from twin.world.render import Renderer
@@ -79,23 +80,29 @@ class Sensor:
         return make(self.nominal)
 
     @cached_property
-    def ladder(self) -> Ladder:
+    def ladder(self) -> Ladder | CoveredLadder:
         """The actual body on as many levels of mesh as the asked accuracy takes."""
         from twin.world.ladder import Ladder
 
         scene = self.actual.scene
+        if covered := _covered(scene, "coarse", self.progress):
+            from twin.world.covered import CoveredLadder
+
+            return CoveredLadder(covered)
         return Ladder(scene.body, scene.material, scene.accuracy.displacement, progress=self.progress)
 
     @property
-    def compliance(self) -> Compliance:
+    def compliance(self) -> Compliance | Covered:
         """Compliance of the actual body, on the level that the asked accuracy takes."""
         return self.ladder.base
 
     @cached_property
-    def nominal_compliance(self) -> Compliance:
+    def nominal_compliance(self) -> Compliance | Covered:
         """Compliance of the nominal body, on a mesh of its own: what the sensor's software may be told."""
         from twin.world.compliance import Compliance
 
+        if covered := _covered(self.nominal, "nominal", self.progress):
+            return covered
         return Compliance(self.nominal.body, self.nominal.material, level="nominal", progress=self.progress)
 
     @cached_property
@@ -240,6 +247,18 @@ class Sensor:
             raise RecipeError("this scene has no [reconstruction] table, so there are no sites")
         grid = self.nominal.reconstruction.sites
         return on_grid(self.nominal.body, grid, grid.pitch_mm / 2, "reconstruction.sites")
+
+
+def _covered(scene: Scene, level: Literal["coarse", "nominal"], progress: Progress | None) -> Covered | None:
+    """Return the compliance of a body whose cover is of another material, None if there is no such cover."""
+    if scene.cover is None or (scene.cover.youngs_modulus_mpa is None and scene.cover.poisson_ratio is None):
+        return None
+    from twin.world.covered import Covered, own_layer
+
+    layer = own_layer(scene.material, scene.cover)
+    if layer is None:
+        return None
+    return Covered(scene.body, scene.material, scene.cover.thickness_mm, layer, level=level, progress=progress)
 
 
 def on_grid(body: Body, grid: Sites, half_mm: float, key: str) -> Rectangles:

@@ -9,6 +9,7 @@ answered by the last one tried, and said.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from twin.arrays import Points
 from twin.parts.body import Block, Body
@@ -18,6 +19,9 @@ from twin.world.compliance import Compliance
 from twin.world.expected import EXPECTED
 from twin.world.mesh import Progress
 from twin.world.sizing import WORLD, Level
+
+if TYPE_CHECKING:
+    from twin.world.covered import Covered
 
 GAIN = 2.5
 """How many times smaller a level's error is than that of the next coarser one, at least."""
@@ -42,7 +46,7 @@ class Answer:
 
     displacement_mm: Points
     error: float
-    compliance: Compliance
+    compliance: Compliance | Covered
 
 
 class Ladder:
