@@ -49,6 +49,7 @@ def wing(file: Path) -> str:
         ("show", ["world", "sense", "judge", "study"]),
         ("parts", ["world", "sense", "judge", "study", "show", "theory"]),
         ("theory", ["world", "sense", "judge", "study", "show"]),
+        ("geometry", ["world", "sense", "judge", "study", "show", "parts", "theory"]),
     ],
 )
 def test_doors_between_the_wings(from_wing: str, forbidden: list[str]) -> None:

@@ -82,6 +82,20 @@ def test_inside_is_inside_and_distances_are_to_the_triangles_of_a_body_with_a_de
     nearest_face = solid.piece_distances(inside[:200]).min(axis=1)
     np.testing.assert_allclose(nearest_face, brute, atol=0.1)
     assert (nearest_face <= brute + 1e-12).all()
+    for k in range(len(solid.pieces)):
+        own = spread(solid._pieces.surface.vertices[solid._pieces.surface.triangles[solid._pieces.piece == k]], 60)
+        brute = np.linalg.norm(inside[:200, None, None] - own[None], axis=3).min(axis=(1, 2))
+        np.testing.assert_allclose(solid.piece_distances(inside[:200])[:, k], brute, atol=0.1)
+
+
+def test_a_piece_goes_on_in_its_last_plane_beyond_its_edge(tmp_path):
+    solid, dome = solid_dome(tmp_path, 1.0)
+    rim = np.array([dome.base_radius_mm, 0.0, dome.height_mm])
+    slope = np.array([dome.height_mm - dome.radius_mm, 0, -dome.base_radius_mm]) / dome.radius_mm
+    beyond = rim - 0.3 * slope  # 0.3 mm further along the sphere's tangent, out of the body through its base
+    sensing, held = solid.piece_distances(beyond[None])[0]
+    assert held < -0.25
+    assert abs(sensing) < 0.3 * np.sin(0.06) + 0.01  # facets of 1 mm are turned by up to 0.05 rad
 
 
 def test_points_on_every_face_of_a_body_with_a_dent_are_inside_and_on_their_piece(tmp_path):
