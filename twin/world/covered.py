@@ -37,7 +37,7 @@ FINE = 0.6
 GROWTH = 1.5
 """Growth of the longest edge with distance from the load."""
 
-ACROSS = 6.0
+ACROSS = 3.0
 """Elements across the radius of a region of many patches, at most: finer ones would cost too much."""
 
 ROOM = 1.5
