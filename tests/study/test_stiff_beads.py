@@ -61,6 +61,7 @@ def test_beads_without_load_stay() -> None:
         ("sato_press", {}, "markers.red: stiff = true: a print strains"),
         ("sato_press", {"markers.red.kind": "bead"}, "in a block only, this body is a finger"),
         ("kamiyama_pillar", {"material.poisson_ratio": 0.491}, "may be as low as 0.4885"),
+        ("kamiyama_pillar", {"cover.youngs_modulus_mpa": 5.0}, "a cover of another material than the body's"),
         ("kamiyama_pillar", {"markers.red.depth_mm": 0.9}, "0.9 mm from the sensing surface, but must be at least 1"),
         ("kamiyama_pillar", {"markers.red.pitch_mm": 0.8}, "0.8 mm from each other, but must be at least 1 mm"),
         ("kamiyama_pillar", {"markers.red.depth_mm": 3.1}, "markers.blue, but must be at least 1.2 mm"),

@@ -62,8 +62,8 @@ class Scene(Part):
                 raise ValueError("light: a scene with a camera needs a [light] table, or the picture is black")
             if not self.markers:
                 raise ValueError("markers: a scene with a camera needs at least one [markers.<layer>] table")
-        below = CUT * self.tolerance.poisson_ratio if self.tolerance.preset != "none" else 0.0
-        if problems := stiff_problems(self.body, self.markers, self.material.poisson_ratio - below):
+        shortfall = CUT * self.tolerance.poisson_ratio if self.tolerance.preset != "none" else 0.0
+        if problems := stiff_problems(self.body, self.markers, self.material, self.cover, shortfall):
             raise ValueError("; ".join(problems))
         if self.reconstruction is not None and self.camera is None:
             raise ValueError("reconstruction: forces are reconstructed from pictures, add a [camera] table")

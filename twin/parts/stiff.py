@@ -17,6 +17,7 @@ from twin.parts.block import Block
 from twin.parts.body import Body
 from twin.parts.grid import grid_axes
 from twin.parts.markers import MarkerLayer
+from twin.parts.material import Cover, Material
 
 LEAST_GAP = 4.0
 """Distance of a bead's centre to the surface and to other markers, over its radius."""
@@ -27,15 +28,17 @@ LEAST_ROOM = 3.0
 LEAST_POISSON_RATIO = 0.49
 
 
-def stiff_problems(body: Body, layers: Mapping[str, MarkerLayer], poisson_ratio: float) -> list[str]:
+def stiff_problems(
+    body: Body, layers: Mapping[str, MarkerLayer], material: Material, cover: Cover | None, shortfall: float
+) -> list[str]:
     """Return what keeps the layers that are stiff from being corrected, one line each; none if none is stiff.
 
     Parameters
     ----------
-    body, layers
+    body, layers, material, cover
         The sensor as designed.
-    poisson_ratio
-        Of the rubber, the lowest that its tolerance allows.
+    shortfall
+        By how much the made rubber's Poisson's ratio may fall below the designed one.
     """
     stiff = {name: layer for name, layer in layers.items() if layer.stiff}
     if not stiff:
@@ -45,6 +48,15 @@ def stiff_problems(body: Body, layers: Mapping[str, MarkerLayer], poisson_ratio:
         shape = type(body).__name__.lower()
         return [f"{key} = true: how stiff beads push is known in a block only, this body is a {shape}; leave it out"]
     problems = []
+    if cover is not None and (
+        cover.youngs_modulus_mpa not in (None, material.youngs_modulus_mpa)
+        or cover.poisson_ratio not in (None, material.poisson_ratio)
+    ):
+        problems.append(
+            f"{key} = true: a cover of another material than the body's reflects the beads' push-back in a way that "
+            "is not known here: leave out cover.youngs_modulus_mpa and cover.poisson_ratio, or stiff"
+        )
+    poisson_ratio = material.poisson_ratio - shortfall
     if poisson_ratio < LEAST_POISSON_RATIO:
         problems.append(
             f"{key} = true: material.poisson_ratio may be as low as {poisson_ratio:.4g} with its tolerance, but must "

@@ -9,10 +9,8 @@ import numpy as np
 from twin.arrays import Chart, frozen
 from twin.parts.markers import MarkerSet, place
 from twin.parts.scene import Scene
+from twin.parts.tolerance import CUT
 from twin.streams import Purpose, stream
-
-CUT = 2.5
-"""Deviations are normal, cut at this many standard deviations: a maker rejects worse ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +82,8 @@ def shared_by_truth_and_estimate(scene: Scene) -> list[str]:
         "lens model without distortion error",
         "closed-form half-space part of the elastic field (its finite-element correction lives on another mesh)",
     ]
+    if not any(layer.stiff for layer in scene.markers.values()):
+        shared.append("that markers are points which the rubber carries (beads in a block can be stiff)")
     if scene.tolerance.preset == "none":
         shared += ["every nominal number: tolerance.preset is none"]
     return shared
