@@ -1,0 +1,117 @@
+"""Where elasticity breaks: every axis is walked outwards from the middle until an answer is wrong or refused.
+
+A step holds when nothing that must be true of any answer is off by more than the bounds of its axis: the relative
+residual; the imbalance of load and reaction; the asymmetry of the compliance, or under mirrored loads; and the
+departure from what must come out (scaled, limiting or summed answers). Where the program estimates its
+error, mirrored answers may differ by three times that. ``python -m benchmarks stress`` stores the
+rows; ``python -m benchmarks.stress`` writes them into docs/stress.md.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.__main__ import RESULTS, table
+from benchmarks.stress_axes import Axis, Measured, system_axes, unsolvable
+from benchmarks.stress_loads import load_axes
+from twin.errors import TwinError
+from twin.places import ROOT, cache_folder
+
+PAGE = ROOT / "docs" / "stress.md"
+MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"
+TOLD = 0.01
+"""Estimated error above which the accuracy of every shipped scene is missed, so that a run warns."""
+
+BREAKING, REFUSED = "Breaking points", "What can't be solved"
+
+
+def run(quick: bool) -> list[dict[str, Any]]:
+    """Return one row an axis, then one for every kind of system that can't be solved; quick walks every third step."""
+    with tempfile.TemporaryDirectory() as folder:
+        _forget(folder)
+        return _walked(quick)
+
+
+def _walked(quick: bool) -> list[dict[str, Any]]:
+    rows = []
+    for axis in [*system_axes(), *load_axes()]:
+        start = sum(os.times()[:4])
+        row = survey(axis, axis.steps[:: 3 if quick else 1])
+        rows.append({"what": BREAKING, **row, "cpu_s": sum(os.times()[:4]) - start})
+    return rows + [{"what": REFUSED, **refusal(name, attempt)} for name, attempt in unsolvable().items()]
+
+
+def _forget(folder: str) -> None:
+    """Keep solved fields in an empty folder, so that none of an earlier run is read instead of solving."""
+    os.environ["TWIN_CACHE"] = folder
+    cache_folder.cache_clear()
+
+
+def survey(axis: Axis, steps: tuple[float, ...]) -> dict[str, Any]:
+    """Walk an axis; return how far it holds, what comes first beyond, and the worst figures of the steps that hold."""
+    held: list[float] = []
+    worst, first_bad, refused = Measured(), "", ""
+    for step in steps:
+        try:
+            measured = axis.attempt(step)
+        except TwinError as problem:
+            refused = f"from {step:g} refused: {_short(problem)}"
+            break
+        wrong = measured.beyond(axis.bounds)
+        if wrong:
+            told = (
+                f"the program estimates {measured.told:.2g}" if measured.told > TOLD else "the program doesn't say so"
+            )
+            first_bad = first_bad or f"at {step:g} degraded, {told}: {wrong}"
+        elif not first_bad:
+            held.append(step)
+            worst = worst.or_worse(measured)
+    return {
+        "axis": axis.name,
+        "tried": f"{steps[0]:g} to {steps[-1]:g}",
+        "holds to": f"{held[-1]:g}" if held else "nowhere",
+        "beyond": "; ".join(filter(None, (first_bad, refused))) or "not reached",
+        **worst.columns(),
+    }
+
+
+def refusal(name: str, attempt: Callable[[], Measured]) -> dict[str, str]:
+    """Return what the program says of a system that can't be solved."""
+    try:
+        measured = attempt()
+    except TwinError as problem:
+        return {"system": name, "error": type(problem).__name__, "says": _short(problem, 400)}
+    return {"system": name, "error": "none", "says": f"solved, to a residual of {measured.residual:.1e}"}
+
+
+def _short(problem: TwinError, most: int = 110) -> str:
+    text = re.sub(r"\s+", " ", str(problem)).replace("|", "/")
+    return text if len(text) <= most else text[: most - 3].rsplit(" ", 1)[0] + " ..."
+
+
+def page_tables() -> str:
+    """Return the Markdown between the page's two result marks."""
+    stored = json.loads((RESULTS / "stress.json").read_text())
+    parts = [""]
+    for what in (BREAKING, REFUSED):
+        rows = [{k: v for k, v in row.items() if k != "what"} for row in stored["rows"] if row["what"] == what]
+        parts.append(f"**{what}**\n\n{table(rows)}\n")
+    return "\n".join([*parts, f"On {stored['machine']['processor']}, {stored['machine']['cores']} cores.\n"])
+
+
+def write_page(page: Path = PAGE) -> None:
+    """Put the stored rows between the page's marks."""
+    text = page.read_text()
+    page.write_text(re.sub(MARKS, lambda m: m.group(1) + page_tables() + m.group(2), text, flags=re.DOTALL))
+
+
+if __name__ == "__main__":
+    write_page()
+    sys.exit(0)
