@@ -66,7 +66,6 @@ def test_cover_is_exact(given, thickness, sheets):
         assert volume(covered, 1) == pytest.approx(body.volume_mm3 - core.volume_mm3, rel=3e-3)
 
 
-@pytest.mark.slow
 def test_a_domes_cover_ends_at_its_sharp_rim_on_the_base():
     body = Dome(radius_mm=10, height_mm=7)
     covered = with_cover(body_mesh(body, "nominal"), body, 0.2)
