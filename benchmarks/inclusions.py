@@ -5,6 +5,7 @@ next to the load, as rigid bodies, in the whole block; closed forms (`twin.theor
 then all 636 of them, which no mesh of reasonable size could resolve. With beads and without them the mesh is the
 same, so that the mesh's own error cancels in the change, and unknowns of a bead are tied to its six motions, so that a
 bead is exactly rigid. The load is even over the disc below the 5 mm pillar; two mirror planes leave a quarter.
+Further rows say where the option of stiff markers (`twin.world.stiff`) ends, and what it costs.
 """
 
 from __future__ import annotations
@@ -49,6 +50,14 @@ RESOLVED = ((1.0, 2, 2.0), (1.0, 3, 2.0), (2.3, 2, 2.0), (2.3, 2, 3.0))
 CUTS = 3
 """Odd, so that one place of the spread layers is the bead's own."""
 
+SOFTER = (0.5, 0.4975, 0.49, 0.47)
+"""Poisson's ratios of the rubber around 4 resolved beads: the closed forms hold at 1/2."""
+
+FACES_MM = (3.0, 6.0, 10.0, 20.0, 40.0)
+"""Distances of a free face whose reflection of the push-back is left out."""
+
+PITCHES_MM = (1.5, 1.25, 1.0)
+STIFF = {"markers.red.stiff": True, "markers.blue.stiff": True}
 SCENE = {"tolerance.preset": "none", "material.poisson_ratio": 0.5}
 DIRECTIONS = {"along z": (0, 0, 1), "along x": (1, 0, 0)}
 
@@ -59,7 +68,10 @@ def run(quick: bool) -> list[dict[str, Any]]:
     rows = [_resolved_row(sensor, *case) for case in (RESOLVED[:1] if quick else RESOLVED)]
     for direction, force in DIRECTIONS.items():
         rows.append(_all_beads_row(sensor, direction, force))
-    return rows
+    if quick:
+        return rows
+    rows += [_softer_row(poisson_ratio) for poisson_ratio in SOFTER]
+    return rows + _face_rows(sensor) + [_pitch_row(pitch) for pitch in PITCHES_MM] + [_option_row()]
 
 
 def page_tables() -> str:
@@ -81,10 +93,8 @@ def _resolved_row(sensor: Sensor, reach_mm: float, order: int, fineness: float) 
     start = time.process_time()
     solved = bead_solutions(_centres(sensor), RADIUS_MM, PILLAR_MM, reach_mm, order, fineness)
     seconds = time.process_time() - start
-    mirrored = np.concatenate([solved.centres * [a, b, 1] for a in (1, -1) for b in (1, -1)])
-    whole = np.unique(mirrored.round(9), axis=0)
+    whole, found = _mirrored(solved.centres)
     motion = _closed(sensor, whole, (0, 0, 1), rounds=2)
-    found = [int(np.abs(whole - centre).sum(axis=1).argmin()) for centre in solved.centres]
     modulus = sensor.actual.scene.material.youngs_modulus_mpa
     largest = _largest(motion.passive)
     change, closed = (solved.beads - solved.passive) / modulus, motion.change[found]
@@ -127,6 +137,88 @@ def _all_beads_row(sensor: Sensor, direction: str, force: tuple[float, float, fl
         "force field, %": 100 * float(np.linalg.norm(with_beads - without) / np.linalg.norm(without)),
         "cpu_s": seconds,
     }
+
+
+def _softer_row(poisson_ratio: float) -> dict[str, Any]:
+    """Compare the option with resolved beads in rubber that gives way to pressure."""
+    sensor = Sensor(load_scene("kamiyama_pillar", overrides={**SCENE, "material.poisson_ratio": poisson_ratio}))
+    reach_mm, order, fineness = RESOLVED[1]
+    solved = bead_solutions(_centres(sensor), RADIUS_MM, PILLAR_MM, reach_mm, order, fineness, poisson_ratio)
+    whole, found = _mirrored(solved.centres)
+    motion = _closed(sensor, whole, (0, 0, 1), rounds=1)
+    change, largest = solved.beads - solved.passive, _largest(motion.passive)
+    closed = motion.change[found]
+    return {
+        "what": "The closed form below Poisson's ratio 1/2: 4 resolved beads, in % of the largest displacement",
+        "Poisson's ratio": poisson_ratio,
+        "finite elements, %": 100 * _largest(change) / largest,
+        "closed form, %": 100 * _largest(closed) / largest,
+        "largest difference, %": 100 * _largest(change - closed) / largest,
+    }
+
+
+def _face_rows(sensor: Sensor) -> list[dict[str, Any]]:
+    """Return what a free face reflects of the push-back when it is further away than the sensing surface."""
+    centres, load = _centres(sensor), _load(sensor, (0, 0, 1))
+    slopes = sensor.compliance.gradient(centres, load)
+    dipoles = stresslet(0.5 * (slopes + slopes.swapaxes(1, 2)), RADIUS_MM, 1.0)
+    largest = _largest(sensor.compliance.displacement(centres, load))
+    own, least = np.arange(len(centres)), centres[:, 2].min()
+
+    def together(distance_mm: float) -> Points:
+        moved = centres + np.array([0.0, 0.0, distance_mm - least])
+        return dipole_displacement(moved, moved, dipoles, 1.0, own)
+
+    alone = together(1e4)
+    return [
+        {
+            "what": "What a free face reflects of the push-back of all beads, in % of the largest displacement",
+            "distance from the nearest beads, mm": distance,
+            "over their depth": distance / least,
+            "reflected, %": 100 * _largest(together(distance) - alone) / largest,
+        }
+        for distance in FACES_MM
+    ]
+
+
+def _pitch_row(pitch_mm: float) -> dict[str, Any]:
+    overrides = {**SCENE, "markers.red.pitch_mm": pitch_mm, "markers.blue.pitch_mm": pitch_mm}
+    sensor = Sensor(load_scene("kamiyama_pillar", overrides=overrides))
+    first, second = (_closed(sensor, _centres(sensor), (0, 0, 1), rounds) for rounds in (1, 2))
+    largest = _largest(first.passive)
+    return {
+        "what": "Denser beads, push along z, in % of the largest displacement",
+        "pitch, mm": pitch_mm,
+        "pitch over radius": pitch_mm / RADIUS_MM,
+        "first order, %": 100 * _largest(first.change) / largest,
+        "second order, %": 100 * _largest(second.change) / largest,
+        "largest difference, %": 100 * _largest(first.change - second.change) / largest,
+    }
+
+
+def _option_row() -> dict[str, Any]:
+    """Time the scene's markers under the pillar, passive and stiff, on a first and on a further press."""
+    seconds: dict[str, list[float]] = {}
+    for name, more in (("passive", {}), ("stiff", STIFF)):
+        sensor = Sensor(load_scene("kamiyama_pillar", overrides={**SCENE, **more}))
+        load = sensor.press().load
+        sensor.displacement(_centres(sensor)[:1], load)
+        seconds[name] = []
+        for _ in range(4):
+            start = time.process_time()
+            sensor.motion(load)
+            seconds[name].append(time.process_time() - start)
+    return {
+        "what": "The option's price: motion of 636 markers under a press of the pillar, processor seconds",
+        **{f"{name}, first": times[0] for name, times in seconds.items()},
+        **{f"{name}, next": min(times[1:]) for name, times in seconds.items()},
+    }
+
+
+def _mirrored(quarter: Points) -> tuple[Points, list[int]]:
+    """Return the (n, 3) beads of all four quarters, and where those of one stand among them."""
+    whole = np.unique(np.concatenate([quarter * [a, b, 1] for a in (1, -1) for b in (1, -1)]).round(9), axis=0)
+    return whole, [int(np.abs(whole - centre).sum(axis=1).argmin()) for centre in quarter]
 
 
 def _centres(sensor: Sensor) -> Points:

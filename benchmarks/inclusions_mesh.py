@@ -1,6 +1,6 @@
 """Rigid beads resolved by finite elements of an independent program, with and without them on one mesh.
 
-Taylor-Hood elements with curved bead surfaces on a quarter of the flat block, Poisson's ratio 1/2. "With" is P^T K P:
+Taylor-Hood elements with curved bead surfaces on a quarter of the flat block. "With" is P^T K P:
 the columns of P are the nodes outside the beads and the motions of every bead that the mirror planes allow. K is
 factored with a little taken off the pressure block, and refined against the true matrix until the residual is small.
 
@@ -36,7 +36,13 @@ class BeadSolutions:
 
 
 def bead_solutions(
-    centres: Points, radius_mm: float, disc_mm: float, reach_mm: float, order: int, fineness: float
+    centres: Points,
+    radius_mm: float,
+    disc_mm: float,
+    reach_mm: float,
+    order: int,
+    fineness: float,
+    poisson_ratio: float = 0.5,
 ) -> BeadSolutions:
     """Solve a quarter of the block with and without the beads at 0 <= x, y < ``reach_mm``.
 
@@ -50,6 +56,8 @@ def bead_solutions(
         Of the displacement; the pressure has one less.
     fineness
         Elements along a radius of curvature: 1 gives 4 % of missing volume in a bead, 2 gives .2 %.
+    poisson_ratio
+        Of the rubber.
     """
     import ngsolve as ng
 
@@ -60,11 +68,12 @@ def bead_solutions(
     held = {"dirichletx": "mirror_x|held", "dirichlety": "mirror_y|held", "dirichletz": "held"}
     moves, presses = ng.VectorH1(mesh, order=order, **held), ng.H1(mesh, order=order - 1)
     both = moves * presses
-    matrix, load, soft = _system(mesh, both, presses, disc_mm)
+    matrix, load, soft = _system(mesh, both, presses, disc_mm, poisson_ratio, ".*")
     free = np.flatnonzero(np.array(list(both.FreeDofs()), bool))
     plain = sparse.csr_matrix((np.ones(len(free)), (free, np.arange(len(free)))), shape=(both.ndof, len(free)))
     without = plain @ _solve(matrix, load, soft, plain)
     tied, column = _tie(mesh, moves, presses, both, centres)
+    matrix, load, soft = _system(mesh, both, presses, disc_mm, poisson_ratio, "rubber")
     with_beads = _solve(matrix, load, soft, tied)
     field = ng.GridFunction(both)
     field.vec.FV().NumPy()[:] = without
@@ -106,14 +115,22 @@ def _mesh(centres: Points, radius_mm: float, disc_mm: float, reach_mm: float, fi
     )
 
 
-def _system(mesh: Any, both: Any, presses: Any, disc_mm: float) -> tuple[Any, Any, Any]:
-    """Return matrix, load (1 N over the whole disc) and what is taken off the pressure block."""
+def _system(
+    mesh: Any, both: Any, presses: Any, disc_mm: float, poisson_ratio: float, squeezed: str
+) -> tuple[Any, Any, Any]:
+    """Return matrix, load (1 N over the whole disc) and what is taken off the pressure block.
+
+    ``squeezed`` names the solids whose volume gives way to pressure: a rigid bead's doesn't.
+    """
     import ngsolve as ng
 
     (u, p), (v, q) = both.TnT()
     form = ng.BilinearForm(both, symmetric=False)
     strain, virtual = ng.Sym(ng.Grad(u)), ng.Sym(ng.Grad(v))
-    form += (2 / 3 * ng.InnerProduct(strain, virtual) - p * ng.div(v) - q * ng.div(u)) * ng.dx
+    twice_shear = 1 / (1 + poisson_ratio)
+    give = (1 - 2 * poisson_ratio) / (poisson_ratio * twice_shear)
+    form += (twice_shear * ng.InnerProduct(strain, virtual) - p * ng.div(v) - q * ng.div(u)) * ng.dx
+    form += -give * p * q * ng.dx(definedon=mesh.Materials(squeezed))
     load = ng.LinearForm(both)
     load += v[2] / (np.pi * disc_mm**2) * ng.ds("load")
     mass = ng.BilinearForm(presses)

@@ -32,7 +32,7 @@ def test_beads_change_what_the_study_found(force_n, largest, red, sideways) -> N
     assert np.linalg.norm(change[sensor.actual.markers.of("red")], axis=1).max() / size == pytest.approx(red, abs=0.01)
     flat = points.displacement_mm[:, :2]
     assert np.vdot(change[:, :2], flat) / np.vdot(flat, flat) == pytest.approx(sideways, abs=0.04)
-    assert 0 < 100 * (stiff.error - points.error) < 0.1 * largest
+    assert 0 < 100 * (stiff.error - points.error) < 0.2 * largest
     np.testing.assert_array_equal(stiff.gradient, points.gradient)
     np.testing.assert_array_equal(sensor.nominal_markers.points, passive.nominal_markers.points)
 
