@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -98,3 +99,15 @@ def test_a_calibration_file_is_looked_for_beside_the_recipe(tmp_path: Path) -> N
     recipe.write_text('base = "sato_press"\n[calibration]\nfile = "none.npz"\n')
     with pytest.raises(RecipeError, match=r"calibration\.file = 'none\.npz'"):
         twin.load_scene(recipe)
+
+
+def test_a_hard_press_is_told_what_linearity_costs_and_a_gentle_one_is_not(tmp_path: Path) -> None:
+    for force, hard in ((3.0, True), (0.05, False)):
+        scene = twin.load_scene("kamiyama_pillar", {**SMALL, "press.force_n.z": force})
+        summary = run_to_folder(scene, tmp_path, {"score"})
+        elastic = json.loads((tmp_path / "score.json").read_text())["elastic"]
+        assert summary.count("linear theory may be") == int(hard)
+        assert (elastic["linearisation_error"] > 0.01) == hard
+        assert elastic["largest_strain"] == pytest.approx(force / 3.0 * 0.05, rel=0.3)
+        assert elastic["largest_turn_deg"] > 0
+        assert elastic["contact_over_probe_radius"] is None

@@ -211,7 +211,7 @@ def test_the_surface_takes_the_shape_of_the_sphere() -> None:
 def test_a_known_weight_gives_its_weight() -> None:
     state = pressed(Press(probe=Sphere(diameter_mm=3), force_n=(0, 0, 100 * 0.00980665)))
     assert only(state).force_n.sum(axis=0) == pytest.approx([0, 0, 0.980665], abs=1e-9)
-    assert any("overstates" in warning for warning in state.validity.warnings)
+    assert any("understates" in warning for warning in state.validity.warnings)
     assert pressed(Press(probe=Sphere(diameter_mm=30), force_n=(0, 0, 0.1))).validity.warnings == ()
 
 

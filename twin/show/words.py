@@ -18,6 +18,13 @@ UNITS = {
 NAMES = {
     "elastic.displacement_error": ("displacement error", "estimated, over the largest displacement"),
     "elastic.largest_displacement_mm": ("largest displacement", "of a marker, for comparison"),
+    "elastic.largest_strain": ("largest strain", "principal, by linear theory, at a marker"),
+    "elastic.largest_turn_deg": ("largest turn", "of the rubber at a marker"),
+    "elastic.contact_over_probe_radius": ("contact radius / probe radius", "of a sphere; linear contact wants 0.3"),
+    "elastic.linearisation_error": (
+        "cost of linearity",
+        "expected at most at the markers, over the largest displacement",
+    ),
     "elastic.contact_residual": ("contact residual", "what is left of the contact's equations, as a share"),
     "tracking.bias_px": ("bias", "length of the mean of tracked minus true shift"),
     "tracking.bias_axes_px": ("bias by axis", "mean of tracked minus true shift, column and row"),

@@ -229,6 +229,7 @@ class _Chain:
             "displacement_error": motion.error,
             "largest_displacement_mm": float(moved.max()) if len(moved) else None,
             "contact_residual": state.residual if state is not None else None,
+            **_linearity(motion, state),
         }
         tracking = force = None
         if estimate is not None:
@@ -273,6 +274,20 @@ class _Chain:
         return facts
 
 
+def _linearity(motion: Motion, state: ContactState | None) -> dict[str, Any]:
+    """Return how far the load strains linear theory, and what that is expected to cost."""
+    from twin.theory.linearity import largest_strain_and_turn
+
+    strain, turn = largest_strain_and_turn(motion.gradient)
+    figures: dict[str, Any] = {"largest_strain": strain, "largest_turn_deg": turn}
+    if state is None:
+        unknown = ("contact_over_probe_radius", "linearisation_error")
+        return figures | dict.fromkeys(unknown) | {"reasons": dict.fromkeys(unknown, "nothing is pressed")}
+    ratio = state.validity.contact_over_probe_radius
+    figures |= {"contact_over_probe_radius": ratio, "linearisation_error": state.validity.linearisation_error}
+    return figures | {"reasons": {"contact_over_probe_radius": "the probe is flat"} if ratio is None else {}}
+
+
 def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
     if found is None:
         return None
@@ -307,6 +322,7 @@ def _summary(result: RunResult, folder: Path) -> str:
         lines.append(
             f"contact     {contact['force_n'][2]:.4g} N along z, indentation {contact['indentation_mm']:.3g} mm"
         )
+    lines += [f"warning     {doubt}" for doubt in result.facts.get("validity", {}).get("warnings", ())]
     if "renderer" in result.facts:
         lines.append(f"renderer    {result.facts['renderer']}")
     tracking, force = score.get("tracking"), score.get("force")

@@ -11,11 +11,12 @@ from twin.arrays import Bools, Floats, frozen
 from twin.parts.body import Body
 from twin.parts.load import Load
 from twin.parts.press import Probe, Sphere
+from twin.theory.linearity import ERROR_BOUND, law_of
 from twin.world.gap import TURN, Z
 from twin.world.patches import Patches
 from twin.world.unilateral import Equilibrium
 
-_RATIO_LIMIT, _STRAIN_LIMIT, _DEPTH_LIMIT = 0.3, 0.3, 0.1
+_RATIO_LIMIT, _DEPTH_LIMIT = 0.3, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,13 +31,17 @@ class Validity:
         Mean contact pressure over Young's modulus.
     indentation_over_thickness
         Indentation over the body's extent along z.
+    linearisation_error
+        How far linear theory is expected to be off at the markers, over the largest displacement
+        (`twin.theory.linearity`).
     warnings
-        What goes beyond the limits 0.3, 0.3 and 0.1, in words.
+        What goes beyond the limits 0.3 (radius), 0.1 (thickness) and 1 % (cost of linearity), in words.
     """
 
     contact_over_probe_radius: float | None
     mean_strain: float
     indentation_over_thickness: float
+    linearisation_error: float
     warnings: tuple[str, ...]
 
 
@@ -137,16 +142,23 @@ def _validity(probe: Probe, body: Body, radius: float, pressure: float, depth: f
     said = []
     if ratio is not None and ratio > _RATIO_LIMIT:
         said.append(
-            f"contact radius / probe radius = {ratio:.2f} > {_RATIO_LIMIT}: linear contact overstates the indentation "
-            "and misses the stiffening of large strain"
+            f"contact radius / probe radius = {ratio:.2f} > {_RATIO_LIMIT}: linear contact understates the indentation"
         )
-    if strain > _STRAIN_LIMIT:
-        said.append(f"mean pressure / Young's modulus = {strain:.2f} > {_STRAIN_LIMIT}: strains are not small")
     if thin > _DEPTH_LIMIT:
         said.append(f"indentation / thickness = {thin:.2f} > {_DEPTH_LIMIT}: the body is squeezed as a whole")
+    law = law_of(probe.kind)
+    error = law.error(strain)
+    if error > ERROR_BOUND:
+        beyond = f"; a guess, as the law is known up to {law.known_strain:g} only" if strain > law.known_strain else ""
+        said.append(
+            f"mean pressure / Young's modulus = {strain:.2f}: linear theory may be {100 * error:.1f} % of the largest "
+            f"displacement off at the markers, bound {100 * ERROR_BOUND:g} % (docs/validity.md{beyond}): press with "
+            "less force"
+        )
     return Validity(
-        contact_over_probe_radius=ratio, mean_strain=strain, indentation_over_thickness=thin, warnings=tuple(said)
-    )
+        contact_over_probe_radius=ratio, mean_strain=strain, indentation_over_thickness=thin,
+        linearisation_error=error, warnings=tuple(said),
+    )  # fmt: skip
 
 
 def touching_state(
@@ -188,6 +200,6 @@ def lifted_state(probe: Probe, place: Floats) -> ContactState:
         pressure_mpa=np.zeros(0), traction_mpa=np.zeros((0, 3)), slip=np.zeros(0, bool), residual=0.0,
         validity=Validity(
             contact_over_probe_radius=0.0 if isinstance(probe, Sphere) else None, mean_strain=0.0,
-            indentation_over_thickness=0.0, warnings=(),
+            indentation_over_thickness=0.0, linearisation_error=0.0, warnings=(),
         ),
     )  # fmt: skip
