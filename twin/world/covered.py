@@ -10,7 +10,7 @@ Taylor-Hood is better: measured, with a tenth of the body's modulus, 0.2 to 0.9 
 
 Validity: bumps as wide as the finest elements and wider are `STIFF_ERROR` or `SOFT_ERROR` off below the cover; on its
 surface softer covers are 3 to 4 % off. Contact needs a solve for every patch: a press with 8 patches across takes a
-minute of processor time, with 16 across four.
+minute of processor time, one with more grows with the square of their number.
 """
 
 from __future__ import annotations
