@@ -39,12 +39,12 @@ EXPECTED: dict[tuple[bool, Level], Expected] = {
     (True, "fine"): Expected(inside=2.5e-4, at_fifth=0.015, power=3.5, most=0.08, trust=0.5),
     (True, "standard"): Expected(inside=6e-4, at_fifth=0.026, power=3.5, most=0.1, trust=0.5),
     (True, "coarse"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.2),
-    (True, "nominal"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.2),
+    (True, "nominal"): Expected(inside=2e-3, at_fifth=0.059, power=3.0, most=0.14, trust=1.05),
     (True, "sketch"): Expected(inside=4e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.0),
     (False, "fine"): Expected(inside=2e-3, at_fifth=0.012, power=1.5, most=0.04, trust=0.45),
     (False, "standard"): Expected(inside=5e-3, at_fifth=0.02, power=1.5, most=0.06, trust=0.9),
     (False, "coarse"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09, trust=1.6),
-    (False, "nominal"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09, trust=1.6),
+    (False, "nominal"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09, trust=2.0),
     (False, "sketch"): Expected(inside=1.5e-2, at_fifth=0.06, power=1.5, most=0.2, trust=1.0),
 }
 """By whether the body is a block, and by level."""
