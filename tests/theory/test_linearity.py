@@ -42,14 +42,14 @@ def test_a_press_costs_less_than_a_bar_that_is_strained_all_over() -> None:
 
     assert error(1e-3) / 1e-3 == pytest.approx(1.0, abs=0.01)  # the law's form, with the factor 1
     for probe in PROBES:
-        assert 0 < law_of(probe).factor < 1
+        assert all(0 < law_of(probe, sheared=sheared).factor < 1 for sheared in (True, False))
 
 
 def test_law_is_on_the_safe_side_of_every_press_of_the_study_and_not_far() -> None:
     rows = [row for row in stored_rows() if "mean_strain" in row]
     assert {row["contact_over_probe_radius"] is None for row in rows} == {True, False}
     for row in rows:
-        assert row["error_max"] <= 1.02 * expected(row), (row["case"], row["level"])
-    for kind in (True, False):
-        largest = max(r["error_max"] / expected(r) for r in rows if (r["contact_over_probe_radius"] is None) == kind)
-        assert largest > 0.8, "the factor is larger than the study says"
+        assert row["error_max"] <= expected(row), (row["case"], row["level"])
+    for flat, sheared in ((True, False), (True, True), (False, False), (False, True)):
+        same = [r for r in rows if (r["contact_over_probe_radius"] is None, r["shear_n"] > 0) == (flat, sheared)]
+        assert max(r["error_max"] / expected(r) for r in same) > 0.8, "the factor is larger than the study says"

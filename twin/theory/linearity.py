@@ -27,7 +27,7 @@ class Law:
     factor
         Error, relative to the largest displacement, per strain.
     known_strain
-        Largest strain of the study: beyond it the law is a guess.
+        Largest strain of the study, by the contact that the program itself finds: beyond it the law is a guess.
     """
 
     factor: float
@@ -38,9 +38,15 @@ class Law:
         return self.factor * mean_strain
 
 
-def law_of(probe: str) -> Law:
-    """Return the law of a probe: ``sphere``, ``cylinder`` or ``pillar``."""
-    return Law(factor=0.1, known_strain=0.45) if probe == "sphere" else Law(factor=0.45, known_strain=0.16)
+SHEARED = 0.05
+"""Force sideways over push from which on a probe counts as sheared: on a slope it always carries a little."""
+
+
+def law_of(probe: str, *, sheared: bool) -> Law:
+    """Return the law of a probe (``sphere``, ``cylinder`` or ``pillar``), sheared by friction or not."""
+    if probe != "sphere":
+        return Law(factor=0.45, known_strain=0.16)
+    return Law(factor=0.17, known_strain=0.4) if sheared else Law(factor=0.1, known_strain=0.55)
 
 
 ERROR_BOUND = 0.01

@@ -11,7 +11,7 @@ from twin.arrays import Bools, Floats, frozen
 from twin.parts.body import Body
 from twin.parts.load import Load
 from twin.parts.press import Probe, Sphere
-from twin.theory.linearity import ERROR_BOUND, law_of
+from twin.theory.linearity import ERROR_BOUND, SHEARED, law_of
 from twin.world.gap import TURN, Z
 from twin.world.patches import Patches
 from twin.world.unilateral import Equilibrium
@@ -134,7 +134,9 @@ def contact_area(probe: Probe, patches: Patches, equilibrium: Equilibrium) -> fl
     return fitted if abs(fitted / counted - 1.0) < 0.15 else counted
 
 
-def _validity(probe: Probe, body: Body, radius: float, pressure: float, depth: float, modulus: float) -> Validity:
+def _validity(
+    probe: Probe, body: Body, radius: float, pressure: float, depth: float, modulus: float, *, sheared: bool
+) -> Validity:
     ratio = 2.0 * radius / probe.diameter_mm if isinstance(probe, Sphere) else None
     low, high = body.bounds_mm
     thin = depth / (high[2] - low[2])
@@ -146,7 +148,7 @@ def _validity(probe: Probe, body: Body, radius: float, pressure: float, depth: f
         )
     if thin > _DEPTH_LIMIT:
         said.append(f"indentation / thickness = {thin:.2f} > {_DEPTH_LIMIT}: the body is squeezed as a whole")
-    law = law_of(probe.kind)
+    law = law_of(probe.kind, sheared=sheared)
     error = law.error(strain)
     if error > ERROR_BOUND:
         beyond = f"; a guess, as the law is known up to {law.known_strain:g} only" if strain > law.known_strain else ""
@@ -174,12 +176,14 @@ def touching_state(
     radius = math.sqrt(contact / math.pi)
     depth = float(equilibrium.place[Z]) - touch_z_mm
     mean = float(equilibrium.force_n[active, 2].sum()) / contact
+    total = force[active].sum(axis=0)
+    sheared = sticking and bool(np.hypot(total[0], total[1]) > SHEARED * abs(total[2]))
     return ContactState(
         load=Load((patches.rectangles(force, active),)),
         indentation_mm=depth,
         move_mm=equilibrium.place[:3].copy(),
         turn_deg=math.degrees(equilibrium.place[TURN]),
-        force_n=force[active].sum(axis=0),
+        force_n=total,
         torque_nmm=float(equilibrium.total[TURN]),
         contact_radius_mm=radius,
         area_mm2=contact,
@@ -188,7 +192,7 @@ def touching_state(
         traction_mpa=force[active] / area[:, None],
         slip=equilibrium.let_go[active] if sticking else np.ones(int(active.sum()), bool),
         residual=equilibrium.residual,
-        validity=_validity(probe, body, radius, mean, depth, youngs_modulus_mpa),
+        validity=_validity(probe, body, radius, mean, depth, youngs_modulus_mpa, sheared=sheared),
     )
 
 
