@@ -149,7 +149,7 @@ def page_tables() -> str:
             to_the_goal(peers),
         ),
         ("Every way of the program, over all reference cases", ways_in_short(stored("elasticity"))),
-        ("Growth of factor and solve, default solver", growth),
+        ("Growth: assembly with factor, and a solve, in the default solver; peak_gib is memory", growth),
         ("Powers of the number of unknowns", growth_powers(growth)),
         ("All runs of all programs", all_runs(peers)),
     ):
@@ -184,7 +184,7 @@ def draw() -> None:
             groups = {name: group for name, group in programs(rows, body, nu).items() if name in COLOURS}
             runs = [(row["cpu_s"], worst(row)) for group in groups.values() for row in group]
             if runs:
-                panel.plot(*zip(*front(runs), strict=True), color="black", linewidth=5, alpha=0.15)
+                panel.plot(*zip(*front(runs), strict=True), "o-", color="black", linewidth=6, markersize=13, alpha=0.15)
             for name, group in groups.items():
                 best = front([(row["cpu_s"], worst(row)) for row in group])
                 panel.plot(*zip(*best, strict=True), color=COLOURS[name], linewidth=0.8)

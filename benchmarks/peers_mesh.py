@@ -21,16 +21,17 @@ BUMP_MM, PATCH_MM = 2.0, 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class Edges:
-    """Wanted edge lengths, mm: at the load's edge, on the load, at the clamped rim, anywhere; and Netgen's grading."""
+    """Wanted edge lengths, mm: at the load's edge, on the load, at the clamped rim, anywhere; and Netgen's grading.
+
+    ``halved`` is how many times every edge is halved afterwards.
+    """
 
     ring: float
     load: float
     rim: float
     far: float
     grading: float
-
-    def __str__(self) -> str:
-        return f"{self.ring:g}/{self.load:g}/{self.rim:g}/{self.far:g} mm, {self.grading:g}"
+    halved: int = 0
 
 
 def netgen_mesh(body: str, edges: Edges) -> Any:
@@ -41,7 +42,10 @@ def netgen_mesh(body: str, edges: Edges) -> Any:
 
     wanted = MeshingParameters(maxh=edges.far, grading=edges.grading)
     shape = _block(edges) if body == "block" else _finger(edges, wanted)
-    return ng.Mesh(OCCGeometry(shape).GenerateMesh(wanted))
+    mesh = ng.Mesh(OCCGeometry(shape).GenerateMesh(wanted))
+    for _ in range(edges.halved):
+        mesh.Refine()
+    return mesh
 
 
 def _block(edges: Edges) -> Any:
