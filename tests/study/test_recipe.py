@@ -62,7 +62,7 @@ def test_one_scene_is_ten_lines_long() -> None:
         ("markers.red.depth_mm", -1, ["markers.red.depth_mm", "-1 mm", "greater than 0 mm", "0 to 100 mm"]),
         ("markers.red.depht_mm", 1, ["markers.red.depht_mm", "did you mean 'depth_mm'"]),
         ("cmaera.width_px", 4, ["cmaera", "did you mean 'camera'"]),
-        ("press.friction", 0.3, ["press.friction", "0.3", "0 (frictionless)"]),
+        ("press.friction", -0.3, ["press.friction", "-0.3", "0 (frictionless)"]),
         ("press.probe.kind", "ball", ["press.probe.kind", "'ball'", "'sphere'"]),
         ("press.force_n", {"z": -1}, ["press", "push is +z"]),
         ("body.shape", "cube", ["body.shape", "'cube'", "'block'"]),

@@ -77,7 +77,7 @@ def test_python_mistakes_are_this_programs_errors() -> None:
     with pytest.raises(twin.TwinError, match=r"diameter_mm = -3 mm: must be greater than 0"):
         twin.Sphere(diameter_mm=-3)
     with pytest.raises(twin.TwinError, match="frictionless"):
-        twin.Press(probe=twin.Sphere(diameter_mm=3), force_n=(0, 0, 1), friction=0.5)
+        twin.Press(probe=twin.Sphere(diameter_mm=3), force_n=(0, 0, 1), friction=-0.5)
     with pytest.raises(twin.TwinError, match="size_mm"):
         twin.Traction.rectangle((0, 0), 4, (0, 0, 1))
     with pytest.raises(twin.TwinError, match="force_n three"):

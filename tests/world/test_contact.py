@@ -235,7 +235,7 @@ def test_a_turned_pillar_presses_its_turned_footprint() -> None:
     assert turned.force_n[2] == pytest.approx(one.force_n[2], rel=1e-9)
 
 
-@pytest.mark.parametrize("friction", [0.0, STUCK])
+@pytest.mark.parametrize("friction", [0.0, 0.5, STUCK])
 def test_mirror(friction: float) -> None:
     steps = (Step(force_n={"z": 0.4}), Step(move_mm=(0.05, 0.1, None), turn_deg=3))
     mirrored = (steps[0], Step(move_mm=(0.05, -0.1, None), turn_deg=-3))
@@ -256,7 +256,7 @@ def test_units_scale() -> None:
     np.testing.assert_allclose(hard.pressure_mpa, 10 * soft.pressure_mpa, rtol=1e-8)
 
 
-@pytest.mark.parametrize("friction", [0.0, STUCK])
+@pytest.mark.parametrize("friction", [0.0, 0.5, STUCK])
 @pytest.mark.parametrize("probe", [Sphere(diameter_mm=5), Cylinder(diameter_mm=4)])
 @pytest.mark.parametrize("up", [down(-2.0), Step(force_n=(None, None, 0.0))])
 def test_a_lift_returns_to_zero_and_the_next_push_starts_anew(

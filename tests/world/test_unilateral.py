@@ -23,7 +23,7 @@ def random_problem(seed: int, *, by_force: bool, k: int = 7) -> Unilateral:
         compliance=compliance, gap=lambda q: (gap0 + slope @ q, slope), carried=carried,
         by_force=np.array([False, False, by_force, False]),
         given=np.array([0.3, -0.1, 0.8 if by_force else 1.2, 0.05]),
-        sticking=rng.random(k) < 0.5, offset=rng.normal(scale=0.1, size=(k, 2)),
+        friction=np.where(rng.random(k) < 0.5, np.inf, 0.0), offset=rng.normal(scale=0.1, size=(k, 2)),
     )  # fmt: skip
 
 
@@ -96,6 +96,6 @@ def test_a_gap_that_can_not_be_met_stays_open() -> None:
 def test_no_equilibrium_is_an_error() -> None:
     """A lateral force on patches that all slide has nothing to balance it."""
     problem = random_problem(2, by_force=True)
-    free = {"sticking": np.zeros(7, bool), "by_force": np.array([True, False, True, False])}
+    free = {"friction": np.zeros(7), "by_force": np.array([True, False, True, False])}
     with pytest.raises(ContactError):
         solve(Unilateral(**{**vars(problem), **free}), np.ones(7, bool), np.zeros(4))

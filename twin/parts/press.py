@@ -104,7 +104,8 @@ class Press(Part):
     direction
         Way of approach; None is +z, the only one until the contact solver takes others.
     friction
-        Coulomb's coefficient: 0 is frictionless, inf is sticking. Others wait for the contact solver with slip.
+        Coulomb's coefficient mu, the same at rest and in motion: a patch carries at most mu times its normal force
+        sideways, and slips when it would need more. 0 is frictionless, inf sticks whatever the force.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True, validate_default=True)
@@ -129,8 +130,8 @@ class Press(Part):
     @field_validator("friction")
     @classmethod
     def _known_law(cls, value: float) -> float:
-        if value not in (0.0, math.inf):
-            raise ValueError("allowed are 0 (frictionless) and inf (sticking)")
+        if not value >= 0.0:
+            raise ValueError("allowed are 0 (frictionless) or more, up to inf (sticking)")
         return value
 
     @model_validator(mode="after")

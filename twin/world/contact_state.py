@@ -75,12 +75,16 @@ class ContactState:
     traction_mpa
         (k, 3) tractions on the body of the patches in contact, global axes.
     slip
-        (k,) whether each of them slid on the probe: all without friction; when sticking only those that were pulled
-        off and pushed back at the end of the step.
+        (k,) whether each of them slips on the probe; the others stick. All do without friction; when sticking only
+        those that were pulled off and pushed back at the end of the step.
     residual
-        Largest relative error of gap, sign, stick and balance; at most 1e-8.
+        Largest relative error of gap, sign, friction and balance; at most 1e-8.
     validity
         How far linear theory is strained.
+    friction
+        Coefficient of friction: 0 is frictionless, inf is sticking.
+    dissipated_nmm
+        Work that friction took from first touch to here, N mm (mJ).
     path
         The states at the end of every step, in the last of them; empty in those themselves.
     """
@@ -99,6 +103,8 @@ class ContactState:
     slip: Bools
     residual: float
     validity: Validity
+    friction: float = 0.0
+    dissipated_nmm: float = 0.0
     path: tuple[ContactState, ...] = ()
 
     def __post_init__(self) -> None:
@@ -165,7 +171,7 @@ def _validity(
 
 def touching_state(
     probe: Probe, body: Body, patches: Patches, equilibrium: Equilibrium, *, touch_z_mm: float,
-    sticking: bool, youngs_modulus_mpa: float,
+    friction: float, youngs_modulus_mpa: float, dissipated_nmm: float = 0.0,
 ) -> ContactState:  # fmt: skip
     """Return the state of a probe in contact; ``touch_z_mm`` is its z at first touch at its present (x, y)."""
     active = equilibrium.active
@@ -177,7 +183,7 @@ def touching_state(
     depth = float(equilibrium.place[Z]) - touch_z_mm
     mean = float(equilibrium.force_n[active, 2].sum()) / contact
     total = force[active].sum(axis=0)
-    sheared = sticking and bool(np.hypot(total[0], total[1]) > SHEARED * abs(total[2]))
+    sheared = friction > 0 and bool(np.hypot(total[0], total[1]) > SHEARED * abs(total[2]))
     return ContactState(
         load=Load((patches.rectangles(force, active),)),
         indentation_mm=depth,
@@ -190,13 +196,15 @@ def touching_state(
         peak_pressure_mpa=float(pressure.max()),
         pressure_mpa=pressure,
         traction_mpa=force[active] / area[:, None],
-        slip=equilibrium.let_go[active] if sticking else np.ones(int(active.sum()), bool),
+        slip=equilibrium.slipping[active] if friction > 0 else np.ones(int(active.sum()), bool),
         residual=equilibrium.residual,
         validity=_validity(probe, body, radius, mean, depth, youngs_modulus_mpa, sheared=sheared),
+        friction=friction,
+        dissipated_nmm=dissipated_nmm,
     )
 
 
-def lifted_state(probe: Probe, place: Floats) -> ContactState:
+def lifted_state(probe: Probe, place: Floats, *, friction: float = 0.0, dissipated_nmm: float = 0.0) -> ContactState:
     """Return the state of a probe that touches nothing."""
     return ContactState(
         load=Load(), indentation_mm=0.0, move_mm=place[:3].copy(), turn_deg=math.degrees(place[TURN]),
@@ -206,4 +214,5 @@ def lifted_state(probe: Probe, place: Floats) -> ContactState:
             contact_over_probe_radius=0.0 if isinstance(probe, Sphere) else None, mean_strain=0.0,
             indentation_over_thickness=0.0, linearisation_error=0.0, warnings=(),
         ),
+        friction=friction, dissipated_nmm=dissipated_nmm,
     )  # fmt: skip

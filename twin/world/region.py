@@ -119,7 +119,7 @@ def frictionless_control(setting: Setting, patches: Patches, control: Control, p
         if given[axis] != 0.0:
             raise ContactError(
                 f"contact: {given[axis]:g} {'N mm of torque' if axis == TURN else f'N along {name}'} can't be balanced "
-                f"by a frictionless {setting.probe.kind} here: set friction = inf, or hold {name} by motion"
+                f"by a frictionless {setting.probe.kind} here: give press.friction a value, or hold {name} by motion"
             )
         by_force[axis], given[axis] = False, place[axis]
     return Control(by_force=by_force, given=given)
@@ -151,7 +151,7 @@ def solve_frictionless(
     held = frictionless_control(setting, patches, control, place)
     problem = Unilateral(
         compliance=local_compliance(setting, patches), gap=gap, carried=carried(setting, patches, place[:2]),
-        by_force=held.by_force, given=held.given, sticking=np.zeros(k, bool), offset=np.zeros((k, 2)),
+        by_force=held.by_force, given=held.given, friction=np.zeros(k), offset=np.zeros((k, 2)),
     )  # fmt: skip
     active = gap(place)[0] < -0.5 * (place[Z] - touch_z)
     found = solve(problem, active, place)
@@ -162,7 +162,7 @@ def solve_frictionless(
         raise ContactError(
             f"contact: the frictionless {setting.probe.kind} is pushed by {found.total['xy'.index(axis)]:.3g} N along "
             f"{axis} by the slope of the surface, against the {control.given['xy'.index(axis)]:g} N given: hold {axis} "
-            "by motion (leave it out of force_n), or set friction = inf"
+            "by motion (leave it out of force_n), or give press.friction a value"
         )
     return found
 
@@ -177,7 +177,7 @@ def _check_slide(setting: Setting, patches: Patches, found: Equilibrium, start: 
         raise ContactError(
             f"contact: the frictionless {setting.probe.kind} slides {slide:.2g} mm sideways before its lateral forces "
             f"balance; allowed is the contact's width, {width:.2g} mm: hold x and y by motion (leave them out of "
-            "force_n), or set friction = inf"
+            "force_n), or give press.friction a value"
         )
 
 

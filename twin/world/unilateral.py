@@ -51,10 +51,10 @@ class Unilateral:
         (4,) whether each component of the place is held by force (torque).
     given
         (4,) total force and torque, N and N mm, or the place itself, mm and radians.
-    sticking
-        (k,) S: which patches are carried along when in contact.
+    friction
+        (k,) coefficient of friction: 0 slides freely, inf is carried along whenever in contact.
     offset
-        (k, 2) b, mm.
+        (k, 2) b, mm: the patch's motion over the probe, u_t - T q, from which its slip counts.
     """
 
     compliance: Floats
@@ -62,8 +62,13 @@ class Unilateral:
     carried: Floats
     by_force: Bools
     given: Floats
-    sticking: Bools
+    friction: Floats
     offset: Floats
+
+    @property
+    def sticking(self) -> Bools:
+        """(k,) S: which patches are carried along when in contact, however hard they are sheared."""
+        return np.isinf(self.friction)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +87,8 @@ class Equilibrium:
         (k,) patches in contact.
     total
         (4,) total force, N, and torque, N mm.
-    let_go
-        (k,) sticking patches that had to let go for an equilibrium to exist; those in contact slid.
+    slipping
+        (k,) patches that slid, if in contact; sticking ones only where they had to let go for an equilibrium to exist.
     residual
         Largest of the relative errors of gap, sign, stick and balance.
     steps
@@ -95,7 +100,7 @@ class Equilibrium:
     place: Floats
     active: Bools
     total: Floats
-    let_go: Bools
+    slipping: Bools
     residual: float
     steps: int
 
@@ -133,7 +138,7 @@ def _linear_solve(
         raise ContactError(
             "contact: no place balances the given forces, as a component that is held by force can move freely (a "
             "probe without friction slides off a slope): hold x, y or the turn by motion (leave it out of force_n and "
-            "torque_nmm), or set friction = inf"
+            "torque_nmm), or give press.friction a value"
         ) from problem_found
     force = np.zeros(3 * k)
     force[rows] = found[:n]
@@ -192,7 +197,7 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
         seen.add(following.tobytes() + problem.sticking.tobytes())
         if mode != _ALL_AT_ONCE:
             let_go |= active & ~following & problem.sticking
-            problem = replace(problem, sticking=problem.sticking & ~let_go)
+            problem = replace(problem, friction=np.where(let_go, 0.0, problem.friction))
         active = following
     raise ContactError(
         f"contact: the patches in contact did not settle in {_STEPS} steps ({int(active.sum())} of {k} in contact): "
@@ -256,6 +261,6 @@ def _checked(
             f"pull, slip, balance: {', '.join(f'{e:.1e}' for e in errors)}): take smaller steps"
         )
     return Equilibrium(
-        force_n=force, displacement_mm=displacement, place=place, active=active, total=total, let_go=let_go,
+        force_n=force, displacement_mm=displacement, place=place, active=active, total=total, slipping=let_go,
         residual=residual, steps=steps,
     )  # fmt: skip
