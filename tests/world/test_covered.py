@@ -85,7 +85,7 @@ def test_a_region_is_made_once_and_patches_on_it_are_reciprocal():
     matrix = stiff.surface(patches)
     patch = stiff.patch(patches, each=True)
     assert isinstance(patch, Patch)
-    assert patch.asymmetry < 0.02
+    assert patch.asymmetry < 0.03  # the edge of the mesh is as large as a patch here
     assert np.linalg.eigvalsh(matrix).min() > 0
     assert stiff.patch(patches, each=True) is patch
     pressed = (matrix @ patches.force_n.ravel()).reshape(-1, 3)

@@ -335,7 +335,7 @@ def test_a_real_build_through_the_guarded_mesher_passes_and_is_cached(tmp_path, 
     monkeypatch.setattr(twin.world.mesh, "cache_folder", lambda: tmp_path)
     body = Block(width_mm=10, length_mm=10, thickness_mm=6)
     lines: list[str] = []
-    mesh = body_mesh(body, "nominal", progress=lambda line, share: lines.append(line))
+    mesh = body_mesh(body, "nominal", rebuild=True, progress=lambda line, share: lines.append(line))
     assert check(mesh, body).volume_error == pytest.approx(0, abs=1e-12)
     assert lines
     count = len(lines)
