@@ -28,6 +28,14 @@ class Uncoupled(HalfSpace):
         return whole.reshape(3 * k, 3 * k)
 
 
+class Yielding(HalfSpace):
+    """A half-space on a support that gives way: a push moves all of the surface down and sideways alike."""
+
+    def surface(self, rectangles: Rectangles) -> np.ndarray:
+        give = np.tile([1.0, 0.0, 1.0], len(rectangles))
+        return np.asarray(super().surface(rectangles) + 0.5 * np.outer(give, give))
+
+
 def rubbed(*steps: Step, probe: Probe = BALL, friction: float = MU, **more: float) -> tuple[ContactState, ...]:
     """Few increments: these loads grow without turning, which one increment follows as well as many."""
     return pressed(Press(probe=probe, friction=friction, steps=steps), **{"increments": 3, **more}).path
@@ -193,6 +201,20 @@ def test_a_press_on_the_finger(probe: Probe) -> None:
     sideways = np.linalg.norm(state.traction_mpa - state.pressure_mpa[:, None] * normal, axis=1)
     assert np.max(sideways - MU * state.pressure_mpa) <= 1e-8 * state.peak_pressure_mpa
     assert 0 < state.slip.sum() < len(state.slip)
+
+
+@pytest.mark.parametrize("probe", [BALL, Pillar(width_mm=6, length_mm=4)])
+def test_a_body_that_moves_sideways_as_a_whole_takes_the_probe_along(probe: Probe) -> None:
+    """A probe that is free sideways feels nothing of it: the same tractions, at a place that has moved."""
+    wanted = Press(probe=probe, friction=0.05, steps=(pushed(), pushed(0.01, 0.005)))
+    fixed, moved = (
+        press(wanted, BLOCK, surface, patches_across=10, youngs_modulus_mpa=1.0, poisson_ratio=0.5, increments=2)
+        for surface in (HalfSpace(1.0, 0.5), Yielding(1.0, 0.5))
+    )
+    assert len(fixed.slip) == len(moved.slip)
+    np.testing.assert_allclose(moved.traction_mpa, fixed.traction_mpa, atol=1e-6 * fixed.peak_pressure_mpa)
+    give = 0.5 * (0.01 + PUSH)
+    np.testing.assert_allclose(moved.move_mm - fixed.move_mm, [give, 0, give], atol=1e-6)
 
 
 @pytest.mark.parametrize(

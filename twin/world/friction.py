@@ -72,10 +72,10 @@ def _part(
     force = guess.force_n if guess is not None else memory.force_n
     if not force.any():
         pushed = _without_friction(problem, memory, control, active)
-        force, place = pushed.force_n, pushed.place
+        force, place = pushed.force_n, _along(problem, pushed)
     elif guess is not None:
         place = guess.place
-    found = solve_coulomb(problem, force, place)
+    found = _from_guess(problem, active, force, place)
     start = memory.slid_mm
     for _ in range(_SLIDE_ROUNDS):
         slid = start + _slide(grid, memory, problem, found)
@@ -88,6 +88,36 @@ def _part(
     raise ContactError(
         f"contact: the {grid.setting.probe.kind} slides, and where it slides to does not settle: take smaller steps"
     )
+
+
+def _from_guess(problem: Unilateral, active: Bools, force: Floats, place: Floats) -> Equilibrium:
+    """Solve Coulomb's law from a guess, and from a probe that sticks where the guess is too far off."""
+    try:
+        return solve_coulomb(problem, force, place)
+    except ContactError:
+        try:
+            stuck = solve(replace(problem, friction=np.where(problem.friction > 0, np.inf, 0.0)), active, place)
+        except ContactError:
+            pass  # the first error is the telling one
+        else:
+            return solve_coulomb(problem, stuck.force_n, stuck.place)
+        raise
+
+
+def _along(problem: Unilateral, pushed: Equilibrium) -> Floats:
+    """Return the place at which a probe that is free sideways goes along with a body that it pushed without friction.
+
+    A body that is pressed beside its middle moves sideways as a whole: held back, every patch would seem to slip.
+    """
+    free = np.flatnonzero(problem.by_force & (np.arange(4) != Z))
+    if len(free) == 0:
+        return pushed.place
+    weight = np.sqrt(np.maximum(pushed.force_n[:, 2], 0.0))[:, None]
+    behind = pushed.displacement_mm[:, :2] - problem.carried[:, :2] @ pushed.place - problem.offset
+    moved = problem.carried[:, :2, free] * weight[..., None]
+    place = pushed.place.copy()
+    place[free] += np.linalg.lstsq(moved.reshape(-1, len(free)), (behind * weight).reshape(-1), rcond=None)[0]
+    return place
 
 
 def _nearest(grid: FrictionGrid, memory: Memory, place: Floats) -> Bools:
