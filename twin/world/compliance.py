@@ -37,7 +37,7 @@ from twin.world.sizing import WORLD
 from twin.world.solve import Solver
 from twin.world.spread import Readings, Region, patch_rests, single, worth_a_region
 from twin.world.store import field_key, kept
-from twin.world.table import Basis, Table, TableAtNu
+from twin.world.table import NU_RANGE, Basis, Table, TableAtNu
 from twin.world.tabulate import Role, find_table, table_level
 from twin.world.tile import require_on_surface
 
@@ -97,6 +97,7 @@ class Compliance:
         self._bases: dict[str, Basis] = {}
         self._readings: dict[str, Readings] = {}
         self._region: Region | None = None
+        self._table_tried = False
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -142,7 +143,10 @@ class Compliance:
 
     def make_table(self) -> None:
         """Make, and keep in the cache, the tables of a block that has none: some seconds for all loads ever after."""
-        if self._table is None and isinstance(self.body, Block) and self.level != "nominal":
+        low, high = NU_RANGE
+        of_use = isinstance(self.body, Block) and low <= self.material.poisson_ratio <= high
+        if self._table is None and of_use and self.level != "nominal" and not self._table_tried:
+            self._table_tried = True  # a block too thin for a table has none, however often it is asked
             self._tabled("check", make=True)
             self.__dict__["_table"] = self._tabled("truth", make=True)
             for name in ("_table_at_nu", "_check_at_nu"):
