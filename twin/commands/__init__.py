@@ -1,0 +1,1 @@
+"""The commands of `twin`, one a file: arguments in, one call into `twin.study` or `twin.show`, lines out."""

@@ -1,0 +1,15 @@
+"""`twin check`: what is wrong with a file or a folder."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def check(file: Annotated[str, Parameter(help="Scene file, calibration (.npz) or result folder.")]) -> None:
+    """Check a file or a result folder and say everything that is wrong with it."""
+    from twin.study.check import check_path
+
+    for line in check_path(file):
+        print(line)

@@ -1,0 +1,36 @@
+"""What several commands share: a scene with overrides, and progress on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from twin.parts.scene import Scene
+
+SceneName = Annotated[str, Parameter(help="Path of a scene file, or the name of a shipped scene (see: twin scenes).")]
+Overrides = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name=["-s", "--set"],
+        help="Override any scene key: -s material.poisson_ratio=0.49",
+        show_default=False,
+        negative_iterable="",
+    ),
+]
+
+
+def load(scene: str, overrides: Sequence[str]) -> Scene:
+    """Return a scene with ``key.path=value`` overrides."""
+    from twin.study.recipe import load_scene, parse_override
+
+    return load_scene(scene, dict(parse_override(text) for text in overrides))
+
+
+def progress() -> Callable[[str, float], None] | None:
+    """Return a progress bar on stderr; None where that is not a terminal."""
+    from twin.show.progress import progress_on_terminal
+
+    return progress_on_terminal()

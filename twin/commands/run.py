@@ -1,0 +1,54 @@
+"""`twin run`: one press through the whole twin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from twin.commands.common import Overrides, SceneName, load, progress
+from twin.errors import InputError
+
+WANTED = ("displacement", "picture", "tracking", "forces", "score", "report")
+
+
+def run(
+    scene: SceneName,
+    *,
+    out: Annotated[Path | None, Parameter(help="Folder for the results (default out/<scene>).")] = None,
+    want: Annotated[
+        tuple[str, ...], Parameter(help="What to compute (default all).", show_default=False, negative_iterable="")
+    ] = (),
+    set_: Overrides = (),
+) -> None:
+    """Take one press through the whole twin.
+
+    What can be wanted: displacement, picture, tracking, forces, score, report; several, separated by commas. Only
+    what is wanted, and what it needs, is computed; unwanted files are absent.
+
+    Examples: twin run kamiyama_pillar; twin run sato_press --want displacement --out here; twin run my_scene.toml -s
+    press.force_n='{z=2}'.
+    """
+    from twin.study.recipe import find_scene
+    from twin.study.run import run_to_folder
+
+    wanted = _wanted(want)
+    path = find_scene(scene)
+    loaded = load(scene, set_)
+    folder = out or Path("out") / path.stem
+    summary = run_to_folder(loaded, folder, wanted, progress=progress())
+    print(summary)
+
+
+def _wanted(names: Sequence[str]) -> frozenset[str]:
+    import difflib
+
+    given = [part.strip() for name in names for part in name.split(",") if part.strip()]
+    for name in given:
+        if name not in WANTED:
+            near = difflib.get_close_matches(name, WANTED, 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(WANTED)}"
+            raise InputError(f"--want {name}: unknown; {hint}")
+    return frozenset(given or WANTED)
