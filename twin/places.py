@@ -11,8 +11,11 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-MESHES = ROOT / "meshes"
-SCENES = ROOT / "scenes"
+_INSIDE = Path(__file__).resolve().parent
+_SHIPPED = _INSIDE if (_INSIDE / "meshes").is_dir() else ROOT
+MESHES = _SHIPPED / "meshes"
+SCENES = _SHIPPED / "scenes"
+"""An installed package carries them inside; in a checkout they lie beside it."""
 
 
 @cache

@@ -1,0 +1,66 @@
+"""The built wheel alone, without the checkout: it carries recipes and meshes, and passes quick tests."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import twin
+
+ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel and unpack it into an empty folder, away from the checkout."""
+    folder = tmp_path_factory.mktemp("wheel")
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
+        cwd=ROOT, check=True, capture_output=True,
+    )  # fmt: skip
+    (wheel,) = folder.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(folder / "site")
+    return folder / "site"
+
+
+def _python(site: Path, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *arguments], cwd=cwd, env={**os.environ, "PYTHONPATH": str(site)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_it_carries_every_recipe_and_mesh(site: Path, tmp_path: Path) -> None:
+    said = _python(site, "-c", "import twin; print(twin.__file__)", cwd=tmp_path)
+    assert Path(said.stdout.strip()).is_relative_to(site), "the checkout answered, not the wheel"
+    for folder in ("meshes", "scenes"):
+        carried = {path.name for path in (site / "twin" / folder).iterdir()}
+        assert carried == {path.name for path in (ROOT / folder).iterdir() if path.is_file()}
+
+
+def test_every_package_folder_is_in_it(site: Path) -> None:
+    package = Path(twin.__file__).parent
+    wanted = {path.relative_to(package) for path in package.rglob("*.py")}
+    assert wanted == {path.relative_to(site / "twin") for path in (site / "twin").rglob("*.py")}
+
+
+def test_the_main_job_runs_from_it(site: Path, tmp_path: Path) -> None:
+    ran = _python(site, "-m", "twin", "run", "block_bare", "--want", "displacement", "--out", "here", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    assert (tmp_path / "here" / "truth.npz").is_file()
+
+
+def test_quick_tests_pass_from_it(site: Path, tmp_path: Path) -> None:
+    for folder in ("tests", "benchmarks"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    ran = _python(site, "-m", "pytest", "-q", "tests/parts", "tests/theory", "tests/sense", "tests/judge", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stdout[-3000:]
