@@ -25,7 +25,8 @@ def random_problem(seed: int, *, by_force: bool = False) -> Unilateral:
     held = np.array([by_force, False, by_force, False])
     return Unilateral(
         compliance=compliance, gap=lambda q: (gap0 + slope @ q, slope), carried=carried, by_force=held,
-        given=np.where(held, [0.5, 0, 2.5, 0], [0.3, -0.2, 1.1, 0.1]), friction=rng.uniform(0.2, 0.8, K),
+        given=np.where(held, [0.5, 0, 2.5, 0], [0.3, -0.2, 1.1, 0.1]), pushing=held & [False, False, True, False],
+        friction=rng.uniform(0.2, 0.8, K),
         offset=rng.normal(scale=0.2, size=(K, 2)),
     )  # fmt: skip
 

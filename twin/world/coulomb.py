@@ -31,7 +31,7 @@ from twin.world.unilateral import TOLERANCE, Equilibrium, Unilateral
 
 _STEPS, _GOAL = 60, 1e-13
 _FAR = 1e4
-"""A step of the probe over the contact's size, or in radians, that only a singular system asks for."""
+"""A step of the probe over the contact's size that only a singular system asks for."""
 
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 
@@ -40,7 +40,7 @@ _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 class _Trial:
     """Forces and a place, and what they leave of the equations.
 
-    ``pushed`` is f_n - r o, ``dragged`` is f_t - r w; ``errors`` are (k, 3) in N, ``balance`` (4,) in N and N mm.
+    ``pushed`` is f_n - r o, ``dragged`` is f_t - r w; ``errors`` are (k, 3) in N, ``balance`` (m,) in N and N mm.
     """
 
     force: Floats
@@ -53,8 +53,8 @@ class _Trial:
     errors: Floats
     balance: Floats
 
-    def size(self, arm: float) -> float:
-        return float(np.sqrt(np.sum(self.errors**2) + np.sum((self.balance / [1.0, 1.0, 1.0, arm]) ** 2)))
+    def size(self, reach: Floats) -> float:
+        return float(np.sqrt(np.sum(self.errors**2) + np.sum((self.balance / reach) ** 2)))
 
 
 def _projected(vector: Floats, radius: Floats) -> Floats:
@@ -81,7 +81,7 @@ def _tried(problem: Unilateral, scale: Floats, force: Floats, displacement: Floa
     errors[:, 2] = force[:, 2] - np.maximum(pushed, 0.0)
     bound = problem.friction * np.maximum(force[:, 2], 0.0)
     errors[:, :2] = force[:, :2] - _projected(dragged, bound)
-    total = problem.carried.reshape(3 * k, 4).T @ force.reshape(-1)
+    total = problem.total(force)
     return _Trial(
         force=force, displacement=displacement, place=place, gap=gap, slope=slope, pushed=pushed, dragged=dragged,
         errors=errors, balance=np.where(problem.by_force, total - problem.given, 0.0),
@@ -111,8 +111,8 @@ class _Pattern:
 
 def _pattern(problem: Unilateral, trial: _Trial) -> _Pattern:
     touching = np.flatnonzero(trial.pushed > 0)
-    if len(touching) == 0:
-        touching = np.array([int(np.argmax(trial.pushed))])
+    if near := problem.apart(trial.pushed > 0, -trial.pushed):
+        touching = np.union1d(touching, near)
     drag = trial.dragged[touching]
     length = np.hypot(drag[:, 0], drag[:, 1])
     bound = problem.friction[touching] * np.maximum(trial.pushed[touching], 0.0)
@@ -139,7 +139,7 @@ def _compliance(problem: Unilateral, pattern: _Pattern) -> Floats:
 
 
 def _newton_step(problem: Unilateral, scale: Floats, trial: _Trial) -> tuple[Floats, Floats]:
-    """Return the forces (k, 3) and the place (4,) that solve the equations linearised at a trial."""
+    """Return the forces (k, 3) and the place (m,) that solve the equations linearised at a trial."""
     pattern = _pattern(problem, trial)
     touching, stuck = pattern.touching, ~pattern.slips
     n = len(touching)
@@ -209,7 +209,7 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
     force
         (k, 3) first guess of the forces, in the patches' frames, N.
     place
-        (4,) first guess of the place.
+        (m,) first guess of the place.
 
     Raises
     ------
@@ -219,18 +219,19 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
     k = len(force)
     flat = problem.compliance.reshape(3 * k, 3 * k)
     scale = _scales(problem)
-    arm = float(np.max(np.abs(problem.carried[:, :2, 3]), initial=0.0)) or 1.0
+    reach, pushed = problem.reach, bool(problem.pushing.any())
+    far = _FAR * float(reach.max())
     place = np.where(problem.by_force, place, problem.given)
     trial = _tried(problem, scale, force, (flat @ force.reshape(-1)).reshape(k, 3), place)
-    left = trial.size(arm)
+    left = trial.size(reach)
     for step in range(1, _STEPS + 1):
-        if not problem.by_force[2] and not np.any(trial.pushed > 0) and not trial.force.any():
-            return _settled(problem, trial, arm, step)
-        if np.any(trial.pushed > 0) or problem.by_force[2]:
+        if not pushed and not np.any(trial.pushed > 0) and not trial.force.any():
+            return _settled(problem, trial, reach, step)
+        if np.any(trial.pushed > 0) or pushed:
             force, place = _newton_step(problem, scale, trial)
         else:
             force, place = np.zeros((k, 3)), trial.place  # nothing touches where the probe is held
-        if not np.abs((place - trial.place) / [arm, arm, arm, 1.0]).max() < _FAR:
+        if not np.abs((place - trial.place) * reach).max() < far:
             raise _slides_off()
         displacement = (flat @ force.reshape(-1)).reshape(k, 3)
         best, best_left = trial, np.inf
@@ -240,40 +241,40 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
                 trial.displacement + share * (displacement - trial.displacement),
                 trial.place + share * (place - trial.place),
             )  # fmt: skip
-            now = tried.size(arm)
+            now = tried.size(reach)
             if now < best_left:
                 best, best_left = tried, now
             if best_left < (1.0 - 0.5 * share) * left:
                 break
         trial, before, left = best, left, best_left
         if left <= _GOAL * float(np.linalg.norm(trial.force)) or (
-            left >= 0.5 * before and _residual(problem, trial, arm) <= 0.01 * TOLERANCE
+            left >= 0.5 * before and _residual(problem, trial, reach) <= 0.01 * TOLERANCE
         ):
-            return _settled(problem, trial, arm, step)
-    if _residual(problem, trial, arm) <= TOLERANCE:
-        return _settled(problem, trial, arm, _STEPS)
+            return _settled(problem, trial, reach, step)
+    if _residual(problem, trial, reach) <= TOLERANCE:
+        return _settled(problem, trial, reach, _STEPS)
     raise ContactError(
-        f"contact: stick and slip did not settle in {_STEPS} steps (left: {_residual(problem, trial, arm):.1e} of the "
+        f"contact: stick and slip did not settle in {_STEPS} steps (left: {_residual(problem, trial, reach):.1e} of the "
         f"peak, allowed {TOLERANCE:g}): take smaller steps in the press, or another number of contact patches"
     )
 
 
-def _residual(problem: Unilateral, trial: _Trial, arm: float) -> float:
+def _residual(problem: Unilateral, trial: _Trial, reach: Floats) -> float:
     """Largest error of gap, sign, friction (as forces, over the peak normal force of a patch) and of balance."""
     peak = float(np.max(trial.force[:, 2], initial=0.0)) or 1.0
     load = float(np.abs(trial.force[:, 2]).sum()) or 1.0
-    balance = np.abs(trial.balance) / [load, load, load, load * arm]
+    balance = np.abs(trial.balance) / (load * reach)
     return max(float(np.abs(trial.errors).max()) / peak, float(balance.max()))
 
 
-def _settled(problem: Unilateral, trial: _Trial, arm: float, steps: int) -> Equilibrium:
+def _settled(problem: Unilateral, trial: _Trial, reach: Floats, steps: int) -> Equilibrium:
     k = len(trial.force)
     active = trial.pushed > 0
     force = np.where(active[:, None], trial.force, 0.0)
     dragged = np.hypot(trial.dragged[:, 0], trial.dragged[:, 1])
     return Equilibrium(
         force_n=force, displacement_mm=trial.displacement, place=trial.place, active=active,
-        total=problem.carried.reshape(3 * k, 4).T @ force.reshape(-1),
+        total=problem.total(force),
         slipping=active & (dragged > problem.friction * np.maximum(trial.force[:, 2], 0.0)),
-        residual=_residual(problem, trial, arm), steps=steps,
+        residual=_residual(problem, trial, reach), steps=steps,
     )  # fmt: skip

@@ -55,7 +55,7 @@ def _problem(grid: FrictionGrid, memory: Memory, control: Control, held: Bools |
     rubs = memory.touched | (not memory.touched.any()) | (False if held is None else held)
     return Unilateral(
         compliance=grid.compliance, gap=lambda q: grid.gap(memory, q), carried=grid.carried,
-        by_force=control.by_force, given=control.given,
+        by_force=control.by_force, given=control.given, pushing=control.pushing,
         friction=np.where(rubs, grid.friction, 0.0), offset=_offset(grid, memory),
     )  # fmt: skip
 
@@ -133,7 +133,7 @@ def _without_friction(problem: Unilateral, memory: Memory, control: Control, act
     along_z = np.arange(4) == Z
     held = replace(
         problem, friction=np.zeros(len(active)), by_force=control.by_force & along_z,
-        given=np.where(control.by_force & ~along_z, memory.place, control.given),
+        given=np.where(control.by_force & ~along_z, memory.place, control.given), pushing=control.pushing,
     )  # fmt: skip
     return solve(held, active, np.where(control.by_force, memory.place, control.given))
 

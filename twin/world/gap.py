@@ -19,6 +19,7 @@ from twin.parts.body import Body
 from twin.parts.press import Cylinder, Pillar, Probe, Sphere
 
 X, Y, Z, TURN = range(4)
+MOTIONS = 4
 _LEVELS, _ACROSS = 14, 25
 
 

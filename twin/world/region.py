@@ -19,7 +19,7 @@ from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.press import Probe, Sphere
 from twin.theory.contact import hertz
-from twin.world.gap import TURN, Approach, X, Y, Z, approach, half_extent
+from twin.world.gap import MOTIONS, TURN, Approach, X, Y, Z, approach, half_extent
 from twin.world.patches import Box, Patches, Plane, candidate_patches
 from twin.world.unilateral import Equilibrium, Unilateral, solve
 
@@ -69,6 +69,11 @@ class Control:
 
     by_force: Bools
     given: Floats
+
+    @property
+    def pushing(self) -> Bools:
+        """Which components push by force: z, if it does."""
+        return self.by_force & (np.arange(len(self.by_force)) % MOTIONS == Z)
 
 
 def touch_at(setting: Setting, place: Floats) -> tuple[Plane, float]:
@@ -151,7 +156,7 @@ def solve_frictionless(
     held = frictionless_control(setting, patches, control, place)
     problem = Unilateral(
         compliance=local_compliance(setting, patches), gap=gap, carried=carried(setting, patches, place[:2]),
-        by_force=held.by_force, given=held.given, friction=np.zeros(k), offset=np.zeros((k, 2)),
+        by_force=held.by_force, given=held.given, pushing=held.pushing, friction=np.zeros(k), offset=np.zeros((k, 2)),
     )  # fmt: skip
     active = gap(place)[0] < -0.5 * (place[Z] - touch_z)
     found = solve(problem, active, place)

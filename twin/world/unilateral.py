@@ -1,12 +1,13 @@
 """The unilateral contact problem: tractions that only push, gaps that never close below zero, a rigid probe.
 
 Unknown are the forces f of the patches in contact, in each patch's frame (first side, second side, inward normal), and
-the probe's place q = (x, y, z, turn) where it is held by force. For the set A of patches in contact, of which the set S
-sticks,
+the probe's place q, one number for each rigid motion, where it is held by force. The motions are columns T of whatever
+each patch sees of them, so that nothing here knows axes or how many probes there are. For the set A of patches in
+contact, of which the set S sticks,
 
     u_n + gap(q) = 0        on A              (touching)
     u_t = T q + b           on S              (carried along by the probe since they touched)
-    sum of W f = given      for each component of q that is held by force
+    T^T f = given           for each component of q that is held by force
     f = 0 elsewhere, and f_n >= 0 on A, u_n + gap >= 0 off A
 
 with u = K f. Why one linear system and not a search for the place: forces and place then meet their conditions
@@ -44,13 +45,16 @@ class Unilateral:
     compliance
         (k, 3, k, 3) displacement of patch i along its axis a under a unit force on patch j along its axis b, mm/N.
     gap
-        Returns (k,) gaps, mm, and their (k, 4) slopes at a place (4,).
+        Returns (k,) gaps, mm, and their (k, m) slopes at a place (m,).
     carried
-        (k, 3, 4) T: displacement of a point of the probe at each patch, in the patch's frame, per unit of place.
+        (k, 3, m) T: displacement of a point of the probe at each patch, in the patch's frame, per unit of each of the
+        m rigid motions that make up the place; 0 at patches of another probe.
     by_force
-        (4,) whether each component of the place is held by force (torque).
+        (m,) whether each component of the place is held by its force (torque).
     given
-        (4,) total force and torque, N and N mm, or the place itself, mm and radians.
+        (m,) total force and torque, N and N mm, or the place itself, mm and radians.
+    pushing
+        (m,) the components whose force pushes a probe on the body: each needs a patch in contact.
     friction
         (k,) coefficient of friction: 0 slides freely, inf is carried along whenever in contact.
     offset
@@ -62,8 +66,28 @@ class Unilateral:
     carried: Floats
     by_force: Bools
     given: Floats
+    pushing: Bools
     friction: Floats
     offset: Floats
+
+    @property
+    def reach(self) -> Floats:
+        """(m,) largest motion of a patch per unit of each component: 1 of a translation, the arm of a turn, mm."""
+        largest = np.sqrt(np.max(np.sum(self.carried**2, axis=1), axis=0, initial=0.0))
+        return np.where(largest > 0.0, largest, 1.0)
+
+    def total(self, force: Floats) -> Floats:
+        """Return (m,) the force (torque) along every component of forces (k, 3)."""
+        return np.asarray(self.carried.reshape(-1, self.carried.shape[2]).T @ force.reshape(-1))
+
+    def apart(self, active: Bools, gap: Floats) -> list[int]:
+        """Return the nearest patch for every pushing component that has no patch in contact."""
+        near = []
+        for component in np.flatnonzero(self.pushing):
+            own = np.flatnonzero(np.any(self.carried[:, :, component] != 0.0, axis=1))
+            if not active[own].any():
+                near.append(int(own[np.argmin(gap[own])]))
+        return near
 
     @property
     def sticking(self) -> Bools:
@@ -82,11 +106,11 @@ class Equilibrium:
     displacement_mm
         (k, 3) displacements of the patches in their own frames.
     place
-        (4,) the probe's place.
+        (m,) the probe's place.
     active
         (k,) patches in contact.
     total
-        (4,) total force, N, and torque, N mm.
+        (m,) total force, N, and torque, N mm.
     slipping
         (k,) patches that slid, if in contact; sticking ones only where they had to let go for an equilibrium to exist.
     residual
@@ -108,12 +132,12 @@ class Equilibrium:
 def _linear_solve(
     problem: Unilateral, active: Bools, place: Floats, gap: Floats, slope: Floats
 ) -> tuple[Floats, Floats]:
-    """Return forces (k, 3) and place (4,) that meet every equation for a fixed set in contact."""
+    """Return forces (k, 3) and place (m,) that meet every equation for a fixed set in contact."""
     k = len(active)
     touching = np.flatnonzero(active)
     stuck = np.flatnonzero(active & problem.sticking)
     rows = np.concatenate([3 * touching + 2, 3 * stuck, 3 * stuck + 1])
-    flat_carried = problem.carried.reshape(3 * k, 4)
+    flat_carried = problem.carried.reshape(3 * k, -1)
     # A component that these patches don't feel at all (a sphere's x on a barrel) stays put; the balance is checked.
     felt = np.abs(flat_carried[rows]).max(axis=0) > 1e-9
     free = np.flatnonzero(problem.by_force & felt)
@@ -157,7 +181,7 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
     active
         (k,) first guess of the patches in contact.
     place
-        (4,) first guess of the place.
+        (m,) first guess of the place.
 
     Raises
     ------
@@ -166,14 +190,14 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
     """
     k = len(active)
     stiffness = 1.0 / problem.compliance.reshape(3 * k, 3 * k).diagonal().reshape(k, 3)[:, 2]
+    reach = problem.reach
     force, place = np.zeros((k, 3)), np.where(problem.by_force, place, problem.given)
     seen: set[bytes] = set()
     mode, let_go = _ALL_AT_ONCE, np.zeros(k, bool)
     for step in range(1, _STEPS + 1):
         gap, slope = problem.gap(place)
         active = active & np.isfinite(gap)
-        if not active.any() and problem.by_force[2]:
-            active[int(np.argmin(gap))] = True
+        active[problem.apart(active, gap)] = True
         before = place
         if active.any():
             force, place = _linear_solve(problem, active, place, gap, slope)
@@ -185,7 +209,7 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
         scale = float(np.max(np.abs(displacement[:, 2]), initial=1e-12))
         following = _next_set(active, force[:, 2] / stiffness, opening, 1e-13 * scale, mode)
         curved = float(np.max(np.abs(opening[active & np.isfinite(opening)]), initial=0.0))
-        still = float(np.abs(place - before)[:3].max()) <= 1e-9 * (1 + scale) and curved <= 1e-11 * scale
+        still = float(np.abs((place - before) * reach).max()) <= 1e-9 * (1 + scale) and curved <= 1e-11 * scale
         settled = np.array_equal(following, active)
         if settled and (still or not active.any()):
             return _checked(problem, active, force, displacement, place, opening, let_go, step)
@@ -238,15 +262,13 @@ def _checked(
     let_go: Bools,
     steps: int,
 ) -> Equilibrium:
-    k = len(active)
-    total = problem.carried.reshape(3 * k, 4).T @ force.reshape(-1)
+    total, reach = problem.total(force), problem.reach
     depth = float(np.max(np.abs(displacement), initial=0.0)) or 1.0
     push = float(np.max(force[:, 2], initial=0.0)) or 1.0
-    load = float(np.max(np.abs(total[:3]))) or 1.0
+    load = float(np.max(np.abs(total / reach))) or 1.0
     stuck = active & problem.sticking
     slip = displacement[stuck, :2] - problem.carried[stuck, :2] @ place - problem.offset[stuck]
-    arm = float(np.max(np.abs(problem.carried[:, :2, 3]), initial=0.0)) or 1.0
-    unbalanced = np.where(problem.by_force, np.abs(total - problem.given), 0.0) / [load, load, load, load * arm]
+    unbalanced = np.where(problem.by_force, np.abs(total - problem.given), 0.0) / (load * reach)
     errors = [
         float(np.max(np.abs(opening[active]), initial=0.0)) / depth,
         float(np.max(-opening[~active], initial=0.0)) / depth,
