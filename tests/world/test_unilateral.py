@@ -23,7 +23,8 @@ def random_problem(seed: int, *, by_force: bool, k: int = 7) -> Unilateral:
         compliance=compliance, gap=lambda q: (gap0 + slope @ q, slope), carried=carried,
         by_force=np.array([False, False, by_force, False]),
         given=np.array([0.3, -0.1, 0.8 if by_force else 1.2, 0.05]),
-        pushing=np.array([False, False, by_force, False]), friction=np.where(rng.random(k) < 0.5, np.inf, 0.0), offset=rng.normal(scale=0.1, size=(k, 2)),
+        pushing=np.array([False, False, by_force, False]), friction=np.where(rng.random(k) < 0.5, np.inf, 0.0),
+        offset=rng.normal(scale=0.1, size=(k, 2)),
     )  # fmt: skip
 
 

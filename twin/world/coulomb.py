@@ -254,8 +254,8 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
     if _residual(problem, trial, reach) <= TOLERANCE:
         return _settled(problem, trial, reach, _STEPS)
     raise ContactError(
-        f"contact: stick and slip did not settle in {_STEPS} steps (left: {_residual(problem, trial, reach):.1e} of the "
-        f"peak, allowed {TOLERANCE:g}): take smaller steps in the press, or another number of contact patches"
+        f"contact: stick and slip did not settle in {_STEPS} steps (left: {_residual(problem, trial, reach):.1e} "
+        f"of the peak, allowed {TOLERANCE:g}): take smaller steps in the press, or another number of contact patches"
     )
 
 
@@ -268,7 +268,6 @@ def _residual(problem: Unilateral, trial: _Trial, reach: Floats) -> float:
 
 
 def _settled(problem: Unilateral, trial: _Trial, reach: Floats, steps: int) -> Equilibrium:
-    k = len(trial.force)
     active = trial.pushed > 0
     force = np.where(active[:, None], trial.force, 0.0)
     dragged = np.hypot(trial.dragged[:, 0], trial.dragged[:, 1])

@@ -73,7 +73,7 @@ class Control:
     @property
     def pushing(self) -> Bools:
         """Which components push by force: z, if it does."""
-        return self.by_force & (np.arange(len(self.by_force)) % MOTIONS == Z)
+        return np.asarray(self.by_force & (np.arange(len(self.by_force)) % MOTIONS == Z))
 
 
 def touch_at(setting: Setting, place: Floats) -> tuple[Plane, float]:
