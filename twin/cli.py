@@ -21,6 +21,7 @@ from twin.commands.doctor import doctor
 from twin.commands.mesh import mesh
 from twin.commands.run import run
 from twin.commands.scenes import scenes
+from twin.commands.view import view
 from twin.errors import TwinError
 
 app = App(
@@ -36,6 +37,7 @@ app = App(
 app.command(run, help_epilogue="Examples: twin run kamiyama_pillar; twin run my_scene.toml -s press.force_n='{z=2}'")
 app.command(mesh, help_epilogue="Example: twin mesh sato_press --rebuild")
 app.command(calibrate, help_epilogue="Example: twin calibrate --scene sato_press --out scenes/sato_calibration.npz")
+app.command(view, help_epilogue="Examples: twin view kamiyama_shear; twin view out/kamiyama_pillar")
 app.command(scenes)
 app.command(check, help_epilogue="Examples: twin check my_scene.toml; twin check out/kamiyama_pillar")
 app.command(doctor)

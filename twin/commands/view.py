@@ -1,0 +1,35 @@
+"""`twin view`: something to look at, from a scene or what a command wrote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from twin.commands.common import Overrides, load, progress
+
+
+def view(
+    path: Annotated[str, Parameter(help="A scene (path or shipped name), or the folder of a run.")],
+    *,
+    out: Annotated[Path | None, Parameter(help="Page to write (default: view.html in the folder).")] = None,
+    set_: Overrides = (),
+) -> None:
+    """Write a page that shows a body under its press and turns in the browser, without a server.
+
+    The body is deformed, with its marker layers, tractions, and which patches stick or slip; every step of the press's
+    path is a frame. Drag to turn, wheel to come nearer.
+
+    Examples: twin view kamiyama_shear; twin view out/kamiyama_pillar; twin view sato_press --out finger.html.
+    """
+    from twin.study.sensor import Sensor
+    from twin.study.view import view_scene
+
+    folder = Path(path)
+    scene = load(str(folder / "scene.toml") if folder.is_dir() else path, set_)
+    page = out or (folder if folder.is_dir() else Path()) / "view.html"
+    told = progress()
+    print(view_scene(scene, page, Sensor(scene, told)))
+    if told is not None:
+        told("done", 1.0)

@@ -1,0 +1,167 @@
+"""What `twin view` shows of a scene or of a run's folder: the deformed body with markers, tractions, stick and slip."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.arrays import Floats, Ints, Points
+from twin.parts.load import Rectangles
+from twin.parts.scene import Scene
+from twin.show.body import BodyFrame, BodyView
+from twin.show.words import cleaned
+from twin.study.sensor import Sensor
+
+if TYPE_CHECKING:
+    from twin.world.compliance import Compliance
+    from twin.world.contact_state import ContactState
+    from twin.world.covered import Covered
+
+_FINE, _ROUNDS = 0.35, 6
+"""Triangles near the contact are quartered until their edges are below this share of its radius, in so many rounds."""
+
+
+def body_view(sensor: Sensor) -> BodyView:
+    """Return a sensor's body under its scene's press, a frame for every step of the path.
+
+    The surface and its motion are those of the coarsest mesh (half a per cent, which no eye sees), with smaller
+    triangles where it is pressed; markers move with the asked accuracy.
+    """
+    scene = sensor.nominal
+    states = _states(sensor)
+    corners, triangles = _surface(sensor, states)
+    markers = sensor.actual.markers
+    return BodyView(
+        title=scene.title or "Tactile sensor",
+        corner_mm=corners,
+        triangle=triangles,
+        marker_mm=markers.points,
+        marker_layer=markers.layer,
+        layer_radius_mm={name: layer.diameter_mm / 2 for name, layer in scene.markers.items()},
+        frames=tuple(_frame(sensor, corners, number, state) for number, state in enumerate(states)),
+    )
+
+
+def _states(sensor: Sensor) -> list[ContactState | None]:
+    """Return None for the rest state and then the states at the end of every step."""
+    if sensor.nominal.press is None:
+        return [None]
+    state = sensor.press()
+    return [None, *(state.path or (state,))]
+
+
+def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points, Ints]:
+    from twin.world.mesh import body_mesh
+
+    body = sensor.actual.scene.body
+    mesh = body_mesh(body, "sketch", progress=sensor.progress)
+    faces = mesh.faces
+    triangles = np.concatenate([faces[:, [0, 3, 5]], faces[:, [3, 1, 4]], faces[:, [5, 4, 2]], faces[:, [3, 4, 5]]])
+    used, numbers = np.unique(triangles, return_inverse=True)
+    points, triangles = np.array(mesh.points[used]), numbers.reshape(-1, 3)
+    pressed = [
+        (_patches(state).centre_mm.mean(axis=0), state.contact_radius_mm)
+        for state in states
+        if state and state.load.terms
+    ]
+    for _ in range(_ROUNDS):
+        edges = points[triangles] - points[np.roll(triangles, 1, axis=1)]
+        longest, middle = np.linalg.norm(edges, axis=2).max(axis=1), points[triangles].mean(axis=1)
+        coarse = np.zeros(len(triangles), bool)
+        for centre, radius in pressed:
+            away = np.maximum(np.linalg.norm(middle - centre, axis=1) - 1.2 * radius, 0.0)
+            coarse |= longest > _FINE * radius + 0.5 * away
+        points, triangles = _quartered(points, triangles, coarse)
+    return points, triangles
+
+
+def _quartered(points: Points, triangles: Ints, chosen: np.ndarray) -> tuple[Points, Ints]:
+    """Cut triangles in four; their neighbours stay whole, which a picture doesn't show."""
+    a, b, c = triangles[chosen].T
+    ends = np.sort(np.concatenate([np.stack(pair, axis=1) for pair in ((a, b), (b, c), (c, a))]), axis=1)
+    ends, numbers = np.unique(ends, axis=0, return_inverse=True)
+    ab, bc, ca = len(points) + numbers.reshape(3, -1)
+    cut = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    added = points[ends].mean(axis=1)
+    return np.concatenate([points, added]), np.concatenate([triangles[~chosen], *(np.stack(t, axis=1) for t in cut)])
+
+
+def _patches(state: ContactState) -> Rectangles:
+    (patches,) = state.load.terms
+    assert isinstance(patches, Rectangles)
+    return patches
+
+
+def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | None) -> BodyFrame:
+    markers = sensor.actual.markers.points
+    rest = BodyFrame(
+        name="rest",
+        said="At rest.",
+        displacement_mm=np.zeros_like(corners),
+        marker_displacement_mm=np.zeros_like(markers),
+        patch_mm=np.zeros((0, 4, 3)),
+        patch_displacement_mm=np.zeros((0, 3)),
+        traction_mpa=np.zeros((0, 3)),
+        slip=np.zeros(0, bool),
+    )
+    if state is None or not state.load.terms:
+        return rest if state is None else replace(rest, name=str(number), said="The probe has left the body.")
+    patches = _patches(state)
+    points = np.concatenate([_inside(sensor, corners), patches.centre_mm])
+    surface = _drawn(sensor).displacement(points, patches)
+    force = ", ".join(f"{f:.3g}" for f in cleaned([float(f) for f in state.force_n]))
+    slips = f"{100 * np.mean(state.slip):.0f} % of the contact slips" if state.friction else "no friction"
+    return replace(
+        rest,
+        name=str(number),
+        said=f"Step {number}: force ({force}) N, indentation {state.indentation_mm:.3g} mm, contact radius "
+        f"{state.contact_radius_mm:.3g} mm, largest pressure {state.peak_pressure_mpa:.3g} MPa, "
+        f"{slips}.",
+        displacement_mm=surface[: len(corners)],
+        marker_displacement_mm=sensor.motion(state.load).displacement_mm,
+        patch_mm=_corners(patches),
+        patch_displacement_mm=surface[len(corners) :],
+        traction_mpa=state.traction_mpa,
+        slip=state.slip,
+    )
+
+
+def _drawn(sensor: Sensor) -> Compliance | Covered:
+    """Return the compliance that moves the surface."""
+    from twin.world.compliance import Compliance
+
+    scene = sensor.actual.scene
+    if not isinstance(sensor.compliance, Compliance):
+        return sensor.compliance
+    return Compliance(scene.body, scene.material, level="sketch", table=False, progress=sensor.progress)
+
+
+def _inside(sensor: Sensor, points: Points) -> Points:
+    """Move points that the facets of a round body leave outside onto its boundary."""
+    body = sensor.actual.scene.body
+    for _ in range(3):
+        distance = body.piece_distances(points)
+        worst = distance.argmin(axis=1)
+        short = np.minimum(distance[np.arange(len(points)), worst], 0.0)
+        points = points - short[:, None] * body.piece_normals(points)[np.arange(len(points)), worst]
+    return points
+
+
+def _corners(patches: Rectangles) -> Floats:
+    """Return the (k, 4, 3) corners of rectangles."""
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    across = patches.half_mm[:, None, :] * signs
+    return np.asarray(patches.centre_mm[:, None] + np.einsum("kca,kai->kci", across, patches.frames[:, :2]))
+
+
+def view_scene(scene: Scene, out: Path, sensor: Sensor | None = None) -> str:
+    """Write the page of a scene and return a line about it."""
+    from twin.results import write_whole
+    from twin.show.body import body_page
+
+    page = body_page(body_view(sensor or Sensor(scene)))
+    write_whole(out, lambda f: f.write(page.encode()))
+    return f"written to {out}; open it in a browser"
