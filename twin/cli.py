@@ -19,6 +19,7 @@ from twin.commands.calibrate import calibrate
 from twin.commands.check import check
 from twin.commands.doctor import doctor
 from twin.commands.mesh import mesh
+from twin.commands.reproduce import reproduce
 from twin.commands.run import run
 from twin.commands.scenes import scenes
 from twin.commands.view import view
@@ -36,6 +37,7 @@ app = App(
 
 app.command(run, help_epilogue="Examples: twin run kamiyama_pillar; twin run my_scene.toml -s press.force_n='{z=2}'")
 app.command(mesh, help_epilogue="Example: twin mesh sato_press --rebuild")
+app.command(reproduce, help_epilogue="Examples: twin reproduce all; twin reproduce kamiyama/table-1 sato --out here")
 app.command(calibrate, help_epilogue="Example: twin calibrate --scene sato_press --out scenes/sato_calibration.npz")
 app.command(view, help_epilogue="Examples: twin view kamiyama_shear; twin view out/kamiyama_pillar")
 app.command(scenes)

@@ -68,6 +68,12 @@ class ContactError(TwinError):
     """A press has no equilibrium, or its contact did not converge."""
 
 
+class SomeFailed(TwinError):
+    """A job of many parts is finished, but some of them failed; what could be done is written."""
+
+    exit_code = 3
+
+
 class MissingCapability(TwinError):
     """This machine lacks something the job needs (exit code 4); the message ends with how to install it."""
 

@@ -1,0 +1,112 @@
+"""The papers made again: what a record says, that a run resumes and repeats, and what the page holds."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.errors import InputError, TwinError
+from twin.study.reproduce import runner
+from twin.study.reproduce.bench import Bench, sensor_hash
+from twin.study.reproduce.catalogue import ENTRIES, chosen
+from twin.study.reproduce.record import Outcome, Record, causes, over
+from twin.study.reproduce.runner import reproduce
+from twin.study.reproduce.shifted import displaced
+
+FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
+
+
+@pytest.mark.parametrize(
+    ("paper", "twin", "spread", "off", "said"),
+    [
+        (None, 1.0, None, {}, "the paper gives no number"),
+        (1.0, 1.1, None, {}, "agrees"),
+        (1.0, 1.6, 0.4, {}, "agrees"),
+        (1.0, 2.0, None, {"noise": 1.1, "lens": 1.9}, "explained by: noise"),
+        (1.0, 2.0, None, {"noise": 1.4, "lens": 1.9}, "partly explained by: noise"),
+        (1.0, 2.0, None, {"noise": 3.0, "lens": 1.9}, "disagrees, and no modelled cause explains it"),
+        (1.0, float("nan"), None, {}, "not defined in the twin"),
+    ],
+)
+def test_a_record_says_whether_it_agrees(
+    paper: float | None, twin: float, spread: float | None, off: dict[str, float], said: str
+) -> None:
+    record = Record(quantity="q", unit="px", paper=paper, twin=twin, spread=spread, explained_by=causes(off))
+    assert record.verdict == said
+
+
+def test_a_cause_that_was_never_far_explains_nothing() -> None:
+    record = Record(quantity="q", unit="px", paper=1.0, twin=1.16, explained_by=causes({"noise": 1.149}))
+    assert record.verdict.startswith("disagrees")
+
+
+def test_spread_is_that_of_the_runs() -> None:
+    assert over([1.0, 3.0]) == {"twin": 2.0, "spread": pytest.approx(2**0.5), "n": 2}
+    assert over([5.0])["spread"] is None
+
+
+def test_a_displaced_picture_moves_right() -> None:
+    picture = np.zeros((4, 6, 3), np.uint8)
+    picture[:, 2] = 9
+    assert displaced(picture, 3)[0, :, 0].tolist() == [0, 0, 0, 0, 0, 9]
+
+
+def test_a_shift_is_what_it_says_in_the_picture() -> None:
+    rig = Bench().rig("kamiyama")
+    points = rig.sensor.actual.markers.points
+    moved = rig.sensor.project(points + rig.shifted((3.0, -1.0)).displacement_mm) - rig.sensor.project(points)
+    np.testing.assert_allclose(moved, np.tile([3.0, -1.0], (len(points), 1)), atol=1e-6)
+
+
+def test_names_choose_entries() -> None:
+    assert [e.name for e in chosen(())] == list(ENTRIES)
+    assert [e.name for e in chosen(("kamiyama/fig-7", "kamiyama/table-1"))] == ["kamiyama/table-1", "kamiyama/fig-7"]
+    assert all(e.name.startswith("sato/") for e in chosen(("sato",)))
+    with pytest.raises(InputError, match="did you mean 'kamiyama/table-1'"):
+        chosen(("kamiyama/table1",))
+
+
+def test_the_same_seed_gives_the_same_records_and_one_sensor_each(tmp_path: Path) -> None:
+    files = []
+    for name in ("one", "two"):
+        reproduce(FAST, tmp_path / name, quick=True)
+        files.append((tmp_path / name / "results.json").read_bytes())
+    assert files[0] == files[1]
+    records = json.loads(files[0])
+    assert {r["name"] for r in records} == set(FAST)
+    wanted = {"name", "source", "quantity", "unit", "paper", "twin", "spread", "n", "explained_by"}
+    assert all(wanted <= set(r) for r in records)
+    assert {json.dumps(r["sensor_hash"]) for r in records} == {json.dumps({"kamiyama": sensor_hash("kamiyama")})}
+    page = (tmp_path / "one" / "index.html").read_text()
+    assert page.count("data:image/png;base64,") == len(FAST)
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
+    assert (tmp_path / "one" / "kamiyama_fig-6.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = []
+
+    def run(_: Bench) -> Outcome:
+        runs.append(1)
+        return Outcome(records=(Record(quantity="q", unit="", twin=1.0),))
+
+    def fails(_: Bench) -> Outcome:
+        raise TwinError("the probe fell off")
+
+    entries = dict(ENTRIES)
+    entries["kamiyama/fig-6"] = replace(ENTRIES["kamiyama/fig-6"], run=run)
+    entries["kamiyama/fig-7"] = replace(ENTRIES["kamiyama/fig-7"], run=fails)
+    monkeypatch.setattr("twin.study.reproduce.catalogue.ENTRIES", entries)
+    monkeypatch.setattr(runner, "ENTRIES", entries)
+    done = reproduce(FAST, tmp_path)
+    assert done.failed == {"kamiyama/fig-7": "the probe fell off"}
+    assert "the probe fell off" in (tmp_path / "index.html").read_text()
+    reproduce(FAST, tmp_path)
+    assert len(runs) == 1
+    reproduce(FAST, tmp_path, seed=2)
+    assert len(runs) == 2

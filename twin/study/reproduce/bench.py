@@ -1,0 +1,217 @@
+"""The bench that every experiment is set up on: the made sensors, their pictures, and what is kept between entries.
+
+An experiment asks for a sensor by its paper and seed. Without overrides that is *the* sensor of the paper, the same in
+every table and figure; overrides make a variant, in which one modelled cause is switched off or one design number is
+another. Rest pictures, presses and calibrations are kept, so that two entries on one press solve it once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from twin.arrays import Floats, Picture
+from twin.parts.part import without_later
+from twin.parts.press import Press
+from twin.parts.scene import Scene
+from twin.study.calibrate import calibration_of
+from twin.study.recipe import load_scene
+from twin.study.sensor import Motion, Progress, Sensor
+from twin.theory.optics import projection_jacobian
+
+if TYPE_CHECKING:
+    from twin.sense.calibration import Calibration
+    from twin.sense.rest import Method, Rest
+    from twin.sense.track import Found
+    from twin.world.contact import ContactState
+
+T = TypeVar("T")
+
+SCENES = {"kamiyama": "kamiyama_paper", "sato": "sato_paper"}
+"""The scene of each paper's sensor."""
+
+SENSOR_KEYS = ("body", "material", "cover", "markers", "camera", "light", "ccd", "tolerance")
+"""What makes the sensor: the rest of a scene is the press and the software."""
+
+SEEDS = {"kamiyama": (1, 2, 3), "sato": (1,)}
+"""Made sensors by paper. One finger: its contact takes seconds a press; its spread is of exposures and load cell."""
+
+FITTED: dict[str, tuple[str, ...]] = {
+    "kamiyama": ("nothing is fitted: every number is the paper's or an assumption of the scene",),
+    "sato": ("nothing is fitted: every number is the paper's or an assumption of the scene",),
+}
+"""What was fitted to each paper, once, and is used everywhere."""
+
+
+class Rig:
+    """One made sensor on the bench, with what was measured on it."""
+
+    def __init__(self, scene: Scene, progress: Progress, pressed: Callable[[ContactState], None]) -> None:
+        self.scene = scene
+        self.sensor = Sensor(scene, progress)
+        self._pressed = pressed
+        self._presses: dict[str, ContactState] = {}
+        self._rests: dict[tuple[str, int], Rest] = {}
+        self._calibrations: dict[str, Calibration] = {}
+
+    def press(self, press: Press) -> ContactState:
+        """Solve a press, or return it again; what it strains is noted."""
+        key = press.model_dump_json()
+        if key not in self._presses:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                self._presses[key] = self.sensor.press(press)
+        self._pressed(self._presses[key])
+        return self._presses[key]
+
+    def motion(self, state: ContactState) -> Motion:
+        """Return how a press moves the markers."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return self.sensor.motion(state.load)
+
+    def picture(self, motion: Motion | None, exposure: int) -> Picture:
+        """Expose the markers at rest or moved."""
+        return self.sensor.picture(motion, exposure)
+
+    def rest(self, method: Method, exposure: int = 0) -> Rest:
+        """Analyse a rest picture once."""
+        from twin.sense.track import analyse_rest
+
+        key = (method, exposure)
+        if key not in self._rests:
+            picture = self.picture(None, exposure)
+            self._rests[key] = analyse_rest(picture, self.sensor.layout_px, method=method)
+        return self._rests[key]
+
+    def track(self, picture: Picture, method: Method | None = None) -> Found:
+        """Track the markers from rest to a picture, with the paper's tracker if not told otherwise."""
+        from twin.sense.track import track_frame
+
+        return track_frame(self.rest(method or self.scene.tracking.method), picture)
+
+    def seen(self, state: ContactState, exposure: int = 1, method: Method | None = None) -> Found:
+        """Take a press through picture and tracker."""
+        return self.track(self.picture(self.motion(state), exposure), method)
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """The calibration that the scene asks for."""
+        return calibration_of(self.sensor)
+
+    @cached_property
+    def image_scale(self) -> Floats:
+        """(n, 2, 3) px/mm at the actual markers."""
+        made = self.sensor.actual
+        camera = made.scene.camera
+        assert camera is not None
+        scene = made.scene
+        return projection_jacobian(made.markers.points, camera, scene.material.refractive_index, scene.body.base_z_mm)
+
+    def shifted(self, shift_px: tuple[float, float]) -> Motion:
+        """Return the motion along x and y that moves every marker's centre by ``shift_px`` in the picture."""
+        points = self.sensor.actual.markers.points
+        wanted = self.sensor.project(points) + np.array(shift_px)
+        moved = np.zeros_like(points)
+        for _ in range(3):
+            missing = wanted - self.sensor.project(points + moved)
+            moved[:, :2] += np.linalg.solve(self.image_scale[:, :, :2], missing[:, :, None])[:, :, 0]
+        return Motion(displacement_mm=moved, gradient=np.zeros((len(points), 3, 3)), error=0.0)
+
+
+class Bench:
+    """All rigs of a reproduction.
+
+    Parameters
+    ----------
+    seed
+        Root seed; a paper's made sensors have this and the following ones.
+    quick
+        One made sensor a paper, and less of everything.
+    progress
+        Told about every piece of work.
+    """
+
+    def __init__(self, *, seed: int = 1, quick: bool = False, progress: Progress | None = None) -> None:
+        self.seed = seed
+        self.quick = quick
+        self._told = progress
+        self._share = (0.0, 1.0)
+        self._entry = ""
+        self._rigs: dict[str, Rig] = {}
+        self.kept: dict[Any, Any] = {}
+        self.used: set[str] = set()
+        self._worst: ContactState | None = None
+
+    def begin(self, entry: str, share: float, width: float) -> None:
+        """Say which entry runs, and which part of the whole it is."""
+        self._entry, self._share = entry, (share, width)
+        self.used.clear()
+        self._worst = None
+        self.progress("", 0.0)
+
+    @property
+    def validity(self) -> str:
+        """What linear theory costs in the present entry's hardest press, in words; empty without a press."""
+        if self._worst is None:
+            return ""
+        doubt = self._worst.validity
+        ratio = doubt.contact_over_probe_radius
+        radius = f"contact radius / probe radius {ratio:.2f}, " if ratio is not None else ""
+        return (
+            f"Hardest press: {radius}mean pressure / Young's modulus {doubt.mean_strain:.2g}; linear theory may "
+            "be up to "
+            f"{100 * doubt.linearisation_error:.2g} % of the largest displacement off."
+        )
+
+    def _pressed(self, state: ContactState) -> None:
+        if self._worst is None or state.validity.linearisation_error > self._worst.validity.linearisation_error:
+            self._worst = state
+
+    def progress(self, what: str, share: float) -> None:
+        """Tell how far the present entry is."""
+        if self._told is not None:
+            start, width = self._share
+            self._told(f"{self._entry} {what}".strip(), min(0.999, start + width * min(share, 1.0)))
+
+    def seeds(self, paper: str) -> tuple[int, ...]:
+        """Return the seeds of the made sensors."""
+        count = 1 if self.quick else len(SEEDS[paper])
+        return tuple(self.seed + k for k in range(count))
+
+    def rig(self, paper: str, seed: int | None = None, overrides: Mapping[str, Any] | None = None) -> Rig:
+        """Return a made sensor: the paper's own, or a variant of it."""
+        given = {"seed": self.seed if seed is None else seed, **(overrides or {})}
+        scene = load_scene(SCENES[paper], given)
+        if not overrides:
+            self.used.add(paper)
+        key = json.dumps([paper, given], sort_keys=True, default=str)
+        if key not in self._rigs:
+            self._rigs[key] = Rig(scene, lambda what, _share: self.progress(what, 0.0), self._pressed)
+        return self._rigs[key]
+
+    def once(self, key: Any, work: Callable[[], T]) -> T:
+        """Return ``work()``, done at the first call with this key."""
+        if key not in self.kept:
+            self.kept[key] = work()
+        found: T = self.kept[key]
+        return found
+
+
+def sensor_hash(paper: str) -> str:
+    """Return the hash of a paper's resolved sensor: what is built, without press, software and seed."""
+    table = load_scene(SCENES[paper]).model_dump(mode="json", include=set(SENSOR_KEYS))
+    return hashlib.sha256(json.dumps(_bare(table), sort_keys=True).encode()).hexdigest()
+
+
+def _bare(value: Any) -> Any:
+    """Drop sources and assumptions: they say where a number comes from, not what is built."""
+    if isinstance(value, dict):
+        return {k: _bare(v) for k, v in without_later(value).items() if k not in {"source", "assumed"}}
+    return [_bare(v) for v in value] if isinstance(value, list) else value

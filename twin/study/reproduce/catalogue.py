@@ -1,0 +1,44 @@
+"""The entries by name, in the papers' order."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+
+from twin.errors import InputError
+from twin.study.reproduce import flat_picture, shifted
+from twin.study.reproduce.entry import Entry
+
+ENTRIES: dict[str, Entry] = {
+    entry.name: entry
+    for entry in (
+        shifted.KAMIYAMA_TABLE_1,
+        flat_picture.FIGURE_6,
+        shifted.KAMIYAMA_FIGURE_7,
+        shifted.KAMIYAMA_FIGURE_8,
+        flat_picture.FIGURE_9,
+        flat_picture.FIGURE_17,
+        shifted.SATO_TABLE_1,
+    )
+}
+
+
+def chosen(names: Sequence[str]) -> list[Entry]:
+    """Return the entries that ``names`` mean: ``all``, a paper, or entries by name; in the catalogue's order.
+
+    Raises
+    ------
+    InputError
+        There is no such entry.
+    """
+    wanted: set[str] = set()
+    for name in names or ("all",):
+        found = [key for key in ENTRIES if name in ("all", key, key.split("/")[0])]
+        if not found:
+            near = difflib.get_close_matches(name, ENTRIES, 1, 0.4)
+            hint = f"did you mean '{near[0]}'?" if near else "see: twin reproduce --help"
+            raise InputError(
+                f"there is no entry '{name}': {hint} Allowed are all, kamiyama, sato, {', '.join(ENTRIES)}"
+            )
+        wanted.update(found)
+    return [entry for key, entry in ENTRIES.items() if key in wanted]
