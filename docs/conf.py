@@ -1,0 +1,38 @@
+"""The documentation's settings: `python -m sphinx -W docs build/docs`.
+
+Two pages are made at build time: the recipe reference from the schema, and the gallery from real runs.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+
+from make_gallery import make_gallery  # noqa: E402
+from make_recipes import make_recipes  # noqa: E402
+
+project = "twin"
+release = importlib.metadata.version("tactile-twin")
+copyright = "the developers of twin"
+extensions = ["mathml", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_parser"]
+myst_enable_extensions = ["dollarmath", "colon_fence", "attrs_inline"]
+myst_heading_anchors = 2
+html_math_renderer = "mathml"
+html_theme = "furo"
+html_title = "twin: digital twin of camera-based tactile sensors"
+html_extra_path = ["made/pages"]
+exclude_patterns = ["made/pages"]
+autodoc_typehints = "none"
+napoleon_attr_annotations = False
+autodoc_member_order = "bysource"
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+nitpicky = False
+default_role = "code"
+
+make_recipes(HERE / "made" / "recipes.md")
+make_gallery(HERE / "made")

@@ -1,0 +1,54 @@
+"""The gallery: pictures and pages of shipped scenes, made by running them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import twin
+from twin.results import write_whole
+from twin.show.body import body_page
+from twin.study.view import body_view
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """A scene and what to look at in it."""
+
+    scene: str
+    said: str
+
+
+EXHIBITS = (
+    Exhibit("kamiyama_pillar", "Flat sensor, 5 mm pillar: markers move away from it, the deeper red ones less."),
+    Exhibit("kamiyama_twist", "The same sensor under a pillar that turns about its axis."),
+    Exhibit("sato_press", "The finger under a 3 mm sphere, seen through its fisheye lens with LEDs beside it."),
+)
+
+
+def make_gallery(folder: Path) -> None:
+    """Write ``gallery.md``, its pictures, and a page of the deformed body for each exhibit."""
+    (folder / "pages").mkdir(parents=True, exist_ok=True)
+    lines = ["# Gallery", "", "Made when this documentation was built, by `twin run` and `twin view`.", ""]
+    for exhibit in EXHIBITS:
+        sensor = twin.Sensor(twin.load_scene(exhibit.scene))
+        state = sensor.press()
+        for name, picture in (("rest", sensor.picture(None)), ("pressed", sensor.picture(state.load))):
+            _save(picture, folder / f"{exhibit.scene}_{name}.png")
+        page = body_page(body_view(sensor))
+        write_whole(folder / "pages" / f"{exhibit.scene}.html", lambda f, page=page: f.write(page.encode()))
+        lines += [
+            f"## {sensor.nominal.title}", "", exhibit.said, "",
+            f"![at rest]({exhibit.scene}_rest.png){{width=49%}} "
+            f"![pressed]({exhibit.scene}_pressed.png){{width=49%}}", "",
+            f"Turn it in the browser: <a href=\"{{root}}{exhibit.scene}.html\">the deformed body</a> "
+            f"(`twin view {exhibit.scene}`).", "",
+        ]  # fmt: skip
+    text = "\n".join(lines).replace("{root}", "../")
+    (folder / "gallery.md").write_text(text, encoding="utf-8")
+
+
+def _save(picture: twin.arrays.Picture, path: Path) -> None:  # type: ignore[name-defined]
+    from PIL import Image
+
+    write_whole(path, lambda f: Image.fromarray(picture).save(f, "PNG"))
