@@ -74,9 +74,8 @@ def _allowed(field: Any, schema: dict[str, Any]) -> str:
         return ", ".join(f"`{v}`" for v in values)
     signs = {"exclusiveMinimum": "> ", "minimum": "≥ ", "exclusiveMaximum": "< ", "maximum": "≤ "}
     ways = [schema, *schema.get("anyOf", ())]
-    return ", ".join(
-        f"{signs[name]}{way[name]:g}" for way in ways for name in signs if abs(way.get(name, math.inf)) < 1e15
-    )
+    limits = [(name, way[name]) for way in ways for name in signs if name in way]
+    return ", ".join(f"{signs[name]}{limit:g}" for name, limit in limits if abs(limit) < 1e15)
 
 
 def _literals(annotation: Any) -> list[Any]:
