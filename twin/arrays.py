@@ -20,6 +20,9 @@ Ints: TypeAlias = NDArray[np.int64]
 Bools: TypeAlias = NDArray[np.bool_]
 """Any mask."""
 
+Singles: TypeAlias = NDArray[np.float32]
+"""Any float32 array: light, which needs no more digits."""
+
 Points: TypeAlias = NDArray[np.float64]
 """(n, 3) positions or displacements, mm, axes x, y, z."""
 

@@ -7,8 +7,9 @@ import pytest
 
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
-from twin.world.lighting import Lamps, brightest, cover_light, irradiance, lamps_at, may_be_shadowed
+from twin.world.lighting import Lamps, brightest, cover_light, irradiance, lamps_at
 from twin.world.markers import Ellipsoids
+from twin.world.occluders import occluders
 
 
 def scene(index: float = 1.41, glass: float = 1.49, led: tuple[float, float, float] = (10.0, 5.0, 70.0)) -> Scene:
@@ -68,22 +69,29 @@ def test_the_cover_sends_its_albedo_back() -> None:
     assert (cover_light(origins, directions, made.model_copy(update={"cover": None}), 1.0) == 0).all()
 
 
-def test_shadow_candidates_contain_every_true_shadow() -> None:
+@pytest.mark.parametrize("height", [100.0, 7.0])
+def test_shadow_candidates_contain_every_true_shadow(height: float) -> None:
     rng = np.random.default_rng(2)
     centres = np.column_stack([rng.uniform(-5, 5, (200, 2)), rng.choice([3.0, 6.0], 200)])
-    place = np.tile(np.array([[25.0, 20, 100], [-25, 20, 100]]), (200, 1, 1))
-    lamps = Lamps(place=place, power=np.ones((200, 2)))
-    flags = may_be_shadowed(centres, np.full(200, 0.25), lamps)
+    centres[7] = np.nan
+    place = np.tile(np.array([[25.0, 20, height], [-25, 20, height]]), (200, 1, 1))
+    wanted = np.ones((200, 2), bool)
+    wanted[11, 1] = False
+    found = occluders(centres, np.full(200, 0.25), place, wanted)
     for led in range(2):
         towards = place[:, led] - centres
-        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        length = np.linalg.norm(towards, axis=1)
+        towards /= length[:, None]
         for i in range(200):
             w = centres - centres[i]
             along = w @ towards[i]
             miss = np.linalg.norm(w - along[:, None] * towards[i], axis=1)
-            blocked = ((along > 0) & (miss < 0.5) & (np.arange(200) != i)).any()
-            assert flags[i, led] or not blocked
-    assert 0.02 < flags.mean() < 0.8
+            true = np.flatnonzero((along > 0) & (along < length[i]) & (miss < 0.5) & (np.arange(200) != i))
+            listed = found.members[found.first[2 * i + led] : found.first[2 * i + led + 1]]
+            assert not wanted[i, led] or set(true) <= set(listed)
+            assert found.flags[i, led] == (len(listed) > 0)
+    assert not found.flags[11, 1]
+    assert 0.02 < found.flags.mean() < 0.9
 
 
 def test_the_brightest_marker_sets_the_exposure() -> None:

@@ -1,6 +1,6 @@
 """Rendered pictures against the closed-form camera: places, motion, occlusion, shadows, exposure.
 
-The quick tests run Mitsuba's scalar variant on small pictures, so that they need no LLVM.
+The quick tests run Mitsuba's scalar variant and the splat on small pictures, so that they need no LLVM.
 """
 
 from __future__ import annotations
@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 
 from twin.errors import RecipeError
+from twin.parts.accuracy import Accuracy
 from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.theory.optics import project
+from twin.world import splat
 from twin.world.markers import Ellipsoids, ellipsoids
 from twin.world.render import Renderer, subpixels_for
 from twin.world.variant import Variant, choose_variant
 from twin.world.view import near_markers
 
 SCALAR = Variant(name="scalar_rgb", library=None, reason="runs everywhere")
+SPLAT = Variant(name="splat", library=None, reason="runs everywhere")
 RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.15, 0.9)
 
 
@@ -82,9 +85,9 @@ def _scene() -> Scene:
     return block()
 
 
-@pytest.fixture(name="renderer", scope="module")
-def _renderer(scene: Scene) -> Renderer:
-    return Renderer(scene, rest_of(scene), SCALAR)
+@pytest.fixture(name="renderer", scope="module", params=[SCALAR, SPLAT], ids=lambda variant: variant.name)
+def _renderer(scene: Scene, request: pytest.FixtureRequest) -> Renderer:
+    return Renderer(scene, rest_of(scene), request.param)
 
 
 def test_coverage_centroids_are_the_projected_centres(scene: Scene, renderer: Renderer) -> None:
@@ -125,10 +128,10 @@ def test_motion_in_millimetres_is_motion_in_pixels_without_mirror(scene: Scene, 
 def test_moving_markers_keeps_the_mitsuba_scene(scene: Scene) -> None:
     renderer = Renderer(scene, rest_of(scene), SCALAR, subpixels=1)
     renderer.radiance(rest_of(scene))
-    before = renderer._padded._scene
+    before = renderer._tracer._padded._scene
     moved = ellipsoids(place(scene.body, scene.markers), scene.markers, np.full((10, 3), 0.2))
     light = renderer.radiance(moved)
-    assert renderer._padded._scene is before
+    assert renderer._tracer._padded._scene is before
     fresh = Renderer(scene, rest_of(scene), SCALAR, subpixels=1).radiance(moved)
     np.testing.assert_array_equal(light, fresh)
 
@@ -167,12 +170,13 @@ def test_the_rest_picture_peaks_at_white(scene: Scene) -> None:
         assert 255 * peak ** (1 / gamma) == pytest.approx(150, rel=0.02)
 
 
-def test_a_marker_shadows_the_one_behind_it(scene: Scene) -> None:
+@pytest.mark.parametrize("variant", [SCALAR, SPLAT], ids=lambda variant: variant.name)
+def test_a_marker_shadows_the_one_behind_it(scene: Scene, variant: Variant) -> None:
     led = np.array([20.0, 0, 105])
     lit = scene.model_copy(
         update={"light": scene.light.model_copy(update={"positions_mm": (tuple(led),), "ambient": 0.1})}
     )  # type: ignore[union-attr]
-    renderer = Renderer(lit, rest_of(lit), SCALAR)
+    renderer = Renderer(lit, rest_of(lit), variant)
     from twin.world.lighting import lamps_at
 
     image = lamps_at(np.array([[0.0, 0, 3]]), lit).place[0, 0]
@@ -201,11 +205,12 @@ def test_a_marker_on_the_edge_of_the_picture_is_seen_in_part(renderer: Renderer)
     assert 0.35 < outlines.visible[0] < 0.65
 
 
-def test_thin_prints_far_from_the_camera_keep_their_outline() -> None:
+@pytest.mark.parametrize("variant", [SCALAR, SPLAT], ids=lambda variant: variant.name)
+def test_thin_prints_far_from_the_camera_keep_their_outline(variant: Variant) -> None:
     # Float32 rays that start at the base lose up to a third of such a print; these start just behind it.
     scene = finger()
     markers = rest_of(scene)
-    renderer = Renderer(scene, markers, SCALAR, subpixels=3)
+    renderer = Renderer(scene, markers, variant, subpixels=3)
     outlines = renderer.outlines(markers)
     assert (outlines.visible > 0.995).all()
     conjugate = near_markers(markers, scene, renderer._view, 3).conjugate
@@ -236,6 +241,47 @@ def test_accuracy_chooses_the_grid() -> None:
     assert wanted == sorted(wanted)
     assert wanted[0] == 1
     assert wanted[-1] == 16
+
+
+def test_a_number_takes_the_cheapest_way_that_meets_it(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("TWIN_VARIANT", raising=False)
+    for asked in (0.3, 0.05, 0.01):
+        wanted = scene.model_copy(update={"accuracy": Accuracy(centroid_px=asked)})
+        renderer = Renderer(wanted, rest_of(wanted))
+        assert renderer.variant.name == "splat"
+        assert renderer.centroid_error_px <= asked
+        assert renderer.shadows == (asked < 0.28)
+
+
+@pytest.mark.parametrize("make", [block, finger])
+def test_splat_and_scalar_make_one_picture(make: Any) -> None:
+    scene = make()
+    if scene.camera.lens == "equidistant":
+        scene = scene.model_copy(update={"camera": scene.camera.model_copy(
+            update={"width_px": 160, "height_px": 120, "focal_px": 60})})  # fmt: skip
+    markers = rest_of(scene)
+    one, two = (Renderer(scene, markers, variant) for variant in (SCALAR, SPLAT))
+    a, b = one.radiance(markers), two.radiance(markers)
+    # Edges of shadows are hard in one and smooth in the other.
+    assert np.quantile(np.abs(a - b), 0.999) < 0.06
+    # One ray inside an outline of 5 px misses a 300th of a bead's light: its curvature within a pixel.
+    assert abs(a.mean() / b.mean() - 1) < 3e-3
+    a, b = one.outlines(markers), two.outlines(markers)
+    np.testing.assert_allclose(a.centroid_px, b.centroid_px, atol=0.002)
+    np.testing.assert_allclose(a.visible, b.visible, atol=0.01)
+
+
+def test_splat_has_the_same_bytes_on_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = finger()
+    markers = rest_of(scene)
+    renderer = Renderer(scene, markers, SPLAT)
+    found = []
+    for threads in (1, 2, 3):
+        monkeypatch.setattr(splat.config, "NUMBA_NUM_THREADS", threads)
+        found.append((renderer.radiance(markers), renderer.outlines(markers).centroid_px))
+    for light, centroids in found[1:]:
+        np.testing.assert_array_equal(light, found[0][0])
+        np.testing.assert_array_equal(centroids, found[0][1])
 
 
 def fast() -> Variant:

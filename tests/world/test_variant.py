@@ -23,9 +23,9 @@ def _own_surroundings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(variant.LIBRARY, "")
 
 
-def test_no_library_means_scalar_with_a_remedy() -> None:
+def test_no_library_means_splat_with_a_remedy() -> None:
     chosen = choose_variant(candidates=[])
-    assert chosen.name == "scalar_rgb"
+    assert chosen.name == "splat"
     assert REMEDY in chosen.reason
     assert "\n" not in chosen.reason
 
@@ -33,14 +33,14 @@ def test_no_library_means_scalar_with_a_remedy() -> None:
 def test_a_file_that_is_no_library_is_refused_and_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = tmp_path / "libLLVM.so.99"
     fake.write_bytes(b"\x7fELF but no more")
-    assert choose_variant(candidates=[str(fake)]).name == "scalar_rgb"
+    assert choose_variant(candidates=[str(fake)]).name == "splat"
     assert list(json.loads((tmp_path / "llvm.json").read_text()).values()) == ["not a library of LLVM 16 or later"]
 
     def never(library: str) -> str:
         raise AssertionError(f"{library} was tried twice")
 
     monkeypatch.setattr(variant, "_try", never)
-    assert choose_variant(candidates=[str(fake)]).name == "scalar_rgb"
+    assert choose_variant(candidates=[str(fake)]).name == "splat"
     fake.write_bytes(b"another file of the same name")
     with pytest.raises(AssertionError, match="tried twice"):
         choose_variant(candidates=[str(fake)])
@@ -51,7 +51,7 @@ def test_a_library_that_kills_its_process_leaves_ours_alive(tmp_path: Path, monk
     fake.write_bytes(b"")
     monkeypatch.setattr(variant, "_PROBE", "import os; print('good', 19, flush=True); os.abort()")
     chosen = choose_variant(candidates=[str(fake)])
-    assert chosen.name == "scalar_rgb"
+    assert chosen.name == "splat"
     assert "ends with code" in chosen.reason
 
 
@@ -59,7 +59,7 @@ def test_a_hanging_library_is_given_up_but_not_remembered(tmp_path: Path, monkey
     fake = tmp_path / "libLLVM.so.97"
     fake.write_bytes(b"")
     monkeypatch.setattr(variant, "_try", lambda library: f"{variant._UNTRIED} (TimeoutExpired)")
-    assert choose_variant(candidates=[str(fake)]).name == "scalar_rgb"
+    assert choose_variant(candidates=[str(fake)]).name == "splat"
     assert not (tmp_path / "llvm.json").exists()
 
 
@@ -83,10 +83,10 @@ def test_a_good_library_is_handed_to_drjit(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_broken_memory_is_no_obstacle(tmp_path: Path) -> None:
     (tmp_path / "llvm.json").write_text("{not json")
-    assert choose_variant(candidates=[str(tmp_path / "llvm.json")]).name == "scalar_rgb"
+    assert choose_variant(candidates=[str(tmp_path / "llvm.json")]).name == "splat"
 
 
-@pytest.mark.parametrize("name", ["scalar_rgb", "cuda_ad_rgb"])
+@pytest.mark.parametrize("name", ["scalar_rgb", "cuda_ad_rgb", "splat"])
 def test_the_environment_forces_a_variant(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(variant.FORCE, name)
     assert choose_variant(candidates=[]).name == name
@@ -107,4 +107,4 @@ def test_every_library_of_this_machine_is_survived(library: str) -> None:
     said = f"from twin.world.variant import choose_variant; print(choose_variant(candidates=[{library!r}]).name)"
     child = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, timeout=120)
     assert child.returncode == 0, child.stderr
-    assert child.stdout.strip() == ("llvm_ad_rgb" if verdict == "good" else "scalar_rgb")
+    assert child.stdout.strip() == ("llvm_ad_rgb" if verdict == "good" else "splat")

@@ -63,10 +63,16 @@ def projection_jacobian(points: Points, camera: Camera, body_index: float, base_
     -----
     Analytic: the implicit derivative of Snell's sum, then the chain rule through tilt and lens.
     """
+    return project_with_jacobian(points, camera, body_index, base_z_mm)[1]
+
+
+def project_with_jacobian(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Pixels, Floats]:
+    """Return `project` and `projection_jacobian` for the price of one."""
     towards, slope = _leave(points, camera, body_index, base_z_mm)
     turn = tilt_matrix(camera)
-    jacobian: Floats = _lens_jacobian(towards @ turn, camera) @ turn.T @ slope
-    return jacobian
+    seen = towards @ turn
+    jacobian: Floats = _lens_jacobian(seen, camera) @ (turn.T @ slope)
+    return _lens(seen, camera), jacobian
 
 
 def rays(pixels: Pixels, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Points, Points]:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from twin.arrays import Bools, Floats
+from twin.arrays import Bools, Floats, Singles
 from twin.parts.scene import Scene
-from twin.world.lighting import lamps_at, may_be_shadowed
+from twin.world.lighting import lamps_at
 from twin.world.markers import Ellipsoids
+from twin.world.occluders import Occluders, occluders
 from twin.world.view import Near, View, near_markers
-
-Singles = NDArray[np.float32]
 
 _ABSENT = (1e5, 1e5, -1.0)
 
@@ -44,41 +43,60 @@ class Frame:
     ----------
     near
         Pixels near markers.
+    base
+        Height of the base.
     starts
         (m, 2) where every pixel's rays start: distance from the base, and z.
     centres
         (n, 3) centres; lost markers lie far aside.
+    axes
+        (n, 3, 3) conjugate semi-axes in columns.
     metric
         (n, 3, 3) the matrix M of each ellipsoid (x - c)^T M (x - c) = 1.
-    spread
-        (n, 2, 2) inverse of the outline's matrix, 1 / px^2.
-    exact, padded
-        (n, 10) centre, semi-axes and quaternion (x, y, z, w), as Mitsuba wants ellipsoids; ``padded`` ones are larger
-        by what the search for edges needs.
+    pad
+        (n,) how much larger than the marker a search for its edge has to be.
     subpixels
         k of the k x k rays in a pixel.
     lamps
         (n, leds, 4) place and power of the LEDs' images per marker.
-    shadowed
-        (n, leds) whether a shadow ray is needed.
+    occluders
+        What may shadow what.
     colour
         (n, 3) reflectance.
     """
 
     near: Near
+    base: float
     starts: Singles
-    centres: Singles
-    metric: Singles
-    spread: Singles
-    exact: Singles
-    padded: Singles
+    centres: Floats
+    axes: Floats
+    metric: Floats
+    pad: Floats
     subpixels: int
-    lamps: Singles
-    shadowed: Bools
-    colour: Singles
+    lamps: Floats
+    occluders: Occluders
+    colour: Floats
 
     def __len__(self) -> int:
         return len(self.centres)
+
+    @property
+    def shadowed(self) -> Bools:
+        """(n, leds) whether a shadow ray is needed."""
+        return self.occluders.flags
+
+    @cached_property
+    def exact(self) -> Singles:
+        """(n, 10) centre, semi-axes and quaternion (x, y, z, w), as Mitsuba wants ellipsoids."""
+        turned, sizes, _ = np.linalg.svd(self.axes)
+        return np.column_stack([self.centres, sizes, quaternions(turned)]).astype(np.float32)
+
+    @cached_property
+    def padded(self) -> Singles:
+        """Like ``exact``, but larger by what the search for edges needs."""
+        data = self.exact.copy()
+        data[:, 3:6] += self.pad[:, None]
+        return data
 
 
 def make_frame(
@@ -112,35 +130,35 @@ def make_frame(
     here = markers.present
     centres = np.where(here[:, None], markers.centres, [0.0, 0.0, base])
     axes = np.where(here[:, None, None], markers.axes, 1e-3 * np.eye(3))
-    turned, sizes, _ = np.linalg.svd(axes)
-    sizes = np.maximum(sizes, 1e-6)
     near = near_markers(markers, scene, view, subpixels)
     zero = float(np.max(near.start_mm, initial=0.0))
     lamps = lamps_at(centres, scene)
-    shadowed = here[:, None] & (lamps.power > 0)
-    if shadows:
-        shadowed &= may_be_shadowed(centres, sizes[:, 0], lamps)
-    else:
-        shadowed = np.zeros_like(shadowed)
+    radii = np.where(here, _longest(axes), np.nan)
+    wanted = here[:, None] & (lamps.power > 0) & shadows
     shift = np.array([0.0, 0.0, zero])
-    local = np.where(here[:, None], (centres - shift) / unit_mm, _ABSENT)
-    metric = (turned / (sizes[:, None] / unit_mm) ** 2) @ np.swapaxes(turned, 1, 2)
-    turns = quaternions(turned)
+    axes = axes / unit_mm
+    inverse = np.linalg.inv(axes)
     return Frame(
         near=near,
+        base=(base - zero) / unit_mm,
         starts=(np.column_stack([base - near.start_mm, near.start_mm - zero]) / unit_mm).astype(np.float32),
-        centres=local.astype(np.float32),
-        metric=metric.astype(np.float32),
-        spread=np.linalg.inv(near.conjugate).astype(np.float32),
-        exact=np.column_stack([local, sizes / unit_mm, turns]).astype(np.float32),
-        padded=np.column_stack([local, (sizes + near.pad_mm[:, None]) / unit_mm, turns]).astype(np.float32),
+        centres=np.where(here[:, None], (centres - shift) / unit_mm, _ABSENT),
+        axes=axes,
+        metric=np.swapaxes(inverse, 1, 2) @ inverse,
+        pad=near.pad_mm / unit_mm,
         subpixels=subpixels,
         lamps=np.concatenate(
             [(lamps.place - shift) / unit_mm, (lamps.power / (full_power * unit_mm**2))[:, :, None]], axis=2
-        ).astype(np.float32),
-        shadowed=shadowed,
-        colour=markers.colour.astype(np.float32),
+        ),
+        occluders=occluders(np.where(here[:, None], centres, np.nan), radii, lamps.place, wanted),
+        colour=markers.colour,
     )
+
+
+def _longest(axes: Floats) -> Floats:
+    """Return a bound on (n,) ellipsoids' longest semi-axes: the root of the largest row sum of A^T A (Gershgorin)."""
+    bound: Floats = np.sqrt(np.abs(np.swapaxes(axes, 1, 2) @ axes).sum(axis=2).max(axis=1))
+    return bound
 
 
 def quaternions(axes: Floats) -> Floats:

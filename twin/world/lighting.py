@@ -16,14 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Points
+from twin.arrays import Floats, Points
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
 from twin.theory.optics import air_tangents, sideways, transmission
 from twin.world.exposure import crosstalk_matrix
 from twin.world.markers import Ellipsoids
-
-_MANY = 3000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,27 +161,3 @@ def cover_light(origins: Points, directions: Floats, scene: Scene, top: float) -
     bright = np.where(hits, (1 - ambient) * lit + ambient, 0.0)
     light[seen] = bright[:, None] * np.asarray(scene.cover.albedo)
     return light
-
-
-def may_be_shadowed(centres: Points, radii: Floats, lamps: Lamps) -> Bools:
-    """Return (n, leds) whether another marker may stand between a marker (n, 3) and an LED; True when in doubt.
-
-    Two markers are in each other's way only if the second's centre is within both radii of the line to the LED. With
-    very many markers the test costs more than the shadow rays it saves, and everything may be shadowed.
-    """
-    flags: Bools = np.ones(lamps.power.shape, bool)
-    if not 0 < len(centres) <= _MANY:
-        return flags
-    towards = (lamps.place - centres[:, None]).astype(np.float32)
-    towards /= np.linalg.norm(towards, axis=2, keepdims=True)
-    local = (centres - centres.mean(axis=0)).astype(np.float32)
-    gram = local @ local.T
-    square = np.diagonal(gram)[:, None] + np.diagonal(gram)[None, :] - 2 * gram
-    limit = (1.05 * (radii[:, None] + radii[None, :])).astype(np.float32) ** 2
-    np.fill_diagonal(limit, -1e9)
-    square -= limit
-    for led in range(lamps.power.shape[1]):
-        unit = towards[:, led]
-        along = unit @ local.T - np.sum(unit * local, axis=1)[:, None]
-        flags[:, led] = ((along > 0) & (square < along * along)).any(axis=1)
-    return flags

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints
-from twin.world.frame import DEPTH, INSIDE, OPAQUE, STEP, WEIGHT, Frame, Singles
+from twin.arrays import Bools, Floats, Ints, Singles
+from twin.world.frame import DEPTH, INSIDE, OPAQUE, STEP, WEIGHT, Frame
+from twin.world.shape import Shape
 from twin.world.view import View
 
 
@@ -20,11 +21,13 @@ class RayByRay:
 
     def __init__(self, mi: Any, view: View, unit_mm: float, ambient: float) -> None:
         self._mi = mi
+        self._padded, self._exact = Shape(mi), Shape(mi)
         self._corners = view.corners / [unit_mm, unit_mm, 1, 1]
         self._ambient = ambient
 
-    def shade(self, frame: Frame, padded: Any, exact: Any) -> tuple[Singles, Singles]:
+    def shade(self, frame: Frame) -> tuple[Singles, Singles]:
         """Return (m, 3) light from markers in the frame's pixels, and (m,) the share of each that they leave free."""
+        padded, exact = self._padded.hold(frame.padded), self._exact.hold(frame.exact)
         light, free = np.zeros((len(frame.near.pixels), 3)), np.zeros(len(frame.near.pixels))
         for sample in range(frame.subpixels**2):
             for lane, marker, covers, surface, normal, clear in self._walk(frame, padded, sample, free, OPAQUE):
@@ -33,13 +36,14 @@ class RayByRay:
         share = np.float32(1 / frame.subpixels**2)
         return light.astype(np.float32) * share, free.astype(np.float32) * share
 
-    def count(self, frame: Frame, padded: Any) -> tuple[Ints, Ints, Ints]:
+    def count(self, frame: Frame) -> tuple[Ints, Ints, Ints]:
         """Return (n,) seen and (n,) whole coverage of every marker, and (n, 2) moments of what is seen.
 
         All in sub-pixels times ``WEIGHT``, moments about the pixel nearest the marker.
         """
         n, k = len(frame), frame.subpixels
         tallies = np.zeros((n, 4))
+        padded = self._padded.hold(frame.padded)
         nearest = np.rint(frame.near.centres_px)
         row, column = np.divmod(frame.near.pixels, self._corners.shape[1] - 1)
         for sample in range(k**2):
@@ -129,7 +133,7 @@ def _meet(frame: Frame, marker: Ints, starts: Floats, along: Floats, place: Floa
     away = from_centre - along * (np.einsum("ni,ni->n", from_centre, turned) / square)[:, None]
     miss = np.sqrt(np.einsum("ni,nij,nj->n", away, metric, away))
     off = place - frame.near.centres_px[marker]
-    slope = np.einsum("nij,nj->ni", frame.spread[marker], off)
+    slope = np.einsum("nij,nj->ni", np.linalg.inv(frame.near.conjugate)[marker], off)
     steepness = np.linalg.norm(slope, axis=1) / np.sqrt(np.maximum(np.einsum("ni,ni->n", off, slope), 1e-12))
     edge = np.clip(0.5 + frame.subpixels * (1 - miss) / np.maximum(steepness, 1e-6), 0, 1)
     depth = np.sqrt(np.maximum(1 - miss**2, 0) / square)

@@ -1,4 +1,6 @@
-"""The picture as light: markers by Mitsuba, seen through folded optics. The one module that uses Mitsuba and Dr.Jit.
+"""The picture as light: markers by Mitsuba, or without it, seen through folded optics.
+
+The one module that imports Mitsuba and Dr.Jit, and only for a variant of theirs.
 
 The literal scene (camera and LEDs in air, dielectric plates between) gives black or noisy pictures, so the optics are
 folded: camera rays start inside the body with Snell's exact directions, and LEDs shine from their virtual images.
@@ -23,25 +25,32 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats, Pixels, frozen
+from twin.arrays import Floats, Pixels, Singles, frozen
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
 from twin.world.exposure import white_level
-from twin.world.frame import NOWHERE, WEIGHT, Frame, Singles, make_frame
+from twin.world.frame import WEIGHT, Frame, make_frame
 from twin.world.lighting import brightest
 from twin.world.markers import Ellipsoids
 from twin.world.rays import RayByRay
-from twin.world.variant import Variant, choose_variant
-from twin.world.view import look
+from twin.world.splat import Splat
+from twin.world.variant import FORCE, Variant, choose_variant
+from twin.world.view import compose, look
 from twin.world.wavefront import Wavefront
 
 _HIDDEN = 0.01
 """A smaller share of an outline that is seen counts as none: edges just behind edges leave such specks."""
+
+_ERROR_PX, _ORDER, _FINEST = 0.08, 1.6, 16
+"""The largest error of an intensity centroid is the first number over k to the second; the third is the largest k."""
+
+_SHADOW_PX = 0.2
+"""The most that a shadow moves a centroid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,11 +82,12 @@ class Renderer:
     rest
         The markers at rest, by which the exposure is set.
     variant
-        Of Mitsuba; None: the best that works here.
+        How to render; None: the best for ``accuracy.centroid_px`` that works here.
     subpixels
         k of the k x k rays per pixel; None: from ``accuracy.centroid_px``.
     shadows
-        Whether markers shadow each other: without, pictures take half the time and centroids are up to 0.2 px off.
+        Whether markers shadow each other: without, pictures cost less and centroids are up to 0.2 px off; None: unless
+        ``accuracy.centroid_px`` allows for that.
 
     Raises
     ------
@@ -91,27 +101,35 @@ class Renderer:
         rest: Ellipsoids,
         variant: Variant | None = None,
         subpixels: int | None = None,
-        shadows: bool = True,
+        shadows: bool | None = None,
     ) -> None:
         if scene.camera is None or scene.light is None or not scene.markers:
             raise RecipeError("camera: a scene without camera, light and markers has no picture: add these tables")
         self.scene = scene
-        self.variant = variant or choose_variant()
-        self.shadows = shadows
-        self.subpixels = subpixels or subpixels_for(scene.accuracy.centroid_px)
+        wanted = scene.accuracy.centroid_px
+        self.variant = variant or method_for(wanted)
+        self.shadows = isinstance(wanted, str) or wanted < _SHADOW_PX + _ERROR_PX if shadows is None else shadows
+        self.subpixels = subpixels or subpixels_for(wanted)
         self._top, white = brightest(rest, scene)
         self._gain = white_level(scene.ccd) / white
         self._unit = float(np.median([layer.diameter_mm / 2 for layer in scene.markers.values()]))
-        self._view = look(scene, self._top)
-        self._mi = importlib.import_module("mitsuba")
+        self._view = look(scene, self._top, self._gain)
+        self._tracer = self._make_tracer(scene.light.ambient)
+
+    def _make_tracer(self, ambient: float) -> Splat | Wavefront | RayByRay:
+        """Return what traces rays in our variant."""
+        if self.variant.name == "splat":
+            return Splat(self._view, self._unit, ambient)
         self._switch()
-        self._tracer: Wavefront | RayByRay
+        mi = importlib.import_module("mitsuba")
         if self.variant.name == "scalar_rgb":
-            self._tracer = RayByRay(self._mi, self._view, self._unit, scene.light.ambient)
-        else:
-            drjit = importlib.import_module("drjit")
-            self._tracer = Wavefront(self._mi, drjit, self._view, self._unit, scene.light.ambient)
-        self._padded, self._exact = _Shape(self._mi), _Shape(self._mi)
+            return RayByRay(mi, self._view, self._unit, ambient)
+        return Wavefront(mi, importlib.import_module("drjit"), self._view, self._unit, ambient)
+
+    @property
+    def centroid_error_px(self) -> float:
+        """Bound on the error of intensity centroids in the noise-free picture, px."""
+        return centroid_error(self.subpixels, self.shadows)
 
     def radiance(self, markers: Ellipsoids) -> Singles:
         """Return the (height, width, 3) light on the sensor, 1 filling its wells.
@@ -121,11 +139,8 @@ class Renderer:
         frame = self._frame(markers, self.subpixels)
         light = self._view.cover.copy()
         if len(frame.near.pixels):
-            marks, free = self._tracer.shade(frame, self._padded.hold(frame.padded), self._exact.hold(frame.exact))
-            rows, columns = np.divmod(frame.near.pixels, light.shape[1])
-            vignette = self._view.vignette[rows, columns].astype(np.float32)
-            light[rows, columns] = light[rows, columns] * free[:, None] + marks * vignette[:, None]
-        light *= np.float32(self._gain)
+            marks, free = self._tracer.shade(frame)
+            compose(light, frame.near.pixels, marks, free, self._view.vignette)
         return light
 
     def outlines(self, markers: Ellipsoids, subpixels: int | None = None) -> Outlines:
@@ -141,7 +156,7 @@ class Renderer:
         k = subpixels or self.subpixels
         frame = self._frame(markers, k)
         near = frame.near
-        seen, whole, moments = self._tracer.count(frame, self._padded.hold(frame.padded))
+        seen, whole, moments = self._tracer.count(frame)
         area = seen / (k * k * WEIGHT)
         expected = whole / (k * k * WEIGHT)
         first_order = np.pi * np.sqrt(np.linalg.det(near.conjugate))
@@ -170,45 +185,33 @@ class Renderer:
 
     def _switch(self) -> None:
         """Switch Mitsuba to our variant: the switch is global, and another renderer may have turned it."""
-        if self._mi.variant() != self.variant.name:
-            self._mi.set_variant(self.variant.name)
-
-
-class _Shape:
-    """A Mitsuba scene that holds ellipsoids; new numbers for as many of them are written over the old."""
-
-    def __init__(self, mi: Any) -> None:
-        self._mi = mi
-        self._scene: Any = None
-        self._params: Any = None
-        self._count = -1
-
-    def hold(self, data: Singles) -> Any:
-        """Return the scene with these (n, 10) ellipsoids."""
-        mi = self._mi
-        # Mitsuba takes a tensor of three rows for a colour first, and complains: three markers get company far aside.
-        data = np.concatenate([data, np.tile(NOWHERE, (max(4 - len(data), 0), 1))])
-        if len(data) != self._count:
-            shape = {"type": "ellipsoids", "data": mi.TensorXf(data), "extent": 1.0}
-            self._scene = mi.load_dict({"type": "scene", "markers": shape})
-            self._params = mi.traverse(self._scene)
-            self._count = len(data)
-        else:
-            numbers = data.ravel()
-            self._params["markers.data"] = numbers if mi.variant().startswith("scalar") else mi.Float(numbers)
-            self._params.update()
-        return self._scene
+        if self.variant.name != "splat":
+            mi = importlib.import_module("mitsuba")
+            if mi.variant() != self.variant.name:
+                mi.set_variant(self.variant.name)
 
 
 def subpixels_for(centroid_px: float | str) -> int:
-    """Return the k whose largest centroid error is ``centroid_px``; ``auto`` is 3, below the noise of one exposure.
+    """Return the k whose largest centroid error is ``centroid_px``; ``auto`` is 3, below the noise of one exposure."""
+    if isinstance(centroid_px, str):
+        return 3
+    wanted: float = (_ERROR_PX / centroid_px) ** (1 / _ORDER)
+    return min(max(math.ceil(wanted - 1e-9), 1), _FINEST)
+
+
+def centroid_error(subpixels: int, shadows: bool) -> float:
+    """Return a bound on the error of intensity centroids, px.
 
     Notes
     -----
-    Bound on the largest error of intensity centroids, measured for both sensors (picture benchmark), most of it from
-    the edges of shadows, which are not smoothed: 0.08 px / k^1.6. Coverage centroids are four times better.
+    Measured for both sensors on every path (picture benchmark): 0.08 px / k^1.6, most of it from the edges of shadows.
+    Coverage centroids are four times better. Without shadows centroids are up to 0.2 px off.
     """
-    if isinstance(centroid_px, str):
-        return 3
-    wanted: float = (0.08 / centroid_px) ** (1 / 1.6)
-    return min(max(math.ceil(wanted - 1e-9), 1), 16)
+    return float(_ERROR_PX / subpixels**_ORDER) + (0.0 if shadows else _SHADOW_PX)
+
+
+def method_for(centroid_px: float | str) -> Variant:
+    """Return how to render at a given accuracy: the cheapest way for a number, Mitsuba where it can for ``auto``."""
+    if isinstance(centroid_px, str) or os.environ.get(FORCE):
+        return choose_variant()
+    return Variant(name="splat", library=None, reason=f"cheapest for accuracy.centroid_px = {centroid_px:g}")

@@ -1,9 +1,10 @@
-"""Which Mitsuba variant this machine can run, found out without ever risking the process.
+"""Which way of rendering this machine can go, found out without ever risking the process.
 
 ``llvm_ad_rgb`` is the fast one. It needs a system libLLVM of version 19 or later that Dr.Jit loads by name: without one
 it fails politely, but with LLVM 15 or 16 it aborts the process, which no ``except`` can catch. So every candidate is
 tried in a process of its own, once, and the verdict is remembered with the library's path, size and time. Where none
-works ``scalar_rgb`` does the same on any machine, more slowly.
+works, ``splat`` gives the same pictures without Mitsuba (`twin.world.splat`). ``scalar_rgb`` is Mitsuba on any machine,
+a ray at a time, for comparison.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from twin.places import cache_folder
 
 FORCE = "TWIN_VARIANT"
 LIBRARY = "DRJIT_LIBLLVM_PATH"
-VARIANTS = ("llvm_ad_rgb", "scalar_rgb", "cuda_ad_rgb")
+VARIANTS = ("llvm_ad_rgb", "scalar_rgb", "cuda_ad_rgb", "splat")
 OLDEST = 19
 REMEDY = "install LLVM 19 or later (Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to its library"
 
@@ -64,12 +65,12 @@ print("good" if sum(total) == 12 else "wrong", numbers[0].value)
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """A usable Mitsuba variant.
+    """A usable way of rendering.
 
     Attributes
     ----------
     name
-        ``llvm_ad_rgb``, ``scalar_rgb`` or ``cuda_ad_rgb``.
+        Mitsuba's ``llvm_ad_rgb``, ``scalar_rgb`` or ``cuda_ad_rgb``, or our ``splat``.
     library
         The libLLVM it uses, if any.
     reason
@@ -82,7 +83,7 @@ class Variant:
 
 
 def choose_variant(force: str | None = None, candidates: Iterable[str] | None = None) -> Variant:
-    """Choose the fastest variant that works here, and prepare the environment for it.
+    """Choose how to render: Mitsuba's fast variant where it works, else ``splat``; prepare the environment for it.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def choose_variant(force: str | None = None, candidates: Iterable[str] | None = 
     name = force or os.environ.get(FORCE) or ""
     if name and name not in VARIANTS:
         raise InputError(f"{FORCE} is {name!r}; it must be one of {', '.join(VARIANTS)}, or unset")
-    if name in ("scalar_rgb", "cuda_ad_rgb"):
+    if name in ("scalar_rgb", "cuda_ad_rgb", "splat"):
         return Variant(name=name, library=None, reason=f"{name} was asked for")
     refused = []
     for library in _libraries() if candidates is None else candidates:
@@ -113,7 +114,7 @@ def choose_variant(force: str | None = None, candidates: Iterable[str] | None = 
     why = f"no libLLVM works ({'; '.join(refused)})" if refused else "there is no libLLVM here"
     if name:
         raise MissingCapability(f"llvm_ad_rgb was asked for, but {why}: {REMEDY}")
-    return Variant(name="scalar_rgb", library=None, reason=f"rendering takes the slow path, as {why}: {REMEDY}")
+    return Variant(name="splat", library=None, reason=f"pictures are made without Mitsuba, as {why}: {REMEDY}")
 
 
 def _libraries() -> Sequence[str]:

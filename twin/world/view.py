@@ -10,17 +10,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from twin.arrays import Bools, Floats, Ints
+from twin.arrays import Bools, Floats, Ints, Singles
 from twin.parts.scene import Scene
-from twin.theory.optics import project, projection_jacobian, rays, transmission
+from twin.theory.optics import project_with_jacobian, rays, transmission
 from twin.world.lighting import cover_light
 from twin.world.markers import Ellipsoids
+from twin.world.nearby import near_pixels
 
 _COARSE = 4
 _EDGE_SEARCH = 1.2
 """Sub-pixels: a ray reaches half a diagonal, 0.71, and an ellipsoid grows by less than its axes between them."""
+
+_ROOM_PX = 1.2
+"""Half a pixel's diagonal, and as much again for what a first-order outline leaves out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,19 +40,20 @@ class View:
     sees
         (height, width) whether all four corners of a pixel have rays that enter the body through its base.
     vignette
-        (height, width) share of light that passes the interfaces, 1 on the axis.
+        (height, width) light on the sensor that a surface of brightness 1 makes: the gain times the share that passes
+        the interfaces, which is 1 on the axis.
     cover
         (height, width, 3) light from the cover behind the markers, vignette included.
     """
 
     corners: Floats
     sees: Bools
-    vignette: Floats
-    cover: NDArray[np.float32]
+    vignette: Singles
+    cover: Singles
 
 
-def look(scene: Scene, top: float) -> View:
-    """Return the view of the scene's camera; ``top`` is the irradiance that counts as 1."""
+def look(scene: Scene, top: float, gain: float) -> View:
+    """Return the view of the scene's camera; ``top`` is the irradiance that counts as 1, ``gain`` what becomes of 1."""
     camera = scene.camera
     assert camera is not None
     index, base = scene.material.refractive_index, scene.body.base_z_mm
@@ -60,7 +66,7 @@ def look(scene: Scene, top: float) -> View:
     sine = np.linalg.norm(directions[:, :2], axis=1) * index
     passed = transmission(sine / np.sqrt(np.maximum(1 - sine**2, 1e-12)), index, camera.layers)
     passed = np.nan_to_num(passed).reshape(height + 1, width + 1)
-    vignette = _pixelwise(passed, np.add) / 4
+    vignette = (gain / 4 * _pixelwise(passed, np.add)).astype(np.float32)
 
     columns, rows = _coarse(width), _coarse(height)
     nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
@@ -72,6 +78,16 @@ def look(scene: Scene, top: float) -> View:
     return View(corners=corners, sees=sees, vignette=vignette, cover=cover.astype(np.float32))
 
 
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def compose(picture: Singles, pixels: Ints, light: Singles, free: Singles, vignette: Singles) -> None:
+    """Put (m, 3) light from markers over what (m,) free shares of pixels leave of a picture of the cover, in place."""
+    width = picture.shape[1]
+    for j in range(len(pixels)):
+        row, column = pixels[j] // width, pixels[j] % width
+        for c in range(3):
+            picture[row, column, c] = picture[row, column, c] * free[j] + light[j, c] * vignette[row, column]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Near:
     """Where markers may be seen.
@@ -80,6 +96,8 @@ class Near:
     ----------
     pixels
         (m,) flat numbers, row * width + column, of the pixels near any marker.
+    first, members
+        The markers near pixel j are ``members[first[j]:first[j + 1]]``.
     start_mm
         (m,) height z just behind the nearest of those markers: rays start there, close to what they meet.
     centres_px
@@ -96,6 +114,8 @@ class Near:
     """
 
     pixels: Ints
+    first: NDArray[np.int32]
+    members: NDArray[np.int32]
     start_mm: Floats
     centres_px: Floats
     conjugate: Floats
@@ -112,8 +132,7 @@ def near_markers(markers: Ellipsoids, scene: Scene, view: View, subpixels: int) 
     camera = scene.camera
     assert camera is not None
     optics = (camera, scene.material.refractive_index, scene.body.base_z_mm)
-    centres = project(markers.centres, *optics)
-    jacobian = projection_jacobian(markers.centres, *optics)
+    centres, jacobian = project_with_jacobian(markers.centres, *optics)
     outline = jacobian @ markers.axes
     seen = markers.present & np.isfinite(centres).all(axis=1) & np.isfinite(outline).all(axis=(1, 2))
     centres = np.where(seen[:, None], centres, 0.0)
@@ -121,33 +140,23 @@ def near_markers(markers: Ellipsoids, scene: Scene, view: View, subpixels: int) 
     scale = np.where(seen[:, None, None], jacobian, np.eye(2, 3))
     least = np.sqrt(np.linalg.eigvalsh(scale @ np.swapaxes(scale, 1, 2))[:, 0])
     pad = np.where(seen, _EDGE_SEARCH / subpixels / least, 0.0)
-    half = 1.05 * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + 1.2
+    half = 1.05 * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + _ROOM_PX
     size = np.array([camera.width_px, camera.height_px])
-    low, high = np.clip(centres - half, -10, size + 10), np.clip(centres + half, -10, size + 10)
-    cut = seen & ((low < 0) | (high > size - 1)).any(axis=1)
+    cut = seen & ((centres - half < 0) | (centres + half > size - 1)).any(axis=1)
     thick = np.sqrt(np.sum(markers.axes[:, 2] ** 2, axis=1))
     tops = np.minimum(markers.centres[:, 2] + 1.02 * (thick + pad), scene.body.base_z_mm)
-    start = _highest(np.floor(low), np.ceil(high) + 1, np.where(seen, tops, -np.inf), view.sees.shape)
-    pixels = np.flatnonzero((start > -np.inf) & view.sees)
+    nearby = near_pixels(centres, conjugate, _ROOM_PX, np.where(seen, tops, -np.inf), view.sees)
     return Near(
-        pixels=pixels,
-        start_mm=start.ravel()[pixels],
+        pixels=nearby.pixels,
+        first=nearby.first,
+        members=nearby.members,
+        start_mm=nearby.tops,
         centres_px=centres,
         conjugate=conjugate,
         pad_mm=pad,
         seen=seen,
         cut=cut,
     )
-
-
-def _highest(low: Floats, high: Floats, tops: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return a picture of the highest of the markers whose boxes (column, row) cover each pixel, -inf where none."""
-    picture = np.full(shape, -np.inf)
-    first, last = np.maximum(low, 0).astype(int), np.maximum(high, 0).astype(int)
-    for (left, upper), (right, lower), top in zip(first.tolist(), last.tolist(), tops.tolist(), strict=True):
-        box = picture[upper:lower, left:right]
-        np.maximum(box, top, out=box)
-    return picture
 
 
 def _pixelwise(corners: Any, join: np.ufunc) -> Any:

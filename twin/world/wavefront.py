@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats, Ints
-from twin.world.frame import DEPTH, INSIDE, OPAQUE, STEP, WEIGHT, Frame, Singles
+from twin.arrays import Floats, Ints, Singles
+from twin.world.frame import DEPTH, INSIDE, OPAQUE, STEP, WEIGHT, Frame
+from twin.world.shape import Shape
 from twin.world.view import View
 
 
@@ -22,17 +23,19 @@ class Wavefront:
 
     def __init__(self, mi: Any, dr: Any, view: View, unit_mm: float, ambient: float) -> None:
         self._mi, self._dr = mi, dr
+        self._padded, self._exact = Shape(mi), Shape(mi)
         self._width = view.sees.shape[1]
         self._corners = mi.Float((view.corners / [unit_mm, unit_mm, 1, 1]).astype(np.float32).ravel())
         self._ambient = ambient
 
-    def shade(self, frame: Frame, padded: Any, exact: Any) -> tuple[Singles, Singles]:
+    def shade(self, frame: Frame) -> tuple[Singles, Singles]:
         """Return (m, 3) light from markers in the frame's pixels, and (m,) the share of each that they leave free."""
         mi, dr = self._mi, self._dr
         k = frame.subpixels
         pixel, begin, table = self._inputs(frame)
-        colours = mi.Float(frame.colour.ravel())
-        lit = self._irradiance(frame, exact)
+        colours = mi.Float(frame.colour.astype(np.float32).ravel())
+        padded = self._padded.hold(frame.padded)
+        lit = self._irradiance(frame, self._exact.hold(frame.exact))
 
         def one_marker(ray: Any, going: Any, last: Any, depth: Any, place: Any, light: Any, clear: Any) -> Any:
             found = padded.ray_intersect_preliminary(ray, True, active=going)
@@ -62,7 +65,7 @@ class Wavefront:
         share = np.float32(1 / (k * k))
         return np.array(light, np.float32).T * share, np.array(free, np.float32) * share
 
-    def count(self, frame: Frame, padded: Any) -> tuple[Ints, Ints, Ints]:
+    def count(self, frame: Frame) -> tuple[Ints, Ints, Ints]:
         """Return (n,) seen and (n,) whole coverage of every marker, and (n, 2) moments of what is seen.
 
         All in sub-pixels times ``WEIGHT``, moments about the pixel nearest the marker. Whole numbers, because a sum
@@ -71,6 +74,7 @@ class Wavefront:
         mi, dr = self._mi, self._dr
         k, n = frame.subpixels, len(frame)
         pixel, begin, table = self._inputs(frame)
+        padded = self._padded.hold(frame.padded)
         nearest = mi.Int32(np.rint(frame.near.centres_px).astype(np.int32).ravel())
         tallies = dr.zeros(mi.Int64, 4 * n)
 
@@ -109,7 +113,7 @@ class Wavefront:
     def _inputs(self, frame: Frame) -> tuple[Any, Any, Any]:
         """Return the lanes' pixels and starts, and one table of 16 numbers per marker, read four at a time."""
         mi = self._mi
-        m, s = frame.metric, frame.spread
+        m, s = frame.metric, np.linalg.inv(frame.near.conjugate)
         columns: list[Any] = [frame.centres, m[:, 0, 0], m[:, 1, 1], m[:, 2, 2], m[:, 0, 1], m[:, 0, 2], m[:, 1, 2]]
         columns += [frame.near.centres_px, s[:, 0, 0], s[:, 0, 1], s[:, 1, 1], np.zeros((len(frame), 2))]
         table: Floats = np.column_stack(columns)
@@ -164,7 +168,7 @@ class Wavefront:
         """Return a function of markers and places on them that sums the light of all LEDs, shadows included."""
         mi, dr = self._mi, self._dr
         leds = frame.lamps.shape[1]
-        lamps, shadowed = mi.Float(frame.lamps.ravel()), mi.Bool(frame.shadowed.ravel())
+        lamps, shadowed = mi.Float(frame.lamps.astype(np.float32).ravel()), mi.Bool(frame.shadowed.ravel())
 
         def one_led(led: Any, total: Any, marker: Any, centre: Any, away: Any, normal: Any, active: Any) -> Any:
             lamp = dr.gather(mi.Vector4f, lamps, marker * leds + led, active)
