@@ -6,16 +6,20 @@ import pytest
 from half_space_sensor import cell_compliance, finger_sensor
 
 from twin.errors import InputError
-from twin.sense.calibration import Calibration, read_calibration, write_calibration
+from twin.parts.camera import Camera
+from twin.sense.calibration import LATER, Calibration, read_calibration, write_calibration
 from twin.sense.transfer import from_compliance, from_presses
 
 MARKERS, SEEN, CALIBRATION = finger_sensor()
+CAMERA = Camera(focal_px=300, pupil_mm=(0, 0, 14))
 
 
 def test_round_trip_on_disk(tmp_path):
     told = dataclasses.replace(
-        CALIBRATION, noise_px=0.04, diameter_px=15.0, method="sato", provenance=json.dumps({"digest": "ab12"})
-    )
+        CALIBRATION, noise_px=0.04, diameter_px=15.0, method="sato", provenance=json.dumps({"digest": "ab12"}),
+        compliance=np.ones((183, 75)), marker_mm=MARKERS, condition=12.0, left_out=np.array([0.1, 0.2]),
+        camera=json.dumps({"camera": CAMERA.model_dump(mode="json"), "body_index": 1.41, "base_z_mm": 10.0}),
+    )  # fmt: skip
     path = tmp_path / "finger.npz"
     write_calibration(told, path)
     read = read_calibration(path)
@@ -27,6 +31,16 @@ def test_round_trip_on_disk(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["finger.npz"]
     with pytest.raises(ValueError, match="read-only"):
         read.transfer[0] = 0
+
+
+def test_files_of_the_first_version_are_read(tmp_path):
+    path = tmp_path / "old.npz"
+    arrays = {f.name: np.asarray(getattr(CALIBRATION, f.name)) for f in dataclasses.fields(Calibration)}
+    np.savez(path, version=np.array(1), **{k: v for k, v in arrays.items() if k not in LATER})
+    read = read_calibration(path)
+    assert np.array_equal(read.transfer, CALIBRATION.transfer)
+    assert not read.has_camera
+    assert np.isnan(read.condition)
 
 
 def test_damaged_files(tmp_path):
@@ -48,9 +62,11 @@ def test_damaged_files(tmp_path):
         ({"provenance": np.array("{")}, "provenance"),
         ({"layer": np.arange(61)}, "layer"),
         ({"method": np.array(["a", "b"])}, "single"),
+        ({"compliance": np.ones((183, 75)), "marker_mm": MARKERS}, "camera"),
+        ({"compliance": np.ones((3, 3))}, "compliance"),
         ({"site_mm": np.array([{"no": "pickle"}] * 25, object)}, "pickle"),
     ):
-        np.savez(path, **({"version": np.array(1)} | arrays | change))
+        np.savez(path, **({"version": np.array(2)} | arrays | change))
         with pytest.raises(InputError, match=words):
             read_calibration(path)
     np.savez(path, transfer=arrays["transfer"])

@@ -6,7 +6,8 @@ from half_space_sensor import as_found, disk, finger_sensor, flat_sensor, shifts
 
 from twin.errors import InputError
 from twin.judge.score import force_score
-from twin.sense.reconstruct import _penalty, reconstruct
+from twin.sense.problem import penalty
+from twin.sense.reconstruct import reconstruct
 from twin.sense.weigh import cross_validated_weight, factorise, most_likely_weight
 
 FLAT = flat_sensor()
@@ -185,7 +186,7 @@ def test_given_weight_solves_the_papers_equation():
     step[2, 3, 1] = 1.0
     padded = np.pad(step, ((1, 1), (1, 1), (0, 0)))
     roughness = sum((np.diff(padded, axis=a) ** 2).sum() for a in (0, 1))
-    assert step.ravel() @ _penalty(calibration, "smooth") @ step.ravel() == pytest.approx(roughness)
+    assert step.ravel() @ penalty(calibration, "smooth") @ step.ravel() == pytest.approx(roughness)
 
 
 def test_marginal_likelihood_finds_a_drawn_weight():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -87,9 +87,22 @@ class Reconstruction(Part):
         ``smooth``: differences of neighbouring forces are kept small (the flat paper's eq. 11 and 12, corrected);
         ``norm``: the forces themselves (eq. 14 and 15); ``pinv``: the plain pseudo-inverse.
     weight
-        The papers' omega; ``auto`` chooses it by marginal likelihood and robust cross-validation.
+        The papers' omega; ``auto`` chooses it by marginal likelihood and robust cross-validation, ``likelihood`` and
+        ``gcv`` by one of them.
+    push_only
+        No site pulls: the force along the inward normal is at least 0 (eq. 13).
+    friction
+        Coulomb's coefficient that bounds the tangential force at every site; no bound if not given.
+    robust
+        Leave wrong vectors out.
+    camera
+        Follow the camera's bend where forces are large (calibration methods compliance and fitted).
     """
 
     sites: Sites
     method: Literal["smooth", "norm", "pinv"] = "smooth"
-    weight: float | Literal["auto"] = "auto"
+    weight: Annotated[float, Field(ge=0)] | Literal["auto", "likelihood", "gcv"] = "auto"
+    push_only: bool = False
+    friction: float | None = Field(default=None, gt=0, le=100)
+    robust: bool = False
+    camera: bool = False

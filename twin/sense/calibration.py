@@ -6,18 +6,27 @@ import json
 import os
 import zipfile
 import zlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Floats, Pixels, Points, frozen
+from twin.arrays import Bools, Floats, Pixels, Points, frozen
 from twin.errors import InputError, TwinError
+from twin.parts.camera import Camera
 from twin.results import write_whole
+from twin.theory.optics import project
 
-VERSION = 1
+VERSION = 2
+READABLE = (1, 2)
+"""Format versions; the first has none of the `LATER` fields."""
+
+LATER = ("compliance", "marker_mm", "camera", "condition", "left_out")
+TEXTS = ("layer", "method", "provenance", "camera")
+SCALARS = ("noise_px", "diameter_px", "method", "provenance", "camera", "condition")
 
 UNREADABLE = (
     OSError, ValueError, EOFError, KeyError, TypeError, AttributeError, NotImplementedError, zipfile.BadZipFile,
@@ -55,6 +64,18 @@ class Calibration:
         Where the transfer comes from.
     provenance
         JSON text: how it was made, with a digest of the nominal scene.
+    compliance
+        (3n, 3k) mm/N, marker motion per site force, where the camera's bend is to be followed; else (0, 0).
+    marker_mm
+        (n, 3) markers at rest that go with it, mm; else (0, 3).
+    camera
+        JSON text that goes with it: ``camera`` (`twin.parts.camera.Camera`), ``body_index`` and ``base_z_mm``; ``{}``
+        without.
+    condition
+        Largest over smallest singular value of the transfer matrix; NaN if not known.
+    left_out
+        (q,) error of every calibrated place's transfer as predicted from the other places, over its size; empty where
+        nothing was measured.
     """
 
     layer: NDArray[np.str_]
@@ -68,15 +89,23 @@ class Calibration:
     diameter_px: float = float("nan")
     method: str = "compliance"
     provenance: str = "{}"
+    compliance: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    marker_mm: Points = field(default_factory=lambda: np.zeros((0, 3)))
+    camera: str = "{}"
+    condition: float = float("nan")
+    left_out: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         markers, sites = len(self.layer), len(self.site_mm)
         shapes = {
             "layer": (markers,), "layout_px": (markers, 2), "site_mm": (sites, 3), "site_frames": (sites, 3, 3),
-            "site_area_mm2": (sites,), "transfer": (2 * markers, 3 * sites),
+            "site_area_mm2": (sites,), "transfer": (2 * markers, 3 * sites), "left_out": (np.size(self.left_out),),
+            "compliance": (3 * markers, 3 * sites) if np.size(self.compliance) else (0, 0),
+            "marker_mm": (markers, 3) if np.size(self.compliance) else (0, 3),
         }  # fmt: skip
+        kinds = {"layer": np.str_, "compliance": np.float32}
         for name, shape in shapes.items():
-            array = np.array(getattr(self, name), np.str_ if name == "layer" else np.float64)
+            array: NDArray[Any] = np.array(getattr(self, name), kinds.get(name, np.float64))
             if array.shape != shape:
                 raise InputError(f"calibration: {name} has shape {array.shape}, must be {shape}")
             if name not in ("layer", "transfer") and not np.isfinite(array).all():
@@ -92,10 +121,45 @@ class Calibration:
         object.__setattr__(self, "grid", (columns, rows))
         if not 0 < self.noise_px < 100:
             raise InputError(f"calibration: noise_px = {self.noise_px} px must lie between 0 and 100 px")
+        for name in ("provenance", "camera"):
+            try:
+                json.loads(getattr(self, name))
+            except ValueError as problem:
+                raise InputError(f"calibration: {name} must be JSON text ({problem})") from None
+        if self.has_camera:
+            self._optics  # noqa: B018  a bad camera is said now
+
+    @property
+    def calibrated(self) -> Bools:
+        """(n,) markers whose transfer is known."""
+        return np.asarray(np.isfinite(self.transfer).all(axis=1).reshape(-1, 2).all(axis=1))
+
+    @property
+    def has_camera(self) -> bool:
+        """Whether `bend_px` can be asked."""
+        return self.compliance.size > 0
+
+    @cached_property
+    def _optics(self) -> tuple[Camera, float, float]:
         try:
-            json.loads(self.provenance)
-        except ValueError as problem:
-            raise InputError(f"calibration: provenance must be JSON text ({problem})") from None
+            told = json.loads(self.camera)
+            return Camera.model_validate(told["camera"]), float(told["body_index"]), float(told["base_z_mm"])
+        except (ValueError, KeyError, TypeError) as problem:
+            raise InputError(f"calibration: camera can't be read ({problem})") from None
+
+    def shift_px(self, force_n: Floats) -> Pixels:
+        """Return (n, 2) shifts under (k, 3) site forces as the camera sees them, not linear in the forces, px.
+
+        Markers that would leave the camera's range move linearly.
+        """
+        linear = (self.transfer @ force_n.ravel()).reshape(-1, 2)
+        motion = (self.compliance @ force_n.ravel()).reshape(-1, 3)
+        seen = project(self.marker_mm + motion, *self._optics) - project(self.marker_mm, *self._optics)
+        return np.where(np.isfinite(seen), seen, linear)
+
+    def bend_px(self, force_n: Floats) -> Pixels:
+        """Return (n, 2) what `shift_px` is more than the linear map, px."""
+        return np.asarray(self.shift_px(force_n) - (self.transfer @ force_n.ravel()).reshape(-1, 2))
 
     @property
     def layout(self) -> dict[str, Pixels]:
@@ -107,7 +171,7 @@ class Calibration:
 def write_calibration(calibration: Calibration, path: str | os.PathLike[str]) -> None:
     """Write a calibration file (npz), whole or not at all."""
     target = Path(path)
-    arrays = {field.name: np.asarray(getattr(calibration, field.name)) for field in fields(Calibration)}
+    arrays = {f.name: np.asarray(getattr(calibration, f.name)) for f in fields(Calibration)}
 
     def write(stream: IO[bytes]) -> None:
         np.savez_compressed(stream, allow_pickle=False, version=np.array(VERSION), **arrays)
@@ -131,39 +195,26 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
             arrays = {name: archive[name] for name in archive.files}
     except FileNotFoundError:
         raise InputError(f"calibration file {path} does not exist: make one with `twin calibrate`") from None
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        zipfile.BadZipFile,
-        NotImplementedError,
-    ) as problem:
+    except UNREADABLE as problem:
         raise InputError(f"calibration file {path} can't be read ({problem}): make it again") from None
-    names = [field.name for field in fields(Calibration)]
+    version = arrays.get("version", np.array(0))
+    if "version" in arrays and (version.shape != () or version not in READABLE):
+        raise InputError(f"{path} has format version {version}, this program reads {READABLE}: make it again")
+    names = [f.name for f in fields(Calibration)]
+    if version == 1:
+        names = [name for name in names if name not in LATER]
     missing = [name for name in ["version", *names] if name not in arrays]
     if missing:
         raise InputError(f"{path} is no calibration file: it lacks {', '.join(missing)}")
-    if arrays["version"].shape != () or arrays["version"] != VERSION:
-        raise InputError(f"{path} has format version {arrays['version']}, this program reads {VERSION}: make it again")
-    for name in ("layer", "method", "provenance"):
-        if arrays[name].dtype.kind != "U":
-            raise InputError(f"{path}: {name} must be text, got {arrays[name].dtype}")
-    for name in set(names) - {"layer", "method", "provenance"}:
-        if arrays[name].dtype.kind not in "fi":
-            raise InputError(f"{path}: {name} must be numbers, got {arrays[name].dtype}")
-    grid = arrays["grid"]
-    scalars = ("noise_px", "diameter_px", "method", "provenance")
-    if grid.shape != (2,) or any(arrays[name].shape != () for name in scalars):
-        raise InputError(f"{path}: grid must be two numbers, and {', '.join(scalars)} single values")
+    for name in names:
+        kinds, what = ("U", "text") if name in TEXTS else ("fi", "numbers")
+        if arrays[name].dtype.kind not in kinds:
+            raise InputError(f"{path}: {name} must be {what}, got {arrays[name].dtype}")
+    if arrays["grid"].shape != (2,) or any(arrays[name].shape != () for name in names if name in SCALARS):
+        raise InputError(f"{path}: grid must be two numbers, and {', '.join(SCALARS)} single values")
+    told: dict[str, Any] = {name: arrays[name] for name in names}
+    told |= {name: (str if name in TEXTS else float)(told[name]) for name in names if name in SCALARS}
     try:
-        return Calibration(
-            **{name: arrays[name] for name in names if name not in (*scalars, "grid")},
-            grid=(int(grid[0]), int(grid[1])), noise_px=float(arrays["noise_px"]),
-            diameter_px=float(arrays["diameter_px"]), method=str(arrays["method"]),
-            provenance=str(arrays["provenance"]),
-        )  # fmt: skip
+        return Calibration(**told | {"grid": (int(told["grid"][0]), int(told["grid"][1]))})
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None

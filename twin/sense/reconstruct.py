@@ -1,35 +1,50 @@
 """From marker motion to the force field: `reconstruct`.
 
-Why the totals come from the same linear solve: sums of a field under Fz >= 0 or a friction cone are biased, those of
-the linear estimate hardly are. Why the differences go on past the edge of the grid, to sites without force: those
-inside it don't see a force that is the same everywhere, and as that hardly moves a marker in incompressible rubber,
-nothing else would hold it. With them the penalty is a proper prior. Measured on the flat design (636 markers, 15 x 12
-sites, .04 px noise, 12 exposures, 5 mm pillar, mean and standard deviation of the total push's error): centre -1.0 +-
-1.6 % (differences inside only: -1.2 +- 1.8 %), corner 2.4 +- 2.1 % (5.8 +- 2.0 %).
+Why the totals come from the linear solve, also where the field is held to pushes or to friction cones: sums of such a
+field are biased, those of the linear estimate hardly are. Why the differences go on past the edge of the grid, to sites
+without force: those inside it don't see a force that is the same everywhere, and as that hardly moves a marker in
+incompressible rubber, nothing else would hold it. With them the penalty is a proper prior. Measured on the flat design
+(636 markers, 15 x 12 sites, .04 px noise, 12 exposures, 5 mm pillar, mean and standard deviation of the total push's
+error): centre -1.0 +- 1.6 % (differences inside only: -1.2 +- 1.8 %), corner 2.4 +- 2.1 % (5.8 +- 2.0 %).
+
+Wrong vectors and the camera's bend both come in as corrections of the data, so that one factorisation serves all.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.errors import InputError
 from twin.sense.calibration import Calibration
+from twin.sense.problem import Problem, problem_of
+from twin.sense.robust import excess
 from twin.sense.track import Found
-from twin.sense.weigh import Factors, automatic_weight, factorise, filtered, noise_scale
+from twin.sense.weigh import (
+    automatic_weight,
+    covariance,
+    cross_validated_weight,
+    filtered,
+    most_likely_weight,
+    noise_scale,
+    site_variance,
+)
 
 Method = Literal["smooth", "norm", "pinv"]
+Rule = Literal["auto", "likelihood", "gcv"]
+_RULES = {"auto": automatic_weight, "likelihood": most_likely_weight, "gcv": cross_validated_weight}
 
-EVEN_NOISE = 2.0
-"""Markers whose noise differs by less than this factor (10 % to 90 %) are weighed alike, so that a factorisation
-serves a whole sequence."""
+SOFT, MOST = 6, 40
+"""Iterations with Huber's loss before wrong vectors are left out, and iterations at most."""
 
-KEPT = 8
-_kept: WeakKeyDictionary[Calibration, dict[tuple[str, bytes], Factors]] = WeakKeyDictionary()
+SETTLED = 1e-4
+"""Change of the whitened data that ends the iterations, in units of the noise."""
+
+DECADE = 0.1
+"""Under constraints an automatic weight is rounded to this in its logarithm, so that what was solved serves again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,17 +58,24 @@ class Field:
     force_n
         (k, 3) force at every site, N, global axes; a push is +z.
     total_force_n, total_torque_nmm
-        (3,) sum of the forces, and of their moments about the origin (positive about z from x to y).
+        (3,) sum of the forces, and of their moments about the origin (positive about z from x to y); of the linear
+        estimate.
     weight
         The papers' omega that was used, px^2/N^2; 0 for the pseudo-inverse.
     noise_px
         Noise of a shift's component as the fit has it, px: measurement and model error together.
-    sd_total_n
-        (3,) standard deviation of the total force, given the prior, N.
+    sd_force_n
+        (k, 3) standard deviation of the linear estimate's forces, given the prior, N.
+    sd_total_n, sd_torque_nmm
+        (3,) standard deviations of the totals, N and N mm.
     used
         (n,) which markers took part.
+    wrong
+        (n,) which of them were found to be wrong by the robust solve.
     method
         How it was solved.
+    kkt
+        Violation of the optimality conditions of a constrained solve, relative; 0 without constraints.
     """
 
     site_mm: Points
@@ -62,13 +84,31 @@ class Field:
     total_torque_nmm: Floats
     weight: float
     noise_px: float
+    sd_force_n: Floats
     sd_total_n: Floats
+    sd_torque_nmm: Floats
     used: Bools
+    wrong: Bools
     method: str
+    kkt: float = 0.0
+
+    def __post_init__(self) -> None:
+        for array in (self.force_n, self.total_force_n, self.total_torque_nmm, self.sd_force_n, self.sd_total_n,
+                      self.sd_torque_nmm, self.used, self.wrong):  # fmt: skip
+            frozen(array)
 
 
 def reconstruct(
-    found: Found, calibration: Calibration, method: Method = "smooth", weight: float | Literal["auto"] = "auto"
+    found: Found,
+    calibration: Calibration,
+    method: Method = "smooth",
+    weight: float | Rule = "auto",
+    *,
+    push_only: bool = False,
+    friction: float | None = None,
+    robust: bool = False,
+    camera: bool = False,
+    previous: Field | None = None,
 ) -> Field:
     """Reconstruct the forces that moved the markers.
 
@@ -82,101 +122,143 @@ def reconstruct(
         ``smooth``: small differences between neighbouring sites (flat paper, eq. 11, in two dimensions and per
         component); ``norm``: small forces (eq. 14); ``pinv``: plain pseudo-inverse, which diverges with noise.
     weight
-        The papers' omega, px^2/N^2, or ``auto``: see `weigh.automatic_weight`.
+        The papers' omega, px^2/N^2, or how to choose it: ``likelihood`` (marginal likelihood), ``gcv`` (robust
+        generalised cross-validation), ``auto`` (see `weigh.automatic_weight`).
+    push_only
+        No site pulls: F_n >= 0 along the inward normal (eq. 13).
+    friction
+        Coulomb's coefficient mu: |F_t| <= mu F_n at every site, which holds F_n >= 0 as well. None for no bound.
+    robust
+        Leave wrong vectors out, see `twin.sense.robust`.
+    camera
+        Take the camera's bend into account: shifts are not linear in the forces where markers move far or the lens is
+        wide. Needs a calibration with a compliance and a camera.
+    previous
+        The last frame's field under the same options: its weight is used again where ``weight`` names a rule, and its
+        contact is where a constrained solve starts.
 
     Raises
     ------
     InputError
-        Motion and calibration don't belong together, or fewer than 2 markers are left.
+        Motion and calibration don't belong together, fewer than 2 markers are left, or options don't go together.
+
+    Notes
+    -----
+    With Q the method's matrix, F = (H^T H + (w/2) Q)^-1 H^T M (eqs. 12 and 15, corrected); under constraints the same
+    objective is minimised (`twin.sense.cone`). The camera's bend g(F) - H F is taken off the data and the solve
+    repeated until nothing changes: Gauss-Newton with the derivative kept from the rest state.
     """
+    _check(method, weight, push_only, friction, camera, calibration)
+    problem = problem_of(found, calibration, method)
+    measured = found.shift_px[problem.used]
+    rule = weight
+    if previous is not None and isinstance(weight, str):
+        rule = previous.weight
+    whole, factors = problem.whiten(measured), problem.factors
+    off, bend, whitened, wrong = _linear(problem, whole, method, rule, robust=robust, camera=camera)
+    data = whole - off - bend
+    force = _forces(problem, data, whitened)
+    total, torque = force.sum(axis=0), np.cross(calibration.site_mm, force).sum(axis=0)
+    scale = noise_scale(factors, data, whitened) if whitened > 0 else 1.0
+    sd_force = scale * np.sqrt(site_variance(factors, whitened)).reshape(-1, 3)
+    sd_total = scale * np.sqrt(np.diag(covariance(factors, whitened, _total_rows(calibration))))
+    kkt = 0.0
+    if push_only or friction is not None:
+        at = whitened if not isinstance(rule, str) else 10.0 ** (DECADE * np.round(np.log10(whitened) / DECADE))
+        start = None if previous is None else previous.force_n
+        for _ in range(MOST):
+            force, kkt = _constrained(problem, whole - off - bend, at, friction, start)
+            if not camera:
+                break
+            start, before = force, bend
+            bend = _bend(problem, force)
+            if np.abs(bend - before).max() < SETTLED:
+                break
+    everywhere = np.zeros(len(problem.used), np.bool_)
+    everywhere[problem.used] = wrong
+    return Field(
+        site_mm=calibration.site_mm, force_n=force, total_force_n=total, total_torque_nmm=torque,
+        weight=problem.omega * whitened, noise_px=scale * (problem.omega / 2) ** 0.5,
+        sd_force_n=sd_force, sd_total_n=sd_total[:3], sd_torque_nmm=sd_total[3:],
+        used=problem.used.copy(), wrong=everywhere, method=method, kkt=kkt,
+    )  # fmt: skip
+
+
+def _check(
+    method: str, weight: float | str, push_only: bool, friction: float | None, camera: bool, calibration: Calibration
+) -> None:
     if method not in ("smooth", "norm", "pinv"):
         raise InputError(f"method = {method!r}: allowed are 'smooth', 'norm' and 'pinv'")
-    if weight != "auto" and not (np.isfinite(weight) and weight >= 0):
+    if isinstance(weight, str):
+        if weight not in _RULES:
+            raise InputError(f"weight = {weight!r}: allowed are numbers, 'auto', 'likelihood' and 'gcv'")
+    elif not (np.isfinite(weight) and weight >= 0):
         raise InputError(f"weight = {weight} px^2/N^2: allowed are finite numbers >= 0, or 'auto'")
-    used = _usable(found, calibration)
-    shift = found.shift_px[used].ravel()
-    noise = _noise(found.sd_px[used], calibration.noise_px)
-    factors = _factors(calibration, method, used, noise)
-    data = shift / np.repeat(noise, 2)
-    mean_square = float(1.0 / np.mean(1.0 / noise**2))
-    if method == "pinv":
-        whitened = 0.0
-    elif weight == "auto":
-        whitened = automatic_weight(factors, data)
+    if friction is not None and not (np.isfinite(friction) and 0 < friction <= 100):
+        raise InputError(f"friction = {friction}: allowed are numbers above 0 and up to 100, or None for no bound")
+    if method == "pinv" and (push_only or friction is not None):
+        raise InputError("method = 'pinv' has no weight, so it can't be held to pushes or friction: use 'norm'")
+    if camera and not calibration.has_camera:
+        raise InputError(
+            f"camera: this calibration ({calibration.method}) holds no compliance and camera, only the linear map; use "
+            "method compliance or fitted"
+        )
+
+
+def _linear(
+    problem: Problem, whole: Floats, method: str, weight: float | str, *, robust: bool, camera: bool
+) -> tuple[Floats, Floats, float, Bools]:
+    """Return what wrong vectors and the camera's bend add to the whitened data, the weight, and the wrong vectors."""
+    factors = problem.factors
+    off, bend = np.zeros_like(whole), np.zeros_like(whole)
+    wrong: Bools = np.zeros(len(whole) // 2, np.bool_)
+    whitened = 0.0 if isinstance(weight, str) or method == "pinv" else float(weight) / problem.omega
+    for count in range(MOST):
+        data, before = whole - off - bend, off + bend
+        if isinstance(weight, str) and method != "pinv" and count < 2 * SOFT:  # later it stays, so that this settles
+            whitened = _RULES[weight](factors, data)
+        if not robust and not camera:
+            break
+        if camera:
+            bend = _bend(problem, _forces(problem, data, whitened))
+        if robust:
+            share = factors.singular * filtered(factors, whitened)
+            residual = whole - bend - factors.left @ (share * (factors.left.T @ data))
+            freedom = 1.0 - float(share.sum()) / len(data)
+            off, wrong = excess(residual, freedom, leave_out=count >= SOFT)
+        if count > (SOFT if robust else 0) and np.abs(off + bend - before).max() < SETTLED:
+            break
+    return off, bend, whitened, wrong
+
+
+def _bend(problem: Problem, force: Floats) -> Floats:
+    """Return (m,) whitened difference of the shifts through the camera to the linear ones."""
+    return problem.whiten(problem.calibration.bend_px(force)[problem.used])
+
+
+def _forces(problem: Problem, data: Floats, weight: float) -> Floats:
+    """Return (k, 3) linear estimate, N."""
+    factors = problem.factors
+    return np.asarray((factors.back @ (filtered(factors, weight) * (factors.left.T @ data))).reshape(-1, 3))
+
+
+def _constrained(
+    problem: Problem, data: Floats, weight: float, friction: float | None, start: Floats | None
+) -> tuple[Floats, float]:
+    """Return (k, 3) forces held to pushes or to friction cones, N, and the violation of the optimality conditions."""
+    quadratic, linear = problem.quadratic(weight), problem.linear_term(data)
+    begin = None if start is None else np.einsum("kij,kj->ki", problem.calibration.site_frames, start)
+    if friction is None:
+        local, _, kkt = quadratic.pushes(linear, None if begin is None else begin[:, 2] > 0)
     else:
-        whitened = float(weight) / (2.0 * mean_square)
-    force = (factors.back @ (filtered(factors, whitened) * (factors.left.T @ data))).reshape(-1, 3)
-    scale = noise_scale(factors, data, whitened) if whitened > 0 else 1.0
-    torque = np.cross(calibration.site_mm, force).sum(axis=0)
-    result = Field(
-        site_mm=calibration.site_mm, force_n=force, total_force_n=force.sum(axis=0), total_torque_nmm=torque,
-        weight=2.0 * mean_square * whitened, noise_px=scale * mean_square**0.5,
-        sd_total_n=scale * _spread(factors, whitened), used=used, method=method,
-    )  # fmt: skip
-    for array in (result.force_n, result.total_force_n, result.total_torque_nmm, result.sd_total_n, result.used):
-        frozen(array)
-    return result
+        local, kkt = quadratic.cone(linear, friction, begin)
+    return problem.globally(local), kkt
 
 
-def _usable(found: Found, calibration: Calibration) -> Bools:
-    if not np.array_equal(found.layer, calibration.layer):
-        raise InputError(
-            f"the tracked markers ({len(found.layer)}) aren't the calibration's ({len(calibration.layer)}): "
-            "track with calibration.layout"
-        )
-    calibrated = np.isfinite(calibration.transfer).all(axis=1).reshape(-1, 2).all(axis=1)
-    used = np.asarray(found.seen & calibrated)
-    if used.sum() < 2:
-        raise InputError(
-            f"only {int(used.sum())} of {len(used)} markers were found in both pictures, at least 2 are needed: check "
-            "exposure, layout and channels"
-        )
-    return used
-
-
-def _noise(sd_px: Floats, usual_px: float) -> Floats:
-    """Return (u,) noise per marker, px, the same for all where it hardly differs."""
-    noise = np.where(np.isfinite(sd_px) & (sd_px > 0), sd_px, usual_px)
-    low, high = np.quantile(noise, [0.1, 0.9])
-    if high <= EVEN_NOISE * low and noise.max() <= 2 * EVEN_NOISE * low:
-        return np.full(len(noise), np.sqrt(np.mean(noise**2)))
-    return np.asarray(noise)
-
-
-def _factors(calibration: Calibration, method: str, used: Bools, noise: Floats) -> Factors:
-    """Factorise, or take a kept factorisation: with even noise it only scales."""
-    kept = _kept.setdefault(calibration, {})
-    even = bool(np.all(noise == noise[0]))
-    pattern = (noise / noise.mean()).round(6) if not even else np.ones(1)
-    key = (method, used.tobytes() + pattern.tobytes())
-    if key not in kept:
-        rows = calibration.transfer.reshape(len(used), 2, -1)[used].reshape(2 * int(used.sum()), -1)
-        relative = noise / noise.mean()
-        while len(kept) >= KEPT:
-            kept.pop(next(iter(kept)))
-        kept[key] = factorise(rows / np.repeat(relative, 2)[:, None], _penalty(calibration, method))
-    factors = kept[key]
-    size = float(noise.mean())
-    return Factors(left=factors.left, singular=factors.singular / size, back=factors.back, total=factors.total)
-
-
-def _penalty(calibration: Calibration, method: str) -> Floats:
-    """Return the (3k, 3k) matrix Q of the papers' (w/2) F^T Q F."""
-    columns, rows = calibration.grid
-    if method != "smooth":
-        return np.eye(3 * columns * rows)
-    along, across = _differences(columns), _differences(rows)
-    chain = np.kron(along.T @ along, np.eye(rows)) + np.kron(np.eye(columns), across.T @ across)
-    return np.asarray(np.kron(chain, np.eye(3)), np.float64)
-
-
-def _differences(count: int) -> Floats:
-    """Return (count + 1, count) differences of a row of sites with one of zero force beyond either end."""
-    return np.asarray(np.diff(np.eye(count + 2), axis=0)[:, 1:-1], float)
-
-
-def _spread(factors: Factors, weight: float) -> Floats:
-    """Return (3,) standard deviation of the totals at unit noise: posterior, or plain propagation for weight 0."""
-    cut = filtered(factors, weight)
-    share = 1.0 / (factors.singular**2 + weight) if weight > 0 else cut**2
-    return np.asarray(np.sqrt((factors.total**2 * share).sum(axis=1)))
+def _total_rows(calibration: Calibration) -> Floats:
+    """Return (6, 3k): total force and torque about the origin of the sites' forces."""
+    rows = np.zeros((6, len(calibration.site_mm), 3))
+    rows[:3] = np.eye(3)[:, None, :]
+    for axis in range(3):
+        rows[3:, :, axis] = np.cross(calibration.site_mm, np.eye(3)[axis]).T
+    return rows.reshape(6, -1)

@@ -18,6 +18,8 @@ from twin.arrays import Floats
 GRID = 91
 LEAST_DECADES = -13.0
 ROBUSTNESS = 0.3
+LIKELY = 2.0
+"""What the most likely weight is raised by, see `automatic_weight`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,36 +34,33 @@ class Factors:
         (r,) S.
     back
         (3k, r) L^-T V: from the reduced unknowns to forces.
-    total
-        (3, r) rows that add up ``back`` to the total force.
+    null
+        (3k, 3k - r) the same for directions that no marker sees.
     """
 
     left: Floats
     singular: Floats
     back: Floats
-    total: Floats
+    null: Floats
 
 
 def factorise(transfer: Floats, penalty: Floats) -> Factors:
     """Decompose a whitened (m, 3k) transfer matrix with respect to a (3k, 3k) positive definite penalty."""
     lower = np.linalg.cholesky(penalty)
     reduced = scipy.linalg.solve_triangular(lower, transfer.T, lower=True).T
-    left, singular, right = scipy.linalg.svd(reduced, full_matrices=False)
+    left, singular, right = scipy.linalg.svd(reduced, full_matrices=len(reduced) < len(penalty))
     back = scipy.linalg.solve_triangular(lower.T, right.T, lower=False)
-    total = np.stack([back[axis::3].sum(axis=0) for axis in range(3)])
-    return Factors(left=left, singular=singular, back=back, total=total)
+    count = len(singular)
+    return Factors(left=left[:, :count], singular=singular, back=back[:, :count], null=back[:, count:])
 
 
 def automatic_weight(factors: Factors, data: Floats) -> float:
-    """Return the weight to use where none is given: the larger of the most likely and the cross-validated one.
+    """Return the weight to use where none is given: `LIKELY` times the most likely or the cross-validated one.
 
     Why the larger one: a press is concentrated in few sites, which a prior that is the same everywhere does not expect,
-    so either rule errs by smoothing too little, and not in the same cases. Field error over the best possible one, flat
-    design (pillars of 3 to 10 mm, .02 to .05 px; smooth / norm): likelihood alone 1.0-1.8 / 1.1-3.6, robust cross
-    validation alone 1.0-1.2 / 1.0-1.2; of the finger design, where the sites are too coarse for the load, 1.2-8.5 /
-    1.4-8.8 and 1.4-9.5 / 1.4-8.5.
+    so either rule errs by smoothing too little, and not in the same cases (measured: ``python -m benchmarks inverse``).
     """
-    return max(most_likely_weight(factors, data), cross_validated_weight(factors, data))
+    return max(LIKELY * most_likely_weight(factors, data), cross_validated_weight(factors, data))
 
 
 def most_likely_weight(factors: Factors, data: Floats) -> float:
@@ -138,3 +137,23 @@ def filtered(factors: Factors, weight: float) -> Floats:
     size = max(factors.left.shape[0], factors.back.shape[0])
     cut = size * np.finfo(float).eps * singular.max(initial=0.0)
     return np.asarray(np.divide(1.0, singular, out=np.zeros_like(singular), where=singular > cut))
+
+
+def covariance(factors: Factors, weight: float, rows: Floats) -> Floats:
+    """Return the (q, q) covariance of ``rows`` (q, 3k) times the forces, at unit noise.
+
+    That of the posterior, forces being drawn from N(0, Q^-1 / weight); directions that no marker sees keep their prior
+    variance. For weight 0 that of the noise carried through the pseudo-inverse.
+    """
+    seen = rows @ factors.back
+    if weight <= 0:
+        return np.asarray((seen * filtered(factors, 0.0) ** 2) @ seen.T)
+    unseen = rows @ factors.null
+    return np.asarray((seen / (factors.singular**2 + weight)) @ seen.T + unseen @ unseen.T / weight)
+
+
+def site_variance(factors: Factors, weight: float) -> Floats:
+    """Return (3k,) variances of the forces themselves, like `covariance`."""
+    if weight <= 0:
+        return np.asarray((factors.back**2) @ filtered(factors, 0.0) ** 2)
+    return np.asarray(factors.back**2 @ (1.0 / (factors.singular**2 + weight)) + (factors.null**2).sum(1) / weight)

@@ -99,19 +99,24 @@ def _without_provenance(value: Any) -> Any:
 
 def _nominal(sensor: Sensor) -> Calibration:
     """Calibrate from the nominal design alone: its compliance, or the papers' half-space, through its camera."""
-    return _calibration(sensor, _nominal_transfer(sensor, sensor.sites), noise_px=0.03)
+    compliance = _nominal_compliance(sensor, sensor.sites)
+    return _calibration(sensor, _through_camera(sensor, compliance), noise_px=0.03, compliance=compliance)
 
 
-def _nominal_transfer(sensor: Sensor, sites: Rectangles) -> Floats:
-    """Return (2n, 3k) px/N of the nominal design."""
+def _nominal_compliance(sensor: Sensor, sites: Rectangles) -> Floats:
+    """Return (3n, 3k) mm/N of the nominal design's markers."""
+    scene, markers = sensor.nominal, sensor.nominal_markers.points
+    if scene.calibration.method == "halfspace":
+        return half_space_compliance(scene, markers, sites)
+    return sensor.nominal_compliance.to_points(markers, sites)
+
+
+def _through_camera(sensor: Sensor, compliance: Floats) -> Floats:
+    """Return (2n, 3k) px/N of a compliance seen by the nominal camera."""
     from twin.sense.transfer import from_compliance
 
     scene, markers = sensor.nominal, sensor.nominal_markers.points
     assert scene.camera is not None
-    if scene.calibration.method == "halfspace":
-        compliance = half_space_compliance(scene, markers, sites)
-    else:
-        compliance = sensor.nominal_compliance.to_points(markers, sites)
     jacobian = projection_jacobian(markers, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
     return from_compliance(compliance, jacobian)
 
@@ -150,7 +155,7 @@ def calibrate_by_presses(sensor: Sensor) -> Calibration:
     forces, shifts, noise_px = _press_everywhere(sensor, places)
     transfer = from_presses(forces, shifts)
     if grid.chart().tolist() != scene.reconstruction.sites.chart().tolist():
-        here, there = _nominal_transfer(sensor, sensor.sites), _nominal_transfer(sensor, places)
+        here, there = (_through_camera(sensor, _nominal_compliance(sensor, s)) for s in (sensor.sites, places))
         transfer = fill_between(transfer, there, here, grid.axes(), scene.reconstruction.sites.chart())
     return _calibration(sensor, transfer, noise_px)
 
@@ -212,9 +217,18 @@ def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     )
 
 
-def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibration:
+def _calibration(
+    sensor: Sensor, transfer: Floats, noise_px: float, compliance: Floats | None = None, left_out: Floats | None = None
+) -> Calibration:
     from twin.sense.calibration import Calibration
 
+    optics: dict[str, Any] = {}
+    if compliance is not None:
+        optics = {
+            "compliance": compliance,
+            "marker_mm": sensor.nominal_markers.points,
+            "camera": _optics(sensor.nominal),
+        }
     scene, sites = sensor.nominal, sensor.sites
     assert scene.reconstruction is not None
     grid = scene.reconstruction.sites
@@ -237,7 +251,24 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
         noise_px=noise_px,
         method=scene.calibration.method,
         provenance=json.dumps(facts),
+        condition=_condition(transfer),
+        left_out=np.zeros(0) if left_out is None else left_out,
+        **optics,
     )
+
+
+def _optics(scene: Scene) -> str:
+    """Return the camera as a calibration file holds it."""
+    assert scene.camera is not None
+    camera = scene.camera.model_dump(mode="json")
+    told = {"camera": camera, "body_index": scene.material.refractive_index, "base_z_mm": scene.body.base_z_mm}
+    return json.dumps(told)
+
+
+def _condition(transfer: Floats) -> float:
+    """Return the largest over the smallest singular value of the rows that were calibrated."""
+    singular = np.linalg.svd(transfer[np.isfinite(transfer).all(axis=1)], compute_uv=False)
+    return float(singular[0] / max(singular[-1], singular[0] * np.finfo(float).eps))
 
 
 @cache

@@ -172,7 +172,9 @@ class _Chain:
             with self.stage("reconstruction"):
                 wanted = scene.reconstruction
                 try:
-                    forces = reconstruct(found, calibration, method=wanted.method, weight=wanted.weight)
+                    forces = reconstruct(
+                        found, calibration, **wanted.model_dump(exclude={"sites", "source", "assumed"})
+                    )
                 except InputError as problem:
                     self.failures["force"] = str(problem)
         estimate = _estimate(found, forces)

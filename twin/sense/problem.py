@@ -1,0 +1,191 @@
+"""The inverse problem of one picture, whitened and factorised: what every way of solving it starts from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from twin.arrays import Bools, Floats
+from twin.errors import InputError
+from twin.sense.calibration import Calibration
+from twin.sense.cone import LEAST, Quadratic
+from twin.sense.track import Found
+from twin.sense.weigh import Factors, factorise
+
+EVEN_NOISE = 2.0
+"""Markers whose noise differs by less than this factor (10 % to 90 %) are weighed alike, so that a factorisation
+serves a whole sequence."""
+
+KEPT, KEPT_WEIGHTS = 8, 4
+_kept: WeakKeyDictionary[Calibration, dict[tuple[str, bytes], Base]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Base:
+    """A transfer matrix whitened by the markers' relative noise, its factors, and what was solved with it.
+
+    Attributes
+    ----------
+    transfer
+        (m, 3k) rows over the markers' noise relative to its mean, px/N.
+    penalty
+        (3k, 3k) Q.
+    factors
+        Of both.
+    gram
+        (3k, 3k) H^T H in the sites' own frames; filled when first asked for.
+    quadratics
+        Constrained problems by weight, the last few.
+    """
+
+    transfer: Floats
+    penalty: Floats
+    factors: Factors
+    gram: dict[str, Floats]
+    quadratics: dict[float, Quadratic]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Problem:
+    """One picture's data with the base they belong to; whitened means: in units of each marker's noise.
+
+    Attributes
+    ----------
+    calibration, used
+        What the markers are known by, and (n,) which of them take part.
+    noise_px
+        (u,) standard deviation of a shift's component, px.
+    base
+        The factorised matrix, whitened relatively.
+    factors
+        The same with the noise's size in it.
+    """
+
+    calibration: Calibration
+    used: Bools
+    noise_px: Floats
+    base: Base
+    factors: Factors
+
+    @property
+    def size_px(self) -> float:
+        """Mean noise, px."""
+        return float(self.noise_px.mean())
+
+    @property
+    def omega(self) -> float:
+        """The papers' weight over the whitened one, px^2."""
+        return 2.0 * float(1.0 / np.mean(1.0 / self.noise_px**2))
+
+    def whiten(self, shift_px: Floats) -> Floats:
+        """Return (m,) data of (u, 2) shifts."""
+        return np.asarray(shift_px.ravel() / np.repeat(self.noise_px, 2))
+
+    def quadratic(self, weight: float) -> Quadratic:
+        """Return the problem for constrained solves; its unit is px^2, not the noise."""
+        base, frames = self.base, self.calibration.site_frames
+        if "local" not in base.gram:
+            base.gram["local"] = _into_frames(base.transfer.T @ base.transfer, frames)
+            base.gram["penalty"] = _into_frames(base.penalty, frames)
+        gram = base.gram["local"]
+        relative = max(weight * self.size_px**2, LEAST * float(self.factors.singular.max() * self.size_px) ** 2)
+        if relative not in base.quadratics:
+            while len(base.quadratics) >= KEPT_WEIGHTS:
+                base.quadratics.pop(next(iter(base.quadratics)))
+            base.quadratics[relative] = Quadratic(curvature=gram + relative * base.gram["penalty"])
+        return base.quadratics[relative]
+
+    def linear_term(self, data: Floats) -> Floats:
+        """Return (3k,) H^T M in the sites' own frames, in the quadratic's unit, of whitened data."""
+        pull = (self.base.transfer.T @ (data * self.size_px)).reshape(-1, 3)
+        return np.asarray(np.einsum("kij,kj->ki", self.calibration.site_frames, pull).ravel())
+
+    def globally(self, local: Floats) -> Floats:
+        """Return (k, 3) forces in global axes."""
+        return np.asarray(np.einsum("kij,ki->kj", self.calibration.site_frames, local))
+
+
+def problem_of(found: Found, calibration: Calibration, method: str) -> Problem:
+    """Return the whitened problem; factorised anew only where markers or their relative noise changed.
+
+    Raises
+    ------
+    InputError
+        Motion and calibration don't belong together, or fewer than 2 markers are left.
+    """
+    used = _usable(found, calibration)
+    noise = _noise(found.sd_px[used], calibration.noise_px)
+    base = _base(calibration, method, used, noise)
+    factors = replace(base.factors, singular=base.factors.singular / float(noise.mean()))
+    return Problem(calibration=calibration, used=used, noise_px=noise, base=base, factors=factors)
+
+
+def _usable(found: Found, calibration: Calibration) -> Bools:
+    if not np.array_equal(found.layer, calibration.layer):
+        raise InputError(
+            f"the tracked markers ({len(found.layer)}) aren't the calibration's ({len(calibration.layer)}): "
+            "track with calibration.layout"
+        )
+    used = np.asarray(found.seen & calibration.calibrated)
+    if used.sum() < 2:
+        raise InputError(
+            f"only {int(used.sum())} of {len(used)} markers were found in both pictures, at least 2 are needed: check "
+            "exposure, layout and channels"
+        )
+    return used
+
+
+def _noise(sd_px: Floats, usual_px: float) -> Floats:
+    """Return (u,) noise per marker, px, the same for all where it hardly differs."""
+    noise = np.where(np.isfinite(sd_px) & (sd_px > 0), sd_px, usual_px)
+    low, high = np.quantile(noise, [0.1, 0.9])
+    if high <= EVEN_NOISE * low and noise.max() <= 2 * EVEN_NOISE * low:
+        return np.full(len(noise), np.sqrt(np.mean(noise**2)))
+    return np.asarray(noise)
+
+
+def _base(calibration: Calibration, method: str, used: Bools, noise: Floats) -> Base:
+    """Factorise, or take a kept factorisation: with even noise it only scales."""
+    kept = _kept.setdefault(calibration, {})
+    even = bool(np.all(noise == noise[0]))
+    pattern = (noise / noise.mean()).round(6) if not even else np.ones(1)
+    key = (method, used.tobytes() + pattern.tobytes())
+    if key not in kept:
+        rows = calibration.transfer.reshape(len(used), 2, -1)[used].reshape(2 * int(used.sum()), -1)
+        relative = noise / noise.mean()
+        whitened, matrix = rows / np.repeat(relative, 2)[:, None], penalty(calibration, method)
+        while len(kept) >= KEPT:
+            kept.pop(next(iter(kept)))
+        kept[key] = Base(
+            transfer=whitened, penalty=matrix, factors=factorise(whitened, matrix), gram={}, quadratics={}
+        )  # fmt: skip
+    return kept[key]
+
+
+def penalty(calibration: Calibration, method: str) -> Floats:
+    """Return the (3k, 3k) matrix Q of the papers' (w/2) F^T Q F.
+
+    ``smooth``: differences of neighbouring sites along both directions of the grid and per component (flat paper, eq.
+    11, which as printed wraps at row ends and between components). They go on past the edge of the grid, to sites
+    without force; see `twin.sense.reconstruct`. Anything else: the forces themselves (eq. 14).
+    """
+    columns, rows = calibration.grid
+    if method != "smooth":
+        return np.eye(3 * columns * rows)
+    along, across = _differences(columns), _differences(rows)
+    chain = np.kron(along.T @ along, np.eye(rows)) + np.kron(np.eye(columns), across.T @ across)
+    return np.asarray(np.kron(chain, np.eye(3)), np.float64)
+
+
+def _differences(count: int) -> Floats:
+    """Return (count + 1, count) differences of a row of sites with one of zero force beyond either end."""
+    return np.asarray(np.diff(np.eye(count + 2), axis=0)[:, 1:-1], float)
+
+
+def _into_frames(matrix: Floats, frames: Floats) -> Floats:
+    """Return a (3k, 3k) matrix on global forces as one on forces in the sites' own frames."""
+    count = len(frames)
+    blocks = matrix.reshape(count, 3, count, 3)
+    return np.asarray(np.einsum("iab,ibjd,jcd->iajc", frames, blocks, frames, optimize=True).reshape(matrix.shape))
