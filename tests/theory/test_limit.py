@@ -1,0 +1,146 @@
+"""The design limit: rows against the half-space, determinant, scaling, and a sensor solved by brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import j0, j1
+
+from twin.errors import InputError
+from twin.parts.load import Rectangles
+from twin.theory import halfspace, limit
+from twin.theory.limit import Limit, design_limit, layer_rows
+
+FLAT = dict(
+    depth_mm=[[3.0, 6.0]], pitch_mm=[[1.5, 1.5]], noise_mm=[[0.0025, 0.0025]], youngs_modulus_mpa=1.0,
+    poisson_ratio=0.5, force_n=3.0, radius_mm=2.5,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.5])
+def test_rows_are_the_half_space(nu: float) -> None:
+    """The Hankel integral of the rows is Boussinesq's and Cerruti's point force, at a place of no symmetry."""
+    depth, r = 1.3, 0.9
+    g = 1 / (2 * (1 + nu))
+    point = np.array([[r, 0.0, depth]])
+    frame = np.eye(3)[None]
+
+    def moved(force: list[float], at: np.ndarray) -> np.ndarray:
+        load = Rectangles(centre_mm=np.zeros((1, 3)), frames=frame, half_mm=np.zeros((1, 2)), force_n=np.array([force]))
+        return halfspace.displacement(at, load, youngs_modulus_mpa=1.0, poisson_ratio=nu)[0]
+
+    def hankel(f) -> float:  # type: ignore[no-untyped-def]
+        return quad(lambda k: f(k) * k / (2 * np.pi), 1e-9, 40, limit=400)[0]
+
+    rows = lambda k: layer_rows(np.array(k), np.array(depth), np.array(g), np.array(nu))  # noqa: E731
+    radial = hankel(lambda k: rows(k)[1] * j1(k * r))
+    assert radial == pytest.approx(moved([0, 0, 1], point)[0], rel=1e-6)
+    # a shear's motion at r: half the sum of both parts with J0, half the difference with J2
+    both = hankel(lambda k: 0.5 * (rows(k)[0] + np.exp(-k * depth) / (g * k)) * j0(k * r))
+    other = hankel(lambda k: 0.5 * (rows(k)[0] - np.exp(-k * depth) / (g * k)) * (2 * j1(k * r) / (k * r) - j0(k * r)))
+    assert both - other == pytest.approx(moved([1, 0, 0], point)[0], rel=1e-6)
+    across = np.array([[0.0, r, depth]])
+    assert both + other == pytest.approx(moved([1, 0, 0], across)[0], rel=1e-6)
+
+
+def test_one_layer_cannot_tell_push_from_shear() -> None:
+    k, a, b, g = 0.7, 1.0, 2.5, 0.4
+    (ta, na), (tb, nb) = (layer_rows(np.array(k), np.array(d), np.array(g), np.array(0.37)) for d in (a, b))
+    assert ta * nb - tb * na == pytest.approx(k * (b - a) * np.exp(-k * (a + b)) / (2 * g * k) ** 2, rel=1e-12)
+
+
+def _flat(**changes: object) -> Limit:
+    return design_limit(**{**FLAT, **changes})  # type: ignore[arg-type]
+
+
+def test_lengths_scale_exactly_and_stiffness_acts_as_noise() -> None:
+    one = _flat()
+    double = _flat(
+        depth_mm=[[6.0, 12.0]], pitch_mm=[[3.0, 3.0]], noise_mm=[[0.005, 0.005]], radius_mm=5.0, force_n=12.0
+    )
+    np.testing.assert_allclose(double.fwhm_normal_mm, 2 * one.fwhm_normal_mm, rtol=1e-12)
+    np.testing.assert_allclose(double.force_sd_n, 4 * one.force_sd_n, rtol=1e-12)
+    stiff, noisy = _flat(youngs_modulus_mpa=2.0), _flat(noise_mm=[[0.005, 0.005]])
+    np.testing.assert_allclose(stiff.two_point_mm, noisy.two_point_mm, rtol=1e-12)
+    np.testing.assert_allclose(stiff.force_sd_n, 2 * one.force_sd_n, rtol=1e-12)
+
+
+def test_shallow_quiet_and_dense_is_sharper() -> None:
+    noisy = {"noise_mm": [[0.03, 0.03]]}
+    one = _flat(**noisy)
+    for change in ({"depth_mm": [[1.5, 3.0]]}, {"noise_mm": [[0.01, 0.01]]}, {"pitch_mm": [[1.0, 1.0]]}):
+        better = _flat(**{**noisy, **change})
+        for name in ("fwhm_normal_mm", "fwhm_tangential_mm", "two_point_mm"):
+            assert getattr(better, name)[0] < getattr(one, name)[0], (change, name)
+
+
+def test_the_size_of_a_wide_push_is_told_better_by_deep_markers() -> None:
+    """In incompressible rubber a push moves markers sideways by z exp(-k z) / 2 G: near the surface hardly at all."""
+    assert _flat(depth_mm=[[0.3, 0.6]]).force_sd_n[0] > 2 * _flat().force_sd_n[0]
+
+
+def test_the_grid_of_waves_is_fine_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    depth = rng.uniform(0.3, 4, 40)
+    designs = {
+        "depth_mm": np.column_stack([depth, depth + rng.uniform(0.5, 4, 40)]),
+        "noise_mm": rng.uniform(0.005, 0.05, (40, 1)) * [1, 1],
+        "pitch_mm": np.full((40, 2), 1e-3), "youngs_modulus_mpa": rng.uniform(0.2, 2, 40),
+    }  # fmt: skip
+    coarse = _flat(**designs)
+    k, r = np.geomspace(0.01, 90, 400), np.concatenate([[0.0], np.geomspace(0.01, 80, 400)])
+    step = np.log(k[1] / k[0])
+    monkeypatch.setattr(limit, "_K", k)
+    monkeypatch.setattr(limit, "_R", r)
+    monkeypatch.setattr(limit, "_STEP", step)
+    monkeypatch.setattr(limit, "_HANKEL", (k**2 * step / (2 * np.pi))[:, None] * j0(np.outer(k, r)))
+    monkeypatch.setattr(limit, "_HALVES", np.array([np.interp(r / 2, r, row) for row in np.eye(len(r))]))
+    fine = _flat(**designs)
+    for name in Limit.__annotations__:
+        np.testing.assert_allclose(getattr(coarse, name), getattr(fine, name), rtol=0.03, err_msg=name)
+
+
+def test_pitch_sets_the_floor_of_a_shallow_design() -> None:
+    finger = _flat(depth_mm=[[0.5, 2.0]], pitch_mm=[[2.5, 2.5]], noise_mm=[[0.001, 0.001]])
+    assert finger.fwhm_normal_mm[0] == pytest.approx(1.41 * 2.5)
+
+
+def test_a_grid_of_markers_solved_by_brute_force_has_this_width() -> None:
+    """Markers and sites on a wide grid, half-space rectangles, the same prior: an independent way to the same width."""
+    pitch, depths, noise, force, radius = 1.0, (2.0, 4.0), 0.002, 3.0, 2.0
+    across = np.arange(-12.0, 12.1, pitch)
+    sites = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1).reshape(-1, 2)
+    markers = np.concatenate(
+        [np.column_stack([sites + o, np.full(len(sites), d)]) for d, o in ((2.0, 0.0), (4.0, 0.5))]
+    )
+    middle = int(np.argmin(np.linalg.norm(sites, axis=1)))
+    transfer = np.zeros((2 * len(markers), 3 * len(sites)))
+    for site, (x, y) in enumerate(sites):
+        load = Rectangles(
+            centre_mm=np.tile([[x, y, 0.0]], (3, 1)), frames=np.tile(np.eye(3), (3, 1, 1)),
+            half_mm=np.full((3, 2), pitch / 2), force_n=np.eye(3),
+        )  # fmt: skip
+        for axis in range(3):
+            one = Rectangles(
+                centre_mm=load.centre_mm[:1], frames=load.frames[:1], half_mm=load.half_mm[:1],
+                force_n=load.force_n[axis : axis + 1],
+            )  # fmt: skip
+            moved = halfspace.displacement(markers, one, youngs_modulus_mpa=1.0, poisson_ratio=0.5)
+            transfer[:, 3 * site + axis] = moved[:, :2].ravel()
+    gram = transfer.T @ transfer / noise**2
+    prior = np.eye(len(gram)) / (force**2 / (np.pi * radius**2) * pitch**2)
+    known = np.linalg.solve(gram + prior, gram[:, 3 * middle + 2])[2::3]
+    line = known.reshape(len(across), len(across))[:, len(across) // 2]
+    fine = np.linspace(across[0], across[-1], 4001)
+    above = fine[np.interp(fine, across, line) > line.max() / 2]
+    reached = design_limit(
+        depth_mm=[list(depths)], pitch_mm=[[pitch, pitch]], noise_mm=[[noise, noise]], youngs_modulus_mpa=1.0,
+        poisson_ratio=0.5, force_n=force, radius_mm=radius,
+    )  # fmt: skip
+    assert np.ptp(above) == pytest.approx(reached.fwhm_normal_mm[0], rel=0.15)
+
+
+def test_bad_designs_are_refused() -> None:
+    with pytest.raises(InputError, match="positive"):
+        _flat(noise_mm=[[0.0, 0.001]])
