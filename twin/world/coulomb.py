@@ -11,9 +11,9 @@ disc of radius mu f_n (P. Alart and A. Curnier, Comput. Methods Appl. Mech. Eng.
 Newton's method: each step fixes which patches are open, stick or slip and solves the linear system that is left, with
 the balance of the probe in it. Nothing is penalised: r scales the equations and leaves their solution alone.
 
-Why a slipping patch has two unknowns, not three: along its direction d the force is mu f_n, so that only f_n and the
-force across d, which turns d, are left. Why steps are shortened: far from the solution whole steps can cycle; the step
-that leaves the least of the equations is taken.
+Why steps are shortened: far from the solution whole steps can cycle; the step that leaves the least of the equations is
+taken. Why a step is solved for the change of the trial, not for the forces: an iterative solution
+(`twin.world.krylov`) need then be good to a thousandth only, as the next step mends the rest.
 
 Validity: the slip of one increment, from b to its end. Paths are walked in increments by `twin.world.friction`. With a
 large coefficient, or strong coupling of normal and tangential motion, there may be no solution or more than one.
@@ -25,11 +25,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.arrays import Bools, Floats
+from twin.arrays import Floats, Ints
 from twin.errors import ContactError
+from twin.world.krylov import LinearSystem
+from twin.world.pattern import Pattern
 from twin.world.unilateral import TOLERANCE, Equilibrium, Unilateral
 
-_STEPS, _GOAL = 60, 1e-13
+_STEPS, _GOAL = 60, 1e-11
+_FEW = 60
+"""Patches in contact up to which the linear systems are solved by elimination."""
+
 _FAR = 1e4
 """A step of the probe over the contact's size that only a singular system asks for."""
 
@@ -88,28 +93,7 @@ def _tried(problem: Unilateral, scale: Floats, force: Floats, displacement: Floa
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Pattern:
-    """Which patches touch and which of them slip, each with axes along and across its drag.
-
-    ``ahead`` (n, 2) is the drag's direction; of a sticking patch, its own first axis. ``mu`` is 0 where it sticks.
-    ``share`` is c = mu f_n / drag: across its drag a slipping patch turns by (1 - c) f / r + c w = 0.
-    """
-
-    touching: np.ndarray
-    slips: Bools
-    ahead: Floats
-    mu: Floats
-    share: Floats
-
-    def turned(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Return the parts along and across the drag of (n, ...) parts along the patches' own axes."""
-        shape = (-1,) + (1,) * (x.ndim - 1)
-        cosine, sine = self.ahead[:, 0].reshape(shape), self.ahead[:, 1].reshape(shape)
-        return cosine * x + sine * y, cosine * y - sine * x
-
-
-def _pattern(problem: Unilateral, trial: _Trial) -> _Pattern:
+def _pattern(problem: Unilateral, trial: _Trial) -> Pattern:
     touching = np.flatnonzero(trial.pushed > 0)
     if near := problem.apart(trial.pushed > 0, -trial.pushed):
         touching = np.union1d(touching, near)
@@ -117,7 +101,7 @@ def _pattern(problem: Unilateral, trial: _Trial) -> _Pattern:
     length = np.hypot(drag[:, 0], drag[:, 1])
     bound = problem.friction[touching] * np.maximum(trial.pushed[touching], 0.0)
     slips = length > bound
-    return _Pattern(
+    return Pattern(
         touching=touching, slips=slips,
         ahead=np.where(slips[:, None], drag / np.maximum(length, 1e-300)[:, None], [1.0, 0.0]),
         mu=np.where(slips, problem.friction[touching], 0.0),
@@ -125,70 +109,69 @@ def _pattern(problem: Unilateral, trial: _Trial) -> _Pattern:
     )  # fmt: skip
 
 
-def _compliance(problem: Unilateral, pattern: _Pattern) -> Floats:
-    """Return the compliance of normal forces (with their friction), across forces, and sticking along forces."""
-    rows, stuck = pattern.touching, ~pattern.slips
-    across = np.ix_(rows, rows)
-    lines = []
-    for axis in range(3):
-        x, y, normal = (problem.compliance[:, axis, :, other][across].T for other in range(3))
-        along, sideways = pattern.turned(x, y)
-        lines.append(np.concatenate([normal + pattern.mu[:, None] * along, sideways, along[stuck]]).T)
-    along, sideways = pattern.turned(lines[0], lines[1])
-    return np.concatenate([lines[2], sideways, along[stuck]])
-
-
 def _newton_step(problem: Unilateral, scale: Floats, trial: _Trial) -> tuple[Floats, Floats]:
     """Return the forces (k, 3) and the place (m,) that solve the equations linearised at a trial."""
     pattern = _pattern(problem, trial)
-    touching, stuck = pattern.touching, ~pattern.slips
-    n = len(touching)
-    size = 2 * n + int(stuck.sum())
+    touching, aside = pattern.touching, pattern.aside
     place = np.where(problem.by_force, trial.place, problem.given)
-    carried = problem.carried[touching]
-    along, across = pattern.turned(carried[:, 0], carried[:, 1])
-    offset_along, offset_across = pattern.turned(*problem.offset[touching].T)
+    carried, slope = problem.carried[touching], trial.slope[touching]
+    motion = -pattern.seen(carried.transpose(1, 0, 2))
+    motion[: len(touching)] = slope
+    motion[aside] *= pattern.share[:, None]
     # How an unknown enters the balance: a slipping patch's normal force brings its friction along.
-    pull = np.concatenate([carried[:, 2] + pattern.mu[:, None] * along, across, along[stuck]])
-    slope = trial.slope[touching]
-    motion = np.concatenate([slope, -across, -along[stuck]])
-    right = np.concatenate(
-        [
-            -trial.gap[touching] - slope @ (place - trial.place),
-            offset_across + across @ place,
-            offset_along[stuck] + along[stuck] @ place,
-        ]
-    )
-    weight = np.ones(size)
-    weight[n : 2 * n] = pattern.share
-    felt = np.abs(pull).max(axis=0) > 1e-9
-    free = np.flatnonzero(problem.by_force & felt)
-    matrix = np.zeros((size + len(free), size + len(free)))
-    matrix[:size, :size] = _compliance(problem, pattern) * weight[:, None]
-    turning = np.arange(n, 2 * n)
-    matrix[turning, turning] += (1.0 - pattern.share) / scale[touching]
-    matrix[:size, size:] = (motion * weight[:, None])[:, free]
-    matrix[size:, :size] = pull[:, free].T
-    found, moved = _solved(matrix, np.concatenate([right * weight, problem.given[free]]), size)
-    force = np.zeros((len(scale), 3))
-    force[touching, 2] = found[:n]
-    ahead, aside = pattern.mu * found[:n], found[n : 2 * n]
-    ahead[stuck] += found[2 * n :]
-    cosine, sine = pattern.ahead.T
-    force[touching, 0], force[touching, 1] = cosine * ahead - sine * aside, sine * ahead + cosine * aside
+    pull = pattern.pulled(carried.transpose(1, 0, 2))
+    free = np.flatnonzero(problem.by_force & (np.abs(pull).max(axis=0) > 1e-9))
+    system = LinearSystem(
+        pattern=pattern, shift=(1.0 - pattern.share) / scale[touching], motion=motion[:, free], pull=pull[:, free],
+        reach=problem.reach[free],
+    )  # fmt: skip
+    # The trial's forces as far as the pattern allows them, and what they leave of the equations.
+    unknowns = pattern.seen(trial.force[touching].T)
+    start = np.zeros_like(trial.force)
+    start[touching] = pattern.forces(unknowns).T
+    displacement = trial.displacement[touching].T + _moved(problem, touching, start - trial.force)
+    away = displacement[:2] - (carried[:, :2] @ place + problem.offset[touching]).T
+    opening = displacement[2] + trial.gap[touching] + slope @ (place - trial.place)
+    left = pattern.seen(np.stack([*away, opening]))
+    left[aside] = pattern.share * left[aside] + system.shift * unknowns[aside]
+    balance = (problem.given - problem.total(start))[free]
+    found = problem.krylov.solve(system, -left, balance) if problem.krylov and len(touching) > _FEW else None
+    change, moved = found if found is not None else _eliminated(problem.compliance, system, -left, balance)
+    force = np.zeros_like(trial.force)
+    force[touching] = pattern.forces(unknowns + change).T
     place[free] += moved
     return force, place
 
 
-def _solved(matrix: Floats, right: Floats, size: int) -> tuple[Floats, Floats]:
-    """Solve a linear system of compliances (the first ``size`` rows) and balances, both scaled to about one."""
+def _moved(problem: Unilateral, touching: Ints, change: Floats) -> Floats:
+    """Return (3, n) how a change of the forces (k, 3) moves the patches in contact, mm."""
+    if not change.any():
+        return np.zeros((3, len(touching)))
+    if problem.krylov and len(touching) > _FEW:
+        return problem.krylov.moved(change)[:, touching]
+    return problem.moved(change)[touching].T
+
+
+def _eliminated(compliance: Floats, system: LinearSystem, right: Floats, balance: Floats) -> tuple[Floats, Floats]:
+    """Solve a step's equations by elimination, compliances (the first rows) and balances both scaled to about one."""
+    pattern, count = system.pattern, len(balance)
+    rows, size = pattern.touching, pattern.size
+    part = compliance[rows][:, :, rows]
+    columns = pattern.pulled(part.transpose(3, 2, 1, 0))
+    matrix = np.zeros((size + count, size + count))
+    matrix[:size, :size] = pattern.seen(columns.transpose(1, 2, 0))
+    turning = np.arange(size)[pattern.aside]
+    matrix[turning, :size] *= pattern.share[:, None]
+    matrix[turning, turning] += system.shift
+    matrix[:size, size:] = system.motion
+    matrix[size:, :size] = system.pull.T
     typical = float(np.mean(np.abs(np.diag(matrix)[:size])))
-    count = len(right) - size
     scale = np.concatenate([np.full(size, typical**-0.5), np.full(count, typical**0.5)])
     try:
-        found = np.linalg.solve(matrix * scale[:, None] * scale[None, :], right * scale) * scale
+        found = np.linalg.solve(matrix * scale[:, None] * scale[None, :], np.concatenate([right, balance]) * scale)
     except np.linalg.LinAlgError as problem_found:
         raise _slides_off() from problem_found
+    found *= scale
     return found[:size], found[size:]
 
 
@@ -217,12 +200,11 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
         The steps do not settle, or nothing balances a given force.
     """
     k = len(force)
-    flat = problem.compliance.reshape(3 * k, 3 * k)
     scale = _scales(problem)
     reach, pushed = problem.reach, bool(problem.pushing.any())
     far = _FAR * float(reach.max())
     place = np.where(problem.by_force, place, problem.given)
-    trial = _tried(problem, scale, force, (flat @ force.reshape(-1)).reshape(k, 3), place)
+    trial = _tried(problem, scale, force, problem.moved(force), place)
     left = trial.size(reach)
     for step in range(1, _STEPS + 1):
         if not pushed and not np.any(trial.pushed > 0) and not trial.force.any():
@@ -233,7 +215,7 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
             force, place = np.zeros((k, 3)), trial.place  # nothing touches where the probe is held
         if not np.abs((place - trial.place) * reach).max() < far:
             raise _slides_off()
-        displacement = (flat @ force.reshape(-1)).reshape(k, 3)
+        displacement = problem.moved(force)
         best, best_left = trial, np.inf
         for share in _SHARES:
             tried = _tried(

@@ -56,7 +56,7 @@ def _problem(grid: FrictionGrid, memory: Memory, control: Control, held: Bools |
     return Unilateral(
         compliance=grid.compliance, gap=lambda q: grid.gap(memory, q), carried=grid.carried,
         by_force=control.by_force, given=control.given, pushing=control.pushing,
-        friction=np.where(rubs, grid.friction, 0.0), offset=_offset(grid, memory),
+        friction=np.where(rubs, grid.friction, 0.0), offset=_offset(grid, memory), krylov=grid.krylov,
     )  # fmt: skip
 
 

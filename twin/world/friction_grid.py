@@ -12,12 +12,14 @@ Validity: one slide for all patches, taken as the least slip of those in contact
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.parts.press import Sphere
 from twin.world.gap import TURN, X, Y, Z
+from twin.world.krylov import Krylov
 from twin.world.patches import Patches
 from twin.world.region import Setting, carried, local_compliance
 
@@ -66,6 +68,11 @@ class FrictionGrid:
     compliance: Floats
     carried: Floats
     friction: float
+
+    @cached_property
+    def krylov(self) -> Krylov:
+        """The solver of linear systems on these patches, with what it keeps along the path."""
+        return Krylov(self.compliance)
 
     def _slid_gap(self, slid_mm: Floats, along_z: float) -> tuple[Floats, Floats]:
         """Return gaps and slopes of a probe that was lowered, and slid but not carried the surface along."""

@@ -29,6 +29,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError
+from twin.world.krylov import Krylov
 
 GapOfPlace = Callable[[Floats], tuple[Floats, Floats]]
 TOLERANCE = 1e-8
@@ -59,6 +60,8 @@ class Unilateral:
         (k,) coefficient of friction: 0 slides freely, inf is carried along whenever in contact.
     offset
         (k, 2) b, mm: the patch's motion over the probe, u_t - T q, from which its slip counts.
+    krylov
+        Solver of linear systems with this compliance; all are solved by elimination without one.
     """
 
     compliance: Floats
@@ -69,6 +72,12 @@ class Unilateral:
     pushing: Bools
     friction: Floats
     offset: Floats
+    krylov: Krylov | None = None
+
+    def moved(self, force: Floats) -> Floats:
+        """Return the (k, 3) displacements of the patches under forces (k, 3), mm."""
+        k = len(force)
+        return np.asarray((self.compliance.reshape(3 * k, 3 * k) @ force.reshape(-1)).reshape(k, 3))
 
     @property
     def reach(self) -> Floats:
@@ -204,7 +213,7 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
         else:
             force = np.zeros((k, 3))
         moved_gap, _ = problem.gap(place)
-        displacement = (problem.compliance.reshape(3 * k, 3 * k) @ force.reshape(-1)).reshape(k, 3)
+        displacement = problem.moved(force)
         opening = moved_gap + displacement[:, 2]
         scale = float(np.max(np.abs(displacement[:, 2]), initial=1e-12))
         following = _next_set(active, force[:, 2] / stiffness, opening, 1e-13 * scale, mode)
