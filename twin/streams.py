@@ -18,6 +18,7 @@ class Purpose(IntEnum):
     EXPOSURE = 2
     LOAD_CELL = 3
     SAMPLING = 4
+    SENSOR_PATTERN = 5
 
 
 def stream(seed: int, purpose: Purpose, index: int = 0) -> np.random.Generator:

@@ -15,7 +15,7 @@ from twin.parts.accuracy import Accuracy
 from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.theory.optics import project
-from twin.world import splat
+from twin.world import threads as pool
 from twin.world.markers import Ellipsoids, ellipsoids
 from twin.world.render import Renderer, subpixels_for
 from twin.world.variant import Variant, choose_variant
@@ -277,7 +277,7 @@ def test_splat_has_the_same_bytes_on_any_number_of_threads(monkeypatch: pytest.M
     renderer = Renderer(scene, markers, SPLAT)
     found = []
     for threads in (1, 2, 3):
-        monkeypatch.setattr(splat.config, "NUMBA_NUM_THREADS", threads)
+        monkeypatch.setattr(pool.config, "NUMBA_NUM_THREADS", threads)
         found.append((renderer.radiance(markers), renderer.outlines(markers).centroid_px))
     for light, centroids in found[1:]:
         np.testing.assert_array_equal(light, found[0][0])

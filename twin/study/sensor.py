@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from twin.world.compliance import Compliance
     from twin.world.contact import ContactState
     from twin.world.covered import Covered, CoveredLadder
+    from twin.world.exposure import Pattern
     from twin.world.ladder import Ladder
     from twin.world.markers import Ellipsoids
     from twin.world.render import Renderer
@@ -215,7 +216,19 @@ class Sensor:
 
         number = exposure if exposure is not None else int(load is not None)
         radiance = self.renderer.radiance(self.ellipsoids(load))
-        return expose(radiance, self.nominal.ccd, stream(self.nominal.seed, Purpose.EXPOSURE, number))
+        noise = stream(self.nominal.seed, Purpose.EXPOSURE, number)
+        return expose(radiance, self.nominal.ccd, noise, self.pattern)
+
+    @cached_property
+    def pattern(self) -> Pattern | None:
+        """What the CCD's pixels do alike in every picture, None for an even CCD."""
+        from twin.world.exposure import fixed_pattern
+
+        camera = self.nominal.camera
+        if camera is None:
+            return None
+        own = stream(self.nominal.seed, Purpose.SENSOR_PATTERN)
+        return fixed_pattern(self.nominal.ccd, (camera.height_px, camera.width_px), own)
 
     def ellipsoids(self, load: Load | Motion | None) -> Ellipsoids:
         """Return the actual markers as they stand under ``load``."""

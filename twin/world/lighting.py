@@ -20,7 +20,7 @@ from twin.arrays import Floats, Points
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
 from twin.theory.optics import air_tangents, sideways, transmission
-from twin.world.exposure import crosstalk_matrix
+from twin.world.exposure import response_matrix
 from twin.world.markers import Ellipsoids
 
 
@@ -121,7 +121,7 @@ def brightest(rest: Ellipsoids, scene: Scene) -> tuple[float, float]:
     if top <= 0:
         raise RecipeError("light.positions_mm: no LED reaches any marker: move the LEDs over the base")
     ambient = scene.light.ambient
-    colours = np.max(markers.colour @ crosstalk_matrix(scene.ccd.crosstalk).T, axis=1)
+    colours = np.max(markers.colour @ response_matrix(scene.ccd).T, axis=1)
     return top, max(float(np.max(colours * ((1 - ambient) * best / top + ambient))), 1e-6)
 
 

@@ -12,18 +12,15 @@ Validity: as in `twin.world.render`; several shadows on one place multiply, as i
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import config, njit
+from numba import njit
 from numpy.typing import NDArray
 
 from twin.arrays import Floats, Ints, Singles
 from twin.world.frame import OPAQUE, WEIGHT, Frame
+from twin.world.threads import in_parts
 from twin.world.view import View
 
 _INTERIOR = 3
@@ -51,12 +48,12 @@ class Splat:
         light, free = np.empty((len(near.pixels), 3), np.float32), np.empty(len(near.pixels), np.float32)
         lists = frame.occluders
 
-        def some(begin: int, end: int) -> None:
+        def some(_: int, begin: int, end: int) -> None:
             _shade(begin, end, near.pixels, near.first, near.members, self._corners, frame.base,
                    frame.centres, frame.metric, frame.colour, frame.lamps, lists.first, lists.members,
                    frame.subpixels, max(frame.subpixels // _INTERIOR, 1), self._ambient, light, free)  # fmt: skip
 
-        _in_parts(len(near.pixels), some)
+        in_parts(len(near.pixels), some)
         return light, free
 
     def count(self, frame: Frame) -> tuple[Ints, Ints, Ints]:
@@ -67,27 +64,12 @@ class Splat:
         near = frame.near
         nearest = np.rint(near.centres_px).astype(np.int64)
 
-        def some(begin: int, end: int) -> Any:
+        def some(_: int, begin: int, end: int) -> Any:
             return _count(begin, end, near.pixels, near.first, near.members, self._corners, frame.base,
                           frame.centres, frame.metric, nearest, frame.subpixels)  # fmt: skip
 
-        tallies = sum(_in_parts(len(near.pixels), some), np.zeros((len(frame), 4), np.int64))
+        tallies = sum(in_parts(len(near.pixels), some), np.zeros((len(frame), 4), np.int64))
         return tallies[:, 1], tallies[:, 0], tallies[:, 2:]
-
-
-def _in_parts(count: int, work: Callable[[int, int], Any]) -> list[Any]:
-    """Call ``work`` on ranges of pixels, on as many threads as numba may use."""
-    threads = max(int(config.NUMBA_NUM_THREADS), 1)
-    if threads == 1 or count < 2000:
-        return [work(0, count)]
-    edges = np.linspace(0, count, 4 * threads + 1).astype(int).tolist()
-    return list(_pool(threads, os.getpid()).map(work, edges[:-1], edges[1:]))
-
-
-@cache
-def _pool(threads: int, process: int) -> ThreadPoolExecutor:
-    """Return the threads of this process: a forked one needs its own."""
-    return ThreadPoolExecutor(threads, thread_name_prefix=f"splat-{process}")
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=_QUICK)  # type: ignore[untyped-decorator]
