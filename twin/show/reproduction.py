@@ -77,7 +77,7 @@ def reproduction(
 
 
 def _counts(tables: Sequence[Mapping[str, Any]]) -> str:
-    verdicts = [r["verdict"] for t in tables for r in t["records"] if r["paper"] is not None]
+    verdicts = [r["verdict"] for t in tables for r in t["records"] if r["paper"] is not None and not r["timed"]]
     agreeing = sum(v == "agrees" for v in verdicts)
     explained = sum("explained by:" in v for v in verdicts)
     left = len(verdicts) - agreeing - explained
@@ -138,7 +138,8 @@ def _row(record: Mapping[str, Any]) -> str:
         twin += f" ± {digits(record['spread'])}"
     runs = f"<small>{record['n']} runs</small>" if record["n"] > 1 else ""
     verdict = str(record["verdict"])
-    said = "agrees" if verdict == "agrees" else "explained" if "explained by:" in verdict else "disagrees"
+    gentle = "explained by:" in verdict or record["timed"]
+    said = "agrees" if verdict == "agrees" else "explained" if gentle else "disagrees"
     text = f'<span class="{said}">{escape(verdict)}</span>' if record["paper"] is not None else ""
     if record["explained_by"]:
         items = "".join(f"<li>{escape(c['cause'])}: {_number(c['value'])}{unit}</li>" for c in record["explained_by"])

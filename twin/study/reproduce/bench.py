@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import warnings
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -22,7 +21,8 @@ from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
-from twin.study.sensor import Motion, Progress, Sensor
+from twin.study.reproduce.kept import KeptSensor, Mechanics
+from twin.study.sensor import Motion, Progress
 from twin.theory.optics import projection_jacobian
 
 if TYPE_CHECKING:
@@ -52,29 +52,21 @@ FITTED: dict[str, tuple[str, ...]] = {
 class Rig:
     """One made sensor on the bench, with what was measured on it."""
 
-    def __init__(self, scene: Scene, progress: Progress, pressed: Callable[[ContactState], None]) -> None:
+    def __init__(self, scene: Scene, sensor: KeptSensor, pressed: Callable[[ContactState], None]) -> None:
         self.scene = scene
-        self.sensor = Sensor(scene, progress)
+        self.sensor = sensor
         self._pressed = pressed
-        self._presses: dict[str, ContactState] = {}
         self._rests: dict[tuple[str, int], Rest] = {}
-        self._calibrations: dict[str, Calibration] = {}
 
     def press(self, press: Press) -> ContactState:
         """Solve a press, or return it again; what it strains is noted."""
-        key = press.model_dump_json()
-        if key not in self._presses:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                self._presses[key] = self.sensor.press(press)
-        self._pressed(self._presses[key])
-        return self._presses[key]
+        state = self.sensor.press(press)
+        self._pressed(state)
+        return state
 
     def motion(self, state: ContactState) -> Motion:
         """Return how a press moves the markers."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return self.sensor.motion(state.load)
+        return self.sensor.motion(state.load)
 
     def picture(self, motion: Motion | None, exposure: int) -> Picture:
         """Expose the markers at rest or moved."""
@@ -145,6 +137,7 @@ class Bench:
         self._share = (0.0, 1.0)
         self._entry = ""
         self._rigs: dict[str, Rig] = {}
+        self._bodies: dict[str, Mechanics] = {}
         self.kept: dict[Any, Any] = {}
         self.used: set[str] = set()
         self._worst: ContactState | None = None
@@ -193,7 +186,8 @@ class Bench:
             self.used.add(paper)
         key = json.dumps([paper, given], sort_keys=True, default=str)
         if key not in self._rigs:
-            self._rigs[key] = Rig(scene, lambda what, _share: self.progress(what, 0.0), self._pressed)
+            sensor = KeptSensor(scene, self._bodies, lambda what, _share: self.progress(what, 0.0))
+            self._rigs[key] = Rig(scene, sensor, self._pressed)
         return self._rigs[key]
 
     def once(self, key: Any, work: Callable[[], T]) -> T:

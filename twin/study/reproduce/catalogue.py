@@ -6,7 +6,14 @@ import difflib
 from collections.abc import Sequence
 
 from twin.errors import InputError
-from twin.study.reproduce import flat_picture, shifted
+from twin.study.reproduce import (
+    finger_picture,
+    flat_forces,
+    flat_picture,
+    flat_shapes,
+    shifted,
+    times,
+)
 from twin.study.reproduce.entry import Entry
 
 ENTRIES: dict[str, Entry] = {
@@ -17,8 +24,16 @@ ENTRIES: dict[str, Entry] = {
         shifted.KAMIYAMA_FIGURE_7,
         shifted.KAMIYAMA_FIGURE_8,
         flat_picture.FIGURE_9,
+        flat_forces.FIGURE_10,
+        flat_forces.FIGURE_11,
+        flat_forces.FIGURE_13,
+        flat_shapes.FIGURE_14,
+        flat_shapes.FIGURE_15,
+        flat_shapes.FIGURE_16,
         flat_picture.FIGURE_17,
+        times.KAMIYAMA_TIMES,
         shifted.SATO_TABLE_1,
+        finger_picture.FIGURE_6,
     )
 }
 

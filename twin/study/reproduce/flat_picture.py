@@ -11,6 +11,7 @@ from twin.sense.track import Found
 from twin.show.panels import ArrowPanel, Curve, CurvePanel, PicturePanel
 from twin.study.reproduce.bench import Bench, Rig
 from twin.study.reproduce.entry import Entry
+from twin.study.reproduce.fields import far_away
 from twin.study.reproduce.record import Outcome, Record, causes, over
 
 PILLAR_N = 3.0
@@ -85,7 +86,7 @@ def _figure_9(bench: Bench) -> Outcome:
     off = {
         "tracker: this project's instead of the paper's": rig.seen(state, method="soft-window"),
         "noise off": _seen(bench, {"ccd.noise": False}),
-        "lens: from far away (50 times the distance)": _seen(bench, _far(rig)),
+        "lens: seen from far away": _seen(bench, far_away(rig)),
     }
     heavy = PILLAR_N * 10.0 / largest(found[0])
     records = (
@@ -117,17 +118,6 @@ def _figure_9(bench: Bench) -> Outcome:
         "this pillar."
     )
     return Outcome(records=records, panels=(panel,), notes=(note,))
-
-
-def _far(rig: Rig) -> dict[str, object]:
-    camera, body = rig.scene.camera, rig.scene.body
-    assert camera is not None
-    x, y, z = camera.pupil_mm
-    away = z - body.base_z_mm
-    return {
-        "camera.pupil_mm": [x, y, body.base_z_mm + 50 * away],
-        "camera.focal_px": camera.focal_px * (50 * away + body.base_z_mm) / z,
-    }
 
 
 def _seen(bench: Bench, overrides: dict[str, object]) -> Found:

@@ -80,6 +80,8 @@ class Record:
         """Agreement with the paper: agrees, explained by the cause that closes the gap best, or not explained."""
         if self.paper is None:
             return "the paper gives no number"
+        if self.timed:
+            return "a time of another machine"
         if not np.isfinite(self.twin):
             return "not defined in the twin"
         gap = abs(self.twin - self.paper)

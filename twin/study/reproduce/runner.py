@@ -188,7 +188,7 @@ def _lines(out: Path, wanted: Sequence[Entry], seed: int, quick: bool, failed: d
         if table is None:
             lines.append(f"{entry.name:22s} failed: {failed.get(entry.name, 'not run')}")
             continue
-        compared = [r for r in table["records"] if r["paper"] is not None]
+        compared = [r for r in table["records"] if r["paper"] is not None and not r["timed"]]
         agreeing = sum(r["verdict"] == "agrees" for r in compared)
         explained = sum("explained by:" in r["verdict"] for r in compared)
         told = (

@@ -1,0 +1,87 @@
+"""The transfer matrix of the finger from 75 presses, as Sato measured it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Floats
+from twin.sense.calibration import Calibration
+from twin.show.panels import Curve, CurvePanel
+from twin.study.calibrate import calibrate_by_presses
+from twin.study.reproduce.bench import Bench
+from twin.study.reproduce.entry import Entry
+from twin.study.reproduce.record import Outcome, Record, causes
+
+
+def site_errors(made: Calibration, wanted: Calibration) -> Floats:
+    """Return (k,) the relative difference of two transfer matrices by site."""
+    sites = len(made.site_mm)
+    known = np.isfinite(made.transfer).all(axis=1) & np.isfinite(wanted.transfer).all(axis=1)
+    one, other = (c.transfer[known].reshape(-1, sites, 3).transpose(1, 0, 2) for c in (made, wanted))
+    return np.asarray(np.linalg.norm(one - other, axis=(1, 2)) / np.linalg.norm(other, axis=(1, 2)))
+
+
+def _calibration(bench: Bench) -> Outcome:
+    """Calibrate, and calibrate again with one source of error off; every press is solved once."""
+    rig = bench.rig("sato")
+    made = calibrate_by_presses(rig.sensor)
+    bench.progress("once more without errors", 0.8)
+    exact = calibrate_by_presses(
+        bench.rig(
+            "sato", overrides={"ccd.preset": "ideal", "calibration.load_cell_n": 0.0, "tracking.method": "soft-window"}
+        ).sensor
+    )
+    off: dict[str, dict[str, Any]] = {
+        "noise of the picture off": {"ccd.noise": False},
+        "noise of the load cell off": {"calibration.load_cell_n": 0.0},
+        "tracker: this project's instead of the paper's": {"tracking.method": "soft-window"},
+    }
+    variants = {}
+    for number, (name, overrides) in enumerate(off.items()):
+        bench.progress(name, 0.85 + 0.05 * number)
+        variants[name] = site_errors(calibrate_by_presses(bench.rig("sato", overrides=overrides).sensor), exact)
+    errors = site_errors(made, exact)
+    variants["drawing instead of presses: the nominal finger's compliance"] = site_errors(
+        bench.rig("sato", overrides={"calibration.method": "compliance"}).calibration, exact
+    )
+    columns = made.transfer[np.isfinite(made.transfer).all(axis=1)]
+    grid = made.grid
+    at = np.arange(len(errors)).reshape(grid)
+    edge = np.unique(np.concatenate([at[0], at[-1], at[:, 0], at[:, -1]]))
+    middle = np.setdiff1d(at.ravel(), edge)
+    records = (
+        Record(quantity="presses", unit="", paper=75.0, twin=3.0 * len(made.site_mm)),
+        Record(
+            quantity="error of H at the nine inner points, against the same presses without noise", unit="",
+            twin=float(errors[middle].mean()), spread=float(errors[middle].std(ddof=1)), n=len(middle),
+            explained_by=causes({name: float(e[middle].mean()) for name, e in variants.items()}),
+        ),
+        Record(
+            quantity="error of H at the sixteen points of the edge", unit="",
+            twin=float(errors[edge].mean()), spread=float(errors[edge].std(ddof=1)), n=len(edge),
+            explained_by=causes({name: float(e[edge].mean()) for name, e in variants.items()}),
+        ),
+        Record(quantity="condition number of H", unit="", twin=float(np.linalg.cond(columns))),
+        Record(quantity="noise of a shift, as the tracker has it", unit="px", twin=made.noise_px),
+    )  # fmt: skip
+    curves = [
+        Curve(label=name, x=np.arange(float(len(e))), y=np.sort(e), style="o-")
+        for name, e in {"as published": errors, **variants}.items()
+    ]
+    panel = CurvePanel(
+        title="Error of H by site, sorted", curves=curves, across="site", up="error over its size", logarithmic=True
+    )
+    return Outcome(records=records, panels=(panel,))
+
+
+CALIBRATION = Entry(
+    name="sato/calibration",
+    title="The conversion matrix H from 25 presses in three directions",
+    source="Sato, section II C, equations 3 to 5, and Figs. 4 and 5",
+    protocol="A 3 mm sphere presses each of 25 points with 100 gf along z, then moves along x, then along y; "
+    "pictures with "
+    "noise, forces from a load cell with noise; h = u f^-1.",
+    run=_calibration,
+)
