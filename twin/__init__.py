@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from twin.errors import TwinError
     from twin.parts.load import Load, Traction
-    from twin.parts.press import Cylinder, Pillar, Press, Sphere, Step
+    from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step, Stl
     from twin.parts.scene import Scene
     from twin.sense.calibration import Calibration, read_calibration
     from twin.sense.reconstruct import reconstruct
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Calibration": "twin.sense.calibration",
+    "Cone": "twin.parts.press",
     "Cylinder": "twin.parts.press",
     "Load": "twin.parts.load",
     "Pillar": "twin.parts.press",
@@ -30,6 +31,7 @@ _HOMES = {
     "Sensor": "twin.study.sensor",
     "Sphere": "twin.parts.press",
     "Step": "twin.parts.press",
+    "Stl": "twin.parts.press",
     "Traction": "twin.parts.load",
     "TwinError": "twin.errors",
     "load_scene": "twin.study.recipe",
@@ -41,6 +43,7 @@ _HOMES = {
 
 __all__ = [
     "Calibration",
+    "Cone",
     "Cylinder",
     "Load",
     "Pillar",
@@ -49,6 +52,7 @@ __all__ = [
     "Sensor",
     "Sphere",
     "Step",
+    "Stl",
     "Traction",
     "TwinError",
     "load_scene",

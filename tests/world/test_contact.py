@@ -307,7 +307,7 @@ FREE = (Step(force_n=(0, 0, 0.5)),)
         (BLOCK, ContactError, "sinks in", Press(probe=Sphere(diameter_mm=3), force_n=(0, 0, 50))),
         (BLOCK, ContactError, "sinks in", Press(probe=Pillar(width_mm=5), friction=STUCK, indentation_mm=25)),
         (BLOCK, ContactError, "along x can't be balanced", Press(probe=Sphere(diameter_mm=3), force_n=(0.1, 0, 1))),
-        (BLOCK, ContactError, "torque can't be balanced",
+        (BLOCK, ContactError, "torque about z can't be balanced",
          Press(probe=Pillar(width_mm=3), steps=(Step(force_n={"z": 1.0}, torque_nmm=1.0),))),
         (BLOCK, InputError, "can't pull",
          Press(probe=Sphere(diameter_mm=3), steps=(down(0.1), Step(force_n={"z": -0.1})))),

@@ -8,17 +8,23 @@ Validity: a surface that passes may still cut through itself; the mesher's volum
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
 from twin.arrays import Floats, Ints, Points, frozen
 from twin.errors import InputError
+from twin.geometry.stl import read_triangles
 
 SIZE_MM = (5.0, 500.0)
 """Allowed longest side of the box around a body, mm."""
 
+PROBE_SIZE_MM = (0.1, 1000.0)
+"""Allowed longest side of the box around a probe, mm."""
+
 THINNEST_MM = 0.5
-"""Least mean thickness, twice the volume over the surface, mm."""
+"""Least mean thickness of a body, twice the volume over the surface, mm; of a probe less by its smaller least size."""
 
 _WELD = 1e-6
 """Corners nearer than this share of the box's diagonal are one, where exact equality leaves the surface open."""
@@ -43,7 +49,29 @@ class Surface:
     volume_mm3: float
 
 
-def closed_surface(corners: Floats, name: str) -> Surface:
+def read_surface(file: str, size_mm: tuple[float, float] = SIZE_MM) -> Surface:
+    """Return the checked surface of an STL file, which is kept while the file stays as it is.
+
+    Raises
+    ------
+    InputError
+        The file can't be read, or see `closed_surface`.
+    """
+    path = Path(file)
+    try:
+        state = path.stat()
+    except OSError as problem:
+        raise InputError(f"{path.name}: can't be read ({problem.strerror}); check the path") from None
+    return _read_once(file, size_mm, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=8)
+def _read_once(file: str, size_mm: tuple[float, float], _changed: int, _size: int) -> Surface:
+    path = Path(file)
+    return closed_surface(read_triangles(path), path.name, size_mm)
+
+
+def closed_surface(corners: Floats, name: str, size_mm: tuple[float, float] = SIZE_MM) -> Surface:
     """Weld triangles (m, 3, 3) into a closed surface.
 
     Raises
@@ -53,9 +81,9 @@ def closed_surface(corners: Floats, name: str) -> Surface:
         says in the message whose surface it is.
     """
     size = float(np.max(np.ptp(corners.reshape(-1, 3), axis=0)))
-    if not SIZE_MM[0] <= size <= SIZE_MM[1]:
+    if not size_mm[0] <= size <= size_mm[1]:
         raise InputError(
-            f"{name}: the longest side is {size:.6g} mm (allowed: {SIZE_MM[0]:g} to {SIZE_MM[1]:g} mm); STL files "
+            f"{name}: the longest side is {size:.6g} mm (allowed: {size_mm[0]:g} to {size_mm[1]:g} mm); STL files "
             "carry no unit: export it in millimetres"
         )
     vertices, triangles = _welded(corners, 0.0)
@@ -80,10 +108,11 @@ def closed_surface(corners: Floats, name: str) -> Surface:
             "and export it anew"
         )
     thickness = 4.0 * volume / float(double_area.sum())
-    if thickness < THINNEST_MM:
+    thinnest = THINNEST_MM * size_mm[0] / SIZE_MM[0]
+    if thickness < thinnest:
         raise InputError(
             f"{name}: the mean thickness (twice the volume over the surface) is {thickness:.3g} mm (allowed: at least "
-            f"{THINNEST_MM:g} mm); a shell is no body: close it into a solid one"
+            f"{thinnest:g} mm); a shell is no body: close it into a solid one"
         )
     return Surface(vertices=frozen(vertices), triangles=frozen(triangles), volume_mm3=volume)
 

@@ -96,6 +96,98 @@ def first_from_below(tree: BoxTree, xy: Floats, preferred: np.ndarray) -> tuple[
     return np.where(triangle >= 0, tree.original[triangle], -1), z
 
 
+def first_along(tree: BoxTree, points: Points, along: Floats) -> tuple[Ints, Floats]:
+    """Return the triangle (n,) met first by the whole lines through (n, 3) ``points`` along (n, 3) ``along``.
+
+    -1 for none; and how many times ``along`` it lies from the point (n,), which may be negative.
+    """
+    triangle, times = np.full(len(points), -1), np.full(len(points), np.inf)
+    _pierce(
+        np.ascontiguousarray(points, np.float64), np.ascontiguousarray(along, np.float64), tree.corners, tree.low,
+        tree.high, tree.first, tree.second, triangle, times,
+    )  # fmt: skip
+    return np.where(triangle >= 0, tree.original[triangle], -1), times
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _enters(point: Floats, along: Floats, low: Floats, high: Floats) -> float:
+    """Return where a line enters a box, inf where it misses it."""
+    start, end = -np.inf, np.inf
+    for i in range(3):
+        slack = 1e-9 * (1.0 + abs(point[i]))
+        if abs(along[i]) < 1e-15:
+            if point[i] < low[i] - slack or point[i] > high[i] + slack:
+                return np.inf
+            continue
+        one, other = (low[i] - slack - point[i]) / along[i], (high[i] + slack - point[i]) / along[i]
+        start, end = max(start, min(one, other)), min(end, max(one, other))
+    return start if start <= end else np.inf
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _pierce(
+    points: Points, along: Floats, corners: Floats, low: Floats, high: Floats, first: Ints, second: Ints,
+    triangle: Ints, times: Floats,
+) -> None:  # fmt: skip
+    """Moeller and Trumbore's intersection, over the boxes that a line meets."""
+    stack = np.empty(_STACK, np.int64)
+    for q in range(len(points)):
+        depth, stack[0] = 1, 0
+        while depth > 0:
+            depth -= 1
+            box = stack[depth]
+            if not _enters(points[q], along[q], low[box], high[box]) < times[q]:
+                continue
+            if second[box] >= 0:
+                stack[depth], stack[depth + 1] = first[box], second[box]
+                depth += 2
+                continue
+            for t in range(first[box], first[box] - second[box]):
+                one, other = corners[t, 1] - corners[t, 0], corners[t, 2] - corners[t, 0]
+                normal = np.array(
+                    [
+                        one[1] * other[2] - one[2] * other[1],
+                        one[2] * other[0] - one[0] * other[2],
+                        one[0] * other[1] - one[1] * other[0],
+                    ]
+                )
+                size = np.sum(normal * along[q])
+                if abs(size) <= 1e-12 * np.sqrt(np.sum(normal**2) * np.sum(along[q] ** 2)):
+                    continue
+                away = corners[t, 0] - points[q]
+                time = np.sum(normal * away) / size
+                foot = points[q] + time * along[q] - corners[t, 0]
+                squared = np.sum(normal**2)
+                u = (
+                    np.sum(
+                        normal
+                        * np.array(
+                            [
+                                foot[1] * other[2] - foot[2] * other[1],
+                                foot[2] * other[0] - foot[0] * other[2],
+                                foot[0] * other[1] - foot[1] * other[0],
+                            ]
+                        )
+                    )
+                    / squared
+                )
+                v = (
+                    np.sum(
+                        normal
+                        * np.array(
+                            [
+                                one[1] * foot[2] - one[2] * foot[1],
+                                one[2] * foot[0] - one[0] * foot[2],
+                                one[0] * foot[1] - one[1] * foot[0],
+                            ]
+                        )
+                    )
+                    / squared
+                )
+                if u >= -1e-9 and v >= -1e-9 and u + v <= 1.0 + 1e-9 and time < times[q]:
+                    times[q], triangle[q] = time, t
+
+
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _to_box(point: Floats, low: Floats, high: Floats) -> float:
     squared = 0.0

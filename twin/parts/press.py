@@ -1,51 +1,34 @@
 """Presses: a rigid probe and the path it takes, held by force or by motion.
 
-Each of the degrees of freedom x, y, z and the turn about z is controlled in every step either by force (torque) or by
-motion. A component that is given in ``force_n`` is held by force, one in ``move_mm`` by motion, and one in neither
-stays where it is.
+Each of the six degrees of freedom, along and about x, y and z, is controlled in every step either by force (torque) or
+by motion. A component that is given in ``force_n`` or ``torque_nmm`` is held by force, one in ``move_mm`` or
+``turn_deg`` by motion, and one in neither stays where it is.
+
+Components count along the global axes; with ``axes = "probe"`` along the probe's own, whose z is its direction of
+approach (`Press.frame`). A probe that comes along a global axis can be controlled in either; one that comes obliquely
+and is held by force in some directions and by motion in others needs its own axes.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
+import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from twin.arrays import Floats
 from twin.parts.part import Part
+from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere, Stl
+
+__all__ = ["Cone", "Cylinder", "Pillar", "Press", "Probe", "Sphere", "Step", "Stl"]
 
 Component = float | None
 Triple = tuple[Component, Component, Component]
+Vector = tuple[float, float, float]
 
-
-class Sphere(Part):
-    """A rigid sphere."""
-
-    kind: Literal["sphere"] = "sphere"
-    diameter_mm: float = Field(gt=0, le=1000)
-
-
-class Cylinder(Part):
-    """A rigid flat-ended cylinder, its axis along z."""
-
-    kind: Literal["cylinder"] = "cylinder"
-    diameter_mm: float = Field(gt=0, le=1000)
-
-
-class Pillar(Part):
-    """A rigid flat-ended pillar of ``width_mm`` along x and ``length_mm`` along y (a square one if not given)."""
-
-    kind: Literal["pillar"] = "pillar"
-    width_mm: float = Field(gt=0, le=1000)
-    length_mm: float | None = Field(default=None, gt=0, le=1000)
-
-    @property
-    def size_mm(self) -> tuple[float, float]:
-        """Extents along x and y, mm."""
-        return self.width_mm, self.length_mm if self.length_mm is not None else self.width_mm
-
-
-Probe = Annotated[Sphere | Cylinder | Pillar, Field(discriminator="kind")]
+LARGEST_TURN_DEG = 60.0
+"""How far a probe may be tilted against its direction of approach."""
 
 
 def _triple(value: Any) -> Any:
@@ -67,64 +50,120 @@ class Step(Part):
     move_mm
         Motion of the probe during this step, mm, same form.
     torque_nmm
-        Total torque about the probe's axis (z through its place), N mm, positive from x to y.
+        Total torque about the probe's place, N mm, positive from x to y: one number is about z, or a table or three
+        numbers as above.
     turn_deg
-        Turn about that axis during this step, degrees.
+        Turn about that place during this step, degrees, same form. Turns about x and y are small ones
+        (`twin.world.gap`).
     """
 
     force_n: Triple = (None, None, None)
     move_mm: Triple = (None, None, None)
-    torque_nmm: float | None = None
-    turn_deg: float | None = None
+    torque_nmm: float | Triple | None = None
+    turn_deg: float | Triple | None = None
 
-    _tables = field_validator("force_n", "move_mm", mode="before")(_triple)
+    _tables = field_validator("force_n", "move_mm", "torque_nmm", "turn_deg", mode="before")(_triple)
 
     @model_validator(mode="after")
     def _one_control_each(self) -> Step:
         for axis, force, move in zip("xyz", self.force_n, self.move_mm, strict=True):
             if force is not None and move is not None:
                 raise ValueError(f"{axis} is given both as force_n and as move_mm: hold it by one of them")
-        if self.torque_nmm is not None and self.turn_deg is not None:
-            raise ValueError("torque_nmm and turn_deg are both given: hold the turn by one of them")
+        for axis, torque, turn in zip("xyz", self.torques_nmm, self.turns_deg, strict=True):
+            if torque is not None and turn is not None:
+                raise ValueError(f"torque_nmm and turn_deg are both given about {axis}: hold the turn by one of them")
         return self
+
+    @property
+    def torques_nmm(self) -> Triple:
+        """Torques about x, y and z."""
+        return _about_z(self.torque_nmm)
+
+    @property
+    def turns_deg(self) -> Triple:
+        """Turns about x, y and z."""
+        return _about_z(self.turn_deg)
+
+    @property
+    def by_force(self) -> tuple[bool, ...]:
+        """For motion along and turns about x, y and z: whether force or torque holds it."""
+        return tuple(value is not None for value in (*self.force_n, *self.torques_nmm))
+
+    @property
+    def given(self) -> tuple[float, ...]:
+        """The same six: the force (torque) where it holds, else the motion in mm (the turn in radians)."""
+        forces = (*self.force_n, *self.torques_nmm)
+        moves = [m or 0.0 for m in self.move_mm] + [math.radians(t or 0.0) for t in self.turns_deg]
+        return tuple(m if f is None else f for f, m in zip(forces, moves, strict=True))
+
+
+def _about_z(value: float | Triple | None) -> Triple:
+    return value if isinstance(value, tuple) else (None, None, value)
+
+
+def frame_of(direction: Vector) -> Floats:
+    """Return the (3, 3) axes, as rows, of a probe that comes along a direction: its own x, y and z.
+
+    x is the global x made perpendicular to z; where the probe comes along the global x, it is the global y.
+    """
+    along = np.array(direction, float) / np.linalg.norm(direction)
+    first = np.array([1.0, 0.0, 0.0]) if abs(along[0]) < 0.999 else np.array([0.0, 1.0, 0.0])
+    first = first - (first @ along) * along
+    first = first / np.linalg.norm(first)
+    return np.stack([first, np.cross(along, first), along])
 
 
 class Press(Part):
-    """A probe at a place, taken along a path.
+    """A probe at a place, taken along a path; further probes may be pressed along with it.
 
     Attributes
     ----------
     probe
         The rigid probe.
     at_mm
-        (x, y) of the probe's axis; it comes from -z.
-    steps
-        The path. ``force_n`` (three numbers) or ``indentation_mm`` (a motion along z from first touch) are shorthand
-        for a path of one step; without friction a side force of 0 there means that the probe is guided along z.
+        (x, y), the sensing surface met there from -z, or (x, y, z), a place on it: where the probe's axis passes.
     direction
-        Way of approach; None is +z, the only one until the contact solver takes others.
+        Way of approach: None is +z, any vector, or ``normal`` for the surface's inward normal at the place.
+    tilt_deg
+        Turn of the probe against its direction of approach before it comes: about its own x, then y, then z.
+    axes
+        Axes of the components in the steps: ``global``, or the ``probe``'s own (`frame`).
+    steps
+        The path. ``force_n`` (three numbers) or ``indentation_mm`` (a motion along the direction from first touch) are
+        shorthand for a path of one step; without friction a side force of 0 there means that the probe is guided.
     friction
         Coulomb's coefficient mu, the same at rest and in motion: a patch carries at most mu times its normal force
         sideways, and slips when it would need more. 0 is frictionless, inf sticks whatever the force.
+    also
+        Further presses at the same time, with probes, places and paths of their own, of as many steps as this one.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True, validate_default=True)
 
     probe: Probe
-    at_mm: tuple[float, float] = (0.0, 0.0)
+    at_mm: tuple[float, float] | Vector = (0.0, 0.0)
+    direction: Vector | Literal["normal"] | None = None
+    tilt_deg: Vector = (0.0, 0.0, 0.0)
+    axes: Literal["global", "probe"] = "global"
     steps: tuple[Step, ...] = ()
     force_n: Triple | None = None
     indentation_mm: float | None = None
-    direction: tuple[float, float, float] | None = None
     friction: float = 0.0
+    also: tuple[Press, ...] = Field(default=(), max_length=7)
 
     _tables = field_validator("force_n", mode="before")(_triple)
 
+    @field_validator("tilt_deg", mode="before")
+    @classmethod
+    def _tilt_table(cls, value: Any) -> Any:
+        found = _triple(value)
+        return tuple(part or 0.0 for part in found) if isinstance(value, dict) else found
+
     @field_validator("direction")
     @classmethod
-    def _along_z(cls, value: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
-        if value is not None and value != (0.0, 0.0, 1.0):
-            raise ValueError("allowed is (0, 0, 1), along z, or nothing")
+    def _points_somewhere(cls, value: Vector | str | None) -> Vector | str | None:
+        if isinstance(value, tuple) and not (all(math.isfinite(c) for c in value) and any(value)):
+            raise ValueError("must be three finite numbers, not all 0, or 'normal'")
         return value
 
     @field_validator("friction")
@@ -136,24 +175,39 @@ class Press(Part):
 
     @model_validator(mode="after")
     def _one_path(self) -> Press:
-        numbers = (*self.at_mm, self.indentation_mm or 0.0, *(f or 0.0 for f in self.force_n or ()))
-        if not all(math.isfinite(n) for n in numbers):
-            raise ValueError("at_mm, force_n and indentation_mm must be finite")
         given = [bool(self.steps), self.force_n is not None, self.indentation_mm is not None]
         if sum(given) != 1:
             raise ValueError("give exactly one of steps, force_n and indentation_mm")
+        numbers = [*self.at_mm, *self.tilt_deg, self.indentation_mm or 0.0, *(f or 0.0 for f in self.force_n or ())]
+        numbers += [number for step in self.steps for number in step.given]
+        if not all(math.isfinite(n) for n in numbers):
+            raise ValueError("at_mm, tilt_deg, force_n, indentation_mm and the numbers of the steps must be finite")
+        if max(map(abs, self.tilt_deg[:2])) > LARGEST_TURN_DEG:
+            raise ValueError(
+                f"tilt_deg = {self.tilt_deg} deg: allowed are up to {LARGEST_TURN_DEG:g} about x and y; change "
+                "direction instead"
+            )
         if self.indentation_mm is not None and self.indentation_mm <= 0:
             raise ValueError("indentation_mm must be greater than 0: a push is +z")
-        first = self.path[0]
-        if first.force_n[2] is not None and first.force_n[2] <= 0:
-            raise ValueError("the first step's force along z must be greater than 0: a push is +z")
-        if first.force_n[2] is None and (first.move_mm[2] is None or first.move_mm[2] <= 0):
-            raise ValueError("the first step must push: force_n.z > 0 or move_mm.z > 0")
+        if self.direction != "normal":
+            self.in_own_axes(frame_of(self.direction or (0.0, 0.0, 1.0)))
+        return self
+
+    @model_validator(mode="after")
+    def _others_fit(self) -> Press:
+        for number, other in enumerate(self.also, start=1):
+            if other.also:
+                raise ValueError(f"also {number} has further presses itself: list them all in the first one")
+            if len(other.path) != len(self.path):
+                raise ValueError(
+                    f"also {number} has {len(other.path)} steps, the first press {len(self.path)}: they are taken at "
+                    "the same time, so give each as many (an empty step holds the probe where it is)"
+                )
         return self
 
     @property
     def path(self) -> tuple[Step, ...]:
-        """The steps, shorthand spelt out."""
+        """The steps, shorthand spelt out; that of ``indentation_mm`` along the probe's own z."""
         if self.steps:
             return self.steps
         if self.indentation_mm is not None:
@@ -162,3 +216,54 @@ class Press(Part):
         if self.friction == 0.0:  # a frictionless probe can't be steered by forces: no side force means guided
             fx, fy = fx or None, fy or None
         return (Step(force_n=(fx, fy, fz)),)
+
+    def in_own_axes(self, frame: Floats) -> tuple[tuple[tuple[bool, ...], tuple[float, ...]], ...]:
+        """Return (by_force, given) of every step along the probe's own axes (see `Step`).
+
+        Parameters
+        ----------
+        frame
+            (3, 3) the probe's own axes, as rows (`frame_of`).
+
+        Raises
+        ------
+        ValueError
+            The first step doesn't push, or oblique axes mix what is held by force and by motion.
+        """
+        found = []
+        for number, step in enumerate(self.path, start=1):
+            by_force, given = np.array(step.by_force), np.array(step.given)
+            if self.force_n is not None and self.friction == 0.0 and self.axes == "global":
+                force = frame @ given[:3]  # guided wherever it isn't pushed
+                by_force[:3] = np.abs(force) > 1e-12 * np.linalg.norm(force)
+                given[:3] = np.where(by_force[:3], force, 0.0)
+            elif self.axes == "global" and self.indentation_mm is None:
+                by_force, given = _turned(by_force, given, frame, f"step {number}")
+            pushed = float(given[2])
+            if number == 1 and not pushed > 0.0:
+                push = "a push is +z" if frame[2, 2] == 1.0 else "along the direction of approach"
+                if by_force[2]:
+                    raise ValueError(f"the first step's force along z must be greater than 0: {push}")
+                raise ValueError(f"the first step must push: force_n.z > 0 or move_mm.z > 0; {push}")
+            found.append((tuple(map(bool, by_force)), tuple(map(float, given))))
+        return tuple(found)
+
+
+def _turned(by_force: np.ndarray, given: Floats, frame: Floats, what: str) -> tuple[np.ndarray, Floats]:
+    """Return a step's controls along other axes."""
+    forced, values = by_force.copy(), given.copy()
+    for part, words in ((slice(0, 3), "force_n and move_mm"), (slice(3, 6), "torque_nmm and turn_deg")):
+        held, numbers = by_force[part], given[part]
+        for axis, row in enumerate(frame):
+            used = np.abs(row) > 1e-12
+            if held[used].all() or not held[used].any():
+                forced[part][axis] = held[used].all()
+                values[part][axis] = row @ numbers
+                continue
+            force, motion = row @ np.where(held, numbers, 0.0), row @ np.where(held, 0.0, numbers)
+            raise ValueError(
+                f"{what}: the probe comes obliquely, and {words} hold some of x, y and z by force and others by motion "
+                f"(along its own axis {axis + 1}: {force:g} and {motion:g}); give all three by one of them, or set "
+                'axes = "probe"'
+            )
+    return forced, values

@@ -14,7 +14,7 @@ the x, y plane, not along a slope. Sharp edges inside the sensing region are rou
 from __future__ import annotations
 
 import hashlib
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -135,8 +135,10 @@ class Solid(Body):
     @field_validator("file")
     @classmethod
     def _is_a_closed_surface(cls, file: str) -> str:
+        from twin.geometry.closed import read_surface
+
         try:
-            _read(file)
+            read_surface(file)
         except InputError as problem:
             raise ValueError(str(problem)) from None
         return file
@@ -187,9 +189,9 @@ class Solid(Body):
 
     @cached_property
     def _surface(self) -> Surface:
-        from twin.geometry.closed import Surface
+        from twin.geometry.closed import Surface, read_surface
 
-        read = _read(self.file)
+        read = read_surface(self.file)
         moved = frozen(read.vertices - self.origin_mm)
         return Surface(vertices=moved, triangles=read.triangles, volume_mm3=read.volume_mm3)
 
@@ -284,25 +286,6 @@ class Solid(Body):
     @property
     def volume_mm3(self) -> float:
         return self._surface.volume_mm3
-
-
-def _read(file: str) -> Surface:
-    """Return the checked surface of a file, which is kept while the file stays as it is."""
-    path = Path(file)
-    try:
-        state = path.stat()
-    except OSError as problem:
-        raise InputError(f"{path.name}: can't be read ({problem.strerror}); check the path") from None
-    return _read_once(file, state.st_mtime_ns, state.st_size)
-
-
-@lru_cache(maxsize=4)
-def _read_once(file: str, _changed: int, _size: int) -> Surface:
-    from twin.geometry.closed import closed_surface
-    from twin.geometry.stl import read_triangles
-
-    path = Path(file)
-    return closed_surface(read_triangles(path), path.name)
 
 
 def _told(place: Any) -> str:

@@ -23,7 +23,7 @@ from twin.study.complaints import complaints
 PROVENANCE = ("source", "assumed")
 ALTERNATIVES = ("steps", "force_n", "indentation_mm")
 """Ways to give a press its path: one of them replaces the others."""
-VECTORS = ("force_n", "move_mm")
+VECTORS = ("force_n", "move_mm", "torque_nmm", "turn_deg")
 """Keys whose value may be a table of components."""
 
 Table = dict[str, Any]
@@ -62,6 +62,7 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
         table = _merge(below, {**table, "body": {k: v for k, v in body.items() if k != "recipe"}})
     _find_calibration(table, path)
     _find_solid(table, folders, path)
+    _find_probes(table, path)
     return validate_scene(table, str(path))
 
 
@@ -94,6 +95,32 @@ def _find_solid(table: Table, folders: list[Path], path: Path) -> None:
     raise RecipeError(
         f"body.file = '{body['file']}': there is no such file beside the recipe; check the path", str(path)
     )
+
+
+def _find_probes(table: Table, path: Path) -> None:
+    """Make the paths of probes' own files absolute: they are relative to the recipe."""
+    press = table.get("press")
+    if not isinstance(press, dict):
+        return
+    also = press.get("also")
+    table["press"] = {
+        **press,
+        **({"also": [_found_probe(p, path, "also.") for p in also]} if isinstance(also, list) else {}),
+    }
+    table["press"] = _found_probe(table["press"], path, "")
+
+
+def _found_probe(press: Any, path: Path, which: str) -> Any:
+    probe = press.get("probe") if isinstance(press, dict) else None
+    if not isinstance(probe, dict) or probe.get("kind") != "stl" or not isinstance(probe.get("file"), str):
+        return press
+    found = path.parent / probe["file"]
+    if not found.is_file():
+        raise RecipeError(
+            f"press.{which}probe.file = '{probe['file']}': there is no such file beside the recipe; check the path",
+            str(path),
+        )
+    return {**press, "probe": {**probe, "file": str(found.resolve())}}
 
 
 def validate_scene(table: Table, where: str) -> Scene:

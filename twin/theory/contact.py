@@ -121,6 +121,39 @@ def punch_pressure(distance_mm: Floats, radius_mm: float, force_n: float) -> Flo
     return np.asarray(force_n / (2.0 * math.pi * radius_mm * np.sqrt(safe)))
 
 
+def cone_force(contact_radius_mm: float, apex_deg: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return F = (pi / 2) E* a^2 cot(alpha), N, of a frictionless cone of full apex angle 2 alpha.
+
+    Notes
+    -----
+    Johnson 1985, section 5.2, after Love and Sneddon; its indentation is `cone_indentation`. Validity: blunt cones, as
+    the linear theory takes the slope cot(alpha) for small.
+    """
+    slope = 1.0 / math.tan(math.radians(apex_deg / 2))
+    return math.pi / 2 * plane_strain_modulus(youngs_modulus_mpa, poisson_ratio) * contact_radius_mm**2 * slope
+
+
+def cone_contact_radius(force_n: float, apex_deg: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return the contact radius, mm, of a cone under a force: `cone_force` solved for it."""
+    return math.sqrt(force_n / cone_force(1.0, apex_deg, youngs_modulus_mpa, poisson_ratio))
+
+
+def cone_indentation(contact_radius_mm: float, apex_deg: float) -> float:
+    """Return (pi / 2) a cot(alpha), mm, the approach of a cone from first touch (Johnson 1985, section 5.2)."""
+    return math.pi / 2 * contact_radius_mm / math.tan(math.radians(apex_deg / 2))
+
+
+def rocking_stiffness(radius_mm: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+    """Return M / angle = 4 E* a^3 / 3, N mm per radian, of a frictionless flat-ended cylinder that is tilted.
+
+    Notes
+    -----
+    Johnson 1985, section 3.3: a pressure proportional to x / sqrt(a^2 - r^2) tilts the surface under it. Validity: the
+    whole face stays in contact, so the tilt is at most F / (2 a^2 E*).
+    """
+    return 4.0 / 3.0 * plane_strain_modulus(youngs_modulus_mpa, poisson_ratio) * radius_mm**3
+
+
 def square_punch_stiffness(side_mm: float, youngs_modulus_mpa: float, poisson_ratio: float) -> float:
     """Return F / d = 1.1523 E* side, N/mm, of a frictionless flat-ended square pillar.
 

@@ -15,8 +15,8 @@ import math
 import numpy as np
 
 from twin.arrays import Bools, Floats
-from twin.world.gap import Z
 
+Z = 2
 _MOTIONS = 4000
 
 
@@ -45,7 +45,7 @@ def asked_share(carried: Floats, normal_n: Floats, friction: float, by_force: Bo
     friction
         Coefficient of friction.
     by_force, given
-        (4,) which components are held by force, and the forces and the torque.
+        (4,) which of x, y, z and turn are held by force, and the forces and the torque.
 
     Returns
     -------

@@ -1,9 +1,9 @@
-"""A rigid probe presses a body along a path: from the press's description to forces on the surface.
+"""Rigid probes press a body along a path: from the press's description to forces on the surface.
 
-Without friction every state depends on the probe's place alone, so each step gets a grid of its own under the probe.
-With friction the history counts and one grid serves the whole path (`twin.world.friction`). The unilateral problem
-itself is in `twin.world.unilateral`, with Coulomb's friction in `twin.world.coulomb`, the probe's shape in
-`twin.world.gap`, the patches in `twin.world.patches`.
+Without friction every state depends on the probes' places alone, so each step gets grids of its own under them. With
+friction the history counts and one grid serves the whole path (`twin.world.friction`). The unilateral problem itself is
+in `twin.world.unilateral`, with Coulomb's friction in `twin.world.coulomb`, the probe's shape in
+`twin.world.probe_shape`, its place in `twin.world.gap`, the patches in `twin.world.patches`.
 
 Validity: linear elasticity, small turns and slopes; forces act along the normals of the undeformed surface. Every state
 says how far it strains that.
@@ -12,30 +12,21 @@ says how far it strains that.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twin.arrays import Floats
 from twin.errors import ContactError, InputError
 from twin.parts.body import Body
-from twin.parts.press import Press, Sphere, Step
+from twin.parts.press import Press
 from twin.world.contact_state import ContactState, lifted_state, touching_state
 from twin.world.friction import INCREMENTS, take_step
-from twin.world.friction_grid import FrictionGrid, Memory, at_first_touch, friction_grid, let_go
-from twin.world.gap import TURN, Z, approach, outline
-from twin.world.patches import Box, Patches, Plane
-from twin.world.region import (
-    Control,
-    Setting,
-    SurfaceCompliance,
-    check_inside,
-    check_somewhere,
-    find_contact,
-    fitted_patches,
-    solve_frictionless,
-    touch_at,
-)
+from twin.world.friction_grid import FrictionGrid, Memory, at_first_touch, let_go
+from twin.world.gap import ABOUT_X, ABOUT_Y, MOTIONS, X, Y, Z, approach_of, meeting, outline
+from twin.world.patches import Box, Plane
+from twin.world.region import check_inside, find_contact, fitted_patches, solve_frictionless
+from twin.world.together import Contacts, Control, Setting, SurfaceCompliance, all_controls, of_one, touch_at
 from twin.world.unilateral import Equilibrium
 
 __all__ = ["ContactState", "SurfaceCompliance", "press"]
@@ -43,6 +34,21 @@ __all__ = ["ContactState", "SurfaceCompliance", "press"]
 _ACROSS_RANGE = (6, 40)
 _TRIES = 8
 _SLIDE_WIDTHS = 1.0
+_OVERLAP = 0.02
+"""How far a patch may lie inside another probe, over the indentation: it is as wide as a patch is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    """Presses that are solved together: every probe, its friction, and its control in every step, in its own axes."""
+
+    settings: tuple[Setting, ...]
+    friction: Floats
+    steps: tuple[Control, ...]
+
+    @property
+    def everyone(self) -> range:
+        return range(len(self.settings))
 
 
 def press(
@@ -55,18 +61,18 @@ def press(
     poisson_ratio: float,
     increments: int = INCREMENTS,
 ) -> ContactState:
-    """Press a rigid probe on a body along a path.
+    """Press rigid probes on a body along a path.
 
     Parameters
     ----------
     press
-        Probe, place, path and friction.
+        Probe, place, path and friction, and those of further probes.
     body
         The undeformed body.
     compliance
         How its surface moves under forces on patches.
     patches_across
-        Contact patches across the contact.
+        Contact patches across each contact.
     youngs_modulus_mpa, poisson_ratio
         Of the body; only for the first guess of the contact's size and for the validity report.
     increments
@@ -79,51 +85,72 @@ def press(
     Raises
     ------
     InputError
-        The probe misses the body, a normal force pulls, or the number of patches is out of range.
+        A probe misses the body, a normal force pulls, or the number of patches is out of range.
     ContactError
-        There is no equilibrium, contact runs over the edge, the probe sinks in, or the solution does not converge.
+        There is no equilibrium, contact runs over the edge, a probe sinks in, or the solution does not converge.
     """
     low, high = _ACROSS_RANGE
     if not low <= patches_across <= high:
         raise InputError(f"contact: {patches_across} patches across the contact; allowed are {low} to {high}")
-    for number, step in enumerate(press.path, start=1):
-        normal_n = step.force_n[Z]
-        if normal_n is not None and normal_n < 0:
-            raise InputError(
-                f"press: step {number} asks for a normal force of {normal_n:g} N; allowed is 0 (lift off) or "
-                "more, as a probe can't pull"
-            )
-    setting = Setting(
-        body=body, compliance=compliance, first=approach(press.probe, body, press.at_mm), across=patches_across,
-        youngs_modulus_mpa=youngs_modulus_mpa, poisson_ratio=poisson_ratio,
+    presses = (press, *press.also)
+    settings = tuple(
+        Setting(
+            body=body, compliance=compliance, first=approach_of(one, body), across=patches_across,
+            youngs_modulus_mpa=youngs_modulus_mpa, poisson_ratio=poisson_ratio,
+        )
+        for one in presses
     )  # fmt: skip
-    _refuse_overhang(setting)
-    states = (
-        _frictionless_path(setting, press.path)
-        if press.friction == 0
-        else _rubbing_path(setting, press.path, press.friction, increments)
+    for setting in settings:
+        _refuse_overhang(setting)
+    job = _Job(
+        settings=settings, friction=np.array([one.friction for one in presses]), steps=_controls(presses, settings)
     )
+    states = _frictionless_path(job) if not job.friction.any() else _rubbing_path(job, increments)
     return replace(states[-1], path=tuple(states))
+
+
+def _controls(presses: tuple[Press, ...], settings: tuple[Setting, ...]) -> tuple[Control, ...]:
+    """Return every step's control; ``given`` holds motions since the step before, not places yet."""
+    try:
+        found = [one.in_own_axes(setting.first.axes) for one, setting in zip(presses, settings, strict=True)]
+    except ValueError as problem:
+        raise InputError(f"press: {problem}") from None
+    for steps in found:
+        for number, (by_force, given) in enumerate(steps, start=1):
+            if by_force[Z] and given[Z] < 0.0:
+                raise InputError(
+                    f"press: step {number} asks for a normal force of {given[Z]:g} N; allowed is 0 (lift off) or "
+                    "more, as a probe can't pull"
+                )
+    return tuple(
+        all_controls([Control(by_force=np.array(by_force), given=np.array(given)) for by_force, given in step])
+        for step in zip(*found, strict=True)
+    )
 
 
 def _refuse_overhang(setting: Setting) -> None:
     """Raise a ContactError where a flat face is bound to run over the edge of a flat surface."""
-    place = np.array(setting.first.axis_mm[:2])
-    under = setting.body.surface_from_above(place + outline(setting.probe))
-    missing = np.isnan(under[:, 2])
-    if missing.any() and not np.any(under[~missing, 2]):  # depth 0 all round: the surface is flat here
-        x, y = place
+    first = setting.first
+    under = first.axis_mm + outline(setting.probe) @ first.axes[:Z]
+    if not len(under) or first.axes[2, 2] != 1.0 or any(first.tilt_deg):
+        return
+    height, _ = meeting(setting.body, first.axes[2])(under)
+    missing = np.isnan(height)
+    if missing.any() and not np.any(np.abs(height[~missing]) > 1e-12):  # met all round at once: the surface is flat
         raise ContactError(
-            f"contact: the {setting.probe.kind} at ({x:g}, {y:g}) mm stands out over the edge of the sensing surface: "
+            f"contact: the {setting.name} stands out over the edge of the sensing surface: "
             "press further inside, or with a smaller probe"
         )
 
 
-def _control(step: Step, place: Floats) -> Control:
-    by_force = np.array([force is not None for force in (*step.force_n, step.torque_nmm)])
-    moves = [move or 0.0 for move in step.move_mm] + [math.radians(step.turn_deg or 0.0)]
-    forces = [force or 0.0 for force in (*step.force_n, step.torque_nmm)]
-    return Control(by_force=by_force, given=np.where(by_force, forces, place + moves))
+def _from(control: Control, place: Floats) -> Control:
+    """Return a step's control with its motions counted from a place."""
+    return replace(control, given=np.where(control.by_force, control.given, place + control.given))
+
+
+def _of(control: Control, number: int) -> Control:
+    motions = slice(MOTIONS * number, MOTIONS * (number + 1))
+    return Control(by_force=control.by_force[motions], given=control.given[motions])
 
 
 def _lifted(control: Control, touch_z: float) -> bool:
@@ -134,8 +161,9 @@ def _asks_nothing(control: Control) -> None:
     """Raise a ContactError when a lateral force or a torque is asked of a probe that touches nothing."""
     asked = np.where(control.by_force, control.given, 0.0)
     if asked.any():
+        torque = f"{asked[-1]:g}" if not asked[ABOUT_X:-1].any() else ", ".join(f"{t:g}" for t in asked[ABOUT_X:])
         raise ContactError(
-            f"contact: force ({', '.join(f'{f:g}' for f in asked[:3])}) N and torque {asked[TURN]:g} N mm are asked of "
+            f"contact: force ({', '.join(f'{f:g}' for f in asked[: Z + 1])}) N and torque {torque} N mm are asked of "
             "a probe that touches nothing at the end of the step: push along z as well"
         )
 
@@ -147,43 +175,91 @@ def _lifted_place(control: Control, place: Floats, touch_z: float) -> Floats:
     return moved
 
 
-def _frictionless_path(setting: Setting, path: tuple[Step, ...]) -> list[ContactState]:
-    place, states = np.zeros(4), []
-    for step in path:
-        control = _control(step, place)
-        plane, touch_z = touch_at(setting, np.where(control.by_force, place, control.given))
-        if _lifted(control, touch_z):
-            _asks_nothing(control)
-            place = _lifted_place(control, place, touch_z)
-            states.append(lifted_state(setting.probe, place))
-            continue
-        patches, found, touch_z = _frictionless(setting, control, place, plane, touch_z)
-        place = found.place
-        states.append(
-            touching_state(
-                setting.probe, setting.body, patches, found, touch_z_mm=touch_z, friction=0.0,
-                youngs_modulus_mpa=setting.youngs_modulus_mpa,
-            )
-        )  # fmt: skip
-    return states
+def _together(states: list[ContactState]) -> ContactState:
+    """Return the first probe's state with the load of all, and the other probes' states in it."""
+    first, *others = states
+    if not others:
+        return first
+    return replace(first, load=sum((other.load for other in others), first.load), also=tuple(others))
+
+
+def _frictionless_path(job: _Job) -> list[ContactState]:
+    place, path = np.zeros(MOTIONS * len(job.settings)), []
+    for step in job.steps:
+        control = _from(step, place)
+        places = list(place.reshape(-1, MOTIONS))
+        states: list[ContactState | None] = [None] * len(job.settings)
+        touching, starts, planes, touch_z = [], [], [], []
+        for number, setting in enumerate(job.settings):
+            own = _of(control, number)
+            plane, z = touch_at(setting, np.where(own.by_force, places[number], own.given))
+            if _lifted(own, z):
+                _asks_nothing(own)
+                places[number] = _lifted_place(own, places[number], z)
+                states[number] = lifted_state(setting, places[number])
+                continue
+            touching.append(number)
+            starts.append(places[number])
+            planes.append(plane)
+            touch_z.append(z)
+        if touching:
+            settings = tuple(job.settings[number] for number in touching)
+            controls = [_of(control, number) for number in touching]
+            contacts, found = _frictionless(settings, controls, starts, planes, touch_z)
+            for number, (setting, rows, motions), grid in zip(touching, contacts.rows, contacts.grids, strict=True):
+                own_found = of_one(found, rows, motions)
+                places[number] = own_found.place
+                states[number] = touching_state(
+                    setting, grid, own_found, touch_z_mm=touch_at(setting, own_found.place)[1], friction=0.0
+                )
+        place = np.concatenate(places)
+        path.append(_together([state for state in states if state is not None]))
+    return path
 
 
 def _frictionless(
-    setting: Setting, control: Control, place: Floats, plane: Plane, touch_z: float
-) -> tuple[Patches, Equilibrium, float]:
-    """Find the contact, cut the grid that fits it, and solve on it; the grid grows while contact reaches its border."""
-    contact, place = find_contact(setting, control, place, plane, touch_z)
+    settings: tuple[Setting, ...], controls: list[Control], places: list[Floats], planes: list[Plane],
+    touch_z: list[float],
+) -> tuple[Contacts, Equilibrium]:  # fmt: skip
+    """Find the contacts, cut the grids that fit them, and solve on these; a grid grows while its border is reached."""
+    boxes = []
+    for number, setting in enumerate(settings):
+        box, places[number] = find_contact(setting, controls[number], places[number], planes[number], touch_z[number])
+        boxes.append(box)
+    control, place = all_controls(controls), np.concatenate(places)
     for _ in range(_TRIES):
-        patches = fitted_patches(setting, plane, contact)
-        check_somewhere(setting, patches)
-        found = solve_frictionless(setting, patches, control, place, touch_z)
+        contacts = Contacts(settings, tuple(map(fitted_patches, settings, planes, boxes)))
+        found = solve_frictionless(contacts, control, place, np.array(touch_z))
         place = found.place
-        if not np.any(found.active & patches.border):
-            check_inside(setting, patches, found, float(place[Z]) - touch_z)
-            return patches, found, touch_at(setting, place)[1]
-        contact = _enlarged(contact, patches.bounds(found.active))
-        check_inside(setting, patches, found, float(place[Z]) - touch_z)
-    raise _no_grid(setting, contact)
+        grew = False
+        for number, (setting, rows, motions) in enumerate(contacts.rows):
+            grid, active = contacts.grids[number], found.active[rows]
+            if np.any(active & grid.border):
+                boxes[number], grew = _enlarged(boxes[number], grid.bounds(active)), True
+            check_inside(setting, grid, of_one(found, rows, motions), float(place[motions][Z]) - touch_z[number])
+        if not grew:
+            _refuse_overlap(contacts, found)
+            return contacts, found
+    raise _no_grid(settings[0], boxes[0])
+
+
+def _refuse_overlap(contacts: Contacts, found: Equilibrium) -> None:
+    """Raise a ContactError where one probe's patch would lie inside another probe."""
+    for number, (setting, _, motions) in enumerate(contacts.rows):
+        for other, (_, rows, _) in enumerate(contacts.rows):
+            active = found.active[rows]
+            if other == number or not active.any():
+                continue
+            grid = contacts.grids[other]
+            gap, _ = setting.first.gap(grid.centre_mm[active], grid.frames[active, 2], found.place[motions])
+            sunk = found.displacement_mm[rows][active, 2]
+            worst = int(np.argmin(gap + sunk))
+            if gap[worst] + sunk[worst] < -_OVERLAP * float(np.abs(sunk).max()):
+                place = ", ".join(f"{c:.3g}" for c in grid.centre_mm[active][worst])
+                raise ContactError(
+                    f"contact: the {setting.name} and the {contacts.settings[other].name} press on the same place of the "
+                    f"surface, near ({place}) mm: move them apart, or press one after the other"
+                )
 
 
 def _joined(one: Box, other: Box) -> Box:
@@ -203,20 +279,22 @@ def _no_grid(setting: Setting, contact: Box) -> ContactError:
     )
 
 
-def _largest_contact(setting: Setting, path: tuple[Step, ...], friction: float, plane: Plane, touch_z: float) -> Box:
-    """Return the box that holds the contact of every step, pressed without friction, where a sphere slides to.
+def _largest_contact(job: _Job, number: int, plane: Plane, touch_z: float) -> Box:
+    """Return the box that holds one probe's contact of every step, pressed without friction, where it slides to.
 
     A probe with friction on a slope carries part of a force along z by friction: its normal force is F n_z, for which a
     frictionless one that is held sideways needs F n_z^2 along z.
     """
-    place, whole, sideways = np.zeros(4), None, np.zeros(2)
-    for step in path:
-        control = _control(step, place)
-        sideways += [move or 0.0 for move in step.move_mm[:2]]
-        along_z = control.given[Z] * (plane.axes[2, 2] ** 2 if control.by_force[Z] else 1.0)
-        still = Control(
-            by_force=control.by_force & (np.arange(4) == Z), given=np.where(np.arange(4) == Z, along_z, 0.0)
-        )
+    setting, friction = job.settings[number], float(job.friction[number])
+    place, whole, sideways = np.zeros(MOTIONS), None, np.zeros(2)
+    along_z = np.arange(MOTIONS) == Z
+    upright = float(plane.axes[2] @ setting.first.axes[2])
+    for step in job.steps:
+        control = _from(_of(step, number), place)
+        sideways += np.where(control.by_force, 0.0, _of(step, number).given)[:Z]
+        push = control.given[Z] * (upright**2 if control.by_force[Z] else 1.0)
+        turned = np.where(control.by_force, 0.0, control.given) * np.isin(np.arange(MOTIONS), (ABOUT_X, ABOUT_Y))
+        still = Control(by_force=control.by_force & along_z, given=np.where(along_z, push, turned))
         if _lifted(still, touch_z):
             place = _lifted_place(still, place, touch_z)
             continue
@@ -235,85 +313,124 @@ def _slid(setting: Setting, contact: Box, sideways: Floats, grip_mm: float, plan
     """
     grip_mm *= (2.0 - setting.poisson_ratio) / (2.0 * (1.0 - setting.poisson_ratio))
     length = float(np.hypot(*sideways))
-    if not isinstance(setting.probe, Sphere) or length <= grip_mm:
+    if setting.face is not None or length <= grip_mm:
         return contact
     slide, most = length - grip_mm, _SLIDE_WIDTHS * max(contact.size)
     if slide > most:
         raise ContactError(
-            f"contact: the sphere slides by about {slide:.3g} mm; allowed is {most:.3g} mm, "
+            f"contact: the {setting.probe.kind} slides by about {slide:.3g} mm; allowed is {most:.3g} mm, "
             f"{_SLIDE_WIDTHS:g} times the contact's width, as one grid holds the whole path: move it "
             "less, or press it anew further on"
         )
-    u, v = plane.axes[:2] @ [*(slide / length * sideways), 0.0]
+    u, v = plane.axes[:2] @ (slide / length * sideways @ setting.first.axes[:Z])
     return Box(u0=contact.u0 + u, u1=contact.u1 + u, v0=contact.v0 + v, v1=contact.v1 + v)
 
 
-def _rubbing_path(setting: Setting, path: tuple[Step, ...], friction: float, increments: int) -> list[ContactState]:
-    plane, touch_z = touch_at(setting, np.zeros(4))
-    contact = _largest_contact(setting, path, friction, plane, touch_z)
+def _rubbing_path(job: _Job, increments: int) -> list[ContactState]:
+    planes, boxes = [], []
+    for number, setting in enumerate(job.settings):
+        plane, touch_z = touch_at(setting, np.zeros(MOTIONS))
+        planes.append(plane)
+        boxes.append(_largest_contact(job, number, plane, touch_z))
     for _ in range(_TRIES):
-        patches = fitted_patches(setting, plane, contact)
-        check_somewhere(setting, patches)
-        states, reached = _rubbing_on(friction_grid(setting, patches, friction), path, increments)
-        if not np.any(reached & patches.border):
+        contacts = Contacts(job.settings, tuple(map(fitted_patches, job.settings, planes, boxes)))
+        states, reached = _rubbing_on(FrictionGrid(contacts, job.friction), job, increments)
+        grew = False
+        for number, (_, rows, _) in enumerate(contacts.rows):
+            grid, own = contacts.grids[number], reached[rows]
+            if np.any(own & grid.border):
+                boxes[number], grew = _enlarged(boxes[number], grid.bounds(own)), True
+        if not grew:
             return states
-        contact = _enlarged(contact, patches.bounds(reached))
-    raise _no_grid(setting, contact)
+    raise _no_grid(job.settings[0], boxes[0])
 
 
-def _rubbing_on(grid: FrictionGrid, path: tuple[Step, ...], increments: int) -> tuple[list[ContactState], np.ndarray]:
+def _rubbing_on(grid: FrictionGrid, job: _Job, increments: int) -> tuple[list[ContactState], np.ndarray]:
     """Take the whole path on given patches; return the states and which patches were ever in contact."""
-    setting, patches = grid.setting, grid.patches
+    contacts = grid.contacts
     memory = at_first_touch(grid)
-    states: list[ContactState] = []
-    reached = np.zeros(len(patches), bool)
-    for number, step in enumerate(path, start=1):
-        control = _control(step, memory.place)
-        if control.by_force[Z] and control.given[Z] == 0.0:
-            _asks_nothing(control)
-            memory = let_go(memory, _lifted_place(control, memory.place, 0.0))
-            states.append(_lifted_from(grid, memory))
+    path: list[ContactState] = []
+    reached = np.zeros(len(grid.patches), bool)
+    for count, step in enumerate(job.steps, start=1):
+        control = _from(step, memory.place)
+        lifted = np.array([_lifted_by_force(_of(control, number)) for number in job.everyone])
+        places = memory.place.reshape(-1, MOTIONS).copy()
+        for number in np.flatnonzero(lifted).tolist():
+            own = _of(control, number)
+            _asks_nothing(own)
+            places[number] = _lifted_place(own, places[number], 0.0)
+        memory = replace(memory, place=places.reshape(-1), lifted=lifted)
+        if lifted.any():
+            memory = let_go(grid, memory, lifted)
+            # what is off the body is held where it is
+            control = Control(
+                by_force=control.by_force & ~np.repeat(lifted, MOTIONS),
+                given=np.where(np.repeat(lifted, MOTIONS), memory.place, control.given),
+            )
+        found = None
+        if not lifted.all():
+            _refuse_drag(grid, control, count)
+            memory, found = take_step(grid, memory, control, increments)
+            reached |= found.active
+            _refuse_overlap(contacts, found)
+            apart = np.array([not found.active[rows].any() for _, rows, _ in contacts.rows])
+            if apart.any():
+                memory = let_go(grid, memory, apart)
+            lifted = lifted | apart
+        path.append(_together(_states(grid, memory, control, found, lifted)))
+    return path, reached
+
+
+def _states(
+    grid: FrictionGrid, memory: Memory, control: Control, found: Equilibrium | None, lifted: np.ndarray
+) -> list[ContactState]:
+    """Return the state of every probe after a step."""
+    states = []
+    for number, (setting, rows, motions) in enumerate(grid.contacts.rows):
+        friction = float(grid.friction[number])
+        if found is None or lifted[number]:
+            _asks_nothing(_of(control, number))
+            states.append(
+                lifted_state(setting, memory.place[motions], friction=friction, dissipated_nmm=memory.dissipated_nmm)
+            )
             continue
-        _refuse_drag(grid, control, number)
-        memory, found = take_step(grid, memory, control, increments)
-        reached |= found.active
-        if not found.active.any():
-            _asks_nothing(control)
-            memory = let_go(memory, found.place)
-            states.append(_lifted_from(grid, memory))
-            continue
-        check_inside(setting, patches, found, float(found.place[Z]) - _touch_z(grid, memory))
+        patches, own, touch_z = (
+            grid.contacts.grids[number],
+            of_one(found, rows, motions),
+            _touch_z(setting, memory, number),
+        )
+        check_inside(setting, patches, own, float(own.place[Z]) - touch_z)
         states.append(
             touching_state(
-                setting.probe, setting.body, patches, found, touch_z_mm=_touch_z(grid, memory),
-                friction=grid.friction, dissipated_nmm=memory.dissipated_nmm,
-                youngs_modulus_mpa=setting.youngs_modulus_mpa,
+                setting, patches, own, touch_z_mm=touch_z, friction=friction, dissipated_nmm=memory.dissipated_nmm
             )
-        )  # fmt: skip
-    return states, reached
-
-
-def _lifted_from(grid: FrictionGrid, memory: Memory) -> ContactState:
-    return lifted_state(grid.setting.probe, memory.place, friction=grid.friction, dissipated_nmm=memory.dissipated_nmm)
-
-
-def _touch_z(grid: FrictionGrid, memory: Memory) -> float:
-    """Return the z of first touch where the probe slid to."""
-    if not memory.slid_mm.any():
-        return 0.0
-    return touch_at(grid.setting, np.array([*memory.slid_mm, 0.0, 0.0]))[1]
-
-
-def _refuse_drag(grid: FrictionGrid, control: Control, number: int) -> None:
-    """Raise a ContactError when a flat surface is asked for more force sideways than friction can carry."""
-    flat = bool(np.all(grid.patches.frames[:, 2, 2] > 1.0 - 1e-12))
-    if not flat or not control.by_force[Z] or math.isinf(grid.friction):
-        return
-    asked = float(np.hypot(*np.where(control.by_force, control.given, 0.0)[:2]))
-    most = grid.friction * float(control.given[Z])
-    if asked >= most:
-        raise ContactError(
-            f"contact: step {number} asks for {asked:.6g} N sideways at {control.given[Z]:.6g} N along z; with "
-            f"friction {grid.friction:g} less than {most:.6g} N can be balanced: ask for less, push harder, raise "
-            "press.friction, or hold x and y by motion"
         )
+    return states
+
+
+def _lifted_by_force(control: Control) -> bool:
+    return bool(control.by_force[Z] and control.given[Z] == 0.0)
+
+
+def _touch_z(setting: Setting, memory: Memory, number: int) -> float:
+    """Return the z of first touch where a probe slid to."""
+    if not memory.slid_mm[number].any():
+        return 0.0
+    return touch_at(setting, np.array([*memory.slid_mm[number], *np.zeros(MOTIONS - 2)]))[1]
+
+
+def _refuse_drag(grid: FrictionGrid, control: Control, count: int) -> None:
+    """Raise a ContactError when a flat surface is asked for more force sideways than friction can carry."""
+    for number, (setting, _, _) in enumerate(grid.contacts.rows):
+        own, friction = _of(control, number), float(grid.friction[number])
+        flat = np.all(grid.contacts.grids[number].frames[:, 2] @ setting.first.axes[2] > 1.0 - 1e-12)
+        if not flat or not own.by_force[Z] or math.isinf(friction):
+            continue
+        asked = float(np.hypot(*np.where(own.by_force, own.given, 0.0)[[X, Y]]))
+        most = friction * float(own.given[Z])
+        if asked >= most > 0.0 or asked > most:
+            raise ContactError(
+                f"contact: step {count} asks for {asked:.6g} N sideways at {own.given[Z]:.6g} N along z; with "
+                f"friction {friction:g} less than {most:.6g} N can be balanced: ask for less, push harder, raise "
+                "press.friction, or hold x and y by motion"
+            )

@@ -8,15 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Bools, Floats, frozen
-from twin.parts.body import Body
 from twin.parts.load import Load
-from twin.parts.press import Probe, Sphere
+from twin.parts.press import Probe
+from twin.parts.probe import Sphere
 from twin.theory.linearity import ERROR_BOUND, SHEARED, law_of
-from twin.world.gap import TURN, Z
+from twin.world.gap import ABOUT_X, TURN, Z
 from twin.world.patches import Patches
+from twin.world.together import Setting
 from twin.world.unilateral import Equilibrium
 
-_RATIO_LIMIT, _DEPTH_LIMIT = 0.3, 0.1
+_RATIO_LIMIT, _DEPTH_LIMIT, _SLOPE_LIMIT = 0.3, 0.1, 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +27,10 @@ class Validity:
     Attributes
     ----------
     contact_over_probe_radius
-        a/R of a sphere; None for a flat-ended probe.
+        a/R of a sphere; None for any other probe.
+    steepest_slope
+        Largest slope of the probe against the surface where they touch; linear contact takes it for small. 0 under a
+        flat face.
     mean_strain
         Mean contact pressure over Young's modulus.
     indentation_over_thickness
@@ -35,41 +39,73 @@ class Validity:
         How far linear theory is expected to be off at the markers, over the largest displacement
         (`twin.theory.linearity`).
     warnings
-        What goes beyond the limits 0.3 (radius), 0.1 (thickness) and 1 % (cost of linearity), in words.
+        What goes beyond the limits 0.3 (radius and slope), 0.1 (thickness) and 1 % (cost of linearity), in words.
     """
 
     contact_over_probe_radius: float | None
+    steepest_slope: float
     mean_strain: float
     indentation_over_thickness: float
     linearisation_error: float
     warnings: tuple[str, ...]
 
+    @property
+    def linear(self) -> bool:
+        """Whether linear contact holds: no limit is passed."""
+        return not self.warnings
+
+
+@dataclass(frozen=True, kw_only=True)
+class PatchError:
+    """How much a press changes when every patch is made twice as wide: a bound if it converges with order 1 or more.
+
+    Attributes
+    ----------
+    traction
+        Root mean square change of the tractions over their root mean square.
+    peak_pressure, contact_radius, indentation, force
+        Relative changes; ``force`` of the largest component, of indentation over itself.
+    """
+
+    traction: float
+    peak_pressure: float
+    contact_radius: float
+    indentation: float
+    force: float
+
 
 @dataclass(frozen=True, kw_only=True)
 class ContactState:
-    """A probe and a body in equilibrium.
+    """A probe and a body in equilibrium; of several probes the first, with the others in ``also``.
 
     Attributes
     ----------
     load
-        One `Rectangles` term with the patches in contact; no term when nothing touches.
+        One `Rectangles` term with the patches in contact, none when nothing touches; then those of the probes in
+        ``also``, so that it is the load of all.
     indentation_mm
-        Motion of the probe along z from first touch at its present (x, y); 0 when nothing touches.
+        Motion of the probe along its direction of approach from first touch at its present place; 0 when nothing
+        touches.
     move_mm
-        (3,) motion of the probe since first touch of the path.
+        (3,) motion of the probe since first touch of the path, global axes.
     turn_deg
-        Turn of the probe about its axis.
+        Turn of the probe about its axis, degrees.
+    turns_deg
+        (3,) the whole turn since first touch as a rotation vector, global axes, degrees.
     force_n
-        (3,) total force of the probe on the body.
+        (3,) total force of the probe on the body, global axes.
     torque_nmm
         Total torque about the probe's axis, positive from x to y.
+    torques_nmm
+        (3,) total torque about the place of the probe's lowest point at first touch, moved along its x and y if there
+        is no friction; global axes.
     contact_radius_mm
         Radius of the disc of the contact's area.
     area_mm2
-        Area of the contact. Under a sphere from an ellipse fitted to the squared pressures, as counting patches is a
-        few per cent off; under a flat face the sum of the patches in contact.
+        Area of the contact, from an ellipse fitted to the squared pressures where it fits, as counting patches is a few
+        per cent off; under a sharp-rimmed face the sum of the patches in contact.
     peak_pressure_mpa
-        Largest pressure of a patch; unbounded under a sharp edge, where it grows with the number of patches.
+        Largest pressure of a patch; unbounded under a sharp edge or tip, where it grows with the number of patches.
     pressure_mpa
         (k,) pressures of the patches in contact.
     traction_mpa
@@ -83,18 +119,26 @@ class ContactState:
         How far linear theory is strained.
     friction
         Coefficient of friction: 0 is frictionless, inf is sticking.
+    elastic_nmm
+        Half of force times displacement under this probe, N mm (mJ): the probes' sum is the body's elastic energy.
     dissipated_nmm
-        Work that friction took from first touch to here, N mm (mJ).
+        Work that friction under all probes took from first touch to here, N mm.
+    also
+        The states of further probes, pressed at the same time.
     path
         The states at the end of every step, in the last of them; empty in those themselves.
+    error
+        How far the discretisation may be off, where it was asked for.
     """
 
     load: Load
     indentation_mm: float
     move_mm: Floats
     turn_deg: float
+    turns_deg: Floats
     force_n: Floats
     torque_nmm: float
+    torques_nmm: Floats
     contact_radius_mm: float
     area_mm2: float
     peak_pressure_mpa: float
@@ -104,33 +148,43 @@ class ContactState:
     residual: float
     validity: Validity
     friction: float = 0.0
+    elastic_nmm: float = 0.0
     dissipated_nmm: float = 0.0
+    also: tuple[ContactState, ...] = ()
     path: tuple[ContactState, ...] = ()
+    error: PatchError | None = None
 
     def __post_init__(self) -> None:
-        for array in (self.move_mm, self.force_n, self.pressure_mpa, self.traction_mpa, self.slip):
+        arrays = (self.move_mm, self.turns_deg, self.force_n, self.torques_nmm, self.pressure_mpa, self.traction_mpa)
+        for array in (*arrays, self.slip):
             frozen(array)
 
 
-def contact_area(probe: Probe, patches: Patches, equilibrium: Equilibrium) -> float:
+def contact_area(setting: Setting, patches: Patches, equilibrium: Equilibrium) -> float:
     """Return the area of the contact, mm2.
 
     Notes
     -----
     Hertz's squared pressure is a quadratic of the place that vanishes on the contact's border; the ellipse on which
-    the fitted quadratic vanishes has the contact's area. Validity: a sphere with a/R below about 0.6; the fit is
-    dropped for the sum of the patches where the two differ by more than 15 %, and below 12 patches.
+    the fitted quadratic vanishes has the contact's area. Under any probe without a sharp rim the squared pressure
+    vanishes linearly at the border, so there the fit takes the half of the patches with the lower pressures. Validity:
+    contacts near an ellipse, a sphere with a/R below about 0.6; the fit is dropped for the sum of the patches where the
+    two differ by more than 15 %, below 12 patches, and under a sharp-rimmed face.
     """
     active = equilibrium.active
     counted = float(patches.area_mm2[active].sum())
-    if not isinstance(probe, Sphere) or active.sum() < 12:
+    face = setting.face
+    if (face is not None and face.edge_mm == 0.0) or active.sum() < 12:
         return counted
     pressure = equilibrium.force_n[active, 2] / patches.area_mm2[active]
+    near = np.ones(len(pressure), bool)
+    if not isinstance(setting.probe, Sphere):
+        near = pressure <= np.median(pressure)
     middle = patches.middle_mm[active]
     size = float(np.abs(middle - middle.mean(axis=0)).max())
-    u, v = ((middle - middle.mean(axis=0)) / size).T
+    u, v = ((middle - middle.mean(axis=0)) / size)[near].T
     terms = np.column_stack([np.ones_like(u), u, v, u * u, u * v, v * v])
-    c = np.linalg.lstsq(terms, (pressure / pressure.max()) ** 2, rcond=None)[0]
+    c = np.linalg.lstsq(terms, (pressure[near] / pressure.max()) ** 2, rcond=None)[0]
     bend = -np.array([[c[3], c[4] / 2], [c[4] / 2, c[5]]])
     if np.linalg.eigvalsh(bend)[0] <= 0:
         return counted
@@ -140,17 +194,35 @@ def contact_area(probe: Probe, patches: Patches, equilibrium: Equilibrium) -> fl
     return fitted if abs(fitted / counted - 1.0) < 0.15 else counted
 
 
+def _steepest_slope(setting: Setting, patches: Patches, found: Equilibrium) -> float:
+    """Return the tangent of the largest angle between probe and surface where they touch, but for flat faces."""
+    if setting.face is not None:
+        return 0.0
+    first, active = setting.first, found.active
+    along = patches.frames[active, 2] @ first.axes.T
+    own = (patches.centre_mm[active] - first.axis_mm) @ first.axes.T - found.place[:ABOUT_X]
+    distance, normal = first.shape.met(own, along)
+    cosine = np.where(np.isfinite(distance), np.einsum("ki,ki->k", normal, along), 1.0)
+    least = float(np.clip(cosine.min(), 1e-3, 1.0))
+    return math.sqrt(1.0 / least**2 - 1.0)
+
+
 def _validity(
-    probe: Probe, body: Body, radius: float, pressure: float, depth: float, modulus: float, *, sheared: bool
+    setting: Setting, radius: float, slope: float, pressure: float, depth: float, *, sheared: bool
 ) -> Validity:
+    probe, modulus = setting.probe, setting.youngs_modulus_mpa
     ratio = 2.0 * radius / probe.diameter_mm if isinstance(probe, Sphere) else None
-    low, high = body.bounds_mm
+    low, high = setting.body.bounds_mm
     thin = depth / (high[2] - low[2])
     strain = pressure / modulus
     said = []
     if ratio is not None and ratio > _RATIO_LIMIT:
         said.append(
             f"contact radius / probe radius = {ratio:.2f} > {_RATIO_LIMIT}: linear contact understates the indentation"
+        )
+    elif ratio is None and slope > _SLOPE_LIMIT:
+        said.append(
+            f"slope of the probe where it touches = {slope:.2f} > {_SLOPE_LIMIT}: linear contact takes it for small"
         )
     if thin > _DEPTH_LIMIT:
         said.append(f"indentation / thickness = {thin:.2f} > {_DEPTH_LIMIT}: the body is squeezed as a whole")
@@ -164,55 +236,64 @@ def _validity(
             "less force"
         )
     return Validity(
-        contact_over_probe_radius=ratio, mean_strain=strain, indentation_over_thickness=thin,
+        contact_over_probe_radius=ratio, steepest_slope=slope, mean_strain=strain, indentation_over_thickness=thin,
         linearisation_error=error, warnings=tuple(said),
     )  # fmt: skip
 
 
 def touching_state(
-    probe: Probe, body: Body, patches: Patches, equilibrium: Equilibrium, *, touch_z_mm: float,
-    friction: float, youngs_modulus_mpa: float, dissipated_nmm: float = 0.0,
+    setting: Setting, patches: Patches, equilibrium: Equilibrium, *, touch_z_mm: float, friction: float,
+    dissipated_nmm: float = 0.0,
 ) -> ContactState:  # fmt: skip
-    """Return the state of a probe in contact; ``touch_z_mm`` is its z at first touch at its present (x, y)."""
-    active = equilibrium.active
+    """Return the state of a probe in contact; ``touch_z_mm`` is its z at first touch at its present place."""
+    active, axes = equilibrium.active, setting.first.axes
     force = np.einsum("kai,ka->ki", patches.frames, equilibrium.force_n)
     area = patches.area_mm2[active]
     pressure = equilibrium.force_n[active, 2] / area
-    contact = contact_area(probe, patches, equilibrium)
+    contact = contact_area(setting, patches, equilibrium) if active.any() else 0.0
     radius = math.sqrt(contact / math.pi)
     depth = float(equilibrium.place[Z]) - touch_z_mm
-    mean = float(equilibrium.force_n[active, 2].sum()) / contact
+    mean = float(equilibrium.force_n[active, 2].sum()) / contact if contact else 0.0
     total = force[active].sum(axis=0)
-    sheared = friction > 0 and bool(np.hypot(total[0], total[1]) > SHEARED * abs(total[2]))
+    own = axes @ total
+    sheared = friction > 0 and bool(np.hypot(own[0], own[1]) > SHEARED * abs(own[2]))
+    slope = _steepest_slope(setting, patches, equilibrium) if active.any() else 0.0
     return ContactState(
-        load=Load((patches.rectangles(force, active),)),
+        load=Load((patches.rectangles(force, active),)) if active.any() else Load(),
         indentation_mm=depth,
-        move_mm=equilibrium.place[:3].copy(),
+        move_mm=equilibrium.place[: Z + 1] @ axes,
         turn_deg=math.degrees(equilibrium.place[TURN]),
+        turns_deg=np.degrees(equilibrium.place[ABOUT_X:] @ axes),
         force_n=total,
         torque_nmm=float(equilibrium.total[TURN]),
+        torques_nmm=equilibrium.total[ABOUT_X:] @ axes,
         contact_radius_mm=radius,
         area_mm2=contact,
-        peak_pressure_mpa=float(pressure.max()),
+        peak_pressure_mpa=float(pressure.max(initial=0.0)),
         pressure_mpa=pressure,
         traction_mpa=force[active] / area[:, None],
         slip=equilibrium.slipping[active] if friction > 0 else np.ones(int(active.sum()), bool),
         residual=equilibrium.residual,
-        validity=_validity(probe, body, radius, mean, depth, youngs_modulus_mpa, sheared=sheared),
+        validity=_validity(setting, radius, slope, mean, depth, sheared=sheared),
         friction=friction,
+        elastic_nmm=0.5 * float(np.sum(equilibrium.force_n * equilibrium.displacement_mm)),
         dissipated_nmm=dissipated_nmm,
     )
 
 
-def lifted_state(probe: Probe, place: Floats, *, friction: float = 0.0, dissipated_nmm: float = 0.0) -> ContactState:
+def lifted_state(
+    setting: Setting, place: Floats, *, friction: float = 0.0, dissipated_nmm: float = 0.0
+) -> ContactState:
     """Return the state of a probe that touches nothing."""
+    axes = setting.first.axes
     return ContactState(
-        load=Load(), indentation_mm=0.0, move_mm=place[:3].copy(), turn_deg=math.degrees(place[TURN]),
-        force_n=np.zeros(3), torque_nmm=0.0, contact_radius_mm=0.0, area_mm2=0.0, peak_pressure_mpa=0.0,
+        load=Load(), indentation_mm=0.0, move_mm=place[: Z + 1] @ axes, turn_deg=math.degrees(place[TURN]),
+        turns_deg=np.degrees(place[ABOUT_X:] @ axes), force_n=np.zeros(3), torque_nmm=0.0, torques_nmm=np.zeros(3),
+        contact_radius_mm=0.0, area_mm2=0.0, peak_pressure_mpa=0.0,
         pressure_mpa=np.zeros(0), traction_mpa=np.zeros((0, 3)), slip=np.zeros(0, bool), residual=0.0,
         validity=Validity(
-            contact_over_probe_radius=0.0 if isinstance(probe, Sphere) else None, mean_strain=0.0,
-            indentation_over_thickness=0.0, linearisation_error=0.0, warnings=(),
+            contact_over_probe_radius=0.0 if isinstance(setting.probe, Sphere) else None, steepest_slope=0.0,
+            mean_strain=0.0, indentation_over_thickness=0.0, linearisation_error=0.0, warnings=(),
         ),
         friction=friction, dissipated_nmm=dissipated_nmm,
     )  # fmt: skip

@@ -18,19 +18,19 @@ may slide by a small part of its width only (`SLIDE_LIMIT`).
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError
-from twin.parts.press import Sphere
+from twin.parts.probe import Cone
 from twin.world.capacity import asked_share
 from twin.world.coulomb import solve_coulomb
 from twin.world.friction_grid import FrictionGrid, Memory
-from twin.world.gap import Z, half_extent
-from twin.world.region import Control
+from twin.world.gap import TURN, X, Y, Z
+from twin.world.probe_shape import half_extent
+from twin.world.together import Control, every
 from twin.world.unilateral import Equilibrium, Unilateral, solve
 
 INCREMENTS = 8
@@ -38,6 +38,8 @@ SLIDE_LIMIT = 0.05
 """How far a flat face may slide as a whole, over its smaller width."""
 
 _HALVINGS, _SLIDE_ROUNDS = 3, 12
+_RUBBED = [X, Y, Z, TURN]
+"""The components of a probe's place that `twin.world.capacity` knows."""
 
 
 def _offset(grid: FrictionGrid, memory: Memory) -> Floats:
@@ -45,18 +47,18 @@ def _offset(grid: FrictionGrid, memory: Memory) -> Floats:
 
     After a lift the probe touches anew where it now is: its motion sideways counts from there.
     """
-    if memory.touched.any():
-        return memory.offset_mm
-    return np.asarray(-np.einsum("kad,d->ka", grid.carried[:, :2], _sideways(memory.place)))
+    anew = -np.einsum("kad,d->ka", grid.carried[:, :2], grid.sideways(memory.place))
+    return np.where(grid.untouched(memory)[:, None], anew, memory.offset_mm)
 
 
 def _problem(grid: FrictionGrid, memory: Memory, control: Control, held: Bools | None) -> Unilateral:
     """Return a part's equations; patches in ``held`` feel friction although they had not touched before it."""
-    rubs = memory.touched | (not memory.touched.any()) | (False if held is None else held)
+    rubs = memory.touched | grid.untouched(memory) | (False if held is None else held)
     return Unilateral(
         compliance=grid.compliance, gap=lambda q: grid.gap(memory, q), carried=grid.carried,
         by_force=control.by_force, given=control.given, pushing=control.pushing,
-        friction=np.where(rubs, grid.friction, 0.0), offset=_offset(grid, memory), krylov=grid.krylov,
+        friction=np.where(rubs, grid.friction[grid.contacts.owner], 0.0), offset=_offset(grid, memory),
+        krylov=grid.krylov,
     )  # fmt: skip
 
 
@@ -67,11 +69,11 @@ def _part(
     problem = _problem(grid, memory, control, held)
     place = np.where(control.by_force, memory.place, control.given)
     active = guess.active if guess is not None and guess.active.any() else _nearest(grid, memory, place)
-    if math.isinf(grid.friction):
+    if grid.sticks:
         return memory, solve(problem, active, place)
     force = guess.force_n if guess is not None else memory.force_n
     if not force.any():
-        pushed = _without_friction(problem, memory, control, active)
+        pushed = _without_friction(grid, problem, memory, control, active)
         force, place = pushed.force_n, _along(problem, pushed)
     elif guess is not None:
         place = guess.place
@@ -81,13 +83,12 @@ def _part(
         slid = start + _slide(grid, memory, problem, found)
         change = float(np.abs(slid - memory.slid_mm).max())
         memory = replace(memory, slid_mm=slid)
-        if change <= 1e-3 * float(grid.patches.half_mm.min()) or not isinstance(grid.setting.probe, Sphere):
+        flat = all(setting.face is not None for setting in grid.contacts.settings)
+        if change <= 1e-3 * float(grid.patches.half_mm.min()) or flat:
             return memory, found
         problem = _problem(grid, memory, control, held)
         found = solve_coulomb(problem, found.force_n, found.place)
-    raise ContactError(
-        f"contact: the {grid.setting.probe.kind} slides, and where it slides to does not settle: take smaller steps"
-    )
+    raise ContactError("contact: the probe slides, and where it slides to does not settle: take smaller steps")
 
 
 def _from_guess(problem: Unilateral, active: Bools, force: Floats, place: Floats) -> Equilibrium:
@@ -109,7 +110,8 @@ def _along(problem: Unilateral, pushed: Equilibrium) -> Floats:
 
     A body that is pressed beside its middle moves sideways as a whole: held back, every patch would seem to slip.
     """
-    free = np.flatnonzero(problem.by_force & (np.arange(4) != Z))
+    along = every(X, len(pushed.place)) | every(Y, len(pushed.place)) | every(TURN, len(pushed.place))
+    free = np.flatnonzero(problem.by_force & along)
     if len(free) == 0:
         return pushed.place
     weight = np.sqrt(np.maximum(pushed.force_n[:, 2], 0.0))[:, None]
@@ -125,12 +127,15 @@ def _nearest(grid: FrictionGrid, memory: Memory, place: Floats) -> Bools:
     if memory.touched.any():
         return memory.touched.copy()
     gap, _ = grid.gap(memory, place)
-    return np.asarray(gap <= np.sort(gap)[min(4, len(gap) - 1)])
+    near = [gap[rows] <= np.sort(gap[rows])[min(4, len(gap[rows]) - 1)] for _, rows, _ in grid.contacts.rows]
+    return np.concatenate(near) & np.isfinite(gap)
 
 
-def _without_friction(problem: Unilateral, memory: Memory, control: Control, active: Bools) -> Equilibrium:
+def _without_friction(
+    grid: FrictionGrid, problem: Unilateral, memory: Memory, control: Control, active: Bools
+) -> Equilibrium:
     """Push along z only, without friction and held sideways: a first guess, and the pressure that friction rests on."""
-    along_z = np.arange(4) == Z
+    along_z = grid.along_z
     held = replace(
         problem, friction=np.zeros(len(active)), by_force=control.by_force & along_z,
         given=np.where(control.by_force & ~along_z, memory.place, control.given), pushing=control.pushing,
@@ -139,24 +144,23 @@ def _without_friction(problem: Unilateral, memory: Memory, control: Control, act
 
 
 def _slide(grid: FrictionGrid, memory: Memory, problem: Unilateral, found: Equilibrium) -> Floats:
-    """Return (2,) what all patches in contact slipped in common, along x and y: nothing where one of them sticks.
+    """Return (p, 2) what all patches of a probe slipped in common, along its x and y: nothing where one sticks.
 
     The mean of the least slips, as the least one alone may jump between patches that mirror each other; patches that
     touched within the part slipped for a part of it only and do not count.
     """
-    active = np.flatnonzero(found.active & (memory.touched | ~memory.touched.any()))
-    if len(active) == 0 or not found.slipping[active].all():
-        return np.zeros(2)
-    slip = found.displacement_mm[active, :2] - problem.carried[active, :2] @ found.place - problem.offset[active]
-    length = np.hypot(slip[:, 0], slip[:, 1])
-    least = length <= 1.1 * length.min()
-    return np.asarray(-np.einsum("ka,kai->ki", slip[least], grid.patches.frames[active[least], :2, :2]).mean(axis=0))
-
-
-def _sideways(place: Floats) -> Floats:
-    still = place.copy()
-    still[Z] = 0.0
-    return still
+    slides = np.zeros_like(memory.slid_mm)
+    counted = found.active & (memory.touched | grid.untouched(memory))
+    for number, (setting, rows, _) in enumerate(grid.contacts.rows):
+        active = np.flatnonzero(counted[rows]) + rows.start
+        if len(active) == 0 or not found.slipping[active].all():
+            continue
+        slip = found.displacement_mm[active, :2] - problem.carried[active, :2] @ found.place - problem.offset[active]
+        length = np.hypot(slip[:, 0], slip[:, 1])
+        least = length <= 1.1 * length.min()
+        back = np.einsum("ka,kai->ki", slip[least], grid.patches.frames[active[least], :2]).mean(axis=0)
+        slides[number] = -setting.first.axes[:Z] @ back
+    return slides
 
 
 def _remember(grid: FrictionGrid, memory: Memory, found: Equilibrium) -> Memory:
@@ -174,6 +178,7 @@ def _remember(grid: FrictionGrid, memory: Memory, found: Equilibrium) -> Memory:
         displacement_mm=found.displacement_mm.copy(),
         force_n=found.force_n.copy(),
         slid_mm=memory.slid_mm,
+        lifted=memory.lifted,
         dissipated_nmm=memory.dissipated_nmm - float(np.sum(found.force_n[:, :2] * slipped)),
     )
 
@@ -210,11 +215,11 @@ def _pass(
     try:
         slid, found = _part(grid, memory, control, guess)
     except ContactError:
-        if math.isinf(grid.friction) or not memory.touched.any():
+        if grid.sticks or not memory.touched.any():
             raise
         # The old patches alone may not carry what the new ones help to: hold those from the start of the part.
         return _part(grid, memory, control, guess, held=~memory.touched)
-    new = found.active & ~memory.touched
+    new = found.active & ~memory.touched & ~grid.untouched(memory)
     if memory.touched.any() and new.any():
         return _part(grid, _held_on_the_way(grid, memory, found, new), control, found, held=new)
     return slid, found
@@ -233,7 +238,7 @@ def _advance(
         slid, found = _pass(grid, memory, control, guess)
         return _remember(grid, slid, found), found
     except ContactError as problem_found:
-        if math.isinf(grid.friction):
+        if grid.sticks:
             raise
         if halvings == _HALVINGS:
             _explain(grid, memory, wanted, problem_found)
@@ -249,15 +254,19 @@ def _explain(grid: FrictionGrid, memory: Memory, control: Control, problem_found
     """Raise a ContactError that names the cause when more is asked than friction can carry."""
     place = np.where(control.by_force, memory.place, control.given)
     nearest = _nearest(grid, memory, place)
-    pushed = _without_friction(_problem(grid, memory, control, None), memory, control, nearest)
-    share = asked_share(grid.carried, pushed.force_n[:, 2], grid.friction, control.by_force, control.given)
-    if share >= 1.0:
-        asked = [f"{value:.4g}" for value in np.where(control.by_force, control.given, 0.0)]
-        raise ContactError(
-            f"contact: the forces ({', '.join(asked[:3])}) N and the torque {asked[3]} N mm can't be balanced: "
-            f"sideways and about z they are {share:.3g} times what friction {grid.friction:g} can carry (allowed is "
-            "less than 1 times): ask for less, push harder, raise press.friction, or hold x, y and the turn by motion"
-        ) from problem_found
+    pushed = _without_friction(grid, _problem(grid, memory, control, None), memory, control, nearest)
+    for number, (_, rows, motions) in enumerate(grid.contacts.rows):
+        carried, friction = grid.carried[rows, :, motions][..., _RUBBED], float(grid.friction[number])
+        held, given = control.by_force[motions][_RUBBED], control.given[motions][_RUBBED]
+        share = asked_share(carried, pushed.force_n[rows, 2], friction, held, given)
+        if share >= 1.0:
+            asked = [f"{value:.4g}" for value in np.where(held, given, 0.0)]
+            raise ContactError(
+                f"contact: the forces ({', '.join(asked[:3])}) N and the torque {asked[3]} N mm can't be balanced: "
+                f"sideways and about z they are {share:.3g} times what friction {friction:g} can carry (allowed is "
+                "less than 1 times): ask for less, push harder, raise press.friction, or hold x, y and the turn by "
+                "motion"
+            ) from problem_found
 
 
 def take_step(
@@ -288,10 +297,12 @@ def take_step(
             if not np.any(found.active & ~memory.touched | found.slipping):
                 return _remember(grid, memory, found), found
     start = np.where(control.by_force, memory.total, memory.place)
-    powers = np.ones(4)
-    if isinstance(grid.setting.probe, Sphere) and memory.touched.sum() <= 1:
-        # Equal parts of the contact radius: the force grows with its cube, the motion with its square.
-        powers = np.where(control.by_force, 3.0, 2.0)
+    powers = np.ones(len(start))
+    for setting, rows, motions in grid.contacts.rows:
+        if setting.face is None and memory.touched[rows].sum() <= 1:
+            # Equal parts of the contact radius: a sphere's force grows with its cube, its motion with its square.
+            force, motion = (2.0, 1.0) if isinstance(setting.probe, Cone) else (3.0, 2.0)
+            powers[motions] = np.where(control.by_force[motions], force, motion)
     previous = None
     for part in range(1, increments + 1):
         share = (part / increments) ** powers
@@ -305,16 +316,17 @@ def take_step(
 
 def _refuse_slide(grid: FrictionGrid, memory: Memory) -> None:
     """Raise a ContactError when the probe slid, or was lifted over, to where there are no patches."""
-    probe, slid = grid.setting.probe, float(np.hypot(*memory.slid_mm))
-    if isinstance(probe, Sphere):
-        under = grid.patches.centre_mm[:, :2] - np.array(grid.setting.first.axis_mm[:2]) - memory.slid_mm
-        off, allowed = float(np.hypot(*under.T).min()), 4.0 * float(grid.patches.half_mm.max())
-        what = "beyond the patches, which lie around where it touched first"
-    else:
-        off, allowed = slid, SLIDE_LIMIT * 2 * min(half_extent(probe))
-        what = "as a whole, while the patches under a flat face stay where they are"
-    if off > allowed:
-        raise ContactError(
-            f"contact: the {probe.kind} slides (or is lifted) by {slid:.3g} mm, {what} (off by {off:.3g} mm, "
-            f"allowed {allowed:.3g} mm): move it less, raise press.friction, or press it anew where it ends"
-        )
+    for (setting, _, _), patches, moved in zip(grid.contacts.rows, grid.contacts.grids, memory.slid_mm, strict=True):
+        slid = float(np.hypot(*moved))
+        if setting.face is None:
+            under = (patches.centre_mm - setting.first.axis_mm) @ setting.first.axes[:Z].T - moved
+            off, allowed = float(np.hypot(*under.T).min()), 4.0 * float(patches.half_mm.max())
+            what = "beyond the patches, which lie around where it touched first"
+        else:
+            off, allowed = slid, SLIDE_LIMIT * 2 * min(half_extent(setting.face))
+            what = "as a whole, while the patches under a flat face stay where they are"
+        if off > allowed:
+            raise ContactError(
+                f"contact: the {setting.probe.kind} slides (or is lifted) by {slid:.3g} mm, {what} (off by {off:.3g} "
+                f"mm, allowed {allowed:.3g} mm): move it less, raise press.friction, or press it anew where it ends"
+            )

@@ -5,8 +5,8 @@ For one that has not, the exact shape of the probe counts as it comes down, whil
 along with it and the gap changes only by the slope of the surface. What the probe slides as a whole is taken off: a
 sphere that slid meets the body elsewhere.
 
-Validity: one slide for all patches, taken as the least slip of those in contact; a flat face has no patches to slide to
-(`twin.world.friction`).
+Validity: one slide for all patches of a probe, taken as the least slip of those in contact; a flat face has no patches
+to slide to (`twin.world.friction`).
 """
 
 from __future__ import annotations
@@ -17,16 +17,15 @@ from functools import cached_property
 import numpy as np
 
 from twin.arrays import Bools, Floats
-from twin.parts.press import Sphere
-from twin.world.gap import TURN, X, Y, Z
+from twin.world.gap import MOTIONS, Z
 from twin.world.krylov import Krylov
 from twin.world.patches import Patches
-from twin.world.region import Setting, carried, local_compliance
+from twin.world.together import Contacts, every
 
 
 @dataclass(frozen=True, kw_only=True)
 class Memory:
-    """Where each patch touched, or slipped to, and the state that the probe and the body are in.
+    """Where each patch touched, or slipped to, and the state that the probes and the body are in.
 
     Attributes
     ----------
@@ -37,13 +36,15 @@ class Memory:
     offset_mm
         (k, 2) tangential displacement of those at place 0, likewise.
     place
-        (4,) the probe's place.
+        (6 p,) the probes' places.
     total
-        (4,) the force and torque on it.
+        (6 p,) the forces and torques on them.
     displacement_mm, force_n
         (k, 3) displacements of the patches and forces on them, in their frames.
     slid_mm
-        (2,) how far the probe slid as a whole, along x and y.
+        (p, 2) how far each probe slid as a whole, along its own x and y.
+    lifted
+        (p,) probes that are off the body and stay off.
     dissipated_nmm
         Work that friction has taken so far, N mm.
     """
@@ -56,77 +57,111 @@ class Memory:
     displacement_mm: Floats
     force_n: Floats
     slid_mm: Floats
+    lifted: Bools
     dissipated_nmm: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class FrictionGrid:
-    """Patches, and what of them stays the same along the path."""
+    """Patches, and what of them stays the same along the path; ``friction`` (p,) is the coefficient of each probe."""
 
-    setting: Setting
-    patches: Patches
-    compliance: Floats
-    carried: Floats
-    friction: float
+    contacts: Contacts
+    friction: Floats
+
+    @property
+    def patches(self) -> Patches:
+        """The patches of all probes."""
+        return self.contacts.patches
+
+    @property
+    def compliance(self) -> Floats:
+        """(k, 3, k, 3) as in `Contacts`."""
+        return self.contacts.compliance
 
     @cached_property
     def krylov(self) -> Krylov:
         """The solver of linear systems on these patches, with what it keeps along the path."""
         return Krylov(self.compliance)
 
-    def _slid_gap(self, slid_mm: Floats, along_z: float) -> tuple[Floats, Floats]:
-        """Return gaps and slopes of a probe that was lowered, and slid but not carried the surface along."""
-        normals = self.patches.frames[:, 2]
-        centre = self.patches.centre_mm
-        if isinstance(self.setting.probe, Sphere):
-            centre = centre - [slid_mm[0], slid_mm[1], 0.0]
-        gap, slope = self.setting.first.gap(centre, normals, np.array([0.0, 0.0, along_z, 0.0]))
-        return gap + normals[:, :2] @ slid_mm, slope
+    @property
+    def sticks(self) -> bool:
+        """Whether every probe with friction sticks whatever the force."""
+        return bool(np.isinf(self.friction[self.friction > 0.0]).all())
+
+    @cached_property
+    def carried(self) -> Floats:
+        """(k, 3, 6 p) motion of the probes' points at the patches per unit of the place, about first touch."""
+        return self.contacts.carried(np.zeros(MOTIONS * len(self.friction)))
+
+    @cached_property
+    def along_z(self) -> Bools:
+        """(6 p,) the components of the place along the probes' directions of approach."""
+        return every(Z, MOTIONS * len(self.friction))
+
+    def untouched(self, memory: Memory) -> Bools:
+        """Return (k,) which patches belong to a probe that touches nothing."""
+        none = [not memory.touched[rows].any() for _, rows, _ in self.contacts.rows]
+        return np.asarray(np.array(none)[self.contacts.owner])
+
+    def sideways(self, place: Floats) -> Floats:
+        """Return a place without its motions along the directions of approach."""
+        return np.where(self.along_z, 0.0, place)
+
+    def _slid_gap(self, slid_mm: Floats, along_z: Floats) -> tuple[Floats, Floats]:
+        """Return gaps and slopes of probes that were lowered, and slid but not carried the surface along."""
+        gap, slope = np.zeros(len(self.patches)), np.zeros((len(self.patches), len(self.along_z)))
+        for number, (setting, rows, motions) in enumerate(self.contacts.rows):
+            grid, first = self.contacts.grids[number], setting.first
+            slid = slid_mm[number] @ first.axes[:Z]
+            centre, normals = grid.centre_mm, grid.frames[:, 2]
+            lowered = np.zeros(MOTIONS)
+            lowered[Z] = along_z[number]
+            gap[rows], slope[rows, motions] = first.gap(
+                centre - slid if setting.face is None else centre, normals, lowered
+            )
+            gap[rows] += normals @ slid
+        return gap, slope
 
     def gap(self, memory: Memory, place: Floats) -> tuple[Floats, Floats]:
-        """Return (k,) gaps and (k, 4) slopes at a place."""
-        gap, slope = self._slid_gap(memory.slid_mm, float(place[Z]))
+        """Return (k,) gaps and (k, 6 p) slopes at a place."""
+        gap, slope = self._slid_gap(memory.slid_mm, place[self.along_z])
         normal = self.carried[:, 2]
-        sideways = [X, Y, TURN]
-        slope[:, sideways] = -normal[:, sideways]
-        gap = gap - normal[:, sideways] @ place[sideways]
+        slope = np.where(self.along_z, slope, -normal)
+        gap = gap - normal @ self.sideways(place)
         stuck = memory.touched
         gap[stuck] = memory.closed_mm[stuck] + self.moved_gap(memory.slid_mm)[stuck] - normal[stuck] @ place
         slope[stuck] = -normal[stuck]
+        gap[memory.lifted[self.contacts.owner]] = np.inf
         return gap, slope
 
     def moved_gap(self, slid_mm: Floats) -> Floats:
         """Return (k,) by how much a slide changes the gaps; inf where the probe slid away."""
         if not slid_mm.any():
             return np.zeros(len(self.patches))
-        before = self._slid_gap(np.zeros(2), 0.0)[0]
-        after = self._slid_gap(slid_mm, 0.0)[0]
+        still = np.zeros(len(self.friction))
+        before = self._slid_gap(np.zeros_like(slid_mm), still)[0]
+        after = self._slid_gap(slid_mm, still)[0]
         return np.where(np.isfinite(before), after - np.where(np.isfinite(before), before, 0.0), 0.0)
 
 
-def friction_grid(setting: Setting, patches: Patches, friction: float) -> FrictionGrid:
-    """Prepare patches for a path."""
-    return FrictionGrid(
-        setting=setting, patches=patches, compliance=local_compliance(setting, patches),
-        carried=carried(setting, patches, np.zeros(2)), friction=friction,
-    )  # fmt: skip
-
-
 def at_first_touch(grid: FrictionGrid) -> Memory:
-    """Return the memory of a probe that just touches: patches under a flat face on a flat body stick at once."""
-    k = len(grid.patches)
+    """Return the memory of probes that just touch: patches under a flat face on a flat body stick at once."""
+    k, p = len(grid.patches), len(grid.friction)
     nothing = Memory(
-        touched=np.zeros(k, bool), closed_mm=np.zeros(k), offset_mm=np.zeros((k, 2)), place=np.zeros(4),
-        total=np.zeros(4), displacement_mm=np.zeros((k, 3)), force_n=np.zeros((k, 3)), slid_mm=np.zeros(2),
+        touched=np.zeros(k, bool), closed_mm=np.zeros(k), offset_mm=np.zeros((k, 2)), place=np.zeros(MOTIONS * p),
+        total=np.zeros(MOTIONS * p), displacement_mm=np.zeros((k, 3)), force_n=np.zeros((k, 3)),
+        slid_mm=np.zeros((p, 2)), lifted=np.zeros(p, bool),
     )  # fmt: skip
     gap, _ = grid.gap(nothing, nothing.place)
     return replace(nothing, touched=gap <= 1e-9, closed_mm=np.where(gap <= 1e-9, gap, 0.0))
 
 
-def let_go(memory: Memory, place: Floats) -> Memory:
-    """Return the memory of a probe that has been lifted off: it touches anew over the place where it then is."""
+def let_go(grid: FrictionGrid, memory: Memory, lifted: Bools) -> Memory:
+    """Return the memory of probes (p,) that have been lifted off: they touch anew where they then are."""
+    rows, motions = lifted[grid.contacts.owner], np.repeat(lifted, MOTIONS)
+    here = memory.place.reshape(-1, MOTIONS)[:, :Z]
     return replace(
-        memory, touched=np.zeros_like(memory.touched), place=place, total=np.zeros(4),
-        displacement_mm=np.zeros_like(memory.displacement_mm), force_n=np.zeros_like(memory.force_n),
-        slid_mm=place[:2].copy(),
+        memory, touched=memory.touched & ~rows, total=np.where(motions, 0.0, memory.total),
+        displacement_mm=np.where(rows[:, None], 0.0, memory.displacement_mm),
+        force_n=np.where(rows[:, None], 0.0, memory.force_n), slid_mm=np.where(lifted[:, None], here, memory.slid_mm),
     )  # fmt: skip

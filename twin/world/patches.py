@@ -9,6 +9,7 @@ pressure under a sharp edge grows like 1/sqrt(distance), and cells that shrink l
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,8 +18,11 @@ import numpy as np
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
-from twin.parts.press import Cylinder, Pillar, Probe
-from twin.world.gap import half_extent
+from twin.parts.probe import Cylinder, Pillar
+from twin.world.probe_shape import half_extent
+
+Face = Cylinder | Pillar | None
+"""The probe whose flat face bounds the contact; None where nothing but the contact itself does."""
 
 _STEEP = 0.15
 
@@ -45,11 +49,11 @@ class Box:
         """Extents along u and v, mm."""
         return self.u1 - self.u0, self.v1 - self.v0
 
-    def clipped(self, probe: Probe) -> Box:
-        """Return the part under a flat-ended probe's footprint; of a sphere's box, everything."""
-        if not isinstance(probe, Cylinder | Pillar):
+    def clipped(self, face: Face) -> Box:
+        """Return the part under a flat face; without one, everything."""
+        if face is None:
             return self
-        a, b = half_extent(probe)
+        a, b = half_extent(face)
         return Box(u0=max(self.u0, -a), u1=min(self.u1, a), v0=max(self.v0, -b), v1=min(self.v1, b))
 
     def grown(self, u: float, v: float) -> Box:
@@ -107,6 +111,13 @@ class Patches:
         return Box(u0=float(low[0]), u1=float(high[0]), v0=float(low[1]), v1=float(high[1]))
 
 
+def joined(parts: Sequence[Patches]) -> Patches:
+    """Return the patches under several probes, one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    return Patches(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
+
+
 def cell_edges(low: float, high: float, count: int, *, graded: tuple[bool, bool]) -> Floats:
     """Return (count + 1,) cell borders between low and high, graded like a cosine towards the ends marked so."""
     x = np.linspace(0.0, 1.0, count + 1)
@@ -119,27 +130,27 @@ def cell_edges(low: float, high: float, count: int, *, graded: tuple[bool, bool]
     return np.asarray(low + (high - low) * shape)
 
 
-def _half_chord(probe: Probe, v0: float, v1: float) -> float:
+def _half_chord(face: Face, v0: float, v1: float) -> float:
     """Half the mean width of the footprint between v0 and v1: the strip's exact area over its height."""
-    if isinstance(probe, Pillar):
-        return probe.size_mm[0] / 2
-    if isinstance(probe, Cylinder):
-        a = probe.diameter_mm / 2
+    if isinstance(face, Pillar):
+        return face.size_mm[0] / 2
+    if isinstance(face, Cylinder):
+        a = face.diameter_mm / 2
         area = [(v * math.sqrt(max(a * a - v * v, 0.0)) + a * a * math.asin(max(-1.0, min(1.0, v / a)))) / 2
                 for v in (v0, v1)]  # fmt: skip
         return (area[1] - area[0]) / (v1 - v0)
     return math.inf
 
 
-def _cells(probe: Probe, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
+def _cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
     """Return (n, 2) middles and (n, 2) half sizes of the grid's cells."""
-    flat = isinstance(probe, Cylinder | Pillar)
-    a, b = half_extent(probe)
-    near = 1e-6 * max(a, b)
+    flat = face is not None
+    a, b = half_extent(face) if face is not None else (math.inf, math.inf)
+    near = 1e-6 * max(a, b) if flat else 0.0
     rows = cell_edges(box.v0, box.v1, across[1], graded=(flat and box.v0 <= near - b, flat and box.v1 >= b - near))
     middles, halves = [], []
     for v0, v1 in pairwise(rows):
-        chord = _half_chord(probe, float(v0), float(v1))
+        chord = _half_chord(face, float(v0), float(v1))
         u0, u1 = max(box.u0, -chord), min(box.u1, chord)
         if u1 <= u0:
             continue
@@ -190,17 +201,17 @@ def _touching(middle: Floats, cell: Floats, others: Bools) -> Bools:
     return np.asarray(np.all(np.abs(middle[:, None] - middle[None, others]) <= reach, axis=2).any(axis=1))
 
 
-def candidate_patches(body: Body, probe: Probe, plane: Plane, box: Box, across: tuple[int, int]) -> Patches:
+def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tuple[int, int]) -> Patches:
     """Cut the candidate patches under a probe.
 
     Parameters
     ----------
-    body, probe
-        The undeformed body and the rigid probe.
+    body, face
+        The undeformed body, and the probe whose flat face bounds the contact, if one does.
     plane
-        Plane of the grid, at the place touched first.
+        Plane of the grid, at the place touched first, or of the face.
     box
-        The piece of the plane to fill; for a sphere only the ellipse inscribed in it.
+        The piece of the plane to fill; without a face only the ellipse inscribed in it.
     across
         Cells along u and v.
 
@@ -208,8 +219,8 @@ def candidate_patches(body: Body, probe: Probe, plane: Plane, box: Box, across: 
     -------
     Patches on the sensing surface. Cells beyond the body are left out, and their neighbours marked as ``edge``.
     """
-    flat = isinstance(probe, Cylinder | Pillar)
-    middle, cell = _cells(probe, box, across)
+    flat = face is not None
+    middle, cell = _cells(face, box, across)
     points, normals, found = _projected(body, plane, middle)
     frames, half = _tangent_rectangles(plane, cell, normals)
     off = ~found
@@ -220,8 +231,8 @@ def candidate_patches(body: Body, probe: Probe, plane: Plane, box: Box, across: 
         off |= np.any(body.piece_distances(corners)[:, 1:] < -1e-9, axis=1)
     kept = ~off
     outer = np.zeros(len(middle), bool)
-    a, b = half_extent(probe)
-    near = 1e-6 * max(a, b)
+    a, b = half_extent(face) if face is not None else (math.inf, math.inf)
+    near = 1e-6 * max(a, b) if flat else 0.0
     for axis, (low, high), limit in ((0, (box.u0, box.u1), a), (1, (box.v0, box.v1), b)):
         reach = cell[:, axis] * (1 + 1e-6)
         if not flat or low > near - limit:

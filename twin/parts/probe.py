@@ -1,0 +1,153 @@
+"""Rigid probes: what is pressed on a body.
+
+Every shape is given as it stands before it is turned: it comes along its own z, its lowest point (the middle of a flat
+face, the tip of a cone, the lowest point of a sphere) is the place from which its motion and its torque count.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from twin.errors import InputError
+from twin.parts.part import Part
+
+
+class Sphere(Part):
+    """A rigid sphere."""
+
+    kind: Literal["sphere"] = "sphere"
+    diameter_mm: float = Field(gt=0, le=1000)
+
+
+class Cylinder(Part):
+    """A rigid flat-ended cylinder, its axis along z.
+
+    Attributes
+    ----------
+    diameter_mm
+        Of the shaft.
+    edge_mm
+        Radius by which the rim of its face is rounded; 0 is sharp.
+    """
+
+    kind: Literal["cylinder"] = "cylinder"
+    diameter_mm: float = Field(gt=0, le=1000)
+    edge_mm: float = Field(default=0.0, ge=0, le=500)
+
+    @model_validator(mode="after")
+    def _edge_fits(self) -> Cylinder:
+        _refuse_edge(self.edge_mm, self.diameter_mm)
+        return self
+
+
+class Pillar(Part):
+    """A rigid flat-ended pillar of ``width_mm`` along x and ``length_mm`` along y (a square one if not given).
+
+    ``edge_mm`` is the radius by which the rim of its face, corners included, is rounded; 0 is sharp.
+    """
+
+    kind: Literal["pillar"] = "pillar"
+    width_mm: float = Field(gt=0, le=1000)
+    length_mm: float | None = Field(default=None, gt=0, le=1000)
+    edge_mm: float = Field(default=0.0, ge=0, le=500)
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Extents along x and y, mm."""
+        return self.width_mm, self.length_mm if self.length_mm is not None else self.width_mm
+
+    @model_validator(mode="after")
+    def _edge_fits(self) -> Pillar:
+        _refuse_edge(self.edge_mm, min(self.size_mm))
+        return self
+
+
+class Cone(Part):
+    """A rigid cone, tip first.
+
+    Attributes
+    ----------
+    apex_deg
+        Full angle at the apex.
+    diameter_mm
+        Of its base; contact must not reach it.
+    tip_mm
+        Radius by which the tip is rounded; 0 is sharp.
+    """
+
+    kind: Literal["cone"] = "cone"
+    apex_deg: float = Field(ge=20, le=178)
+    diameter_mm: float = Field(gt=0, le=1000)
+    tip_mm: float = Field(default=0.0, ge=0, le=500)
+
+    @model_validator(mode="after")
+    def _tip_fits(self) -> Cone:
+        most = self.diameter_mm / 2 / math.cos(math.radians(self.apex_deg / 2))
+        if self.tip_mm >= most:
+            raise ValueError(
+                f"tip_mm = {self.tip_mm:g} mm: the rounded tip is as wide as the base (allowed: less than {most:.4g} "
+                "mm); take a smaller one, or a sphere"
+            )
+        return self
+
+
+class Stl(Part):
+    """The inside of a closed STL surface of the user's own.
+
+    Attributes
+    ----------
+    file
+        STL file in mm, relative to the recipe; its z points into the body, its (0, 0) comes where ``at_mm`` says, and
+        its highest z touches first on a flat body.
+    sha256
+        Digest of the file; filled in when it is read, checked when it is given.
+    """
+
+    kind: Literal["stl"] = "stl"
+    file: str
+    sha256: str = Field(default="", pattern="^([0-9a-f]{64})?$")
+
+    @field_validator("file")
+    @classmethod
+    def _is_a_closed_surface(cls, file: str) -> str:
+        from twin.geometry.closed import PROBE_SIZE_MM, read_surface
+
+        try:
+            read_surface(file, PROBE_SIZE_MM)
+        except InputError as problem:
+            raise ValueError(str(problem)) from None
+        return file
+
+    @model_validator(mode="before")
+    @classmethod
+    def _carries_a_digest(cls, table: Any) -> Any:
+        if isinstance(table, dict) and isinstance(table.get("file"), str) and not table.get("sha256"):
+            path = Path(table["file"])
+            if path.is_file():
+                return {**table, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        return table
+
+    @model_validator(mode="after")
+    def _file_is_the_one(self) -> Stl:
+        found = hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
+        if self.sha256 != found:
+            raise ValueError(
+                f"sha256 = {self.sha256[:12]}... but {Path(self.file).name} has {found[:12]}...: the file was changed; "
+                "leave sha256 out to take the new one"
+            )
+        return self
+
+
+Probe = Annotated[Sphere | Cylinder | Pillar | Cone | Stl, Field(discriminator="kind")]
+
+
+def _refuse_edge(edge_mm: float, width_mm: float) -> None:
+    if edge_mm > width_mm / 2:
+        raise ValueError(
+            f"edge_mm = {edge_mm:g} mm: allowed is up to half the width, {width_mm / 2:g} mm; take a smaller one"
+        )
