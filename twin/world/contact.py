@@ -257,8 +257,8 @@ def _refuse_overlap(contacts: Contacts, found: Equilibrium) -> None:
             if gap[worst] + sunk[worst] < -_OVERLAP * float(np.abs(sunk).max()):
                 place = ", ".join(f"{c:.3g}" for c in grid.centre_mm[active][worst])
                 raise ContactError(
-                    f"contact: the {setting.name} and the {contacts.settings[other].name} press on the same place of the "
-                    f"surface, near ({place}) mm: move them apart, or press one after the other"
+                    f"contact: the {setting.name} and the {contacts.settings[other].name} press on the same place of "
+                    f"the surface, near ({place}) mm: move them apart, or press one after the other"
                 )
 
 
