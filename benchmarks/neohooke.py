@@ -183,7 +183,7 @@ class Contact:
         if self.linear:
             sideways = self.approach.probe.kind == "sphere"  # a flat face meets the points that it covers at rest
             place = self.moved_mm * [sideways, sideways, 1.0]
-            gap, slope = self.approach.gap(self.rest_mm, self.inward, np.array([*place, 0.0]))
+            gap, slope = self.approach.gap(self.rest_mm, self.inward, np.array([*place, 0.0, 0.0, 0.0]))
             return gap + np.einsum("qi,qi->q", shift, self.inward), self.inward, slope[:, :3], none
         away = self.rest_mm + shift - self.approach.axis_mm - self.moved_mm
         if self.approach.probe.kind != "sphere":

@@ -111,7 +111,7 @@ def below(case: Case, finer: float = 1.0) -> Mesh:
 def _pressed(case: Case, levels: tuple[float, ...], finer: float = 1.0) -> Iterator[dict[str, Any]]:
     scene = load_scene(case.scene, {"tolerance.preset": "none"})
     body, modulus = scene.body, scene.material.youngs_modulus_mpa
-    mesh, start = below(case, finer), approach(case.probe, scene.body, case.at_mm)
+    mesh, start = below(case, finer), approach(case.probe, scene.body, np.array(case.at_mm))
     markers = Sensor(scene).actual.markers.points
     locator = Locator(mesh)
     at_markers = locator.locate(markers)
@@ -204,7 +204,7 @@ def _strains(at_markers: Places, locator: Locator, contact: Contact, lin: Floats
 def _dead(case: Case, levels: tuple[float, ...]) -> Iterator[dict[str, Any]]:
     """The same, the rubber being loaded by the linear contact's traction instead of by the probe."""
     scene = load_scene(case.scene, {"tolerance.preset": "none"})
-    mesh, start = below(case), approach(case.probe, scene.body, case.at_mm)
+    mesh, start = below(case), approach(case.probe, scene.body, np.array(case.at_mm))
     at_markers = Locator(mesh).locate(Sensor(scene).actual.markers.points)
     straight, rubber = Rubber(mesh, linear=True), Rubber(mesh)
     unknowns, reached = rubber.rest, 0.0
