@@ -39,7 +39,7 @@ class Rung:
     def error_estimate(self, points, load):
         return self._error
 
-    def expected_error(self, load):
+    def expected_error(self, load, points=None):
         return self._error
 
     def displacement(self, points, load):

@@ -123,3 +123,17 @@ def test_compliance_times_force_is_displacement(points):
     np.testing.assert_allclose(
         (matrix @ load.force_n.ravel()).reshape(-1, 3), halfspace.displacement(points, load, 0.5, 0.4), rtol=1e-12
     )
+
+
+def test_tension_under_and_beside_a_rectangle_is_its_solid_angle():
+    """The mean tension under unit pressure is -(1 + nu) / (3 pi) times the solid angle, up to 2 pi under the middle."""
+    load = rectangles([0, 0, 0], (0.5, 0.3), (0, 0, 4 * 0.5 * 0.3))
+    places = np.array([[0.1, 0.2, 1e-9], [0.0, 0.0, 0.1], [0.0, 0.0, 3.0], [0.6, 0.0, 1e-9], [3.0, 2.0, 1e-3]])
+    node, weight = np.polynomial.legendre.leggauss(400)
+    x, y = np.meshgrid(0.5 * node, 0.3 * node, indexing="ij")
+    area = 0.15 * np.outer(weight, weight)
+    for place, exact in zip(places, (2 * np.pi, None, None, 0.0, None), strict=True):
+        r = np.sqrt((x - place[0]) ** 2 + (y - place[1]) ** 2 + place[2] ** 2)
+        angle = exact if exact is not None else np.sum(area * place[2] / r**3)
+        mean = np.trace(halfspace.stress(place[None], load, 0.5)[0]) / 3.0
+        assert mean == pytest.approx(-angle / (2.0 * np.pi), abs=1e-6)

@@ -11,11 +11,14 @@ from twin.places import MESHES
 from twin.world.compliance import Compliance
 from twin.world.mesh import Mesh, read_mesh
 from twin.world.solve import factorisations
+from twin.world.table import Basis, Table
 from twin.world.tabulate import (
     ROLES,
     SHIPPED,
     STANDARD,
+    STEP,
     USABLE,
+    _kept,
     cached_path,
     find_table,
     make_table,
@@ -66,10 +69,27 @@ def test_table_equals_a_solve_and_factors_nothing(nu):
 def test_outside_its_range_the_table_steps_back():
     table = read_table(shipped_path("nominal"))
     inside, load = np.array([[0.0, 0.0, 5.0]]), tile(LOADS[0], STANDARD)
-    assert table.covers(inside, load, 0.4)
-    assert not table.covers(inside + np.array([0, 0, 6.0]), load, 0.4)
-    assert not table.covers(inside, load, -0.1)
-    assert not table.covers(inside, tile(Traction.rectangle((19, 0), (4, 4), (0, 0, 1)), STANDARD), 0.4)
+    assert table.covers(load, 0.4)
+    assert Basis(points=inside, box_mm=table.box_mm).inside
+    assert not Basis(points=inside + np.array([0, 0, 6.0]), box_mm=table.box_mm).inside
+    assert not Basis(points=inside - np.array([0, 41.0, 0]), box_mm=table.box_mm).inside
+    assert not table.covers(load, -0.1)
+    assert not table.covers(tile(Traction.rectangle((19, 0), (4, 4), (0, 0, 1)), STANDARD), 0.4)
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_a_table_is_small_and_written_as_it_was_read(role, tmp_path):
+    path = shipped_path(role)
+    assert path.stat().st_size < 45_000
+    table = read_table(path)
+    write_table(table, tmp_path / "t.npz")
+    again = read_table(tmp_path / "t.npz")
+    np.testing.assert_allclose(again.coefficients, table.coefficients, rtol=1e-12)
+    largest = np.abs(table.coefficients).max()
+    between = table.coefficients + 0.4 * STEP * largest
+    write_table(Table(**{**vars(table), "coefficients": between}), tmp_path / "t.npz")
+    lost = np.abs(read_table(tmp_path / "t.npz").coefficients - between)[_kept()]
+    assert lost.max() <= 0.51 * STEP * largest
 
 
 def test_foreign_file_is_refused(tmp_path):
@@ -78,7 +98,7 @@ def test_foreign_file_is_refused(tmp_path):
         read_table(tmp_path / "t.npz")
 
 
-@pytest.mark.parametrize("damage", [lambda whole: whole[:20000], lambda whole: b"", lambda whole: whole[:100]])
+@pytest.mark.parametrize("damage", [lambda whole: whole[:9000], lambda whole: b"", lambda whole: whole[:100]])
 def test_damaged_table_is_refused_and_solved_around(tmp_path, monkeypatch, damage):
     path = tmp_path / "t.npz"
     path.write_bytes(damage(shipped_path("nominal").read_bytes()))
@@ -102,7 +122,7 @@ def test_foreign_sizes_are_refused(tmp_path):
 def test_table_can_be_made_anew():
     made = make_table(STANDARD, read_mesh(MESHES / "kamiyama_block.nominal.npz")).coefficients
     shipped = read_table(shipped_path("nominal")).coefficients
-    np.testing.assert_allclose(shipped, made, atol=1e-6 * np.abs(made).max())
+    np.testing.assert_allclose(shipped, made, atol=3e-6 * np.abs(made).max())
 
 
 @pytest.mark.slow

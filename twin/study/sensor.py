@@ -74,6 +74,7 @@ class Sensor:
         self.nominal = scene
         self.progress = progress
         self._warned = False
+        self._cut: tuple[Load, Rectangles] | None = None
 
     @cached_property
     def actual(self) -> Actual:
@@ -121,10 +122,12 @@ class Sensor:
         return Renderer(self.actual.scene, self.ellipsoids(None))
 
     def rectangles(self, load: Load) -> Rectangles:
-        """Cut a load into the rectangles that the solvers work on."""
-        from twin.world.tile import tile
+        """Cut a load into the rectangles that the solvers work on; the last load's are kept."""
+        if self._cut is None or self._cut[0] is not load:
+            from twin.world.tile import tile
 
-        return tile(load, self.actual.scene.body)
+            self._cut = load, tile(load, self.actual.scene.body)
+        return self._cut[1]
 
     def displacement(self, points_mm: Points, load: Load) -> Points:
         """Return the (n, 3) displacement in mm of points inside the body under ``load``.

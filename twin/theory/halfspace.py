@@ -82,19 +82,21 @@ def _local(point: Floats, centre: Floats, frame: Floats) -> tuple[float, float, 
 def _displacement(
     points: Floats, centre: Floats, frames: Floats, half: Floats, force: Floats, k: float, out: Floats
 ) -> None:
-    u, n, v = np.empty((3, 3)), np.empty(3), np.empty(3)
+    u, n = np.empty((3, 3)), np.empty(3)
+    local = np.empty_like(force)
+    for t in range(len(centre)):
+        local[t] = frames[t] @ force[t]
     for q in range(len(points)):
         for t in range(len(centre)):
             frame = frames[t]
             x, y, z = _local(points[q], centre[t], frame)
             rectangle_terms(x, y, z, half[t, 0], half[t, 1], k, u, n)
+            fx, fy, fz = local[t]
+            ux = u[0, 0] * fx + u[0, 1] * fy + u[0, 2] * fz
+            uy = u[1, 0] * fx + u[1, 1] * fy + u[1, 2] * fz
+            uz = u[2, 0] * fx + u[2, 1] * fy + u[2, 2] * fz
             for i in range(3):
-                v[i] = 0.0
-                for j in range(3):
-                    f = frame[j, 0] * force[t, 0] + frame[j, 1] * force[t, 1] + frame[j, 2] * force[t, 2]
-                    v[i] += u[i, j] * f
-            for i in range(3):
-                out[q, i] += frame[0, i] * v[0] + frame[1, i] * v[1] + frame[2, i] * v[2]
+                out[q, i] += frame[0, i] * ux + frame[1, i] * uy + frame[2, i] * uz
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -105,6 +107,11 @@ def _compliance(points: Floats, centre: Floats, frames: Floats, half: Floats, k:
             frame = frames[t]
             x, y, z = _local(points[q], centre[t], frame)
             rectangle_terms(x, y, z, half[t, 0], half[t, 1], k, u, n)
+            if frame[0, 0] == 1.0 and frame[1, 1] == 1.0 and frame[2, 2] == 1.0:
+                for i in range(3):
+                    for j in range(3):
+                        out[3 * q + i, 3 * t + j] = u[i, j]
+                continue
             for i in range(3):
                 for j in range(3):
                     v[i, j] = u[i, 0] * frame[0, j] + u[i, 1] * frame[1, j] + u[i, 2] * frame[2, j]
@@ -117,10 +124,10 @@ def _compliance(points: Floats, centre: Floats, frames: Floats, half: Floats, k:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _local_gradient(
-    x: float, y: float, z: float, half: Floats, frame: Floats, force: Floats, k: float, d: Floats, g: Floats
+    x: float, y: float, z: float, half: Floats, frame: Floats, force: Floats, k: float, d: Floats, n: Floats, g: Floats
 ) -> None:
-    """Set g (3, 3) to du_i/dx_m of one rectangle in its own frame, over c."""
-    rectangle_slopes(x, y, z, half[0], half[1], k, d)
+    """Set g (3, 3) to du_i/dx_m of one rectangle in its own frame, over c, and n to the mean of x_j / r^3."""
+    rectangle_slopes(x, y, z, half[0], half[1], k, d, n)
     g[:] = 0.0
     for j in range(3):
         f = frame[j, 0] * force[0] + frame[j, 1] * force[1] + frame[j, 2] * force[2]
@@ -145,11 +152,11 @@ def _add_turned(g: Floats, frame: Floats, out: Floats) -> None:
 def _gradient(
     points: Floats, centre: Floats, frames: Floats, half: Floats, force: Floats, k: float, out: Floats
 ) -> None:
-    d, g = np.empty((3, 3, 3)), np.empty((3, 3))
+    d, n, g = np.empty((3, 3, 3)), np.empty(3), np.empty((3, 3))
     for q in range(len(points)):
         for t in range(len(centre)):
             x, y, z = _local(points[q], centre[t], frames[t])
-            _local_gradient(x, y, z, half[t], frames[t], force[t], k, d, g)
+            _local_gradient(x, y, z, half[t], frames[t], force[t], k, d, n, g)
             _add_turned(g, frames[t], out[q])
 
 
@@ -158,15 +165,13 @@ def _stress(
     points: Floats, centre: Floats, frames: Floats, half: Floats, force: Floats, nu: float, out: Floats
 ) -> None:
     k = 1.0 - 2.0 * nu
-    d, g, s = np.empty((3, 3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    u, n = np.empty((3, 3)), np.empty(3)
+    d, n, g, s = np.empty((3, 3, 3)), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for q in range(len(points)):
         out[q] = 0.0
         for t in range(len(centre)):
             frame = frames[t]
             x, y, z = _local(points[q], centre[t], frame)
-            _local_gradient(x, y, z, half[t], frame, force[t], k, d, g)
-            rectangle_terms(x, y, z, half[t, 0], half[t, 1], k, u, n)
+            _local_gradient(x, y, z, half[t], frame, force[t], k, d, n, g)
             mean = 0.0
             for j in range(3):
                 f = frame[j, 0] * force[t, 0] + frame[j, 1] * force[t, 1] + frame[j, 2] * force[t, 2]

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import hashlib
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -31,13 +31,14 @@ from twin.world.direct import consistent_forces
 from twin.world.expected import DIRECT, estimated_error, expected_error
 from twin.world.fem import TaylorHood
 from twin.world.half_space import require_half_space
-from twin.world.interpolate import Locator, Places, require_inside
+from twin.world.interpolate import Locator, Places
+from twin.world.known import REMEMBERED, Known, Memory
 from twin.world.mesh import Level, Mesh, Progress, body_mesh
 from twin.world.sizing import WORLD
 from twin.world.solve import Solver
 from twin.world.spread import Readings, Region, patch_rests, single, worth_a_region
 from twin.world.store import field_key, kept
-from twin.world.table import NU_RANGE, Basis, Table, TableAtNu
+from twin.world.table import NU_RANGE, Table, TableAtNu
 from twin.world.tabulate import Role, find_table, table_level
 from twin.world.tile import require_on_surface
 
@@ -45,9 +46,6 @@ Method = Literal["subtracted", "direct"]
 
 FEW = 3
 """Points are read by adjoint solves where patches are more than this many times as many."""
-
-REMEMBERED = 8
-"""Loads whose nodal fields, and point sets whose places, are kept."""
 
 
 class Compliance:
@@ -93,9 +91,8 @@ class Compliance:
         self._solver: Solver = solver
         self._use_table = table
         self._fields: dict[str, Floats] = {}
-        self._places: dict[str, Places] = {}
-        self._bases: dict[str, Basis] = {}
-        self._readings: dict[str, Readings] = {}
+        self._memory = Memory(body)
+        self._sound: Rectangles | None = None
         self._region: Region | None = None
         self._table_tried = False
 
@@ -136,8 +133,9 @@ class Compliance:
             return None
         return find_table(self.body, role, make=make, solver=self._solver, progress=self._progress)
 
-    def _table_for(self, points: Points, load: Rectangles) -> TableAtNu | None:
-        if self._table and self._table.covers(points, load, self.material.poisson_ratio):
+    def _table_for(self, known: Known, load: Rectangles) -> TableAtNu | None:
+        table = self._table
+        if table and table.covers(load, self.material.poisson_ratio) and known.basis(table.box_mm).inside:
             return self._table_at_nu
         return None
 
@@ -181,53 +179,58 @@ class Compliance:
         SolveError
             See `twin.world.solve.Factor.solve`.
         """
-        points = self._checked(points, load)
-        if len(points) == 0 or not np.any(load.force_n):
-            return np.zeros_like(points)
-        rest = self._rest(points, load)
-        return rest + halfspace.displacement(points, load, *self._rubber) if self._subtracted else rest
+        known = self._checked(points, load)
+        if len(known) == 0 or not np.any(load.force_n):
+            return np.zeros_like(known.points)
+        return self._displacement(known, load)
 
-    def _rest(self, points: Points, load: Rectangles) -> Points:
+    def _displacement(self, known: Known, load: Rectangles) -> Points:
+        rest = self._rest(known, load)
+        return rest + halfspace.displacement(known.points, load, *self._rubber) if self._subtracted else rest
+
+    def _rest(self, known: Known, load: Rectangles) -> Points:
         """Return (n, 3) what the half-space lacks, mm; everything with the direct method."""
-        if table := self._table_for(points, load):
-            return table.displacement(self._basis(table, points), load) / self._modulus
-        return self._place(points).values(self._field(load)) / self._modulus
+        if table := self._table_for(known, load):
+            return table.displacement(known.basis(table.box_mm), load) / self._modulus
+        return known.placed(self._locator).values(self._field(load)) / self._modulus
 
     def gradient(self, points: Points, load: Rectangles) -> Floats:
         """Return (n, 3, 3) du_i/dx_j at ``points`` (n, 3): strain and turn. Raises like `displacement`."""
-        points = self._checked(points, load)
-        if len(points) == 0 or not np.any(load.force_n):
-            return np.zeros((len(points), 3, 3))
-        table = self._table_for(points, load)
-        if table:
-            rest = table.gradient(self._basis(table, points), load)
+        known = self._checked(points, load)
+        if len(known) == 0 or not np.any(load.force_n):
+            return np.zeros((len(known), 3, 3))
+        if table := self._table_for(known, load):
+            rest = table.gradient(known.basis(table.box_mm), load)
         else:
-            rest = self._place(points).gradients(self._field(load))
+            rest = known.placed(self._locator).gradients(self._field(load))
         rest = rest / self._modulus
-        return rest + halfspace.gradient(points, load, *self._rubber) if self._subtracted else rest
+        return rest + halfspace.gradient(known.points, load, *self._rubber) if self._subtracted else rest
 
     def to_points(self, points: Points, rectangles: Rectangles) -> Floats:
         """Return the (3 n, 3 k) displacement in mm/N of ``points`` (n, 3) per unit global force on each rectangle.
 
         The rectangles' own ``force_n`` is ignored. Raises like `displacement`.
         """
-        points = self._checked(points, rectangles)
-        shape = (3 * len(points), 3 * len(rectangles))
+        known = self._checked(points, rectangles)
+        shape = (3 * len(known), 3 * len(rectangles))
         if 0 in shape:
             return np.zeros(shape)
         if not self._subtracted:
-            return self._direct(self._place(points), rectangles).reshape(shape)
+            return self._direct(known.placed(self._locator), rectangles).reshape(shape)
         if worth_a_region(rectangles):
             self.make_table()
-        if table := self._table_for(points, rectangles):
-            rest = table.rests(self._basis(table, points), rectangles).reshape(shape)
+        if table := self._table_for(known, rectangles):
+            rest = table.rests(known.basis(table.box_mm), rectangles).reshape(shape)
         else:
-            rest = self._solved_rests(points, rectangles).reshape(shape)
-        return np.asarray(halfspace.compliance(points, rectangles, *self._rubber) + rest / self._modulus)
+            rest = self._solved_rests(known, rectangles).reshape(shape)
+        whole = halfspace.compliance(known.points, rectangles, *self._rubber)
+        rest /= self._modulus
+        whole += rest
+        return whole
 
-    def _solved_rests(self, points: Points, rectangles: Rectangles) -> Floats:
+    def _solved_rests(self, known: Known, rectangles: Rectangles) -> Floats:
         """Return (n, 3, k, 3) by the fewest solves: a region for patches close together, else by patch or by point."""
-        places = self._place(points)
+        places = known.placed(self._locator)
         if worth_a_region(rectangles):
             if self._region is not None and self._region.covers(rectangles):
                 return self._region.rests(places, rectangles)
@@ -236,12 +239,11 @@ class Compliance:
                 return self._region.rests(places, rectangles)
             except InputError:  # so near to the end of the surface that the region would run over it
                 pass
-        if FEW * len(points) >= len(rectangles):  # fields, unlike readings, serve points that move
+        if FEW * len(known) >= len(rectangles):  # fields, unlike readings, serve points that move
             return patch_rests(self.system, self.body, places, rectangles)
-        key = _digest(points)
-        if key not in self._readings:
-            self._readings = {key: Readings(self.system, self.body, places)}
-        return self._readings[key].rests(rectangles)
+        if known.readings is None:
+            known.readings = Readings(self.system, self.body, places)
+        return known.readings.rests(rectangles)
 
     def surface(self, rectangles: Rectangles) -> Floats:
         """Return the symmetric (3 k, 3 k) displacement in mm/N of the rectangles' centres per unit force on each.
@@ -262,26 +264,34 @@ class Compliance:
 
         Validity: the law of `expected_error` where there is no coarser level. Raises like `displacement`.
         """
-        points = self._checked(points, load)
-        if len(points) == 0 or not np.any(load.force_n):
+        known = self._checked(points, load)
+        if len(known) == 0 or not np.any(load.force_n):
             return 0.0
-        moved = float(np.linalg.norm(self.displacement(points, load), axis=1).max())
+        rest = self._rest(known, load)
         level = self.level
-        if self._table_for(points, load):
+        if self._table_for(known, load):
             if self._check_at_nu is None or level == "nominal":
-                return self.expected_error(load)
+                return self.expected_error(load, points)
             level = table_level(self.body, "truth")
-            other = self._check_at_nu.displacement(self._basis(self._check_at_nu, points), load) / self._modulus
+            other = self._check_at_nu.displacement(known.basis(self._check_at_nu.box_mm), load) / self._modulus
         elif self.coarser is not None:
-            other = self.coarser._rest(points, load)
+            other = self.coarser._rest(self.coarser._checked(points, load), load)
         else:
             return self.expected_error(load)
-        differ = float(np.linalg.norm(self._rest(points, load) - other, axis=1).max()) / moved
+        moved = rest + halfspace.displacement(known.points, load, *self._rubber) if self._subtracted else rest
+        differ = _largest(rest - other) / _largest(moved)
         return estimated_error(self.body, level, differ)
 
-    def expected_error(self, load: Rectangles) -> float:
-        """Return the error to be expected before anything is solved: see `twin.world.expected`."""
-        return expected_error(self.body, self.level, load) if self._subtracted else DIRECT
+    def expected_error(self, load: Rectangles, points: Points | None = None) -> float:
+        """Return the error to be expected before anything is solved: see `twin.world.expected`.
+
+        At ``points`` that a table answers it is that of the mesh which the table was made of.
+        """
+        if not self._subtracted:
+            return DIRECT
+        known = None if points is None else self._checked(points, load)
+        tabled = self.level != "nominal" and known is not None and self._table_for(known, load) is not None
+        return expected_error(self.body, table_level(self.body, "truth") if tabled else self.level, load)
 
     @property
     def _subtracted(self) -> bool:
@@ -295,36 +305,22 @@ class Compliance:
     def _rubber(self) -> tuple[float, float]:
         return self.material.youngs_modulus_mpa, self.material.poisson_ratio
 
-    def _checked(self, points: Points, load: Rectangles) -> Points:
-        points = np.ascontiguousarray(points, float)
-        require_inside(self.body, points)
-        if len(load) == 0:
-            return points
-        require_on_surface(self.body, load)
-        if self._subtracted:
-            require_half_space(self.body, load)
-        return points
-
-    def _basis(self, table: TableAtNu, points: Points) -> Basis:
-        key = _digest(points)
-        if key not in self._bases:
-            _make_room(self._bases)
-            self._bases[key] = table.basis(points)
-        return self._bases[key]
-
-    def _place(self, points: Points) -> Places:
-        key = _digest(points)
-        if key not in self._places:
-            _make_room(self._places)
-            self._places[key] = self._locator.locate(points)
-        return self._places[key]
+    def _checked(self, points: Points, load: Rectangles) -> Known:
+        known = self._memory.of(points)
+        if len(load) and load is not self._sound:
+            require_on_surface(self.body, load)
+            if self._subtracted:
+                require_half_space(self.body, load)
+            self._sound = load
+        return known
 
     def _field(self, load: Rectangles) -> Floats:
         """Return the nodal field (N, 3) for E = 1 MPa: the rest, or everything with the direct method."""
         parts = (load.centre_mm, load.frames, load.half_mm, load.force_n)
         key = _digest(*parts)
         if key not in self._fields:
-            _make_room(self._fields)
+            while len(self._fields) >= REMEMBERED:
+                self._fields.pop(next(iter(self._fields)))
             self._fields[key] = kept(
                 field_key(self.system, self.body, *parts, np.array(self._subtracted)), lambda: self._solve(load)
             )
@@ -358,6 +354,6 @@ def _digest(*arrays: Floats) -> str:
     return sha.hexdigest()
 
 
-def _make_room(memory: dict[str, Any]) -> None:
-    while len(memory) >= REMEMBERED:
-        memory.pop(next(iter(memory)))
+def _largest(moved: Points) -> float:
+    """Return the largest of the lengths of (n, 3) displacements, mm."""
+    return float(np.linalg.norm(moved, axis=1).max())

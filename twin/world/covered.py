@@ -27,6 +27,7 @@ from twin.world.bisection import refined
 from twin.world.compliance import Compliance, Method
 from twin.world.extrude import with_cover
 from twin.world.fem import Layer, TaylorHood
+from twin.world.known import Known
 from twin.world.ladder import Answer
 from twin.world.mesh import Mesh, Progress, body_mesh
 from twin.world.sizing import Level
@@ -88,9 +89,9 @@ class Patch(Compliance):
     def _rubber(self) -> tuple[float, float]:
         return self._layer.modulus_ratio * self._modulus, self._layer.poisson_ratio
 
-    def _solved_rests(self, points: Points, rectangles: Rectangles) -> Floats:
+    def _solved_rests(self, known: Known, rectangles: Rectangles) -> Floats:
         """Return (n, 3, k, 3) patch by patch: near a patch its rest is too steep to be interpolated between patches."""
-        return patch_rests(self.system, self.body, self._place(points), rectangles)
+        return patch_rests(self.system, self.body, known.placed(self._locator), rectangles)
 
 
 class Covered:

@@ -90,7 +90,7 @@ class Ladder:
             Whether to estimate the error even where it is expected to be far below the asked one.
         """
         rung = self.base
-        expected = rung.expected_error(load)
+        expected = rung.expected_error(load, points)
         if not always and CLEAR * expected <= self.asked:
             return Answer(displacement_mm=rung.displacement(points, load), error=expected, compliance=rung)
         error = rung.error_estimate(points, load)

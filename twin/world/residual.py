@@ -23,7 +23,7 @@ from numba import njit
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
-from twin.theory.halfspace_kernels import GAUSS_2, rectangle_slopes, rectangle_terms
+from twin.theory.halfspace_kernels import GAUSS_2, rectangle_slopes
 from twin.world.elements import triangle_quadrature, triangle_shapes
 from twin.world.interfaces import Skin, add_exactly, skin
 from twin.world.mesh import Mesh
@@ -338,8 +338,7 @@ def _near(
     y = frame[1, 0] * away[0] + frame[1, 1] * away[1] + frame[1, 2] * away[2]
     z = max(frame[2, 0] * away[0] + frame[2, 1] * away[1] + frame[2, 2] * away[2], 0.0)
     a, b, k = half[0], half[1], 1.0 - 2.0 * nu
-    rectangle_slopes(x, y, z, a, b, k, d)
-    rectangle_terms(x, y, z, a, b, k, u, n)
+    rectangle_slopes(x, y, z, a, b, k, d, n)
     for i in range(3):
         u[i, 0] = frame[i, 0] * area[0] + frame[i, 1] * area[1] + frame[i, 2] * area[2]
     inside = abs(x) <= a and abs(y) <= b and z * z <= a * a + b * b

@@ -11,7 +11,7 @@ Validity: forces in the window, points in the box, nu in [0, 0.5], the block and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,9 @@ from twin.parts.load import Rectangles
 NU_RANGE = (0.0, 0.5)
 SIZES = (5, 5, 5, 8, 8, 5)
 """Numbers of polynomials in nu, in the force's x and y, and in the point's x, y and z."""
+
+MANY_LOADS = 25
+"""Loads at the same points from which on the table is worth a product with the points' polynomials."""
 
 _GAUSS = np.polynomial.legendre.leggauss(3)
 _NODES = np.stack(np.meshgrid(_GAUSS[0], _GAUSS[0], indexing="ij"), axis=-1).reshape(-1, 2)
@@ -54,17 +57,12 @@ class Table:
     digest: str
     error: float
 
-    def covers(self, points: Points, load: Rectangles, poisson_ratio: float) -> bool:
-        """Tell whether the table holds for these points, forces and nu."""
-        reach = np.abs(load.centre_mm[:, :2]) + np.einsum("ks,ksi->ki", load.half_mm, np.abs(load.frames[:, :2, :2]))
-        flat = bool(np.all(load.frames[:, 2, 2] > 1.0 - 1e-12))
-        return bool(
-            flat
-            and NU_RANGE[0] <= poisson_ratio <= NU_RANGE[1]
-            and (reach <= self.window_mm).all()
-            and (np.abs(points[:, :2]) <= self.box_mm[:2]).all()
-            and (points[:, 2] <= self.box_mm[2]).all()
-        )
+    def covers(self, load: Rectangles, poisson_ratio: float) -> bool:
+        """Tell whether the table holds for these forces and nu, at points of its box."""
+        frames = load.frames
+        reach = np.abs(load.centre_mm[:, :2]) + (load.half_mm[:, :, None] * np.abs(frames[:, :2, :2])).sum(axis=1)
+        flat = bool((frames[:, 2, 2] > 1.0 - 1e-12).all())
+        return flat and NU_RANGE[0] <= poisson_ratio <= NU_RANGE[1] and bool((reach <= self.window_mm).all())
 
     def at(self, poisson_ratio: float) -> TableAtNu:
         """Return the table of one nu."""
@@ -75,12 +73,16 @@ class Table:
         return TableAtNu(coefficients=coefficients, window_mm=self.window_mm, box_mm=self.box_mm)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False)
 class Basis:
     """The products of the point polynomials at n points, computed once for as many loads as there are.
 
     Attributes
     ----------
+    points, box_mm
+        (n, 3) points, and the table's box.
+    inside
+        Whether all points are in the box.
     values
         (n, x y z).
     slopes
@@ -89,6 +91,20 @@ class Basis:
 
     points: Points
     box_mm: tuple[float, float, float]
+    _readings: dict[TableAtNu, Floats] = field(default_factory=dict)
+    _loads: int = 0
+
+    def reading(self, table: TableAtNu, loads: int = 1) -> Floats | None:
+        """Return the (3 n, x' y' force axis) means to read a table at the points; None as long as it doesn't pay."""
+        self._loads += loads
+        if table not in self._readings and self._loads > MANY_LOADS:
+            self._readings[table] = (self.values @ table.by_point).reshape(3 * len(self.points), -1)
+        return self._readings.get(table)
+
+    @cached_property
+    def inside(self) -> bool:
+        sideways, depth = np.abs(self.points[:, :2]), self.points[:, 2]
+        return bool((sideways <= self.box_mm[:2]).all() and (depth <= self.box_mm[2]).all())
 
     @cached_property
     def values(self) -> Floats:
@@ -109,10 +125,11 @@ class Basis:
                 values = values[:, : size - 1] @ slope
             basis.append(values)
         across = basis[0][:, :, None] * basis[1][:, None, :]
-        return (across[:, :, :, None] * basis[2][:, None, None, :]).reshape(len(self.points), -1)
+        products = across[:, :, :, None] * basis[2][:, None, None, :]
+        return np.ascontiguousarray(products.reshape(len(self.points), across[0].size * SIZES[5]))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TableAtNu:
     """`Table` at one nu: (x', y', force axis, displacement axis, x, y, z)."""
 
@@ -120,48 +137,49 @@ class TableAtNu:
     window_mm: tuple[float, float]
     box_mm: tuple[float, float, float]
 
-    def basis(self, points: Points) -> Basis:
-        """Return what the table needs to know of ``points`` (n, 3)."""
-        return Basis(points=points, box_mm=self.box_mm)
-
     def displacement(self, points: Basis, load: Rectangles) -> Points:
         """Return (n, 3) w in mm for E = 1 MPa."""
-        return points.values @ self._field(load)
+        moments = self._moments(load)
+        reading = points.reading(self)
+        if reading is not None:
+            return (reading @ moments).reshape(-1, 3)
+        return points.values @ (moments @ self._by_load).reshape(-1, 3)
 
     def gradient(self, points: Basis, load: Rectangles) -> Floats:
         """Return (n, 3, 3) dw_i/dx_j for E = 1 MPa."""
-        field = self._field(load)
+        field = (self._moments(load) @ self._by_load).reshape(-1, 3)
         return np.stack([slope @ field for slope in points.slopes], axis=2)
 
     def rests(self, points: Basis, rectangles: Rectangles) -> Floats:
         """Return (n, 3, k, 3): w in mm/N at the points for E = 1 MPa per unit force on each rectangle."""
-        of_points = points.values @ self._by_point
-        of_points = of_points.reshape(len(points.points), 9, -1)
-        out = of_points @ self._load_basis(rectangles).T
-        return np.ascontiguousarray(out.reshape(len(points.points), 3, 3, -1).transpose(0, 1, 3, 2))
+        k = len(rectangles)
+        reading = points.reading(self, k)
+        if reading is None:
+            reading = (points.values @ self.by_point).reshape(3 * len(points.points), -1)
+        # one product of three times the work, for turning its result's axes would take longer
+        loads = np.einsum("ka,fg->afkg", self._load_basis(rectangles), np.eye(3)).reshape(-1, 3 * k)
+        return np.asarray(reading @ loads).reshape(-1, 3, k, 3)
 
-    def _field(self, load: Rectangles) -> Floats:
-        """Return (x y z, 3) coefficients of the load's field."""
-        moments = self._load_basis(load).T @ load.force_n
-        return (moments.ravel() @ self._by_load).reshape(3, -1).T
+    def _moments(self, load: Rectangles) -> Floats:
+        """Return (x' y' force axis) the load's moments."""
+        return np.asarray(self._load_basis(load).T @ load.force_n).ravel()
 
     @cached_property
     def _by_load(self) -> Floats:
-        """Return (x' y' force axis, displacement axis x y z)."""
+        """Return (x' y' force axis, x y z displacement axis)."""
         count = self.coefficients.shape[0] * self.coefficients.shape[1] * 3
-        return self.coefficients.reshape(count, -1)
+        return np.ascontiguousarray(self.coefficients.transpose(0, 1, 2, 4, 5, 6, 3).reshape(count, -1))
 
     @cached_property
-    def _by_point(self) -> Floats:
-        """Return (x y z, displacement axis force axis x' y')."""
-        ordered = self.coefficients.transpose(4, 5, 6, 3, 2, 0, 1)
+    def by_point(self) -> Floats:
+        """Return (x y z, displacement axis x' y' force axis)."""
+        ordered = self.coefficients.transpose(4, 5, 6, 3, 0, 1, 2)
         return np.ascontiguousarray(ordered.reshape(int(np.prod(ordered.shape[:3])), -1))
 
     def _load_basis(self, load: Rectangles) -> Floats:
         """Return (k, x' y') means of the polynomials over each rectangle, by 3 x 3 Gauss points."""
-        offsets = _NODES[None] * load.half_mm[:, None]
-        places = load.centre_mm[:, None, :2] + offsets @ load.frames[:, :2, :2]
-        a = chebvander(places[..., 0] / self.window_mm[0], SIZES[1] - 1)
-        b = chebvander(places[..., 1] / self.window_mm[1], SIZES[2] - 1)
-        basis: Floats = np.einsum("kqa,kqb->kab", a * _WEIGHTS[:, None], b)
-        return basis.reshape(len(load), -1)
+        places = load.centre_mm[:, None, :2] + _NODES @ (load.half_mm[:, :, None] * load.frames[:, :2, :2])
+        angles = np.arccos(np.clip(places / self.window_mm, -1.0, 1.0))
+        a = np.cos(angles[:, :, :1] * np.arange(SIZES[1])) * _WEIGHTS[:, None]
+        b = np.cos(angles[:, :, 1:] * np.arange(SIZES[2]))
+        return np.asarray(np.matmul(a.transpose(0, 2, 1), b)).reshape(len(load), -1)

@@ -36,7 +36,7 @@ from twin.world.interpolate import Locator
 from twin.world.mesh import Level, Mesh, Progress, body_mesh, mesh_key
 from twin.world.sizing import default_sizing
 from twin.world.solve import Solver
-from twin.world.table import NU_RANGE, SIZES, Table
+from twin.world.table import NU_RANGE, SIZES, Basis, Table
 
 Role = Literal["truth", "check", "nominal"]
 ROLES: tuple[Role, ...] = ("truth", "check", "nominal")
@@ -51,8 +51,8 @@ MADE: dict[Role, Level] = {"truth": "standard", "check": "coarse", "nominal": "n
 WINDOW, BOX = (0.4, 0.4), (0.48, 0.45, 0.25)
 """Half window over half the block's width and length; half box over the same, and depth over thickness."""
 
-NEGLIGIBLE = 3e-7
-"""Coefficients below this share of the largest are dropped."""
+STEP = 2e-6
+"""Coefficients are stored as whole numbers of steps, this share of the largest: displacements are then 4e-6 off."""
 
 USABLE = 5e-4
 """Largest `Table.error` with which a table is used: thin blocks need more polynomials than it has."""
@@ -111,7 +111,7 @@ def shipped_path(role: Role) -> Path:
 def cached_path(body: Block, role: Role) -> Path:
     """Return where the table of another block is kept."""
     key = mesh_key(body, default_sizing(body, MADE[role]))
-    told = json.dumps([key, SIZES, NU_RANGE, WINDOW, BOX])
+    told = json.dumps([key, SIZES, NU_RANGE, WINDOW, BOX, STEP])
     return cache_folder() / f"table-{hashlib.sha256(told.encode()).hexdigest()[:32]}.npz"
 
 
@@ -188,7 +188,7 @@ def _error(table: Table, body: Block, system: TaylorHood) -> float:
     points = share * np.array(table.box_mm)
     solved = Locator(system.mesh).locate(points).values(correction(system, body, [load])[:, :, 0])
     at_nu = table.at(nu)
-    wrong = np.linalg.norm(at_nu.displacement(at_nu.basis(points), load) - solved, axis=1).max()
+    wrong = np.linalg.norm(at_nu.displacement(Basis(points=points, box_mm=table.box_mm), load) - solved, axis=1).max()
     moved = halfspace.displacement(points, load, 1.0, nu) + solved
     return float(wrong / np.linalg.norm(moved, axis=1).max())
 
@@ -206,9 +206,14 @@ def _point_force(
 
 
 def write_table(table: Table, path: Path) -> None:
-    """Write the coefficients that are not negligible, with what they are made of."""
-    flat = table.coefficients.ravel()
-    index = np.flatnonzero(np.abs(flat) > NEGLIGIBLE * np.abs(flat).max())
+    """Write the coefficients that symmetry allows, in steps, and what they are made of.
+
+    Why byte by byte: nearly all of the steps are few, so their upper bytes are zeros, which compress to nothing.
+    """
+    allowed = table.coefficients[_kept()]
+    step = STEP * float(np.abs(allowed).max())
+    steps = np.rint(allowed / step).astype(np.int32)
+    folded = ((steps << 1) ^ (steps >> 31)).astype("<u4")
     words = json.dumps(
         {
             "digest": table.digest,
@@ -217,10 +222,11 @@ def write_table(table: Table, path: Path) -> None:
             "window_mm": table.window_mm,
             "box_mm": table.box_mm,
             "error": table.error,
+            "step": step,
         }
     )
-    gap, value = np.diff(index, prepend=0).astype(np.uint16), flat[index].astype(np.float32)
-    write_whole(path, lambda file: np.savez_compressed(file, gap=gap, value=value, words=np.array(words)))
+    planes = np.ascontiguousarray(folded.view(np.uint8).reshape(-1, 4).T)
+    write_whole(path, lambda file: np.savez_compressed(file, planes=planes, words=np.array(words)))
 
 
 def read_table(path: Path) -> Table:
@@ -235,17 +241,17 @@ def read_table(path: Path) -> Table:
         # opened here, because numpy leaves a broken zip file's handle to the garbage collector
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             words = json.loads(str(file["words"]))
-            index, value = np.cumsum(file["gap"].astype(np.int64)), file["value"].astype(float)
+            planes, step = file["planes"], float(words["step"])
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as problem:
         raise InputError(f"{path} is not a table of the rest ({problem}): make it anew") from problem
     if words.get("sizes") != list(SIZES) or words.get("nu_range") != list(NU_RANGE):
         raise InputError(f"{path} was made for other sizes: make it anew with python -m twin.world.tabulate")
-    shape = (*SIZES[:3], 3, 3, *SIZES[3:])
-    flat = np.zeros(int(np.prod(shape)))
-    if index.shape != value.shape or np.any(index >= flat.size) or not np.isfinite(value).all():
+    allowed = _kept()
+    if planes.shape != (4, np.count_nonzero(allowed)) or planes.dtype != np.uint8 or not np.isfinite(step):
         raise InputError(f"{path} is not a table of the rest (its arrays don't fit together): make it anew")
-    flat[index] = value
-    coefficients = flat.reshape(shape)
+    folded = np.ascontiguousarray(planes.T).view("<u4").ravel()
+    coefficients = np.zeros(allowed.shape)
+    coefficients[allowed] = step * ((folded >> 1).astype(np.int64) ^ -(folded & 1).astype(np.int64))
     frozen(coefficients)
     return Table(
         coefficients=coefficients,

@@ -56,7 +56,7 @@ def tile(load: Load, body: Body, spacing_mm: float | None = None) -> Rectangles:
         A footprint lies partly off the sensing surface, or its centre is not on it.
     """
     parts = [term if isinstance(term, Rectangles) else _tile_one(term, body, spacing_mm) for term in load.terms]
-    return join(parts)
+    return parts[0] if len(parts) == 1 else join(parts)
 
 
 def join(parts: list[Rectangles]) -> Rectangles:
@@ -104,8 +104,8 @@ def require_on_surface(body: Body, load: Rectangles) -> None:
         ("force", load.force_n, "N"), ("centre", load.centre_mm, "mm"), ("half side", load.half_mm, "mm"),
         ("frame", load.frames.reshape(-1, 9), ""),
     ):  # fmt: skip
-        finite = np.isfinite(values).all(axis=1)
-        if not finite.all():
+        if not np.isfinite(values).all():
+            finite = np.isfinite(values).all(axis=1)
             first = int(np.argmin(finite))
             raise InputError(f"rectangle {first}: its {what} {values[first]} {unit} is not finite: check the load")
     distances = body.piece_distances(load.centre_mm)
@@ -132,10 +132,12 @@ def require_on_surface(body: Body, load: Rectangles) -> None:
         )
 
 
+_SIGNS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+
+
 def _overhang(body: Body, load: Rectangles) -> Floats:
     """Return (k,) how far each rectangle's corners are outside the other faces, over its half side there."""
-    signs = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], float)
-    corners = load.centre_mm[:, None] + np.einsum("qs,ks,ksi->kqi", signs, load.half_mm, load.frames[:, :2])
+    corners = load.centre_mm[:, None] + _SIGNS @ (load.half_mm[:, :, None] * load.frames[:, :2])
     out = -body.piece_distances(corners.reshape(-1, 3))[:, 1:].min(axis=1).reshape(len(load), -1).min(axis=1)
     return np.asarray(out / np.maximum(load.half_mm.max(axis=1), ON_SURFACE_MM))
 
@@ -149,9 +151,9 @@ def _tile_one(traction: Traction, body: Body, spacing_mm: float | None) -> Recta
     centre = footprint_centre(traction, body)
     frame = body.frames(centre[None])[0]
     half = np.array(traction.size_mm) / 2.0
-    rim = _rim(traction, half)
+    rim = (_SQUARE if traction.kind == "rectangle" else _CIRCLE) * half
     on_rim = onto_surface(rim, centre, frame, body, traction)
-    flat = float(np.max(np.abs(body.piece_normals(on_rim)[:, 0] - frame[2]))) < 1e-12
+    flat = body.is_flat or float(np.max(np.abs(body.piece_normals(on_rim)[:, 0] - frame[2]))) < 1e-12
     if flat and traction.kind == "rectangle":
         return _plane(centre, frame, np.zeros((1, 2)), half[None], np.array([traction.force_n]))
     if flat and traction.kind == "disk":
@@ -163,31 +165,32 @@ def _tile_one(traction: Traction, body: Body, spacing_mm: float | None) -> Recta
     return _grid(traction, centre, frame, half, body, spacing_mm)
 
 
-def _rim(traction: Traction, half: Floats) -> Floats:
-    """Return (r, 2) points on the footprint's edge."""
-    if traction.kind == "rectangle":
-        s = np.linspace(-1.0, 1.0, 9)
-        one = np.ones_like(s)
-        rim = np.concatenate(
-            [np.column_stack([s, o * one]) for o in (-1, 1)] + [np.column_stack([o * one, s]) for o in (-1, 1)]
-        )
-        return np.asarray(rim * half)
+def _square() -> Floats:
+    s = np.linspace(-1.0, 1.0, 9)
+    sides = [np.column_stack([s, np.full(9, o)]) for o in (-1.0, 1.0)]
+    return np.concatenate([*sides, *(side[:, ::-1] for side in sides)])
+
+
+def _circle() -> Floats:
     angle = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
-    return np.asarray(half[0] * np.column_stack([np.cos(angle), np.sin(angle)]))
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+_SQUARE, _CIRCLE = _square(), _circle()
+"""(r, 2) points on the edge of a footprint of half size 1."""
 
 
 def onto_surface(offsets: Floats, centre: Points, frame: Floats, body: Body, traction: Traction) -> Points:
     """Return the (n, 3) surface points met along the centre's normal, ``offsets`` (n, 2) beside the centre."""
     points = centre + offsets @ frame[:2]
-    for _ in range(50):
+    for _ in range(0 if body.is_flat else 50):
         distance = body.piece_distances(points)[:, 0]
         slope = body.piece_normals(points)[:, 0] @ frame[2]
         step = -distance / np.where(slope > 0.05, slope, np.nan)
         points = points + step[:, None] * frame[2]
         if not np.max(np.abs(step)) > 1e-12:
             break
-    inside: Bools = np.asarray(np.isfinite(points).all(axis=1))
-    inside[inside] = np.min(body.piece_distances(points[inside]), axis=1) >= -1e-9
+    inside: Bools = np.asarray(body.piece_distances(points).min(axis=1) >= -1e-9)  # not where there is no surface: NaN
     if not inside.all():
         place = ", ".join(f"{c:.4g}" for c in centre)
         raise InputError(
@@ -198,11 +201,10 @@ def onto_surface(offsets: Floats, centre: Points, frame: Floats, body: Body, tra
 
 
 def _plane(centre: Points, frame: Floats, offsets: Floats, half: Floats, force: Floats) -> Rectangles:
+    frames = np.empty((len(offsets), 3, 3))
+    frames[:] = frame
     return Rectangles(
-        centre_mm=centre + offsets @ frame[:2],
-        frames=np.tile(frame, (len(offsets), 1, 1)),
-        half_mm=np.array(half),
-        force_n=np.array(force, float),
+        centre_mm=centre + offsets @ frame[:2], frames=frames, half_mm=np.array(half), force_n=np.array(force, float)
     )
 
 
