@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from twin.parts.load import Rectangles
 from twin.parts.press import Cylinder, Pillar, Press, Probe, Sphere, Step
 from twin.theory.contact import oblique_motion
 from twin.theory.friction import sheared_motion, stick_radius, twisted
+from twin.world import friction
 from twin.world.contact import ContactState, press
 
 BALL = Sphere(diameter_mm=30)
@@ -186,6 +188,26 @@ def test_a_sphere_that_is_lifted_over_is_pressed_anew_where_it_is(friction: floa
     middle = only(over).force_n[:, 2] @ only(over).centre_mm / over.force_n[2]
     np.testing.assert_allclose(middle, [0.3, 0.1, 0.0], atol=5e-3)
     np.testing.assert_allclose(over.force_n[:2], 0.0, atol=1e-3 * over.force_n[2])
+
+
+def test_many_small_steps_are_taken_in_few_parts_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[int] = []
+    parts = friction._parts
+
+    def counted(*arguments: Any) -> int:
+        taken.append(parts(*arguments))
+        return taken[-1]
+
+    monkeypatch.setattr(friction, "_parts", counted)
+    side, torque = 0.6 * MU * PUSH, 0.1 * MU * PUSH
+    ramps = [[pushed(z=PUSH * s), pushed(side * s), pushed(side, torque=torque * s)] for s in np.arange(1, 13) / 12]
+    small = rubbed(*(ramp[stage] for stage in range(3) for ramp in ramps), across=12, increments=8)
+    assert np.mean(taken) < 3
+    large = rubbed(*ramps[-1], across=12, increments=8)
+    for one, other in zip(small[11::12], large, strict=True):
+        np.testing.assert_allclose(one.move_mm, other.move_mm, atol=2e-3 * np.abs(other.move_mm).max())
+        assert one.turn_deg == pytest.approx(other.turn_deg, rel=0.01, abs=1e-9)
+    assert large[1].slip.any()
 
 
 # --- any body ------------------------------------------------------------------------------------------------------

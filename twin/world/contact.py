@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -289,7 +290,9 @@ def _largest_contact(job: _Job, number: int, plane: Plane, touch_z: float) -> Bo
     place, whole, sideways = np.zeros(MOTIONS), None, np.zeros(2)
     along_z = np.arange(MOTIONS) == Z
     upright = float(plane.axes[2] @ setting.first.axes[2])
-    for step in job.steps:
+    for step, following in zip_longest(job.steps, job.steps[1:]):
+        if following is not None and _outdone(_of(step, number), _of(following, number)):
+            continue
         control = _from(_of(step, number), place)
         sideways += np.where(control.by_force, 0.0, _of(step, number).given)[:Z]
         push = control.given[Z] * (upright**2 if control.by_force[Z] else 1.0)
@@ -303,6 +306,13 @@ def _largest_contact(job: _Job, number: int, plane: Plane, touch_z: float) -> Bo
         whole = contact if whole is None else _joined(whole, contact)
     assert whole is not None, "the first step of a press pushes"
     return whole
+
+
+def _outdone(step: Control, following: Control) -> bool:
+    """Return whether the following step pushes as hard or harder at the same place, so that its contact is larger."""
+    still = not any(np.where(one.by_force, 0.0, one.given).any() for one in (step, following))
+    push, next_push = float(step.given[Z]), float(following.given[Z])
+    return still and bool(step.by_force[Z] and following.by_force[Z]) and 0.0 < push <= next_push
 
 
 def _slid(setting: Setting, contact: Box, sideways: Floats, grip_mm: float, plane: Plane) -> Box:

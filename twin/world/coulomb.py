@@ -206,6 +206,8 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
     place = np.where(problem.by_force, place, problem.given)
     trial = _tried(problem, scale, force, problem.moved(force), place)
     left = trial.size(reach)
+    if trial.force.any() and left <= _GOAL * float(np.linalg.norm(trial.force)):
+        return _settled(problem, trial, reach, 0)
     for step in range(1, _STEPS + 1):
         if not pushed and not np.any(trial.pushed > 0) and not trial.force.any():
             return _settled(problem, trial, reach, step)

@@ -5,12 +5,12 @@ where they last slipped to (`twin.world.friction_grid`). Sticking is the law wit
 patches slip in common is a slide of the whole probe; a sphere that slides meets the body elsewhere, so its gaps are
 taken at the place that it slid to.
 
-A step in which patches touch or slip is taken in `INCREMENTS` parts, and a part with new patches is solved twice: once
-with the new ones free to slide, which shows how far they would, and once with each of them held by friction from the
-moment at which it touched. A sticking patch that is pulled off and pushed back within a part touches anew: it sticks
-from the part's end. With 8 parts the force of a stuck sphere at nu = 0.3 is within 0.05 % of many parts, and the
-sideways motion under a force that grows obliquely within 2 % of the closed form. A part that finds no equilibrium is
-halved, a few times.
+A step in which patches touch or slip is taken in up to `INCREMENTS` parts: fewer where it changes little, as in a path
+of many small steps (`_parts`). A part with new patches is solved twice: once with the new ones free to slide, which
+shows how far they would, and once with each of them held by friction from the moment at which it touched. A sticking
+patch that is pulled off and pushed back within a part touches anew: it sticks from the part's end. With 8 parts the
+force of a stuck sphere at nu = 0.3 is within 0.05 % of many parts, and the sideways motion under a force that grows
+obliquely within 2 % of the closed form. A part that finds no equilibrium is halved, a few times.
 
 Validity: friction is the same at rest and in motion. A flat face keeps the patches that it had at first touch, so it
 may slide by a small part of its width only (`SLIDE_LIMIT`).
@@ -18,6 +18,7 @@ may slide by a small part of its width only (`SLIDE_LIMIT`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -171,6 +172,7 @@ def _remember(grid: FrictionGrid, memory: Memory, found: Equilibrium) -> Memory:
     slipped = np.where(found.slipping[:, None], away[:, :2] - _offset(grid, memory), 0.0)
     return Memory(
         touched=found.active.copy(),
+        slipping=found.slipping & found.active,
         closed_mm=np.where(new, -away[:, 2] - np.where(new, grid.moved_gap(memory.slid_mm), 0.0), memory.closed_mm),
         offset_mm=np.where(new[:, None], away[:, :2], memory.offset_mm),
         place=found.place.copy(),
@@ -269,6 +271,18 @@ def _explain(grid: FrictionGrid, memory: Memory, control: Control, problem_found
             ) from problem_found
 
 
+def _parts(memory: Memory, found: Equilibrium, most: int) -> int:
+    """Return in how many parts to take a step that leads to about ``found``: ``most`` where it changes half or more.
+
+    What counts is the share of the patches that touch, stick or slip otherwise than before, or that of the forces.
+    """
+    changed = (found.active != memory.touched) | ((found.slipping & found.active) != memory.slipping)
+    patches = float(changed.sum()) / float((found.active | memory.touched).sum())
+    before, after = (float(np.linalg.norm(force, axis=1).sum()) for force in (memory.force_n, found.force_n))
+    forces = float(np.linalg.norm(found.force_n - memory.force_n, axis=1).sum()) / max(before, after, 1e-300)
+    return min(most, max(1, math.ceil(2.0 * most * max(patches, forces))))
+
+
 def take_step(
     grid: FrictionGrid, memory: Memory, control: Control, increments: int = INCREMENTS
 ) -> tuple[Memory, Equilibrium]:
@@ -288,6 +302,7 @@ def take_step(
     ContactError
         A part has no equilibrium, or a flat face slides too far.
     """
+    previous = None
     if memory.touched.any():
         try:
             _, found = _part(grid, memory, control, None)
@@ -296,6 +311,8 @@ def take_step(
         else:
             if not np.any(found.active & ~memory.touched | found.slipping):
                 return _remember(grid, memory, found), found
+            increments = _parts(memory, found, increments)
+            previous = found if increments == 1 else None
     start = np.where(control.by_force, memory.total, memory.place)
     powers = np.ones(len(start))
     for setting, rows, motions in grid.contacts.rows:
@@ -303,7 +320,6 @@ def take_step(
             # Equal parts of the contact radius: a sphere's force grows with its cube, its motion with its square.
             force, motion = (2.0, 1.0) if isinstance(setting.probe, Cone) else (3.0, 2.0)
             powers[motions] = np.where(control.by_force[motions], force, motion)
-    previous = None
     for part in range(1, increments + 1):
         share = (part / increments) ** powers
         now = Control(by_force=control.by_force, given=start + share * (control.given - start))

@@ -29,8 +29,8 @@ class Memory:
 
     Attributes
     ----------
-    touched
-        (k,) patches in contact.
+    touched, slipping
+        (k,) patches in contact, and which of them slipped last.
     closed_mm
         (k,) gap of those at place 0, had they always moved with the probe.
     offset_mm
@@ -50,6 +50,7 @@ class Memory:
     """
 
     touched: Bools
+    slipping: Bools
     closed_mm: Floats
     offset_mm: Floats
     place: Floats
@@ -148,8 +149,9 @@ def at_first_touch(grid: FrictionGrid) -> Memory:
     """Return the memory of probes that just touch: patches under a flat face on a flat body stick at once."""
     k, p = len(grid.patches), len(grid.friction)
     nothing = Memory(
-        touched=np.zeros(k, bool), closed_mm=np.zeros(k), offset_mm=np.zeros((k, 2)), place=np.zeros(MOTIONS * p),
-        total=np.zeros(MOTIONS * p), displacement_mm=np.zeros((k, 3)), force_n=np.zeros((k, 3)),
+        touched=np.zeros(k, bool), slipping=np.zeros(k, bool), closed_mm=np.zeros(k), offset_mm=np.zeros((k, 2)),
+        place=np.zeros(MOTIONS * p), total=np.zeros(MOTIONS * p), displacement_mm=np.zeros((k, 3)),
+        force_n=np.zeros((k, 3)),
         slid_mm=np.zeros((p, 2)), lifted=np.zeros(p, bool),
     )  # fmt: skip
     gap, _ = grid.gap(nothing, nothing.place)
@@ -161,7 +163,8 @@ def let_go(grid: FrictionGrid, memory: Memory, lifted: Bools) -> Memory:
     rows, motions = lifted[grid.contacts.owner], np.repeat(lifted, MOTIONS)
     here = memory.place.reshape(-1, MOTIONS)[:, :Z]
     return replace(
-        memory, touched=memory.touched & ~rows, total=np.where(motions, 0.0, memory.total),
+        memory, touched=memory.touched & ~rows, slipping=memory.slipping & ~rows,
+        total=np.where(motions, 0.0, memory.total),
         displacement_mm=np.where(rows[:, None], 0.0, memory.displacement_mm),
         force_n=np.where(rows[:, None], 0.0, memory.force_n), slid_mm=np.where(lifted[:, None], here, memory.slid_mm),
     )  # fmt: skip

@@ -152,8 +152,7 @@ class Contacts:
         compliance = np.asarray(self.settings[0].compliance.surface(loaded)).reshape(k, 3, k, 3)
         if not np.isfinite(compliance).all():
             raise ContactError(f"contact: the body's compliance is not finite on {k} patches: check mesh and material")
-        turned = np.einsum("kai,kilj->kalj", patches.frames, compliance)
-        return np.asarray(np.einsum("lbj,kalj->kalb", patches.frames, turned))
+        return _in_own_frames(compliance, patches.frames)
 
     def carried(self, place: Floats) -> Floats:
         """Return (k, 3, 6 p): motion of the probes' points at the patches, in their frames, per unit of the place.
@@ -176,6 +175,16 @@ class Contacts:
         for (setting, rows, motions), grid in zip(self.rows, self.grids, strict=True):
             gap[rows], slope[rows, motions] = setting.first.gap(grid.centre_mm, grid.frames[:, 2], place[motions])
         return gap, slope
+
+
+def _in_own_frames(compliance: Floats, frames: Floats) -> Floats:
+    """Return a compliance (k, 3, k, 3), given in global axes, in the patches' frames (k, 3, 3)."""
+    k = len(frames)
+    if not np.any(frames - np.eye(3)):
+        return compliance
+    half = np.matmul(frames, compliance.reshape(k, 3, 3 * k)).reshape(3 * k, 3 * k)
+    turned = np.matmul(frames, np.ascontiguousarray(half.T).reshape(k, 3, 3 * k)).reshape(3 * k, 3 * k)
+    return np.ascontiguousarray(turned.T).reshape(k, 3, k, 3)
 
 
 def of_one(found: Equilibrium, rows: slice, motions: slice) -> Equilibrium:
