@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from twin.sense.calibration import Calibration, read_calibration
     from twin.sense.reconstruct import reconstruct
     from twin.sense.track import track
+    from twin.study.intrinsics import read_intrinsics, write_intrinsics
     from twin.study.recipe import load_scene
     from twin.study.run import run
     from twin.study.sensor import Sensor
@@ -36,9 +37,11 @@ _HOMES = {
     "TwinError": "twin.errors",
     "load_scene": "twin.study.recipe",
     "read_calibration": "twin.sense.calibration",
+    "read_intrinsics": "twin.study.intrinsics",
     "reconstruct": "twin.sense.reconstruct",
     "run": "twin.study.run",
     "track": "twin.sense.track",
+    "write_intrinsics": "twin.study.intrinsics",
 }
 
 __all__ = [
@@ -57,9 +60,11 @@ __all__ = [
     "TwinError",
     "load_scene",
     "read_calibration",
+    "read_intrinsics",
     "reconstruct",
     "run",
     "track",
+    "write_intrinsics",
 ]
 
 

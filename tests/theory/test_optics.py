@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Layer
+from twin.theory.lens import lens, lens_inverse
 from twin.theory.optics import (
+    Sight,
     air_tangents,
+    critical_angle_deg,
     project,
     projection_jacobian,
+    ray_sight,
     rays,
     sideways,
+    sight,
     tilt_matrix,
     transmission,
 )
 
+REFERENCE = Path(__file__).parents[1] / "reference"
 GLASS = Layer(index=1.49, thickness_mm=10)
 FLAT = Camera(focal_px=1814.8, pupil_mm=(0, 0, 108.85), layers=(GLASS,))
 TURNED = Camera(
@@ -172,3 +181,85 @@ def test_a_pupil_inside_the_layers_is_refused() -> None:
 def test_no_points_give_no_pixels() -> None:
     assert project(np.zeros((0, 3)), FLAT, RUBBER, 40.0).shape == (0, 2)
     assert projection_jacobian(np.zeros((0, 3)), FLAT, RUBBER, 40.0).shape == (0, 2, 3)
+
+
+def test_lenses_agree_with_opencv() -> None:
+    told = json.loads((REFERENCE / "opencv.json").read_text())
+    points = np.array(told["points"])
+    for row in told["rows"]:
+        camera = Camera(
+            lens=row["lens"], focal_px=told["focal_px"], aspect=told["aspect"], pupil_mm=(0, 0, 60),
+            principal_px=tuple(told["principal_px"]), distortion=tuple(row["distortion"]),
+        )  # fmt: skip
+        wide = 4 if row["lens"] == "equidistant" else 1
+        towards = points * [wide, -wide, -1]
+        np.testing.assert_allclose(lens(towards, camera), row["places_px"], atol=1e-9)
+        back = lens_inverse(np.array(row["places_px"]), camera)
+        np.testing.assert_allclose(back, towards / np.linalg.norm(towards, axis=1, keepdims=True), atol=1e-9)
+
+
+BENT = [
+    ("pinhole", (-0.1, 0.02, 0.003, -0.002), 300.0),
+    ("pinhole", (-0.1, 0.02, 0.003, -0.002, 0.01), 300.0),
+    ("pinhole", (0.2, 0.02, 0.003, -0.002, 0.01, 0.3, -0.01, 0.02), 300.0),
+    ("equidistant", (-0.02, 0.001, 0.0005, -0.0002), 230.0),
+]
+
+
+@pytest.mark.parametrize(("kind", "distortion", "focal"), BENT)
+def test_bent_lenses_invert_and_have_their_derivatives(kind: str, distortion: tuple[float, ...], focal: float) -> None:
+    camera = Camera(lens=kind, focal_px=focal, aspect=1.05, pupil_mm=(0.5, 0.2, 13), tilt_deg=(1, 2, 3),
+                    distortion=distortion, layers=(Layer(index=1.49, thickness_mm=1),
+                                                   Layer(index=1.33, thickness_mm=0.5)))  # fmt: skip
+    pixels = np.random.default_rng(6).uniform((40, 40), (600, 440), (300, 2))
+    origins, directions = rays(pixels, camera, RUBBER, 10.0)
+    assert np.isfinite(origins).all()
+    points = origins + 3 * directions
+    assert np.abs(project(points, camera, RUBBER, 10.0) - pixels).max() < 1e-6
+    h = 1e-5
+    steps = [
+        (project(points + h * axis, camera, RUBBER, 10.0) - project(points - h * axis, camera, RUBBER, 10.0)) / (2 * h)
+        for axis in np.eye(3)
+    ]
+    analytic = projection_jacobian(points, camera, RUBBER, 10.0)
+    np.testing.assert_allclose(analytic, np.stack(steps, axis=-1), atol=3e-6 * np.abs(analytic).max())
+
+
+@pytest.mark.parametrize("field_deg", [10, 60, 120, 170, 179.9])
+def test_fields_of_view_up_to_half_the_sky_invert(field_deg: float) -> None:
+    # A fisheye whose picture is the field wide: at 180 deg its edge looks along the layers.
+    half = np.deg2rad(field_deg / 2)
+    camera = Camera(lens="equidistant", focal_px=320 / half, pupil_mm=(0, 0, 12),
+                    layers=(Layer(index=1.49, thickness_mm=1),))  # fmt: skip
+    angle = np.linspace(0, half, 200)
+    pixels = np.asarray(camera.centre_px) + camera.focal_px * angle[:, None] * [0.6, 0.8]
+    origins, directions = rays(pixels, camera, RUBBER, 10.0)
+    assert np.abs(project(origins + directions, camera, RUBBER, 10.0) - pixels).max() < 1e-6
+    lean = np.rad2deg(np.arccos(-directions[:, 2]))
+    assert (lean < critical_angle_deg(RUBBER)).all()
+
+
+def test_what_is_not_seen_is_said_why() -> None:
+    points = np.array([[0.0, 0, 5], [0, 0, 41], [np.nan, 0, 5], [200, 0, 35]])
+    touching = Camera(focal_px=500, pupil_mm=(0, 0, 50), layers=(GLASS,))
+    wanted = [Sight.SEEN, Sight.BEHIND_BASE, Sight.LOST, Sight.TOTAL_REFLECTION]
+    np.testing.assert_array_equal(sight(points, touching, RUBBER, 40.0), wanted)
+    folding = Camera(focal_px=300, pupil_mm=(0, 0, 60), distortion=(-0.3, 0.0))
+    assert sight(np.array([[70.0, 0, 0]]), folding, 1.0, 40.0) == Sight.OUTSIDE_LENS
+    seen = np.isfinite(project(points, touching, RUBBER, 40.0)).all(axis=1)
+    np.testing.assert_array_equal(seen, sight(points, touching, RUBBER, 40.0) == Sight.SEEN)
+    centre = WIDE.centre_px
+    pixels = np.array([centre, (centre[0] + 230 * 1.7, centre[1]), (centre[0] + 230 * 3.2, centre[1])])
+    np.testing.assert_array_equal(ray_sight(pixels, WIDE), [Sight.SEEN, Sight.AWAY, Sight.OUTSIDE_LENS])
+
+
+def test_any_number_of_layers_is_one_of_the_same_optical_path() -> None:
+    # On the axis only the sum of thickness over index counts; a layer cut in two is the same layer everywhere.
+    cut = FLAT.model_copy(update={"layers": (Layer(index=1.49, thickness_mm=4), Layer(index=1.49, thickness_mm=6))})
+    points = points_in(40, 16, FLAT)
+    np.testing.assert_allclose(project(points, cut, RUBBER, 40.0), project(points, FLAT, RUBBER, 40.0), atol=1e-9)
+
+
+def test_a_wrong_number_of_coefficients_is_refused() -> None:
+    with pytest.raises(RecipeError, match="3 coefficients"):
+        Camera(focal_px=500, pupil_mm=(0, 0, 60), distortion=(0.1, 0.2, 0.3))

@@ -229,6 +229,39 @@ def test_a_stretched_print_looks_stretched() -> None:
     assert ratio[0] == pytest.approx(1.3, abs=0.02)
 
 
+def test_a_wide_pupil_blurs_what_is_out_of_focus_by_its_disc(scene: Scene) -> None:
+    camera = scene.camera
+    assert camera is not None
+    lit = scene.model_copy(update={"camera": camera.model_copy(update={"aperture_mm": 4.0, "focus_z_mm": 6.0})})
+    sharp, wide = (Renderer(s, beads([(0, 0, 6), (1.5, 0, 0.5)]), SPLAT, subpixels=4) for s in (scene, lit))
+    for z, blurred in ((6.0, 0.0), (0.5, 1.0)):
+        markers = beads([(0, 0, z)])
+        cover = sharp.radiance(beads([(40, 0, 6)]))
+        moments = []
+        for renderer in (sharp, wide):
+            light = (renderer.radiance(markers) - cover)[:, :, 0].astype(float)
+            columns = np.arange(120) - 59.5
+            middle = (light.sum(axis=0) @ columns) / light.sum()
+            assert abs(middle) < 0.02
+            moments.append((light.sum(axis=0) @ (columns - middle) ** 2) / light.sum())
+        # A disc of diameter d has variance d^2 / 16 along an axis; depths appear divided by the index.
+        apparent = (40 - z) / 1.41 + 10 / 1.49 + 58.85
+        focus = (40 - 6) / 1.41 + 10 / 1.49 + 58.85
+        disc = 1814.8 * 4.0 * abs(1 / apparent - 1 / focus)
+        assert moments[1] - moments[0] == pytest.approx(disc**2 / 16, abs=0.03)
+        assert (disc > 1) == bool(blurred)
+
+
+def test_vignetting_dims_by_the_cosine_to_its_power(scene: Scene) -> None:
+    camera = scene.camera
+    assert camera is not None
+    dim = scene.model_copy(update={"camera": camera.model_copy(update={"vignetting": 4.0, "focal_px": 200.0})})
+    plain = scene.model_copy(update={"camera": camera.model_copy(update={"focal_px": 200.0})})
+    ratio = (Renderer(s, rest_of(s), SPLAT).radiance(beads([(40, 0, 6)]))[:, :, 0] for s in (dim, plain))
+    found = np.divide(*ratio)[0, 0]
+    assert found == pytest.approx(np.cos(np.arctan(np.hypot(59.5, 44.5) / 200)) ** 4, rel=1e-3)
+
+
 def test_without_camera_there_is_no_renderer(scene: Scene) -> None:
     bare = scene.model_copy(update={"camera": None})
     with pytest.raises(RecipeError, match="camera"):

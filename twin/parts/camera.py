@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from twin.parts.part import Part
 
@@ -35,10 +35,17 @@ class Camera(Part):
         ``pinhole``: radius in px = focal_px tan(angle); ``equidistant``: focal_px times the angle.
     focal_px
         Focal length in px (px per radian on the axis).
+    aspect
+        Focal length along rows over that along columns: 1 for square pixels.
     principal_px
         (column, row) of the optical axis; the middle of the picture if not given.
     distortion
-        Brown-Conrady radial coefficients (k1, k2) of a pinhole lens; Kannala-Brandt ones of an equidistant lens.
+        In OpenCV's order. Of a pinhole lens (Brown-Conrady) k1, k2; or k1, k2, p1, p2; or with k3; or with k3 to k6.
+        Of an equidistant lens (Kannala-Brandt) k1, k2; or k1 to k4.
+    vignetting
+        Light falls as the cosine of the angle to the optical axis to this power; 4 is the natural law of a plain lens.
+    aperture_mm, focus_z_mm
+        Diameter of the entrance pupil, and the height z of what it shows sharply; a pupil of 0 shows everything so.
     pupil_mm
         Position of the entrance pupil; its z lies behind the base and the layers, the rest of the way being air.
     tilt_deg
@@ -51,11 +58,25 @@ class Camera(Part):
     height_px: int = Field(default=480, ge=1, le=8192)
     lens: Literal["pinhole", "equidistant"] = "pinhole"
     focal_px: float = Field(gt=1, le=1e6)
+    aspect: float = Field(default=1.0, gt=0.1, lt=10)
     principal_px: tuple[float, float] | None = None
-    distortion: tuple[float, float] = (0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0)
+    vignetting: float = Field(default=0.0, ge=0, le=20)
+    aperture_mm: float = Field(default=0.0, ge=0, le=50)
+    focus_z_mm: float = 0.0
     pupil_mm: tuple[float, float, float]
     tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     layers: tuple[Layer, ...] = ()
+
+    @model_validator(mode="after")
+    def _distortion_has_a_known_length(self) -> Camera:
+        known = {"pinhole": (0, 2, 4, 5, 8), "equidistant": (0, 2, 4)}[self.lens]
+        if len(self.distortion) not in known:
+            raise ValueError(
+                f"distortion: {len(self.distortion)} coefficients; a lens = '{self.lens}' has "
+                f"{', '.join(map(str, known[1:]))}: fill up with zeros"
+            )
+        return self
 
     @property
     def centre_px(self) -> tuple[float, float]:

@@ -63,6 +63,7 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
     _find_calibration(table, path)
     _find_solid(table, folders, path)
     _find_probes(table, path)
+    _read_intrinsics(table, path)
     return validate_scene(table, str(path))
 
 
@@ -121,6 +122,27 @@ def _found_probe(press: Any, path: Path, which: str) -> Any:
             str(path),
         )
     return {**press, "probe": {**probe, "file": str(found.resolve())}}
+
+
+def _read_intrinsics(table: Table, path: Path) -> None:
+    """Put the numbers of the camera's file of intrinsics, relative to the scene, in the place of its name."""
+    camera = table.get("camera")
+    if not isinstance(camera, dict) or not isinstance(camera.get("intrinsics"), str):
+        return
+    from twin.study.intrinsics import read_intrinsics
+
+    given = Path(camera["intrinsics"]).expanduser()
+    numbers = read_intrinsics(given if given.is_absolute() else path.parent / given)
+    camera = {key: value for key, value in camera.items() if key != "intrinsics"}
+    for key, value in numbers.items():
+        camera[key] = list(value) if isinstance(value, tuple) else value
+        _forget_provenance(camera, key)
+    for kind in PROVENANCE:
+        if isinstance(camera.get(kind), dict):
+            camera[kind].pop("intrinsics", None)
+    if not isinstance(camera.get("source"), str):
+        camera["source"] = {**(camera.get("source") or {}), **dict.fromkeys(numbers, f"file {given.name}")}
+    table["camera"] = camera
 
 
 def validate_scene(table: Table, where: str) -> Scene:

@@ -12,18 +12,21 @@ value climbs to the root without ever passing it, at grazing angles too.
 The camera's axes are right = +x, up = +y, backward = +z before its small tilts, so column grows with x and row with -y:
 a camera that looks along -z sees the body without a mirror.
 
-Validity: geometric optics of a thin pupil; no defocus, no polarisation; the base and the layers stay flat.
+Validity: geometric optics of a thin pupil; no polarisation; the base and the layers stay flat. Inside the body rays
+lean to z by less than the critical angle, where total reflection begins: no camera behind flat layers sees more.
 """
 
 from __future__ import annotations
 
+from enum import IntEnum
 from itertools import pairwise
 
 import numpy as np
 
-from twin.arrays import Floats, Pixels, Points
+from twin.arrays import Floats, Ints, Pixels, Points
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Layer
+from twin.theory.lens import lens, lens_inverse, lens_jacobian
 
 _ITERATIONS = 60
 
@@ -45,7 +48,7 @@ def project(points: Points, camera: Camera, body_index: float, base_z_mm: float)
     Returns
     -------
     (n, 2) column and row, px, also outside the picture; NaN for points behind the base, outside the lens's range or
-    without a ray to the pupil.
+    without a ray to the pupil: `sight` says which.
 
     Raises
     ------
@@ -53,7 +56,7 @@ def project(points: Points, camera: Camera, body_index: float, base_z_mm: float)
         The pupil lies in front of the layers.
     """
     towards, _ = _leave(points, camera, body_index, base_z_mm)
-    return _lens(towards @ tilt_matrix(camera), camera)
+    return lens(towards @ tilt_matrix(camera), camera)
 
 
 def projection_jacobian(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> Floats:
@@ -71,8 +74,8 @@ def project_with_jacobian(points: Points, camera: Camera, body_index: float, bas
     towards, slope = _leave(points, camera, body_index, base_z_mm)
     turn = tilt_matrix(camera)
     seen = towards @ turn
-    jacobian: Floats = _lens_jacobian(seen, camera) @ (turn.T @ slope)
-    return _lens(seen, camera), jacobian
+    jacobian: Floats = lens_jacobian(seen, camera) @ (turn.T @ slope)
+    return lens(seen, camera), jacobian
 
 
 def rays(pixels: Pixels, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Points, Points]:
@@ -90,9 +93,10 @@ def rays(pixels: Pixels, camera: Camera, body_index: float, base_z_mm: float) ->
     origins
         (n, 3) points on the base plane, mm.
     directions
-        (n, 3) unit vectors from there into the body (z < 0). Both are NaN where no ray reaches the pixel.
+        (n, 3) unit vectors from there into the body (z < 0). Both are NaN where no ray reaches the pixel: `ray_sight`
+        says why.
     """
-    into = _lens_inverse(pixels, camera) @ tilt_matrix(camera).T
+    into = lens_inverse(pixels, camera) @ tilt_matrix(camera).T
     down = np.where(into[:, 2] < -1e-12, -into[:, 2], np.nan)
     tangent = into[:, :2] / down[:, None]
     p = np.linalg.norm(tangent, axis=1)
@@ -107,6 +111,53 @@ def rays(pixels: Pixels, camera: Camera, body_index: float, base_z_mm: float) ->
     directions = np.column_stack([inside, -np.sqrt(1 - np.sum(inside**2, axis=1))])
     origins[np.isnan(directions[:, 0])] = np.nan
     return origins, directions
+
+
+class Sight(IntEnum):
+    """Why a point has no place in the picture, or a pixel no ray in the body."""
+
+    SEEN = 0
+    BEHIND_BASE = 1
+    """The point lies behind the base, on the camera's side."""
+    TOTAL_REFLECTION = 2
+    """All light towards the pupil would leave beyond the critical angle: the point lies too far aside."""
+    OUTSIDE_LENS = 3
+    """The lens has no picture of that direction, or no direction for that pixel."""
+    AWAY = 4
+    """The pixel looks along the layers or away from them, where no light of the body can come from."""
+    LOST = 5
+    """The point is not a number."""
+
+
+def sight(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> Ints:
+    """Return (n,) `Sight`: why `project` has no place for points; parameters as there."""
+    points = np.asarray(points, float)
+    towards, _ = _leave(points, camera, body_index, base_z_mm)
+    found = np.isfinite(lens(towards @ tilt_matrix(camera), camera)).all(axis=1)
+    tests = [
+        ~np.isfinite(points).all(axis=1),
+        points[:, 2] > base_z_mm + 1e-9,
+        ~np.isfinite(towards).all(axis=1),
+        ~found,
+    ]
+    return np.select(tests, [Sight.LOST, Sight.BEHIND_BASE, Sight.TOTAL_REFLECTION, Sight.OUTSIDE_LENS], Sight.SEEN)
+
+
+def ray_sight(pixels: Pixels, camera: Camera) -> Ints:
+    """Return (n,) `Sight`: why `rays` has no ray for pixels; ``pixels`` and ``camera`` as there."""
+    into = lens_inverse(pixels, camera) @ tilt_matrix(camera).T
+    return np.select([np.isnan(into).any(axis=1), into[:, 2] >= -1e-12], [Sight.OUTSIDE_LENS, Sight.AWAY], Sight.SEEN)
+
+
+def axis_cosine(pixels: Pixels, camera: Camera) -> Floats:
+    """Return (n,) cosines of the angles between pixels' directions and the optical axis; NaN where there is none."""
+    cosine: Floats = -lens_inverse(pixels, camera)[:, 2]
+    return cosine
+
+
+def critical_angle_deg(body_index: float) -> float:
+    """Return the angle to z, degrees, that no ray between the body and air behind flat layers reaches: asin(1/n)."""
+    return float(np.rad2deg(np.arcsin(1 / body_index)))
 
 
 def air_gap(camera: Camera, base_z_mm: float) -> float:
@@ -241,82 +292,3 @@ def _leave(points: Points, camera: Camera, body_index: float, base_z_mm: float) 
     body_tangent = p / np.sqrt(body_index**2 + (body_index**2 - 1) * p**2)
     derivative[:, :2, 2] = unit * (body_tangent / slope)[:, None]
     return towards, derivative
-
-
-def _distort(radius: Floats, camera: Camera) -> tuple[Floats, Floats]:
-    """Return r (1 + k1 r^2 + k2 r^4) and its derivative; NaN past the first fold of that curve."""
-    k1, k2 = camera.distortion
-    square = np.where(radius <= _fold(camera), radius**2, np.nan)
-    return radius * (1 + square * (k1 + square * k2)), 1 + square * (3 * k1 + square * 5 * k2)
-
-
-def _fold(camera: Camera) -> float:
-    """Return the radius where the distortion stops growing: 1 + 3 k1 r^2 + 5 k2 r^4 = 0; inf if nowhere."""
-    k1, k2 = camera.distortion
-    roots = np.roots([5 * k2, 3 * k1, 1.0]) if k2 else np.roots([3 * k1, 1.0]) if k1 else np.zeros(0)
-    positive = [float(root.real) for root in roots if abs(root.imag) < 1e-12 and root.real > 0]
-    return float(np.sqrt(min(positive))) if positive else np.inf
-
-
-def _undistort(distorted: Floats, camera: Camera) -> Floats:
-    """Return the radius whose distorted value is given: Newton held inside a shrinking bracket; NaN past the fold."""
-    if camera.distortion == (0.0, 0.0):
-        return distorted
-    k1, k2 = camera.distortion
-    top = min(_fold(camera), 1e3)
-    low, high = np.zeros_like(distorted), np.full_like(distorted, top)
-    radius = np.minimum(distorted, top)
-    for _ in range(_ITERATIONS):
-        square = radius**2
-        excess = radius * (1 + square * (k1 + square * k2)) - distorted
-        if not np.any(np.abs(excess) > 1e-14 * (1 + distorted)):
-            break
-        low, high = np.where(excess < 0, radius, low), np.where(excess > 0, radius, high)
-        slope = 1 + square * (3 * k1 + square * 5 * k2)
-        step = radius - excess / np.where(slope > 1e-12, slope, np.inf)
-        radius = np.where((step > low) & (step < high) & (slope > 1e-12), step, (low + high) / 2)
-    return np.where(np.abs(excess) <= 1e-9 * (1 + distorted), radius, np.nan)
-
-
-def _lens(towards: Points, camera: Camera) -> Pixels:
-    """Return (n, 2) px of (n, 3) directions in camera axes (right, up, backward)."""
-    ahead = -towards[:, 2]
-    across = np.linalg.norm(towards[:, :2], axis=1)
-    pinhole = camera.lens == "pinhole"
-    radius = across / np.where(ahead > 1e-12, ahead, np.nan) if pinhole else np.arctan2(across, ahead)
-    image, _ = _distort(radius, camera)
-    scale = camera.focal_px * np.where(across > 1e-12, image / np.maximum(across, 1e-300), 1 / ahead)
-    column, row = camera.centre_px
-    return np.column_stack([column + scale * towards[:, 0], row - scale * towards[:, 1]])
-
-
-def _lens_jacobian(towards: Points, camera: Camera) -> Floats:
-    """Return (n, 2, 3) derivatives of `_lens` with respect to the directions."""
-    ahead = -towards[:, 2]
-    across = np.linalg.norm(towards[:, :2], axis=1)
-    near = across <= 1e-12
-    unit = towards[:, :2] / np.where(near, 1.0, across)[:, None]
-    if camera.lens == "pinhole":
-        ahead = np.where(ahead > 1e-12, ahead, np.nan)
-        radius, by_across, by_ahead = across / ahead, 1 / ahead, -across / ahead**2
-    else:
-        square = across**2 + ahead**2
-        radius, by_across, by_ahead = np.arctan2(across, ahead), ahead / square, -across / square
-    image, growth = _distort(radius, camera)
-    around = np.where(near, 1 / ahead, image / np.where(near, 1.0, across))
-    radial = unit[:, :, None] * unit[:, None, :]
-    jacobian = np.empty((len(towards), 2, 3))
-    jacobian[:, :, :2] = around[:, None, None] * (np.eye(2) - radial) + radial * (growth * by_across)[:, None, None]
-    jacobian[:, :, 2] = -unit * (growth * by_ahead)[:, None]
-    return jacobian * (camera.focal_px * np.array([1.0, -1.0]))[:, None]
-
-
-def _lens_inverse(pixels: Pixels, camera: Camera) -> Points:
-    """Return (n, 3) unit directions in camera axes that reach (n, 2) px; NaN where none does."""
-    column, row = camera.centre_px
-    flat = (np.asarray(pixels, float) - [column, row]) * [1.0, -1.0] / camera.focal_px
-    image = np.linalg.norm(flat, axis=1)
-    radius = _undistort(image, camera)
-    angle = np.arctan(radius) if camera.lens == "pinhole" else np.where(radius < np.pi, radius, np.nan)
-    unit = flat / np.where(image > 0, image, 1.0)[:, None]
-    return np.column_stack([unit * np.sin(angle)[:, None], -np.cos(angle)])

@@ -18,7 +18,8 @@ Units inside Mitsuba: the median marker radius is 1 and rays start just behind t
 the intersection with an ellipsoid loses digits in float32 when it is thin or far: rays from the base lose up to a third
 of a thin print in the finger.
 
-Validity: markers at least a sub-pixel in radius; sharp focus; the cover's bulge under a press is not shown.
+Validity: markers at least a sub-pixel in radius. Defocus is the mean of pictures through points of the pupil
+(`twin.world.defocus`); outlines are those through its middle.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ import numpy as np
 from twin.arrays import Floats, Pixels, Singles, frozen
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
+from twin.world.defocus import PUPIL_WEIGHTS, through_the_pupil
 from twin.world.exposure import white_level
 from twin.world.frame import WEIGHT, Frame, make_frame
 from twin.world.lighting import brightest
@@ -115,6 +117,10 @@ class Renderer:
         self._unit = float(np.median([layer.diameter_mm / 2 for layer in scene.markers.values()]))
         self._view = look(scene, self._top, self._gain)
         self._tracer = self._make_tracer(scene.light.ambient)
+        self._pupils = [
+            Renderer(scene.model_copy(update={"camera": camera}), rest, self.variant, self.subpixels, self.shadows)
+            for camera in through_the_pupil(scene)
+        ]
 
     def _make_tracer(self, ambient: float) -> Splat | Wavefront | RayByRay:
         """Return what traces rays in our variant."""
@@ -136,6 +142,13 @@ class Renderer:
 
         The exposure is set at rest, where the brightest marker has ``ccd.white_dn`` (before blur and noise).
         """
+        if self._pupils:
+            shares: list[Singles] = [
+                np.float32(weight) * part.radiance(markers)
+                for weight, part in zip(PUPIL_WEIGHTS, self._pupils, strict=True)
+            ]
+            whole: Singles = np.sum(shares, axis=0)
+            return whole
         frame = self._frame(markers, self.subpixels)
         light = self._view.cover.copy()
         if len(frame.near.pixels):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Ints, Singles
 from twin.parts.scene import Scene
-from twin.theory.optics import project_with_jacobian, rays, transmission
+from twin.theory.optics import axis_cosine, project_with_jacobian, rays, transmission
 from twin.world.lighting import cover_light
 from twin.world.markers import Ellipsoids
 from twin.world.nearby import near_pixels
@@ -41,7 +41,7 @@ class View:
         (height, width) whether all four corners of a pixel have rays that enter the body through its base.
     vignette
         (height, width) light on the sensor that a surface of brightness 1 makes: the gain times the share that passes
-        the interfaces, which is 1 on the axis.
+        the interfaces and the lens, which is 1 on the axis.
     cover
         (height, width, 3) light from the cover behind the markers, vignette included.
     """
@@ -65,6 +65,8 @@ def look(scene: Scene, top: float, gain: float) -> View:
     sees = _pixelwise(inside.reshape(height + 1, width + 1), np.logical_and)
     sine = np.linalg.norm(directions[:, :2], axis=1) * index
     passed = transmission(sine / np.sqrt(np.maximum(1 - sine**2, 1e-12)), index, camera.layers)
+    if camera.vignetting > 0:
+        passed = passed * np.clip(axis_cosine(grid, camera), 0, 1) ** camera.vignetting
     passed = np.nan_to_num(passed).reshape(height + 1, width + 1)
     vignette = (gain / 4 * _pixelwise(passed, np.add)).astype(np.float32)
 

@@ -1,0 +1,192 @@
+"""The lens in closed form: directions in the camera's axes to pixels and back, with derivatives.
+
+A lens maps the radius of a direction, tan(angle) for a pinhole and the angle itself for an equidistant fisheye, to a
+radius in the picture. Two families bend that map, in OpenCV's terms and order of coefficients:
+
+- pinhole, Brown-Conrady: r (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), plus the decentring
+  2 p1 x y + p2 (r^2 + 2 x^2) in x and p1 (r^2 + 2 y^2) + 2 p2 x y in y, x to the right and y *down* (Brown,
+  Photogrammetric Eng. 32, 1966);
+- equidistant, Kannala-Brandt: a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8) (IEEE Trans. PAMI 28, 2006).
+
+Validity: up to the first fold of the radial map, where it stops growing: nothing is shown twice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.arrays import Floats, Pixels, Points
+from twin.parts.camera import Camera
+
+_ITERATIONS = 60
+_NEWTON = 20
+
+
+def lens(towards: Points, camera: Camera) -> Pixels:
+    """Return (n, 2) px of (n, 3) directions in camera axes (right, up, backward); NaN where the lens shows nothing."""
+    radius, across, ahead = _radius(towards, camera)
+    image, growth = _radial(radius, camera)
+    around = np.where(across > 1e-12, image / np.maximum(across, 1e-300), 1 / ahead)
+    flat = around[:, None] * towards[:, :2]
+    undistorted = np.where(across > 1e-12, radius / np.maximum(across, 1e-300), 1 / ahead)[:, None] * towards[:, :2]
+    more, slope = _decentring(undistorted, camera)
+    one_to_one = growth > 0
+    if slope is not None:
+        around = np.where(radius > 1e-12, image / np.maximum(radius, 1e-300), 1.0)
+        one_to_one &= np.linalg.det(_turned(undistorted, radius, around, growth) + slope) > 0
+    return np.where(one_to_one[:, None], _to_pixels(flat + more, camera), np.nan)
+
+
+def lens_jacobian(towards: Points, camera: Camera) -> Floats:
+    """Return (n, 2, 3) derivatives of `lens` with respect to the directions."""
+    radius, across, ahead = _radius(towards, camera)
+    if camera.lens == "pinhole":
+        ahead = np.where(ahead > 1e-12, ahead, np.nan)
+        by_across, by_ahead = 1 / ahead, -across / ahead**2
+    else:
+        square = across**2 + ahead**2
+        by_across, by_ahead = ahead / square, -across / square
+    near = across <= 1e-12
+    unit = towards[:, :2] / np.where(near, 1.0, across)[:, None]
+    radial = unit[:, :, None] * unit[:, None, :]
+    # First to the undistorted place in the picture, then through the distortion.
+    around = np.where(near, 1 / ahead, radius / np.where(near, 1.0, across))
+    first = np.empty((len(towards), 2, 3))
+    first[:, :, :2] = around[:, None, None] * (np.eye(2) - radial) + radial * by_across[:, None, None]
+    first[:, :, 2] = -unit * by_ahead[:, None]
+    place = radius[:, None] * unit
+    image, growth = _radial(radius, camera)
+    stretch = np.where(radius > 1e-12, image / np.maximum(radius, 1e-300), 1.0)
+    second = _turned(place, radius, stretch, growth)
+    _, slope = _decentring(place, camera)
+    if slope is not None:
+        second = second + slope
+    jacobian: Floats = second @ first
+    return jacobian * (camera.focal_px * np.array([1.0, -camera.aspect]))[:, None]
+
+
+def lens_inverse(pixels: Pixels, camera: Camera) -> Points:
+    """Return (n, 3) unit directions in camera axes that reach (n, 2) px; NaN where none does."""
+    column, row = camera.centre_px
+    flat = (np.asarray(pixels, float) - [column, row]) / [camera.focal_px, -camera.focal_px * camera.aspect]
+    flat = _without_decentring(flat, camera)
+    image = np.linalg.norm(flat, axis=1)
+    radius = _undistort(image, camera)
+    angle = np.arctan(radius) if camera.lens == "pinhole" else np.where(radius < np.pi, radius, np.nan)
+    unit = flat / np.where(image > 0, image, 1.0)[:, None]
+    return np.column_stack([unit * np.sin(angle)[:, None], -np.cos(angle)])
+
+
+def fold(camera: Camera) -> float:
+    """Return the radius (tan of the angle, or the angle) where the lens's radial map stops growing; inf if nowhere."""
+    up, down = _polynomials(camera)
+    # g = r U(s) / D(s) with s = r^2: g' D^2 = U D + 2 s (U' D - U D').
+    s = np.polynomial.Polynomial([0.0, 1.0])
+    slope = up * down + 2 * s * (up.deriv() * down - up * down.deriv())
+    places = np.concatenate([slope.trim().roots(), down.trim().roots()])
+    real = [float(root.real) for root in places if abs(root.imag) < 1e-9 * max(abs(root), 1) and root.real > 0]
+    return float(np.sqrt(min(real))) if real else np.inf
+
+
+def _radius(towards: Points, camera: Camera) -> tuple[Floats, Floats, Floats]:
+    """Return the undistorted radius, and how far directions go across and ahead."""
+    ahead = -towards[:, 2]
+    across = np.linalg.norm(towards[:, :2], axis=1)
+    pinhole = camera.lens == "pinhole"
+    radius = across / np.where(ahead > 1e-12, ahead, np.nan) if pinhole else np.arctan2(across, ahead)
+    return radius, across, ahead
+
+
+def _to_pixels(flat: Floats, camera: Camera) -> Pixels:
+    column, row = camera.centre_px
+    scale = camera.focal_px
+    return np.column_stack([column + scale * flat[:, 0], row - scale * camera.aspect * flat[:, 1]])
+
+
+def _polynomials(camera: Camera) -> tuple[np.polynomial.Polynomial, np.polynomial.Polynomial]:
+    """Return numerator and denominator of the radial stretch in the squared radius."""
+    told = [*camera.distortion, *[0.0] * 8][:8]
+    if camera.lens == "equidistant":
+        return np.polynomial.Polynomial([1.0, *told[:4]]), np.polynomial.Polynomial([1.0])
+    k1, k2, _, _, k3, k4, k5, k6 = told
+    return np.polynomial.Polynomial([1.0, k1, k2, k3]), np.polynomial.Polynomial([1.0, k4, k5, k6])
+
+
+def _radial(radius: Floats, camera: Camera) -> tuple[Floats, Floats]:
+    """Return the distorted radius and its derivative; NaN past the fold."""
+    if not any(camera.distortion):
+        return radius, np.ones_like(radius)
+    up, down = _polynomials(camera)
+    square = np.where(radius <= fold(camera), radius**2, np.nan)
+    top, bottom = up(square), down(square)
+    growth = (top * bottom + 2 * square * (up.deriv()(square) * bottom - top * down.deriv()(square))) / bottom**2
+    return radius * top / bottom, growth
+
+
+def _undistort(distorted: Floats, camera: Camera) -> Floats:
+    """Return the radius whose distorted value is given: Newton held inside a shrinking bracket; NaN past the fold."""
+    if not any(camera.distortion):
+        return distorted
+    top = min(fold(camera), 1e3)
+    low, high = np.zeros_like(distorted), np.full_like(distorted, top)
+    radius = np.minimum(distorted, top)
+    excess = np.full_like(distorted, np.nan)
+    for _ in range(_ITERATIONS):
+        image, slope = _radial(radius, camera)
+        excess = image - distorted
+        if not np.any(np.abs(excess) > 1e-14 * (1 + distorted)):
+            break
+        low, high = np.where(excess < 0, radius, low), np.where(excess > 0, radius, high)
+        step = radius - excess / np.where(slope > 1e-12, slope, np.inf)
+        radius = np.where((step > low) & (step < high) & (slope > 1e-12), step, (low + high) / 2)
+    return np.where(np.abs(excess) <= 1e-9 * (1 + distorted), radius, np.nan)
+
+
+def _turned(place: Floats, radius: Floats, around: Floats, growth: Floats) -> Floats:
+    """Return (n, 2, 2) derivatives of a radial map: ``growth`` along the radius, ``around`` across it."""
+    unit = place / np.where(radius > 1e-12, radius, 1.0)[:, None]
+    radial = unit[:, :, None] * unit[:, None, :]
+    jacobian: Floats = around[:, None, None] * (np.eye(2) - radial) + radial * growth[:, None, None]
+    return jacobian
+
+
+def _decentring(place: Floats, camera: Camera) -> tuple[Floats, Floats | None]:
+    """Return (n, 2) decentring of undistorted places (x right, y up) and its (n, 2, 2) derivatives; None for none."""
+    p1, p2 = camera.distortion[2:4] if len(camera.distortion) > 2 and camera.lens == "pinhole" else (0.0, 0.0)
+    if p1 == 0 and p2 == 0:
+        return np.zeros_like(place), None
+    x, y = place[:, 0], place[:, 1]
+    # OpenCV's y points down: p1 changes its sign here.
+    more = np.column_stack([-2 * p1 * x * y + p2 * (3 * x**2 + y**2), 2 * p2 * x * y - p1 * (x**2 + 3 * y**2)])
+    slope = np.empty((len(place), 2, 2))
+    slope[:, 0, 0], slope[:, 0, 1] = -2 * p1 * y + 6 * p2 * x, -2 * p1 * x + 2 * p2 * y
+    slope[:, 1, 0], slope[:, 1, 1] = 2 * p2 * y - 2 * p1 * x, 2 * p2 * x - 6 * p1 * y
+    return more, slope
+
+
+def _without_decentring(flat: Floats, camera: Camera) -> Floats:
+    """Return (n, 2) places, distorted radially only, for wholly distorted ones: Newton from the undecentred guess."""
+    if _decentring(np.zeros((1, 2)), camera)[1] is None:
+        return flat
+    place = _undistorted(flat, camera)
+    for _ in range(_NEWTON):
+        radius = np.linalg.norm(place, axis=1)
+        image, growth = _radial(radius, camera)
+        around = np.where(radius > 1e-12, image / np.maximum(radius, 1e-300), 1.0)
+        more, slope = _decentring(place, camera)
+        assert slope is not None
+        excess = around[:, None] * place + more - flat
+        if not np.any(np.abs(excess) > 1e-15 * (1 + np.abs(flat))):
+            break
+        both = _turned(place, radius, around, growth) + slope
+        determinant = np.linalg.det(both)
+        both[~(determinant > 1e-9)] = np.nan
+        place = place - np.einsum("nij,nj->ni", np.linalg.inv(both), excess)
+    good = np.abs(excess).max(axis=1) <= 1e-12 * (1 + np.abs(flat).max(axis=1))
+    return np.where(good[:, None], around[:, None] * place, np.nan)
+
+
+def _undistorted(flat: Floats, camera: Camera) -> Floats:
+    image = np.linalg.norm(flat, axis=1)
+    radius: Floats = np.nan_to_num(_undistort(image, camera), nan=0.0)
+    return flat * (radius / np.where(image > 0, image, 1.0))[:, None]
