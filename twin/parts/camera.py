@@ -27,6 +27,9 @@ class Layer(Part):
 class Camera(Part):
     """A camera in air that looks along -z through the base, the layers in front of it being flat and normal to z.
 
+    A recipe may name ``intrinsics``, a file of OpenCV's: its size, focal length, principal point and distortion stand
+    for those keys.
+
     Attributes
     ----------
     width_px, height_px

@@ -24,6 +24,10 @@ def scene_schema() -> dict[str, Any]:
     recipe = {"type": "string", "description": "body recipe of the meshes folder"}
     for name in ("Block", "Dome", "Finger", "Solid"):
         schema["$defs"][name]["properties"]["recipe"] = recipe
+    schema["$defs"]["Camera"]["properties"]["intrinsics"] = {
+        "type": "string",
+        "description": "file of size, focal length, principal point and distortion as OpenCV writes it (YAML, JSON)",
+    }
     schema["properties"]["body"] = {"anyOf": schema["properties"]["body"]["oneOf"]}
     axes = {"type": "object", "additionalProperties": False, "properties": {a: {"type": "number"} for a in "xyz"}}
     for name, keys in (("Step", ("force_n", "move_mm")), ("Press", ("force_n",))):
