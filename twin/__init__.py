@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from twin.sense.calibration import Calibration, read_calibration
     from twin.sense.reconstruct import reconstruct
     from twin.sense.track import track
+    from twin.study.dataset.reader import open_dataset
     from twin.study.intrinsics import read_intrinsics, write_intrinsics
     from twin.study.recipe import load_scene
     from twin.study.run import run
@@ -36,6 +37,7 @@ _HOMES = {
     "Traction": "twin.parts.load",
     "TwinError": "twin.errors",
     "load_scene": "twin.study.recipe",
+    "open_dataset": "twin.study.dataset.reader",
     "read_calibration": "twin.sense.calibration",
     "read_intrinsics": "twin.study.intrinsics",
     "reconstruct": "twin.sense.reconstruct",
@@ -59,6 +61,7 @@ __all__ = [
     "Traction",
     "TwinError",
     "load_scene",
+    "open_dataset",
     "read_calibration",
     "read_intrinsics",
     "reconstruct",

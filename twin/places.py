@@ -7,6 +7,8 @@ import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -35,3 +37,32 @@ def cache_folder() -> Path:
     temporary = Path(tempfile.mkdtemp(prefix="twin-cache-"))
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
     return temporary
+
+
+_pinned: list[Path] = []
+
+
+def pinned(name: str) -> Path | None:
+    """Return the file of this name in the pinned folder, None if none is pinned or it has no such file."""
+    for folder in _pinned:
+        if (folder / name).is_file():
+            return folder / name
+    return None
+
+
+@contextmanager
+def pin(folder: Path) -> Iterator[None]:
+    """Take meshes and tables from ``folder`` before all others, and make none while it is pinned.
+
+    Why: making a mesh is not deterministic, so what must come out the same everywhere is given its mesh.
+    """
+    _pinned.insert(0, folder)
+    try:
+        yield
+    finally:
+        _pinned.remove(folder)
+
+
+def is_pinned() -> bool:
+    """Return whether meshes and tables are pinned."""
+    return bool(_pinned)

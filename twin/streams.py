@@ -19,6 +19,7 @@ class Purpose(IntEnum):
     LOAD_CELL = 3
     SAMPLING = 4
     SENSOR_PATTERN = 5
+    SENSOR = 6
 
 
 def stream(seed: int, purpose: Purpose, index: int = 0) -> np.random.Generator:

@@ -7,8 +7,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 
-def check(file: Annotated[str, Parameter(help="Scene file, calibration (.npz) or result folder.")]) -> None:
-    """Check a file or a result folder and say everything that is wrong with it."""
+def check(file: Annotated[str, Parameter(help="Scene file, calibration (.npz), result folder or dataset.")]) -> None:
+    """Check a file or a folder and say everything that is wrong with it."""
     from twin.study.check import check_path
 
     for line in check_path(file):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from pydantic import Field, model_validator
+from typing import Any
+
+from pydantic import Field, field_validator, model_validator
 
 from twin.parts.accuracy import Accuracy
 from twin.parts.body import AnyBody
 from twin.parts.camera import Camera
 from twin.parts.ccd import Ccd
+from twin.parts.dataset import Dataset
 from twin.parts.light import Light
 from twin.parts.markers import MarkerLayer
 from twin.parts.material import Cover, Material
@@ -16,6 +19,7 @@ from twin.parts.pipeline import Calibration, Reconstruction, Tracking
 from twin.parts.press import Press
 from twin.parts.stiff import stiff_problems
 from twin.parts.tolerance import CUT, Tolerance
+from twin.parts.vary import Distribution, flat
 
 
 class Scene(Part):
@@ -28,9 +32,12 @@ class Scene(Part):
     seed
         Root of every random stream.
     body, material, cover, markers, camera, light, ccd, press, accuracy, tolerance, tracking, calibration,
-    reconstruction
+    reconstruction, dataset
         See the parts of the same names. A scene without ``camera`` renders nothing; one without ``press`` is only at
         rest; one without ``reconstruction`` estimates nothing.
+    vary
+        Distributions by dotted key of the scene: what differs between the samples of a dataset. A single run uses
+        the scene's own values.
     """
 
     title: str = ""
@@ -48,6 +55,13 @@ class Scene(Part):
     tracking: Tracking = Tracking()
     calibration: Calibration = Calibration()
     reconstruction: Reconstruction | None = None
+    dataset: Dataset = Dataset()
+    vary: dict[str, Distribution] = Field(default_factory=dict)
+
+    @field_validator("vary", mode="before")
+    @classmethod
+    def _by_dotted_key(cls, value: Any) -> Any:
+        return flat(value) if isinstance(value, dict) else value
 
     @model_validator(mode="after")
     def _fits_together(self) -> Scene:

@@ -13,7 +13,7 @@ from twin.study.recipe import find_scene, load_scene
 
 
 def check_path(name: str) -> list[str]:
-    """Check a scene (path or shipped name), a calibration file or a result folder.
+    """Check a scene (path or shipped name), a calibration file, a result folder or a dataset.
 
     Raises
     ------
@@ -21,6 +21,10 @@ def check_path(name: str) -> list[str]:
         Something is wrong with it.
     """
     path = Path(name)
+    if (path / "meta" / "info.json").is_file():
+        from twin.study.dataset.check import check_dataset
+
+        return check_dataset(path)
     if path.is_dir():
         return _check_results(path)
     if path.suffix == ".npz":

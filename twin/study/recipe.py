@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from twin.errors import InputError, RecipeError
 from twin.parts.scene import Scene
+from twin.parts.vary import flat
 from twin.places import MESHES, SCENES
 from twin.study.complaints import complaints
 
@@ -64,6 +65,8 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
     _find_solid(table, folders, path)
     _find_probes(table, path)
     _read_intrinsics(table, path)
+    if isinstance(table.get("vary"), dict):
+        table["vary"] = flat(table["vary"])
     return validate_scene(table, str(path))
 
 

@@ -160,6 +160,33 @@ class Sensor:
             moved = moved + change
         return Motion(displacement_mm=moved, gradient=gradient, error=error)
 
+    def motion_of_patches(self, patches: Rectangles, *, strained: bool = True) -> Motion:
+        """Return how the actual markers move, on the level of mesh that the asked accuracy takes and no other.
+
+        What `motion` answers, for many loads: patches far above all markers are gathered into a few point forces
+        (`twin.world.gather`), and the answer, with its estimated error, is never taken from a finer mesh.
+
+        Parameters
+        ----------
+        patches
+            What pushes.
+        strained
+            Whether gradients are wanted too: without them prints are not strained and beads not turned (of which no
+            picture shows anything), and the gradients are zero.
+        """
+        from twin.world.gather import gathered
+
+        points = self.actual.markers.points
+        few = gathered(points, patches)
+        moved, error = self.compliance.answer(points, few)
+        gradient = self.compliance.gradient(points, patches) if strained else np.zeros((len(points), 3, 3))
+        if self.stiff_beads is not None and moved.any():
+            gradient = gradient if strained else self.compliance.gradient(points, patches)
+            change = self.stiff_beads.change(lambda p: self.compliance.displacement(p, gathered(p, patches)), gradient)
+            error += self.stiff_beads.error(change, moved)
+            moved = moved + change
+        return Motion(displacement_mm=moved, gradient=gradient, error=error)
+
     @cached_property
     def stiff_beads(self) -> StiffBeads | None:
         """The actual rigid beads and how they push each other; None where no layer is ``stiff``."""

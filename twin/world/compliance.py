@@ -264,23 +264,34 @@ class Compliance:
 
         Validity: the law of `expected_error` where there is no coarser level. Raises like `displacement`.
         """
+        return self.answer(points, load)[1]
+
+    def answer(self, points: Points, load: Rectangles) -> tuple[Points, float]:
+        """Return `displacement` and its `error_estimate` together. Raises like `displacement`."""
         known = self._checked(points, load)
         if len(known) == 0 or not np.any(load.force_n):
-            return 0.0
+            return np.zeros_like(known.points), 0.0
         rest = self._rest(known, load)
+        moved = rest + halfspace.displacement(known.points, load, *self._rubber) if self._subtracted else rest
+        return moved, self._estimate(known, load, rest, moved)
+
+    def _estimate(self, known: Known, load: Rectangles, rest: Points, moved: Points) -> float:
         level = self.level
         if self._table_for(known, load):
             if self._check_at_nu is None or level == "nominal":
-                return self.expected_error(load, points)
+                return self.expected_error(load, known.points)
             level = table_level(self.body, "truth")
             other = self._check_at_nu.displacement(known.basis(self._check_at_nu.box_mm), load) / self._modulus
         elif self.coarser is not None:
-            other = self.coarser._rest(self.coarser._checked(points, load), load)
+            other = self.coarser._rest(self.coarser._checked(known.points, load), load)
         else:
             return self.expected_error(load)
-        moved = rest + halfspace.displacement(known.points, load, *self._rubber) if self._subtracted else rest
         differ = _largest(rest - other) / _largest(moved)
         return estimated_error(self.body, level, differ)
+
+    def forget(self) -> None:
+        """Forget the region of the last contact: presses then don't depend, in last digits, on those before them."""
+        self._region = None
 
     def expected_error(self, load: Rectangles, points: Points | None = None) -> float:
         """Return the error to be expected before anything is solved: see `twin.world.expected`.

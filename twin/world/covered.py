@@ -154,6 +154,14 @@ class Covered:
         """See `Compliance.displacement`."""
         return self.patch(load).displacement(points, load) if len(load) else np.zeros((len(points), 3))
 
+    def answer(self, points: Points, load: Rectangles) -> tuple[Points, float]:
+        """Return the displacement and the error to be expected."""
+        return self.displacement(points, load), self.expected_error(load)
+
+    def forget(self) -> None:
+        """Forget the meshes of the places pressed so far."""
+        self._patches.clear()
+
     def gradient(self, points: Points, load: Rectangles) -> Floats:
         """See `Compliance.gradient`; within the cover and outside it, not across."""
         return self.patch(load).gradient(points, load) if len(load) else np.zeros((len(points), 3, 3))

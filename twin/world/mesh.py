@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Bools, Ints, Points, frozen
-from twin.errors import InputError
+from twin.errors import InputError, MeshError
 from twin.parts.body import Body
 from twin.parts.part import without_later
-from twin.places import MESHES, cache_folder
+from twin.places import MESHES, cache_folder, is_pinned, pinned
 from twin.world.sizing import Level, Sizing, default_sizing
 from twin.world.snap import signed_volumes
 
@@ -200,6 +200,11 @@ def mesh_key(body: Body, sizing: Sizing) -> str:
     return hashlib.sha256(told.encode()).hexdigest()
 
 
+def mesh_file(key: str) -> str:
+    """Return the name of the file of a mesh."""
+    return f"mesh-{key[:32]}.npz"
+
+
 def body_mesh(body: Body, level: Level, *, rebuild: bool = False, progress: Progress | None = None) -> Mesh:
     """Return a body's mesh: the cached or shipped one if its key matches, else a shipped one stretched, else a new one.
 
@@ -223,7 +228,11 @@ def body_mesh(body: Body, level: Level, *, rebuild: bool = False, progress: Prog
     """
     sizing = default_sizing(body, level)
     key = mesh_key(body, sizing)
-    cached = cache_folder() / f"mesh-{key[:32]}.npz"
+    if is_pinned():
+        if (path := pinned(mesh_file(key))) is None:
+            raise MeshError(f"mesh of level {level}: not among the given ones, and none is made beside those")
+        return read_mesh(path)
+    cached = cache_folder() / mesh_file(key)
     if not rebuild:
         for path in [cached, *sorted(MESHES.glob(f"*.{level}.npz"))]:
             found = _matching(path, key)

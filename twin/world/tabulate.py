@@ -27,7 +27,7 @@ from twin.arrays import Bools, Floats, Points, frozen
 from twin.errors import InputError
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
-from twin.places import MESHES, cache_folder
+from twin.places import MESHES, cache_folder, is_pinned, pinned
 from twin.results import write_whole
 from twin.theory import halfspace
 from twin.world.correction import correction
@@ -89,9 +89,12 @@ def find_table(
     """
     if not isinstance(body, Block):
         return None
-    if _size(body) == _size(STANDARD):
-        return _usable(shipped_path(role))
-    path = cached_path(body, role)
+    standard = _size(body) == _size(STANDARD)
+    path = shipped_path(role) if standard else cached_path(body, role)
+    if is_pinned():
+        return _usable(held) if (held := pinned(path.name)) else None
+    if standard:
+        return _usable(path)
     if make and not path.exists():
         table = make_table(body, body_mesh(body, MADE[role], progress=progress), solver, progress)
         write_table(table, path)

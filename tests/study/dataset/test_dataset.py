@@ -1,0 +1,269 @@
+"""Datasets: the same bytes whatever happens on the way, truth that balances, failures that are rows."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+from small_dataset import NO_PICTURE, contents, make, small_scene
+
+import twin
+from twin.errors import InputError, RecipeError, TwinError
+from twin.results import write_whole
+from twin.study.batch.lock import only_writer
+from twin.study.check import check_path
+from twin.study.dataset.plan import Plan
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dataset") / "d"
+    assert make(folder).failed == 0
+    return folder
+
+
+def test_a_finished_dataset_passes_its_check_and_has_what_was_asked_for(made: Path) -> None:
+    assert "checksums and schema ok" in check_path(str(made))[0]
+    data = twin.open_dataset(made)
+    assert len(data) == 4
+    assert set(NO_PICTURE) < set(data.columns)
+    assert not {"picture", "marker_visible"} & set(data.columns)
+    row = data[-1]
+    np.testing.assert_allclose(row["force_n"][2], json.loads(row["press"])["force_n"][2], atol=1e-9)
+    np.testing.assert_allclose(row["site_force_n"].sum(axis=0), row["force_n"], atol=1e-9)
+    assert data.column("marker_displacement_mm").shape == (4, 59, 3)
+
+
+def test_a_samples_truth_is_that_of_a_single_run(made: Path) -> None:
+    """The dataset takes short cuts (gathered loads, no gradients); a sensor of its own must say the same."""
+    data = twin.open_dataset(made)
+    row, told = data[3], data.sensor(1)
+    modulus = float(told["vary_material_youngs_modulus_mpa"])
+    scene = small_scene(vary={}, material__youngs_modulus_mpa=modulus, seed=told["seed"])
+    sensor = twin.Sensor(scene)
+    state = sensor.press(twin.Press(**json.loads(row["press"])))
+    motion = sensor.motion(state.load)
+    size = np.abs(motion.displacement_mm).max()
+    np.testing.assert_allclose(row["marker_displacement_mm"], motion.displacement_mm, atol=1e-5 * size)
+    np.testing.assert_allclose(told["marker_rest_mm"], sensor.actual.markers.points, atol=1e-12)
+
+
+def test_an_interrupted_dataset_ends_with_the_same_bytes(made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "d"
+    make(folder)
+    for name in ("data/part-00001.parquet", "meta/SHA256SUMS"):
+        (folder / name).unlink()
+    (folder / "data" / ".part-00001.parquet.77.part").write_bytes(b"half")
+    (folder / "data" / "part-00000.parquet").write_bytes(b"damaged")
+    assert make(folder).made == 4
+    assert contents(folder) == contents(made)
+
+
+def test_a_larger_dataset_begins_with_the_smaller_one(made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "d"
+    make(folder, 3)
+    make(folder, 4)
+    assert contents(folder) == contents(made)
+    with pytest.raises(InputError, match="--samples 4 or more"):
+        make(folder, 3)
+
+
+@pytest.mark.parametrize("sampling", ["stratified", "random"])
+def test_a_sample_is_known_from_seed_and_number_alone(sampling: str) -> None:
+    plan = Plan(small_scene(dataset__sampling=sampling), 100)
+    many = plan.press_values(range(40, 60))
+    assert plan.press_values(range(47, 48))[0] == many[7]
+    assert plan.press_values(range(0, 50))[45] == many[5]
+    assert Plan(small_scene(dataset__sampling=sampling, seed=2), 100).press_values(range(40, 60)) != many
+
+
+def test_stratified_draws_are_more_even_than_random_ones() -> None:
+    spread = {}
+    for sampling in ("stratified", "random"):
+        values = Plan(small_scene(dataset__sampling=sampling), 64).press_values(range(64))
+        x = np.array([v["press.at_mm"][0] for v in values])
+        spread[sampling] = np.histogram(x, bins=16, range=(-3, 3))[0].std()
+    assert spread["stratified"] == 0.0
+    assert spread["random"] > 1.0
+
+
+def test_a_failing_sample_is_a_row_with_its_error(tmp_path: Path) -> None:
+    far = {"press.at_mm": {"choice": [[0.0, 0.0], [60.0, 0.0]]}}
+    done = make(tmp_path / "d", 8, small_scene(vary=far))
+    assert 0 < done.failed < 8
+    data = twin.open_dataset(tmp_path / "d")
+    bad = [row for row in data if row["status"] == "failed"]
+    assert len(bad) == done.failed
+    assert all("misses" in row["error"] or "outside" in row["error"] for row in bad), bad[0]["error"]
+    assert all(row["force_n"] is None for row in bad)
+    assert len(data.column("force_n")) == 8 - done.failed
+
+
+def test_contact_beyond_the_sites_fails_instead_of_losing_force(tmp_path: Path) -> None:
+    sites = {"columns": 3, "rows": 3, "pitch_mm": 0.5}
+    done = make(tmp_path / "d", 1, small_scene(dataset__sites=sites))
+    assert done.failed == 1
+    assert "beyond the sites" in done.reason
+
+
+def test_two_writers_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "d" / "meta").mkdir(parents=True)
+    with only_writer(tmp_path / "d" / "meta" / "writer.lock"), pytest.raises(InputError, match="another process"):
+        make(tmp_path / "d")
+
+
+def test_another_scene_columns_or_versions_are_refused(made: Path) -> None:
+    with pytest.raises(InputError, match="another scene"):
+        make(made, scene=small_scene(material__poisson_ratio=0.49))
+    with pytest.raises(InputError, match="other columns"):
+        make(made, scene=small_scene(columns=("force_n",)))
+    told = (made / "meta" / "info.json").read_text()
+    try:
+        (made / "meta" / "info.json").write_text(told.replace('"numpy": "', '"numpy": "9.'))
+        with pytest.raises(InputError, match=r"other versions \(numpy 9\."):
+            make(made)
+    finally:
+        (made / "meta" / "info.json").write_text(told)
+
+
+def test_check_finds_a_changed_byte_and_an_unfinished_dataset(tmp_path: Path) -> None:
+    folder = tmp_path / "d"
+    make(folder, 2)
+    path = folder / "data" / "part-00000.parquet"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-20] + bytes([whole[-20] ^ 1]) + whole[-19:])
+    with pytest.raises(RecipeError, match=r"part-00000\.parquet: changed"):
+        check_path(str(folder))
+    (folder / "meta" / "SHA256SUMS").unlink()
+    with pytest.raises(InputError, match="not finished"):
+        check_path(str(folder))
+
+
+def test_a_full_disk_leaves_whole_files_and_the_same_command_goes_on(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from twin.study.dataset import create
+
+    def full(path: Path, write: object) -> None:
+        if path.name == "part-00001.parquet" and path.parent.name == "data":
+            raise TwinError(f"{path}: can't be written (No space left on device)")
+        write_whole(path, write)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(create, "write_whole", full)
+        with pytest.raises(TwinError, match="No space left"):
+            make(tmp_path / "d")
+    make(tmp_path / "d")
+    assert contents(tmp_path / "d") == contents(made)
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("body.thickness_mm", "body can't vary"),
+        ("press.at_m", "unknown key; did you mean 'at_mm'"),
+        ("press.steps.3.torque_nmm", "no place in a list of 0"),
+        ("markers.green.depth_mm", "no 'green'; known there are red, blue"),
+        ("material.youngs_modulus", "youngs_modulus: unknown key; did you mean 'youngs_modulus_mpa'"),
+    ],
+)
+def test_what_can_not_vary_is_refused_by_name(key: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(RecipeError, match=words):
+        make(tmp_path / "d", 1, small_scene(vary={key: {"low": 1.0, "high": 2.0}}))
+    assert not (tmp_path / "d").exists()
+
+
+def test_pictures_are_png_that_other_readers_open(tmp_path: Path) -> None:
+    scene = small_scene(columns=("picture", "marker_visible", "marker_outline_pressed_px", "marker_pressed_px"))
+    make(tmp_path / "d", 3, scene)
+    data = twin.open_dataset(tmp_path / "d")
+    table = pq.read_table(tmp_path / "d" / "data")
+    raw = table["picture"][0].as_py()
+    with Image.open(io.BytesIO(raw)) as image:
+        image.verify()
+    first, rest = data[0]["picture"], data.sensor(0)["picture"]
+    assert first.shape == (120, 160, 3)
+    assert 1 < np.abs(first.astype(int) - rest).max() < 200
+    assert (data[1]["picture"] != first).any()
+    shown = data[0]["marker_visible"] > 0.98
+    apart = data[0]["marker_outline_pressed_px"] - data[0]["marker_pressed_px"]
+    assert np.abs(apart[shown]).max() < 0.1
+    assert b"huggingface" in table.schema.metadata
+
+
+def test_a_reader_reads_what_is_asked_for_and_travels_to_other_processes(made: Path) -> None:
+    data = twin.open_dataset(made, ["force_n"])
+    assert set(data[0]) == {"force_n"}
+    copy = pickle.loads(pickle.dumps(data))
+    np.testing.assert_array_equal(copy[1]["force_n"], data[1]["force_n"])
+    with pytest.raises(InputError, match="no column froce"):
+        twin.open_dataset(made, ["froce"])
+    with pytest.raises(IndexError):
+        data[4]
+    with pytest.raises(InputError, match="no dataset"):
+        twin.open_dataset(made / "data")
+
+
+def test_every_step_of_a_path_can_be_kept(tmp_path: Path) -> None:
+    steps = [{"force_n": {"z": 0.5}}, {"force_n": {"x": 0.1, "y": 0.0, "z": 0.5}}]
+    scene = small_scene(
+        press__steps=steps, press__friction=0.8, dataset__every_step=True,
+        vary={"press.steps.1.force_n": {"normal_n": 0.5, "ratio": 0.3}},
+    )  # fmt: skip
+    make(tmp_path / "d", 1, scene)
+    data = twin.open_dataset(tmp_path / "d")
+    assert [(row["index"], row["step"]) for row in data] == [(0, 0), (0, 1)]
+    assert np.hypot(*data[1]["force_n"][:2]) == pytest.approx(0.15, rel=1e-6)
+    np.testing.assert_allclose(data[0]["force_n"][:2], 0, atol=1e-9)
+
+
+def test_the_command_line_makes_estimates_and_refuses(tmp_path: Path) -> None:
+    twin_ = [sys.executable, "-m", "twin", "dataset", "dataset_kamiyama"]
+    done = subprocess.run([*twin_, "--samples", "0"], capture_output=True, text=True)
+    assert (done.returncode, "at least 1" in done.stderr) == (2, True)
+    done = subprocess.run([*twin_, "--samples", "3", "--columns", "forse_n"], capture_output=True, text=True)
+    assert (done.returncode, "did you mean 'force_n'" in done.stderr) == (2, True)
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_and_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    """kill -9 at several moments, Ctrl-C once, then to the end: the bytes of an undisturbed run."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(_SLOW_SCENE)
+    command = [sys.executable, "-m", "twin", "dataset", str(scene), "--samples", "24", "--workers", "2", "--out"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parent.parent)}
+    assert subprocess.run([*command, str(tmp_path / "whole")], env=environment).returncode == 0
+    for seconds, how in ((4, signal.SIGKILL), (9, signal.SIGKILL), (12, signal.SIGINT)):
+        process = subprocess.Popen([*command, str(tmp_path / "d")], env=environment)
+        time.sleep(seconds)
+        process.send_signal(how)
+        assert process.wait(60) in (-9, 130, 0)
+    done = subprocess.run([*command, str(tmp_path / "d")], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert contents(tmp_path / "d") == contents(tmp_path / "whole")
+
+
+_SLOW_SCENE = """
+base = "kamiyama_pillar"
+[press]
+friction = 0
+[accuracy]
+contact_patches = 8
+[vary."press.at_mm"]
+low = [-5, -5]
+high = [5, 5]
+[dataset]
+samples_per_shard = 2
+samples_per_sensor = 8
+"""

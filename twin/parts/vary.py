@@ -1,0 +1,290 @@
+"""What varies between samples, and how: distributions over the keys of a scene.
+
+A distribution turns numbers u in [0, 1) into a value by its inverse, and says how many it takes. So random and
+stratified sampling differ only in where the u come from, and a design grid can use the same descriptions.
+
+Which kind a table is follows from its keys: ``low`` and ``high``; ``mean`` and ``sd``; ``choice``; ``normal_n``;
+``follows``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
+
+from twin.arrays import Floats
+from twin.parts.part import Part
+from twin.parts.tolerance import CUT
+
+Number = float | tuple[float, ...]
+
+KEYS = ("low", "high", "mean", "sd", "choice", "normal_n", "follows")
+"""A table with one of these keys is a distribution."""
+
+
+class Uniform(Part):
+    """Evenly between two values, or two vectors component by component.
+
+    Attributes
+    ----------
+    low, high
+        Ends; numbers, or lists of equal length.
+    log
+        Even in the logarithm.
+    """
+
+    low: Number
+    high: Number
+    log: bool = False
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Uniform:
+        low, high = np.atleast_1d(self.low), np.atleast_1d(self.high)
+        if low.shape != high.shape:
+            raise ValueError(f"low has {low.size} and high {high.size} components: give as many")
+        if not (low <= high).all():
+            raise ValueError(f"low = {self.low} must not be above high = {self.high}")
+        if self.log and low.min() <= 0:
+            raise ValueError(f"low = {self.low}: with log = true it must be greater than 0")
+        return self
+
+    @property
+    def takes(self) -> int:
+        """How many numbers u a draw takes."""
+        return np.size(self.low)
+
+    def at(self, u: Floats) -> Any:
+        """Return the value of (takes,) numbers u."""
+        low, high = np.atleast_1d(self.low), np.atleast_1d(self.high)
+        value = low * (high / low) ** u if self.log else low + (high - low) * u
+        return _plain(value, self.low)
+
+
+class Normal(Part):
+    """Normal, cut at 2.5 standard deviations: a maker rejects worse ones.
+
+    Attributes
+    ----------
+    mean, sd
+        Numbers, or lists of equal length.
+    """
+
+    mean: Number
+    sd: Number
+
+    @model_validator(mode="after")
+    def _positive(self) -> Normal:
+        if np.shape(self.mean) != np.shape(self.sd):
+            raise ValueError("mean and sd must have as many components")
+        if np.min(self.sd) < 0:
+            raise ValueError(f"sd = {self.sd}: must be 0 or more")
+        return self
+
+    @property
+    def takes(self) -> int:
+        """How many numbers u a draw takes."""
+        return np.size(self.mean)
+
+    def at(self, u: Floats) -> Any:
+        """Return the value of (takes,) numbers u."""
+        from scipy.special import ndtr, ndtri  # here: a scene that varies nothing loads no scipy
+
+        tail = ndtr(-CUT)
+        value = np.atleast_1d(self.mean) + np.atleast_1d(self.sd) * ndtri(tail + (1 - 2 * tail) * u)
+        return _plain(value, self.mean)
+
+
+class Choice(Part):
+    """One of several values; a value may be a table that holds distributions itself.
+
+    Attributes
+    ----------
+    choice
+        The values: numbers, texts, lists or tables.
+    weights
+        How often each comes, in any unit; equally if not given.
+    """
+
+    choice: tuple[Any, ...] = Field(min_length=1)
+    weights: tuple[float, ...] | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> Choice:
+        if self.weights is not None and (len(self.weights) != len(self.choice) or min(self.weights) < 0):
+            raise ValueError(f"weights: give one of 0 or more for each of the {len(self.choice)} choices")
+        if self.weights is not None and sum(self.weights) <= 0:
+            raise ValueError("weights: one must be greater than 0")
+        for value in self.choice:
+            _nested(value)
+        return self
+
+    @property
+    def takes(self) -> int:
+        """How many numbers u a draw takes: one to choose, and those of the choices."""
+        return 1 + sum(_takes(value) for value in self.choice)
+
+    def at(self, u: Floats) -> Any:
+        """Return the value of (takes,) numbers u; every choice has numbers of its own."""
+        weights = np.array(self.weights or (1.0,) * len(self.choice))
+        chosen = int(np.searchsorted(np.cumsum(weights / weights.sum()), u[0], side="right"))
+        chosen = min(chosen, len(self.choice) - 1)
+        start = 1 + sum(_takes(value) for value in self.choice[:chosen])
+        return _inside(self.choice[chosen], u[start:])
+
+
+class ForceCone(Part):
+    """A force vector (x, y, z) in N in a cone about z: for ``press.force_n`` and ``steps.N.force_n``.
+
+    Attributes
+    ----------
+    normal_n
+        Its part along z: a number or a distribution.
+    ratio
+        Its part sideways over that along z: a number or a distribution. With friction mu on a flat face it must stay
+        below mu.
+    """
+
+    normal_n: Any
+    ratio: Any = 0.0
+
+    @model_validator(mode="after")
+    def _numbers(self) -> ForceCone:
+        for key in ("normal_n", "ratio"):
+            value = getattr(self, key)
+            try:
+                _nested(value)
+                ends = [_inside(value, np.full(_takes(value), u)) for u in (0.0, 1.0)]
+            except ValueError as problem:
+                raise ValueError(f"{key}: {problem}") from None
+            if not all(isinstance(end, int | float) and end >= 0 for end in ends):
+                raise ValueError(f"{key} = {value!r}: must be a number of 0 or more, or a distribution of such")
+        return self
+
+    @property
+    def takes(self) -> int:
+        """How many numbers u a draw takes."""
+        return 1 + _takes(self.normal_n) + _takes(self.ratio)
+
+    def at(self, u: Floats) -> Any:
+        """Return (x, y, z) in N of (takes,) numbers u; every direction sideways is equally likely."""
+        normal = float(_inside(self.normal_n, u[1:]))
+        sideways = normal * float(_inside(self.ratio, u[1 + _takes(self.normal_n) :]))
+        angle = 2.0 * math.pi * float(u[0])
+        return [sideways * math.cos(angle), sideways * math.sin(angle), normal]
+
+
+class Follows(Part):
+    """A value tied to another key's: ``times`` its value ``plus`` something.
+
+    Attributes
+    ----------
+    follows
+        Dotted key of a number, drawn or not.
+    times, plus
+        Of the line.
+    """
+
+    follows: str
+    times: float = 1.0
+    plus: float = 0.0
+
+    @property
+    def takes(self) -> int:
+        """How many numbers u a draw takes: none."""
+        return 0
+
+
+def _kind(value: Any) -> str | None:
+    keys = value if isinstance(value, Mapping) else type(value).model_fields if isinstance(value, Part) else ()
+    for kind, marks in _MARKS.items():
+        if any(mark in keys for mark in marks):
+            return kind
+    return None
+
+
+_MARKS = {
+    "[uniform]": ("low", "high"), "[normal]": ("mean", "sd"), "[choice]": ("choice",), "[cone]": ("normal_n",),
+    "[follows]": ("follows",),
+}  # fmt: skip
+
+Distribution = Annotated[
+    Annotated[Uniform, Tag("[uniform]")]
+    | Annotated[Normal, Tag("[normal]")]
+    | Annotated[Choice, Tag("[choice]")]
+    | Annotated[ForceCone, Tag("[cone]")]
+    | Annotated[Follows, Tag("[follows]")],
+    Discriminator(
+        _kind,
+        custom_error_type="no_distribution",
+        custom_error_message="must be {low, high}, {mean, sd}, {choice}, {normal_n, ratio} or {follows}",
+    ),
+]
+
+_CLASSES: dict[str, type[Part]] = {"[uniform]": Uniform, "[normal]": Normal, "[choice]": Choice, "[cone]": ForceCone}
+
+
+def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return distributions by dotted key, however the tables that hold them are nested."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if key in ("source", "assumed"):  # of a table that only holds others
+            continue
+        if isinstance(value, Mapping) and _kind(value) is None:
+            inner = flat(value, f"{prefix}{key}.")
+        else:
+            inner = {f"{prefix}{key}": value}
+        for name, what in inner.items():
+            both = isinstance(found.get(name), Mapping) and isinstance(what, Mapping)
+            found[name] = {**found[name], **what} if both else what
+    return found
+
+
+def is_distribution(value: Any) -> bool:
+    """Return whether a plain table is a distribution."""
+    return isinstance(value, Mapping) and _kind(value) is not None
+
+
+def _nested(value: Any) -> None:
+    """Raise ValueError if distributions inside a plain value are wrong."""
+    if isinstance(value, Mapping):
+        kind = _kind(value)
+        if kind == "[follows]":
+            raise ValueError("follows can't stand inside another distribution")
+        if kind is not None:
+            try:
+                _CLASSES[kind].model_validate(value)
+            except ValidationError as problem:
+                first = problem.errors()[0]
+                told = str(first["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
+                raise ValueError(f"{'.'.join(str(k) for k in first['loc'])}: {told}".lstrip(": ")) from None
+        else:
+            for inner in value.values():
+                _nested(inner)
+
+
+def _takes(value: Any) -> int:
+    if is_distribution(value):
+        return int(_CLASSES[_kind(value) or ""].model_validate(value).takes)  # type: ignore[attr-defined]
+    return sum(_takes(inner) for inner in value.values()) if isinstance(value, Mapping) else 0
+
+
+def _inside(value: Any, u: Floats) -> Any:
+    """Return a plain value with the distributions inside it drawn from u, in their order."""
+    if is_distribution(value):
+        made: Any = _CLASSES[_kind(value) or ""].model_validate(value)
+        return made.at(u[: made.takes])
+    if not isinstance(value, Mapping):
+        return value
+    drawn, start = {}, 0
+    for key, inner in value.items():
+        drawn[key] = _inside(inner, u[start:])
+        start += _takes(inner)
+    return drawn
+
+
+def _plain(value: Floats, like: Number) -> float | list[float]:
+    return [float(v) for v in value] if isinstance(like, tuple) else float(value[0])

@@ -1,0 +1,155 @@
+"""Values drawn for a sample from (root seed, number) alone, and scenes with drawn values in place.
+
+Random sampling takes the numbers u from a stream of the sample's own. Stratified sampling takes them from one scrambled
+Sobol' sequence (`scipy.stats.qmc`), whose point number i depends on nothing but the seed and i: so a dataset is the
+beginning of every larger one, and any worker can draw any sample.
+"""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from twin.arrays import Floats
+from twin.errors import RecipeError
+from twin.parts.scene import Scene
+from twin.parts.vary import Distribution, Follows
+from twin.streams import Purpose, stream
+from twin.study.recipe import ALTERNATIVES, PROVENANCE, validate_scene
+
+Sampling = Literal["stratified", "random"]
+Table = dict[str, Any]
+
+_HOLDERS = (*PROVENANCE, "vary", "dataset")
+
+
+def unit_numbers(seed: int, purpose: Purpose, sampling: Sampling, numbers: Sequence[int], width: int) -> Floats:
+    """Return (len(numbers), width) numbers in [0, 1), a row for every sample number."""
+    if width == 0 or not numbers:
+        return np.zeros((len(numbers), width))
+    if sampling == "random":
+        return np.array([stream(seed, purpose, number).random(width) for number in numbers])
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(width, scramble=True, rng=stream(seed, purpose))
+    first, last = min(numbers), max(numbers)
+    with warnings.catch_warnings():  # a part of the sequence need not be a power of two
+        warnings.simplefilter("ignore", UserWarning)
+        if first:
+            sequence.fast_forward(first)
+        points = sequence.random(last - first + 1)
+    return np.asarray(points[np.asarray(numbers) - first])
+
+
+def drawn(axes: Mapping[str, Distribution], u: Floats) -> Table:
+    """Return the value of every axis, by dotted key, from one row of numbers; keys that follow others are left out."""
+    values, start = {}, 0
+    for key in sorted(axes):
+        axis = axes[key]
+        if not isinstance(axis, Follows):
+            values[key] = axis.at(u[start : start + axis.takes])
+            start += axis.takes
+    return values
+
+
+def width(axes: Mapping[str, Distribution]) -> int:
+    """Return how many numbers a draw of all axes takes."""
+    return sum(axis.takes for axis in axes.values())
+
+
+def with_values(scene: Scene, values: Mapping[str, Any], follows: Mapping[str, Distribution] | None = None) -> Scene:
+    """Return the scene with other values at dotted keys, validated whole.
+
+    Parameters
+    ----------
+    scene
+        Any scene.
+    values
+        By dotted key; numbers in a key are places in a list (``press.steps.1.force_n``).
+    follows
+        Axes that follow other keys; the others are ignored.
+
+    Raises
+    ------
+    RecipeError
+        A key is not there, or a value is not allowed.
+    """
+    table = plain_table(scene)
+    put_all(table, values, follows or {})
+    made = validate_scene(table, "drawn scene")
+    return made.model_copy(update={"vary": scene.vary, "dataset": scene.dataset})
+
+
+def plain_table(scene: Scene) -> Table:
+    """Return the scene's plain values, without provenance and without what varies."""
+    table: Table = _bare(scene.model_dump(mode="python", exclude=set(_HOLDERS), exclude_none=True))
+    return table
+
+
+def put_all(table: Table, values: Mapping[str, Any], follows: Mapping[str, Distribution]) -> None:
+    """Put values into a table at dotted keys, then those that follow others."""
+    for key, value in values.items():
+        put(table, key, value)
+    for key, axis in follows.items():
+        if isinstance(axis, Follows):
+            told = look_up(table, axis.follows)
+            if isinstance(told, bool) or not isinstance(told, int | float):
+                raise RecipeError(f"vary.{key}: follows '{axis.follows}', which is not a number but {told!r}")
+            put(table, key, axis.times * told + axis.plus)
+
+
+def put(table: Table, dotted: str, value: Any) -> None:
+    """Put a value at a dotted key; a path given to a press replaces the one it had."""
+    *parents, last = dotted.split(".")
+    here: Any = table
+    for name in parents:
+        here = _step(here, name, dotted)
+    if isinstance(here, dict):
+        if parents == ["press"] and last in ALTERNATIVES:
+            for other in ALTERNATIVES:
+                here.pop(other, None)
+        here[last] = copy.deepcopy(value)
+    else:
+        here[_place(here, last, dotted)] = copy.deepcopy(value)
+
+
+def look_up(table: Table, dotted: str) -> Any:
+    """Return the value at a dotted key.
+
+    Raises
+    ------
+    RecipeError
+        There is none.
+    """
+    here: Any = table
+    for name in dotted.split("."):
+        here = _step(here, name, dotted)
+    return here
+
+
+def _step(here: Any, name: str, dotted: str) -> Any:
+    if isinstance(here, dict) and name in here:
+        return here[name]
+    if isinstance(here, list):
+        return here[_place(here, name, dotted)]
+    known = f"known there are {', '.join(here)}" if isinstance(here, dict) else "that is a single value"
+    raise RecipeError(f"vary.{dotted}: the scene has no '{name}'; {known}")
+
+
+def _place(here: Any, name: str, dotted: str) -> int:
+    if not isinstance(here, list) or not name.isdigit() or int(name) >= len(here):
+        count = len(here) if isinstance(here, list) else 0
+        raise RecipeError(f"vary.{dotted}: '{name}' is no place in a list of {count} (the first is 0)")
+    return int(name)
+
+
+def _bare(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _bare(v) for k, v in value.items() if k not in PROVENANCE}
+    if isinstance(value, tuple | list):
+        return [_bare(v) for v in value]
+    return value

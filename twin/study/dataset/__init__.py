@@ -1,0 +1,1 @@
+"""Datasets: presses with their truth, in files that other programs read, reproducible sample by sample."""

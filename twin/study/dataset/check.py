@@ -1,0 +1,127 @@
+"""Checking a dataset: checksums, schema, and physics on a sample of its rows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from twin.errors import InputError, RecipeError
+from twin.parts.camera import Camera
+from twin.study.dataset.finish import sums
+from twin.study.dataset.plan import Places
+from twin.study.dataset.prepare import read_info
+from twin.study.dataset.reader import DatasetReader
+from twin.study.recipe import load_scene
+from twin.theory.optics import project
+
+ROWS = 50
+BALANCE_N = 1e-6
+PROJECTION_PX = 1e-6
+
+
+def check_dataset(folder: Path) -> list[str]:
+    """Check a finished dataset and return what was checked.
+
+    Raises
+    ------
+    RecipeError
+        With everything that is wrong.
+    InputError
+        It is no dataset, or it was never finished.
+    """
+    places = Places(folder)
+    told = read_info(places)
+    listed = places.meta / "SHA256SUMS"
+    if not listed.is_file():
+        raise InputError(f"{folder}: has no meta/SHA256SUMS, so it was not finished; give the same command again")
+    problems = _checksums(folder, listed)
+    if problems:
+        raise RecipeError(problems, str(folder))
+    reader = DatasetReader(folder)
+    problems = _schema(reader, told)
+    if problems:
+        raise RecipeError(problems, str(folder))
+    rows = np.unique(np.linspace(0, len(reader) - 1, min(ROWS, len(reader))).astype(int))
+    lines, failed = [f"{folder}: {len(reader)} rows, checksums and schema ok"], 0
+    balance = seen = 0.0
+    for row in rows:
+        sample = reader[int(row)]
+        if sample["status"] != "ok":
+            failed += 1
+            continue
+        problems += _finite(sample, int(row))
+        balance = max(balance, _imbalance(sample))
+        seen = max(seen, _misprojection(sample, reader, folder))
+    if balance > BALANCE_N:
+        problems.append(f"forces: patches or sites sum to {balance:.2g} N away from force_n (allowed {BALANCE_N:g} N)")
+    if seen > PROJECTION_PX:
+        problems.append(f"pixels: {seen:.2g} px away from the projected places (allowed {PROJECTION_PX:g} px)")
+    if problems:
+        raise RecipeError(problems, str(folder))
+    lines.append(
+        f"{len(rows)} rows read: forces balance to {balance:.1e} N, projection to {seen:.1e} px, {failed} failed"
+    )
+    return lines
+
+
+def _checksums(folder: Path, listed: Path) -> list[str]:
+    lines = [line.split("  ", 1) for line in listed.read_text().splitlines() if "  " in line]
+    wanted = {name: digest for digest, name in lines}
+    found = sums(folder)
+    problems = [f"{name}: missing" for name in sorted(set(wanted) - set(found))]
+    problems += [f"{name}: not in SHA256SUMS" for name in sorted(set(found) - set(wanted))]
+    changed = [name for name in sorted(set(found) & set(wanted)) if found[name] != wanted[name]]
+    return problems + [f"{name}: changed since it was written (its checksum differs)" for name in changed]
+
+
+def _schema(reader: DatasetReader, told: dict[str, object]) -> list[str]:
+    import pyarrow.parquet as pq
+
+    from twin.study.dataset.columns import arrow_type
+
+    problems = []
+    wanted = {c["name"]: arrow_type(c["kind"]) for c in told["columns"]}  # type: ignore[attr-defined]
+    for file in sorted(reader.places.data.glob("part-*.parquet")):
+        found = pq.read_schema(file)
+        if found.names != list(wanted):
+            problems.append(f"{file.name}: has other columns than info.json says")
+        problems += [
+            f"{file.name}: {field.name} is {field.type}, not {wanted[field.name]}"
+            for field in found
+            if field.name in wanted and field.type != wanted[field.name]
+        ]
+    index = reader.table(["index"])["index"].to_pylist()
+    if sorted(set(index)) != list(range(int(told["samples"]))):  # type: ignore[call-overload]
+        problems.append(f"index: does not run from 0 to {told['samples']}")
+    return problems
+
+
+def _finite(sample: dict[str, object], row: int) -> list[str]:
+    may_be_nan = ("marker_outline_pressed_px",)
+    return [
+        f"row {row}: {name} is not finite"
+        for name, value in sample.items()
+        if isinstance(value, np.ndarray | float) and name not in may_be_nan and not np.all(np.isfinite(value))
+    ]
+
+
+def _imbalance(sample: dict[str, np.ndarray]) -> float:
+    if "force_n" not in sample:
+        return 0.0
+    names = [name for name in ("surface_force_n", "site_force_n") if sample.get(name) is not None]
+    return max((float(np.abs(sample[name].sum(axis=0) - sample["force_n"]).max()) for name in names), default=0.0)
+
+
+def _misprojection(sample: dict[str, np.ndarray], reader: DatasetReader, folder: Path) -> float:
+    """Project the displaced markers through the sensor's own camera."""
+    if not {"marker_pressed_px", "marker_displacement_mm"} <= sample.keys():
+        return 0.0
+    sensor = reader.sensor(int(sample["sensor"]))
+    actual = json.loads(sensor["actual"])
+    scene = load_scene(folder / "meta" / "scene.toml")
+    camera = Camera.model_validate(actual["camera"])
+    points = sensor["marker_rest_mm"] + sample["marker_displacement_mm"]
+    pixels = project(points, camera, actual["material"]["refractive_index"], scene.body.base_z_mm)
+    return float(np.abs(pixels - sample["marker_pressed_px"]).max())

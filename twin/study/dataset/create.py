@@ -1,0 +1,181 @@
+"""Making a dataset: what must be there before the first sample, the samples, and what is said about them at the end.
+
+Only this process writes into the folder, under an operating system's lock. ``meta/`` with scene, meshes and info is
+written before the first sample; every file appears whole under its name. So whatever stops a run, the same command
+goes on with the shards that are missing, and ends with the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twin.errors import InputError, TwinError
+from twin.parts.scene import Scene
+from twin.results import make_folder, write_whole
+from twin.study.batch.engine import Done, Job, run_tasks
+from twin.study.batch.lock import only_writer
+from twin.study.dataset.finish import finish
+from twin.study.dataset.plan import Places, Plan
+from twin.study.dataset.prepare import job_of, prepare, resumed
+
+Told = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run.
+
+    Attributes
+    ----------
+    folder
+        Where the dataset is.
+    samples, failed
+        How many it has, and how many of them failed.
+    missing
+        Shards that could not be made.
+    reason
+        The first failure.
+    seconds
+        Of this run.
+    made
+        Samples made by this run.
+    """
+
+    folder: Path
+    samples: int
+    failed: int
+    missing: tuple[int, ...]
+    reason: str
+    seconds: float
+    made: int
+
+
+class SomeFailed(TwinError):
+    """The dataset is there, but some of its samples failed (exit code 3)."""
+
+    exit_code = 3
+
+
+def create_dataset(
+    scene: Scene,
+    folder: Path,
+    samples: int,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Told | None = None,
+) -> Outcome:
+    """Make a dataset, or what is missing of it.
+
+    Parameters
+    ----------
+    scene
+        With ``[vary]``, and ``[dataset]`` if its defaults don't fit.
+    folder
+        Where to; it may hold the beginning of the same dataset.
+    samples
+        How many; a dataset can grow, but not shrink.
+    workers, scheduler
+        See `twin.study.batch.engine.run_tasks`.
+    progress
+        Told what is being done and the share that is done.
+
+    Raises
+    ------
+    RecipeError
+        The scene can't be sampled.
+    InputError
+        The folder holds something else, or another process is writing there.
+    """
+    plan = Plan(scene, samples)
+    plan.check()
+    places = Places(folder)
+    make_folder(folder)
+    make_folder(places.meta)
+    with only_writer(places.meta / "writer.lock"):
+        for stale in folder.rglob(".*.part"):
+            stale.unlink(missing_ok=True)
+        if places.info.is_file():
+            plan = resumed(plan, places)
+        else:
+            prepare(plan, places, progress)
+        for wanted in (places.data, places.sensors):
+            make_folder(wanted)
+        job = job_of(places)
+        content = json.loads(places.info.read_text())["content"]
+        return _work(plan, places, job, content, workers, scheduler, progress)
+
+
+def _work(
+    plan: Plan, places: Places, job: Job, content: str, workers: int, scheduler: str | None, progress: Told | None
+) -> Outcome:
+    started = time.perf_counter()
+    waiting = [number for number in range(plan.shards) if not is_whole(plan, places, number, content)]
+    total = sum(len(plan.of_shard(n)) for n in waiting)
+    made, failed, reason = 0, 0, ""
+    missing: list[int] = []
+    _tell(progress, plan, plan.samples - total, 0, 0, started)
+    for done in run_tasks(job, waiting, workers=min(workers, max(1, len(waiting))), scheduler=scheduler):
+        if done.problem is not None:
+            missing.append(done.number)
+            reason = reason or f"shard {done.number}: {done.problem}"
+            continue
+        _write(places, done)
+        made += len(plan.of_shard(done.number))
+        failed += done.result.failed
+        reason = reason or done.result.reason
+        _tell(progress, plan, plan.samples - total + made, made, failed, started)
+    seconds = time.perf_counter() - started
+    if not missing:
+        told = finish(plan, places, job, workers=workers, scheduler=scheduler, progress=progress)
+        failed, reason = told.failed, reason or told.reason
+    if progress is not None:
+        progress("done", 1.0)
+    return Outcome(
+        folder=places.folder, samples=plan.samples, failed=failed, missing=tuple(missing), reason=reason,
+        seconds=seconds, made=made,
+    )  # fmt: skip
+
+
+def _write(places: Places, done: Done) -> None:
+    shard: Any = done.result
+    if shard.sensors is not None:
+        write_whole(places.sensor_shard(done.number), lambda file: file.write(shard.sensors))
+    write_whole(places.shard(done.number), lambda file: file.write(shard.samples))
+
+
+def _tell(progress: Told | None, plan: Plan, there: int, made: int, failed: int, started: float) -> None:
+    if progress is None:
+        return
+    rate = made / max(time.perf_counter() - started, 1e-9)
+    failures = f", {failed} failed" if failed else ""
+    progress(f"{there}/{plan.samples} samples, {rate:.3g}/s{failures}", min(0.999, there / plan.samples))
+
+
+def is_whole(plan: Plan, places: Places, number: int, content: str) -> bool:
+    """Return whether a shard is there, with all of its samples and of this dataset.
+
+    Raises
+    ------
+    InputError
+        A file in its place belongs to another dataset.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = places.shard(number)
+    if not path.is_file():
+        return False
+    try:
+        words = pq.read_schema(path).metadata or {}
+    except (pa.ArrowInvalid, OSError):
+        return False
+    if words.get(b"twin.content", b"").decode() != content:
+        raise InputError(f"{path}: belongs to another dataset; give another --out, or remove it")
+    numbers = plan.of_shard(number)
+    return bool(words.get(b"twin.samples", b"").decode() == f"{numbers.start}-{numbers.stop}")

@@ -1,0 +1,71 @@
+"""After the last sample: counts, checksums and the card. Nothing in here depends on when or where it was made."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from twin.results import write_whole
+from twin.study.batch.engine import Job
+from twin.study.dataset.plan import Places, Plan
+
+Told = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What all shards say together.
+
+    Attributes
+    ----------
+    failed
+        Samples that failed.
+    reason
+        Why the first did.
+    """
+
+    failed: int
+    reason: str
+
+
+def finish(
+    plan: Plan, places: Places, job: Job, *, workers: int, scheduler: str | None, progress: Told | None
+) -> Counted:
+    """Count, and write the checksums."""
+    counted = count(plan, places)
+    write_sums(places)
+    return counted
+
+
+def count(plan: Plan, places: Places) -> Counted:
+    """Read the status of every sample."""
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    failed, reason = 0, ""
+    for number in range(plan.shards):
+        table = pq.read_table(places.shard(number), columns=["index", "status", "error"])
+        bad = table.filter(pc.equal(table["status"], "failed"))
+        failed += bad.num_rows
+        if bad.num_rows and not reason:
+            reason = f"sample {bad['index'][0]}: {bad['error'][0]}"
+    return Counted(failed, reason)
+
+
+def sums(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of every file of a dataset, by relative path."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name not in ("meta/SHA256SUMS", "meta/writer.lock"):
+            with open(path, "rb") as file:
+                found[name] = hashlib.file_digest(file, "sha256").hexdigest()
+    return found
+
+
+def write_sums(places: Places) -> None:
+    """Write meta/SHA256SUMS (``sha256sum -c`` reads it from the dataset's folder)."""
+    lines = "".join(f"{digest}  {name}\n" for name, digest in sums(places.folder).items())
+    write_whole(places.meta / "SHA256SUMS", lambda file: file.write(lines.encode()))

@@ -1,0 +1,207 @@
+"""Before the first sample: scene, meshes and facts, on which every worker and every later run rests."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from twin.errors import InputError
+from twin.parts.body import Block
+from twin.parts.scene import Scene
+from twin.parts.solid import Solid
+from twin.results import write_json, write_whole
+from twin.study.batch.engine import Job
+from twin.study.dataset.columns import ALWAYS
+from twin.study.dataset.plan import FORMAT, Places, Plan, content_hash
+from twin.study.recipe import dump_scene
+
+Told = Callable[[str, float], None]
+WORK = "twin.study.dataset.work:make_shard"
+PACKAGES = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pyarrow", "isal")
+PACKAGE = Path(__file__).resolve().parents[2]
+COUNTED = ("arrays.py", "png.py", "streams.py", "geometry", "parts", "theory", "world", "study")
+"""Sources on which the numbers depend."""
+
+
+def prepare(plan: Plan, places: Places, progress: Told | None) -> None:
+    """Write ``meta/``: the resolved scene, the meshes, and last of all info.json."""
+    if any(places.folder.glob("data/*")):
+        raise InputError(f"{places.folder}: has data but no meta/info.json, so it is no dataset; give another --out")
+    scene = portable(plan.scene, places.meta)
+    write_whole(places.meta / "scene.toml", lambda file: file.write(dump_scene(scene).encode()))
+    pin_meshes(scene, places.meta, progress)
+    write_json(places.info, info(Plan(scene, plan.samples), places))
+
+
+def portable(scene: Scene, meta: Path) -> Scene:
+    """Return the scene without what only this machine has: a body's own file is copied beside the scene."""
+    bare = scene.calibration.model_copy(update={"file": None})
+    changes: dict[str, Any] = {"calibration": bare}
+    if isinstance(scene.body, Solid):
+        name = f"body{Path(scene.body.file).suffix}"
+        if (meta / name).resolve() != Path(scene.body.file).resolve():
+            shutil.copyfile(scene.body.file, meta / name)
+        changes["body"] = scene.body.model_copy(update={"file": name})
+    return scene.model_copy(update=changes)
+
+
+def pin_meshes(scene: Scene, meta: Path, progress: Told | None) -> None:
+    """Write the meshes, and a block's tables, that the scene's accuracy takes and by which its error is estimated."""
+    from twin.study.recipe import load_scene
+    from twin.study.sensor import Sensor
+    from twin.world.compliance import Compliance
+    from twin.world.mesh import body_mesh, mesh_file, mesh_key, write_mesh
+    from twin.world.sizing import WORLD, default_sizing
+    from twin.world.tabulate import cached_path, find_table, shipped_path
+
+    there = load_scene(meta / "scene.toml")
+    base = Sensor(there, progress).compliance
+    assert isinstance(base, Compliance), "a cover of its own modulus was refused"
+    level, body = base.level, there.body
+    rank = WORLD.index(level)
+    for each in WORLD[max(rank - 1, 0) : rank + 1]:
+        mesh = body_mesh(body, each, progress=progress)
+        key = mesh_key(body, default_sizing(body, each))
+        write_mesh(mesh, meta / mesh_file(key), {"key": key, "level": each, "body": body.geometry()})
+    if isinstance(body, Block):
+        for role in ("truth", "check"):
+            if find_table(body, role, make=True, progress=progress) is not None:
+                shipped, cached = shipped_path(role), cached_path(body, role)
+                path = cached if cached.is_file() else shipped
+                shutil.copyfile(path, meta / path.name)
+
+
+def info(plan: Plan, places: Places) -> dict[str, Any]:
+    """Return what info.json holds."""
+    scene = plan.scene
+    columns = (*ALWAYS, *plan.drawn_columns, *plan.columns)
+    identity = {
+        "scene": dump_scene(scene),
+        "columns": [c.name for c in columns],
+        "meshes": {p.name: _sha256(p) for p in sorted(places.meta.glob("*.npz"))},
+        "format": FORMAT,
+    }
+    told: dict[str, Any] = {
+        "format": FORMAT,
+        "title": scene.title,
+        "samples": plan.samples,
+        "content": content_hash(identity),
+        "seed": scene.seed,
+        "sampling": scene.dataset.sampling,
+        "samples_per_shard": scene.dataset.samples_per_shard,
+        "samples_per_sensor": scene.dataset.samples_per_sensor,
+        "columns": [described(c) for c in columns],
+        "sensor_columns": [described(c) for c in plan.sensor_columns],
+        "units": "mm, N, N mm, MPa, degrees, px; x right and y up in the picture, z into the body; pixel (0, 0) is the "
+        "centre of the top left one",
+        "meshes": identity["meshes"],
+        "versions": versions(),
+        "renderer": renderer(scene, plan.needs),
+    }
+    if scene.camera is not None:
+        told["camera"] = scene.camera.model_dump(mode="json", exclude={"source", "assumed"})
+    return told
+
+
+def described(column: Any) -> dict[str, str]:
+    """Return a column in plain words."""
+    from twin.parts.part import unit_of
+
+    return {"name": column.name, "kind": column.kind, "unit": unit_of(column.name), "what": column.what}
+
+
+def versions() -> dict[str, str]:
+    """Return what the bytes depend on: packages, Python, and a hash of this program's own sources."""
+    found = {name: importlib.metadata.version(name) for name in PACKAGES}
+    sha = hashlib.sha256()
+    for name in COUNTED:
+        path = PACKAGE / name
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            sha.update(file.relative_to(PACKAGE).as_posix().encode())
+            sha.update(file.read_bytes())
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {**found, "python": python, "twin": sha.hexdigest()[:16], "machine": platform.machine()}
+
+
+def renderer(scene: Scene, needs: frozenset[str]) -> str:
+    """Return the variant that renders, with its library; nothing if no picture is wanted."""
+    if scene.camera is None or not needs & {"picture", "outlines"}:
+        return ""
+    from twin.world.render import method_for
+
+    variant = method_for(scene.accuracy.centroid_px)
+    return f"{variant.name} {Path(variant.library).name if variant.library else ''}".strip()
+
+
+def resumed(plan: Plan, places: Places) -> Plan:
+    """Return the plan of a dataset that was begun, checked to be the same.
+
+    Raises
+    ------
+    InputError
+        Another scene, other columns, other versions, another renderer, or fewer samples.
+    """
+    from twin.study.recipe import load_scene
+
+    told = read_info(places)
+    scene = portable(plan.scene, places.meta)
+    fresh = info(Plan(scene, plan.samples), places)
+    where = f"{places.folder}: a dataset was begun here"
+    if told["content"] != fresh["content"]:
+        what = "other columns" if told["columns"] != fresh["columns"] else "another scene"
+        raise InputError(f"{where} with {what}; give another --out, or the same command as before")
+    for key, name in (("versions", "versions"), ("renderer", "renderer")):
+        if told[key] != fresh[key]:
+            raise InputError(
+                f"{where} with other {name} ({_difference(told[key], fresh[key])}), so its bytes could not be "
+                "continued; use those, or give another --out"
+            )
+    if plan.samples < told["samples"]:
+        raise InputError(
+            f"{where} with {told['samples']} samples; give --samples {told['samples']} or more, or another --out"
+        )
+    if plan.samples > told["samples"]:
+        write_json(places.info, fresh)
+    return Plan(load_scene(places.meta / "scene.toml"), plan.samples)
+
+
+def _difference(old: Any, new: Any) -> str:
+    if not isinstance(old, dict):
+        return f"'{old}' then, '{new}' now"
+    keys = [k for k in sorted({*old, *new}) if old.get(k) != new.get(k)]
+    return ", ".join(f"{k} {old.get(k)} then, {new.get(k)} now" for k in keys)
+
+
+def read_info(places: Places) -> dict[str, Any]:
+    """Return info.json.
+
+    Raises
+    ------
+    InputError
+        There is none, or it can't be read.
+    """
+    try:
+        told: dict[str, Any] = json.loads(places.info.read_text())
+    except FileNotFoundError:
+        raise InputError(f"{places.folder}: has no meta/info.json, so it is no dataset") from None
+    except (OSError, ValueError) as problem:
+        raise InputError(f"{places.info}: can't be read ({problem})") from None
+    if told.get("format") != FORMAT:
+        raise InputError(f"{places.info}: format {told.get('format')}; this program reads {FORMAT}")
+    return told
+
+
+def job_of(places: Places) -> Job:
+    """Return the job: everything a worker needs to know."""
+    kept = [p for p in sorted(places.meta.iterdir()) if p.suffix in {".npz", ".toml", ".stl"} or p == places.info]
+    return Job(files={p.name: p.read_bytes() for p in kept}, work=WORK)
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

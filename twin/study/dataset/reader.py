@@ -1,0 +1,170 @@
+"""Reading a dataset: samples by number, columns as arrays; only what is asked for is read."""
+
+from __future__ import annotations
+
+import bisect
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.arrays import Picture
+from twin.errors import InputError
+from twin.study.dataset.plan import Places
+from twin.study.dataset.prepare import read_info
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_SHAPES = {"vectors": 3, "pixels": 2}
+
+
+class DatasetReader:
+    """A dataset on disk; ``len()`` rows, each a dictionary of numpy arrays, texts and numbers.
+
+    It is a map-style dataset in the sense of torch (``__len__``, ``__getitem__``), can be sent to other processes, and
+    keeps no file open.
+
+    Parameters
+    ----------
+    folder
+        Of the dataset, finished or not: what is there is read.
+    columns
+        Those of the samples that are wanted; all if not given.
+
+    Raises
+    ------
+    InputError
+        It is no dataset, or has no such column.
+    """
+
+    def __init__(self, folder: Path | str, columns: Sequence[str] | None = None) -> None:
+        import pyarrow.parquet as pq
+
+        self.places = Places(Path(folder))
+        self.info: dict[str, Any] = read_info(self.places)
+        self._kinds = {c["name"]: c["kind"] for c in self.info["columns"]}
+        self._sensor_kinds = {c["name"]: c["kind"] for c in self.info["sensor_columns"]}
+        self.columns = tuple(columns) if columns is not None else tuple(self._kinds)
+        if unknown := [name for name in self.columns if name not in self._kinds]:
+            raise InputError(f"{folder}: no column {', '.join(unknown)}; known are {', '.join(self._kinds)}")
+        self._files = sorted(self.places.data.glob("part-*.parquet"))
+        counts = [pq.read_metadata(file).num_rows for file in self._files]
+        self._starts = [int(start) for start in np.concatenate([[0], np.cumsum(counts)])]
+        self._group: tuple[tuple[int, int], Any] | None = None
+        self._sensors: dict[int, dict[str, Any]] | None = None
+
+    def __len__(self) -> int:
+        return self._starts[-1]
+
+    def __getitem__(self, row: int) -> dict[str, Any]:
+        number = row + len(self) if row < 0 else row
+        if not 0 <= number < len(self):
+            raise IndexError(f"row {row}: the dataset has {len(self)}")
+        file = bisect.bisect_right(self._starts, number) - 1
+        table, first = self._rows_near(file, number - self._starts[file])
+        place = number - self._starts[file] - first
+        return {name: _value(table[name][place], self._kinds[name]) for name in self.columns}
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return (self[row] for row in range(len(self)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_group": None}
+
+    def column(self, name: str, *, only_ok: bool = True) -> Any:
+        """Return a column of all rows: an array where all rows are as long, else a list of arrays.
+
+        Parameters
+        ----------
+        name
+            Of the column.
+        only_ok
+            Leave out the rows of samples that failed.
+        """
+        if name not in self._kinds:
+            raise InputError(f"{self.places.folder}: no column {name}; known are {', '.join(self._kinds)}")
+        table = self.table([name, "status"])
+        status = table["status"].to_pylist()
+        values = [
+            _value(value, self._kinds[name])
+            for value, how in zip(table[name], status, strict=True)
+            if how == "ok" or not only_ok
+        ]
+        whole = all(v is not None for v in values) and len({np.shape(v) for v in values}) == 1
+        return np.array(values) if whole else values
+
+    def table(self, columns: Sequence[str] | None = None) -> pa.Table:
+        """Return columns as an Arrow table, pictures as PNG bytes."""
+        import pyarrow.parquet as pq
+
+        wanted = list(dict.fromkeys(columns if columns is not None else self.columns))
+        return pq.read_table([str(file) for file in self._files], columns=wanted)
+
+    def sensor(self, number: int) -> dict[str, Any]:
+        """Return a row of the sensors table: rest picture, rest places, camera, what was drawn."""
+        if self._sensors is None:
+            import pyarrow.parquet as pq
+
+            self._sensors = {}
+            for file in sorted(self.places.sensors.glob("part-*.parquet")):
+                table = pq.read_table(file)
+                for place, found in enumerate(table["sensor"].to_pylist()):
+                    row = {name: _value(table[name][place], kind) for name, kind in self._sensor_kinds.items()}
+                    self._sensors[found] = row
+        if number not in self._sensors:
+            raise IndexError(f"sensor {number}: known are {sorted(self._sensors)}")
+        return self._sensors[number]
+
+    def _rows_near(self, file: int, row: int) -> tuple[Any, int]:
+        """Return the row group that holds a row, and the number of its first row."""
+        import pyarrow.parquet as pq
+
+        opened = pq.ParquetFile(self._files[file])
+        with opened:
+            first, group = 0, 0
+            while row >= first + (size := opened.metadata.row_group(group).num_rows):
+                first, group = first + size, group + 1
+            if self._group is None or self._group[0] != (file, group):
+                self._group = ((file, group), opened.read_row_group(group, columns=list(self.columns)))
+        return self._group[1], first
+
+
+def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> DatasetReader:
+    """Open a dataset made by ``twin dataset``.
+
+    Parameters
+    ----------
+    folder
+        Where it is.
+    columns
+        Those that are wanted; all if not given. What is not wanted is not read.
+
+    Returns
+    -------
+    DatasetReader
+        ``len(d)``, ``d[7]["force_n"]``, ``d.column("force_n")``, ``d.sensor(0)["picture"]``.
+    """
+    return DatasetReader(folder, columns)
+
+
+def decoded(data: bytes) -> Picture:
+    """Return the (height, width, 3) picture in PNG bytes."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(data)) as image:
+        return np.array(image)
+
+
+def _value(scalar: Any, kind: str) -> Any:
+    if not scalar.is_valid:
+        return None
+    if kind == "png":
+        return decoded(scalar.as_py())
+    if kind in _SHAPES:
+        return scalar.values.flatten().to_numpy(zero_copy_only=False).reshape(-1, _SHAPES[kind])
+    if kind in ("numbers", "flags"):
+        return scalar.values.to_numpy(zero_copy_only=False)
+    return scalar.as_py()
