@@ -7,7 +7,7 @@ import pytest
 
 from twin.errors import InputError
 from twin.parts.body import Finger
-from twin.parts.markers import MarkerLayer, MarkerSet, place
+from twin.parts.markers import MarkerLayer, MarkerSet, Prints, place
 from twin.world.frame import quaternions
 from twin.world.markers import PRINT_THICKNESS, ellipsoids
 
@@ -63,6 +63,16 @@ def test_a_lost_marker_keeps_its_row(markers: MarkerSet) -> None:
     assert len(found) == 13
     assert found.present.sum() == 12
     assert not found.present[4]
+
+
+def test_prints_of_their_own_size_shade_and_absence(markers: MarkerSet) -> None:
+    size, shade = np.linspace(0.9, 1.1, 13), np.linspace(0.5, 1.2, 13)
+    missing = np.arange(13) == 3
+    found = ellipsoids(markers, LAYERS, prints=Prints(size=size, shade=shade, missing=missing))
+    plain = ellipsoids(markers, LAYERS)
+    np.testing.assert_array_equal(found.present, ~missing)
+    np.testing.assert_allclose(found.axes[~missing], (plain.axes * size[:, None, None])[~missing])
+    np.testing.assert_allclose(found.colour, np.clip(plain.colour * shade[:, None], 0, 1))
 
 
 def test_rows_must_match(markers: MarkerSet) -> None:

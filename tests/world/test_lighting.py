@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twin.errors import RecipeError
+from twin.parts.light import Light
 from twin.parts.scene import Scene
 from twin.world.lighting import Lamps, brightest, cover_light, irradiance, lamps_at
 from twin.world.markers import Ellipsoids
@@ -104,6 +105,51 @@ def test_the_brightest_marker_sets_the_exposure() -> None:
     nearest = Lamps(place=lamps.place[:1], power=lamps.power[:1])
     assert top == pytest.approx(irradiance(markers.centres[:1], np.array([[0.0, 0, 1]]), nearest)[0])
     assert white == pytest.approx(1 - 2 * made.ccd.crosstalk)
+
+
+def test_an_led_in_the_body_shines_unrefracted_along_minus_z() -> None:
+    made = scene(led=(10.0, 5.0, 20.0))
+    points = np.array([[0.0, 0, 3], [20, -10, 6], [10, 5, 25]])
+    towards = np.array([10.0, 5, 20]) - points
+    distance = np.linalg.norm(towards, axis=1)
+    lit = irradiance(points, towards / distance[:, None], lamps_at(points, made))
+    np.testing.assert_allclose(lit, np.maximum(towards[:, 2], 0) / distance**3, rtol=1e-12)
+    assert lit[2] == 0  # above the LED
+
+
+def test_an_emission_profile_replaces_the_power_law() -> None:
+    made = scene(1.0, 1.0)
+    light = made.light
+    assert light is not None
+    angles = np.linspace(0, 90, 181)
+    table = tuple((float(a), float(np.cos(np.deg2rad(a)) ** 3)) for a in angles)
+    points = np.array([[0.0, 0, 3], [40, -10, 6], [10, 5, 0]])
+    found = [
+        lamps_at(points, made.model_copy(update={"light": light.model_copy(update=keys)})).power
+        for keys in ({"exponent": 3.0}, {"profile": table})
+    ]
+    np.testing.assert_allclose(found[1], found[0], rtol=2e-4)
+    for bad, named in ((((0, 1),), "at least two"), (((0, 1), (0, 2)), "rise"), (((0, -1), (90, 1)), "above 0")):
+        with pytest.raises(RecipeError, match=named):
+            Light(positions_mm=((0, 0, 70),), profile=bad)
+
+
+def test_a_disc_of_light_is_the_integral_over_it() -> None:
+    made = scene(1.0, 1.0, (0.0, 0.0, 55.0))
+    light = made.light
+    assert light is not None
+    disc = made.model_copy(update={"light": light.model_copy(update={"radius_mm": 6.0})})
+    points, up = np.array([[0.0, 0, 30], [8, 3, 20]]), np.tile([0.0, 0, 1], (2, 1))
+    lamps = lamps_at(points, disc)
+    assert lamps.power.shape == (2, 7)
+    r, a = np.meshgrid((np.arange(200) + 0.5) / 200 * 6, np.arange(64) / 64 * 2 * np.pi, indexing="ij")
+    places = np.stack([r * np.cos(a), r * np.sin(a), np.full_like(r, 55.0)], axis=-1).reshape(-1, 3)
+    for point, lit in zip(points, irradiance(points, up, lamps), strict=True):
+        towards = places - point
+        exact = np.average(towards[:, 2] ** 2 / np.linalg.norm(towards, axis=1) ** 4, weights=r.ravel())
+        assert lit == pytest.approx(exact, rel=2e-4)
+    # On the axis in closed form: E = 1 / (d^2 + R^2) for a Lambertian disc of intensity 1.
+    assert irradiance(points[:1], up[:1], lamps_at(points[:1], disc))[0] == pytest.approx(1 / (25**2 + 36), rel=1e-4)
 
 
 def test_an_led_inside_the_plate_is_refused() -> None:

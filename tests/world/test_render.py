@@ -14,7 +14,7 @@ from twin.errors import RecipeError
 from twin.parts.accuracy import Accuracy
 from twin.parts.markers import place
 from twin.parts.scene import Scene
-from twin.theory.optics import project
+from twin.theory.optics import Sight, project
 from twin.world import threads as pool
 from twin.world.markers import Ellipsoids, ellipsoids
 from twin.world.render import Renderer, subpixels_for
@@ -250,6 +250,41 @@ def test_a_wide_pupil_blurs_what_is_out_of_focus_by_its_disc(scene: Scene) -> No
         disc = 1814.8 * 4.0 * abs(1 / apparent - 1 / focus)
         assert moments[1] - moments[0] == pytest.approx(disc**2 / 16, abs=0.03)
         assert (disc > 1) == bool(blurred)
+
+
+@pytest.mark.parametrize("make", [block, finger])
+def test_the_truth_beside_the_picture_is_what_the_picture_shows(make: Any) -> None:
+    scene = make()
+    rest = rest_of(scene)
+    n = len(rest)
+    layer = np.repeat([0, 1], [6, 4] if make is block else [25, 36])
+    moved = ellipsoids(place(scene.body, scene.markers), scene.markers, np.tile([0.15, -0.1, 0.2], (n, 1)))
+    renderer = Renderer(scene, rest, SPLAT)
+    truth = renderer.truth(moved, rest, layer)
+    light = renderer.radiance(moved)
+    seen = truth.marker >= 0
+    # Pixels of red markers are red, those of no marker are as dark as the cover.
+    inner = seen & np.isin(truth.marker, np.flatnonzero(truth.visible > 0.999))
+    for number, channel in ((0, 0), (1, 2)):
+        of_layer = inner & (truth.layer == number)
+        assert (np.argmax(light[of_layer], axis=-1) == channel).mean() > 0.98
+    assert np.isnan(truth.z_mm[~seen]).all()
+    radius = scene.markers["red"].diameter_mm / 2
+    centre_z = moved.centres[truth.marker[seen], 2]
+    assert (np.abs(truth.z_mm[seen] - centre_z) < 1.01 * radius).all()
+    if make is block:
+        assert (truth.z_mm[seen] >= centre_z - 1e-3).all()
+    rows, columns = np.indices(truth.marker.shape)
+    for i in np.flatnonzero(truth.visible > 0.999):
+        mine = truth.marker == i
+        assert mine.sum() == pytest.approx(truth.area_px[i], abs=3 + 0.06 * truth.area_px[i])
+        middle = [columns[mine].mean(), rows[mine].mean()]
+        np.testing.assert_allclose(middle, truth.outline_px[i], atol=0.25)
+    np.testing.assert_allclose(truth.flow_px, seen_at(moved.centres, scene) - seen_at(rest.centres, scene))
+    whole = (truth.visible > 0.999) & (renderer.outlines(rest).visible > 0.999)
+    np.testing.assert_allclose(truth.outline_flow_px[whole], truth.flow_px[whole], atol=0.2)
+    np.testing.assert_allclose(truth.depth_mm, scene.body.base_z_mm - moved.centres[:, 2])
+    assert (truth.sight == Sight.SEEN).all()
 
 
 def test_vignetting_dims_by_the_cosine_to_its_power(scene: Scene) -> None:

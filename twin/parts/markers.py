@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from twin.arrays import Chart, Floats, Points, frozen
+from twin.arrays import Bools, Chart, Floats, Points, frozen
 from twin.errors import RecipeError
 from twin.parts.body import Body
 from twin.parts.grid import grid_axes, grid_chart
@@ -94,6 +94,23 @@ class MarkerSet:
         """Return the slice of the layer called ``name``."""
         where = np.flatnonzero(self.layer == name)
         return slice(int(where[0]), int(where[-1]) + 1) if len(where) else slice(0, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prints:
+    """How single markers differ from the drawing, besides their places.
+
+    Attributes
+    ----------
+    size, shade
+        (n,) factors on diameter and reflectance.
+    missing
+        (n,) markers that are not there; they keep their rows.
+    """
+
+    size: Floats
+    shade: Floats
+    missing: Bools
 
 
 def place(body: Body, layers: Mapping[str, MarkerLayer], jitter_mm: Floats | None = None) -> MarkerSet:

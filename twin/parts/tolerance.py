@@ -27,6 +27,10 @@ class Tolerance(Part):
         Of each marker layer's depth.
     print_mm
         Of each marker's place along the surface.
+    print_diameter_pct, print_shade_pct
+        Of each marker's diameter and of its reflectance, percent.
+    missing
+        Share of markers that the maker lost (not a standard deviation).
     pupil_mm
         Of each coordinate of the entrance pupil.
     tilt_deg
@@ -40,6 +44,9 @@ class Tolerance(Part):
     poisson_ratio: float = Field(default=0.001, ge=0, le=0.2)
     depth_mm: float = Field(default=0.03, ge=0, le=5)
     print_mm: float = Field(default=0.03, ge=0, le=2)
+    print_diameter_pct: float = Field(default=0.0, ge=0, le=30)
+    print_shade_pct: float = Field(default=0.0, ge=0, le=30)
+    missing: float = Field(default=0.0, ge=0, le=1)
     pupil_mm: float = Field(default=0.1, ge=0, le=10)
     tilt_deg: float = Field(default=0.1, ge=0, le=10)
     focal_pct: float = Field(default=0.3, ge=0, le=10)

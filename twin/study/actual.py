@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Chart, frozen
-from twin.parts.markers import MarkerSet, place
+from twin.parts.markers import MarkerSet, Prints, place
 from twin.parts.scene import Scene
 from twin.parts.tolerance import CUT
 from twin.streams import Purpose, stream
@@ -25,11 +25,14 @@ class Actual:
         (n, 2) print errors of the markers along the surface, mm.
     markers
         All markers at their actual rest places.
+    prints
+        What the maker did to single markers; None for nothing.
     """
 
     scene: Scene
     jitter_mm: Chart
     markers: MarkerSet
+    prints: Prints | None = None
 
 
 def make(nominal: Scene) -> Actual:
@@ -66,7 +69,24 @@ def make(nominal: Scene) -> Actual:
     scene = nominal.model_copy(update={"material": material, "cover": cover, "markers": markers, "camera": camera})
     noise = stream(nominal.seed, Purpose.PRINT).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)
-    return Actual(scene=scene, jitter_mm=frozen(jitter), markers=place(nominal.body, markers, jitter))
+    return Actual(
+        scene=scene,
+        jitter_mm=frozen(jitter),
+        markers=place(nominal.body, markers, jitter),
+        prints=_prints(nominal, count),
+    )
+
+
+def _prints(nominal: Scene, count: int) -> Prints | None:
+    """Draw sizes, shades and losses of the markers, from a stream of their own."""
+    tolerance = nominal.tolerance
+    if tolerance.print_diameter_pct == tolerance.print_shade_pct == tolerance.missing == 0:
+        return None
+    rng = stream(nominal.seed, Purpose.PRINT, 1)
+    size, shade = (1 + pct / 100 * np.clip(rng.standard_normal(count), -CUT, CUT)
+                   for pct in (tolerance.print_diameter_pct, tolerance.print_shade_pct))  # fmt: skip
+    missing = rng.random(count) < tolerance.missing
+    return Prints(size=frozen(size), shade=frozen(shade), missing=frozen(missing))
 
 
 def _deviation(rng: np.random.Generator) -> float:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from twin.world.covered import Covered, CoveredLadder
     from twin.world.exposure import Pattern
     from twin.world.ladder import Ladder
+    from twin.world.maps import PictureTruth
     from twin.world.markers import Ellipsoids
     from twin.world.render import Renderer
     from twin.world.stiff import StiffBeads
@@ -249,6 +250,18 @@ class Sensor:
         noise = stream(self.nominal.seed, Purpose.EXPOSURE, number)
         return expose(radiance, self.nominal.ccd, noise, self.pattern)
 
+    def picture_truth(self, load: Load | Motion | None) -> PictureTruth:
+        """Return the truth beside `picture`: which marker each pixel shows, how deep, how far each has moved.
+
+        Raises
+        ------
+        RecipeError
+            The scene has no camera.
+        """
+        names = list(self.nominal.markers)
+        layer = np.array([names.index(name) for name in self.actual.markers.layer.tolist()], np.int64)
+        return self.renderer.truth(self.ellipsoids(load), self.ellipsoids(None), layer)
+
     @cached_property
     def pattern(self) -> Pattern | None:
         """What the CCD's pixels do alike in every picture, None for an even CCD."""
@@ -267,8 +280,8 @@ class Sensor:
         markers, layers = self.actual.markers, self.actual.scene.markers
         motion = self.motion(load) if isinstance(load, Load) else load
         if motion is None:
-            return ellipsoids(markers, layers)
-        return ellipsoids(markers, layers, motion.displacement_mm, motion.gradient)
+            return ellipsoids(markers, layers, prints=self.actual.prints)
+        return ellipsoids(markers, layers, motion.displacement_mm, motion.gradient, self.actual.prints)
 
     def project(self, points_mm: Points, which: Literal["actual", "nominal"] = "actual") -> Pixels:
         """Return the (n, 2) picture places of points, seen by the actual or the nominal camera."""

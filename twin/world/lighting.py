@@ -1,13 +1,15 @@
 """Light in the body: what each LED sends to each marker, and how bright the cover is.
 
-The LEDs stand in air behind the base. Refraction bends and spreads their light, so a marker sees each LED from another
-direction and distance than in air. Both are exact at the marker's centre here; across one marker the LED is a point
-source at its virtual image, which is what the renderer shades and shadows with.
+The LEDs stand in air behind the base, where refraction bends and spreads their light, so that a marker sees each LED
+from another direction and distance than in air; or in the body, where they are what they are. Both are exact at the
+marker's centre here; across one marker the LED is a point source at its virtual image, which is what the renderer
+shades and shadows with.
 
 Why per marker and not one paraxial image per LED: in the finger LEDs shine in at grazing angles, where the paraxial
 image would light markers that Snell's law keeps dark.
 
-Validity: small LEDs, single scattering plus an even ambient share, no interreflection.
+Validity: LEDs are points or seven points on a disc; single scattering plus an even ambient share, no interreflection;
+LEDs in the body are not seen themselves.
 """
 
 from __future__ import annotations
@@ -51,19 +53,25 @@ def lamps_at(points: Points, scene: Scene) -> Lamps:
     Raises
     ------
     RecipeError
-        An LED lies in front of the last layer.
+        An LED lies within a layer or beside the body.
     """
     assert scene.camera is not None
     assert scene.light is not None
     layers, index, base = scene.camera.layers, scene.material.refractive_index, scene.body.base_z_mm
     back = base + sum(layer.thickness_mm for layer in layers)
     places, powers = [], []
-    for led in np.asarray(scene.light.positions_mm):
+    for led, share in zip(*scene.light.points(), strict=True):
+        if scene.body.contains(led[None], 0.0)[0]:
+            towards = points - led
+            cosine = -towards[:, 2] / np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
+            places.append(np.tile(led, (len(points), 1)))
+            powers.append(share * scene.light.emission(cosine))
+            continue
         air = led[2] - back
         if air < -1e-9:
             raise RecipeError(
                 f"light.positions_mm: z = {led[2]:.6g} mm must be at least {back:.6g} mm, "
-                "behind the base and the layers: move the LED back"
+                "behind the base and the layers, or in the body: move the LED back"
             )
         aside = led[:2] - points[:, :2]
         reach = np.linalg.norm(aside, axis=1)
@@ -77,7 +85,7 @@ def lamps_at(points: Points, scene: Scene) -> Lamps:
         spread = (1 + p**2) ** -1.5 * per_reach / (slope * cosine)
         distance = index / np.sqrt(spread)
         unit = np.column_stack([aside / np.where(near, 1.0, reach)[:, None] * sine[:, None], cosine])
-        arrival = (1 + p**2) ** (-scene.light.exponent / 2) * transmission(p, index, layers)
+        arrival = share * scene.light.emission((1 + p**2) ** -0.5) * transmission(p, index, layers)
         crossing = points + unit * (depth / cosine)[:, None]
         arrives = np.isfinite(p) & scene.body.contains(np.nan_to_num(crossing), -1e-6)
         places.append(np.where(arrives[:, None], points + unit * distance[:, None], [0.0, 0.0, 2 * base]))

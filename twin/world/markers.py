@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.errors import InputError
-from twin.parts.markers import MarkerLayer, MarkerSet
+from twin.parts.markers import MarkerLayer, MarkerSet, Prints
 
 PRINT_THICKNESS = 0.1
 """Thickness of a print over its diameter (assumed: silk-screen ink about 0.05 mm thick)."""
@@ -58,6 +58,7 @@ def ellipsoids(
     layers: Mapping[str, MarkerLayer],
     displacement: Points | None = None,
     gradient: Floats | None = None,
+    prints: Prints | None = None,
 ) -> Ellipsoids:
     """Move markers with the body.
 
@@ -71,6 +72,8 @@ def ellipsoids(
         (n, 3) displacement u of the centres, mm; NaN marks a lost marker; None at rest.
     gradient
         (n, 3, 3) displacement gradients du_i/dx_j there; None: markers are carried without turning or straining.
+    prints
+        How single markers differ from their layer; None: not at all.
 
     Returns
     -------
@@ -100,6 +103,10 @@ def ellipsoids(
             disc = _level_frames(markers.normals[rows]) * (radius * np.array([1.0, 1.0, PRINT_THICKNESS]))
             axes[rows] = (np.eye(3) + g[rows]) @ disc
         colour[rows] = layer.colour
+    if prints is not None:
+        axes *= prints.size[:, None, None]
+        axes[prints.missing] = np.nan
+        colour = np.clip(colour * prints.shade[:, None], 0, 1)
     return Ellipsoids(centres=_frozen(markers.points + u), axes=_frozen(axes), colour=_frozen(colour))
 
 

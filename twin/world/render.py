@@ -32,13 +32,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.arrays import Floats, Pixels, Singles, frozen
+from twin.arrays import Floats, Ints, Pixels, Singles, frozen
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
+from twin.theory.optics import project, sight
 from twin.world.defocus import PUPIL_WEIGHTS, through_the_pupil
 from twin.world.exposure import white_level
 from twin.world.frame import WEIGHT, Frame, make_frame
 from twin.world.lighting import brightest
+from twin.world.maps import NONE, PictureTruth, marker_map
 from twin.world.markers import Ellipsoids
 from twin.world.rays import RayByRay
 from twin.world.splat import Splat
@@ -184,6 +186,38 @@ class Renderer:
         for array in (centroid, visible, area):
             frozen(array)
         return Outlines(centroid_px=centroid, visible=visible, area_px=area)
+
+    def truth(self, markers: Ellipsoids, rest: Ellipsoids, layer: Ints) -> PictureTruth:
+        """Return the truth beside a picture of the markers.
+
+        Parameters
+        ----------
+        markers, rest
+            The markers now and at rest.
+        layer
+            (n,) numbers of the markers' layers.
+        """
+        camera = self.scene.camera
+        assert camera is not None
+        base = self.scene.body.base_z_mm
+        optics = (camera, self.scene.material.refractive_index, base)
+        marker, z_mm = marker_map(self._frame(markers, 1), self._view, self._unit, base)
+        here, there = self.outlines(markers), self.outlines(rest)
+        centre = project(markers.centres, *optics)
+        return PictureTruth(
+            marker=frozen(marker),
+            layer=frozen(np.where(marker >= 0, layer[marker], NONE).astype(np.int8)),
+            z_mm=frozen(z_mm),
+            centre_px=frozen(centre),
+            outline_px=here.centroid_px,
+            visible=here.visible,
+            area_px=here.area_px,
+            flow_px=frozen(centre - project(rest.centres, *optics)),
+            outline_flow_px=frozen(here.centroid_px - there.centroid_px),
+            depth_mm=frozen(base - markers.centres[:, 2]),
+            sight=frozen(sight(markers.centres, *optics)),
+            centroid_error_px=self.centroid_error_px,
+        )
 
     def _frame(self, markers: Ellipsoids, subpixels: int) -> Frame:
         self._switch()

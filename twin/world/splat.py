@@ -87,8 +87,8 @@ def _shade(
     middle, ray, across, down = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     total = np.zeros(3)
     for j in range(begin, end):
-        _pixel_rays(pixels[j], corners, middle, across, down)
-        found, simple = _candidates(first[j], first[j + 1], members, base, centres, metric, edge_grid, near, meet,
+        pixel_rays(pixels[j], corners, middle, across, down)
+        found, simple = pixel_candidates(first[j], first[j + 1], members, base, centres, metric, edge_grid, near, meet,
                                     tangent, middle, across, down)  # fmt: skip
         total[:] = 0
         clear_sum, k = 1.0, 1
@@ -96,8 +96,8 @@ def _shade(
             k = inner_grid if simple else edge_grid
             clear_sum = 0.0
             for sample in range(k * k):
-                hits = _hits(found, near, base, centres, metric, middle, ray, across, down, sample, k, simple, meet,
-                             tangent, order)  # fmt: skip
+                hits = hits_of_sample(found, near, base, centres, metric, middle, ray, across, down, sample, k,
+                                      simple, meet, tangent, order)  # fmt: skip
                 clear = 1.0
                 for h in range(hits):
                     at = order[h]
@@ -131,8 +131,8 @@ def _count(
     tallies = np.zeros((len(centres), 4), np.int64)
     width = corners.shape[1] - 1
     for j in range(begin, end):
-        _pixel_rays(pixels[j], corners, middle, across, down)
-        found, simple = _candidates(first[j], first[j + 1], members, base, centres, metric, k, near, meet, tangent,
+        pixel_rays(pixels[j], corners, middle, across, down)
+        found, simple = pixel_candidates(first[j], first[j + 1], members, base, centres, metric, k, near, meet, tangent,
                                     middle, across, down)  # fmt: skip
         row, column = pixels[j] // width, pixels[j] % width
         if simple:
@@ -144,8 +144,8 @@ def _count(
             tallies[marker, 3] += WEIGHT * (k * k * k * (row - nearest[marker, 1]) + half)
         elif found > 0:
             for sample in range(k * k):
-                hits = _hits(found, near, base, centres, metric, middle, ray, across, down, sample, k, False, meet,
-                             tangent, order)  # fmt: skip
+                hits = hits_of_sample(found, near, base, centres, metric, middle, ray, across, down, sample, k,
+                                      False, meet, tangent, order)  # fmt: skip
                 clear = 1.0
                 for h in range(hits):
                     marker, covers = near[order[h]], meet[order[h], 0]
@@ -159,7 +159,7 @@ def _count(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=_QUICK, forceinline=True)  # type: ignore[untyped-decorator]
-def _pixel_rays(pixel: int, corners: Floats, middle: Floats, across: Floats, down: Floats) -> None:
+def pixel_rays(pixel: int, corners: Floats, middle: Floats, across: Floats, down: Floats) -> None:
     """Write a pixel's middle ray, and how rays change along its column and row."""
     width = corners.shape[1] - 1
     row, column = pixel // width, pixel % width
@@ -172,7 +172,7 @@ def _pixel_rays(pixel: int, corners: Floats, middle: Floats, across: Floats, dow
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=_QUICK, forceinline=True)  # type: ignore[untyped-decorator]
-def _candidates(
+def pixel_candidates(
     begin: int, end: int, members: Whole, base: float, centres: Floats, metric: Floats, k: int,
     near: Ints, meet: Floats, tangent: Floats, ray: Floats, across: Floats, down: Floats,
 ) -> tuple[int, bool]:  # fmt: skip
@@ -246,7 +246,7 @@ def _meet(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=_QUICK, forceinline=True)  # type: ignore[untyped-decorator]
-def _hits(
+def hits_of_sample(
     found: int, near: Ints, base: float, centres: Floats, metric: Floats, middle: Floats, ray: Floats, across: Floats,
     down: Floats, sample: int, k: int, full: bool, meet: Floats, tangent: Floats, order: Ints,
 ) -> int:  # fmt: skip

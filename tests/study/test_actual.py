@@ -1,0 +1,45 @@
+"""The made sensor: what its tolerances draw, and from which streams."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin.study.actual import make
+from twin.study.recipe import load_scene
+from twin.study.sensor import Sensor
+
+DRAWN = {"tolerance.print_diameter_pct": 5.0, "tolerance.print_shade_pct": 8.0, "tolerance.missing": 0.1}
+
+
+def test_prints_vary_as_told_and_change_no_other_draw() -> None:
+    plain, drawn = make(load_scene("kamiyama_pillar")), make(load_scene("kamiyama_pillar", DRAWN))
+    assert plain.prints is None
+    np.testing.assert_array_equal(plain.jitter_mm, drawn.jitter_mm)
+    assert plain.scene.camera == drawn.scene.camera
+    prints = drawn.prints
+    assert prints is not None
+    # 636 draws: standard deviations are known to 3 %, shares to 1.2 percent points.
+    assert prints.size.std() == pytest.approx(0.05, rel=0.1)
+    assert prints.shade.std() == pytest.approx(0.08, rel=0.1)
+    assert np.abs(prints.size - 1).max() <= 0.05 * 2.5 + 1e-12
+    assert prints.missing.mean() == pytest.approx(0.1, abs=0.04)
+    again = make(load_scene("kamiyama_pillar", DRAWN)).prints
+    assert again is not None
+    np.testing.assert_array_equal(again.missing, prints.missing)
+    assert make(load_scene("kamiyama_pillar", {**DRAWN, "tolerance.preset": "none"})).prints is None
+
+
+def test_a_missing_marker_is_neither_shown_nor_told_visible(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TWIN_VARIANT", "splat")
+    sensor = Sensor(load_scene("sato_press", {"tolerance.missing": 0.2}))
+    prints = sensor.actual.prints
+    assert prints is not None
+    truth = sensor.picture_truth(None)
+    assert prints.missing.any()
+    np.testing.assert_array_equal(truth.visible[prints.missing], 0)
+    assert (truth.visible[~prints.missing] > 0.9).all()
+    assert not np.isin(np.flatnonzero(prints.missing), truth.marker).any()
+    np.testing.assert_array_equal(truth.flow_px[~prints.missing], 0)
+    picture = sensor.picture(None).astype(int)
+    assert picture.shape == (480, 640, 3)
