@@ -74,6 +74,10 @@ class SomeFailed(TwinError):
     exit_code = 3
 
 
+class NotSettled(ContactError):
+    """A contact's iteration did not converge: nothing is known to be wrong with what was asked."""
+
+
 class MissingCapability(TwinError):
     """This machine lacks something the job needs (exit code 4); the message ends with how to install it."""
 

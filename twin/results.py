@@ -78,6 +78,39 @@ class Estimate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Touch:
+    """What is under one probe, for pictures; k patches in contact.
+
+    Attributes
+    ----------
+    probe
+        Its kind.
+    place_mm, half_mm
+        (k, 2) centres along the surface from the contact's middle, and half sizes.
+    pressure_mpa, shear_mpa
+        (k,) pressures and (k, 2) tractions along the surface, on the body.
+    slip
+        (k,) whether each patch slips.
+    friction
+        Coefficient; 0 frictionless, inf sticking.
+    expected
+        (n, 2) distance from the middle and pressure by a closed form; empty where there is none.
+    expected_name
+        What the closed form is called.
+    """
+
+    probe: str
+    place_mm: Floats
+    half_mm: Floats
+    pressure_mpa: Floats
+    shear_mpa: Floats
+    slip: Bools
+    friction: float
+    expected: Floats
+    expected_name: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunResult:
     """Everything that a run computed; what was not wanted is None.
 
@@ -91,6 +124,8 @@ class RunResult:
         CCD pictures.
     score
         Errors by stage: ``elastic``, ``tracking``, ``force``, ``reasons``.
+    touches
+        What is under each probe that touches.
     facts
         What the report tells beside the numbers: contact, calibration, validity, what truth and estimate share.
     timings
@@ -103,6 +138,7 @@ class RunResult:
     rest: Picture | None = None
     pressed: Picture | None = None
     score: dict[str, Any] | None = None
+    touches: tuple[Touch, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
     timings: dict[str, float] = field(default_factory=dict)
 

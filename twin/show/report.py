@@ -18,6 +18,7 @@ from twin.results import RunResult
 from twin.show.motion import motion
 from twin.show.page import page
 from twin.show.pushes import pushes
+from twin.show.touch import touch
 from twin.show.words import amount, digits, finite, name_of, split_unit, told
 
 PICTURE_BYTES = 1_000_000
@@ -41,6 +42,7 @@ def report(result: RunResult) -> str:
     sections = [
         ("Pictures", _pictures(result)),
         ("Marker motion", motion(result)),
+        ("Under the probe", touch(result)),
         ("Forces", pushes(result)),
         ("Errors by stage", _errors(result.score)),
         ("Time", _times(result.timings)),

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.arrays import Floats
-from twin.errors import InputError, RecipeError
+from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.body import Block
 from twin.parts.part import without_later
 from twin.parts.press import Press, Sphere, Step
@@ -169,7 +169,10 @@ def _press_everywhere(sensor: Sensor, places: Rectangles) -> tuple[Floats, Float
     rest = analyse_rest(picture, sensor.layout_px, method=scene.tracking.method)
     forces, shifts, spread = [], [], []
     for place in range(count):
-        states = sensor.press(calibration_press(scene, places, place)).path
+        pressed = sensor.press(calibration_press(scene, places, place))
+        if not pressed.complete:
+            raise ContactError(f"calibration: press {place + 1} of {count}: {pressed.reason}")
+        states = pressed.path
         noise = scene.calibration.load_cell_n * stream(scene.seed, Purpose.LOAD_CELL, place).standard_normal((3, 3))
         forces.append(np.stack([state.force_n for state in states], axis=1) + noise)
         frames = []

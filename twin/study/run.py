@@ -23,13 +23,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.errors import InputError, RecipeError
+from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.load import Load
 from twin.parts.scene import Scene
 from twin.results import Estimate, RunResult, Truth, make_folder, remove_results, write_whole
 from twin.study.actual import shared_by_truth_and_estimate
 from twin.study.recipe import dump_scene
 from twin.study.sensor import Motion, Progress, Sensor
+from twin.study.touch import touches
 
 if TYPE_CHECKING:
     from twin.parts.load import Rectangles
@@ -95,6 +96,8 @@ def run_to_folder(scene: Scene, folder: Path, want: Collection[str], progress: P
     _only_wanted(result, asked).write(folder)
     if progress is not None:
         progress("done", 1.0)
+    if (reason := result.facts.get("contact", {}).get("incomplete")) is not None:
+        raise ContactError(f"press: {reason}; what belongs to that state is in {folder}")
     return _summary(result, folder)
 
 
@@ -142,7 +145,9 @@ class _Chain:
         with self.stage("design"):
             sensor.actual  # noqa: B018  a marker outside the body is said before anything is computed
         with self.stage("contact"):
-            state = sensor.press() if scene.press is not None else None
+            state = (
+                sensor.press(with_error=bool({"score", "report"} & self.needed)) if scene.press is not None else None
+            )
             load = state.load if state is not None else Load()
         with self.stage("displacement"):
             motion = sensor.motion(load)
@@ -187,6 +192,7 @@ class _Chain:
             rest=rest,
             pressed=pressed,
             score=score,
+            touches=touches(scene, scene.press, state) if scene.press is not None and state is not None else (),
             facts=self._facts(state, calibration, forces),
             timings=self.timings,
         )
@@ -265,8 +271,19 @@ class _Chain:
                 "contact_radius_mm": state.contact_radius_mm,
                 "area_mm2": state.area_mm2,
                 "peak_pressure_mpa": state.peak_pressure_mpa,
+                "elastic_nmm": state.elastic_nmm,
+                "dissipated_nmm": state.dissipated_nmm,
             }
-            facts["validity"] = asdict(state.validity)
+            if state.error is not None:
+                facts["contact"]["patch_error"] = asdict(state.error)
+            if not state.complete:
+                facts["contact"]["incomplete"] = state.reason
+            if state.also:
+                facts["further_probes"] = [
+                    {"force_n": other.force_n, "torque_nmm": other.torque_nmm, "indentation_mm": other.indentation_mm}
+                    for other in state.also
+                ]
+            facts["validity"] = _validity(state)
         if calibration is not None and forces is not None:
             facts["calibration"] = {"method": scene.calibration.method, "sites": len(calibration.site_mm)}
             facts["weight"] = forces.weight
@@ -274,6 +291,13 @@ class _Chain:
             variant = self.sensor.renderer.variant
             facts["renderer"] = f"{variant.name}: {variant.reason}"
         return facts
+
+
+def _validity(state: ContactState) -> dict[str, Any]:
+    """Return the first probe's validity with every probe's warnings."""
+    warned = [warning for one in (state, *state.also) for warning in one.validity.warnings]
+    incomplete = [f"the press is not complete: {state.reason}"] if not state.complete else []
+    return asdict(state.validity) | {"warnings": (*incomplete, *dict.fromkeys(warned))}
 
 
 def _linearity(motion: Motion, state: ContactState | None) -> dict[str, Any]:

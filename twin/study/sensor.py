@@ -209,8 +209,19 @@ class Sensor:
                 stacklevel=3,
             )
 
-    def press(self, press: Press | None = None) -> ContactState:
+    def press(self, press: Press | None = None, *, with_error: bool = False) -> ContactState:
         """Solve a press; the scene's own if none is given.
+
+        Parameters
+        ----------
+        press
+            Probes, places, paths and friction.
+        with_error
+            Whether to tell how far the patches may be off (``error``): a tenth more work.
+
+        Returns
+        -------
+        The last state that converged; if that is not the end of the path, ``complete`` is false.
 
         Raises
         ------
@@ -230,6 +241,7 @@ class Sensor:
             patches_across=self.nominal.accuracy.contact_patches,
             youngs_modulus_mpa=material.youngs_modulus_mpa,
             poisson_ratio=material.poisson_ratio,
+            with_error=with_error,
         )
 
     def picture(self, load: Load | Motion | None, exposure: int | None = None) -> Picture:

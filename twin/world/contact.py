@@ -18,13 +18,14 @@ from itertools import zip_longest
 import numpy as np
 
 from twin.arrays import Floats
-from twin.errors import ContactError, InputError
+from twin.errors import ContactError, InputError, NotSettled
 from twin.parts.body import Body
 from twin.parts.press import Press
+from twin.parts.probe import Cylinder, Sphere
 from twin.world.contact_state import ContactState, lifted_state, touching_state
 from twin.world.friction import INCREMENTS, take_step
 from twin.world.friction_grid import FrictionGrid, Memory, at_first_touch, let_go
-from twin.world.gap import ABOUT_X, ABOUT_Y, MOTIONS, X, Y, Z, approach_of, meeting, outline
+from twin.world.gap import ABOUT_X, ABOUT_Y, MOTIONS, Approach, X, Y, Z, approach_of, meeting, outline
 from twin.world.patches import Box, Plane
 from twin.world.region import check_inside, find_contact, fitted_patches, solve_frictionless
 from twin.world.together import Contacts, Control, Setting, SurfaceCompliance, all_controls, of_one, touch_at
@@ -61,6 +62,7 @@ def press(
     youngs_modulus_mpa: float,
     poisson_ratio: float,
     increments: int = INCREMENTS,
+    with_error: bool = False,
 ) -> ContactState:
     """Press rigid probes on a body along a path.
 
@@ -78,17 +80,20 @@ def press(
         Of the body; only for the first guess of the contact's size and for the validity report.
     increments
         With friction: parts of a step in which patches touch or slip.
+    with_error
+        Whether to press once more on patches twice as wide, to tell how far these may be off.
 
     Returns
     -------
-    The state at the end of the path; its ``path`` holds the states at the end of every step.
+    The state at the end of the path; its ``path`` holds the states at the end of every step. Where a step after the
+    first doesn't converge, the last state that did, its ``complete`` false and its ``reason`` said.
 
     Raises
     ------
     InputError
         A probe misses the body, a normal force pulls, or the number of patches is out of range.
     ContactError
-        There is no equilibrium, contact runs over the edge, a probe sinks in, or the solution does not converge.
+        There is no equilibrium, contact runs over the edge, a probe sinks in, or the first step does not converge.
     """
     low, high = _ACROSS_RANGE
     if not low <= patches_across <= high:
@@ -101,13 +106,26 @@ def press(
         )
         for one in presses
     )  # fmt: skip
-    for setting in settings:
+    for number, setting in enumerate(settings):
         _refuse_overhang(setting)
+        for other in settings[:number]:
+            _refuse_crossing(setting.first, other.first)
     job = _Job(
         settings=settings, friction=np.array([one.friction for one in presses]), steps=_controls(presses, settings)
     )
-    states = _frictionless_path(job) if not job.friction.any() else _rubbing_path(job, increments)
-    return replace(states[-1], path=tuple(states))
+    states, reason = _solved(job, increments)
+    state = replace(states[-1], path=tuple(states), complete=not reason, reason=reason)
+    if with_error and state.complete:
+        from twin.world.patch_error import patch_error
+
+        wider = tuple(replace(setting, across=max(low, patches_across // 2)) for setting in settings)
+        coarse = _solved(replace(job, settings=wider), increments)
+        state = replace(state, error=patch_error(state, coarse[0][-1]))
+    return state
+
+
+def _solved(job: _Job, increments: int) -> tuple[list[ContactState], str]:
+    return _frictionless_path(job) if not job.friction.any() else _rubbing_path(job, increments)
 
 
 def _controls(presses: tuple[Press, ...], settings: tuple[Setting, ...]) -> tuple[Control, ...]:
@@ -141,6 +159,24 @@ def _refuse_overhang(setting: Setting) -> None:
         raise ContactError(
             f"contact: the {setting.name} stands out over the edge of the sensing surface: "
             "press further inside, or with a smaller probe"
+        )
+
+
+def _refuse_crossing(one: Approach, other: Approach) -> None:
+    """Raise an InputError where two spheres, or two cylinders side by side, would stand inside each other."""
+    away = one.axis_mm - other.axis_mm
+    if isinstance(one.probe, Sphere) and isinstance(other.probe, Sphere):
+        away = away - one.axes[2] * one.probe.diameter_mm / 2 + other.axes[2] * other.probe.diameter_mm / 2
+    elif isinstance(one.probe, Cylinder) and isinstance(other.probe, Cylinder) and one.axes[2] @ other.axes[2] > 0.999:
+        away = away - (away @ one.axes[2]) * one.axes[2]
+    else:
+        return
+    apart, least = float(np.linalg.norm(away)), (one.probe.diameter_mm + other.probe.diameter_mm) / 2
+    if apart < least:
+        raise InputError(
+            f"press: the {one.probe.kind}s at ({', '.join(f'{c:.3g}' for c in other.axis_mm)}) and "
+            f"({', '.join(f'{c:.3g}' for c in one.axis_mm)}) mm are {apart:.3g} mm apart, less than the {least:.3g} mm "
+            "at which they touch each other: move them apart, or take smaller ones"
         )
 
 
@@ -184,38 +220,52 @@ def _together(states: list[ContactState]) -> ContactState:
     return replace(first, load=sum((other.load for other in others), first.load), also=tuple(others))
 
 
-def _frictionless_path(job: _Job) -> list[ContactState]:
-    place, path = np.zeros(MOTIONS * len(job.settings)), []
-    for step in job.steps:
-        control = _from(step, place)
-        places = list(place.reshape(-1, MOTIONS))
-        states: list[ContactState | None] = [None] * len(job.settings)
-        touching, starts, planes, touch_z = [], [], [], []
-        for number, setting in enumerate(job.settings):
-            own = _of(control, number)
-            plane, z = touch_at(setting, np.where(own.by_force, places[number], own.given))
-            if _lifted(own, z):
-                _asks_nothing(own)
-                places[number] = _lifted_place(own, places[number], z)
-                states[number] = lifted_state(setting, places[number])
-                continue
-            touching.append(number)
-            starts.append(places[number])
-            planes.append(plane)
-            touch_z.append(z)
-        if touching:
-            settings = tuple(job.settings[number] for number in touching)
-            controls = [_of(control, number) for number in touching]
-            contacts, found = _frictionless(settings, controls, starts, planes, touch_z)
-            for number, (setting, rows, motions), grid in zip(touching, contacts.rows, contacts.grids, strict=True):
-                own_found = of_one(found, rows, motions)
-                places[number] = own_found.place
-                states[number] = touching_state(
-                    setting, grid, own_found, touch_z_mm=touch_at(setting, own_found.place)[1], friction=0.0
-                )
-        place = np.concatenate(places)
-        path.append(_together([state for state in states if state is not None]))
-    return path
+def _frictionless_path(job: _Job) -> tuple[list[ContactState], str]:
+    """Take the whole path; return the states, and why it stopped before its end, if it did."""
+    place, path = np.zeros(MOTIONS * len(job.settings)), list[ContactState]()
+    for count, step in enumerate(job.steps, start=1):
+        try:
+            state, place = _frictionless_step(job, _from(step, place), place)
+        except NotSettled as stopped:
+            if not path:
+                raise
+            return path, _stopped(count, job, str(stopped))
+        path.append(state)
+    return path, ""
+
+
+def _stopped(count: int, job: _Job, why: str) -> str:
+    return f"step {count} of {len(job.steps)} did not converge, the last state that did is kept; {why}"
+
+
+def _frictionless_step(job: _Job, control: Control, place: Floats) -> tuple[ContactState, Floats]:
+    """Return the state at the end of a step, and the probes' places."""
+    places = list(place.reshape(-1, MOTIONS))
+    states: list[ContactState | None] = [None] * len(job.settings)
+    touching, starts, planes, touch_z = [], [], [], []
+    for number, setting in enumerate(job.settings):
+        own = _of(control, number)
+        plane, z = touch_at(setting, np.where(own.by_force, places[number], own.given))
+        if _lifted(own, z):
+            _asks_nothing(own)
+            places[number] = _lifted_place(own, places[number], z)
+            states[number] = lifted_state(setting, places[number])
+            continue
+        touching.append(number)
+        starts.append(places[number])
+        planes.append(plane)
+        touch_z.append(z)
+    if touching:
+        settings = tuple(job.settings[number] for number in touching)
+        controls = [_of(control, number) for number in touching]
+        contacts, found = _frictionless(settings, controls, starts, planes, touch_z)
+        for number, (setting, rows, motions), grid in zip(touching, contacts.rows, contacts.grids, strict=True):
+            own_found = of_one(found, rows, motions)
+            places[number] = own_found.place
+            states[number] = touching_state(
+                setting, grid, own_found, touch_z_mm=touch_at(setting, own_found.place)[1], friction=0.0
+            )
+    return _together([state for state in states if state is not None]), np.concatenate(places)
 
 
 def _frictionless(
@@ -336,7 +386,7 @@ def _slid(setting: Setting, contact: Box, sideways: Floats, grip_mm: float, plan
     return Box(u0=contact.u0 + u, u1=contact.u1 + u, v0=contact.v0 + v, v1=contact.v1 + v)
 
 
-def _rubbing_path(job: _Job, increments: int) -> list[ContactState]:
+def _rubbing_path(job: _Job, increments: int) -> tuple[list[ContactState], str]:
     planes, boxes = [], []
     for number, setting in enumerate(job.settings):
         plane, touch_z = touch_at(setting, np.zeros(MOTIONS))
@@ -344,19 +394,20 @@ def _rubbing_path(job: _Job, increments: int) -> list[ContactState]:
         boxes.append(_largest_contact(job, number, plane, touch_z))
     for _ in range(_TRIES):
         contacts = Contacts(job.settings, tuple(map(fitted_patches, job.settings, planes, boxes)))
-        states, reached = _rubbing_on(FrictionGrid(contacts, job.friction), job, increments)
+        states, reached, reason = _rubbing_on(FrictionGrid(contacts, job.friction), job, increments)
         grew = False
         for number, (_, rows, _) in enumerate(contacts.rows):
             grid, own = contacts.grids[number], reached[rows]
             if np.any(own & grid.border):
                 boxes[number], grew = _enlarged(boxes[number], grid.bounds(own)), True
         if not grew:
-            return states
+            return states, reason
     raise _no_grid(job.settings[0], boxes[0])
 
 
-def _rubbing_on(grid: FrictionGrid, job: _Job, increments: int) -> tuple[list[ContactState], np.ndarray]:
-    """Take the whole path on given patches; return the states and which patches were ever in contact."""
+def _rubbing_on(grid: FrictionGrid, job: _Job, increments: int) -> tuple[list[ContactState], np.ndarray, str]:
+    """Take the whole path on given patches; return the states, which patches were ever in contact, and why it stopped
+    before its end, if it did."""
     contacts = grid.contacts
     memory = at_first_touch(grid)
     path: list[ContactState] = []
@@ -377,10 +428,15 @@ def _rubbing_on(grid: FrictionGrid, job: _Job, increments: int) -> tuple[list[Co
                 by_force=control.by_force & ~np.repeat(lifted, MOTIONS),
                 given=np.where(np.repeat(lifted, MOTIONS), memory.place, control.given),
             )
-        found = None
+        found, stopped = None, ""
         if not lifted.all():
             _refuse_drag(grid, control, count)
-            memory, found = take_step(grid, memory, control, increments)
+            try:
+                memory, found, stopped = take_step(grid, memory, control, increments)
+            except NotSettled as unsettled:
+                if not path:
+                    raise
+                return path, reached, _stopped(count, job, str(unsettled))
             reached |= found.active
             _refuse_overlap(contacts, found)
             apart = np.array([not found.active[rows].any() for _, rows, _ in contacts.rows])
@@ -388,7 +444,9 @@ def _rubbing_on(grid: FrictionGrid, job: _Job, increments: int) -> tuple[list[Co
                 memory = let_go(grid, memory, apart)
             lifted = lifted | apart
         path.append(_together(_states(grid, memory, control, found, lifted)))
-    return path, reached
+        if stopped:
+            return path, reached, _stopped(count, job, stopped)
+    return path, reached, ""
 
 
 def _states(

@@ -127,6 +127,8 @@ class ContactState:
         The states of further probes, pressed at the same time.
     path
         The states at the end of every step, in the last of them; empty in those themselves.
+    complete, reason
+        Whether the path was taken to its end; if not, this is the last state that converged, and why it stopped.
     error
         How far the discretisation may be off, where it was asked for.
     """
@@ -152,6 +154,8 @@ class ContactState:
     dissipated_nmm: float = 0.0
     also: tuple[ContactState, ...] = ()
     path: tuple[ContactState, ...] = ()
+    complete: bool = True
+    reason: str = ""
     error: PatchError | None = None
 
     def __post_init__(self) -> None:

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Floats, Ints
-from twin.errors import ContactError
+from twin.errors import ContactError, NotSettled
 from twin.world.krylov import LinearSystem
 from twin.world.pattern import Pattern
 from twin.world.unilateral import TOLERANCE, Equilibrium, Unilateral
@@ -197,7 +197,7 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
     Raises
     ------
     ContactError
-        The steps do not settle, or nothing balances a given force.
+        Nothing balances a given force; `NotSettled` when the steps do not settle.
     """
     k = len(force)
     scale = _scales(problem)
@@ -237,7 +237,7 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
             return _settled(problem, trial, reach, step)
     if _residual(problem, trial, reach) <= TOLERANCE:
         return _settled(problem, trial, reach, _STEPS)
-    raise ContactError(
+    raise NotSettled(
         f"contact: stick and slip did not settle in {_STEPS} steps (left: {_residual(problem, trial, reach):.1e} "
         f"of the peak, allowed {TOLERANCE:g}): take smaller steps in the press, or another number of contact patches"
     )

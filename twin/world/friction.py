@@ -24,7 +24,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.arrays import Bools, Floats
-from twin.errors import ContactError
+from twin.errors import ContactError, NotSettled
 from twin.parts.probe import Cone
 from twin.world.capacity import asked_share
 from twin.world.coulomb import solve_coulomb
@@ -89,7 +89,7 @@ def _part(
             return memory, found
         problem = _problem(grid, memory, control, held)
         found = solve_coulomb(problem, found.force_n, found.place)
-    raise ContactError("contact: the probe slides, and where it slides to does not settle: take smaller steps")
+    raise NotSettled("contact: the probe slides, and where it slides to does not settle: take smaller steps")
 
 
 def _from_guess(problem: Unilateral, active: Bools, force: Floats, place: Floats) -> Equilibrium:
@@ -285,7 +285,7 @@ def _parts(memory: Memory, found: Equilibrium, most: int) -> int:
 
 def take_step(
     grid: FrictionGrid, memory: Memory, control: Control, increments: int = INCREMENTS
-) -> tuple[Memory, Equilibrium]:
+) -> tuple[Memory, Equilibrium, str]:
     """Take one step of the path.
 
     Parameters
@@ -297,10 +297,15 @@ def take_step(
     increments
         Parts of a step in which patches touch or slip.
 
+    Returns
+    -------
+    The memory and the equilibrium at the end of the step, or of its last part that converged; why it stopped there, or
+    an empty text.
+
     Raises
     ------
     ContactError
-        A part has no equilibrium, or a flat face slides too far.
+        A part has no equilibrium, or a flat face slides too far; `NotSettled` when the first part doesn't converge.
     """
     previous = None
     if memory.touched.any():
@@ -310,7 +315,7 @@ def take_step(
             pass  # a large step may fail where its parts succeed
         else:
             if not np.any(found.active & ~memory.touched | found.slipping):
-                return _remember(grid, memory, found), found
+                return _remember(grid, memory, found), found, ""
             increments = _parts(memory, found, increments)
             previous = found if increments == 1 else None
     start = np.where(control.by_force, memory.total, memory.place)
@@ -324,10 +329,15 @@ def take_step(
         share = (part / increments) ** powers
         now = Control(by_force=control.by_force, given=start + share * (control.given - start))
         _refuse_slide(grid, memory)
-        memory, previous = _advance(grid, memory, now, previous, control)
+        try:
+            memory, previous = _advance(grid, memory, now, previous, control)
+        except NotSettled as stopped:
+            if part == 1 or previous is None:
+                raise
+            return memory, previous, f"stopped after {part - 1} of {increments} parts: {stopped}"
     _refuse_slide(grid, memory)
     assert previous is not None, "a step has at least one part"
-    return memory, previous
+    return memory, previous, ""
 
 
 def _refuse_slide(grid: FrictionGrid, memory: Memory) -> None:

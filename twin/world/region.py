@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from twin.arrays import Floats
-from twin.errors import ContactError
+from twin.errors import ContactError, NotSettled
 from twin.parts.probe import Cone, Sphere
 from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.gap import X, Y, Z
@@ -169,7 +169,7 @@ def find_contact(setting: Setting, control: Control, start: Floats, plane: Plane
         else:
             return contact, place
     check_inside(setting, patches, found, float(place[Z]) - touch_z)
-    raise ContactError(
+    raise NotSettled(
         f"contact: no grid fits the contact of the {setting.probe.kind} after {_ROUNDS} tries (last: "
         f"{whole.size[0]:.3g} by {whole.size[1]:.3g} mm): the press is too light to resolve, or not held in place"
     )

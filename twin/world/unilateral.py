@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.arrays import Bools, Floats
-from twin.errors import ContactError
+from twin.errors import ContactError, NotSettled
 from twin.world.krylov import Krylov
 
 GapOfPlace = Callable[[Floats], tuple[Floats, Floats]]
@@ -195,7 +195,8 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
     Raises
     ------
     ContactError
-        The set in contact does not settle, the equations are singular, or the solution misses its tolerance.
+        The equations are singular; `NotSettled` when the set in contact does not settle, or the solution misses its
+        tolerance.
     """
     k = len(active)
     stiffness = 1.0 / problem.compliance.reshape(3 * k, 3 * k).diagonal().reshape(k, 3)[:, 2]
@@ -232,7 +233,7 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
             let_go |= active & ~following & problem.sticking
             problem = replace(problem, friction=np.where(let_go, 0.0, problem.friction))
         active = following
-    raise ContactError(
+    raise NotSettled(
         f"contact: the patches in contact did not settle in {_STEPS} steps ({int(active.sum())} of {k} in contact): "
         "take smaller steps in the press, or another number of contact patches; a sticking probe that is sheared far "
         "harder than it is pressed needs more normal force"
@@ -287,7 +288,7 @@ def _checked(
     ]
     residual = max(errors)
     if not residual <= TOLERANCE:
-        raise ContactError(
+        raise NotSettled(
             f"contact: the solution misses its conditions by {residual:.1e} (allowed {TOLERANCE:g}; gap, overlap, "
             f"pull, slip, balance: {', '.join(f'{e:.1e}' for e in errors)}): take smaller steps"
         )

@@ -54,14 +54,14 @@ class KeptSensor(Sensor):
             self.mechanics.ladder = super().ladder
         return self.mechanics.ladder
 
-    def press(self, press: Press | None = None) -> ContactState:
+    def press(self, press: Press | None = None, *, with_error: bool = False) -> ContactState:
         """Solve a press once."""
         assert press is not None
-        kept, key = self.mechanics.presses, press.model_dump_json()
+        kept, key = self.mechanics.presses, f"{with_error}{press.model_dump_json()}"
         if key not in kept:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                kept[key] = super().press(press)
+                kept[key] = super().press(press, with_error=with_error)
         return kept[key]
 
     def motion(self, load: Load) -> Motion:
