@@ -24,12 +24,13 @@ from twin.arrays import Bools, Floats, Ints, Points
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.theory.halfspace_kernels import GAUSS_2, rectangle_slopes
+from twin.world.distant import distant, distant_rows
 from twin.world.elements import triangle_quadrature, triangle_shapes
 from twin.world.interfaces import Skin, add_exactly, skin
 from twin.world.mesh import Mesh
 
-NEAR, FAR = 2.2, 6.0
-"""Half diagonals within which a stress is in closed form, and beyond which one point force replaces four."""
+NEAR = 2.2
+"""Half diagonals within which a stress is in closed form; four point forces replace it further away, then one."""
 
 GROWTH = 1.2
 """Largest size of a piece of face over its distance to the load."""
@@ -202,7 +203,6 @@ def _split(points: Points, surface: Skin, centres: Points, radii: Floats, finest
     return np.concatenate([f for f, _ in done]), np.concatenate([t for _, t in done])
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
 def _add(
     points: Floats,
     areas: Floats,
@@ -216,38 +216,42 @@ def _add(
     out: Floats,
 ) -> None:
     """Add every point's traction, spread by the shape functions, to the nodal forces."""
+    rows = np.stack([distant_rows(centre, frames, half, case) for case in np.moveaxis(columns, 2, 0)])
+    _add_rows(points, areas, values, nodes, centre, frames, half, columns, rows, nu, out)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _add_rows(
+    points: Floats,
+    areas: Floats,
+    values: Floats,
+    nodes: Ints,
+    centre: Floats,
+    frames: Floats,
+    half: Floats,
+    columns: Floats,
+    rows: Floats,
+    nu: float,
+    out: Floats,
+) -> None:
     cases = columns.shape[2]
     total, t = np.empty((3, cases)), np.empty((3, 3))
     d, u, n, g = np.empty((3, 3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     away = np.empty(3)
     for q in range(len(points)):
-        total[:] = 0.0
         px, py, pz = points[q, 0], points[q, 1], points[q, 2]
-        sx, sy, sz = areas[q, 0], areas[q, 1], areas[q, 2]
+        for case in range(cases):
+            total[:, case] = distant(px, py, pz, areas[q, 0], areas[q, 1], areas[q, 2], rows[case], 1.0 - 2.0 * nu)
         for k in range(len(centre)):
             x, y, z = px - centre[k, 0], py - centre[k, 1], pz - centre[k, 2]
-            size = half[k, 0] * half[k, 0] + half[k, 1] * half[k, 1]
             r2 = x * x + y * y + z * z
-            if r2 == 0.0:
+            if r2 > rows[0, 3, k] or r2 == 0.0:
                 continue
-            if r2 > FAR * FAR * size:
-                c = 1.5 / math.pi * (x * sx + y * sy + z * sz) / (r2 * r2 * math.sqrt(r2))
-                for case in range(cases):
-                    force = c * (x * columns[k, 0, case] + y * columns[k, 1, case] + z * columns[k, 2, case])
-                    total[0, case] += force * x
-                    total[1, case] += force * y
-                    total[2, case] += force * z
-                if nu == 0.5:
-                    continue
-                away[0], away[1], away[2] = x, y, z
-                t[:] = 0.0
-                _add_plane_part(away, areas[q], frames[k], 0.0, 0.0, 1.0 - 2.0 * nu, t)
+            away[0], away[1], away[2] = x, y, z
+            if r2 > NEAR * NEAR * (half[k, 0] * half[k, 0] + half[k, 1] * half[k, 1]):
+                _far(away, areas[q], frames[k], half[k], nu, t)
             else:
-                away[0], away[1], away[2] = x, y, z
-                if r2 > NEAR * NEAR * size:
-                    _far(away, areas[q], frames[k], half[k], nu, t)
-                else:
-                    _near(away, areas[q], frames[k], half[k], nu, t, d, u, n, g)
+                _near(away, areas[q], frames[k], half[k], nu, t, d, u, n, g)
             for i in range(3):
                 for case in range(cases):
                     force = (
