@@ -155,3 +155,15 @@ def test_only_the_sensing_surface_is_met_from_above(tmp_path):
     upside_down = Solid(file=str(file), origin_mm=(-3, 0, 0), held=leg, sensing=SENSING_BELOW)
     heights = upside_down.surface_from_above(np.array([[0.0, 0], [8, 0]]))[:, 2]
     np.testing.assert_allclose(heights, [0, 8], atol=1e-12)
+
+
+def test_a_camera_needs_something_held_at_the_largest_z(scene_file):
+    seen = dict.fromkeys(("camera", "light", "markers"))
+    kept = load_scene("dome_press")
+    table = {name: getattr(kept, name) for name in seen} | {"material": {}}
+    table["camera"] = kept.camera.model_copy(update={"pupil_mm": (0.0, 0.0, 13.0)})
+    body = load_scene(scene_file).body.model_dump()
+    assert validate_scene(table | {"body": body}, "here").body.has_window
+    sideways = body | {"held": {"plane": {"point_mm": [15, 0, 5], "normal": [1, 0, 0]}}}
+    with pytest.raises(RecipeError, match=r"camera: it looks through a held face at z = 10 mm"):
+        validate_scene(table | {"body": sideways}, "here")

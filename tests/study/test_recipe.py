@@ -141,3 +141,12 @@ def test_overrides_are_toml_or_bare_strings(text: str, expected: tuple[str, obje
 def test_an_override_without_a_value_is_an_input_error() -> None:
     with pytest.raises(InputError, match=r"key\.path=value"):
         parse_override("seed")
+
+
+def test_a_body_in_place_of_the_base_s_recipe_must_bring_its_material(tmp_path):
+    other = 'base = "sato_press"\n[body]\nshape = "dome"\nradius_mm = 10\nheight_mm = 7\n'
+    (tmp_path / "scene.toml").write_text(other)
+    with pytest.raises(RecipeError, match=r"body.shape = 'dome' replaces .* 'sato_press'.*\[material\]"):
+        load_scene(tmp_path / "scene.toml")
+    (tmp_path / "scene.toml").write_text(other + "[material]\nyoungs_modulus_mpa = 0.7\n")
+    assert load_scene(tmp_path / "scene.toml").material.youngs_modulus_mpa == 0.7

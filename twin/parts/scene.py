@@ -72,6 +72,12 @@ class Scene(Part):
                     f"camera.pupil_mm: z = {self.camera.pupil_mm[2]} mm must lie behind the base and the layers "
                     f"(z >= {front} mm)"
                 )
+            if not self.body.has_window:
+                raise ValueError(
+                    f"camera: it looks through a held face at z = {self.body.base_z_mm:.6g} mm, the body's largest z, "
+                    "but no triangle of body.held lies there: turn the body so that its held face is at large z, or "
+                    "leave [camera] out"
+                )
             if self.light is None:
                 raise ValueError("light: a scene with a camera needs a [light] table, or the picture is black")
             if not self.markers:

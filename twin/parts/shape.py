@@ -93,6 +93,11 @@ class Body(Part):
         """Height of the held base plane, mm; the camera looks through it."""
         return self.bounds_mm[1][2]
 
+    @property
+    def has_window(self) -> bool:
+        """Whether something is held in the base plane, so that a camera can look through it."""
+        return True
+
     def depth(self, points: Points) -> Floats:
         """Return (n,) depths below the outer sensing surface, mm, positive inside."""
         return self.piece_distances(points)[:, 0]

@@ -38,6 +38,9 @@ CREASE_DEG = 30.0
 MOST_PIECES = 40
 """Smooth pieces at most: every one is measured for every point."""
 
+WINDOW_MM = 1e-2
+"""How far the corners of held triangles may be from the base plane that a camera looks through."""
+
 _ORIGIN_MM = 1e-3
 
 
@@ -221,6 +224,12 @@ class Solid(Body):
     @property
     def held_pieces(self) -> tuple[int, ...]:
         return tuple(range(self._first_held, self._pieces.count))
+
+    @property
+    def has_window(self) -> bool:
+        corners = self._surface.vertices[self._surface.triangles]
+        in_base = np.abs(corners[:, :, 2] - self.base_z_mm).max(axis=1) <= WINDOW_MM
+        return bool((in_base & self.held.picks(corners)).any())
 
     @property
     def is_flat(self) -> bool:

@@ -219,7 +219,22 @@ def _read_with_base(path: Path) -> Table:
     below = _read(base_path)
     if "base" in below:
         raise RecipeError(f"base = '{base}' has a base itself: inheritance is one level deep", str(path))
+    _require_material(below, table, base, path)
     return _merge(below, table)
+
+
+def _require_material(below: Table, above: Table, base: str, path: Path) -> None:
+    """Refuse a body of its own in place of the base's body recipe, whose material would go with it unsaid."""
+    old, new = below.get("body"), above.get("body")
+    if not isinstance(old, dict) or not isinstance(new, dict) or "recipe" not in old or "material" in above:
+        return
+    if "shape" in new and "recipe" not in new:
+        raise RecipeError(
+            f"body.shape = '{new['shape']}' replaces the body of base '{base}', and with it the recipe "
+            f"'{old['recipe']}', which also holds [material]: add a [material] table to this scene, or name a body by "
+            "body.recipe",
+            str(path),
+        )
 
 
 def _by_key(table: Table) -> Table:

@@ -3,7 +3,8 @@
 Both were fitted to independent converged solutions (repeated by ``benchmarks/elasticity.py``); near edges, where there
 are none, to mirrored loads 1 and 4 mm wide and to the difference of two meshes.
 
-Validity: the two reference bodies; other bodies are meshed by the same rules, and curved ones count as fingers.
+Validity: the two reference bodies; other bodies are meshed by the same rules: flat ones count as blocks, curved ones as
+fingers.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.parts.body import Block, Body
+from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.theory.halfspace_kernels import GAUSS_2
 from twin.world.sizing import Level
@@ -47,10 +48,10 @@ EXPECTED: dict[tuple[bool, Level], Expected] = {
     (False, "nominal"): Expected(inside=1e-2, at_fifth=0.03, power=1.5, most=0.09, trust=2.0),
     (False, "sketch"): Expected(inside=1.5e-2, at_fifth=0.06, power=1.5, most=0.2, trust=1.0),
 }
-"""By whether the body is a block, and by level."""
+"""By whether the sensing surface is a plane, and by level."""
 
 UNSEEN = {True: 4e-5, False: 4e-4}
-"""Error that two levels share, and so can't tell (a block's, another body's): of cutting a load into rectangles, and of
+"""Error that two levels share, and so can't tell (flat bodies, curved ones): of cutting a load into rectangles, and of
 the solutions that the estimate was checked against."""
 
 
@@ -64,7 +65,7 @@ def expected_error(body: Body, level: Level, load: Rectangles) -> float:
     The mean over the load's force of a law in the distance d to the nearest other face: constant far from it, then
     ``at_fifth`` (height / (5 d))^power up to ``most`` (see `Expected`); within a factor of three, mostly above.
     """
-    law = EXPECTED[isinstance(body, Block), level]
+    law = EXPECTED[body.is_flat, level]
     if len(load) == 0:
         return law.inside
     points = load.centre_mm[:, None] + _OFFSETS @ (load.half_mm[:, :, None] * load.frames[:, :2])
@@ -78,5 +79,4 @@ def expected_error(body: Body, level: Level, load: Rectangles) -> float:
 
 def estimated_error(body: Body, level: Level, difference: float) -> float:
     """Return the error of a level's answer, from its difference to the next coarser level's (both relative)."""
-    flat = isinstance(body, Block)
-    return EXPECTED[flat, level].trust * difference + UNSEEN[flat]
+    return EXPECTED[body.is_flat, level].trust * difference + UNSEEN[body.is_flat]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from twin.arrays import Points
-from twin.parts.body import Block, Body
+from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.world.compliance import Compliance
@@ -76,7 +76,7 @@ class Ladder:
     @property
     def base(self) -> Compliance:
         """The cheapest level that is expected to do."""
-        flat = isinstance(self._body, Block)
+        flat = self._body.is_flat
         return self.at(next((r for r in WORLD[1:] if EXPECTED[flat, r].inside <= self.asked), WORLD[-1]))
 
     def displacement(self, points: Points, load: Rectangles, *, always: bool = True) -> Answer:
