@@ -67,8 +67,8 @@ def render(layout, shift, *, size, diameter, seed=None, **options):
     return picture if seed is None else expose(picture, seed)
 
 
-def centre_bound_px(diameter, psf=0.7, contrast=192.0):
-    """Cramer-Rao bound of one centre coordinate, px, with brightness and ground known: red-blue difference signal."""
+def centre_bound_px(diameter, psf=0.7):
+    """Cramer-Rao bound of one centre coordinate, px, all else known, from all three channels."""
     step = 0.02
     size = (int(diameter) + 21,) * 2
     middle = np.array([[size[0] / 2, size[1] / 2]])
@@ -76,7 +76,6 @@ def centre_bound_px(diameter, psf=0.7, contrast=192.0):
         clean_picture(size, [(middle + np.array([d, 0]), RED)], diameter=diameter, psf=psf)
         for d in (step / 2, -step / 2)
     )
-    slope = ((right - left)[..., 0] - (right - left)[..., 2]) / step
-    mean = 0.5 * (right + left)
-    variance = (mean[..., 0] + mean[..., 2]) / ELECTRONS_PER_DN + 2 * READ_NOISE_DN**2 + 2 / 12
+    slope, mean = (right - left) / step, 0.5 * (right + left)
+    variance = mean / ELECTRONS_PER_DN + READ_NOISE_DN**2 + 1 / 12
     return 1 / np.sqrt((slope**2 / variance).sum())

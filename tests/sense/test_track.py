@@ -48,10 +48,10 @@ def test_shift_noise_and_bias(sensor, shading):
     spread = np.sqrt(np.mean(error.var(axis=0)))
     assert np.abs(error.mean(axis=0)).max() <= 0.01
     assert np.abs(np.concatenate(rest_errors).mean(axis=0)).max() <= 0.01
-    assert spread <= 0.03
     bound = np.sqrt(2) * centre_bound_px(diameter)
-    assert bound < spread < 3.0 * bound
-    assert np.median(np.concatenate(stated)) == pytest.approx(spread, rel=0.25)
+    saturated = shading > 0.27  # the bright side reaches 255 counts
+    assert 0.85 * bound < spread < (1.4 if saturated else 1.25) * bound
+    assert np.mean((error / np.concatenate(stated)[:, None]) ** 2) == pytest.approx(1.0, abs=0.25)
 
 
 def test_soft_window_beats_the_papers_cells():

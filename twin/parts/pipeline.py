@@ -39,11 +39,12 @@ class Tracking(Part):
     Attributes
     ----------
     method
-        ``soft-window``: centroid in a window with soft edges, on a levelled signal; ``two-pass``: the flat paper's
-        mesh centroid (section 2.1), its cell as wide as the pitch.
+        ``disc-fit``: the marker's picture at rest is fitted, near the Cramer-Rao bound; ``soft-window``: centroid in a
+        window with soft edges, on a levelled signal; ``two-pass``: the flat paper's mesh centroid of its red-blue
+        difference (sections 2.1 and 4.1), its cell as wide as the pitch.
     """
 
-    method: Literal["soft-window", "two-pass"] = "soft-window"
+    method: Literal["disc-fit", "soft-window", "two-pass"] = "disc-fit"
 
 
 class Calibration(Part):

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Ints, Pixels
@@ -199,7 +200,7 @@ def _grow(around: Neighbourhood, spots: Pixels, alike: Bools, guess: Pixels, gat
     misfit = np.zeros(len(rest))
     alone = np.count_nonzero(around.fit_weight, axis=1) < LEAST_NEIGHBOURS
     for turn in range(ROUNDS):
-        expected, certain = _predict(around, motion)
+        expected, certain = predict(around, motion)
         seed = certain | alone | (turn == 0)
         target = np.where(certain[:, None], rest + expected, rest + np.where(np.isfinite(motion), motion, guess))
         target = np.where(np.isfinite(target) & seed[:, None], target, -1e9)
@@ -234,20 +235,47 @@ def _nearest_pairs(target: Pixels, spots: cKDTree, alike: Bools, gate: float) ->
     return np.asarray(np.where(wins, chosen, -1))
 
 
-def _predict(around: Neighbourhood, motion: Pixels) -> tuple[Pixels, Bools]:
+def predict(around: Neighbourhood, motion: Pixels) -> tuple[Pixels, Bools]:
     """Return every marker's motion as its matched neighbours have it (local affine), and where enough of them do."""
-    moved = np.isfinite(motion).all(axis=1)
-    weight = around.fit_weight * np.take(moved, around.near)
-    total = weight.sum(axis=1)
-    safe = np.maximum(total, 1e-9)
-    away = np.nan_to_num(around.rest_px[around.near] - around.rest_px[:, None]) / around.spacing_px
-    step = np.nan_to_num(motion)[around.near]
-    middle = np.einsum("nk,nki->ni", weight, away) / safe[:, None]
-    mean = np.einsum("nk,nki->ni", weight, step) / safe[:, None]
-    spread = away - middle[:, None]
-    normal = np.einsum("nk,nki,nkj->nij", weight, spread, spread) + 0.15 * np.eye(2)
-    moment = np.einsum("nk,nki,nkj->nij", weight, spread, step - mean[:, None])
-    slope = np.linalg.solve(normal, moment)
-    predicted = mean - np.einsum("ni,nij->nj", middle, slope)
-    known = np.isfinite(around.rest_px).all(axis=1)
-    return predicted, np.asarray((np.count_nonzero(weight, axis=1) >= LEAST_NEIGHBOURS) & known)
+    predicted, certain = np.empty_like(motion), np.empty(len(motion), np.bool_)
+    _local_affine(around.rest_px, around.near, around.fit_weight, around.spacing_px, motion, predicted, certain)
+    return predicted, certain
+
+
+@njit(cache=True)
+def _local_affine(rest, near, fit_weight, size, motion, predicted, certain):  # type: ignore[no-untyped-def]
+    """Fit motion = mean + slope (place - middle) to every marker's neighbours, with a weak pull to no slope."""
+    for n in range(len(rest)):
+        total, count = 0.0, 0
+        mx, my, ux, uy = 0.0, 0.0, 0.0, 0.0
+        for k in range(near.shape[1]):
+            w, m = fit_weight[n, k], near[n, k]
+            if w > 0.0 and np.isfinite(motion[m, 0] + motion[m, 1]):
+                count += 1
+                total += w
+                mx += w * (rest[m, 0] - rest[n, 0])
+                my += w * (rest[m, 1] - rest[n, 1])
+                ux += w * motion[m, 0]
+                uy += w * motion[m, 1]
+        certain[n] = count >= LEAST_NEIGHBOURS and np.isfinite(rest[n, 0] + rest[n, 1])
+        if total == 0.0:
+            predicted[n, 0], predicted[n, 1] = 0.0, 0.0
+            continue
+        mx, my, ux, uy = mx / total, my / total, ux / total, uy / total
+        pull = 0.15 * size * size
+        sxx, sxy, syy, ax, ay, bx, by = pull, 0.0, pull, 0.0, 0.0, 0.0, 0.0
+        for k in range(near.shape[1]):
+            w, m = fit_weight[n, k], near[n, k]
+            if w > 0.0 and np.isfinite(motion[m, 0] + motion[m, 1]):
+                dx, dy = rest[m, 0] - rest[n, 0] - mx, rest[m, 1] - rest[n, 1] - my
+                du, dv = motion[m, 0] - ux, motion[m, 1] - uy
+                sxx += w * dx * dx
+                sxy += w * dx * dy
+                syy += w * dy * dy
+                ax += w * dx * du
+                ay += w * dy * du
+                bx += w * dx * dv
+                by += w * dy * dv
+        determinant = sxx * syy - sxy * sxy
+        predicted[n, 0] = ux - ((syy * ax - sxy * ay) * mx + (sxx * ay - sxy * ax) * my) / determinant
+        predicted[n, 1] = uy - ((syy * bx - sxy * by) * mx + (sxx * by - sxy * bx) * my) / determinant

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -13,10 +13,16 @@ from twin.arrays import Bools, Floats, Picture, Pixels, frozen
 from twin.errors import InputError
 from twin.sense.cells import cell_centroids
 from twin.sense.detect import Blobs, find_blobs
+from twin.sense.fit import EDGE, LEVEL
 from twin.sense.match import Neighbourhood, follow, mutual_nearest, neighbourhood, nominal_to_rest, spacing
 from twin.sense.split import Signal, Weights, as_picture, estimate_channels, noise_dn, project
+from twin.sense.template import Templates, centre_sd, colour_of, make_templates, projections, used_centres
 
-Method = Literal["soft-window", "two-pass"]
+Method = Literal["disc-fit", "soft-window", "two-pass"]
+METHODS: tuple[Method, ...] = ("disc-fit", "soft-window", "two-pass")
+
+PAPERS_CHANNELS: tuple[Weights, Weights] = ((1.0, 0.0, -1.0), (-1.0, 0.0, 1.0))
+"""The flat paper's difference of red and blue, for either layer (section 4.1)."""
 
 LEAST_CONTRAST_DN = 5.0
 
@@ -24,6 +30,12 @@ CROWDED = 0.08
 """From this share of foreign colour around its edge on, a marker's outline may be cut by another."""
 
 CROWDED_SD_PX = 0.1
+
+LEAST_EDGE = 0.5
+"""Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
+
+UNUSUAL = 1.5
+"""A marker whose residuals are larger than usual by this factor is doubted: its standard deviation grows with them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +54,10 @@ class Group:
         Typical marker width, and the least contrast of a spot.
     level_dn, area_px, sd_px
         Brightness, area and centre's standard deviation of every marker at rest.
+    picture_px
+        (height, width) of the picture.
+    templates
+        What method ``disc-fit`` fits.
     """
 
     rows: NDArray[np.int64]
@@ -54,6 +70,8 @@ class Group:
     level_dn: Floats
     area_px: Floats
     sd_px: Floats
+    picture_px: tuple[int, int]
+    templates: Templates | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +109,7 @@ def analyse_rest(
     diameter_px: float | None = None,
     polarity: str | None = None,
     channels: Mapping[str, Weights] | None = None,
-    method: Method = "soft-window",
+    method: Method = "disc-fit",
 ) -> Rest:
     """Find the markers of ``layout`` in the rest picture; parameters as for `twin.track`."""
     picture = as_picture(rest_image, "the rest picture")
@@ -99,7 +117,7 @@ def analyse_rest(
     _check_options(drawn, diameter_px, polarity, channels, method)
     size = min(spacing(p) for p in drawn.values())
     if channels is None:
-        weights = estimate_channels(picture, drawn, size, polarity)
+        weights = estimate_channels(picture, drawn, size, polarity, PAPERS_CHANNELS if method == "two-pass" else None)
     else:
         red_green_blue = {name: channels[name] for name in drawn}
         weights = {name: (float(w[0]), float(w[1]), float(w[2])) for name, w in red_green_blue.items()}
@@ -125,6 +143,8 @@ def analyse_rest(
             _group(look, r, s, p, spacing(nominal[r]), look.blobs)
             for look, r, s, p in zip(prepared, rows, spots, pairs, strict=True)
         ]
+    if method == "disc-fit":
+        groups = _with_templates(picture, groups, given=channels is not None)
     rest_px = np.full((len(layer), 2), np.nan)
     for group in groups:
         rest_px[group.rows] = group.around.rest_px
@@ -214,8 +234,27 @@ def _group(
     return Group(
         rows=rows, weights=look.weights, floor_dn=look.floor_dn, ground_dn=look.ground_dn,
         around=neighbourhood(rest_px, size), diameter_px=look.diameter_px, contrast_dn=look.contrast_dn,
-        level_dn=level, area_px=area, sd_px=sd,
+        level_dn=level, area_px=area, sd_px=sd, picture_px=look.signal.shape,
     )  # fmt: skip
+
+
+def _with_templates(picture: Picture, groups: list[Group], given: bool) -> list[Group]:
+    """Fit the markers' templates and take the fits' centres for the rest positions."""
+    centres, widths = [group.around.rest_px for group in groups], [group.diameter_px for group in groups]
+    own = [np.asarray(group.weights) for group in groups]
+    colours = [colour_of(picture, c, w) for c, w in zip(centres, widths, strict=True)]
+    if not given and len(groups) > 1 and all(np.abs(colour).max() >= LEAST_CONTRAST_DN for colour in colours):
+        own = projections(colours)
+    fitted_groups = []
+    for group, (templates, fitted) in zip(groups, make_templates(picture, own, centres, widths), strict=True):
+        good = (fitted[:, EDGE] > LEAST_EDGE) & (fitted[:, LEVEL] >= group.contrast_dn)
+        misfit = templates.misfit / max(float(np.median(templates.misfit[good])) if good.any() else 1.0, 1.0)
+        doubt = np.where(misfit > UNUSUAL, np.sqrt(misfit), 1.0)
+        rest_px = np.where(good[:, None], used_centres(fitted), np.nan)
+        around = neighbourhood(rest_px, group.around.spacing_px)
+        sd = np.where(good, centre_sd(fitted) * doubt, np.nan)
+        fitted_groups.append(replace(group, around=around, sd_px=sd, templates=templates))
+    return fitted_groups
 
 
 def _checked_layout(layout: Mapping[str, Pixels]) -> dict[str, Pixels]:
@@ -241,8 +280,8 @@ def _check_options(
         raise InputError(f"diameter_px = {diameter_px} px: allowed are 2 to 500 px, or None to measure it")
     if polarity not in (None, "bright", "dark"):
         raise InputError(f"polarity = {polarity!r}: allowed are 'bright', 'dark', or None to tell from the picture")
-    if method not in ("soft-window", "two-pass"):
-        raise InputError(f"method = {method!r}: allowed are 'soft-window' and 'two-pass'")
+    if method not in METHODS:
+        raise InputError(f"method = {method!r}: allowed are {', '.join(METHODS)}")
     if channels is not None:
         for name in drawn:
             numbers = np.asarray(channels.get(name, ()), float)

@@ -49,7 +49,8 @@ def as_picture(image: NDArray[np.generic], what: str) -> Picture:
         picture = np.repeat(picture[:, :, None], 3, axis=2)
     if picture.shape[2] != 3:
         raise InputError(f"{what} must have 3 channels (red, green, blue), got {picture.shape[2]}: drop the others")
-    return np.ascontiguousarray(picture)
+    picture = np.ascontiguousarray(picture)
+    return picture if picture.flags.writeable else picture.copy()  # one type for the compiled kernels
 
 
 @njit(cache=True)
@@ -81,7 +82,11 @@ def noise_dn(signal: Signal) -> float:
 
 
 def estimate_channels(
-    rest_image: Picture, layout: Mapping[str, Pixels], spacing_px: float, polarity: str | None = None
+    rest_image: Picture,
+    layout: Mapping[str, Pixels],
+    spacing_px: float,
+    polarity: str | None = None,
+    pair: tuple[Weights, Weights] | None = None,
 ) -> dict[str, Weights]:
     """Estimate every layer's projection from the rest picture.
 
@@ -95,6 +100,8 @@ def estimate_channels(
         Typical distance of neighbouring markers in a layer, px.
     polarity
         ``bright`` or ``dark`` markers on their ground; None: told from the picture.
+    pair
+        The two projections to choose from where there are two layers of different colour, instead of estimates.
 
     Returns
     -------
@@ -111,6 +118,8 @@ def estimate_channels(
         direction = samples.mean(axis=0)
         shared = _scaled(direction)
         return dict.fromkeys(layout, shared)
+    if pair is not None and len(layout) == len(pair):
+        return _assign(rest_image, layout, list(pair), spacing_px)
     weights = [
         _scaled(colour - np.mean([other for j, other in enumerate(colours) if j != i], axis=0))
         for i, colour in enumerate(colours)

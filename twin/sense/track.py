@@ -1,4 +1,4 @@
-"""Marker motion between the rest picture and another: `track`, or `analyse_rest` once and `track_frame` for each.
+"""Marker motion between the rest picture and another: `track`; through a sequence of pictures: `Tracker`.
 
 Why two steps: everything about the rest picture (colours, sizes, who is who, neighbours) is worked out once and serves
 a whole sequence. Markers keep their rows; one that can't be seen, has merged with another, or is partly hidden is NaN.
@@ -7,20 +7,23 @@ a whole sequence. Markers keep their rows; one that can't be seen, has merged wi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Picture, Pixels, frozen
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, frozen
 from twin.errors import InputError
 from twin.sense.cells import cell_centroids
 from twin.sense.detect import Blobs, find_blobs
-from twin.sense.match import follow
-from twin.sense.rest import CROWDED, CROWDED_SD_PX, Group, Method, Rest, analyse_rest, crowd_level
+from twin.sense.fit import EDGE, LEVEL, MISFIT, PIXELS, SCALE, SQUARES, STEP
+from twin.sense.match import GATE, TRUST, follow, predict
+from twin.sense.rest import CROWDED, CROWDED_SD_PX, LEAST_EDGE, UNUSUAL, Group, Method, Rest, analyse_rest, crowd_level
 from twin.sense.split import Weights, as_picture, project
+from twin.sense.template import centre_sd, used_centres
 
-__all__ = ["Found", "analyse_rest", "track", "track_frame"]
+__all__ = ["STATES", "Found", "Tracker", "analyse_rest", "track", "track_frame"]
 
 AREA_RATIO = (0.6, 1.7)
 """Allowed change of a marker's area against rest: less is partly hidden, more has merged."""
@@ -30,6 +33,25 @@ LEVEL_RATIO = (0.3, 3.0)
 
 HIDDEN_AREA = 0.92
 """A crowded marker below this share of its area at rest counts as hidden."""
+
+STATES = ("seen", "missing", "dim", "merged", "occluded")
+"""What a marker can be: measured; without a spot, or out of the picture; too dark; one spot with another; partly hidden
+or unlike itself."""
+
+SEEN, MISSING, DIM, MERGED, OCCLUDED = range(len(STATES))
+
+UNLIKE = 0.12
+"""Root mean square of what a fit leaves beyond noise, as a share of the marker's brightness, above which it is no
+picture of that marker."""
+
+UNSETTLED_PX = 0.3
+"""A fit whose last step was larger has found nothing."""
+
+WHOLE_EDGE, COVERED_SD_PX = 0.9, 0.03
+"""A marker with less of its edge in sight may be shadowed too: its standard deviation has this added."""
+
+SAME_PLACE = 0.5
+"""Two markers of a layer nearer than this share of their width are one spot."""
 
 CELLS_SD_PX = 0.07
 """What the two-pass centroid is good for with a pitch-wide cell, px (no estimate of its own exists)."""
@@ -53,6 +75,10 @@ class Found:
         Projection (r, g, b) that was used for every layer.
     method
         How centres were measured.
+    state
+        (N,) index into `STATES`.
+    spurious_px
+        (s, 2) spots that look like markers and are none's, px; None where the whole picture was not searched.
     """
 
     rest_px: Pixels
@@ -61,6 +87,17 @@ class Found:
     layer: NDArray[np.str_]
     channels: dict[str, Weights]
     method: str
+    state: NDArray[np.uint8] | None = None
+    spurious_px: Pixels | None = None
+
+    def __post_init__(self) -> None:
+        if self.state is None:
+            object.__setattr__(self, "state", np.where(self.seen, SEEN, MISSING).astype(np.uint8))
+
+    @property
+    def states(self) -> NDArray[np.str_]:
+        """(N,) seen, missing, dim, merged or occluded."""
+        return np.array(STATES)[self.state]
 
     @property
     def seen(self) -> Bools:
@@ -76,7 +113,7 @@ def track(
     diameter_px: float | None = None,
     polarity: str | None = None,
     channels: Mapping[str, Weights] | None = None,
-    method: Method = "soft-window",
+    method: Method = "disc-fit",
 ) -> Found:
     """Measure every marker's motion between two pictures.
 
@@ -93,7 +130,7 @@ def track(
     channels
         (r, g, b) by layer such that r R + g G + b B is large on its markers; estimated if not given.
     method
-        ``soft-window``, or the flat paper's ``two-pass`` cell centroid.
+        ``disc-fit``; ``soft-window`` centroid; or the flat paper's ``two-pass`` cell centroid.
 
     Raises
     ------
@@ -106,13 +143,59 @@ def track(
     return track_frame(rest, image)
 
 
+class Tracker:
+    """Follows the markers through a sequence of pictures, each from where they were in the one before.
+
+    Motion from picture to picture may be up to about half the markers' width where only places around the last ones
+    are looked at, and up to 0.6 of the pitch where that fails and the whole picture is searched; in total there is no
+    limit but the picture. Nothing grows with the number of pictures.
+
+    Parameters
+    ----------
+    rest_image, layout, options
+        As for `track`.
+    """
+
+    def __init__(
+        self,
+        rest_image: Picture,
+        layout: Mapping[str, Pixels],
+        *,
+        diameter_px: float | None = None,
+        polarity: str | None = None,
+        channels: Mapping[str, Weights] | None = None,
+        method: Method = "disc-fit",
+    ) -> None:
+        self.rest = analyse_rest(
+            rest_image, layout, diameter_px=diameter_px, polarity=polarity, channels=channels, method=method
+        )
+        self._last_px: Pixels | None = None
+
+    def track(self, image: Picture) -> Found:
+        """Measure the motion between rest and the next picture of the sequence."""
+        found = track_frame(self.rest, image, self._last_px)
+        if found.seen.any():
+            before = np.nan if self._last_px is None else self._last_px
+            self._last_px = np.where(found.seen[:, None], found.shift_px, before)
+        return found
+
+    def forget(self) -> None:
+        """Search the whole next picture, as after a cut in the sequence."""
+        self._last_px = None
+
+
 def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> Found:
     """Measure the motion of every marker between the analysed rest picture and ``image``.
 
     Parameters
     ----------
     start_px
-        (N, 2) shifts of the previous picture of a sequence, px; None starts cold.
+        (N, 2) shifts of the previous picture of a sequence, px, NaN where unknown; None starts cold.
+
+    Raises
+    ------
+    InputError
+        The picture isn't one that the rest picture's camera mode gives.
     """
     picture = as_picture(image, "the picture")
     if picture.shape[:2] != rest.size_px:
@@ -120,39 +203,169 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
             f"the picture is {picture.shape[1]}x{picture.shape[0]} px, the rest picture "
             f"{rest.size_px[1]}x{rest.size_px[0]} px: both must come from the same camera mode"
         )
+    if start_px is not None and np.shape(start_px) != rest.rest_px.shape:
+        raise InputError(f"start_px must be {rest.rest_px.shape} px, one row a marker, got {np.shape(start_px)}")
     shift = np.full(rest.rest_px.shape, np.nan)
     sd = np.full(len(rest.rest_px), np.nan)
+    state = np.full(len(rest.rest_px), MISSING, np.uint8)
+    spurious: list[Pixels] | None = []
     for group in rest.groups:
-        signal = project(picture, group.weights, group.ground_dn + group.floor_dn) - np.float32(group.ground_dn)
-        known = group.around.rest_px
-        if rest.method == "two-pass":
-            shift[group.rows] = cell_centroids(signal, known, group.around.spacing_px, group.contrast_dn) - known
-            sd[group.rows] = CELLS_SD_PX
-            continue
-        blobs = find_blobs(signal, group.diameter_px, group.contrast_dn, crowd_level(group.floor_dn))
-        start = None if start_px is None else start_px[group.rows]
-        spot = follow(group.around, blobs.centre_px, _alike(group, blobs), start)
-        kept = np.flatnonzero(spot >= 0)
-        spot = spot[kept]
-        crowded = blobs.crowding[spot] > CROWDED
-        hidden = crowded & (blobs.area_px[spot] < HIDDEN_AREA * group.area_px[kept])
-        good = ~hidden
-        rows = group.rows[kept[good]]
-        shift[rows] = blobs.centre_px[spot[good]] - known[kept[good]]
-        noise = np.hypot(blobs.sd_px[spot], np.where(crowded, CROWDED_SD_PX, 0.0))
-        sd[rows] = np.hypot(noise[good], group.sd_px[kept[good]])
-    sd[~np.isfinite(shift).all(axis=1)] = np.nan
-    frozen(shift)
-    frozen(sd)
+        start = None if start_px is None else np.asarray(start_px, float)[group.rows]
+        seen = _in_group(rest.method, group, picture, start)
+        shift[group.rows], sd[group.rows], state[group.rows] = seen.shift_px, seen.sd_px, seen.state
+        spurious = None if spurious is None or seen.spurious_px is None else [*spurious, seen.spurious_px]
+    lost = ~np.isfinite(shift).all(axis=1)
+    sd[lost] = np.nan
+    state[~lost] = SEEN
+    for array in (shift, sd, state):
+        frozen(array)
     return Found(
-        rest_px=rest.rest_px, shift_px=shift, sd_px=sd, layer=rest.layer, channels=rest.channels, method=rest.method
-    )
+        rest_px=rest.rest_px, shift_px=shift, sd_px=sd, layer=rest.layer, channels=rest.channels, method=rest.method,
+        state=state, spurious_px=None if spurious is None else frozen(np.concatenate(spurious)),
+    )  # fmt: skip
 
 
-def _alike(group: Group, blobs: Blobs) -> Bools:
-    """(n, b) whether a spot's area and brightness allow it to be the marker."""
+@dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """What one group's signal shows; as in `Found`."""
+
+    shift_px: Pixels
+    sd_px: Floats
+    state: NDArray[np.uint8]
+    spurious_px: Pixels | None
+
+
+def _in_group(method: Method, group: Group, picture: Picture, start_px: Pixels | None) -> _Seen:
+    if group.templates is not None and start_px is not None and (warm := _from_last(group, picture, start_px)):
+        return warm
+    signal = project(picture, group.weights, group.ground_dn + group.floor_dn) - np.float32(group.ground_dn)
+    known = group.around.rest_px
+    if method == "two-pass":
+        shift = cell_centroids(signal, known, group.around.spacing_px, group.contrast_dn) - known
+        state = np.full(len(known), MISSING, np.uint8)
+        return _Seen(shift_px=shift, sd_px=np.full(len(known), CELLS_SD_PX), state=state, spurious_px=None)
+    blobs = find_blobs(signal, group.diameter_px, group.contrast_dn, crowd_level(group.floor_dn))
+    alike, odd = _alike(group, blobs)
+    spot = follow(group.around, blobs.centre_px, alike, start_px)
+    state = _lost_state(group, blobs, spot, odd)
+    spurious = _spurious(group, blobs, spot)
+    if group.templates is not None:
+        place = np.where((spot >= 0)[:, None], blobs.centre_px[spot] if len(blobs) else np.nan, np.nan)
+        return replace(_judged(group, group.templates.fit(picture, place), state), spurious_px=spurious)
+    shift, sd = np.full(known.shape, np.nan), np.full(len(known), np.nan)
+    kept = np.flatnonzero(spot >= 0)
+    spot = spot[kept]
+    crowded = blobs.crowding[spot] > CROWDED
+    hidden = crowded & (blobs.area_px[spot] < HIDDEN_AREA * group.area_px[kept])
+    state[kept[hidden]] = OCCLUDED
+    rows, spot, crowded = kept[~hidden], spot[~hidden], crowded[~hidden]
+    shift[rows] = blobs.centre_px[spot] - known[rows]
+    sd[rows] = np.hypot(np.hypot(blobs.sd_px[spot], np.where(crowded, CROWDED_SD_PX, 0.0)), group.sd_px[rows])
+    return _Seen(shift_px=shift, sd_px=sd, state=state, spurious_px=spurious)
+
+
+def _from_last(group: Group, picture: Picture, last_px: Pixels) -> _Seen | None:
+    """Fit around the last places, then once more where the neighbours' motion says; None where too many are lost."""
+    known, templates = group.around.rest_px, group.templates
+    assert templates is not None
+    start = known + last_px
+    count = int(np.isfinite(known[:, 0]).sum())
+    if not count or np.isfinite(start[:, 0]).sum() < (1.0 - TRUST) * count:
+        return None
+    nothing = np.full(len(known), MISSING, np.uint8)
+    seen = _judged(group, templates.fit(picture, start), nothing)
+    expected, certain = predict(group.around, seen.shift_px)
+    with np.errstate(invalid="ignore"):
+        astray = np.hypot(*(seen.shift_px - expected).T) > GATE * group.around.spacing_px
+    again = np.flatnonzero(certain & (astray | ~np.isfinite(seen.shift_px[:, 0])))
+    if len(again):
+        shift, sd, state = seen.shift_px.copy(), seen.sd_px.copy(), seen.state.copy()
+        shift[astray & certain] = np.nan
+        start = np.full_like(known, np.nan)
+        start[again] = known[again] + expected[again]
+        second = _judged(group, templates.fit(picture, start), nothing)
+        near = np.hypot(*(second.shift_px[again] - expected[again]).T) < GATE * group.around.spacing_px
+        rows = again[near]
+        taken = cKDTree((known + shift)[np.isfinite(shift[:, 0])]) if np.isfinite(shift[:, 0]).any() else None
+        if taken is not None and len(rows):
+            apart, _ = taken.query(known[rows] + second.shift_px[rows])
+            rows = rows[apart > SAME_PLACE * group.diameter_px]
+        shift[rows], sd[rows], state[rows] = second.shift_px[rows], second.sd_px[rows], SEEN
+        lost = again[np.isnan(shift[again, 0])]
+        state[lost] = np.where(second.state[lost] == SEEN, MISSING, second.state[lost])
+        sd[lost] = np.nan
+        seen = _Seen(shift_px=shift, sd_px=sd, state=state, spurious_px=None)
+    return seen if np.isfinite(seen.shift_px[:, 0]).sum() >= (1.0 - TRUST) * count else None
+
+
+def _judged(group: Group, fitted: Floats, state: NDArray[np.uint8]) -> _Seen:
+    """Accept fits that look like the marker they are taken for, and say what is wrong with the others."""
+    templates = group.templates
+    assert templates is not None
+    centre, state = used_centres(fitted), state.copy()
+    height, width = group.picture_px
+    found = np.isfinite(fitted[:, LEVEL])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        level, area = fitted[:, LEVEL] / templates.level, fitted[:, SCALE] ** 2
+        spread = fitted[:, SQUARES] / fitted[:, PIXELS] / fitted[:, LEVEL] ** 2
+        unlike = np.sqrt(np.maximum(spread - fitted[:, SQUARES] / fitted[:, PIXELS] / np.maximum(
+            fitted[:, MISFIT], 1e-9) / fitted[:, LEVEL] ** 2, 0.0))  # fmt: skip
+        radius = 0.5 * group.diameter_px
+        whole = ((centre > radius - 0.5) & (centre < [width - 0.5 - radius, height - 0.5 - radius])).all(axis=1)
+        hidden = fitted[:, EDGE] < LEAST_EDGE
+        dim = (level < LEVEL_RATIO[0]) | (fitted[:, LEVEL] < group.contrast_dn)
+        merged = (area > AREA_RATIO[1]) | (level > LEVEL_RATIO[1])
+        cut = (area < AREA_RATIO[0]) | (unlike > UNLIKE) | (fitted[:, STEP] > UNSETTLED_PX)
+        misfit = fitted[:, MISFIT] / templates.misfit
+    for wrong, what in ((cut, OCCLUDED), (merged, MERGED), (dim, DIM), (hidden, OCCLUDED), (~whole, MISSING)):
+        state[found & wrong] = what
+    good = found & whole & ~hidden & ~dim & ~merged & ~cut
+    twins = cKDTree(centre[good]).query_pairs(SAME_PLACE * group.diameter_px, output_type="ndarray")
+    if len(twins):
+        both = np.flatnonzero(good)[np.unique(twins)]
+        state[both], good[both] = MERGED, False
+    state[good] = SEEN
+    doubt = np.where(misfit > UNUSUAL, np.sqrt(misfit), 1.0)
+    covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
+    sd = np.hypot(np.hypot(centre_sd(fitted) * doubt, covered), group.sd_px)
+    return _Seen(
+        shift_px=np.where(good[:, None], centre - group.around.rest_px, np.nan), sd_px=np.where(good, sd, np.nan),
+        state=state, spurious_px=None,
+    )  # fmt: skip
+
+
+def _lost_state(group: Group, blobs: Blobs, spot: Ints, odd: Bools) -> NDArray[np.uint8]:
+    """Say why markers without a spot are lost: the spot near the expected place is odd, or there is none."""
+    state = np.full(len(spot), MISSING, np.uint8)
+    lost = np.flatnonzero((spot < 0) & np.isfinite(group.around.rest_px[:, 0]))
+    if not len(lost) or not len(blobs):
+        return state
+    rest = group.around.rest_px
+    motion = np.where((spot >= 0)[:, None], blobs.centre_px[spot] - rest, np.nan)
+    expected, _ = predict(group.around, motion)
+    distance, near = cKDTree(blobs.centre_px).query(rest[lost] + expected[lost])
+    close = (distance < GATE * group.around.spacing_px) & odd[lost, near]
+    lost, near = lost[close], near[close]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        area, level = blobs.area_px[near] / group.area_px[lost], blobs.level_dn[near] / group.level_dn[lost]
+    state[lost] = np.where(area > AREA_RATIO[1], MERGED, np.where(level < LEVEL_RATIO[0], DIM, OCCLUDED))
+    return state
+
+
+def _spurious(group: Group, blobs: Blobs, spot: Ints) -> Pixels:
+    """Return (s, 2) spots that look like markers and are none's."""
+    free = np.ones(len(blobs), np.bool_)
+    free[spot[spot >= 0]] = False
+    if not len(blobs) or not np.isfinite(group.area_px).any():
+        return np.asarray(blobs.centre_px[free])
+    area, level = blobs.area_px / np.nanmedian(group.area_px), blobs.level_dn / np.nanmedian(group.level_dn)
+    return np.asarray(blobs.centre_px[free & blobs.whole & (area > AREA_RATIO[0]) & (level > LEVEL_RATIO[0])])
+
+
+def _alike(group: Group, blobs: Blobs) -> tuple[Bools, Bools]:
+    """(n, b) whether a spot's area and brightness allow it to be the marker; whether they are all that speaks against."""
     with np.errstate(invalid="ignore", divide="ignore"):
         area = blobs.area_px[None] / group.area_px[:, None]
         level = blobs.level_dn[None] / group.level_dn[:, None]
     good = (area > AREA_RATIO[0]) & (area < AREA_RATIO[1]) & (level > LEVEL_RATIO[0]) & (level < LEVEL_RATIO[1])
-    return np.asarray(good & blobs.whole[None])
+    return np.asarray(good & blobs.whole[None]), np.asarray(~good & blobs.whole[None])
