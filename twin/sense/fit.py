@@ -10,7 +10,8 @@ cost half of the information in an 8 px marker; so it is taken from the rest pic
 ellipse, bulge and blur, and every other picture is asked for centre, level, ground and scale alone. What is wrong with
 the slope is then the same in both pictures and cancels in the shift.
 
-Where another layer's marker shows, a pixel says nothing about this one and is left out.
+Where another layer's marker shows, a pixel says nothing about this one and is left out. Pixels that fit badly, such as
+those in another marker's shadow, count little (Geman and McClure's weights, which forget an outlier altogether).
 
 Validity: markers at least about 4 px wide and blurred by less than their radius; a start within about half the radius.
 """
@@ -33,6 +34,13 @@ MARGIN_PX = 1.0
 """Pixels of ground beyond the blurred edge that are looked at."""
 
 SETTLED_PX = 0.02
+
+OUTLIER_SD = 6.0
+"""A pixel that misses by this many standard deviations counts a quarter."""
+
+IMPERFECT, SHARE = 0.02, 0.25
+"""What the model is trusted to: as a share of the brightness, and of the mean squared residual it has (a marker that has
+changed its shape misses at its edge, where its place is to be read)."""
 
 PARAMETERS = 11
 """Centre x, y, ground, level, level's slope x, y, bulge, growth, stretch along the axes and the diagonals, blur."""
@@ -61,7 +69,7 @@ def _gather(image, own, others, column, row, offset, signal, use):  # type: igno
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, total):  # type: ignore[no-untyped-def]
+def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, narrow, total):  # type: ignore[no-untyped-def]
     """Add up over the pixels at ``place`` (2, m) what one step needs; float32, no branches: for the vector unit.
 
     (cx, cy) is the centre in the same frame, ``form`` the inverse squared axes, ``slope`` the brightness' slope.
@@ -73,7 +81,7 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, t
     per_blur = one / blur
     n, sm, smm, si, sim = zero, zero, zero, zero, zero
     jxx, jxy, jyy, jxr, jyr = zero, zero, zero, zero, zero
-    jrr, jr, jxxm, jyym, rr = zero, zero, zero, zero, zero
+    jrr, jr, jxxm, jyym, rr, edge = zero, zero, zero, zero, zero, zero
     for p in range(len(signal)):
         dx, dy = place[0, p] - cx, place[1, p] - cy
         ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
@@ -87,8 +95,10 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, t
         tilt = level * light * fall * fall * edge0 * per_blur
         jx, jy = tilt * ax * flat, tilt * ay * flat
         model = cover * light
-        w, value = use[p], signal[p]
+        value = signal[p]
         residual = value - ground - level * model
+        trust = one / (one + narrow * residual * residual)
+        w = use[p] * trust * trust
         wm, wx, wy, wt = w * model, w * jx, w * jy, w * tilt
         n += w
         sm += wm
@@ -105,9 +115,16 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, t
         jxxm += wx * jx * model
         jyym += wy * jy * model
         rr += w * residual * residual
+        edge += use[p] * tilt * tilt
     total[0], total[1], total[2], total[3], total[4] = n, sm, smm, si, sim
     total[5], total[6], total[7], total[8], total[9] = jxx, jxy, jyy, jxr, jyr
-    total[10], total[11], total[12], total[13], total[14] = jrr, jr, jxxm, jyym, rr
+    total[10], total[11], total[12], total[13], total[14], total[15] = jrr, jr, jxxm, jyym, rr, edge
+
+
+@njit(cache=True)
+def _doubtful(noise, level, step):  # type: ignore[no-untyped-def]
+    """Return the squared residual at which a pixel counts a quarter; wide as long as the centre still moves, by ``step``."""
+    return OUTLIER_SD**2 * (noise + (IMPERFECT * level) ** 2) + (0.5 * level * min(step, 2.0)) ** 2
 
 
 @njit(cache=True)
@@ -166,7 +183,7 @@ def fit_centres(image, own, others, start, shape, ground, noise, slopes, reach, 
     offset = disc(reach)
     place = np.minimum(np.abs(offset), 1000).astype(np.float32) * np.sign(offset).astype(np.float32)
     signal, use = np.empty(offset.shape[1], np.float32), np.empty(offset.shape[1], np.float32)
-    total = np.empty(15, np.float64)
+    total = np.empty(16, np.float64)
     for k in range(len(start)):
         out[k, :] = np.nan
         cx, cy = start[k, 0], start[k, 1]
@@ -189,16 +206,18 @@ def fit_centres(image, own, others, start, shape, ground, noise, slopes, reach, 
             slope_y = shape[k, 4] + slopes[1, 0] + slopes[1, 1] * u + slopes[1, 2] * v
             slope_y += slopes[1, 3] * u * u + slopes[1, 4] * u * v + slopes[1, 5] * v * v
             fxx, fxy, fyy = _inverse_form(xx, xy, yy, scale)
+            left = SHARE * total[14] / total[0] if turn > 0 else 0.0
+            narrow = 1.0 / _doubtful(max(noise[1], left), level, np.sqrt(step) if turn > 0 else 1.0)
             _sums(
                 signal, use, place, np.float32(cx - column), np.float32(cy - row),
                 (np.float32(fxx), np.float32(fxy), np.float32(fyy)), (np.float32(slope_x), np.float32(slope_y)),
-                np.float32(shape[k, 5]), np.float32(blur), np.float32(level), np.float32(here), total,
+                np.float32(shape[k, 5]), np.float32(blur), np.float32(level), np.float32(here), np.float32(narrow), total,
             )  # fmt: skip
             n, sm, smm, si, sim = total[0], total[1], total[2], total[3], total[4]
             determinant = n * smm - sm * sm
             jxx, jxy, jyy = total[5], total[6], total[7]
             information = jxx * jyy - jxy * jxy
-            step = 1e9
+            step = 1e12
             if n < 9 or determinant < 1e-5 * n * n or information < 1e-3 * jxx * jyy + 1e-9:
                 break
             level = (n * sim - sm * si) / determinant
@@ -227,7 +246,7 @@ def fit_centres(image, own, others, start, shape, ground, noise, slopes, reach, 
         out[k, SCALE] = scale
         out[k, VAR_X] = (jyy * jyy * across + jxy * jxy * along) / (determinant * determinant)
         out[k, VAR_Y] = (jxx * jxx * along + jxy * jxy * across) / (determinant * determinant)
-        out[k, EDGE] = total[10] / max(_whole_edge(xx, yy, xy, scale, blur, level, shape[k, 5]), 1e-9)
+        out[k, EDGE] = total[15] / max(_whole_edge(xx, yy, xy, scale, blur, level, shape[k, 5]), 1e-9)
         out[k, SQUARES], out[k, PIXELS], out[k, STEP] = total[14], n, np.sqrt(step)
         out[k, MISFIT] = total[14] / max(noise[0] * n + more * total[1], 1e-9)
 
@@ -292,15 +311,15 @@ def _solve(matrix, right, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def fit_shapes(image, own, others, start, radius, blur, bulge, free, turns, out):  # type: ignore[no-untyped-def]
-    """Fit every marker's whole picture at rest; rows of ``out`` (n, 11): `SHAPE`, slope's variance, centre x, y.
+def fit_shapes(image, own, others, start, radius, blur, bulge, free, noise, turns, out):  # type: ignore[no-untyped-def]
+    """Fit every marker's whole picture at rest; rows of ``out`` (n, 10): `SHAPE` numbers, centre x, y.
 
     ``free`` is how many of the `PARAMETERS` are fitted for each marker: all, or with bulge and blur as given (then the
     relative ``bulge`` and ``blur`` are used). Rows are NaN where the fit failed.
     """
     offset = disc(1.3 * np.nanmax(radius) + 2.0 * blur + MARGIN_PX)
     signal, use = np.empty(offset.shape[1], np.float32), np.empty(offset.shape[1], np.float32)
-    matrix, inverse = np.empty((PARAMETERS, PARAMETERS)), np.empty((PARAMETERS, PARAMETERS))
+    matrix = np.empty((PARAMETERS, PARAMETERS))
     right, derivative, p = np.empty(PARAMETERS), np.empty(PARAMETERS), np.empty(PARAMETERS)
     pull = np.empty(PARAMETERS)
     for k in range(len(start)):
@@ -313,8 +332,9 @@ def fit_shapes(image, own, others, start, radius, blur, bulge, free, turns, out)
         _gather(image, own, others, column, row, offset, signal, use)
         p[:] = 0.0
         p[3], p[10] = signal[len(signal) // 2], blur
-        fine = True
+        fine, moved = True, 1.0
         for turn in range(turns):
+            limit = _doubtful(noise[1], p[3], moved)
             p[6] = p[6] if free else bulge * p[3]
             form = _inverse_form(sxx, sxy, syy, 1.0)
             matrix[:] = 0.0
@@ -324,17 +344,18 @@ def fit_shapes(image, own, others, start, radius, blur, bulge, free, turns, out)
                     continue
                 dx, dy = column + offset[0, i] - cx, row + offset[1, i] - cy
                 residual = signal[i] - _model(dx, dy, p, form, derivative)
+                w = 1.0 / (1.0 + residual * residual / limit) ** 2
                 if derivative[3] == 0.0:  # ground alone
-                    right[2] += residual
-                    matrix[2, 2] += 1.0
+                    right[2] += w * residual
+                    matrix[2, 2] += w
                     continue
                 if not free:
                     derivative[3] += bulge * derivative[6]
                     derivative[6], derivative[10] = 0.0, 0.0
                 for a in range(PARAMETERS):
-                    right[a] += derivative[a] * residual
+                    right[a] += w * derivative[a] * residual
                     for b in range(a + 1):
-                        matrix[a, b] += derivative[a] * derivative[b]
+                        matrix[a, b] += w * derivative[a] * derivative[b]
             if not free:
                 matrix[6, 6], matrix[10, 10] = 1.0, 1.0
             # a weak pull towards no slope, no bulge, round and the usual blur: small markers leave these open
@@ -351,13 +372,12 @@ def fit_shapes(image, own, others, start, radius, blur, bulge, free, turns, out)
             if free:
                 right[6] -= pull[6] * p[6]
                 right[10] -= pull[10] * (p[10] - blur)
-            inverse[:] = matrix
             if not _solve(matrix, right, PARAMETERS):
                 fine = False
                 break
-            limit = 0.5 * r
-            cx += min(max(right[0], -limit), limit)
-            cy += min(max(right[1], -limit), limit)
+            most = 0.5 * r
+            cx += min(max(right[0], -most), most)
+            cy += min(max(right[1], -most), most)
             for a in range(2, 7):
                 p[a] += right[a]
             grow = min(max(right[7], -0.2 * r), 0.2 * r)
@@ -367,17 +387,15 @@ def fit_shapes(image, own, others, start, radius, blur, bulge, free, turns, out)
             if not (p[3] > 0.0 and min(sxx, syy) > 0.4 * r and max(sxx, syy) < 1.6 * r and abs(sxy) < 0.5 * r):
                 fine = False
                 break
-            if turn > 1 and right[0] ** 2 + right[1] ** 2 + grow * grow < 1e-5:
+            moved = np.sqrt(right[0] ** 2 + right[1] ** 2 + grow * grow)
+            if turn > 1 and moved < 3e-3:
                 break
         if not fine or abs(cx - start[k, 0]) > r or abs(cy - start[k, 1]) > r:
             continue
         out[k, 0], out[k, 1], out[k, 2] = sxx, sxy, syy
         out[k, 3], out[k, 4], out[k, 5] = p[4] / p[3], p[5] / p[3], (p[6] / p[3] if free else bulge)
         out[k, 6], out[k, 7] = p[10], p[3]
-        right[:] = 0.0
-        right[4] = 1.0
-        out[k, 8] = right[4] if not _solve(inverse, right, PARAMETERS) else right[4] / p[3] ** 2
-        out[k, 9], out[k, 10] = cx, cy
+        out[k, SHAPE], out[k, SHAPE + 1] = cx, cy
 
 
 @njit(cache=True)

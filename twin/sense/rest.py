@@ -34,9 +34,6 @@ CROWDED_SD_PX = 0.1
 LEAST_EDGE = 0.5
 """Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
 
-UNUSUAL = 1.5
-"""A marker whose residuals are larger than usual by this factor is doubted: its standard deviation grows with them."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
@@ -248,11 +245,9 @@ def _with_templates(picture: Picture, groups: list[Group], given: bool) -> list[
     fitted_groups = []
     for group, (templates, fitted) in zip(groups, make_templates(picture, own, centres, widths), strict=True):
         good = (fitted[:, EDGE] > LEAST_EDGE) & (fitted[:, LEVEL] >= group.contrast_dn)
-        misfit = templates.misfit / max(float(np.median(templates.misfit[good])) if good.any() else 1.0, 1.0)
-        doubt = np.where(misfit > UNUSUAL, np.sqrt(misfit), 1.0)
         rest_px = np.where(good[:, None], used_centres(fitted), np.nan)
         around = neighbourhood(rest_px, group.around.spacing_px)
-        sd = np.where(good, centre_sd(fitted) * doubt, np.nan)
+        sd = np.where(good, centre_sd(fitted, templates.usual_misfit), np.nan)
         fitted_groups.append(replace(group, around=around, sd_px=sd, templates=templates))
     return fitted_groups
 

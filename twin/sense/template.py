@@ -5,8 +5,7 @@ pure dyes it is the one channel that shows the marker. (The paper's difference o
 second channel, which says nothing about this marker; spots are found with it, centres are not measured with it.)
 
 The slope of brightness across a marker has two parts: what all markers share, as the lamps give it (a quadratic in the
-picture), and a marker's own, as far as it stands out of the noise. The first changes as a marker moves, the second goes
-along with it.
+picture), and a marker's own, if it is large. The first changes as a marker moves, the second goes along with it.
 """
 
 from __future__ import annotations
@@ -40,6 +39,10 @@ USUAL_BLUR_PX = 2.0
 SHOWS = 0.3
 """Another layer shows where it has this share of its usual level."""
 
+OWN_SLOPE = 0.3
+"""A marker's own slope, over its radius, counts above this: smaller ones cost little where they are real (a tenth of the
+precision), and much where a neighbour's shadow feigns them and then moves."""
+
 SAMPLE = 40
 """About how many markers tell the layer's blur and bulge."""
 
@@ -48,6 +51,10 @@ TURNS = 12
 
 QUADRATIC, LINEAR = 30, 12
 """From how many markers on their shared slope is a quadratic, or linear, function of the place."""
+
+UNUSUAL, DOUBT = 1.5, 4.0
+"""A marker whose residuals exceed the usual ones by this factor is doubted: its variance grows by so much of the excess.
+Residuals beyond the noise hang together over several pixels, hence more than in proportion."""
 
 SD_FLOOR_PX = 0.001
 """No centre is taken to be better than this: what a lens and a finite pixel leave even without noise."""
@@ -69,8 +76,8 @@ class Templates:
         (2,) variance of the ground's noise and of a full marker's, counts squared.
     slopes
         (2, 6) shared slope of brightness, see `fit.fit_centres`.
-    misfit
-        (n,) squared residuals at rest over what the noise explains.
+    usual_misfit
+        Squared residuals of a good fit at rest over what the noise explains: what the model lacks for every marker.
     level
         (n,) brightness at rest, counts.
     reach_px
@@ -83,7 +90,7 @@ class Templates:
     ground: Floats
     noise: Floats
     slopes: Floats
-    misfit: Floats
+    usual_misfit: float
     level: Floats
     reach_px: float
 
@@ -98,13 +105,14 @@ class Templates:
         return out
 
 
-def centre_sd(fitted: Floats) -> Floats:
-    """Return (n,) the standard deviation of fitted centres, per axis, px."""
-    return np.asarray(np.sqrt(0.5 * (fitted[:, VAR_X] + fitted[:, VAR_Y]) + SD_FLOOR_PX**2))
+def centre_sd(fitted: Floats, usual_misfit: float) -> Floats:
+    """Return (n,) the standard deviation of fitted centres, per axis, px: the noise's, more where the fit is bad."""
+    bad = np.maximum(fitted[:, MISFIT] / usual_misfit - UNUSUAL, 0.0)
+    return np.asarray(np.sqrt(0.5 * (fitted[:, VAR_X] + fitted[:, VAR_Y]) * (1.0 + DOUBT * bad) + SD_FLOOR_PX**2))
 
 
 def colour_of(picture: Picture, centres: Pixels, diameter: float) -> Floats:
-    """Return (3,) how markers differ from their ground, counts: the median over the markers; zeros if there are none."""
+    """Return (3,) how markers differ from their ground, counts: the median over them; zeros if there are none."""
     middle = np.rint(centres[np.isfinite(centres).all(axis=1)]).astype(int)
     far = int(np.ceil(0.5 * diameter)) + 4
     height, width = picture.shape[:2]
@@ -157,36 +165,40 @@ def _of_group(
 ) -> tuple[Templates, Floats]:
     count = len(centres)
     radius = np.where(np.isfinite(centres).all(axis=1), 0.5 * diameter, np.nan)
-    first, shape = np.full((count, SHAPE + 3), np.nan), np.full((count, SHAPE + 3), np.nan)
+    circles = np.zeros((count, SHAPE))
+    circles[:, 0], circles[:, 2], circles[:, 6] = radius, radius, USUAL_BLUR_PX
+    variances = np.full((count, 2), np.nan)
+    noise_variances(picture, own, centres, circles, variances)
+    with np.errstate(all="ignore"):
+        ground = float(np.nanmedian(variances[:, 0])) if np.isfinite(variances[:, 0]).any() else 1.0
+        marker = float(np.nanmedian(variances[:, 1])) if np.isfinite(variances[:, 1]).any() else ground
+    noise = np.maximum([ground, max(marker, ground)], 1 / 12)
+    first, shape = np.full((count, SHAPE + 2), np.nan), np.full((count, SHAPE + 2), np.nan)
     if np.isfinite(radius).any():
         few = np.where(
             np.cumsum(np.isfinite(radius)) % max(1, int(np.isfinite(radius).sum()) // SAMPLE) == 0, radius, np.nan
         )
-        fit_shapes(picture, own, others, centres, few, USUAL_BLUR_PX, 0.0, True, TURNS, first)
+        fit_shapes(picture, own, others, centres, few, USUAL_BLUR_PX, 0.0, True, noise, TURNS, first)
         good = np.isfinite(first[:, 0])
         blur, bulge = (float(np.median(first[good, i])) if good.any() else v for i, v in ((6, USUAL_BLUR_PX), (5, 0.0)))
-        fit_shapes(picture, own, others, centres, radius, blur, bulge, False, TURNS, shape)
+        fit_shapes(picture, own, others, centres, radius, blur, bulge, False, noise, TURNS, shape)
     good, wanted = np.isfinite(shape[:, 0]), np.isfinite(radius)
     if good.any():
         shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
-    places = np.where(good[:, None], shape[:, SHAPE + 1 :], centres)
+    places = np.where(good[:, None], shape[:, SHAPE:], centres)
     slopes = _share_slopes(shape, places, good, picture.shape)
-    variances = np.full((count, 2), np.nan)
-    noise_variances(picture, own, centres, np.ascontiguousarray(shape[:, :SHAPE]), variances)
-    with np.errstate(all="ignore"):
-        ground = float(np.nanmedian(variances[:, 0])) if np.isfinite(variances[:, 0]).any() else 1.0
-        marker = float(np.nanmedian(variances[:, 1])) if np.isfinite(variances[:, 1]).any() else ground
     axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1) + shape[:, 6]
     reach = float(np.nanmax(axes, initial=3.0)) + MARGIN_PX
-    noise = np.maximum([ground, max(marker, ground)], 1 / 12)
     templates = Templates(
         own=own, others=others, shape=np.ascontiguousarray(shape[:, :SHAPE]), ground=np.zeros(count), noise=noise,
-        slopes=slopes, misfit=np.ones(count), level=shape[:, 7].copy(), reach_px=reach,
+        slopes=slopes, usual_misfit=1.0, level=shape[:, 7].copy(), reach_px=reach,
     )  # fmt: skip
     fitted = templates.fit(picture, places, turns=8)
+    misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
+    usual = float(np.quantile(misfit, 0.25)) if len(misfit) else 1.0
     return Templates(
         own=own, others=others, shape=templates.shape, ground=np.nan_to_num(fitted[:, 3]), noise=noise, slopes=slopes,
-        misfit=np.maximum(np.nan_to_num(fitted[:, MISFIT], nan=1.0), 1.0), level=fitted[:, 2], reach_px=reach,
+        usual_misfit=max(usual, 1.0), level=fitted[:, 2], reach_px=reach,
     ), fitted  # fmt: skip
 
 
@@ -197,22 +209,21 @@ def slope_terms(places: Pixels, size: Sequence[int]) -> Floats:
 
 
 def _share_slopes(shape: Floats, places: Pixels, good: NDArray[np.bool_], size: Sequence[int]) -> Floats:
-    """Split the fitted slopes: return the shared part (2, 6), and leave in ``shape`` what is a marker's own."""
+    """Split the fitted slopes: return the shared part (2, 6), and leave in ``shape`` what is strongly a marker's own."""
     shared = np.zeros((2, 6))
     count = int(good.sum())
     terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
     basis = slope_terms(places[good], size)[:, :terms]
     for axis in range(2):
-        slope, variance = shape[good, 3 + axis], np.maximum(shape[good, 8], 1e-12)
+        slope = shape[good, 3 + axis]
         weight = np.ones(count)
         for _ in range(5 if terms else 0):
             shared[axis, :terms] = np.linalg.lstsq(basis * weight[:, None], slope * weight, rcond=None)[0]
             rest = np.abs(slope - basis @ shared[axis, :terms])
             weight = np.sqrt(np.minimum(1.0, 1.5 * max(float(np.median(rest)), 1e-9) / np.maximum(rest, 1e-9)))
-        own = slope - basis @ shared[axis, :terms]
-        spread = max(float(np.median(own**2) / 0.455 - np.median(variance)), 0.0) if count else 0.0
-        shape[good, 3 + axis] = own * spread / (spread + variance) if count else own
-        shape[~good & np.isfinite(shape[:, 0]), 3 + axis] = 0.0
+        shape[good, 3 + axis] = slope - basis @ shared[axis, :terms]
+    own = np.hypot(shape[:, 3], shape[:, 4]) * np.hypot(shape[:, 0], shape[:, 2]) / np.sqrt(2.0)
+    shape[~(good & (own > OWN_SLOPE)), 3:5] = 0.0
     return shared
 
 

@@ -19,7 +19,7 @@ from twin.sense.cells import cell_centroids
 from twin.sense.detect import Blobs, find_blobs
 from twin.sense.fit import EDGE, LEVEL, MISFIT, PIXELS, SCALE, SQUARES, STEP
 from twin.sense.match import GATE, TRUST, follow, predict
-from twin.sense.rest import CROWDED, CROWDED_SD_PX, LEAST_EDGE, UNUSUAL, Group, Method, Rest, analyse_rest, crowd_level
+from twin.sense.rest import CROWDED, CROWDED_SD_PX, LEAST_EDGE, Group, Method, Rest, analyse_rest, crowd_level
 from twin.sense.split import Weights, as_picture, project
 from twin.sense.template import centre_sd, used_centres
 
@@ -316,7 +316,6 @@ def _judged(group: Group, fitted: Floats, state: NDArray[np.uint8]) -> _Seen:
         dim = (level < LEVEL_RATIO[0]) | (fitted[:, LEVEL] < group.contrast_dn)
         merged = (area > AREA_RATIO[1]) | (level > LEVEL_RATIO[1])
         cut = (area < AREA_RATIO[0]) | (unlike > UNLIKE) | (fitted[:, STEP] > UNSETTLED_PX)
-        misfit = fitted[:, MISFIT] / templates.misfit
     for wrong, what in ((cut, OCCLUDED), (merged, MERGED), (dim, DIM), (hidden, OCCLUDED), (~whole, MISSING)):
         state[found & wrong] = what
     good = found & whole & ~hidden & ~dim & ~merged & ~cut
@@ -325,9 +324,8 @@ def _judged(group: Group, fitted: Floats, state: NDArray[np.uint8]) -> _Seen:
         both = np.flatnonzero(good)[np.unique(twins)]
         state[both], good[both] = MERGED, False
     state[good] = SEEN
-    doubt = np.where(misfit > UNUSUAL, np.sqrt(misfit), 1.0)
     covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
-    sd = np.hypot(np.hypot(centre_sd(fitted) * doubt, covered), group.sd_px)
+    sd = np.hypot(np.hypot(centre_sd(fitted, templates.usual_misfit), covered), group.sd_px)
     return _Seen(
         shift_px=np.where(good[:, None], centre - group.around.rest_px, np.nan), sd_px=np.where(good, sd, np.nan),
         state=state, spurious_px=None,
@@ -363,7 +361,7 @@ def _spurious(group: Group, blobs: Blobs, spot: Ints) -> Pixels:
 
 
 def _alike(group: Group, blobs: Blobs) -> tuple[Bools, Bools]:
-    """(n, b) whether a spot's area and brightness allow it to be the marker; whether they are all that speaks against."""
+    """(n, b) whether a spot's area and brightness allow it to be the marker; whether these alone speak against it."""
     with np.errstate(invalid="ignore", divide="ignore"):
         area = blobs.area_px[None] / group.area_px[:, None]
         level = blobs.level_dn[None] / group.level_dn[:, None]
