@@ -39,8 +39,8 @@ OUTLIER_SD = 6.0
 """A pixel that misses by this many standard deviations counts a quarter."""
 
 IMPERFECT, SHARE = 0.02, 0.25
-"""What the model is trusted to: as a share of the brightness, and of the mean squared residual it has (a marker that has
-changed its shape misses at its edge, where its place is to be read)."""
+"""What the model is trusted to: as a share of the brightness, and of the mean squared residual that it has (a marker
+that has changed its shape misses at its edge, where its place is to be read)."""
 
 PARAMETERS = 11
 """Centre x, y, ground, level, level's slope x, y, bulge, growth, stretch along the axes and the diagonals, blur."""
@@ -123,7 +123,7 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, n
 
 @njit(cache=True)
 def _doubtful(noise, level, step):  # type: ignore[no-untyped-def]
-    """Return the squared residual at which a pixel counts a quarter; wide as long as the centre still moves, by ``step``."""
+    """Return the squared residual at which a pixel counts a quarter; wide while the centre still moves by ``step``."""
     return OUTLIER_SD**2 * (noise + (IMPERFECT * level) ** 2) + (0.5 * level * min(step, 2.0)) ** 2
 
 
@@ -211,7 +211,8 @@ def fit_centres(image, own, others, start, shape, ground, noise, slopes, reach, 
             _sums(
                 signal, use, place, np.float32(cx - column), np.float32(cy - row),
                 (np.float32(fxx), np.float32(fxy), np.float32(fyy)), (np.float32(slope_x), np.float32(slope_y)),
-                np.float32(shape[k, 5]), np.float32(blur), np.float32(level), np.float32(here), np.float32(narrow), total,
+                np.float32(shape[k, 5]), np.float32(blur), np.float32(level), np.float32(here), np.float32(narrow),
+                total,
             )  # fmt: skip
             n, sm, smm, si, sim = total[0], total[1], total[2], total[3], total[4]
             determinant = n * smm - sm * sm

@@ -40,8 +40,8 @@ SHOWS = 0.3
 """Another layer shows where it has this share of its usual level."""
 
 OWN_SLOPE = 0.3
-"""A marker's own slope, over its radius, counts above this: smaller ones cost little where they are real (a tenth of the
-precision), and much where a neighbour's shadow feigns them and then moves."""
+"""A marker's own slope, over its radius, counts above this: smaller ones cost little where they are real (a tenth of
+the precision), and much where a neighbour's shadow feigns them and then moves."""
 
 SAMPLE = 40
 """About how many markers tell the layer's blur and bulge."""
@@ -53,8 +53,8 @@ QUADRATIC, LINEAR = 30, 12
 """From how many markers on their shared slope is a quadratic, or linear, function of the place."""
 
 UNUSUAL, DOUBT = 1.5, 4.0
-"""A marker whose residuals exceed the usual ones by this factor is doubted: its variance grows by so much of the excess.
-Residuals beyond the noise hang together over several pixels, hence more than in proportion."""
+"""A marker whose residuals exceed the usual ones by this factor is doubted: its variance grows by so much of the
+excess. Residuals beyond the noise hang together over several pixels, hence more than in proportion."""
 
 SD_FLOOR_PX = 0.001
 """No centre is taken to be better than this: what a lens and a finite pixel leave even without noise."""
@@ -209,7 +209,7 @@ def slope_terms(places: Pixels, size: Sequence[int]) -> Floats:
 
 
 def _share_slopes(shape: Floats, places: Pixels, good: NDArray[np.bool_], size: Sequence[int]) -> Floats:
-    """Split the fitted slopes: return the shared part (2, 6), and leave in ``shape`` what is strongly a marker's own."""
+    """Split the fitted slopes: return the shared part (2, 6), and leave in ``shape`` what is clearly a marker's own."""
     shared = np.zeros((2, 6))
     count = int(good.sum())
     terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
