@@ -14,12 +14,15 @@ def calibrate(
     *,
     scene: SceneName,
     out: Annotated[Path, Parameter(help="Calibration file to write (.npz).")],
-    method: Annotated[str | None, Parameter(help="sato, compliance or halfspace (default: the scene's).")] = None,
+    method: Annotated[
+        str | None, Parameter(help="sato, fitted, compliance or halfspace (default: the scene's).")
+    ] = None,
     set_: Overrides = (),
 ) -> None:
     """Calibrate a scene's sensor on the twin and write the calibration file.
 
-    Method sato presses the simulated sensor at every site in three directions, in pictures with noise.
+    Method sato presses the simulated sensor at every site in three directions, in pictures with noise; fitted
+    presses five and fits the design's parameters to them.
     """
     from twin.study.calibrate import calibrate_to_file
 

@@ -28,6 +28,11 @@ class Sites(Part):
         """Return the s and the t of the grid, mm."""
         return grid_axes(self.columns, self.rows, self.pitch_mm)
 
+    @property
+    def half_mm(self) -> tuple[float, float]:
+        """Half extents along s and t, mm."""
+        return self.pitch_mm * (self.columns - 1) / 2, self.pitch_mm * (self.rows - 1) / 2
+
     def chart(self) -> Chart:
         """Return the (columns * rows, 2) surface coordinates, mm, s outer and t inner."""
         return grid_chart(*self.axes())
@@ -54,22 +59,24 @@ class Calibration(Part):
     ----------
     method
         ``compliance``: the nominal body's compliance seen through the nominal camera; ``halfspace``: the papers'
-        half-space formula; ``sato``: measured presses at every site in three directions.
+        half-space formula; ``sato``: measured presses at every site in three directions; ``fitted``: the nominal
+        design with stiffness, depths, print, camera and footprint fitted to a few presses and the rest picture.
     file
         A calibration file made earlier (``twin calibrate``), relative to the recipe; used only while it matches the
         scene.
     presses
-        Where method ``sato`` presses; the reconstruction's sites if not given. Sites between the presses are filled
-        by the nominal body's response plus the interpolated difference of measurement and nominal response.
+        Where presses are made. If not given, method ``sato`` presses the reconstruction's sites, and ``fitted`` their
+        middle and four places halfway to their corners. Under ``sato`` sites between the presses are filled by the
+        nominal body's response plus the interpolated difference of measurement and nominal response.
     press_force_n
-        Force along z of the calibration presses (method ``sato``).
+        Force along z of the calibration presses.
     press_probe_mm
-        Diameter of the calibration sphere (method ``sato``).
+        Diameter of the calibration sphere.
     load_cell_n
-        Standard deviation of each force component read by the load cell (method ``sato``).
+        Standard deviation of each force component read by the load cell.
     """
 
-    method: Literal["compliance", "halfspace", "sato"] = "compliance"
+    method: Literal["compliance", "halfspace", "sato", "fitted"] = "compliance"
     file: str | None = None
     presses: Sites | None = None
     press_force_n: float = Field(default=0.980665, gt=0, le=100)

@@ -37,6 +37,8 @@ class Tolerance(Part):
         Of each of the camera's small rotations.
     focal_pct
         Of the focal length, percent.
+    distortion
+        Of the lens's first radial coefficient.
     """
 
     preset: Literal["standard", "none"] = "standard"
@@ -50,3 +52,4 @@ class Tolerance(Part):
     pupil_mm: float = Field(default=0.1, ge=0, le=10)
     tilt_deg: float = Field(default=0.1, ge=0, le=10)
     focal_pct: float = Field(default=0.3, ge=0, le=10)
+    distortion: float = Field(default=0.0, ge=0, le=0.2)

@@ -142,3 +142,35 @@ def fill_between(
     inside = np.clip(site_chart_mm, [axis[0] for axis in press_axes_mm], [axis[-1] for axis in press_axes_mm])
     between = RegularGridInterpolator(press_axes_mm, difference, method="linear")(inside)
     return np.asarray(nominal_at_sites + between.transpose(1, 0, 2).reshape(rows, -1))
+
+
+def left_out(measured: Floats, nominal: Floats, chart_mm: Floats) -> Floats:
+    """Return (p,) errors of every pressed place's transfer as predicted from the others, over its size.
+
+    The prediction is the nominal response plus the others' differences to it, interpolated (linear radial functions).
+    Empty for fewer than four places.
+
+    Parameters
+    ----------
+    measured, nominal
+        (2N, 3p) px/N at the pressed places; markers that were not measured hold NaN.
+    chart_mm
+        (p, 2) surface coordinates of the places, mm.
+    """
+    from scipy.interpolate import RBFInterpolator
+
+    places = len(chart_mm)
+    if places < 4:
+        return np.zeros(0)
+    known = np.isfinite(measured).all(axis=1)
+    truth = measured[known].reshape(-1, places, 3).transpose(1, 0, 2).reshape(places, -1)
+    drawn = nominal[known].reshape(-1, places, 3).transpose(1, 0, 2).reshape(places, -1)
+    out = np.zeros(places)
+    for place in range(places):
+        others = np.arange(places) != place
+        flat = bool((np.ptp(chart_mm[others], axis=0) > 0).all())
+        between = RBFInterpolator(
+            chart_mm[others], (truth - drawn)[others], kernel="linear", degree=0 if flat else -1
+        )(chart_mm[place : place + 1])[0]  # fmt: skip
+        out[place] = np.linalg.norm(drawn[place] + between - truth[place]) / np.linalg.norm(truth[place])
+    return out

@@ -64,7 +64,9 @@ def make(nominal: Scene) -> Actual:
         front = nominal.body.base_z_mm + sum(layer.thickness_mm for layer in camera.layers)
         a, b, c = (t + tolerance.tilt_deg * _deviation(rng) for t in camera.tilt_deg)
         focal = camera.focal_px * (1 + tolerance.focal_pct / 100 * _deviation(rng))
-        pose = {"pupil_mm": (x, y, max(z, front)), "tilt_deg": (a, b, c), "focal_px": focal}
+        k1, k2 = camera.distortion
+        k1 += tolerance.distortion * _deviation(rng) if tolerance.distortion else 0.0
+        pose = {"pupil_mm": (x, y, max(z, front)), "tilt_deg": (a, b, c), "focal_px": focal, "distortion": (k1, k2)}
         camera = camera.model_copy(update=pose)
     scene = nominal.model_copy(update={"material": material, "cover": cover, "markers": markers, "camera": camera})
     noise = stream(nominal.seed, Purpose.PRINT).standard_normal((count, 2))
@@ -99,9 +101,10 @@ def shared_by_truth_and_estimate(scene: Scene) -> list[str]:
         "shape of the body, and that it is homogeneous, linear and bonded at its base",
         "number, order, pitch and diameter of the markers",
         "refractive indices and thicknesses of the layers in front of the camera",
-        "lens model without distortion error",
         "closed-form half-space part of the elastic field (its finite-element correction lives on another mesh)",
     ]
+    if not scene.tolerance.distortion:
+        shared.append("lens model without distortion error")
     if not any(layer.stiff for layer in scene.markers.values()):
         shared.append("that markers are points which the rubber carries (beads in a block can be stiff)")
     if scene.tolerance.preset == "none":

@@ -1,7 +1,8 @@
-"""Calibrate a sensor: from the nominal design, or from presses on the made one as Sato did.
+"""Calibrate a sensor: from the nominal design, or from presses on the made one.
 
-The sensor's software never sees the truth: the nominal methods use the nominal design on a mesh of its own; method
-``sato`` uses pictures of the made sensor and the forces that a noisy load cell read, nothing else.
+The sensor's software never sees the truth: the nominal methods use the nominal design on a mesh of its own; ``sato``
+and ``fitted`` use pictures of the made sensor and the forces that a noisy load cell read, the first as they are, place
+by place, the second to fit the nominal design's parameters (`twin.study.fitted`), for which five places do.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,19 +26,26 @@ from twin.parts.scene import Scene
 from twin.places import cache_folder
 from twin.results import make_folder
 from twin.streams import Purpose, stream
-from twin.study.sensor import Sensor, on_grid
+from twin.study.sensor import Sensor, on_surface
 from twin.theory.contact import hertz
 from twin.theory.optics import projection_jacobian
 
 if TYPE_CHECKING:
     from twin.parts.load import Rectangles
+    from twin.parts.pipeline import Sites
     from twin.sense.calibration import Calibration
+    from twin.sense.fit_design import Presses
 
 SHEAR_SHARE = 0.25
 """Sideways motion of a calibration press over the contact radius: well inside what sticks."""
 
 FOOTPRINT = 0.8
 """Half side of the square that stands for a calibration contact, over the contact radius."""
+
+BY_PRESSES = ("sato", "fitted")
+
+FIVE = ((0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5))
+"""Where method ``fitted`` presses if nothing else is said, over the half extents of the sites."""
 
 FIRST_EXPOSURE = 1000
 """Calibration pictures are exposures from here on, so that they share no noise with any press."""
@@ -45,7 +54,7 @@ FIRST_EXPOSURE = 1000
 def calibration_of(sensor: Sensor) -> Calibration:
     """Return the calibration that the scene asks for; a file made earlier is used only while it matches."""
     scene = sensor.nominal
-    if scene.calibration.method != "sato":
+    if scene.calibration.method not in BY_PRESSES:
         return _nominal(sensor)
     from twin.sense.calibration import read_calibration, write_calibration
 
@@ -75,7 +84,7 @@ def calibrate_to_file(scene: Scene, out: Path, progress: Any = None) -> str:
         raise InputError(f"--out {out}: a calibration file ends in .npz")
     make_folder(out.parent)
     sensor = Sensor(scene, progress)
-    made = calibrate_by_presses(sensor) if scene.calibration.method == "sato" else _nominal(sensor)
+    made = calibrate_by_presses(sensor) if scene.calibration.method in BY_PRESSES else _nominal(sensor)
     write_calibration(made, out)
     if progress is not None:
         progress("done", 1.0)
@@ -145,46 +154,107 @@ def calibrate_by_presses(sensor: Sensor) -> Calibration:
     The probe moves along global axes, held by motion sideways; what enters is the measured 3-D force. Where forces are
     reconstructed at more sites than were pressed, the nominal design fills in between.
     """
-    from twin.sense.transfer import fill_between, from_presses
-
     scene = sensor.nominal
     assert scene.reconstruction is not None
-    grid = scene.calibration.presses or scene.reconstruction.sites
+    grid = scene.calibration.presses
+    if grid is None and scene.calibration.method == "sato":
+        grid = scene.reconstruction.sites
     half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
-    places = on_grid(scene.body, grid, half_mm, "calibration.presses")
-    forces, shifts, noise_px = _press_everywhere(sensor, places)
-    transfer = from_presses(forces, shifts)
+    chart = grid.chart() if grid is not None else np.array(FIVE) * np.array(scene.reconstruction.sites.half_mm)
+    places = on_surface(scene.body, chart, half_mm, "calibration.presses")
+    presses = _press_everywhere(sensor, places)
+    if scene.calibration.method == "fitted":
+        return fitted_calibration(sensor, places, presses)
+    assert grid is not None
+    return measured_calibration(sensor, places, grid, presses)
+
+
+def measured_calibration(sensor: Sensor, places: Rectangles, grid: Sites, presses: Presses) -> Calibration:
+    """Return Sato's calibration: what was measured, place by place, and the nominal design in between.
+
+    Parameters
+    ----------
+    sensor
+        Of which the nominal side is used only.
+    places, grid
+        Squares where presses were made, on this grid.
+    presses
+        Three at every place, place by place.
+    """
+    from twin.sense.transfer import fill_between, from_presses, left_out
+
+    scene, count = sensor.nominal, len(places)
+    assert scene.reconstruction is not None
+    forces = presses.force_n.reshape(count, 3, 3).transpose(0, 2, 1)
+    transfer = from_presses(forces, presses.shift_px.reshape(count, 3, -1))
+    there = _through_camera(sensor, _nominal_compliance(sensor, places))
+    errors = left_out(transfer, there, grid.chart())
     if grid.chart().tolist() != scene.reconstruction.sites.chart().tolist():
-        here, there = (_through_camera(sensor, _nominal_compliance(sensor, s)) for s in (sensor.sites, places))
+        here = _through_camera(sensor, _nominal_compliance(sensor, sensor.sites))
         transfer = fill_between(transfer, there, here, grid.axes(), scene.reconstruction.sites.chart())
-    return _calibration(sensor, transfer, noise_px)
+    return _calibration(sensor, transfer, presses.noise_px, left_out=errors)
 
 
-def _press_everywhere(sensor: Sensor, places: Rectangles) -> tuple[Floats, Floats, float]:
-    """Return (p, 3, 3) measured forces in N, (p, 3, 2N) shifts in px, and the usual noise of a shift in px."""
+def fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) -> Calibration:
+    """Return the calibration by the nominal design with its parameters fitted to presses and the rest picture.
+
+    Parameters
+    ----------
+    sensor
+        Of which the nominal side is used only.
+    places
+        Squares where presses were made.
+    presses
+        Any number at any of the places.
+    """
+    from twin.sense.fit_design import fit
+    from twin.study.fitted import FittedDesign
+
+    scene = sensor.nominal
+    force = scene.calibration.press_force_n * places.frames[:, 2, 2]
+    radius = [min(_hertz_radius(scene, float(f)), scene.calibration.press_probe_mm / 2) for f in force]
+    design = FittedDesign(scene, places, np.array(radius), progress=sensor.progress)
+    found = fit(design, presses)
+    markers, _ = design.markers_of(found.scaled, presses.rest_px)
+    compliance = design.compliance(found.scaled, markers, sensor.sites)
+    transfer = design.transfer(found.scaled, markers, compliance)
+    made = _calibration(sensor, transfer, float(np.hypot(presses.noise_px, found.model_px)), left_out=found.left_out)
+    facts = json.loads(made.provenance) | {"fitted": design.told(found), "model_px": found.model_px}
+    seen = np.isfinite(presses.rest_px)
+    return replace(
+        made, compliance=compliance.astype(np.float32), marker_mm=markers, camera=design.optics(found.scaled),
+        layout_px=np.where(seen, presses.rest_px, made.layout_px), provenance=json.dumps(facts),
+    )  # fmt: skip
+
+
+def _press_everywhere(sensor: Sensor, places: Rectangles) -> Presses:
+    """Press the made sensor in three directions at every place; return what was measured."""
+    from twin.sense.fit_design import Presses
     from twin.sense.track import analyse_rest, track_frame
 
     scene, count = sensor.nominal, len(places)
     picture = sensor.picture(None, exposure=FIRST_EXPOSURE)
     rest = analyse_rest(picture, sensor.layout_px, method=scene.tracking.method)
-    forces, shifts, spread = [], [], []
+    forces, shifts, spread, at_rest = [], [], [], []
     for place in range(count):
         pressed = sensor.press(calibration_press(scene, places, place))
         if not pressed.complete:
             raise ContactError(f"calibration: press {place + 1} of {count}: {pressed.reason}")
         states = pressed.path
         noise = scene.calibration.load_cell_n * stream(scene.seed, Purpose.LOAD_CELL, place).standard_normal((3, 3))
-        forces.append(np.stack([state.force_n for state in states], axis=1) + noise)
-        frames = []
         for number, state in enumerate(states):
             picture = sensor.picture(sensor.motion(state.load), FIRST_EXPOSURE + 1 + 3 * place + number)
             found = track_frame(rest, picture)
-            frames.append(found.shift_px.ravel())
+            forces.append(state.force_n + noise[:, number])
+            shifts.append(found.shift_px)
             spread.append(found.sd_px)
-        shifts.append(np.stack(frames))
+            at_rest.append(found.rest_px)
         if sensor.progress is not None:
             sensor.progress(f"calibrating, press {place + 1} of {count}", 0.9 * (place + 1) / count)
-    return np.stack(forces), np.stack(shifts), float(np.nanmedian(np.concatenate(spread)))
+    return Presses(
+        place=np.repeat(np.arange(count), 3), force_n=np.stack(forces), shift_px=np.stack(shifts), rest_px=at_rest[0],
+        load_cell_n=scene.calibration.load_cell_n, noise_px=float(np.nanmedian(np.concatenate(spread))),
+    )  # fmt: skip
 
 
 def _hertz_radius(scene: Scene, force_n: float) -> float:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from twin.arrays import Floats, Picture, Pixels, Points
+from twin.arrays import Chart, Floats, Picture, Pixels, Points
 from twin.errors import AccuracyWarning, InputError, RecipeError
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
@@ -330,14 +330,19 @@ def _covered(scene: Scene, level: Literal["coarse", "nominal"], progress: Progre
 
 
 def on_grid(body: Body, grid: Sites, half_mm: float, key: str) -> Rectangles:
-    """Return squares of a half side on a grid over the surface, under no force yet.
+    """Return squares of a half side on a grid over the surface; see `on_surface`."""
+    return on_surface(body, grid.chart(), half_mm, key)
+
+
+def on_surface(body: Body, chart: Chart, half_mm: float, key: str) -> Rectangles:
+    """Return squares of a half side at (k, 2) surface coordinates, under no force yet.
 
     Raises
     ------
     RecipeError
         A place lies outside the sensing surface.
     """
-    points = body.chart_points(grid.chart())
+    points = body.chart_points(chart)
     if not body.contains(points, -1e-6).all():
         raise RecipeError(f"{key}: some lie outside the sensing surface; reduce columns, rows or pitch_mm")
     half = np.full((len(points), 2), half_mm)

@@ -1,0 +1,133 @@
+"""A design that can be written down: half-space, pinhole, three unknowns, and the print."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from half_space_sensor import compliance, grid
+
+from twin.errors import InputError
+from twin.sense.fit_design import Presses, fit
+from twin.sense.transfer import left_out
+
+PLACES = np.array([[0.0, 0, 0], [3, 3, 0], [-3, 3, 0], [3, -3, 0], [-3, -3, 0]])
+SIZES = np.array([0.03, 0.05, 0.01])
+DRAWN = np.vstack([grid(5, 5, 2.5, 0.8), grid(6, 6, 2.5, 2.0)])
+RED = np.arange(61) < 25
+
+
+class Drawing:
+    names = ("modulus", "red depth", "focal")
+    print_mm = 0.03
+
+    def markers(self, scaled, prints):
+        found = DRAWN.copy()
+        found[:, :2] += prints
+        found[RED, 2] += SIZES[1] * scaled[1]
+        return found
+
+    def seen(self, points, scaled):
+        return 300.0 * (1 + SIZES[2] * scaled[2]) * points[:, :2] * [1, -1] / (14.0 - points[:, 2:])
+
+    def predict(self, scaled, rest_px, place, force_n):
+        flat = self.markers(scaled, 0.0)
+        size = (self.seen(flat + np.eye(3)[0], scaled) - self.seen(flat, scaled))[:, :1]
+        seen = np.isfinite(rest_px).all(axis=1)
+        prints = np.where(seen[:, None], (rest_px - self.seen(flat, scaled)) / size * [1, -1], 0.0)
+        markers = self.markers(scaled, prints)
+        shifts, slopes = [], []
+        for where, force in zip(place, force_n, strict=True):
+            by_force = compliance(markers, PLACES[where : where + 1]) / (1 + SIZES[0] * scaled[0])
+
+            def shift(f, by_force=by_force):
+                return self.seen(markers + (by_force @ f).reshape(-1, 3), scaled) - self.seen(markers, scaled)
+
+            here = shift(force)
+            shifts.append(here)
+            slopes.append(np.stack([(shift(force + 1e-5 * d) - here) / 1e-5 for d in np.eye(3)], axis=2))
+        return prints, np.stack(shifts), np.stack(slopes)
+
+
+def measured(truth, seed, noise=0.05, cell=0.005, places=range(5)):
+    random = np.random.default_rng(seed)
+    design = Drawing()
+    prints = random.normal(0, design.print_mm, (61, 2))
+    rest = design.seen(design.markers(truth, prints), truth)
+    place = np.repeat(list(places), 3)
+    force = np.tile([[0, 0, 1.0], [0.3, 0, 1.0], [0, 0.3, 1.0]], (len(place) // 3, 1))
+    told, shift, _ = design.predict(truth, rest, place, force)
+    assert told == pytest.approx(prints, abs=1e-12)
+    return Presses(
+        place=place, force_n=force + random.normal(0, cell, force.shape),
+        shift_px=shift + random.normal(0, noise, shift.shape), rest_px=rest, load_cell_n=cell, noise_px=noise,
+    )  # fmt: skip
+
+
+def test_parameters_are_found_within_their_stated_deviations():
+    random = np.random.default_rng(1)
+    off = []
+    for seed in range(12):
+        truth = random.normal(0, 1, 3)
+        found = fit(Drawing(), measured(truth, seed))
+        spread = np.sqrt(np.diag(found.covariance))
+        off.append((found.scaled - truth) / spread)
+        assert (spread[:2] < [0.2, 0.3]).all(), "the presses tell more than the drawing"
+        assert found.residual_px == pytest.approx(0.05, rel=0.1)
+        assert found.model_px < 0.03
+    assert 0.6 < np.std(off) < 1.5
+
+
+def test_no_noise_no_error():
+    truth = np.array([1.0, -0.7, 0.4])
+    quiet = dataclasses.replace(measured(truth, 3, noise=1e-4, cell=0.0), noise_px=1e-4)
+    assert fit(Drawing(), quiet).scaled == pytest.approx(truth, abs=0.05)
+
+
+def test_what_the_design_cannot_say_is_told_as_model_error():
+    told = measured(np.zeros(3), 5)
+    bent = told.shift_px + 0.3 * np.sin(40 * np.arange(61 * 2)).reshape(61, 2)
+    found = fit(Drawing(), dataclasses.replace(told, shift_px=bent))
+    assert found.model_px == pytest.approx(0.3 / np.sqrt(2), rel=0.15)
+
+
+def test_leaving_a_place_out_tells_a_place_that_is_different():
+    told = measured(np.array([0.5, 0.5, 0.5]), 6)
+    even = fit(Drawing(), told)
+    assert even.left_out.shape == (5,)
+    wrong = told.shift_px.copy()
+    wrong[told.place == 2] *= 1.3
+    odd = fit(Drawing(), dataclasses.replace(told, shift_px=wrong))
+    assert odd.left_out[2] > 1.7 * np.delete(odd.left_out, 2).max()
+    assert odd.left_out[2] > 2 * even.left_out[2]
+
+
+def test_lost_markers_and_a_single_place():
+    truth = np.array([0.8, -0.5, 0.0])
+    told = measured(truth, 7, places=[0])
+    told.shift_px[1, 10:14] = np.nan
+    told.rest_px[30] = np.nan
+    told.shift_px[:, 30] = np.nan
+    found = fit(Drawing(), told)
+    assert found.scaled[:2] == pytest.approx(truth[:2], abs=0.6)
+
+
+def test_wrong_presses():
+    told = measured(np.zeros(3), 8)
+    for change, words in (
+        ({"force_n": told.force_n[:, :2]}, "must be"), ({"force_n": told.force_n * np.nan}, "finite"),
+        ({"shift_px": told.shift_px * np.nan}, "no marker"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            fit(Drawing(), dataclasses.replace(told, **change))
+
+
+def test_left_out_places_of_measured_transfer():
+    """A difference to the drawing that is linear in the place is predicted exactly; one odd place is told."""
+    chart = np.stack(np.meshgrid([-2.0, 0, 2], [-2.0, 0, 2], indexing="ij"), -1).reshape(-1, 2)
+    random = np.random.default_rng(2)
+    nominal = random.normal(0, 1, (20, 27))
+    measured_h = nominal + 0.05 * np.ones((20, 27))
+    assert left_out(measured_h, nominal, chart) == pytest.approx(np.zeros(9), abs=1e-9)
+    measured_h[:, 12:15] += 1.0
+    assert np.argmax(left_out(measured_h, nominal, chart)) == 4
+    assert left_out(measured_h[:, :9], nominal[:, :9], chart[:3]).shape == (0,)

@@ -1,0 +1,252 @@
+"""The fitted twin: physical parameters of a design, fitted to a few presses and the rest picture.
+
+The unknowns are a handful of numbers that a maker doesn't control (stiffness, depths, camera, footprint), each with the
+standard deviation that its drawing allows. Where every marker was printed follows from the rest picture and them, so it
+is no unknown of its own: it only has to be as likely as the print's tolerance says. The load cell's errors are unknown
+as well, but linear, so they are eliminated press by press. What is left is whitened least squares by Gauss-Newton.
+
+The design comes in as something to ask (`Design`): this module knows neither body nor mesh.
+
+Validity: what the design can't express (cover, contact, mesh) ends up in the residual and is told as ``model_px``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Ints, Pixels
+from twin.errors import InputError
+
+STEP = 0.05
+"""Step of the finite differences, in standard deviations of a parameter."""
+
+ITERATIONS, ROUNDS = 12, 3
+"""Gauss-Newton steps at most, and estimates of the model's error."""
+
+FIRST_MODEL_PX = 0.05
+"""Error of the model that is assumed until it is estimated, px."""
+
+LONGEST = 3.0
+"""Longest Gauss-Newton step in standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Presses:
+    """Measured presses.
+
+    Attributes
+    ----------
+    place
+        (q,) which of the design's places was pressed.
+    force_n
+        (q, 3) what the load cell read, N.
+    shift_px
+        (q, n, 2) motion of the markers since rest, px; NaN where lost.
+    rest_px
+        (n, 2) markers in the rest picture, px; NaN where lost.
+    load_cell_n, noise_px
+        Standard deviations of a force component and of a shift's component.
+    """
+
+    place: Ints
+    force_n: Floats
+    shift_px: Floats
+    rest_px: Pixels
+    load_cell_n: float
+    noise_px: float
+
+
+class Design(Protocol):
+    """What is fitted: parameters, and what they predict."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        ...
+
+    @property
+    def print_mm(self) -> float:
+        """Standard deviation of a marker's place along the surface, mm."""
+        ...
+
+    def predict(self, scaled: Floats, rest_px: Pixels, place: Ints, force_n: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return what parameters predict.
+
+        Parameters
+        ----------
+        scaled
+            (m,) deviations of the parameters from the drawing, in their standard deviations.
+        rest_px
+            (n, 2) where the markers are seen at rest.
+        place, force_n
+            (q,) places and (q, 3) forces of presses.
+
+        Returns
+        -------
+        print_mm
+            (n, 2) print errors that put the markers where they are seen, mm; 0 for markers not seen.
+        shift_px
+            (q, n, 2) motion, px.
+        slope
+            (q, n, 2, 3) its derivative by the force, px/N.
+        """
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A fitted design.
+
+    Attributes
+    ----------
+    names, scaled
+        Parameters and their (m,) deviations from the drawing in standard deviations.
+    covariance
+        (m, m) of ``scaled``.
+    residual_px
+        Root mean square of what is left of the shifts' components, px.
+    model_px
+        The share of it that the noise doesn't explain, px.
+    left_out
+        (places,) error of a place's shifts when predicted without its presses, noise included, over their size.
+    """
+
+    names: tuple[str, ...]
+    scaled: Floats
+    covariance: Floats
+    residual_px: float
+    model_px: float
+    left_out: Floats
+
+
+def fit(design: Design, presses: Presses) -> Fit:
+    """Fit a design to measured presses and the rest picture.
+
+    Raises
+    ------
+    InputError
+        There are no presses, shapes don't agree, or no marker was seen both at rest and under a press.
+    """
+    _check(presses)
+    scaled, model = np.zeros(len(design.names)), FIRST_MODEL_PX
+    for _ in range(ROUNDS):
+        residuals = _Residuals(design, presses, float(np.hypot(presses.noise_px, model)))
+        scaled, slope = _gauss_newton(residuals, scaled)
+        left = residuals.press_residual_px(scaled)
+        size = float(np.sqrt(np.nanmean(left**2)))
+        before, model = model, float(np.sqrt(max(size**2 - presses.noise_px**2, (0.2 * presses.noise_px) ** 2)))
+        if abs(model - before) < 0.1 * before:
+            break
+    return Fit(
+        names=design.names,
+        scaled=scaled,
+        covariance=np.asarray(np.linalg.inv(slope.T @ slope), float),
+        residual_px=size,
+        model_px=model,
+        left_out=_left_out(residuals, scaled, slope),
+    )
+
+
+def _check(presses: Presses) -> None:
+    count, markers = len(presses.force_n), len(presses.rest_px)
+    shapes = (presses.force_n.shape, presses.shift_px.shape, presses.place.shape, presses.rest_px.shape)
+    if shapes != ((count, 3), (count, markers, 2), (count,), (markers, 2)):
+        raise InputError(
+            f"presses: force_n, shift_px, place and rest_px must be (q, 3), (q, n, 2), (q,) and (n, 2), got {shapes}"
+        )
+    if not count or not np.isfinite(presses.force_n).all():
+        raise InputError("presses: at least one is needed, with finite forces")
+    if not np.isfinite(presses.shift_px[:, np.isfinite(presses.rest_px).all(axis=1)]).any():
+        raise InputError("presses: no marker was seen both at rest and under a press")
+
+
+@dataclass(frozen=True)
+class _Residuals:
+    """Whitened residuals: parameters, print errors, shifts and load cell, in this order."""
+
+    design: Design
+    presses: Presses
+    noise_px: float
+
+    @property
+    def seen(self) -> Bools:
+        """(q, n) shifts that count."""
+        at_rest = np.isfinite(self.presses.rest_px).all(axis=1)
+        return np.asarray(np.isfinite(self.presses.shift_px).all(axis=2) & at_rest)
+
+    def _predicted(self, scaled: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return print errors, (q, n, 2) what is left of the shifts, 0 where lost, and (q, 3) load cell errors."""
+        told = self.presses
+        prints, shift, slope = self.design.predict(scaled, told.rest_px, told.place, told.force_n)
+        seen = self.seen
+        left = np.where(seen[:, :, None], told.shift_px - shift, 0.0)
+        slope = np.where(seen[:, :, None, None], slope, 0.0)
+        cell: Floats = np.zeros((len(left), 3))
+        if told.load_cell_n > 0:
+            rows = slope.reshape(len(left), -1, 3) / self.noise_px
+            gram = rows.transpose(0, 2, 1) @ rows + np.eye(3) / told.load_cell_n**2
+            pull = rows.transpose(0, 2, 1) @ (left.reshape(len(left), -1, 1) / self.noise_px)
+            cell = np.asarray(np.linalg.solve(gram, pull)[:, :, 0], float)
+            left = left - np.einsum("qnij,qj->qni", slope, cell)
+        return prints, left, cell
+
+    def __call__(self, scaled: Floats) -> Floats:
+        prints, left, cell = self._predicted(scaled)
+        weight = 1.0 / self.presses.load_cell_n if self.presses.load_cell_n > 0 else 0.0
+        parts = (scaled, prints / self.design.print_mm, left / self.noise_px, cell * weight)
+        return np.concatenate([part.ravel() for part in parts])
+
+    def press_residual_px(self, scaled: Floats) -> Floats:
+        """Return (q, n, 2) what is left of the shifts, px; NaN where lost."""
+        return np.where(self.seen[:, :, None], self._predicted(scaled)[1], np.nan)
+
+    def rows_of(self, place: int) -> Bools:
+        """Return which residuals belong to the presses of a place."""
+        told = self.presses
+        mine = told.place == place
+        shifts = np.repeat(mine, told.shift_px[0].size)
+        before = np.zeros(len(self.design.names) + told.rest_px.size, np.bool_)
+        return np.concatenate([before, shifts, np.repeat(mine, 3)])
+
+
+def _gauss_newton(residuals: _Residuals, start: Floats) -> tuple[Floats, Floats]:
+    """Return the least-squares parameters and the residuals' slope there."""
+    scaled, value = start, residuals(start)
+    for _ in range(ITERATIONS):
+        slope = _slope(residuals, scaled, value)
+        step = -np.linalg.lstsq(slope, value, rcond=None)[0]
+        step *= min(1.0, LONGEST / max(float(np.abs(step).max()), 1e-300))
+        for _ in range(5):
+            after = residuals(scaled + step)
+            if np.isfinite(after).all() and after @ after <= value @ value:
+                break
+            step = step / 2
+        else:
+            break
+        scaled, value = scaled + step, after
+        if np.abs(step).max() < 1e-3:
+            break
+    return scaled, _slope(residuals, scaled, value)
+
+
+def _slope(residuals: _Residuals, scaled: Floats, value: Floats) -> Floats:
+    steps = STEP * np.eye(len(scaled))
+    return np.column_stack([(residuals(scaled + step) - value) / STEP for step in steps])
+
+
+def _left_out(residuals: _Residuals, scaled: Floats, slope: Floats) -> Floats:
+    """Return every place's error when predicted from the others: one Gauss-Newton step without its rows."""
+    told, value = residuals.presses, residuals(scaled)
+    errors = []
+    for place in np.unique(told.place):
+        keep = ~residuals.rows_of(int(place))
+        other = scaled - np.linalg.lstsq(slope[keep], value[keep], rcond=None)[0]
+        mine = told.place == place
+        left = residuals.press_residual_px(other)[mine]
+        errors.append(
+            np.sqrt(np.nansum(left**2) / np.nansum(np.where(np.isfinite(left), told.shift_px[mine], 0.0) ** 2))
+        )
+    return np.array(errors)
