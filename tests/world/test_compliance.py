@@ -245,6 +245,25 @@ def test_adjoint_and_primal_solves_agree_and_few_points_take_the_adjoint(monkeyp
     assert len(apart) > FEW * len(few)
     by_point = stiff.to_points(few, apart)
     assert stiff._memory.of(few).readings is not None
+    others = few + np.array([0.0, 0.0, 0.5])
+    stiff.to_points(others, apart)
+    assert stiff._memory.of(few).readings is None
+    assert stiff._memory.of(others).readings is not None
     many = np.vstack([few, body.chart_points(np.random.default_rng(3).uniform(-3, 3, (len(apart), 2)), 1.0)])
     by_patch = stiff.to_points(many, apart)[: 3 * len(few)]
     np.testing.assert_allclose(by_point, by_patch, atol=2e-6 * np.abs(by_patch).max())
+
+
+def test_points_are_compared_by_value_and_a_changed_array_is_checked_again():
+    stiff, points = compliance("block", "nominal", 0.5), np.array([[0.0, 0.5, 1.5], [-1.0, 1.0, 3.0]])
+    load = tile(Traction.rectangle((0, 0), (4, 4), (0, 0, 1)), BODIES["block"][0])
+    first = stiff.displacement(points, load)
+    assert stiff._memory.of(points.copy()) is stiff._memory.of(points)
+    points[0, 0] = 2.0
+    assert np.abs(stiff.displacement(points, load) - first)[0].max() > 1e-3 * np.abs(first).max()
+    points[1, 2] = np.nan
+    with pytest.raises(OutOfBodyError, match="point 1"):
+        stiff.displacement(points, load)
+    points[1, 2] = -1.0
+    with pytest.raises(OutOfBodyError, match="point 1"):
+        stiff.displacement(points, load)

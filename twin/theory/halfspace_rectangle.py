@@ -7,6 +7,8 @@ three arctangents of a corner are two, since
 
     atan[xy / (zr)] = atan[xy (r - z) / (x^2 r + y^2 z)] + atan[xy (r - z) / (y^2 r + x^2 z)].
 
+Validity: sides of 1e-30 to 1e30 mm, or products of eight lengths leave the range of numbers.
+
 What stands for an infinite value on the rectangle's edges at the surface is finite, and 0 where its factor is.
 """
 

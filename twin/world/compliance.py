@@ -242,6 +242,7 @@ class Compliance:
         if FEW * len(known) >= len(rectangles):  # fields, unlike readings, serve points that move
             return patch_rests(self.system, self.body, places, rectangles)
         if known.readings is None:
+            self._memory.forget_readings()
             known.readings = Readings(self.system, self.body, places)
         return known.readings.rests(rectangles)
 

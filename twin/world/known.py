@@ -30,7 +30,7 @@ class Known:
     places
         Where they are in the mesh.
     readings
-        Adjoint solves for them.
+        Adjoint solves for them; large, so that one set at a time has any (`Memory.forget_readings`).
     """
 
     points: Points
@@ -82,3 +82,8 @@ class Memory:
         require_inside(self._body, points)
         self._sets = [*self._sets[1 - REMEMBERED :], Known(points=frozen(np.array(points, order="C")))]
         return self._sets[-1]
+
+    def forget_readings(self) -> None:
+        """Drop all adjoint solves, which may take a hundred megabytes a set."""
+        for known in self._sets:
+            known.readings = None
