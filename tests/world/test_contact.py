@@ -76,6 +76,14 @@ def test_hertz(nu: float, held: str) -> None:
     )
 
 
+@pytest.mark.parametrize(("diameter", "force"), [(1000.0, 1e-4), (300.0, 1e-5)])
+def test_a_light_touch_of_a_large_sphere(diameter: float, force: float) -> None:
+    """Round-off of the sphere's size is not small beside the indentation here."""
+    theory = hertz(radius_mm=diameter / 2, youngs_modulus_mpa=1.0, poisson_ratio=0.5, force_n=force)
+    state = pressed(Press(probe=Sphere(diameter_mm=diameter), force_n=(0, 0, force)), across=10)
+    assert state.indentation_mm == pytest.approx(theory.indentation_mm, rel=0.01)
+
+
 def test_flat_punch_converges_to_its_stiffness() -> None:
     theory = 0.1 * punch_stiffness(2.5, 1.0, 0.5)
     probe = Press(probe=Cylinder(diameter_mm=5), indentation_mm=0.1)

@@ -38,6 +38,7 @@ from twin.world.sizing import WORLD
 from twin.world.solve import Solver
 from twin.world.spread import Readings, Region, patch_rests, single, worth_a_region
 from twin.world.store import field_key, kept
+from twin.world.symmetric import make_symmetric
 from twin.world.table import NU_RANGE, Table, TableAtNu
 from twin.world.tabulate import Role, find_table, table_level
 from twin.world.tile import require_on_surface
@@ -253,9 +254,8 @@ class Compliance:
         entry, it was from that before it was made so. Raises like `displacement`.
         """
         matrix = self.to_points(rectangles.centre_mm, rectangles)
-        largest = float(np.max(np.abs(matrix), initial=0.0))
-        self.asymmetry = float(np.max(np.abs(matrix - matrix.T), initial=0.0)) / largest if largest else 0.0
-        return np.asarray((matrix + matrix.T) / 2.0)
+        self.asymmetry = make_symmetric(matrix)
+        return matrix
 
     def error_estimate(self, points: Points, load: Rectangles) -> float:
         """Return the estimated largest error of `displacement` at ``points`` over the largest displacement there.
