@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.show.panels import ArrowPanel, CurvePanel, FieldPanel, HistogramPanel, Panel, PicturePanel
+from twin.show.panels import ArrowPanel, BarPanel, CurvePanel, FieldPanel, HistogramPanel, Panel, PicturePanel
 
 RED, BLUE, INK, SOFT, PUSH = "#c22f26", "#2161c2", "#1d2126", "#5a626b", "#d8660a"
 CYCLE = (PUSH, BLUE, "#2f8f5b", "#6a3fa0", RED, SOFT, "#b59a00")
@@ -61,6 +61,8 @@ def _draw(axes: Any, panel: Panel) -> None:
             _curves(axes, panel)
         case FieldPanel():
             _field(axes, panel)
+        case BarPanel():
+            _bars(axes, panel)
 
 
 def _named(axes: Any, across: str, up: str) -> None:
@@ -105,6 +107,22 @@ def _curves(axes: Any, panel: CurvePanel) -> None:
     axes.grid(color="#e8eaec", linewidth=0.6)
     axes.set_axisbelow(True)
     _named(axes, panel.across, panel.up)
+
+
+def _bars(axes: Any, panel: BarPanel) -> None:
+    names, values = list(panel.values), np.array(list(panel.values.values()), float)
+    axes.barh(np.arange(len(names)), np.nan_to_num(values), color="#7d8894", height=0.6)
+    for row, value in enumerate(values):
+        told = f" {value:.3g}" if np.isfinite(value) else " not reached"
+        axes.text(value if np.isfinite(value) else 0.0, row, told, va="center", fontsize=8, color=INK)
+    axes.set_yticks(np.arange(len(names)), names, fontsize=8)
+    axes.invert_yaxis()
+    axes.margins(x=0.15)
+    for (label, value), colour in zip(panel.levels.items(), (PUSH, BLUE), strict=False):
+        axes.axvline(value, color=colour, linestyle="--", linewidth=1, label=label)
+    if panel.levels:
+        axes.legend(fontsize=8, frameon=False)
+    _named(axes, panel.across, "")
 
 
 def _field(axes: Any, panel: FieldPanel) -> None:

@@ -102,4 +102,14 @@ class FieldPanel:
     outline_mm: Floats | None = None
 
 
-Panel = PicturePanel | ArrowPanel | HistogramPanel | CurvePanel | FieldPanel
+@dataclass(frozen=True, kw_only=True)
+class BarPanel:
+    """Named lengths; ``levels`` are named vertical lines."""
+
+    title: str
+    values: Mapping[str, float]
+    across: str
+    levels: Mapping[str, float] = field(default_factory=dict)
+
+
+Panel = PicturePanel | ArrowPanel | HistogramPanel | CurvePanel | FieldPanel | BarPanel

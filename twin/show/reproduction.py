@@ -23,7 +23,7 @@ STYLE = """
 .paper { font-size: 1.35rem; margin: 3.2rem 0 0 }
 article { break-inside: avoid-page; margin: 2.2rem 0 0; padding-top: 1rem; border-top: 1px solid var(--line) }
 article h3 { margin: 0 0 .3rem; font-size: 1.12rem } article p { max-width: 60em; margin: .2rem 0 }
-article img { background: #fff; max-width: 980px; margin-top: .9rem; border: 1px solid var(--line) }
+article img { background: #fff; width: auto; max-width: 100%; margin-top: .9rem; border: 1px solid var(--line) }
 .records { width: 100%; margin-top: .9rem } .records td.n, .records th.n { text-align: right; white-space: nowrap }
 .records td, .records th { padding-right: .9rem } .records details { margin: 0; padding: 0; border: 0 }
 .records summary { color: var(--soft) } .agrees { color: #19733b } .explained { color: #8a6100 }

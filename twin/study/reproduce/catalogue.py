@@ -7,10 +7,14 @@ from collections.abc import Sequence
 
 from twin.errors import InputError
 from twin.study.reproduce import (
+    beyond,
+    finger_calibration,
+    finger_forces,
     finger_picture,
     flat_forces,
     flat_picture,
     flat_shapes,
+    reach,
     shifted,
     times,
 )
@@ -32,8 +36,18 @@ ENTRIES: dict[str, Entry] = {
         flat_shapes.FIGURE_16,
         flat_picture.FIGURE_17,
         times.KAMIYAMA_TIMES,
+        reach.KAMIYAMA_CONCLUSION,
         shifted.SATO_TABLE_1,
         finger_picture.FIGURE_6,
+        finger_calibration.CALIBRATION,
+        finger_picture.FIGURE_7,
+        finger_forces.FIGURE_8,
+        finger_forces.FIGURE_9,
+        times.SATO_TABLE_2,
+        reach.SATO_PREDICTION,
+        beyond.HALF_SPACE,
+        beyond.LIMITS,
+        beyond.SAME_HARDWARE,
     )
 }
 
@@ -53,7 +67,7 @@ def chosen(names: Sequence[str]) -> list[Entry]:
             near = difflib.get_close_matches(name, ENTRIES, 1, 0.4)
             hint = f"did you mean '{near[0]}'?" if near else "see: twin reproduce --help"
             raise InputError(
-                f"there is no entry '{name}': {hint} Allowed are all, kamiyama, sato, {', '.join(ENTRIES)}"
+                f"there is no entry '{name}': {hint} Allowed are all, kamiyama, sato, beyond, {', '.join(ENTRIES)}"
             )
         wanted.update(found)
     return [entry for key, entry in ENTRIES.items() if key in wanted]

@@ -73,13 +73,15 @@ class Line:
         return float(TOLD_APART * deviation / abs(self.slope))
 
 
-def _line(rig: Rig, axis: int, steps: int, repeats: int, how: str, tracker: str | None = None) -> Line:
+def line(
+    rig: Rig, axis: int, steps: int, repeats: int, how: str, tracker: str | None = None, first: int = FIRST_EXPOSURE
+) -> Line:
     """Take every level of a path through pictures and the inverse, ``repeats`` times with noise of their own."""
     states = rig.press(_path(axis, steps)).path[-steps:]
     applied, measured = [], []
     for repeat in range(repeats):
         for number, state in enumerate(states):
-            exposure = FIRST_EXPOSURE + 1000 * axis + 100 * repeat + number
+            exposure = first + 1000 * axis + 100 * repeat + number
             picture = rig.picture(rig.motion(state), exposure)
             field = solved(rig.track(picture, tracker), rig.calibration, how)  # type: ignore[arg-type]
             cell = (
@@ -105,28 +107,26 @@ def _figure_8(bench: Bench) -> Outcome:
     panels = []
     for axis, name in enumerate(AXES):
         bench.progress(f"cylinder along {name}", axis / 3)
-        line = _line(rig, axis, steps, repeats, "pinv")
+        readings = line(rig, axis, steps, repeats, "pinv")
         off = {
-            "noise of the picture off": _line(
-                bench.rig("sato", overrides={"ccd.noise": False}), axis, steps, 1, "pinv"
-            ),
-            "tracker: this project's instead of the paper's": _line(rig, axis, steps, repeats, "pinv", "soft-window"),
-            "inverse: smooth instead of the pseudo-inverse": _line(rig, axis, steps, repeats, "smooth"),
+            "noise of the picture off": line(bench.rig("sato", overrides={"ccd.noise": False}), axis, steps, 1, "pinv"),
+            "tracker: this project's instead of the paper's": line(rig, axis, steps, repeats, "pinv", "soft-window"),
+            "inverse: smooth instead of the pseudo-inverse": line(rig, axis, steps, repeats, "smooth"),
         }
         for figure, (unit, value, paper) in FIGURES.items():
             records.append(
                 Record(
-                    quantity=f"{name}: {figure}", unit=unit, paper=paper, twin=value(line), n=1,
+                    quantity=f"{name}: {figure}", unit=unit, paper=paper, twin=value(readings), n=1,
                     explained_by=causes({cause: value(other) for cause, other in off.items()}),
                 )
             )  # fmt: skip
         reach = np.array([0.0, PRELOAD_GF])
-        fit = np.polyfit(line.applied_gf, line.measured_gf, 1)
+        fit = np.polyfit(readings.applied_gf, readings.measured_gf, 1)
         panels.append(
             CurvePanel(
                 title=f"Along {name}", across="applied (gf)", up="measured (gf)",
                 curves=(
-                    Curve(label="readings", x=line.applied_gf, y=line.measured_gf, style="."),
+                    Curve(label="readings", x=readings.applied_gf, y=readings.measured_gf, style="."),
                     Curve(label="line", x=reach, y=np.polyval(fit, reach)),
                     Curve(label="as applied", x=reach, y=reach, style=":"),
                 ),

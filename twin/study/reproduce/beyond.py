@@ -1,0 +1,229 @@
+"""Beyond the papers: what limits each sensor, what the half-space costs, and what the same hardware reaches today."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from twin.parts.load import Traction
+from twin.show.panels import BarPanel, Curve, CurvePanel
+from twin.study.calibrate import half_space_compliance
+from twin.study.reproduce.bench import Bench
+from twin.study.reproduce.entry import Entry
+from twin.study.reproduce.fields import far_away
+from twin.study.reproduce.finger_forces import FIRST_EXPOSURE, READ_GF, Line
+from twin.study.reproduce.finger_forces import line as force_line
+from twin.study.reproduce.reach import DISTANCES_MM, DRAWN, FINER, FORCE_N, OURS, QUIET
+from twin.study.reproduce.record import Outcome, Record, causes, over
+from twin.study.reproduce.shifted import KAMIYAMA, SATO, measured, samples
+from twin.study.reproduce.two_forces import Chain, limit_of, point_width_mm, shift_noise_px, two_points_mm
+
+
+def _half_space(bench: Bench) -> Outcome:
+    """Compare the marker motion of the papers' formula with the real block's, for equal material and load."""
+    rig = bench.rig("kamiyama", overrides={"tolerance.preset": "none"})
+    scene, sensor = rig.scene, rig.sensor
+    points = sensor.nominal_markers.points
+    records, curves = [], []
+    for axis, name in enumerate("xyz"):
+        force = [0.0, 0.0, 0.0]
+        force[axis] = 1.0
+        load = Traction.rectangle((0.0, 0.0), (4.0, 4.0), (force[0], force[1], force[2]))
+        real = sensor.displacement(points, load)
+        pieces = sensor.rectangles(load)
+        formula = (half_space_compliance(scene, points, pieces) @ pieces.force_n.ravel()).reshape(-1, 3)
+        row = np.flatnonzero(np.abs(points[:, 1]) < 0.8)
+        for layer in ("red", "blue"):
+            mine = sensor.nominal_markers.layer == layer
+            largest = np.linalg.norm(real[mine], axis=1).max()
+            gap = float(np.linalg.norm(formula[mine] - real[mine], axis=1).max() / largest)
+            records.append(
+                Record(
+                    quantity=f"force along {name}, {layer} layer: half-space off by, over the largest motion",
+                    unit="",
+                    twin=gap,
+                )
+            )
+            row = np.flatnonzero(mine & (np.abs(points[:, 1]) < 0.8))
+            order = row[np.argsort(points[row, 0])]
+            if axis != 1 and layer == "blue":
+                across = points[order, 0]
+                curves += [
+                    Curve(label=f"f{name}: block", x=across, y=1e3 * real[order, axis]),
+                    Curve(label=f"f{name}: half-space", x=across, y=1e3 * formula[order, axis], style=":"),
+                ]
+    panel = CurvePanel(
+        title="Blue layer along the x axis, 1 N on 4 x 4 mm: motion along the force", curves=curves, across="x (mm)",
+        up="motion (µm)",
+    )  # fmt: skip
+    note = "No picture here: this is the model itself, the papers' formula against the converged block of equal rubber."
+    return Outcome(records=records, panels=(panel,), notes=(note,))
+
+
+FLAT_CHANGES: dict[str, Mapping[str, Any]] = {
+    "as published": {},
+    "noise off": {"ccd.noise": False},
+    "markers 3 and 1.5 mm deep": {"markers.red.depth_mm": 3.0, "markers.blue.depth_mm": 1.5},
+    "markers 1 mm apart": {
+        "markers.red.pitch_mm": 1.0, "markers.blue.pitch_mm": 1.0, "markers.red.diameter_mm": 0.35,
+        "markers.blue.diameter_mm": 0.35,
+    },
+    "told of the real block": {"calibration.method": "compliance"},
+    "made exactly as drawn": {"tolerance.preset": "none"},
+}  # fmt: skip
+FINGER_CHANGES: dict[str, Mapping[str, Any]] = {
+    "as published, told of its drawing": DRAWN,
+    "noise off": DRAWN | {"ccd.noise": False},
+    "markers 1 mm apart": FINER,
+    "markers 1.0 and 2.0 mm deep": DRAWN | {"markers.red.depth_mm": 1.0},
+    "made exactly as drawn": DRAWN | {"tolerance.preset": "none"},
+}
+
+
+def _limits(bench: Bench) -> Outcome:
+    """Change one thing at a time, with the paper's tracker and inverse."""
+    records: list[Record] = []
+    panels = []
+    far = {"lens: seen from far away": far_away(bench.rig("kamiyama"))}
+    for number, (paper, changes, method) in enumerate(
+        (("kamiyama", {**FLAT_CHANGES, **far}, "norm"), ("sato", FINGER_CHANGES, "pinv"))
+    ):
+        width: dict[str, float] = {}
+        apart: dict[str, float] = {}
+        limits: dict[str, float] = {}
+        kept = list(changes.items())[:2] if bench.quick else list(changes.items())
+        for step, (name, overrides) in enumerate(kept):
+            bench.progress(f"{paper}, {name}", (number + step / len(kept)) / 2)
+            chain = Chain(paper=paper, overrides=overrides, method=method)  # type: ignore[arg-type]
+            noise = max(shift_noise_px(bench, chain), 1e-3)
+            limit = limit_of(chain.rig(bench), noise, FORCE_N, 1.0)
+            width[name] = point_width_mm(bench, chain, FORCE_N)
+            apart[name] = two_points_mm(bench, chain, FORCE_N, DISTANCES_MM)
+            limits[name] = float(limit.two_point_mm[0])
+            records += [
+                Record(
+                    quantity=f"{paper}, {name}: full width at half maximum of a narrow force",
+                    unit="mm", twin=width[name],
+                    explained_by=causes({"inverse: closed-form limit of this design": float(limit.fwhm_normal_mm[0])}),
+                ),
+                Record(
+                    quantity=f"{paper}, {name}: least distance of two narrow forces", unit="mm", twin=apart[name],
+                    explained_by=causes({"inverse: closed-form limit of this design": limits[name]}),
+                ),
+                Record(quantity=f"{paper}, {name}: noise of a shift", unit="px", twin=noise),
+            ]  # fmt: skip
+        first = next(iter(limits.values()))
+        label = {"kamiyama": "Flat sensor", "sato": "Finger"}[paper]
+        panels += [
+            BarPanel(title=f"{label}: width of a narrow force", values=width, across="mm"),
+            BarPanel(
+                title=f"{label}: least distance of two forces", values=apart, across="mm",
+                levels={"closed-form limit as published": first},
+            ),
+        ]  # fmt: skip
+    return Outcome(records=records, panels=panels)
+
+
+def _same_hardware(bench: Bench) -> Outcome:
+    """Measure today's software on the papers' hardware, beside the papers' figures."""
+    flat = Chain(paper="kamiyama", overrides=OURS, tracker="soft-window", method="smooth")
+    finger = Chain(
+        paper="sato", overrides=DRAWN | {"reconstruction.sites.columns": 9, "reconstruction.sites.rows": 9,
+                                         "reconstruction.sites.pitch_mm": 1.25},
+        tracker="soft-window", method="smooth",
+    )  # fmt: skip
+    records: list[Record] = []
+    for paper, protocol, printed in (("kamiyama", KAMIYAMA, 0.2125), ("sato", SATO, 0.1275)):
+        bench.progress(f"{paper}, tracking", 0.05)
+        deviations = []
+        for seed in bench.seeds(paper):
+            found = measured(bench.rig(paper, seed), protocol, "re-rendered", "soft-window")
+            deviations.append(float(np.mean([samples(found, layer).std(axis=0, ddof=1) for layer in ("red", "blue")])))
+        quiet = measured(bench.rig(paper, overrides=QUIET), protocol, "re-rendered", "soft-window")
+        records.append(
+            Record(
+                quantity=f"{paper}: standard deviation of a shift, re-rendered", unit="px",
+                paper=printed, **over(deviations),
+                explained_by=causes({
+                    "capture chain: an industrial camera": float(
+                        np.mean([samples(quiet, layer).std(axis=0, ddof=1) for layer in ("red", "blue")])
+                    )
+                }),
+            )
+        )  # fmt: skip
+    for chain, printed_mm in ((flat, None), (finger, 5.0)):
+        bench.progress(f"{chain.paper}, resolution", 0.4)
+        limit = limit_of(chain.rig(bench), shift_noise_px(bench, chain), FORCE_N, 1.0)
+        better = Chain(
+            paper=chain.paper, overrides={**chain.overrides, **QUIET}, tracker=chain.tracker, method=chain.method
+        )
+        records += [
+            Record(
+                quantity=f"{chain.paper}: full width at half maximum of a narrow force", unit="mm", paper=printed_mm,
+                twin=point_width_mm(bench, chain, FORCE_N),
+                explained_by=causes({
+                    "capture chain: an industrial camera": point_width_mm(bench, better, FORCE_N),
+                    "inverse: closed-form limit of this design": float(limit.fwhm_normal_mm[0]),
+                }),
+            ),
+            Record(
+                quantity=f"{chain.paper}: least distance of two narrow forces", unit="mm",
+                twin=two_points_mm(bench, chain, FORCE_N, DISTANCES_MM),
+                explained_by=causes({
+                    "capture chain: an industrial camera": two_points_mm(bench, better, FORCE_N, DISTANCES_MM),
+                    "inverse: closed-form limit of this design": float(limit.two_point_mm[0]),
+                }),
+            ),
+        ]  # fmt: skip
+    bench.progress("finger, magnitude", 0.7)
+    lines = _lines(bench, finger)
+    records += [
+        Record(
+            quantity=f"sato, {name}: smallest difference of force two readings tell apart at 95 %", unit="gf",
+            paper=READ_GF,
+            twin=line.resolution_gf,
+        )
+        for name, line in lines.items()
+    ]  # fmt: skip
+    return Outcome(records=records)
+
+
+def _lines(bench: Bench, chain: Chain) -> dict[str, Line]:
+    steps, repeats = (4, 2) if bench.quick else (10, 2)
+    rig = chain.rig(bench)
+    return {
+        name: force_line(rig, axis, steps, repeats, chain.method, chain.tracker, FIRST_EXPOSURE + 5000)
+        for axis, name in enumerate("xyz")
+    }
+
+
+HALF_SPACE = Entry(
+    name="beyond/half-space",
+    title="The papers' half-space against the real block",
+    source="Kamiyama, section 3: the elastic body must be large enough to satisfy the half-space assumption",
+    protocol="A force of 1 N on 4 x 4 mm along each axis; the motion of the markers by the papers' formula and "
+    "by the block "
+    "of 100 x 90 x 40 mm bonded to its plate.",
+    run=_half_space,
+)
+LIMITS = Entry(
+    name="beyond/limits",
+    title="What limits each sensor",
+    source="beyond the papers",
+    protocol="The papers' tracker and inverse on the papers' sensors, with one thing changed at a time: noise, "
+    "depth, pitch, "
+    "lens, model. A narrow force of 1 N, and two of them ever further apart; beside them the design's "
+    "closed-form limit.",
+    run=_limits,
+)
+SAME_HARDWARE = Entry(
+    name="beyond/same-hardware",
+    title="What the same hardware reaches with this project's tracker, calibration and inverse",
+    source="beyond the papers",
+    protocol="The papers' bodies, markers, cameras and capture chains; the soft-window tracker, the nominal "
+    "body's compliance "
+    "and the smooth inverse. The papers' numbers stand beside them.",
+    run=_same_hardware,
+)

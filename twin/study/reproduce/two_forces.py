@@ -1,0 +1,98 @@
+"""Two forces at once, and one narrow one: what a design resolves, through the whole chain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Floats
+from twin.parts.load import Traction
+from twin.sense.reconstruct import Field, Method
+from twin.study.reproduce.bench import Bench, Rig
+from twin.study.reproduce.fields import full_width, solved
+from twin.theory.limit import DIP, Limit, design_limit
+
+SPOT_MM = 0.5
+"""Radius of the disc that stands for a narrow force."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chain:
+    """A sensor with its software.
+
+    Attributes
+    ----------
+    overrides
+        Of the paper's scene.
+    tracker, method, options
+        How pictures are tracked and the inverse is solved.
+    """
+
+    paper: str
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    tracker: str | None = None
+    method: Method = "norm"
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def rig(self, bench: Bench, seed: int | None = None) -> Rig:
+        """Return the sensor."""
+        return bench.rig(self.paper, seed, dict(self.overrides))
+
+
+def along_x(found: Field) -> tuple[Floats, Floats]:
+    """Return x and the push on the row of sites nearest to y = 0, mm and N; two rows alike are averaged."""
+    y = np.abs(found.site_mm[:, 1])
+    row = y < y.min() + 1e-6
+    x = np.unique(found.site_mm[row, 0].round(6))
+    push = [float(found.force_n[row & (np.abs(found.site_mm[:, 0] - at) < 1e-3), 2].mean()) for at in x]
+    return x, np.array(push)
+
+
+def pressed(bench: Bench, chain: Chain, at_mm: tuple[float, ...], force_n: float, exposure: int) -> Field:
+    """Push narrow forces at places along x and return the reconstructed field."""
+    rig = chain.rig(bench)
+    load = sum((Traction.disk((x, 0.0), SPOT_MM, (0.0, 0.0, force_n)) for x in at_mm), start=Traction.disk(
+        (at_mm[0], 0.0), SPOT_MM, (0.0, 0.0, 0.0)))  # fmt: skip
+    found = rig.track(rig.picture(rig.sensor.motion(load), exposure), chain.tracker)  # type: ignore[arg-type]
+    return solved(found, rig.calibration, chain.method, chain.options)
+
+
+def point_width_mm(bench: Bench, chain: Chain, force_n: float) -> float:
+    """Return the full width at half maximum of the estimate of a narrow force, mm."""
+    return full_width(*along_x(pressed(bench, chain, (0.0,), force_n, 60)))
+
+
+def two_points_mm(bench: Bench, chain: Chain, force_n: float, distances_mm: tuple[float, ...]) -> float:
+    """Return the least distance of two narrow forces between which the estimate dips by a fifth, mm; NaN for none."""
+    for number, apart in enumerate(distances_mm):
+        x, push = along_x(pressed(bench, chain, (-apart / 2, apart / 2), force_n, 70 + number))
+        peaks = np.interp((-apart / 2, apart / 2), x, push)
+        if peaks.min() > 0 and 1.0 - float(np.interp(0.0, x, push)) / float(peaks.min()) >= DIP:
+            return apart
+    return float("nan")
+
+
+def shift_noise_px(bench: Bench, chain: Chain) -> float:
+    """Return the standard deviation of a shift per axis between two pictures at rest, px; robust to lost markers."""
+    rig = chain.rig(bench)
+    found = rig.track(rig.picture(None, 55), chain.tracker)  # type: ignore[arg-type]
+    shift = found.shift_px[found.seen]
+    return float(1.4826 * np.median(np.abs(shift - np.median(shift, axis=0))))
+
+
+def limit_of(rig: Rig, noise_px: float, force_n: float, radius_mm: float) -> Limit:
+    """Return the closed-form limit of a sensor's nominal design at a tracker's noise."""
+    scene = rig.scene
+    scale = np.linalg.norm(rig.image_scale[:, 0, :2], axis=1)
+    layers = list(scene.markers.items())
+    noise = [noise_px / float(scale[rig.sensor.actual.markers.of(name)].mean()) for name, _ in layers]
+    return design_limit(
+        depth_mm=np.array([[layer.depth_mm for _, layer in layers]]),
+        pitch_mm=np.array([[layer.pitch_mm for _, layer in layers]]),
+        noise_mm=np.array([noise]), youngs_modulus_mpa=np.array([scene.material.youngs_modulus_mpa]),
+        poisson_ratio=np.array([scene.material.poisson_ratio]), force_n=np.array([force_n]),
+        radius_mm=np.array([radius_mm]),
+    )  # fmt: skip
