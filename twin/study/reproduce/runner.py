@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -87,6 +88,10 @@ def reproduce(
             _run(out, entry, bench)
         except TwinError as problem:
             failed[entry.name] = str(problem)
+        except Exception as problem:  # one broken experiment must not cost the others; developers see it at once
+            if os.environ.get("TWIN_DEBUG"):
+                raise
+            failed[entry.name] = f"internal error: {type(problem).__name__}: {problem}; please report it"
         _publish(out, seed, quick, failed)
     _publish(out, seed, quick, failed)
     if progress is not None:
