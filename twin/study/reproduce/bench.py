@@ -19,6 +19,7 @@ from twin.arrays import Floats, Picture
 from twin.parts.part import without_later
 from twin.parts.press import Press
 from twin.parts.scene import Scene
+from twin.sense.rest import Method
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.reproduce.kept import KeptSensor, Mechanics
@@ -27,7 +28,7 @@ from twin.theory.optics import projection_jacobian
 
 if TYPE_CHECKING:
     from twin.sense.calibration import Calibration
-    from twin.sense.rest import Method, Rest
+    from twin.sense.rest import Rest
     from twin.sense.track import Found
     from twin.world.contact import ContactState
 
@@ -35,6 +36,9 @@ T = TypeVar("T")
 
 SCENES = {"kamiyama": "kamiyama_paper", "sato": "sato_paper"}
 """The scene of each paper's sensor."""
+
+OUR_TRACKER: Method = "disc-fit"
+"""This project's own tracker: the default of a scene."""
 
 SENSOR_KEYS = ("body", "material", "cover", "markers", "camera", "light", "ccd", "tolerance")
 """What makes the sensor: the rest of a scene is the press and the software."""

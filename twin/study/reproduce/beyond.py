@@ -10,7 +10,7 @@ import numpy as np
 from twin.parts.load import Traction
 from twin.show.panels import BarPanel, Curve, CurvePanel
 from twin.study.calibrate import half_space_compliance
-from twin.study.reproduce.bench import Bench
+from twin.study.reproduce.bench import OUR_TRACKER, Bench
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import far_away
 from twin.study.reproduce.finger_forces import FIRST_EXPOSURE, READ_GF, Line
@@ -128,20 +128,20 @@ def _limits(bench: Bench) -> Outcome:
 
 def _same_hardware(bench: Bench) -> Outcome:
     """Measure today's software on the papers' hardware, beside the papers' figures."""
-    flat = Chain(paper="kamiyama", overrides=OURS, tracker="soft-window", method="smooth")
+    flat = Chain(paper="kamiyama", overrides=OURS, tracker=OUR_TRACKER, method="smooth")
     finger = Chain(
         paper="sato", overrides=DRAWN | {"reconstruction.sites.columns": 9, "reconstruction.sites.rows": 9,
                                          "reconstruction.sites.pitch_mm": 1.25},
-        tracker="soft-window", method="smooth",
+        tracker=OUR_TRACKER, method="smooth",
     )  # fmt: skip
     records: list[Record] = []
     for paper, protocol, printed in (("kamiyama", KAMIYAMA, 0.2125), ("sato", SATO, 0.1275)):
         bench.progress(f"{paper}, tracking", 0.05)
         deviations = []
         for seed in bench.seeds(paper):
-            found = measured(bench.rig(paper, seed), protocol, "re-rendered", "soft-window")
+            found = measured(bench.rig(paper, seed), protocol, "re-rendered", OUR_TRACKER)
             deviations.append(float(np.mean([samples(found, layer).std(axis=0, ddof=1) for layer in ("red", "blue")])))
-        quiet = measured(bench.rig(paper, overrides=QUIET), protocol, "re-rendered", "soft-window")
+        quiet = measured(bench.rig(paper, overrides=QUIET), protocol, "re-rendered", OUR_TRACKER)
         records.append(
             Record(
                 quantity=f"{paper}: standard deviation of a shift, re-rendered", unit="px",

@@ -30,6 +30,7 @@ ENTRIES: dict[str, Entry] = {
         flat_picture.FIGURE_9,
         flat_forces.FIGURE_10,
         flat_forces.FIGURE_11,
+        flat_forces.FIGURE_12,
         flat_forces.FIGURE_13,
         flat_shapes.FIGURE_14,
         flat_shapes.FIGURE_15,

@@ -10,7 +10,7 @@ from twin.arrays import Floats
 from twin.sense.calibration import Calibration
 from twin.show.panels import Curve, CurvePanel
 from twin.study.calibrate import calibrate_by_presses
-from twin.study.reproduce.bench import Bench
+from twin.study.reproduce.bench import OUR_TRACKER, Bench
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.record import Outcome, Record, causes
 
@@ -30,13 +30,13 @@ def _calibration(bench: Bench) -> Outcome:
     bench.progress("once more without errors", 0.8)
     exact = calibrate_by_presses(
         bench.rig(
-            "sato", overrides={"ccd.preset": "ideal", "calibration.load_cell_n": 0.0, "tracking.method": "soft-window"}
+            "sato", overrides={"ccd.preset": "ideal", "calibration.load_cell_n": 0.0, "tracking.method": OUR_TRACKER}
         ).sensor
     )
     off: dict[str, dict[str, Any]] = {
         "noise of the picture off": {"ccd.noise": False},
         "noise of the load cell off": {"calibration.load_cell_n": 0.0},
-        "tracker: this project's instead of the paper's": {"tracking.method": "soft-window"},
+        "tracker: this project's instead of the paper's": {"tracking.method": OUR_TRACKER},
     }
     variants = {}
     for number, (name, overrides) in enumerate(off.items()):

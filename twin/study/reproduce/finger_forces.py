@@ -12,7 +12,7 @@ from twin.parts.press import Cylinder, Press, Step
 from twin.sense.reconstruct import Field
 from twin.show.panels import Curve, CurvePanel
 from twin.streams import Purpose, stream
-from twin.study.reproduce.bench import Bench, Rig
+from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import full_width, solved
 from twin.study.reproduce.finger_picture import GRAM_FORCE_N, PITCH_MM, above, sphere_press
@@ -110,7 +110,7 @@ def _figure_8(bench: Bench) -> Outcome:
         readings = line(rig, axis, steps, repeats, "pinv")
         off = {
             "noise of the picture off": line(bench.rig("sato", overrides={"ccd.noise": False}), axis, steps, 1, "pinv"),
-            "tracker: this project's instead of the paper's": line(rig, axis, steps, repeats, "pinv", "soft-window"),
+            "tracker: this project's instead of the paper's": line(rig, axis, steps, repeats, "pinv", OUR_TRACKER),
             "inverse: smooth instead of the pseudo-inverse": line(rig, axis, steps, repeats, "smooth"),
         }
         for figure, (unit, value, paper) in FIGURES.items():

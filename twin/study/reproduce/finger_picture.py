@@ -8,7 +8,7 @@ from twin.arrays import Floats
 from twin.parts.press import Press, Sphere
 from twin.sense.reconstruct import Field
 from twin.show.panels import ArrowPanel, Panel, PicturePanel
-from twin.study.reproduce.bench import Bench, Rig
+from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import circle_mm, field_panel, scored, solved
 from twin.study.reproduce.record import Outcome, Record, causes, over
@@ -34,7 +34,7 @@ def above(rig: Rig, chart_mm: tuple[float, float]) -> tuple[float, float]:
 
 def _figure_6(bench: Bench) -> Outcome:
     rig = bench.rig("sato")
-    rest = rig.rest("soft-window")
+    rest = rig.rest(OUR_TRACKER)
     widths = [group.diameter_px for group in rest.groups]
     points = rig.sensor.sites.centre_mm
     marks = rig.sensor.project(points, "nominal")
@@ -77,7 +77,7 @@ def _figure_7(bench: Bench) -> Outcome:
         quiet = bench.rig("sato", overrides={"ccd.noise": False})
         off = {
             "noise of the picture off": solved(quiet.seen(state, 30), told, "pinv"),
-            "tracker: this project's instead of the paper's": solved(rig.seen(state, 30, "soft-window"), told, "pinv"),
+            "tracker: this project's instead of the paper's": solved(rig.seen(state, 30, OUR_TRACKER), told, "pinv"),
             "inverse: smooth instead of the pseudo-inverse": solved(rig.seen(state, 30), told, "smooth"),
         }
         for name, unit, key in (

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.sense.reconstruct import Field, Method
-from twin.study.reproduce.bench import Bench
+from twin.study.reproduce.bench import OUR_TRACKER, Bench
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import (
     Seen,
@@ -54,7 +54,7 @@ def _press(bench: Bench, seed: int, cause: str = "", overrides: Mapping[str, Any
     def work() -> Seen:
         rig = bench.rig("kamiyama", seed, overrides)
         state = rig.press(pillar_press())
-        return Seen(rig=rig, state=state, found=rig.seen(state, method="soft-window" if cause == "tracker" else None))
+        return Seen(rig=rig, state=state, found=rig.seen(state, method=OUR_TRACKER if cause == "tracker" else None))
 
     return bench.once(("pillar", seed, cause), work)
 
@@ -94,7 +94,7 @@ def _causes(bench: Bench, how: Inverse) -> dict[str, tuple[Seen, Field]]:
     told = calibration(bench, base.rig, "compliance")
     runs["inverse, tracker and block: this project's"] = (
         cases["tracker: this project's instead of the paper's"],
-        solved(cases["tracker: this project's instead of the paper's"].found, told, "smooth"),
+        solved(cases["tracker: this project's instead of the paper's"].found, told, "smooth", PUSHES.options),
     )
     return runs
 

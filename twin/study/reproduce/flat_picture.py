@@ -9,7 +9,7 @@ from twin.parts.load import Load, Traction
 from twin.parts.press import Cylinder, Press
 from twin.sense.track import Found
 from twin.show.panels import ArrowPanel, Curve, CurvePanel, PicturePanel
-from twin.study.reproduce.bench import Bench, Rig
+from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import far_away
 from twin.study.reproduce.record import Outcome, Record, causes, over
@@ -29,7 +29,7 @@ def _figure_6(bench: Bench) -> Outcome:
     scale, width, seen = [], [], []
     for seed in bench.seeds("kamiyama"):
         rig = bench.rig("kamiyama", seed)
-        rest = rig.rest("soft-window")
+        rest = rig.rest(OUR_TRACKER)
         places = {str(name): rest.rest_px[rest.layer == name] for name in np.unique(rest.layer)}
         steps = [_pitch_px(rig, name, at) for name, at in places.items()]
         scale.append(PITCH_MM / float(np.mean(steps)))
@@ -84,7 +84,7 @@ def _figure_9(bench: Bench) -> Outcome:
     rig = runs[0]
     state = rig.press(pillar_press())
     off = {
-        "tracker: this project's instead of the paper's": rig.seen(state, method="soft-window"),
+        "tracker: this project's instead of the paper's": rig.seen(state, method=OUR_TRACKER),
         "noise off": _seen(bench, {"ccd.noise": False}),
         "lens: seen from far away": _seen(bench, far_away(rig)),
     }
@@ -149,7 +149,7 @@ def _figure_17(bench: Bench) -> Outcome:
         rig = bench.rig("kamiyama", overrides=fewer)
         for axis in (0, 2):
             motion = rig.sensor.motion(impulse(axis))
-            found = rig.track(rig.picture(motion, 1), "soft-window")
+            found = rig.track(rig.picture(motion, 1), OUR_TRACKER)
             red = found.layer == "red"
             scale = np.linalg.norm(rig.image_scale[red][:, :, 0], axis=1)
             moved = found.shift_px[red] / scale[:, None]

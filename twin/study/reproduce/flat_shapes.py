@@ -8,7 +8,7 @@ from twin.arrays import Floats
 from twin.parts.press import Cylinder, Pillar, Press, Step
 from twin.sense.track import Found
 from twin.show.panels import Curve, CurvePanel, Panel
-from twin.study.reproduce.bench import Bench, Rig
+from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import calibration, circle_mm, field_panel, full_width, profile, solved
 from twin.study.reproduce.flat_picture import cosine, impulse
@@ -31,8 +31,8 @@ def _widths(bench: Bench, seed: int, *, ours: bool, quiet: bool = False) -> dict
         press = Press(
             probe=Pillar(width_mm=width, length_mm=LENGTH_MM), force_n=(0, 0, PRESSURE_MPA * width * LENGTH_MM)
         )
-        found = rig.seen(rig.press(press), method="soft-window" if ours else None)
-        options = None
+        found = rig.seen(rig.press(press), method=OUR_TRACKER if ours else None)
+        options = {"push_only": True} if ours else None
         profiles[width] = profile(solved(found, told, "smooth", options), BAND_MM)
     return profiles
 
@@ -101,7 +101,7 @@ def _figure_15(bench: Bench) -> Outcome:
         told = calibration(bench, bench.rig("kamiyama"), "compliance")
         rig = bench.rig("kamiyama")
         state = rig.press(_twist_press(diameter))
-        ours = solved(rig.seen(state, method="soft-window"), told, "smooth")
+        ours = solved(rig.seen(state, method=OUR_TRACKER), told, "smooth")
         records += [
             Record(
                 quantity=f"{diameter:g} mm pillar, {what}: torque recovered over the applied one", unit="",
@@ -146,7 +146,7 @@ COMPARED = (
 
 
 def _shifts(rig: Rig, load: object, exposure: int) -> Found:
-    return rig.track(rig.picture(rig.sensor.motion(load), exposure), "soft-window")  # type: ignore[arg-type]
+    return rig.track(rig.picture(rig.sensor.motion(load), exposure), OUR_TRACKER)  # type: ignore[arg-type]
 
 
 def _figure_16(bench: Bench) -> Outcome:

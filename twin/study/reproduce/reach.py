@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from twin.show.panels import Curve, CurvePanel
-from twin.study.reproduce.bench import Bench
+from twin.study.reproduce.bench import OUR_TRACKER, Bench
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import full_width, solved
 from twin.study.reproduce.finger_picture import sphere_press
@@ -37,14 +37,14 @@ SHALLOWER: dict[str, Any] = {"markers.red.depth_mm": 2.0, "markers.blue.depth_mm
 FLAT = {
     "as published": Chain(paper="kamiyama"),
     "better software: tracker, block, smoothness": Chain(
-        paper="kamiyama", overrides=OURS, tracker="soft-window", method="smooth"
+        paper="kamiyama", overrides=OURS, tracker=OUR_TRACKER, method="smooth"
     ),
-    "and a quiet camera": Chain(paper="kamiyama", overrides=OURS | QUIET, tracker="soft-window", method="smooth"),
+    "and a quiet camera": Chain(paper="kamiyama", overrides=OURS | QUIET, tracker=OUR_TRACKER, method="smooth"),
     "and markers 1 mm apart": Chain(
-        paper="kamiyama", overrides=OURS | QUIET | CLOSER, tracker="soft-window", method="smooth"
+        paper="kamiyama", overrides=OURS | QUIET | CLOSER, tracker=OUR_TRACKER, method="smooth"
     ),
     "and markers 1 and 2 mm deep": Chain(
-        paper="kamiyama", overrides=OURS | QUIET | CLOSER | SHALLOWER, tracker="soft-window", method="smooth"
+        paper="kamiyama", overrides=OURS | QUIET | CLOSER | SHALLOWER, tracker=OUR_TRACKER, method="smooth"
     ),
 }
 """Steps from the published sensor to one that resolves 2 mm, each with those before it."""
@@ -136,8 +136,8 @@ def _sato(bench: Bench) -> Outcome:
     for number, (name, chain) in enumerate(chains.items()):
         bench.progress(name, number / 2)
         quiet = Chain(paper="sato", overrides={**chain.overrides, **QUIET}, method="pinv")
-        ours = Chain(paper="sato", overrides=chain.overrides, tracker="soft-window", method="smooth")
-        best = Chain(paper="sato", overrides={**chain.overrides, **QUIET}, tracker="soft-window", method="smooth")
+        ours = Chain(paper="sato", overrides=chain.overrides, tracker=OUR_TRACKER, method="smooth")
+        best = Chain(paper="sato", overrides={**chain.overrides, **QUIET}, tracker=OUR_TRACKER, method="smooth")
         ways = {
             "capture chain: an industrial camera": quiet,
             "tracker and inverse: this project's": ours,
@@ -187,7 +187,7 @@ def _finer_panels(bench: Bench, chains: dict[str, Chain]) -> list[CurvePanel]:
         for way, method in (("pseudo-inverse", "pinv"), ("smooth", "smooth")):
             used = Chain(
                 paper="sato", overrides=chain.overrides, method=method,  # type: ignore[arg-type]
-                tracker="soft-window" if method == "smooth" else None,
+                tracker=OUR_TRACKER if method == "smooth" else None,
             )  # fmt: skip
             x, push = along_x(pressed(bench, used, (0.0,), FORCE_N, 60))
             curves.append(Curve(label=f"{name.split(',')[0]}, {way}", x=x, y=push / np.abs(push).max(), style="o-"))

@@ -15,7 +15,7 @@ import numpy as np
 from twin.arrays import Floats, Picture
 from twin.sense.track import Found
 from twin.show.panels import ArrowPanel, HistogramPanel
-from twin.study.reproduce.bench import Bench, Rig
+from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.record import Cause, Outcome, Record, causes, over
 
@@ -61,7 +61,7 @@ NEAR_PX = 0.1
 """Averages agree within this, px: half a standard deviation of the papers' single markers."""
 
 OFF: dict[str, tuple[dict[str, Any], str | None]] = {
-    "tracker: this project's instead of the paper's": ({}, "soft-window"),
+    "tracker: this project's instead of the paper's": ({}, OUR_TRACKER),
     "noise off": ({"ccd.noise": False}, None),
     "capture chain off (no blur, no noise)": ({"ccd.preset": "ideal"}, None),
     "print errors off": ({"tolerance.print_mm": 0.0}, None),
