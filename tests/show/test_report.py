@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from twin.results import Estimate, RunResult, Truth
+from twin.results import Estimate, RunResult, Touch, Truth
 from twin.show import plots
 from twin.show.pushes import truth_by_site
 from twin.show.report import data_uri, report, verdict
@@ -392,3 +392,22 @@ def test_a_browser_shows_it(page: str, tmp_path: Path, width: int) -> None:
     # text, pictures, drawings: ink in every tenth of the first 1500 rows, none beyond the right margin
     assert all(part.any() for part in np.array_split(inked[:1500], 10))
     assert not inked[:, -8:].any()
+
+
+@pytest.mark.parametrize(("friction", "words"), [(0.5, "blue sticks (25 % of the area)"), (0.0, "all of them slide")])
+def test_what_is_under_the_probe_is_drawn(full: RunResult, friction: float, words: str) -> None:
+    places = grid(4, 4, 0.5, 0.0)[:, :2]
+    away = np.hypot(*places.T)
+    under = Touch(
+        probe="sphere", place_mm=places, half_mm=np.full((16, 2), 0.25), pressure_mpa=1.5 - away,
+        shear_mpa=np.tile([0.1, 0.0], (16, 1)), slip=(away > 0.5) | (friction == 0), friction=friction,
+        expected=np.column_stack([np.linspace(0, 1.2, 20), np.linspace(1.5, 0, 20)]), expected_name="Hertz",
+    )  # fmt: skip
+    page = report(replace(full, touches=(under,)))
+    Checker(page)
+    assert "Under the probe" in headings(page)
+    assert words in page
+    assert "Hertz, same force" in page
+    section = page[page.index("Under the probe") : page.index("<h2>Forces")]
+    assert section.count("<rect") == 16
+    assert section.count('class="dot blue"') == (4 if friction else 0)

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 
 from twin.errors import InputError, RecipeError
@@ -150,3 +151,34 @@ def test_a_body_in_place_of_the_base_s_recipe_must_bring_its_material(tmp_path):
         load_scene(tmp_path / "scene.toml")
     (tmp_path / "scene.toml").write_text(other + "[material]\nyoungs_modulus_mpa = 0.7\n")
     assert load_scene(tmp_path / "scene.toml").material.youngs_modulus_mpa == 0.7
+
+
+PRESSES = {
+    "cone": 'force_n = {z = 0.1}\n[press.probe]\nkind = "cone"\napex_deg = 140\ndiameter_mm = 6\ntip_mm = 0.2\n',
+    "rim": "indentation_mm = 0.1\ntilt_deg = {x = 2, z = 30}\n"
+    '[press.probe]\nkind = "pillar"\nwidth_mm = 4\nedge_mm = 0.3\n',
+    "normal": 'direction = "normal"\naxes = "probe"\nat_mm = [1, 2, 0]\n[press.probe]\nkind = "cylinder"\n'
+    "diameter_mm = 4\n[[press.steps]]\nforce_n = {z = 1}\ntorque_nmm = {x = 0.0, y = 0.1}\nturn_deg = {z = 2}\n",
+    "also": 'force_n = {z = 0.1}\n[press.probe]\nkind = "sphere"\ndiameter_mm = 3\n'
+    '[[press.also]]\nat_mm = [6, 0]\nindentation_mm = 0.1\nprobe = {kind = "sphere", diameter_mm = 2}\n',
+    "stl": 'force_n = {z = 0.1}\n[press.probe]\nkind = "stl"\nfile = "mine.stl"\n',
+}
+
+
+@pytest.mark.parametrize("name", PRESSES)
+def test_every_kind_of_press_is_read_written_and_fits_the_schema(name: str, tmp_path: Path) -> None:
+    corners = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 2]], np.float32)
+    record = np.zeros(4, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
+    record["corners"] = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
+    (tmp_path / "mine.stl").write_bytes(bytes(80) + (4).to_bytes(4, "little") + record.tobytes())
+    recipe = tmp_path / "mine.toml"
+    recipe.write_text(f'base = "block_bare"\n[press]\n{PRESSES[name]}')
+    scene = load_scene(recipe)
+    assert scene.press is not None
+    (tmp_path / "again.toml").write_text(dump_scene(scene))
+    assert load_scene(tmp_path / "again.toml") == scene
+    jsonschema.validate(tomllib.loads(dump_scene(scene)), json.loads(SCHEMA_FILE.read_text()))
+    if name == "stl":
+        (tmp_path / "mine.stl").unlink()
+        with pytest.raises(RecipeError, match=r"press.probe.file.*no such file"):
+            load_scene(recipe)

@@ -111,3 +111,32 @@ def test_a_hard_press_is_told_what_linearity_costs_and_a_gentle_one_is_not(tmp_p
         assert elastic["largest_strain"] == pytest.approx(force / 3.0 * 0.05, rel=0.3)
         assert elastic["largest_turn_deg"] > 0
         assert elastic["contact_over_probe_radius"] is None
+
+
+def test_a_press_that_stops_is_saved_and_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from twin.errors import ContactError, NotSettled
+    from twin.world import contact
+
+    real = contact.solve_frictionless
+
+    def stuck(contacts: object, control: contact.Control, *rest: object) -> object:
+        if control.given[2] > 0.6:
+            raise NotSettled("contact: it does not settle")
+        return real(contacts, control, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(contact, "solve_frictionless", stuck)
+    path = [{"force_n": {"z": 0.5}}, {"force_n": {"z": 1.0}}]
+    scene = twin.load_scene("kamiyama_pillar", {**SMALL, "press.friction": 0.0, "press.steps": path})
+    with pytest.raises(ContactError, match=r"step 2 of 2 did not converge.*does not settle"):
+        run_to_folder(scene, tmp_path, {"displacement", "score"})
+    assert np.load(tmp_path / "truth.npz")["total_force_n"][2] == pytest.approx(0.5)
+    assert "step 2 of 2" in json.loads((tmp_path / "score.json").read_text())["facts"]["contact"]["incomplete"]
+
+
+def test_two_points_are_in_the_truth() -> None:
+    result = twin.run(twin.load_scene("two_points"), {"displacement"})
+    assert result.truth is not None
+    np.testing.assert_allclose(result.truth.total_force_n, [0, 0, 1.0], atol=1e-7)
+    left = result.truth.surface_mm[:, 0] < 0
+    assert result.truth.surface_force_n[left, 2].sum() == pytest.approx(0.5, abs=1e-7)
+    assert len(result.touches) == 2

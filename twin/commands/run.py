@@ -26,7 +26,8 @@ def run(
     """Take one press through the whole twin.
 
     What can be wanted: displacement, picture, tracking, forces, score, report; several, separated by commas. Only
-    what is wanted, and what it needs, is computed; unwanted files are absent.
+    what is wanted, and what it needs, is computed; unwanted files are absent. Where a step of the press doesn't
+    converge, what belongs to the step before is saved, and the exit code is 1.
 
     Examples: twin run kamiyama_pillar; twin run sato_press --want displacement --out here; twin run my_scene.toml -s
     press.force_n='{z=2}'.

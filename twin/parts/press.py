@@ -123,7 +123,7 @@ class Press(Part):
     at_mm
         (x, y), the sensing surface met there from -z, or (x, y, z), a place on it: where the probe's axis passes.
     direction
-        Way of approach: None is +z, any vector, or ``normal`` for the surface's inward normal at the place.
+        Way of approach: None is +z; any vector in global axes; or ``normal``, the surface's inward normal at the place.
     tilt_deg
         Turn of the probe against its direction of approach before it comes: about its own x, then y, then z.
     axes

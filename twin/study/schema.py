@@ -30,7 +30,8 @@ def scene_schema() -> dict[str, Any]:
     }
     schema["properties"]["body"] = {"anyOf": schema["properties"]["body"]["oneOf"]}
     axes = {"type": "object", "additionalProperties": False, "properties": {a: {"type": "number"} for a in "xyz"}}
-    for name, keys in (("Step", ("force_n", "move_mm")), ("Press", ("force_n",))):
+    steps = ("force_n", "move_mm", "torque_nmm", "turn_deg")
+    for name, keys in (("Step", steps), ("Press", ("force_n", "tilt_deg"))):
         for key in keys:
             schema["$defs"][name]["properties"][key] = {"anyOf": [axes, schema["$defs"][name]["properties"][key]]}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "twin scene", **schema}

@@ -63,9 +63,10 @@ def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points,
     used, numbers = np.unique(triangles, return_inverse=True)
     points, triangles = np.array(mesh.points[used]), numbers.reshape(-1, 3)
     pressed = [
-        (_patches(state).centre_mm.mean(axis=0), state.contact_radius_mm)
+        (np.average(patches.centre_mm, axis=0), one.contact_radius_mm)
         for state in states
-        if state and state.load.terms
+        if state is not None
+        for patches, one in _under_each(state)
     ]
     for _ in range(_ROUNDS):
         edges = points[triangles] - points[np.roll(triangles, 1, axis=1)]
@@ -89,10 +90,11 @@ def _quartered(points: Points, triangles: Ints, chosen: np.ndarray) -> tuple[Poi
     return np.concatenate([points, added]), np.concatenate([triangles[~chosen], *(np.stack(t, axis=1) for t in cut)])
 
 
-def _patches(state: ContactState) -> Rectangles:
-    (patches,) = state.load.terms
-    assert isinstance(patches, Rectangles)
-    return patches
+def _under_each(state: ContactState) -> list[tuple[Rectangles, ContactState]]:
+    """Return the patches under every probe that touches, and its state."""
+    touching = [one for one in (state, *state.also) if len(one.pressure_mpa)]
+    patches = [term for term in state.load.terms if isinstance(term, Rectangles)]
+    return list(zip(patches, touching, strict=True))
 
 
 def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | None) -> BodyFrame:
@@ -109,7 +111,7 @@ def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | N
     )
     if state is None or not state.load.terms:
         return rest if state is None else replace(rest, name=str(number), said="The probe has left the body.")
-    patches = _patches(state)
+    patches, touching = sensor.rectangles(state.load), [one for _, one in _under_each(state)]
     points = np.concatenate([_inside(sensor, corners), patches.centre_mm])
     surface = _drawn(sensor).displacement(points, patches)
     force = ", ".join(f"{f:.3g}" for f in cleaned([float(f) for f in state.force_n]))
@@ -124,8 +126,8 @@ def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | N
         marker_displacement_mm=sensor.motion(state.load).displacement_mm,
         patch_mm=_corners(patches),
         patch_displacement_mm=surface[len(corners) :],
-        traction_mpa=state.traction_mpa,
-        slip=state.slip,
+        traction_mpa=np.concatenate([one.traction_mpa for one in touching]),
+        slip=np.concatenate([one.slip for one in touching]),
     )
 
 

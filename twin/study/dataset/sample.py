@@ -148,6 +148,8 @@ def _rows(made: MadeSensor, sample: int, press: Press) -> list[Row]:
     plan, sensor = made.plan, made.sensor
     sensor.compliance.forget()
     state = sensor.press(press)
+    if not state.complete:
+        raise ContactError(f"press: {state.reason}")
     every = plan.scene.dataset.every_step
     states = state.path if every and state.path else (state,)
     if len(states) > MOST_STEPS:
