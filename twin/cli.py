@@ -19,6 +19,7 @@ from twin.commands.calibrate import calibrate
 from twin.commands.check import check
 from twin.commands.dataset import dataset
 from twin.commands.doctor import doctor
+from twin.commands.export import export
 from twin.commands.mesh import mesh
 from twin.commands.reproduce import reproduce
 from twin.commands.run import run
@@ -42,6 +43,7 @@ app.command(reproduce, help_epilogue="Examples: twin reproduce all; twin reprodu
 app.command(calibrate, help_epilogue="Example: twin calibrate --scene sato_press --out scenes/sato_calibration.npz")
 app.command(view, help_epilogue="Examples: twin view kamiyama_shear; twin view out/kamiyama_pillar")
 app.command(dataset, help_epilogue="Example: twin dataset dataset_kamiyama --samples 1000 --out data/flat")
+app.command(export, help_epilogue="Example: twin export data/flat --format coco --out coco")
 app.command(scenes)
 app.command(check, help_epilogue="Examples: twin check my_scene.toml; twin check out/kamiyama_pillar")
 app.command(doctor)

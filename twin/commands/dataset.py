@@ -36,7 +36,7 @@ def dataset(
     Examples: twin dataset dataset_kamiyama --samples 1000 --out data/flat; twin dataset dataset_sato --samples 50
     --columns force_n,marker_pressed_px; twin dataset my_scene.toml --samples 100000 --scheduler tcp://10.0.0.1:8786.
     """
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # before numpy is loaded, so that workers inherit it
     from twin.errors import InputError
     from twin.study.dataset.create import SomeFailed, create_dataset

@@ -11,9 +11,11 @@ from twin.commands.common import Overrides, load, progress
 
 
 def view(
-    path: Annotated[str, Parameter(help="A scene (path or shipped name), or the folder of a run.")],
+    path: Annotated[str, Parameter(help="A scene (path or shipped name), or the folder of a run or of a dataset.")],
     *,
-    out: Annotated[Path | None, Parameter(help="Page to write (default: view.html in the folder).")] = None,
+    out: Annotated[
+        Path | None, Parameter(help="Page to write (default: view.html in the folder; DATASET.html here).")
+    ] = None,
     set_: Overrides = (),
 ) -> None:
     """Write a page that shows a body under its press and turns in the browser, without a server.
@@ -21,12 +23,19 @@ def view(
     The body is deformed, with its marker layers, tractions, and which patches stick or slip; every step of the press's
     path is a frame. Drag to turn, wheel to come nearer.
 
+    Of a dataset it shows a sheet of samples, with the truth drawn in.
+
     Examples: twin view kamiyama_shear; twin view out/kamiyama_pillar; twin view sato_press --out finger.html.
     """
+    folder = Path(path)
+    if (folder / "meta" / "info.json").is_file():
+        from twin.study.dataset.view import view_dataset
+
+        print(view_dataset(folder, out or Path(f"{folder.name or 'dataset'}.html")))
+        return
     from twin.study.sensor import Sensor
     from twin.study.view import view_scene
 
-    folder = Path(path)
     scene = load(str(folder / "scene.toml") if folder.is_dir() else path, set_)
     page = out or (folder if folder.is_dir() else Path()) / "view.html"
     told = progress()

@@ -254,6 +254,13 @@ def body_mesh(body: Body, level: Level, *, rebuild: bool = False, progress: Prog
     return mesh
 
 
+def shipped_mesh(body: Body, level: Level) -> Mesh | None:
+    """Return the mesh of exactly this body that ships with the program, None if there is none."""
+    key = mesh_key(body, default_sizing(body, level))
+    found = (_matching(path, key) for path in sorted(MESHES.glob(f"*.{level}.npz")))
+    return next((mesh for mesh in found if mesh is not None), None)
+
+
 def _stretched(body: Body, level: Level) -> Mesh | None:
     """Return the shipped mesh of a body of this shape, stretched to this one, if that passes the quality gates.
 

@@ -75,7 +75,12 @@ SAMPLE = (
     _column("surface_force_n", "vectors", "force on each patch", "contact"),
     _column("surface_slip", "flags", "whether each patch slips", "contact"),
     _column("marker_displacement_mm", "vectors", "displacement of the marker centres", "motion"),
-    _column("displacement_error", "number", "estimated largest error over the largest displacement", "motion"),
+    _column(
+        "displacement_error",
+        "number",
+        "estimated largest error over the largest displacement, tractions given",
+        "motion",
+    ),
     _column("marker_pressed_px", "pixels", "projected marker centres under the press", "motion"),
     _column("marker_outline_pressed_px", "pixels", "coverage centroids of the visible outlines", "outlines"),
     _column("marker_visible", "numbers", "share of each outline that is seen, 0 to 1", "outlines"),

@@ -133,7 +133,7 @@ def _work(
     seconds = time.perf_counter() - started
     if not missing:
         told = finish(plan, places, job, workers=workers, scheduler=scheduler, progress=progress)
-        failed, reason = told.failed, reason or told.reason
+        failed, reason = len(told.numbers), reason or told.reason
     if progress is not None:
         progress("done", 1.0)
     return Outcome(

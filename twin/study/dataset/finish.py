@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from twin.results import write_whole
+from twin.results import write_json, write_whole
 from twin.study.batch.engine import Job
+from twin.study.dataset.audit import audit
+from twin.study.dataset.card import card_text, croissant
 from twin.study.dataset.plan import Places, Plan
 
 Told = Callable[[str, float], None]
@@ -20,21 +24,34 @@ class Counted:
 
     Attributes
     ----------
-    failed
-        Samples that failed.
+    numbers
+        Of the samples that failed.
     reason
         Why the first did.
     """
 
-    failed: int
+    numbers: frozenset[int]
     reason: str
 
 
 def finish(
     plan: Plan, places: Places, job: Job, *, workers: int, scheduler: str | None, progress: Told | None
 ) -> Counted:
-    """Count, and write the checksums."""
+    """Count, compute some samples again, and write the card, the Croissant metadata and the checksums."""
     counted = count(plan, places)
+    kept = places.meta / "audit.json"
+    told: dict[str, Any] | None = None
+    if kept.is_file():
+        told = json.loads(kept.read_text())
+    if told is None or told.get("of") != plan.samples:
+        told = {
+            "of": plan.samples,
+            **audit(plan, job, counted.numbers, workers=workers, scheduler=scheduler, progress=progress),
+        }
+        write_json(kept, told)
+    card = card_text(plan, places, told, len(counted.numbers))
+    write_whole(places.folder / "README.md", lambda file: file.write(card.encode()))
+    write_json(places.meta / "croissant.json", croissant(plan, places))
     write_sums(places)
     return counted
 
@@ -44,14 +61,15 @@ def count(plan: Plan, places: Places) -> Counted:
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
-    failed, reason = 0, ""
+    failed: set[int] = set()
+    reason = ""
     for number in range(plan.shards):
         table = pq.read_table(places.shard(number), columns=["index", "status", "error"])
         bad = table.filter(pc.equal(table["status"], "failed"))
-        failed += bad.num_rows
+        failed |= set(bad["index"].to_pylist())
         if bad.num_rows and not reason:
             reason = f"sample {bad['index'][0]}: {bad['error'][0]}"
-    return Counted(failed, reason)
+    return Counted(frozenset(failed), reason)
 
 
 def sums(folder: Path) -> dict[str, str]:

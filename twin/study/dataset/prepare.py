@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.errors import InputError
-from twin.parts.body import Block
+from twin.parts.body import Block, Body
 from twin.parts.scene import Scene
 from twin.parts.solid import Solid
 from twin.results import write_json, write_whole
@@ -56,7 +56,7 @@ def pin_meshes(scene: Scene, meta: Path, progress: Told | None) -> None:
     from twin.study.recipe import load_scene
     from twin.study.sensor import Sensor
     from twin.world.compliance import Compliance
-    from twin.world.mesh import body_mesh, mesh_file, mesh_key, write_mesh
+    from twin.world.mesh import body_mesh, mesh_file, mesh_key, shipped_mesh, write_mesh
     from twin.world.sizing import WORLD, default_sizing
     from twin.world.tabulate import cached_path, find_table, shipped_path
 
@@ -65,7 +65,10 @@ def pin_meshes(scene: Scene, meta: Path, progress: Told | None) -> None:
     assert isinstance(base, Compliance), "a cover of its own modulus was refused"
     level, body = base.level, there.body
     rank = WORLD.index(level)
-    for each in WORLD[max(rank - 1, 0) : rank + 1]:
+    levels = {*WORLD[max(rank - 1, 0) : rank + 1]}
+    if not isinstance(body, Block) and shipped_mesh(body, WORLD[-1]) is not None:
+        levels |= {*WORLD[-2:]}  # for the audit: the finest, and the one that tells its error
+    for each in sorted(levels, key=WORLD.index):
         mesh = body_mesh(body, each, progress=progress)
         key = mesh_key(body, default_sizing(body, each))
         write_mesh(mesh, meta / mesh_file(key), {"key": key, "level": each, "body": body.geometry()})
@@ -75,6 +78,14 @@ def pin_meshes(scene: Scene, meta: Path, progress: Told | None) -> None:
                 shipped, cached = shipped_path(role), cached_path(body, role)
                 path = cached if cached.is_file() else shipped
                 shutil.copyfile(path, meta / path.name)
+
+
+def finest_mesh_file(body: Body) -> str:
+    """Return the name of the file of the body's finest mesh, which is there for bodies that ship with one."""
+    from twin.world.mesh import mesh_file, mesh_key
+    from twin.world.sizing import WORLD, default_sizing
+
+    return mesh_file(mesh_key(body, default_sizing(body, WORLD[-1])))
 
 
 def info(plan: Plan, places: Places) -> dict[str, Any]:

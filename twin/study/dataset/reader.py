@@ -33,6 +33,8 @@ class DatasetReader:
         Of the dataset, finished or not: what is there is read.
     columns
         Those of the samples that are wanted; all if not given.
+    decode
+        Whether pictures come as arrays; else as the PNG files' bytes.
 
     Raises
     ------
@@ -40,8 +42,10 @@ class DatasetReader:
         It is no dataset, or has no such column.
     """
 
-    def __init__(self, folder: Path | str, columns: Sequence[str] | None = None) -> None:
+    def __init__(self, folder: Path | str, columns: Sequence[str] | None = None, *, decode: bool = True) -> None:
         import pyarrow.parquet as pq
+
+        self._decode = decode
 
         self.places = Places(Path(folder))
         self.info: dict[str, Any] = read_info(self.places)
@@ -66,7 +70,7 @@ class DatasetReader:
         file = bisect.bisect_right(self._starts, number) - 1
         table, first = self._rows_near(file, number - self._starts[file])
         place = number - self._starts[file] - first
-        return {name: _value(table[name][place], self._kinds[name]) for name in self.columns}
+        return {name: _value(table[name][place], self._kinds[name], self._decode) for name in self.columns}
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return (self[row] for row in range(len(self)))
@@ -105,6 +109,17 @@ class DatasetReader:
 
     def sensor(self, number: int) -> dict[str, Any]:
         """Return a row of the sensors table: rest picture, rest places, camera, what was drawn."""
+        rows = self._sensor_rows()
+        if number not in rows:
+            raise IndexError(f"sensor {number}: known are {sorted(rows)}")
+        return rows[number]
+
+    @property
+    def sensor_numbers(self) -> list[int]:
+        """The numbers of the sensors that are there."""
+        return sorted(self._sensor_rows())
+
+    def _sensor_rows(self) -> dict[int, dict[str, Any]]:
         if self._sensors is None:
             import pyarrow.parquet as pq
 
@@ -114,9 +129,7 @@ class DatasetReader:
                 for place, found in enumerate(table["sensor"].to_pylist()):
                     row = {name: _value(table[name][place], kind) for name, kind in self._sensor_kinds.items()}
                     self._sensors[found] = row
-        if number not in self._sensors:
-            raise IndexError(f"sensor {number}: known are {sorted(self._sensors)}")
-        return self._sensors[number]
+        return self._sensors
 
     def _rows_near(self, file: int, row: int) -> tuple[Any, int]:
         """Return the row group that holds a row, and the number of its first row."""
@@ -158,11 +171,11 @@ def decoded(data: bytes) -> Picture:
         return np.array(image)
 
 
-def _value(scalar: Any, kind: str) -> Any:
+def _value(scalar: Any, kind: str, decode: bool = True) -> Any:
     if not scalar.is_valid:
         return None
     if kind == "png":
-        return decoded(scalar.as_py())
+        return decoded(scalar.as_py()) if decode else scalar.as_py()
     if kind in _SHAPES:
         return scalar.values.flatten().to_numpy(zero_copy_only=False).reshape(-1, _SHAPES[kind])
     if kind in ("numbers", "flags"):

@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats
 from twin.errors import ContactError, RecipeError, TwinError
-from twin.judge.score import into_cells
 from twin.parts.part import Part
 from twin.parts.pipeline import Sites
 from twin.parts.scene import Scene
@@ -32,6 +30,9 @@ if TYPE_CHECKING:
     from twin.world.render import Renderer
 
 Row = dict[str, Any]
+
+SPLIT = 6
+"""Pieces per direction into which a patch is cut to be summed into cells."""
 
 
 class MadeSensor:
@@ -158,11 +159,12 @@ def _rows(made: MadeSensor, sample: int, press: Press) -> list[Row]:
     rows = []
     for step, one in enumerate(states):
         number = step if every else last
-        rows.append({"step": number} | _truth(made, one, 1 + sample * MOST_STEPS + number))
+        rows.append({"step": number} | truth_of(made, one, 1 + sample * MOST_STEPS + number))
     return rows
 
 
-def _truth(made: MadeSensor, state: ContactState, exposure: int) -> Row:
+def truth_of(made: MadeSensor, state: ContactState, exposure: int | None = None) -> Row:
+    """Return what columns are made of under a state; without an exposure what is seen is left out."""
     sensor, needs = made.sensor, made.plan.needs
     patches = sensor.rectangles(state.load)
     row = {
@@ -188,7 +190,7 @@ def _truth(made: MadeSensor, state: ContactState, exposure: int) -> Row:
     row |= {"marker_displacement_mm": motion.displacement_mm, "displacement_error": motion.error}
     if sensor.nominal.camera is not None:
         row["marker_pressed_px"] = sensor.project(sensor.actual.markers.points + motion.displacement_mm)
-    if looked_at:
+    if looked_at and exposure is not None:
         row |= _seen(made, motion, exposure)
     return row
 
@@ -215,22 +217,27 @@ def _on_sites(made: MadeSensor, patches: Rectangles, state: ContactState) -> Row
     ContactError
         The contact reaches beyond the sites.
     """
-    cells, grid = made.cells, made.grid
-    chart = made.sensor.actual.scene.body.chart_of(patches.centre_mm)
-    reach = np.array([grid.columns, grid.rows]) * grid.pitch_mm / 2
-    if len(chart) and (over := float((np.abs(chart) - reach).max())) > 1e-9:
+    grid, body = made.grid, made.sensor.actual.scene.body
+    inside = (np.arange(SPLIT) + 0.5) / SPLIT * 2.0 - 1.0
+    corners = np.stack(np.meshgrid(inside, inside, indexing="ij"), axis=-1).reshape(-1, 2)
+    pieces = np.einsum("qs,ks,ksi->kqi", corners, patches.half_mm, patches.frames[:, :2])
+    chart = body.chart_of((patches.centre_mm[:, None] + pieces).reshape(-1, 3))
+    count = np.array([grid.columns, grid.rows])
+    place = chart / grid.pitch_mm + count / 2.0
+    if len(chart) and (over := float(np.maximum(-place, place - count).max()) * grid.pitch_mm) > 1e-6:
         raise ContactError(
             f"contact: it reaches {over:.3g} mm beyond the sites; enlarge [dataset.sites] or press further inside"
         )
+    column, row = np.clip(np.floor(place).astype(int), 0, count - 1).T
+    cell, cells = column * grid.rows + row, grid.columns * grid.rows
     area = 4.0 * patches.half_mm.prod(axis=1)
-    slipping = area * state.slip
-    sums = into_cells(cells.centre_mm, patches.centre_mm, np.column_stack([area, slipping, slipping]))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slip: Floats = np.where(sums[:, 0] > 0, sums[:, 1] / sums[:, 0], 0.0)
+    columns = (*patches.force_n.T, area, area * state.slip)
+    sums = [np.bincount(cell, np.repeat(values / SPLIT**2, SPLIT**2), cells) for values in columns]
+    touched = sums[3] > 0
     return {
-        "site_force_n": into_cells(cells.centre_mm, patches.centre_mm, np.array(patches.force_n)),
-        "site_contact": np.minimum(sums[:, 0] / grid.pitch_mm**2, 1.0),
-        "site_slip": slip,
+        "site_force_n": np.column_stack(sums[:3]),
+        "site_contact": np.minimum(sums[3] / grid.pitch_mm**2, 1.0),
+        "site_slip": np.divide(sums[4], sums[3], out=np.zeros(cells), where=touched),
     }
 
 
