@@ -207,10 +207,11 @@ class Compliance:
         rest = rest / self._modulus
         return rest + halfspace.gradient(known.points, load, *self._rubber) if self._subtracted else rest
 
-    def to_points(self, points: Points, rectangles: Rectangles) -> Floats:
+    def to_points(self, points: Points, rectangles: Rectangles, *, reused: bool = False) -> Floats:
         """Return the (3 n, 3 k) displacement in mm/N of ``points`` (n, 3) per unit global force on each rectangle.
 
-        The rectangles' own ``force_n`` is ignored. Raises like `displacement`.
+        The rectangles' own ``force_n`` is ignored. With ``reused`` more patches in the same place will follow. Raises
+        like `displacement`.
         """
         known = self._checked(points, rectangles)
         shape = (3 * len(known), 3 * len(rectangles))
@@ -218,21 +219,21 @@ class Compliance:
             return np.zeros(shape)
         if not self._subtracted:
             return self._direct(known.placed(self._locator), rectangles).reshape(shape)
-        if worth_a_region(rectangles):
+        if worth_a_region(rectangles, reused=reused):
             self.make_table()
         if table := self._table_for(known, rectangles):
             rest = table.rests(known.basis(table.box_mm), rectangles).reshape(shape)
         else:
-            rest = self._solved_rests(known, rectangles).reshape(shape)
+            rest = self._solved_rests(known, rectangles, reused).reshape(shape)
         whole = halfspace.compliance(known.points, rectangles, *self._rubber)
         rest /= self._modulus
         whole += rest
         return whole
 
-    def _solved_rests(self, known: Known, rectangles: Rectangles) -> Floats:
+    def _solved_rests(self, known: Known, rectangles: Rectangles, reused: bool) -> Floats:
         """Return (n, 3, k, 3) by the fewest solves: a region for patches close together, else by patch or by point."""
         places = known.placed(self._locator)
-        if worth_a_region(rectangles):
+        if worth_a_region(rectangles, reused=reused):
             if self._region is not None and self._region.covers(rectangles):
                 return self._region.rests(places, rectangles)
             try:
@@ -253,7 +254,7 @@ class Compliance:
         Betti's theorem makes it symmetric for small patches; `asymmetry` keeps how far, relative to the largest
         entry, it was from that before it was made so. Raises like `displacement`.
         """
-        matrix = self.to_points(rectangles.centre_mm, rectangles)
+        matrix = self.to_points(rectangles.centre_mm, rectangles, reused=True)
         self.asymmetry = make_symmetric(matrix)
         return matrix
 

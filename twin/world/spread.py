@@ -112,11 +112,15 @@ class Region:
         )
 
 
-def worth_a_region(rectangles: Rectangles) -> bool:
-    """Return whether patches are many, and close enough together, for interpolation to save solves."""
+def worth_a_region(rectangles: Rectangles, *, reused: bool = False) -> bool:
+    """Return whether patches are many, and close enough together, for interpolation to save solves.
+
+    A contact's first and coarse grid is followed by finer ones in the same place: with ``reused`` a quarter will do.
+    """
     size = np.sort(np.ptp(rectangles.centre_mm, axis=0))[1:] * (1.0 + 2.0 * ROOM)
     nodes = 3 + np.ceil(np.maximum(size, GRAIN_MM / 2) / GRAIN_MM)
-    return bool(nodes.max() <= 2 * MOST and len(rectangles) > np.minimum(nodes, MOST).prod())
+    count = np.minimum(nodes, MOST).prod()
+    return bool(nodes.max() <= 2 * MOST and len(rectangles) > (count / 4 if reused else count))
 
 
 def patch_rests(system: TaylorHood, body: Body, places: Places, rectangles: Rectangles) -> Floats:

@@ -1,0 +1,124 @@
+"""The page on contact: ``python -m benchmarks.contact_page`` puts the stored rows into docs/contact.md, with a plot."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+from benchmarks.__main__ import RESULTS, table
+from benchmarks.contact import CLOSED, HELD, extrapolated, order
+from benchmarks.contact_peer import PEER, SAID
+from benchmarks.contact_speed import SPEED
+from benchmarks.presses import BODIES, summary
+from twin.places import ROOT
+
+PAGE, PICTURE = ROOT / "docs" / "contact.md", ROOT / "docs" / "contact.png"
+STORED = RESULTS / "contact.json"
+MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"
+
+Rows = list[dict[str, Any]]
+
+
+def stored_rows() -> Rows:
+    """Return the rows of the last run of the stage."""
+    rows: Rows = json.loads(STORED.read_text())["rows"]
+    return rows
+
+
+def of(rows: Rows, what: str) -> Rows:
+    """Return the rows of one table, without its name."""
+    return [{k: v for k, v in row.items() if k != "what"} for row in rows if row["what"] == what]
+
+
+def series(rows: Rows) -> list[Rows]:
+    """Return the rows of closed forms by case, Poisson's ratio and quantity."""
+
+    def key(row: dict[str, Any]) -> tuple[str, float, str]:
+        return row["case"], row["nu"], row["quantity"]
+
+    names = list(dict.fromkeys(map(key, of(rows, CLOSED))))
+    return [[row for row in of(rows, CLOSED) if key(row) == name] for name in names]
+
+
+def closed_table(rows: Rows) -> Rows:
+    """Return one row a quantity: the error on the finest grid, the order, and what three grids lead to."""
+    shown, sizes = [], sorted({row["across"] for row in of(rows, CLOSED)})
+    for one in series(rows):
+        last, errors = one[-1], {row["across"]: 100 * row["error"] for row in one}
+        row = {"case": last["case"], "nu": last["nu"], "quantity": last["quantity"]}
+        row |= {f"{across} across, %": errors.get(across, "") for across in sizes}
+        if last["quantity"] not in ("total force", "collinear residual"):
+            row["order"] = order(one)
+        if last["case"].startswith(("flat", "stuck")):
+            row["extrapolated, %"] = 100 * extrapolated(one)
+        shown.append(row | {"finest, CPU s": last["cpu_s"]})
+    return shown
+
+
+def presses_tables() -> list[str]:
+    """Return the parts of the page on random presses, of the bodies that have been pressed."""
+    parts = []
+    for body in BODIES:
+        kept = RESULTS / f"presses_{body}.json"
+        if kept.is_file():
+            found = json.loads(kept.read_text())
+            refused = ", ".join(f"{words} {count}" for words, count in sorted(found["refused"].items())) or "none"
+            parts += [
+                f"**{found['done']} random presses on the {body}: {len(found['failed'])} failed** (refused: {refused})",
+                table(summary(found)),
+            ]
+    return parts
+
+
+def page_tables() -> str:
+    """Return the Markdown between the page's marks."""
+    rows = stored_rows()
+    processor = json.loads(STORED.read_text())["machine"]["processor"]
+    peers = of(rows, PEER)
+    parts = [f"**{CLOSED}** (error over the closed form's value)", table(closed_table(rows))]
+    parts += [f"**{HELD}** (over the weight or the peak pressure)", table(of(rows, HELD))]
+    if peers:
+        parts += [
+            f"**{PEER}** (tamaas on 512 x 512 cells is the truth)",
+            table([row for row in peers if "program" in row]),
+            "CPU seconds to an indentation that is 0.5 % off or better, by each program's own best runs",
+            table([row for row in peers if "program" not in row]),
+        ]
+    parts += [row["remark"] for row in of(rows, SAID)]
+    parts += [f"**{SPEED}**", table(of(rows, SPEED)), *presses_tables(), f"On {processor}."]
+    return "\n" + "\n\n".join(parts) + "\n\n"
+
+
+def draw() -> None:
+    """Draw errors against patches across, and against CPU seconds."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained")
+    for one in series(stored_rows()):
+        last = one[-1]
+        if last["quantity"] in ("total force", "collinear residual"):
+            continue
+        name = f"{last['case']}: {last['quantity']}, nu {last['nu']}"
+        errors = [max(abs(row["error"]), 1e-6) for row in one]
+        left.loglog([row["across"] for row in one], errors, "o-", ms=3, label=name)
+        right.loglog([row["cpu_s"] for row in one], errors, "o-", ms=3)
+    left.set(xlabel="patches across the contact", ylabel="error")
+    right.set(xlabel="CPU seconds of the whole path", ylabel="error")
+    figure.legend(loc="outside right center", fontsize=7)
+    figure.savefig(PICTURE, dpi=100)
+    plt.close(figure)
+
+
+def main() -> None:
+    """Draw, and put the stored rows between the page's marks."""
+    draw()
+    text = PAGE.read_text()
+    PAGE.write_text(re.sub(MARKS, lambda m: m.group(1) + page_tables() + m.group(2), text, flags=re.DOTALL))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""Run by an interpreter that has tamaas, in a process of its own: ``python contact_tamaas.py IN.npz OUT.npz``.
+
+IN holds the height of a rigid profile over its lowest point at the middles of n by n cells, (n, n) mm; the side of the
+square they fill, mm; the half-space's plane-strain modulus, MPa; the total force, N; and the tolerance. OUT gets the
+(n, n) pressures, MPa, the indentation, mm, and the CPU seconds of model and solution (not of the imports).
+
+tamaas (https://gitlab.com/tamaas/tamaas, AGPL-3.0) is periodic by default; its non-periodic Boussinesq operator (DCFFT)
+takes the profile as alone on a half-space.
+"""
+
+import sys
+import time
+
+import numpy as np
+import tamaas as tm
+
+
+def solved(
+    height: np.ndarray, side: float, modulus: float, force: float, tolerance: float
+) -> tuple[np.ndarray, float, float]:
+    """Return pressures, indentation and CPU seconds."""
+    start = time.process_time()
+    model = tm.ModelFactory.createModel(tm.model_type.basic_2d, [side, side], list(height.shape))
+    model.E, model.nu = modulus, 0.0
+    tm.ModelFactory.registerNonPeriodic(model, "dcfft")
+    solver = tm.PolonskyKeerRey(model, -height, tolerance)
+    solver.setIntegralOperator("dcfft")
+    solver.max_iter = 5000
+    solver.solve(force / side**2)
+    pressure = np.array(model.traction)
+    moved = np.zeros_like(pressure)
+    model.operators["dcfft"](pressure, moved)
+    touching = pressure > 0
+    return pressure, float(np.mean((moved + height)[touching])), time.process_time() - start
+
+
+if __name__ == "__main__":
+    tm.set_log_level(tm.LogLevel.error)
+    given = np.load(sys.argv[1])
+    scalars = [float(given[key]) for key in ("side", "modulus", "force", "tolerance")]
+    small = np.add.outer(*[np.linspace(-1.0, 1.0, 16) ** 2] * 2)
+    solved(small, 2.0, 1.0, 0.5, 1e-6)  # what the first run loads isn't counted
+    pressure, indentation, seconds = solved(np.ascontiguousarray(given["height"]), *scalars)
+    np.savez(sys.argv[2], pressure=pressure, indentation=indentation, cpu_s=seconds)
