@@ -89,7 +89,7 @@ class Patch(Compliance):
     def _rubber(self) -> tuple[float, float]:
         return self._layer.modulus_ratio * self._modulus, self._layer.poisson_ratio
 
-    def _solved_rests(self, known: Known, rectangles: Rectangles) -> Floats:
+    def _solved_rests(self, known: Known, rectangles: Rectangles, reused: bool) -> Floats:
         """Return (n, 3, k, 3) patch by patch: near a patch its rest is too steep to be interpolated between patches."""
         return patch_rests(self.system, self.body, known.placed(self._locator), rectangles)
 
