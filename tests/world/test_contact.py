@@ -9,7 +9,7 @@ import pytest
 from twin.errors import ContactError, InputError
 from twin.parts.body import Block, Body, Finger
 from twin.parts.load import Rectangles
-from twin.parts.press import Cylinder, Pillar, Press, Sphere, Step
+from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step
 from twin.theory import halfspace
 from twin.theory.contact import (
     bonded_punch_stiffness,
@@ -82,6 +82,14 @@ def test_a_light_touch_of_a_large_sphere(diameter: float, force: float) -> None:
     theory = hertz(radius_mm=diameter / 2, youngs_modulus_mpa=1.0, poisson_ratio=0.5, force_n=force)
     state = pressed(Press(probe=Sphere(diameter_mm=diameter), force_n=(0, 0, force)), across=10)
     assert state.indentation_mm == pytest.approx(theory.indentation_mm, rel=0.01)
+
+
+def test_a_cone_beside_the_fingers_crest_finds_its_contact() -> None:
+    """A long contact that leans out of the grid's plane reached over one corner of grids that only moved after it."""
+    wanted = Press(probe=Cone(apex_deg=133, diameter_mm=6.56), at_mm=(3.068, 1.945), force_n=(None, None, 0.2532))
+    state = pressed(wanted, FINGER, e=0.5, across=9)
+    assert state.force_n[2] == pytest.approx(0.2532, rel=1e-8)
+    assert state.residual < 1e-8
 
 
 def test_flat_punch_converges_to_its_stiffness() -> None:

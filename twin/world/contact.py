@@ -313,13 +313,9 @@ def _refuse_overlap(contacts: Contacts, found: Equilibrium) -> None:
                 )
 
 
-def _joined(one: Box, other: Box) -> Box:
-    return Box(u0=min(one.u0, other.u0), u1=max(one.u1, other.u1), v0=min(one.v0, other.v0), v1=max(one.v1, other.v1))
-
-
 def _enlarged(contact: Box, reached: Box) -> Box:
     """Return the box of a contact that reached its grid's border, a tenth larger: where it ends is not known yet."""
-    both = _joined(contact, reached)
+    both = contact.joined(reached)
     return both.grown(0.05 * both.size[0], 0.05 * both.size[1])
 
 
@@ -352,8 +348,9 @@ def _largest_contact(job: _Job, number: int, plane: Plane, touch_z: float) -> Bo
             place = _lifted_place(still, place, touch_z)
             continue
         contact, place = find_contact(setting, still, place, plane, touch_z)
-        contact = _joined(contact, _slid(setting, contact, sideways, friction * (float(place[Z]) - touch_z), plane))
-        whole = contact if whole is None else _joined(whole, contact)
+        grip_mm = friction * (float(place[Z]) - touch_z)
+        contact = contact.joined(_slid(setting, contact, sideways, grip_mm, plane))
+        whole = contact if whole is None else whole.joined(contact)
     assert whole is not None, "the first step of a press pushes"
     return whole
 

@@ -56,6 +56,12 @@ class Box:
         a, b = half_extent(face)
         return Box(u0=max(self.u0, -a), u1=min(self.u1, a), v0=max(self.v0, -b), v1=min(self.v1, b))
 
+    def joined(self, other: Box) -> Box:
+        """Return the box around this one and another."""
+        return Box(
+            u0=min(self.u0, other.u0), u1=max(self.u1, other.u1), v0=min(self.v0, other.v0), v1=max(self.v1, other.v1)
+        )
+
     def grown(self, u: float, v: float) -> Box:
         """Return the box with margins u and v added on either side."""
         return Box(u0=self.u0 - u, u1=self.u1 + u, v0=self.v0 - v, v1=self.v1 + v)

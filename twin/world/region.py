@@ -162,7 +162,9 @@ def find_contact(setting: Setting, control: Control, start: Floats, plane: Plane
             continue
         contact = patches.bounds(found.active)
         if np.any(found.active & patches.border):
-            box = contact.grown(0.3 * contact.size[0], 0.3 * contact.size[1])
+            # It grows on all sides: a round grid that only moves after a contact on a slope never holds its corner.
+            larger = whole.grown(0.1 * whole.size[0], 0.1 * whole.size[1])
+            box = contact.grown(0.3 * contact.size[0], 0.3 * contact.size[1]).joined(larger)
         elif min(c / w for c, w in zip(contact.size, whole.size, strict=True)) < _FILL:
             cells = patches.cell_mm[found.active].max(axis=0)
             box = contact.grown(0.15 * contact.size[0] + cells[0], 0.15 * contact.size[1] + cells[1])
