@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.clock import Clock
-from twin.arrays import Floats
+from twin.arrays import Floats, Points
 from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.parts.press import Cylinder, Press, Sphere, Step
@@ -46,14 +46,17 @@ class HalfSpace:
     def __init__(self, poisson_ratio: float, *, coupled: bool = True) -> None:
         self._poisson_ratio, self._coupled = poisson_ratio, coupled
 
-    def surface(self, rectangles: Rectangles) -> Floats:
-        """Return the (3 k, 3 k) compliance, mm/N."""
-        k = len(rectangles)
-        whole = halfspace.compliance(rectangles.centre_mm, rectangles, 1.0, self._poisson_ratio)
+    def to_points(self, points: Points, rectangles: Rectangles) -> Floats:
+        """Return the (3 n, 3 k) displacements of points per unit force on each rectangle, mm/N."""
+        whole = halfspace.compliance(points, rectangles, 1.0, self._poisson_ratio)
         if not self._coupled:
-            parts = whole.reshape(k, 3, k, 3)
+            parts = whole.reshape(len(points), 3, len(rectangles), 3)
             parts[:, 2, :, :2] = parts[:, :2, :, 2] = 0.0
         return whole
+
+    def surface(self, rectangles: Rectangles) -> Floats:
+        """Return the (3 k, 3 k) compliance, mm/N."""
+        return self.to_points(rectangles.centre_mm, rectangles)
 
 
 def run(quick: bool) -> list[dict[str, Any]]:

@@ -35,6 +35,9 @@ class HalfSpace:
     def __init__(self, youngs_modulus_mpa: float = 1.0, poisson_ratio: float = 0.5) -> None:
         self.rubber = youngs_modulus_mpa, poisson_ratio
 
+    def to_points(self, points: np.ndarray, rectangles: Rectangles) -> np.ndarray:
+        return halfspace.compliance(points, rectangles, *self.rubber)
+
     def surface(self, rectangles: Rectangles) -> np.ndarray:
         return halfspace.compliance(rectangles.centre_mm, rectangles, *self.rubber)
 

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints
+from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import ContactError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
@@ -30,6 +30,10 @@ class SurfaceCompliance(Protocol):
 
     def surface(self, rectangles: Rectangles) -> Floats:
         """Return (3k, 3k) displacements of the patch centres under unit forces on the patches, global axes, mm/N."""
+        ...
+
+    def to_points(self, points: Points, rectangles: Rectangles) -> Floats:
+        """Return (3n, 3k) displacements of points (n, 3) under unit forces on the patches, likewise."""
         ...
 
 
@@ -148,8 +152,14 @@ class Contacts:
     def compliance(self) -> Floats:
         """(k, 3, k, 3) compliance between patches in their own frames, mm/N."""
         patches, k = self.patches, len(self.patches)
-        loaded = patches.rectangles(np.zeros((k, 3)), np.ones(k, bool))
-        compliance = np.asarray(self.settings[0].compliance.surface(loaded)).reshape(k, 3, k, 3)
+        body = self.settings[0].compliance
+        loads = [grid.rectangles(np.zeros((len(grid), 3)), np.ones(len(grid), bool)) for grid in self.grids]
+        if len(loads) == 1:
+            whole = np.asarray(body.surface(loads[0]))
+        else:  # probe by probe, as what is solved for one probe's patches serves them all but not those far away
+            whole = np.concatenate([body.to_points(patches.centre_mm, load) for load in loads], axis=1)
+            whole = (whole + whole.T) / 2.0
+        compliance = whole.reshape(k, 3, k, 3)
         if not np.isfinite(compliance).all():
             raise ContactError(f"contact: the body's compliance is not finite on {k} patches: check mesh and material")
         return _in_own_frames(compliance, patches.frames)
