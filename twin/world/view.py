@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from twin.arrays import Bools, Floats, Ints, Singles
+from twin.arrays import Bools, Floats, Ints, Pixels, Singles
 from twin.parts.scene import Scene
 from twin.theory.optics import axis_cosine, project_with_jacobian, rays, transmission
 from twin.world.lighting import cover_light
@@ -21,6 +21,9 @@ from twin.world.markers import Ellipsoids
 from twin.world.nearby import near_pixels
 
 _COARSE = 4
+_AT_ONCE = 400_000
+"""Rays computed in one go: memory for a picture of any size stays that of its results."""
+
 _EDGE_SEARCH = 1.2
 """Sub-pixels: a ray reaches half a diagonal, 0.71, and an ellipsoid grows by less than its axes between them."""
 
@@ -58,26 +61,43 @@ def look(scene: Scene, top: float, gain: float) -> View:
     assert camera is not None
     index, base = scene.material.refractive_index, scene.body.base_z_mm
     width, height = camera.width_px, camera.height_px
-    grid = np.stack(np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5), axis=-1).reshape(-1, 2)
-    origins, directions = rays(grid, camera, index, base)
-    tangents = directions[:, :2] / -directions[:, 2:]
-    inside = np.isfinite(tangents[:, 0]) & scene.body.contains(np.nan_to_num(origins), -1e-6)
-    sees = _pixelwise(inside.reshape(height + 1, width + 1), np.logical_and)
-    sine = np.linalg.norm(directions[:, :2], axis=1) * index
-    passed = transmission(sine / np.sqrt(np.maximum(1 - sine**2, 1e-12)), index, camera.layers)
-    if camera.vignetting > 0:
-        passed = passed * np.clip(axis_cosine(grid, camera), 0, 1) ** camera.vignetting
-    passed = np.nan_to_num(passed).reshape(height + 1, width + 1)
-    vignette = (gain / 4 * _pixelwise(passed, np.add)).astype(np.float32)
+    corners = np.empty((height + 1, width + 1, 4))
+    sees = np.empty((height, width), bool)
+    vignette = np.empty((height, width), np.float32)
+    rows_at_once = max(_AT_ONCE // (width + 1), 1)
+    for top_row in range(0, height, rows_at_once):
+        last = min(top_row + rows_at_once, height)
+        columns, rows = np.meshgrid(np.arange(width + 1) - 0.5, np.arange(top_row, last + 1) - 0.5)
+        grid = np.column_stack([columns.ravel(), rows.ravel()])
+        rays_here, inside, passed = _corner_rays(grid, scene)
+        shape = (last - top_row + 1, width + 1)
+        corners[top_row : last + 1] = rays_here.reshape(*shape, 4)
+        sees[top_row:last] = _pixelwise(inside.reshape(shape), np.logical_and)
+        vignette[top_row:last] = gain / 4 * _pixelwise(passed.reshape(shape), np.add)
 
     columns, rows = _coarse(width), _coarse(height)
     nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     light = cover_light(*rays(nodes, camera, index, base), scene, top).reshape(len(rows), len(columns), 3)
-    light = np.einsum("ri,ijc->rjc", _stretch(rows, height), light)
-    light = np.einsum("cj,rjk->rck", _stretch(columns, width), light)
-    cover = light * (vignette * sees)[:, :, None]
-    corners = np.nan_to_num(np.column_stack([origins[:, :2], tangents])).reshape(height + 1, width + 1, 4)
-    return View(corners=corners, sees=sees, vignette=vignette, cover=cover.astype(np.float32))
+    cover = np.empty((height, width, 3), np.float32)
+    for c in range(3):
+        cover[:, :, c] = _stretch(rows, height) @ light[:, :, c] @ _stretch(columns, width).T
+    cover *= (vignette * sees)[:, :, None]
+    return View(corners=corners, sees=sees, vignette=vignette, cover=cover)
+
+
+def _corner_rays(grid: Pixels, scene: Scene) -> tuple[Floats, Bools, Floats]:
+    """Return rays of `View.corners`, whether they enter the body through its base, and the share that passes."""
+    camera = scene.camera
+    assert camera is not None
+    index, base = scene.material.refractive_index, scene.body.base_z_mm
+    origins, directions = rays(grid, camera, index, base)
+    tangents = directions[:, :2] / -directions[:, 2:]
+    inside = np.isfinite(tangents[:, 0]) & scene.body.contains(np.nan_to_num(origins), -1e-6)
+    sine = np.linalg.norm(directions[:, :2], axis=1) * index
+    passed = transmission(sine / np.sqrt(np.maximum(1 - sine**2, 1e-12)), index, camera.layers)
+    if camera.vignetting > 0:
+        passed = passed * np.clip(axis_cosine(grid, camera), 0, 1) ** camera.vignetting
+    return np.nan_to_num(np.column_stack([origins[:, :2], tangents])), inside, np.nan_to_num(passed)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -168,8 +188,8 @@ def _pixelwise(corners: Any, join: np.ufunc) -> Any:
 
 
 def _coarse(size: int) -> Floats:
-    """Return every fourth pixel and the last."""
-    return np.unique(np.append(np.arange(0, size, _COARSE), size - 1)).astype(float)
+    """Return every fourth pixel, or fewer of a large picture, and the last."""
+    return np.unique(np.append(np.arange(0, size, max(_COARSE, size // 200)), size - 1)).astype(float)
 
 
 def _stretch(nodes: Floats, size: int) -> Floats:
