@@ -1,29 +1,42 @@
 """Rendering one picture: milliseconds beside the error of the markers' centroids, ours and Mitsuba's own integrator.
 
 Centroids are of intensity in a window around each marker of the noise-free picture, the cover's light taken away. Ours
-are compared with a picture of 12 x 12 rays per pixel with shadows; Mitsuba's own with one of many samples of itself, as
-it renders a simpler scene (a straight camera in the body, one colour), so that only its sampling counts.
+are compared with a picture of 12 x 12 rays per pixel, drawn by the splat, with shadows or without as they are.
+Mitsuba's own are compared with one of many samples of itself, as it renders a simpler scene (a straight camera in the
+body, one colour), so that only its sampling counts. Outlines are compared with those of 16 x 16 rays.
+
+CPU milliseconds count all threads; methods are compared by them. First pictures and memory are those of processes of
+their own.
 """
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 import time
 from typing import Any
 
 import numpy as np
 
+from twin.parts.ccd import PRESETS as CCD_PRESETS
+from twin.parts.ccd import Ccd
 from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
 from twin.theory.optics import project
-from twin.world.exposure import expose
+from twin.world.exposure import expose, fixed_pattern
 from twin.world.lighting import lamps_at
 from twin.world.markers import Ellipsoids, ellipsoids
 from twin.world.render import Renderer
-from twin.world.variant import choose_variant
+from twin.world.variant import Variant, choose_variant
 
 SCENES = ("kamiyama_pillar", "sato_press")
+PRESETS = ("industrial", *sorted(set(CCD_PRESETS) - {"industrial"}))
+SPLAT = Variant(name="splat", library=None, reason="compared with the others")
 REPEATS = 5
+PICTURES = 1000
+"""Made by one process, to see whether its memory grows."""
 FINEST = 12
 
 
@@ -34,32 +47,70 @@ def run(quick: bool) -> list[dict[str, Any]]:
         scene = load_scene(name)
         markers = _markers(scene)
         rows += _ours(name, scene, markers, (1, 3) if quick else (1, 2, 3, 4, 6))
-        if choose_variant().name != "scalar_rgb" and scene.camera is not None and scene.camera.lens == "pinhole":
+        if choose_variant().name != "splat" and scene.camera is not None and scene.camera.lens == "pinhole":
             rows += _stock(name, scene, markers, (16,) if quick else (4, 16, 64), 64 if quick else 1024)
-        rows.append(_exposure(name, scene, markers))
+        rows += _exposures(name, scene, markers, PRESETS[:2] if quick else PRESETS)
+        rows += _parts(name, scene, markers)
+    for way in [SPLAT] if choose_variant().name == "splat" else [SPLAT, choose_variant()]:
+        rows += _processes(way, 20 if quick else PICTURES)
     return rows
 
 
 def _ours(name: str, scene: Scene, markers: Ellipsoids, grids: tuple[int, ...]) -> list[dict[str, Any]]:
     pixels = _pixels(scene, markers)
-    renderer = Renderer(scene, markers)
-    cover = renderer.radiance(markers.rows(slice(0, 0)))
-    finest = Renderer(scene, markers, subpixels=4 if renderer.variant.name == "scalar_rgb" else FINEST)
-    truth = _centroids(finest.radiance(markers) - cover, pixels, markers)
     rows = []
     for shadows in (True, False):
-        renderer = Renderer(scene, markers, shadows=shadows)
-        for k in grids:
-            renderer.subpixels = k
-            milliseconds, light = _timed(lambda: renderer.radiance(markers))  # noqa: B023
-            error = _centroids(light - cover, pixels, markers) - truth
-            rows.append(_row(name, f"twin, {renderer.variant.name}", k, shadows, milliseconds, error))
+        finest = Renderer(scene, markers, SPLAT, FINEST, shadows)
+        cover = finest.radiance(markers.rows(slice(0, 0)))
+        truth = _centroids(finest.radiance(markers) - cover, pixels, markers)
+        whole = finest.outlines(markers, 16).centroid_px
+        for variant in [SPLAT] if choose_variant().name == "splat" else [SPLAT, choose_variant()]:
+            renderer = Renderer(scene, markers, variant, shadows=shadows)
+            for k in grids:
+                renderer.subpixels = k
+                cost, light = _timed(lambda: renderer.radiance(markers))  # noqa: B023
+                error = _centroids(light - cover, pixels, markers) - truth
+                off = renderer.outlines(markers, k).centroid_px - whole
+                row = _row(name, f"twin, {variant.name}", k, shadows, cost, error)
+                rows.append({**row, "outline_max_px": float(np.nanmax(np.abs(off)))})
     return rows
+
+
+def _parts(name: str, scene: Scene, markers: Ellipsoids) -> list[dict[str, Any]]:
+    """Return rows for what a new place of all markers costs before rays are traced."""
+    rows = []
+    for variant in [SPLAT] if choose_variant().name == "splat" else [SPLAT, choose_variant()]:
+        renderer = Renderer(scene, markers, variant)
+        cost, frame = _timed(lambda: renderer._frame(markers, 3))  # noqa: B023
+        rows.append(_plain(name, f"all new places prepared, {variant.name}", cost))
+        if variant.name != "splat":
+            tracer: Any = renderer._tracer
+            cost, _ = _timed(lambda: (tracer._padded.hold(frame.padded), tracer._exact.hold(frame.exact)))  # noqa: B023
+            rows.append(_plain(name, "of it, markers moved in Mitsuba's scene", cost))
+    return rows
+
+
+def _processes(variant: Variant, pictures: int) -> list[dict[str, Any]]:
+    """Return rows for the first picture of a fresh process, and for the memory of one that makes many."""
+    told = subprocess.run(
+        [sys.executable, "-m", "benchmarks.picture_process", variant.name, str(pictures)],
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    found = json.loads(told.splitlines()[-1])
+    first = {"scene": "kamiyama_pillar", "method": f"first picture of a process, {variant.name}"}
+    many = {"scene": "160 x 120 px", "method": f"{pictures} pictures of a process, {variant.name}"}
+    return [
+        {**first, "milliseconds": found["first_ms"], "cpu_ms": found["first_cpu_ms"], "peak_mib": found["first_mib"]},
+        {**many, "milliseconds": found["each_ms"], "cpu_ms": found["each_cpu_ms"], "peak_mib": found["last_mib"],
+         "grown_mib": found["grown_mib"]},
+    ]  # fmt: skip
 
 
 def _stock(name: str, scene: Scene, markers: Ellipsoids, samples: tuple[int, ...], many: int) -> list[dict[str, Any]]:
     """Time Mitsuba's direct integrator on the folded scene: camera and LEDs at their paraxial images."""
     import mitsuba as mi
+
+    mi.set_variant(choose_variant().name)
 
     assert scene.camera is not None
     camera, base = scene.camera, scene.body.base_z_mm
@@ -93,26 +144,35 @@ def _stock(name: str, scene: Scene, markers: Ellipsoids, samples: tuple[int, ...
     truth = _centroids(sum(np.array(mi.render(made, spp=64, seed=i)) for i in range(many // 64)), pixels, white)
     rows = []
     for spp in samples:
-        milliseconds, light = _timed(lambda: np.array(mi.render(made, spp=spp, seed=99)))  # noqa: B023
+        cost, light = _timed(lambda: np.array(mi.render(made, spp=spp, seed=99)))  # noqa: B023
         error = _centroids(light, pixels, white) - truth
-        rows.append(_row(name, f"mi.render direct, {spp} samples", round(spp**0.5), True, milliseconds, error))
+        rows.append(_row(name, f"mi.render direct, {spp} samples", round(spp**0.5), True, cost, error))
     return rows
 
 
-def _exposure(name: str, scene: Scene, markers: Ellipsoids) -> dict[str, Any]:
-    light = Renderer(scene, markers).radiance(markers)
-    milliseconds, _ = _timed(lambda: expose(light, scene.ccd, np.random.default_rng(0)))
-    return {"scene": name, "method": "ccd", "k": "", "shadows": "", "milliseconds": milliseconds,
-            "centroid_rms_px": "", "centroid_max_px": ""}  # fmt: skip
+def _exposures(name: str, scene: Scene, markers: Ellipsoids, presets: tuple[str, ...]) -> list[dict[str, Any]]:
+    light = Renderer(scene, markers, SPLAT).radiance(markers)
+    rows = []
+    for preset in presets:
+        ccd = Ccd.model_validate({"preset": preset})
+        pattern = fixed_pattern(ccd, (light.shape[0], light.shape[1]), np.random.default_rng(1))
+        cost, _ = _timed(lambda: expose(light, ccd, np.random.default_rng(0), pattern))  # noqa: B023
+        rows.append(_plain(name, f"ccd, {preset}", cost))
+    return rows
 
 
-def _row(name: str, method: str, k: int, shadows: bool, milliseconds: float, error: np.ndarray) -> dict[str, Any]:
+def _plain(name: str, method: str, cost: tuple[float, float]) -> dict[str, Any]:
+    return {"scene": name, "method": method, "milliseconds": cost[0], "cpu_ms": cost[1]}
+
+
+def _row(name: str, method: str, k: int, shadows: bool, cost: tuple[float, float], error: np.ndarray) -> dict[str, Any]:
     return {
         "scene": name,
         "method": method,
         "k": k,
         "shadows": shadows,
-        "milliseconds": milliseconds,
+        "milliseconds": cost[0],
+        "cpu_ms": cost[1],
         "centroid_rms_px": float(np.sqrt(np.mean(error**2))),
         "centroid_max_px": float(np.abs(error).max()),
     }
@@ -142,12 +202,12 @@ def _centroids(light: np.ndarray, pixels: np.ndarray, markers: Ellipsoids, half:
     return found
 
 
-def _timed(work: Any) -> tuple[float, Any]:
-    """Return the shortest of a few runs after one that compiles, ms, and the result."""
+def _timed(work: Any) -> tuple[tuple[float, float], Any]:
+    """Return the least wall and CPU time of a few runs after one that compiles, ms, and the result."""
     result = work()
     times = []
     for _ in range(REPEATS):
-        start = time.perf_counter()
+        wall, cpu = time.perf_counter(), time.process_time()
         result = work()
-        times.append(time.perf_counter() - start)
-    return 1000 * min(times), result
+        times.append((1000 * (time.perf_counter() - wall), 1000 * (time.process_time() - cpu)))
+    return (min(wall for wall, _ in times), min(cpu for _, cpu in times)), result

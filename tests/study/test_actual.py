@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from twin.parts.load import Traction
 from twin.study.actual import make
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
@@ -43,3 +44,17 @@ def test_a_missing_marker_is_neither_shown_nor_told_visible(monkeypatch: pytest.
     np.testing.assert_array_equal(truth.flow_px[~prints.missing], 0)
     picture = sensor.picture(None).astype(int)
     assert picture.shape == (480, 640, 3)
+
+
+def test_a_bright_cover_shows_its_bulge_when_asked_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TWIN_VARIANT", "splat")
+    keys = {"ccd.preset": "ideal", "cover.albedo": [0.6, 0.6, 0.6], "camera.width_px": 160, "camera.height_px": 120,
+            "camera.focal_px": 453.7, "light.positions_mm": [[45, 0, 60]], "tolerance.preset": "none"}  # fmt: skip
+    load = Traction.disk((0, 0), 2.5, (0, 0, 3.0))
+    still, moving = (Sensor(load_scene("kamiyama_pillar", {**keys, "cover.deforms": d})) for d in (False, True))
+    assert still.motion(load).cover is None
+    changed = moving.picture(load).astype(int) - still.picture(load)
+    np.testing.assert_array_equal(moving.picture(None), still.picture(None))
+    # The bulge around the press tilts the cover; far away nothing changes by more than a count.
+    assert np.abs(changed[30:90, 50:110]).max() >= 2
+    assert np.abs(changed[:5]).max() <= 1

@@ -8,6 +8,7 @@ import pytest
 from twin.errors import RecipeError
 from twin.parts.light import Light
 from twin.parts.scene import Scene
+from twin.world.cover import Background, CoverMotion
 from twin.world.lighting import Lamps, brightest, cover_light, irradiance, lamps_at
 from twin.world.markers import Ellipsoids
 from twin.world.occluders import occluders
@@ -155,3 +156,27 @@ def test_a_disc_of_light_is_the_integral_over_it() -> None:
 def test_an_led_inside_the_plate_is_refused() -> None:
     with pytest.raises(RecipeError, match="positions_mm"):
         lamps_at(np.zeros((1, 3)), scene(led=(0.0, 0.0, 45.0)))
+
+
+def test_a_cover_that_moves_and_tilts_is_lit_like_one_that_stands_so() -> None:
+    """A cover lifted by h and tilted by a small angle, against light computed in the moved place."""
+    made = scene(1.41, 1.49, (10.0, 5.0, 70.0))
+    ground = Background(made, 1.0)
+    points = ground.points
+    assert len(points) > 800
+    np.testing.assert_allclose(points[:, 2], 0.2, atol=1e-3)
+    height, tilt = 0.8, 0.05
+    gradient = np.zeros((len(points), 3, 3))
+    gradient[:, 2, 0] = tilt
+    moved = np.zeros_like(points)
+    moved[:, 2] = height
+    factor = ground.change(CoverMotion(displacement_mm=moved, gradient=gradient))
+    assert factor.shape == (480, 640)
+    middle = np.array([[0.0, 0.0, 0.2]])
+    normal = np.array([[-tilt, 0.0, 1.0]]) / np.hypot(1, tilt)
+    before = irradiance(middle, np.array([[0.0, 0, 1]]), lamps_at(middle, made))
+    lifted = middle + np.array([0.0, 0, height])
+    after = irradiance(lifted, normal, lamps_at(lifted, made))
+    assert factor[239:241, 319:321].mean() == pytest.approx((after / before)[0], rel=1e-4)
+    still = ground.change(CoverMotion(displacement_mm=0 * moved, gradient=0 * gradient))
+    np.testing.assert_allclose(still, 1, atol=1e-6)

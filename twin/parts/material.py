@@ -34,11 +34,15 @@ class Cover(Part):
         Thickness, mm.
     albedo
         Diffuse reflectance, red, green, blue.
+    deforms
+        Whether pictures show how a press tilts and lifts it. At the papers' albedo that is less than a count, and it
+        costs a field at some thousand places; so it is left out unless asked for.
     youngs_modulus_mpa, poisson_ratio
         Its own modulus, MPa, and Poisson's ratio; those of the body if not given.
     """
 
     thickness_mm: float = Field(default=0.2, gt=0, le=5)
     albedo: tuple[float, float, float] = (0.03, 0.03, 0.03)
+    deforms: bool = False
     youngs_modulus_mpa: float | None = Field(default=None, gt=0, le=1e6)
     poisson_ratio: float | None = Field(default=None, ge=-0.5, le=0.5)

@@ -15,7 +15,7 @@ UNITS = {
 
 
 LATER = (("back", "free"), ("youngs_modulus_mpa", None), ("poisson_ratio", None), ("stiff", False),
-         ("distortion", 0.0))  # fmt: skip
+         ("distortion", 0.0), ("deforms", False))  # fmt: skip
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so that files stored
 under a hash of all keys stay valid."""
 

@@ -29,6 +29,7 @@ from twin.theory.optics import project
 if TYPE_CHECKING:
     from twin.world.compliance import Compliance
     from twin.world.contact import ContactState
+    from twin.world.cover import CoverMotion
     from twin.world.covered import Covered, CoveredLadder
     from twin.world.exposure import Pattern
     from twin.world.ladder import Ladder
@@ -53,11 +54,14 @@ class Motion:
         (n, 3, 3) displacement gradients du_i/dx_j there.
     error
         Estimated largest error of the displacements over the largest displacement.
+    cover
+        How the cover moves where the camera sees it; None where pictures don't show that.
     """
 
     displacement_mm: Points
     gradient: Floats
     error: float
+    cover: CoverMotion | None = None
 
 
 class Sensor:
@@ -159,7 +163,22 @@ class Sensor:
             change = self.stiff_beads.change(lambda p: answer.compliance.displacement(p, rectangles), gradient)
             error += self.stiff_beads.error(change, moved)
             moved = moved + change
-        return Motion(displacement_mm=moved, gradient=gradient, error=error)
+        cover = self._cover_motion(answer.compliance, rectangles)
+        return Motion(displacement_mm=moved, gradient=gradient, error=error, cover=cover)
+
+    def _cover_motion(self, compliance: Compliance | Covered, rectangles: Rectangles) -> CoverMotion | None:
+        """Return how the cover moves where the camera sees it; None if the scene doesn't ask for that."""
+        cover = self.nominal.cover
+        if cover is None or not cover.deforms or self.nominal.camera is None:
+            return None
+        from twin.world.cover import CoverMotion
+
+        background = self.renderer.background
+        assert background is not None
+        return CoverMotion(
+            displacement_mm=compliance.displacement(background.points, rectangles),
+            gradient=compliance.gradient(background.points, rectangles),
+        )
 
     def motion_of_patches(self, patches: Rectangles, *, strained: bool = True) -> Motion:
         """Return how the actual markers move, on the level of mesh that the asked accuracy takes and no other.
@@ -258,7 +277,8 @@ class Sensor:
         from twin.world.exposure import expose
 
         number = exposure if exposure is not None else int(load is not None)
-        radiance = self.renderer.radiance(self.ellipsoids(load))
+        motion = self.motion(load) if isinstance(load, Load) else load
+        radiance = self.renderer.radiance(self.ellipsoids(motion), motion.cover if motion is not None else None)
         noise = stream(self.nominal.seed, Purpose.EXPOSURE, number)
         return expose(radiance, self.nominal.ccd, noise, self.pattern)
 

@@ -145,27 +145,44 @@ def cover_light(origins: Points, directions: Floats, scene: Scene, top: float) -
 
     Notes
     -----
-    The cover's inner side is a level set of the depth, an exact distance: rays are marched by it. It stays where it is
-    at rest and takes no shadows, as it is nearly black.
+    The cover takes no shadows, as it is nearly black.
     """
     light = np.zeros((len(origins), 3))
-    if scene.cover is None:
-        return light
-    assert scene.light is not None
-    seen = np.isfinite(origins).all(axis=1) & scene.body.contains(np.nan_to_num(origins), -1e-6)
+    if scene.cover is not None:
+        points, normals = cover_places(origins, directions, scene)
+        seen = np.isfinite(points[:, 0])
+        bright = cover_brightness(points[seen], normals[seen], scene, top)
+        light[seen] = bright[:, None] * np.asarray(scene.cover.albedo)
+    return light
+
+
+def cover_places(origins: Points, directions: Floats, scene: Scene) -> tuple[Points, Floats]:
+    """Return (n, 3) places where rays inside the body meet the cover at rest, mm, and its inward normals; NaN for none.
+
+    Notes
+    -----
+    The cover's inner side is a level set of the depth, an exact distance: rays are marched by it.
+    """
+    assert scene.cover is not None
+    points, normals = np.full((len(origins), 3), np.nan), np.full((len(origins), 3), np.nan)
+    seen = np.flatnonzero(np.isfinite(origins).all(axis=1) & scene.body.contains(np.nan_to_num(origins), -1e-6))
     start, along = origins[seen], directions[seen]
-    way = np.zeros(len(start))
+    way, room = np.zeros(len(start)), np.zeros(len(start))
     for _ in range(80):
         room = scene.body.depth(start + along * way[:, None]) - scene.cover.thickness_mm
         way += room
         if not np.any(np.abs(room) > 1e-4):
             break
-    points = start + along * way[:, None]
-    distances = scene.body.piece_distances(points)
-    hits = (distances[:, 1:] > -1e-3).all(axis=1) & (np.abs(room) < 1e-2)
-    normals = scene.body.piece_normals(points)[:, 0]
-    lit = irradiance(points, normals, lamps_at(points, scene)) / top
+    places = start + along * way[:, None]
+    hits = (scene.body.piece_distances(places)[:, 1:] > -1e-3).all(axis=1) & (np.abs(room) < 1e-2)
+    points[seen[hits]] = places[hits]
+    normals[seen[hits]] = scene.body.piece_normals(places[hits])[:, 0]
+    return points, normals
+
+
+def cover_brightness(points: Points, normals: Floats, scene: Scene, top: float) -> Floats:
+    """Return (n,) light that white places of the cover would give off, a share of even light included."""
+    assert scene.light is not None
     ambient = scene.light.ambient
-    bright = np.where(hits, (1 - ambient) * lit + ambient, 0.0)
-    light[seen] = bright[:, None] * np.asarray(scene.cover.albedo)
-    return light
+    bright: Floats = (1 - ambient) * irradiance(points, normals, lamps_at(points, scene)) / top + ambient
+    return bright

@@ -29,6 +29,7 @@ import math
 import os
 import sys
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,6 +37,7 @@ from twin.arrays import Floats, Ints, Pixels, Singles, frozen
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
 from twin.theory.optics import project, sight
+from twin.world.cover import Background, CoverMotion
 from twin.world.defocus import PUPIL_WEIGHTS, through_the_pupil
 from twin.world.exposure import white_level
 from twin.world.frame import WEIGHT, Frame, make_frame
@@ -140,20 +142,32 @@ class Renderer:
         """Bound on the error of intensity centroids in the noise-free picture, px."""
         return centroid_error(self.subpixels, self.shadows)
 
-    def radiance(self, markers: Ellipsoids) -> Singles:
+    @cached_property
+    def background(self) -> Background | None:
+        """The cover's places whose motion `radiance` wants; None for a cover that stays at rest."""
+        cover = self.scene.cover
+        return Background(self.scene, self._top) if cover is not None and cover.deforms else None
+
+    def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
         """Return the (height, width, 3) light on the sensor, 1 filling its wells.
+
+        ``cover`` says how the places of `background` have moved; None: they are at rest.
 
         The exposure is set at rest, where the brightest marker has ``ccd.white_dn`` (before blur and noise).
         """
-        if self._pupils:
-            shares: list[Singles] = [
-                np.float32(weight) * part.radiance(markers)
-                for weight, part in zip(PUPIL_WEIGHTS, self._pupils, strict=True)
-            ]
-            whole: Singles = np.sum(shares, axis=0)
-            return whole
+        factor = self.background.change(cover) if cover is not None and self.background is not None else None
+        if not self._pupils:
+            return self._render(markers, factor)
+        light: Singles = np.zeros_like(self._view.cover)
+        for weight, part in zip(PUPIL_WEIGHTS, self._pupils, strict=True):
+            light += np.float32(weight) * part._render(markers, factor)
+        return light
+
+    def _render(self, markers: Ellipsoids, factor: Singles | None) -> Singles:
         frame = self._frame(markers, self.subpixels)
         light = self._view.cover.copy()
+        if factor is not None:
+            light *= factor[:, :, None]
         if len(frame.near.pixels):
             marks, free = self._tracer.shade(frame)
             compose(light, frame.near.pixels, marks, free, self._view.vignette)

@@ -80,7 +80,7 @@ def look(scene: Scene, top: float, gain: float) -> View:
     light = cover_light(*rays(nodes, camera, index, base), scene, top).reshape(len(rows), len(columns), 3)
     cover = np.empty((height, width, 3), np.float32)
     for c in range(3):
-        cover[:, :, c] = _stretch(rows, height) @ light[:, :, c] @ _stretch(columns, width).T
+        cover[:, :, c] = stretch(rows, height) @ light[:, :, c] @ stretch(columns, width).T
     cover *= (vignette * sees)[:, :, None]
     return View(corners=corners, sees=sees, vignette=vignette, cover=cover)
 
@@ -192,6 +192,6 @@ def _coarse(size: int) -> Floats:
     return np.unique(np.append(np.arange(0, size, max(_COARSE, size // 200)), size - 1)).astype(float)
 
 
-def _stretch(nodes: Floats, size: int) -> Floats:
+def stretch(nodes: Floats, size: int) -> Floats:
     """Return the (size, nodes) matrix of straight interpolation from nodes to pixels."""
     return np.stack([np.interp(np.arange(size), nodes, column) for column in np.eye(len(nodes))], axis=1)

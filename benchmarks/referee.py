@@ -1,0 +1,168 @@
+"""The picture against stock Mitsuba: a camera and LEDs in air, plates of glass and rubber, a path integrator.
+
+Nothing is folded there: rays are refracted, reflected and lost at every interface, light goes between markers and back
+from the interfaces, and LEDs are found by chance only, which takes thousands of samples a pixel. Places come from
+markers that glow, brightness from markers of the scene's colours under discs of light, each in its own channel. What
+our pictures leave out (light between markers, reflections to and fro) is in the difference.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Floats, Ints, Pixels
+from twin.parts.markers import place
+from twin.parts.scene import Scene
+from twin.study.recipe import load_scene
+from twin.world.markers import Ellipsoids, ellipsoids
+from twin.world.render import Renderer
+from twin.world.variant import Variant, choose_variant
+
+SPLAT = Variant(name="splat", library=None, reason="compared with the referee")
+HALF = 13
+"""Half width of the window rendered around a marker, px."""
+
+LIGHT = {"light.radius_mm": 8.0, "light.ambient": 0.0}
+SAMPLES_A_PASS = 512
+
+
+def run(quick: bool) -> list[dict[str, Any]]:
+    """Return one row a scene: differences of places, px, and of brightness after one scale; needs Mitsuba's LLVM."""
+    rows = []
+    for name in ("kamiyama_pillar",) if quick else ("kamiyama_pillar", "kamiyama_wide"):
+        scene = load_scene(name, {**LIGHT, "tolerance.preset": "none"})
+        count = 3 if quick else 10
+        rows.append({"scene": name, **compare(scene, count, 4096 if quick else 16384)})
+    return rows
+
+
+def compare(scene: Scene, count: int, samples: int, tell: Any = None) -> dict[str, Any]:
+    """Return how far places and brightness of some markers are from the referee's.
+
+    Parameters
+    ----------
+    scene
+        A block's scene with a pinhole camera.
+    count
+        How many markers, from the middle outwards.
+    samples
+        Paths a pixel; places take a quarter.
+    """
+    markers = ellipsoids(place(scene.body, scene.markers), scene.markers)
+    bare = scene.model_copy(update={"cover": None})
+    renderer = Renderer(bare, markers, SPLAT, subpixels=8)
+    outlines, light = renderer.outlines(markers), renderer.radiance(markers).astype(float)
+    chosen = _some(scene, outlines.visible, outlines.centroid_px, count)
+    off, ours, theirs, noise = [], [], [], []
+    for i in chosen:
+        corner = np.rint(outlines.centroid_px[i]).astype(int) - HALF
+        own = int(np.argmax(markers.colour[i]))
+        glow = path_traced(scene, markers, corner, samples // 4, glowing=i)[0][:, :, own]
+        off.append(corner + _centroid(glow) - outlines.centroid_px[i])
+        seen, error = (picture[:, :, own] for picture in path_traced(scene, markers, corner, samples))
+        only = glow > 0.5 * glow.max()
+        window = light[corner[1] : corner[1] + 2 * HALF + 1, corner[0] : corner[0] + 2 * HALF + 1, own]
+        ours.append(window[only].mean() / markers.colour[i, own])
+        theirs.append(seen[only].mean() / markers.colour[i, own])
+        noise.append(np.sqrt((error[only] ** 2).sum()) / seen[only].sum())
+    scale = np.sum(ours) / np.sum(theirs)
+    brightness = np.array(theirs) * scale / np.array(ours) - 1
+    if tell is not None:
+        tell(chosen, off, brightness)
+    return {
+        "markers": count,
+        "samples": samples,
+        "place_rms_px": float(np.sqrt(np.mean(np.square(off)))),
+        "place_max_px": float(np.abs(off).max()),
+        "brightness_rms": float(np.sqrt(np.mean(brightness**2))),
+        "brightness_max": float(np.abs(brightness).max()),
+        "brightness_noise": float(np.sqrt(np.mean(np.square(noise)))),
+    }
+
+
+def path_traced(
+    scene: Scene, markers: Ellipsoids, corner: Ints, samples: int, glowing: int | None = None
+) -> tuple[Floats, Floats]:
+    """Return a square of 2 HALF + 1 px of the referee's picture from ``corner`` (column, row), and its standard errors.
+
+    With ``glowing`` that marker shines and the rest is black, else all are lit by the scene's LEDs.
+    """
+    import mitsuba as mi
+
+    mi.set_variant(choose_variant("llvm_ad_rgb").name)
+    made = mi.load_dict(_literal(scene, markers, corner, glowing))
+    passes = [np.array(mi.render(made, spp=SAMPLES_A_PASS, seed=n)) for n in range(samples // SAMPLES_A_PASS)]
+    stack = np.array(passes, float)
+    return stack.mean(axis=0), stack.std(axis=0, ddof=1) / np.sqrt(len(stack))
+
+
+def _literal(scene: Scene, markers: Ellipsoids, corner: Ints, glowing: int | None) -> dict[str, Any]:
+    import mitsuba as mi
+
+    assert scene.camera is not None
+    assert scene.light is not None
+    camera = scene.camera
+    to_world = mi.ScalarTransform4f
+    # Mitsuba starts rays behind an interface by 1e-4 of its coordinates: near the origin that is least.
+    middle = scene.body.base_z_mm + sum(layer.thickness_mm for layer in camera.layers) / 2
+    base = scene.body.base_z_mm - middle
+    eye = [*camera.pupil_mm[:2], camera.pupil_mm[2] - middle]
+    table: dict[str, Any] = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 24, "rr_depth": 100},
+        "sensor": {
+            "type": "perspective", "near_clip": 0.1,
+            "fov": float(2 * np.rad2deg(np.arctan(camera.width_px / 2 / camera.focal_px))),
+            "to_world": to_world().look_at(origin=eye, target=[eye[0], eye[1], -1000], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": camera.width_px, "height": camera.height_px,
+                     "crop_offset_x": int(corner[0]), "crop_offset_y": int(corner[1]),
+                     "crop_width": 2 * HALF + 1, "crop_height": 2 * HALF + 1,
+                     "rfilter": {"type": "box"}, "pixel_format": "rgb", "component_format": "float32"},
+            "sampler": {"type": "independent"},
+        },
+    }  # fmt: skip
+    height, index = base, scene.material.refractive_index
+    for n, (thickness, outside) in enumerate([*((la.thickness_mm, la.index) for la in camera.layers), (0.0, 1.0)]):
+        table[f"interface{n}"] = {
+            "type": "rectangle", "to_world": to_world().translate([0, 0, height]).scale([500, 500, 1]),
+            "bsdf": {"type": "dielectric", "int_ior": index, "ext_ior": outside},
+        }  # fmt: skip
+        height, index = height + thickness, outside
+    for i in np.flatnonzero(markers.present):
+        sphere = {"type": "sphere", "center": (markers.centres[i] - [0, 0, middle]).tolist(),
+                  "radius": float(np.linalg.norm(markers.axes[i, :, 0]))}  # fmt: skip
+        dark = glowing is not None
+        sphere["bsdf"] = {
+            "type": "diffuse",
+            "reflectance": {"type": "rgb", "value": [0.0] * 3 if dark else markers.colour[i].tolist()},
+        }
+        if i == glowing:
+            sphere["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
+        table[f"marker{i}"] = sphere
+    if glowing is None:
+        for n, led in enumerate(scene.light.positions_mm):
+            turned = (
+                to_world().translate([*led[:2], led[2] - middle]).scale(scene.light.radius_mm).rotate([1, 0, 0], 180)
+            )
+            table[f"led{n}"] = {"type": "disk", "to_world": turned,
+                                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 100.0}}}  # fmt: skip
+    return table
+
+
+def _some(scene: Scene, visible: Floats, places: Pixels, count: int) -> list[int]:
+    """Return markers that are seen whole, from the middle of the picture to its corners."""
+    assert scene.camera is not None
+    size = np.array([scene.camera.width_px, scene.camera.height_px])
+    inside = ((places > HALF + 2) & (places < size - HALF - 3)).all(axis=1)
+    free = np.flatnonzero((visible > 0.999) & inside)
+    away = np.linalg.norm(places[free] - scene.camera.centre_px, axis=1)
+    order = free[np.argsort(away)]
+    return [int(order[j]) for j in np.linspace(0, len(order) - 1, count).astype(int)]
+
+
+def _centroid(picture: Floats) -> Floats:
+    """Return column and row of a square's centroid."""
+    steps = np.arange(picture.shape[0])
+    return np.array([picture.sum(axis=0) @ steps, picture.sum(axis=1) @ steps]) / picture.sum()
