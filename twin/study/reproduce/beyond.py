@@ -194,7 +194,7 @@ def _lines(bench: Bench, chain: Chain) -> dict[str, Line]:
     steps, repeats = (4, 2) if bench.quick else (10, 2)
     rig = chain.rig(bench)
     return {
-        name: force_line(rig, axis, steps, repeats, chain.method, chain.tracker, FIRST_EXPOSURE + 5000)
+        name: force_line(rig, rig.calibration, axis, steps, repeats, chain.method, chain.tracker, FIRST_EXPOSURE + 5000)
         for axis, name in enumerate("xyz")
     }
 
@@ -203,9 +203,8 @@ HALF_SPACE = Entry(
     name="beyond/half-space",
     title="The papers' half-space against the real block",
     source="Kamiyama, section 3: the elastic body must be large enough to satisfy the half-space assumption",
-    protocol="A force of 1 N on 4 x 4 mm along each axis; the motion of the markers by the papers' formula and "
-    "by the block "
-    "of 100 x 90 x 40 mm bonded to its plate.",
+    protocol="A force of 1 N on 4 x 4 mm along each axis; the motion of the markers by the papers' formula and by "
+    "the block of 100 x 90 x 40 mm bonded to its plate.",
     run=_half_space,
 )
 LIMITS = Entry(
@@ -213,8 +212,7 @@ LIMITS = Entry(
     title="What limits each sensor",
     source="beyond the papers",
     protocol="The papers' tracker and inverse on the papers' sensors, with one thing changed at a time: noise, "
-    "depth, pitch, "
-    "lens, model. A narrow force of 1 N, and two of them ever further apart; beside them the design's "
+    "depth, pitch, lens, model. A narrow force of 1 N, and two of them ever further apart; beside them the design's "
     "closed-form limit.",
     run=_limits,
 )
@@ -222,8 +220,7 @@ SAME_HARDWARE = Entry(
     name="beyond/same-hardware",
     title="What the same hardware reaches with this project's tracker, calibration and inverse",
     source="beyond the papers",
-    protocol="The papers' bodies, markers, cameras and capture chains; the soft-window tracker, the nominal "
-    "body's compliance "
-    "and the smooth inverse. The papers' numbers stand beside them.",
+    protocol="The papers' bodies, markers, cameras and capture chains; the soft-window tracker, the nominal body's "
+    "compliance and the smooth inverse. The papers' numbers stand beside them.",
     run=_same_hardware,
 )

@@ -12,7 +12,7 @@ from twin.show.panels import Curve, CurvePanel
 from twin.study.calibrate import calibrate_by_presses
 from twin.study.reproduce.bench import OUR_TRACKER, Bench
 from twin.study.reproduce.entry import Entry
-from twin.study.reproduce.record import Outcome, Record, causes
+from twin.study.reproduce.record import Outcome, Record, causes, over
 
 
 def site_errors(made: Calibration, wanted: Calibration) -> Floats:
@@ -23,16 +23,19 @@ def site_errors(made: Calibration, wanted: Calibration) -> Floats:
     return np.asarray(np.linalg.norm(one - other, axis=(1, 2)) / np.linalg.norm(other, axis=(1, 2)))
 
 
+FEW: dict[str, Any] = {
+    f"{table}.{key}": 2 for table in ("calibration.presses", "reconstruction.sites") for key in ("columns", "rows")
+}
+"""The quick form presses four points."""
+
+
 def _calibration(bench: Bench) -> Outcome:
     """Calibrate, and calibrate again with one source of error off; every press is solved once."""
-    rig = bench.rig("sato")
-    made = calibrate_by_presses(rig.sensor)
+    few = FEW if bench.quick else {}
+    made = calibrate_by_presses(bench.rig("sato", overrides=few).sensor)
     bench.progress("once more without errors", 0.8)
-    exact = calibrate_by_presses(
-        bench.rig(
-            "sato", overrides={"ccd.preset": "ideal", "calibration.load_cell_n": 0.0, "tracking.method": OUR_TRACKER}
-        ).sensor
-    )
+    clean = {"ccd.preset": "ideal", "calibration.load_cell_n": 0.0, "tracking.method": OUR_TRACKER}
+    exact = calibrate_by_presses(bench.rig("sato", overrides=few | clean).sensor)
     off: dict[str, dict[str, Any]] = {
         "noise of the picture off": {"ccd.noise": False},
         "noise of the load cell off": {"calibration.load_cell_n": 0.0},
@@ -41,31 +44,30 @@ def _calibration(bench: Bench) -> Outcome:
     variants = {}
     for number, (name, overrides) in enumerate(off.items()):
         bench.progress(name, 0.85 + 0.05 * number)
-        variants[name] = site_errors(calibrate_by_presses(bench.rig("sato", overrides=overrides).sensor), exact)
+        variants[name] = site_errors(calibrate_by_presses(bench.rig("sato", overrides=few | overrides).sensor), exact)
     errors = site_errors(made, exact)
     variants["drawing instead of presses: the nominal finger's compliance"] = site_errors(
-        bench.rig("sato", overrides={"calibration.method": "compliance"}).calibration, exact
+        bench.rig("sato", overrides=few | {"calibration.method": "compliance"}).calibration, exact
     )
     columns = made.transfer[np.isfinite(made.transfer).all(axis=1)]
-    grid = made.grid
-    at = np.arange(len(errors)).reshape(grid)
+    at = np.arange(len(errors)).reshape(made.grid)
     edge = np.unique(np.concatenate([at[0], at[-1], at[:, 0], at[:, -1]]))
-    middle = np.setdiff1d(at.ravel(), edge)
-    records = (
-        Record(quantity="presses", unit="", paper=75.0, twin=3.0 * len(made.site_mm)),
+    parts = {"points of the edge": edge, "inner points": np.setdiff1d(at.ravel(), edge)}
+    records = [
         Record(
-            quantity="error of H at the nine inner points, against the same presses without noise", unit="",
-            twin=float(errors[middle].mean()), spread=float(errors[middle].std(ddof=1)), n=len(middle),
-            explained_by=causes({name: float(e[middle].mean()) for name, e in variants.items()}),
-        ),
+            quantity=f"error of H at the {len(rows)} {name}, against the same presses without noise", unit="",
+            **over(errors[rows]), explained_by=causes({cause: float(e[rows].mean()) for cause, e in variants.items()}),
+        )
+        for name, rows in parts.items()
+        if len(rows)
+    ]  # fmt: skip
+    records += [
         Record(
-            quantity="error of H at the sixteen points of the edge", unit="",
-            twin=float(errors[edge].mean()), spread=float(errors[edge].std(ddof=1)), n=len(edge),
-            explained_by=causes({name: float(e[edge].mean()) for name, e in variants.items()}),
+            quantity="presses", unit="", paper=None if bench.quick else 75.0, twin=3.0 * len(made.site_mm)
         ),
         Record(quantity="condition number of H", unit="", twin=float(np.linalg.cond(columns))),
         Record(quantity="noise of a shift, as the tracker has it", unit="px", twin=made.noise_px),
-    )  # fmt: skip
+    ]  # fmt: skip
     curves = [
         Curve(label=name, x=np.arange(float(len(e))), y=np.sort(e), style="o-")
         for name, e in {"as published": errors, **variants}.items()
@@ -81,7 +83,6 @@ CALIBRATION = Entry(
     title="The conversion matrix H from 25 presses in three directions",
     source="Sato, section II C, equations 3 to 5, and Figs. 4 and 5",
     protocol="A 3 mm sphere presses each of 25 points with 100 gf along z, then moves along x, then along y; "
-    "pictures with "
-    "noise, forces from a load cell with noise; h = u f^-1.",
+    "pictures with noise, forces from a load cell with noise; h = u f^-1.",
     run=_calibration,
 )

@@ -9,7 +9,9 @@ import numpy as np
 
 from twin.arrays import Floats
 from twin.parts.press import Cylinder, Press, Step
-from twin.sense.reconstruct import Field
+from twin.sense.calibration import Calibration
+from twin.sense.reconstruct import Method
+from twin.sense.rest import Method as Tracker
 from twin.show.panels import Curve, CurvePanel
 from twin.streams import Purpose, stream
 from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
@@ -18,7 +20,6 @@ from twin.study.reproduce.fields import full_width, solved
 from twin.study.reproduce.finger_picture import GRAM_FORCE_N, PITCH_MM, above, sphere_press
 from twin.study.reproduce.record import Outcome, Record, causes, over
 from twin.study.sensor import Motion
-from twin.world.contact import ContactState
 
 PRELOAD_GF = 200.0
 REPEATS = 5
@@ -74,7 +75,14 @@ class Line:
 
 
 def line(
-    rig: Rig, axis: int, steps: int, repeats: int, how: str, tracker: str | None = None, first: int = FIRST_EXPOSURE
+    rig: Rig,
+    told: Calibration,
+    axis: int,
+    steps: int,
+    repeats: int,
+    how: Method,
+    tracker: Tracker | None = None,
+    first: int = FIRST_EXPOSURE,
 ) -> Line:
     """Take every level of a path through pictures and the inverse, ``repeats`` times with noise of their own."""
     states = rig.press(_path(axis, steps)).path[-steps:]
@@ -83,7 +91,7 @@ def line(
         for number, state in enumerate(states):
             exposure = first + 1000 * axis + 100 * repeat + number
             picture = rig.picture(rig.motion(state), exposure)
-            field = solved(rig.track(picture, tracker), rig.calibration, how)  # type: ignore[arg-type]
+            field = solved(rig.track(picture, tracker), told, how)
             cell = (
                 rig.scene.calibration.load_cell_n
                 * stream(rig.scene.seed, Purpose.LOAD_CELL, exposure).standard_normal()
@@ -103,15 +111,19 @@ FIGURES: dict[str, tuple[str, Callable[[Line], float], float | None]] = {
 def _figure_8(bench: Bench) -> Outcome:
     steps, repeats = (4, 2) if bench.quick else (10, REPEATS)
     rig = bench.rig("sato")
+    told = rig.calibration
+    quiet = bench.rig("sato", overrides={"ccd.noise": False})
     records: list[Record] = []
     panels = []
     for axis, name in enumerate(AXES):
         bench.progress(f"cylinder along {name}", axis / 3)
-        readings = line(rig, axis, steps, repeats, "pinv")
+        readings = line(rig, told, axis, steps, repeats, "pinv")
         off = {
-            "noise of the picture off": line(bench.rig("sato", overrides={"ccd.noise": False}), axis, steps, 1, "pinv"),
-            "tracker: this project's instead of the paper's": line(rig, axis, steps, repeats, "pinv", OUR_TRACKER),
-            "inverse: smooth instead of the pseudo-inverse": line(rig, axis, steps, repeats, "smooth"),
+            "noise of the picture off": line(quiet, told, axis, steps, 1, "pinv"),
+            "tracker: this project's instead of the paper's": line(
+                rig, told, axis, steps, repeats, "pinv", OUR_TRACKER
+            ),
+            "inverse: smooth instead of the pseudo-inverse": line(rig, told, axis, steps, repeats, "smooth"),
         }
         for figure, (unit, value, paper) in FIGURES.items():
             records.append(
@@ -134,9 +146,8 @@ def _figure_8(bench: Bench) -> Outcome:
         )  # fmt: skip
     note = (
         f"{repeats} repeats are of one probe path, each level with a picture and a load-cell reading of its own; "
-        "placing the "
-        "probe anew, creep and hysteresis are not in it, so scatter of that kind in the paper's 30 gf is not "
-        "explained here."
+        "placing the probe anew, creep and hysteresis are not in it, so scatter of that kind in the paper's 30 gf "
+        "is not explained here."
     )
     return Outcome(records=records, panels=panels, notes=(note,))
 
@@ -186,24 +197,20 @@ def _presses(rig: Rig, place: str, along: int, step_mm: float) -> list[tuple[flo
     return [(chart[along], above(rig, chart)) for chart in charts]
 
 
-def _spread(rig: Rig, place: str, along: int, step_mm: float, gram_force: float, how: str, exposure: int) -> Spread:
+def _spread(rig: Rig, told: Calibration, place: str, along: int, step_mm: float, how: Method, exposure: int) -> Spread:
     """Press between two calibrated points and read the sites of their row, each press taken as the origin."""
     chart = rig.scene.reconstruction.sites.chart()  # type: ignore[union-attr]
     row = np.flatnonzero(np.abs(chart[:, 1 - along] - PLACES[place][1 - along]) < 1e-6)
     distance, size = [], []
     for number, (at, where) in enumerate(_presses(rig, place, along, step_mm)):
-        state = rig.press(sphere_press(where, gram_force))
-        field = _field(rig, state, how, exposure + number)
+        state = rig.press(sphere_press(where, FORCE_GF))
+        field = solved(rig.seen(state, exposure + number), told, how)
         distance.append(chart[row, along] - at)
         size.append(np.linalg.norm(field.force_n[row], axis=1))
     return Spread(distance_mm=np.concatenate(distance), magnitude=np.concatenate(size))
 
 
-def _field(rig: Rig, state: ContactState, how: str, exposure: int) -> Field:
-    return solved(rig.seen(state, exposure), rig.calibration, how)  # type: ignore[arg-type]
-
-
-def _dip(rig: Rig, apart_mm: float, along: int, how: str) -> float:
+def _dip(rig: Rig, told: Calibration, apart_mm: float, along: int, how: Method) -> float:
     """Return how far the magnitude drops between two presses at once, over the lower peak; their tractions add."""
     half = apart_mm / 2
     charts = [(half, 0.0), (-half, 0.0)] if along == 0 else [(0.0, half), (0.0, -half)]
@@ -212,7 +219,7 @@ def _dip(rig: Rig, apart_mm: float, along: int, how: str) -> float:
         displacement_mm=motions[0].displacement_mm + motions[1].displacement_mm,
         gradient=motions[0].gradient + motions[1].gradient, error=max(m.error for m in motions),
     )  # fmt: skip
-    field = solved(rig.track(rig.picture(both, 3900)), rig.calibration, how)  # type: ignore[arg-type]
+    field = solved(rig.track(rig.picture(both, 3900)), told, how)
     chart = rig.scene.reconstruction.sites.chart()  # type: ignore[union-attr]
     row = np.flatnonzero(np.abs(chart[:, 1 - along]) < 1e-6)
     order = row[np.argsort(chart[row, along])]
@@ -226,6 +233,7 @@ def _figure_9(bench: Bench) -> Outcome:
     step = 1.25 if bench.quick else STEP_MM
     places = ("centre",) if bench.quick else tuple(PLACES)
     rig = bench.rig("sato")
+    told = rig.calibration
     quiet = bench.rig("sato", overrides={"ccd.noise": False})
     records: list[Record] = []
     panels = []
@@ -234,12 +242,10 @@ def _figure_9(bench: Bench) -> Outcome:
         curves = []
         for along in (0,) if bench.quick else (0, 1):
             bench.progress(f"{place}, along {AXES[along]}", (2 * number + along) / 4)
-            runs = [_spread(rig, place, along, step, FORCE_GF, "pinv", e) for e in exposures]
+            runs = [_spread(rig, told, place, along, step, "pinv", e) for e in exposures]
             off = {
-                "noise of the picture off": _spread(quiet, place, along, step, FORCE_GF, "pinv", 3000),
-                "inverse: smooth instead of the pseudo-inverse": _spread(
-                    rig, place, along, step, FORCE_GF, "smooth", 3000
-                ),
+                "noise of the picture off": _spread(quiet, told, place, along, step, "pinv", 3000),
+                "inverse: smooth instead of the pseudo-inverse": _spread(rig, told, place, along, step, "smooth", 3000),
             }
             records += [
                 Record(
@@ -267,10 +273,10 @@ def _figure_9(bench: Bench) -> Outcome:
         records += [
             Record(
                 quantity=f"two spheres of 100 gf {apart:g} mm apart along x: dip between them", unit="",
-                twin=_dip(rig, apart, 0, "pinv"),
+                twin=_dip(rig, told, apart, 0, "pinv"),
                 explained_by=causes({
-                    "noise of the picture off": _dip(quiet, apart, 0, "pinv"),
-                    "inverse: smooth instead of the pseudo-inverse": _dip(rig, apart, 0, "smooth"),
+                    "noise of the picture off": _dip(quiet, told, apart, 0, "pinv"),
+                    "inverse: smooth instead of the pseudo-inverse": _dip(rig, told, apart, 0, "smooth"),
                 }),
             )
             for apart in (5.0,)
@@ -282,21 +288,18 @@ FIGURE_8 = Entry(
     name="sato/fig-8",
     title="Measured against applied force, and the resolution of the magnitude",
     source="Sato, section III B, equation 6, Fig. 8",
-    protocol="A flat 10 mm cylinder on the apex: 200 gf down and then 20 to 200 gf along x, or along y; 20 to "
-    "200 gf along "
-    "z. The cylinder sticks (the paper's 200 gf sideways under 200 gf down need it). The measured force is the "
-    "sum over "
-    "the 25 sites; the resolution is 1.96 sqrt 2 times the standard deviation about the line, over its slope.",
+    protocol="A flat 10 mm cylinder on the apex: 200 gf down and then 20 to 200 gf along x, or along y; 20 to 200 "
+    "gf along z. The cylinder sticks (the paper's 200 gf sideways under 200 gf down need it). The measured force is "
+    "the sum over the 25 sites; the resolution is 1.96 sqrt 2 times the standard deviation about the line, over its "
+    "slope.",
     run=_figure_8,
 )
 FIGURE_9 = Entry(
     name="sato/fig-9",
     title="Spatial resolution by dense sampling",
     source="Sato, section III C, equation 7, Fig. 9",
-    protocol="The 3 mm sphere presses with 200 gf along z in steps of 0.5 mm between two calibrated points, at "
-    "the centre and "
-    "at the edge, along x and along y; the magnitudes at the sites of the row are drawn against their distance "
-    "from the "
-    "press, over the largest.",
+    protocol="The 3 mm sphere presses with 200 gf along z in steps of 0.5 mm between two calibrated points, at the "
+    "centre and at the edge, along x and along y; the magnitudes at the sites of the row are drawn against their "
+    "distance from the press, over the largest.",
     run=_figure_9,
 )

@@ -122,7 +122,6 @@ FIGURE_7 = Entry(
     title="The force field of a contact",
     source="Sato, section II D, Fig. 7",
     protocol="The 3 mm sphere presses with 100 gf along z, on a calibrated point and between four; the paper's "
-    "tracker, its "
-    "calibration by presses and the pseudo-inverse of equation 2.",
+    "tracker, its calibration by presses and the pseudo-inverse of equation 2.",
     run=_figure_7,
 )

@@ -176,9 +176,8 @@ def _figure_13(bench: Bench) -> Outcome:
 
 _PROTOCOL = (
     f"A 5 mm pillar presses along z at the middle ({PILLAR_N:g} N, assumed); the paper's tracker, the paper's "
-    "half-space "
-    "with the projection of all three axes, the paper's constraint, its weight chosen by this project as the "
-    "paper gives none."
+    "half-space with the projection of all three axes, the paper's constraint, its weight chosen by this project as "
+    "the paper gives none."
 )
 FIGURE_10 = Entry(
     name="kamiyama/fig-10",

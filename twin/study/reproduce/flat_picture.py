@@ -112,9 +112,8 @@ def _figure_9(bench: Bench) -> Outcome:
     )  # fmt: skip
     pressure = heavy / (np.pi * 2.5**2)
     note = (
-        f"10 px by the pillar alone would take a pressure of {pressure:.1f} times Young's modulus, far beyond "
-        "any linear "
-        "theory: the paper's largest movement (section 5.1) is of another press, of softer rubber, or not of "
+        f"10 px by the pillar alone would take a pressure of {pressure:.1f} times Young's modulus, far beyond any "
+        "linear theory: the paper's largest movement (section 5.1) is of another press, of softer rubber, or not of "
         "this pillar."
     )
     return Outcome(records=records, panels=(panel,), notes=(note,))
@@ -189,9 +188,8 @@ FIGURE_6 = Entry(
     name="kamiyama/fig-6",
     title="The picture, and its red and blue parts",
     source="Kamiyama, sections 3 and 4.1, Fig. 6",
-    protocol="A picture at rest; the difference of red and blue, its positive part the red layer, its negative "
-    "part the "
-    "blue one. The size of a pixel is the nominal pitch over the tracked one.",
+    protocol="A picture at rest; the difference of red and blue, its positive part the red layer, its negative part "
+    "the blue one. The size of a pixel is the nominal pitch over the tracked one.",
     run=_figure_6,
 )
 FIGURE_9 = Entry(
@@ -199,8 +197,7 @@ FIGURE_9 = Entry(
     title="Red displacement field under a 5 mm pillar",
     source="Kamiyama, section 4.2, Fig. 9, and section 5.1 for the largest movement",
     protocol="The pillar presses along z at the middle without friction; red markers are tracked from rest. The "
-    "force is "
-    f"assumed ({PILLAR_N:g} N at E = 1 MPa).",
+    f"force is assumed ({PILLAR_N:g} N at E = 1 MPa).",
     run=_figure_9,
 )
 FIGURE_17 = Entry(
@@ -208,7 +205,6 @@ FIGURE_17 = Entry(
     title="Movement against depth",
     source="Kamiyama, section 5.1, Fig. 17",
     protocol=f"A unit force on a disc of {SPOT_MM:g} mm radius, along x and along z, with the red layer at other "
-    "depths; "
-    "tracked in pictures and told in mm at the markers.",
+    "depths; tracked in pictures and told in mm at the markers.",
     run=_figure_17,
 )

@@ -185,11 +185,9 @@ def _figure_16(bench: Bench) -> Outcome:
         title="Two x-impulses against one z-force", curves=curves, across="distance of the impulses (mm)", up="cosine"
     )
     note = (
-        "The paper says that the two make quite the same movement (a cosine of 1). In the half-space's closed form the "
-        "best that a pair can do along the axis is .76 on the blue layer and .84 on the red one, near what is "
-        "tracked; in the "
-        "plane the "
-        "two are far apart, as the pair moves the markers beside it the other way."
+        "The paper says that the two make quite the same movement (a cosine of 1). In the half-space's closed form "
+        "the best that a pair can do along the axis is .76 on the blue layer and .84 on the red one, near what is "
+        "tracked; in the plane the two are far apart, as the pair moves the markers beside it the other way."
     )
     return Outcome(records=records, panels=(panel,), notes=(note,))
 
@@ -198,27 +196,24 @@ FIGURE_14 = Entry(
     name="kamiyama/fig-14",
     title="Square pillars of several widths: the profile of the push along x",
     source="Kamiyama, section 4.3.1, Fig. 14",
-    protocol=f"Pillars {LENGTH_MM:g} mm long in y, of widths from {WIDTHS_MM[0]:g} to {WIDTHS_MM[-1]:g} mm in x, press "
-    f"along z at {PRESSURE_MPA:g} MPa (assumed: the paper gives neither widths nor forces); the push of all "
-    "sites within "
-    f"{BAND_MM:g} mm of y = 0 is added by column.",
+    protocol=f"Pillars {LENGTH_MM:g} mm long in y, of widths from {WIDTHS_MM[0]:g} to {WIDTHS_MM[-1]:g} mm in x, "
+    f"press along z at {PRESSURE_MPA:g} MPa (assumed: the paper gives neither widths nor forces); the push of all "
+    f"sites within {BAND_MM:g} mm of y = 0 is added by column.",
     run=_figure_14,
 )
 FIGURE_15 = Entry(
     name="kamiyama/fig-15",
     title="A push and a twist about z",
     source="Kamiyama, section 4.3.2, Fig. 15",
-    protocol="A pillar of 20 mm radius, as published, and one of 8 mm that fits the view, pressed along z and "
-    "then turned "
-    "without slip; the force field by the least norm of differences.",
+    protocol="A pillar of 20 mm radius, as published, and one of 8 mm that fits the view, pressed along z and then "
+    "turned without slip; the force field by the least norm of differences.",
     run=_figure_15,
 )
 FIGURE_16 = Entry(
     name="kamiyama/fig-16",
     title="Two impulses along x move the markers much as a force along z",
     source="Kamiyama, section 5.1, Fig. 16",
-    protocol="Forces of 1 N on discs of 1.5 mm radius: one along z, and two along x, both outwards, some "
-    "distance apart; "
-    "the cosine of the angle between the two fields of tracked shifts.",
+    protocol="Forces of 1 N on discs of 1.5 mm radius: one along z, and two along x, both outwards, some distance "
+    "apart; the cosine of the angle between the two fields of tracked shifts.",
     run=_figure_16,
 )

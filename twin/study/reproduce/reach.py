@@ -79,10 +79,8 @@ def _kamiyama(bench: Bench) -> Outcome:
         ]  # fmt: skip
     note = (
         "The published sensor doesn't resolve 2 mm, as the paper says; with every step taken it comes near. The "
-        "forces are "
-        f"{FORCE_N:g} N on discs of 0.5 mm radius, the paper's tracker being the two-pass centroid; the closed "
-        "form is of a "
-        "half-space seen straight on."
+        f"forces are {FORCE_N:g} N on discs of 0.5 mm radius, the paper's tracker being the two-pass centroid; the "
+        "closed form is of a half-space seen straight on."
     )
     return Outcome(records=records, panels=(_limits(),), notes=(note,))
 
@@ -123,7 +121,7 @@ DRAWN: dict[str, Any] = {"calibration.method": "compliance"}
 
 def _sphere_width(bench: Bench, chain: Chain, gram_force: float) -> float:
     rig = chain.rig(bench)
-    found = rig.seen(rig.press(sphere_press((0.0, 0.0), gram_force)), 80, chain.tracker)  # type: ignore[arg-type]
+    found = rig.seen(rig.press(sphere_press((0.0, 0.0), gram_force)), 80, chain.tracker)
     return full_width(*along_x(solved(found, rig.calibration, chain.method, chain.options)))
 
 
@@ -173,8 +171,8 @@ def _sato(bench: Bench) -> Outcome:
         ]  # fmt: skip
     note = (
         "The paper swaps the two numbers (it prints a distance of 0.2 and a diameter of 1 mm). Its rule is that "
-        "resolution "
-        "is twice the pitch; the finger is told of itself by its drawing here, as 121 points would take 363 presses."
+        "resolution is twice the pitch; the finger is told of itself by its drawing here, as 121 points would take "
+        "363 presses."
     )
     return Outcome(records=records, panels=_finer_panels(bench, chains), notes=(note,))
 
@@ -199,16 +197,14 @@ KAMIYAMA_CONCLUSION = Entry(
     title="What it takes to resolve 2 mm",
     source="Kamiyama, section 6: 2 mm not yet attained; expected of closer markers and better tracking",
     protocol="Two narrow forces along z, ever further apart, on the published sensor and on better ones, through "
-    "picture, "
-    "tracker and inverse; beside them the closed-form limit of the design.",
+    "picture, tracker and inverse; beside them the closed-form limit of the design.",
     run=_kamiyama,
 )
 SATO_PREDICTION = Entry(
     name="sato/2mm-prediction",
     title="Would a pitch of 1.0 mm and a diameter of 0.2 mm give 2 mm?",
     source="Sato, section IV",
-    protocol="The finger with finer markers, its 640 x 480 picture as before (a marker is 6 px wide), 121 sites "
-    "1 mm apart: "
-    "the 3 mm sphere of Fig. 9, a narrow force, and two narrow forces.",
+    protocol="The finger with finer markers, its 640 x 480 picture as before (a marker is 6 px wide), 121 sites 1 "
+    "mm apart: the 3 mm sphere of Fig. 9, a narrow force, and two narrow forces.",
     run=_sato,
 )

@@ -232,8 +232,7 @@ KAMIYAMA_TABLE_1 = Entry(
     title="A picture displaced by 3 px: average and standard deviation of the measured movement",
     source="Kamiyama, section 4.2, Table 1",
     protocol="A picture at rest is displaced by 3 px to the right, and the movement of every marker is measured "
-    "between "
-    "the two; blue and red, x and y.",
+    "between the two; blue and red, x and y.",
     run=lambda bench: _table(bench, KAMIYAMA),
 )
 KAMIYAMA_FIGURE_7 = Entry(

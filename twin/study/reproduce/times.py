@@ -77,8 +77,7 @@ def _kamiyama(bench: Bench) -> Outcome:
     )  # fmt: skip
     note = (
         "The paper's times are of a 1.8 GHz Pentium 4 in 2003 and hold 0.03 s of capture and 0.02 s of noise "
-        "reduction; "
-        "they differ from these by the machine and by capture, which nothing in the twin explains."
+        "reduction; they differ from these by the machine and by capture, which nothing in the twin explains."
     )
     return Outcome(records=records, panels=(panel,), notes=(note,))
 
@@ -128,7 +127,6 @@ SATO_TABLE_2 = Entry(
     title="Calculation time for one and for four sensors",
     source="Sato, section III D, Table II",
     protocol=f"Average and standard deviation of {TRIALS} runs from the frame to the force field, one sensor and "
-    "four after "
-    "each other.",
+    "four after each other.",
     run=_sato,
 )

@@ -11,6 +11,7 @@ import numpy as np
 from twin.arrays import Floats
 from twin.parts.load import Traction
 from twin.sense.reconstruct import Field, Method
+from twin.sense.rest import Method as Tracker
 from twin.study.reproduce.bench import Bench, Rig
 from twin.study.reproduce.fields import full_width, solved
 from twin.theory.limit import DIP, Limit, design_limit
@@ -33,7 +34,7 @@ class Chain:
 
     paper: str
     overrides: Mapping[str, Any] = field(default_factory=dict)
-    tracker: str | None = None
+    tracker: Tracker | None = None
     method: Method = "norm"
     options: Mapping[str, Any] = field(default_factory=dict)
 
@@ -56,7 +57,7 @@ def pressed(bench: Bench, chain: Chain, at_mm: tuple[float, ...], force_n: float
     rig = chain.rig(bench)
     load = sum((Traction.disk((x, 0.0), SPOT_MM, (0.0, 0.0, force_n)) for x in at_mm), start=Traction.disk(
         (at_mm[0], 0.0), SPOT_MM, (0.0, 0.0, 0.0)))  # fmt: skip
-    found = rig.track(rig.picture(rig.sensor.motion(load), exposure), chain.tracker)  # type: ignore[arg-type]
+    found = rig.track(rig.picture(rig.sensor.motion(load), exposure), chain.tracker)
     return solved(found, rig.calibration, chain.method, chain.options)
 
 
@@ -78,7 +79,7 @@ def two_points_mm(bench: Bench, chain: Chain, force_n: float, distances_mm: tupl
 def shift_noise_px(bench: Bench, chain: Chain) -> float:
     """Return the standard deviation of a shift per axis between two pictures at rest, px; robust to lost markers."""
     rig = chain.rig(bench)
-    found = rig.track(rig.picture(None, 55), chain.tracker)  # type: ignore[arg-type]
+    found = rig.track(rig.picture(None, 55), chain.tracker)
     shift = found.shift_px[found.seen]
     return float(1.4826 * np.median(np.abs(shift - np.median(shift, axis=0))))
 
