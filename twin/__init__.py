@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from twin.parts.scene import Scene
     from twin.sense.calibration import Calibration, read_calibration
     from twin.sense.reconstruct import reconstruct
-    from twin.sense.track import track
+    from twin.sense.track import Tracker, track
     from twin.study.dataset.reader import open_dataset
     from twin.study.intrinsics import read_intrinsics, write_intrinsics
     from twin.study.recipe import load_scene
@@ -34,6 +34,7 @@ _HOMES = {
     "Sphere": "twin.parts.press",
     "Step": "twin.parts.press",
     "Stl": "twin.parts.press",
+    "Tracker": "twin.sense.track",
     "Traction": "twin.parts.load",
     "TwinError": "twin.errors",
     "load_scene": "twin.study.recipe",
@@ -58,6 +59,7 @@ __all__ = [
     "Sphere",
     "Step",
     "Stl",
+    "Tracker",
     "Traction",
     "TwinError",
     "load_scene",

@@ -21,6 +21,7 @@ from twin.commands.dataset import dataset
 from twin.commands.doctor import doctor
 from twin.commands.export import export
 from twin.commands.mesh import mesh
+from twin.commands.reconstruct import reconstruct
 from twin.commands.reproduce import reproduce
 from twin.commands.run import run
 from twin.commands.scenes import scenes
@@ -44,6 +45,10 @@ app.command(calibrate, help_epilogue="Example: twin calibrate --scene sato_press
 app.command(view, help_epilogue="Examples: twin view kamiyama_shear; twin view out/kamiyama_pillar")
 app.command(dataset, help_epilogue="Example: twin dataset dataset_kamiyama --samples 1000 --out data/flat")
 app.command(export, help_epilogue="Example: twin export data/flat --format coco --out coco")
+app.command(
+    reconstruct,
+    help_epilogue="Example: twin reconstruct rest.png press*.png --calibration flat.npz --out forces.parquet",
+)
 app.command(scenes)
 app.command(check, help_epilogue="Examples: twin check my_scene.toml; twin check out/kamiyama_pillar")
 app.command(doctor)

@@ -148,7 +148,7 @@ def reconstruct(
     objective is minimised (`twin.sense.cone`). The camera's bend g(F) - H F is taken off the data and the solve
     repeated until nothing changes: Gauss-Newton with the derivative kept from the rest state.
     """
-    _check(method, weight, push_only, friction, camera, calibration)
+    check_options(method, weight, push_only, friction, camera, calibration)
     problem = problem_of(found, calibration, method)
     measured = found.shift_px[problem.used]
     rule = weight
@@ -184,9 +184,16 @@ def reconstruct(
     )  # fmt: skip
 
 
-def _check(
+def check_options(
     method: str, weight: float | str, push_only: bool, friction: float | None, camera: bool, calibration: Calibration
 ) -> None:
+    """Check the options of `reconstruct`.
+
+    Raises
+    ------
+    InputError
+        One is outside its range, or the calibration has not what it needs.
+    """
     if method not in ("smooth", "norm", "pinv"):
         raise InputError(f"method = {method!r}: allowed are 'smooth', 'norm' and 'pinv'")
     if isinstance(weight, str):

@@ -1,4 +1,4 @@
-"""A second renderer for tests, apart from the tracker's model and from the twin's: discs by area.
+"""A renderer for tests and benchmarks, apart from the tracker's model and from the twin's: discs by area.
 
 Every pixel is cut into 10 x 10 pieces, of which those on an edge count by their share inside; the fine picture is
 blurred by a Gaussian (scipy) and binned. Nothing of an edge's profile is assumed.
