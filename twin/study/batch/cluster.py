@@ -13,6 +13,9 @@ from typing import Any
 
 from twin.study.batch.engine import AHEAD, RETRIES, Done, Job, died, task_on_worker, unpack_on_worker, unreachable
 
+PATIENCE_S = 20
+"""How long a scheduler is waited for."""
+
 
 def tasks_on_cluster(job: Job, numbers: Iterable[int], workers: int, scheduler: str | None) -> Iterator[Done]:
     """Do the tasks and yield them as they finish; see `twin.study.batch.engine.run_tasks`."""
@@ -39,7 +42,7 @@ def tasks_on_cluster(job: Job, numbers: Iterable[int], workers: int, scheduler: 
                 silence_logs=logging.CRITICAL, host="127.0.0.1",
             )  # fmt: skip
         try:
-            client = Client(cluster or scheduler, timeout=20, direct_to_workers=False)
+            client = Client(cluster or scheduler, timeout=PATIENCE_S, direct_to_workers=False)
         except (OSError, TimeoutError, ValueError) as problem:
             raise unreachable(str(scheduler), problem) from None
         with client:

@@ -1,0 +1,68 @@
+"""The examples run as they stand."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+
+
+def example(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+class Pressed:
+    """Stands in for a dataset: shifts that are a linear picture of the force, in a known direction per marker."""
+
+    def __init__(self, count: int) -> None:
+        rng = np.random.default_rng(3)
+        self.map = rng.normal(size=(3, 12, 2))
+        self.force = rng.normal(size=(count, 3))
+
+    def __iter__(self) -> Any:
+        for force in self.force:
+            shift = np.einsum("f,fmi->mi", force, self.map)
+            yield {"status": "ok", "sensor": 0, "marker_pressed_px": 5.0 + shift, "force_n": force}
+
+    def sensor(self, number: int) -> dict[str, Any]:
+        assert number == 0
+        return {
+            "actual": '{"material": {"youngs_modulus_mpa": 1.0}}', "marker_layer": '[["red", 6], ["blue", 6]]',
+            "marker_rest_px": np.full((12, 2), 5.0),
+        }  # fmt: skip
+
+
+def test_the_ridge_finds_a_force_that_shifts_tell(monkeypatch: pytest.MonkeyPatch) -> None:
+    read_force = example("read_force")
+    monkeypatch.setattr(read_force.twin, "open_dataset", lambda folder: Pressed(400), raising=False)
+    found = read_force.compare("anywhere")
+    assert found["ridge"] < 0.02
+    assert found["ridge"] < 0.5 * found["mean shift"] < found["mean force"]
+
+
+@pytest.mark.slow
+def test_the_ridge_reads_force_from_a_dataset_better_than_the_mean_shift(tmp_path: Path) -> None:
+    import twin
+    from twin.study.dataset.create import create_dataset
+
+    columns = ["force_n", "marker_pressed_px"]
+    scene = twin.load_scene("dataset_kamiyama", {"dataset.columns": columns, "accuracy.contact_patches": 8})
+    create_dataset(scene, tmp_path / "d", 300)
+    found = example("read_force").compare(str(tmp_path / "d"))
+    assert found["ridge"] < 0.8 * found["mean shift"]
+
+
+def test_torch_loads_pictures_in_batches() -> None:
+    pytest.importorskip("torch")
+    assert callable(example("torch_loader").loader)
