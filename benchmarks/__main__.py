@@ -10,7 +10,7 @@ import platform
 import sys
 from pathlib import Path
 
-STAGES = ("elasticity", "contact", "peers", "growth", "picture", "tracking", "chain", "stress")
+STAGES = ("elasticity", "contact", "peers", "growth", "picture", "tracking", "chain", "stress", "dataset")
 SLOW = ("peers", "growth")
 """Stages that a quick run leaves out unless they are named: they need other programs, or much memory."""
 

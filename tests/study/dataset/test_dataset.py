@@ -228,6 +228,20 @@ def test_every_step_of_a_path_can_be_kept(tmp_path: Path) -> None:
     np.testing.assert_allclose(data[0]["force_n"][:2], 0, atol=1e-9)
 
 
+def test_several_probes_count_together(tmp_path: Path) -> None:
+    scene = small_scene(
+        columns=("force_n", "site_force_n", "surface_slip", "surface_force_n", "traction_error"), vary={},
+        press__also=[{"probe": {"kind": "sphere", "diameter_mm": 4}, "at_mm": [4.0, 0.0], "force_n": {"z": 0.5}}],
+        press__force_n={"z": 0.5}, press__at_mm=[-4.0, 0.0],
+    )  # fmt: skip
+    assert make(tmp_path / "d", 1, scene).reason == ""
+    row = twin.open_dataset(tmp_path / "d")[0]
+    assert row["force_n"][2] == pytest.approx(1.0, rel=1e-6)
+    assert row["site_force_n"][:, 2].sum() == pytest.approx(1.0, rel=1e-6)
+    assert len(row["surface_slip"]) == len(row["surface_force_n"])
+    assert 0 < row["traction_error"] < 1
+
+
 def test_the_command_line_makes_estimates_and_refuses(tmp_path: Path) -> None:
     twin_ = [sys.executable, "-m", "twin", "dataset", "dataset_kamiyama"]
     done = subprocess.run([*twin_, "--samples", "0"], capture_output=True, text=True)

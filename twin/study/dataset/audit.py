@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.arrays import Floats
-from twin.errors import TwinError
+from twin.errors import ContactError, TwinError
 from twin.places import pinned
 from twin.study.batch.draw import Table
 from twin.study.batch.engine import Job, run_tasks
@@ -129,7 +129,7 @@ def _pressed(made: MadeSensor, press: Press, increments: int) -> ContactState:
 
     made.sensor.compliance.forget()
     scene = made.sensor.actual.scene
-    return solve(
+    state = solve(
         press,
         scene.body,
         made.sensor.compliance,
@@ -138,6 +138,9 @@ def _pressed(made: MadeSensor, press: Press, increments: int) -> ContactState:
         poisson_ratio=scene.material.poisson_ratio,
         increments=increments,
     )
+    if not state.complete:
+        raise ContactError(f"press: {state.reason}")
+    return state
 
 
 def _relative(one: Floats | float, other: Floats | float) -> float:

@@ -67,6 +67,7 @@ SAMPLE = (
     _column("contact_area_mm2", "number", "area of the contact", "contact"),
     _column("peak_pressure_mpa", "number", "largest pressure of a patch", "contact"),
     _column("contact_residual", "number", "largest relative error of gap, sign, friction and balance", "contact"),
+    _column("traction_error", "number", "change of the tractions with patches twice as wide, rms over rms", "contact"),
     _column("linearisation_error", "number", "what linear theory may cost, over the largest displacement", "contact"),
     _column("site_force_n", "vectors", "tractions summed over the cells of the sites; sums to force_n", "sites"),
     _column("site_contact", "numbers", "share of each cell that is in contact", "sites"),

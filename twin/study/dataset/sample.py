@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from twin.arrays import Bools
 from twin.errors import ContactError, RecipeError, TwinError
 from twin.parts.part import Part
 from twin.parts.pipeline import Sites
@@ -148,7 +149,7 @@ def failed_row(plan: Plan, sample: int, values: Table, why: str) -> Row:
 def _rows(made: MadeSensor, sample: int, press: Press) -> list[Row]:
     plan, sensor = made.plan, made.sensor
     sensor.compliance.forget()
-    state = sensor.press(press)
+    state = sensor.press(press, with_error="traction_error" in {c.name for c in plan.columns})
     if not state.complete:
         raise ContactError(f"press: {state.reason}")
     every = plan.scene.dataset.every_step
@@ -167,6 +168,7 @@ def truth_of(made: MadeSensor, state: ContactState, exposure: int | None = None)
     """Return what columns are made of under a state; without an exposure what is seen is left out."""
     sensor, needs = made.sensor, made.plan.needs
     patches = sensor.rectangles(state.load)
+    slip = np.concatenate([one.slip for one in (state, *state.also)])
     row = {
         "force_n": patches.force_n.sum(axis=0),
         "torque_nmm": np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
@@ -176,13 +178,14 @@ def truth_of(made: MadeSensor, state: ContactState, exposure: int | None = None)
         "contact_area_mm2": state.area_mm2,
         "peak_pressure_mpa": state.peak_pressure_mpa,
         "contact_residual": state.residual,
+        "traction_error": state.error.traction if state.error is not None else None,
         "linearisation_error": state.validity.linearisation_error,
         "surface_mm": patches.centre_mm,
         "surface_force_n": patches.force_n,
-        "surface_slip": state.slip,
+        "surface_slip": slip,
     }
     if "sites" in needs:
-        row |= _on_sites(made, patches, state)
+        row |= _on_sites(made, patches, slip)
     if not needs & {"motion", "picture", "outlines"}:
         return row
     looked_at = bool(needs & {"picture", "outlines"})
@@ -209,7 +212,7 @@ def _seen(made: MadeSensor, motion: Motion, exposure: int) -> Row:
     return row
 
 
-def _on_sites(made: MadeSensor, patches: Rectangles, state: ContactState) -> Row:
+def _on_sites(made: MadeSensor, patches: Rectangles, slip: Bools) -> Row:
     """Sum tractions, contact and slip into the cells of the sites.
 
     Raises
@@ -231,7 +234,7 @@ def _on_sites(made: MadeSensor, patches: Rectangles, state: ContactState) -> Row
     column, row = np.clip(np.floor(place).astype(int), 0, count - 1).T
     cell, cells = column * grid.rows + row, grid.columns * grid.rows
     area = 4.0 * patches.half_mm.prod(axis=1)
-    columns = (*patches.force_n.T, area, area * state.slip)
+    columns = (*patches.force_n.T, area, area * slip)
     sums = [np.bincount(cell, np.repeat(values / SPLIT**2, SPLIT**2), cells) for values in columns]
     touched = sums[3] > 0
     return {
