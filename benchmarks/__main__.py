@@ -10,9 +10,9 @@ import platform
 import sys
 from pathlib import Path
 
-STAGES = ("elasticity", "contact", "peers", "growth", "picture", "tracking", "chain", "stress", "dataset")
-SLOW = ("peers", "growth")
-"""Stages that a quick run leaves out unless they are named: they need other programs, or much memory."""
+STAGES = ("elasticity", "contact", "peers", "growth", "picture", "referee", "tracking", "chain", "stress", "dataset")
+SLOW = ("peers", "growth", "referee")
+"""Stages that a quick run leaves out unless they are named: they need other programs, much memory, or LLVM."""
 
 RESULTS = Path(__file__).parent / "results"
 

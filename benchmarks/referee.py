@@ -25,6 +25,8 @@ HALF = 13
 """Half width of the window rendered around a marker, px."""
 
 LIGHT = {"light.radius_mm": 8.0, "light.ambient": 0.0}
+"""Discs so wide that chance finds them. The plate mirrors their edges into a corner of the flat sensor's picture."""
+
 SAMPLES_A_PASS = 512
 
 
