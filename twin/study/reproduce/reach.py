@@ -122,7 +122,7 @@ DRAWN: dict[str, Any] = {"calibration.method": "compliance"}
 def _sphere_width(bench: Bench, chain: Chain, gram_force: float) -> float:
     rig = chain.rig(bench)
     found = rig.seen(rig.press(sphere_press((0.0, 0.0), gram_force)), 80, chain.tracker)
-    return full_width(*along_x(solved(found, rig.calibration, chain.method, chain.options)))
+    return full_width(*along_x(solved(found, rig.calibration, chain.method, chain.options), magnitude=True))
 
 
 def _sato(bench: Bench) -> Outcome:
@@ -187,9 +187,9 @@ def _finer_panels(bench: Bench, chains: dict[str, Chain]) -> list[CurvePanel]:
                 paper="sato", overrides=chain.overrides, method=method,  # type: ignore[arg-type]
                 tracker=OUR_TRACKER if method == "smooth" else None,
             )  # fmt: skip
-            x, push = along_x(pressed(bench, used, (0.0,), FORCE_N, 60))
+            x, push = along_x(pressed(bench, used, (0.0,), FORCE_N, 60), magnitude=True)
             curves.append(Curve(label=f"{name.split(',')[0]}, {way}", x=x, y=push / np.abs(push).max(), style="o-"))
-    return [CurvePanel(title="A narrow force of 1 N", curves=curves, across="x (mm)", up="push over its largest")]
+    return [CurvePanel(title="A narrow force of 1 N", curves=curves, across="x (mm)", up="magnitude over its largest")]
 
 
 KAMIYAMA_CONCLUSION = Entry(

@@ -102,7 +102,7 @@ def reproduce(
 def _run(out: Path, entry: Entry, bench: Bench) -> None:
     from twin.show.drawn import drawn
 
-    started = time.perf_counter()
+    started, worked = time.perf_counter(), time.process_time()
     outcome = entry.run(bench)
     paper = entry.name.split("/")[0]
     sensors = {name: sensor_hash(name) for name in sorted(bench.used)}
@@ -111,7 +111,7 @@ def _run(out: Path, entry: Entry, bench: Bench) -> None:
         "key": _key(entry, bench.seed, bench.quick),
         "name": entry.name, "title": entry.title, "source": entry.source, "protocol": entry.protocol,
         "notes": [*outcome.notes, *([bench.validity] if bench.validity else [])],
-        "seconds": round(time.perf_counter() - started, 2),
+        "seconds": round(time.perf_counter() - started, 2), "cpu_seconds": round(time.process_time() - worked, 2),
         "records": [
             {"name": entry.name, "source": entry.source, **record.row(), "sensor": paper, "sensor_hash": sensors}
             for record in outcome.records

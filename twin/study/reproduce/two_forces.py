@@ -43,13 +43,13 @@ class Chain:
         return bench.rig(self.paper, seed, dict(self.overrides))
 
 
-def along_x(found: Field) -> tuple[Floats, Floats]:
-    """Return x and the push on the row of sites nearest to y = 0, mm and N; two rows alike are averaged."""
+def along_x(found: Field, *, magnitude: bool = False) -> tuple[Floats, Floats]:
+    """Return x and the push, or the magnitude, on the row of sites nearest to y = 0, mm and N, two rows averaged."""
     y = np.abs(found.site_mm[:, 1])
     row = y < y.min() + 1e-6
     x = np.unique(found.site_mm[row, 0].round(6))
-    push = [float(found.force_n[row & (np.abs(found.site_mm[:, 0] - at) < 1e-3), 2].mean()) for at in x]
-    return x, np.array(push)
+    size = np.linalg.norm(found.force_n, axis=1) if magnitude else found.force_n[:, 2]
+    return x, np.array([float(size[row & (np.abs(found.site_mm[:, 0] - at) < 1e-3)].mean()) for at in x])
 
 
 def pressed(bench: Bench, chain: Chain, at_mm: tuple[float, ...], force_n: float, exposure: int) -> Field:
@@ -62,8 +62,11 @@ def pressed(bench: Bench, chain: Chain, at_mm: tuple[float, ...], force_n: float
 
 
 def point_width_mm(bench: Bench, chain: Chain, force_n: float) -> float:
-    """Return the full width at half maximum of the estimate of a narrow force, mm."""
-    return full_width(*along_x(pressed(bench, chain, (0.0,), force_n, 60)))
+    """Return the full width at half maximum of the estimate of a narrow force, mm: of the magnitude, as Sato has it.
+
+    Of the push alone it would flatter an inverse that swings from site to site.
+    """
+    return full_width(*along_x(pressed(bench, chain, (0.0,), force_n, 60), magnitude=True))
 
 
 def two_points_mm(bench: Bench, chain: Chain, force_n: float, distances_mm: tuple[float, ...]) -> float:
