@@ -43,6 +43,9 @@ OUR_TRACKER: Method = "disc-fit"
 SENSOR_KEYS = ("body", "material", "cover", "markers", "camera", "light", "ccd", "tolerance")
 """What makes the sensor: the rest of a scene is the press and the software."""
 
+DRAWING = ("body", "material", "cover", "markers", "camera", "calibration", "reconstruction")
+"""What a calibration from the nominal design depends on."""
+
 SEEDS = {"kamiyama": (1, 2, 3), "sato": (1,)}
 """Made sensors by paper. One finger: its contact takes seconds a press; its spread is of exposures and load cell."""
 
@@ -59,9 +62,16 @@ FITTED: dict[str, tuple[str, ...]] = {
 class Rig:
     """One made sensor on the bench, with what was measured on it."""
 
-    def __init__(self, scene: Scene, sensor: KeptSensor, pressed: Callable[[ContactState], None]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        sensor: KeptSensor,
+        drawn: dict[str, Calibration],
+        pressed: Callable[[ContactState], None],
+    ) -> None:
         self.scene = scene
         self.sensor = sensor
+        self._drawn = drawn
         self._pressed = pressed
         self._rests: dict[tuple[str, int], Rest] = {}
 
@@ -101,8 +111,15 @@ class Rig:
 
     @cached_property
     def calibration(self) -> Calibration:
-        """The calibration that the scene asks for."""
-        return calibration_of(self.sensor)
+        """The calibration that the scene asks for; one for all sensors of one drawing, if it is made from that."""
+        if self.scene.calibration.method == "sato":
+            return calibration_of(self.sensor)
+        drawing = self.scene.model_dump(mode="json", include=set(DRAWING))
+        drawing["reconstruction"] = drawing["reconstruction"]["sites"]
+        key = json.dumps(drawing, sort_keys=True)
+        if key not in self._drawn:
+            self._drawn[key] = calibration_of(self.sensor)
+        return self._drawn[key]
 
     @cached_property
     def image_scale(self) -> Floats:
@@ -145,6 +162,7 @@ class Bench:
         self._entry = ""
         self._rigs: dict[str, Rig] = {}
         self._bodies: dict[str, Mechanics] = {}
+        self._drawn: dict[str, Calibration] = {}
         self.kept: dict[Any, Any] = {}
         self.used: set[str] = set()
         self._worst: ContactState | None = None
@@ -193,7 +211,7 @@ class Bench:
         key = json.dumps([paper, given], sort_keys=True, default=str)
         if key not in self._rigs:
             sensor = KeptSensor(scene, self._bodies, lambda what, _share: self.progress(what, 0.0))
-            self._rigs[key] = Rig(scene, sensor, self._pressed)
+            self._rigs[key] = Rig(scene, sensor, self._drawn, self._pressed)
         return self._rigs[key]
 
     def once(self, key: Any, work: Callable[[], T]) -> T:

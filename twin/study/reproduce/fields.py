@@ -37,7 +37,7 @@ def calibration(bench: Bench, rig: Rig, method: str | None = None) -> Calibratio
     if method is None or method == rig.scene.calibration.method:
         return rig.calibration
     if method == "no camera":
-        return _without_depth(rig)
+        return bench.once(("no camera", id(rig.calibration)), lambda: _without_depth(rig))
     paper = "kamiyama" if rig.scene.calibration.method == "halfspace" else "sato"
     return bench.rig(paper, rig.scene.seed, {"calibration.method": method}).calibration
 
