@@ -10,8 +10,21 @@ import platform
 import sys
 from pathlib import Path
 
-STAGES = ("elasticity", "contact", "peers", "growth", "picture", "referee", "tracking", "chain", "stress", "dataset")
-SLOW = ("peers", "growth", "referee")
+STAGES = (
+    "elasticity",
+    "contact",
+    "peers",
+    "growth",
+    "picture",
+    "referee",
+    "tracking",
+    "chain",
+    "inverse",
+    "calibrations",
+    "stress",
+    "dataset",
+)
+SLOW = ("peers", "growth", "referee", "calibrations")
 """Stages that a quick run leaves out unless they are named: they need other programs, much memory, or LLVM."""
 
 RESULTS = Path(__file__).parent / "results"

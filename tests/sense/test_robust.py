@@ -50,7 +50,7 @@ def test_stated_deviations_cover_the_truth():
     """Forces drawn from the prior, noise as stated: errors over their standard deviations have unit variance."""
     _, _, calibration = FINGER
     random = np.random.default_rng(4)
-    weight, noise = 0.5, 0.05
+    weight, noise = 20.0, 0.05
     total, site = [], []
     for _ in range(60):
         force = random.normal(0, noise / np.sqrt(weight / 2), (25, 3))

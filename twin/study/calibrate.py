@@ -159,7 +159,7 @@ def calibrate_by_presses(sensor: Sensor) -> Calibration:
     grid = scene.calibration.presses
     if grid is None and scene.calibration.method == "sato":
         grid = scene.reconstruction.sites
-    half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
+    half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
     chart = grid.chart() if grid is not None else np.array(FIVE) * np.array(scene.reconstruction.sites.half_mm)
     places = on_surface(scene.body, chart, half_mm, "calibration.presses")
     presses = _press_everywhere(sensor, places)
@@ -212,7 +212,7 @@ def fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) -> 
 
     scene = sensor.nominal
     force = scene.calibration.press_force_n * places.frames[:, 2, 2]
-    radius = [min(_hertz_radius(scene, float(f)), scene.calibration.press_probe_mm / 2) for f in force]
+    radius = [min(hertz_radius(scene, float(f)), scene.calibration.press_probe_mm / 2) for f in force]
     design = FittedDesign(scene, places, np.array(radius), progress=sensor.progress)
     found = fit(design, presses)
     markers, _ = design.markers_of(found.scaled, presses.rest_px)
@@ -257,7 +257,7 @@ def _press_everywhere(sensor: Sensor, places: Rectangles) -> Presses:
     )  # fmt: skip
 
 
-def _hertz_radius(scene: Scene, force_n: float) -> float:
+def hertz_radius(scene: Scene, force_n: float) -> float:
     """Return the nominal contact radius of the calibration sphere, mm."""
     return hertz(
         radius_mm=scene.calibration.press_probe_mm / 2,
@@ -275,7 +275,7 @@ def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     """
     wanted, normal = scene.calibration, places.frames[index, 2]
     radius = wanted.press_probe_mm / 2
-    contact_radius = min(_hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
+    contact_radius = min(hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
     x, y = places.centre_mm[index, :2] - (radius - contact_radius**2 / radius) * normal[:2]
     shear = SHEAR_SHARE * contact_radius
     return Press(

@@ -37,6 +37,7 @@ CUTS = 8
 """Squares across a footprint."""
 
 AXES = ("x", "y", "z")
+FIELDS = ("centre_mm", "frames", "half_mm", "force_n")
 
 
 class FittedDesign:
@@ -138,10 +139,20 @@ class FittedDesign:
         """Return (3n, 3k) mm/N of markers at their fitted places per force on squares of the surface."""
         found = self._values(scaled)
         nominal, softer = self._bodies
-        out = nominal.to_points(markers, sites)
-        if share := -found["poisson_ratio"] / NU_STEP:
-            out = out + share * (softer.to_points(markers, sites) - out)
-        return np.asarray(out / (1 + found["youngs_modulus"]))
+        share, columns = -found["poisson_ratio"] / NU_STEP, []
+        for first in range(0, len(sites), 2 * len(markers)):  # few at a time have fields, which serve other markers too
+            few = _part(sites, slice(first, first + 2 * len(markers)))
+            here = nominal.to_points(markers, few)
+            columns.append(here + share * (softer.to_points(markers, few) - here) if share else here)
+        return np.asarray(np.concatenate(columns, axis=1) / (1 + found["youngs_modulus"]))
+
+    def footprint_mm(self, scaled: Floats, place: int) -> float:
+        """Return the fitted radius of a place's footprint, mm."""
+        return float(self.radius_mm[place] * (1 + self._values(scaled)["footprint"]))
+
+    def seen(self, scaled: Floats, points: Points) -> Pixels:
+        """Return where the fitted camera sees points, px."""
+        return self._seen(points, self.camera_of(scaled))
 
     def optics(self, scaled: Floats) -> str:
         """Return the camera as a calibration file holds it."""
@@ -190,8 +201,7 @@ class FittedDesign:
         beside = 0.2 / (2 * reach**2)
         weights = np.array([1 - 4 * beside, *[beside] * 4])
         parts = [self._squares(i, r, (offsets, weights))[0] for i, r in enumerate(self.radius_mm)]
-        fields = ("centre_mm", "frames", "half_mm", "force_n")
-        return Rectangles(**{f: np.concatenate([getattr(p, f) for p in parts]) for f in fields}), weights
+        return Rectangles(**{f: np.concatenate([getattr(p, f) for p in parts]) for f in FIELDS}), weights
 
     def _squares(self, index: int, radius: float, shares: tuple[Floats, Floats]) -> tuple[Rectangles, Floats]:
         """Return squares on the surface around a place, at offsets in radii, and their shares."""
@@ -208,6 +218,10 @@ class FittedDesign:
 
     def _seen_slope(self, points: Points, camera: Camera) -> Floats:
         return projection_jacobian(points, camera, self.scene.material.refractive_index, self.scene.body.base_z_mm)
+
+
+def _part(squares: Rectangles, which: slice) -> Rectangles:
+    return Rectangles(**{f: getattr(squares, f)[which] for f in FIELDS})
 
 
 def _is(names: tuple[str, ...], name: str) -> Bools:

@@ -20,9 +20,9 @@ from twin.results import make_folder
 from twin.study.calibrate import (
     BY_PRESSES,
     FOOTPRINT,
-    _hertz_radius,
     _nominal,
     fitted_calibration,
+    hertz_radius,
     measured_calibration,
 )
 from twin.study.frames import read_picture
@@ -159,7 +159,7 @@ def _charts(sensor: Sensor, table: Table) -> Floats:
 def _by_presses(sensor: Sensor, charts: Floats, presses: Any) -> Any:
     scene = sensor.nominal
     assert scene.reconstruction is not None
-    half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
+    half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
     if scene.calibration.method == "fitted":
         rounded = np.rint(charts / SAME_PLACE_MM).astype(np.int64)
         _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)

@@ -1,0 +1,192 @@
+"""Calibrations of twenty made fingers against each other: the nominal design, and it fitted to presses.
+
+Noise: .05 px in every component of a shift, .02 px at rest, 5 mN in every component of the load cell. Errors: of the
+transfer matrix of a square site, |H^ - H| / |H|; of the force and the place of a 3 mm sphere's press (1 N), at a known
+place and where the place is sought; of the total of a distributed load, from the field on the scene's sites.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.inverse_truth import BETWEEN, EDGE, SENSORS, Truth, design, sensors
+from twin.arrays import Floats
+from twin.parts.pipeline import Sites
+from twin.parts.scene import Scene
+from twin.sense.calibration import Calibration
+from twin.sense.fit_design import Fit, Presses, fit
+from twin.sense.reconstruct import reconstruct
+from twin.sense.single import single_contact
+from twin.sense.track import Found
+from twin.study.calibrate import hertz_radius
+from twin.study.fitted import FittedDesign
+from twin.study.sensor import on_grid, on_surface
+
+NOISE_PX, REST_PX, CELL_N = 0.05, 0.02, 0.005
+PLACES: dict[int, list[tuple[float, float]]] = {
+    0: [],
+    1: [(0.0, 0.0)],
+    5: [(0.0, 0.0), (2.5, 2.5), (2.5, -2.5), (-2.5, 2.5), (-2.5, -2.5)],
+}
+FINE = Sites(columns=17, rows=17, pitch_mm=0.7)
+"""Sites that a single contact is sought between."""
+
+BUMPS = 6
+
+FEW = 7
+"""Sensors without a cover: what doesn't need twenty."""
+
+
+def run(quick: bool) -> list[dict[str, Any]]:
+    """Return one row a way and truth; the quick form has two sensors, without a cover."""
+    if quick:
+        return summary(study(range(2), covered=False, counts=(0, 5)))
+    cases = study(range(SENSORS), covered=True, counts=(5,)) + study(range(FEW), covered=False, counts=(5, 0))
+    return summary(cases)
+
+
+def study(numbers: Any, covered: bool, counts: tuple[int, ...]) -> list[dict[str, Any]]:
+    """Return the errors of every sensor and way."""
+    scene = design()
+    truth, out = Truth(scene, sensors(scene), covered), []
+    for count in counts:
+        chart = PLACES[count]
+        places = on_surface(scene.body, np.array(chart or [(0.0, 0.0)]), 0.5, "places")
+        radius = [hertz_radius(scene, scene.calibration.press_force_n * float(n)) for n in places.frames[:, 2, 2]]
+        twin = FittedDesign(scene, places, np.array(radius))
+        for number in numbers:
+            presses = measured(truth, number, chart)
+            found = fit(twin, presses) if chart else drawn(twin)
+            out.append(
+                {"places": count, "covered": covered, "sensor": number, **errors(truth, number, twin, found, presses)}
+            )
+            print(json.dumps(out[-1]), file=sys.stderr, flush=True)
+    return out
+
+
+def measured(truth: Truth, number: int, chart: list[tuple[float, float]]) -> Presses:
+    """Return what is measured on one sensor at the given places."""
+    random = np.random.default_rng([number, 1])
+    steps = [step for place in chart for step in truth.press(place, 3)]
+    rest = truth.rest_px()[number]
+    forces = np.array([step.force_n[number] for step in steps]).reshape(-1, 3)
+    shifts = np.array([step.shift_px[number] for step in steps]).reshape(-1, *rest.shape)
+    return Presses(
+        place=np.repeat(np.arange(len(chart)), 3), force_n=forces + random.normal(0, CELL_N, forces.shape),
+        shift_px=shifts + random.normal(0, NOISE_PX, shifts.shape),
+        rest_px=rest + random.normal(0, REST_PX, rest.shape), load_cell_n=CELL_N, noise_px=NOISE_PX,
+    )  # fmt: skip
+
+
+def drawn(twin: FittedDesign) -> Fit:
+    """Return the design as drawn."""
+    zero = np.zeros(len(twin.names))
+    return Fit(
+        names=twin.names, scaled=zero, covariance=np.eye(len(zero)), residual_px=0.0, model_px=0.0, left_out=zero
+    )  # fmt: skip
+
+
+def errors(truth: Truth, number: int, twin: FittedDesign, found: Fit, presses: Presses) -> dict[str, float]:
+    """Return one sensor's errors."""
+    scene = truth.scene
+    rest = presses.rest_px if found.residual_px else np.full_like(presses.rest_px, np.nan)
+    markers, _ = twin.markers_of(found.scaled, rest)
+    out: dict[str, float] = {"residual_px": found.residual_px}
+    squares = on_surface(scene.body, np.array(BETWEEN + EDGE), 0.625, "squares")
+    transfer = twin.transfer(found.scaled, markers, twin.compliance(found.scaled, markers, squares))
+    for index, place in enumerate(BETWEEN + EDGE):
+        exact = truth.square(place, 0.625)[number]
+        part = transfer.reshape(len(transfer), -1, 3)[:, index]
+        out[f"transfer {place}"] = float(np.linalg.norm(part - exact) / np.linalg.norm(exact))
+    fine = calibration(scene, twin, found, markers, FINE)
+    radius = twin.footprint_mm(found.scaled, 0)
+    for index, place in enumerate(BETWEEN + EDGE):
+        step = truth.press(place, 1)[0]
+        random = np.random.default_rng([number, 2, index])
+        told = as_found(fine, step.shift_px[number] + random.normal(0, NOISE_PX, rest.shape))
+        force = step.force_n[number]
+        known = (place[0] / FINE.pitch_mm + 8, place[1] / FINE.pitch_mm + 8)
+        at_place = single_contact(told, fine, place=known, radius_mm=radius)
+        sought = single_contact(told, fine, radius_mm=radius)
+        centre = scene.body.chart_points(np.array([place]))[0]
+        out[f"known {place}"] = float(np.linalg.norm(at_place.force_n - force) / np.linalg.norm(force))
+        out[f"sought {place}"] = float(np.linalg.norm(sought.force_n - force) / np.linalg.norm(force))
+        out[f"place_mm {place}"] = float(np.linalg.norm(sought.place_mm - centre))
+    if not truth.covered:
+        out |= totals(truth, number, calibration(scene, twin, found, markers, scene.reconstruction.sites))
+    return out
+
+
+def totals(truth: Truth, number: int, own: Calibration) -> dict[str, float]:
+    """Return the total's error under distributed loads, by this calibration and by the exact transfer matrix."""
+    exact = replace(
+        own,
+        transfer=truth.sites()[number],
+        compliance=np.zeros((0, 0), np.float32),
+        marker_mm=np.zeros((0, 3)),
+        camera="{}",
+    )
+    wrong: dict[str, list[float]] = {"total": [], "total, exact H": []}
+    for seed in range(BUMPS):
+        (step,), _ = truth.bumps(seed)
+        random = np.random.default_rng([number, 3, seed])
+        shift = step.shift_px[number] + random.normal(0, NOISE_PX, own.layout_px.shape)
+        for name, one in (("total", own), ("total, exact H", exact)):
+            field = reconstruct(as_found(one, shift), one)
+            force = step.force_n[number]
+            wrong[name].append(float(np.linalg.norm(field.total_force_n - force) / np.linalg.norm(force)))
+    return {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in wrong.items()}
+
+
+def calibration(scene: Scene, twin: FittedDesign, found: Fit, markers: Floats, grid: Sites) -> Calibration:
+    """Return a calibration at any sites."""
+    sites = on_grid(scene.body, grid, grid.pitch_mm / 2, "sites")
+    compliance = twin.compliance(found.scaled, markers, sites)
+    return Calibration(
+        layer=np.repeat(list(scene.markers), [v.columns * v.rows for v in scene.markers.values()]),
+        layout_px=twin.seen(found.scaled, markers), site_mm=sites.centre_mm, site_frames=sites.frames,
+        site_area_mm2=np.full(len(sites), grid.pitch_mm**2), grid=(grid.columns, grid.rows),
+        transfer=twin.transfer(found.scaled, markers, compliance), noise_px=NOISE_PX,
+        compliance=compliance.astype(np.float32), marker_mm=markers, camera=twin.optics(found.scaled),
+    )  # fmt: skip
+
+
+def as_found(calibration: Calibration, shift_px: Floats) -> Found:
+    """Return shifts as tracking hands them over."""
+    sd = np.full(len(shift_px), NOISE_PX)
+    return Found(
+        rest_px=np.array(calibration.layout_px), shift_px=shift_px, sd_px=sd, layer=calibration.layer, channels={},
+        method="drawn",
+    )  # fmt: skip
+
+
+def summary(cases: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one row a way and truth: root mean square and worst over sensors and places, percent and mm."""
+    rows = []
+    for covered, count in sorted({(c["covered"], c["places"]) for c in cases}):
+        mine = [c for c in cases if (c["covered"], c["places"]) == (covered, count)]
+        row: dict[str, Any] = {
+            "truth": "covered" if covered else "bare",
+            "calibration": f"fitted, {count} places" if count else "as drawn",
+            "sensors": len(mine),
+        }
+        for what, scale, unit in (
+            ("transfer", 100, " %"),
+            ("known", 100, " %"),
+            ("sought", 100, " %"),
+            ("place_mm", 1, ""),
+        ):
+            for name, places in (("", BETWEEN), (", edge", EDGE)):
+                values = scale * np.array([[c[f"{what} {place}"] for place in places] for c in mine])
+                row[f"{what}{unit}{name}"] = float(np.sqrt(np.mean(values**2)))
+                row[f"{what}{unit}{name}, worst"] = float(values.max())
+        if not covered:
+            for name in ("total", "total, exact H"):
+                row[f"{name} %"] = 100 * float(np.sqrt(np.mean([c[name] ** 2 for c in mine])))
+        rows.append(row)
+    return rows

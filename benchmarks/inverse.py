@@ -1,0 +1,252 @@
+"""The inverse problem: ways of solving it on random loads, the automatic weight, wrong vectors, speed, other solvers.
+
+The sensor is the shipped flat one, made from its tolerances, seen by its nominal calibration; shifts are projected,
+with .05 px of noise in every component. Loads are discs of 3 to 10 mm with 1 to 4 N and shear up to 0.6 of it. CPU
+times are of one thread, the best of several.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Floats
+from twin.judge.resolution import field_errors, widths
+from twin.judge.score import into_cells
+from twin.parts.load import Traction
+from twin.sense.calibration import Calibration
+from twin.sense.cone import Quadratic
+from twin.sense.force_map import force_map
+from twin.sense.problem import problem_of
+from twin.sense.reconstruct import reconstruct
+from twin.sense.track import Found
+from twin.sense.weigh import automatic_weight, filtered
+from twin.study.calibrate import calibration_of
+from twin.study.recipe import load_scene
+from twin.study.sensor import Sensor
+from twin.theory.limit import design_limit
+
+NOISE_PX, FRICTION = 0.05, 0.6
+WAYS: dict[str, dict[str, Any]] = {
+    "pseudo-inverse": {"method": "pinv"},
+    "norm": {"method": "norm"},
+    "norm, pushes": {"method": "norm", "push_only": True},
+    "smooth": {},
+    "smooth, pushes": {"push_only": True},
+    "smooth, cone": {"friction": FRICTION},
+    "smooth, cone, mu half": {"friction": FRICTION / 2},
+    "smooth, cone, mu twice": {"friction": 2 * FRICTION},
+    "smooth, robust, 2 % wrong vectors": {"robust": True},
+}
+
+
+def run(quick: bool) -> list[dict[str, Any]]:
+    """Return rows of all parts; the quick form has few loads."""
+    sensor = Sensor(load_scene("kamiyama_pillar"))
+    calibration = calibration_of(sensor)
+    loads = [case(sensor, calibration, seed) for seed in range(12 if quick else 200)]
+    some = loads[: 6 if quick else 30]
+    return [
+        *(way(calibration, some, name) for name in WAYS),
+        weights(calibration, loads),
+        *speed(calibration, loads[0]),
+    ]
+
+
+def case(sensor: Sensor, calibration: Calibration, seed: int) -> tuple[Found, Floats, Floats, Floats]:
+    """Return what is tracked under one load, the true field in the sites' cells, the total and the centre."""
+    random = np.random.default_rng([seed, 7])
+    x, y, radius = random.uniform(-9, 9), random.uniform(-6, 6), random.uniform(1.5, 5)
+    push, ratio, angle = random.uniform(1, 4), random.uniform(0, FRICTION), random.uniform(0, 2 * np.pi)
+    force = push * np.array([ratio * np.cos(angle), ratio * np.sin(angle), 1.0])
+    load = sensor.rectangles(Traction.disk((x, y), radius, tuple(force)))
+    points = sensor.actual.markers.points
+    moved = sensor.compliance.displacement(points, load)
+    shift = sensor.project(points + moved) - sensor.project(points) + random.normal(0, NOISE_PX, (len(points), 2))
+    cells = into_cells(calibration.site_mm, *_fine_disc(x, y, radius, force))
+    return as_found(calibration, shift), cells, force, np.array([x, y])
+
+
+def _fine_disc(x: float, y: float, radius: float, force: Floats) -> tuple[Floats, Floats]:
+    """Return points of a disc, far closer than the sites, and their forces: the solver's rectangles are too large."""
+    axis = radius * ((np.arange(60) + 0.5) / 30 - 1)
+    offsets = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    inside = offsets[np.hypot(*offsets.T) <= radius]
+    points = np.column_stack([inside + np.array([x, y]), np.zeros(len(inside))])
+    return points, np.tile(force / len(inside), (len(inside), 1))
+
+
+def as_found(calibration: Calibration, shift_px: Floats) -> Found:
+    """Return shifts as tracking hands them over."""
+    sd = np.full(len(shift_px), NOISE_PX)
+    return Found(
+        rest_px=np.array(calibration.layout_px), shift_px=shift_px, sd_px=sd, layer=calibration.layer, channels={},
+        method="drawn",
+    )  # fmt: skip
+
+
+def way(calibration: Calibration, loads: list[Any], name: str) -> dict[str, Any]:
+    """Return the errors of one way of solving."""
+    field, total, centre, kkt = [], [], [], 0.0
+    for number, (found, cells, force, place) in enumerate(loads):
+        if "wrong" in name:
+            random = np.random.default_rng([number, 8])
+            shift = found.shift_px.copy()
+            bad = random.choice(len(shift), round(0.02 * len(shift)), replace=False)
+            shift[bad] += random.choice([-10.0, 10.0], (len(bad), 2))
+            found = as_found(calibration, shift)
+        estimate = reconstruct(found, calibration, **WAYS[name])
+        field.append(field_errors(estimate.force_n, cells)["all"])
+        total.append(np.linalg.norm(estimate.total_force_n - force) / np.linalg.norm(force))
+        push = np.where(estimate.force_n[:, 2] > 0.2 * estimate.force_n[:, 2].max(), estimate.force_n[:, 2], 0.0)
+        centre.append(np.linalg.norm(push @ calibration.site_mm[:, :2] / push.sum() - place))
+        kkt = max(kkt, estimate.kkt)
+    return {
+        "what": name, "loads": len(loads), "field error": float(np.median(field)),
+        "total %": 100 * float(np.median(total)), "total %, 95 of 100": 100 * float(np.quantile(total, 0.95)),
+        "centre mm": float(np.median(centre)), "centre mm, 95 of 100": float(np.quantile(centre, 0.95)),
+        "KKT": kkt if kkt else "",
+    }  # fmt: skip
+
+
+def weights(calibration: Calibration, loads: list[Any]) -> dict[str, Any]:
+    """Return how far the automatic weight's field error is above the best possible one's."""
+    ratios = []
+    for found, cells, _, _ in loads:
+        problem = problem_of(found, calibration, "smooth")
+        factors, data = problem.factors, problem.whiten(found.shift_px)
+        seen = factors.left.T @ data
+
+        def error(weight: float, factors: Any = factors, seen: Floats = seen, cells: Floats = cells) -> float:
+            return float(np.linalg.norm((factors.back @ (filtered(factors, weight) * seen)).reshape(-1, 3) - cells))
+
+        top = float(factors.singular.max()) ** 2
+        ratios.append(
+            error(automatic_weight(factors, data)) / min(error(top * 10.0**d) for d in np.arange(-12, 2, 0.1))
+        )
+    share = 100 * float(np.mean(np.array(ratios) <= 1.15))
+    what = f"automatic weight: {share:.1f} % of loads within 15 % of the best, worst {max(ratios):.3f}"
+    return {"what": what, "loads": len(loads)}
+
+
+def width(sensor: Sensor) -> dict[str, Any]:
+    """Return the width of the estimate of a point push of 3 N on sites of 1 mm, beside the design limit's."""
+    sites = {"columns": 29, "rows": 23, "pitch_mm": 1.0}
+    scene = load_scene("kamiyama_pillar", overrides={f"reconstruction.sites.{k}": v for k, v in sites.items()})
+    calibration = calibration_of(Sensor(scene))
+    load = sensor.rectangles(Traction.disk((0.0, 0.0), 0.3, (0.0, 0.0, 3.0)))
+    points = sensor.actual.markers.points
+    shift = sensor.project(points + sensor.compliance.displacement(points, load)) - sensor.project(points)
+    found = []
+    for seed in range(5):
+        noise = np.random.default_rng([seed, 9]).normal(0, NOISE_PX, shift.shape)
+        field = reconstruct(as_found(calibration, shift + noise), calibration)
+        found.append(np.mean(widths(field.force_n[:, 2], calibration.grid, 1.0)))
+    layers = scene.markers.values()
+    limit = design_limit(
+        depth_mm=np.array([[v.depth_mm for v in layers]]), pitch_mm=np.array([[v.pitch_mm for v in layers]]),
+        noise_mm=np.full((1, 2), NOISE_PX * 0.05), youngs_modulus_mpa=np.array([scene.material.youngs_modulus_mpa]),
+        poisson_ratio=np.array([scene.material.poisson_ratio]), force_n=np.array([3.0]), radius_mm=np.array([2.5]),
+    ).fwhm_normal_mm[0]  # fmt: skip
+    return {"what": f"width of a point push {np.mean(found):.2f} mm, design limit {limit:.2f} mm", "loads": 5}
+
+
+def speed(calibration: Calibration, one: Any) -> list[dict[str, Any]]:
+    """Return CPU times of single solves, beside general solvers where they are installed."""
+    found = one[0]
+    weight = reconstruct(found, calibration).weight
+    fast = force_map(calibration, weight)
+    rows = [{"what": "linear map, flat, 540 x 1272", "CPU ms": _cpu(lambda: fast.forces(found.shift_px), 300)}]
+    random = np.random.default_rng(1)
+    small = random.normal(0, 1, (75, 122)).astype(np.float32)
+    shift = random.normal(0, 1, 122).astype(np.float32)
+    rows.append({"what": "linear map, finger, 75 x 122", "CPU ms": _cpu(lambda: small @ shift, 3000)})
+    for columns, rows_count, pitch in ((15, 12, 2.0), (20, 16, 1.5)):
+        rows += constrained(columns, rows_count, pitch, one)
+    return rows
+
+
+def constrained(columns: int, rows: int, pitch: float, one: Any) -> list[dict[str, Any]]:
+    """Return CPU times under constraints at a number of sites."""
+    overrides = {
+        f"reconstruction.sites.{key}": value
+        for key, value in (("columns", columns), ("rows", rows), ("pitch_mm", pitch))
+    }
+    calibration = calibration_of(Sensor(load_scene("kamiyama_pillar", overrides=overrides)))
+    found = as_found(calibration, one[0].shift_px)
+    problem = problem_of(found, calibration, "smooth")
+    data = problem.whiten(found.shift_px)
+    quadratic, linear = problem.quadratic(automatic_weight(problem.factors, data)), problem.linear_term(data)
+    force, free, kkt = quadratic.pushes(linear)
+    sites = f"{columns * rows} sites"
+    out = [
+        {"what": f"pushes, {sites}", "CPU ms": _cpu(lambda: quadratic.pushes(linear), 5), "KKT": kkt},
+        {"what": f"pushes, {sites}, warm", "CPU ms": _cpu(lambda: quadratic.pushes(linear, free), 5), "KKT": kkt},
+    ]
+    out += peers(quadratic, linear, force, sites)
+    cone, kkt = quadratic.cone(linear, FRICTION)
+    out += [
+        {"what": f"cone, {sites}", "CPU ms": _cpu(lambda: quadratic.cone(linear, FRICTION), 3), "KKT": kkt},
+        {
+            "what": f"cone, {sites}, warm",
+            "CPU ms": _cpu(lambda: quadratic.cone(linear, FRICTION, 1.02 * cone), 3),
+            "KKT": kkt,
+        },
+    ]
+    return out
+
+
+def peers(quadratic: Quadratic, linear: Floats, ours: Floats, sites: str) -> list[dict[str, Any]]:
+    """Return the same problem with pushes only by general solvers (the extra ``peers``); ``off`` against ours."""
+    try:
+        import clarabel
+        import osqp
+    except ImportError:
+        return [{"what": f"osqp, clarabel, {sites}: not installed (pip install 'tactile-twin[peers]')"}]
+    from scipy import sparse
+
+    count = len(linear)
+    upper = sparse.csc_matrix(np.triu(quadratic.curvature))
+    pick = sparse.csc_matrix(np.eye(count)[2::3])
+    solver = osqp.OSQP()
+    solver.setup(upper, -linear, pick, np.zeros(count // 3), np.full(count // 3, np.inf), verbose=False,
+                 eps_abs=1e-7, eps_rel=1e-7, max_iter=20000, polishing=True)  # fmt: skip
+    rows = []
+
+    def by_osqp() -> Floats:
+        solver.update(q=-linear)
+        return np.asarray(solver.solve().x)
+
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+
+    def by_clarabel() -> Floats:
+        cones = [clarabel.NonnegativeConeT(count // 3)]
+        other = clarabel.DefaultSolver(upper, -linear, -pick, np.zeros(count // 3), cones, settings)
+        return np.asarray(other.solve().x)
+
+    for name, solve in (("osqp (factor kept)", by_osqp), ("clarabel", by_clarabel)):
+        value = solve().reshape(-1, 3)
+        gradient = (quadratic.curvature @ value.ravel() - linear).reshape(-1, 3)
+        kkt = (
+            max(np.abs(gradient[:, :2]).max(), np.abs(np.minimum(gradient[:, 2], value[:, 2])).max())
+            / np.abs(linear).max()
+        )
+        off = float(np.linalg.norm(value - ours) / np.linalg.norm(ours))
+        rows.append({"what": f"{name}, pushes, {sites}", "CPU ms": _cpu(solve, 2), "KKT": float(kkt), "off": off})
+    return rows
+
+
+def _cpu(what: Callable[[], Any], times: int) -> float:
+    """Return the least CPU milliseconds of a call; short ones are timed in blocks."""
+    block = max(times // 5, 1)
+    best = np.inf
+    for _ in range(5):
+        start = time.process_time()
+        for _ in range(block):
+            what()
+        best = min(best, (time.process_time() - start) / block)
+    return 1e3 * float(best)
