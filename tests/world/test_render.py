@@ -399,3 +399,27 @@ def test_threads_do_not_change_a_byte() -> None:
     for light, centroids in found[1:]:
         np.testing.assert_array_equal(light, found[0][0])
         np.testing.assert_array_equal(centroids, found[0][1])
+
+
+@pytest.mark.slow
+def test_moving_markers_compiles_nothing_again() -> None:
+    scene = block()
+    points = place(scene.body, scene.markers)
+    renderer = Renderer(scene, rest_of(scene), fast(), subpixels=1)
+    import drjit
+
+    rng = np.random.default_rng(0)
+
+    def picture() -> None:
+        renderer.radiance(ellipsoids(points, scene.markers, rng.uniform(-0.2, 0.2, (len(points), 3))))
+
+    for _ in range(3):
+        picture()
+    drjit.set_flag(drjit.JitFlag.KernelHistory, True)
+    try:
+        for _ in range(20):
+            drjit.kernel_history_clear()
+            picture()
+            assert all(kernel["cache_hit"] for kernel in drjit.kernel_history() if "hash" in kernel)
+    finally:
+        drjit.set_flag(drjit.JitFlag.KernelHistory, False)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.arrays import Floats, Ints, Singles
 from twin.world.frame import DEPTH, INSIDE, OPAQUE, STEP, WEIGHT, Frame
@@ -25,7 +26,7 @@ class Wavefront:
         self._mi, self._dr = mi, dr
         self._padded, self._exact = Shape(mi), Shape(mi)
         self._width = view.sees.shape[1]
-        self._corners = mi.Float((view.corners / [unit_mm, unit_mm, 1, 1]).astype(np.float32).ravel())
+        self._corners = mi.Float(aligned((view.corners / [unit_mm, unit_mm, 1, 1]).astype(np.float32).ravel()))
         self._ambient = ambient
 
     def shade(self, frame: Frame) -> tuple[Singles, Singles]:
@@ -33,7 +34,7 @@ class Wavefront:
         mi, dr = self._mi, self._dr
         k = frame.subpixels
         pixel, begin, table = self._inputs(frame)
-        colours = mi.Float(frame.colour.astype(np.float32).ravel())
+        colours = mi.Float(aligned(frame.colour.astype(np.float32).ravel()))
         padded = self._padded.hold(frame.padded)
         lit = self._irradiance(frame, self._exact.hold(frame.exact))
 
@@ -63,7 +64,9 @@ class Wavefront:
         _, light, free = dr.while_loop(state, lambda sample, *_: sample < k * k, one_sample)
         dr.eval(light, free)
         share = np.float32(1 / (k * k))
-        return np.array(light, np.float32).T * share, np.array(free, np.float32) * share
+        # Channel by channel: a whole vector is gathered by a kernel that is compiled for its length.
+        channels = np.stack([np.array(channel, np.float32) for channel in light], axis=1)
+        return channels * share, np.array(free, np.float32) * share
 
     def count(self, frame: Frame) -> tuple[Ints, Ints, Ints]:
         """Return (n,) seen and (n,) whole coverage of every marker, and (n, 2) moments of what is seen.
@@ -75,7 +78,7 @@ class Wavefront:
         k, n = frame.subpixels, len(frame)
         pixel, begin, table = self._inputs(frame)
         padded = self._padded.hold(frame.padded)
-        nearest = mi.Int32(np.rint(frame.near.centres_px).astype(np.int32).ravel())
+        nearest = mi.Int32(aligned(np.rint(frame.near.centres_px).astype(np.int32).ravel()))
         tallies = dr.zeros(mi.Int64, 4 * n)
 
         def one_marker(ray: Any, going: Any, last: Any, depth: Any, place: Any, spot: Any, clear: Any) -> Any:
@@ -117,8 +120,9 @@ class Wavefront:
         columns: list[Any] = [frame.centres, m[:, 0, 0], m[:, 1, 1], m[:, 2, 2], m[:, 0, 1], m[:, 0, 2], m[:, 1, 2]]
         columns += [frame.near.centres_px, s[:, 0, 0], s[:, 0, 1], s[:, 1, 1], np.zeros((len(frame), 2))]
         table: Floats = np.column_stack(columns)
-        pixel = mi.UInt32(frame.near.pixels.astype(np.uint32))
-        return pixel, mi.Vector2f(frame.starts.T.copy()), mi.Float(table.astype(np.float32).ravel())
+        pixel = mi.UInt32(aligned(frame.near.pixels.astype(np.uint32)))
+        begin = mi.Vector2f(*(mi.Float(aligned(column)) for column in frame.starts.T))
+        return pixel, begin, mi.Float(aligned(table.astype(np.float32).ravel()))
 
     def _ray(self, pixel: Any, sample: Any, k: int, begin: Any) -> tuple[Any, Any]:
         """Return the ray of one sub-pixel of every lane, between those of the pixel's corners, and its place in px."""
@@ -168,7 +172,10 @@ class Wavefront:
         """Return a function of markers and places on them that sums the light of all LEDs, shadows included."""
         mi, dr = self._mi, self._dr
         leds = frame.lamps.shape[1]
-        lamps, shadowed = mi.Float(frame.lamps.astype(np.float32).ravel()), mi.Bool(frame.shadowed.ravel())
+        lamps, shadowed = (
+            mi.Float(aligned(frame.lamps.astype(np.float32).ravel())),
+            mi.Bool(aligned(frame.shadowed.ravel())),
+        )
 
         def one_led(led: Any, total: Any, marker: Any, centre: Any, away: Any, normal: Any, active: Any) -> Any:
             lamp = dr.gather(mi.Vector4f, lamps, marker * leds + led, active)
@@ -187,3 +194,16 @@ class Wavefront:
             return dr.while_loop(state, lambda led, *rest: rest[-1] & (led < leds), one_led)[1]
 
         return irradiance
+
+
+def aligned(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a copy of a flat array that begins at a multiple of 64 bytes.
+
+    Dr.Jit reads numpy's memory where it lies, with other instructions where it lies unaligned: a kernel would be
+    compiled anew whenever another one of its arrays happens to.
+    """
+    room = np.empty(array.nbytes + 64, np.uint8)
+    start = -room.ctypes.data % 64
+    copy: NDArray[Any] = room[start : start + array.nbytes].view(array.dtype)
+    copy[:] = array
+    return copy
