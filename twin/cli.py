@@ -25,6 +25,7 @@ from twin.commands.reconstruct import reconstruct
 from twin.commands.reproduce import reproduce
 from twin.commands.run import run
 from twin.commands.scenes import scenes
+from twin.commands.sweep import sweep
 from twin.commands.view import view
 from twin.errors import TwinError
 
@@ -49,6 +50,7 @@ app.command(
     reconstruct,
     help_epilogue="Example: twin reconstruct rest.png press*.png --calibration flat.npz --out forces.parquet",
 )
+app.command(sweep, help_epilogue="Example: twin sweep sweep_kamiyama_depth_pitch --out out/depth_pitch")
 app.command(scenes)
 app.command(check, help_epilogue="Examples: twin check my_scene.toml; twin check out/kamiyama_pillar")
 app.command(doctor)

@@ -171,7 +171,12 @@ def penalty(calibration: Calibration, method: str) -> Floats:
     11, which as printed wraps at row ends and between components). They go on past the edge of the grid, to sites
     without force; see `twin.sense.reconstruct`. Anything else: the forces themselves (eq. 14).
     """
-    columns, rows = calibration.grid
+    return grid_penalty(calibration.grid, method)
+
+
+def grid_penalty(grid: tuple[int, int], method: str) -> Floats:
+    """Return `penalty` of a (columns, rows) grid of sites."""
+    columns, rows = grid
     if method != "smooth":
         return np.eye(3 * columns * rows)
     along, across = _differences(columns), _differences(rows)

@@ -54,13 +54,52 @@ def factorise(transfer: Floats, penalty: Floats) -> Factors:
     return Factors(left=left[:, :count], singular=singular, back=back[:, :count], null=back[:, count:])
 
 
+@dataclass(frozen=True, kw_only=True)
+class Spectrum:
+    """What the rules for the weight look at: one picture's data along the singular directions.
+
+    Attributes
+    ----------
+    squared
+        (r,) squared singular values.
+    energy
+        (r,) squared components of the whitened data along U.
+    rest
+        What of |d|^2 lies outside U.
+    count
+        Number of data.
+    """
+
+    squared: Floats
+    energy: Floats
+    rest: float
+    count: int
+
+    @property
+    def floor(self) -> float:
+        """A round-off floor for sums of squares."""
+        return 1e-20 * (float(self.energy.sum()) + self.rest)
+
+
+def spectrum(factors: Factors, data: Floats) -> Spectrum:
+    """Return the spectrum of whitened data."""
+    coefficient = factors.left.T @ data
+    rest = max(float(data @ data) - float(coefficient @ coefficient), 0.0)
+    return Spectrum(squared=factors.singular**2, energy=coefficient**2, rest=rest, count=len(data))
+
+
 def automatic_weight(factors: Factors, data: Floats) -> float:
     """Return the weight to use where none is given: `LIKELY` times the most likely or the cross-validated one.
 
     Why the larger one: a press is concentrated in few sites, which a prior that is the same everywhere does not expect,
     so either rule errs by smoothing too little, and not in the same cases (measured: ``python -m benchmarks inverse``).
     """
-    return max(LIKELY * most_likely_weight(factors, data), cross_validated_weight(factors, data))
+    return automatic(spectrum(factors, data))
+
+
+def automatic(seen: Spectrum) -> float:
+    """Return `automatic_weight` of a spectrum."""
+    return max(LIKELY * most_likely(seen), cross_validated(seen))
 
 
 def most_likely_weight(factors: Factors, data: Floats) -> float:
@@ -70,15 +109,19 @@ def most_likely_weight(factors: Factors, data: Floats) -> float:
     profiled out: -2 log p = m log s^2(w) + sum log(1 + S^2/w), s^2(w) = (sum (U^T d)^2/(1 + S^2/w) + rest)/m. So only
     the relative noise of the markers matters, and model errors count as noise.
     """
-    coefficient, rest, tiny = _reduced(factors, data)
-    squared = factors.singular**2
+    return most_likely(spectrum(factors, data))
+
+
+def most_likely(seen: Spectrum) -> float:
+    """Return `most_likely_weight` of a spectrum."""
+    rest = seen.rest + seen.floor
 
     def minus_log(weight: Floats) -> Floats:
-        gain = 1.0 + squared / weight[:, None]
-        scale = ((coefficient**2 / gain).sum(axis=1) + rest + tiny) / len(data)
-        return np.asarray(len(data) * np.log(scale) + np.log(gain).sum(axis=1))
+        gain = 1.0 + seen.squared / weight[:, None]
+        scale = ((seen.energy / gain).sum(axis=1) + rest) / seen.count
+        return np.asarray(seen.count * np.log(scale) + np.log(gain).sum(axis=1))
 
-    return _least(minus_log, squared, data)
+    return _least(minus_log, seen)
 
 
 def cross_validated_weight(factors: Factors, data: Floats) -> float:
@@ -87,30 +130,27 @@ def cross_validated_weight(factors: Factors, data: Floats) -> float:
     With h = S^2/(S^2 + w): (|residual|^2/m) / (1 - sum h/m)^2 (ROBUSTNESS + (1 - ROBUSTNESS) sum h^2/m). The second
     factor keeps it from the undersmoothing of plain cross-validation (M. A. Lukas, Inverse Problems 22 (2006) 1883).
     """
-    coefficient, rest, tiny = _reduced(factors, data)
-    squared, count = factors.singular**2, len(data)
+    return cross_validated(spectrum(factors, data))
+
+
+def cross_validated(seen: Spectrum) -> float:
+    """Return `cross_validated_weight` of a spectrum."""
+    rest, count = seen.rest + seen.floor, seen.count
 
     def log_score(weight: Floats) -> Floats:
-        share = squared / (squared + weight[:, None])
-        residual = (((1.0 - share) * coefficient) ** 2).sum(axis=1) + rest + tiny
+        share = seen.squared / (seen.squared + weight[:, None])
+        residual = ((1.0 - share) ** 2 * seen.energy).sum(axis=1) + rest
         influence = ROBUSTNESS + (1.0 - ROBUSTNESS) * (share**2).sum(axis=1) / count
         freedom = np.maximum(1.0 - share.sum(axis=1) / count, 1e-6)
         return np.asarray(np.log(residual * influence / freedom**2))
 
-    return _least(log_score, squared, data)
+    return _least(log_score, seen)
 
 
-def _reduced(factors: Factors, data: Floats) -> tuple[Floats, float, float]:
-    """Return U^T d, what of |d|^2 lies outside U, and a round-off floor for sums of squares."""
-    coefficient = factors.left.T @ data
-    energy = float(data @ data)
-    return coefficient, max(energy - float(coefficient @ coefficient), 0.0), 1e-20 * energy
-
-
-def _least(objective: Callable[[Floats], Floats], squared: Floats, data: Floats) -> float:
+def _least(objective: Callable[[Floats], Floats], seen: Spectrum) -> float:
     """Search the logarithm of the weight, from far below the smallest useful singular value to above the largest."""
-    top = float(squared.max(initial=0.0))
-    if top <= 0.0 or not data.any():
+    top = float(seen.squared.max(initial=0.0))
+    if top <= 0.0 or not (seen.energy.any() or seen.rest > 0.0):
         return max(top, 1.0)
     decades = np.linspace(LEAST_DECADES, 2.0, GRID)
     best = 0.0

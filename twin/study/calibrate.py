@@ -108,7 +108,11 @@ def _without_provenance(value: Any) -> Any:
 
 def _nominal(sensor: Sensor) -> Calibration:
     """Calibrate from the nominal design alone: its compliance, or the papers' half-space, through its camera."""
-    compliance = _nominal_compliance(sensor, sensor.sites)
+    return nominal_calibration(sensor, _nominal_compliance(sensor, sensor.sites))
+
+
+def nominal_calibration(sensor: Sensor, compliance: Floats) -> Calibration:
+    """Return the calibration by a known (3n, 3k) nominal compliance, mm/N, through the nominal camera."""
     return _calibration(sensor, _through_camera(sensor, compliance), noise_px=0.03, compliance=compliance)
 
 

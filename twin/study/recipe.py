@@ -174,8 +174,8 @@ def parse_override(text: str) -> tuple[str, Any]:
 
 
 def shipped_scenes() -> dict[str, Path]:
-    """Return the shipped scenes by name."""
-    return {path.stem: path for path in sorted(SCENES.glob("*.toml"))}
+    """Return the shipped scenes by name; sweeps lie beside them."""
+    return {path.stem: path for path in sorted(SCENES.glob("*.toml")) if not path.stem.startswith("sweep_")}
 
 
 def find_scene(scene: str | Path) -> Path:
@@ -193,6 +193,17 @@ def _find(name: str, shipped: Path, beside: Path, what: str, where: Path | None 
     hint = f"did you mean '{near[0]}'?" if near else f"shipped ones are: {', '.join(known)}"
     prefix = f"{where}: " if where else ""
     raise InputError(f"{prefix}no {what} '{name}': {hint}")
+
+
+def read_recipe(path: Path) -> Table:
+    """Return a recipe file's table.
+
+    Raises
+    ------
+    RecipeError, InputError
+        It is not valid TOML, or can't be read.
+    """
+    return _read(path)
 
 
 def _read(path: Path) -> Table:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Floats, Points
+from twin.judge.resolve import full_width as full_width
 from twin.judge.score import force_score, into_cells
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import Field, Method, reconstruct
@@ -100,21 +101,6 @@ def profile(field: Field, half_band_mm: float) -> tuple[Floats, Floats]:
     band = np.abs(field.site_mm[:, 1]) <= half_band_mm
     push = [float(field.force_n[band & (np.abs(field.site_mm[:, 0] - at) < 1e-3), 2].sum()) for at in x]
     return x, np.array(push)
-
-
-def full_width(x: Floats, y: Floats) -> float:
-    """Return the full width at half of the maximum of a sampled peak, crossings interpolated linearly; NaN if open."""
-    top = int(np.argmax(y))
-    half = 0.5 * float(y[top])
-    if half <= 0:
-        return float("nan")
-    left = next((k for k in range(top, 0, -1) if y[k - 1] < half), None)
-    right = next((k for k in range(top, len(y) - 1) if y[k + 1] < half), None)
-    if left is None or right is None:
-        return float("nan")
-    low = x[left] - (x[left] - x[left - 1]) * (y[left] - half) / (y[left] - y[left - 1])
-    high = x[right] + (x[right + 1] - x[right]) * (y[right] - half) / (y[right] - y[right + 1])
-    return float(high - low)
 
 
 def field_panel(title: str, field: Field, outline_mm: Floats | None, side_mm: float) -> FieldPanel:

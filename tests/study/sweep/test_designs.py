@@ -1,0 +1,118 @@
+"""Designs: which there are, what becomes of scenes, and what is said about bad sweeps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_sweep import TABLE, small
+
+from twin.errors import InputError, RecipeError
+from twin.parts.sweep import Sweep
+from twin.study.recipe import shipped_scenes
+from twin.study.sweep.closed import closed
+from twin.study.sweep.designs import designs_of, kept_count
+from twin.study.sweep.recipe import load_sweep, shipped_sweeps, sweep_of
+from twin.study.sweep.run import check
+
+
+def test_a_grid_is_every_combination_with_what_follows() -> None:
+    sweep, scene = small()
+    designs = designs_of(sweep, scene)
+    assert len(designs) == sweep.size == 6
+    assert designs.columns["markers.*.pitch_mm"] == [1.2, 1.5, 1.8] * 2
+    assert designs.columns["markers.red.depth_mm"] == [5.0] * 3 + [6.0] * 3
+
+
+def test_a_design_is_a_scene_with_its_values_in_every_layer_and_as_wide_as_before() -> None:
+    sweep, scene = small()
+    made = designs_of(sweep, scene).scene_of(0)
+    for name, layer in made.markers.items():
+        was = scene.markers[name]
+        assert layer.pitch_mm == 1.2
+        assert layer.columns % 2 == was.columns % 2, "layers at half a pitch stay so"
+        assert abs((layer.columns - 1) * 1.2 - (was.columns - 1) * 1.5) <= 1.2
+    assert made.markers["red"].depth_mm == 5.0
+    assert scene.markers["red"].depth_mm == 6.0, "the base is not touched"
+
+
+def test_counts_follow_the_pitch_by_even_numbers_and_never_vanish() -> None:
+    assert kept_count(21, 1.5, np.array([1.5, 1.0, 3.0, 100.0])).tolist() == [21, 31, 11, 1]
+    assert kept_count(20, 1.5, np.array([1.5, 1.0, 3.0, 100.0])).tolist() == [20, 30, 10, 2]
+
+
+@pytest.mark.parametrize("sampling", ["latin", "sobol", "random"])
+def test_sampling_fills_the_axes_and_is_known_from_the_seed(sampling: str) -> None:
+    axes = {"markers.blue.depth_mm": {"low": 1.0, "high": 4.0, "log": True}, "ccd.preset": ["ideal", "industrial"]}
+    sweep, scene = small(axes=axes, derived={}, sampling=sampling, count=64)
+    one, again = designs_of(sweep, scene), designs_of(sweep, scene)
+    assert one.columns == again.columns
+    depth = np.array(one.columns["markers.blue.depth_mm"])
+    assert depth.min() >= 1
+    assert depth.max() <= 4
+    assert abs(np.mean(depth < 2) - 0.5) < 0.15, "half of them lie below the middle of the logarithm"
+    assert {"ideal", "industrial"} == set(one.columns["ccd.preset"])
+
+
+def test_impossible_designs_are_dropped_with_their_reason() -> None:
+    axes = {"markers.*.diameter_mm": [0.5, 1.6], "markers.blue.depth_mm": [0.2, 3.0, 39.9]}
+    sweep, scene = small(axes=axes, derived={})
+    reason = closed(designs_of(sweep, scene)).reason.tolist()
+    assert [bool(r) for r in reason] == [True, False, True, True, True, True]
+    assert "sticks out" in reason[0]
+    assert "thick" in reason[2]
+    assert "neighbours touch" in reason[4]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"axes": {"markers.green.depth_mm": [1.0]}}, "no 'green'"),
+        ({"axes": {"press.force_n": [1.0]}}, "no part of a sensor's design"),
+        ({"derived": {"markers.red.depth_mm": {"follows": "markers.blue.deep"}}}, "no 'deep'"),
+    ],
+)
+def test_keys_that_are_not_there_are_said_before_anything_is_done(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(RecipeError, match=said):
+        designs_of(*small(**{"derived": {}, **changes}))
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({**TABLE, "fidelty": ["closed"]}, "did you mean 'fidelity'"),
+        ({**TABLE, "axes": {}}, "axes"),
+        ({**TABLE, "axes": {"markers.blue.depth_mm": {"low": 3, "high": 1}}}, "must not be above"),
+        ({**TABLE, "targets": {"twopoint": 2}}, "unknown metric"),
+        ({**TABLE, "loads": {"size_mm": -1}}, "size_mm"),
+        ({**TABLE, "fidelity": ["exact"]}, "closed"),
+    ],
+)
+def test_bad_sweeps_are_refused_with_file_and_key(table: dict[str, Any], said: str) -> None:
+    with pytest.raises(RecipeError, match=said) as problem:
+        sweep_of(table, "here.toml")
+    assert "here.toml" in str(problem.value)
+
+
+def test_what_a_sweep_does_not_model_is_refused() -> None:
+    sweep, scene = small()
+    with pytest.raises(RecipeError, match="every design would have to be pressed"):
+        check(sweep, scene.model_copy(update={"calibration": scene.calibration.model_copy(update={"method": "sato"})}))
+
+
+def test_shipped_sweeps_are_sound_and_are_not_scenes(tmp_path: Path) -> None:
+    assert {"sweep_kamiyama_depth_pitch", "sweep_sato_pitch_diameter", "sweep_lens", "sweep_youngs_modulus"} <= set(
+        shipped_sweeps()
+    )
+    assert not set(shipped_sweeps()) & set(shipped_scenes())
+    for name in shipped_sweeps():
+        sweep, scene = load_sweep(name)
+        check(sweep, scene)
+        designs = designs_of(sweep, scene)
+        assert (closed(designs).reason == "").any()
+        designs.scene_of(0)
+        assert isinstance(sweep, Sweep)
+    with pytest.raises(InputError, match="did you mean 'sweep_lens'"):
+        load_sweep("sweep_lense")

@@ -1,0 +1,84 @@
+"""The linear information: mirror symmetry loses nothing, and the estimator is the sensor's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_sweep import small
+
+from twin.sense.reconstruct import reconstruct
+from twin.sense.track import Found
+from twin.study.calibrate import nominal_calibration
+from twin.study.sensor import Sensor
+from twin.study.sweep import linear as under_test
+from twin.study.sweep.linear import linear, noise_of
+from twin.study.sweep.loads import Bodies, pushes_of
+from twin.study.sweep.mirror import classes, fold, unfold
+from twin.study.sweep.view import view_of
+
+
+def test_folding_is_orthonormal_and_unfolding_its_inverse() -> None:
+    rng = np.random.default_rng(3)
+    field = rng.standard_normal((5, 4, 3, 2))
+    parts = {signs: fold(field, signs) for signs in classes((True, True))}
+    assert sum(len(p) for p in parts.values()) == 5 * 4 * 3
+    assert sum((p**2).sum() for p in parts.values()) == pytest.approx((field**2).sum())
+    again = sum(unfold(p, signs, (5, 4, 3)) for signs, p in parts.items())
+    np.testing.assert_allclose(again, field, atol=1e-14)
+
+
+def test_a_vector_field_that_is_mirrored_lies_in_one_class() -> None:
+    x = np.linspace(-2, 2, 5)[:, None] + 0 * np.zeros((5, 4))
+    push = np.stack([x, 0 * x, 1 + x**2], axis=2)  # outwards along x, even along z: even under both mirrors
+    sizes = {signs: float(np.abs(fold(push, signs)).max()) for signs in classes((True, True))}
+    assert [signs for signs, size in sizes.items() if size > 1e-12] == [(1, 1)]
+
+
+def test_mirror_symmetry_changes_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+    sweep, scene = small()
+    pushes, bodies = pushes_of(scene.body, sweep.loads, (2.0, 1.5), 1), Bodies()
+    fast, field = linear(scene, view_of(scene), sweep, bodies, pushes)
+    monkeypatch.setattr(under_test, "mirrored", lambda scene: (False, False))
+    slow, whole = linear(scene, view_of(scene), sweep, bodies, pushes)
+    for name, value in fast.items():
+        assert value == pytest.approx(slow[name], rel=1e-6), name
+    np.testing.assert_allclose(field.force_n, whole.force_n, atol=1e-9)
+
+
+def test_expected_fields_are_what_the_sensors_software_makes_of_noise_free_shifts() -> None:
+    """Independent of the factors used here: the software's own solve, with the weight that was predicted."""
+    sweep, scene = small()
+    pushes, bodies = pushes_of(scene.body, sweep.loads, (2.0, 1.5), 1), Bodies()
+    view = view_of(scene)
+    figures, shown = linear(scene, view, sweep, bodies, pushes)
+    sensor = Sensor(scene)
+    calibration = nominal_calibration(sensor, sensor.nominal_compliance.to_points(view.markers.points, sensor.sites))
+    shift = under_test._shifts(scene, sweep, 0, bodies, pushes)[:, :, 0]
+    noise = noise_of(scene, view, sweep)
+    sd = np.full(len(shift), float(noise.mean()))
+    found = _found(view.pixels, shift, sd, calibration.layer)
+    field = reconstruct(found, calibration, weight=figures["weight"])
+    np.testing.assert_allclose(shown.force_n, field.force_n, atol=0.02 * np.abs(field.force_n).max())
+
+
+def test_the_predicted_noise_of_the_total_is_that_of_many_noisy_pictures() -> None:
+    sweep, scene = small()
+    pushes, bodies = pushes_of(scene.body, sweep.loads, (2.0, 1.5), 1), Bodies()
+    view = view_of(scene)
+    figures, _ = linear(scene, view, sweep, bodies, pushes)
+    sensor = Sensor(scene)
+    calibration = nominal_calibration(sensor, sensor.nominal_compliance.to_points(view.markers.points, sensor.sites))
+    shift = under_test._shifts(scene, sweep, 0, bodies, pushes)[:, :, 0]
+    noise, rng = noise_of(scene, view, sweep), np.random.default_rng(7)
+    found = _found(view.pixels, shift, np.full(len(shift), float(noise.mean())), calibration.layer)
+    totals = []
+    for _ in range(150):
+        noisy = replace(found, shift_px=shift + noise[:, None] * rng.standard_normal(shift.shape))
+        totals.append(reconstruct(noisy, calibration, weight=figures["weight"]).total_force_n[2])
+    assert np.std(totals) / 9.80665e-3 == pytest.approx(figures["resolution_gf"], rel=0.2)
+
+
+def _found(pixels: np.ndarray, shift: np.ndarray, sd: np.ndarray, layer: np.ndarray) -> Found:
+    return Found(rest_px=pixels, shift_px=shift, sd_px=sd, layer=layer, channels={}, method="disc-fit")

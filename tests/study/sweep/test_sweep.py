@@ -1,0 +1,151 @@
+"""Sweeps end to end: the table, what a kill leaves, ranks, and the command."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import tomli_w
+from small_sweep import TABLE, small
+
+import twin
+from twin.study.sweep.best import write_best
+from twin.study.sweep.rank import agreement, best_first, pareto, scores
+from twin.study.sweep.report import write_report
+from twin.study.sweep.run import run_sweep
+from twin.study.sweep.table import Store
+
+
+def table(folder: Path) -> dict[str, list[object]]:
+    """Return the table without the seconds, which are measured."""
+    rows = pq.read_table(folder / "designs.parquet").to_pydict()
+    return {k: [repr(v) for v in c] for k, c in rows.items() if "seconds" not in k}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sweep")
+    done = run_sweep(*small(), folder)
+    best = write_best(done, folder)
+    write_report(done, best, folder)
+    return folder
+
+
+def test_every_design_is_a_row_with_its_figures(finished: Path) -> None:
+    rows = pq.read_table(finished / "designs.parquet").to_pydict()
+    assert rows["design"] == list(range(6))
+    assert rows["status"] == ["ok"] * 6
+    assert all(np.isfinite(v) and v > 0 for v in rows["linear_fwhm_mm"])
+    width = dict(zip(zip(rows["markers.blue.depth_mm"], rows["markers.*.pitch_mm"], strict=True),
+                     rows["linear_fwhm_mm"], strict=True))  # fmt: skip
+    assert width[2.0, 1.2] < width[3.0, 1.8], "shallower and denser markers resolve more"
+    lines = (finished / "designs.csv").read_text().splitlines()
+    assert len(lines) == 7
+
+
+def test_a_killed_sweep_resumes_to_the_same_table(finished: Path, tmp_path: Path) -> None:
+    lines = (finished / "rows.jsonl").read_bytes().splitlines(keepends=True)
+    (tmp_path / "rows.jsonl").write_bytes(b"".join(lines[:2]) + lines[2][:40])  # killed in the middle of the third
+    (tmp_path / ".designs.parquet.1.part").write_bytes(b"half a file")
+    done = run_sweep(*small(), tmp_path)
+    assert "4 rows computed now" in " ".join(done.notes)
+    assert table(tmp_path) == table(finished)
+    assert not list(tmp_path.glob(".*.part"))
+
+
+def test_rows_are_computed_once_whatever_the_order(finished: Path, tmp_path: Path) -> None:
+    (tmp_path / "rows.jsonl").write_bytes((finished / "rows.jsonl").read_bytes())
+    same = {"markers.blue.depth_mm": [3.0], "markers.*.pitch_mm": [1.8, 1.2]}
+    done = run_sweep(*small(axes=same), tmp_path)
+    assert not any("computed now" in note for note in done.notes), "both designs were in the sweep before"
+    whole = pq.read_table(finished / "designs.parquet").to_pydict()
+    assert done.columns["linear_fwhm_mm"].tolist() == [whole["linear_fwhm_mm"][5], whole["linear_fwhm_mm"][3]]
+
+
+def test_a_changed_sensor_is_computed_anew(finished: Path, tmp_path: Path) -> None:
+    (tmp_path / "rows.jsonl").write_bytes((finished / "rows.jsonl").read_bytes())
+    sweep, scene = small(loads={"size_mm": 2.5, "pair_mm": 4.0, "presses": 2})
+    done = run_sweep(sweep, scene, tmp_path)
+    assert "6 rows computed now" in " ".join(done.notes)
+
+
+def test_designs_that_cant_be_are_rows_with_their_reason(tmp_path: Path) -> None:
+    changes = {"axes": {"markers.*.pitch_mm": [1.5], "camera.focal_px": [1814.8, 9000.0]}, "derived": {}}
+    done = run_sweep(*small(**changes), tmp_path)
+    assert done.status.tolist() == ["ok", "dropped"]
+    assert "inside the picture" in done.error[1]
+    kept = [json.loads(line)["row"]["status"] for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
+    assert sorted(kept) == ["dropped", "ok"]
+
+
+def test_the_best_designs_are_scenes_and_the_page_has_no_outside(finished: Path) -> None:
+    files = sorted((finished / "best").glob("*.toml"))
+    assert len(files) == 5
+    scene = twin.load_scene(files[0])
+    assert scene.press is not None
+    assert not scene.markers["red"].unsourced()
+    page = (finished / "report.html").read_text()
+    assert "http" not in page.split("</style>")[1]
+    assert "Best designs" in page
+    assert page.count("<svg") >= 5
+
+
+def test_a_broken_last_line_is_left_out(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.add({"a": {"status": "ok"}}, {})
+    with open(tmp_path / "rows.jsonl", "ab") as file:
+        file.write(b'{"key": "b", "row"')
+    again = Store(tmp_path)
+    assert "a" in again
+    again.add({"c": {"status": "ok"}}, {})
+    assert "c" in Store(tmp_path)
+
+
+def test_ranks_and_fronts() -> None:
+    sweep, _ = small(targets={"two_point_mm": 2.0, "resolution_gf": 10.0})
+    columns = {
+        "closed_two_point_mm": np.array([1.9, 4.0, 2.0, 1.0]),
+        "closed_resolution_gf": np.array([9.0, 1.0, 20.0, np.nan])
+    }  # fmt: skip
+    score = scores(sweep, columns)
+    assert best_first(score, np.array([True, True, True, True]), 2).tolist() == [0, 1], "meeting all targets is first"
+    assert score[3] == np.inf
+    front = pareto([np.array([1.0, 2.0, 3.0, np.nan]), np.array([3.0, 1.0, 2.0, 0.0])])
+    assert front.tolist() == [True, True, False, False]
+    rank, ratio, count = agreement(np.array([1.0, 2.0, 4.0, np.nan]), np.array([2.0, 4.0, 8.0, 1.0]))
+    assert (rank, ratio, count) == (pytest.approx(1.0), 2.0, 3)
+
+
+def test_a_search_finds_what_the_grid_does_not_have(tmp_path: Path) -> None:
+    axes = {"markers.blue.depth_mm": {"low": 1.0, "high": 5.0}, "markers.*.pitch_mm": {"low": 1.0, "high": 2.4}}
+    changes = {"axes": axes, "fidelity": ["closed"], "sampling": "sobol", "count": 320, "loads": {"size_mm": 1.0}}
+    sweep, scene = small(**changes, targets={"two_point_mm": 1.0})
+    found = run_sweep(sweep, scene, tmp_path, optimise=True)
+    random = run_sweep(sweep.model_copy(update={"sampling": "random", "count": 20}), scene, tmp_path)
+    assert found.score[found.order[0]] <= random.score[random.order[0]]
+    best = found.designs.values(int(found.order[0]))
+    assert best["markers.*.pitch_mm"] < 1.1
+
+
+def test_the_command_says_what_it_would_do_and_refuses_what_it_cant(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(tomli_w.dumps({**TABLE, "axes": {"markers.*.pitch_mm": [1.5, 1.8]}}))
+    environment = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parents[1])}
+    said = subprocess.run(
+        [sys.executable, "-m", "twin", "sweep", str(path), "--dry-run"], capture_output=True, text=True, check=False,
+        env=environment,
+    )  # fmt: skip
+    assert said.returncode == 0, said.stderr
+    assert "designs     2 (grid)" in said.stdout
+    bad = subprocess.run(
+        [sys.executable, "-m", "twin", "sweep", "nothing"], capture_output=True, text=True, check=False, env=environment
+    )
+    assert bad.returncode == 2
+    assert "no sweep 'nothing'" in bad.stderr
+    assert "Traceback" not in bad.stderr

@@ -1,0 +1,64 @@
+"""What can be told apart in a force field: the width of one push's picture, and the dip between two."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.arrays import Floats
+
+DIP = 0.2
+"""Two pushes count as two where the estimate between them is lower than their peaks by this share."""
+
+
+def full_width(x: Floats, y: Floats) -> float:
+    """Return the full width at half of the maximum of a sampled peak, crossings interpolated linearly; NaN if open."""
+    top = int(np.argmax(y))
+    half = 0.5 * float(y[top])
+    if half <= 0:
+        return float("nan")
+    left = next((k for k in range(top, 0, -1) if y[k - 1] < half), None)
+    right = next((k for k in range(top, len(y) - 1) if y[k + 1] < half), None)
+    if left is None or right is None:
+        return float("nan")
+    low = x[left] - (x[left] - x[left - 1]) * (y[left] - half) / (y[left] - y[left - 1])
+    high = x[right] + (x[right + 1] - x[right]) * (y[right] - half) / (y[right] - y[right + 1])
+    return float(high - low)
+
+
+def dip(x: Floats, y: Floats, apart: float) -> float:
+    """Return how far a profile falls between two equal pushes at -apart/2 and apart/2, over the lower of the peaks.
+
+    Peaks are looked for within a quarter of the distance around their places; 0 where a place has none, or where
+    nothing was sampled between them.
+
+    Parameters
+    ----------
+    x, y
+        (n,) places, rising, and pushes, in any unit.
+    apart
+        Distance of the two pushes, in the unit of x.
+    """
+    near = [np.abs(x - side * apart / 2) <= apart / 4 + 1e-9 for side in (-1, 1)]
+    between = np.abs(x) < apart / 4 - 1e-9
+    if not (near[0].any() and near[1].any() and between.any()):
+        return 0.0
+    peak = min(float(y[near[0]].max()), float(y[near[1]].max()))
+    return max(0.0, 1.0 - float(y[between].min()) / peak) if peak > 0 else 0.0
+
+
+def two_point_distance(apart: Floats, dips: Floats) -> float:
+    """Return the least distance from which on all larger ones dip by `DIP`, interpolated; infinite if none does.
+
+    Parameters
+    ----------
+    apart, dips
+        (n,) distances, rising, and the dips there. The first distance is the least answer.
+    """
+    enough = dips >= DIP
+    if not enough[-1]:
+        return float("inf")
+    first = len(enough) - int(np.argmin(enough[::-1])) if not enough.all() else 0
+    if first == 0:
+        return float(apart[0])
+    share = (DIP - dips[first - 1]) / (dips[first] - dips[first - 1])
+    return float(apart[first - 1] + share * (apart[first] - apart[first - 1]))

@@ -1,0 +1,318 @@
+"""The page of a sweep: fronts, maps, sensitivity, and the best designs with their pictures and fields."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Points
+from twin.show import plots
+from twin.show.page import page
+from twin.show.words import digits, table
+
+MOST_DOTS = 3000
+"""Dots of a drawing; of more designs every so-and-so-many-th is drawn, and the front."""
+
+BINS = 14
+"""Bins of a map along an axis at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Front:
+    """Designs by two metrics, of which less is better.
+
+    Attributes
+    ----------
+    across, up
+        Names, with units.
+    x, y
+        (m,) values.
+    on_front
+        (m,) whether no other design is better in both.
+    target
+        (x, y) asked for; NaN where nothing is.
+    """
+
+    across: str
+    up: str
+    x: Floats
+    y: Floats
+    on_front: Bools
+    target: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Map:
+    """A metric over two axes.
+
+    Attributes
+    ----------
+    across, up, metric
+        Names, with units.
+    x, y, value
+        (m,) axis values, and the metric.
+    limit
+        (m,) the same metric by the design limit.
+    target
+        Of the metric; NaN if none.
+    """
+
+    across: str
+    up: str
+    metric: str
+    x: Floats
+    y: Floats
+    value: Floats
+    limit: Floats
+    target: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """One of the best designs.
+
+    Attributes
+    ----------
+    heading, words, file
+        Its number, its values and figures, and its scene's file.
+    picture
+        PNG under the push in the middle; None without the full chain.
+    fields
+        (name, sites (k, 3) mm, forces (k, 3) N).
+    """
+
+    heading: str
+    words: str
+    file: str
+    picture: bytes | None = None
+    fields: Sequence[tuple[str, Points, Floats]] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepPage:
+    """Everything that the page shows.
+
+    Attributes
+    ----------
+    title, verdict
+        Of the sweep.
+    alarms
+        What a reader must know first.
+    notes
+        What was reused, and how well the fidelities agree.
+    counts
+        Designs by what became of them.
+    dropped
+        Designs by the reason for which they were dropped or failed.
+    fronts, maps, cards
+        See their classes.
+    sensitivity
+        (metric, axis, first, total, rank correlation).
+    recipe
+        The sweep, as TOML.
+    """
+
+    title: str
+    verdict: str
+    alarms: list[str] = field(default_factory=list)
+    notes: Sequence[str] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    fronts: Sequence[Front] = ()
+    maps: Sequence[Map] = ()
+    cards: Sequence[Card] = ()
+    sensitivity: Sequence[tuple[str, str, float, float, float]] = ()
+    recipe: str = ""
+
+
+def sweep_page(told: SweepPage) -> str:
+    """Return the page (HTML), one file."""
+    sections = [
+        ("Best designs", _cards(told.cards)),
+        ("Fronts", _fronts(told.fronts)),
+        ("Maps", _maps(told.maps)),
+        ("What matters", _sensitivity(told.sensitivity)),
+        ("Fidelities and reuse", "".join(f'<p class="note">{escape(note)}</p>' for note in told.notes)),
+        ("What became of the designs", _counts(told)),
+    ]
+    return page(told.title, told.verdict, told.alarms, sections, told.recipe)
+
+
+def _cards(cards: Sequence[Card]) -> str:
+    out = []
+    for card in cards:
+        parts = []
+        if card.picture is not None:
+            data = base64.b64encode(card.picture).decode()
+            parts.append(
+                f'<figure><img src="data:image/png;base64,{data}" alt="CCD picture of {escape(card.heading)} under the '
+                'push in the middle"><figcaption>Picture under the push in the middle</figcaption></figure>'
+            )
+        parts += [_field(name, sites, force) for name, sites, force in card.fields]
+        out.append(
+            f"<h3>{escape(card.heading)}</h3><p>{escape(card.words)}</p>"
+            f'<p class="note">Ready to run: <code>twin run {escape(card.file)}</code></p><div class="two">'
+            f"{''.join(parts)}</div>"
+        )
+    return "".join(out)
+
+
+def _field(name: str, sites: Points, force: Floats) -> str:
+    """Return the drawing of a field: colour is the force along z, arrows those along x and y."""
+    low, high = sites[:, :2].min(axis=0), sites[:, :2].max(axis=0)
+    apart = np.linalg.norm(sites[1:, :2] - sites[:1, :2], axis=1)
+    side = float(apart.min()) if len(apart) else 1.0
+    axes = plots.Axes.equal(float(low[0] - side), float(high[0] + side), float(low[1] - side), float(high[1] + side))
+    largest = float(np.abs(force[:, 2]).max()) or 1.0
+    content = plots.cells(axes, sites[:, :2], side, force[:, 2], largest)
+    content += plots.arrows(axes, sites[:, :2], force[:, :2] * side * 1.5 / largest, "force")
+    svg = plots.drawing(axes, content, "x (mm)", "y (mm)", f"Force field, {name}")
+    return f"<figure>{svg}<figcaption>{escape(name)}; darkest is {digits(largest)} N a site</figcaption></figure>"
+
+
+def _fronts(fronts: Sequence[Front]) -> str:
+    drawn = []
+    for front in fronts:
+        known = np.isfinite(front.x) & np.isfinite(front.y)
+        if known.sum() < 2:
+            continue
+        x, y = front.x[known], front.y[known]
+        # a few hopeless designs must not press all others into a corner
+        ends = [(float(v.min()), float(np.quantile(v, 0.95))) for v in (x, y)]
+        for k, target in enumerate(front.target):
+            if np.isfinite(target):
+                ends[k] = (min(ends[k][0], target), max(ends[k][1], target))
+        (left, right), (bottom, top) = [(a - 0.05 * (b - a) - 1e-12, b + 0.05 * (b - a) + 1e-12) for a, b in ends]
+        axes = plots.Axes(left=left, right=right, bottom=bottom, top=top, height=280)
+        shown = (x >= left) & (x <= right) & (y >= bottom) & (y <= top)
+        step = max(1, int(shown.sum()) // MOST_DOTS)
+        points = np.column_stack([x, y])
+        content = plots.dots(axes, points[shown][::step], "dot other", 2.2)
+        on = points[shown & front.on_front[known]]
+        on = on[np.argsort(on[:, 0])]
+        if len(on):
+            content += plots.line(axes, on, "profile estimate") + plots.dots(axes, on, "dot red", 3.2)
+        for k, target in enumerate(front.target):
+            if np.isfinite(target):
+                ends_of = [[target, bottom], [target, top]] if k == 0 else [[left, target], [right, target]]
+                content += plots.line(axes, np.array(ends_of), "contact")
+        svg = plots.drawing(axes, content, front.across, front.up, f"{front.up} against {front.across} of all designs")
+        drawn.append(
+            f"<figure>{svg}<figcaption>Each dot is a design; red ones are bettered by none in both. Dashed: the "
+            "targets. The worst twentieth lies outside.</figcaption></figure>"
+        )
+    return f'<div class="two">{"".join(drawn)}</div>' if drawn else ""
+
+
+def _maps(maps: Sequence[Map]) -> str:
+    drawn = [figure for each in maps if (figure := _map(each))]
+    return f'<div class="two">{"".join(drawn)}</div>' if drawn else ""
+
+
+def _map(told: Map) -> str:
+    """Return a map: the metric's median in every bin, and the border of what the design limit allows."""
+    edges = [_edges(v) for v in (told.x, told.y)]
+    if min(len(e) for e in edges) < 2:
+        return ""
+    place = [
+        np.clip(np.searchsorted(e, v, side="right") - 1, 0, len(e) - 2)
+        for e, v in zip(edges, (told.x, told.y), strict=True)
+    ]
+    shape = (len(edges[0]) - 1, len(edges[1]) - 1)
+    value, limit = (_binned(place, v, shape) for v in (told.value, told.limit))
+    known = np.isfinite(value)
+    if not known.any():
+        return ""
+    low, high = float(value[known].min()), float(value[known].max())
+    axes = plots.Axes(
+        left=float(edges[0][0]), right=float(edges[0][-1]), bottom=float(edges[1][0]), top=float(edges[1][-1]),
+        height=300,
+    )  # fmt: skip
+    parts = []
+    for i, j in np.argwhere(known):
+        corners = axes.place(np.array([[edges[0][i], edges[1][j + 1]], [edges[0][i + 1], edges[1][j]]]))
+        (x0, y0), (x1, y1) = corners.tolist()
+        share = 1.0 - (value[i, j] - low) / (high - low) if high > low else 1.0
+        parts.append(
+            f'<rect class="push" x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}" '
+            f'fill-opacity="{0.05 + 0.9 * share:.2f}"><title>{value[i, j]:.3g}</title></rect>'
+        )
+    if np.isfinite(told.target):
+        parts.append(_border(axes, edges, limit <= told.target, "contact"))
+        parts.append(_border(axes, edges, value <= told.target, "force"))
+    svg = plots.drawing(axes, "".join(parts), told.across, told.up, f"{told.metric} over {told.across} and {told.up}")
+    border = (
+        f" Inside the dashed border the design limit is at most {digits(told.target)}, inside the solid one it is."
+        if np.isfinite(told.target)
+        else ""
+    )
+    return (
+        f"<figure>{svg}<figcaption>{escape(told.metric)}: {digits(low)} (darkest) to {digits(high)}.{border}"
+        "</figcaption></figure>"
+    )
+
+
+def _edges(values: Floats) -> Floats:
+    """Return bin edges: halfway between values if they are few, else even."""
+    known = np.unique(values[np.isfinite(values)])
+    if len(known) < 2:
+        return np.zeros(0)
+    if len(known) <= BINS:
+        middle = (known[1:] + known[:-1]) / 2
+        return np.concatenate([[2 * known[0] - middle[0]], middle, [2 * known[-1] - middle[-1]]])
+    return np.linspace(known[0], known[-1], BINS + 1)
+
+
+def _binned(place: Sequence[np.ndarray], values: Floats, shape: tuple[int, int]) -> Floats:
+    """Return the median of finite values in every bin; NaN where there is none."""
+    out = np.full(shape, np.nan)
+    flat = place[0] * shape[1] + place[1]
+    finite = np.isfinite(values)
+    for number in np.unique(flat[finite]):
+        out.flat[number] = np.median(values[finite & (flat == number)])
+    return out
+
+
+def _border(axes: plots.Axes, edges: Sequence[Floats], inside: np.ndarray, style: str) -> str:
+    """Return the border between bins that are inside and those that are not."""
+    steps = []
+    for i in range(inside.shape[0]):
+        for j in range(inside.shape[1]):
+            if not inside[i, j]:
+                continue
+            for di, dj, line in (
+                (1, 0, [[edges[0][i + 1], edges[1][j]], [edges[0][i + 1], edges[1][j + 1]]]),
+                (-1, 0, [[edges[0][i], edges[1][j]], [edges[0][i], edges[1][j + 1]]]),
+                (0, 1, [[edges[0][i], edges[1][j + 1]], [edges[0][i + 1], edges[1][j + 1]]]),
+                (0, -1, [[edges[0][i], edges[1][j]], [edges[0][i + 1], edges[1][j]]]),
+            ):
+                a, b = i + di, j + dj
+                outside = not (0 <= a < inside.shape[0] and 0 <= b < inside.shape[1]) or not inside[a, b]
+                if outside:
+                    (x0, y0), (x1, y1) = axes.place(np.array(line)).tolist()
+                    steps.append(f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}")
+    return f'<path class="{style}" d="{"".join(steps)}"/>' if steps else ""
+
+
+def _sensitivity(rows: Sequence[tuple[str, str, float, float, float]]) -> str:
+    if not rows:
+        return ""
+    cells = [
+        (f"{metric}: {axis}", [f"{first:.2f}", f"{total:.2f}", f"{rank:+.2f}" if np.isfinite(rank) else "–"])
+        for metric, axis, first, total, rank in rows
+    ]
+    caption = (
+        "Share of the variance of the metric's logarithm that an axis makes alone and with the others (Sobol' indices "
+        "by the closed form), and rank correlation of axis and metric over this sweep's designs"
+    )
+    return table(caption, ["alone", "with others", "rank correlation"], cells)
+
+
+def _counts(told: SweepPage) -> str:
+    rows = [(kind, [str(count)]) for kind, count in told.counts.items()]
+    rows += [(reason, [str(count)]) for reason, count in told.dropped.items()]
+    return table("Designs", ["number"], rows)

@@ -1,0 +1,61 @@
+"""What a sweep would do and how long it takes, from a few designs made here and thrown away."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from twin.parts.scene import Scene
+from twin.parts.sweep import Sweep
+from twin.study.batch.engine import Job, one_thread, unpacked
+from twin.study.recipe import dump_scene
+from twin.study.sweep.closed import closed
+from twin.study.sweep.designs import designs_of
+from twin.study.sweep.run import check
+from twin.study.sweep.work import WORK, make_rows
+
+TRIED = {"linear": 4, "full": 1}
+
+
+def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[str]:
+    """Return lines that say what a sweep would do.
+
+    Raises
+    ------
+    RecipeError
+        The sweep can't be run.
+    """
+    check(sweep, scene)
+    designs = designs_of(sweep, scene)
+    first = closed(designs)
+    good = np.flatnonzero(first.reason == "")
+    lines = [
+        f"designs     {len(designs)} ({sweep.sampling}) over {', '.join(sweep.axes)}",
+        f"dropped     {len(designs) - len(good)} before anything is solved",
+    ]
+    for reason in sorted({str(r) for r in first.reason if r}):
+        lines.append(f"            {int((first.reason == reason).sum())}: {reason}")
+    left = len(good)
+    for stage in sweep.ladder:
+        if stage == "closed" or not left:
+            continue
+        most = sweep.confirm.linear if stage == "linear" else sweep.confirm.full
+        left = min(left, most) if most and stage != sweep.ladder[0] else left
+        tried = good[:: max(1, len(good) // (TRIED[stage] + 1))][: TRIED[stage] + 1]
+        told = {
+            "sweep": sweep.model_dump(mode="json"), "stage": stage, "chunk": 1,
+            "designs": [designs.values(int(n)) for n in tried],
+        }  # fmt: skip
+        files = {"sweep.json": json.dumps(told).encode(), "scene.toml": dump_scene(scene).encode()}
+        with tempfile.TemporaryDirectory(), one_thread(), unpacked(Job(files=files, work=WORK)) as folder:
+            make_rows(Path(folder), 0)
+            started = time.perf_counter()
+            rows = [make_rows(Path(folder), k).rows[0] for k in range(1, len(tried))]
+            each = (time.perf_counter() - started) / max(len(rows), 1)
+        lines.append(f"{stage:11s} {left} designs, about {left * each / workers:.3g} s at {each:.3g} s each")
+        lines += [f"            {row['status']}: {row['error']}" for row in rows if row["status"] != "ok"]
+    return lines

@@ -1,0 +1,184 @@
+"""What pushes on every design of a sweep, and the bodies that answer: the same patches for all.
+
+Only markers, camera, noise and inverse differ between most designs. So the compliance of a body is made once for
+Young's modulus 1 MPa (it only scales) by body, Poisson's ratio and what it is asked for, and a design costs products.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Points
+from twin.errors import RecipeError
+from twin.parts.body import Body
+from twin.parts.load import Rectangles
+from twin.parts.material import Material
+from twin.parts.scene import Scene
+from twin.parts.sweep import Loads
+from twin.streams import Purpose, stream
+
+if TYPE_CHECKING:
+    from twin.world.compliance import Compliance
+
+PAIRS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
+"""Distances of two pushes over the sweep's ``pair_mm``."""
+
+REGION = 0.6
+"""Half sides of the presses' region over those of the sites."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pushes:
+    """The patches of a sweep on one body, and the loads that they make up.
+
+    Attributes
+    ----------
+    patches
+        k squares: the middle first, then the presses, then the pairs.
+    loads
+        (loads, k, 3) force of every patch under each load, N: the middle alone, each press, each pair.
+    presses
+        Number of presses; load 0 is the middle, 1 to ``presses`` follow, the rest are pairs.
+    pair_mm
+        Distances of the pairs.
+    """
+
+    patches: Rectangles
+    loads: Floats
+    presses: int
+    pair_mm: Floats
+
+    def rectangles(self, load: int) -> Rectangles:
+        """Return the patches that push under a load."""
+        force = self.loads[load]
+        used = np.flatnonzero(np.any(force != 0, axis=1))
+        return Rectangles(
+            centre_mm=self.patches.centre_mm[used], frames=self.patches.frames[used],
+            half_mm=self.patches.half_mm[used], force_n=force[used],
+        )  # fmt: skip
+
+
+def pushes_of(body: Body, loads: Loads, half_mm: tuple[float, float], seed: int) -> Pushes:
+    """Return the pushes of a sweep on a body.
+
+    Parameters
+    ----------
+    body, loads
+        See `twin.parts.sweep.Loads`.
+    half_mm
+        Half sides of the presses' region, mm.
+    seed
+        Root of the quasi-random places.
+
+    Raises
+    ------
+    RecipeError
+        A patch would lie outside the sensing surface.
+    """
+    from scipy.stats import qmc
+
+    rng = stream(seed, Purpose.SAMPLING, 1)
+    u = qmc.Halton(3, scramble=True, rng=rng).random(loads.presses)
+    pair = np.array(PAIRS) * loads.pair_mm
+    ends = np.column_stack([np.repeat(pair, 2) / 2 * np.tile([-1.0, 1.0], len(pair)), np.zeros(2 * len(pair))])
+    chart = np.concatenate([np.zeros((1, 2)), (2 * u[:, :2] - 1) * half_mm, ends])
+    points = body.chart_points(chart)
+    fits = _fits(body, points, loads.size_mm / 2)
+    if not fits[: 1 + loads.presses].all():
+        raise RecipeError(
+            f"loads.region_mm = {half_mm[0]:.3g}, {half_mm[1]:.3g} mm: some presses of loads.size_mm = "
+            f"{loads.size_mm:g} mm hang over the end of the sensing surface; make region or size smaller"
+        )
+    pairs = fits[1 + loads.presses :].reshape(-1, 2).all(axis=1)
+    keep = np.concatenate([np.ones(1 + loads.presses, bool), np.repeat(pairs, 2)])
+    points, pair = points[keep], pair[pairs]
+    frames = body.frames(points)
+    half = np.full((len(points), 2), loads.size_mm / 2)
+    patches = Rectangles(centre_mm=points, frames=frames, half_mm=half, force_n=np.zeros((len(points), 3)))
+    forces = np.zeros((1 + loads.presses + len(pair), len(points), 3))
+    forces[0, 0] = frames[0, 2]
+    turn = 2 * np.pi * u[:, 2]
+    for press in range(1, 1 + loads.presses):
+        sideways = np.array([np.cos(turn[press - 1]), np.sin(turn[press - 1])]) @ frames[press, :2]
+        forces[press, press] = frames[press, 2] + loads.shear * sideways
+    for number in range(len(pair)):
+        first = 1 + loads.presses + 2 * number
+        forces[1 + loads.presses + number, first : first + 2] = frames[first : first + 2, 2]
+    return Pushes(patches=patches, loads=loads.force_n * forces, presses=loads.presses, pair_mm=pair)
+
+
+def _fits(body: Body, points: Points, half_mm: float) -> Bools:
+    """Return (k,) whether square patches lie on the sensing surface."""
+    corners = np.array([(a, b) for a in (-1, 1) for b in (-1, 1)]) * half_mm
+    there: Bools = np.asarray(np.isfinite(points).all(axis=1), np.bool_)
+    safe = np.where(there[:, None], points, body.chart_points(np.zeros((1, 2))))
+    ends = safe[:, None] + corners @ body.frames(safe)[:, :2]
+    inside = (body.piece_distances(ends.reshape(-1, 3))[:, 1:] > -1e-9).all(axis=1).reshape(len(points), 4).all(axis=1)
+    return np.asarray(there & inside & body.contains(safe, -1e-6))
+
+
+@dataclass
+class Bodies:
+    """Compliances by what they are asked for; each answers one set of patches only, so that order changes nothing."""
+
+    progress: Callable[[str, float], None] | None = None
+
+    def __post_init__(self) -> None:
+        self._kept: dict[str, Compliance] = {}
+        self.asked = 0
+
+    @property
+    def made(self) -> int:
+        """How many bodies were prepared; the other requests reused one."""
+        return len(self._kept)
+
+    def unit(self, scene: Scene, role: str, patches: Rectangles) -> Compliance:
+        """Return the compliance for E = 1 MPa of a scene's body: ``truth`` or ``nominal``."""
+        from twin.world.compliance import Compliance
+        from twin.world.ladder import Ladder
+
+        refuse(scene)
+        nu = scene.material.poisson_ratio
+        where = hashlib.sha256(patches.centre_mm.tobytes() + patches.half_mm.tobytes()).hexdigest()
+        told = [scene.body.geometry(), nu, role, scene.accuracy.displacement if role == "truth" else 0, where]
+        key = json.dumps(told, sort_keys=True, default=str)
+        self.asked += 1
+        if key not in self._kept:
+            rubber = Material(youngs_modulus_mpa=1.0, poisson_ratio=nu)
+            if role == "truth":
+                made = Ladder(scene.body, rubber, scene.accuracy.displacement, progress=self.progress).base
+            else:
+                made = Compliance(scene.body, rubber, level="nominal", progress=self.progress)
+            while len(self._kept) >= 64:  # a sweep of bodies does not fill the memory
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = made
+        return self._kept[key]
+
+    def moved(self, scene: Scene, role: str, points: Points, patches: Rectangles) -> Floats:
+        """Return (3 n, 3 k) mm/N of points under unit forces on patches, for the scene's own modulus."""
+        made = self.unit(scene, role, patches).to_points(points, patches)
+        made /= scene.material.youngs_modulus_mpa
+        return made
+
+
+def refuse(scene: Scene) -> None:
+    """Refuse what a sweep does not model.
+
+    Raises
+    ------
+    RecipeError
+        Stiff beads, or a cover of its own modulus.
+    """
+    if any(layer.stiff for layer in scene.markers.values()):
+        raise RecipeError("markers.stiff: sweeps take beads as points that the rubber carries; set it to false")
+    cover = scene.cover
+    if cover is not None and (cover.youngs_modulus_mpa is not None or cover.poisson_ratio is not None):
+        raise RecipeError(
+            "cover: sweeps have no cover of its own modulus; leave youngs_modulus_mpa and poisson_ratio out"
+        )

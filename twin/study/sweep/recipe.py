@@ -1,0 +1,76 @@
+"""Sweep files: read, checked against the scene that they change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from twin.errors import InputError, RecipeError
+from twin.parts.part import unit_of
+from twin.parts.scene import Scene
+from twin.parts.sweep import Sweep
+from twin.places import SCENES
+from twin.study.recipe import load_scene, read_recipe
+
+PREFIX = "sweep_"
+"""Shipped sweeps are the recipes of the scenes folder whose names begin so."""
+
+
+def shipped_sweeps() -> dict[str, Path]:
+    """Return the shipped sweeps by name."""
+    return {path.stem: path for path in sorted(SCENES.glob(f"{PREFIX}*.toml"))}
+
+
+def load_sweep(name: str | Path) -> tuple[Sweep, Scene]:
+    """Return a sweep, given by path or shipped name, and its scene with ``set`` in place.
+
+    Raises
+    ------
+    RecipeError
+        With every problem of the sweep at once, or of its scene.
+    InputError
+        There is no such file.
+    """
+    path = _find(str(name))
+    sweep = sweep_of(read_recipe(path), str(path))
+    beside = path.parent / sweep.scene
+    scene = load_scene(beside if beside.is_file() else sweep.scene, sweep.set)
+    return sweep, scene
+
+
+def sweep_of(table: dict[str, Any], where: str) -> Sweep:
+    """Return the sweep of a table read from ``where``."""
+    try:
+        return Sweep.model_validate(table)
+    except ValidationError as problem:
+        raise RecipeError([_line(dict(error)) for error in problem.errors(include_url=False)], where) from None
+
+
+def _line(error: dict[str, Any]) -> str:
+    import difflib
+
+    keys = [str(k) for k in error["loc"] if not str(k).startswith("[")]
+    dotted, last = ".".join(keys) or "sweep", keys[-1] if keys else ""
+    if error["type"] == "extra_forbidden":
+        near = difflib.get_close_matches(last, Sweep.model_fields, 1) if len(keys) == 1 else []
+        return f"{dotted}: unknown key" + (f"; did you mean '{near[0]}'?" if near else "")
+    if error["type"] == "missing":
+        return f"{dotted}: missing; give a value"
+    told = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
+    value, unit = error.get("input"), unit_of(last)
+    shown = "" if isinstance(value, dict | Sweep) or not keys else f" = {value!r}{' ' + unit if unit else ''}"
+    return f"{dotted}{shown}: {told}"
+
+
+def _find(name: str) -> Path:
+    for candidate in (Path(name).expanduser(), SCENES / f"{name}.toml", SCENES / f"{PREFIX}{name}.toml"):
+        if candidate.is_file():
+            return candidate
+    import difflib
+
+    known = list(shipped_sweeps())
+    near = difflib.get_close_matches(Path(name).stem, known, 1)
+    hint = f"did you mean '{near[0]}'?" if near else f"shipped ones are: {', '.join(known)}"
+    raise InputError(f"no sweep '{name}': {hint}")

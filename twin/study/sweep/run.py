@@ -1,0 +1,293 @@
+"""A sweep from its file to its table: the cheap fidelity for all designs, the dear ones for the best.
+
+Only this process writes into the folder, under a lock. Whatever stops a sweep, the same command goes on with the rows
+that are missing and ends with the same table (but for the seconds, which are measured).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Floats, Ints
+from twin.errors import RecipeError
+from twin.parts.scene import Scene
+from twin.parts.sweep import Sweep
+from twin.results import make_folder
+from twin.study.batch.draw import plain_table
+from twin.study.batch.engine import Job, run_tasks
+from twin.study.batch.lock import only_writer
+from twin.study.recipe import dump_scene
+from twin.study.sweep.closed import closed
+from twin.study.sweep.designs import Designs, designs_of
+from twin.study.sweep.loads import refuse
+from twin.study.sweep.rank import agreement, best_first, scores
+from twin.study.sweep.table import Store, row_key, write_table
+from twin.study.sweep.work import WORK, Row, region_of
+
+FORMAT = 1
+CHUNK = {"linear": 16, "full": 1}
+"""Designs of one task: what a kill loses at most, a worker each."""
+
+Told = Callable[[str, float], None]
+
+
+@dataclass
+class Swept:
+    """A finished sweep.
+
+    Attributes
+    ----------
+    designs
+        All of them.
+    columns
+        (m,) numbers by ``<fidelity>_<metric>``; NaN where a design was not looked at so closely.
+    status, error, fidelity
+        (m,) ok, dropped or failed; why; how closely it was looked at.
+    score
+        (m,) see `twin.study.sweep.rank.scores`, at the best fidelity.
+    order
+        The designs that are ok, the best first, those looked at most closely before all others.
+    keys
+        Keys of the rows of the full chain by design.
+    notes
+        What was reused and how well fidelities agree, in words.
+    seconds
+        Of this run, by fidelity.
+    """
+
+    designs: Designs
+    columns: dict[str, Floats]
+    status: np.ndarray
+    error: np.ndarray
+    fidelity: np.ndarray
+    score: Floats = field(default_factory=lambda: np.zeros(0))
+    order: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    keys: dict[int, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def failed(self) -> int:
+        """How many designs failed (those that are dropped have not)."""
+        return int((self.status == "failed").sum())
+
+
+class Runner:
+    """Runs designs of one sweep, and keeps their rows.
+
+    Parameters
+    ----------
+    sweep, scene
+        What is swept.
+    folder
+        Where rows are kept.
+    workers, scheduler
+        See `twin.study.batch.engine.run_tasks`.
+    progress
+        Told what is done.
+    """
+
+    def __init__(
+        self, sweep: Sweep, scene: Scene, folder: Path, *, workers: int = 1, scheduler: str | None = None,
+        progress: Told | None = None,
+    ) -> None:  # fmt: skip
+        self.sweep, self.scene = sweep, scene
+        self.store = Store(folder)
+        self._workers, self._scheduler, self._progress = workers, scheduler, progress
+        self._identity = identity(sweep, scene)
+        self.asked, self.made, self.fresh = 0, 0, 0
+
+    def rows(self, stage: str, values: Sequence[dict[str, Any]]) -> list[Row]:
+        """Return the rows of designs, computing those that are not there."""
+        keys = [self.key(stage, each) for each in values]
+        missing = {key: each for key, each in zip(keys, values, strict=True) if key not in self.store}
+        names, waiting = list(missing), list(missing.values())
+        chunk = max(1, min(CHUNK[stage], -(-len(waiting) // self._workers)))
+        told = {"sweep": self.sweep.model_dump(mode="json"), "stage": stage, "chunk": chunk, "designs": waiting}
+        files = {"sweep.json": json.dumps(told).encode(), "scene.toml": dump_scene(self.scene).encode()}
+        tasks = range(-(-len(waiting) // chunk))
+        started = time.perf_counter()
+        workers = min(self._workers, max(1, len(tasks)))
+        for done in (
+            run_tasks(Job(files=files, work=WORK), tasks, workers=workers, scheduler=self._scheduler)
+            if len(tasks)
+            else ()
+        ):
+            mine = names[done.number * chunk : (done.number + 1) * chunk]
+            if done.problem is not None:
+                lost: Row = {"status": "failed", "error": done.problem, "seconds": float("nan")}
+                for key in mine:  # not kept: the next run tries again
+                    self.store._rows[key] = lost
+                continue
+            shown = {key: data for key, data in zip(mine, done.result.shown, strict=True) if data is not None}
+            self.store.add(dict(zip(mine, done.result.rows, strict=True)), shown)
+            self.asked += done.result.asked
+            self.made += done.result.made
+            self.fresh += len(mine)
+            self._tell(stage, sum(key in self.store for key in names), len(names), started)
+        return [self.store[key] for key in keys]
+
+    def key(self, stage: str, values: dict[str, Any]) -> str:
+        """Return the key of a design's row."""
+        return row_key(self._identity, stage, values)
+
+    def _tell(self, stage: str, done: int, of: int, started: float) -> None:
+        if self._progress is not None:
+            rate = done / max(time.perf_counter() - started, 1e-9)
+            self._progress(f"{stage}: {done}/{of} designs, {rate:.3g}/s", min(0.98, done / max(of, 1)))
+
+
+def identity(sweep: Sweep, scene: Scene) -> str:
+    """Return a hash of everything but the design that rows depend on."""
+    from twin.study.dataset.prepare import versions
+
+    kept = sweep.model_dump(mode="json", include={"seed", "keep_extent", "loads", "limits", "noise_px", "sensors"})
+    base = plain_table(scene) | {"title": ""}
+    told = [FORMAT, kept, region_of(sweep, scene), list(sweep.axes), list(sweep.derived), base, versions()]
+    return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def check(sweep: Sweep, scene: Scene) -> None:
+    """Refuse a sweep that can't be run.
+
+    Raises
+    ------
+    RecipeError
+        With all problems at once.
+    """
+    problems = []
+    if scene.camera is None:
+        problems.append(f"scene = '{sweep.scene}': it has no [camera] table, and designs are seen by a camera")
+    if scene.reconstruction is None and sweep.ladder != ("closed",):
+        problems.append(f"scene = '{sweep.scene}': it has no [reconstruction] table, so there are no sites")
+    if scene.calibration.method not in ("compliance", "halfspace") and sweep.ladder != ("closed",):
+        problems.append(
+            f"calibration.method = '{scene.calibration.method}': every design would have to be pressed; set "
+            "calibration.method = 'compliance' or 'halfspace' under [set]"
+        )
+    if not scene.markers:
+        problems.append(f"scene = '{sweep.scene}': it has no markers")
+    if problems:
+        raise RecipeError(problems)
+    refuse(scene)
+
+
+def run_sweep(
+    sweep: Sweep, scene: Scene, folder: Path, *, workers: int = 1, scheduler: str | None = None,
+    progress: Told | None = None, optimise: bool = False,
+) -> Swept:  # fmt: skip
+    """Run a sweep, or what is missing of it, and write its table.
+
+    Raises
+    ------
+    RecipeError
+        The sweep can't be run.
+    InputError
+        The folder can't be written, or another process is writing there.
+    """
+    check(sweep, scene)
+    designs = designs_of(sweep, scene)
+    make_folder(folder)
+    with only_writer(folder / "writer.lock"):
+        for stale in folder.rglob(".*.part"):
+            stale.unlink(missing_ok=True)
+        runner = Runner(sweep, scene, folder, workers=workers, scheduler=scheduler, progress=progress)
+        if optimise:
+            from twin.study.sweep.optimise import optimised
+
+            designs = optimised(designs, runner)
+        done = sweep_designs(designs, runner)
+        write_table(folder, table_columns(done))
+    return done
+
+
+def sweep_designs(designs: Designs, runner: Runner) -> Swept:
+    """Take designs through the sweep's fidelities."""
+    sweep, count = designs.sweep, len(designs)
+    started = time.perf_counter()
+    first = closed(designs)
+    done = Swept(
+        designs=designs, columns={f"closed_{k}": v for k, v in first.columns.items()},
+        status=np.where(first.reason == "", "ok", "dropped").astype(object), error=first.reason.copy(),
+        fidelity=np.full(count, "closed", dtype=object),
+    )  # fmt: skip
+    done.seconds["closed"] = time.perf_counter() - started
+    if "closed" not in sweep.ladder:
+        done.columns = {k: v for k, v in done.columns.items() if k in ("closed_markers", "closed_cost")}
+    for stage in sweep.ladder:
+        if stage == "closed":
+            continue
+        most = sweep.confirm.linear if stage == "linear" else sweep.confirm.full
+        rank = scores(sweep, done.columns) if stage != sweep.ladder[0] else np.zeros(count)
+        if stage == "linear" and "closed" not in sweep.ladder:
+            most = None
+        chosen = best_first(rank, done.status == "ok", most)
+        if stage == "full" and sweep.ladder == ("full",):
+            chosen = best_first(rank, done.status == "ok", None)
+        began = time.perf_counter()
+        values = [designs.values(int(n)) for n in chosen]
+        rows = runner.rows(stage, values)
+        done.seconds[stage] = time.perf_counter() - began
+        _take(done, stage, chosen, rows)
+        if stage == "full":
+            done.keys = {int(n): runner.key(stage, v) for n, v in zip(chosen, values, strict=True)}
+    done.score = scores(sweep, done.columns)
+    depth = np.array([("closed", "linear", "full").index(f) for f in done.fidelity])
+    order = np.lexsort((done.score, -depth))
+    done.order = order[(done.status == "ok")[order]]
+    done.notes = _notes(done, runner)
+    return done
+
+
+def _take(done: Swept, stage: str, chosen: Ints, rows: Sequence[Row]) -> None:
+    """Put a stage's rows into the columns."""
+    count = len(done.designs)
+    for number, row in zip(chosen, rows, strict=True):
+        done.fidelity[number] = stage
+        done.status[number], done.error[number] = row["status"], row["error"]
+        for name, value in row.items():
+            if name not in ("status", "error"):
+                column = done.columns.setdefault(f"{stage}_{name}", np.full(count, np.nan))
+                column[number] = value
+
+
+def table_columns(done: Swept) -> dict[str, Any]:
+    """Return the table's columns: number, the axes, status, metrics, score."""
+    count = len(done.designs)
+    return {
+        "design": np.arange(count), **done.designs.columns, "fidelity": list(done.fidelity),
+        "status": list(done.status), "error": list(done.error), "score": done.score, **done.columns,
+    }  # fmt: skip
+
+
+COMPARED = (
+    ("closed", "linear", "two_point_mm"), ("closed", "linear", "fwhm_mm"), ("closed", "linear", "resolution_gf"),
+    ("linear", "full", "fwhm_mm"), ("linear", "full", "total_force_error"), ("linear", "full", "dip"),
+)  # fmt: skip
+
+
+def _notes(done: Swept, runner: Runner) -> list[str]:
+    notes = []
+    for one, other, name in COMPARED:
+        a, b = done.columns.get(f"{one}_{name}"), done.columns.get(f"{other}_{name}")
+        if a is not None and b is not None:
+            rank, ratio, count = agreement(a, b)
+            if count:
+                told = (
+                    f"rank correlation {rank:.2f}" if np.isfinite(rank) else "too few or equal for a rank correlation"
+                )
+                notes.append(f"{name}: {one} against {other} over {count} designs: {told}, median ratio {ratio:.3g}")
+    if runner.fresh:
+        notes.append(
+            f"{runner.fresh} rows computed now; a body's compliance was asked for {runner.asked} times and prepared "
+            f"{runner.made} times"
+        )
+    return notes
