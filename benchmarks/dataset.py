@@ -50,10 +50,13 @@ CASES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("finger, all, fast path", "dataset_sato", {"accuracy.centroid_px": 0.01}),
 )
 
+COUNT = 8
+"""Samples that are timed, after as many that warm up."""
+
 
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return one row a case and one a number of workers; the quick form tries four samples of two cases."""
-    rows = [_case(*case, 4 if quick else 12) for case in (CASES[1:3] if quick else CASES)]
+    rows = [_case(*case, 4 if quick else COUNT) for case in (CASES[1:3] if quick else CASES)]
     return rows if quick else [*rows, *_workers()]
 
 
@@ -114,7 +117,7 @@ def _stages() -> Iterator[dict[str, float]]:
             setattr(owner, name, before[stage])
 
 
-def _workers(samples: int = 64) -> list[dict[str, Any]]:
+def _workers(samples: int = 48) -> list[dict[str, Any]]:
     rows = []
     scene: Scene = load_scene("dataset_kamiyama", {"dataset.columns": TRUTH, "dataset.samples_per_shard": 8})
     for workers in (1, 2):

@@ -38,7 +38,7 @@ def tasks_on_cluster(job: Job, numbers: Iterable[int], workers: int, scheduler: 
     try:
         if scheduler is None:
             cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0,
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", memory_limit=0,
                 silence_logs=logging.CRITICAL, host="127.0.0.1",
             )  # fmt: skip
         try:

@@ -45,6 +45,7 @@ up in the picture, whose pixel (0, 0) is the centre of the top left one.
 import datasets, pyarrow.parquet, twin
 
 samples = datasets.load_dataset("parquet", data_files="data/*.parquet", split="train")
+samples = samples.cast_column("picture", datasets.Image())  # if it has pictures
 samples = pyarrow.parquet.read_table("data")
 sample = twin.open_dataset(".")[0]
 ```

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from twin.errors import RecipeError
@@ -37,12 +37,15 @@ class Column:
         One line for people.
     needs
         What has to be computed for it.
+    by_name
+        Whether it is kept only if it is asked for by name, as it costs much.
     """
 
     name: str
     kind: Kind
     what: str
     needs: frozenset[Need] = frozenset()
+    by_name: bool = False
 
 
 def _column(name: str, kind: Kind, what: str, *needs: Need) -> Column:
@@ -67,7 +70,10 @@ SAMPLE = (
     _column("contact_area_mm2", "number", "area of the contact", "contact"),
     _column("peak_pressure_mpa", "number", "largest pressure of a patch", "contact"),
     _column("contact_residual", "number", "largest relative error of gap, sign, friction and balance", "contact"),
-    _column("traction_error", "number", "change of the tractions with patches twice as wide, rms over rms", "contact"),
+    replace(
+        _column("traction_error", "number", "change of tractions with patches twice as wide, rms over rms", "contact"),
+        by_name=True,  # half as much again as the contact itself
+    ),
     _column("linearisation_error", "number", "what linear theory may cost, over the largest displacement", "contact"),
     _column("site_force_n", "vectors", "tractions summed over the cells of the sites; sums to force_n", "sites"),
     _column("site_contact", "numbers", "share of each cell that is in contact", "sites"),
@@ -104,7 +110,7 @@ SENSOR = (
 
 
 def chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
-    """Return the sample columns of these names, all that the scene has if there are none, in their one order.
+    """Return the sample columns of these names, in their one order; if there are none all that the scene has.
 
     Raises
     ------
@@ -129,7 +135,7 @@ def chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
             problems.append(f"columns: '{name}' needs a {table} table, which this scene lacks")
     if problems:
         raise RecipeError(problems)
-    return tuple(c for c in SAMPLE if (c.name in wanted if wanted else _available(c, scene, has)))
+    return tuple(c for c in SAMPLE if (c.name in wanted if wanted else _available(c, scene, has) and not c.by_name))
 
 
 def _available(column: Column, scene: Scene, has: set[Need]) -> bool:
@@ -181,16 +187,11 @@ def _is_number(value: Any) -> bool:
 
 
 def schema(columns: Iterable[Column], metadata: Mapping[str, str]) -> pa.Schema:
-    """Return the Arrow schema of columns; PNG columns are said to be pictures in the way of Hugging Face."""
+    """Return the Arrow schema of columns, each with a line that says what it is."""
     import pyarrow as pa
 
-    made = tuple(columns)
-    pictures = {c.name: {"_type": "Image"} for c in made if c.kind == "png"}
-    words = dict(metadata)
-    if pictures:
-        words["huggingface"] = json.dumps({"info": {"features": _features(made)}})
-    fields = [pa.field(c.name, arrow_type(c.kind), metadata={"what": c.what}) for c in made]
-    return pa.schema(fields, metadata=words)
+    fields = [pa.field(c.name, arrow_type(c.kind), metadata={"what": c.what}) for c in columns]
+    return pa.schema(fields, metadata=dict(metadata))
 
 
 def arrow_type(kind: Kind) -> pa.DataType:
@@ -203,20 +204,6 @@ def arrow_type(kind: Kind) -> pa.DataType:
         "vectors": pa.list_(pa.list_(pa.float64(), 3)), "pixels": pa.list_(pa.list_(pa.float64(), 2)),
     }  # fmt: skip
     return types[kind]
-
-
-def _features(columns: Iterable[Column]) -> dict[str, Any]:
-    """Return the features in the words of Hugging Face's datasets."""
-    value = {"integer": "int64", "number": "float64", "text": "string", "flag": "bool"}
-    number, flag = {"_type": "Value", "dtype": "float64"}, {"_type": "Value", "dtype": "bool"}
-    lists = {
-        "numbers": {"_type": "List", "feature": number},
-        "flags": {"_type": "List", "feature": flag},
-        "vectors": {"_type": "List", "feature": {"_type": "List", "feature": number, "length": 3}},
-        "pixels": {"_type": "List", "feature": {"_type": "List", "feature": number, "length": 2}},
-        "png": {"_type": "Image"},
-    }
-    return {c.name: lists.get(c.kind) or {"_type": "Value", "dtype": value[c.kind]} for c in columns}
 
 
 def to_arrow(rows: list[dict[str, Any]], table_schema: pa.Schema) -> pa.Table:
