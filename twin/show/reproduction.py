@@ -31,7 +31,7 @@ article img { background: #fff; width: auto; max-width: 100%; margin-top: .9rem;
 nav a { color: inherit; display: block } .source { color: var(--soft); font-size: .92rem }
 @media screen and (prefers-color-scheme: dark) { .agrees { color: #7fd6a0 } .explained { color: #e6bd5c } }
 @media (max-width: 600px) { nav { columns: 1 } }
-@media print { details > * { display: block } nav { display: none }
+@media print { details::details-content { content-visibility: visible; display: block } nav { display: none }
   article img { max-width: 15cm } .records { font-size: 8.5pt } }
 """
 
@@ -143,7 +143,7 @@ def _row(record: Mapping[str, Any]) -> str:
     text = f'<span class="{said}">{escape(verdict)}</span>' if record["paper"] is not None else ""
     if record["explained_by"]:
         items = "".join(f"<li>{escape(c['cause'])}: {_number(c['value'])}{unit}</li>" for c in record["explained_by"])
-        text += f"<details><summary>without a cause</summary><ul>{items}</ul></details>"
+        text += f"<details><summary>with each cause off</summary><ul>{items}</ul></details>"
     paper = _number(record["paper"]) + (unit if record["paper"] is not None else "")
     return (
         f'<tr><th>{escape(record["quantity"])}</th><td class="n">{paper}</td>'

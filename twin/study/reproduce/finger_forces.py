@@ -109,13 +109,15 @@ FIGURES: dict[str, tuple[str, Callable[[Line], float], float | None]] = {
 
 
 def _figure_8(bench: Bench) -> Outcome:
-    steps, repeats = (4, 2) if bench.quick else (10, REPEATS)
+    steps, repeats = (3, 2) if bench.quick else (10, REPEATS)
     rig = bench.rig("sato")
     told = rig.calibration
     quiet = bench.rig("sato", overrides={"ccd.noise": False})
     records: list[Record] = []
     panels = []
     for axis, name in enumerate(AXES):
+        if bench.quick and name == "y":
+            continue
         bench.progress(f"cylinder along {name}", axis / 3)
         readings = line(rig, told, axis, steps, repeats, "pinv")
         off = {

@@ -100,7 +100,7 @@ def _found(bench: Bench, protocol: Protocol, way: Way, seed: int, cause: str = "
 
 def _table(bench: Bench, protocol: Protocol) -> Outcome:
     """Return averages and standard deviations by layer and axis, both ways, with both trackers."""
-    records = []
+    records, better = [], []
     ours = "tracker: this project's instead of the paper's"
     seeds = bench.seeds(protocol.sensor)
     work = len(WAYS) * (2 * len(seeds) + len(OFF) - 1)
@@ -130,13 +130,13 @@ def _table(bench: Bench, protocol: Protocol) -> Outcome:
                         explained_by=tuple(Cause(cause=c, value=v[0]) for c, v in value.items() if c),
                     )
                 )  # fmt: skip
-                records.append(
+                better.append(
                     Record(
                         quantity=f"{way} shift, this project's tracker: {layer} {axis} {name}", unit="px",
                         **over(value[ours]),
                     )
                 )  # fmt: skip
-    return Outcome(records=records, panels=_histograms(bench, protocol, "x"), notes=(_note(protocol),))
+    return Outcome(records=[*records, *better], panels=_histograms(bench, protocol, "x"), notes=(_note(protocol),))
 
 
 def _figure(found: Found, layer: str, axis: str, number: int) -> float:
