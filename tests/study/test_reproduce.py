@@ -17,6 +17,7 @@ from twin.study.reproduce.catalogue import ENTRIES, chosen
 from twin.study.reproduce.record import Outcome, Record, causes, over
 from twin.study.reproduce.runner import reproduce
 from twin.study.reproduce.shifted import displaced
+from twin.study.reproduce.two_forces import width_mm
 
 FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
 
@@ -150,3 +151,9 @@ def test_the_quick_form_makes_everything(tmp_path: Path) -> None:
     assert twin("kamiyama/fig-10", "largest force over the true") > 100
     assert twin("kamiyama/fig-11", "distance of the strongest") < 2.5
     assert 0.7 < twin("kamiyama/fig-11", "total push") < 1.3
+
+
+def test_a_width_is_never_missing() -> None:
+    x = np.linspace(-4.0, 4.0, 9)
+    assert width_mm(x, np.maximum(0.0, 1.0 - np.abs(x) / 3.0)) == pytest.approx(3.0)
+    assert width_mm(x, np.ones(9)) == pytest.approx(8.0), "a peak that never falls is at least as wide as its samples"

@@ -77,7 +77,8 @@ def reproduction(
 
 
 def _counts(tables: Sequence[Mapping[str, Any]]) -> str:
-    verdicts = [r["verdict"] for t in tables for r in t["records"] if r["paper"] is not None and not r["timed"]]
+    records = [r for t in tables for r in t["records"]]
+    verdicts = [r["verdict"] for r in records if r["paper"] is not None and not r["timed"] and not r["ours"]]
     agreeing = sum(v == "agrees" for v in verdicts)
     explained = sum("explained by:" in v for v in verdicts)
     left = len(verdicts) - agreeing - explained
@@ -138,7 +139,7 @@ def _row(record: Mapping[str, Any]) -> str:
         twin += f" ± {digits(record['spread'])}"
     runs = f"<small>{record['n']} runs</small>" if record["n"] > 1 else ""
     verdict = str(record["verdict"])
-    gentle = "explained by:" in verdict or record["timed"]
+    gentle = "explained by:" in verdict or record["timed"] or record["ours"]
     said = "agrees" if verdict == "agrees" else "explained" if gentle else "disagrees"
     text = f'<span class="{said}">{escape(verdict)}</span>' if record["paper"] is not None else ""
     if record["explained_by"]:

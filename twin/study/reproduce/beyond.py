@@ -145,7 +145,7 @@ def _same_hardware(bench: Bench) -> Outcome:
         records.append(
             Record(
                 quantity=f"{paper}: standard deviation of a shift, re-rendered", unit="px",
-                paper=printed, **over(deviations),
+                ours=True, paper=printed, **over(deviations),
                 explained_by=causes({
                     "capture chain: an industrial camera": float(
                         np.mean([samples(quiet, layer).std(axis=0, ddof=1) for layer in ("red", "blue")])
@@ -161,7 +161,8 @@ def _same_hardware(bench: Bench) -> Outcome:
         )
         records += [
             Record(
-                quantity=f"{chain.paper}: full width at half maximum of a narrow force", unit="mm", paper=printed_mm,
+                quantity=f"{chain.paper}: full width at half maximum of a narrow force", unit="mm",
+                paper=printed_mm, ours=True,
                 twin=point_width_mm(bench, chain, FORCE_N),
                 explained_by=causes({
                     "capture chain: an industrial camera": point_width_mm(bench, better, FORCE_N),
@@ -182,7 +183,7 @@ def _same_hardware(bench: Bench) -> Outcome:
     records += [
         Record(
             quantity=f"sato, {name}: smallest difference of force two readings tell apart at 95 %", unit="gf",
-            paper=READ_GF,
+            paper=READ_GF, ours=True,
             twin=line.resolution_gf,
         )
         for name, line in lines.items()

@@ -9,7 +9,7 @@ import numpy as np
 from twin.show.panels import Curve, CurvePanel
 from twin.study.reproduce.bench import OUR_TRACKER, Bench
 from twin.study.reproduce.entry import Entry
-from twin.study.reproduce.fields import full_width, solved
+from twin.study.reproduce.fields import solved
 from twin.study.reproduce.finger_picture import sphere_press
 from twin.study.reproduce.record import Outcome, Record, causes
 from twin.study.reproduce.two_forces import (
@@ -19,6 +19,7 @@ from twin.study.reproduce.two_forces import (
     point_width_mm,
     shift_noise_px,
     two_points_mm,
+    width_mm,
 )
 from twin.theory.limit import design_limit
 
@@ -122,7 +123,7 @@ DRAWN: dict[str, Any] = {"calibration.method": "compliance"}
 def _sphere_width(bench: Bench, chain: Chain, gram_force: float) -> float:
     rig = chain.rig(bench)
     found = rig.seen(rig.press(sphere_press((0.0, 0.0), gram_force)), 80, chain.tracker)
-    return full_width(*along_x(solved(found, rig.calibration, chain.method, chain.options), magnitude=True))
+    return width_mm(*along_x(solved(found, rig.calibration, chain.method, chain.options), magnitude=True))
 
 
 def _sato(bench: Bench) -> Outcome:

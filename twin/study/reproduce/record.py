@@ -55,6 +55,9 @@ class Record:
         The causes that were switched off, one by one.
     timed
         Whether it is a time or a rate, which no two runs share.
+    ours
+        Whether it is this project's software on the paper's hardware: the paper's number stands beside it, and isn't
+        what should come out.
     near
         Absolute difference from the paper within which the two agree; by default `CLOSE` of the paper's number.
     """
@@ -68,6 +71,7 @@ class Record:
     explained_by: tuple[Cause, ...] = ()
     timed: bool = False
     near: float | None = None
+    ours: bool = False
 
     @property
     def tolerance(self) -> float:
@@ -82,6 +86,8 @@ class Record:
             return "the paper gives no number"
         if self.timed:
             return "a time of another machine"
+        if self.ours:
+            return "this project's software on the paper's hardware"
         if not np.isfinite(self.twin):
             return "not defined in the twin"
         gap = abs(self.twin - self.paper)

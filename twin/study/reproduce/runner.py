@@ -186,6 +186,11 @@ def _picture(out: Path, name: str) -> bytes:
         return b""
 
 
+def _compared(record: Table) -> bool:
+    """Return whether a record should come out as the paper's number did."""
+    return record["paper"] is not None and not record["timed"] and not record["ours"]
+
+
 def _lines(out: Path, wanted: Sequence[Entry], seed: int, quick: bool, failed: dict[str, str]) -> list[str]:
     lines = []
     for entry in wanted:
@@ -193,7 +198,7 @@ def _lines(out: Path, wanted: Sequence[Entry], seed: int, quick: bool, failed: d
         if table is None:
             lines.append(f"{entry.name:22s} failed: {failed.get(entry.name, 'not run')}")
             continue
-        compared = [r for r in table["records"] if r["paper"] is not None and not r["timed"]]
+        compared = [r for r in table["records"] if _compared(r)]
         agreeing = sum(r["verdict"] == "agrees" for r in compared)
         explained = sum("explained by:" in r["verdict"] for r in compared)
         told = (

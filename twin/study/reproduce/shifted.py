@@ -149,7 +149,8 @@ def _note(protocol: Protocol) -> str:
     return (
         f"Digital: {which}, displaced by {protocol.shift_px} px in the computer, windows fixed on the rest state. "
         "Re-rendered: every marker moved so that its centre shifts by as much, filmed anew with noise of its own. A "
-        "displaced picture takes its mosaic, lines and compression along and so hides what they do to a moving marker."
+        "displaced picture takes its mosaic, lines and compression along and so hides what they do to a moving "
+        "marker."
     )
 
 

@@ -52,6 +52,12 @@ def along_x(found: Field, *, magnitude: bool = False) -> tuple[Floats, Floats]:
     return x, np.array([float(size[row & (np.abs(found.site_mm[:, 0] - at) < 1e-3)].mean()) for at in x])
 
 
+def width_mm(x: Floats, size: Floats) -> float:
+    """Return the full width at half maximum; the row's length, which it is at least, where it doesn't fall to half."""
+    width = full_width(x, size)
+    return width if np.isfinite(width) else float(x[-1] - x[0])
+
+
 def pressed(bench: Bench, chain: Chain, at_mm: tuple[float, ...], force_n: float, exposure: int) -> Field:
     """Push narrow forces at places along x and return the reconstructed field."""
     rig = chain.rig(bench)
@@ -66,17 +72,17 @@ def point_width_mm(bench: Bench, chain: Chain, force_n: float) -> float:
 
     Of the push alone it would flatter an inverse that swings from site to site.
     """
-    return full_width(*along_x(pressed(bench, chain, (0.0,), force_n, 60), magnitude=True))
+    return width_mm(*along_x(pressed(bench, chain, (0.0,), force_n, 60), magnitude=True))
 
 
 def two_points_mm(bench: Bench, chain: Chain, force_n: float, distances_mm: tuple[float, ...]) -> float:
-    """Return the least distance of two narrow forces between which the estimate dips by a fifth, mm; NaN for none."""
+    """Return the least distance of two narrow forces with a dip of a fifth between them, mm; else the largest."""
     for number, apart in enumerate(distances_mm):
         x, push = along_x(pressed(bench, chain, (-apart / 2, apart / 2), force_n, 70 + number))
         peaks = np.interp((-apart / 2, apart / 2), x, push)
         if peaks.min() > 0 and 1.0 - float(np.interp(0.0, x, push)) / float(peaks.min()) >= DIP:
             return apart
-    return float("nan")
+    return distances_mm[-1]
 
 
 def shift_noise_px(bench: Bench, chain: Chain) -> float:
