@@ -24,9 +24,9 @@ def site_errors(made: Calibration, wanted: Calibration) -> Floats:
 
 
 FEW: dict[str, Any] = {
-    f"{table}.{key}": 2 for table in ("calibration.presses", "reconstruction.sites") for key in ("columns", "rows")
+    f"{table}.{key}": 1 for table in ("calibration.presses", "reconstruction.sites") for key in ("columns", "rows")
 }
-"""The quick form presses four points."""
+"""The quick form presses one point."""
 
 
 def _calibration(bench: Bench) -> Outcome:

@@ -116,7 +116,7 @@ def _figure_8(bench: Bench) -> Outcome:
     records: list[Record] = []
     panels = []
     for axis, name in enumerate(AXES):
-        if bench.quick and name == "y":
+        if bench.quick and name != "z":
             continue
         bench.progress(f"cylinder along {name}", axis / 3)
         readings = line(rig, told, axis, steps, repeats, "pinv")

@@ -64,10 +64,9 @@ def tangential_and_normal(rig: Rig, field: Field) -> Floats:
 def _figure_7(bench: Bench) -> Outcome:
     rig = bench.rig("sato")
     bench.progress("press", 0.2)
-    states: dict[str, ContactState] = {
-        "on a calibrated point": rig.press(sphere_press((0.0, 0.0), 100)),
-        "between four": rig.press(sphere_press(above(rig, (1.25, 1.25)), 100)),
-    }
+    states: dict[str, ContactState] = {"on a calibrated point": rig.press(sphere_press((0.0, 0.0), 100))}
+    if not bench.quick:
+        states["between four"] = rig.press(sphere_press(above(rig, (1.25, 1.25)), 100))
     records: list[Record] = []
     panels: list[Panel] = []
     for where, state in states.items():
