@@ -23,6 +23,7 @@ STAGES = (
     "calibrations",
     "stress",
     "dataset",
+    "sweep",
 )
 SLOW = ("peers", "growth", "referee", "calibrations")
 """Stages that a quick run leaves out unless they are named: they need other programs, much memory, or LLVM."""

@@ -7,7 +7,9 @@ from typing import Annotated
 from cyclopts import Parameter
 
 
-def check(file: Annotated[str, Parameter(help="Scene file, calibration (.npz), result folder or dataset.")]) -> None:
+def check(
+    file: Annotated[str, Parameter(help="Scene or sweep file, calibration (.npz), result folder or dataset.")],
+) -> None:
     """Check a file or a folder and say everything that is wrong with it."""
     from twin.study.check import check_path
 

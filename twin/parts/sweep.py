@@ -122,6 +122,8 @@ class Loads(Part):
         Half sides of the region of the presses; six tenths of the scene's sites if not given.
     pair_mm
         Distance of the two pushes that the full chain is shown.
+    exposures
+        Pictures of every load in the full chain: more tell its noise from its bias.
     """
 
     force_n: float = Field(default=1.0, gt=0, le=100)
@@ -130,6 +132,7 @@ class Loads(Part):
     presses: int = Field(default=5, ge=1, le=100)
     region_mm: tuple[float, float] | None = None
     pair_mm: float = Field(default=2.0, gt=0, le=50)
+    exposures: int = Field(default=1, ge=1, le=100)
 
     @field_validator("region_mm")
     @classmethod

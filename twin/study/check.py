@@ -13,7 +13,7 @@ from twin.study.recipe import find_scene, load_scene
 
 
 def check_path(name: str) -> list[str]:
-    """Check a scene (path or shipped name), a calibration file, a result folder or a dataset.
+    """Check a scene or a sweep (path or shipped name), a calibration file, a result folder or a dataset.
 
     Raises
     ------
@@ -35,7 +35,12 @@ def check_path(name: str) -> list[str]:
             f"{path}: calibration of {len(calibration.site_mm)} sites, {len(calibration.transfer) // 2} markers: ok"
         ]
     from twin.study.actual import make
+    from twin.study.sweep.recipe import is_sweep
 
+    if is_sweep(find_scene(name)):
+        from twin.study.sweep.estimate import looked_over
+
+        return looked_over(find_scene(name))
     scene = load_scene(name)
     make(scene)
     lines = [f"{find_scene(name)}: ok"]

@@ -70,6 +70,7 @@ def test_impossible_designs_are_dropped_with_their_reason() -> None:
     ("changes", "said"),
     [
         ({"axes": {"markers.green.depth_mm": [1.0]}}, "no 'green'"),
+        ({"axes": {"markers.blue.depth": [1.0]}}, "did you mean 'depth_mm'"),
         ({"axes": {"press.force_n": [1.0]}}, "no part of a sensor's design"),
         ({"derived": {"markers.red.depth_mm": {"follows": "markers.blue.deep"}}}, "no 'deep'"),
     ],

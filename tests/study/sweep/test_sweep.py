@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +61,40 @@ def test_a_killed_sweep_resumes_to_the_same_table(finished: Path, tmp_path: Path
     assert not list(tmp_path.glob(".*.part"))
 
 
+@pytest.mark.slow
+def test_a_sweep_killed_at_any_time_resumes_to_the_same_table_on_any_number_of_workers(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    axes = {"markers.*.pitch_mm": {"low": 1.2, "high": 1.8, "steps": 40}, "camera.focal_px": [1700.0, 1814.8]}
+    path.write_text(tomli_w.dumps({**TABLE, "axes": axes, "derived": {}}))
+    environment = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parents[1])}
+
+    def command(folder: str, workers: str) -> subprocess.Popen[bytes]:
+        words = [
+            sys.executable,
+            "-m",
+            "twin",
+            "sweep",
+            str(path),
+            "--out",
+            str(tmp_path / folder),
+            "--workers",
+            workers,
+        ]
+        return subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, start_new_session=True)
+
+    assert command("whole", "1").wait() == 0
+    rows = tmp_path / "killed" / "rows.jsonl"
+    for least in (1, 33):
+        running = command("killed", "2")
+        while running.poll() is None and (not rows.is_file() or rows.read_bytes().count(b"\n") < least):
+            time.sleep(0.05)
+        os.killpg(running.pid, signal.SIGKILL)
+        running.wait()
+        assert not (tmp_path / "killed" / "designs.parquet").is_file(), "it was killed too late to test anything"
+    assert command("killed", "2").wait() == 0
+    assert table(tmp_path / "killed") == table(tmp_path / "whole")
+
+
 def test_rows_are_computed_once_whatever_the_order(finished: Path, tmp_path: Path) -> None:
     (tmp_path / "rows.jsonl").write_bytes((finished / "rows.jsonl").read_bytes())
     same = {"markers.blue.depth_mm": [3.0], "markers.*.pitch_mm": [1.8, 1.2]}
@@ -80,6 +116,7 @@ def test_designs_that_cant_be_are_rows_with_their_reason(tmp_path: Path) -> None
     done = run_sweep(*small(**changes), tmp_path)
     assert done.status.tolist() == ["ok", "dropped"]
     assert "inside the picture" in done.error[1]
+    write_report(done, write_best(done, tmp_path), tmp_path)
     kept = [json.loads(line)["row"]["status"] for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
     assert sorted(kept) == ["dropped", "ok"]
 
@@ -131,6 +168,13 @@ def test_a_search_finds_what_the_grid_does_not_have(tmp_path: Path) -> None:
     assert found.score[found.order[0]] <= random.score[random.order[0]]
     best = found.designs.values(int(found.order[0]))
     assert best["markers.*.pitch_mm"] < 1.1
+
+
+def test_one_axis_and_nothing_possible_still_make_a_page(tmp_path: Path) -> None:
+    done = run_sweep(*small(axes={"markers.*.diameter_mm": [1.6]}, derived={}), tmp_path)
+    assert write_best(done, tmp_path) == []
+    write_report(done, [], tmp_path)
+    assert "None of 1 designs is possible" in (tmp_path / "report.html").read_text()
 
 
 def test_the_command_says_what_it_would_do_and_refuses_what_it_cant(tmp_path: Path) -> None:

@@ -95,7 +95,13 @@ def designs_of(sweep: Sweep, scene: Scene) -> Designs:
     """
     table = plain_table(scene)
     _check_keys(sweep, table)
-    return designs_at(sweep, scene, _unit(sweep) if sweep.sampling != "grid" else None)
+    designs = designs_at(sweep, scene, _unit(sweep) if sweep.sampling != "grid" else None)
+    try:
+        designs.scene_of(0, table)
+    except RecipeError as problem:  # a value that is not allowed is the design's failure, not the sweep's
+        if unknown := [line for line in problem.problems if "unknown key" in line]:
+            raise RecipeError(unknown, "axes") from None
+    return designs
 
 
 def designs_at(sweep: Sweep, scene: Scene, u: Floats | None) -> Designs:

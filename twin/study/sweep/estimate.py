@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from twin.arrays import Ints
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.study.batch.engine import Job, one_thread, unpacked
 from twin.study.recipe import dump_scene
 from twin.study.sweep.closed import closed
-from twin.study.sweep.designs import designs_of
+from twin.study.sweep.designs import Designs, designs_of
+from twin.study.sweep.recipe import load_sweep
 from twin.study.sweep.run import check
 from twin.study.sweep.work import WORK, make_rows
 
@@ -29,16 +31,7 @@ def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[str]:
     RecipeError
         The sweep can't be run.
     """
-    check(sweep, scene)
-    designs = designs_of(sweep, scene)
-    first = closed(designs)
-    good = np.flatnonzero(first.reason == "")
-    lines = [
-        f"designs     {len(designs)} ({sweep.sampling}) over {', '.join(sweep.axes)}",
-        f"dropped     {len(designs) - len(good)} before anything is solved",
-    ]
-    for reason in sorted({str(r) for r in first.reason if r}):
-        lines.append(f"            {int((first.reason == reason).sum())}: {reason}")
+    lines, good, designs = _overview(sweep, scene)
     left = len(good)
     for stage in sweep.ladder:
         if stage == "closed" or not left:
@@ -59,3 +52,27 @@ def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[str]:
         lines.append(f"{stage:11s} {left} designs, about {left * each / workers:.3g} s at {each:.3g} s each")
         lines += [f"            {row['status']}: {row['error']}" for row in rows if row["status"] != "ok"]
     return lines
+
+
+def looked_over(path: Path) -> list[str]:
+    """Return lines about a sweep file in which nothing is wrong; raises like `estimate`."""
+    sweep, scene = load_sweep(path)
+    lines, good, designs = _overview(sweep, scene)
+    if len(good):
+        designs.scene_of(int(good[0]))
+    return [f"{path}: ok", *lines]
+
+
+def _overview(sweep: Sweep, scene: Scene) -> tuple[list[str], Ints, Designs]:
+    """Return lines about a sweep's designs, the numbers of those that are possible, and all."""
+    check(sweep, scene)
+    designs = designs_of(sweep, scene)
+    first = closed(designs)
+    good = np.flatnonzero(first.reason == "")
+    lines = [
+        f"designs     {len(designs)} ({sweep.sampling}) over {', '.join(sweep.axes)}",
+        f"dropped     {len(designs) - len(good)} before anything is solved",
+    ]
+    for reason in sorted({str(r) for r in first.reason if r}):
+        lines.append(f"            {int((first.reason == reason).sum())}: {reason}")
+    return lines, good, designs

@@ -158,21 +158,20 @@ def information(
     """
     blocks = []
     for transfer, each in zip(transfers, signs, strict=True):
-        lower = _penalty_factor(grid, method, each)
-        gram = transfer.T @ transfer
-        half = scipy.linalg.solve_triangular(lower, gram, lower=True, check_finite=False)
-        whole = scipy.linalg.solve_triangular(lower, half.T, lower=True, check_finite=False)
+        inverse = _inverse_factor(grid, method, each)
+        whole = inverse @ (transfer.T @ transfer) @ inverse.T
         squared, vectors = np.linalg.eigh((whole + whole.T) / 2)
-        back = scipy.linalg.solve_triangular(lower.T, vectors, lower=False, check_finite=False)
+        back = inverse.T @ vectors
         pull = back.T @ transfer.T
         blocks.append(Sector(signs=each, squared=np.maximum(squared, 0.0), back=back, pull=pull))
     return Information(blocks=tuple(blocks), grid=grid, count=count)
 
 
 @lru_cache(maxsize=64)
-def _penalty_factor(grid: tuple[int, int], method: str, signs: Signs) -> Floats:
-    """Return the Cholesky factor of a class's part of the penalty."""
+def _inverse_factor(grid: tuple[int, int], method: str, signs: Signs) -> Floats:
+    """Return the inverse of the Cholesky factor L of a class's part of the penalty, whose condition is small."""
     whole = grid_penalty(grid, method)
     half = fold(whole.reshape(*grid, 3, -1), signs)
     folded = fold(half.T.reshape(*grid, 3, -1), signs)
-    return np.asarray(np.linalg.cholesky((folded + folded.T) / 2), np.float64)
+    lower = np.linalg.cholesky((folded + folded.T) / 2)
+    return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True), np.float64)

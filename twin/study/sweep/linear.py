@@ -99,6 +99,7 @@ def linear(scene: Scene, view: View, sweep: Sweep, bodies: Bodies, pushes: Pushe
         "weight": weight * 2.0 * mean_noise**2,
         "markers_seen": float(used.sum()),
         "sd_px": float(np.sqrt(np.mean(noise[used] ** 2))),
+        "noise_px": float(np.median(noise[used])),
         "range_n": _range(scene, view, sweep, loads[:, :, 0]),
         "frame_ms": MARKER_MS * len(used) + ENTRY_MS * 6 * len(used) * len(sites),
     }

@@ -145,14 +145,13 @@ def _size(count: int, sign: int) -> int:
 def _half(values: Floats, axis: int, sign: int) -> Floats:
     if sign == 0:
         return values
-    count = values.shape[axis]
+    turned = np.moveaxis(values, axis, 0)
+    count = len(turned)
     half = count // 2
-    low = np.take(values, np.arange(half), axis=axis)
-    high = np.take(values, np.arange(count - 1, count - 1 - half, -1), axis=axis)
-    both = (low + sign * high) / _ROOT
+    both = (turned[:half] + sign * turned[: count - 1 - half : -1]) / _ROOT
     if sign > 0 and count % 2:
-        both = np.concatenate([both, np.take(values, [half], axis=axis)], axis=axis)
-    return np.asarray(both)
+        both = np.concatenate([both, turned[half : half + 1]])
+    return np.asarray(np.moveaxis(both, 0, axis))
 
 
 def _whole(part: Floats, axis: int, sign: int, count: int) -> Floats:

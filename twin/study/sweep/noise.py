@@ -11,11 +11,11 @@ from twin.theory.centroid import centre_bound, rim_noise
 
 FULL_SCALE = 255.0
 
-FACTOR = {"bead": 1.6, "print": 1.6}
+FACTOR = {"bead": 1.05, "print": 1.0}
 """Noise of a tracked shift over the bound of one even disc, by kind of marker: beads darken towards their rim, and
 light is not even. Measured by ``python -m benchmarks sweep``."""
 
-MODEL_PX = {"bead": 0.005, "print": 0.0095}
+MODEL_PX = {"bead": 0.003, "print": 0.0015}
 """What pictures change besides moving (shadows, shading, strain), as a standard deviation, px. Measured likewise."""
 
 

@@ -59,7 +59,9 @@ def sensitivities(done: Swept) -> list[Sensitivity]:
         return np.where(np.isnan(values), mean, values)
 
     indices = sobol_indices(func=metrics, n=SAMPLES, dists=[uniform()] * len(axes), rng=np.random.default_rng(0))
-    first, total = (np.atleast_2d(np.asarray(a)) for a in (indices.first_order, indices.total_order))
+    first, total = (
+        np.asarray(a).reshape(len(EXPLAINED), len(axes)) for a in (indices.first_order, indices.total_order)
+    )
     told = []
     for row, metric in enumerate(EXPLAINED):
         for column, axis in enumerate(axes):

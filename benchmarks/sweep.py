@@ -1,0 +1,157 @@
+"""Sweeps: designs a second by fidelity, and how far each fidelity is from the next.
+
+CPU seconds are of one core, numeric libraries held to one thread; ``designs_per_s`` is what two cores make of them.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import twin
+from benchmarks.clock import Clock
+from twin.arrays import Floats
+from twin.parts.scene import Scene
+from twin.parts.sweep import Sweep
+from twin.study.batch.engine import one_thread
+from twin.study.sweep.best import write_best
+from twin.study.sweep.closed import closed
+from twin.study.sweep.designs import designs_of
+from twin.study.sweep.report import write_report
+from twin.study.sweep.run import Swept, run_sweep
+
+CORES = 2
+FLAT: dict[str, Any] = {
+    "scene": "kamiyama_pillar",
+    "set": {"reconstruction.sites.pitch_mm": 1.0},
+    "axes": {
+        "markers.blue.depth_mm": {"low": 1.0, "high": 3.0},
+        "markers.red.depth_mm": {"low": 3.5, "high": 6.0},
+        "markers.*.pitch_mm": {"low": 1.2, "high": 1.8},
+        "markers.*.diameter_mm": {"low": 0.3, "high": 0.5},
+        "material.youngs_modulus_mpa": {"low": 0.3, "high": 2.0, "log": True},
+    },
+    "loads": {"force_n": 0.5, "size_mm": 1.5, "pair_mm": 4.0, "region_mm": [4.0, 3.0]},
+    "sampling": "latin",
+    "limits": {"overlap": 0.25},
+}
+FINGER: dict[str, Any] = {
+    "scene": "sato_press",
+    "set": {"calibration.method": "compliance", "reconstruction.sites.pitch_mm": 1.0},
+    "axes": {
+        "markers.blue.depth_mm": {"low": 1.2, "high": 2.5},
+        "markers.*.pitch_mm": {"low": 1.2, "high": 2.5},
+        "markers.*.diameter_mm": {"low": 0.25, "high": 0.5},
+        "material.youngs_modulus_mpa": {"low": 0.3, "high": 1.5, "log": True},
+    },
+    "loads": {"force_n": 0.3, "size_mm": 1.5, "pair_mm": 4.0, "region_mm": [2.0, 2.0]},
+    "sampling": "latin",
+    "limits": {"overlap": 0.25},
+}
+SENSORS = {"flat": FLAT, "finger": FINGER}
+PRESSES, EXPOSURES = 10, 4
+"""Presses of the comparison with the full chain, and pictures of each: its error is a mean over all of them."""
+
+WITHIN = 0.2
+
+
+def run(quick: bool) -> list[dict[str, Any]]:
+    """Return the rows of the stage."""
+    rows = [_closed(2_000 if quick else 200_000), _linear(8 if quick else 100), _full(2 if quick else 8)]
+    if not quick:
+        rows.append(_whole(1000))
+    for name in ("flat",) if quick else tuple(SENSORS):
+        rows += agreement(name, 2 if quick else 25)
+    return rows
+
+
+def _sweep(table: dict[str, Any], **changes: Any) -> tuple[Sweep, Scene]:
+    sweep = Sweep.model_validate({**table, **changes})
+    return sweep, twin.load_scene(sweep.scene, sweep.set)
+
+
+def _rate(what: str, designs: int, cpu: float, wall: float) -> dict[str, Any]:
+    return {
+        "what": what, "designs": designs, "cpu_ms": 1e3 * cpu / designs, "wall_s": wall,
+        "designs_per_s": CORES * designs / cpu,
+    }  # fmt: skip
+
+
+def _closed(count: int) -> dict[str, Any]:
+    designs = designs_of(*_sweep(FLAT, count=count))
+    closed(designs_of(*_sweep(FLAT, count=100)))
+    with one_thread():
+        clock = Clock()
+        closed(designs)
+        cost = clock.lap()
+    return _rate("closed form", count, cost.cpu, cost.wall)
+
+
+def _linear(count: int) -> dict[str, Any]:
+    table = {**FLAT, "set": {}, "loads": {**FLAT["loads"], "presses": 5, "size_mm": 2.0}}
+    return _one_by_one("linear information, 636 markers of the scene and more", table, "linear", count)
+
+
+def _full(count: int) -> dict[str, Any]:
+    table = {**FLAT, "set": {}, "loads": {**FLAT["loads"], "presses": 5, "size_mm": 2.0}}
+    return _one_by_one("full chain, 5 presses", table, "full", count)
+
+
+def _one_by_one(what: str, table: dict[str, Any], stage: str, count: int) -> dict[str, Any]:
+    """Time rows in this process, the first apart: it reads tables and compiles."""
+    with tempfile.TemporaryDirectory() as name:
+        run_sweep(*_sweep(table, count=1, seed=2, fidelity=[stage], confirm={"full": 1}), Path(name))
+        clock = Clock()
+        done = run_sweep(*_sweep(table, count=count, fidelity=[stage], confirm={"full": count}), Path(name))
+        cost = clock.lap()
+    ok = max(int((done.status == "ok").sum()), 1)
+    return _rate(what, ok, cost.cpu, cost.wall)
+
+
+def _whole(count: int) -> dict[str, Any]:
+    """A thousand designs from the file to the page, on two processes that begin with nothing."""
+    table = {**FLAT, "set": {}, "loads": {**FLAT["loads"], "presses": 5, "size_mm": 2.0}}
+    with tempfile.TemporaryDirectory() as name:
+        clock = Clock()
+        done = run_sweep(*_sweep(table, count=count, fidelity=["closed", "linear"]), Path(name), workers=CORES)
+        write_report(done, write_best(done, Path(name)), Path(name))
+        cost = clock.lap()
+    return _rate("closed form, linear information and page, two processes", count, cost.cpu, cost.wall)
+
+
+def agreement(name: str, count: int) -> list[dict[str, Any]]:
+    """Return how far the linear information is from the full chain, by metric."""
+    table = {**SENSORS[name], "loads": {**SENSORS[name]["loads"], "presses": PRESSES, "exposures": EXPOSURES}}
+    with tempfile.TemporaryDirectory() as folder:
+        settings = {"count": count, "fidelity": ["closed", "linear", "full"], "confirm": {"full": count}}
+        done = run_sweep(*_sweep(table, **settings), Path(folder), workers=CORES)
+    rows = [
+        compared(done, one, other, metric, name)
+        for one, other, metric in (
+            ("closed", "linear", "fwhm_mm"), ("closed", "linear", "two_point_mm"),
+            ("closed", "linear", "resolution_gf"),
+            ("linear", "full", "fwhm_mm"), ("linear", "full", "total_force_error"), ("linear", "full", "dip"),
+            ("linear", "full", "sd_px"), ("linear", "full", "noise_px"),
+        )
+    ]  # fmt: skip
+    return [row for row in rows if row]
+
+
+def compared(done: Swept, one: str, other: str, metric: str, name: str) -> dict[str, Any]:
+    """Return the row that compares a metric at two fidelities; empty where no design has both."""
+    from scipy.stats import spearmanr
+
+    a, b = (done.columns.get(f"{f}_{metric}", np.full(len(done.designs), np.nan)) for f in (one, other))
+    both = np.isfinite(a) & np.isfinite(b) & (a > 0) & (b > 0)
+    if not both.any():
+        return {}
+    ratio: Floats = a[both] / b[both]
+    rank = float(spearmanr(a[both], b[both]).statistic) if both.sum() > 2 else float("nan")
+    return {
+        "what": f"{name}: {metric}, {one} over {other}", "designs": int(both.sum()), "median": float(np.median(ratio)),
+        "tenth": float(np.quantile(ratio, 0.1)), "nine tenths": float(np.quantile(ratio, 0.9)),
+        f"within {100 * WITHIN:.0f} %": float(np.mean(np.abs(ratio - 1) <= WITHIN)), "rank correlation": rank,
+    }  # fmt: skip
