@@ -52,7 +52,7 @@ FINGER: dict[str, Any] = {
     "limits": {"overlap": 0.25},
 }
 SENSORS = {"flat": FLAT, "finger": FINGER}
-PRESSES, EXPOSURES = 10, 4
+PRESSES, EXPOSURES = 8, 3
 """Presses of the comparison with the full chain, and pictures of each: its error is a mean over all of them."""
 
 WITHIN = 0.2

@@ -11,7 +11,7 @@ from twin.theory.centroid import centre_bound, rim_noise
 
 def fisher_sd(diameter: float, contrast: float, psf: float, noise: float) -> float:
     """Return the bound from a picture of a disc: fine samples blurred by the Gaussian, summed into pixels."""
-    fine, half = 8, int(diameter)
+    fine, half = 8, int(diameter) + 4
     place = (np.arange(2 * half * fine) + 0.5) / fine - half
     disc = np.hypot(place[:, None], place[None]) <= diameter / 2
     spread = np.arange(-6 * fine, 6 * fine + 1) / fine

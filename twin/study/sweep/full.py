@@ -66,10 +66,12 @@ def full(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> tuple[di
     else:
         compliance = bodies.moved(scene, "nominal", nominal, sensor.sites)
     calibration = nominal_calibration(sensor, compliance)
-    again = range(sweep.loads.exposures)  # each picture has a zero of its own
+    # of one exposure all pictures share a zero; of several each has its own, or its noise would be in all of them
+    again = range(sweep.loads.exposures)
     still = sensor.renderer.radiance(sensor.ellipsoids(None))
     rest = analyse_rest(_exposed(sensor, still, 0), sensor.layout_px, method=scene.tracking.method)
-    zeros = [track_frame(rest, _exposed(sensor, still, 1 + k)) for k in again]
+    count = 1 if len(again) == 1 else len(again) * len(motions)
+    zeros = [track_frame(rest, _exposed(sensor, still, 1 + k)) for k in range(count)]
     # a marker's noise is the same in every picture, so that one factorisation serves them all
     told = np.nanmean([zero.sd_px for zero in zeros], axis=0) if len(zeros) > 1 else zeros[0].sd_px
     at_rest = sensor.project(sensor.actual.markers.points)
@@ -79,8 +81,9 @@ def full(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> tuple[di
         light = sensor.renderer.radiance(sensor.ellipsoids(motion))
         true = sensor.project(sensor.actual.markers.points + motion.displacement_mm) - at_rest
         shifts = []
-        for k, zero in enumerate(zeros):
-            picture = _exposed(sensor, light, 1 + len(zeros) * (1 + place) + k)
+        for k in again:
+            zero = zeros[(place * len(again) + k) % count]
+            picture = _exposed(sensor, light, 1 + count + place * len(again) + k)
             first = picture if first is None else first
             found = track_frame(rest, picture)
             found = replace(found, shift_px=found.shift_px - zero.shift_px, sd_px=told)
