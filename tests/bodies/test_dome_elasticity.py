@@ -52,6 +52,7 @@ def test_shipped_meshes_pass_the_gates_and_are_the_ones_that_would_be_made(level
     assert read_provenance(path)["key"] == mesh_key(DOME, default_sizing(DOME, level))
 
 
+@pytest.mark.slow
 def test_the_small_mesh_is_within_three_thousandths_of_the_independent_program():
     wanted = {"apex_x_nu0.5", "apex_z_nu0.5", "side_x_nu0.5", "side_z_nu0.5"}
     errors = [error("nominal", case) for case in CASES if case["key"] in wanted]
@@ -93,6 +94,7 @@ def test_a_push_on_the_apex_moves_nothing_sideways_there_and_a_twist_only_turns(
     assert np.abs(twisted - along[:, None] * np.column_stack([around, np.zeros(3)])).max() < 0.01 * along.mean()
 
 
+@pytest.mark.slow
 def test_small_patches_answer_each_other_alike():
     centres = DOME.chart_points(np.array([[0.0, 0], [3, 1], [-2, 4], [5, -2]]))
     patches = join([tile(Traction.rectangle(tuple(c), (0.3, 0.3), (0, 0, 1)), DOME, 0.3) for c in centres])

@@ -8,7 +8,7 @@ from twin.sense.bump import camera_bump
 
 
 @pytest.mark.parametrize(("sensor", "strength"), [(flat_sensor, 1.0), (finger_sensor, 0.3)])
-@pytest.mark.parametrize("case", range(5))
+@pytest.mark.parametrize("case", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in (2, 3, 4))])
 def test_a_bump_is_found_and_a_force_is_none(sensor, strength, case):
     markers, seen, calibration = sensor()
     random = np.random.default_rng(case)

@@ -104,6 +104,7 @@ def test_pushes_are_meant_along_the_inward_normal():
     assert np.abs(reconstruct(away, turned, "norm", 1e-9, friction=0.05).force_n @ frame[2]).max() < 0.1
 
 
+@pytest.mark.slow
 def test_any_weight_is_survived():
     """From 1e-12 to 1e12, every way of solving: finite, and no larger than the pseudo-inverse's."""
     markers, seen, calibration = FLAT

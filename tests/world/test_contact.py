@@ -254,7 +254,7 @@ def test_a_turned_pillar_presses_its_turned_footprint() -> None:
     assert turned.force_n[2] == pytest.approx(one.force_n[2], rel=1e-9)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.5, STUCK])
+@pytest.mark.parametrize("friction", [0.0, 0.5, pytest.param(STUCK, marks=pytest.mark.slow)])
 def test_mirror(friction: float) -> None:
     steps = (Step(force_n={"z": 0.4}), Step(move_mm=(0.05, 0.1, None), turn_deg=3))
     mirrored = (steps[0], Step(move_mm=(0.05, -0.1, None), turn_deg=-3))
@@ -277,7 +277,7 @@ def test_units_scale() -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 0.5, STUCK])
 @pytest.mark.parametrize("probe", [Sphere(diameter_mm=5), Cylinder(diameter_mm=4)])
-@pytest.mark.parametrize("up", [down(-2.0), Step(force_n=(None, None, 0.0))])
+@pytest.mark.parametrize("up", [down(-2.0), pytest.param(Step(force_n=(None, None, 0.0)), marks=pytest.mark.slow)])
 def test_a_lift_returns_to_zero_and_the_next_push_starts_anew(
     friction: float, probe: Sphere | Cylinder, up: Step
 ) -> None:
@@ -372,6 +372,7 @@ def test_patches_tile_the_curved_surface(at: tuple[float, float], area: float | 
     assert patches.area_mm2.sum() == pytest.approx(area, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_probe_sheared_harder_than_it_is_pressed_peels_off_its_trailing_side() -> None:
     steps = (Step(force_n={"z": 0.05}), Step(move_mm=(0.1, None, None)))
     one, sheared = pressed(Press(probe=Sphere(diameter_mm=6), friction=STUCK, steps=steps), nu=0.3).path

@@ -60,7 +60,7 @@ def patch_area(state: ContactState) -> np.ndarray:
 # --- closed forms ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.5])
+@pytest.mark.parametrize("nu", [pytest.param(0.3, marks=pytest.mark.slow), 0.5])
 @pytest.mark.parametrize("share", [pytest.param(0.3, marks=pytest.mark.slow), 0.6, 0.9])
 def test_a_sheared_sphere_sticks_inside_and_slips_around(nu: float, share: float) -> None:
     """Cattaneo and Mindlin, whose theory leaves out what couples normal and tangential motion (nothing at nu = 0.5)."""
@@ -82,7 +82,9 @@ def test_a_sheared_sphere_sticks_inside_and_slips_around(nu: float, share: float
     assert across / along < (0.07 if nu == 0.3 else 0.13)
 
 
-@pytest.mark.parametrize("stuck_share", [pytest.param(0.9, marks=pytest.mark.slow), 0.7, 0.4])
+@pytest.mark.parametrize(
+    "stuck_share", [pytest.param(0.9, marks=pytest.mark.slow), pytest.param(0.7, marks=pytest.mark.slow), 0.4]
+)
 def test_a_twisted_sphere(stuck_share: float) -> None:
     a = pressed(Press(probe=BALL, force_n=(0, 0, PUSH)), across=18).contact_radius_mm
     turn, torque = twisted(stuck_share * a, a, PUSH, MU, 1.0, 0.5)
@@ -93,6 +95,7 @@ def test_a_twisted_sphere(stuck_share: float) -> None:
     assert math.sqrt(area[~state.slip].sum() / area.sum()) == pytest.approx(stuck_share, abs=0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nu", [0.3, 0.5])
 def test_a_dragged_sphere_slips_everywhere_and_follows(nu: float) -> None:
     one, slid, further = rubbed(
@@ -115,7 +118,7 @@ def test_a_dragged_sphere_slips_everywhere_and_follows(nu: float) -> None:
 # --- limits --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.5])
+@pytest.mark.parametrize("nu", [pytest.param(0.3, marks=pytest.mark.slow), 0.5])
 def test_much_friction_sticks(nu: float) -> None:
     steps = (pushed(), pushed(0.1), pushed(0.1, torque=0.05))
     stuck, much = (rubbed(*steps, friction=mu, nu=nu)[-1] for mu in (math.inf, 50.0))
@@ -144,6 +147,7 @@ def test_the_mirror_image_of_a_path() -> None:
 # --- history -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_order_of_pushing_and_shearing_counts() -> None:
     """Grown together below mu nothing slips, and the sphere goes further than when it is sheared after the push."""
     force = 0.6 * MU * PUSH
