@@ -12,7 +12,7 @@ import twin
 from twin.results import RunResult
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct
-from twin.sense.track import track
+from twin.sense.track import analyse_rest, track, track_frame
 from twin.sense.transfer import from_compliance
 from twin.study.calibrate import calibration_of
 from twin.theory.optics import projection_jacobian
@@ -71,6 +71,21 @@ def test_tracking_reaches_its_figures(name: str) -> None:
     assert tracking["sd_px"] <= 0.05
     assert tracking["matched"] > 0.98
     assert tracking["gross"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["kamiyama_pillar", "sato_press"])
+def test_nothing_moves_between_two_pictures_at_rest(name: str) -> None:
+    """What is left is noise, also in another marker's shadow: no marker has two places to settle in."""
+    sensor = twin.Sensor(twin.load_scene(name))
+    rest = analyse_rest(sensor.picture(None), sensor.layout_px)
+    shifts = np.array([track_frame(rest, sensor.picture(None, exposure=number)).shift_px for number in range(20, 26)])
+    noise = np.sqrt(np.mean(shifts.var(axis=0, ddof=1)))
+    same = track_frame(rest, sensor.picture(None)).shift_px
+    assert np.sqrt(np.mean(same**2)) < noise
+    mean = shifts.mean(axis=0)
+    assert np.sqrt(np.mean(mean**2)) < 1.3 * np.sqrt(1 + 1 / len(shifts)) * noise
+    assert np.abs(mean).max() < 0.04
 
 
 @pytest.mark.slow

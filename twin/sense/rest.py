@@ -53,6 +53,9 @@ class Group:
         Brightness, area and centre's standard deviation of every marker at rest.
     picture_px
         (height, width) of the picture.
+    spot_px
+        (n, 2) centres of the spots that were matched, px: found, not fitted, as they are in every picture to start a
+        fit from.
     templates
         What method ``disc-fit`` fits.
     """
@@ -68,6 +71,7 @@ class Group:
     area_px: Floats
     sd_px: Floats
     picture_px: tuple[int, int]
+    spot_px: Pixels
     templates: Templates | None = None
 
 
@@ -231,7 +235,7 @@ def _group(
     return Group(
         rows=rows, weights=look.weights, floor_dn=look.floor_dn, ground_dn=look.ground_dn,
         around=neighbourhood(rest_px, size), diameter_px=look.diameter_px, contrast_dn=look.contrast_dn,
-        level_dn=level, area_px=area, sd_px=sd, picture_px=look.signal.shape,
+        level_dn=level, area_px=area, sd_px=sd, picture_px=look.signal.shape, spot_px=rest_px,
     )  # fmt: skip
 
 

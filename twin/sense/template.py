@@ -11,7 +11,7 @@ picture), and a marker's own, if it is large. The first changes as a marker move
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -47,7 +47,11 @@ SAMPLE = 40
 """About how many markers tell the layer's blur and bulge."""
 
 TURNS = 12
-"""Most steps of a fit at rest."""
+"""Most steps of a shape's fit at rest."""
+
+SETTLED_TURNS = 24
+"""Steps after which a centre no longer moves, wherever it started: a rest position that has not settled shifts every
+picture after it (a marker in another's shadow by up to .15 px after 4)."""
 
 QUADRATIC, LINEAR = 30, 12
 """From how many markers on their shared slope is a quadratic, or linear, function of the place."""
@@ -193,13 +197,11 @@ def _of_group(
         own=own, others=others, shape=np.ascontiguousarray(shape[:, :SHAPE]), ground=np.zeros(count), noise=noise,
         slopes=slopes, usual_misfit=1.0, level=shape[:, 7].copy(), reach_px=reach,
     )  # fmt: skip
-    fitted = templates.fit(picture, places, turns=8)
+    fitted = templates.fit(picture, places, turns=SETTLED_TURNS)
     misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
     usual = float(np.quantile(misfit, 0.25)) if len(misfit) else 1.0
-    return Templates(
-        own=own, others=others, shape=templates.shape, ground=np.nan_to_num(fitted[:, 3]), noise=noise, slopes=slopes,
-        usual_misfit=max(usual, 1.0), level=fitted[:, 2], reach_px=reach,
-    ), fitted  # fmt: skip
+    settled = replace(templates, ground=np.nan_to_num(fitted[:, 3]), usual_misfit=max(usual, 1.0), level=fitted[:, 2])
+    return settled, settled.fit(picture, used_centres(fitted), turns=SETTLED_TURNS)
 
 
 def slope_terms(places: Pixels, size: Sequence[int]) -> Floats:

@@ -21,7 +21,7 @@ from twin.sense.fit import EDGE, LEVEL, MISFIT, PIXELS, SCALE, SQUARES, STEP
 from twin.sense.match import GATE, TRUST, follow, predict
 from twin.sense.rest import CROWDED, CROWDED_SD_PX, LEAST_EDGE, Group, Method, Rest, analyse_rest, crowd_level
 from twin.sense.split import Weights, as_picture, project
-from twin.sense.template import centre_sd, used_centres
+from twin.sense.template import SETTLED_TURNS, centre_sd, used_centres
 
 __all__ = ["STATES", "Found", "Tracker", "analyse_rest", "track", "track_frame"]
 
@@ -250,8 +250,9 @@ def _in_group(method: Method, group: Group, picture: Picture, start_px: Pixels |
     state = _lost_state(group, blobs, spot, odd)
     spurious = _spurious(group, blobs, spot)
     if group.templates is not None:
-        place = np.where((spot >= 0)[:, None], blobs.centre_px[spot] if len(blobs) else np.nan, np.nan)
-        return replace(_judged(group, group.templates.fit(picture, place), state), spurious_px=spurious)
+        moved = (blobs.centre_px[spot] if len(blobs) else np.nan) - group.spot_px
+        place = np.where((spot >= 0)[:, None], known + moved, np.nan)
+        return replace(_judged(group, group.templates.fit(picture, place, SETTLED_TURNS), state), spurious_px=spurious)
     shift, sd = np.full(known.shape, np.nan), np.full(len(known), np.nan)
     kept = np.flatnonzero(spot >= 0)
     spot = spot[kept]
