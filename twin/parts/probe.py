@@ -6,15 +6,14 @@ face, the tip of a cone, the lowest point of a sphere) is the place from which i
 
 from __future__ import annotations
 
-import hashlib
 import math
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from twin.errors import InputError
+from twin.geometry.closed import PROBE_SIZE_MM
 from twin.parts.part import Part
+from twin.parts.stl_file import StlFile
 
 
 class Sphere(Part):
@@ -96,7 +95,7 @@ class Cone(Part):
         return self
 
 
-class Stl(Part):
+class Stl(StlFile):
     """The inside of a closed STL surface of the user's own.
 
     Attributes
@@ -108,39 +107,9 @@ class Stl(Part):
         Digest of the file; filled in when it is read, checked when it is given.
     """
 
+    largest_mm = PROBE_SIZE_MM
+
     kind: Literal["stl"] = "stl"
-    file: str
-    sha256: str = Field(default="", pattern="^([0-9a-f]{64})?$")
-
-    @field_validator("file")
-    @classmethod
-    def _is_a_closed_surface(cls, file: str) -> str:
-        from twin.geometry.closed import PROBE_SIZE_MM, read_surface
-
-        try:
-            read_surface(file, PROBE_SIZE_MM)
-        except InputError as problem:
-            raise ValueError(str(problem)) from None
-        return file
-
-    @model_validator(mode="before")
-    @classmethod
-    def _carries_a_digest(cls, table: Any) -> Any:
-        if isinstance(table, dict) and isinstance(table.get("file"), str) and not table.get("sha256"):
-            path = Path(table["file"])
-            if path.is_file():
-                return {**table, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-        return table
-
-    @model_validator(mode="after")
-    def _file_is_the_one(self) -> Stl:
-        found = hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
-        if self.sha256 != found:
-            raise ValueError(
-                f"sha256 = {self.sha256[:12]}... but {Path(self.file).name} has {found[:12]}...: the file was changed; "
-                "leave sha256 out to take the new one"
-            )
-        return self
 
 
 Probe = Annotated[Sphere | Cylinder | Pillar | Cone | Stl, Field(discriminator="kind")]

@@ -13,18 +13,17 @@ the x, y plane, not along a slope. Sharp edges inside the sensing region are rou
 
 from __future__ import annotations
 
-import hashlib
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from twin.arrays import Bools, Chart, Floats, Ints, Points, frozen
-from twin.errors import InputError
+from twin.geometry.closed import SIZE_MM
 from twin.parts.part import Part
 from twin.parts.shape import Body
+from twin.parts.stl_file import StlFile
 
 if TYPE_CHECKING:
     from twin.geometry.closed import Surface
@@ -111,7 +110,7 @@ class Region(Part):
         return chosen
 
 
-class Solid(Body):
+class Solid(StlFile, Body):
     """The inside of a closed STL surface.
 
     Attributes
@@ -128,42 +127,15 @@ class Solid(Body):
         What may be pressed.
     """
 
+    largest_mm = SIZE_MM
+
     shape: Literal["solid"] = "solid"
-    file: str
-    sha256: str = Field(default="", pattern="^([0-9a-f]{64})?$")
     origin_mm: Vector = (0.0, 0.0, 0.0)
     held: Region
     sensing: Region
 
-    @field_validator("file")
-    @classmethod
-    def _is_a_closed_surface(cls, file: str) -> str:
-        from twin.geometry.closed import read_surface
-
-        try:
-            read_surface(file)
-        except InputError as problem:
-            raise ValueError(str(problem)) from None
-        return file
-
-    @model_validator(mode="before")
-    @classmethod
-    def _carries_a_digest(cls, table: Any) -> Any:
-        """Fill in the digest of the file, so that hashes and copies of the description stand for its content."""
-        if isinstance(table, dict) and isinstance(table.get("file"), str) and not table.get("sha256"):
-            path = Path(table["file"])
-            if path.is_file():
-                return {**table, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-        return table
-
     @model_validator(mode="after")
     def _regions_fit(self) -> Solid:
-        found = hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
-        if self.sha256 != found:
-            raise ValueError(
-                f"sha256 = {self.sha256[:12]}... but {Path(self.file).name} has {found[:12]}...: the file was changed; "
-                "leave sha256 out to take the new one"
-            )
         corners = self._surface.vertices[self._surface.triangles]
         held, sensing = self.held.picks(corners), self.sensing.picks(corners)
         low, high = _told(corners.min(axis=(0, 1))), _told(corners.max(axis=(0, 1)))
