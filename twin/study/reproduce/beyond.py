@@ -216,6 +216,7 @@ LIMITS = Entry(
     "depth, pitch, lens, model. A narrow force of 1 N, and two of them ever further apart; beside them the design's "
     "closed-form limit.",
     run=_limits,
+    long=True,
 )
 SAME_HARDWARE = Entry(
     name="beyond/same-hardware",
@@ -224,4 +225,5 @@ SAME_HARDWARE = Entry(
     protocol="The papers' bodies, markers, cameras and capture chains; the soft-window tracker, the nominal body's "
     "compliance and the smooth inverse. The papers' numbers stand beside them.",
     run=_same_hardware,
+    long=True,
 )

@@ -53,8 +53,10 @@ ENTRIES: dict[str, Entry] = {
 }
 
 
-def chosen(names: Sequence[str]) -> list[Entry]:
+def chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
     """Return the entries that ``names`` mean: ``all``, a paper, or entries by name; in the catalogue's order.
+
+    The quick form leaves long ones out unless they are named.
 
     Raises
     ------
@@ -70,5 +72,5 @@ def chosen(names: Sequence[str]) -> list[Entry]:
             raise InputError(
                 f"there is no entry '{name}': {hint} Allowed are all, kamiyama, sato, beyond, {', '.join(ENTRIES)}"
             )
-        wanted.update(found)
+        wanted.update(key for key in found if key == name or not (quick and ENTRIES[key].long))
     return [entry for key, entry in ENTRIES.items() if key in wanted]

@@ -25,6 +25,8 @@ class Entry:
         What is done, in the paper's order, with what is assumed.
     run
         Does it.
+    long
+        Whether the quick form leaves it out unless it is asked for by name.
     """
 
     name: str
@@ -32,3 +34,4 @@ class Entry:
     source: str
     protocol: str
     run: Callable[[Bench], Outcome]
+    long: bool = False

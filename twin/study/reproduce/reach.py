@@ -210,4 +210,5 @@ SATO_PREDICTION = Entry(
     protocol="The finger with finer markers, its 640 x 480 picture as before (a marker is 6 px wide), 121 sites 1 "
     "mm apart: the 3 mm sphere of Fig. 9, a narrow force, and two narrow forces.",
     run=_sato,
+    long=True,
 )

@@ -67,7 +67,7 @@ def reproduce(
     seed
         Root seed of sensors and noise.
     quick
-        One made sensor and fewer steps, for a first look.
+        One made sensor, fewer steps and no long entries, for a first look.
     progress
         Told about every piece of work.
 
@@ -76,7 +76,7 @@ def reproduce(
     InputError
         There is no such entry, or the folder can't be written.
     """
-    wanted = chosen(names)
+    wanted = chosen(names, quick)
     make_folder(out)
     bench = Bench(seed=seed, quick=quick, progress=progress)
     failed: dict[str, str] = {}
