@@ -36,7 +36,7 @@ def _table(model: type[BaseModel], path: str, lines: list[str], done: set[type])
     lines += [f"(recipe-{model.__name__.lower()})=", ""]
     lines += [f"## `[{path}]` {model.__name__}" if path else "## The scene itself", "", said, ""]
     lines += ["| key | unit | allowed | default | meaning |", "| --- | --- | --- | --- | --- |"]
-    below, schema = [], model.model_json_schema()["properties"]
+    below, schema = [], _properties(model)
     for key, field in model.model_fields.items():
         if key in {"source", "assumed"}:
             continue
@@ -53,6 +53,13 @@ def _table(model: type[BaseModel], path: str, lines: list[str], done: set[type])
     lines.append("")
     for sub, name in below:
         _table(sub, name, lines, done)
+
+
+def _properties(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the schema of every key; of a table that holds others of its kind it stands among the definitions."""
+    schema = model.model_json_schema()
+    found: dict[str, Any] = schema.get("properties") or schema["$defs"][model.__name__]["properties"]
+    return found
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:

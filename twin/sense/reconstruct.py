@@ -127,7 +127,7 @@ def reconstruct(
     push_only
         No site pulls: F_n >= 0 along the inward normal (eq. 13).
     friction
-        Coulomb's coefficient mu: |F_t| <= mu F_n at every site, which holds F_n >= 0 as well. None for no bound.
+        Coulomb's coefficient mu: ``|F_t| <= mu F_n`` at every site, which holds F_n >= 0 as well. None for no bound.
     robust
         Leave wrong vectors out, see `twin.sense.robust`.
     camera
