@@ -33,7 +33,7 @@ their expected size."""
 MARGIN_PX = 1.0
 """Pixels of ground beyond the blurred edge that are looked at."""
 
-SETTLED_PX = 0.02
+SETTLED_PX, SETTLED_GROWTH = 0.02, 0.02
 
 OUTLIER_SD = 6.0
 """A pixel that misses by this many standard deviations counts a quarter."""
@@ -177,7 +177,8 @@ def fit_centres(image, own, others, start, shape, ground, noise, slopes, reach, 
     reach
         Radius of what is looked at around a marker, px.
     turns
-        Most steps; a marker is done when one is below `SETTLED_PX`: what is then left is a twentieth of it.
+        Most steps; a marker is done when one is below `SETTLED_PX`, of which a twentieth is then left, and its size
+        has settled too: one that starts at its very place may still have to grow.
     """
     rows, columns = image.shape[0], image.shape[1]
     offset = disc(reach)
@@ -231,10 +232,11 @@ def fit_centres(image, own, others, start, shape, ground, noise, slopes, reach, 
             step_x, step_y = min(max(step_x, -limit), limit), min(max(step_y, -limit), limit)
             cx, cy = cx + step_x, cy + step_y
             step = step_x * step_x + step_y * step_y
+            growth = 1.0
             if turn > 0 or step < 0.25:
                 growth = total[11] / max(total[10], 1e-9) / mean_radius
                 scale = min(max(scale * (1.0 + min(max(growth, -0.1), 0.1)), 0.7), 1.3)
-            if step < SETTLED_PX * SETTLED_PX:
+            if step < SETTLED_PX * SETTLED_PX and abs(growth) < SETTLED_GROWTH:
                 break
         if step > 1e8:
             continue
