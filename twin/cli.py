@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Sequence
+from types import FrameType
 from typing import Any, NoReturn
 
 from cyclopts import App, CycloptsError
@@ -61,8 +64,27 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"twin: warning: {message}", file=sys.stderr)
 
 
+def _interrupted() -> int:
+    print("twin: interrupted; files written so far are whole", file=sys.stderr)
+    return 130
+
+
+def _listen() -> list[int]:
+    """Return a list that holds the signal once Ctrl-C was pressed; the interrupt itself goes its usual way."""
+    heard: list[int] = []
+
+    def interrupt(number: int, _: FrameType | None) -> None:
+        heard.append(number)
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, interrupt)
+    return heard
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with the code that `twin.errors` lists."""
+    heard = _listen()
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
@@ -76,14 +98,15 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         print(f"twin: {problem}", file=sys.stderr)
         code = problem.exit_code
     except KeyboardInterrupt:
-        print("twin: interrupted; files written so far are whole", file=sys.stderr)
-        code = 130
+        code = _interrupted()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 1
     except Exception as problem:  # the promise: never a traceback for users, always one for developers
         if os.environ.get("TWIN_DEBUG"):
             raise
+        if heard:  # a library that was interrupted while it loaded says something else
+            sys.exit(_interrupted())
         print(f"twin: internal error: {type(problem).__name__}: {problem}", file=sys.stderr)
         print("Set TWIN_DEBUG=1 to see where, and please report it.", file=sys.stderr)
         code = 1

@@ -114,3 +114,16 @@ def test_an_unwritable_cache_is_replaced_by_a_temporary_one_with_a_warning(tmp_p
     done = twin("doctor", TWIN_CACHE=str(tmp_path / "file" / "cache"))
     assert "can't be written" in done.stderr
     assert done.returncode == 0
+
+
+@pytest.mark.parametrize("what", ["pass", "raise ImportError('can not load')"])
+def test_an_interrupt_is_told_as_one_even_where_a_library_hides_it(what: str) -> None:
+    code = (
+        "import os, signal, twin.study.doctor as doctor\nfrom twin.cli import main\n"
+        "def interrupted():\n"
+        "    try: os.kill(os.getpid(), signal.SIGINT)\n"
+        f"    except KeyboardInterrupt:\n        {what if what != 'pass' else 'raise'}\n"
+        "doctor.examine = interrupted\nmain(['doctor'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr.strip()) == (130, "twin: interrupted; files written so far are whole")
