@@ -125,6 +125,11 @@ def _enters(point: Floats, along: Floats, low: Floats, high: Floats) -> float:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def _pierce(
     points: Points, along: Floats, corners: Floats, low: Floats, high: Floats, first: Ints, second: Ints,
     triangle: Ints, times: Floats,
@@ -144,13 +149,7 @@ def _pierce(
                 continue
             for t in range(first[box], first[box] - second[box]):
                 one, other = corners[t, 1] - corners[t, 0], corners[t, 2] - corners[t, 0]
-                normal = np.array(
-                    [
-                        one[1] * other[2] - one[2] * other[1],
-                        one[2] * other[0] - one[0] * other[2],
-                        one[0] * other[1] - one[1] * other[0],
-                    ]
-                )
+                normal = _cross(one, other)
                 size = np.sum(normal * along[q])
                 if abs(size) <= 1e-12 * np.sqrt(np.sum(normal**2) * np.sum(along[q] ** 2)):
                     continue
@@ -158,32 +157,8 @@ def _pierce(
                 time = np.sum(normal * away) / size
                 foot = points[q] + time * along[q] - corners[t, 0]
                 squared = np.sum(normal**2)
-                u = (
-                    np.sum(
-                        normal
-                        * np.array(
-                            [
-                                foot[1] * other[2] - foot[2] * other[1],
-                                foot[2] * other[0] - foot[0] * other[2],
-                                foot[0] * other[1] - foot[1] * other[0],
-                            ]
-                        )
-                    )
-                    / squared
-                )
-                v = (
-                    np.sum(
-                        normal
-                        * np.array(
-                            [
-                                one[1] * foot[2] - one[2] * foot[1],
-                                one[2] * foot[0] - one[0] * foot[2],
-                                one[0] * foot[1] - one[1] * foot[0],
-                            ]
-                        )
-                    )
-                    / squared
-                )
+                u = np.sum(normal * _cross(foot, other)) / squared
+                v = np.sum(normal * _cross(one, foot)) / squared
                 if u >= -1e-9 and v >= -1e-9 and u + v <= 1.0 + 1e-9 and time < times[q]:
                     times[q], triangle[q] = time, t
 

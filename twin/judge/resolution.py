@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.arrays import Floats
 from twin.errors import InputError
+from twin.judge.resolve import full_width
 
 
 def field_errors(estimate_n: Floats, truth_n: Floats, frames: Floats | None = None) -> dict[str, float | None]:
@@ -94,19 +95,8 @@ def half_width(place_mm: Floats, value: Floats) -> float:
     place_mm, value
         (m,) places in rising order, mm, and values.
     """
-    place, value = np.asarray(place_mm, float), np.asarray(value, float)
-    peak = int(np.argmax(value))
-    half = value[peak] / 2
-    ends = []
-    for step in (-1, 1):
-        at = peak
-        while 0 <= at + step < len(value) and value[at + step] > half:
-            at += step
-        if not 0 <= at + step < len(value):
-            return float("inf")
-        share = (value[at] - half) / (value[at] - value[at + step])
-        ends.append(place[at] + share * (place[at + step] - place[at]))
-    return float(ends[1] - ends[0])
+    width = full_width(np.asarray(place_mm, float), np.asarray(value, float))
+    return width if np.isfinite(width) else float("inf")
 
 
 def widths(push_n: Floats, grid: tuple[int, int], pitch_mm: float) -> tuple[float, float]:

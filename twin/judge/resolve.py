@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from twin.arrays import Floats
+from twin.theory.limit import DIP
 
-DIP = 0.2
-"""Two pushes count as two where the estimate between them is lower than their peaks by this share."""
+__all__ = ["DIP", "dip", "full_width", "two_point_distance"]
 
 
 def full_width(x: Floats, y: Floats) -> float:
