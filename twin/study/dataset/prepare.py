@@ -23,7 +23,7 @@ from twin.study.recipe import dump_scene
 
 Told = Callable[[str, float], None]
 WORK = "twin.study.dataset.work:make_shard"
-PACKAGES = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pyarrow", "isal")
+PACKAGES = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pyarrow", "deflate")
 PACKAGE = Path(__file__).resolve().parents[2]
 COUNTED = ("arrays.py", "png.py", "streams.py", "geometry", "parts", "theory", "world", "study")
 """Sources on which the numbers depend."""
