@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import ndtr, ndtri
 
 from twin.errors import InputError, RecipeError
 from twin.parts.ccd import Ccd
 from twin.world import threads
 from twin.world.exposure import expose, fixed_pattern, response_matrix, white_level
+from twin.world.noise import noise_key, normal_deviates, normal_numbers
+from twin.world.segments import at_segments, segments
 from twin.world.video import spreads_px
 
 IDEAL = Ccd(preset="ideal", crosstalk=0.0)
@@ -39,6 +42,62 @@ def test_noise_has_no_pattern() -> None:
     counts -= counts.mean()
     for a, b in ((counts[1:], counts[:-1]), (counts[:, 1:], counts[:, :-1]), (counts[..., 0], counts[..., 1])):
         assert abs((a * b).mean() / counts.var()) < 0.02
+
+
+def test_noise_is_normal_out_to_its_tails_and_no_number_tells_another() -> None:
+    """Moments, and how many lie beyond 0 to 4.5 standard deviations, of four million numbers under two keys."""
+    count = 1 << 21
+    found = np.empty((2, count), np.float32)
+    for line, seed in zip(found, (1, 2), strict=True):
+        normal_numbers(noise_key(np.random.default_rng(seed)), np.uint64(7), normal_deviates(), line)
+    numbers = found.astype(float)
+    for power, expected, variance in ((1, 0.0, 1.0), (2, 1.0, 2.0), (3, 0.0, 15.0), (4, 3.0, 96.0)):
+        assert abs((numbers**power).mean() - expected) < 4 * np.sqrt(variance / numbers.size)
+    for limit in (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 4.5):
+        share = ndtr(-limit)
+        for side in (numbers > limit, numbers < -limit):
+            assert abs(side.mean() - share) < 4 * np.sqrt(share / numbers.size)
+    # Neighbours, the same column of the next row, the same pixel's other colour, the other key: signs and sizes.
+    for a, b in ((numbers[:, 1:], numbers[:, :-1]), (numbers[:, 1920:], numbers[:, :-1920]), tuple(numbers)):
+        for one, two in ((a, b), (a**2 - 1, b**2 - 1)):
+            assert abs((one * two).mean()) < 4 * one.std() * two.std() / np.sqrt(one.size)
+
+
+def test_noise_numbers_are_the_same_wherever_one_begins() -> None:
+    key, pieces = noise_key(rng()), normal_deviates()
+    whole, part = np.empty(1000, np.float32), np.empty(300, np.float32)
+    normal_numbers(key, np.uint64(0), pieces, whole)
+    normal_numbers(key, np.uint64(500), pieces, part)
+    np.testing.assert_array_equal(part, whole[500:800])
+
+
+def test_squares_gives_its_authors_words() -> None:
+    """The hash as published (arXiv:2004.06278, section 3), in Python's whole numbers."""
+    key = np.array([12345, 0xC58EFD154CE32F6D], np.uint64)
+    found = np.empty(50, np.float32)
+    # Pieces of the straight line 1 x: what comes back is the share itself.
+    normal_numbers(key, np.uint64(3), segments(lambda x: x, 32), found)
+    for i, share in enumerate(found):
+        y = (12345 + 3 + i) * int(key[1]) % 2**64
+        z, x = (y + int(key[1])) % 2**64, y
+        for add in (y, z, y):
+            x = (x * x + add) % 2**64
+            x = (x >> 32) | (x << 32) % 2**64
+        word = (x * x + z) % 2**64 >> 32
+        expected = ((word >> 1) + 0.5) / 2**31 * (1 if word & 1 else -1)
+        assert share == pytest.approx(expected, rel=2e-7)
+
+
+def test_pieces_of_a_function_are_as_exact_as_they_say() -> None:
+    x = np.geomspace(2.0**-60, 1, 100_000).astype(np.float32)
+    line = np.concatenate([x, -x])
+    at_segments(segments(np.sqrt, 64), line)
+    np.testing.assert_allclose(line[: len(x)], np.sqrt(x.astype(float)), rtol=9e-6)
+    np.testing.assert_array_equal(line[len(x) :], -line[: len(x)])
+    share = np.geomspace(2.0**-32, 1, 100_000).astype(np.float32)
+    exact = -ndtri(share.astype(float) / 2)
+    at_segments(normal_deviates(), share)
+    np.testing.assert_allclose(share, exact, atol=2e-5)
 
 
 def test_an_ideal_ccd_only_rounds() -> None:

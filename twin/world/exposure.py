@@ -5,8 +5,8 @@ noise, dark current and the pixels' own gains and offsets (EMVA 1288, sec. 2 and
 mosaic, gamma, video, 8 bits, compression. It acts on the rendered light, not inside the renderer, so one picture can be
 exposed many times.
 
-Why noise is drawn in fixed parts: every part has a generator of its own, so that threads share the work and the bytes
-stay the same on any number of them.
+Why each pixel's noise has a number (`twin.world.noise`): threads share the work, and the bytes stay the same on any
+number of them.
 
 Validity: shot noise is the normal approximation of Poisson's law, good above some 20 electrons; darker pixels are
 governed by read noise.
@@ -14,7 +14,6 @@ governed by read noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,12 +23,16 @@ from numpy.typing import NDArray
 from twin.arrays import Floats, Ints, Picture, Singles
 from twin.errors import InputError
 from twin.parts.ccd import Ccd
-from twin.world.readout import blur_columns, blur_rows, counts_rows, demosaic_rows, expose_rows, mosaic_rows
+from twin.world.noise import noise_key, normal_deviates
+from twin.world.readout import composite_rows, counts_rows, demosaic_rows, shares_rows
+from twin.world.segments import Segments, segments
 from twin.world.threads import in_parts
-from twin.world.video import composite, compress, interlace
+from twin.world.video import YIQ, compress, spreads_px
 
 FULL_SCALE = 255
 _COLOURS = {"r": 0, "g": 1, "b": 2}
+_NOTHING = np.zeros((0, 0, 0), np.float32)
+_LINEAR: Segments = np.zeros((0, 2), np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,25 +112,30 @@ def expose(
     assert full.read_noise_e is not None
     assert full.full_well_e is not None
     assert full.gamma is not None
-    light = _through_the_lens(radiance, full)
-    if full.interlace:
-        light = interlace(light, light if before is None else _through_the_lens(before, full))
-    colours = mosaic_of(full)
-    if colours is not None:
-        light = _on_rows(mosaic_rows, light, colours, out=np.empty((*light.shape[:2], 1), np.float32))
-    none = np.zeros((0, 0, 0), np.float32)
-    noise = _normal_numbers(light.shape, rng) if full.noise else none
-    gain, dark = (pattern.gain, pattern.dark) if pattern is not None and full.noise else (none, none)
-    in_parts(len(light), lambda _, begin, end: expose_rows(
-        begin, end, light, gain, dark, noise, full.read_noise_e, full.full_well_e))  # fmt: skip
-    if colours is not None:
-        light = _on_rows(demosaic_rows, light, colours, out=np.empty((*light.shape[:2], 3), np.float32))
-    gamma = full.gamma
+    assert full.psf_px is not None
+    height, width, _ = radiance.shape
+    light: Singles = np.ascontiguousarray(radiance, np.float32)
+    earlier = light if before is None else np.ascontiguousarray(before, np.float32)
+    mosaic = mosaic_of(full)
+    colours = np.zeros((0, 2), np.int64) if mosaic is None else mosaic
+    gain, dark = (pattern.gain, pattern.dark) if pattern is not None and full.noise else (_NOTHING, _NOTHING)
+    key = noise_key(rng) if full.noise else np.zeros(0, np.uint64)
+    weights, response = _weights(full.psf_px), response_matrix(full).astype(np.float32)
+    shares: Singles = np.empty((height, width, 3 if mosaic is None else 1), np.float32)
+    in_parts(height, lambda _, begin, end: shares_rows(
+        begin, end, light, earlier, weights, response, full.interlace, colours, gain, dark, key, normal_deviates(),
+        full.read_noise_e, full.full_well_e, shares))  # fmt: skip
+    if mosaic is not None:
+        raw, shares = shares, np.empty((height, width, 3), np.float32)
+        in_parts(height, lambda _, begin, end: demosaic_rows(begin, end, raw, mosaic, shares))
+    curve = _gamma_curve(full.gamma)
     if full.bandwidth_mhz is not None:
-        light, gamma = composite(np.maximum(light, 0) ** np.float32(1 / gamma), full.bandwidth_mhz), 1.0
-    least, guess = _steps(gamma, full.black_dn or 0.0)
-    counts = np.empty(light.shape, np.uint8)
-    in_parts(len(light), lambda _, begin, end: counts_rows(begin, end, light, least, guess, counts))
+        filters = tuple(_weights(spread) for spread in spreads_px(full.bandwidth_mhz, width))
+        into, out_of = YIQ.astype(np.float32), np.linalg.inv(YIQ).astype(np.float32)
+        correction, curve = curve, _LINEAR
+        in_parts(height, lambda _, begin, end: composite_rows(begin, end, shares, correction, into, out_of, filters))
+    counts = np.empty((height, width, 3), np.uint8)
+    in_parts(height, lambda _, begin, end: counts_rows(begin, end, shares, curve, full.black_dn or 0.0, counts))
     return counts if full.jpeg_quality is None else compress(counts, full.jpeg_quality)
 
 
@@ -158,21 +166,6 @@ def mosaic_of(ccd: Ccd) -> Ints | None:
     return np.array([_COLOURS[letter] for letter in ccd.bayer]).reshape(2, 2)
 
 
-def _through_the_lens(radiance: Singles, ccd: Ccd) -> Singles:
-    """Return the light behind lens and colour filters, in an array of its own."""
-    assert ccd.psf_px is not None
-    light: Singles = np.ascontiguousarray(radiance, np.float32)
-    response = response_matrix(ccd).astype(np.float32)
-    weights = _weights(ccd.psf_px)
-    mixed: Singles = _on_rows(blur_columns, light, weights, response, out=np.empty_like(light))
-    return _on_rows(blur_rows, mixed, weights, out=np.empty_like(light)) if len(weights) > 1 else mixed
-
-
-def _on_rows(work: Callable[..., None], light: Singles, *more: object, out: Singles) -> Singles:
-    in_parts(len(light), lambda _, begin, end: work(begin, end, light, *more, out))
-    return out
-
-
 def _weights(spread_px: float) -> NDArray[np.float32]:
     """Return (2 r + 1,) samples of a Gaussian that sum to 1, out to four standard deviations."""
     steps = np.arange(-int(4 * spread_px + 0.5), int(4 * spread_px + 0.5) + 1)
@@ -181,27 +174,10 @@ def _weights(spread_px: float) -> NDArray[np.float32]:
     return singles
 
 
-def _normal_numbers(shape: tuple[int, ...], rng: np.random.Generator) -> Singles:
-    """Return standard normal numbers, drawn part by part of the rows."""
-    root = int(rng.integers(2**63))
-    noise: Singles = np.empty(shape, np.float32)
-
-    def some(part: int, begin: int, end: int) -> None:
-        own = np.random.Generator(np.random.SFC64(np.random.SeedSequence(root, spawn_key=(part,))))
-        own.standard_normal(dtype=np.float32, out=noise[begin:end])
-
-    in_parts(shape[0], some)
-    return noise
-
-
 @lru_cache(maxsize=8)
-def _steps(gamma: float, black_dn: float) -> tuple[Floats, NDArray[np.uint8]]:
-    """Return (256,) the least share of each count, and a table that nearly gives the count of a share."""
-    edges = (np.arange(256) - 0.5 - black_dn) / (FULL_SCALE - black_dn)
-    least = np.sign(edges) * np.abs(edges) ** gamma
-    shares = np.arange(4096) / 4095
-    guess: NDArray[np.uint8] = np.clip(np.searchsorted(least, shares, side="right") - 1, 0, 255).astype(np.uint8)
-    return least, guess
+def _gamma_curve(gamma: float) -> Segments:
+    """Return share^(1 / gamma) as pieces, none for a linear CCD."""
+    return _LINEAR if gamma == 1 else segments(lambda share: share ** (1 / gamma), 64)
 
 
 def _check(radiance: Singles, ccd: Ccd, pattern: Pattern | None, before: Singles | None) -> None:
