@@ -39,7 +39,7 @@ from twin.world.solve import Solver
 from twin.world.spread import Readings, Region, patch_rests, single, worth_a_region
 from twin.world.store import field_key, kept
 from twin.world.symmetric import make_symmetric
-from twin.world.table import NU_RANGE, Table, TableAtNu
+from twin.world.table import NU_RANGE, Basis, Table, TableAtNu
 from twin.world.tabulate import Role, find_table, table_level
 from twin.world.tile import require_on_surface
 
@@ -257,6 +257,26 @@ class Compliance:
         matrix = self.to_points(rectangles.centre_mm, rectangles, reused=True)
         self.asymmetry = make_symmetric(matrix)
         return matrix
+
+    def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
+        """Return (3 n, 3) mm/N: the half-space field at ``points`` (n, 3) under a unit force on one rectangle."""
+        return halfspace.compliance(points, rectangle, *self._rubber)
+
+    def smooth_part(self, patches: Rectangles, nodes: Rectangles) -> Floats | None:
+        """Return (3 n, 3 n) mm/N: the rest at the middles of ``nodes`` under unit forces on them.
+
+        None where no table covers all ``patches`` and their middles, between which the nodes must lie: the rest is a
+        polynomial only there.
+        """
+        if not self._subtracted:
+            return None
+        if worth_a_region(patches, reused=True):
+            self.make_table()
+        table = self._table_for(self._checked(patches.centre_mm, patches), patches)
+        if table is None:
+            return None
+        basis = Basis(points=nodes.centre_mm, box_mm=table.box_mm)
+        return table.rests(basis, nodes).reshape(3 * len(nodes), -1) / self._modulus
 
     def error_estimate(self, points: Points, load: Rectangles) -> float:
         """Return the estimated largest error of `displacement` at ``points`` over the largest displacement there.

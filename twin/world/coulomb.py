@@ -27,14 +27,13 @@ import numpy as np
 
 from twin.arrays import Floats, Ints
 from twin.errors import ContactError, NotSettled
+from twin.world.between import Between, between
 from twin.world.krylov import LinearSystem
 from twin.world.pattern import Pattern
-from twin.world.unilateral import TOLERANCE, Equilibrium, Unilateral
+from twin.world.unilateral import FEW, TOLERANCE, Equilibrium, Unilateral
 
 _STEPS, _GOAL = 60, 1e-11
-_FEW = 60
-"""Patches in contact up to which the linear systems are solved by elimination."""
-
+_FEW = FEW
 _FAR = 1e4
 """A step of the probe over the contact's size that only a singular system asks for."""
 
@@ -70,8 +69,7 @@ def _projected(vector: Floats, radius: Floats) -> Floats:
 
 def _scales(problem: Unilateral) -> Floats:
     """Return (k,) r, N/mm: the force that moves a patch by itself along its normal."""
-    k = len(problem.friction)
-    return np.asarray(1.0 / problem.compliance.reshape(3 * k, 3 * k).diagonal().reshape(k, 3)[:, 2])
+    return np.asarray(1.0 / problem.between.own)
 
 
 def _tried(problem: Unilateral, scale: Floats, force: Floats, displacement: Floats, place: Floats) -> _Trial:
@@ -136,7 +134,7 @@ def _newton_step(problem: Unilateral, scale: Floats, trial: _Trial) -> tuple[Flo
     left[aside] = pattern.share * left[aside] + system.shift * unknowns[aside]
     balance = (problem.given - problem.total(start))[free]
     found = problem.krylov.solve(system, -left, balance) if problem.krylov and len(touching) > _FEW else None
-    change, moved = found if found is not None else _eliminated(problem.compliance, system, -left, balance)
+    change, moved = found if found is not None else _eliminated(problem.between, system, -left, balance)
     force = np.zeros_like(trial.force)
     force[touching] = pattern.forces(unknowns + change).T
     place[free] += moved
@@ -152,11 +150,13 @@ def _moved(problem: Unilateral, touching: Ints, change: Floats) -> Floats:
     return problem.moved(change)[touching].T
 
 
-def _eliminated(compliance: Floats, system: LinearSystem, right: Floats, balance: Floats) -> tuple[Floats, Floats]:
+def _eliminated(
+    compliance: Floats | Between, system: LinearSystem, right: Floats, balance: Floats
+) -> tuple[Floats, Floats]:
     """Solve a step's equations by elimination, compliances (the first rows) and balances both scaled to about one."""
     pattern, count = system.pattern, len(balance)
     rows, size = pattern.touching, pattern.size
-    part = compliance[rows][:, :, rows]
+    part = between(compliance).part(rows)
     columns = pattern.pulled(part.transpose(3, 2, 1, 0))
     matrix = np.zeros((size + count, size + count))
     matrix[:size, :size] = pattern.seen(columns.transpose(1, 2, 0))

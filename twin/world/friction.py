@@ -32,7 +32,7 @@ from twin.world.friction_grid import FrictionGrid, Memory
 from twin.world.gap import TURN, X, Y, Z
 from twin.world.probe_shape import half_extent
 from twin.world.together import Control, every
-from twin.world.unilateral import Equilibrium, Unilateral, solve
+from twin.world.unilateral import Equilibrium, Unilateral, holding, solve
 
 INCREMENTS = 8
 SLIDE_LIMIT = 0.05
@@ -56,7 +56,7 @@ def _problem(grid: FrictionGrid, memory: Memory, control: Control, held: Bools |
     """Return a part's equations; patches in ``held`` feel friction although they had not touched before it."""
     rubs = memory.touched | grid.untouched(memory) | (False if held is None else held)
     return Unilateral(
-        compliance=grid.compliance, gap=lambda q: grid.gap(memory, q), carried=grid.carried,
+        compliance=grid.between, gap=lambda q: grid.gap(memory, q), carried=grid.carried,
         by_force=control.by_force, given=control.given, pushing=control.pushing,
         friction=np.where(rubs, grid.friction[grid.contacts.owner], 0.0), offset=_offset(grid, memory),
         krylov=grid.krylov,
@@ -197,9 +197,11 @@ def _held_on_the_way(grid: FrictionGrid, memory: Memory, free: Equilibrium, new:
     gap, _ = grid.gap(memory, memory.place)
     gap = np.maximum(gap[new] + memory.displacement_mm[new, 2], 0.0)
     old = free.active & memory.touched
-    normal = grid.compliance[:, 2, :, 2]
-    relief = np.linalg.solve(normal[np.ix_(old, old)], normal[np.ix_(old, new)])
-    overlap = (normal[np.ix_(new, new)] - normal[np.ix_(new, old)] @ relief) @ free.force_n[new, 2]
+    pushed = np.where(new, free.force_n[:, 2], 0.0)
+    sunk = grid.between.sunk(pushed)
+    relief = np.zeros_like(pushed)
+    relief[old] = holding(grid.between, np.flatnonzero(old), sunk[old])
+    overlap = (sunk - grid.between.sunk(relief))[new]
     met = np.isfinite(gap)
     share = np.where(met, np.where(met, gap, 0.0) / np.maximum(gap + np.maximum(overlap, 0.0), 1e-300), 1.0)
     tangential = grid.carried[new, :2]

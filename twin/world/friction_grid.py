@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from twin.arrays import Bools, Floats
+from twin.world.between import Between
 from twin.world.gap import MOTIONS, Z
 from twin.world.krylov import Krylov
 from twin.world.patches import Patches
@@ -75,14 +76,14 @@ class FrictionGrid:
         return self.contacts.patches
 
     @property
-    def compliance(self) -> Floats:
-        """(k, 3, k, 3) as in `Contacts`."""
-        return self.contacts.compliance
+    def between(self) -> Between:
+        """The compliance between the patches."""
+        return self.contacts.between
 
     @cached_property
     def krylov(self) -> Krylov:
         """The solver of linear systems on these patches, with what it keeps along the path."""
-        return Krylov(self.compliance)
+        return Krylov(self.between)
 
     @property
     def sticks(self) -> bool:

@@ -86,7 +86,7 @@ def solve_frictionless(contacts: Contacts, control: Control, place: Floats, touc
     carried = contacts.carried(place)
     held = frictionless_control(contacts, carried, control, place)
     problem = Unilateral(
-        compliance=contacts.compliance, gap=contacts.gap, carried=carried, by_force=held.by_force, given=held.given,
+        compliance=contacts.between, gap=contacts.gap, carried=carried, by_force=held.by_force, given=held.given,
         pushing=held.pushing, friction=np.zeros(k), offset=np.zeros((k, 2)),
     )  # fmt: skip
     depth = place[Z :: len(_NAMES)] - touch_z

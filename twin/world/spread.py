@@ -90,7 +90,7 @@ class Region:
     def rests(self, places: Places, rectangles: Rectangles) -> Floats:
         """Return (n, 3, k, 3): w in mm/N at ``places`` (n), for E = 1 MPa, per unit global force on each rectangle."""
         offsets, k = self._offsets(rectangles), len(rectangles)
-        along = [_lagrange(nodes, offsets[:, axis]) for axis, nodes in enumerate(self._nodes)]
+        along = [lagrange(nodes, offsets[:, axis]) for axis, nodes in enumerate(self._nodes)]
         weight = np.einsum("ka,kb->kab", *along).reshape(k, -1)
         values = places.matrix(len(self._system.mesh.points)) @ self._fields.reshape(len(self._fields), -1)
         turned = np.einsum("kj,kcg->jckg", weight, rectangles.frames).reshape(-1, 3 * k)
@@ -191,7 +191,7 @@ def single(rectangles: Rectangles, index: int) -> Rectangles:
     )
 
 
-def _lagrange(nodes: Floats, at: Floats) -> Floats:
+def lagrange(nodes: Floats, at: Floats) -> Floats:
     """Return (k, n) Lagrange polynomials of the nodes at k places."""
     away = at[:, None, None] - nodes[None, None, :]
     between = nodes[:, None] - nodes[None, :]

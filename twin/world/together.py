@@ -19,7 +19,9 @@ from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.press import Probe
 from twin.parts.probe import Cylinder, Pillar
+from twin.world.between import Between, Dense
 from twin.world.gap import ABOUT_X, MOTIONS, Approach, Z, approach
+from twin.world.lattice import lattice
 from twin.world.patches import Face, Patches, Plane, joined
 from twin.world.probe_shape import rotation_of, tilt_of
 from twin.world.unilateral import Equilibrium
@@ -147,6 +149,12 @@ class Contacts:
     def owner(self) -> Ints:
         """(k,) which probe each patch belongs to."""
         return np.repeat(np.arange(len(self.grids)), [len(grid) for grid in self.grids])
+
+    @cached_property
+    def between(self) -> Between:
+        """The compliance between patches: a convolution where they are a lattice in a plane, else a matrix."""
+        found = lattice(self.grids[0], self.settings[0].compliance) if len(self.grids) == 1 else None
+        return Dense(self.compliance) if found is None else found
 
     @cached_property
     def compliance(self) -> Floats:

@@ -24,16 +24,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from twin.arrays import Bools, Floats
+from twin.arrays import Bools, Floats, Ints
 from twin.errors import ContactError, NotSettled
+from twin.world.between import Between, between
+from twin.world.bordered import Bordered
 from twin.world.krylov import Krylov
 
 GapOfPlace = Callable[[Floats], tuple[Floats, Floats]]
 TOLERANCE = 1e-8
 _STEPS, _PATIENCE = 200, 40
+FEW = 60
+"""Patches in contact up to which linear systems are solved by elimination."""
+
+_NEARER, _HELD = 1e-4, 1e-12
+"""Shares of a right-hand side that iteration leaves: while the set in contact is sought, and where it is known."""
+
+_FELT = 1e-9
 _ALL_AT_ONCE, _LETTING_GO, _PULLS_FIRST, _ONE_BY_ONE = range(4)
 
 
@@ -44,7 +54,8 @@ class Unilateral:
     Attributes
     ----------
     compliance
-        (k, 3, k, 3) displacement of patch i along its axis a under a unit force on patch j along its axis b, mm/N.
+        (k, 3, k, 3) displacement of patch i along its axis a under a unit force on patch j along its axis b, mm/N, or
+        what stands for it.
     gap
         Returns (k,) gaps, mm, and their (k, m) slopes at a place (m,).
     carried
@@ -64,7 +75,7 @@ class Unilateral:
         Solver of linear systems with this compliance; all are solved by elimination without one.
     """
 
-    compliance: Floats
+    compliance: Floats | Between
     gap: GapOfPlace
     carried: Floats
     by_force: Bools
@@ -74,12 +85,16 @@ class Unilateral:
     offset: Floats
     krylov: Krylov | None = None
 
+    @cached_property
+    def between(self) -> Between:
+        """The compliance between the patches."""
+        return between(self.compliance)
+
     def moved(self, force: Floats) -> Floats:
         """Return the (k, 3) displacements of the patches under forces (k, 3), mm."""
-        k = len(force)
-        return np.asarray((self.compliance.reshape(3 * k, 3 * k) @ force.reshape(-1)).reshape(k, 3))
+        return self.between.moved(force)
 
-    @property
+    @cached_property
     def reach(self) -> Floats:
         """(m,) largest motion of a patch per unit of each component: 1 of a translation, the arm of a turn, mm."""
         largest = np.sqrt(np.max(np.sum(self.carried**2, axis=1), axis=0, initial=0.0))
@@ -148,14 +163,17 @@ def _linear_solve(
     rows = np.concatenate([3 * touching + 2, 3 * stuck, 3 * stuck + 1])
     flat_carried = problem.carried.reshape(3 * k, -1)
     # A component that these patches don't feel at all (a sphere's x on a barrel) stays put; the balance is checked.
-    felt = np.abs(flat_carried[rows]).max(axis=0) > 1e-9
+    felt = np.abs(flat_carried[rows]).max(axis=0) > _FELT
     free = np.flatnonzero(problem.by_force & felt)
     n, m = len(rows), len(free)
     matrix = np.zeros((n + m, n + m))
     if len(stuck):
-        matrix[:n, :n] = problem.compliance.reshape(3 * k, 3 * k)[np.ix_(rows, rows)]
+        part = problem.between.part(touching).reshape(3 * len(touching), -1)
+        own = np.searchsorted(3 * touching, rows, side="right") - 1  # the patch's number among those in contact
+        within = 3 * own + rows % 3
+        matrix[:n, :n] = part[np.ix_(within, within)]
     else:
-        matrix[:n, :n] = problem.compliance[:, 2, :, 2][touching][:, touching]
+        matrix[:n, :n] = problem.between.normal_part(touching, touching)
     fixed = np.where(problem.by_force, place, problem.given)
     n_touch = len(touching)
     matrix[:n_touch, n:] = slope[touching][:, free]
@@ -183,6 +201,59 @@ def _linear_solve(
     return force.reshape(k, 3), moved
 
 
+def _iterated(
+    problem: Unilateral, active: Bools, force: Floats, place: Floats, gap: Floats, slope: Floats, share: float
+) -> tuple[Floats, Floats] | None:
+    """Return forces and place nearer to those of `_linear_solve`: a share of what a guess leaves is left.
+
+    None where patches are few or stick, where nothing iterates well, and where the goal is out of reach.
+    """
+    compliance, touching = problem.between, np.flatnonzero(active)
+    rough = compliance.rough
+    if rough is None or len(touching) <= FEW or np.any(active & problem.sticking):
+        return None
+    carried, slope = problem.carried[touching, 2], slope[touching]
+    free = np.flatnonzero(problem.by_force & (np.abs(carried).max(axis=0) > _FELT))
+    fixed = np.where(problem.by_force, place, problem.given)
+    push, unit, reach = np.where(active, force[:, 2], 0.0), float(compliance.own.mean()), problem.reach[free]
+    bordered = Bordered(
+        rows=lambda x: compliance.sunk(_spread(len(active), touching, x))[touching] / unit,
+        roughly=lambda y: unit * np.stack([rough.pushes(touching, column) for column in y.T], axis=1),
+        motion=slope[:, free] / reach, pull=(carried[:, free] / reach).T,
+    )  # fmt: skip
+    right = -gap[touching] - slope @ (fixed - place) - compliance.sunk(push)[touching]
+    balance = (problem.given - problem.total(np.column_stack([0.0 * push, 0.0 * push, push])))[free]
+    found = bordered.solve(right / unit, balance / reach, share)
+    if found is None:
+        return None
+    push[touching] += found[0]
+    moved = np.array(fixed)
+    moved[free] += found[1] * unit / reach
+    return np.column_stack([0.0 * push, 0.0 * push, push]), moved
+
+
+def _spread(k: int, rows: Ints, values: Floats) -> Floats:
+    whole = np.zeros(k)
+    whole[rows] = values
+    return whole
+
+
+def holding(compliance: Between, rows: Ints, depth: Floats) -> Floats:
+    """Return (n,) the normal forces on some patches that move these by ``depth`` (n,), mm, along their normals."""
+    rough = compliance.rough
+    if rough is not None and len(rows) > FEW:
+        unit, k = float(compliance.own.mean()), len(compliance)
+        bordered = Bordered(
+            rows=lambda x: compliance.sunk(_spread(k, rows, x))[rows] / unit,
+            roughly=lambda y: unit * rough.pushes(rows, y.reshape(-1)).reshape(y.shape) if y.size else y,
+            motion=np.zeros((len(rows), 0)), pull=np.zeros((0, len(rows))),
+        )  # fmt: skip
+        found = bordered.solve(depth / unit, np.zeros(0), _HELD)
+        if found is not None:
+            return found[0]
+    return np.asarray(np.linalg.solve(compliance.normal_part(rows, rows), depth))
+
+
 def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
     """Find the patches in contact, their forces and the probe's place.
 
@@ -202,24 +273,27 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
         tolerance.
     """
     k = len(active)
-    stiffness = 1.0 / problem.compliance.reshape(3 * k, 3 * k).diagonal().reshape(k, 3)[:, 2]
+    stiffness = 1.0 / problem.between.own
     reach = problem.reach
     force, place = np.zeros((k, 3)), np.where(problem.by_force, place, problem.given)
     seen: set[bytes] = set()
     mode, let_go, left = _ALL_AT_ONCE, np.zeros(k, bool), np.inf
+    smooth = not problem.sticking.any()
+    exact = problem.between.rough is None or not smooth
+    gap, slope = problem.gap(place)
     for step in range(1, _STEPS + 1):
-        gap, slope = problem.gap(place)
         active = active & np.isfinite(gap)
         active[problem.apart(active, gap)] = True
         before = place
         if active.any():
-            force, place = _linear_solve(problem, active, place, gap, slope)
+            found = _iterated(problem, active, force, place, gap, slope, _HELD if exact else _NEARER)
+            force, place = found or _linear_solve(problem, active, place, gap, slope)
         else:
             force = np.zeros((k, 3))
-        moved_gap, _ = problem.gap(place)
-        displacement = problem.moved(force)
-        opening = moved_gap + displacement[:, 2]
-        scale = float(np.max(np.abs(displacement[:, 2]), initial=1e-12))
+        gap, slope = problem.gap(place)
+        sunk = problem.between.sunk(force[:, 2]) if smooth else problem.moved(force)[:, 2]
+        opening = gap + sunk
+        scale = float(np.max(np.abs(sunk), initial=1e-12))
         following = _next_set(active, force[:, 2] / stiffness, opening, 1e-13 * scale, mode)
         curved = float(np.max(np.abs(opening[active & np.isfinite(opening)]), initial=0.0))
         # The gap of a large probe is known to round-off of its size, which is more than that of a light touch's depth.
@@ -227,10 +301,10 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
         still, left = met and float(np.abs((place - before) * reach).max()) <= 1e-9 * (1 + scale), curved
         settled = np.array_equal(following, active)
         if settled and (still or not active.any()):
-            return _checked(problem, active, force, displacement, place, opening, let_go, step)
+            return _checked(problem, active, force, place, opening, let_go, step)
         repeats = following.tobytes() + problem.sticking.tobytes() in seen
         if not settled and (repeats or (len(seen) >= _PATIENCE and mode == _ALL_AT_ONCE)):
-            mode = min(mode + 1, _ONE_BY_ONE)
+            mode, exact = min(mode + int(exact), _ONE_BY_ONE), True  # a set may repeat as it isn't solved well enough
             seen.clear()
             following = _next_set(active, force[:, 2] / stiffness, opening, 1e-13 * scale, mode)
         seen.add(following.tobytes() + problem.sticking.tobytes())
@@ -271,13 +345,12 @@ def _checked(
     problem: Unilateral,
     active: Bools,
     force: Floats,
-    displacement: Floats,
     place: Floats,
     opening: Floats,
     let_go: Bools,
     steps: int,
 ) -> Equilibrium:
-    total, reach = problem.total(force), problem.reach
+    total, reach, displacement = problem.total(force), problem.reach, problem.moved(force)
     depth = float(np.max(np.abs(displacement), initial=0.0)) or 1.0
     push = float(np.max(force[:, 2], initial=0.0)) or 1.0
     load = float(np.max(np.abs(total / reach))) or 1.0

@@ -1,0 +1,231 @@
+"""Equal contact patches on a plane lattice: their compliance as a convolution and a smooth rest.
+
+On a plane the half-space part of the compliance depends on the offset between two patches only, so that products are
+Fourier transforms (`twin.world.convolution`). What a finite body adds varies smoothly with both places. Where a table
+holds it as polynomials (`twin.world.table`), it is a product of their values at a few Chebyshev nodes of the lattice
+with Lagrange's polynomials on either side, without any error but round-off. So no matrix between patches is made: one
+of 750 patches takes 40 MB, which every product would read.
+
+Validity: the exact influence of a uniform rectangle on the middle of another, and the table's own error.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from twin.arrays import Floats, Ints, Points
+from twin.parts.load import Rectangles
+from twin.world.convolution import Convolution, padded_size
+from twin.world.patches import Patches
+from twin.world.spread import lagrange
+from twin.world.table import SIZES
+
+NODES = max(SIZES[1:5])
+"""Chebyshev nodes along each side: as many as the table's polynomials have terms."""
+
+FEWEST = 100
+"""Patches from which on products by transforms are faster than with a matrix."""
+
+_ROUND_OFF = 1e-9
+
+
+@runtime_checkable
+class PlaneCompliance(Protocol):
+    """A surface whose compliance is a function of the offset plus a smooth rest."""
+
+    def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
+        """Return (3 n, 3) mm/N: the part that depends on the offset between a point and the load's middle only."""
+        ...
+
+    def smooth_part(self, patches: Rectangles, nodes: Rectangles) -> Floats | None:
+        """Return (3 n, 3 n) mm/N: the rest at the middles of ``nodes`` under unit forces on each, global axes.
+
+        None where it isn't a polynomial of less than `NODES` terms along each side over all ``patches``.
+        """
+        ...
+
+
+class Lattice:
+    """A `twin.world.between.Between` of equal patches on a lattice; it is its own operator.
+
+    Parameters
+    ----------
+    place
+        (k, 2) whole numbers of steps of each patch along the lattice's sides.
+    kernel
+        (Lu, Lv, 3, 3) compliance by offset, wrapped around.
+    rest
+        (3, M, 3, M) smooth rest between M = NODES x NODES nodes; None for none.
+    """
+
+    precision = np.float64
+
+    def __init__(self, place: Ints, kernel: Floats, rest: Floats | None) -> None:
+        self._place, self._kernel = place, kernel
+        nu, nv = self.shape = (int(place[:, 0].max()) + 1, int(place[:, 1].max()) + 1)
+        self._at: Ints = place[:, 0] * nv + place[:, 1]
+        self._chosen = self._at
+        self._convolution = Convolution.of_kernel(self.shape, kernel)
+        self._inverse = self._convolution.inverse
+        self.unit = float(np.mean(np.diag(kernel[0, 0])))
+        self._rest = None if rest is None else np.ascontiguousarray(rest.reshape(3 * NODES**2, -1))
+        self._sides = tuple(lagrange(nodes(n), np.arange(n, dtype=float)) for n in (nu, nv))
+
+    def __len__(self) -> int:
+        return len(self._at)
+
+    @property
+    def own(self) -> Floats:
+        """(k,) own normal compliances; the rest, a hundredth of them, is left out."""
+        return np.full(len(self), self._kernel[0, 0, 2, 2])
+
+    @property
+    def rough(self) -> Lattice | None:
+        """Itself, with the inverse convolution."""
+        return self if self._inverse is not None else None
+
+    @property
+    def operator(self) -> Lattice:
+        """Itself."""
+        return self
+
+    def moved(self, force: Floats) -> Floats:
+        """See `twin.world.between.Between`."""
+        return self._product(self._at, force.T).T
+
+    def displaced(self, force: Floats) -> Floats:
+        """See `twin.world.singles.Operator`."""
+        return self._product(self._at, force.T)
+
+    def sunk(self, push: Floats) -> Floats:
+        """See `Between`."""
+        field = self._spread(self._at, push)
+        out = self._convolution.normal(field)
+        if self._rest is not None:
+            u, v = self._sides
+            normal = self._rest[2 * NODES**2 :, 2 * NODES**2 :]
+            out = out + u @ (normal @ (u.T @ field @ v).reshape(-1)).reshape(NODES, NODES) @ v.T
+        return np.asarray(out.reshape(-1)[self._at])
+
+    def part(self, rows: Ints) -> Floats:
+        """See `Between`."""
+        part = self._kernel_between(rows, rows).transpose(0, 2, 1, 3).copy()
+        if self._rest is not None:
+            weights, n = self._weights(rows), NODES**2
+            rest = np.matmul(weights, self._rest.reshape(3, n, 3 * n)).reshape(3, len(rows), 3, n) @ weights.T
+            part += rest.transpose(1, 0, 3, 2).transpose(0, 1, 2, 3).reshape(part.shape)
+        return part
+
+    def normal_part(self, rows: Ints, columns: Ints) -> Floats:
+        """See `Between`."""
+        part = self._kernel_between(rows, columns)[..., 2, 2]
+        if self._rest is not None:
+            normal = self._rest[2 * NODES**2 :, 2 * NODES**2 :]
+            part = part + self._weights(rows) @ normal @ self._weights(columns).T
+        return np.asarray(part)
+
+    def pushes(self, rows: Ints, depth: Floats) -> Floats:
+        """See `twin.world.between.Rough`."""
+        assert self._inverse is not None
+        at = self._at[rows]
+        return np.asarray(self._inverse.normal(self._spread(at, depth)).reshape(-1)[at])
+
+    def make_room(self, touching: Ints) -> bool:
+        """See `twin.world.singles.Operator`."""
+        self._chosen = self._at[touching]
+        return self._inverse is not None
+
+    def product(self, force: Floats) -> Floats:
+        """See `twin.world.singles.Operator`."""
+        return self._product(self._chosen, force) / self.unit
+
+    def roughly(self, displacement: Floats) -> Floats:
+        """See `twin.world.singles.Operator`."""
+        assert self._inverse is not None
+        field = self._spread(self._chosen, displacement.transpose(2, 0, 1))
+        out = self._inverse.product(field).reshape(*field.shape[:2], -1)[..., self._chosen]
+        return np.asarray(out.transpose(1, 2, 0) * self.unit)
+
+    def _spread(self, at: Ints, values: Floats) -> Floats:
+        """Return (..., nu, nv) values (..., n) on the lattice."""
+        field = np.zeros((*values.shape[:-1], self.shape[0] * self.shape[1]))
+        field[..., at] = values
+        return field.reshape(*values.shape[:-1], *self.shape)
+
+    def _product(self, at: Ints, force: Floats) -> Floats:
+        """Return (3, n) displacements under forces (3, n), mm."""
+        field = self._spread(at, force)
+        out = self._convolution.product(field)
+        if self._rest is not None:
+            u, v = self._sides
+            out += u @ (self._rest @ (u.T @ field @ v).reshape(-1)).reshape(3, NODES, NODES) @ v.T
+        return np.asarray(out.reshape(3, -1)[:, at])
+
+    def _kernel_between(self, rows: Ints, columns: Ints) -> Floats:
+        away = self._place[rows][:, None] - self._place[columns][None]
+        return np.asarray(self._kernel[away[..., 0], away[..., 1]])  # negative offsets are at the end
+
+    def _weights(self, rows: Ints) -> Floats:
+        """Return (n, M) how much each node counts at some patches."""
+        u, v = (side[self._place[rows, axis]] for axis, side in enumerate(self._sides))
+        return np.asarray((u[:, :, None] * v[:, None, :]).reshape(len(rows), -1))
+
+
+def nodes(count: int) -> Floats:
+    """Return `NODES` Chebyshev nodes over the places 0, ..., count - 1."""
+    half = max(count - 1, 1) / 2.0
+    return np.asarray(half - half * np.cos((np.arange(NODES) + 0.5) * np.pi / NODES))
+
+
+def lattice(patches: Patches, compliance: object) -> Lattice | None:
+    """Return the compliance between patches as a convolution; None where they are no lattice, or few."""
+    if len(patches) < FEWEST or not isinstance(compliance, PlaneCompliance):
+        return None
+    frame, step = patches.frames[0], 2.0 * patches.half_mm[0]
+    equal = np.ptp(patches.half_mm, axis=0).max() <= _ROUND_OFF * step.min()
+    if not equal or np.any(np.ptp(patches.frames, axis=0)):
+        return None
+    middle = (patches.centre_mm - patches.centre_mm[0]) @ frame.T
+    corner = middle[:, :2].min(axis=0)
+    steps = (middle[:, :2] - corner) / step
+    place = np.rint(steps).astype(int)
+    if np.abs(steps - place).max() > 1e-6 or np.abs(middle[:, 2]).max() > _ROUND_OFF * step.min():
+        return None
+    origin = patches.centre_mm[0] + corner @ frame[:2]
+    rest = _rest(patches, compliance, place.max(axis=0) + 1, origin, step)
+    if rest is None:
+        return None
+    return Lattice(place, _kernel(compliance, place.max(axis=0) + 1, patches, step), rest)
+
+
+def _kernel(compliance: PlaneCompliance, shape: Ints, patches: Patches, step: Floats) -> Floats:
+    frame = patches.frames[0]
+    lu, lv = padded_size((int(shape[0]), int(shape[1])))
+    away = [np.fft.fftfreq(length, 1.0 / length) * side for length, side in zip((lu, lv), step, strict=True)]
+    flat = np.stack(np.meshgrid(*away, indexing="ij"), axis=-1).reshape(-1, 2)
+    one = Rectangles(
+        centre_mm=patches.centre_mm[:1], frames=patches.frames[:1], half_mm=patches.half_mm[:1],
+        force_n=np.zeros((1, 3)),
+    )  # fmt: skip
+    kernel = compliance.offset_part(patches.centre_mm[0] + flat @ frame[:2], one).reshape(lu, lv, 3, 3)
+    return np.asarray(frame @ kernel @ frame.T)
+
+
+def _rest(patches: Patches, compliance: PlaneCompliance, shape: Ints, origin: Floats, step: Floats) -> Floats | None:
+    """Return (3, M, 3, M) the symmetric rest between the nodes, in the patches' frame."""
+    frame, everyone = patches.frames[0], np.ones(len(patches), bool)
+    along = [nodes(int(count)) * side for count, side in zip(shape, step, strict=True)]
+    flat = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1).reshape(-1, 2)
+    count = len(flat)
+    at_nodes = Rectangles(
+        centre_mm=origin + flat @ frame[:2], frames=np.tile(frame, (count, 1, 1)),
+        half_mm=np.tile(patches.half_mm[0], (count, 1)), force_n=np.zeros((count, 3)),
+    )  # fmt: skip
+    found = compliance.smooth_part(patches.rectangles(np.zeros((len(patches), 3)), everyone), at_nodes)
+    if found is None:
+        return None
+    rest = np.einsum("ab,kblc,dc->akdl", frame, found.reshape(count, 3, count, 3), frame, optimize=True)
+    flat_rest = rest.reshape(3 * count, 3 * count)
+    return np.asarray((flat_rest + flat_rest.T).reshape(3, count, 3, count) / 2.0)
