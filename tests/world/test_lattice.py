@@ -71,7 +71,7 @@ def test_the_inverse_convolution_undoes_the_whole_lattice() -> None:
     one = Rectangles(centre_mm=np.zeros((1, 3)), frames=np.eye(3)[None], half_mm=np.full((1, 2), 0.5),
                      force_n=np.zeros((1, 3)))  # fmt: skip
     kernel = halfspace.compliance(place, one, 1.0, 0.5).reshape(lu, lv, 3, 3)
-    there = Convolution.of_kernel((lu, lv), kernel)
+    there = Convolution.of_kernel(kernel)
     assert there.inverse is not None
     field = np.random.default_rng(0).normal(size=(3, lu, lv))
     np.testing.assert_allclose(there.inverse.product(there.product(field)), field, atol=1e-12 * 10)

@@ -29,28 +29,26 @@ XX, XY, YY, XZ, YZ, ZZ = range(6)
 
 
 class Convolution:
-    """A kernel on a lattice of (nu, nv) points, in Fourier space.
+    """A kernel on a padded lattice, in Fourier space.
 
     Parameters
     ----------
-    shape
-        (nu, nv).
     spectra
         (6, Lu, Lv/2 + 1) the matrices M: xx, xy, yy, xz, yz, zz.
     padded
         (Lu, Lv) size of the padded lattice.
     """
 
-    def __init__(self, shape: tuple[int, int], spectra: Floats, padded: tuple[int, int]) -> None:
-        self.shape, self.padded, self._spectra = shape, padded, spectra
+    def __init__(self, spectra: Floats, padded: tuple[int, int]) -> None:
+        self.padded, self._spectra = padded, spectra
 
     @classmethod
-    def of_kernel(cls, shape: tuple[int, int], kernel: Floats) -> Convolution:
+    def of_kernel(cls, kernel: Floats) -> Convolution:
         """Return the convolution with a kernel (Lu, Lv, 3, 3) whose offsets wrap around: -1 is the last."""
         spectrum = fft.rfft2(kernel, axes=(0, 1))
         even, odd = spectrum.real, spectrum.imag
         spectra = [even[..., 0, 0], even[..., 0, 1], even[..., 1, 1], odd[..., 0, 2], odd[..., 1, 2], even[..., 2, 2]]
-        return cls(shape, np.ascontiguousarray(spectra), (kernel.shape[0], kernel.shape[1]))
+        return cls(np.ascontiguousarray(spectra), (kernel.shape[0], kernel.shape[1]))
 
     @property
     def inverse(self) -> Convolution | None:
@@ -60,24 +58,27 @@ class Convolution:
         if not (det.min() > 0.0 and xx.min() > 0.0 and zz.min() > 0.0):
             return None
         none = np.zeros_like(zz)
-        return Convolution(self.shape, np.stack([yy / det, -xy / det, xx / det, none, none, 1.0 / zz]), self.padded)
+        return Convolution(np.stack([yy / det, -xy / det, xx / det, none, none, 1.0 / zz]), self.padded)
 
     def product(self, field: Floats) -> Floats:
-        """Return the (..., 3, nu, nv) convolution of a vector field (..., 3, nu, nv)."""
+        """Return the convolution of a vector field (..., 3, nu, Lv), 0 where the lattice is padded."""
         waves = self._forward(field)
         _multiply(self._spectra, waves.reshape(-1, *waves.shape[-3:]))
-        return self._back(waves)
+        return self._back(waves, field.shape[-2])
 
     def normal(self, field: Floats) -> Floats:
-        """Return the (nu, nv) normal part of the convolution of a normal field (nu, nv)."""
-        return self._back(self._forward(field) * self._spectra[ZZ])
+        """Return the normal part of the convolution of a normal field (nu, Lv)."""
+        return self._back(self._forward(field) * self._spectra[ZZ], len(field))
 
     def _forward(self, field: Floats) -> Complexes:
-        return fft.fft(fft.rfft(field, self.padded[1], axis=-1), self.padded[0], axis=-2, overwrite_x=True)
+        nu, (lu, lv) = field.shape[-2], self.padded
+        waves = np.zeros((*field.shape[:-2], lu, lv // 2 + 1), complex)
+        waves[..., :nu, :] = fft.rfft(field, axis=-1)
+        return fft.fft(waves, axis=-2, overwrite_x=True)
 
-    def _back(self, waves: Complexes) -> Floats:
-        (nu, nv), lines = self.shape, fft.ifft(waves, axis=-2, overwrite_x=True)
-        return np.asarray(fft.irfft(lines[..., :nu, :], self.padded[1], axis=-1)[..., :nv])
+    def _back(self, waves: Complexes, nu: int) -> Floats:
+        lines = fft.ifft(waves, axis=-2, overwrite_x=True)[..., :nu, :]
+        return np.asarray(fft.irfft(lines, self.padded[1], axis=-1))
 
 
 def padded_size(shape: tuple[int, int]) -> tuple[int, int]:

@@ -37,6 +37,9 @@ _FEW = FEW
 _FAR = 1e4
 """A step of the probe over the contact's size that only a singular system asks for."""
 
+_AT_BOUND = 1.0 - 1e-9
+"""A patch that slipped before stands at its bound, to round-off, and slips on unless its load turns."""
+
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 
 
@@ -98,7 +101,7 @@ def _pattern(problem: Unilateral, trial: _Trial) -> Pattern:
     drag = trial.dragged[touching]
     length = np.hypot(drag[:, 0], drag[:, 1])
     bound = problem.friction[touching] * np.maximum(trial.pushed[touching], 0.0)
-    slips = length > bound
+    slips = length > _AT_BOUND * bound
     return Pattern(
         touching=touching, slips=slips,
         ahead=np.where(slips[:, None], drag / np.maximum(length, 1e-300)[:, None], [1.0, 0.0]),
@@ -107,8 +110,8 @@ def _pattern(problem: Unilateral, trial: _Trial) -> Pattern:
     )  # fmt: skip
 
 
-def _newton_step(problem: Unilateral, scale: Floats, trial: _Trial) -> tuple[Floats, Floats]:
-    """Return the forces (k, 3) and the place (m,) that solve the equations linearised at a trial."""
+def _newton_step(problem: Unilateral, scale: Floats, trial: _Trial, share: float) -> tuple[Floats, Floats]:
+    """Return the forces (k, 3) and the place (m,) that solve, to a share, the equations linearised at a trial."""
     pattern = _pattern(problem, trial)
     touching, aside = pattern.touching, pattern.aside
     place = np.where(problem.by_force, trial.place, problem.given)
@@ -133,7 +136,7 @@ def _newton_step(problem: Unilateral, scale: Floats, trial: _Trial) -> tuple[Flo
     left = pattern.seen(np.stack([*away, opening]))
     left[aside] = pattern.share * left[aside] + system.shift * unknowns[aside]
     balance = (problem.given - problem.total(start))[free]
-    found = problem.krylov.solve(system, -left, balance) if problem.krylov and len(touching) > _FEW else None
+    found = problem.krylov.solve(system, -left, balance, share) if problem.krylov and len(touching) > _FEW else None
     change, moved = found if found is not None else _eliminated(problem.between, system, -left, balance)
     force = np.zeros_like(trial.force)
     force[touching] = pattern.forces(unknowns + change).T
@@ -212,7 +215,10 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
         if not pushed and not np.any(trial.pushed > 0) and not trial.force.any():
             return _settled(problem, trial, reach, step)
         if np.any(trial.pushed > 0) or pushed:
-            force, place = _newton_step(problem, scale, trial)
+            # What is left of all equations shrinks with its square: a linear system need be solved no better than that.
+            relative = left / float(np.linalg.norm(trial.force) or left)
+            share = max(0.1 * relative, 0.3 * _GOAL / relative)
+            force, place = _newton_step(problem, scale, trial, share)
         else:
             force, place = np.zeros((k, 3)), trial.place  # nothing touches where the probe is held
         if not np.abs((place - trial.place) * reach).max() < far:

@@ -24,7 +24,7 @@ from twin.world.bordered import Bordered
 from twin.world.pattern import Pattern
 
 LEFT = 1e-3
-"""Share of the right-hand side that may be left."""
+"""Share of the right-hand side that may be left at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +66,10 @@ class Krylov:
         """Return the (3, k) displacements of all patches under forces (k, 3) on them, mm, to 1e-7 of the largest."""
         return self._operator.displaced(force)
 
-    def solve(self, system: LinearSystem, right: Floats, balance: Floats) -> tuple[Floats, Floats] | None:
-        """Return x (size,) and q (m,) with `LEFT` of the right-hand sides left, None where that is not reached.
+    def solve(
+        self, system: LinearSystem, right: Floats, balance: Floats, left: float = LEFT
+    ) -> tuple[Floats, Floats] | None:
+        """Return x (size,) and q (m,) with the share ``left`` of the right-hand sides left, None if out of reach.
 
         Parameters
         ----------
@@ -75,6 +77,8 @@ class Krylov:
             The equations.
         right, balance
             (size,) mm and (m,) N and N mm.
+        left
+            As far as the operator's precision allows it.
         """
         pattern, operator = system.pattern, self._operator
         if not operator.make_room(pattern.touching):
@@ -92,20 +96,11 @@ class Krylov:
 
         def roughly(y: Floats) -> Floats:
             """Return (size, ...) unknowns for which `rows` are about y."""
-            return np.asarray(pattern.seen(operator.roughly(_unseen(pattern, y / root))) * root)
+            return np.asarray(pattern.seen(operator.roughly(pattern.unseen(y / root))) * root)
 
         bordered = Bordered(
             rows=rows, roughly=roughly, motion=(system.motion / system.reach).astype(precision),
             pull=(system.pull / system.reach).T.astype(precision),
         )  # fmt: skip
-        found = bordered.solve(right / unit, balance / system.reach, LEFT)
+        found = bordered.solve(right / unit, balance / system.reach, min(LEFT, max(left, operator.finest)))
         return None if found is None else (found[0], found[1] * unit / system.reach)
-
-
-def _unseen(pattern: Pattern, y: Floats) -> Floats:
-    """Return the (3, n, ...) vectors whose `Pattern.seen` is y, and which have no part along a slipping drag."""
-    n = len(pattern.touching)
-    ahead = np.zeros((n, y.shape[1]), y.dtype)
-    ahead[pattern.stuck] = y[2 * n :]
-    cosine, sine = pattern.ahead.T.astype(y.dtype)[:, :, None]
-    return np.stack([cosine * ahead - sine * y[n : 2 * n], sine * ahead + cosine * y[n : 2 * n], y[:n]])

@@ -11,6 +11,7 @@ Validity: the exact influence of a uniform rectangle on the middle of another, a
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -60,23 +61,24 @@ class Lattice:
         (3, M, 3, M) smooth rest between M = NODES x NODES nodes; None for none.
     """
 
-    precision = np.float64
+    precision, finest = np.float64, 1e-10
 
     def __init__(self, place: Ints, kernel: Floats, rest: Floats | None) -> None:
         self._place, self._kernel = place, kernel
-        nu, nv = self.shape = (int(place[:, 0].max()) + 1, int(place[:, 1].max()) + 1)
-        self._at: Ints = place[:, 0] * nv + place[:, 1]
-        self._chosen = self._at
-        self._convolution = Convolution.of_kernel(self.shape, kernel)
+        nu, nv = int(place[:, 0].max()) + 1, int(place[:, 1].max()) + 1
+        self._convolution = Convolution.of_kernel(kernel)
+        self._at = self._chosen = place[:, 0] * kernel.shape[1] + place[:, 1]
         self._inverse = self._convolution.inverse
         self.unit = float(np.mean(np.diag(kernel[0, 0])))
         self._rest = None if rest is None else np.ascontiguousarray(rest.reshape(3 * NODES**2, -1))
-        self._sides = tuple(lagrange(nodes(n), np.arange(n, dtype=float)) for n in (nu, nv))
+        self._lines = nu, kernel.shape[1]
+        u, v = (lagrange(nodes(n), np.arange(n, dtype=float)) for n in (nu, nv))
+        self._sides = u, np.concatenate([v, np.zeros((kernel.shape[1] - nv, NODES))])
 
     def __len__(self) -> int:
         return len(self._at)
 
-    @property
+    @cached_property
     def own(self) -> Floats:
         """(k,) own normal compliances; the rest, a hundredth of them, is left out."""
         return np.full(len(self), self._kernel[0, 0, 2, 2])
@@ -104,9 +106,7 @@ class Lattice:
         field = self._spread(self._at, push)
         out = self._convolution.normal(field)
         if self._rest is not None:
-            u, v = self._sides
-            normal = self._rest[2 * NODES**2 :, 2 * NODES**2 :]
-            out = out + u @ (normal @ (u.T @ field @ v).reshape(-1)).reshape(NODES, NODES) @ v.T
+            out += self._rest_of(field, self._rest[2 * NODES**2 :, 2 * NODES**2 :])
         return np.asarray(out.reshape(-1)[self._at])
 
     def part(self, rows: Ints) -> Floats:
@@ -148,20 +148,25 @@ class Lattice:
         out = self._inverse.product(field).reshape(*field.shape[:2], -1)[..., self._chosen]
         return np.asarray(out.transpose(1, 2, 0) * self.unit)
 
-    def _spread(self, at: Ints, values: Floats) -> Floats:
-        """Return (..., nu, nv) values (..., n) on the lattice."""
-        field = np.zeros((*values.shape[:-1], self.shape[0] * self.shape[1]))
-        field[..., at] = values
-        return field.reshape(*values.shape[:-1], *self.shape)
-
     def _product(self, at: Ints, force: Floats) -> Floats:
         """Return (3, n) displacements under forces (3, n), mm."""
         field = self._spread(at, force)
         out = self._convolution.product(field)
         if self._rest is not None:
-            u, v = self._sides
-            out += u @ (self._rest @ (u.T @ field @ v).reshape(-1)).reshape(3, NODES, NODES) @ v.T
+            out += self._rest_of(field, self._rest)
         return np.asarray(out.reshape(3, -1)[:, at])
+
+    def _rest_of(self, field: Floats, rest: Floats) -> Floats:
+        """Return what the smooth rest makes of a field on the lattice."""
+        u, v = self._sides
+        counted = u.T @ field @ v
+        return np.asarray(u @ (rest @ counted.reshape(-1)).reshape(counted.shape) @ v.T)
+
+    def _spread(self, at: Ints, values: Floats) -> Floats:
+        """Return (..., nu, Lv) values (..., n) on the lattice, its lines padded."""
+        field = np.zeros((*values.shape[:-1], self._lines[0] * self._lines[1]))
+        field[..., at] = values
+        return field.reshape(*values.shape[:-1], *self._lines)
 
     def _kernel_between(self, rows: Ints, columns: Ints) -> Floats:
         away = self._place[rows][:, None] - self._place[columns][None]

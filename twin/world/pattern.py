@@ -3,14 +3,19 @@
 A slipping patch has two unknowns, not three: along its drag d the force is mu f_n, so that only f_n and the force
 across d, which turns d, are left. A sticking one has three. Unknowns of n patches in contact, of which s stick, are
 ordered (normal forces, n; forces aside, n; forces ahead, s), and so are the equations.
+
+Why numba: turning a few hundred short vectors is a dozen calls in NumPy, which take as long as a product with the
+compliance.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 
 from twin.arrays import Bools, Floats, Ints
 
@@ -60,23 +65,33 @@ class Pattern:
         cosine, sine = self.ahead[:, 0].reshape(shape), self.ahead[:, 1].reshape(shape)
         return cosine * x + sine * y, cosine * y - sine * x
 
+    @cached_property
+    def _third(self) -> Ints:
+        """(n,) where each patch's force ahead is among the unknowns; 0 where it slips."""
+        third = np.zeros(len(self.touching), int)
+        third[self.stuck] = np.arange(2 * len(self.touching), self.size)
+        return third
+
     def forces(self, unknowns: Floats) -> Floats:
         """Return (3, n, ...) forces in the patches' frames that (size, ...) unknowns stand for."""
-        n, many = len(self.touching), (slice(None),) + (None,) * (unknowns.ndim - 1)
-        normal, aside = unknowns[:n], unknowns[self.aside]
-        ahead = self.mu[many].astype(unknowns.dtype) * normal
-        ahead[self.stuck] += unknowns[2 * n :]
-        cosine, sine = self.ahead.T.astype(unknowns.dtype)
-        cosine, sine = cosine[many], sine[many]
-        return np.stack([cosine * ahead - sine * aside, sine * ahead + cosine * aside, normal])
+        columns = unknowns.reshape(self.size, math.prod(unknowns.shape[1:]))
+        out = np.empty((3, len(self.touching), columns.shape[1]), unknowns.dtype)
+        _forces(columns, self.ahead, self.mu, self._third, out)
+        return out.reshape(3, len(self.touching), *unknowns.shape[1:])
 
     def seen(self, vectors: Floats) -> Floats:
         """Return (size, ...) parts of (3, n, ...) vectors: normal, across the drag, and along it where it sticks."""
-        x, y, normal = vectors
-        cosine, sine = self.ahead.T.astype(vectors.dtype)
-        many = (slice(None),) + (None,) * (x.ndim - 1)
-        cosine, sine = cosine[many], sine[many]
-        return np.concatenate([normal, cosine * y - sine * x, (cosine * x + sine * y)[self.stuck]])
+        columns = vectors.reshape(3, len(self.touching), math.prod(vectors.shape[2:]))
+        out = np.empty((self.size, columns.shape[2]), vectors.dtype)
+        _seen(columns, self.ahead, self._third, out)
+        return out.reshape(self.size, *vectors.shape[2:])
+
+    def unseen(self, parts: Floats) -> Floats:
+        """Return the (3, n, ...) vectors whose `seen` is (size, ...), without a part along a slipping patch's drag."""
+        columns = parts.reshape(self.size, math.prod(parts.shape[1:]))
+        out = np.empty((3, len(self.touching), columns.shape[1]), parts.dtype)
+        _forces(columns, self.ahead, np.zeros_like(self.mu), self._third, out)
+        return out.reshape(3, len(self.touching), *parts.shape[1:])
 
     def pulled(self, vectors: Floats) -> Floats:
         """Return (size, ...) the adjoint of `forces`: a slipping patch's normal force brings its friction along."""
@@ -84,3 +99,31 @@ class Pattern:
         along, across = self.turned(x, y)
         many = (slice(None),) + (None,) * (x.ndim - 1)
         return np.concatenate([normal + self.mu[many] * along, across, along[self.stuck]])
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _forces(unknowns: Floats, drag: Floats, mu: Floats, third: Ints, out: Floats) -> None:
+    n = len(mu)
+    for i in range(n):
+        cosine, sine = drag[i, 0], drag[i, 1]
+        for c in range(unknowns.shape[1]):
+            normal, aside = unknowns[i, c], unknowns[n + i, c]
+            ahead = mu[i] * normal
+            if third[i] > 0:
+                ahead += unknowns[third[i], c]
+            out[0, i, c] = cosine * ahead - sine * aside
+            out[1, i, c] = sine * ahead + cosine * aside
+            out[2, i, c] = normal
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _seen(vectors: Floats, drag: Floats, third: Ints, out: Floats) -> None:
+    n = len(third)
+    for i in range(n):
+        cosine, sine = drag[i, 0], drag[i, 1]
+        for c in range(vectors.shape[2]):
+            x, y = vectors[0, i, c], vectors[1, i, c]
+            out[i, c] = vectors[2, i, c]
+            out[n + i, c] = cosine * y - sine * x
+            if third[i] > 0:
+                out[third[i], c] = cosine * x + sine * y

@@ -34,6 +34,11 @@ class Operator(Protocol):
         """Of the arrays."""
         ...
 
+    @property
+    def finest(self) -> float:
+        """Share of a right-hand side that iteration can reach."""
+        ...
+
     def make_room(self, touching: Ints) -> bool:
         """Take over the n patches in contact; return whether their compliance can be inverted."""
         ...
@@ -54,7 +59,7 @@ class Operator(Protocol):
 class Singles:
     """An `Operator` of a matrix (k, 3, k, 3), mm/N."""
 
-    precision = np.float32
+    precision, finest = np.float32, 1e-4
 
     def __init__(self, compliance: Floats) -> None:
         k = len(compliance)
