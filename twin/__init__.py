@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from twin.sense.reconstruct import reconstruct
     from twin.sense.track import Tracker, track
     from twin.study.dataset.reader import open_dataset
+    from twin.study.environment import Environment, Observation
     from twin.study.intrinsics import read_intrinsics, write_intrinsics
     from twin.study.recipe import load_scene
     from twin.study.run import run
@@ -26,7 +27,9 @@ _HOMES = {
     "Calibration": "twin.sense.calibration",
     "Cone": "twin.parts.press",
     "Cylinder": "twin.parts.press",
+    "Environment": "twin.study.environment",
     "Load": "twin.parts.load",
+    "Observation": "twin.study.environment",
     "Pillar": "twin.parts.press",
     "Press": "twin.parts.press",
     "Scene": "twin.parts.scene",
@@ -51,7 +54,9 @@ __all__ = [
     "Calibration",
     "Cone",
     "Cylinder",
+    "Environment",
     "Load",
+    "Observation",
     "Pillar",
     "Press",
     "Scene",

@@ -21,6 +21,10 @@ def run(
     want: Annotated[
         tuple[str, ...], Parameter(help="What to compute (default all).", show_default=False, negative_iterable="")
     ] = (),
+    live: Annotated[
+        bool, Parameter(help="Move the probe by hand in a page on this machine instead.", negative="")
+    ] = False,
+    port: Annotated[int, Parameter(help="Port of the live page (default: any that is free).", show_default=False)] = 0,
     set_: Overrides = (),
 ) -> None:
     """Take one press through the whole twin.
@@ -29,9 +33,18 @@ def run(
     what is wanted, and what it needs, is computed; unwanted files are absent. Where a step of the press doesn't
     converge, what belongs to the step before is saved, and the exit code is 1.
 
+    With --live nothing is written: a page opens at the address that is printed, where keys, sliders or the pointer move
+    and load the scene's probe, and picture and force field follow, with their errors. It listens on this machine only.
+    Fewer contact patches and coarser pictures than the scene's are used unless -s says otherwise.
+
     Examples: twin run kamiyama_pillar; twin run sato_press --want displacement --out here; twin run my_scene.toml -s
-    press.force_n='{z=2}'.
+    press.force_n='{z=2}'; twin run kamiyama_pillar --live.
     """
+    if live:
+        _live(scene, out, want, port, set_)
+        return
+    if port:
+        raise InputError("--port: belongs to --live")
     from twin.study.recipe import find_scene
     from twin.study.run import run_to_folder
 
@@ -41,6 +54,14 @@ def run(
     folder = out or Path("out") / path.stem
     summary = run_to_folder(loaded, folder, wanted, progress=progress())
     print(summary)
+
+
+def _live(scene: str, out: Path | None, want: Sequence[str], port: int, set_: Sequence[str]) -> None:
+    from twin.study.live import QUICK, run_live
+
+    if out is not None or want:
+        raise InputError("--live writes nothing and shows all there is: leave out --out and --want")
+    run_live(load(scene, (*QUICK, *set_)), port, progress())
 
 
 def _wanted(names: Sequence[str]) -> frozenset[str]:

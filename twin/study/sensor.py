@@ -216,6 +216,11 @@ class Sensor:
 
         return stiff_beads(self.actual.markers, self.actual.scene.markers)
 
+    @cached_property
+    def markers_strain(self) -> bool:
+        """Whether a layer strains with the body (or is stiff), so that pictures need the field's gradient."""
+        return any(layer.kind == "print" or layer.stiff for layer in self.actual.scene.markers.values())
+
     def _warn_if_inaccurate(self, got: float) -> None:
         """Warn, once per sensor, of a load under which the asked accuracy is not reached."""
         asked = self.nominal.accuracy.displacement

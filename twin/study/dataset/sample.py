@@ -108,12 +108,6 @@ class MadeSensor:
         one_thread()
         return renderer
 
-    @cached_property
-    def prints(self) -> bool:
-        """Whether any layer strains with the body, so that pictures need the field's gradient."""
-        layers = self.sensor.actual.scene.markers.values()
-        return any(layer.kind == "print" or layer.stiff for layer in layers)
-
 
 def sensor_seed(root: int, number: int) -> int:
     """Return the seed of a sensor, from the scene's seed and the sensor's number alone."""
@@ -189,7 +183,7 @@ def truth_of(made: MadeSensor, state: ContactState, exposure: int | None = None)
     if not needs & {"motion", "picture", "outlines"}:
         return row
     looked_at = bool(needs & {"picture", "outlines"})
-    motion = sensor.motion_of_patches(patches, strained=looked_at and made.prints)
+    motion = sensor.motion_of_patches(patches, strained=looked_at and sensor.markers_strain)
     row |= {"marker_displacement_mm": motion.displacement_mm, "displacement_error": motion.error}
     if sensor.nominal.camera is not None:
         row["marker_pressed_px"] = sensor.project(sensor.actual.markers.points + motion.displacement_mm)

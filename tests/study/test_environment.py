@@ -1,0 +1,81 @@
+"""A sensor under one load after another: what it feels is what a run of the same press reports."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import twin
+from twin.errors import ContactError, RecipeError, TwinError
+
+QUICK = {"accuracy.contact_patches": 8, "accuracy.centroid_px": 0.05}
+
+
+@pytest.fixture(scope="module")
+def environment() -> twin.Environment:
+    return twin.Environment(twin.load_scene("kamiyama_pillar", QUICK))
+
+
+def test_it_feels_the_force_of_a_load_where_it_is(environment: twin.Environment) -> None:
+    load = twin.Traction.disk(centre_mm=(3, -2), radius_mm=2.5, force_n=(0.3, 0, 2.0))
+    seen = environment.step(load)
+    np.testing.assert_allclose(seen.truth.total_force_n, [0.3, 0, 2.0], rtol=1e-9, atol=1e-9)
+    assert seen.error["total_force_error"] < 0.06
+    assert seen.error["centre_error_mm"] < 0.2
+    push = np.clip(seen.force_n[:, 2], 0, None)
+    assert np.linalg.norm(seen.site_mm[push.argmax(), :2] - [3, -2]) < 2.1
+    assert seen.truth.force_n.sum(axis=0) == pytest.approx([0.3, 0, 2.0])
+    assert seen.truth.state is None
+
+
+def test_a_press_tells_its_contact_and_the_picture_shows_the_motion(environment: twin.Environment) -> None:
+    press = twin.Press(probe=twin.Sphere(diameter_mm=6), at_mm=(0, 0), force_n=(0, 0, 1.5))
+    seen = environment.step(press)
+    assert seen.truth.state.force_n == pytest.approx([0, 0, 1.5], abs=1e-6)
+    known = np.isfinite(seen.marker_shift_px).all(axis=1)
+    assert known.mean() > 0.99
+    off = (seen.marker_shift_px - seen.truth.marker_shift_px)[known]
+    assert np.sqrt(np.mean(off**2)) < 0.03
+    assert np.abs(seen.truth.marker_shift_px).max() > 0.5
+
+
+def test_steps_don_t_depend_on_those_before_but_on_their_number(environment: twin.Environment) -> None:
+    load = twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0, 0, 1))
+    environment.reset()
+    first = environment.step(load)
+    environment.reset()
+    again = environment.step(load)
+    environment.step(twin.Traction.disk(centre_mm=(5, 5), radius_mm=2, force_n=(0, 0, 2)))
+    later = environment.step(load)
+    assert np.array_equal(first.picture, again.picture)
+    np.testing.assert_allclose(first.force_n, again.force_n, atol=1e-12)
+    assert not np.array_equal(first.picture, later.picture), "every exposure has noise of its own"
+    np.testing.assert_allclose(first.truth.marker_displacement_mm, later.truth.marker_displacement_mm, atol=1e-12)
+    np.testing.assert_allclose(first.total_force_n, later.total_force_n, atol=0.12)
+
+
+def test_it_agrees_with_a_run_of_the_same_press() -> None:
+    overrides = {**QUICK, "tolerance.preset": "none", "press.force_n": (None, None, 2.0)}
+    scene = twin.load_scene("kamiyama_pillar", overrides)
+    result = twin.run(scene, {"displacement", "forces"})
+    environment = twin.Environment(scene)
+    seen = environment.step(scene.press)
+    np.testing.assert_allclose(seen.truth.marker_displacement_mm, result.truth.marker_displacement_mm, atol=1e-3 * 0.2)
+    np.testing.assert_allclose(seen.total_force_n, result.estimate.total_force_n, atol=0.02)
+
+
+def test_under_no_load_it_feels_noise_alone(environment: twin.Environment) -> None:
+    seen = environment.reset()
+    assert np.abs(seen.total_force_n).max() < 0.05
+    assert seen.error["total_force_error"] is None
+    assert not seen.truth.force_n.any()
+
+
+def test_what_can_t_be_is_refused(environment: twin.Environment) -> None:
+    with pytest.raises(RecipeError, match="camera"):
+        twin.Environment(twin.load_scene("block_bare"))
+    with pytest.raises(TwinError):
+        environment.step(twin.Traction.disk(centre_mm=(300, 0), radius_mm=2, force_n=(0, 0, 1)))
+    slipping = twin.Step(force_n=(3.0, 0.0, 1.0))
+    with pytest.raises(ContactError):
+        environment.step(twin.Press(probe=twin.Sphere(diameter_mm=6), steps=(slipping,), friction=0.3))
