@@ -218,7 +218,7 @@ class Sweep(Part):
         Standard deviation of a marker's shift, per axis; computed from the CCD (`twin.theory.centroid`) if not given.
         For closed form and linear information: the full chain measures its own.
     sensors
-        Made sensors a design, drawn from its tolerances, in the linear information.
+        Made sensors a design, drawn from its tolerances, in the linear information and in the full chain.
     targets, weights
         What is asked, by metric, and how much each counts; see `METRICS`.
     """

@@ -65,7 +65,7 @@ class Compliance:
     solver
         See `twin.world.solve.Factor`.
     table
-        Whether a table of the body, shipped or cached, may replace solves; a given mesh has none.
+        Whether a table of the body, shipped or cached, may replace solves; a given mesh has none. Or the table to use.
     progress
         Told when a mesh has to be made.
     """
@@ -79,7 +79,7 @@ class Compliance:
         level: Level = "standard",
         method: Method = "subtracted",
         solver: Solver = "auto",
-        table: bool = True,
+        table: bool | Table = True,
         progress: Progress | None = None,
     ) -> None:
         self.body = body
@@ -132,6 +132,8 @@ class Compliance:
     def _tabled(self, role: Role, make: bool = False) -> Table | None:
         if not self._use_table or self._given_mesh is not None or not self._subtracted:
             return None
+        if isinstance(self._use_table, Table):
+            return self._use_table if role != "check" else None
         return find_table(self.body, role, make=make, solver=self._solver, progress=self._progress)
 
     def _table_for(self, known: Known, load: Rectangles) -> TableAtNu | None:

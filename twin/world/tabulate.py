@@ -68,8 +68,9 @@ def window_of(body: Block) -> tuple[tuple[float, float], tuple[float, float, flo
 
 
 def find_table(
-    body: Body, role: Role, *, make: bool = False, solver: Solver = "auto", progress: Progress | None = None
-) -> Table | None:
+    body: Body, role: Role, *, make: bool = False, solver: Solver = "auto", progress: Progress | None = None,
+    usable: float = USABLE,
+) -> Table | None:  # fmt: skip
     """Return the shipped table of this body, else the cached one, else (if wanted) a new one, else None.
 
     Warns, and goes on without it, if a file is damaged; a table that would be too inaccurate counts as absent.
@@ -86,19 +87,21 @@ def find_table(
         For making.
     progress
         Told about the making.
+    usable
+        Largest `Table.error` with which it counts as there.
     """
     if not isinstance(body, Block):
         return None
     standard = _size(body) == _size(STANDARD)
     path = shipped_path(role) if standard else cached_path(body, role)
     if is_pinned():
-        return _usable(held) if (held := pinned(path.name)) else None
+        return _usable(held, usable) if (held := pinned(path.name)) else None
     if standard:
-        return _usable(path)
+        return _usable(path, usable)
     if make and not path.exists():
         table = make_table(body, body_mesh(body, MADE[role], progress=progress), solver, progress)
         write_table(table, path)
-    return _usable(path)
+    return _usable(path, usable)
 
 
 def table_level(body: Body, role: Role) -> Level:
@@ -122,7 +125,7 @@ def _size(body: Block) -> tuple[float, float, float]:
     return body.width_mm, body.length_mm, body.thickness_mm
 
 
-def _usable(path: Path) -> Table | None:
+def _usable(path: Path, most: float) -> Table | None:
     if not path.exists():
         return None
     try:
@@ -130,7 +133,7 @@ def _usable(path: Path) -> Table | None:
     except InputError as problem:  # the table only saves time, so a damaged one must not stop a run
         warnings.warn(f"{problem}; solving without the table, which takes a few seconds longer", stacklevel=2)
         return None
-    return table if table.error <= USABLE else None
+    return table if table.error <= most else None
 
 
 def make_table(body: Block, mesh: Mesh, solver: Solver = "auto", progress: Progress | None = None) -> Table:

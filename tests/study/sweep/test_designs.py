@@ -14,6 +14,7 @@ from twin.parts.sweep import Sweep
 from twin.study.recipe import shipped_scenes
 from twin.study.sweep.closed import closed
 from twin.study.sweep.designs import designs_of, kept_count
+from twin.study.sweep.loads import thickness_range
 from twin.study.sweep.recipe import load_sweep, shipped_sweeps, sweep_of
 from twin.study.sweep.run import check
 
@@ -117,3 +118,19 @@ def test_shipped_sweeps_are_sound_and_are_not_scenes(tmp_path: Path) -> None:
         assert isinstance(sweep, Sweep)
     with pytest.raises(InputError, match="did you mean 'sweep_lens'"):
         load_sweep("sweep_lense")
+
+
+def test_many_thicknesses_of_a_block_are_interpolated_between_their_ends_and_few_are_not() -> None:
+    key = "body.thickness_mm"
+    many, _ = small(axes={key: {"low": 30.0, "high": 50.0}}, derived={}, sampling="latin", count=40)
+    assert thickness_range(many) == (30.0, 50.0)
+    few, _ = small(axes={key: {"low": 30.0, "high": 50.0, "steps": 5}}, derived={})
+    assert thickness_range(few) is None
+    listed, _ = small(axes={key: [30.0 + n for n in range(20)]}, derived={})
+    assert thickness_range(listed) == (30.0, 49.0)
+    axes = {"markers.blue.depth_mm": {"low": 1.0, "high": 2.0}}
+    follows, _ = small(
+        axes=axes, derived={key: {"follows": "markers.blue.depth_mm", "times": -10.0, "plus": 60.0}}, sampling="sobol"
+    )
+    assert thickness_range(follows) == (40.0, 50.0)
+    assert thickness_range(small()[0]) is None

@@ -10,18 +10,23 @@ As on a real sensor, a second exposure at rest sets the zero: what the tracker r
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Picture, Singles
 from twin.errors import InputError
 from twin.judge.resolve import dip
+from twin.parts.load import Rectangles
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.streams import Purpose, stream
 from twin.study.sensor import Motion, Sensor
-from twin.study.sweep.linear import Profiles, Shown
+from twin.study.sweep.linear import Profiles, Shown, seeded, standard_error
 from twin.study.sweep.loads import Bodies, Pushes
+
+if TYPE_CHECKING:
+    from twin.sense.calibration import Calibration
 
 GROSS_PX = 1.0
 """A shift wrong by more than this is a mistaken marker, and counted apart."""
@@ -45,84 +50,149 @@ class Taken:
 
 
 def full(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> tuple[dict[str, float], Taken]:
-    """Return a design's metrics by the full chain, and what it looks like.
+    """Return a design's metrics by the full chain over its made sensors, and what the first of them looks like.
 
     Raises
     ------
     InputError
         The pictures show too little to track.
     """
-    from twin.sense.reconstruct import reconstruct
-    from twin.sense.track import analyse_rest, track_frame
-    from twin.study.calibrate import half_space_compliance, nominal_calibration
-
-    assert scene.reconstruction is not None
-    sensor = Sensor(scene)
     chosen = _loads(sweep, pushes)
-    motions = [_motion(sensor, bodies, pushes, load) for load in chosen]
-    nominal = sensor.nominal_markers.points
-    if scene.calibration.method == "halfspace":
-        compliance = half_space_compliance(scene, nominal, sensor.sites)
-    else:
-        compliance = bodies.moved(scene, "nominal", nominal, sensor.sites)
-    calibration = nominal_calibration(sensor, compliance)
-    # of one exposure all pictures share a zero; of several each has its own, or its noise would be in all of them
-    again = range(sweep.loads.exposures)
-    still = sensor.renderer.radiance(sensor.ellipsoids(None))
-    rest = analyse_rest(_exposed(sensor, still, 0), sensor.layout_px, method=scene.tracking.method)
-    count = 1 if len(again) == 1 else len(again) * len(motions)
-    zeros = [track_frame(rest, _exposed(sensor, still, 1 + k)) for k in range(count)]
-    # a marker's noise is the same in every picture, so that one factorisation serves them all
-    told = np.nanmean([zero.sd_px for zero in zeros], axis=0) if len(zeros) > 1 else zeros[0].sd_px
-    at_rest = sensor.project(sensor.actual.markers.points)
-    options = scene.reconstruction.model_dump(exclude={"sites", "source", "assumed"})
-    forces, errors, spread, matched, totals, first = [], [], [], [], [], None
-    for place, motion in enumerate(motions):
-        light = sensor.renderer.radiance(sensor.ellipsoids(motion))
-        true = sensor.project(sensor.actual.markers.points + motion.displacement_mm) - at_rest
-        shifts = []
-        for k in again:
-            zero = zeros[(place * len(again) + k) % count]
-            picture = _exposed(sensor, light, 1 + count + place * len(again) + k)
-            first = picture if first is None else first
-            found = track_frame(rest, picture)
-            found = replace(found, shift_px=found.shift_px - zero.shift_px, sd_px=told)
-            field = reconstruct(found, calibration, **options)
-            shifts.append(found.shift_px)
-            errors.append(found.shift_px - true)
-            matched.append(float(np.isfinite(found.shift_px[:, 0]).mean()))
-            if k == 0:
-                forces.append(field.force_n)
-            totals.append((place, field.total_force_n))
-        if len(shifts) > 1:
-            spread.append(np.var(shifts, axis=0, ddof=1))
-    assert first is not None
-    profiles = Profiles(scene, sensor.sites, np.stack(forces, axis=2))
+    made = [
+        _Made(Sensor(seeded(scene, number)), sweep, bodies, pushes, chosen).seen(scene)
+        for number in range(sweep.sensors)
+    ]
     truth = pushes.loads[chosen].sum(axis=1)
-    off = np.array(
-        [
-            np.linalg.norm(total - truth[place]) / np.linalg.norm(truth[place])
-            for place, total in totals
-            if 1 <= place <= pushes.presses
-        ]
-    )
+    press = slice(1, 1 + pushes.presses)
+    size = np.linalg.norm(truth[press], axis=1)
+    off = np.stack([np.linalg.norm(one.totals - truth, axis=2)[:, press] / size for one in made])
+    grid = made[0].sites
+    profiles = [Profiles(scene, grid, np.stack(one.forces, axis=2)) for one in made]
+    pair = len(pushes.pair_mm) > 0
+    dips = [dip(*each.along(len(chosen) - 1, 0), _pair_mm(sweep, pushes)) if pair else np.nan for each in profiles]
+    spread = [one.spread for one in made if one.spread is not None]
     figures = {
         "total_force_error": float(np.sqrt(np.mean(off**2))),
-        "total_force_error_se": float(off.std(ddof=1) / np.sqrt(len(off))) if len(off) > 1 else float("nan"),
-        "fwhm_mm": profiles.width(0),
-        "dip": dip(*profiles.along(len(chosen) - 1, 0), _pair_mm(sweep, pushes))
-        if len(pushes.pair_mm)
-        else float("nan"),
-        **_tracking(np.concatenate(errors), told),
-        "noise_px": float(np.sqrt(np.nanmedian(spread))) if spread else float("nan"),
-        "matched": float(np.mean(matched)),
+        "total_force_error_se": standard_error(off.mean(axis=(1, 2)) if len(made) > 1 else off.ravel()),
+        "fwhm_mm": float(np.mean([each.width(0) for each in profiles])),
+        "dip": float(np.mean(dips)),
+        **_tracking(np.concatenate([one.errors for one in made]), np.concatenate([one.told for one in made])),
+        "noise_px": float(np.sqrt(np.nanmedian(np.concatenate(spread)))) if spread else float("nan"),
+        "matched": float(np.mean([one.matched for one in made])),
     }
-    site_mm = sensor.sites.centre_mm
+    first = made[0]
     taken = Taken(
-        picture=first, middle=Shown(site_mm=site_mm, force_n=np.array(forces[0])),
-        pair=Shown(site_mm=site_mm, force_n=np.array(forces[-1])),
+        picture=first.picture, middle=Shown(site_mm=grid.centre_mm, force_n=np.array(first.forces[0])),
+        pair=Shown(site_mm=grid.centre_mm, force_n=np.array(first.forces[-1])),
     )  # fmt: skip
     return figures, taken
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """What one made sensor's pictures gave.
+
+    Attributes
+    ----------
+    sites
+        Where forces are told.
+    totals
+        (exposures, loads, 3) total forces, N.
+    forces
+        (k, 3) forces of the first exposure of each load, N.
+    errors
+        (loads x exposures n, 2) wrong by so much, px.
+    told
+        (n,) standard deviations that the tracker tells, px.
+    spread
+        (loads n, 2) variances over the exposures, px^2; None of one exposure.
+    matched
+        Share of markers found.
+    picture
+        Of the first load.
+    """
+
+    sites: Rectangles
+    totals: Floats
+    forces: list[Floats]
+    errors: Floats
+    told: Floats
+    spread: Floats | None
+    matched: float
+    picture: Picture
+
+
+class _Made:
+    """One made sensor of a design, and what it is asked.
+
+    Parameters
+    ----------
+    sensor
+        The sensor.
+    sweep, bodies, pushes
+        See `full`.
+    chosen
+        Numbers of the loads.
+    """
+
+    def __init__(self, sensor: Sensor, sweep: Sweep, bodies: Bodies, pushes: Pushes, chosen: list[int]) -> None:
+        self._sensor, self._sweep, self._bodies = sensor, sweep, bodies
+        self._motions = [_motion(sensor, bodies, pushes, load) for load in chosen]
+
+    def seen(self, scene: Scene) -> _Seen:
+        """Take the pictures, track and reconstruct them."""
+        from twin.sense.reconstruct import reconstruct
+        from twin.sense.track import analyse_rest, track_frame
+
+        assert scene.reconstruction is not None
+        sensor, motions = self._sensor, self._motions
+        calibration = _calibration(sensor, self._bodies)
+        # of one exposure all pictures share a zero; of several each has its own, or its noise would be in all of them
+        again = range(self._sweep.loads.exposures)
+        still = sensor.renderer.radiance(sensor.ellipsoids(None))
+        rest = analyse_rest(_exposed(sensor, still, 0), sensor.layout_px, method=scene.tracking.method)
+        count = 1 if len(again) == 1 else len(again) * len(motions)
+        zeros = [track_frame(rest, _exposed(sensor, still, 1 + k)) for k in range(count)]
+        # a marker's noise is the same in every picture, so that one factorisation serves them all
+        told = np.nanmean([zero.sd_px for zero in zeros], axis=0) if len(zeros) > 1 else zeros[0].sd_px
+        at_rest = sensor.project(sensor.actual.markers.points)
+        options = scene.reconstruction.model_dump(exclude={"sites", "source", "assumed"})
+        totals = np.zeros((len(again), len(motions), 3))
+        forces, errors, spread, matched, first = [], [], [], [], None
+        for place, motion in enumerate(motions):
+            light = sensor.renderer.radiance(sensor.ellipsoids(motion))
+            true = sensor.project(sensor.actual.markers.points + motion.displacement_mm) - at_rest
+            shifts = []
+            for k in again:
+                zero = zeros[(place * len(again) + k) % count]
+                picture = _exposed(sensor, light, 1 + count + place * len(again) + k)
+                first = picture if first is None else first
+                found = track_frame(rest, picture)
+                found = replace(found, shift_px=found.shift_px - zero.shift_px, sd_px=told)
+                field = reconstruct(found, calibration, **options)
+                shifts.append(found.shift_px)
+                errors.append(found.shift_px - true)
+                matched.append(float(np.isfinite(found.shift_px[:, 0]).mean()))
+                totals[k, place] = field.total_force_n
+                if k == 0:
+                    forces.append(field.force_n)
+            if len(shifts) > 1:
+                spread.append(np.var(shifts, axis=0, ddof=1))
+        assert first is not None
+        return _Seen(
+            sites=sensor.sites, totals=totals, forces=forces, errors=np.concatenate(errors), told=told,
+            spread=np.concatenate(spread) if spread else None, matched=float(np.mean(matched)), picture=first,
+        )  # fmt: skip
+
+
+def _calibration(sensor: Sensor, bodies: Bodies) -> Calibration:
+    """Return what the software of a design is told, which is the same for all its made sensors."""
+    from twin.study.calibrate import half_space_compliance, nominal_calibration
+
+    scene, points = sensor.nominal, sensor.nominal_markers.points
+    if scene.calibration.method == "halfspace":
+        return nominal_calibration(sensor, half_space_compliance(scene, points, sensor.sites))
+    return nominal_calibration(sensor, bodies.moved(scene, "nominal", points, sensor.sites))
 
 
 def _exposed(sensor: Sensor, light: Singles, number: int) -> Picture:

@@ -20,7 +20,7 @@ from twin.judge.resolve import dip, full_width, two_point_distance
 from twin.parts.load import Rectangles
 from twin.parts.scene import Scene
 from twin.parts.sweep import GF, Sweep
-from twin.study.actual import Actual, make
+from twin.study.actual import make
 from twin.study.sensor import on_grid
 from twin.study.sweep.information import Information, information
 from twin.study.sweep.loads import Bodies, Pushes
@@ -170,7 +170,7 @@ def _problem(scene: Scene, view: View, noise: Floats, used: Bools, sites: Rectan
 
 def _shifts(scene: Scene, sweep: Sweep, number: int, bodies: Bodies, pushes: Pushes) -> Floats:
     """Return (n, 2, loads) noise-free shifts of a made sensor's markers, px."""
-    actual = made_sensor(scene, number)
+    actual = make(seeded(scene, number))
     points, camera = actual.markers.points, actual.scene.camera
     assert camera is not None
     moved = bodies.moved(actual.scene, "truth", points, pushes.patches) @ pushes.loads.reshape(len(pushes.loads), -1).T
@@ -181,9 +181,9 @@ def _shifts(scene: Scene, sweep: Sweep, number: int, bodies: Bodies, pushes: Pus
     return np.nan_to_num(shifts.transpose(0, 2, 1))
 
 
-def made_sensor(scene: Scene, number: int) -> Actual:
-    """Return the made sensor ``number`` of a design; number 0 is that of ``twin run``."""
-    return make(scene if number == 0 else scene.model_copy(update={"seed": scene.seed + number}))
+def seeded(scene: Scene, number: int) -> Scene:
+    """Return a design with the seed of its made sensor ``number``; number 0 is that of ``twin run``."""
+    return scene if number == 0 else scene.model_copy(update={"seed": scene.seed + number})
 
 
 def _figures(
@@ -202,7 +202,7 @@ def _figures(
     normal = pushes.patches.frames[0, 2]
     figures = {
         "total_force_error": float(np.sqrt(each.mean())),
-        "total_force_error_se": _standard_error(np.sqrt(each)),
+        "total_force_error_se": standard_error(np.sqrt(each).ravel()),
         "total_force_bias": float(np.sqrt((bias**2).mean())),
         "resolution_gf": float(np.sqrt(max(normal @ noise @ normal, 0.0)) / GF),
     }
@@ -276,5 +276,6 @@ def _require_cover(scene: Scene, pushes: Pushes) -> None:
         raise RecipeError("reconstruction.sites: they don't cover the sweep's presses; use more sites or a wider pitch")
 
 
-def _standard_error(values: Floats) -> float:
+def standard_error(values: Floats) -> float:
+    """Return the standard error of the mean of (m,) values; NaN of one."""
     return float(values.std(ddof=1) / np.sqrt(values.size)) if values.size > 1 else float("nan")

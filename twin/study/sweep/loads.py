@@ -16,21 +16,28 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Points
 from twin.errors import RecipeError
+from twin.parts.block import Block
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.scene import Scene
-from twin.parts.sweep import Loads
+from twin.parts.sweep import Loads, Range, Sweep, Values
 from twin.streams import Purpose, stream
 
 if TYPE_CHECKING:
     from twin.world.compliance import Compliance
+    from twin.world.mesh import Level
+    from twin.world.table import Table
 
 PAIRS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
 """Distances of two pushes over the sweep's ``pair_mm``."""
 
 REGION = 0.6
 """Half sides of the presses' region over those of the sites."""
+
+
+MANY_BODIES = 12
+"""Thicknesses of a block from which on they are interpolated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,18 +132,25 @@ def _fits(body: Body, points: Points, half_mm: float) -> Bools:
 
 @dataclass
 class Bodies:
-    """Compliances by what they are asked for; each answers one set of patches only, so that order changes nothing."""
+    """Compliances by what they are asked for; each answers one set of patches only, so that order changes nothing.
+
+    Attributes
+    ----------
+    progress
+        Told when a mesh has to be made.
+    thickness_mm
+        Ends of the range between which a block's thickness is interpolated, see `thickness_range`; None: each is
+        prepared.
+    """
 
     progress: Callable[[str, float], None] | None = None
+    thickness_mm: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         self._kept: dict[str, Compliance] = {}
         self.asked = 0
-
-    @property
-    def made(self) -> int:
-        """How many bodies were prepared; the other requests reused one."""
-        return len(self._kept)
+        self.made = 0
+        """How many bodies were prepared; the other requests reused one or were interpolated between several."""
 
     def unit(self, scene: Scene, role: str, patches: Rectangles) -> Compliance:
         """Return the compliance for E = 1 MPa of a scene's body: ``truth`` or ``nominal``."""
@@ -155,16 +169,48 @@ class Bodies:
                 made = Ladder(scene.body, rubber, scene.accuracy.displacement, progress=self.progress).base
             else:
                 made = Compliance(scene.body, rubber, level="nominal", progress=self.progress)
+            table = self._between(scene.body, made.level)
+            if table is not None:
+                made = Compliance(scene.body, rubber, level=made.level, table=table)
+            self.made += table is None
             while len(self._kept) >= 64:  # a sweep of bodies does not fill the memory
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = made
         return self._kept[key]
+
+    def _between(self, body: Body, level: Level) -> Table | None:
+        """Return the interpolated table of a block, where one is as accurate as a level of mesh."""
+        from twin.world.tabulate import MADE
+        from twin.world.thickness import table_between
+
+        if self.thickness_mm is None or not isinstance(body, Block):
+            return None
+        role = next((r for r, made in MADE.items() if made == level and r != "check"), None)
+        return table_between(body, role, *self.thickness_mm) if role is not None else None
 
     def moved(self, scene: Scene, role: str, points: Points, patches: Rectangles) -> Floats:
         """Return (3 n, 3 k) mm/N of points under unit forces on patches, for the scene's own modulus."""
         made = self.unit(scene, role, patches).to_points(points, patches)
         made /= scene.material.youngs_modulus_mpa
         return made
+
+
+def thickness_range(sweep: Sweep) -> tuple[float, float] | None:
+    """Return between which thicknesses those of a sweep's blocks are interpolated; None if they are few or don't vary.
+
+    Why not always: the tables of a range take as long as some ten bodies, and a body of its own is 2e-4 more accurate.
+    """
+    key = "body.thickness_mm"
+    rule = sweep.derived.get(key)
+    axis = sweep.axes.get(rule.follows if rule is not None else key)
+    if isinstance(axis, Range):
+        count, ends = axis.steps if sweep.sampling == "grid" else sweep.count, [axis.low, axis.high]
+    elif isinstance(axis, Values) and all(isinstance(v, int | float) for v in axis.values):
+        count, ends = len(set(axis.values)), [min(axis.values), max(axis.values)]
+    else:
+        return None
+    low, high = sorted(end * rule.times + rule.plus if rule is not None else end for end in ends)
+    return (low, high) if count > MANY_BODIES and low < high else None
 
 
 def refuse(scene: Scene) -> None:

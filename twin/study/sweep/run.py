@@ -27,12 +27,12 @@ from twin.study.batch.lock import only_writer
 from twin.study.recipe import dump_scene
 from twin.study.sweep.closed import closed
 from twin.study.sweep.designs import Designs, designs_of
-from twin.study.sweep.loads import refuse
+from twin.study.sweep.loads import refuse, thickness_range
 from twin.study.sweep.rank import agreement, best_first, scores
 from twin.study.sweep.table import Store, row_key, write_table
 from twin.study.sweep.work import WORK, Row, region_of
 
-FORMAT = 1
+FORMAT = 2
 CHUNK = {"linear": 16, "full": 1}
 """Designs of one task: what a kill loses at most, a worker each."""
 
@@ -152,6 +152,8 @@ def identity(sweep: Sweep, scene: Scene) -> str:
     kept = sweep.model_dump(mode="json", include={"seed", "keep_extent", "loads", "limits", "noise_px", "sensors"})
     base = plain_table(scene) | {"title": ""}
     told = [FORMAT, kept, region_of(sweep, scene), list(sweep.axes), list(sweep.derived), base, versions()]
+    if (thickness := thickness_range(sweep)) is not None:
+        told.append(list(thickness))
     return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
 
 

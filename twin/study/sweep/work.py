@@ -25,7 +25,7 @@ from twin.study.sweep.closed import dropped_by_view
 from twin.study.sweep.designs import scene_of
 from twin.study.sweep.full import Taken, full
 from twin.study.sweep.linear import Shown, linear
-from twin.study.sweep.loads import REGION, Bodies, Pushes, pushes_of
+from twin.study.sweep.loads import REGION, Bodies, Pushes, pushes_of, thickness_range
 from twin.study.sweep.view import view_of
 
 Row = dict[str, Any]
@@ -63,7 +63,7 @@ class Workshop:
         self.values: list[dict[str, Any]] = told["designs"]
         self.scene = load_scene(folder / "scene.toml")
         self.base = plain_table(self.scene)
-        self.bodies = Bodies()
+        self.bodies = Bodies(thickness_mm=thickness_range(self.sweep))
         self._pushes: dict[str, Pushes] = {}
 
     def pushes(self, scene: Scene) -> Pushes:
@@ -151,4 +151,4 @@ def expected(sweep: Sweep, scene: Scene, values: dict[str, Any]) -> Shown:
     """Return a design's expected estimate of the push in the middle."""
     design = scene_of(sweep, plain_table(scene), values)
     pushes = pushes_of(design.body, sweep.loads, region_of(sweep, scene), sweep.seed)
-    return linear(design, view_of(design), sweep, Bodies(), pushes)[1]
+    return linear(design, view_of(design), sweep, Bodies(thickness_mm=thickness_range(sweep)), pushes)[1]
