@@ -14,6 +14,7 @@ Why numba: six real spectra times three complex fields are a dozen passes throug
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -41,6 +42,11 @@ class Convolution:
 
     def __init__(self, spectra: Floats, padded: tuple[int, int]) -> None:
         self.padded, self._spectra = padded, spectra
+
+    @cached_property
+    def single(self) -> Convolution:
+        """The same in single precision, for fields that are."""
+        return Convolution(self._spectra.astype(np.float32), self.padded)
 
     @classmethod
     def of_kernel(cls, kernel: Floats) -> Convolution:
@@ -72,7 +78,7 @@ class Convolution:
 
     def _forward(self, field: Floats) -> Complexes:
         nu, (lu, lv) = field.shape[-2], self.padded
-        waves = np.zeros((*field.shape[:-2], lu, lv // 2 + 1), complex)
+        waves = np.zeros((*field.shape[:-2], lu, lv // 2 + 1), np.result_type(field, np.complex64))
         waves[..., :nu, :] = fft.rfft(field, axis=-1)
         return fft.fft(waves, axis=-2, overwrite_x=True)
 

@@ -19,7 +19,7 @@ may slide by a small part of its width only (`SLIDE_LIMIT`).
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from twin.errors import ContactError, NotSettled
 from twin.parts.probe import Cone
 from twin.world.capacity import asked_share
 from twin.world.coulomb import solve_coulomb
-from twin.world.friction_grid import FrictionGrid, Memory
+from twin.world.friction_grid import FrictionGrid, Memory, Trend
 from twin.world.gap import TURN, X, Y, Z
 from twin.world.probe_shape import half_extent
 from twin.world.together import Control, every
@@ -38,9 +38,18 @@ INCREMENTS = 8
 SLIDE_LIMIT = 0.05
 """How far a flat face may slide as a whole, over its smaller width."""
 
-_HALVINGS, _SLIDE_ROUNDS = 3, 12
+_HALVINGS, _SLIDE_ROUNDS, _FORESEEN = 3, 12, 4.0
 _RUBBED = [X, Y, Z, TURN]
 """The components of a probe's place that `twin.world.capacity` knows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Guess:
+    """Forces (k, 3), a place (6 p,) and patches in contact (k,) to start from."""
+
+    force_n: Floats
+    place: Floats
+    active: Bools
 
 
 def _offset(grid: FrictionGrid, memory: Memory) -> Floats:
@@ -64,7 +73,7 @@ def _problem(grid: FrictionGrid, memory: Memory, control: Control, held: Bools |
 
 
 def _part(
-    grid: FrictionGrid, memory: Memory, control: Control, guess: Equilibrium | None, held: Bools | None = None
+    grid: FrictionGrid, memory: Memory, control: Control, guess: Equilibrium | _Guess | None, held: Bools | None = None
 ) -> tuple[Memory, Equilibrium]:
     """Solve one part from a guess; return the state, and the memory with how far the probe slid as a whole."""
     problem = _problem(grid, memory, control, held)
@@ -90,6 +99,20 @@ def _part(
         problem = _problem(grid, memory, control, held)
         found = solve_coulomb(problem, found.force_n, found.place)
     raise NotSettled("contact: the probe slides, and where it slides to does not settle: take smaller steps")
+
+
+def _foreseen(memory: Memory, control: Control, start: Floats) -> _Guess | None:
+    """Return what a step leads to if it changes as the last one did; None where it doesn't go on in the same way."""
+    if memory.trend is None:
+        return None
+    wanted, last = control.given - start, memory.trend.given
+    length = float(last @ last)
+    share = float(wanted @ last) / length if length > 0.0 else 0.0
+    if not 0.0 < share <= _FORESEEN or np.abs(wanted - share * last).max() > 1e-6 * np.abs(wanted).max():
+        return None
+    force = memory.force_n + share * memory.trend.force_n
+    place = np.where(control.by_force, memory.place + share * memory.trend.place, control.given)
+    return _Guess(force_n=force, place=place, active=memory.touched)
 
 
 def _from_guess(problem: Unilateral, active: Bools, force: Floats, place: Floats) -> Equilibrium:
@@ -309,18 +332,23 @@ def take_step(
     ContactError
         A part has no equilibrium, or a flat face slides too far; `NotSettled` when the first part doesn't converge.
     """
-    previous = None
+    previous, first = None, memory
+    start = np.where(control.by_force, memory.total, memory.place)
+
+    def with_trend(then: Memory) -> Memory:
+        force, place = then.force_n - first.force_n, then.place - first.place
+        return replace(then, trend=Trend(force_n=force, place=place, given=control.given - start))
+
     if memory.touched.any():
         try:
-            _, found = _part(grid, memory, control, None)
+            _, found = _part(grid, memory, control, _foreseen(memory, control, start))
         except ContactError:
             pass  # a large step may fail where its parts succeed
         else:
             if not np.any(found.active & ~memory.touched | found.slipping):
-                return _remember(grid, memory, found), found, ""
+                return with_trend(_remember(grid, memory, found)), found, ""
             increments = _parts(memory, found, increments)
             previous = found if increments == 1 else None
-    start = np.where(control.by_force, memory.total, memory.place)
     powers = np.ones(len(start))
     for setting, rows, motions in grid.contacts.rows:
         if setting.face is None and memory.touched[rows].sum() <= 1:
@@ -339,7 +367,7 @@ def take_step(
             return memory, previous, f"stopped after {part - 1} of {increments} parts: {stopped}"
     _refuse_slide(grid, memory)
     assert previous is not None, "a step has at least one part"
-    return memory, previous, ""
+    return with_trend(memory), previous, ""
 
 
 def _refuse_slide(grid: FrictionGrid, memory: Memory) -> None:

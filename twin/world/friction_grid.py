@@ -25,6 +25,15 @@ from twin.world.together import Contacts, every
 
 
 @dataclass(frozen=True, kw_only=True)
+class Trend:
+    """What the last step of a path changed: forces (k, 3), place (6 p,), and what was given (6 p,)."""
+
+    force_n: Floats
+    place: Floats
+    given: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
 class Memory:
     """Where each patch touched, or slipped to, and the state that the probes and the body are in.
 
@@ -48,6 +57,8 @@ class Memory:
         (p,) probes that are off the body and stay off.
     dissipated_nmm
         Work that friction has taken so far, N mm.
+    trend
+        What the last step changed, for a guess at what the next one does.
     """
 
     touched: Bools
@@ -61,6 +72,7 @@ class Memory:
     slid_mm: Floats
     lifted: Bools
     dissipated_nmm: float = 0.0
+    trend: Trend | None = None
 
 
 @dataclass(frozen=True, eq=False)

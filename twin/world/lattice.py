@@ -12,7 +12,7 @@ Validity: the exact influence of a uniform rectangle on the middle of another, a
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -61,7 +61,7 @@ class Lattice:
         (3, M, 3, M) smooth rest between M = NODES x NODES nodes; None for none.
     """
 
-    precision, finest = np.float64, 1e-10
+    precision, finest = np.float32, 1e-5
 
     def __init__(self, place: Ints, kernel: Floats, rest: Floats | None) -> None:
         self._place, self._kernel = place, kernel
@@ -73,7 +73,9 @@ class Lattice:
         self._rest = None if rest is None else np.ascontiguousarray(rest.reshape(3 * NODES**2, -1))
         self._lines = nu, kernel.shape[1]
         u, v = (lagrange(nodes(n), np.arange(n, dtype=float)) for n in (nu, nv))
-        self._sides = u, np.concatenate([v, np.zeros((kernel.shape[1] - nv, NODES))])
+        v = np.concatenate([v, np.zeros((kernel.shape[1] - nv, NODES))])
+        self._sides = {kind: (u.astype(kind), v.astype(kind)) for kind in ("float64", "float32")}
+        self._rest_single: Any = None if self._rest is None else self._rest.astype(np.float32)
 
     def __len__(self) -> int:
         return len(self._at)
@@ -95,11 +97,12 @@ class Lattice:
 
     def moved(self, force: Floats) -> Floats:
         """See `twin.world.between.Between`."""
-        return self._product(self._at, force.T).T
+        return self._product(self._at, force.T, self._convolution, self._rest).T
 
     def displaced(self, force: Floats) -> Floats:
         """See `twin.world.singles.Operator`."""
-        return self._product(self._at, force.T)
+        field: Any = force.T.astype(np.float32)
+        return self._product(self._at, field, self._convolution.single, self._rest_single).astype(float)
 
     def sunk(self, push: Floats) -> Floats:
         """See `Between`."""
@@ -139,32 +142,34 @@ class Lattice:
 
     def product(self, force: Floats) -> Floats:
         """See `twin.world.singles.Operator`."""
-        return self._product(self._chosen, force) / self.unit
+        return self._product(self._chosen, force, self._convolution.single, self._rest_single) * np.float32(
+            1.0 / self.unit
+        )
 
     def roughly(self, displacement: Floats) -> Floats:
         """See `twin.world.singles.Operator`."""
         assert self._inverse is not None
         field = self._spread(self._chosen, displacement.transpose(2, 0, 1))
-        out = self._inverse.product(field).reshape(*field.shape[:2], -1)[..., self._chosen]
-        return np.asarray(out.transpose(1, 2, 0) * self.unit)
+        out = self._inverse.single.product(field).reshape(*field.shape[:2], -1)[..., self._chosen]
+        return np.asarray(out.transpose(1, 2, 0) * np.float32(self.unit))
 
-    def _product(self, at: Ints, force: Floats) -> Floats:
+    def _product(self, at: Ints, force: Floats, convolution: Convolution, rest: Floats | None) -> Floats:
         """Return (3, n) displacements under forces (3, n), mm."""
         field = self._spread(at, force)
-        out = self._convolution.product(field)
-        if self._rest is not None:
-            out += self._rest_of(field, self._rest)
+        out = convolution.product(field)
+        if rest is not None:
+            out += self._rest_of(field, rest)
         return np.asarray(out.reshape(3, -1)[:, at])
 
     def _rest_of(self, field: Floats, rest: Floats) -> Floats:
         """Return what the smooth rest makes of a field on the lattice."""
-        u, v = self._sides
+        u, v = self._sides[field.dtype.name]
         counted = u.T @ field @ v
         return np.asarray(u @ (rest @ counted.reshape(-1)).reshape(counted.shape) @ v.T)
 
     def _spread(self, at: Ints, values: Floats) -> Floats:
         """Return (..., nu, Lv) values (..., n) on the lattice, its lines padded."""
-        field = np.zeros((*values.shape[:-1], self._lines[0] * self._lines[1]))
+        field = np.zeros((*values.shape[:-1], self._lines[0] * self._lines[1]), values.dtype)
         field[..., at] = values
         return field.reshape(*values.shape[:-1], *self._lines)
 
@@ -174,7 +179,7 @@ class Lattice:
 
     def _weights(self, rows: Ints) -> Floats:
         """Return (n, M) how much each node counts at some patches."""
-        u, v = (side[self._place[rows, axis]] for axis, side in enumerate(self._sides))
+        u, v = (side[self._place[rows, axis]] for axis, side in enumerate(self._sides["float64"]))
         return np.asarray((u[:, :, None] * v[:, None, :]).reshape(len(rows), -1))
 
 
