@@ -83,14 +83,13 @@ def _case(name: str, scene: str, overrides: dict[str, Any], count: int) -> dict[
 def _stages() -> Iterator[dict[str, float]]:
     """Count the CPU seconds that are spent in each stage while the block runs."""
     from twin import png
-    from twin.world import exposure, render
+    from twin.world import exposure
 
     where: dict[str, tuple[Any, str]] = {
         "contact": (sensor.Sensor, "press"),
         "displacement": (sensor.Sensor, "motion_of_patches"),
         "sites": (sample, "_on_sites"),
-        "outlines": (render.Renderer, "outlines"),
-        "picture": (sensor.Sensor, "picture"),
+        "picture": (sensor.Sensor, "seen"),
         "ccd": (exposure, "expose"),
         "png": (png, "png_bytes"),
         "parquet": (work, "parquet"),

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from twin.arrays import Chart, Floats, Picture, Pixels, Points
+from twin.arrays import Chart, Floats, Picture, Pixels, Points, Singles
 from twin.errors import AccuracyWarning, InputError, RecipeError
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from twin.world.ladder import Ladder
     from twin.world.maps import PictureTruth
     from twin.world.markers import Ellipsoids
-    from twin.world.render import Renderer
+    from twin.world.render import Outlines, Renderer
     from twin.world.stiff import StiffBeads
 
 Progress = Callable[[str, float], None]
@@ -279,13 +279,21 @@ class Sensor:
             Number of the exposure: pictures of the same number have the same noise. The rest state is exposure 0, a
             loaded one 1 if not given.
         """
-        from twin.world.exposure import expose
-
         number = exposure if exposure is not None else int(load is not None)
         motion = self.motion(load) if isinstance(load, Load) else load
         radiance = self.renderer.radiance(self.ellipsoids(motion), motion.cover if motion is not None else None)
-        noise = stream(self.nominal.seed, Purpose.EXPOSURE, number)
-        return expose(radiance, self.nominal.ccd, noise, self.pattern)
+        return self._exposed(radiance, number)
+
+    def seen(self, motion: Motion | None, exposure: int) -> tuple[Picture, Outlines]:
+        """Return `picture` and the markers' visible outlines, for little more than the price of the first."""
+        cover = motion.cover if motion is not None else None
+        radiance, outlines = self.renderer.seen(self.ellipsoids(motion), cover)
+        return self._exposed(radiance, exposure), outlines
+
+    def _exposed(self, radiance: Singles, exposure: int) -> Picture:
+        from twin.world.exposure import expose
+
+        return expose(radiance, self.nominal.ccd, stream(self.nominal.seed, Purpose.EXPOSURE, exposure), self.pattern)
 
     def picture_truth(self, load: Load | Motion | None) -> PictureTruth:
         """Return the truth beside `picture`: which marker each pixel shows, how deep, how far each has moved.

@@ -31,6 +31,13 @@ DEPTH = 6
 OPAQUE = 1e-3
 """Share of a ray that needs no following any more."""
 
+INTO = 4 / 9
+"""How far into the covered strip of a sub-pixel its brightness is taken.
+
+Its own ray may miss, and brightness falls towards the outline like a root, which has its mean there. With the outline's
+own brightness, that of the rim, centroids were two to three times farther off for the same rays.
+"""
+
 WEIGHT = 4096
 """Whole-number weight of a fully covered sub-pixel."""
 
@@ -45,8 +52,8 @@ class Frame:
         Pixels near markers.
     base
         Height of the base.
-    starts
-        (m, 2) where every pixel's rays start: distance from the base, and z.
+    unit_mm
+        Length of the unit.
     centres
         (n, 3) centres; lost markers lie far aside.
     axes
@@ -67,7 +74,7 @@ class Frame:
 
     near: Near
     base: float
-    starts: Singles
+    unit_mm: float
     centres: Floats
     axes: Floats
     metric: Floats
@@ -84,6 +91,15 @@ class Frame:
     def shadowed(self) -> Bools:
         """(n, leds) whether a shadow ray is needed."""
         return self.occluders.flags
+
+    @cached_property
+    def starts(self) -> Singles:
+        """(m, 2) where every pixel's rays start: distance from the base, and z."""
+        near = self.near
+        zero = _behind(near)
+        highest = np.maximum.reduceat(near.top_mm[near.members], near.first[:-1]) if len(near.pixels) else np.zeros(0)
+        start = (highest - zero) / self.unit_mm
+        return np.column_stack([self.base - start, start]).astype(np.float32)
 
     @cached_property
     def exact(self) -> Singles:
@@ -131,7 +147,7 @@ def make_frame(
     centres = np.where(here[:, None], markers.centres, [0.0, 0.0, base])
     axes = np.where(here[:, None, None], markers.axes, 1e-3 * np.eye(3))
     near = near_markers(markers, scene, view, subpixels)
-    zero = float(np.max(near.start_mm, initial=0.0))
+    zero = _behind(near)
     lamps = lamps_at(centres, scene)
     radii = np.where(here, _longest(axes), np.nan)
     wanted = here[:, None] & (lamps.power > 0) & shadows
@@ -141,7 +157,7 @@ def make_frame(
     return Frame(
         near=near,
         base=(base - zero) / unit_mm,
-        starts=(np.column_stack([base - near.start_mm, near.start_mm - zero]) / unit_mm).astype(np.float32),
+        unit_mm=unit_mm,
         centres=np.where(here[:, None], (centres - shift) / unit_mm, _ABSENT),
         axes=axes,
         metric=np.swapaxes(inverse, 1, 2) @ inverse,
@@ -153,6 +169,11 @@ def make_frame(
         occluders=occluders(np.where(here[:, None], centres, np.nan), radii, lamps.place, wanted),
         colour=markers.colour,
     )
+
+
+def _behind(near: Near) -> float:
+    """Return a height z behind all markers, mm."""
+    return float(np.max(near.top_mm, initial=0.0))
 
 
 def _longest(axes: Floats) -> Floats:

@@ -9,8 +9,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from twin.arrays import Floats, Ints, Pixels, Singles
+from twin.world.crowded import hits_of_sample, most_candidates, pixel_candidates, pixel_rays
 from twin.world.frame import Frame
-from twin.world.splat import Whole, hits_of_sample, pixel_candidates, pixel_rays
+from twin.world.nearby import Whole
 from twin.world.threads import in_parts
 from twin.world.view import View
 
@@ -85,21 +86,18 @@ def _front(
     centres: Floats, metric: Floats, shown: Whole, heights: Singles,
 ) -> None:  # fmt: skip
     """Write the nearest marker on each pixel's middle ray and the height of the place where it is met."""
-    room = 1
+    room = most_candidates(begin, end, first)
+    near, order = np.empty(room, np.int64), np.empty(room, np.int64)
+    meet = np.empty((room, 7))
+    width = corners.shape[1] - 1
     for j in range(begin, end):
-        room = max(room, first[j + 1] - first[j])
-    near, meet, order = np.empty(room, np.int64), np.empty((room, 11)), np.empty(room, np.int64)
-    tangent = np.empty((room, 3))
-    middle, ray, across, down = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    for j in range(begin, end):
-        pixel_rays(pixels[j], corners, middle, across, down)
-        found, _ = pixel_candidates(first[j], first[j + 1], members, base, centres, metric, 1, near, meet, tangent,
-                                    middle, across, down)  # fmt: skip
-        hits = hits_of_sample(found, near, base, centres, metric, middle, ray, across, down, 0, 1, False, meet,
-                              tangent, order)  # fmt: skip
+        middle, across, down = pixel_rays(pixels[j] // width, pixels[j] % width, corners)
+        found, _ = pixel_candidates(first[j], first[j + 1], members, base, centres, metric, 1, near, middle, across,
+                                    down)  # fmt: skip
+        hits = hits_of_sample(found, near, base, centres, metric, middle, across, down, 1, meet, order)  # fmt: skip
         for h in range(hits):
             # Half covered is where the ray just meets the outline.
             if meet[order[h], 0] >= 0.5:
                 shown[j] = near[order[h]]
-                heights[j] = meet[order[h], 7]
+                heights[j] = meet[order[h], 3]
                 break

@@ -87,10 +87,14 @@ def _lists(
                     end = min(end, (bottom - cz) / dz)
                 room = _ROOM * (radii[i] + largest)
                 left, right = min(cx, cx + dx * end) - room, max(cx, cx + dx * end) + room
+                low, high = min(0.0, dy * end) - room, max(0.0, dy * end) + room
                 dx, dy, dz = dx / length, dy / length, dz / length
                 at = np.searchsorted(xs, left)
                 while at < len(xs) and xs[at] <= right:
                     wx, wy, wz = xs[at] - cx, ys[at] - cy, zs[at] - cz
+                    if wy < low or wy > high:
+                        at += 1
+                        continue
                     along = wx * dx + wy * dy + wz * dz
                     reach = _ROOM * (radii[i] + rs[at])
                     aside = wx * wx + wy * wy + wz * wz - along * along

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Singles
-from twin.world.frame import DEPTH, INSIDE, OPAQUE, STEP, WEIGHT, Frame
+from twin.world.frame import DEPTH, INSIDE, INTO, OPAQUE, STEP, Frame
 from twin.world.shape import Shape
 from twin.world.view import View
 
@@ -35,26 +35,6 @@ class RayByRay:
                 light[lane] += frame.colour[marker] * (bright * covers * clear)[:, None]
         share = np.float32(1 / frame.subpixels**2)
         return light.astype(np.float32) * share, free.astype(np.float32) * share
-
-    def count(self, frame: Frame) -> tuple[Ints, Ints, Ints]:
-        """Return (n,) seen and (n,) whole coverage of every marker, and (n, 2) moments of what is seen.
-
-        All in sub-pixels times ``WEIGHT``, moments about the pixel nearest the marker.
-        """
-        n, k = len(frame), frame.subpixels
-        tallies = np.zeros((n, 4))
-        padded = self._padded.hold(frame.padded)
-        nearest = np.rint(frame.near.centres_px)
-        row, column = np.divmod(frame.near.pixels, self._corners.shape[1] - 1)
-        for sample in range(k**2):
-            spot = np.column_stack([column * k + sample % k, row * k + sample // k])
-            for lane, marker, covers, _, _, clear in self._walk(frame, padded, sample, np.zeros(len(row)), -1.0):
-                seen = np.rint(covers * clear * WEIGHT)
-                offset = spot[lane] - k * nearest[marker]
-                parts = [np.rint(covers * WEIGHT), seen, seen * offset[:, 0], seen * offset[:, 1]]
-                np.add.at(tallies, marker, np.column_stack(parts))
-        whole, seen, columns, rows = tallies.astype(np.int64).T
-        return seen, whole, np.column_stack([columns, rows])
 
     def _walk(self, frame: Frame, padded: Any, sample: int, free: Floats, opaque: float) -> Any:
         """Follow one sub-pixel's rays from marker to marker and yield what they meet, front to back.
@@ -136,7 +116,9 @@ def _meet(frame: Frame, marker: Ints, starts: Floats, along: Floats, place: Floa
     slope = np.einsum("nij,nj->ni", np.linalg.inv(frame.near.conjugate)[marker], off)
     steepness = np.linalg.norm(slope, axis=1) / np.sqrt(np.maximum(np.einsum("ni,ni->n", off, slope), 1e-12))
     edge = np.clip(0.5 + frame.subpixels * (1 - miss) / np.maximum(steepness, 1e-6), 0, 1)
-    depth = np.sqrt(np.maximum(1 - miss**2, 0) / square)
-    surface = away / np.maximum(miss, 1)[:, None] - along * depth[:, None]
+    covers = np.where(miss < 0.5, 1.0, edge)
+    within = np.clip(np.where(covers < 1, 1 - INTO * covers * steepness / frame.subpixels, miss), 0, 1)
+    depth = np.sqrt((1 - within**2) / square)
+    surface = away * (within / np.maximum(miss, 1e-6))[:, None] - along * depth[:, None]
     normal = np.einsum("nij,nj->ni", metric, surface)
-    return np.where(miss < 0.5, 1.0, edge), surface, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return covers, surface, normal / np.linalg.norm(normal, axis=1, keepdims=True)

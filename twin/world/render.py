@@ -25,7 +25,6 @@ Validity: markers at least a sub-pixel in radius. Defocus is the mean of picture
 from __future__ import annotations
 
 import importlib
-import math
 import os
 import sys
 from dataclasses import dataclass
@@ -45,7 +44,7 @@ from twin.world.lighting import brightest
 from twin.world.maps import NONE, PictureTruth, marker_map
 from twin.world.markers import Ellipsoids
 from twin.world.rays import RayByRay
-from twin.world.splat import Splat
+from twin.world.splat import Shaded, Splat
 from twin.world.variant import FORCE, Variant, choose_variant
 from twin.world.view import compose, look
 from twin.world.wavefront import Wavefront
@@ -53,8 +52,11 @@ from twin.world.wavefront import Wavefront
 _HIDDEN = 0.01
 """A smaller share of an outline that is seen counts as none: edges just behind edges leave such specks."""
 
-_ERROR_PX, _ORDER, _FINEST = 0.08, 1.6, 16
-"""The largest error of an intensity centroid is the first number over k to the second; the third is the largest k."""
+_ERROR_PX = {"splat": (0.0215, 0.0095, 0.0070, 0.0056), "traced": (0.033, 0.0148, 0.0107, 0.0080)}
+"""The largest error of an intensity centroid for k = 1 to 4; beyond it falls as 1/k."""
+
+_FINEST = 16
+"""The largest k."""
 
 _SHADOW_PX = 0.2
 """The most that a shadow moves a centroid."""
@@ -115,8 +117,9 @@ class Renderer:
         self.scene = scene
         wanted = scene.accuracy.centroid_px
         self.variant = variant or method_for(wanted)
-        self.shadows = isinstance(wanted, str) or wanted < _SHADOW_PX + _ERROR_PX if shadows is None else shadows
-        self.subpixels = subpixels or subpixels_for(wanted)
+        needed = isinstance(wanted, str) or wanted < centroid_error(1, False, self.variant.name)
+        self.shadows = needed if shadows is None else shadows
+        self.subpixels = subpixels or subpixels_for(wanted, self.variant.name)
         self._top, white = brightest(rest, scene)
         self._gain = white_level(scene.ccd) / white
         self._unit = float(np.median([layer.diameter_mm / 2 for layer in scene.markers.values()]))
@@ -130,17 +133,23 @@ class Renderer:
     def _make_tracer(self, ambient: float) -> Splat | Wavefront | RayByRay:
         """Return what traces rays in our variant."""
         if self.variant.name == "splat":
-            return Splat(self._view, self._unit, ambient)
+            return self._splat
         self._switch()
         mi = importlib.import_module("mitsuba")
         if self.variant.name == "scalar_rgb":
             return RayByRay(mi, self._view, self._unit, ambient)
         return Wavefront(mi, importlib.import_module("drjit"), self._view, self._unit, ambient)
 
+    @cached_property
+    def _splat(self) -> Splat:
+        """What tells outlines, whatever traces the picture."""
+        assert self.scene.light is not None
+        return Splat(self._view, self._unit, self.scene.light.ambient)
+
     @property
     def centroid_error_px(self) -> float:
         """Bound on the error of intensity centroids in the noise-free picture, px."""
-        return centroid_error(self.subpixels, self.shadows)
+        return centroid_error(self.subpixels, self.shadows, self.variant.name)
 
     @cached_property
     def background(self) -> Background | None:
@@ -163,18 +172,30 @@ class Renderer:
             light += np.float32(weight) * part._render(markers, factor)
         return light
 
+    def seen(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> tuple[Singles, Outlines]:
+        """Return `radiance` and `outlines`, for little more than the price of the first where the splat draws it."""
+        if self._pupils or self._tracer is not self._splat:
+            return self.radiance(markers, cover), self.outlines(markers)
+        frame = self._frame(markers, self.subpixels)
+        shaded = self._splat.look(frame)
+        factor = self.background.change(cover) if cover is not None and self.background is not None else None
+        return self._over_cover(frame, shaded.light, shaded.free, factor), _outlines(frame, shaded)
+
     def _render(self, markers: Ellipsoids, factor: Singles | None) -> Singles:
         frame = self._frame(markers, self.subpixels)
+        if not len(frame.near.pixels):
+            return self._over_cover(frame, np.zeros((0, 3), np.float32), np.zeros(0, np.float32), factor)
+        return self._over_cover(frame, *self._tracer.shade(frame), factor)
+
+    def _over_cover(self, frame: Frame, marks: Singles, free: Singles, factor: Singles | None) -> Singles:
         light = self._view.cover.copy()
         if factor is not None:
             light *= factor[:, :, None]
-        if len(frame.near.pixels):
-            marks, free = self._tracer.shade(frame)
-            compose(light, frame.near.pixels, marks, free, self._view.vignette)
+        compose(light, frame.near.pixels, marks, free, self._view.vignette)
         return light
 
     def outlines(self, markers: Ellipsoids, subpixels: int | None = None) -> Outlines:
-        """Return centroid, share and area of what the picture shows of each marker, from the same hits.
+        """Return centroid, share and area of what the picture shows of each marker, in closed form.
 
         Parameters
         ----------
@@ -183,23 +204,8 @@ class Renderer:
         subpixels
             Another k than the picture's.
         """
-        k = subpixels or self.subpixels
-        frame = self._frame(markers, k)
-        near = frame.near
-        seen, whole, moments = self._tracer.count(frame)
-        area = seen / (k * k * WEIGHT)
-        expected = whole / (k * k * WEIGHT)
-        first_order = np.pi * np.sqrt(np.linalg.det(near.conjugate))
-        expected = np.where(near.cut, np.maximum(expected, first_order), expected)
-        seen = np.where(area >= _HIDDEN * expected, seen, 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            centroid = np.rint(near.centres_px) + (moments / seen[:, None] + 0.5) / k - 0.5
-            centroid = np.where(seen[:, None] > 0, centroid, np.nan)
-            visible = np.where(seen > 0, np.minimum(area / expected, 1.0), 0.0)
-        area = np.where(seen > 0, area, 0.0)
-        for array in (centroid, visible, area):
-            frozen(array)
-        return Outlines(centroid_px=centroid, visible=visible, area_px=area)
+        frame = self._frame(markers, subpixels or self.subpixels, shadows=False)
+        return _outlines(frame, self._splat.look(frame, bright=False))
 
     def truth(self, markers: Ellipsoids, rest: Ellipsoids, layer: Ints) -> PictureTruth:
         """Return the truth beside a picture of the markers.
@@ -233,7 +239,7 @@ class Renderer:
             centroid_error_px=self.centroid_error_px,
         )
 
-    def _frame(self, markers: Ellipsoids, subpixels: int) -> Frame:
+    def _frame(self, markers: Ellipsoids, subpixels: int, *, shadows: bool = True) -> Frame:
         self._switch()
         return make_frame(
             markers,
@@ -242,7 +248,7 @@ class Renderer:
             unit_mm=self._unit,
             full_power=self._top,
             subpixels=subpixels,
-            shadows=self.shadows,
+            shadows=self.shadows and shadows,
         )
 
     def _switch(self) -> None:
@@ -253,29 +259,48 @@ class Renderer:
                 mi.set_variant(self.variant.name)
 
 
+def _outlines(frame: Frame, shaded: Shaded) -> Outlines:
+    near, k = frame.near, frame.subpixels
+    area = shaded.seen / (k * k * WEIGHT)
+    expected = shaded.whole / (k * k * WEIGHT)
+    first_order = np.pi * np.sqrt(np.linalg.det(near.conjugate))
+    expected = np.where(near.cut, np.maximum(expected, first_order), expected)
+    seen = np.where(area >= _HIDDEN * expected, shaded.seen, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        centroid = np.rint(near.centres_px) + (shaded.moments / seen[:, None] + 0.5) / k - 0.5
+        centroid = np.where(seen[:, None] > 0, centroid, np.nan)
+        visible = np.where(seen > 0, np.minimum(area / expected, 1.0), 0.0)
+    area = np.where(seen > 0, area, 0.0)
+    for array in (centroid, visible, area):
+        frozen(array)
+    return Outlines(centroid_px=centroid, visible=visible, area_px=area)
+
+
 def one_thread() -> None:
     """Trace in one thread from here on: many processes that render beside each other are faster so."""
     if (drjit := sys.modules.get("drjit")) is not None:
         drjit.set_thread_count(1)
 
 
-def subpixels_for(centroid_px: float | str) -> int:
+def subpixels_for(centroid_px: float | str, method: str = "splat") -> int:
     """Return the k whose largest centroid error is ``centroid_px``; ``auto`` is 3, below the noise of one exposure."""
     if isinstance(centroid_px, str):
         return 3
-    wanted: float = (_ERROR_PX / centroid_px) ** (1 / _ORDER)
-    return min(max(math.ceil(wanted - 1e-9), 1), _FINEST)
+    enough = (k for k in range(1, _FINEST) if centroid_error(k, True, method) <= centroid_px)
+    return next(enough, _FINEST)
 
 
-def centroid_error(subpixels: int, shadows: bool) -> float:
+def centroid_error(subpixels: int, shadows: bool, method: str = "splat") -> float:
     """Return a bound on the error of intensity centroids, px.
 
     Notes
     -----
-    Measured for both sensors on every path (picture benchmark): 0.08 px / k^1.6, most of it from the edges of shadows.
-    Coverage centroids are four times better. Without shadows centroids are up to 0.2 px off.
+    Measured for both sensors (picture benchmark), most of it from the edges of shadows; Mitsuba's rays, whose shadows
+    are hard, are half as far off again as the splat's. Without shadows centroids are up to 0.2 px off.
     """
-    return float(_ERROR_PX / subpixels**_ORDER) + (0.0 if shadows else _SHADOW_PX)
+    bounds = _ERROR_PX["splat" if method == "splat" else "traced"]
+    bound = bounds[subpixels - 1] if subpixels <= len(bounds) else bounds[-1] * len(bounds) / subpixels
+    return bound + (0.0 if shadows else _SHADOW_PX)
 
 
 def method_for(centroid_px: float | str) -> Variant:

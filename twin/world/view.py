@@ -18,7 +18,7 @@ from twin.parts.scene import Scene
 from twin.theory.optics import axis_cosine, project_with_jacobian, rays, transmission
 from twin.world.lighting import cover_light
 from twin.world.markers import Ellipsoids
-from twin.world.nearby import near_pixels
+from twin.world.nearby import least_eigenvalues, near_pixels
 
 _COARSE = 4
 _AT_ONCE = 400_000
@@ -116,12 +116,10 @@ class Near:
 
     Attributes
     ----------
-    pixels
-        (m,) flat numbers, row * width + column, of the pixels near any marker.
-    first, members
-        The markers near pixel j are ``members[first[j]:first[j + 1]]``.
-    start_mm
-        (m,) height z just behind the nearest of those markers: rays start there, close to what they meet.
+    pixels, alone, first, members
+        The pixels near any marker, and which, as in `twin.world.nearby.Nearby`.
+    top_mm
+        (n,) height z just behind each marker: rays start there, close to what they meet; -inf where it isn't seen.
     centres_px
         (n, 2) projected centres; 0 where the camera doesn't see the place.
     conjugate
@@ -136,9 +134,10 @@ class Near:
     """
 
     pixels: Ints
+    alone: Ints
     first: NDArray[np.int32]
     members: NDArray[np.int32]
-    start_mm: Floats
+    top_mm: Floats
     centres_px: Floats
     conjugate: Floats
     pad_mm: Floats
@@ -160,19 +159,20 @@ def near_markers(markers: Ellipsoids, scene: Scene, view: View, subpixels: int) 
     centres = np.where(seen[:, None], centres, 0.0)
     conjugate = np.where(seen[:, None, None], outline @ np.swapaxes(outline, 1, 2), np.eye(2))
     scale = np.where(seen[:, None, None], jacobian, np.eye(2, 3))
-    least = np.sqrt(np.linalg.eigvalsh(scale @ np.swapaxes(scale, 1, 2))[:, 0])
+    least = np.sqrt(least_eigenvalues(scale @ np.swapaxes(scale, 1, 2)))
     pad = np.where(seen, _EDGE_SEARCH / subpixels / least, 0.0)
     half = 1.05 * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + _ROOM_PX
     size = np.array([camera.width_px, camera.height_px])
     cut = seen & ((centres - half < 0) | (centres + half > size - 1)).any(axis=1)
     thick = np.sqrt(np.sum(markers.axes[:, 2] ** 2, axis=1))
     tops = np.minimum(markers.centres[:, 2] + 1.02 * (thick + pad), scene.body.base_z_mm)
-    nearby = near_pixels(centres, conjugate, _ROOM_PX, np.where(seen, tops, -np.inf), view.sees)
+    nearby = near_pixels(centres, conjugate, _ROOM_PX, seen, view.sees)
     return Near(
         pixels=nearby.pixels,
+        alone=nearby.alone,
         first=nearby.first,
         members=nearby.members,
-        start_mm=nearby.tops,
+        top_mm=np.where(seen, tops, -np.inf),
         centres_px=centres,
         conjugate=conjugate,
         pad_mm=pad,

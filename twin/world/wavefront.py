@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Floats, Ints, Singles
-from twin.world.frame import DEPTH, INSIDE, OPAQUE, STEP, WEIGHT, Frame
+from twin.arrays import Floats, Singles
+from twin.world.frame import DEPTH, INSIDE, INTO, OPAQUE, STEP, Frame
 from twin.world.shape import Shape
 from twin.world.view import View
 
@@ -68,51 +68,6 @@ class Wavefront:
         channels = np.stack([np.array(channel, np.float32) for channel in light], axis=1)
         return channels * share, np.array(free, np.float32) * share
 
-    def count(self, frame: Frame) -> tuple[Ints, Ints, Ints]:
-        """Return (n,) seen and (n,) whole coverage of every marker, and (n, 2) moments of what is seen.
-
-        All in sub-pixels times ``WEIGHT``, moments about the pixel nearest the marker. Whole numbers, because a sum
-        of floats would depend on the order in which threads come by.
-        """
-        mi, dr = self._mi, self._dr
-        k, n = frame.subpixels, len(frame)
-        pixel, begin, table = self._inputs(frame)
-        padded = self._padded.hold(frame.padded)
-        nearest = mi.Int32(aligned(np.rint(frame.near.centres_px).astype(np.int32).ravel()))
-        tallies = dr.zeros(mi.Int64, 4 * n)
-
-        def one_marker(ray: Any, going: Any, last: Any, depth: Any, place: Any, spot: Any, clear: Any) -> Any:
-            found = padded.ray_intersect_preliminary(ray, True, active=going)
-            going = going & found.is_valid()
-            marker = found.prim_index
-            covers = self._meet(table, ray, marker, place, k, going)[0]
-            fresh = going & (marker != last)
-            seen = dr.select(fresh, covers * clear, 0)
-            whole = mi.Int64(dr.round(covers * WEIGHT))
-            weight = mi.Int64(dr.round(seen * WEIGHT))
-            dr.scatter_add(tallies, whole, marker * 4, fresh)
-            dr.scatter_add(tallies, weight, marker * 4 + 1, fresh)
-            for axis in (0, 1):
-                offset = spot[axis] - dr.gather(mi.Int32, nearest, marker * 2 + axis, fresh) * k
-                dr.scatter_add(tallies, weight * mi.Int64(offset), marker * 4 + 2 + axis, fresh)
-            onward = mi.Ray3f(dr.select(going, ray(found.t + STEP), ray.o), ray.d)
-            return onward, going, mi.UInt32(marker), depth + 1, place, spot, clear - seen
-
-        def one_sample(sample: Any) -> Any:
-            ray, place = self._ray(pixel, sample, k, begin)
-            row = mi.Int32(pixel // self._width)
-            column = mi.Int32(pixel) - row * self._width
-            spot = mi.Vector2i(column * k + mi.Int32(sample % k), row * k + mi.Int32(sample // k))
-            state = (ray, mi.Bool(True), mi.UInt32(n), mi.UInt32(0), place, spot, mi.Float(1))
-            dr.while_loop(state, lambda _, going, last, depth, *__: going & (depth < DEPTH), one_marker)
-            return (sample + 1,)
-
-        if lanes := len(frame.near.pixels):
-            dr.while_loop((dr.zeros(mi.UInt32, lanes),), lambda sample: sample < k * k, one_sample)
-            dr.eval(tallies)
-        whole, seen, columns, rows = np.array(tallies).astype(np.int64).reshape(n, 4).T
-        return seen, whole, np.column_stack([columns, rows])
-
     def _inputs(self, frame: Frame) -> tuple[Any, Any, Any]:
         """Return the lanes' pixels and starts, and one table of 16 numbers per marker, read four at a time."""
         mi = self._mi
@@ -165,7 +120,9 @@ class Wavefront:
         slope = mi.Vector2f(three.w * off.x + four.x * off.y, four.x * off.x + four.y * off.y)
         steepness = dr.norm(slope) * dr.rsqrt(dr.maximum(dr.dot(off, slope), 1e-12))
         covers = dr.select(miss < 0.5, 1, dr.clip(0.5 + k * (1 - miss) / dr.maximum(steepness, 1e-6), 0, 1))
-        surface = away / dr.maximum(miss, 1) - ray.d * dr.sqrt(dr.maximum(1 - miss * miss, 0) / square)
+        within = dr.select(covers < 1, 1 - INTO * covers * steepness / k, miss)
+        within = dr.clip(within, 0, 1)
+        surface = away * (within / dr.maximum(miss, 1e-6)) - ray.d * dr.sqrt((1 - within * within) / square)
         return covers, centre, surface, dr.normalize(times(surface))
 
     def _irradiance(self, frame: Frame, exact: Any) -> Any:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from twin.parts.load import Rectangles
     from twin.parts.press import Press
     from twin.world.contact_state import ContactState
-    from twin.world.render import Renderer
+    from twin.world.render import Outlines, Renderer
 
 Row = dict[str, Any]
 
@@ -193,17 +193,19 @@ def truth_of(made: MadeSensor, state: ContactState, exposure: int | None = None)
 
 
 def _seen(made: MadeSensor, motion: Motion, exposure: int) -> Row:
-    sensor, needs = made.sensor, made.plan.needs
-    row: Row = {}
-    if "outlines" in needs:
-        outlines = made.renderer.outlines(sensor.ellipsoids(motion))
-        row |= {"marker_outline_pressed_px": outlines.centroid_px, "marker_visible": outlines.visible}
-    if "picture" in needs:
-        from twin.png import png_bytes
+    from twin.png import png_bytes
 
-        _ = made.renderer
-        row["picture"] = png_bytes(sensor.picture(motion, exposure=exposure))
-    return row
+    sensor, renderer = made.sensor, made.renderer
+    if "picture" not in made.plan.needs:
+        return _told_by(renderer.outlines(sensor.ellipsoids(motion)))
+    if "outlines" not in made.plan.needs:
+        return {"picture": png_bytes(sensor.picture(motion, exposure=exposure))}
+    picture, outlines = sensor.seen(motion, exposure)
+    return {"picture": png_bytes(picture), **_told_by(outlines)}
+
+
+def _told_by(outlines: Outlines) -> Row:
+    return {"marker_outline_pressed_px": outlines.centroid_px, "marker_visible": outlines.visible}
 
 
 def _on_sites(made: MadeSensor, patches: Rectangles, slip: Bools) -> Row:
