@@ -21,6 +21,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from twin.sense.gather import LANES, disc, gather, gather_inside, runs_of
+
 SHAPE = 8
 """Numbers of a template: semi-axes xx, xy, yy in px; slope x, y in 1/px; bulge; half width of the blur in px; level."""
 
@@ -42,30 +44,11 @@ IMPERFECT, SHARE = 0.02, 0.25
 """What the model is trusted to: as a share of the brightness, and of the mean squared residual that it has (a marker
 that has changed its shape misses at its edge, where its place is to be read)."""
 
-PARAMETERS = 11
-"""Centre x, y, ground, level, level's slope x, y, bulge, growth, stretch along the axes and the diagonals, blur."""
+LEADS = 3
+"""Earlier markers by whose motion a start may be moved."""
 
-WEAK = 1e-4
-"""Pull of every parameter towards its start, relative to its own information."""
-
-
-@njit(cache=True, fastmath=True)
-def _gather(image, own, others, column, row, offset, signal, use):  # type: ignore[no-untyped-def]
-    """Project the pixels at ``offset`` (2, m); those outside, or where one of ``others`` shows, don't count."""
-    height, width = image.shape[0], image.shape[1]
-    red, green, blue, ground = own
-    for p in range(offset.shape[1]):
-        x, y = column + offset[0, p], row + offset[1, p]
-        if x < 0 or y < 0 or x >= width or y >= height:
-            signal[p], use[p] = np.float32(0.0), np.float32(0.0)
-            continue
-        r, g, b = np.float32(image[y, x, 0]), np.float32(image[y, x, 1]), np.float32(image[y, x, 2])
-        signal[p] = red * r + green * g + blue * b - ground
-        seen = np.float32(1.0)
-        for k in range(others.shape[0]):
-            if others[k, 0] * r + others[k, 1] * g + others[k, 2] * b > others[k, 3]:
-                seen = np.float32(0.0)
-        use[p] = seen
+SETTLED_LEAD_PX = 0.3
+"""A marker whose last step was larger leads no other."""
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -122,31 +105,13 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, n
 
 
 @njit(cache=True)
-def _doubtful(noise, level, step):  # type: ignore[no-untyped-def]
+def doubtful(noise, level, step):  # type: ignore[no-untyped-def]
     """Return the squared residual at which a pixel counts a quarter; wide while the centre still moves by ``step``."""
     return OUTLIER_SD**2 * (noise + (IMPERFECT * level) ** 2) + (0.5 * level * min(step, 2.0)) ** 2
 
 
 @njit(cache=True)
-def disc(radius):  # type: ignore[no-untyped-def]
-    """Return (2, m) int64 offsets of the pixels within ``radius``, px, filled up to a multiple of 8 by far ones."""
-    reach = int(np.ceil(radius))
-    count = 0
-    for fill in range(2):
-        if fill:
-            offset = np.full((2, (count + 7) // 8 * 8), 1 << 30)
-            count = 0
-        for y in range(-reach, reach + 1):
-            for x in range(-reach, reach + 1):
-                if x * x + y * y <= radius * radius:
-                    if fill:
-                        offset[0, count], offset[1, count] = x, y
-                    count += 1
-    return offset
-
-
-@njit(cache=True)
-def _inverse_form(xx, xy, yy, scale):  # type: ignore[no-untyped-def]
+def inverse_form(xx, xy, yy, scale):  # type: ignore[no-untyped-def]
     """Return the inverse square of a symmetric matrix of semi-axes (times ``scale``): xx, xy, yy."""
     a, b, c = scale * scale * (xx * xx + xy * xy), scale * scale * xy * (xx + yy), scale * scale * (yy * yy + xy * xy)
     determinant = max(a * c - b * b, 1e-6)
@@ -154,7 +119,21 @@ def _inverse_form(xx, xy, yy, scale):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def fit_centres(image, own, others, start, shape, ground, noise, slopes, reach, turns, out):  # type: ignore[no-untyped-def]
+def _led(out, start, lead, axis):  # type: ignore[no-untyped-def]
+    """Return how far the markers of ``lead`` have moved along an axis from their starts: the median; 0 if none has."""
+    count, a, b, c = 0, 0.0, 0.0, 0.0
+    for m in lead:
+        if m >= 0 and out[m, STEP] < SETTLED_LEAD_PX:
+            a, b, c, count = out[m, axis] - start[m, axis], a, b, count + 1
+    if count == 0:
+        return 0.0
+    if count < 3:
+        return (a + b) / count
+    return max(min(a, b), min(max(a, b), c))
+
+
+@njit(cache=True)
+def fit_centres(image, own, others, start, lead, shape, ground, noise, slopes, reach, turns, out):  # type: ignore[no-untyped-def]
     """Fit every marker's centre, level, ground and scale; rows of ``out`` are `COLUMNS` numbers, NaN where it failed.
 
     Parameters
@@ -165,6 +144,9 @@ def fit_centres(image, own, others, start, shape, ground, noise, slopes, reach, 
         (4,) projection and ground; (m, 4) projections and limits above which another layer shows; float32.
     start
         (n, 2) px; NaN rows are left out.
+    lead
+        (n, `LEADS`) earlier rows, -1 for none: a start is moved by the median of how far these moved from theirs.
+        (0, `LEADS`): starts are taken as they are.
     shape
         (n, `SHAPE`) templates.
     ground
@@ -183,11 +165,15 @@ def fit_centres(image, own, others, start, shape, ground, noise, slopes, reach, 
     rows, columns = image.shape[0], image.shape[1]
     offset = disc(reach)
     place = np.minimum(np.abs(offset), 1000).astype(np.float32) * np.sign(offset).astype(np.float32)
-    signal, use = np.empty(offset.shape[1], np.float32), np.empty(offset.shape[1], np.float32)
+    room, runs = np.empty((2, offset.shape[1] + LANES), np.float32), runs_of(offset)
+    signal, use = room[0, : offset.shape[1]], room[1, : offset.shape[1]]
+    colour = (own[0], own[1], own[2], own[3])
     total = np.empty(16, np.float64)
     for k in range(len(start)):
         out[k, :] = np.nan
         cx, cy = start[k, 0], start[k, 1]
+        if len(lead) and np.isfinite(cx + cy):
+            cx, cy = cx + _led(out, start, lead[k], CENTRE_X), cy + _led(out, start, lead[k], CENTRE_Y)
         if not (np.isfinite(cx) and np.isfinite(cy) and np.isfinite(shape[k, 0])):
             continue
         xx, xy, yy, blur, level, here = shape[k, 0], shape[k, 1], shape[k, 2], shape[k, 6], shape[k, 7], ground[k]
@@ -200,15 +186,16 @@ def fit_centres(image, own, others, start, shape, ground, noise, slopes, reach, 
                 break
             if turn == 0 or abs(cx - column) > 1.0 or abs(cy - row) > 1.0:
                 column, row = middle_x, middle_y
-                _gather(image, own, others, column, row, offset, signal, use)
+                if not gather_inside(image, colour, others, column, row, offset, runs, room[0], room[1]):
+                    gather(image, own, others, column, row, offset, signal, use)
             u, v = cx / columns - 0.5, cy / rows - 0.5
             slope_x = shape[k, 3] + slopes[0, 0] + slopes[0, 1] * u + slopes[0, 2] * v
             slope_x += slopes[0, 3] * u * u + slopes[0, 4] * u * v + slopes[0, 5] * v * v
             slope_y = shape[k, 4] + slopes[1, 0] + slopes[1, 1] * u + slopes[1, 2] * v
             slope_y += slopes[1, 3] * u * u + slopes[1, 4] * u * v + slopes[1, 5] * v * v
-            fxx, fxy, fyy = _inverse_form(xx, xy, yy, scale)
+            fxx, fxy, fyy = inverse_form(xx, xy, yy, scale)
             left = SHARE * total[14] / total[0] if turn > 0 else 0.0
-            narrow = 1.0 / _doubtful(max(noise[1], left), level, np.sqrt(step) if turn > 0 else 1.0)
+            narrow = 1.0 / doubtful(max(noise[1], left), level, np.sqrt(step) if turn > 0 else 1.0)
             _sums(
                 signal, use, place, np.float32(cx - column), np.float32(cy - row),
                 (np.float32(fxx), np.float32(fxy), np.float32(fyy)), (np.float32(slope_x), np.float32(slope_y)),
@@ -261,179 +248,3 @@ def _whole_edge(xx, yy, xy, scale, blur, level, bulge):  # type: ignore[no-untyp
     gap = scale * np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     length = 2 * np.pi * np.sqrt(a * a + gap * gap)
     return length * (level * (1.0 + bulge)) ** 2 * 5 / 7 / blur
-
-
-@njit(cache=True)
-def _model(dx, dy, p, form, derivative):  # type: ignore[no-untyped-def]
-    """Return the signal at an offset and its derivatives by the `PARAMETERS`."""
-    xx, xy, yy = form
-    ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
-    squared = ax * dx + ay * dy
-    steep = np.sqrt(ax * ax + ay * ay) + 1e-9
-    radius = np.sqrt(squared)
-    inside = (1.0 - radius) * (radius + 1e-3) / (steep + 1e-3 * np.sqrt(xx))
-    v = min(max(inside / p[10], -1.0), 1.0)
-    v2 = v * v
-    cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
-    fall = 15 / 16 * (1.0 - v2) ** 2 / p[10]
-    light = p[3] + p[4] * dx + p[5] * dy + p[6] * min(squared, 1.0)
-    nx, ny = ax / steep, ay / steep
-    tilt = light * fall
-    derivative[0], derivative[1], derivative[2], derivative[3] = tilt * nx, tilt * ny, 1.0, cover
-    derivative[4], derivative[5], derivative[6] = cover * dx, cover * dy, cover * min(squared, 1.0)
-    derivative[7], derivative[8], derivative[9] = tilt, tilt * (nx * nx - ny * ny), tilt * 2.0 * nx * ny
-    derivative[10] = -tilt * v
-    return p[2] + light * cover
-
-
-@njit(cache=True)
-def _solve(matrix, right, count):  # type: ignore[no-untyped-def]
-    """Solve a symmetric positive system in place (Cholesky); whether it is one."""
-    for i in range(count):
-        for j in range(i + 1):
-            s = matrix[i, j]
-            for k in range(j):
-                s -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if s <= 0.0:
-                    return False
-                matrix[i, i] = np.sqrt(s)
-            else:
-                matrix[i, j] = s / matrix[j, j]
-    for i in range(count):
-        s = right[i]
-        for k in range(i):
-            s -= matrix[i, k] * right[k]
-        right[i] = s / matrix[i, i]
-    for i in range(count - 1, -1, -1):
-        s = right[i]
-        for k in range(i + 1, count):
-            s -= matrix[k, i] * right[k]
-        right[i] = s / matrix[i, i]
-    return True
-
-
-@njit(cache=True)
-def fit_shapes(image, own, others, start, radius, blur, bulge, free, noise, turns, out):  # type: ignore[no-untyped-def]
-    """Fit every marker's whole picture at rest; rows of ``out`` (n, 10): `SHAPE` numbers, centre x, y.
-
-    ``free`` is how many of the `PARAMETERS` are fitted for each marker: all, or with bulge and blur as given (then the
-    relative ``bulge`` and ``blur`` are used). Rows are NaN where the fit failed.
-    """
-    offset = disc(1.3 * np.nanmax(radius) + 2.0 * blur + MARGIN_PX)
-    signal, use = np.empty(offset.shape[1], np.float32), np.empty(offset.shape[1], np.float32)
-    matrix = np.empty((PARAMETERS, PARAMETERS))
-    right, derivative, p = np.empty(PARAMETERS), np.empty(PARAMETERS), np.empty(PARAMETERS)
-    pull = np.empty(PARAMETERS)
-    for k in range(len(start)):
-        out[k, :] = np.nan
-        if not np.isfinite(start[k, 0] + start[k, 1] + radius[k]):
-            continue
-        cx, cy, r = start[k, 0], start[k, 1], radius[k]
-        sxx, sxy, syy = r, 0.0, r
-        column, row = int(np.rint(cx)), int(np.rint(cy))
-        _gather(image, own, others, column, row, offset, signal, use)
-        p[:] = 0.0
-        p[3], p[10] = signal[len(signal) // 2], blur
-        fine, moved = True, 1.0
-        for turn in range(turns):
-            limit = _doubtful(noise[1], p[3], moved)
-            p[6] = p[6] if free else bulge * p[3]
-            form = _inverse_form(sxx, sxy, syy, 1.0)
-            matrix[:] = 0.0
-            right[:] = 0.0
-            for i in range(len(signal)):
-                if use[i] == 0.0:
-                    continue
-                dx, dy = column + offset[0, i] - cx, row + offset[1, i] - cy
-                residual = signal[i] - _model(dx, dy, p, form, derivative)
-                w = 1.0 / (1.0 + residual * residual / limit) ** 2
-                if derivative[3] == 0.0:  # ground alone
-                    right[2] += w * residual
-                    matrix[2, 2] += w
-                    continue
-                if not free:
-                    derivative[3] += bulge * derivative[6]
-                    derivative[6], derivative[10] = 0.0, 0.0
-                for a in range(PARAMETERS):
-                    right[a] += w * derivative[a] * residual
-                    for b in range(a + 1):
-                        matrix[a, b] += w * derivative[a] * derivative[b]
-            if not free:
-                matrix[6, 6], matrix[10, 10] = 1.0, 1.0
-            # a weak pull towards no slope, no bulge, round and the usual blur: small markers leave these open
-            size = max(p[3], 1.0)
-            pull[:] = 0.0
-            pull[4] = pull[5] = 4.0 * (r / size) ** 2
-            pull[6] = 4.0 / size**2
-            pull[8] = pull[9] = 4.0 / r**2
-            pull[10] = 1.0
-            for a in range(PARAMETERS):
-                matrix[a, a] += pull[a] + WEAK * matrix[a, a] + 1e-9
-            right[4] -= pull[4] * p[4]
-            right[5] -= pull[5] * p[5]
-            if free:
-                right[6] -= pull[6] * p[6]
-                right[10] -= pull[10] * (p[10] - blur)
-            if not _solve(matrix, right, PARAMETERS):
-                fine = False
-                break
-            most = 0.5 * r
-            cx += min(max(right[0], -most), most)
-            cy += min(max(right[1], -most), most)
-            for a in range(2, 7):
-                p[a] += right[a]
-            grow = min(max(right[7], -0.2 * r), 0.2 * r)
-            stretch, skew = min(max(right[8], -0.2 * r), 0.2 * r), min(max(right[9], -0.2 * r), 0.2 * r)
-            sxx, sxy, syy = sxx + grow + stretch, sxy + skew, syy + grow - stretch
-            p[10] = min(max(p[10] + min(max(right[10], -0.4), 0.4), 0.7), 1.2 * r)
-            if not (p[3] > 0.0 and min(sxx, syy) > 0.4 * r and max(sxx, syy) < 1.6 * r and abs(sxy) < 0.5 * r):
-                fine = False
-                break
-            moved = np.sqrt(right[0] ** 2 + right[1] ** 2 + grow * grow)
-            if turn > 1 and moved < 3e-3:
-                break
-        if not fine or abs(cx - start[k, 0]) > r or abs(cy - start[k, 1]) > r:
-            continue
-        out[k, 0], out[k, 1], out[k, 2] = sxx, sxy, syy
-        out[k, 3], out[k, 4], out[k, 5] = p[4] / p[3], p[5] / p[3], (p[6] / p[3] if free else bulge)
-        out[k, 6], out[k, 7] = p[10], p[3]
-        out[k, SHAPE], out[k, SHAPE + 1] = cx, cy
-
-
-@njit(cache=True)
-def noise_variances(image, own, centre, shape, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` (n, 2): variance of the noise around, and inside, every marker, from 2 x 2 differences; NaN if none.
-
-    Neither a slope nor a marker's round shading changes a 2 x 2 difference.
-    """
-    rows, columns = image.shape[0], image.shape[1]
-    signal, use = np.empty(4, np.float32), np.empty(4, np.float32)
-    others, square = np.empty((0, 4), np.float32), np.array([[0, 1, 0, 1], [0, 0, 1, 1]])
-    for k in range(len(centre)):
-        out[k, :] = np.nan
-        if not np.isfinite(centre[k, 0] + shape[k, 0]):
-            continue
-        fxx, fxy, fyy = _inverse_form(shape[k, 0], shape[k, 1], shape[k, 2], 1.0)
-        r = np.sqrt(1.0 / np.sqrt(fxx * fyy - fxy * fxy))
-        reach = int(np.ceil(1.3 * r + shape[k, 6] + 4.0))
-        inner, outer = (1.0 - shape[k, 6] / r) ** 2 if r > shape[k, 6] else 0.0, (1.0 + (shape[k, 6] + 0.5) / r) ** 2
-        counts, sums = np.zeros(2), np.zeros(2)
-        middle_x, middle_y = int(np.rint(centre[k, 0])), int(np.rint(centre[k, 1]))
-        for y in range(max(middle_y - reach, 0), min(middle_y + reach, rows - 2) + 1):
-            for x in range(max(middle_x - reach, 0), min(middle_x + reach, columns - 2) + 1):
-                least, largest = 1e9, 0.0
-                for j in range(2):
-                    for i in range(2):
-                        dx, dy = x + i - centre[k, 0], y + j - centre[k, 1]
-                        f = fxx * dx * dx + 2 * fxy * dx * dy + fyy * dy * dy
-                        least, largest = min(least, f), max(largest, f)
-                if least > outer or largest < inner:
-                    _gather(image, own, others, x, y, square, signal, use)
-                    twist = signal[0] - signal[1] - signal[2] + signal[3]
-                    side = 1 if largest < inner else 0
-                    counts[side] += 1
-                    sums[side] += 0.25 * twist * twist
-        for side in range(2):
-            if counts[side] > 2:
-                out[k, side] = sums[side] / counts[side]

@@ -17,6 +17,7 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Ints, Pixels
+from twin.sense.fit import LEADS
 
 NEIGHBOURS = 10
 LEAST_NEIGHBOURS = 3
@@ -125,6 +126,8 @@ class Neighbourhood:
         (n, NEIGHBOURS) the nearest other markers that were found.
     fit_weight
         (n, NEIGHBOURS) fitting weights, 0 for padding.
+    lead
+        (n, `twin.sense.fit.LEADS`) the nearest neighbours of a lower row, -1 for padding.
     spacing_px
         Distance of neighbouring markers, px.
     """
@@ -132,6 +135,7 @@ class Neighbourhood:
     rest_px: Pixels
     near: Ints
     fit_weight: Floats
+    lead: Ints
     spacing_px: float
 
 
@@ -145,7 +149,12 @@ def neighbourhood(rest_px: Pixels, spacing_px: float) -> Neighbourhood:
         distance, index = cKDTree(rest_px[known]).query(rest_px[known], k=count + 1)
         near[known, :count] = known[index[:, 1:]]
         weight[known, :count] = 1.0 / (1.0 + (distance[:, 1:] / (1.5 * spacing_px)) ** 2)
-    return Neighbourhood(rest_px=rest_px, near=near, fit_weight=weight, spacing_px=spacing_px)
+    earlier = (near < np.arange(len(near))[:, None]) & (weight > 0.0)
+    first = np.argsort(~earlier, axis=1, kind="stable")[:, :LEADS]
+    lead = np.where(np.take_along_axis(earlier, first, axis=1), np.take_along_axis(near, first, axis=1), -1)
+    return Neighbourhood(
+        rest_px=rest_px, near=near, fit_weight=weight, lead=np.ascontiguousarray(lead), spacing_px=spacing_px
+    )
 
 
 def follow(around: Neighbourhood, spots: Pixels, alike: Bools, start_px: Pixels | None = None) -> Ints:

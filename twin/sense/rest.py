@@ -14,9 +14,10 @@ from twin.errors import InputError
 from twin.sense.cells import cell_centroids
 from twin.sense.detect import Blobs, find_blobs
 from twin.sense.fit import EDGE, LEVEL
+from twin.sense.judge_fit import LEAST_EDGE, centre_sds
 from twin.sense.match import Neighbourhood, follow, mutual_nearest, neighbourhood, nominal_to_rest, spacing
 from twin.sense.split import Signal, Weights, as_picture, estimate_channels, noise_dn, project
-from twin.sense.template import Templates, centre_sd, colour_of, make_templates, projections, used_centres
+from twin.sense.template import Templates, colour_of, make_templates, projections, used_centres
 
 Method = Literal["disc-fit", "soft-window", "two-pass"]
 METHODS: tuple[Method, ...] = ("disc-fit", "soft-window", "two-pass")
@@ -30,9 +31,6 @@ CROWDED = 0.08
 """From this share of foreign colour around its edge on, a marker's outline may be cut by another."""
 
 CROWDED_SD_PX = 0.1
-
-LEAST_EDGE = 0.5
-"""Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,7 +249,7 @@ def _with_templates(picture: Picture, groups: list[Group], given: bool) -> list[
         good = (fitted[:, EDGE] > LEAST_EDGE) & (fitted[:, LEVEL] >= group.contrast_dn)
         rest_px = np.where(good[:, None], used_centres(fitted), np.nan)
         around = neighbourhood(rest_px, group.around.spacing_px)
-        sd = np.where(good, centre_sd(fitted, templates.usual_misfit), np.nan)
+        sd = np.where(good, centre_sds(fitted, templates.usual_misfit), np.nan)
         fitted_groups.append(replace(group, around=around, sd_px=sd, templates=templates))
     return fitted_groups
 

@@ -17,19 +17,17 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Floats, Picture, Pixels
+from twin.arrays import Floats, Ints, Picture, Pixels
 from twin.sense.fit import (
     CENTRE_X,
     COLUMNS,
+    LEADS,
     MARGIN_PX,
     MISFIT,
     SHAPE,
-    VAR_X,
-    VAR_Y,
     fit_centres,
-    fit_shapes,
-    noise_variances,
 )
+from twin.sense.fit_rest import fit_shapes, noise_variances
 
 Narrow: TypeAlias = NDArray[np.float32]
 
@@ -56,12 +54,7 @@ picture after it (a marker in another's shadow by up to .15 px after 4)."""
 QUADRATIC, LINEAR = 30, 12
 """From how many markers on their shared slope is a quadratic, or linear, function of the place."""
 
-UNUSUAL, DOUBT = 1.5, 4.0
-"""A marker whose residuals exceed the usual ones by this factor is doubted: its variance grows by so much of the
-excess. Residuals beyond the noise hang together over several pixels, hence more than in proportion."""
-
-SD_FLOOR_PX = 0.001
-"""No centre is taken to be better than this: what a lens and a finite pixel leave even without noise."""
+NOBODY = np.zeros((0, LEADS), np.int64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,21 +91,14 @@ class Templates:
     level: Floats
     reach_px: float
 
-    def fit(self, picture: Picture, start_px: Pixels, turns: int = 4, rows: NDArray[np.int64] | None = None) -> Floats:
-        """Return (n, `fit.COLUMNS`) what `fit.fit_centres` finds from ``start_px``; only ``rows``, if given."""
-        which = slice(None) if rows is None else rows
+    def fit(self, picture: Picture, start_px: Pixels, turns: int = 4, lead: Ints | None = None) -> Floats:
+        """Return (n, `fit.COLUMNS`) what `fit.fit_centres` finds from ``start_px``, with ``lead`` if given."""
         out = np.empty((len(start_px), COLUMNS))
         fit_centres(
-            picture, self.own, self.others, np.ascontiguousarray(start_px), self.shape[which], self.ground[which],
-            self.noise, self.slopes, self.reach_px, turns, out,
+            picture, self.own, self.others, np.ascontiguousarray(start_px), NOBODY if lead is None else lead,
+            self.shape, self.ground, self.noise, self.slopes, self.reach_px, turns, out,
         )  # fmt: skip
         return out
-
-
-def centre_sd(fitted: Floats, usual_misfit: float) -> Floats:
-    """Return (n,) the standard deviation of fitted centres, per axis, px: the noise's, more where the fit is bad."""
-    bad = np.maximum(fitted[:, MISFIT] / usual_misfit - UNUSUAL, 0.0)
-    return np.asarray(np.sqrt(0.5 * (fitted[:, VAR_X] + fitted[:, VAR_Y]) * (1.0 + DOUBT * bad) + SD_FLOOR_PX**2))
 
 
 def colour_of(picture: Picture, centres: Pixels, diameter: float) -> Floats:

@@ -17,41 +17,28 @@ from twin.arrays import Bools, Floats, Ints, Picture, Pixels, frozen
 from twin.errors import InputError
 from twin.sense.cells import cell_centroids
 from twin.sense.detect import Blobs, find_blobs
-from twin.sense.fit import EDGE, LEVEL, MISFIT, PIXELS, SCALE, SQUARES, STEP
+from twin.sense.gather import stream
+from twin.sense.judge_fit import (
+    AREA_RATIO,
+    DIM,
+    LEVEL_RATIO,
+    MERGED,
+    MISSING,
+    OCCLUDED,
+    SAME_PLACE,
+    SEEN,
+    STATES,
+    judge_fits,
+)
 from twin.sense.match import GATE, TRUST, follow, predict
-from twin.sense.rest import CROWDED, CROWDED_SD_PX, LEAST_EDGE, Group, Method, Rest, analyse_rest, crowd_level
+from twin.sense.rest import CROWDED, CROWDED_SD_PX, Group, Method, Rest, analyse_rest, crowd_level
 from twin.sense.split import Weights, as_picture, project
-from twin.sense.template import SETTLED_TURNS, centre_sd, used_centres
+from twin.sense.template import SETTLED_TURNS
 
 __all__ = ["STATES", "Found", "Tracker", "analyse_rest", "track", "track_frame"]
 
-AREA_RATIO = (0.6, 1.7)
-"""Allowed change of a marker's area against rest: less is partly hidden, more has merged."""
-
-LEVEL_RATIO = (0.3, 3.0)
-"""Allowed change of a marker's brightness against rest."""
-
 HIDDEN_AREA = 0.92
 """A crowded marker below this share of its area at rest counts as hidden."""
-
-STATES = ("seen", "missing", "dim", "merged", "occluded")
-"""What a marker can be: measured; without a spot, or out of the picture; too dark; one spot with another; partly hidden
-or unlike itself."""
-
-SEEN, MISSING, DIM, MERGED, OCCLUDED = range(len(STATES))
-
-UNLIKE = 0.12
-"""Root mean square of what a fit leaves beyond noise, as a share of the marker's brightness, above which it is no
-picture of that marker."""
-
-UNSETTLED_PX = 0.3
-"""A fit whose last step was larger has found nothing."""
-
-WHOLE_EDGE, COVERED_SD_PX = 0.9, 0.03
-"""A marker with less of its edge in sight may be shadowed too: its standard deviation has this added."""
-
-SAME_PLACE = 0.5
-"""Two markers of a layer nearer than this share of their width are one spot."""
 
 CELLS_SD_PX = 0.07
 """What the two-pass centroid is good for with a pitch-wide cell, px (no estimate of its own exists)."""
@@ -209,6 +196,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
     sd = np.full(len(rest.rest_px), np.nan)
     state = np.full(len(rest.rest_px), MISSING, np.uint8)
     spurious: list[Pixels] | None = []
+    stream(picture.reshape(-1))
     for group in rest.groups:
         start = None if start_px is None else np.asarray(start_px, float)[group.rows]
         seen = _in_group(rest.method, group, picture, start)
@@ -274,7 +262,7 @@ def _from_last(group: Group, picture: Picture, last_px: Pixels) -> _Seen | None:
     if not count or np.isfinite(start[:, 0]).sum() < (1.0 - TRUST) * count:
         return None
     nothing = np.full(len(known), MISSING, np.uint8)
-    seen = _judged(group, templates.fit(picture, start), nothing)
+    seen = _judged(group, templates.fit(picture, start, lead=group.around.lead), nothing)
     expected, certain = predict(group.around, seen.shift_px)
     with np.errstate(invalid="ignore"):
         astray = np.hypot(*(seen.shift_px - expected).T) > GATE * group.around.spacing_px
@@ -300,37 +288,15 @@ def _from_last(group: Group, picture: Picture, last_px: Pixels) -> _Seen | None:
 
 
 def _judged(group: Group, fitted: Floats, state: NDArray[np.uint8]) -> _Seen:
-    """Accept fits that look like the marker they are taken for, and say what is wrong with the others."""
+    """Return what the fits that are accepted say, and what is wrong with the others."""
     templates = group.templates
     assert templates is not None
-    centre, state = used_centres(fitted), state.copy()
-    height, width = group.picture_px
-    found = np.isfinite(fitted[:, LEVEL])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        level, area = fitted[:, LEVEL] / templates.level, fitted[:, SCALE] ** 2
-        spread = fitted[:, SQUARES] / fitted[:, PIXELS] / fitted[:, LEVEL] ** 2
-        unlike = np.sqrt(np.maximum(spread - fitted[:, SQUARES] / fitted[:, PIXELS] / np.maximum(
-            fitted[:, MISFIT], 1e-9) / fitted[:, LEVEL] ** 2, 0.0))  # fmt: skip
-        radius = 0.5 * group.diameter_px
-        whole = ((centre > radius - 0.5) & (centre < [width - 0.5 - radius, height - 0.5 - radius])).all(axis=1)
-        hidden = fitted[:, EDGE] < LEAST_EDGE
-        dim = (level < LEVEL_RATIO[0]) | (fitted[:, LEVEL] < group.contrast_dn)
-        merged = (area > AREA_RATIO[1]) | (level > LEVEL_RATIO[1])
-        cut = (area < AREA_RATIO[0]) | (unlike > UNLIKE) | (fitted[:, STEP] > UNSETTLED_PX)
-    for wrong, what in ((cut, OCCLUDED), (merged, MERGED), (dim, DIM), (hidden, OCCLUDED), (~whole, MISSING)):
-        state[found & wrong] = what
-    good = found & whole & ~hidden & ~dim & ~merged & ~cut
-    twins = cKDTree(centre[good]).query_pairs(SAME_PLACE * group.diameter_px, output_type="ndarray")
-    if len(twins):
-        both = np.flatnonzero(good)[np.unique(twins)]
-        state[both], good[both] = MERGED, False
-    state[good] = SEEN
-    covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
-    sd = np.hypot(np.hypot(centre_sd(fitted, templates.usual_misfit), covered), group.sd_px)
-    return _Seen(
-        shift_px=np.where(good[:, None], centre - group.around.rest_px, np.nan), sd_px=np.where(good, sd, np.nan),
-        state=state, spurious_px=None,
+    shift, sd, state = np.empty((len(fitted), 2)), np.empty(len(fitted)), state.copy()
+    judge_fits(
+        fitted, group.around.rest_px, templates.level, templates.usual_misfit, group.sd_px, group.diameter_px,
+        group.contrast_dn, group.picture_px, shift, sd, state,
     )  # fmt: skip
+    return _Seen(shift_px=shift, sd_px=sd, state=state, spurious_px=None)
 
 
 def _lost_state(group: Group, blobs: Blobs, spot: Ints, odd: Bools) -> NDArray[np.uint8]:
