@@ -233,10 +233,9 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     for key, value in table.items():
         if key in ("source", "assumed"):  # of a table that only holds others
             continue
-        if isinstance(value, Mapping) and _kind(value) is None:
-            inner = flat(value, f"{prefix}{key}.")
-        else:
-            inner = {f"{prefix}{key}": value}
+        holds = isinstance(value, Mapping) and _kind(value) is None
+        # one that holds nothing is kept, so that it is refused: it can only be a distribution without its keys
+        inner = (flat(value, f"{prefix}{key}.") if holds else {}) or {f"{prefix}{key}": value}
         for name, what in inner.items():
             both = isinstance(found.get(name), Mapping) and isinstance(what, Mapping)
             found[name] = {**found[name], **what} if both else what

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
-import zlib
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.archive import read_arrays
 from twin.arrays import Bools, Floats, Pixels, Points, frozen
 from twin.errors import InputError, TwinError
 from twin.parts.camera import Camera
@@ -27,12 +26,6 @@ READABLE = (1, 2)
 LATER = ("compliance", "marker_mm", "camera", "condition", "left_out")
 TEXTS = ("layer", "method", "provenance", "camera")
 SCALARS = ("noise_px", "diameter_px", "method", "provenance", "camera", "condition")
-
-UNREADABLE = (
-    OSError, ValueError, EOFError, KeyError, TypeError, AttributeError, NotImplementedError, zipfile.BadZipFile,
-    zlib.error,
-)  # fmt: skip
-"""What numpy raises on damaged archives."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -191,11 +184,10 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
         There is none, it is damaged, or it was written by an incompatible version.
     """
     try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays: dict[str, NDArray[Any]] = {**read_arrays(path)}
     except FileNotFoundError:
         raise InputError(f"calibration file {path} does not exist: make one with `twin calibrate`") from None
-    except UNREADABLE as problem:
+    except (OSError, ValueError) as problem:
         raise InputError(f"calibration file {path} can't be read ({problem}): make it again") from None
     version = arrays.get("version", np.array(0))
     if "version" in arrays and (version.shape != () or version not in READABLE):

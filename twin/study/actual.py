@@ -64,10 +64,10 @@ def make(nominal: Scene) -> Actual:
         front = nominal.body.base_z_mm + sum(layer.thickness_mm for layer in camera.layers)
         a, b, c = (t + tolerance.tilt_deg * _deviation(rng) for t in camera.tilt_deg)
         focal = camera.focal_px * (1 + tolerance.focal_pct / 100 * _deviation(rng))
-        k1, k2 = camera.distortion
+        k1, k2, *others = camera.distortion or (0.0, 0.0)
         k1 += tolerance.distortion * _deviation(rng) if tolerance.distortion else 0.0
-        pose = {"pupil_mm": (x, y, max(z, front)), "tilt_deg": (a, b, c), "focal_px": focal, "distortion": (k1, k2)}
-        camera = camera.model_copy(update=pose)
+        pose = {"pupil_mm": (x, y, max(z, front)), "tilt_deg": (a, b, c), "focal_px": focal}
+        camera = camera.model_copy(update={**pose, "distortion": (k1, k2, *others)})
     scene = nominal.model_copy(update={"material": material, "cover": cover, "markers": markers, "camera": camera})
     noise = stream(nominal.seed, Purpose.PRINT).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)

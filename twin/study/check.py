@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from twin.archive import read_arrays
+from twin.arrays import Floats
 from twin.errors import InputError, RecipeError
 from twin.parts.part import Part
 from twin.study.recipe import find_scene, load_scene
@@ -73,14 +74,25 @@ def _check_results(folder: Path) -> list[str]:
             return lines
         raise InputError(f"{folder}: holds neither scene.toml nor truth.npz, so it is no result folder")
     try:
-        with np.load(truth_file, allow_pickle=False) as truth:
-            total, pieces = truth["total_force_n"], truth["surface_force_n"]
-            displacement = truth["marker_displacement_mm"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as problem:
+        truth = read_arrays(truth_file, ("total_force_n", "surface_force_n", "marker_displacement_mm"))
+        total, pieces, displacement = (
+            _vectors(truth[name], axes)
+            for name, axes in (("total_force_n", 1), ("surface_force_n", 2), ("marker_displacement_mm", 2))
+        )
+    except KeyError as problem:
+        raise InputError(f"{truth_file}: holds no {problem}; run the scene again") from None
+    except (OSError, ValueError) as problem:
         raise InputError(f"{truth_file}: can't be read ({problem})") from None
     miss = float(np.abs(pieces.sum(axis=0) - total).max())
-    if miss > 1e-6 * max(1.0, float(np.abs(total).max())):
+    if not miss <= 1e-6 * max(1.0, float(np.abs(total).max())):
         raise RecipeError(f"surface_force_n sums to {miss:.2g} N away from total_force_n", str(truth_file))
     if not np.isfinite(displacement).all():
         raise RecipeError("marker_displacement_mm is not finite", str(truth_file))
     return [*lines, f"{truth_file}: forces balance to {miss:.1e} N, {len(displacement)} displacements finite: ok"]
+
+
+def _vectors(array: np.ndarray, axes: int) -> Floats:
+    """Return vectors (3,) or (n, 3) as numbers; raise ValueError if they are none."""
+    if array.dtype.kind not in "fi" or array.ndim != axes or array.shape[-1] != 3:
+        raise ValueError(f"an array of {array.dtype} has shape {array.shape}, must be numbers, (n, 3) or (3,)")
+    return np.asarray(array, float)

@@ -70,7 +70,7 @@ def _keys(location: tuple[Any, ...], table: Any) -> list[Any]:
     here = table
     for position, part in enumerate(location):
         if isinstance(here, Mapping):
-            is_tag = part in {here.get("kind"), here.get("shape")} and part not in here and position < len(location) - 1
+            is_tag = part in (here.get("kind"), here.get("shape")) and part not in here and position < len(location) - 1
             if is_tag or (part not in here and str(part).endswith("]")):
                 continue
             keys.append(part)
@@ -113,7 +113,7 @@ def _choose(annotation: Any, value: Any) -> Any:
         models = [m for m in members if isinstance(m, type) and issubclass(m, BaseModel)]
         tag = (value.get("kind") or value.get("shape")) if isinstance(value, Mapping) else None
         for model in models:
-            if tag in {model.model_fields[k].default for k in ("kind", "shape") if k in model.model_fields}:
+            if tag in [model.model_fields[k].default for k in ("kind", "shape") if k in model.model_fields]:
                 return model
         return models[0] if models else members[0]
     return annotation

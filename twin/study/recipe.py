@@ -169,8 +169,10 @@ def parse_override(text: str) -> tuple[str, Any]:
         raise InputError(f"-s {text}: write key.path=value, for example -s material.poisson_ratio=0.49")
     try:
         return key.strip(), tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         return key.strip(), value.strip()
+    except ValueError as problem:
+        raise InputError(f"-s {key}: {problem}") from None
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -215,7 +217,7 @@ def _read(path: Path) -> Table:
         raise RecipeError(f"{len(data)} bytes: a recipe is at most 1 MB", str(path))
     try:
         return _by_key(tomllib.loads(data.decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as problem:
+    except (ValueError, RecursionError) as problem:  # a number of 4,300 digits is a ValueError of its own
         raise RecipeError(f"not valid TOML: {problem}", str(path)) from None
 
 

@@ -49,7 +49,7 @@ class Bordered:
         largest = float(np.abs(wanted).max(initial=0.0))
         if largest == 0.0:
             return np.zeros(size), np.zeros(count)
-        of_motion = self.roughly(self.motion)
+        of_motion = self.roughly(self.motion) if count else self.motion
         felt = (self.pull @ of_motion).astype(float)
         if not np.isfinite(felt).all() or (count and np.linalg.cond(felt) > _SINGULAR):
             return None

@@ -10,7 +10,6 @@ import hashlib
 import json
 import os
 import tempfile
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.archive import read_arrays
 from twin.arrays import Bools, Ints, Points, frozen
 from twin.errors import InputError, MeshError
 from twin.parts.body import Body
@@ -144,20 +144,19 @@ def read_provenance(path: Path | str) -> dict[str, Any]:
 
 def _load(path: Path) -> tuple[Mesh, dict[str, Any]]:
     try:
-        # opened here, because numpy leaves a broken zip file's handle to the garbage collector
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            mesh = Mesh(
-                points=frozen(np.asarray(file["points"], np.float64)),
-                tets=frozen(np.asarray(file["tets"], np.int64)),
-                corners=int(file["corners"]),
-                faces=frozen(np.asarray(file["faces"], np.int64)),
-                piece=frozen(np.asarray(file["piece"], np.int64)),
-                region=frozen(np.asarray(file.get("region", []), np.int64)),
-            )
-            provenance = json.loads(str(file["provenance"]))
+        file: dict[str, Any] = {**read_arrays(path)}
+        mesh = Mesh(
+            points=frozen(np.asarray(file["points"], np.float64)),
+            tets=frozen(np.asarray(file["tets"], np.int64)),
+            corners=int(file["corners"]),
+            faces=frozen(np.asarray(file["faces"], np.int64)),
+            piece=frozen(np.asarray(file["piece"], np.int64)),
+            region=frozen(np.asarray(file.get("region", []), np.int64)),
+        )
+        provenance = json.loads(str(file["provenance"]))
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such mesh file; make it with `twin mesh SCENE`") from None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, AttributeError, zipfile.BadZipFile) as problem:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as problem:
         raise InputError(
             f"{path}: not a whole mesh file ({type(problem).__name__}: {problem}); make it anew with "
             "`twin mesh SCENE --rebuild`"

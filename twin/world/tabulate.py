@@ -15,14 +15,13 @@ import hashlib
 import json
 import sys
 import warnings
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 
+from twin.archive import read_arrays
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.errors import InputError
 from twin.parts.body import Block, Body
@@ -244,11 +243,10 @@ def read_table(path: Path) -> Table:
         The file is not a table of this program's sizes.
     """
     try:
-        # opened here, because numpy leaves a broken zip file's handle to the garbage collector
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            words = json.loads(str(file["words"]))
-            planes, step = file["planes"], float(words["step"])
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as problem:
+        file = read_arrays(path, ("words", "planes"))
+        words = json.loads(str(file["words"]))
+        planes, step = file["planes"], float(words["step"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as problem:
         raise InputError(f"{path} is not a table of the rest ({problem}): make it anew") from problem
     if words.get("sizes") != list(SIZES) or words.get("nu_range") != list(NU_RANGE):
         raise InputError(f"{path} was made for other sizes: make it anew with python -m twin.world.tabulate")

@@ -245,7 +245,7 @@ def holding(compliance: Between, rows: Ints, depth: Floats) -> Floats:
         unit, k = float(compliance.own.mean()), len(compliance)
         bordered = Bordered(
             rows=lambda x: compliance.sunk(_spread(k, rows, x))[rows] / unit,
-            roughly=lambda y: unit * rough.pushes(rows, y.reshape(-1)).reshape(y.shape) if y.size else y,
+            roughly=lambda y: unit * rough.pushes(rows, y.reshape(-1)).reshape(y.shape),
             motion=np.zeros((len(rows), 0)), pull=np.zeros((0, len(rows))),
         )  # fmt: skip
         found = bordered.solve(depth / unit, np.zeros(0), _HELD)

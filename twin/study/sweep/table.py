@@ -39,9 +39,9 @@ class Store:
             for line in data.splitlines(keepends=True):
                 try:
                     told = json.loads(line) if line.endswith(b"\n") else None
-                except ValueError:
+                except (ValueError, RecursionError):
                     told = None
-                if told is None:
+                if not isinstance(told, dict) or not {"key", "row"} <= told.keys():
                     break
                 self._rows[told["key"]] = told["row"]
                 whole += len(line)

@@ -1,0 +1,107 @@
+"""Random scenes: a few of what ``python -m benchmarks.random_scenes`` draws by the thousand, and what it found."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import random_scenes
+from benchmarks.random_recipes import Spoilt, recipes, slots, spoilt_values
+from benchmarks.random_scenes import Tally, check_spoilt, check_valid, said, spoilt_recipes, survey
+from twin.errors import RecipeError
+from twin.study.actual import make
+from twin.study.recipe import dump_scene, load_scene
+from twin.study.sensor import Sensor
+
+
+@pytest.mark.parametrize("count", [20, pytest.param(200, marks=pytest.mark.slow)])
+def test_spoilt_recipes_are_refused_with_file_and_key(count: int) -> None:
+    tally = survey(spoilt_recipes(), check_spoilt, count, seed=0)
+    assert tally.outcomes["failed"] == 0, tally.smallest_failure
+    assert sum(tally.outcomes.values()) >= count
+
+
+@pytest.mark.slow
+def test_random_scenes_are_computed_or_refused_with_a_cause() -> None:
+    tally = survey(recipes(), check_valid, 200, seed=0)
+    assert tally.outcomes["failed"] == 0, tally.smallest_failure
+    done = sum(n for what, n in tally.outcomes.items() if what.startswith("computed"))
+    assert done >= 120, tally.outcomes  # refusals must stay the exception, or nothing is tested
+
+
+def test_a_wrong_answer_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A message without the key, an exit code 0, and a pushed total must each fail the check that looks for it."""
+    good = Spoilt({"base": "block_bare", "nonsense": 1}, "nonsense", "unknown key")
+    assert check_spoilt(good, Tally()) == "unknown key"
+    silent = replace(good, table={"base": "block_bare"})
+    for bad, words in ((replace(good, key="other"), "not named"), (silent, "code 0")):
+        with pytest.raises(AssertionError, match=words):
+            check_spoilt(bad, Tally())
+    run = random_scenes.run_scene
+
+    def pushed(*arguments: Any) -> Any:
+        result = run(*arguments)
+        return replace(result, truth=replace(result.truth, total_force_n=result.truth.total_force_n * 1.001))
+
+    monkeypatch.setattr(random_scenes, "run_scene", pushed)
+    recipe = tomllib.loads(dump_scene(load_scene("first_press", {"accuracy.contact_patches": 6})))
+    with pytest.raises(AssertionError, match="off their total"):
+        check_valid({k: v for k, v in recipe.items() if k not in ("camera", "reconstruction")}, Tally())
+
+
+def test_every_table_of_a_scene_is_spoilt() -> None:
+    found = slots(load_scene("dataset_sato"))
+    tables = {str(slot.path[0]) for slot in found if slot.field is not None and spoilt_values(slot)}
+    assert tables == set(load_scene("dataset_sato").model_dump()) - {"source", "assumed"}
+
+
+@pytest.mark.parametrize("distortion", [[0.01, 0.0, 1e-3, 0.0], [0.01, 0.0, 0.0, 0.0, 1e-3], []])
+def test_a_camera_of_any_distortion_can_be_made_with_tolerances(distortion: list[float]) -> None:
+    scene = load_scene("kamiyama_pillar", {"camera.distortion": distortion, "tolerance.distortion": 0.01})
+    made = make(scene).scene.camera
+    assert made is not None
+    assert scene.camera is not None
+    assert made.distortion[0] != (distortion or [0.0])[0]
+    assert list(made.distortion[1:]) == (distortion or [0.0, 0.0])[1:]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("press.probe.kind", [[[1]]], "press.probe"),
+        ("body.shape", [[1]], "body"),
+        ("vary", {"press": {"probe": {}}}, "press.probe.*choice"),
+        ("vary", {"press": {"probe": {"assumed": "x"}}}, "press.probe.*choice"),
+    ],
+)
+def test_what_random_recipes_found_is_refused(key: str, value: Any, words: str) -> None:
+    with pytest.raises(RecipeError, match=words):
+        load_scene("dataset_kamiyama", {key: value})
+
+
+def test_a_number_of_many_digits_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "long.toml").write_text("seed = " + "9" * 5000)
+    code, told = said(["check", str(tmp_path / "long.toml")])
+    assert (code, "not valid TOML" in told) == (2, True)
+    code, told = said(["run", "block_bare", "-s", "seed=" + "9" * 5000])
+    assert (code, "-s seed" in told) == (2, True)
+
+
+def test_the_full_run_is_stored_and_nothing_failed() -> None:
+    stored = json.loads(random_scenes.STORED.read_text())
+    assert stored["invalid"]["drawn"] >= random_scenes.COUNT
+    assert not any("failed" in kind["outcomes"] for kind in stored.values())
+
+
+def test_a_frictionless_press_held_by_motion_alone_is_solved() -> None:
+    """No motion is free then, so that the system has no border."""
+    press = {"press.friction": 0.0, "press.indentation_mm": 0.0625, "press.probe": {"kind": "sphere", "diameter_mm": 4}}
+    scene = load_scene("block_bare", press)
+    state = Sensor(scene).press()
+    assert state.indentation_mm == pytest.approx(0.0625)
+    assert state.force_n[2] > 0
