@@ -10,21 +10,20 @@ from twin.errors import InputError, OutOfBodyError
 from twin.parts.body import Block, Finger
 from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
-from twin.places import MESHES
 from twin.world.compliance import FEW, Compliance
-from twin.world.mesh import read_mesh
 from twin.world.solve import factorisations
 from twin.world.tile import join, tile
 
 REFERENCE = Path(__file__).parent.parent / "reference"
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
-BODIES = {"block": (BLOCK, "kamiyama_block"), "finger": (FINGER, "sato_finger")}
+BODIES = {"block": BLOCK, "finger": FINGER}
 BOUND = {
-    ("block", "standard"): 7e-4,
-    ("block", "nominal"): 2e-3,
-    ("finger", "standard"): 5e-3,
-    ("finger", "nominal"): 1e-2,
+    ("block", "standard"): 4e-4,
+    ("block", "nominal"): 8e-4,
+    ("finger", "sketch"): 3e-3,
+    ("finger", "standard"): 2e-3,
+    ("finger", "nominal"): 3e-3,
     ("finger", "fine"): 1e-3,
 }
 CASES = {name: json.loads(str(np.load(REFERENCE / f"{name}.npz")["cases"])) for name in BODIES}
@@ -35,10 +34,8 @@ def compliance(name, level, nu, method="subtracted"):
     """Return one shared compliance each, so that the tests factor every matrix once; tables have their own tests."""
     key = (name, level, nu, method)
     if key not in _made:
-        body, recipe = BODIES[name]
-        mesh = read_mesh(MESHES / f"{recipe}.{level}.npz")
         material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
-        _made[key] = Compliance(body, material, mesh, level=level, method=method, table=False)
+        _made[key] = Compliance(BODIES[name], material, level=level, method=method, table=False)
     return _made[key]
 
 
@@ -46,13 +43,13 @@ def reference_error(name, level, case, method="subtracted"):
     data = np.load(REFERENCE / f"{name}.npz")
     words = dict(case["load"])
     load = getattr(Traction, words.pop("kind"))(**words)
-    body = BODIES[name][0]
+    body = BODIES[name]
     got = compliance(name, level, case["nu"], method).displacement(data["points"], tile(load, body))
     expected = data[case["key"]]
     return np.linalg.norm(got - expected, axis=1).max() / np.linalg.norm(expected, axis=1).max()
 
 
-QUICK = [("block", "nominal", 0), ("block", "nominal", 3), ("finger", "nominal", 2), ("finger", "nominal", 3)]
+QUICK = [("block", "nominal", 0), ("block", "nominal", 3), ("finger", "nominal", 2), ("finger", "sketch", 1)]
 
 
 @pytest.mark.parametrize(("name", "level", "index"), QUICK)
@@ -90,19 +87,19 @@ def test_estimate_is_one_to_three_times_the_true_error(name, level):
     for case in CASES[name]:
         if case["nu"] not in made:
             material = Material(youngs_modulus_mpa=0.5, poisson_ratio=case["nu"])
-            made[case["nu"]] = Compliance(BODIES[name][0], material, level=level, table=False)
+            made[case["nu"]] = Compliance(BODIES[name], material, level=level, table=False)
         ratio, error = estimate_ratio(made[case["nu"]], name, case)
         assert 1.0 < ratio < 3.0, (case["key"], error)
 
 
 @pytest.mark.parametrize("case", CASES["block"], ids=lambda case: case["key"])
-def test_table_reaches_a_fiftieth_of_a_percent_and_knows_it(case):
-    """The reference is good to 3e-5 only, which is what the smallest of these errors are."""
+def test_table_reaches_the_reference_s_own_accuracy_and_knows_it(case):
+    """The reference is good to 3e-5 only, which is what most of these errors are."""
     before = factorisations()
     material = Material(youngs_modulus_mpa=0.5, poisson_ratio=case["nu"])
     ratio, error = estimate_ratio(Compliance(BLOCK, material), "block", case)
-    assert error < 2e-4
-    assert 1.0 < ratio < (3.0 if error > 3e-5 else 5.0)
+    assert error < 7e-5
+    assert error < ratio * error < 3.0 * max(error, 4e-5)
     assert factorisations() == before
 
 
@@ -132,7 +129,7 @@ def test_second_press_factors_nothing_and_moving_markers_neither():
 
 @pytest.mark.parametrize(("name", "at"), [("block", (2.0, 1.0)), ("finger", (1.0, 0.5))])
 def test_superposition_modulus_and_gradient(name, at):
-    body, stiff = BODIES[name][0], compliance(name, "nominal", 0.5)
+    body, stiff = BODIES[name], compliance(name, "nominal", 0.5)
     rng = np.random.default_rng(4)
     points = body.chart_points(rng.uniform(-4, 4, (12, 2)), depth_mm=1.5)
     one = tile(Traction.rectangle(at, (0.5, 0.5), (0.2, 0.1, 1)), body, 0.25)
@@ -190,7 +187,7 @@ def test_points_outside_and_loads_off_the_surface_are_refused():
 
 def mirror_error(name, level, centre, size, flip):
     """Return how far the answer is from the answer of the mirrored load, over axes and deep and shallow points."""
-    body, stiff, flip = BODIES[name][0], compliance(name, level, 0.5), np.array(flip)
+    body, stiff, flip = BODIES[name], compliance(name, level, 0.5), np.array(flip)
     place = body.chart_points(np.array([centre], float))[0]
     around = np.stack(np.meshgrid([-3, -1, 0, 1, 3], [-3, -1, 0, 1, 3]), axis=-1).reshape(-1, 2) + centre
     points = np.vstack([body.chart_points(around, depth) for depth in (0.5, 3.0)])
@@ -216,11 +213,11 @@ def test_expected_error_covers_the_mirror_error_near_edges(name, centre, size, f
 
 def test_expected_error_grows_towards_edges_and_is_the_measured_bound_inside():
     def estimate(name, level, centre, size=1.0):
-        load = Traction.rectangle(tuple(BODIES[name][0].chart_points(np.array([centre]))[0]), (size, size), (0, 0, 1))
-        return compliance(name, level, 0.5).expected_error(tile(load, BODIES[name][0]))
+        load = Traction.rectangle(tuple(BODIES[name].chart_points(np.array([centre]))[0]), (size, size), (0, 0, 1))
+        return compliance(name, level, 0.5).expected_error(tile(load, BODIES[name]))
 
-    assert estimate("block", "standard", (0.0, 0.0), 4.0) == pytest.approx(6e-4)
-    assert estimate("finger", "standard", (0.0, 0.0)) == pytest.approx(5e-3)
+    assert estimate("block", "standard", (0.0, 0.0), 4.0) == pytest.approx(4e-4)
+    assert estimate("finger", "standard", (0.0, 0.0)) == pytest.approx(4e-3)
     growing = [estimate("block", "standard", (x, 0.0), 4.0) for x in (20.0, 35.0, 40.0, 45.0)]
     assert growing == sorted(growing)
     assert growing[-1] > 0.05
@@ -228,7 +225,7 @@ def test_expected_error_grows_towards_edges_and_is_the_measured_bound_inside():
 
 @pytest.mark.parametrize("name", ["block", "finger"])
 def test_no_points_give_no_displacements(name):
-    body, material = BODIES[name][0], Material(youngs_modulus_mpa=0.5)
+    body, material = BODIES[name], Material(youngs_modulus_mpa=0.5)
     load, nowhere = tile(Traction.bump((0, 0), 1.0, (0, 0, 1)), body), np.zeros((0, 3))
     for stiff in (Compliance(body, material), compliance(name, "nominal", 0.5)):
         assert stiff.error_estimate(nowhere, load) == 0.0
@@ -256,7 +253,7 @@ def test_adjoint_and_primal_solves_agree_and_few_points_take_the_adjoint(monkeyp
 
 def test_points_are_compared_by_value_and_a_changed_array_is_checked_again():
     stiff, points = compliance("block", "nominal", 0.5), np.array([[0.0, 0.5, 1.5], [-1.0, 1.0, 3.0]])
-    load = tile(Traction.rectangle((0, 0), (4, 4), (0, 0, 1)), BODIES["block"][0])
+    load = tile(Traction.rectangle((0, 0), (4, 4), (0, 0, 1)), BODIES["block"])
     first = stiff.displacement(points, load)
     assert stiff._memory.of(points.copy()) is stiff._memory.of(points)
     points[0, 0] = 2.0

@@ -34,6 +34,7 @@ from twin.world.half_space import require_half_space
 from twin.world.interpolate import Locator, Places
 from twin.world.known import REMEMBERED, Known, Memory
 from twin.world.mesh import Level, Mesh, Progress, body_mesh
+from twin.world.rim import drawn_to_rim
 from twin.world.sizing import WORLD
 from twin.world.solve import Solver
 from twin.world.spread import Readings, Region, patch_rests, single, worth_a_region
@@ -99,12 +100,11 @@ class Compliance:
 
     @cached_property
     def mesh(self) -> Mesh:
-        """The mesh of the rest."""
-        return (
-            self._given_mesh
-            if self._given_mesh is not None
-            else body_mesh(self.body, self.level, progress=self._progress)
-        )
+        """The mesh of the rest: as given, or the level's with its elements at the clamped rim drawn to it."""
+        if self._given_mesh is not None:
+            return self._given_mesh
+        made = body_mesh(self.body, self.level, progress=self._progress)
+        return drawn_to_rim(made, self.body)
 
     @cached_property
     def system(self) -> TaylorHood:

@@ -33,6 +33,7 @@ from twin.world.correction import correction
 from twin.world.fem import TaylorHood
 from twin.world.interpolate import Locator
 from twin.world.mesh import Level, Mesh, Progress, body_mesh, mesh_key
+from twin.world.rim import SHARE, drawn_to_rim
 from twin.world.sizing import default_sizing
 from twin.world.solve import Solver
 from twin.world.table import NU_RANGE, SIZES, Basis, Table
@@ -98,7 +99,8 @@ def find_table(
     if standard:
         return _usable(path, usable)
     if make and not path.exists():
-        table = make_table(body, body_mesh(body, MADE[role], progress=progress), solver, progress)
+        mesh = drawn_to_rim(body_mesh(body, MADE[role], progress=progress), body)
+        table = make_table(body, mesh, solver, progress)
         write_table(table, path)
     return _usable(path, usable)
 
@@ -116,7 +118,7 @@ def shipped_path(role: Role) -> Path:
 def cached_path(body: Block, role: Role) -> Path:
     """Return where the table of another block is kept."""
     key = mesh_key(body, default_sizing(body, MADE[role]))
-    told = json.dumps([key, SIZES, NU_RANGE, WINDOW, BOX, STEP])
+    told = json.dumps([key, SHARE, SIZES, NU_RANGE, WINDOW, BOX, STEP])
     return cache_folder() / f"table-{hashlib.sha256(told.encode()).hexdigest()[:32]}.npz"
 
 
@@ -270,7 +272,7 @@ def main(roles: list[str]) -> None:
     """Make the shipped tables of the named roles, all if none is named."""
     for role in ROLES:
         if not roles or role in roles:
-            mesh = body_mesh(STANDARD, SHIPPED[role])
+            mesh = drawn_to_rim(body_mesh(STANDARD, SHIPPED[role]), STANDARD)
             write_table(make_table(STANDARD, mesh), shipped_path(role))
             told = read_table(shipped_path(role))
             print(f"{shipped_path(role)}: {shipped_path(role).stat().st_size} bytes, error {told.error:.1e}")
