@@ -45,7 +45,7 @@ EXPECTED: dict[tuple[bool, Level], Expected] = {
     (True, "sketch"): Expected(inside=2e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.0),
     (False, "fine"): Expected(inside=1.5e-3, at_fifth=0.012, power=1.5, most=0.04, trust=0.45),
     (False, "standard"): Expected(inside=4e-3, at_fifth=0.02, power=1.5, most=0.06, trust=0.9),
-    (False, "coarse"): Expected(inside=7e-3, at_fifth=0.03, power=1.5, most=0.09, trust=1.0),
+    (False, "coarse"): Expected(inside=7e-3, at_fifth=0.03, power=1.5, most=0.09, trust=0.9),
     (False, "nominal"): Expected(inside=6e-3, at_fifth=0.03, power=1.5, most=0.09, trust=1.0),
     (False, "sketch"): Expected(inside=9e-3, at_fifth=0.06, power=1.5, most=0.2, trust=1.0),
 }
