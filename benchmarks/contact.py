@@ -54,6 +54,14 @@ class HalfSpace:
             parts[:, 2, :, :2] = parts[:, :2, :, 2] = 0.0
         return whole
 
+    def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
+        """Return (3 n, 3): all there is on a half-space."""
+        return self.to_points(points, rectangle)
+
+    def smooth_part(self, _patches: Rectangles, nodes: Rectangles) -> Floats:
+        """Return (3 n, 3 n) zeros."""
+        return np.zeros((3 * len(nodes), 3 * len(nodes)))
+
     def surface(self, rectangles: Rectangles) -> Floats:
         """Return the (3 k, 3 k) compliance, mm/N."""
         return self.to_points(rectangles.centre_mm, rectangles)

@@ -17,11 +17,15 @@ from functools import cached_property
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points
-from twin.world.between import Between
+from twin.world.between import Between, Dense
 from twin.world.gap import MOTIONS, Z
 from twin.world.krylov import Krylov
+from twin.world.lattice import Lattice
 from twin.world.patches import Patches
 from twin.world.together import Contacts, every
+
+_FEW = 130
+"""Patches from which on products with friction are faster by transforms than with a matrix."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,10 +91,13 @@ class FrictionGrid:
         """The patches of all probes."""
         return self.contacts.patches
 
-    @property
+    @cached_property
     def between(self) -> Between:
-        """The compliance between the patches."""
-        return self.contacts.between
+        """The compliance between the patches; few, and those that stick, are solved faster with a matrix."""
+        found = self.contacts.between
+        if isinstance(found, Lattice) and (len(found) < _FEW or self.sticks):
+            return Dense(found.part(np.arange(len(found))))
+        return found
 
     @cached_property
     def krylov(self) -> Krylov:

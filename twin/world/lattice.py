@@ -3,7 +3,8 @@
 On a plane the half-space part of the compliance depends on the offset between two patches only, so that products are
 Fourier transforms (`twin.world.convolution`). What a finite body adds varies smoothly with both places. Where a table
 holds it as polynomials (`twin.world.table`), it is a product of their values at a few Chebyshev nodes of the lattice
-with Lagrange's polynomials on either side, without any error but round-off. So no matrix between patches is made: one
+with Lagrange's polynomials on either side: of 4 nodes a side, or more where the last term is more than a billionth of
+a patch's own compliance; 8 hold the table's polynomials without any error. So no matrix between patches is made: one
 of 750 patches takes 40 MB, which every product would read.
 
 Validity: the exact influence of a uniform rectangle on the middle of another, and the table's own error.
@@ -11,10 +12,12 @@ Validity: the exact influence of a uniform rectangle on the middle of another, a
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numba import njit
 
 from twin.arrays import Floats, Ints, Points
 from twin.parts.load import Rectangles
@@ -23,8 +26,11 @@ from twin.world.patches import Patches
 from twin.world.spread import lagrange
 from twin.world.table import SIZES
 
-NODES = max(SIZES[1:5])
-"""Chebyshev nodes along each side: as many as the table's polynomials have terms."""
+NODES = (4, 6, max(SIZES[1:5]))
+"""Chebyshev nodes along each side; the last are as many as the table's polynomials have terms."""
+
+_SMALL = 1e-9
+"""Largest last term of the rest in Chebyshev polynomials, over a patch's own compliance: the next is a tenth of it."""
 
 FEWEST = 100
 """Patches from which on products by transforms are faster than with a matrix."""
@@ -43,7 +49,7 @@ class PlaneCompliance(Protocol):
     def smooth_part(self, patches: Rectangles, nodes: Rectangles) -> Floats | None:
         """Return (3 n, 3 n) mm/N: the rest at the middles of ``nodes`` under unit forces on each, global axes.
 
-        None where it isn't a polynomial of less than `NODES` terms along each side over all ``patches``.
+        None where it isn't a polynomial of as many terms as `NODES` says along each side over all ``patches``.
         """
         ...
 
@@ -58,7 +64,7 @@ class Lattice:
     kernel
         (Lu, Lv, 3, 3) compliance by offset, wrapped around.
     rest
-        (3, M, 3, M) smooth rest between M = NODES x NODES nodes; None for none.
+        (3, M, 3, M) smooth rest between M = m x m nodes; None for none.
     """
 
     precision, finest = np.float32, 1e-5
@@ -70,10 +76,11 @@ class Lattice:
         self._at = self._chosen = place[:, 0] * kernel.shape[1] + place[:, 1]
         self._inverse = self._convolution.inverse
         self.unit = float(np.mean(np.diag(kernel[0, 0])))
-        self._rest = None if rest is None else np.ascontiguousarray(rest.reshape(3 * NODES**2, -1))
+        self._rest = None if rest is None else np.ascontiguousarray(rest.reshape(3 * rest.shape[1], -1))
+        m = NODES[0] if rest is None else math.isqrt(rest.shape[1])
         self._lines = nu, kernel.shape[1]
-        u, v = (lagrange(nodes(n), np.arange(n, dtype=float)) for n in (nu, nv))
-        v = np.concatenate([v, np.zeros((kernel.shape[1] - nv, NODES))])
+        u, v = (lagrange(nodes(n, m), np.arange(n, dtype=float)) for n in (nu, nv))
+        v = np.concatenate([v, np.zeros((kernel.shape[1] - nv, m))])
         self._sides = {kind: (u.astype(kind), v.astype(kind)) for kind in ("float64", "float32")}
         self._rest_single: Any = None if self._rest is None else self._rest.astype(np.float32)
 
@@ -109,24 +116,25 @@ class Lattice:
         field = self._spread(self._at, push)
         out = self._convolution.normal(field)
         if self._rest is not None:
-            out += self._rest_of(field, self._rest[2 * NODES**2 :, 2 * NODES**2 :])
+            out += self._rest_of(field, self._normal_rest)
         return np.asarray(out.reshape(-1)[self._at])
 
     def part(self, rows: Ints) -> Floats:
         """See `Between`."""
-        part = self._kernel_between(rows, rows).transpose(0, 2, 1, 3).copy()
+        part = np.empty((len(rows), 3, len(rows), 3))
+        _gather(self._kernel, self._place[rows], part)
         if self._rest is not None:
-            weights, n = self._weights(rows), NODES**2
+            weights, n = self._weights(rows), len(self._rest) // 3
             rest = np.matmul(weights, self._rest.reshape(3, n, 3 * n)).reshape(3, len(rows), 3, n) @ weights.T
-            part += rest.transpose(1, 0, 3, 2).transpose(0, 1, 2, 3).reshape(part.shape)
+            part += rest.transpose(1, 0, 3, 2)
         return part
 
     def normal_part(self, rows: Ints, columns: Ints) -> Floats:
         """See `Between`."""
-        part = self._kernel_between(rows, columns)[..., 2, 2]
+        away = self._place[rows][:, None] - self._place[columns][None]
+        part = self._kernel[away[..., 0], away[..., 1], 2, 2]  # negative offsets are at the end
         if self._rest is not None:
-            normal = self._rest[2 * NODES**2 :, 2 * NODES**2 :]
-            part = part + self._weights(rows) @ normal @ self._weights(columns).T
+            part = part + self._weights(rows) @ self._normal_rest @ self._weights(columns).T
         return np.asarray(part)
 
     def pushes(self, rows: Ints, depth: Floats) -> Floats:
@@ -173,9 +181,11 @@ class Lattice:
         field[..., at] = values
         return field.reshape(*values.shape[:-1], *self._lines)
 
-    def _kernel_between(self, rows: Ints, columns: Ints) -> Floats:
-        away = self._place[rows][:, None] - self._place[columns][None]
-        return np.asarray(self._kernel[away[..., 0], away[..., 1]])  # negative offsets are at the end
+    @cached_property
+    def _normal_rest(self) -> Floats:
+        assert self._rest is not None
+        first = 2 * len(self._rest) // 3
+        return np.ascontiguousarray(self._rest[first:, first:])
 
     def _weights(self, rows: Ints) -> Floats:
         """Return (n, M) how much each node counts at some patches."""
@@ -183,10 +193,21 @@ class Lattice:
         return np.asarray((u[:, :, None] * v[:, None, :]).reshape(len(rows), -1))
 
 
-def nodes(count: int) -> Floats:
-    """Return `NODES` Chebyshev nodes over the places 0, ..., count - 1."""
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _gather(kernel: Floats, place: Ints, out: Floats) -> None:
+    """Set ``out`` (n, 3, n, 3) to the kernel at the offsets between n places."""
+    for i in range(len(place)):
+        for j in range(len(place)):
+            u, v = (place[i, 0] - place[j, 0]) % kernel.shape[0], (place[i, 1] - place[j, 1]) % kernel.shape[1]
+            for a in range(3):
+                for b in range(3):
+                    out[i, a, j, b] = kernel[u, v, a, b]
+
+
+def nodes(count: int, m: int) -> Floats:
+    """Return (m,) Chebyshev nodes over the places 0, ..., count - 1."""
     half = max(count - 1, 1) / 2.0
-    return np.asarray(half - half * np.cos((np.arange(NODES) + 0.5) * np.pi / NODES))
+    return np.asarray(half - half * np.cos((np.arange(m) + 0.5) * np.pi / m))
 
 
 def lattice(patches: Patches, compliance: object) -> Lattice | None:
@@ -204,10 +225,24 @@ def lattice(patches: Patches, compliance: object) -> Lattice | None:
     if np.abs(steps - place).max() > 1e-6 or np.abs(middle[:, 2]).max() > _ROUND_OFF * step.min():
         return None
     origin = patches.centre_mm[0] + corner @ frame[:2]
-    rest = _rest(patches, compliance, place.max(axis=0) + 1, origin, step)
-    if rest is None:
-        return None
-    return Lattice(place, _kernel(compliance, place.max(axis=0) + 1, patches, step), rest)
+    shape = place.max(axis=0) + 1
+    kernel, rest = _kernel(compliance, shape, patches, step), None
+    for m in NODES:
+        rest = _rest(
+            patches, compliance, [nodes(int(n), m) * side for n, side in zip(shape, step, strict=True)], origin
+        )
+        if rest is None:
+            return None
+        if _last_term(rest, m) <= _SMALL * float(kernel[0, 0].max()):
+            break
+    return Lattice(place, kernel, rest if rest is not None and rest.any() else None)
+
+
+def _last_term(rest: Floats, m: int) -> float:
+    """Return the largest coefficient of the highest polynomial along any side of a rest (3, M, 3, M)."""
+    last = np.cos((m - 1) * (np.arange(m) + 0.5) * np.pi / m) * 2.0 / m
+    sides = rest.reshape(3, m, m, 3, m, m)
+    return max(float(np.abs(np.tensordot(last, sides, (0, axis))).max()) for axis in (1, 2))
 
 
 def _kernel(compliance: PlaneCompliance, shape: Ints, patches: Patches, step: Floats) -> Floats:
@@ -223,10 +258,9 @@ def _kernel(compliance: PlaneCompliance, shape: Ints, patches: Patches, step: Fl
     return np.asarray(frame @ kernel @ frame.T)
 
 
-def _rest(patches: Patches, compliance: PlaneCompliance, shape: Ints, origin: Floats, step: Floats) -> Floats | None:
+def _rest(patches: Patches, compliance: PlaneCompliance, along: list[Floats], origin: Floats) -> Floats | None:
     """Return (3, M, 3, M) the symmetric rest between the nodes, in the patches' frame."""
     frame, everyone = patches.frames[0], np.ones(len(patches), bool)
-    along = [nodes(int(count)) * side for count, side in zip(shape, step, strict=True)]
     flat = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1).reshape(-1, 2)
     count = len(flat)
     at_nodes = Rectangles(
