@@ -11,7 +11,9 @@ from twin.parts.body import AnyBody
 from twin.parts.camera import Camera
 from twin.parts.ccd import Ccd
 from twin.parts.dataset import Dataset
+from twin.parts.footprint import Footprint
 from twin.parts.light import Light
+from twin.parts.load import Load
 from twin.parts.markers import MarkerLayer
 from twin.parts.material import Cover, Material
 from twin.parts.part import Part
@@ -35,6 +37,8 @@ class Scene(Part):
     reconstruction, dataset
         See the parts of the same names. A scene without ``camera`` renders nothing; one without ``press`` is only at
         rest; one without ``reconstruction`` estimates nothing.
+    tractions
+        Footprints whose tractions push instead of the press; a press beside them is not done.
     vary
         Distributions by dotted key of the scene: what differs between the samples of a dataset. A single run uses
         the scene's own values.
@@ -50,6 +54,7 @@ class Scene(Part):
     light: Light | None = None
     ccd: Ccd = Ccd()
     press: Press | None = None
+    tractions: tuple[Footprint, ...] = Field(default=(), max_length=64)
     accuracy: Accuracy = Accuracy()
     tolerance: Tolerance = Tolerance()
     tracking: Tracking = Tracking()
@@ -62,6 +67,11 @@ class Scene(Part):
     @classmethod
     def _by_dotted_key(cls, value: Any) -> Any:
         return flat(value) if isinstance(value, dict) else value
+
+    @property
+    def load(self) -> Load:
+        """What the tractions push with."""
+        return sum((each.load() for each in self.tractions), Load())
 
     @model_validator(mode="after")
     def _fits_together(self) -> Scene:

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.errors import ContactError, InputError, RecipeError
-from twin.parts.load import Load
 from twin.parts.scene import Scene
 from twin.results import Estimate, RunResult, Truth, make_folder, remove_results, write_whole
 from twin.study.actual import shared_by_truth_and_estimate
@@ -145,10 +144,10 @@ class _Chain:
         with self.stage("design"):
             sensor.actual  # noqa: B018  a marker outside the body is said before anything is computed
         with self.stage("contact"):
-            state = (
-                sensor.press(with_error=bool({"score", "report"} & self.needed)) if scene.press is not None else None
-            )
-            load = state.load if state is not None else Load()
+            state = None
+            if scene.press is not None and not scene.tractions:
+                state = sensor.press(with_error=bool({"score", "report"} & self.needed))
+            load = state.load if state is not None else scene.load
         with self.stage("displacement"):
             motion = sensor.motion(load)
         truth = self._truth(motion, sensor.rectangles(load))

@@ -180,7 +180,7 @@ class Sensor:
             gradient=compliance.gradient(background.points, rectangles),
         )
 
-    def motion_of_patches(self, patches: Rectangles, *, strained: bool = True) -> Motion:
+    def motion_of_patches(self, *patches: Rectangles, strained: bool = True) -> Motion:
         """Return how the actual markers move, on the level of mesh that the asked accuracy takes and no other.
 
         What `motion` answers, for many loads: patches far above all markers are gathered into a few point forces
@@ -189,20 +189,22 @@ class Sensor:
         Parameters
         ----------
         patches
-            What pushes.
+            What pushes; what lies apart is given apart, and gathered each by itself.
         strained
             Whether gradients are wanted too: without them prints are not strained and beads not turned (of which no
             picture shows anything), and the gradients are zero.
         """
         from twin.world.gather import gathered
+        from twin.world.tile import join
 
         points = self.actual.markers.points
-        few = gathered(points, patches)
+        whole = join(patches)
+        few = join([gathered(points, group) for group in patches])
         moved, error = self.compliance.answer(points, few)
-        gradient = self.compliance.gradient(points, patches) if strained else np.zeros((len(points), 3, 3))
+        gradient = self.compliance.gradient(points, whole) if strained else np.zeros((len(points), 3, 3))
         if self.stiff_beads is not None and moved.any():
-            gradient = gradient if strained else self.compliance.gradient(points, patches)
-            change = self.stiff_beads.change(lambda p: self.compliance.displacement(p, gathered(p, patches)), gradient)
+            gradient = gradient if strained else self.compliance.gradient(points, whole)
+            change = self.stiff_beads.change(lambda p: self.compliance.displacement(p, gathered(p, whole)), gradient)
             error += self.stiff_beads.error(change, moved)
             moved = moved + change
         return Motion(displacement_mm=moved, gradient=gradient, error=error)

@@ -23,9 +23,8 @@ from twin.parts.load import Rectangles
 GOAL = 1e-3
 """What the bound on the error over the largest displacement is held to; true errors are below a hundredth of it."""
 
-_GAUSS = 1.0 / math.sqrt(3.0)
-_CORNERS = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)]) * _GAUSS
-"""Gauss points of a square."""
+_SMALL = 8.0
+"""A patch whose half side is so many times smaller than the depth takes two Gauss points along it."""
 
 
 def gathered(points: Points, load: Rectangles, goal: float = GOAL) -> Rectangles:
@@ -44,17 +43,22 @@ def gathered(points: Points, load: Rectangles, goal: float = GOAL) -> Rectangles
         return load
     if np.ptp(load.centre_mm[:, 2]) > 1e-9:
         return load
-    along = np.einsum("qs,ks,ksi->kqi", _CORNERS, load.half_mm, load.frames[:, :2, :2])
-    at = (load.centre_mm[:, None, :2] + along).reshape(-1, 2)
     reach = np.einsum("ks,ksi->ki", load.half_mm, np.abs(load.frames[:, :2, :2]))
     low, high = (load.centre_mm[:, :2] - reach).min(axis=0), (load.centre_mm[:, :2] + reach).max(axis=0)
     deep = float(points[:, 2].min() - load.centre_mm[0, 2])
     counts = [_nodes(deep, (b - a) / 2.0, goal) for a, b in zip(low, high, strict=True)]
-    if 2 * math.prod(counts) > 5 * len(load) or deep < 8.0 * float(load.half_mm.max()):
+    if 2 * math.prod(counts) > 5 * len(load):
         return load
+    # Enough Gauss points to share out a long patch exactly: the nodes' polynomials are of degree sum(counts) - 2.
+    orders = [2 if deep >= _SMALL * side else max(2, math.ceil(sum(counts) / 2)) for side in load.half_mm.max(axis=0)]
+    places, weights = zip(*(np.polynomial.legendre.leggauss(order) for order in orders), strict=True)
+    square = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 2)
+    weight = np.multiply.outer(*weights).ravel() / 4.0
+    along = square @ (load.half_mm[:, :, None] * load.frames[:, :2, :2])
+    at = (load.centre_mm[:, None, :2] + along).reshape(-1, 2)
     sharing = [_shares(at[:, i], low[i], high[i], counts[i]) for i in (0, 1)]
-    forces = np.repeat(load.force_n / 4.0, 4, axis=0)
-    shared: Floats = np.einsum("ka,kb,kf->abf", *sharing, forces, optimize=True)
+    forces = (load.force_n[:, None] * weight[:, None]).reshape(-1, 3)
+    shared: Floats = np.stack([(sharing[0] * part[:, None]).T @ sharing[1] for part in forces.T], axis=-1)
     nodes = [(a + b) / 2.0 + (b - a) / 2.0 * chebpts1(m) for a, b, m in zip(low, high, counts, strict=True)]
     x, y = np.meshgrid(*nodes, indexing="ij")
     total = math.prod(counts)

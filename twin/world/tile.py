@@ -10,6 +10,7 @@ tiles is bounded: a bump of 44 mm radius in tiles of .88 mm moves points .3 mm d
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def tile(load: Load, body: Body, spacing_mm: float | None = None) -> Rectangles:
     return parts[0] if len(parts) == 1 else join(parts)
 
 
-def join(parts: list[Rectangles]) -> Rectangles:
+def join(parts: Sequence[Rectangles]) -> Rectangles:
     """Return all rectangles of ``parts`` in one, in their order."""
     return Rectangles(
         centre_mm=np.concatenate([np.zeros((0, 3)), *(p.centre_mm for p in parts)]),

@@ -19,9 +19,9 @@ from twin.errors import ContactError, TwinError
 from twin.places import pinned
 from twin.study.batch.draw import Table
 from twin.study.batch.engine import Job, run_tasks
-from twin.study.dataset.plan import Plan, press_of
+from twin.study.dataset.plan import Plan, load_of, press_of
 from twin.study.dataset.prepare import finest_mesh_file
-from twin.study.dataset.sample import MadeSensor, truth_of
+from twin.study.dataset.sample import MadeSensor, slips_of, truth_of
 from twin.study.dataset.work import working
 from twin.world.friction import INCREMENTS
 
@@ -104,11 +104,19 @@ def audit_sample(folder: Path, sample: int) -> dict[str, float]:
 
 def _differences(made: MadeSensor, values: Table) -> dict[str, float]:
     plan, finer = made.plan, _finer(made)
-    press = press_of(plan.press_table(values))
-    states = _pressed(made, press, INCREMENTS), _pressed(finer, press, 2 * INCREMENTS)
-    usual, best = (truth_of(one, state) for one, state in zip((made, finer), states, strict=True))
-    out = {"indentation": _relative(usual["indentation_mm"], best["indentation_mm"])}
-    if "site_force_n" in usual:
+    table, out = plan.press_table(values), {}
+    if plan.scene.tractions:
+        load = load_of(table)
+        usual, best = truth_of(made, load), truth_of(finer, load)
+    else:
+        press = press_of(table)
+        states = _pressed(made, press, INCREMENTS), _pressed(finer, press, 2 * INCREMENTS)
+        load = states[0].load
+        usual, best = (
+            truth_of(one, state.load, slips_of(state)) for one, state in zip((made, finer), states, strict=True)
+        )
+        out["indentation"] = _relative(states[0].indentation_mm, states[1].indentation_mm)
+    if "site_force_n" in usual and not plan.scene.tractions:
         out["site_force"] = _relative(usual["site_force_n"], best["site_force_n"])
     if "marker_displacement_mm" in usual:
         ours, true = usual["marker_displacement_mm"], best["marker_displacement_mm"]
@@ -116,7 +124,7 @@ def _differences(made: MadeSensor, values: Table) -> dict[str, float]:
         out["displacement"] = float(np.linalg.norm(ours - true, axis=1).max()) / largest
         out["estimate"] = float(usual["displacement_error"])
     if "outlines" in plan.needs:
-        shapes = made.sensor.ellipsoids(made.sensor.motion_of_patches(made.sensor.rectangles(states[0].load)))
+        shapes = made.sensor.ellipsoids(made.sensor.motion_of_patches(made.sensor.rectangles(load)))
         one, other = made.renderer.outlines(shapes), made.renderer.outlines(shapes, FINEST)
         seen = (one.visible > WHOLE) & (other.visible > WHOLE)
         if seen.any():

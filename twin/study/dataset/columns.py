@@ -19,7 +19,7 @@ from twin.parts.vary import Choice, Distribution, ForceCone, Normal, Uniform
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Need = Literal["contact", "motion", "picture", "outlines", "sites"]
+Need = Literal["load", "contact", "motion", "picture", "outlines", "sites"]
 Kind = Literal["integer", "number", "text", "flag", "png", "numbers", "vectors", "pixels", "flags"]
 
 
@@ -58,12 +58,12 @@ ALWAYS = (
     _column("sensor", "integer", "row of the sensors table"),
     _column("status", "text", "ok or failed"),
     _column("error", "text", "why it failed"),
-    _column("press", "text", "the whole press as JSON: probe, place, path, friction"),
+    _column("press", "text", "the whole press as JSON: probe, place, path, friction; or the tractions given instead"),
 )
 
 SAMPLE = (
-    _column("force_n", "numbers", "total force of the probe on the body, x, y, z", "contact"),
-    _column("torque_nmm", "numbers", "total torque about the origin", "contact"),
+    _column("force_n", "numbers", "total force on the body, x, y, z", "load"),
+    _column("torque_nmm", "numbers", "total torque about the origin", "load"),
     _column("probe_move_mm", "numbers", "motion of the probe since first touch", "contact"),
     _column("probe_turn_deg", "number", "turn of the probe about its axis", "contact"),
     _column("indentation_mm", "number", "how far the probe is in, from first touch at its present place", "contact"),
@@ -77,9 +77,9 @@ SAMPLE = (
     _column("linearisation_error", "number", "what linear theory may cost, over the largest displacement", "contact"),
     _column("site_force_n", "vectors", "tractions summed over the cells of the sites; sums to force_n", "sites"),
     _column("site_contact", "numbers", "share of each cell that is in contact", "sites"),
-    _column("site_slip", "numbers", "share of each cell's contact that slips", "sites"),
-    _column("surface_mm", "vectors", "centres of the contact's patches", "contact"),
-    _column("surface_force_n", "vectors", "force on each patch", "contact"),
+    _column("site_slip", "numbers", "share of each cell's contact that slips", "sites", "contact"),
+    _column("surface_mm", "vectors", "centres of the contact's patches", "load"),
+    _column("surface_force_n", "vectors", "force on each patch", "load"),
     _column("surface_slip", "flags", "whether each patch slips", "contact"),
     _column("marker_displacement_mm", "vectors", "displacement of the marker centres", "motion"),
     _column(
@@ -118,7 +118,9 @@ def chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
         A name is unknown, or the scene lacks what it needs.
     """
     wanted = list(dict.fromkeys(names))
-    has: set[Need] = {"contact", "motion"}
+    has: set[Need] = {"load", "motion"}
+    if not scene.tractions:
+        has.add("contact")
     if scene.camera is not None:
         has |= {"picture", "outlines"}
     if scene.dataset.sites is not None or scene.reconstruction is not None:
@@ -131,7 +133,11 @@ def chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
             hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
             problems.append(f"columns: no '{name}'; {hint}")
         elif not _available(known[name], scene, has):
-            table = "[dataset.sites]" if "sites" in known[name].needs else "[camera]"
+            lacking = known[name].needs - has
+            if "contact" in lacking:
+                problems.append(f"columns: '{name}' is known of a press only, and this scene gives [[tractions]]")
+                continue
+            table = "[dataset.sites]" if "sites" in lacking else "[camera]"
             problems.append(f"columns: '{name}' needs a {table} table, which this scene lacks")
     if problems:
         raise RecipeError(problems)

@@ -9,11 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
 from twin.errors import RecipeError
+from twin.parts.footprint import Footprint
+from twin.parts.load import Load
+from twin.parts.part import Part
 from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.parts.vary import Distribution
@@ -28,6 +31,8 @@ FIXED = ("body", "seed", "cover", "accuracy", "dataset", "vary", "tracking", "ca
 """Tables that can't vary inside a dataset: its mesh, and what its truth's accuracy and format rest on, are one."""
 
 MOST_STEPS = 1024
+
+P = TypeVar("P", bound=Part)
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,12 @@ class Plan:
     @cached_property
     def press_axes(self) -> dict[str, Distribution]:
         """What is drawn for every sample."""
-        return {k: v for k, v in self.scene.vary.items() if k.split(".")[0] == "press"}
+        return {k: v for k, v in self.scene.vary.items() if k.split(".")[0] == self.pushed_by}
+
+    @property
+    def pushed_by(self) -> str:
+        """The table of the scene that says what pushes: ``press`` or ``tractions``."""
+        return "tractions" if self.scene.tractions else "press"
 
     @cached_property
     def sensor_axes(self) -> dict[str, Distribution]:
@@ -110,14 +120,13 @@ class Plan:
         u = unit_numbers(self.scene.seed, purpose, self.scene.dataset.sampling, numbers, width(axes))
         return [drawn(axes, row) for row in u]
 
-    def press_table(self, values: Table) -> Table:
-        """Return the plain table of a press with its drawn values."""
+    def press_table(self, values: Table) -> Any:
+        """Return the plain table of a press, or the tables of tractions, with their drawn values."""
         import copy
 
-        table = {"press": copy.deepcopy(self._plain.get("press", {}))}
+        table = {self.pushed_by: copy.deepcopy(self._plain.get(self.pushed_by, {}))}
         put_all(table, values, self.press_axes)
-        press: Table = table["press"]
-        return press
+        return table[self.pushed_by]
 
     def check(self) -> None:
         """Refuse what can't vary, and keys that the scene does not have.
@@ -130,8 +139,8 @@ class Plan:
         problems = []
         if self.samples < 1:
             problems.append(f"samples = {self.samples}: give at least 1")
-        if self.scene.press is None:
-            problems.append("press: the scene has no [press] table to draw samples of")
+        if self.scene.press is None and not self.scene.tractions:
+            problems.append("press: the scene has no [press] table, and no [[tractions]], to draw samples of")
         if self.scene.cover is not None and (self.scene.cover.youngs_modulus_mpa or self.scene.cover.poisson_ratio):
             problems.append(
                 "cover: one of its own modulus needs a new mesh for every press, and meshes are not reproducible; "
@@ -140,14 +149,17 @@ class Plan:
         for key in self.scene.vary:
             if key.split(".")[0] in FIXED:
                 problems.append(f"vary.{key}: {key.split('.')[0]} can't vary inside a dataset; make several datasets")
+            if self.scene.tractions and key.split(".")[0] == "press":
+                problems.append(f"vary.{key}: no press is done where [[tractions]] are given; take it out of [vary]")
         if problems:
             raise RecipeError(problems)
         try:
-            press_of(self.press_table(self.press_values(range(1))[0]))
+            table = self.press_table(self.press_values(range(1))[0])
+            _ = load_of(table) if self.scene.tractions else press_of(table)
         except UnknownKey:
             raise
         except RecipeError as problem:  # a value that is not allowed is the sample's failure, not the dataset's
-            if not all(line.startswith("press.") for line in problem.problems):
+            if not all(line.startswith(f"{self.pushed_by}.") for line in problem.problems):
                 raise
         with_values(self.scene, self.sensor_values(range(1))[0], self.sensor_axes)
         _ = self.columns
@@ -165,20 +177,35 @@ def press_of(table: Table) -> Press:
     RecipeError
         It is not allowed; `UnknownKey` if it has a key that no press has.
     """
+    return _valid(Press, table, "press")
+
+
+def load_of(tables: list[Table]) -> Load:
+    """Return the load of plain tables of tractions.
+
+    Raises
+    ------
+    RecipeError
+        One is not allowed; `UnknownKey` if it has a key that none has.
+    """
+    return sum((_valid(Footprint, table, f"tractions.{i}").load() for i, table in enumerate(tables)), Load())
+
+
+def _valid(part: type[P], table: Table, where: str) -> P:
     try:
-        return Press.model_validate(table)
+        return part.model_validate(table)
     except ValidationError as problem:
         lines, unknown = [], False
         for error in problem.errors():
-            key = ".".join(str(k) for k in error["loc"])
+            key = ".".join(str(k) for k in (where, *error["loc"]))
             if error["type"] == "extra_forbidden":
                 unknown = True
-                near = difflib.get_close_matches(str(error["loc"][-1]), Press.model_fields, 1)
-                hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(Press.model_fields)}"
-                lines.append(f"vary.press.{key}: unknown key; {hint}")
+                near = difflib.get_close_matches(str(error["loc"][-1]), part.model_fields, 1)
+                hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(part.model_fields)}"
+                lines.append(f"vary.{key}: unknown key; {hint}")
             else:
                 told = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
-                lines.append(f"press.{key}: {told}")
+                lines.append(f"{key}: {told}")
         raise (UnknownKey if unknown else RecipeError)(lines) from None
 
 

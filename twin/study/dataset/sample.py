@@ -15,13 +15,14 @@ import numpy as np
 
 from twin.arrays import Bools
 from twin.errors import ContactError, RecipeError, TwinError
+from twin.parts.load import Load
 from twin.parts.part import Part
 from twin.parts.pipeline import Sites
 from twin.parts.scene import Scene
 from twin.streams import Purpose
 from twin.study.batch.draw import Table, with_values
 from twin.study.dataset.columns import drawn_values
-from twin.study.dataset.plan import MOST_STEPS, Plan, press_of
+from twin.study.dataset.plan import MOST_STEPS, Plan, load_of, press_of
 from twin.study.sensor import Motion, Sensor, on_grid
 
 if TYPE_CHECKING:
@@ -31,9 +32,6 @@ if TYPE_CHECKING:
     from twin.world.render import Outlines, Renderer
 
 Row = dict[str, Any]
-
-SPLIT = 6
-"""Pieces per direction into which a patch is cut to be summed into cells."""
 
 
 class MadeSensor:
@@ -123,10 +121,11 @@ def rows_of_sample(made: MadeSensor, sample: int, values: Table) -> list[Row]:
     try:
         table = plan.press_table(values)
         base["press"] = json.dumps(table, sort_keys=True)
-        press = press_of(table)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what warnings say is in the row's error estimates
-            return [base | row for row in _rows(made, sample, press)]
+            if plan.scene.tractions:
+                return [base | truth_of(made, load_of(table), exposure=1 + sample * MOST_STEPS)]
+            return [base | row for row in _rows(made, sample, press_of(table))]
     except TwinError as problem:
         told = str(problem)
     except (ArithmeticError, ValueError, LookupError, AssertionError, RuntimeError) as problem:
@@ -154,18 +153,19 @@ def _rows(made: MadeSensor, sample: int, press: Press) -> list[Row]:
     rows = []
     for step, one in enumerate(states):
         number = step if every else last
-        rows.append({"step": number} | truth_of(made, one, 1 + sample * MOST_STEPS + number))
+        exposure = 1 + sample * MOST_STEPS + number
+        rows.append({"step": number} | _contact(one) | truth_of(made, one.load, slips_of(one), exposure))
     return rows
 
 
-def truth_of(made: MadeSensor, state: ContactState, exposure: int | None = None) -> Row:
-    """Return what columns are made of under a state; without an exposure what is seen is left out."""
-    sensor, needs = made.sensor, made.plan.needs
-    patches = sensor.rectangles(state.load)
-    slip = np.concatenate([one.slip for one in (state, *state.also)])
-    row = {
-        "force_n": patches.force_n.sum(axis=0),
-        "torque_nmm": np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
+def slips_of(state: ContactState) -> list[Bools]:
+    """Return whether each patch of every term of a load slips on its probe."""
+    return [one.slip for one in (state, *state.also) if len(one.slip)]
+
+
+def _contact(state: ContactState) -> Row:
+    """Return what is known of a press only."""
+    return {
         "probe_move_mm": state.move_mm,
         "probe_turn_deg": state.turn_deg,
         "indentation_mm": state.indentation_mm,
@@ -174,16 +174,35 @@ def truth_of(made: MadeSensor, state: ContactState, exposure: int | None = None)
         "contact_residual": state.residual,
         "traction_error": state.error.traction if state.error is not None else None,
         "linearisation_error": state.validity.linearisation_error,
+        "surface_slip": np.concatenate([np.zeros(0, bool), *slips_of(state)]),
+    }
+
+
+def truth_of(made: MadeSensor, load: Load, slips: list[Bools] | None = None, exposure: int | None = None) -> Row:
+    """Return what columns are made of under a load; without an exposure what is seen is left out.
+
+    ``slips`` says which patches of each of the load's terms slip; None for tractions without a probe.
+    """
+    from twin.world.tile import join
+
+    sensor, needs = made.sensor, made.plan.needs
+    groups = [sensor.rectangles(Load((term,))) for term in load.terms] or [sensor.rectangles(load)]
+    patches = join(groups)
+    row: Row = {
+        "force_n": patches.force_n.sum(axis=0),
+        "torque_nmm": np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
         "surface_mm": patches.centre_mm,
         "surface_force_n": patches.force_n,
-        "surface_slip": slip,
     }
     if "sites" in needs:
-        row |= _on_sites(made, patches, slip)
+        from twin.study.dataset.cells import in_cells
+
+        found = in_cells(made.grid, sensor.actual.scene.body, groups, slips)
+        row |= dict(zip(("site_force_n", "site_contact", "site_slip"), found, strict=True))
     if not needs & {"motion", "picture", "outlines"}:
         return row
     looked_at = bool(needs & {"picture", "outlines"})
-    motion = sensor.motion_of_patches(patches, strained=looked_at and sensor.markers_strain)
+    motion = sensor.motion_of_patches(*groups, strained=looked_at and sensor.markers_strain)
     row |= {"marker_displacement_mm": motion.displacement_mm, "displacement_error": motion.error}
     if sensor.nominal.camera is not None:
         row["marker_pressed_px"] = sensor.project(sensor.actual.markers.points + motion.displacement_mm)
@@ -206,38 +225,6 @@ def _seen(made: MadeSensor, motion: Motion, exposure: int) -> Row:
 
 def _told_by(outlines: Outlines) -> Row:
     return {"marker_outline_pressed_px": outlines.centroid_px, "marker_visible": outlines.visible}
-
-
-def _on_sites(made: MadeSensor, patches: Rectangles, slip: Bools) -> Row:
-    """Sum tractions, contact and slip into the cells of the sites.
-
-    Raises
-    ------
-    ContactError
-        The contact reaches beyond the sites.
-    """
-    grid, body = made.grid, made.sensor.actual.scene.body
-    inside = (np.arange(SPLIT) + 0.5) / SPLIT * 2.0 - 1.0
-    corners = np.stack(np.meshgrid(inside, inside, indexing="ij"), axis=-1).reshape(-1, 2)
-    pieces = np.einsum("qs,ks,ksi->kqi", corners, patches.half_mm, patches.frames[:, :2])
-    chart = body.chart_of((patches.centre_mm[:, None] + pieces).reshape(-1, 3))
-    count = np.array([grid.columns, grid.rows])
-    place = chart / grid.pitch_mm + count / 2.0
-    if len(chart) and (over := float(np.maximum(-place, place - count).max()) * grid.pitch_mm) > 1e-6:
-        raise ContactError(
-            f"contact: it reaches {over:.3g} mm beyond the sites; enlarge [dataset.sites] or press further inside"
-        )
-    column, row = np.clip(np.floor(place).astype(int), 0, count - 1).T
-    cell, cells = column * grid.rows + row, grid.columns * grid.rows
-    area = 4.0 * patches.half_mm.prod(axis=1)
-    columns = (*patches.force_n.T, area, area * slip)
-    sums = [np.bincount(cell, np.repeat(values / SPLIT**2, SPLIT**2), cells) for values in columns]
-    touched = sums[3] > 0
-    return {
-        "site_force_n": np.column_stack(sums[:3]),
-        "site_contact": np.minimum(sums[3] / grid.pitch_mm**2, 1.0),
-        "site_slip": np.divide(sums[4], sums[3], out=np.zeros(cells), where=touched),
-    }
 
 
 def _actual(scene: Scene) -> Table:

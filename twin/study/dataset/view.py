@@ -59,6 +59,9 @@ def _card(reader: DatasetReader, sample: dict[str, Any]) -> Card:
 
 def _title(sample: dict[str, Any]) -> str:
     press = json.loads(sample["press"])
+    if isinstance(press, list):
+        words = f"sample {sample['index']}: {', '.join(each['kind'] for each in press)}"
+        return words + (", force ({:.2g}, {:.2g}, {:.2g}) N".format(*sample["force_n"]) if "force_n" in sample else "")
     probe = press["probe"]
     size = probe.get("diameter_mm", probe.get("width_mm"))
     words = f"sample {sample['index']}: {probe['kind']}" + (f" {size:.3g} mm" if size else "")
