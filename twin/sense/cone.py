@@ -30,6 +30,12 @@ LEAST = 1e-12
 GOAL = 1e-11
 """KKT residual that ends the iterations."""
 
+LOOSE = 1e-6
+"""The same while the sites that carry force are still being found."""
+
+SINGLE = 1e-4
+"""Above this residual Newton's steps are solved in single precision: what they point at is not the end yet."""
+
 PATIENCE = 4
 """Block exchanges without progress before single ones, which cannot cycle."""
 
@@ -192,26 +198,32 @@ def _working_set(matrix: Floats, linear: Floats, mu: float, start: Floats) -> tu
     if scale == 0.0:
         return np.zeros_like(start), 0.0
     rate = 1.0 / np.diag(matrix).reshape(-1, 3).mean(axis=1)
-    force, inside = start.copy(), np.asarray(start.any(axis=1), np.bool_)
+    force, inside, goal = start.copy(), np.asarray(start.any(axis=1), np.bool_), LOOSE
     for _ in range(MOST_GROWTH):
         where = np.flatnonzero(inside)
         rows = (3 * where[:, None] + np.arange(3)).ravel()
-        block = matrix[:, rows]
+        block = matrix[rows]
         if len(where):
-            force[where] = _newton(block[rows], linear[rows], mu, force[where], rate[where], GOAL * scale)
-        gradient = (block @ force[where].ravel() - linear).reshape(-1, 3)
+            some = block[:, rows]
+            force[where] = _newton(some, linear[rows], mu, force[where], rate[where], goal * scale, SINGLE * scale)
+        gradient = (force[where].ravel() @ block - linear).reshape(-1, 3)
         onto, _ = _project(force - rate[:, None] * gradient, mu)
         wrong = np.abs((force - onto) / rate[:, None]).max(axis=1) / scale
-        missing = np.flatnonzero(~inside & (wrong > GOAL))
-        if not len(missing):
+        missing = np.flatnonzero(~inside & (wrong > goal))
+        if len(missing):
+            most = max(LEAST_GROWTH, int(GROWTH * len(where)))
+            inside = np.asarray(force.any(axis=1), np.bool_)
+            inside[missing[np.argsort(-wrong[missing])[:most]]] = True
+        elif goal > GOAL:
+            goal = GOAL
+        else:
             break
-        most = max(LEAST_GROWTH, int(GROWTH * len(where)))
-        inside = np.asarray(force.any(axis=1), np.bool_)
-        inside[missing[np.argsort(-wrong[missing])[:most]]] = True
     return force, float(wrong.max())
 
 
-def _newton(matrix: Floats, linear: Floats, mu: float, start: Floats, rate: Floats, goal: float) -> Floats:
+def _newton(
+    matrix: Floats, linear: Floats, mu: float, start: Floats, rate: Floats, goal: float, single: float
+) -> Floats:
     """Semismooth Newton with a line search on the residual; sites that carry nothing drop out of the system."""
 
     def residual(force: Floats, gradient: Floats) -> tuple[Floats, Floats, Ints, float]:
@@ -226,7 +238,7 @@ def _newton(matrix: Floats, linear: Floats, mu: float, start: Floats, rate: Floa
     for _ in range(MOST_NEWTON):
         if size <= goal:
             break
-        step = _newton_step(matrix, rate, mu, miss, trial, kind)
+        step = _newton_step(matrix, rate, mu, miss, trial, kind, np.float32 if size > single else np.float64)
         change = (matrix @ step.ravel()).reshape(-1, 3)
         length = 1.0
         for _ in range(HALVINGS):
@@ -241,8 +253,10 @@ def _newton(matrix: Floats, linear: Floats, mu: float, start: Floats, rate: Floa
     return project_onto_cone(best, mu)
 
 
-def _newton_step(matrix: Floats, rate: Floats, mu: float, miss: Floats, trial: Floats, kind: Ints) -> Floats:
-    """Return the (k, 3) step that makes the linearised residual vanish."""
+def _newton_step(
+    matrix: Floats, rate: Floats, mu: float, miss: Floats, trial: Floats, kind: Ints, precision: type[np.floating]
+) -> Floats:
+    """Return the (k, 3) step that makes the linearised residual vanish, solved in a precision."""
     step = -miss
     active = np.flatnonzero(kind > 0)
     if not len(active):
@@ -260,5 +274,5 @@ def _newton_step(matrix: Floats, rate: Floats, mu: float, miss: Floats, trial: F
         columns = (3 * idle[:, None] + np.arange(3)).ravel()
         pull = (block[:, columns] @ step[idle].ravel()).reshape(-1, 3)
         right = right - np.einsum("nij,nj->ni", gain, pull)
-    step[active] = np.linalg.solve(system, right.ravel()).reshape(-1, 3)
+    step[active] = np.linalg.solve(system.astype(precision), right.ravel().astype(precision)).reshape(-1, 3)
     return step
