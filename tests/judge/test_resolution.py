@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from twin.errors import InputError
-from twin.judge.resolution import dip, error_parts, field_errors, half_width, linearity, widths
+from twin.judge.resolution import dip, error_parts, field_errors, full_width, linearity, two_point_distance, widths
 
 
 def test_field_errors_by_direction():
@@ -40,26 +40,13 @@ def test_error_parts_add_up():
 
 def test_width_of_a_known_bell():
     x = np.linspace(-5, 5, 401)
-    assert half_width(x, np.exp(-(x**2) / 2)) == pytest.approx(2 * np.sqrt(2 * np.log(2)), rel=1e-3)
-    assert half_width(x, np.maximum(1 - np.abs(x - 0.6) / 2, 0)) == pytest.approx(2.0, rel=1e-6)
-    assert half_width(x, x + 10) == np.inf
+    assert full_width(x, np.exp(-(x**2) / 2)) == pytest.approx(2 * np.sqrt(2 * np.log(2)), rel=1e-3)
+    assert full_width(x, np.maximum(1 - np.abs(x - 0.6) / 2, 0)) == pytest.approx(2.0, rel=1e-6)
+    assert np.isnan(full_width(x, x + 10))
+    assert widths(np.ones(12), (4, 3), 1.0) == (np.inf, np.inf)
     s, t = np.meshgrid(0.1 * np.arange(60), 0.1 * np.arange(40), indexing="ij")
     bell = np.exp(-((s - 3) ** 2) / 2 / 0.5**2 - (t - 2) ** 2 / 2 / 0.3**2)
     assert widths(bell.ravel(), (60, 40), 0.1) == pytest.approx((0.5 * 2.3548, 0.3 * 2.3548), rel=0.01)
-
-
-def test_dip_between_two_bells():
-    x = np.linspace(-5, 5, 201)
-
-    def two(width):
-        return np.exp(-((x - 1) ** 2) / 2 / width**2) + np.exp(-((x + 1) ** 2) / 2 / width**2)
-
-    assert dip(two(1.2), 80, 120) == pytest.approx(0.0, abs=0.02)
-    assert dip(two(0.2), 80, 120) == pytest.approx(1.0, abs=1e-4)
-    expected = 1 - 2 * np.exp(-0.5 / 0.49) / (1 + np.exp(-2 / 0.49))
-    assert dip(two(0.7), 80, 120) == pytest.approx(expected, abs=0.01)
-    with pytest.raises(InputError):
-        dip(x, 5, 5)
 
 
 def test_linearity():
@@ -75,3 +62,23 @@ def test_linearity():
     assert linearity(applied, applied + 0.05 * applied**2)["nonlinearity"] > 0.01
     with pytest.raises(InputError):
         linearity(applied[:2], applied[:2])
+
+
+def test_the_dip_of_two_gaussians() -> None:
+    x = np.linspace(-10, 10, 401)
+
+    def two(apart: float) -> np.ndarray:
+        return sum(np.exp(-((x - s * apart / 2) ** 2) / 2) for s in (-1, 1))
+
+    assert dip(x, two(1.0), 1.0) == 0.0, "closer than their width, two pushes are one"
+    between, peak = 2 * np.exp(-2.0), two(4.0).max()
+    assert dip(x, two(4.0), 4.0) == pytest.approx(1 - between / peak, rel=1e-6)
+    assert dip(np.array([-1.0, 1.0]), np.ones(2), 2.0) == 0.0, "nothing was sampled between them"
+
+
+def test_the_least_distance_is_interpolated_and_never_optimistic() -> None:
+    apart = np.array([1.0, 2.0, 3.0, 4.0])
+    assert two_point_distance(apart, np.array([0.0, 0.1, 0.3, 0.5])) == pytest.approx(2.5)
+    assert two_point_distance(apart, np.array([0.3, 0.1, 0.3, 0.5])) == pytest.approx(2.5), "a stray dip does not count"
+    assert two_point_distance(apart, np.array([0.3, 0.4, 0.5, 0.6])) == 1.0
+    assert two_point_distance(apart, np.zeros(4)) == np.inf

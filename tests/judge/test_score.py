@@ -58,6 +58,25 @@ def test_force_nulls_have_reasons():
     assert force_score(**pushes(force_n=np.full((9, 3), np.nan)))["field_error"] is None
 
 
+def test_errors_by_direction():
+    given = pushes()
+    force = given["force_n"].copy()
+    force[:, 2] *= 1.2
+    total = given["true_force_n"] + [0.0, 0.0, -0.1]
+    result = force_score(**pushes(force_n=force, total_force_n=total))
+    assert result["field_error_normal"] == pytest.approx(0.2)
+    assert result["field_error_tangential"] == 0.0
+    size = np.linalg.norm(given["true_force_n"])
+    assert result["total_force_error_axes"] == pytest.approx([0.0, 0.0, -0.1 / size])
+    sideways = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    turned = force_score(**pushes(force_n=force, frames=np.tile(sideways, (9, 1, 1))))
+    assert turned["field_error_normal"] == 0.0
+    pressed = np.array([[0.0, 0, 1.0]] * 3)
+    only = force_score(**pushes(surface_force_n=pressed, true_force_n=pressed.sum(axis=0)))
+    assert only["field_error_tangential"] is None
+    assert "field_error_tangential" in only["reasons"]
+
+
 def test_tracking_numbers_and_hidden_markers():
     random = np.random.default_rng(3)
     true = random.normal(0, 2, (4000, 2))
@@ -74,6 +93,16 @@ def test_tracking_numbers_and_hidden_markers():
     assert result["matched"] == pytest.approx(3560 / 3600)
     assert result["gross"] == 5
     assert result["occluded"]["bias_axes_px"][0] == pytest.approx(0.52, abs=0.01)
+    assert result["sd_axes_px"] == pytest.approx([0.05, 0.05], rel=0.05)
+    assert result["false_positives"] == 0
+    assert result["over_bound"] is None
+    assert "over_bound" in result["reasons"]
+    gone = true.copy()
+    gone[-3:] = np.nan
+    result = tracking_score(shift, gone, visible, bound_px=np.full(len(true), 0.04))
+    assert result["false_positives"] == 3
+    assert result["over_bound"] == pytest.approx(1.25, rel=0.03)
+    assert "over_bound" not in result["reasons"]
 
 
 def test_score_gathers_reasons_and_is_plain_json():

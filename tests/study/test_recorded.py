@@ -124,6 +124,15 @@ def test_overlay_pictures(folder):
     drawn = np.array(Image.open(folder / "drawn" / "000001_press4.png"))
     assert drawn.shape == (SIZE[1], SIZE[0], 3)
     assert (drawn == [120, 255, 120]).all(axis=2).sum() > 10
+    options = ["--calibration", "flat.npz", "--overlay"]
+    done = twin("rest.png", "press1.png", "press4.png", *options, "one.png", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    pictures = [np.array(Image.open(folder / name)) for name in ("one.png", "one_000002.png")]
+    changed = [float((np.abs(p.astype(int) - drawn) > 40).any(axis=2).mean()) for p in pictures]
+    assert changed[1] < 0.02 < changed[0] + 0.02, "the second stands beside the first"
+    done = twin("rest.png", "press4.png", *options, "one.jpg", cwd=folder)
+    assert done.returncode == 2
+    assert b".png" in done.stderr
 
 
 @pytest.mark.parametrize(

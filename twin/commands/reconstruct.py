@@ -30,7 +30,7 @@ def reconstruct(
     calibration: Annotated[Path, Parameter(help="Calibration file (see: twin calibrate).")],
     out: Annotated[Path | None, Parameter(help="Table to write: .parquet, .csv (totals only) or .npz.")] = None,
     overlay: Annotated[
-        Path | None, Parameter(help="Draw the motion into the frames: a folder of PNG files, or a video (.mp4).")
+        Path | None, Parameter(help="Draw the motion into the frames: a .png, a folder of them, or a video (.mp4).")
     ] = None,
     size: Annotated[str | None, Parameter(help="Size of raw frames: 640x480.")] = None,
     format: Annotated[str | None, Parameter(help="Format of raw frames: rgb24 or gray8.")] = None,
@@ -122,11 +122,15 @@ class _Drawing:
     """The overlay's files."""
 
     def __init__(self, target: Path) -> None:
+        from twin.errors import InputError
         from twin.results import make_folder
-        from twin.study.frames import VIDEOS
+        from twin.study.frames import PICTURES, VIDEOS
 
-        self.target, self._film = target, target.suffix.lower() in VIDEOS
-        make_folder(target.parent if self._film else target)
+        suffix = target.suffix.lower()
+        self.target, self._film, self._one = target, suffix in VIDEOS, suffix == ".png"
+        if suffix in PICTURES and not self._one:
+            raise InputError(f"--overlay {target}: pictures are drawn as .png; give that, a folder, or a video (.mp4)")
+        make_folder(target.parent if self._film or self._one else target)
         self._writer: Any = None
 
     def add(self, number: int, answer: Answer) -> None:
@@ -154,6 +158,8 @@ class _Drawing:
             self._writer.add(drawn)
             return
         path = self.target / f"{number:06d}_{Path(answer.name.replace(':', '_')).stem}.png"
+        if self._one:  # frames after the first stand beside it
+            path = self.target if number == 1 else self.target.with_stem(f"{self.target.stem}_{number:06d}")
         write_whole(path, lambda file: file.write(png_bytes(drawn)))
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.arrays import Floats
 from twin.errors import InputError
-from twin.judge.resolve import full_width
+from twin.theory.limit import DIP
 
 
 def field_errors(estimate_n: Floats, truth_n: Floats, frames: Floats | None = None) -> dict[str, float | None]:
@@ -85,22 +85,23 @@ def error_parts(
     return {"noise": noise / size, **out, "all": float(np.hypot(noise, sure)) / size}
 
 
-def half_width(place_mm: Floats, value: Floats) -> float:
-    """Return the full width at half maximum of a profile around its largest value, mm, by linear interpolation.
-
-    inf where it doesn't fall to half on either side within the profile.
-
-    Parameters
-    ----------
-    place_mm, value
-        (m,) places in rising order, mm, and values.
-    """
-    width = full_width(np.asarray(place_mm, float), np.asarray(value, float))
-    return width if np.isfinite(width) else float("inf")
+def full_width(x: Floats, y: Floats) -> float:
+    """Return the full width at half of the maximum of a sampled peak, crossings interpolated linearly; NaN if open."""
+    top = int(np.argmax(y))
+    half = 0.5 * float(y[top])
+    if half <= 0:
+        return float("nan")
+    left = next((k for k in range(top, 0, -1) if y[k - 1] < half), None)
+    right = next((k for k in range(top, len(y) - 1) if y[k + 1] < half), None)
+    if left is None or right is None:
+        return float("nan")
+    low = x[left] - (x[left] - x[left - 1]) * (y[left] - half) / (y[left] - y[left - 1])
+    high = x[right] + (x[right + 1] - x[right]) * (y[right] - half) / (y[right] - y[right + 1])
+    return float(high - low)
 
 
 def widths(push_n: Floats, grid: tuple[int, int], pitch_mm: float) -> tuple[float, float]:
-    """Return the full widths at half maximum of a field along s and t through its largest site, mm.
+    """Return the full widths at half maximum of a field along s and t through its largest site, mm; inf if open.
 
     Parameters
     ----------
@@ -112,32 +113,47 @@ def widths(push_n: Floats, grid: tuple[int, int], pitch_mm: float) -> tuple[floa
     picture = np.asarray(push_n, float).reshape(grid)
     column, row = np.unravel_index(int(np.argmax(picture)), grid)
     along, across = (np.asarray(pitch_mm * np.arange(count), float) for count in grid)
-    return half_width(along, picture[:, row]), half_width(across, picture[column])
+    found = full_width(along, picture[:, row]), full_width(across, picture[column])
+    return tuple(width if np.isfinite(width) else float("inf") for width in found)  # type: ignore[return-value]
 
 
-def dip(value: Floats, first: int, second: int) -> float:
-    """Return how far a profile falls between two places, over the lower of the peaks there.
+def dip(x: Floats, y: Floats, apart: float) -> float:
+    """Return how far a profile falls between two equal pushes at -apart/2 and apart/2, over the lower of the peaks.
 
-    0: one hump; 1: down to nothing between them. A sharper estimate than the data allow has a small width but no more
-    dip, so it is told beside the width.
+    Peaks are looked for within a quarter of the distance around their places; 0 where a place has none, or where
+    nothing was sampled between them.
 
     Parameters
     ----------
-    value
-        (m,) profile.
-    first, second
-        Indices of the two places; a peak is the largest value within a quarter of their distance of either.
+    x, y
+        (n,) places, rising, and pushes, in any unit.
+    apart
+        Distance of the two pushes, in the unit of x.
     """
-    value = np.asarray(value, float)
-    if not 0 <= first < second < len(value):
-        raise InputError(f"two places of a profile of {len(value)} values in rising order, got {first} and {second}")
-    reach = max((second - first) // 4, 0)
-    starts = [max(at - reach, 0) for at in (first, second)]
-    peaks = [
-        start + int(np.argmax(value[start : at + reach + 1])) for start, at in zip(starts, (first, second), strict=True)
-    ]
-    height = float(min(value[peaks]))
-    return 1.0 - float(value[peaks[0] : peaks[1] + 1].min()) / height if height > 0 else 0.0
+    near = [np.abs(x - side * apart / 2) <= apart / 4 + 1e-9 for side in (-1, 1)]
+    between = np.abs(x) < apart / 4 - 1e-9
+    if not (near[0].any() and near[1].any() and between.any()):
+        return 0.0
+    peak = min(float(y[near[0]].max()), float(y[near[1]].max()))
+    return max(0.0, 1.0 - float(y[between].min()) / peak) if peak > 0 else 0.0
+
+
+def two_point_distance(apart: Floats, dips: Floats) -> float:
+    """Return the least distance from which on all larger ones dip by `DIP`, interpolated; infinite if none does.
+
+    Parameters
+    ----------
+    apart, dips
+        (n,) distances, rising, and the dips there. The first distance is the least answer.
+    """
+    enough = dips >= DIP
+    if not enough[-1]:
+        return float("inf")
+    first = len(enough) - int(np.argmin(enough[::-1])) if not enough.all() else 0
+    if first == 0:
+        return float(apart[0])
+    share = (DIP - dips[first - 1]) / (dips[first] - dips[first - 1])
+    return float(apart[first - 1] + share * (apart[first] - apart[first - 1]))
 
 
 def linearity(applied_n: Floats, estimated_n: Floats) -> Mapping[str, float]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Pixels, Points
 from twin.errors import InputError
+from twin.judge.resolution import field_errors
 
 GROSS_PX = 1.0
 """A shift wrong by more than this is a mistaken marker, not noise: counted apart, and left out of bias and sd."""
@@ -60,7 +61,9 @@ def _check_finite(value: Any, where: str) -> None:
         raise InputError(f"{where} = {value}: a score must be finite, or None with a reason")
 
 
-def tracking_score(shift_px: Pixels, true_shift_px: Pixels, visible: Bools | None = None) -> Score:
+def tracking_score(
+    shift_px: Pixels, true_shift_px: Pixels, visible: Bools | None = None, *, bound_px: Floats | None = None
+) -> Score:
     """Score marker motion.
 
     Parameters
@@ -71,13 +74,17 @@ def tracking_score(shift_px: Pixels, true_shift_px: Pixels, visible: Bools | Non
         (n, 2) true shifts of the same thing, px: of the visible outline's centroid where there is one.
     visible
         (n,) whether the marker is fully visible in both pictures; all are if not given.
+    bound_px
+        (n,) least standard deviation of a shift that the pictures' noise allows, per axis, px.
 
     Returns
     -------
     dict
         Over the visible markers: ``bias_px`` (length of the mean error), ``bias_axes_px``, ``sd_px`` (of the two-frame
-        shift, per axis, about the mean), ``matched`` (share found), ``gross`` (number of errors above 1 px; these are
-        left out of bias and sd), ``markers``. The same for the others under ``occluded``. ``reasons``.
+        shift, per axis, about the mean), ``sd_axes_px``, ``matched`` (share found), ``gross`` (number of errors above
+        1 px; these are left out of bias and sd), ``markers``. The same for the others under ``occluded``. Over all:
+        ``false_positives`` (markers that were given a shift though nothing of them is in a picture); ``bound_px``
+        (root mean square over the visible markers) and ``over_bound`` (sd over it). ``reasons``.
     """
     shift, true = np.asarray(shift_px, float), np.asarray(true_shift_px, float)
     if shift.shape != true.shape or shift.ndim != 2 or shift.shape[1] != 2:
@@ -95,6 +102,20 @@ def tracking_score(shift_px: Pixels, true_shift_px: Pixels, visible: Bools | Non
     else:
         reasons["occluded"] = "no marker is hidden"
         result["occluded"] = None
+    found, real = np.isfinite(shift).all(axis=1), np.isfinite(true).all(axis=1)
+    result["false_positives"] = int((found & ~real).sum())
+    result["bound_px"] = result["over_bound"] = None
+    least = np.asarray(bound_px, float)[front] if bound_px is not None else np.zeros(0)
+    least = least[np.isfinite(least)]
+    if len(least):
+        result["bound_px"] = float(np.sqrt(np.mean(least**2)))
+    if len(least) and result["sd_px"] is not None:
+        result["over_bound"] = result["sd_px"] / result["bound_px"]
+    else:
+        missing = "no closed form of this camera's noise is known, or no marker is in full sight"
+        reasons["over_bound"] = reasons.get("sd_px", missing)
+    if not len(least):
+        reasons["bound_px"] = "no closed form of this camera's noise is known, or no marker is in full sight"
     return {**result, "reasons": reasons}
 
 
@@ -105,7 +126,7 @@ def _tracking_part(shift: Pixels, true: Pixels) -> tuple[Score, dict[str, str]]:
     length = np.linalg.norm(np.where(usable[:, None], error, 0.0), axis=1)
     fine = error[usable & (length <= GROSS_PX)]
     result: Score = {
-        "bias_px": None, "bias_axes_px": None, "sd_px": None,
+        "bias_px": None, "bias_axes_px": None, "sd_px": None, "sd_axes_px": None,
         "matched": float(found.mean()) if len(shift) else None,
         "gross": int((length > GROSS_PX).sum()), "markers": len(shift),
     }  # fmt: skip
@@ -119,6 +140,7 @@ def _tracking_part(shift: Pixels, true: Pixels) -> tuple[Score, dict[str, str]]:
         reasons["bias_px"] = "no marker was found within 1 px of its true place"
     if len(fine) > 1:
         result["sd_px"] = float(np.sqrt(fine.var(axis=0, ddof=1).mean()))
+        result["sd_axes_px"] = [float(v) for v in fine.std(axis=0, ddof=1)]
     else:
         reasons["sd_px"] = "fewer than two markers were found within 1 px of their true places"
     return result, reasons
@@ -134,6 +156,7 @@ def force_score(
     surface_force_n: Floats,
     true_force_n: Floats,
     true_torque_nmm: Floats,
+    frames: Floats | None = None,
 ) -> Score:
     """Score a reconstructed force field.
 
@@ -143,16 +166,22 @@ def force_score(
         Estimate: (k, 3) sites, mm, their forces, N, and its (3,) totals, N and N mm.
     surface_mm, surface_force_n, true_force_n, true_torque_nmm
         Truth: (m, 3) surface points, mm, their forces, N, and the (3,) totals.
+    frames
+        (k, 3, 3) the sites' frames, the inward normal last; z is the normal if not given.
 
     Returns
     -------
     dict
         ``field_error`` |f^ - f|/|f| in the 2-norm, the truth being summed into the cell of its nearest site;
-        ``total_force_error`` |F^ - F|/|F|; ``torque_error`` |T^ - T|/max(|T|, |F| 1 mm); ``centre_error_mm``, the
-        distance in (x, y) of the push's centres, sum fz (x, y)/sum fz (of the estimate only the sites above a fifth of
-        the largest push). ``reasons``.
+        ``field_error_normal`` and ``field_error_tangential`` the same of these parts, each over its own size;
+        ``total_force_error`` |F^ - F|/|F| and ``total_force_error_axes``, (F^ - F)/|F|; ``torque_error``
+        |T^ - T|/max(|T|, |F| 1 mm); ``centre_error_mm``, the distance in (x, y) of the push's centres, sum fz (x, y)/
+        sum fz (of the estimate only the sites above a fifth of the largest push). ``reasons``.
     """
-    result: Score = dict.fromkeys(("field_error", "total_force_error", "torque_error", "centre_error_mm"))
+    result: Score = dict.fromkeys(
+        ("field_error", "field_error_normal", "field_error_tangential", "total_force_error", "total_force_error_axes",
+         "torque_error", "centre_error_mm")
+    )  # fmt: skip
     reasons: dict[str, str] = {}
     truth, estimate = np.asarray(surface_force_n, float), np.asarray(force_n, float)
     _same_points(surface_mm, truth, "surface")
@@ -162,15 +191,17 @@ def force_score(
     if not all(np.isfinite(v).all() for v in numbers):
         return {**result, "reasons": dict.fromkeys(result, "truth or estimate hold numbers that are not finite")}
     cells = into_cells(site_mm, surface_mm, truth)
-    field_size, size = float(np.linalg.norm(cells)), float(np.linalg.norm(force))
-    if field_size > 0:
-        result["field_error"] = float(np.linalg.norm(estimate - cells) / field_size)
-    else:
-        reasons["field_error"] = "the true field is zero"
+    size = float(np.linalg.norm(force))
+    for part, value in field_errors(estimate, cells, frames).items():
+        key = "field_error" if part == "all" else f"field_error_{part}"
+        result[key] = value
+        if value is None:
+            reasons[key] = f"the true field is zero{'' if part == 'all' else f' in its {part} part'}"
     if size > 0:
         result["total_force_error"] = float(np.linalg.norm(total_force_n - force) / size)
+        result["total_force_error_axes"] = [float(v) for v in (total_force_n - force) / size]
     else:
-        reasons["total_force_error"] = "the true total force is zero"
+        reasons["total_force_error"] = reasons["total_force_error_axes"] = "the true total force is zero"
     scale = max(float(np.linalg.norm(torque)), size * 1.0)
     if scale > 0:
         result["torque_error"] = float(np.linalg.norm(total_torque_nmm - torque) / scale)

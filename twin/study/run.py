@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from twin.arrays import Floats
 from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.scene import Scene
 from twin.results import Estimate, RunResult, Truth, make_folder, remove_results, write_whole
@@ -183,7 +184,8 @@ class _Chain:
                     self.failures["force"] = str(problem)
         estimate = _estimate(found, forces)
         with self.stage("score"):
-            score = self._score(truth, motion, estimate, state)
+            frames = calibration.site_frames if calibration is not None else None
+            score = self._score(truth, motion, estimate, state, frames)
         return RunResult(
             scene_toml=dump_scene(scene),
             truth=truth,
@@ -227,7 +229,12 @@ class _Chain:
         )
 
     def _score(
-        self, truth: Truth, motion: Motion, estimate: Estimate | None, state: ContactState | None
+        self,
+        truth: Truth,
+        motion: Motion,
+        estimate: Estimate | None,
+        state: ContactState | None,
+        frames: Floats | None,
     ) -> dict[str, Any]:
         from twin.judge.score import force_score, score, tracking_score
 
@@ -241,7 +248,8 @@ class _Chain:
         tracking = force = None
         if estimate is not None:
             true_shift = truth.marker_outline_pressed_px - truth.marker_outline_rest_px
-            tracking = tracking_score(estimate.marker_shift_px, true_shift, truth.marker_visible)
+            bound = self._bound_px()
+            tracking = tracking_score(estimate.marker_shift_px, true_shift, truth.marker_visible, bound_px=bound)
         if estimate is not None and len(estimate.site_mm):
             force = force_score(
                 site_mm=estimate.site_mm,
@@ -252,10 +260,26 @@ class _Chain:
                 surface_force_n=truth.surface_force_n,
                 true_force_n=truth.total_force_n,
                 true_torque_nmm=truth.total_torque_nmm,
+                frames=frames,
             )
         result = score(elastic=elastic, tracking=tracking, force=force)
         result["reasons"] |= self.failures
         return result
+
+    def _bound_px(self) -> Floats | None:
+        """Return (n,) what the pictures' noise allows at best, px; None where no closed form knows the camera."""
+        from twin.study.sweep.noise import can_tell, shift_bound
+        from twin.study.sweep.view import view_of
+
+        scene = self.sensor.nominal
+        if scene.camera is None or not can_tell(scene) or not scene.ccd.spelt_out().noise:
+            return None
+        view = view_of(scene)
+        bound = np.full(len(view.markers), np.nan)
+        for name in scene.markers:
+            rows = view.markers.layer == name
+            bound[rows] = shift_bound(scene, name, np.nan_to_num(view.diameter_px[rows]))
+        return np.where(np.isfinite(view.diameter_px), bound, np.nan)
 
     def _facts(
         self, state: ContactState | None, calibration: Calibration | None, forces: Field | None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import twin
-from twin.judge.resolve import DIP, dip
+from twin.judge.resolution import DIP, dip
 
 pytestmark = pytest.mark.slow
 

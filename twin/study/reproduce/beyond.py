@@ -222,7 +222,7 @@ SAME_HARDWARE = Entry(
     name="beyond/same-hardware",
     title="What the same hardware reaches with this project's tracker, calibration and inverse",
     source="beyond the papers",
-    protocol="The papers' bodies, markers, cameras and capture chains; the soft-window tracker, the nominal body's "
+    protocol="The papers' bodies, markers, cameras and capture chains; the disc-fit tracker, the nominal body's "
     "compliance and the smooth inverse. The papers' numbers stand beside them.",
     run=_same_hardware,
     long=True,

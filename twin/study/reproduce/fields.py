@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Floats, Points
-from twin.judge.resolve import full_width as full_width
+from twin.judge.resolution import full_width as full_width
 from twin.judge.score import force_score, into_cells
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import Field, Method, reconstruct

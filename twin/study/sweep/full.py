@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Picture, Singles
 from twin.errors import InputError
-from twin.judge.resolve import dip
+from twin.judge.resolution import dip
 from twin.parts.load import Rectangles
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep

@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Points
 from twin.errors import RecipeError
-from twin.judge.resolve import dip, full_width, two_point_distance
+from twin.judge.resolution import dip, full_width, two_point_distance
 from twin.parts.load import Rectangles
 from twin.parts.scene import Scene
 from twin.parts.sweep import GF, Sweep

@@ -33,6 +33,18 @@ def shift_sd(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
     RecipeError
         The camera is one that the closed form does not know.
     """
+    kind = scene.markers[layer].kind
+    return np.asarray(np.hypot(FACTOR[kind] * shift_bound(scene, layer, diameter_px), MODEL_PX[kind]))
+
+
+def shift_bound(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
+    """Return (n,) the least standard deviations of a shift that the pictures' noise allows, per axis, px.
+
+    Raises
+    ------
+    RecipeError
+        The camera is one that the closed form does not know.
+    """
     if not can_tell(scene):
         raise RecipeError(
             f"noise_px: there is no closed form of the noise of ccd.preset = '{scene.ccd.preset}' (mosaic, video or "
@@ -48,5 +60,4 @@ def shift_sd(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
     dark = max(scene.cover.albedo) if scene.cover is not None else 0.03
     ground, contrast = white * dark, white * max(max(marker.colour) - dark, 1e-3)
     noise = rim_noise(contrast, ground, FULL_SCALE, ccd.full_well_e, ccd.read_noise_e) if ccd.noise else 0.3
-    bound = centre_bound(np.maximum(diameter_px, 1e-3), contrast, ccd.psf_px, noise)
-    return np.asarray(np.hypot(np.sqrt(2.0) * FACTOR[marker.kind] * bound, MODEL_PX[marker.kind]))
+    return np.asarray(np.sqrt(2.0) * centre_bound(np.maximum(diameter_px, 1e-3), contrast, ccd.psf_px, noise))
