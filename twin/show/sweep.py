@@ -17,13 +17,16 @@ from twin.show.words import digits, table
 MOST_DOTS = 3000
 """Dots of a drawing; of more designs every so-and-so-many-th is drawn, and the front."""
 
+FAR = 0.6
+"""How far outside the designs a target is drawn, in their ranges: a farther one would press them into a corner."""
+
 BINS = 14
 """Bins of a map along an axis at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Front:
-    """Designs by two metrics, of which less is better.
+    """Designs by two metrics.
 
     Attributes
     ----------
@@ -178,12 +181,14 @@ def _fronts(fronts: Sequence[Front]) -> str:
     drawn = []
     for front in fronts:
         known = np.isfinite(front.x) & np.isfinite(front.y)
-        if known.sum() < 2:
+        if known.sum() < 2 or min(np.ptp(v[known]) for v in (front.x, front.y)) == 0:
             continue
         x, y = front.x[known], front.y[known]
         # a few hopeless designs must not press all others into a corner
         ends = [(float(v.min()), float(np.quantile(v, 0.95))) for v in (x, y)]
-        for k, target in enumerate(front.target):
+        targets = [t if a - FAR * (b - a) <= t <= b + FAR * (b - a) else np.nan
+                   for t, (a, b) in zip(front.target, ends, strict=True)]  # fmt: skip
+        for k, target in enumerate(targets):
             if np.isfinite(target):
                 ends[k] = (min(ends[k][0], target), max(ends[k][1], target))
         (left, right), (bottom, top) = [(a - 0.05 * (b - a) - 1e-12, b + 0.05 * (b - a) + 1e-12) for a, b in ends]
@@ -196,16 +201,25 @@ def _fronts(fronts: Sequence[Front]) -> str:
         on = on[np.argsort(on[:, 0])]
         if len(on):
             content += plots.line(axes, on, "profile estimate") + plots.dots(axes, on, "dot red", 3.2)
-        for k, target in enumerate(front.target):
+        for k, target in enumerate(targets):
             if np.isfinite(target):
                 ends_of = [[target, bottom], [target, top]] if k == 0 else [[left, target], [right, target]]
                 content += plots.line(axes, np.array(ends_of), "contact")
         svg = plots.drawing(axes, content, front.across, front.up, f"{front.up} against {front.across} of all designs")
         drawn.append(
-            f"<figure>{svg}<figcaption>Each dot is a design; red ones are bettered by none in both. Dashed: the "
-            "targets. The worst twentieth lies outside.</figcaption></figure>"
+            f"<figure>{svg}<figcaption>Each dot is a design; red ones are bettered by none in both. The worst "
+            f"twentieth lies outside. {_said(front, targets)}</figcaption></figure>"
         )
     return f'<div class="two">{"".join(drawn)}</div>' if drawn else ""
+
+
+def _said(front: Front, drawn: Sequence[float]) -> str:
+    """Return what to say of a front's targets, those that are too far away to be drawn in numbers."""
+    said = ["Dashed: the targets."] if np.isfinite(drawn).any() else []
+    for name, target, shown in zip((front.across, front.up), front.target, drawn, strict=True):
+        if np.isfinite(target) and not np.isfinite(shown):
+            said.append(f"Wanted {escape(name)}: {digits(float(target))}, far from here.")
+    return " ".join(said)
 
 
 def _maps(maps: Sequence[Map]) -> str:

@@ -18,6 +18,7 @@ from small_sweep import TABLE, small
 
 import twin
 from twin.study.sweep.best import write_best
+from twin.study.sweep.optimise import descend
 from twin.study.sweep.rank import agreement, best_first, pareto, scores
 from twin.study.sweep.report import write_report
 from twin.study.sweep.run import run_sweep
@@ -193,3 +194,20 @@ def test_the_command_says_what_it_would_do_and_refuses_what_it_cant(tmp_path: Pa
     assert bad.returncode == 2
     assert "no sweep 'nothing'" in bad.stderr
     assert "Traceback" not in bad.stderr
+
+
+def test_descent_finds_the_floor_of_a_valley_within_its_designs() -> None:
+    looked: list[np.ndarray] = []
+
+    def judged(u: np.ndarray) -> np.ndarray:
+        points = np.atleast_2d(u.T)
+        looked.append(points)
+        return ((points - [0.3, 1.0]) ** 2 @ [1.0, 20.0]) - 1.0
+
+    descend(judged, np.array([0.9, 0.5]), looked, 90)
+    points = np.concatenate(looked)
+    assert len(points) <= 90
+    assert judged(points.T).min() < -0.999
+    looked.clear()
+    descend(judged, np.array([0.9, 0.5]), looked, 2)
+    assert not looked, "a gradient takes three designs here"

@@ -22,8 +22,14 @@ from twin.study.sweep.sensitivity import sensitivities
 from twin.study.sweep.table import Store
 from twin.study.sweep.work import expected
 
-FRONTS = (("two_point_mm", "total_force_error"), ("two_point_mm", "resolution_gf"), ("two_point_mm", "cost"),
-          ("total_force_error", "frame_ms"))  # fmt: skip
+FRONTS = (("two_point_mm", "total_force_error"), ("two_point_mm", "resolution_gf"),
+          ("two_point_mm", "total_force_bias"), ("two_point_mm", "range_n"), ("two_point_mm", "markers"),
+          ("two_point_mm", "cost"), ("total_force_error", "frame_ms"))  # fmt: skip
+TOLD = {"total_force_bias": "force error of the made sensors, without noise", "range_n": "largest force, the more the "
+        "better (N)", "frame_ms": "software's time for a picture (ms)"}  # fmt: skip
+MORE = frozenset({"range_n"})
+"""Metrics of which more is better."""
+
 MOST_REASONS = 12
 
 
@@ -61,6 +67,8 @@ def _verdict(done: Swept, best: Sequence[Best]) -> str:
 
 
 def _named(name: str) -> str:
+    if name in TOLD:
+        return TOLD[name]
     unit = unit_of(name) or ("gf" if name.endswith("_gf") else "")
     words = METRICS.get(name, name).split(",")[0] if name in METRICS else name.replace("_", " ")
     return f"{words} ({unit})" if unit else words
@@ -77,7 +85,7 @@ def _fronts(done: Swept) -> list[Front]:
         targets = done.designs.sweep.targets
         fronts.append(
             Front(
-                across=_named(x_name), up=_named(y_name), x=x, y=y, on_front=pareto([x, y]),
+                across=_named(x_name), up=_named(y_name), x=x, y=y, on_front=pareto([x, -y if y_name in MORE else y]),
                 target=(targets.get(x_name, np.nan), targets.get(y_name, np.nan)),
             )
         )  # fmt: skip
