@@ -132,7 +132,7 @@ def test_another_block_gets_its_table_when_many_compliances_are_asked_for(tmp_pa
     """The standard block at half its size: the same mesh, scaled, so that w must be twice the standard one's."""
     half = Block(width_mm=50, length_mm=45, thickness_mm=20)
     small = {}
-    for level in ("standard", "coarse"):
+    for level in ("coarse", "sketch"):
         mesh = read_mesh(MESHES / f"kamiyama_block.{level}.npz")
         small[level] = Mesh(**{**vars(mesh), "points": mesh.points / 2.0})
     monkeypatch.setattr("twin.world.tabulate.cache_folder", lambda: tmp_path)

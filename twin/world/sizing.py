@@ -87,7 +87,7 @@ class _Shares:
 _FLAT: dict[Level, _Shares] = {
     "nominal": _Shares(0.18, 0.18, 0.05, 9500),
     "sketch": _Shares(0.22, 0.22, 0.08, 3600),
-    "coarse": _Shares(0.17, 0.17, 0.04, 10500),
+    "coarse": _Shares(0.11, 0.11, 0.06, 14800),
     "standard": _Shares(0.11, 0.11, 0.018, 28000),
     "fine": _Shares(0.075, 0.075, 0.009, 90000),
 }

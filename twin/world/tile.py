@@ -124,6 +124,8 @@ def require_on_surface(body: Body, load: Rectangles) -> None:
             f"{_named(load, first)} is {inside[first]:.2g} mm from the body's {face} face (allowed: {EDGE_MM:g} mm and "
             "more): on an edge a part of the load would miss the body; move it inwards"
         )
+    if np.min(inside - np.hypot(*load.half_mm.T), initial=0.0) >= 0.0:
+        return
     out = _overhang(body, load)
     if np.any(out > OVERHANG):
         first = int(np.argmax(out))
@@ -152,9 +154,11 @@ def _tile_one(traction: Traction, body: Body, spacing_mm: float | None) -> Recta
     centre = footprint_centre(traction, body)
     frame = body.frames(centre[None])[0]
     half = np.array(traction.size_mm) / 2.0
-    rim = (_SQUARE if traction.kind == "rectangle" else _CIRCLE) * half
-    on_rim = onto_surface(rim, centre, frame, body, traction)
-    flat = body.is_flat or float(np.max(np.abs(body.piece_normals(on_rim)[:, 0] - frame[2]))) < 1e-12
+    flat = body.is_flat
+    if not flat or np.min(body.piece_distances(centre[None])[0, 1:]) < math.hypot(*half):
+        rim = (_SQUARE if traction.kind == "rectangle" else _CIRCLE) * half
+        on_rim = onto_surface(rim, centre, frame, body, traction)
+        flat = flat or float(np.max(np.abs(body.piece_normals(on_rim)[:, 0] - frame[2]))) < 1e-12
     if flat and traction.kind == "rectangle":
         return _plane(centre, frame, np.zeros((1, 2)), half[None], np.array([traction.force_n]))
     if flat and traction.kind == "disk":
