@@ -24,6 +24,8 @@ STAGES = (
     "stress",
     "dataset",
     "sweep",
+    "budget",
+    "scaling",
 )
 SLOW = ("peers", "growth", "referee", "calibrations")
 """Stages that a quick run leaves out unless they are named: they need other programs, much memory, or LLVM."""
