@@ -26,7 +26,7 @@ from twin.theory.contact import (
     tangential_stiffness,
 )
 from twin.world import contact, friction
-from twin.world.contact import press
+from twin.world.contact import ContactState, press
 from twin.world.gap import approach
 from twin.world.probe_shape import RIM, rotation_of, shape_of, turning_of
 
@@ -475,3 +475,43 @@ def test_yielding_to_more_than_friction_carries_names_the_cause() -> None:
             Press(probe=BALL, direction="normal", friction=0.2, force_n=(0.1, 0, 0.2)), BLOCK, HalfSpace(),
             patches_across=8, youngs_modulus_mpa=1.0, poisson_ratio=0.5,
         )  # fmt: skip
+
+
+@pytest.mark.parametrize("mixed", [(math.inf, 0.5), (0.5, math.inf)])
+def test_a_probe_that_sticks_beside_one_that_slips(mixed: tuple[float, float]) -> None:
+    """Sticking is the law with an unbounded coefficient: beside a probe that slips it is what a large one gives."""
+    steps = (Step(force_n=(0, 0, 0.5)), Step(force_n=(0.1, 0.05, 0.5), torque_nmm=0.03))
+
+    def both(frictions: tuple[float, ...]) -> ContactState:
+        one, other = (
+            Press(probe=Sphere(diameter_mm=6), at_mm=(x, 0), friction=mu, steps=steps)
+            for x, mu in zip((-4, 4), frictions, strict=True)
+        )
+        return pressed(one.model_copy(update={"also": (other,)}), across=8, nu=0.3, increments=2)
+
+    state, much = both(mixed), both(tuple(min(mu, 50.0) for mu in mixed))
+    for one, other, mu in zip((state, *state.also), (much, *much.also), mixed, strict=True):
+        np.testing.assert_allclose(one.move_mm, other.move_mm, rtol=1e-8)
+        np.testing.assert_allclose(one.traction_mpa, other.traction_mpa, atol=1e-8)
+        np.testing.assert_array_equal(one.slip, other.slip)
+        assert one.slip.any() == (mu == 0.5)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_a_refused_step_leaves_the_states_before_it(friction: float) -> None:
+    wanted = Press(
+        probe=Sphere(diameter_mm=4),
+        friction=friction,
+        steps=(Step(force_n={"z": 0.1}), Step(move_mm=(None, None, 2.5))),
+    )
+    with pytest.raises(ContactError, match="sinks in") as refused:
+        pressed(wanted, across=8, increments=2)
+    state = refused.value.last_state
+    assert isinstance(state, ContactState)
+    assert not state.complete
+    assert "step 2 of 2" in state.reason
+    assert state.force_n[2] == pytest.approx(0.1)
+    assert len(state.path) == 1
+    with pytest.raises(ContactError, match="sinks in") as refused:
+        pressed(Press(probe=Sphere(diameter_mm=4), friction=friction, indentation_mm=2.5), across=8, increments=2)
+    assert refused.value.last_state is None

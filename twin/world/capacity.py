@@ -52,7 +52,7 @@ def asked_share(carried: Floats, normal_n: Floats, friction: float, by_force: Bo
     0 when nothing is asked; above 1 there is no balance.
     """
     free = np.flatnonzero(by_force & (np.arange(4) != Z))
-    if len(free) == 0 or not normal_n.any():
+    if len(free) == 0 or not normal_n.any() or math.isinf(friction):
         return 0.0
     arm = float(np.abs(carried[:, :2, 3]).max()) or 1.0
     size = np.array([1.0, 1.0, 1.0, 1.0 / arm])[free]

@@ -70,6 +70,11 @@ def _projected(vector: Floats, radius: Floats) -> Floats:
     return np.asarray(vector * np.minimum(1.0, radius / np.maximum(length, 1e-300))[:, None])
 
 
+def _most(friction: Floats, push: Floats) -> Floats:
+    """Return (k,) the most that friction can carry; of a patch that sticks there is no limit while it is pushed."""
+    return np.where(push > 0.0, np.where(push > 0.0, push, 1.0) * friction, 0.0)
+
+
 def _scales(problem: Unilateral) -> Floats:
     """Return (k,) r, N/mm: the force that moves a patch by itself along its normal."""
     return np.asarray(1.0 / problem.between.own)
@@ -85,7 +90,7 @@ def _tried(problem: Unilateral, scale: Floats, force: Floats, displacement: Floa
     dragged = force[:, :2] - scale[:, None] * slip
     errors = np.empty((k, 3))
     errors[:, 2] = force[:, 2] - np.maximum(pushed, 0.0)
-    bound = problem.friction * np.maximum(force[:, 2], 0.0)
+    bound = _most(problem.friction, force[:, 2])
     errors[:, :2] = force[:, :2] - _projected(dragged, bound)
     total = problem.total(force)
     return _Trial(
@@ -100,13 +105,13 @@ def _pattern(problem: Unilateral, trial: _Trial) -> Pattern:
         touching = np.union1d(touching, near)
     drag = trial.dragged[touching]
     length = np.hypot(drag[:, 0], drag[:, 1])
-    bound = problem.friction[touching] * np.maximum(trial.pushed[touching], 0.0)
+    bound = _most(problem.friction[touching], trial.pushed[touching])
     slips = length > _AT_BOUND * bound
     return Pattern(
         touching=touching, slips=slips,
         ahead=np.where(slips[:, None], drag / np.maximum(length, 1e-300)[:, None], [1.0, 0.0]),
         mu=np.where(slips, problem.friction[touching], 0.0),
-        share=np.where(slips, bound / np.maximum(length, 1e-300), 1.0),
+        share=np.where(slips, bound, 1.0) / np.where(slips, np.maximum(length, 1e-300), 1.0),
     )  # fmt: skip
 
 
@@ -191,7 +196,7 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
     Parameters
     ----------
     problem
-        The contact problem, with a finite coefficient of friction on each patch.
+        The contact problem; patches of infinite friction stick while they are pushed.
     force
         (k, 3) first guess of the forces, in the patches' frames, N.
     place
@@ -264,6 +269,6 @@ def _settled(problem: Unilateral, trial: _Trial, reach: Floats, steps: int) -> E
     return Equilibrium(
         force_n=force, displacement_mm=trial.displacement, place=trial.place, active=active,
         total=problem.total(force),
-        slipping=active & (dragged > problem.friction * np.maximum(trial.force[:, 2], 0.0)),
+        slipping=active & (dragged > _most(problem.friction, trial.force[:, 2])),
         residual=_residual(problem, trial, reach), steps=steps,
     )  # fmt: skip
