@@ -70,11 +70,11 @@ CASES = (
         height=lambda x, y: np.hypot(x, y) * SLOPE, side_mm=2.3, force_n=0.5,
     ),
     Case(
-        name="two balls of 20 mm, 2.4 mm apart", press=Press(
-            probe=Sphere(diameter_mm=20), at_mm=(-1.2, 0), force_n=(0, 0, 0.1),
-            also=(Press(probe=Sphere(diameter_mm=20), at_mm=(1.2, 0), force_n=(0, 0, 0.1)),),
+        name="two balls of 2.2 mm, 2.4 mm apart", press=Press(
+            probe=Sphere(diameter_mm=2.2), at_mm=(-1.2, 0), force_n=(0, 0, 0.1),
+            also=(Press(probe=Sphere(diameter_mm=2.2), at_mm=(1.2, 0), force_n=(0, 0, 0.1)),),
         ),
-        height=lambda x, y: np.minimum(_ball(x + 1.2, y, 10.0), _ball(x - 1.2, y, 10.0)), side_mm=4.4, force_n=0.2,
+        height=lambda x, y: np.minimum(_ball(x + 1.2, y, 1.1), _ball(x - 1.2, y, 1.1)), side_mm=3.4, force_n=0.2,
     ),
     Case(
         name="cylinder of 4 mm, rim of 0.5 mm",
