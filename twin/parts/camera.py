@@ -8,6 +8,12 @@ from pydantic import Field, model_validator
 
 from twin.parts.part import Part
 
+Lens = Literal["pinhole", "equidistant"]
+"""What each makes of an angle is in `twin.theory.lens`."""
+
+DISTORTIONS: dict[str, tuple[int, ...]] = {"pinhole": (0, 2, 4, 5, 8), "equidistant": (0, 2, 4)}
+"""How many coefficients of distortion each may have."""
+
 
 class Layer(Part):
     """A flat transparent layer between the body's base and the camera.
@@ -59,7 +65,7 @@ class Camera(Part):
 
     width_px: int = Field(default=640, ge=1, le=8192)
     height_px: int = Field(default=480, ge=1, le=8192)
-    lens: Literal["pinhole", "equidistant"] = "pinhole"
+    lens: Lens = "pinhole"
     focal_px: float = Field(gt=1, le=1e6)
     aspect: float = Field(default=1.0, gt=0.1, lt=10)
     principal_px: tuple[float, float] | None = None
@@ -73,7 +79,7 @@ class Camera(Part):
 
     @model_validator(mode="after")
     def _distortion_has_a_known_length(self) -> Camera:
-        known = {"pinhole": (0, 2, 4, 5, 8), "equidistant": (0, 2, 4)}[self.lens]
+        known = DISTORTIONS[self.lens]
         if len(self.distortion) not in known:
             raise ValueError(
                 f"distortion: {len(self.distortion)} coefficients; a lens = '{self.lens}' has "

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from twin.arrays import Chart, Floats
 from twin.parts.grid import grid_axes, grid_chart
+from twin.parts.methods import Method
 from twin.parts.part import Part
 
 
@@ -108,7 +109,7 @@ class Reconstruction(Part):
     """
 
     sites: Sites
-    method: Literal["smooth", "norm", "pinv"] = "smooth"
+    method: Method = "smooth"
     weight: Annotated[float, Field(ge=0)] | Literal["auto", "likelihood", "gcv"] = "auto"
     push_only: bool = False
     friction: float | None = Field(default=None, gt=0, le=100)

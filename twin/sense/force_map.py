@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from twin.arrays import Floats, Pixels
 from twin.errors import InputError
+from twin.parts.methods import Method
 from twin.sense.calibration import Calibration
 from twin.sense.problem import penalty
-from twin.sense.reconstruct import Method
 from twin.sense.weigh import factorise, filtered
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
@@ -182,17 +183,26 @@ def penalty(calibration: Calibration, method: str) -> Floats:
 
 def grid_penalty(grid: tuple[int, int], method: str) -> Floats:
     """Return `penalty` of a (columns, rows) grid of sites."""
-    columns, rows = grid
-    if method != "smooth":
-        return np.eye(3 * columns * rows)
+    return np.asarray(np.kron(PENALTIES[method](*grid), np.eye(3)), np.float64)
+
+
+def _forces(columns: int, rows: int) -> Floats:
+    return np.eye(columns * rows)
+
+
+def _neighbours(columns: int, rows: int) -> Floats:
     along, across = _differences(columns), _differences(rows)
-    chain = np.kron(along.T @ along, np.eye(rows)) + np.kron(np.eye(columns), across.T @ across)
-    return np.asarray(np.kron(chain, np.eye(3)), np.float64)
+    return np.asarray(np.kron(along.T @ along, np.eye(rows)) + np.kron(np.eye(columns), across.T @ across))
 
 
 def _differences(count: int) -> Floats:
     """Return (count + 1, count) differences of a row of sites with one of zero force beyond either end."""
     return np.asarray(np.diff(np.eye(count + 2), axis=0)[:, 1:-1], float)
+
+
+PENALTIES: dict[str, Callable[[int, int], Floats]] = {"smooth": _neighbours, "norm": _forces, "pinv": _forces}
+"""By method, from the grid's columns and rows to the (sites, sites) matrix that every component of the force is kept
+small in: positive definite, sites counted row by row within columns."""
 
 
 def _into_frames(matrix: Floats, frames: Floats) -> Floats:

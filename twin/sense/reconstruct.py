@@ -13,12 +13,13 @@ Wrong vectors and the camera's bend both come in as corrections of the data, so 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.errors import InputError
+from twin.parts.methods import Method
 from twin.sense.calibration import Calibration
 from twin.sense.problem import Problem, problem_of
 from twin.sense.robust import excess
@@ -33,7 +34,6 @@ from twin.sense.weigh import (
     site_variance,
 )
 
-Method = Literal["smooth", "norm", "pinv"]
 Rule = Literal["auto", "likelihood", "gcv"]
 _RULES = {"auto": automatic_weight, "likelihood": most_likely_weight, "gcv": cross_validated_weight}
 
@@ -194,8 +194,8 @@ def check_options(
     InputError
         One is outside its range, or the calibration has not what it needs.
     """
-    if method not in ("smooth", "norm", "pinv"):
-        raise InputError(f"method = {method!r}: allowed are 'smooth', 'norm' and 'pinv'")
+    if method not in get_args(Method):
+        raise InputError(f"method = {method!r}: allowed are {', '.join(map(repr, get_args(Method)))}")
     if isinstance(weight, str):
         if weight not in _RULES:
             raise InputError(f"weight = {weight!r}: allowed are numbers, 'auto', 'likelihood' and 'gcv'")

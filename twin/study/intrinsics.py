@@ -77,8 +77,10 @@ def write_intrinsics(camera: Camera, file: str | Path) -> None:
     Raises
     ------
     InputError
-        The file can't be written.
+        The file can't be written, or the lens is none of OpenCV's.
     """
+    if camera.lens not in ("pinhole", "equidistant"):
+        raise InputError(f"camera.lens = {camera.lens!r}: OpenCV's files know 'pinhole' and 'equidistant' alone")
     path = Path(file)
     column, row = camera.centre_px
     fx, fy = camera.focal_px, camera.focal_px * camera.aspect

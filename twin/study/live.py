@@ -137,15 +137,15 @@ class LivePress:
         self.environment = Environment(scene, progress)
         if scene.press is None:
             raise RecipeError("this scene has no [press] table: --live moves the scene's probe, so give it one")
-        self.scene, self._press = scene, scene.press
+        self.scene, self.moved = scene, scene.press
         self._rest = self.environment.reset()
 
     def start(self) -> Hand:
         """Return where the hand begins: the scene's place, push and friction; `FRICTION` where it has none."""
-        x, y = self._press.at_mm[:2]
+        x, y = self.moved.at_mm[:2]
         return Hand(
-            at_mm=(x, y), push_n=self._press.path[0].force_n[2] or 1.0, side=(0.0, 0.0), twist=0.0,
-            friction=self._press.friction or FRICTION, by_motion=not self.scene.body.is_flat,
+            at_mm=(x, y), push_n=self.moved.path[0].force_n[2] or 1.0, side=(0.0, 0.0), twist=0.0,
+            friction=self.moved.friction or FRICTION, by_motion=not self.scene.body.is_flat,
         )  # fmt: skip
 
     def facts(self) -> dict[str, Any]:
@@ -165,7 +165,7 @@ class LivePress:
             "marker": np.round(sensor.project(sensor.actual.markers.points), 2).tolist(),
             "layer": [list(scene.markers).index(str(name)) for name in sensor.actual.markers.layer],
             "layers": list(scene.markers),
-            "probe": self._press.probe.kind,
+            "probe": self.moved.probe.kind,
             "start": begin.told(),
             "side": ["move", "mm", "turn", "°"] if begin.by_motion else ["force", "N", "twist", "N mm"],
             "range": {
@@ -173,7 +173,7 @@ class LivePress:
                 "side_x": [-side, side], "side_y": [-side, side], "twist": [-twist, twist],
             },
             "friction": ["inf" if math.isinf(mu) else mu for mu in sorted({*FRICTIONS, begin.friction})],
-            "note": "The first of the scene's probes is moved alone." if self._press.also else "",
+            "note": "The first of the scene's probes is moved alone." if self.moved.also else "",
         }  # fmt: skip
 
     def answer(self, question: Mapping[str, Any]) -> bytes:
@@ -189,7 +189,7 @@ class LivePress:
         hand = Hand.of(question, by_motion=not self.scene.body.is_flat)
         started = time.perf_counter()
         try:
-            press = hand.press(self._press)
+            press = hand.press(self.moved)
         except ValueError as problem:  # the scene's probe comes in a way that can't be loaded so
             raise InputError(f"press: {problem}") from None
         try:

@@ -1,7 +1,7 @@
 """The lens in closed form: directions in the camera's axes to pixels and back, with derivatives.
 
-A lens maps the radius of a direction, tan(angle) for a pinhole and the angle itself for an equidistant fisheye, to a
-radius in the picture. Two families bend that map, in OpenCV's terms and order of coefficients:
+A lens maps the angle of a direction to a radius in the picture: its tangent for a pinhole, itself for an equidistant
+fisheye (`RADIAL`). Two families bend that map, in OpenCV's terms and order of coefficients:
 
 - pinhole, Brown-Conrady: r (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), plus the decentring
   2 p1 x y + p2 (r^2 + 2 x^2) in x and p1 (r^2 + 2 y^2) + 2 p2 x y in y, x to the right and y *down* (Brown,
@@ -13,10 +13,52 @@ Validity: up to the first fold of the radial map, where it stops growing: nothin
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from twin.arrays import Floats, Pixels, Points
 from twin.parts.camera import Camera
+
+
+@dataclass(frozen=True)
+class Radial:
+    """What a lens makes of the angle of a direction to its axis, before any distortion.
+
+    Attributes
+    ----------
+    radius
+        From how far directions go across and ahead, (n,) each, to the radius in the picture over the focal length.
+    slopes
+        Its derivatives with respect to both.
+    angle
+        Its inverse: from the radius to the angle, radians; NaN where there is none.
+    """
+
+    radius: Callable[[Floats, Floats], Floats]
+    slopes: Callable[[Floats, Floats], tuple[Floats, Floats]]
+    angle: Callable[[Floats], Floats]
+
+
+def _ahead(ahead: Floats) -> Floats:
+    """Return how far directions go ahead; NaN for those that don't."""
+    return np.where(ahead > 1e-12, ahead, np.nan)
+
+
+RADIAL: dict[str, Radial] = {
+    "pinhole": Radial(
+        radius=lambda across, ahead: across / _ahead(ahead),
+        slopes=lambda across, ahead: (1 / _ahead(ahead), -across / _ahead(ahead) ** 2),
+        angle=np.arctan,
+    ),
+    "equidistant": Radial(
+        radius=np.arctan2,
+        slopes=lambda across, ahead: (ahead / (across**2 + ahead**2), -across / (across**2 + ahead**2)),
+        angle=lambda radius: np.where(radius < np.pi, radius, np.nan),
+    ),
+}
+"""By the name of the lens."""
 
 _ITERATIONS = 60
 _NEWTON = 20
@@ -40,17 +82,12 @@ def lens(towards: Points, camera: Camera) -> Pixels:
 def lens_jacobian(towards: Points, camera: Camera) -> Floats:
     """Return (n, 2, 3) derivatives of `lens` with respect to the directions."""
     radius, across, ahead = _radius(towards, camera)
-    if camera.lens == "pinhole":
-        ahead = np.where(ahead > 1e-12, ahead, np.nan)
-        by_across, by_ahead = 1 / ahead, -across / ahead**2
-    else:
-        square = across**2 + ahead**2
-        by_across, by_ahead = ahead / square, -across / square
+    by_across, by_ahead = RADIAL[camera.lens].slopes(across, ahead)
     near = across <= 1e-12
     unit = towards[:, :2] / np.where(near, 1.0, across)[:, None]
     radial = unit[:, :, None] * unit[:, None, :]
     # First to the undistorted place in the picture, then through the distortion.
-    around = np.where(near, 1 / ahead, radius / np.where(near, 1.0, across))
+    around = np.where(near, by_across, radius / np.where(near, 1.0, across))
     first = np.empty((len(towards), 2, 3))
     first[:, :, :2] = around[:, None, None] * (np.eye(2) - radial) + radial * by_across[:, None, None]
     first[:, :, 2] = -unit * by_ahead[:, None]
@@ -72,7 +109,7 @@ def lens_inverse(pixels: Pixels, camera: Camera) -> Points:
     flat = _without_decentring(flat, camera)
     image = np.linalg.norm(flat, axis=1)
     radius = _undistort(image, camera)
-    angle = np.arctan(radius) if camera.lens == "pinhole" else np.where(radius < np.pi, radius, np.nan)
+    angle = RADIAL[camera.lens].angle(radius)
     unit = flat / np.where(image > 0, image, 1.0)[:, None]
     return np.column_stack([unit * np.sin(angle)[:, None], -np.cos(angle)])
 
@@ -92,9 +129,7 @@ def _radius(towards: Points, camera: Camera) -> tuple[Floats, Floats, Floats]:
     """Return the undistorted radius, and how far directions go across and ahead."""
     ahead = -towards[:, 2]
     across = np.linalg.norm(towards[:, :2], axis=1)
-    pinhole = camera.lens == "pinhole"
-    radius = across / np.where(ahead > 1e-12, ahead, np.nan) if pinhole else np.arctan2(across, ahead)
-    return radius, across, ahead
+    return RADIAL[camera.lens].radius(across, ahead), across, ahead
 
 
 def _to_pixels(flat: Floats, camera: Camera) -> Pixels:

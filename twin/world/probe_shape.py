@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points
-from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere
+from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere, Stl
 
 _GRAZING = 1e-3
 """A line that meets a probe at a smaller sine than this doesn't meet it."""
@@ -226,7 +226,7 @@ def shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0
     tilt = tilt_of(tilt_deg)
     if isinstance(probe, Sphere):
         return Ball(probe.diameter_mm / 2)  # looks the same however it is turned
-    if not isinstance(probe, Cylinder | Pillar | Cone):
+    if isinstance(probe, Stl):
         return _triangles(probe.file, probe.sha256, tuple(map(tuple, tilt)))
     shape: Shape
     if isinstance(probe, Cone):

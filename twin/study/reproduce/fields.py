@@ -11,8 +11,9 @@ import numpy as np
 from twin.arrays import Floats, Points
 from twin.judge.resolution import full_width as full_width
 from twin.judge.score import force_score, into_cells
+from twin.parts.methods import Method
 from twin.sense.calibration import Calibration
-from twin.sense.reconstruct import Field, Method, reconstruct
+from twin.sense.reconstruct import Field, reconstruct
 from twin.sense.track import Found
 from twin.show.panels import FieldPanel
 from twin.study.calibrate import half_space_compliance

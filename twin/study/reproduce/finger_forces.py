@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Floats
+from twin.parts.methods import Method
 from twin.parts.press import Cylinder, Press, Step
 from twin.sense.calibration import Calibration
-from twin.sense.reconstruct import Method
 from twin.sense.rest import Method as Tracker
 from twin.show.panels import Curve, CurvePanel
 from twin.streams import Purpose, stream

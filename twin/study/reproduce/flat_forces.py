@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.sense.reconstruct import Field, Method
+from twin.parts.methods import Method
+from twin.sense.reconstruct import Field
 from twin.study.reproduce.bench import OUR_TRACKER, Bench
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import (

@@ -10,7 +10,8 @@ import numpy as np
 
 from twin.arrays import Floats
 from twin.parts.load import Traction
-from twin.sense.reconstruct import Field, Method
+from twin.parts.methods import Method
+from twin.sense.reconstruct import Field
 from twin.sense.rest import Method as Tracker
 from twin.study.reproduce.bench import Bench, Rig
 from twin.study.reproduce.fields import full_width, solved

@@ -1,0 +1,38 @@
+"""The Gymnasium environment passes Gymnasium's own checker."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+import twin
+from twin.study.live import QUICK
+from twin.study.recipe import parse_override
+
+pytest.importorskip("gymnasium")
+
+
+@pytest.mark.slow
+def test_it_is_an_environment_that_feels_what_is_done() -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    from twin.study.gym import TactileEnv
+
+    scene = twin.load_scene("kamiyama_pillar", dict(parse_override(text) for text in QUICK))
+    env = TactileEnv(scene, reward=lambda seen: float(seen.total_force_n[2]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its advice on unbounded spaces and on rendering
+        check_env(env, skip_render_check=True)
+    env.reset()
+    seen, reward, terminated, truncated, info = env.step(np.array([2.0, 1.0, 2.0, 0.2, 0.0, 0.0]))
+    assert (terminated, truncated) == (False, False)
+    assert seen["total_force_n"] == pytest.approx([0.2, 0.0, 2.0], abs=0.12)
+    assert reward == pytest.approx(2.0, abs=0.12)
+    assert info["true_total_force_n"] == pytest.approx([0.2, 0.0, 2.0], abs=1e-5)
+    slipping = env.action_space.high.copy()
+    slipping[2] = 0.1
+    _, reward, _, truncated, info = env.step(slipping)
+    assert (reward, truncated) == (0.0, False)
+    assert "sideways" in info["problem"] or "edge" in info["problem"] or "miss" in info["problem"], info["problem"]
