@@ -30,6 +30,7 @@ from twin.world.fem import Layer, TaylorHood
 from twin.world.known import Known
 from twin.world.ladder import Answer
 from twin.world.mesh import Mesh, Progress, body_mesh
+from twin.world.rim import drawn_to_rim
 from twin.world.sizing import Level
 from twin.world.spread import patch_rests
 
@@ -146,7 +147,7 @@ class Covered:
             self.body,
             lambda points: edge + GROWTH * np.maximum(np.linalg.norm(points - centre, axis=1) - room, 0.0),
         )
-        mesh = with_cover(fine, self.body, self.thickness_mm)
+        mesh = drawn_to_rim(with_cover(fine, self.body, self.thickness_mm), self.body)
         self._patches.append((centre, room, edge, Patch(self.body, self.material, mesh, self.layer)))
         return self._patches[-1][3]
 
