@@ -93,7 +93,7 @@ def calibrate_to_file(scene: Scene, out: Path, progress: Any = None) -> str:
 
 def sensor_digest(scene: Scene) -> str:
     """Return a hash of everything that a calibration by presses depends on: the sensor, not the press."""
-    table = scene.model_dump(mode="json", exclude={"title", "press", "accuracy", "dataset", "vary"})
+    table = scene.model_dump(mode="json", exclude={"title", "press", "tractions", "accuracy", "dataset", "vary"})
     table["calibration"].pop("file")
     table["reconstruction"] = table["reconstruction"]["sites"]
     return hashlib.sha256(json.dumps(_without_provenance(table), sort_keys=True).encode()).hexdigest()
