@@ -161,3 +161,29 @@ def test_a_video_needs_the_extra_package(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingCapability, match=r"pip install 'tactile-twin\[video\]'"):
         next(video_frames(folder / "film.mp4"))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")  # its pipes
+def test_a_film_in_and_a_film_out(folder):
+    """A video file of the recording, written and read by the extra package."""
+    pytest.importorskip("imageio_ffmpeg")
+    from twin.study.frames import VideoWriter, video_frames
+
+    film = VideoWriter(folder / "film.mp4", SIZE)
+    for number in range(1, 5):
+        film.add(np.array(Image.open(folder / f"press{number}.png")))
+    film.close()
+    options = ["--calibration", "flat.npz", "--out", "film.csv", "--overlay", "drawn.mp4"]
+    done = twin("rest.png", "film.mp4", *options, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    for share, row in zip((0.25, 0.5, 0.75, 1.0), rows(folder / "film.csv"), strict=True):
+        force = np.array([float(row[f"f{axis}_n"]) for axis in "xyz"])
+        assert force == pytest.approx(share * FORCE, abs=0.3)  # a lossy codec's noise
+    drawn = list(video_frames(folder / "drawn.mp4"))
+    assert [frame.problem for frame in drawn] == [""] * 4
+    assert drawn[0].picture.shape == (SIZE[1], SIZE[0], 3)
+    (folder / "cut.mp4").write_bytes((folder / "film.mp4").read_bytes()[:700])
+    done = twin("rest.png", "cut.mp4", "--calibration", "flat.npz", cwd=folder)
+    assert done.returncode == 3
+    assert b"can't be read as a video" in done.stderr

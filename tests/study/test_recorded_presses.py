@@ -7,9 +7,10 @@ from PIL import Image
 from benchmarks.discs import expose, scene
 from twin.errors import InputError
 from twin.sense.calibration import read_calibration
+from twin.study.calibrate import _nominal_compliance, _through_camera, hertz_radius
 from twin.study.recipe import load_scene
-from twin.study.recorded_presses import calibrate_from_folder, read_presses
-from twin.study.sensor import Sensor
+from twin.study.recorded_presses import FOOTPRINT, calibrate_from_folder, read_presses
+from twin.study.sensor import Sensor, on_surface
 
 HEAD = "frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\n"
 
@@ -56,3 +57,35 @@ def test_the_recorded_rest_picture_gives_the_layout(tmp_path):
     Image.fromarray(np.full((480, 640, 3), 30, np.uint8)).save(tmp_path / "rest.png")
     with pytest.raises(InputError, match="0 of the design's"):
         calibrate_from_folder(wanted, tmp_path, tmp_path / "c.npz")
+
+
+@pytest.mark.slow
+def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
+    """Pictures drawn for a sensor that is a tenth stiffer than its drawing: the calibration must come out so."""
+    stiffer, grid = 1.1, {"columns": 2, "rows": 1, "pitch_mm": 4.0}
+    sites = {f"reconstruction.sites.{key}": value for key, value in grid.items()}
+    wanted = load_scene("kamiyama_pillar", {"calibration.method": "sato", "calibration.press_force_n": 3.0, **sites})
+    sensor = Sensor(wanted)
+    half_mm = FOOTPRINT * hertz_radius(wanted, 3.0)
+    places = on_surface(wanted.body, wanted.reconstruction.sites.chart(), half_mm, "places")
+    transfer = _through_camera(sensor, _nominal_compliance(sensor, places)) / stiffer
+    layout, lines = sensor.layout_px, [HEAD.strip()]
+    cut = len(layout["red"])
+    rest = np.concatenate(list(layout.values()))
+
+    def draw(name, moved, seed):
+        drawn = scene((640, 480), [(moved[:cut], 0), (moved[cut:], 2)], 10.0)
+        Image.fromarray(expose(drawn, seed)).save(tmp_path / name)
+
+    draw("rest.png", rest, 0)
+    for place, centre in enumerate(places.centre_mm):
+        for step, force in enumerate(np.array([[0.0, 0, 3], [1.5, 0, 3], [0, 1.5, 3]])):
+            name = f"press{place}{step}.png"
+            draw(name, rest + (transfer[:, 3 * place : 3 * place + 3] @ force).reshape(-1, 2), 1 + 3 * place + step)
+            lines.append(",".join([name, *(f"{v:g}" for v in (*centre, *force))]))
+    (tmp_path / "presses.csv").write_text("\n".join(lines) + "\n")
+    assert "sato" in calibrate_from_folder(wanted, tmp_path, tmp_path / "c.npz")
+    made = read_calibration(tmp_path / "c.npz").transfer
+    nominal = stiffer * transfer
+    share = [float((made[:, k] @ nominal[:, k]) / (nominal[:, k] @ nominal[:, k])) for k in range(made.shape[1])]
+    assert share == pytest.approx([1 / stiffer] * len(share), rel=0.03)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -164,11 +165,11 @@ def video_frames(path: Path) -> Iterator[Frame]:
         yield Frame(name=path.name, problem=f"{path}: there is no such video")
         return
     try:
-        reader = package.read_frames(str(path), pix_fmt="rgb24")
-        width, height = next(reader)["size"]
-        for number, data in enumerate(reader):
-            picture = np.frombuffer(data, np.uint8).reshape(height, width, 3)
-            yield Frame(name=f"{path.name}:{number}", picture=picture)
+        with closing(package.read_frames(str(path), pix_fmt="rgb24")) as reader:
+            width, height = next(reader)["size"]
+            for number, data in enumerate(reader):
+                picture = np.frombuffer(data, np.uint8).reshape(height, width, 3)
+                yield Frame(name=f"{path.name}:{number}", picture=picture)
     except (OSError, RuntimeError, StopIteration, ValueError, KeyError) as problem:
         yield Frame(name=path.name, problem=f"{path}: can't be read as a video ({type(problem).__name__})")
 
