@@ -32,7 +32,7 @@ from twin.world.krylov import LinearSystem
 from twin.world.pattern import Pattern
 from twin.world.unilateral import FEW, TOLERANCE, Equilibrium, Unilateral
 
-_STEPS, _GOAL = 60, 1e-11
+_STEPS, _GOAL = 60, 1e-10
 _FEW = FEW
 _FAR = 1e4
 """A step of the probe over the contact's size that only a singular system asks for."""
