@@ -27,8 +27,9 @@ STAGES = (
     "budget",
     "scaling",
 )
-SLOW = ("peers", "growth", "referee", "calibrations")
-"""Stages that a quick run leaves out unless they are named: they need other programs, much memory, or LLVM."""
+SLOW = ("peers", "growth", "referee", "calibrations", "scaling")
+"""Stages that a quick run leaves out unless they are named: they need other programs, much memory, LLVM or
+time."""
 
 RESULTS = Path(__file__).parent / "results"
 

@@ -25,7 +25,7 @@ Row = dict[str, Any]
 def by_scene(rows: list[Row]) -> dict[str, dict[str, Row]]:
     """Return the rows of each stage of each scene, stages in the chain's order."""
     scenes: dict[str, dict[str, Row]] = {}
-    for row in rows:
+    for row in (row for row in rows if "stage" in row):
         scenes.setdefault(row["scene"], {})[row["stage"]] = row
     return {scene: {s: mine[s] for s in STAGES if s in mine} for scene, mine in scenes.items()}
 
@@ -85,6 +85,7 @@ def tables() -> dict[str, str]:
     paper = [{k: v for k, v in row.items() if k != "axis"} for row in grown if row["axis"] == "on paper"]
     return {
         "budget": f"\n{table(limits(rows))}\n\n{table(shares(rows))}\n\n",
+        "auto": f"\n{table([row for row in rows if 'stage' not in row])}\n\n",
         "scaling": f"\n{table(told)}\n\n",
         "nodes": f"\n{table(nodes)}\n\n{table(paper[:1])}\n\n{table(paper[1:])}\n\n",
     }

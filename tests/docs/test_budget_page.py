@@ -10,7 +10,7 @@ from benchmarks.budget_page import MARKS, PAGE, STAGES, by_scene, part, tables
 from benchmarks.elasticity_page import stored
 
 
-@pytest.mark.parametrize("mark", ["budget", "scaling", "nodes"])
+@pytest.mark.parametrize("mark", ["budget", "auto", "scaling", "nodes"])
 def test_page_is_the_scripts_output(mark: str) -> None:
     found = re.search(MARKS.format(mark), PAGE.read_text(), flags=re.DOTALL)
     assert found is not None

@@ -115,6 +115,13 @@ class Stl(StlFile):
 Probe = Annotated[Sphere | Cylinder | Pillar | Cone | Stl, Field(discriminator="kind")]
 
 
+def width_mm(probe: Probe) -> float:
+    """Return how wide a probe is at most, mm; infinite for a surface of the user's own, whose file is not read here."""
+    if isinstance(probe, Pillar):
+        return max(probe.size_mm)
+    return math.inf if isinstance(probe, Stl) else probe.diameter_mm
+
+
 def _refuse_edge(edge_mm: float, width_mm: float) -> None:
     if edge_mm > width_mm / 2:
         raise ValueError(

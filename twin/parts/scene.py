@@ -19,6 +19,7 @@ from twin.parts.material import Cover, Material
 from twin.parts.part import Part
 from twin.parts.pipeline import Calibration, Reconstruction, Tracking
 from twin.parts.press import Press
+from twin.parts.probe import width_mm
 from twin.parts.stiff import stiff_problems
 from twin.parts.tolerance import CUT, Tolerance
 from twin.parts.vary import Distribution, flat
@@ -72,6 +73,18 @@ class Scene(Part):
     def load(self) -> Load:
         """What the tractions push with."""
         return sum((each.load() for each in self.tractions), Load())
+
+    @property
+    def displacement_error(self) -> float:
+        """Largest error of a marker's displacement over the largest displacement that is asked for."""
+        made = self.tolerance.preset != "none"
+        return self.accuracy.displacement_for(self.tolerance.youngs_modulus_pct if made else 0.0)
+
+    @property
+    def contact_patches(self) -> int:
+        """Contact patches across the contact's diameter that are asked for."""
+        widths = [] if self.press is None else [width_mm(each.probe) for each in (self.press, *self.press.also)]
+        return self.accuracy.patches_for(widths, [layer.depth_mm for layer in self.markers.values()])
 
     @model_validator(mode="after")
     def _fits_together(self) -> Scene:

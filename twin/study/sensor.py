@@ -96,7 +96,7 @@ class Sensor:
             from twin.world.covered import CoveredLadder
 
             return CoveredLadder(covered)
-        return Ladder(scene.body, scene.material, scene.accuracy.displacement, progress=self.progress)
+        return Ladder(scene.body, scene.material, scene.displacement_error, progress=self.progress)
 
     @property
     def compliance(self) -> Compliance | Covered:
@@ -225,7 +225,7 @@ class Sensor:
 
     def _warn_if_inaccurate(self, got: float) -> None:
         """Warn, once per sensor, of a load under which the asked accuracy is not reached."""
-        asked = self.nominal.accuracy.displacement
+        asked = self.nominal.displacement_error
         if got > 1.1 * asked and not self._warned:
             self._warned = True
             warnings.warn(
@@ -264,7 +264,7 @@ class Sensor:
             wanted,
             self.actual.scene.body,
             self.compliance,
-            patches_across=self.nominal.accuracy.contact_patches,
+            patches_across=self.nominal.contact_patches,
             youngs_modulus_mpa=material.youngs_modulus_mpa,
             poisson_ratio=material.poisson_ratio,
             with_error=with_error,

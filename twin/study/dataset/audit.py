@@ -141,7 +141,7 @@ def _pressed(made: MadeSensor, press: Press, increments: int) -> ContactState:
         press,
         scene.body,
         made.sensor.compliance,
-        patches_across=scene.accuracy.contact_patches,
+        patches_across=scene.contact_patches,
         youngs_modulus_mpa=scene.material.youngs_modulus_mpa,
         poisson_ratio=scene.material.poisson_ratio,
         increments=increments,
@@ -158,7 +158,7 @@ def _relative(one: Floats | float, other: Floats | float) -> float:
 def _finer(made: MadeSensor) -> MadeSensor:
     """Return the same sensor at the highest accuracy."""
     scene = made.plan.scene
-    changes: dict[str, Any] = {"contact_patches": min(MOST_PATCHES, 2 * scene.accuracy.contact_patches)}
+    changes: dict[str, Any] = {"contact_patches": min(MOST_PATCHES, 2 * scene.contact_patches)}
     if pinned(finest_mesh_file(scene.body)):
         changes["displacement"] = BEST
     finest = scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update=changes)})

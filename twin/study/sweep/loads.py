@@ -160,13 +160,13 @@ class Bodies:
         refuse(scene)
         nu = scene.material.poisson_ratio
         where = hashlib.sha256(patches.centre_mm.tobytes() + patches.half_mm.tobytes()).hexdigest()
-        told = [scene.body.geometry(), nu, role, scene.accuracy.displacement if role == "truth" else 0, where]
+        told = [scene.body.geometry(), nu, role, scene.displacement_error if role == "truth" else 0, where]
         key = json.dumps(told, sort_keys=True, default=str)
         self.asked += 1
         if key not in self._kept:
             rubber = Material(youngs_modulus_mpa=1.0, poisson_ratio=nu)
             if role == "truth":
-                made = Ladder(scene.body, rubber, scene.accuracy.displacement, progress=self.progress).base
+                made = Ladder(scene.body, rubber, scene.displacement_error, progress=self.progress).base
             else:
                 made = Compliance(scene.body, rubber, level="nominal", progress=self.progress)
             table = self._between(scene.body, made.level)
