@@ -140,3 +140,14 @@ def test_two_points_are_in_the_truth() -> None:
     left = result.truth.surface_mm[:, 0] < 0
     assert result.truth.surface_force_n[left, 2].sum() == pytest.approx(0.5, abs=1e-7)
     assert len(result.touches) == 2
+
+
+@pytest.mark.parametrize("name", ["sato_press", "sato_paper"])
+def test_shipped_calibrations_are_of_the_scenes_that_name_them(name: str) -> None:
+    """A new key of a scene must not make them look like another sensor's: calibrating anew takes minutes."""
+    from twin.study.calibrate import sensor_digest
+
+    scene = twin.load_scene(name)
+    assert scene.calibration.file is not None
+    with np.load(scene.calibration.file) as kept:
+        assert json.loads(str(kept["provenance"]))["digest"] == sensor_digest(scene)
