@@ -56,6 +56,20 @@ def test_patches_carry_the_force(view: BodyView) -> None:
     np.testing.assert_allclose((frame.traction_mpa * area[:, None]).sum(axis=0), [1, 0, 3], atol=1e-6)
 
 
+def test_two_probes_are_both_there_and_both_told() -> None:
+    shown = body_view(Sensor(twin.load_scene("two_points", {"accuracy.contact_patches": 6})))
+    frame = shown.frames[-1]
+    middle = frame.patch_mm.mean(axis=1)
+    for side in (-1, 1):
+        under = np.hypot(middle[:, 0] - 3 * side, middle[:, 1]) < 1.5
+        sides = frame.patch_mm[under][:, [1, 3]] - frame.patch_mm[under][:, :1]
+        area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        assert (frame.traction_mpa[under, 2] * area).sum() == pytest.approx(0.5, abs=1e-6)
+        near = np.hypot(shown.corner_mm[:, 0] - 3 * side, shown.corner_mm[:, 1]) < 0.5
+        assert frame.displacement_mm[near & (shown.corner_mm[:, 2] == 0), 2].max() > 0.2
+    assert frame.said.count("force (0, 0, 0.5) N") == 2
+
+
 def test_the_page_holds_the_arrays_and_no_markup_of_the_title() -> None:
     frame = BodyFrame(
         name="rest", said="</script><b>", displacement_mm=np.zeros((3, 3)), marker_displacement_mm=np.zeros((1, 3)),

@@ -14,7 +14,8 @@ def view(
     path: Annotated[str, Parameter(help="A scene (path or shipped name), or the folder of a run or of a dataset.")],
     *,
     out: Annotated[
-        Path | None, Parameter(help="Page to write (default: view.html in the folder; DATASET.html here).")
+        Path | None,
+        Parameter(help="Page to write (default: view.html in the folder; DATASET.html here), or a film: .gif or .png."),
     ] = None,
     set_: Overrides = (),
 ) -> None:
@@ -23,9 +24,12 @@ def view(
     The body is deformed, with its marker layers, tractions, and which patches stick or slip; every step of the press's
     path is a frame. Drag to turn, wheel to come nearer.
 
+    An --out that ends in .gif or .png is an animated picture instead: what the camera sees along the path.
+
     Of a dataset it shows a sheet of samples, with the truth drawn in.
 
-    Examples: twin view kamiyama_shear; twin view out/kamiyama_pillar; twin view sato_press --out finger.html.
+    Examples: twin view kamiyama_shear; twin view out/kamiyama_pillar; twin view sato_press --out finger.html; twin view
+    kamiyama_shear --out shear.gif.
     """
     folder = Path(path)
     if (folder / "meta" / "info.json").is_file():
@@ -33,12 +37,16 @@ def view(
 
         print(view_dataset(folder, out or Path(f"{folder.name or 'dataset'}.html")))
         return
+    from twin.study.film import KINDS, write_film
     from twin.study.sensor import Sensor
     from twin.study.view import view_scene
 
     scene = load(str(folder / "scene.toml") if folder.is_dir() else path, set_)
     page = out or (folder if folder.is_dir() else Path()) / "view.html"
     told = progress()
-    print(view_scene(scene, page, Sensor(scene, told)))
+    if page.suffix.lower() in KINDS:
+        print(write_film(Sensor(scene, told), page))
+    else:
+        print(view_scene(scene, page, Sensor(scene, told)))
     if told is not None:
         told("done", 1.0)

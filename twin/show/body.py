@@ -114,6 +114,7 @@ def _frame(frame: BodyFrame) -> dict[str, Any]:
     return {
         "name": frame.name,
         "said": frame.said,
+        "rubs": not bool(np.all(frame.slip)),
         "corner": _packed(frame.displacement_mm, "<f4"),
         "marker": _packed(frame.marker_displacement_mm, "<f4"),
         "patch": _packed(frame.patch_mm, "<f4"),

@@ -114,20 +114,26 @@ def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | N
     patches, touching = sensor.rectangles(state.load), [one for _, one in _under_each(state)]
     points = np.concatenate([_inside(sensor, corners), patches.centre_mm])
     surface = _drawn(sensor).displacement(points, patches)
-    force = ", ".join(f"{f:.3g}" for f in cleaned([float(f) for f in state.force_n]))
-    slips = f"{100 * np.mean(state.slip):.0f} % of the contact slips" if state.friction else "no friction"
     return replace(
         rest,
         name=str(number),
-        said=f"Step {number}: force ({force}) N, indentation {state.indentation_mm:.3g} mm, contact radius "
-        f"{state.contact_radius_mm:.3g} mm, largest pressure {state.peak_pressure_mpa:.3g} MPa, "
-        f"{slips}.",
+        said=f"Step {number}: " + "; ".join(_said(one) for one in touching) + ".",
         displacement_mm=surface[: len(corners)],
         marker_displacement_mm=sensor.motion(state.load).displacement_mm,
         patch_mm=_corners(patches),
         patch_displacement_mm=surface[len(corners) :],
         traction_mpa=np.concatenate([one.traction_mpa for one in touching]),
         slip=np.concatenate([one.slip for one in touching]),
+    )
+
+
+def _said(state: ContactState) -> str:
+    """Return what is under one probe."""
+    force = ", ".join(f"{f:.3g}" for f in cleaned([float(f) for f in state.force_n]))
+    slips = f"{100 * np.mean(state.slip):.0f} % of the contact slips" if state.friction else "no friction"
+    return (
+        f"force ({force}) N, indentation {state.indentation_mm:.3g} mm, contact radius {state.contact_radius_mm:.3g} "
+        f"mm, largest pressure {state.peak_pressure_mpa:.3g} MPa, {slips}"
     )
 
 
