@@ -19,7 +19,7 @@ INDEX, BASE_MM = 1.41, 10.0
 
 @pytest.mark.parametrize("options", [{}, {"push_only": True}, {"friction": 0.8}])
 def test_large_motion_through_the_camera(options):
-    """Where markers move by tens of pixels the linear map is off by percents; following the camera takes most of that away."""
+    """Where markers move by tens of pixels the linear map is off by percents, and most of that is taken away."""
     markers, _, calibration = finger_sensor()
     camera = Camera(focal_px=300, pupil_mm=(0, 0, 14))
     compliance = cell_compliance(markers, calibration.site_mm, 2.5, 2)
