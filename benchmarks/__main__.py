@@ -44,9 +44,10 @@ def main() -> int:
         parser.error(f"unknown stages {', '.join(unknown)}: choose from {', '.join(STAGES)}")
     everything = [stage for stage in STAGES if not (arguments.quick and stage in SLOW)]
     for stage in arguments.stage or everything:
-        print(f"\n{stage}\n")
+        print(f"\n{stage}\n", flush=True)
+        started = sum(os.times()[:4])
         rows = importlib.import_module(f"benchmarks.{stage}").run(quick=arguments.quick)
-        print(table(rows))
+        print(f"{table(rows)}\n\n{sum(os.times()[:4]) - started:.3g} s of CPU", flush=True)
         if not arguments.quick:
             RESULTS.mkdir(exist_ok=True)
             (RESULTS / f"{stage}.json").write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")

@@ -133,6 +133,8 @@ def _as_child(reader: Reader, inside: Path, told: Path) -> None:
         nothing = os.open(reader.stdin if reader.stdin else os.devnull, os.O_RDONLY)
         os.dup2(nothing, 0)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        # whatever the parent has put in their place
+        sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         most = pages * resource.getpagesize() + MEMORY_BYTES
         resource.setrlimit(resource.RLIMIT_AS, (most, most))

@@ -47,7 +47,7 @@ from twin.study.sensor import Sensor
 from twin.theory.optics import rays
 from twin.world.tile import tile
 
-COUNT, CHUNK = 2000, 100
+COUNT, CHUNK = 2000, 25
 STORED = RESULTS / "random_scenes.json"
 
 BALANCE, ASKED, THROUGH_MM, SUPERPOSED, MIRRORED = 1e-6, 1e-6, 1e-5, 1e-9, 3.0

@@ -1,14 +1,16 @@
-"""Where elasticity breaks: every axis is walked outwards from the middle until an answer is wrong or refused.
+"""Where every stage breaks: each axis is walked outwards from the middle until an answer is wrong or refused.
 
 A step holds when nothing that must be true of any answer is off by more than the bounds of its axis: the relative
 residual; the imbalance of load and reaction; the asymmetry of the compliance, or under mirrored loads; and the
 departure from what must come out (scaled, limiting or summed answers). Where the program estimates its
 error, mirrored answers may differ by three times that. ``python -m benchmarks stress`` stores the
-rows; ``python -m benchmarks.stress`` writes them into docs/stress.md.
+rows; ``python -m benchmarks.stress`` writes them into docs/stress.md, ``python -m benchmarks.stress STAGE ...``
+measures the rows of some stages anew before that.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -29,23 +31,59 @@ MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"
 TOLD = 0.01
 """Estimated error above which the accuracy of every shipped scene is missed, so that a run warns."""
 
+ELASTICITY = "elasticity"
+STAGES = {
+    ELASTICITY: "",
+    "contact": "stress_contact.contact_axes",
+    "picture": "stress_picture.picture_axes",
+    "tracking": "stress_sense.tracking_axes",
+    "inverse": "stress_sense.inverse_axes",
+    "dataset": "stress_dataset.dataset_axes",
+}
+"""Stages, with the function that returns their axes; elasticity has two here."""
+
 BREAKING, REFUSED = "Breaking points", "What can't be solved"
 
 
 def run(quick: bool) -> list[dict[str, Any]]:
-    """Return one row an axis, then one for every kind of system that can't be solved; quick walks every third step."""
+    """Return one row an axis, then one for every kind of system that can't be solved.
+
+    The quick form walks every third step, of elasticity alone.
+    """
     with tempfile.TemporaryDirectory() as folder:
         _forget(folder)
-        return _walked(quick)
+        return [row for stage in (STAGES if not quick else [ELASTICITY]) for row in _walked(stage, quick)]
 
 
-def _walked(quick: bool) -> list[dict[str, Any]]:
+def _walked(stage: str, quick: bool = False) -> list[dict[str, Any]]:
     rows = []
-    for axis in [*system_axes(), *load_axes()]:
+    for axis in _axes(stage):
         start = sum(os.times()[:4])
         row = survey(axis, axis.steps[:: 3 if quick else 1])
-        rows.append({"what": BREAKING, **row, "cpu_s": sum(os.times()[:4]) - start})
+        rows.append({"what": BREAKING, "stage": stage, **row, "cpu_s": sum(os.times()[:4]) - start})
+    if stage != ELASTICITY:
+        return rows
     return rows + [{"what": REFUSED, **refusal(name, attempt)} for name, attempt in unsolvable().items()]
+
+
+def _axes(stage: str) -> list[Axis]:
+    if stage == ELASTICITY:
+        return [*system_axes(), *load_axes()]
+    module, name = STAGES[stage].split(".")
+    found: list[Axis] = getattr(importlib.import_module(f"benchmarks.{module}"), name)()
+    return found
+
+
+def anew(stages: list[str]) -> None:
+    """Measure the rows of some stages and put them in the place of those that are stored."""
+    with tempfile.TemporaryDirectory() as folder:
+        _forget(folder)
+        fresh = {stage: _walked(stage) for stage in stages}
+    file = RESULTS / "stress.json"
+    stored = json.loads(file.read_text())
+    kept = [{"stage": ELASTICITY, **row} for row in stored["rows"]]
+    rows = [row for stage in STAGES for row in fresh.get(stage) or [r for r in kept if r["stage"] == stage]]
+    file.write_text(json.dumps({**stored, "rows": rows}, indent=1) + "\n")
 
 
 def _forget(folder: str) -> None:
@@ -92,7 +130,7 @@ def refusal(name: str, attempt: Callable[[], Measured]) -> dict[str, str]:
 
 
 def _short(problem: TwinError, most: int = 110) -> str:
-    text = re.sub(r"\s+", " ", str(problem)).replace("|", "/")
+    text = re.sub(r"\s+", " ", str(problem)).replace("|", "/").replace(f"{ROOT}/", "")
     return text if len(text) <= most else text[: most - 3].rsplit(" ", 1)[0] + " ..."
 
 
@@ -101,9 +139,14 @@ def page_tables() -> str:
     stored = json.loads((RESULTS / "stress.json").read_text())
     parts = [""]
     for what in (BREAKING, REFUSED):
-        rows = [{k: v for k, v in row.items() if k != "what"} for row in stored["rows"] if row["what"] == what]
+        rows = [_cells(row, what) for row in stored["rows"] if row["what"] == what]
         parts.append(f"**{what}**\n\n{table(rows)}\n")
     return "\n".join([*parts, f"On {stored['machine']['processor']}, {stored['machine']['cores']} cores.\n"])
+
+
+def _cells(row: dict[str, Any], what: str) -> dict[str, Any]:
+    hidden = ("what",) if what == BREAKING else ("what", "stage")
+    return {k: v for k, v in row.items() if k not in hidden}
 
 
 def write_page(page: Path = PAGE) -> None:
@@ -113,5 +156,9 @@ def write_page(page: Path = PAGE) -> None:
 
 
 if __name__ == "__main__":
+    if unknown := sorted(set(sys.argv[1:]) - set(STAGES)):
+        sys.exit(f"unknown stages {', '.join(unknown)}: choose from {', '.join(STAGES)}")
+    if sys.argv[1:]:
+        anew(sys.argv[1:])
     write_page()
     sys.exit(0)

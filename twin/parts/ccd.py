@@ -88,7 +88,7 @@ class Ccd(Part):
     preset: Literal["ideal", "industrial", "kamiyama_ntsc", "sato_60fps"] = "industrial"
     psf_px: float | None = Field(default=None, ge=0, le=20)
     read_noise_e: float | None = Field(default=None, ge=0, le=1e6)
-    full_well_e: float | None = Field(default=None, gt=0, le=1e12)
+    full_well_e: float | None = Field(default=None, ge=1, le=1e12)
     gamma: float | None = Field(default=None, ge=0.2, le=5)
     noise: bool | None = None
     white_dn: float = Field(default=200.0, gt=0, le=255)

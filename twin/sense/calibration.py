@@ -117,7 +117,7 @@ class Calibration:
         for name in ("provenance", "camera"):
             try:
                 json.loads(getattr(self, name))
-            except ValueError as problem:
+            except (ValueError, RecursionError) as problem:
                 raise InputError(f"calibration: {name} must be JSON text ({problem})") from None
         if self.has_camera:
             self._optics  # noqa: B018  a bad camera is said now
@@ -137,7 +137,7 @@ class Calibration:
         try:
             told = json.loads(self.camera)
             return Camera.model_validate(told["camera"]), float(told["body_index"]), float(told["base_z_mm"])
-        except (ValueError, KeyError, TypeError) as problem:
+        except (ValueError, KeyError, TypeError, TwinError) as problem:
             raise InputError(f"calibration: camera can't be read ({problem})") from None
 
     def shift_px(self, force_n: Floats) -> Pixels:

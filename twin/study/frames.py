@@ -58,6 +58,8 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
     """
     from PIL import Image, UnidentifiedImageError
 
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for
+        raise InputError(f"{path}: is no file")
     try:
         with Image.open(path) as image:
             if image.width * image.height > LARGEST_PX:

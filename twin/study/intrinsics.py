@@ -109,6 +109,8 @@ def write_intrinsics(camera: Camera, file: str | Path) -> None:
 
 
 def _table(path: Path) -> dict[str, Any]:
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is no file")
     try:
         data = path.read_bytes()
     except OSError as problem:
@@ -130,7 +132,10 @@ def _yaml(text: str) -> Any:
     import yaml
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]
-        pass
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.events.AliasEvent):  # a few lines of them stand for a billion numbers
+                raise yaml.YAMLError("it refers to itself (*name): write the numbers out")
+            return super().compose_node(parent, index)
 
     Loader.add_constructor(
         "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)

@@ -31,6 +31,9 @@ from twin.study.sensor import Sensor, on_surface
 TABLE = "presses.csv"
 PLACES = ("x_mm", "y_mm", "z_mm")
 FORCES = ("fx_n", "fy_n", "fz_n")
+LARGEST = 1e6
+"""Of a place, mm, and of a force, N."""
+
 SAME_PLACE_MM = 0.01
 OFF_GRID = 0.25
 """Share of the pitch by which a press may miss its place of the grid (method sato)."""
@@ -86,9 +89,11 @@ def _number(path: Path, line: int, key: str, text: str | None) -> float:
         value = float(text or "")
     except ValueError:
         value = float("nan")
-    if not np.isfinite(value):
+    if not abs(value) <= LARGEST:
         unit = key.rsplit("_", 1)[1].replace("n", "N")
-        raise InputError(f"{path}, line {line}: {key} = {text!r} must be a finite number, {unit}")
+        raise InputError(
+            f"{path}, line {line}: {key} = {text!r} must be a finite number, {unit}, from {-LARGEST:g} to {LARGEST:g}"
+        )
     return value
 
 

@@ -21,7 +21,7 @@ def only_writer(path: Path) -> Iterator[None]:
         Another process holds it, or the file can't be made.
     """
     try:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
     except OSError as problem:
         raise InputError(f"{path}: can't be written ({problem.strerror}); give another --out") from None
     try:

@@ -12,7 +12,7 @@ from twin.parts.camera import Camera
 from twin.study.dataset.finish import sums
 from twin.study.dataset.plan import Places
 from twin.study.dataset.prepare import read_info
-from twin.study.dataset.reader import DatasetReader
+from twin.study.dataset.reader import DatasetReader, readable
 from twin.study.recipe import load_scene
 from twin.theory.optics import project
 
@@ -67,7 +67,8 @@ def check_dataset(folder: Path) -> list[str]:
 
 
 def _checksums(folder: Path, listed: Path) -> list[str]:
-    lines = [line.split("  ", 1) for line in listed.read_text().splitlines() if "  " in line]
+    text = listed.read_text(errors="replace")
+    lines = [line.split("  ", 1) for line in text.splitlines() if "  " in line]
     wanted = {name: digest for digest, name in lines}
     found = sums(folder)
     problems = [f"{name}: missing" for name in sorted(set(wanted) - set(found))]
@@ -84,7 +85,8 @@ def _schema(reader: DatasetReader, told: dict[str, object]) -> list[str]:
     problems = []
     wanted = {c["name"]: arrow_type(c["kind"]) for c in told["columns"]}  # type: ignore[attr-defined]
     for file in sorted(reader.places.data.glob("part-*.parquet")):
-        found = pq.read_schema(file)
+        with readable(file):
+            found = pq.read_schema(file)
         if found.names != list(wanted):
             problems.append(f"{file.name}: has other columns than info.json says")
         problems += [
@@ -92,8 +94,11 @@ def _schema(reader: DatasetReader, told: dict[str, object]) -> list[str]:
             for field in found
             if field.name in wanted and field.type != wanted[field.name]
         ]
-    index = reader.table(["index"])["index"].to_pylist()
-    if sorted(set(index)) != list(range(int(told["samples"]))):  # type: ignore[call-overload]
+    if problems:
+        return problems
+    index = set(reader.table(["index"])["index"].to_pylist())
+    samples = int(told["samples"])  # type: ignore[call-overload]
+    if len(index) != samples or (index and not (min(index) == 0 and max(index) == samples - 1)):
         problems.append(f"index: does not run from 0 to {told['samples']}")
     return problems
 

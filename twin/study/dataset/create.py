@@ -173,9 +173,9 @@ def is_whole(plan: Plan, places: Places, number: int, content: str) -> bool:
         return False
     try:
         words = pq.read_schema(path).metadata or {}
-    except (pa.ArrowInvalid, OSError):
+    except (pa.ArrowException, OSError):
         return False
-    if words.get(b"twin.content", b"").decode() != content:
+    if words.get(b"twin.content", b"") != content.encode():
         raise InputError(f"{path}: belongs to another dataset; give another --out, or remove it")
     numbers = plan.of_shard(number)
-    return bool(words.get(b"twin.samples", b"").decode() == f"{numbers.start}-{numbers.stop}")
+    return bool(words.get(b"twin.samples", b"") == f"{numbers.start}-{numbers.stop}".encode())

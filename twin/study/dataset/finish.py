@@ -14,6 +14,7 @@ from twin.study.batch.engine import Job
 from twin.study.dataset.audit import audit
 from twin.study.dataset.card import card_text, croissant
 from twin.study.dataset.plan import Places, Plan
+from twin.study.dataset.reader import readable
 
 Told = Callable[[str, float], None]
 
@@ -64,7 +65,9 @@ def count(plan: Plan, places: Places) -> Counted:
     failed: set[int] = set()
     reason = ""
     for number in range(plan.shards):
-        table = pq.read_table(places.shard(number), columns=["index", "status", "error"])
+        with readable(places.shard(number)):
+            table = pq.read_table(places.shard(number), columns=["index", "status", "error"])
+            table.select(["index", "status", "error"])
         bad = table.filter(pc.equal(table["status"], "failed"))
         failed |= set(bad["index"].to_pylist())
         if bad.num_rows and not reason:

@@ -9,7 +9,7 @@ import platform
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from twin.errors import InputError
 from twin.parts.body import Block, Body
@@ -17,7 +17,7 @@ from twin.parts.scene import Scene
 from twin.parts.solid import Solid
 from twin.results import write_json, write_whole
 from twin.study.batch.engine import Job
-from twin.study.dataset.columns import ALWAYS
+from twin.study.dataset.columns import ALWAYS, Kind
 from twin.study.dataset.plan import FORMAT, Places, Plan, content_hash
 from twin.study.recipe import dump_scene
 
@@ -201,11 +201,20 @@ def read_info(places: Places) -> dict[str, Any]:
         told: dict[str, Any] = json.loads(places.info.read_text())
     except FileNotFoundError:
         raise InputError(f"{places.folder}: has no meta/info.json, so it is no dataset") from None
-    except (OSError, ValueError) as problem:
+    except (OSError, ValueError, RecursionError) as problem:
         raise InputError(f"{places.info}: can't be read ({problem})") from None
-    if told.get("format") != FORMAT:
-        raise InputError(f"{places.info}: format {told.get('format')}; this program reads {FORMAT}")
+    if not isinstance(told, dict) or told.get("format") != FORMAT:
+        found = told.get("format") if isinstance(told, dict) else None
+        raise InputError(f"{places.info}: format {found}; this program reads {FORMAT}")
+    lists = [told.get(name) for name in ("columns", "sensor_columns")]
+    whole = all(isinstance(each, list) and all(map(_is_column, each)) for each in lists)
+    if not (whole and isinstance(told.get("samples"), int) and isinstance(told.get("content"), str)):
+        raise InputError(f"{places.info}: columns, sensor_columns, samples or content are missing or damaged")
     return told
+
+
+def _is_column(entry: Any) -> bool:
+    return isinstance(entry, dict) and isinstance(entry.get("name"), str) and entry.get("kind") in get_args(Kind)
 
 
 def job_of(places: Places) -> Job:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import io
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from twin.arrays import Picture
 from twin.errors import InputError
 from twin.study.dataset.plan import Places
 from twin.study.dataset.prepare import read_info
+from twin.study.frames import LARGEST_PX
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -55,7 +57,8 @@ class DatasetReader:
         if unknown := [name for name in self.columns if name not in self._kinds]:
             raise InputError(f"{folder}: no column {', '.join(unknown)}; known are {', '.join(self._kinds)}")
         self._files = sorted(self.places.data.glob("part-*.parquet"))
-        counts = [pq.read_metadata(file).num_rows for file in self._files]
+        with readable(self.places.data):
+            counts = [pq.read_metadata(file).num_rows for file in self._files]
         self._starts = [int(start) for start in np.concatenate([[0], np.cumsum(counts)])]
         self._group: tuple[tuple[int, int], Any] | None = None
         self._sensors: dict[int, dict[str, Any]] | None = None
@@ -68,9 +71,10 @@ class DatasetReader:
         if not 0 <= number < len(self):
             raise IndexError(f"row {row}: the dataset has {len(self)}")
         file = bisect.bisect_right(self._starts, number) - 1
-        table, first = self._rows_near(file, number - self._starts[file])
-        place = number - self._starts[file] - first
-        return {name: _value(table[name][place], self._kinds[name], self._decode) for name in self.columns}
+        with readable(self._files[file]):
+            table, first = self._rows_near(file, number - self._starts[file])
+            place = number - self._starts[file] - first
+            return {name: _value(table[name][place], self._kinds[name], self._decode) for name in self.columns}
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return (self[row] for row in range(len(self)))
@@ -105,7 +109,8 @@ class DatasetReader:
         import pyarrow.parquet as pq
 
         wanted = list(dict.fromkeys(columns if columns is not None else self.columns))
-        return pq.read_table([str(file) for file in self._files], columns=wanted)
+        with readable(self.places.data):
+            return pq.read_table([str(file) for file in self._files], columns=wanted)
 
     def sensor(self, number: int) -> dict[str, Any]:
         """Return a row of the sensors table: rest picture, rest places, camera, what was drawn."""
@@ -123,12 +128,14 @@ class DatasetReader:
         if self._sensors is None:
             import pyarrow.parquet as pq
 
-            self._sensors = {}
+            rows = {}
             for file in sorted(self.places.sensors.glob("part-*.parquet")):
-                table = pq.read_table(file)
-                for place, found in enumerate(table["sensor"].to_pylist()):
-                    row = {name: _value(table[name][place], kind) for name, kind in self._sensor_kinds.items()}
-                    self._sensors[found] = row
+                with readable(file):
+                    table = pq.read_table(file)
+                    for place, found in enumerate(table["sensor"].to_pylist()):
+                        row = {name: _value(table[name][place], kind) for name, kind in self._sensor_kinds.items()}
+                        rows[found] = row
+            self._sensors = rows
         return self._sensors
 
     def _rows_near(self, file: int, row: int) -> tuple[Any, int]:
@@ -143,6 +150,18 @@ class DatasetReader:
             if self._group is None or self._group[0] != (file, group):
                 self._group = ((file, group), opened.read_row_group(group, columns=list(self.columns)))
         return self._group[1], first
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Say of a file that it can't be read, whatever the libraries that read it say of a damaged one."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError, SyntaxError) as problem:
+        told = str(problem).splitlines()[0][:200] if str(problem) else type(problem).__name__
+        raise InputError(f"{path}: can't be read ({told}); copy it anew, or remove it and make it again") from None
 
 
 def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> DatasetReader:
@@ -164,10 +183,18 @@ def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> Da
 
 
 def decoded(data: bytes) -> Picture:
-    """Return the (height, width, 3) picture in PNG bytes."""
+    """Return the (height, width, 3) picture in PNG bytes.
+
+    Raises
+    ------
+    ValueError
+        They are none, or larger than any picture of this program.
+    """
     from PIL import Image
 
-    with Image.open(io.BytesIO(data)) as image:
+    with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+        if image.width * image.height > LARGEST_PX:
+            raise ValueError(f"{image.width}x{image.height} px are more than {LARGEST_PX:,}")
         return np.array(image)
 
 

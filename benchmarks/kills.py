@@ -1,0 +1,179 @@
+"""Killed at any moment: ``python -m benchmarks.kills [--count 50]``.
+
+Run, dataset, sweep and reproduce are started as processes of their own, killed (SIGKILL, all of their group) after a
+random time, and looked at: every file that is there must be whole. Then the same command is given again until it ends,
+and what it leaves must be what an undisturbed command left: the same bytes for samples, designs, pictures and arrays.
+Stored in benchmarks/results/kills.json; exit code 1 if anything was lost or torn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.__main__ import RESULTS, machine, table
+from benchmarks.fuzz_files import SMALL, SWEEP, VARY
+from twin.places import ROOT
+
+STORED = RESULTS / "kills.json"
+WALL_S = 600
+
+
+@dataclass(frozen=True)
+class Job:
+    """A command, and which of the files it leaves (patterns) must be the same bytes however it was stopped."""
+
+    command: tuple[str, ...]
+    same: tuple[str, ...]
+
+
+JOBS = {
+    "run": Job(("run", "small.toml", "--out", "OUT"), ("*.png", "*.npz", "scene.toml")),
+    "dataset": Job(
+        ("dataset", "data.toml", "--samples", "4", "--out", "OUT", "--workers", "1"),
+        ("data/*.parquet", "sensors/*.parquet"),
+    ),
+    "sweep": Job(("sweep", "sweep.toml", "--out", "OUT", "--workers", "1"), ("best/*.toml",)),
+    "reproduce": Job(("reproduce", "kamiyama/fig-6", "--quick", "--out", "OUT"), ("results.json",)),
+}
+
+
+def prepare(folder: Path) -> None:
+    """Write the recipes of the jobs."""
+    import twin
+    from twin.study.recipe import dump_scene
+
+    (folder / "small.toml").write_text(dump_scene(twin.load_scene("kamiyama_pillar", SMALL)))
+    (folder / "data.toml").write_text(dump_scene(twin.load_scene("kamiyama_pillar", {**SMALL, **VARY})))
+    (folder / "sweep.toml").write_text(SWEEP.replace('"closed"]', '"closed", "linear"]'))
+
+
+def start(folder: Path, job: Job, out: str) -> subprocess.Popen[bytes]:
+    """Start a job's command in a session of its own."""
+    command = [sys.executable, "-m", "twin", *(part.replace("OUT", out) for part in job.command)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    with open(folder / f"{out}.told", "wb") as told:
+        return subprocess.Popen(command, cwd=folder, env=environment, stdout=told, stderr=told, start_new_session=True)
+
+
+def finished(folder: Path, job: Job, out: str) -> None:
+    """Give a job's command and wait for its end."""
+    code = start(folder, job, out).wait(timeout=WALL_S)
+    if code:
+        raise AssertionError(f"{job.command[0]} ended with {code}: {(folder / f'{out}.told').read_text()[-400:]}")
+
+
+def kept(folder: Path, job: Job) -> dict[str, str]:
+    """Return the digests of what must be the same."""
+    found = [path for pattern in job.same for path in sorted(folder.glob(pattern))]
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in found}
+
+
+def torn(folder: Path) -> list[str]:
+    """Return the files under their own names that can't be read whole."""
+    import numpy as np
+    import pyarrow.parquet as pq
+    from PIL import Image
+
+    bad = []
+    for path in sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")):
+        try:
+            if path.suffix == ".png":
+                with Image.open(path) as picture:
+                    picture.load()
+            elif path.suffix == ".npz":
+                with np.load(path, allow_pickle=False) as arrays:
+                    [arrays[name] for name in arrays.files]
+            elif path.suffix == ".parquet":
+                pq.read_table(path)
+            elif path.suffix == ".json":
+                json.loads(path.read_text())
+            elif path.suffix == ".html" and not path.read_text().rstrip().endswith("</html>"):
+                bad.append(path.name)
+        except (OSError, ValueError, SyntaxError) as problem:
+            bad.append(f"{path.name}: {problem}")
+    return bad
+
+
+def killed(names: list[str], count: int, seed: int = 1) -> list[dict[str, object]]:
+    """Kill each job in turn, ``count`` times in all; return a row a job.
+
+    Raises
+    ------
+    AssertionError
+        Something was torn, lost, or came out otherwise.
+    """
+    chance = random.Random(seed)
+    rows: list[dict[str, object]] = []
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        prepare(folder)
+        for index, name in enumerate(names):
+            job = JOBS[name]
+            finished(folder, job, "warm")  # compiled code and caches
+            started = time.monotonic()
+            finished(folder, job, "whole")
+            seconds = time.monotonic() - started
+            wanted = kept(folder / "whole", job)
+            if not wanted:
+                raise AssertionError(f"{name} left nothing to compare")
+            outcomes: Counter[str] = Counter()
+            out = "killed"
+            for _ in range(index, count, len(names)):
+                running = start(folder, job, out)
+                time.sleep(chance.uniform(0.1, 1.0) * seconds)
+                os.killpg(running.pid, signal.SIGKILL) if running.poll() is None else None
+                outcomes["ended before" if running.wait() == 0 else "killed"] += 1
+                if bad := torn(folder / out):
+                    raise AssertionError(f"{name}, killed: torn are {bad}")
+                if chance.random() < 0.5:  # else it is killed again, on what the last one left
+                    _compare(folder, job, out, wanted, name)
+            _compare(folder, job, out, wanted, name)
+            rows.append({"command": name, "seconds undisturbed": seconds, **outcomes, "lost or torn": 0})
+            for each in ("warm", "whole"):
+                shutil.rmtree(folder / each)
+    return rows
+
+
+def _compare(folder: Path, job: Job, out: str, wanted: dict[str, str], name: str) -> None:
+    finished(folder, job, out)
+    found = kept(folder / out, job)
+    if found != wanted:
+        differ = sorted(k for k in {*found, *wanted} if found.get(k) != wanted.get(k))
+        raise AssertionError(f"{name}, killed and finished: other bytes in {differ}")
+    if stale := [p.name for p in (folder / out).rglob(".*.part")]:
+        raise AssertionError(f"{name}, finished: left {stale}")
+    shutil.rmtree(folder / out)
+
+
+def main() -> int:
+    """Kill, print the rows and store them; exit code 1 if anything was lost or torn."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.kills", description=__doc__)
+    parser.add_argument("--count", type=int, default=50, help="kills in all (default 50)")
+    parser.add_argument("--job", choices=sorted(JOBS), help="one command only; nothing is stored")
+    arguments = parser.parse_args()
+    try:
+        rows = killed([arguments.job] if arguments.job else list(JOBS), arguments.count)
+    except AssertionError as problem:
+        print(problem, file=sys.stderr)
+        return 1
+    print(table(rows))
+    if not arguments.job:
+        STORED.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

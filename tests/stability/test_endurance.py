@@ -1,0 +1,36 @@
+"""Long and interrupted work: a minute of it stays flat, and what is killed is neither lost nor torn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks import endurance, kills
+
+
+@pytest.mark.slow
+def test_mixed_work_in_one_process_stays_flat(tmp_path: Path) -> None:
+    states = list(endurance.rounds(tmp_path, minutes=1.0, least=20))
+    assert endurance.problems(states) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["run", "dataset", "sweep"])
+def test_what_is_killed_at_any_moment_is_whole_and_goes_on(name: str) -> None:
+    (row,) = kills.killed([name], 3)
+    assert row["lost or torn"] == 0
+
+
+def test_growth_is_noticed() -> None:
+    flat = [{"memory_mb": 300.0 + k % 3, "threads": 4.0, "files": 9.0, "children": 0.0} for k in range(50)]
+    assert endurance.problems(flat) == []
+    leak = [{**each, "memory_mb": 300.0 + 5 * k, "files": 9.0 + k} for k, each in enumerate(flat)]
+    assert [line.split()[0] for line in endurance.problems(leak)] == ["memory_mb", "files"]
+
+
+def test_a_torn_file_is_noticed(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text("{")
+    (tmp_path / "b.html").write_text("<html>")
+    (tmp_path / ".c.png.1.part").write_bytes(b"")  # not under its own name yet
+    assert [line.split(":")[0] for line in kills.torn(tmp_path)] == ["a.json", "b.html"]

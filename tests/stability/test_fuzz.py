@@ -1,0 +1,131 @@
+"""Hostile files: every reader under ``python -m benchmarks.fuzz``, and what was found by it, one by one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import fuzz
+from benchmarks.fuzz_files import LAUGHS, READERS, Reader, npy_header, png, png_bomb
+from twin.archive import read_arrays
+from twin.errors import InputError
+from twin.results import write_json
+from twin.study.batch.lock import only_writer
+from twin.study.check import check_path
+from twin.study.dataset.plan import FORMAT
+from twin.study.dataset.reader import DatasetReader, decoded, open_dataset
+from twin.study.frames import read_picture
+from twin.study.intrinsics import read_intrinsics
+from twin.study.recorded_presses import read_presses
+
+
+@pytest.mark.slow
+def test_no_reader_crashes_hangs_or_writes_elsewhere() -> None:
+    found = fuzz.survey(READERS, rounds=1)
+    assert [line for one in found.values() for line in one.failed] == []
+    assert sum(one.attempts for one in found.values()) > 250
+
+
+def test_the_guards_of_an_attempt_see_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A child that crashes, writes beside its folder, or says nothing is each told apart."""
+    deeds = {
+        "ended with code -6": os.abort,
+        "something outside": lambda: (tmp_path / "box" / "outside" / "new").write_text("") and None,
+        "internal error": lambda: 1 / 0,
+        "and no word": lambda: os._exit(2),
+    }
+    for words, deed in deeds.items():
+        shutil.rmtree(tmp_path / "box", ignore_errors=True)
+        for name in ("inside", "outside"):
+            (tmp_path / "box" / name).mkdir(parents=True)
+        monkeypatch.setattr("twin.study.check.check_path", lambda _, deed=deed: [str(deed())])
+        one = fuzz.attempt(Reader("any", ("check", "block_bare"), ()), tmp_path / "box")
+        assert words in one.wrong, (words, one)
+
+
+@pytest.mark.parametrize("members", [{"a": (10**6, 10**6)}, {"a": (-1,)}, {"b": (3,)}])
+def test_an_archive_that_lies_about_its_arrays_is_refused(tmp_path: Path, members: dict[str, tuple[int, ...]]) -> None:
+    import zipfile
+
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        for name, shape in members.items():
+            archive.writestr(f"{name}.npy", npy_header(shape) + bytes(8))
+    with pytest.raises(ValueError, match=r"."):
+        read_arrays(tmp_path / "a.npz")
+
+
+def test_an_archive_is_not_unpacked_beyond_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    np.savez_compressed(tmp_path / "a.npz", zeros=np.zeros(1000))
+    assert read_arrays(tmp_path / "a.npz")["zeros"].shape == (1000,)
+    assert read_arrays(tmp_path / "a.npz", ["none"]) == {}
+    monkeypatch.setattr("twin.archive.LARGEST_BYTES", 5000)
+    with pytest.raises(ValueError, match="unpacks to"):
+        read_arrays(tmp_path / "a.npz")
+
+
+def test_pipes_are_refused_and_not_waited_for(tmp_path: Path) -> None:
+    for name in ("a.npz", "a.png", "a.yaml"):
+        os.mkfifo(tmp_path / name)
+    with pytest.raises(ValueError, match="no file"):
+        read_arrays(tmp_path / "a.npz")
+    with pytest.raises(InputError, match="no file"):
+        read_picture(tmp_path / "a.png")
+    with pytest.raises(InputError, match="no file"):
+        read_intrinsics(tmp_path / "a.yaml")
+
+
+def test_yaml_that_multiplies_itself_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "lens.yaml").write_text(LAUGHS)
+    with pytest.raises(InputError, match="refers to itself"):
+        read_intrinsics(tmp_path / "lens.yaml")
+
+
+def test_a_picture_in_a_dataset_is_bounded() -> None:
+    assert decoded(png_bomb(20)).shape == (20, 20, 3)
+    with pytest.raises(ValueError, match=r"more than|decompression bomb"):
+        decoded(png(9000, 9000))
+
+
+def test_a_lock_is_not_taken_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "writer.lock").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="can't be written"), only_writer(tmp_path / "writer.lock"):
+        pass
+    assert not (tmp_path / "elsewhere").exists()
+
+
+@pytest.mark.parametrize("info", [[], {}, {"format": FORMAT}, {"format": FORMAT, "columns": "x", "sensor_columns": []}])
+def test_a_dataset_without_its_description_is_refused(tmp_path: Path, info: object) -> None:
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "info.json").write_text("[]" if info == [] else "")
+    if info:
+        write_json(tmp_path / "meta" / "info.json", info)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"info\.json"):
+        open_dataset(tmp_path)
+
+
+def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
+    for name in ("meta", "data"):
+        (tmp_path / name).mkdir()
+    column = {"name": "index", "kind": "integer"}
+    told = {"format": FORMAT, "columns": [column], "sensor_columns": [], "samples": 1, "content": ""}
+    write_json(tmp_path / "meta" / "info.json", told)
+    (tmp_path / "data" / "part-00000.parquet").write_bytes(b"PAR1 cut short")
+    with pytest.raises(InputError, match="can't be read"):
+        DatasetReader(tmp_path)
+
+
+def test_results_of_other_shapes_are_refused(tmp_path: Path) -> None:
+    arrays = {"total_force_n": np.zeros(3), "surface_force_n": np.zeros(7), "marker_displacement_mm": np.zeros((1, 3))}
+    np.savez(tmp_path / "truth.npz", **arrays)
+    with pytest.raises(InputError, match="has shape"):
+        check_path(str(tmp_path))
+
+
+def test_a_force_beyond_all_bounds_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "presses.csv").write_text("frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\na.png,0,0,,0,0,1e300\n")
+    with pytest.raises(InputError, match="line 2: fz_n"):
+        read_presses(tmp_path)
