@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks import random_scenes
@@ -17,6 +18,7 @@ from twin.errors import RecipeError
 from twin.study.actual import make
 from twin.study.recipe import dump_scene, load_scene
 from twin.study.sensor import Sensor
+from twin.study.sweep.noise import shift_bound
 
 
 @pytest.mark.parametrize("count", [20, pytest.param(200, marks=pytest.mark.slow)])
@@ -105,3 +107,9 @@ def test_a_frictionless_press_held_by_motion_alone_is_solved() -> None:
     state = Sensor(scene).press()
     assert state.indentation_mm == pytest.approx(0.0625)
     assert state.force_n[2] > 0
+
+
+def test_black_markers_have_no_bound_and_no_error() -> None:
+    black = {f"markers.{name}.colour": [0.0, 0.0, 0.0] for name in ("red", "blue")}
+    scene = load_scene("kamiyama_pillar", black)
+    assert np.isinf(shift_bound(scene, "red", np.array([5.0, 10.0]))).all()

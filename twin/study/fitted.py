@@ -99,10 +99,10 @@ class FittedDesign:
         front = self.scene.body.base_z_mm + sum(layer.thickness_mm for layer in nominal.layers)
         x, y, z = (a + found.get(f"pupil_{axis}", 0.0) for a, axis in zip(nominal.pupil_mm, AXES, strict=True))
         tilt = tuple(a + found.get(f"tilt_{axis}", 0.0) for a, axis in zip(nominal.tilt_deg, AXES, strict=True))
-        k1, k2 = nominal.distortion
+        k1, k2, *others = nominal.distortion or (0.0, 0.0)
         changes = {
             "pupil_mm": (x, y, max(z, front)), "tilt_deg": tilt, "focal_px": nominal.focal_px * (1 + found["focal"]),
-            "distortion": (k1 + found["distortion"], k2),
+            "distortion": (k1 + found["distortion"], k2, *others),
         }  # fmt: skip
         return nominal.model_copy(update=changes)
 

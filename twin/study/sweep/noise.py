@@ -56,6 +56,8 @@ def shift_bound(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
     assert ccd.read_noise_e is not None
     marker = scene.markers[layer]
     brightest = max(max(each.colour) for each in scene.markers.values())
+    if brightest == 0:  # black markers tell nothing
+        return np.full(np.shape(diameter_px), np.inf)
     white = min(ccd.white_dn * ccd.exposure, FULL_SCALE) / brightest
     dark = max(scene.cover.albedo) if scene.cover is not None else 0.03
     ground, contrast = white * dark, white * max(max(marker.colour) - dark, 1e-3)
