@@ -320,9 +320,7 @@ def main() -> int:
             STORED.write_text(json.dumps({**stored(), kind: found}, indent=1) + "\n")
         rows: list[dict[str, object]] = [{kind: what, "count": n} for what, n in found.get("outcomes", {}).items()]
         print(f"\n{table(rows)}")
-        print(
-            f"\nworst: {found.get('worst')}, {found.get('cpu_s', 0):.4g} CPU s, slowest {found.get('slowest_s', 0):.3g} s"
-        )
+        print(f"\nworst: {found.get('worst')}, {found.get('cpu_s', 0):.4g} CPU s")
     return int(bad)
 
 
