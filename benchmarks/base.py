@@ -19,13 +19,13 @@ from benchmarks.__main__ import RESULTS, machine, table
 from twin.parts.body import Block, Body, Finger
 from twin.parts.load import Traction
 from twin.parts.material import Material
-from twin.world.compliance import Compliance
-from twin.world.direct import consistent_forces
-from twin.world.extrude import with_base
-from twin.world.fem import Layer, TaylorHood
-from twin.world.interpolate import Locator
-from twin.world.mesh import body_mesh
-from twin.world.tile import tile
+from twin.world.elasticity.compliance import Compliance
+from twin.world.elasticity.direct import consistent_forces
+from twin.world.elasticity.fem import Layer, TaylorHood
+from twin.world.elasticity.tile import tile
+from twin.world.mesh.extrude import with_base
+from twin.world.mesh.interpolate import Locator
+from twin.world.mesh.mesh import body_mesh
 
 ACRYLIC_MPA, ACRYLIC_NU = 3000.0, 0.37
 RUBBER = Material(youngs_modulus_mpa=1.0, poisson_ratio=0.5)

@@ -35,8 +35,8 @@ from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
 from twin.theory.optics import project_with_jacobian
-from twin.world.exposure import expose
-from twin.world.render import Renderer
+from twin.world.picture.exposure import expose
+from twin.world.picture.render import Renderer
 
 SCENES = (
     "kamiyama_pillar", "kamiyama_shear", "kamiyama_twist", "kamiyama_wide", "kamiyama_two_points", "sato_press",

@@ -23,7 +23,7 @@ from twin.parts.press import Cylinder, Press, Sphere, Step
 from twin.theory import halfspace
 from twin.theory.contact import hertz, punch_stiffness, tangential_stiffness, torsional_stiffness
 from twin.theory.friction import sheared_motion, stick_radius, twisted
-from twin.world.contact import ContactState, press
+from twin.world.contact.contact import ContactState, press
 
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
 """Only its flat surface counts where a half-space stands for it."""

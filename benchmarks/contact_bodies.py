@@ -15,7 +15,7 @@ import twin
 from benchmarks.clock import Clock
 from twin.parts.load import Rectangles
 from twin.parts.press import Cylinder, Pillar, Press, Probe, Sphere, Step
-from twin.world.contact import ContactState
+from twin.world.contact.contact import ContactState
 
 WEIGHT_N = 0.980665
 """100 gf."""

@@ -28,7 +28,7 @@ from twin.arrays import Floats
 from twin.parts.load import Rectangles
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere
 from twin.theory.contact import plane_strain_modulus
-from twin.world.contact import press
+from twin.world.contact.contact import press
 
 SCRIPT = Path(__file__).with_name("contact_tamaas.py")
 PEER, SAID = "Against tamaas, seconds beside errors", "tamaas wasn't run"

@@ -17,8 +17,8 @@ import numpy as np
 import twin
 from benchmarks.clock import Clock, empty_cache
 from twin.parts.press import Press, Sphere, Step
-from twin.world import friction, region
-from twin.world.contact import press
+from twin.world.contact import friction, region
+from twin.world.contact.contact import press
 
 SPEED = "Speed, CPU seconds"
 FORCE_N, MU = {"block": 1.0, "finger": 0.4}, 0.5

@@ -99,7 +99,7 @@ def _case(name: str, scene: str, overrides: dict[str, Any], count: int) -> dict[
 def _stages() -> Iterator[dict[str, float]]:
     """Count the CPU seconds that are spent in each stage while the block runs."""
     from twin import png
-    from twin.world import exposure
+    from twin.world.picture import exposure
 
     where: dict[str, tuple[Any, str]] = {
         "contact": (sensor.Sensor, "press"),

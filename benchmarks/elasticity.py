@@ -13,9 +13,9 @@ from typing import Any
 from benchmarks.clock import Clock, empty_cache
 from benchmarks.reference import BODIES, YOUNGS_MODULUS_MPA, Case, reference
 from twin.parts.material import Material
-from twin.world.compliance import Compliance, Method
-from twin.world.mesh import Level
-from twin.world.sizing import WORLD
+from twin.world.elasticity.compliance import Compliance, Method
+from twin.world.mesh.mesh import Level
+from twin.world.mesh.sizing import WORLD
 
 TABLES: dict[str, Level] = {"table, truth": "standard", "table, nominal": "nominal"}
 """Ways of the block without a solve; a truth's table is one and the same for every level."""

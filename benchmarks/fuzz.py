@@ -40,7 +40,8 @@ WARM = (
     "twin.study.dataset.check", "twin.study.dataset.export", "twin.study.dataset.create", "twin.study.dataset.view",
     "twin.study.sweep.estimate",
     "twin.study.sweep.run", "twin.study.frames", "twin.study.meshes", "twin.show.live", "twin.study.table_files",
-    "twin.study.recorded_presses", "twin.world.compliance", "twin.world.contact", "twin.study.reproduce.runner",
+    "twin.study.recorded_presses", "twin.world.elasticity.compliance", "twin.world.contact.contact",
+    "twin.study.reproduce.runner",
 )  # fmt: skip
 """Loaded once, before children are forked, so that none of them counts it."""
 

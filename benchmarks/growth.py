@@ -16,10 +16,10 @@ import numpy as np
 from benchmarks.clock import Clock
 from benchmarks.peers_run import nodal_shares
 from benchmarks.reference import BODIES
-from twin.world.bisection import refined
-from twin.world.fem import TaylorHood
-from twin.world.mesh import Mesh, body_mesh
-from twin.world.sizing import WantedEdge, default_sizing
+from twin.world.elasticity.fem import TaylorHood
+from twin.world.mesh.bisection import refined
+from twin.world.mesh.mesh import Mesh, body_mesh
+from twin.world.mesh.sizing import WantedEdge, default_sizing
 
 SIZES = (10_000, 20_000, 40_000, 80_000, 160_000, 300_000)
 QUICK = (10_000, 20_000)

@@ -5,7 +5,7 @@ next to the load, as rigid bodies, in the whole block; closed forms (`twin.theor
 then all 636 of them, which no mesh of reasonable size could resolve. With beads and without them the mesh is the
 same, so that the mesh's own error cancels in the change, and unknowns of a bead are tied to its six motions, so that a
 bead is exactly rigid. The load is even over the disc below the 5 mm pillar; two mirror planes leave a quarter.
-Further rows say where the option of stiff markers (`twin.world.stiff`) ends, and what it costs.
+Further rows say where the option of stiff markers (`twin.world.elasticity.stiff`) ends, and what it costs.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
 from twin.theory.inclusions import BeadMotion, bead_motion, dipole_displacement, stresslet
-from twin.world.compliance import Compliance
+from twin.world.elasticity.compliance import Compliance
 
 PAGE = ROOT / "docs" / "inclusions.md"
 STORED = RESULTS / "inclusions.json"

@@ -25,8 +25,8 @@ from twin.study.calibrate import calibration_press
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
 from twin.theory.optics import project, projection_jacobian
-from twin.world.covered import Covered
-from twin.world.fem import Layer
+from twin.world.elasticity.covered import Covered
+from twin.world.elasticity.fem import Layer
 
 SENSORS = 20
 NU = 0.499

@@ -27,10 +27,10 @@ import numpy as np
 
 from twin.arrays import Floats, Ints
 from twin.parts.body import Body
-from twin.world.elements import triangle_quadrature, triangle_shapes
-from twin.world.gap import Approach
-from twin.world.mesh import Mesh
-from twin.world.solve import Factor
+from twin.world.contact.gap import Approach
+from twin.world.elasticity.solve import Factor
+from twin.world.mesh.elements import triangle_quadrature, triangle_shapes
+from twin.world.mesh.mesh import Mesh
 
 BULK = 1e4
 """Bulk modulus over Young's modulus: the volume changes by less than 1e-4."""

@@ -18,8 +18,8 @@ import numpy as np
 from benchmarks.clock import Clock, Cost
 from benchmarks.peers_run import Answers, Problem, nodal_shares
 from twin.arrays import Floats, Points
-from twin.world.interpolate import Locator
-from twin.world.mesh import Mesh
+from twin.world.mesh.interpolate import Locator
+from twin.world.mesh.mesh import Mesh
 
 LIMIT_S = 300.0
 

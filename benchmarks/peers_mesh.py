@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.reference import BODIES
-from twin.world.mesh import Mesh
-from twin.world.snap import quadratic, signed_volumes, snapped
+from twin.world.mesh.mesh import Mesh
+from twin.world.mesh.snap import quadratic, signed_volumes, snapped
 
 BUMP_MM, PATCH_MM = 2.0, 4.0
 """Radius of the finger's load and side of the block's, mm, both at the origin."""

@@ -10,7 +10,7 @@ from benchmarks.clock import Cost
 from benchmarks.peers_mesh import BUMP_MM, PATCH_MM
 from benchmarks.reference import YOUNGS_MODULUS_MPA, reference
 from twin.arrays import Bools, Floats, Points
-from twin.world.mesh import Mesh
+from twin.world.mesh.mesh import Mesh
 
 KEYS = {"block": ("R1z", "R1x"), "finger": ("apex_z", "apex_x")}
 """The two loads of a body: 1 N along z and along x, on a square of 4 mm (block) or as a bump 4 mm wide (finger)."""

@@ -16,8 +16,8 @@ from benchmarks.clock import Clock
 from benchmarks.peers_ngsolve import OFF_PRESSURE
 from benchmarks.peers_run import Answers, Problem, may_be_loaded, traction
 from twin.arrays import Floats
-from twin.world.interpolate import Locator
-from twin.world.mesh import Mesh
+from twin.world.mesh.interpolate import Locator
+from twin.world.mesh.mesh import Mesh
 
 
 def answers(mesh: Mesh, problem: Problem, *, mixed: bool) -> Answers:

@@ -25,11 +25,11 @@ from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
 from twin.theory.optics import project
-from twin.world.exposure import expose, fixed_pattern
-from twin.world.lighting import lamps_at
-from twin.world.markers import Ellipsoids, ellipsoids
-from twin.world.render import Renderer, subpixels_for
-from twin.world.variant import Variant, choose_variant
+from twin.world.picture.exposure import expose, fixed_pattern
+from twin.world.picture.lighting import lamps_at
+from twin.world.picture.markers import Ellipsoids, ellipsoids
+from twin.world.picture.render import Renderer, subpixels_for
+from twin.world.picture.variant import Variant, choose_variant
 
 SCENES = ("kamiyama_pillar", "sato_press")
 PRESETS = ("industrial", *sorted(set(CCD_PRESETS) - {"industrial"}))

@@ -17,10 +17,10 @@ def main() -> int:
 
     from twin.parts.markers import place
     from twin.study.recipe import load_scene
-    from twin.world.exposure import expose
-    from twin.world.markers import ellipsoids
-    from twin.world.render import Renderer
-    from twin.world.variant import choose_variant
+    from twin.world.picture.exposure import expose
+    from twin.world.picture.markers import ellipsoids
+    from twin.world.picture.render import Renderer
+    from twin.world.picture.variant import choose_variant
 
     variant, count = choose_variant(sys.argv[1]), int(sys.argv[2])
     scene = load_scene("kamiyama_pillar")

@@ -28,8 +28,8 @@ from twin.parts.body import Block, Body, Finger
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Probe, Sphere, Step
-from twin.world.compliance import Compliance
-from twin.world.contact import press
+from twin.world.contact.contact import press
+from twin.world.elasticity.compliance import Compliance
 
 BODIES: dict[str, Body] = {
     "block": Block(width_mm=100, length_mm=90, thickness_mm=40),

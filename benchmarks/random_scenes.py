@@ -45,7 +45,7 @@ from twin.study.recipe import load_scene, shipped_scenes, validate_scene
 from twin.study.run import run as run_scene
 from twin.study.sensor import Sensor
 from twin.theory.optics import rays
-from twin.world.tile import tile
+from twin.world.elasticity.tile import tile
 
 COUNT, CHUNK = 2000, 25
 STORED = RESULTS / "random_scenes.json"

@@ -16,9 +16,9 @@ from twin.arrays import Floats, Ints, Pixels
 from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
-from twin.world.markers import Ellipsoids, ellipsoids
-from twin.world.render import Renderer
-from twin.world.variant import Variant, choose_variant
+from twin.world.picture.markers import Ellipsoids, ellipsoids
+from twin.world.picture.render import Renderer
+from twin.world.picture.variant import Variant, choose_variant
 
 SPLAT = Variant(name="splat", library=None, reason="compared with the referee")
 HALF = 13

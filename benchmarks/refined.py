@@ -13,8 +13,8 @@ import numpy as np
 
 from twin.arrays import Floats, Ints, Points
 from twin.parts.body import Body
-from twin.world.mesh import Mesh
-from twin.world.snap import EDGE_CORNERS, quadratic, signed_volumes, snapped
+from twin.world.mesh.mesh import Mesh
+from twin.world.mesh.snap import EDGE_CORNERS, quadratic, signed_volumes, snapped
 
 MOST_PASSES = 200
 

@@ -121,7 +121,7 @@ def _calibration(sensor: Sensor) -> Any:
 
 
 def _pixels(widths: tuple[int, ...]) -> Iterator[Row]:
-    from twin.world.exposure import expose
+    from twin.world.picture.exposure import expose
 
     for width in widths:
         height = width * 3 // 4

@@ -18,11 +18,11 @@ from twin.parts.body import Block
 from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.places import MESHES, ROOT
-from twin.world.compliance import Compliance
-from twin.world.extrude import with_cover
-from twin.world.fem import Layer, TaylorHood
-from twin.world.mesh import Mesh, read_mesh
-from twin.world.tile import tile
+from twin.world.elasticity.compliance import Compliance
+from twin.world.elasticity.fem import Layer, TaylorHood
+from twin.world.elasticity.tile import tile
+from twin.world.mesh.extrude import with_cover
+from twin.world.mesh.mesh import Mesh, read_mesh
 
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
 COVER_MM = 0.2

@@ -18,8 +18,8 @@ from benchmarks.stress_axes import BLOCK, Axis, Measured
 from twin.parts.material import Material
 from twin.parts.press import Cylinder, Press, Probe, Sphere, Step
 from twin.theory.contact import hertz
-from twin.world.compliance import Compliance
-from twin.world.contact import ContactState, press
+from twin.world.contact.contact import ContactState, press
+from twin.world.elasticity.compliance import Compliance
 
 RUBBER = Material(youngs_modulus_mpa=1.0, poisson_ratio=0.5)
 ACROSS, BALL_MM = 10, 6.0

@@ -18,9 +18,9 @@ from twin.arrays import Floats, Points
 from twin.parts.body import Body, Finger
 from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
-from twin.world.compliance import Compliance
-from twin.world.residual import nodal_forces
-from twin.world.tile import join, tile
+from twin.world.elasticity.compliance import Compliance
+from twin.world.elasticity.residual import nodal_forces
+from twin.world.elasticity.tile import join, tile
 
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
 BODIES: dict[str, tuple[Body, Points]] = {

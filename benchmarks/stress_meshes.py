@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from twin.arrays import Floats, Ints, Points
-from twin.world.mesh import Mesh
-from twin.world.snap import EDGE_CORNERS, signed_volumes
+from twin.world.mesh.mesh import Mesh
+from twin.world.mesh.snap import EDGE_CORNERS, signed_volumes
 
 ROUNDS = 8
 """Corrections of the height until the angle is right; each leaves the square of the error."""

@@ -17,10 +17,10 @@ from twin.parts.ccd import Ccd
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
 from twin.theory.optics import project, rays
-from twin.world.exposure import expose
-from twin.world.markers import Ellipsoids
-from twin.world.render import Renderer
-from twin.world.variant import Variant
+from twin.world.picture.exposure import expose
+from twin.world.picture.markers import Ellipsoids
+from twin.world.picture.render import Renderer
+from twin.world.picture.variant import Variant
 
 SPLAT = Variant(name="splat", library=None, reason="on every machine")
 DRAWN = Measured(residual=1e-6, departure=0.02)

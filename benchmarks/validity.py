@@ -27,9 +27,9 @@ from twin.arrays import Floats, Points
 from twin.parts.press import Cylinder, Probe, Sphere
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
-from twin.world.gap import approach
-from twin.world.interpolate import Locator, Places
-from twin.world.mesh import Mesh, body_mesh
+from twin.world.contact.gap import approach
+from twin.world.mesh.interpolate import Locator, Places
+from twin.world.mesh.mesh import Mesh, body_mesh
 
 GRAM = 0.00980665
 """Newton per gram-force."""

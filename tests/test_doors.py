@@ -14,13 +14,13 @@ import twin
 PACKAGE = Path(twin.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
 HOMES = {
-    "mitsuba": {"world/render.py", "world/variant.py"},
-    "drjit": {"world/render.py", "world/variant.py"},
-    "pytetwild": {"world/tetrahedralise.py"},
-    "pypardiso": {"world/solve.py"},
-    "scipy.sparse.linalg": {"world/solve.py"},
-    "pyvista": {"world/export.py"},
-    "trimesh": {"world/surface.py"},
+    "mitsuba": {"world/picture/render.py", "world/picture/variant.py"},
+    "drjit": {"world/picture/render.py", "world/picture/variant.py"},
+    "pytetwild": {"world/mesh/tetrahedralise.py"},
+    "pypardiso": {"world/elasticity/solve.py"},
+    "scipy.sparse.linalg": {"world/elasticity/solve.py"},
+    "pyvista": {"world/mesh/export.py"},
+    "trimesh": {"world/mesh/surface.py"},
     "pickle": set(),
 }
 
@@ -38,6 +38,20 @@ def imports(file: Path) -> set[str]:
 def wing(file: Path) -> str:
     parts = file.relative_to(PACKAGE).parts
     return parts[0] if len(parts) > 1 else ""
+
+
+ROOMS = {"mesh": set(), "elasticity": {"mesh"}, "contact": {"mesh", "elasticity"}, "picture": set()}
+"""What each room of the world may import of the others."""
+
+
+@pytest.mark.parametrize("room", sorted(ROOMS))
+def test_rooms_of_the_world_build_on_one_another(room: str) -> None:
+    others = [f"twin.world.{other}." for other in ROOMS if other != room and other not in ROOMS[room]]
+    files = sorted((PACKAGE / "world" / room).glob("*.py"))
+    assert len(files) > 5
+    for file in files:
+        crossing = {name for name in imports(file) if any(f"{name}.".startswith(other) for other in others)}
+        assert not crossing, f"{file.name} imports {crossing}"
 
 
 @pytest.mark.parametrize(

@@ -17,11 +17,11 @@ from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.places import MESHES
 from twin.theory import halfspace
-from twin.world.compliance import Compliance
-from twin.world.mesh import mesh_key, read_mesh, read_provenance
-from twin.world.quality import check
-from twin.world.sizing import WORLD, default_sizing
-from twin.world.tile import join, tile
+from twin.world.elasticity.compliance import Compliance
+from twin.world.elasticity.tile import join, tile
+from twin.world.mesh.mesh import mesh_key, read_mesh, read_provenance
+from twin.world.mesh.quality import check
+from twin.world.mesh.sizing import WORLD, default_sizing
 
 REFERENCE = np.load(Path(__file__).parent.parent / "reference" / "dome.npz")
 CASES = json.loads(str(REFERENCE["cases"]))

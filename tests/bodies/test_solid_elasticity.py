@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from stl_shapes import SENSING_BELOW, bracket, solid_box, solid_bracket, solid_dome, write_stl
 
-import twin.world.mesh
+import twin.world.mesh.mesh
 from twin.errors import InputError
 from twin.parts.body import Block, Solid
 from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.places import MESHES
-from twin.world.compliance import Compliance
-from twin.world.mesh import Mesh, body_mesh, read_mesh
-from twin.world.quality import check
-from twin.world.snap import quadratic, snapped
-from twin.world.tile import join, tile
+from twin.world.elasticity.compliance import Compliance
+from twin.world.elasticity.tile import join, tile
+from twin.world.mesh.mesh import Mesh, body_mesh, read_mesh
+from twin.world.mesh.quality import check
+from twin.world.mesh.snap import quadratic, snapped
 
 RUBBER = Material(youngs_modulus_mpa=0.5, poisson_ratio=0.5)
 KUHN = np.array([(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)])
@@ -86,7 +86,7 @@ def test_a_load_whose_plane_the_body_crosses_is_refused(tmp_path):
 
 @pytest.fixture
 def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setattr(twin.world.mesh, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(twin.world.mesh.mesh, "cache_folder", lambda: tmp_path)
     return tmp_path
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.validity_page import MARKS, PAGE, page_tables
 from twin.parts.body import Block
-from twin.world.mesh import Mesh
-from twin.world.snap import quadratic, snapped
+from twin.world.mesh.mesh import Mesh
+from twin.world.mesh.snap import quadratic, snapped
 
 
 def test_tables_are_the_stored_rows() -> None:

@@ -9,8 +9,8 @@ from twin.errors import AccuracyWarning
 from twin.parts.load import Traction
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
-from twin.world.ladder import Ladder
-from twin.world.sizing import WORLD
+from twin.world.elasticity.ladder import Ladder
+from twin.world.mesh.sizing import WORLD
 
 POINTS = np.array([[0.0, 0.0, 3.0]])
 

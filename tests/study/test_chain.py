@@ -21,7 +21,7 @@ GRAM_FORCE = 9.80665e-3
 
 
 def test_a_second_press_factors_nothing() -> None:
-    from twin.world.solve import factorisations
+    from twin.world.elasticity.solve import factorisations
 
     sensor = twin.Sensor(twin.load_scene("finger_bare"))
     load = twin.Traction.bump((0, 0), 1.5, (0, 0, 1))

@@ -115,7 +115,7 @@ def test_a_hard_press_is_told_what_linearity_costs_and_a_gentle_one_is_not(tmp_p
 
 def test_a_press_that_stops_is_saved_and_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from twin.errors import ContactError, NotSettled
-    from twin.world import contact
+    from twin.world.contact import contact
 
     real = contact.solve_frictionless
 

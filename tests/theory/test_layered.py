@@ -7,7 +7,7 @@ from twin.parts.body import Block
 from twin.parts.load import Traction
 from twin.theory import halfspace
 from twin.theory.layered import Layered, bump_displacement
-from twin.world.tile import tile
+from twin.world.elasticity.tile import tile
 
 WIDE = Block(width_mm=400, length_mm=400, thickness_mm=100)
 POINTS = np.array([[0.3, 0.2, z] for z in (0.05, 0.3, 1.0, 6.0)] + [[-2.0, 1.0, 0.5], [1.0, 5.0, 3.0], [0.0, 0.0, 0.2]])

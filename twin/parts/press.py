@@ -54,7 +54,7 @@ class Step(Part):
         numbers as above.
     turn_deg
         Turn about that place during this step, degrees, same form. Turns about x and y are small ones
-        (`twin.world.gap`).
+        (`twin.world.contact.gap`).
     """
 
     force_n: Triple = (None, None, None)

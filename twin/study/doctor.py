@@ -43,8 +43,8 @@ def examine() -> Examination:
     for name, use in OPTIONAL.items():
         lines.append(f"{name:11s} {_version(name) or 'not installed (optional): ' + use}")
     if not missing:
-        from twin.world.solve import available_solvers
-        from twin.world.variant import choose_variant
+        from twin.world.elasticity.solve import available_solvers
+        from twin.world.picture.variant import choose_variant
 
         variant = choose_variant()
         lines.append(f"renderer    {variant.name}: {variant.reason}")

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from twin.sense.calibration import Calibration
     from twin.sense.reconstruct import Field
     from twin.sense.track import Found, Tracker
-    from twin.world.contact_state import ContactState
+    from twin.world.contact.contact_state import ContactState
 
 
 @dataclass(frozen=True, kw_only=True)

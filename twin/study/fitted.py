@@ -22,7 +22,7 @@ from twin.parts.scene import Scene
 from twin.sense.fit_design import Fit
 from twin.theory import halfspace
 from twin.theory.optics import project, projection_jacobian
-from twin.world.compliance import Compliance
+from twin.world.elasticity.compliance import Compliance
 
 FOOTPRINT_PCT = 10.0
 """Standard deviation of the footprint's radius against Hertz's, percent: what sticking and curvature leave open."""

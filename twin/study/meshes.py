@@ -12,15 +12,15 @@ def describe_meshes(
     scene: Scene, *, rebuild: bool, export: Path | None = None, progress: Progress | None = None
 ) -> list[str]:
     """Return a line for each of the body's meshes: size and worst quality; make them anew, or export, if asked."""
-    from twin.world.mesh import Level, body_mesh
-    from twin.world.quality import quality
+    from twin.world.mesh.mesh import Level, body_mesh
+    from twin.world.mesh.quality import quality
 
     lines = []
     levels: tuple[Level, ...] = ("standard", "nominal")  # what most scenes need; the others are made when asked for
     for level in levels:
         mesh = body_mesh(scene.body, level, rebuild=rebuild, progress=progress)
         if export is not None and level == "standard":
-            from twin.world.export import export_mesh
+            from twin.world.mesh.export import export_mesh
 
             export_mesh(mesh, scene.body, export)
         worst = quality(mesh, scene.body)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from twin.sense.calibration import Calibration
     from twin.sense.reconstruct import Field
     from twin.sense.track import Found
-    from twin.world.contact import ContactState
+    from twin.world.contact.contact import ContactState
 
 UNOCCLUDED = 0.98
 """Share of a marker's outline that must be seen at rest and pressed for it to count as unoccluded."""

@@ -27,16 +27,16 @@ from twin.study.actual import Actual, make
 from twin.theory.optics import project
 
 if TYPE_CHECKING:
-    from twin.world.compliance import Compliance
-    from twin.world.contact import ContactState
-    from twin.world.cover import CoverMotion
-    from twin.world.covered import Covered, CoveredLadder
-    from twin.world.exposure import Pattern
-    from twin.world.ladder import Ladder
-    from twin.world.maps import PictureTruth
-    from twin.world.markers import Ellipsoids
-    from twin.world.render import Outlines, Renderer
-    from twin.world.stiff import StiffBeads
+    from twin.world.contact.contact import ContactState
+    from twin.world.elasticity.compliance import Compliance
+    from twin.world.elasticity.covered import Covered, CoveredLadder
+    from twin.world.elasticity.ladder import Ladder
+    from twin.world.elasticity.stiff import StiffBeads
+    from twin.world.picture.cover import CoverMotion
+    from twin.world.picture.exposure import Pattern
+    from twin.world.picture.maps import PictureTruth
+    from twin.world.picture.markers import Ellipsoids
+    from twin.world.picture.render import Outlines, Renderer
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0 to 1."""
@@ -89,11 +89,11 @@ class Sensor:
     @cached_property
     def ladder(self) -> Ladder | CoveredLadder:
         """The actual body on as many levels of mesh as the asked accuracy takes."""
-        from twin.world.ladder import Ladder
+        from twin.world.elasticity.ladder import Ladder
 
         scene = self.actual.scene
         if covered := _covered(scene, "coarse", self.progress):
-            from twin.world.covered import CoveredLadder
+            from twin.world.elasticity.covered import CoveredLadder
 
             return CoveredLadder(covered)
         return Ladder(scene.body, scene.material, scene.displacement_error, progress=self.progress)
@@ -106,7 +106,7 @@ class Sensor:
     @cached_property
     def nominal_compliance(self) -> Compliance | Covered:
         """Compliance of the nominal body, on a mesh of its own: what the sensor's software may be told."""
-        from twin.world.compliance import Compliance
+        from twin.world.elasticity.compliance import Compliance
 
         if covered := _covered(self.nominal, "nominal", self.progress):
             return covered
@@ -122,14 +122,14 @@ class Sensor:
         """The camera's view of the actual sensor."""
         if self.nominal.camera is None:
             raise RecipeError("this scene has no [camera] table, so there is no picture of it")
-        from twin.world.render import Renderer
+        from twin.world.picture.render import Renderer
 
         return Renderer(self.actual.scene, self.ellipsoids(None))
 
     def rectangles(self, load: Load) -> Rectangles:
         """Cut a load into the rectangles that the solvers work on; the last load's are kept."""
         if self._cut is None or self._cut[0] is not load:
-            from twin.world.tile import tile
+            from twin.world.elasticity.tile import tile
 
             self._cut = load, tile(load, self.actual.scene.body)
         return self._cut[1]
@@ -171,7 +171,7 @@ class Sensor:
         cover = self.nominal.cover
         if cover is None or not cover.deforms or self.nominal.camera is None:
             return None
-        from twin.world.cover import CoverMotion
+        from twin.world.picture.cover import CoverMotion
 
         background = self.renderer.background
         assert background is not None
@@ -184,7 +184,7 @@ class Sensor:
         """Return how the actual markers move, on the level of mesh that the asked accuracy takes and no other.
 
         What `motion` answers, for many loads: patches far above all markers are gathered into a few point forces
-        (`twin.world.gather`), and the answer, with its estimated error, is never taken from a finer mesh.
+        (`twin.world.elasticity.gather`), and the answer, with its estimated error, is never taken from a finer mesh.
 
         Parameters
         ----------
@@ -194,8 +194,8 @@ class Sensor:
             Whether gradients are wanted too: without them prints are not strained and beads not turned (of which no
             picture shows anything), and the gradients are zero.
         """
-        from twin.world.gather import gathered
-        from twin.world.tile import join
+        from twin.world.elasticity.gather import gathered
+        from twin.world.elasticity.tile import join
 
         points = self.actual.markers.points
         whole = join(patches)
@@ -214,7 +214,7 @@ class Sensor:
         """The actual rigid beads and how they push each other; None where no layer is ``stiff``."""
         if not any(layer.stiff for layer in self.actual.scene.markers.values()):
             return None
-        from twin.world.stiff import stiff_beads
+        from twin.world.elasticity.stiff import stiff_beads
 
         return stiff_beads(self.actual.markers, self.actual.scene.markers)
 
@@ -254,7 +254,7 @@ class Sensor:
         ContactError
             There is no equilibrium, or the contact leaves the sensing surface.
         """
-        from twin.world.contact import press as solve
+        from twin.world.contact.contact import press as solve
 
         wanted = press if press is not None else self.nominal.press
         if wanted is None:
@@ -293,7 +293,7 @@ class Sensor:
         return self._exposed(radiance, exposure), outlines
 
     def _exposed(self, radiance: Singles, exposure: int) -> Picture:
-        from twin.world.exposure import expose
+        from twin.world.picture.exposure import expose
 
         return expose(radiance, self.nominal.ccd, stream(self.nominal.seed, Purpose.EXPOSURE, exposure), self.pattern)
 
@@ -312,7 +312,7 @@ class Sensor:
     @cached_property
     def pattern(self) -> Pattern | None:
         """What the CCD's pixels do alike in every picture, None for an even CCD."""
-        from twin.world.exposure import fixed_pattern
+        from twin.world.picture.exposure import fixed_pattern
 
         camera = self.nominal.camera
         if camera is None:
@@ -322,7 +322,7 @@ class Sensor:
 
     def ellipsoids(self, load: Load | Motion | None) -> Ellipsoids:
         """Return the actual markers as they stand under ``load``."""
-        from twin.world.markers import ellipsoids
+        from twin.world.picture.markers import ellipsoids
 
         markers, layers = self.actual.markers, self.actual.scene.markers
         motion = self.motion(load) if isinstance(load, Load) else load
@@ -356,7 +356,7 @@ def _covered(scene: Scene, level: Literal["coarse", "nominal"], progress: Progre
     """Return the compliance of a body whose cover is of another material, None if there is no such cover."""
     if scene.cover is None or (scene.cover.youngs_modulus_mpa is None and scene.cover.poisson_ratio is None):
         return None
-    from twin.world.covered import Covered, own_layer
+    from twin.world.elasticity.covered import Covered, own_layer
 
     layer = own_layer(scene.material, scene.cover)
     if layer is None:

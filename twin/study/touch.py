@@ -14,7 +14,7 @@ from twin.results import Touch
 from twin.theory.contact import hertz, punch_pressure
 
 if TYPE_CHECKING:
-    from twin.world.contact import ContactState
+    from twin.world.contact.contact import ContactState
 
 _POINTS = 80
 

@@ -16,9 +16,9 @@ from twin.show.words import cleaned
 from twin.study.sensor import Sensor
 
 if TYPE_CHECKING:
-    from twin.world.compliance import Compliance
-    from twin.world.contact_state import ContactState
-    from twin.world.covered import Covered
+    from twin.world.contact.contact_state import ContactState
+    from twin.world.elasticity.compliance import Compliance
+    from twin.world.elasticity.covered import Covered
 
 _FINE, _ROUNDS = 0.35, 6
 """Triangles near the contact are quartered until their edges are below this share of its radius, in so many rounds."""
@@ -54,7 +54,7 @@ def _states(sensor: Sensor) -> list[ContactState | None]:
 
 
 def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points, Ints]:
-    from twin.world.mesh import body_mesh
+    from twin.world.mesh.mesh import body_mesh
 
     body = sensor.actual.scene.body
     mesh = body_mesh(body, "sketch", progress=sensor.progress)
@@ -139,7 +139,7 @@ def _said(state: ContactState) -> str:
 
 def _drawn(sensor: Sensor) -> Compliance | Covered:
     """Return the compliance that moves the surface."""
-    from twin.world.compliance import Compliance
+    from twin.world.elasticity.compliance import Compliance
 
     scene = sensor.actual.scene
     if not isinstance(sensor.compliance, Compliance):

@@ -6,7 +6,7 @@ their sign are in `twin.theory.halfspace_kernels`.
 
 Validity: small strain, linear isotropic rubber, points on or below every rectangle's plane. A real body is not a
 half-space: on the 40 mm block these formulas alone are 9 to 17 % wrong, so they are the first half of the answer
-(`twin.world.compliance` adds the rest), or the model that a sensor believes in.
+(`twin.world.elasticity.compliance` adds the rest), or the model that a sensor believes in.
 """
 
 from __future__ import annotations

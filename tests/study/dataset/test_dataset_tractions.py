@@ -18,7 +18,7 @@ from twin.parts.pipeline import Sites
 from twin.study.dataset.cells import in_cells
 from twin.study.dataset.check import check_dataset
 from twin.study.dataset.view import view_dataset
-from twin.world.tile import tile
+from twin.world.elasticity.tile import tile
 
 TWO: dict[str, Any] = {
     "tractions": [

@@ -23,11 +23,11 @@ from twin.study.dataset.plan import Plan, load_of, press_of
 from twin.study.dataset.prepare import finest_mesh_file
 from twin.study.dataset.sample import MadeSensor, slips_of, truth_of
 from twin.study.dataset.work import working
-from twin.world.friction import INCREMENTS
+from twin.world.contact.friction import INCREMENTS
 
 if TYPE_CHECKING:
     from twin.parts.press import Press
-    from twin.world.contact_state import ContactState
+    from twin.world.contact.contact_state import ContactState
 
 WORK = "twin.study.dataset.audit:audit_sample"
 MOST, EVERY = 100, 100
@@ -133,7 +133,7 @@ def _differences(made: MadeSensor, values: Table) -> dict[str, float]:
 
 
 def _pressed(made: MadeSensor, press: Press, increments: int) -> ContactState:
-    from twin.world.contact import press as solve
+    from twin.world.contact.contact import press as solve
 
     made.sensor.compliance.forget()
     scene = made.sensor.actual.scene

@@ -55,10 +55,10 @@ def pin_meshes(scene: Scene, meta: Path, progress: Told | None) -> None:
     """Write the meshes, and a block's tables, that the scene's accuracy takes and by which its error is estimated."""
     from twin.study.recipe import load_scene
     from twin.study.sensor import Sensor
-    from twin.world.compliance import Compliance
-    from twin.world.mesh import body_mesh, mesh_file, mesh_key, shipped_mesh, write_mesh
-    from twin.world.sizing import WORLD, default_sizing
-    from twin.world.tabulate import cached_path, find_table, shipped_path
+    from twin.world.elasticity.compliance import Compliance
+    from twin.world.elasticity.tabulate import cached_path, find_table, shipped_path
+    from twin.world.mesh.mesh import body_mesh, mesh_file, mesh_key, shipped_mesh, write_mesh
+    from twin.world.mesh.sizing import WORLD, default_sizing
 
     there = load_scene(meta / "scene.toml")
     base = Sensor(there, progress).compliance
@@ -82,8 +82,8 @@ def pin_meshes(scene: Scene, meta: Path, progress: Told | None) -> None:
 
 def finest_mesh_file(body: Body) -> str:
     """Return the name of the file of the body's finest mesh, which is there for bodies that ship with one."""
-    from twin.world.mesh import mesh_file, mesh_key
-    from twin.world.sizing import WORLD, default_sizing
+    from twin.world.mesh.mesh import mesh_file, mesh_key
+    from twin.world.mesh.sizing import WORLD, default_sizing
 
     return mesh_file(mesh_key(body, default_sizing(body, WORLD[-1])))
 
@@ -144,7 +144,7 @@ def renderer(scene: Scene, needs: frozenset[str]) -> str:
     """Return the variant that renders, with its library; nothing if no picture is wanted."""
     if scene.camera is None or not needs & {"picture", "outlines"}:
         return ""
-    from twin.world.render import method_for
+    from twin.world.picture.render import method_for
 
     variant = method_for(scene.accuracy.centroid_px)
     return f"{variant.name} {Path(variant.library).name if variant.library else ''}".strip()

@@ -28,8 +28,8 @@ from twin.study.sensor import Motion, Sensor, on_grid
 if TYPE_CHECKING:
     from twin.parts.load import Rectangles
     from twin.parts.press import Press
-    from twin.world.contact_state import ContactState
-    from twin.world.render import Outlines, Renderer
+    from twin.world.contact.contact_state import ContactState
+    from twin.world.picture.render import Outlines, Renderer
 
 Row = dict[str, Any]
 
@@ -100,7 +100,7 @@ class MadeSensor:
     @cached_property
     def renderer(self) -> Renderer:
         """The camera's view, traced by one thread."""
-        from twin.world.render import one_thread
+        from twin.world.picture.render import one_thread
 
         renderer = self.sensor.renderer
         one_thread()
@@ -183,7 +183,7 @@ def truth_of(made: MadeSensor, load: Load, slips: list[Bools] | None = None, exp
 
     ``slips`` says which patches of each of the load's terms slip; None for tractions without a probe.
     """
-    from twin.world.tile import join
+    from twin.world.elasticity.tile import join
 
     sensor, needs = made.sensor, made.plan.needs
     groups = [sensor.rectangles(Load((term,))) for term in load.terms] or [sensor.rectangles(load)]

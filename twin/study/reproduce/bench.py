@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from twin.sense.calibration import Calibration
     from twin.sense.rest import Rest
     from twin.sense.track import Found
-    from twin.world.contact import ContactState
+    from twin.world.contact.contact import ContactState
 
 T = TypeVar("T")
 

@@ -19,7 +19,7 @@ from twin.show.panels import FieldPanel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import Bench, Rig
 from twin.theory.optics import projection_jacobian
-from twin.world.contact import ContactState
+from twin.world.contact.contact import ContactState
 
 FAR = 50.0
 """Times the distance at which a lens sees almost in parallel."""

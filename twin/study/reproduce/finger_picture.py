@@ -12,7 +12,7 @@ from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import circle_mm, field_panel, scored, solved
 from twin.study.reproduce.record import Outcome, Record, causes, over
-from twin.world.contact import ContactState
+from twin.world.contact.contact import ContactState
 
 GRAM_FORCE_N = 9.80665e-3
 PITCH_MM = 2.5

@@ -18,7 +18,7 @@ from twin.parts.scene import Scene
 from twin.study.sensor import Motion, Progress, Sensor
 
 if TYPE_CHECKING:
-    from twin.world.contact import ContactState
+    from twin.world.contact.contact import ContactState
 
 MECHANICAL = ("body", "material", "cover", "accuracy")
 """What of an actual scene decides how its body moves."""

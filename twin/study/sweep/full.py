@@ -197,7 +197,7 @@ def _calibration(sensor: Sensor, bodies: Bodies) -> Calibration:
 
 def _exposed(sensor: Sensor, light: Singles, number: int) -> Picture:
     """Return an exposure of rendered light."""
-    from twin.world.exposure import expose
+    from twin.world.picture.exposure import expose
 
     noise = stream(sensor.nominal.seed, Purpose.EXPOSURE, number)
     return expose(light, sensor.nominal.ccd, noise, sensor.pattern)

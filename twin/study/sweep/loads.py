@@ -25,9 +25,9 @@ from twin.parts.sweep import Loads, Range, Sweep, Values
 from twin.streams import Purpose, stream
 
 if TYPE_CHECKING:
-    from twin.world.compliance import Compliance
-    from twin.world.mesh import Level
-    from twin.world.table import Table
+    from twin.world.elasticity.compliance import Compliance
+    from twin.world.elasticity.table import Table
+    from twin.world.mesh.mesh import Level
 
 PAIRS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
 """Distances of two pushes over the sweep's ``pair_mm``."""
@@ -154,8 +154,8 @@ class Bodies:
 
     def unit(self, scene: Scene, role: str, patches: Rectangles) -> Compliance:
         """Return the compliance for E = 1 MPa of a scene's body: ``truth`` or ``nominal``."""
-        from twin.world.compliance import Compliance
-        from twin.world.ladder import Ladder
+        from twin.world.elasticity.compliance import Compliance
+        from twin.world.elasticity.ladder import Ladder
 
         refuse(scene)
         nu = scene.material.poisson_ratio
@@ -180,8 +180,8 @@ class Bodies:
 
     def _between(self, body: Body, level: Level) -> Table | None:
         """Return the interpolated table of a block, where one is as accurate as a level of mesh."""
-        from twin.world.tabulate import MADE
-        from twin.world.thickness import table_between
+        from twin.world.elasticity.tabulate import MADE
+        from twin.world.elasticity.thickness import table_between
 
         if self.thickness_mm is None or not isinstance(body, Block):
             return None

@@ -1,0 +1,90 @@
+"""Newton steps by iteration against elimination, on a contact's own systems."""
+
+import numpy as np
+import pytest
+from test_contact import BLOCK, FINGER, HalfSpace
+
+from twin.parts.body import Body
+from twin.parts.press import Press, Sphere, Step
+from twin.world.contact import coulomb
+from twin.world.contact.contact import ContactState, press
+from twin.world.contact.krylov import Krylov, LinearSystem
+from twin.world.contact.pattern import Pattern
+
+
+def random_pattern(rng: np.random.Generator, n: int) -> Pattern:
+    slips, turn = rng.random(n) < 0.5, rng.uniform(0, 2 * np.pi, n)
+    ahead = np.where(slips[:, None], np.column_stack([np.cos(turn), np.sin(turn)]), [1.0, 0.0])
+    share = np.where(slips, 10 ** rng.uniform(-6, 0, n), 1.0)
+    touching = np.sort(rng.choice(2 * n, n, replace=False))
+    return Pattern(touching=touching, slips=slips, ahead=ahead, mu=np.where(slips, 0.4, 0.0), share=share)
+
+
+def test_forces_and_what_is_seen_of_them_are_adjoint() -> None:
+    rng = np.random.default_rng(0)
+    pattern = random_pattern(rng, 7)
+    x, u = rng.normal(size=pattern.size), rng.normal(size=(3, 7))
+    assert np.vdot(pattern.forces(x), u) == pytest.approx(np.vdot(x, pattern.pulled(u)))
+    np.testing.assert_allclose(pattern.seen(pattern.forces(x)), x)
+    two = rng.normal(size=(pattern.size, 2))
+    np.testing.assert_array_equal(pattern.forces(two)[..., 1], pattern.forces(two[:, 1]))
+
+
+@pytest.mark.parametrize("motions", [0, 3])
+def test_iteration_agrees_with_elimination(motions: int) -> None:
+    rng = np.random.default_rng(1)
+    n, k = 40, 80
+    place = rng.uniform(0, 8, (k, 2))
+    away = np.hypot(*(place[:, None] - place).T)
+    near = 1 / np.sqrt(away**2 + 0.2)  # a smooth kernel like that of elasticity, with some coupling between axes
+    mixed = np.array([[1.0, 0.1, 0.05], [0.1, 0.9, -0.05], [-0.05, 0.05, 1.1]])
+    compliance = 3e-3 * np.einsum("kl,ab->kalb", near + 2 * np.eye(k), mixed)
+    pattern = random_pattern(rng, n)
+    carried = rng.normal(size=(3, n, motions))
+    system = LinearSystem(
+        pattern=pattern, shift=3e-3 * (1 - pattern.share), motion=-pattern.seen(carried),
+        pull=pattern.pulled(carried), reach=10 ** rng.uniform(0, 1, motions),
+    )  # fmt: skip
+    right, balance = rng.normal(size=pattern.size), rng.normal(size=motions)
+    exact = coulomb._eliminated(compliance, system, right, balance)
+    krylov, found = Krylov(compliance), [np.zeros(pattern.size), np.zeros(motions)]
+    for _ in range(4):  # every solution leaves a thousandth: mend what is left, as Newton's steps do
+        left = right - _rows(compliance, system, found)
+        change = krylov.solve(system, left, balance - system.pull.T @ found[0])
+        assert change is not None
+        found = [now + part for now, part in zip(found, change, strict=True)]
+    for now, wanted in zip(found, exact, strict=True):
+        np.testing.assert_allclose(now, wanted, atol=1e-7 * np.abs(wanted).max(initial=0.0))
+
+
+def _rows(compliance: np.ndarray, system: LinearSystem, found: list[np.ndarray]) -> np.ndarray:
+    pattern, rows = system.pattern, system.pattern.touching
+    part = compliance[rows][:, :, rows]
+    seen = pattern.seen(np.einsum("kalb,bl->ak", part, pattern.forces(found[0])))
+    seen[pattern.aside] = pattern.share * seen[pattern.aside] + system.shift * found[0][pattern.aside]
+    return seen + system.motion @ found[1]
+
+
+@pytest.mark.parametrize(("body", "nu"), [(BLOCK, 0.3), (FINGER, 0.5)])
+def test_a_path_is_the_same_either_way(body: Body, nu: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = (
+        Step(force_n=(0, 0, 0.3)),
+        Step(force_n=(0.05, 0.03, 0.3)),
+        Step(force_n=(0.05, 0.03, 0.3), torque_nmm=0.02),
+    )
+    wanted = Press(probe=Sphere(diameter_mm=3), at_mm=(-3, 1), friction=0.5, steps=steps)
+
+    def walked() -> ContactState:
+        return press(
+            wanted, body, HalfSpace(1.0, nu), patches_across=10, youngs_modulus_mpa=1.0, poisson_ratio=nu, increments=2
+        )
+
+    fast = walked()
+    assert len(fast.slip) > coulomb._FEW
+    monkeypatch.setattr(coulomb, "_FEW", 10**6)
+    slow = walked()
+    assert 0 < slow.slip.sum() < len(slow.slip)
+    for one, other in zip(fast.path, slow.path, strict=True):
+        np.testing.assert_array_equal(one.slip, other.slip)
+        np.testing.assert_allclose(one.traction_mpa, other.traction_mpa, atol=1e-8 * other.peak_pressure_mpa)
+        np.testing.assert_allclose(one.move_mm, other.move_mm, atol=1e-9)

@@ -1,0 +1,182 @@
+"""LEDs through flat layers, against the inverse-square law, conservation of light and brute-force visibility."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin.errors import RecipeError
+from twin.parts.light import Light
+from twin.parts.scene import Scene
+from twin.world.picture.cover import Background, CoverMotion
+from twin.world.picture.lighting import Lamps, brightest, cover_light, irradiance, lamps_at
+from twin.world.picture.markers import Ellipsoids
+from twin.world.picture.occluders import occluders
+
+
+def scene(index: float = 1.41, glass: float = 1.49, led: tuple[float, float, float] = (10.0, 5.0, 70.0)) -> Scene:
+    return Scene.model_validate(
+        {
+            "body": {"shape": "block", "width_mm": 100, "length_mm": 90, "thickness_mm": 40},
+            "material": {"refractive_index": index},
+            "cover": {"albedo": (0.2, 0.1, 0.05)},
+            "markers": {"red": {"depth_mm": 3, "pitch_mm": 2, "diameter_mm": 0.5, "columns": 1, "rows": 1,
+                                "colour": (1, 0, 0)}},
+            "camera": {"focal_px": 500, "pupil_mm": (0, 0, 100), "layers": [{"index": glass, "thickness_mm": 10}]},
+            "light": {"positions_mm": [led], "exponent": 1.0, "ambient": 0.0},
+        }
+    )  # fmt: skip
+
+
+def test_without_refraction_light_falls_with_the_squared_distance() -> None:
+    points = np.array([[0.0, 0, 3], [20, -10, 6], [10, 5, 0]])
+    lamps = lamps_at(points, scene(1.0, 1.0))
+    np.testing.assert_allclose(lamps.place, np.broadcast_to([10, 5, 70], (3, 1, 3)), atol=1e-9)
+    towards = np.array([10.0, 5, 70]) - points
+    distance = np.linalg.norm(towards, axis=1)
+    cosine = towards[:, 2] / distance
+    np.testing.assert_allclose(irradiance(points, towards / distance[:, None], lamps), cosine / distance**2, rtol=1e-9)
+
+
+def test_refraction_keeps_the_light_of_the_led() -> None:
+    # All light of cos^1 emission is pi; a plane far wider than the LED's height collects what is not reflected.
+    made = scene(1.41, 1.41, (0.0, 0.0, 55.0)).model_copy(update={"body": scene().body.model_copy(
+        update={"width_mm": 500, "length_mm": 500})})  # fmt: skip
+    r = np.linspace(0.005, 150, 4000)
+    points = np.column_stack([r, 0 * r, np.full(len(r), 39.9)])
+    flux = np.sum(2 * np.pi * r * irradiance(points, np.tile([0.0, 0, 1], (len(r), 1)), lamps_at(points, made)))
+    # Fresnel's reflection takes 6 % of evenly spread light beyond the 3 % of normal incidence.
+    assert flux * (r[1] - r[0]) == pytest.approx(np.pi * 0.94, rel=0.02)
+
+
+def test_the_image_on_the_axis_is_the_paraxial_one() -> None:
+    points = np.array([[10.0, 5.0, 4.0]])
+    lamps = lamps_at(points, scene())
+    apparent = 36 + 1.41 * (10 / 1.49 + 20)
+    np.testing.assert_allclose(lamps.place[0, 0], [10, 5, 4 + apparent], atol=1e-6)
+
+
+def test_the_cover_sends_its_albedo_back() -> None:
+    made = scene()
+    assert made.light is not None
+    made = made.model_copy(update={"light": made.light.model_copy(update={"ambient": 0.3})})
+    origins = np.array([[0.0, 0, 40], [0, 0, 40], [np.nan, 0, 40], [60, 0, 40]])
+    directions = np.array([[0.0, 0, -1], [0.9, 0, -np.sqrt(0.19)], [0, 0, -1], [0, 0, -1]])
+    light = cover_light(origins, directions, made, 1.0)
+    down = np.array([[0.0, 0, 1]])
+    below = np.array([[0.0, 0, 0.2]])
+    expected = 0.3 + 0.7 * irradiance(below, down, lamps_at(below, made))
+    np.testing.assert_allclose(light[0], expected * np.array([0.2, 0.1, 0.05]), rtol=1e-6)
+    assert (light[1:] == 0).all()  # out of the side wall, no ray, beside the body
+    assert (cover_light(origins, directions, made.model_copy(update={"cover": None}), 1.0) == 0).all()
+
+
+@pytest.mark.parametrize("height", [100.0, 7.0])
+def test_shadow_candidates_contain_every_true_shadow(height: float) -> None:
+    rng = np.random.default_rng(2)
+    centres = np.column_stack([rng.uniform(-5, 5, (200, 2)), rng.choice([3.0, 6.0], 200)])
+    centres[7] = np.nan
+    place = np.tile(np.array([[25.0, 20, height], [-25, 20, height]]), (200, 1, 1))
+    wanted = np.ones((200, 2), bool)
+    wanted[11, 1] = False
+    found = occluders(centres, np.full(200, 0.25), place, wanted)
+    for led in range(2):
+        towards = place[:, led] - centres
+        length = np.linalg.norm(towards, axis=1)
+        towards /= length[:, None]
+        for i in range(200):
+            w = centres - centres[i]
+            along = w @ towards[i]
+            miss = np.linalg.norm(w - along[:, None] * towards[i], axis=1)
+            true = np.flatnonzero((along > 0) & (along < length[i]) & (miss < 0.5) & (np.arange(200) != i))
+            listed = found.members[found.first[2 * i + led] : found.first[2 * i + led + 1]]
+            assert not wanted[i, led] or set(true) <= set(listed)
+            assert found.flags[i, led] == (len(listed) > 0)
+    assert not found.flags[11, 1]
+    assert 0.02 < found.flags.mean() < (0.9 if height > 50 else 1)
+
+
+def test_the_brightest_marker_sets_the_exposure() -> None:
+    made = scene()
+    markers = Ellipsoids(
+        centres=np.array([[10.0, 5, 3], [-30, 5, 3]]), axes=np.tile(0.25 * np.eye(3), (2, 1, 1)), colour=np.eye(3)[:2]
+    )
+    top, white = brightest(markers, made)
+    lamps = lamps_at(markers.centres, made)
+    nearest = Lamps(place=lamps.place[:1], power=lamps.power[:1])
+    assert top == pytest.approx(irradiance(markers.centres[:1], np.array([[0.0, 0, 1]]), nearest)[0])
+    assert white == pytest.approx(1 - 2 * made.ccd.crosstalk)
+
+
+def test_an_led_in_the_body_shines_unrefracted_along_minus_z() -> None:
+    made = scene(led=(10.0, 5.0, 20.0))
+    points = np.array([[0.0, 0, 3], [20, -10, 6], [10, 5, 25]])
+    towards = np.array([10.0, 5, 20]) - points
+    distance = np.linalg.norm(towards, axis=1)
+    lit = irradiance(points, towards / distance[:, None], lamps_at(points, made))
+    np.testing.assert_allclose(lit, np.maximum(towards[:, 2], 0) / distance**3, rtol=1e-12)
+    assert lit[2] == 0  # above the LED
+
+
+def test_an_emission_profile_replaces_the_power_law() -> None:
+    made = scene(1.0, 1.0)
+    light = made.light
+    assert light is not None
+    angles = np.linspace(0, 90, 181)
+    table = tuple((float(a), float(np.cos(np.deg2rad(a)) ** 3)) for a in angles)
+    points = np.array([[0.0, 0, 3], [40, -10, 6], [10, 5, 0]])
+    found = [
+        lamps_at(points, made.model_copy(update={"light": light.model_copy(update=keys)})).power
+        for keys in ({"exponent": 3.0}, {"profile": table})
+    ]
+    np.testing.assert_allclose(found[1], found[0], rtol=2e-4)
+    for bad, named in ((((0, 1),), "at least two"), (((0, 1), (0, 2)), "rise"), (((0, -1), (90, 1)), "above 0")):
+        with pytest.raises(RecipeError, match=named):
+            Light(positions_mm=((0, 0, 70),), profile=bad)
+
+
+def test_a_disc_of_light_is_the_integral_over_it() -> None:
+    made = scene(1.0, 1.0, (0.0, 0.0, 55.0))
+    light = made.light
+    assert light is not None
+    disc = made.model_copy(update={"light": light.model_copy(update={"radius_mm": 6.0})})
+    points, up = np.array([[0.0, 0, 30], [8, 3, 20]]), np.tile([0.0, 0, 1], (2, 1))
+    lamps = lamps_at(points, disc)
+    assert lamps.power.shape == (2, 7)
+    r, a = np.meshgrid((np.arange(200) + 0.5) / 200 * 6, np.arange(64) / 64 * 2 * np.pi, indexing="ij")
+    places = np.stack([r * np.cos(a), r * np.sin(a), np.full_like(r, 55.0)], axis=-1).reshape(-1, 3)
+    for point, lit in zip(points, irradiance(points, up, lamps), strict=True):
+        towards = places - point
+        exact = np.average(towards[:, 2] ** 2 / np.linalg.norm(towards, axis=1) ** 4, weights=r.ravel())
+        assert lit == pytest.approx(exact, rel=2e-4)
+    # On the axis in closed form: E = 1 / (d^2 + R^2) for a Lambertian disc of intensity 1.
+    assert irradiance(points[:1], up[:1], lamps_at(points[:1], disc))[0] == pytest.approx(1 / (25**2 + 36), rel=1e-4)
+
+
+def test_an_led_inside_the_plate_is_refused() -> None:
+    with pytest.raises(RecipeError, match="positions_mm"):
+        lamps_at(np.zeros((1, 3)), scene(led=(0.0, 0.0, 45.0)))
+
+
+def test_a_cover_that_moves_and_tilts_is_lit_like_one_that_stands_so() -> None:
+    """A cover lifted by h and tilted by a small angle, against light computed in the moved place."""
+    made = scene(1.41, 1.49, (10.0, 5.0, 70.0))
+    ground = Background(made, 1.0)
+    points = ground.points
+    assert len(points) > 800
+    np.testing.assert_allclose(points[:, 2], 0.2, atol=1e-3)
+    height, tilt = 0.8, 0.05
+    gradient = np.zeros((len(points), 3, 3))
+    gradient[:, 2, 0] = tilt
+    moved = np.zeros_like(points)
+    moved[:, 2] = height
+    factor = ground.change(CoverMotion(displacement_mm=moved, gradient=gradient))
+    assert factor.shape == (480, 640)
+    middle = np.array([[0.0, 0.0, 0.2]])
+    normal = np.array([[-tilt, 0.0, 1.0]]) / np.hypot(1, tilt)
+    before = irradiance(middle, np.array([[0.0, 0, 1]]), lamps_at(middle, made))
+    lifted = middle + np.array([0.0, 0, height])
+    after = irradiance(lifted, normal, lamps_at(lifted, made))
+    assert factor[239:241, 319:321].mean() == pytest.approx((after / before)[0], rel=1e-4)
+    still = ground.change(CoverMotion(displacement_mm=0 * moved, gradient=0 * gradient))
+    np.testing.assert_allclose(still, 1, atol=1e-6)

@@ -1,0 +1,174 @@
+"""Pictures at the ends of what a scene can ask for: fields, sizes, places, lights, exposures, crowds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from test_render import BLUE, RED, SPLAT, beads, block, finger, rest_of, seen_at
+
+from twin.errors import RecipeError
+from twin.parts.ccd import Ccd
+from twin.parts.markers import place
+from twin.parts.scene import Scene
+from twin.world.picture.exposure import expose
+from twin.world.picture.markers import Ellipsoids, ellipsoids
+from twin.world.picture.render import Renderer
+
+
+def with_camera(scene: Scene, **keys: Any) -> Scene:
+    assert scene.camera is not None
+    return scene.model_copy(update={"camera": scene.camera.model_copy(update=keys)})
+
+
+def with_light(scene: Scene, **keys: Any) -> Scene:
+    assert scene.light is not None
+    return scene.model_copy(update={"light": scene.light.model_copy(update=keys)})
+
+
+@pytest.mark.parametrize("field_deg", [10, 90, 180])
+def test_any_field_of_view_shows_markers_where_they_are_projected(field_deg: float) -> None:
+    scene = with_camera(finger(), width_px=200, height_px=150, focal_px=100 / np.deg2rad(field_deg / 2))
+    markers = rest_of(scene)
+    renderer = Renderer(scene, markers, SPLAT)
+    light, outlines = renderer.radiance(markers), renderer.outlines(markers)
+    assert np.isfinite(light).all()
+    assert light.max() > 0.1
+    places = seen_at(markers.centres, scene)
+    whole = (outlines.visible > 0.999) & (outlines.area_px > 20)
+    assert whole.any()
+    # The centroid of an outline and the projected centre differ by the lens's own bend over a marker.
+    assert np.abs(outlines.centroid_px - places)[whole].max() < 0.02 * np.sqrt(outlines.area_px[whole].max()) + 0.02
+
+
+@pytest.mark.parametrize("diameter_px", [2, 5, 15, 60])
+def test_markers_of_any_size_keep_their_centre_and_area(diameter_px: float) -> None:
+    scene = block()
+    scale = 20.35
+    rng = np.random.default_rng(1)
+    places = [(float(x), float(y), 6.0) for x, y in rng.uniform(-0.5, 0.5, (12, 2))]
+    renderer = Renderer(scene, beads([(0, 0, 6)], diameter_px / scale / 2), SPLAT, subpixels=4)
+    for spot in places:
+        markers = beads([spot], diameter_px / scale / 2)
+        outlines = renderer.outlines(markers)
+        off = outlines.centroid_px - seen_at(markers.centres, scene)
+        assert np.abs(off).max() < 0.01
+        assert outlines.area_px[0] == pytest.approx(
+            np.pi * (diameter_px / 2) ** 2, rel=0.02 if diameter_px > 2 else 0.05
+        )
+
+
+def test_markers_behind_the_base_at_the_window_and_beyond_the_edge() -> None:
+    scene = finger()
+    markers = beads([(0, 0, 11), (0, 0, 9.7), (0.4, 0.1, 9.9), (7.5, 0, 5), (0, 0, 4)])
+    renderer = Renderer(scene, rest_of(scene), SPLAT)
+    light, outlines = renderer.radiance(markers), renderer.outlines(markers)
+    assert np.isfinite(light).all()
+    assert outlines.visible[0] == 0
+    assert outlines.area_px[1] > 1000
+    assert outlines.visible[4] == 0  # behind the one at the window
+    truth = renderer.truth(markers, markers, np.zeros(5, int))
+    assert truth.sight[0] == 1
+    assert (truth.marker == 1).sum() > 1000
+    assert not (truth.marker == 0).any()
+
+
+def test_markers_in_one_place_and_within_each_other() -> None:
+    scene = block()
+    twins = beads([(0, 0, 6), (0, 0, 6), (0.1, 0, 6), (0, 0, 6.05)], [0.25, 0.25, 0.25, 0.1])
+    renderer = Renderer(scene, rest_of(scene), SPLAT)
+    outlines = renderer.outlines(twins)
+    assert np.isfinite(renderer.radiance(twins)).all()
+    # Together they cover what the union covers, nothing is counted twice.
+    seen = outlines.area_px.sum()
+    grid = np.stack(np.meshgrid(np.arange(40, 80, 0.05), np.arange(30, 60, 0.05)), axis=-1)
+    middles = seen_at(twins.centres, scene)
+    radius = 20.35 * 0.25
+    union = np.any([np.linalg.norm(grid - m, axis=-1) < radius for m in middles[:3]], axis=0).sum() * 0.05**2
+    assert seen == pytest.approx(union, rel=0.02)
+    assert outlines.area_px[3] == 0  # inside the others
+
+
+def test_a_crowd_of_thousands_and_nobody() -> None:
+    scene = with_camera(block(), width_px=320, height_px=240)
+    rng = np.random.default_rng(3)
+    n = 5000
+    crowd = Ellipsoids(
+        centres=np.column_stack([rng.uniform(-9, 9, n), rng.uniform(-7, 7, n), rng.uniform(1, 12, n)]),
+        axes=np.tile(0.06 * np.eye(3), (n, 1, 1)),
+        colour=np.tile(RED, (n, 1)),
+    )
+    renderer = Renderer(scene, crowd, SPLAT, subpixels=2)
+    light, outlines = renderer.radiance(crowd), renderer.outlines(crowd)
+    assert np.isfinite(light).all()
+    whole = outlines.visible > 0.999
+    assert whole.sum() > 1000
+    np.testing.assert_allclose(outlines.centroid_px[whole], seen_at(crowd.centres[whole], scene), atol=0.04)
+    nobody = crowd.rows(slice(0, 0))
+    assert renderer.radiance(nobody).max() < 0.06
+    assert len(renderer.outlines(nobody).visible) == 0
+
+
+def test_a_print_strained_by_half_is_half_as_long_again() -> None:
+    layers = {"kind": "print", "depth_mm": 0.5, "pitch_mm": 2.5, "diameter_mm": 0.5, "columns": 1, "rows": 1}
+    scene = finger(markers={"blue": {**layers, "colour": BLUE}})
+    markers = place(scene.body, scene.markers)
+    gradient = np.zeros((1, 3, 3))
+    gradient[0] = np.diag([0.5, -0.2, -0.3])
+    gradient[0, 0, 1] = 0.5
+    renderer = Renderer(scene, rest_of(scene), SPLAT, subpixels=6)
+    strained = ellipsoids(markers, scene.markers, None, gradient)
+    areas = [renderer.outlines(m).area_px[0] for m in (rest_of(scene), strained)]
+    # Seen from straight behind, the area grows by the determinant in the plane: 1.5 times 0.8.
+    assert areas[1] / areas[0] == pytest.approx(1.2, abs=0.02)
+
+
+def test_leds_in_the_body_behind_a_marker_and_within_one() -> None:
+    scene = with_light(block(), positions_mm=((0.0, 0.0, 20.0),), ambient=0.0)
+    inside, shaded = beads([(0, 0, 3)]), beads([(0, 0, 3), (0, 0, 10)])
+    renderer = Renderer(scene, inside, SPLAT)
+    assert renderer.outlines(inside).visible[0] == 1
+    free = renderer.radiance(inside)[44:46, 59:61, 0].mean()
+    assert free > 0.1
+    # The one at 10 mm hides the other and takes its light; beside it the light still arrives.
+    aside = beads([(0.8, 0, 3), (0, 0, 10)])
+    spot = np.rint(renderer.outlines(aside).centroid_px[0]).astype(int)
+    assert renderer.radiance(aside)[spot[1], spot[0], 0] > 0.5 * free
+    assert renderer.outlines(shaded).visible[0] == 0
+    swallowed = with_light(block(), positions_mm=((0.0, 0.0, 6.0), (0.0, 0.0, 20.0)))
+    assert np.isfinite(Renderer(swallowed, inside, SPLAT).radiance(beads([(0, 0, 6)]))).all()
+    in_the_plate = with_light(block(), positions_mm=((0.0, 0.0, 45.0),))
+    with pytest.raises(RecipeError, match="positions_mm"):
+        Renderer(in_the_plate, inside, SPLAT)
+
+
+@pytest.mark.parametrize(("exposure", "least", "most"), [(1e-3, 0, 3), (1.0, 190, 210), (1000.0, 255, 255)])
+def test_over_and_under_exposure(exposure: float, least: int, most: int) -> None:
+    scene = block()
+    scene = scene.model_copy(update={"ccd": Ccd(preset="ideal", exposure=exposure, crosstalk=0.0)})
+    markers = rest_of(scene)
+    counts = expose(Renderer(scene, markers, SPLAT).radiance(markers), scene.ccd, np.random.default_rng(0))
+    assert least <= counts.max() <= most
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 40), (3, 2)])
+def test_tiny_pictures(width: int, height: int) -> None:
+    scene = with_camera(block(), width_px=width, height_px=height)
+    markers = beads([(0, 0, 6)])
+    renderer = Renderer(scene, markers, SPLAT)
+    light = renderer.radiance(markers)
+    assert light.shape == (height, width, 3)
+    assert np.isfinite(light).all()
+    assert light.max() > 0.1
+    assert 0 < renderer.outlines(markers).visible[0] <= 1
+
+
+@pytest.mark.slow
+def test_a_picture_of_16_million_pixels() -> None:
+    scene = with_camera(block(), width_px=4096, height_px=4096, focal_px=1814.8 * 4096 / 640)
+    markers = rest_of(scene)
+    renderer = Renderer(scene, markers, SPLAT, subpixels=1)
+    np.testing.assert_allclose(renderer.outlines(markers).centroid_px, seen_at(markers.centres, scene), atol=0.05)
+    counts = expose(renderer.radiance(markers), scene.ccd, np.random.default_rng(0))
+    assert counts.shape == (4096, 4096, 3)

@@ -1,0 +1,1 @@
+"""How rigid probes press: tractions that only push, friction with a history."""

@@ -1,0 +1,213 @@
+"""The patches of a press with friction: one grid for its whole path, what they remember, and their gaps.
+
+Why gaps of two kinds: a patch that has touched moves with the probe in all three directions, from where it touched.
+For one that has not, the exact shape of the probe counts as it comes down, while sideways the surface near a probe goes
+along with it and the gap changes only by the slope of the surface. What the probe slides as a whole is taken off: a
+sphere that slid meets the body elsewhere.
+
+Validity: one slide for all patches of a probe, taken as the least slip of those in contact; a flat face has no patches
+to slide to (`twin.world.contact.friction`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Points
+from twin.world.contact.between import Between, Dense
+from twin.world.contact.gap import MOTIONS, Z
+from twin.world.contact.krylov import Krylov
+from twin.world.contact.lattice import Lattice
+from twin.world.contact.patches import Patches
+from twin.world.contact.together import Contacts, every
+
+_FEW = 130
+"""Patches from which on products with friction are faster by transforms than with a matrix."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trend:
+    """What the last step of a path changed: forces (k, 3), place (6 p,), and what was given (6 p,)."""
+
+    force_n: Floats
+    place: Floats
+    given: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """Where each patch touched, or slipped to, and the state that the probes and the body are in.
+
+    Attributes
+    ----------
+    touched, slipping
+        (k,) patches in contact, and which of them slipped last.
+    closed_mm
+        (k,) gap of those at place 0, had they always moved with the probe.
+    offset_mm
+        (k, 2) tangential displacement of those at place 0, likewise.
+    place
+        (6 p,) the probes' places.
+    total
+        (6 p,) the forces and torques on them.
+    displacement_mm, force_n
+        (k, 3) displacements of the patches and forces on them, in their frames.
+    slid_mm
+        (p, 2) how far each probe slid as a whole, along its own x and y.
+    lifted
+        (p,) probes that are off the body and stay off.
+    dissipated_nmm
+        Work that friction has taken so far, N mm.
+    trend
+        What the last step changed, for a guess at what the next one does.
+    """
+
+    touched: Bools
+    slipping: Bools
+    closed_mm: Floats
+    offset_mm: Floats
+    place: Floats
+    total: Floats
+    displacement_mm: Floats
+    force_n: Floats
+    slid_mm: Floats
+    lifted: Bools
+    dissipated_nmm: float = 0.0
+    trend: Trend | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionGrid:
+    """Patches, and what of them stays the same along the path; ``friction`` (p,) is the coefficient of each probe."""
+
+    contacts: Contacts
+    friction: Floats
+
+    @property
+    def patches(self) -> Patches:
+        """The patches of all probes."""
+        return self.contacts.patches
+
+    @cached_property
+    def between(self) -> Between:
+        """The compliance between the patches; few, and those that stick, are solved faster with a matrix."""
+        found = self.contacts.between
+        if isinstance(found, Lattice) and (len(found) < _FEW or self.sticks):
+            return Dense(found.part(np.arange(len(found))))
+        return found
+
+    @cached_property
+    def krylov(self) -> Krylov:
+        """The solver of linear systems on these patches, with what it keeps along the path."""
+        return Krylov(self.between)
+
+    @property
+    def sticks(self) -> bool:
+        """Whether every probe with friction sticks whatever the force."""
+        return bool(np.isinf(self.friction[self.friction > 0.0]).all())
+
+    @cached_property
+    def carried(self) -> Floats:
+        """(k, 3, 6 p) motion of the probes' points at the patches per unit of the place, about first touch."""
+        return self.contacts.carried(np.zeros(MOTIONS * len(self.friction)))
+
+    @cached_property
+    def along_z(self) -> Bools:
+        """(6 p,) the components of the place along the probes' directions of approach."""
+        return every(Z, MOTIONS * len(self.friction))
+
+    def untouched(self, memory: Memory) -> Bools:
+        """Return (k,) which patches belong to a probe that touches nothing."""
+        none = [not memory.touched[rows].any() for _, rows, _ in self.contacts.rows]
+        return np.asarray(np.array(none)[self.contacts.owner])
+
+    def sideways(self, place: Floats) -> Floats:
+        """Return a place without its motions along the directions of approach."""
+        return np.where(self.along_z, 0.0, place)
+
+    def _slid_gap(self, slid_mm: Floats, along_z: Floats) -> tuple[Floats, Floats]:
+        """Return gaps and slopes of probes that were lowered, and slid but not carried the surface along."""
+        gap, slope = np.zeros(len(self.patches)), np.zeros((len(self.patches), len(self.along_z)))
+        for number, (setting, rows, motions) in enumerate(self.contacts.rows):
+            grid, first = self.contacts.grids[number], setting.first
+            slid = slid_mm[number] @ first.axes[:Z]
+            centre, normals = grid.centre_mm, grid.frames[:, 2]
+            lowered = np.zeros(MOTIONS)
+            lowered[Z] = along_z[number]
+            centre = centre - slid if setting.face is None else centre
+            if self._upright[number]:
+                gap[rows], slope[rows, motions.start + Z] = self._above(number, centre, slid)
+                gap[rows] -= along_z[number]
+            else:
+                gap[rows], slope[rows, motions] = first.gap(centre, normals, lowered)
+            gap[rows] += normals @ slid
+        return gap, slope
+
+    @cached_property
+    def _upright(self) -> list[bool]:
+        """Whether a probe comes along the normals of all its patches: its gaps then close as it comes."""
+        pairs = zip(self.contacts.settings, self.contacts.grids, strict=True)
+        return [bool((grid.frames[:, 2] == setting.first.axes[2]).all()) for setting, grid in pairs]
+
+    def _above(self, number: int, centre: Points, slid: Floats) -> tuple[Floats, Floats]:
+        """Return the gaps of patches of a probe at first touch, and their slopes as it comes; the last one is kept."""
+        key = slid.tobytes()
+        if number not in self._last or self._last[number][0] != key:
+            gap, slope = self.contacts.settings[number].first.gap(
+                centre, self.contacts.grids[number].frames[:, 2], np.zeros(MOTIONS)
+            )
+            self._last[number] = key, (gap, slope[:, Z])
+        return self._last[number][1]
+
+    @cached_property
+    def _last(self) -> dict[int, tuple[bytes, tuple[Floats, Floats]]]:
+        return {}
+
+    def gap(self, memory: Memory, place: Floats) -> tuple[Floats, Floats]:
+        """Return (k,) gaps and (k, 6 p) slopes at a place."""
+        gap, slope = self._slid_gap(memory.slid_mm, place[self.along_z])
+        normal = self.carried[:, 2]
+        slope = np.where(self.along_z, slope, -normal)
+        gap = gap - normal @ self.sideways(place)
+        stuck = memory.touched
+        gap[stuck] = memory.closed_mm[stuck] + self.moved_gap(memory.slid_mm)[stuck] - normal[stuck] @ place
+        slope[stuck] = -normal[stuck]
+        gap[memory.lifted[self.contacts.owner]] = np.inf
+        return gap, slope
+
+    def moved_gap(self, slid_mm: Floats) -> Floats:
+        """Return (k,) by how much a slide changes the gaps; inf where the probe slid away."""
+        if not slid_mm.any():
+            return np.zeros(len(self.patches))
+        still = np.zeros(len(self.friction))
+        before = self._slid_gap(np.zeros_like(slid_mm), still)[0]
+        after = self._slid_gap(slid_mm, still)[0]
+        return np.where(np.isfinite(before), after - np.where(np.isfinite(before), before, 0.0), 0.0)
+
+
+def at_first_touch(grid: FrictionGrid) -> Memory:
+    """Return the memory of probes that just touch: patches under a flat face on a flat body stick at once."""
+    k, p = len(grid.patches), len(grid.friction)
+    nothing = Memory(
+        touched=np.zeros(k, bool), slipping=np.zeros(k, bool), closed_mm=np.zeros(k), offset_mm=np.zeros((k, 2)),
+        place=np.zeros(MOTIONS * p), total=np.zeros(MOTIONS * p), displacement_mm=np.zeros((k, 3)),
+        force_n=np.zeros((k, 3)),
+        slid_mm=np.zeros((p, 2)), lifted=np.zeros(p, bool),
+    )  # fmt: skip
+    gap, _ = grid.gap(nothing, nothing.place)
+    return replace(nothing, touched=gap <= 1e-9, closed_mm=np.where(gap <= 1e-9, gap, 0.0))
+
+
+def let_go(grid: FrictionGrid, memory: Memory, lifted: Bools) -> Memory:
+    """Return the memory of probes (p,) that have been lifted off: they touch anew where they then are."""
+    rows, motions = lifted[grid.contacts.owner], np.repeat(lifted, MOTIONS)
+    here = memory.place.reshape(-1, MOTIONS)[:, :Z]
+    return replace(
+        memory, touched=memory.touched & ~rows, slipping=memory.slipping & ~rows,
+        total=np.where(motions, 0.0, memory.total),
+        displacement_mm=np.where(rows[:, None], 0.0, memory.displacement_mm),
+        force_n=np.where(rows[:, None], 0.0, memory.force_n), slid_mm=np.where(lifted[:, None], here, memory.slid_mm),
+    )  # fmt: skip

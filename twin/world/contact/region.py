@@ -1,0 +1,222 @@
+"""Where a probe touches a body: the grid of patches that fits the contact, found by solving on coarse grids first.
+
+Why coarse grids first: a curved body, a flat face over a barrel, or a large contact are far from Hertz's disc, and a
+fine grid over too large a region would waste patches. A frictionless solve on about a hundred patches tells the
+region; the grid grows while contact reaches its border and shrinks while contact fills too little of it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from twin.arrays import Floats
+from twin.errors import ContactError, NotSettled
+from twin.parts.probe import Cone, Sphere
+from twin.theory.contact import cone_contact_radius, hertz
+from twin.world.contact.gap import X, Y, Z
+from twin.world.contact.patches import Box, Patches, Plane, candidate_patches
+from twin.world.contact.probe_shape import half_extent
+from twin.world.contact.together import Contacts, Control, Setting
+from twin.world.contact.unilateral import Equilibrium, Unilateral, solve
+
+_COARSE, _ROUNDS, _MARGIN, _FILL = 10, 14, 0.13, 0.4
+_NAMES = ("x", "y", "z", "the turn about x", "the turn about y", "the turn about z")
+
+
+def frictionless_control(contacts: Contacts, carried: Floats, control: Control, place: Floats) -> Control:
+    """Hold what frictionless probes can't feel where it is, and refuse forces that they can't transmit.
+
+    Raises
+    ------
+    ContactError
+        A torque about its axis, or a lateral force on a face without slope, is asked of a frictionless probe.
+    """
+    by_force, given = control.by_force.copy(), control.given.copy()
+    gap, slope = contacts.gap(place)
+    moves = np.abs(slope[np.isfinite(gap)]).max(axis=0, initial=0.0) > 1e-9
+    felt = moves & (np.abs(carried[:, 2]).max(axis=0) > 1e-9)
+    for component in np.flatnonzero(by_force & ~felt):
+        axis, setting = component % len(_NAMES), contacts.settings[component // len(_NAMES)]
+        if axis == Z:
+            continue
+        if given[component] != 0.0:
+            what = (
+                f"{given[component]:g} N along {_NAMES[axis]}"
+                if axis < Z
+                else (f"{given[component]:g} N mm of torque about {_NAMES[axis][-1]}")
+            )
+            raise ContactError(
+                f"contact: {what} can't be balanced by a frictionless {setting.probe.kind} here: give press.friction a "
+                f"value, or hold {_NAMES[axis]} by motion"
+            )
+        by_force[component], given[component] = False, place[component]
+    return Control(by_force=by_force, given=given)
+
+
+def guess_box(setting: Setting, force_z: float | None, depth: float) -> tuple[Box, float]:
+    """Return a first box around the contact and a first guess of the indentation, from Hertz or Sneddon."""
+    probe = setting.probe
+    a, b = half_extent(probe, setting.first.tilt_deg)
+    rubber = setting.youngs_modulus_mpa, setting.poisson_ratio
+    if setting.face is not None:
+        stiff = 2.0 * math.sqrt(a * b) * setting.youngs_modulus_mpa
+        return Box(u0=-a, u1=a, v0=-b, v1=b), depth if force_z is None else force_z / stiff
+    if isinstance(probe, Cone):
+        slope = 1.0 / math.tan(math.radians(probe.apex_deg / 2))
+        radius = 2.0 * depth / (math.pi * slope)
+        if force_z is not None:
+            radius = cone_contact_radius(force_z, probe.apex_deg, *rubber)
+        if radius > probe.tip_mm * math.cos(math.radians(probe.apex_deg / 2)):
+            half = 1.25 * min(radius, a)
+            return Box(u0=-half, u1=half, v0=-half, v1=half), math.pi / 2 * min(radius, a) * slope
+        a = probe.tip_mm
+    like = hertz(
+        radius_mm=a, youngs_modulus_mpa=rubber[0], poisson_ratio=rubber[1],
+        force_n=force_z, indentation_mm=None if force_z is not None else depth,
+    )  # fmt: skip
+    half = 1.25 * min(like.contact_radius_mm, 0.7 * a)
+    return Box(u0=-half, u1=half, v0=-half, v1=half), min(like.indentation_mm, 0.5 * a)
+
+
+def solve_frictionless(contacts: Contacts, control: Control, place: Floats, touch_z: Floats) -> Equilibrium:
+    """Solve the frictionless contact on given patches, from a guess of the place; ``touch_z`` (p,) of each probe."""
+    k = len(contacts.patches)
+    carried = contacts.carried(place)
+    held = frictionless_control(contacts, carried, control, place)
+    problem = Unilateral(
+        compliance=contacts.between, gap=contacts.gap, carried=carried, by_force=held.by_force, given=held.given,
+        pushing=held.pushing, friction=np.zeros(k), offset=np.zeros((k, 2)),
+    )  # fmt: skip
+    depth = place[Z :: len(_NAMES)] - touch_z
+    found = solve(problem, contacts.gap(place)[0] < -0.5 * depth[contacts.owner], place)
+    load, reach = float(np.abs(found.force_n[:, 2]).sum()), problem.reach
+    for number, (setting, rows, motions) in enumerate(contacts.rows):
+        _check_slide(setting, contacts.grids[number], found, rows, place[motions] - found.place[motions])
+        missed = np.where(control.by_force, np.abs(found.total - control.given) / reach, 0.0)[motions]
+        if missed.max() > 1e-6 * max(load, 1e-12):
+            axis = int(np.argmax(missed))
+            unit = "N" if axis < Z else "N mm"
+            raise ContactError(
+                f"contact: the frictionless {setting.probe.kind} is pushed by {found.total[motions][axis]:.3g} {unit} "
+                f"along {_NAMES[axis]} by the slope of the surface, against the "
+                f"{control.given[motions][axis]:g} {unit} given: hold {_NAMES[axis]} "
+                "by motion (leave it out of force_n), or give press.friction a value"
+            )
+    return found
+
+
+def _check_slide(setting: Setting, patches: Patches, found: Equilibrium, rows: slice, moved: Floats) -> None:
+    """Raise a ContactError when the equilibrium is further away than the contact is wide: the probe slides off."""
+    active = found.active[rows]
+    if not active.any():
+        return
+    slide = float(np.hypot(moved[X], moved[Y]))
+    width = max(patches.bounds(active).size)
+    if slide > width:
+        raise ContactError(
+            f"contact: the frictionless {setting.probe.kind} slides {slide:.2g} mm sideways before its lateral forces "
+            f"balance; allowed is the contact's width, {width:.2g} mm: hold x and y by motion (leave them out of "
+            "force_n), or give press.friction a value"
+        )
+
+
+def _aspect(size: tuple[float, float]) -> float:
+    return math.sqrt(size[0] / size[1])
+
+
+def _counts(across: int, box: Box, contact: Box) -> tuple[int, int]:
+    """Return cells along u and v: ``across`` squared over the contact, more along its longer side."""
+    shape = math.sqrt(_aspect(contact.size))
+    u, v = box.size[0] / contact.size[0], box.size[1] / contact.size[1]
+    return max(4, math.ceil(across * shape * u - 1e-6)), max(4, math.ceil(across / shape * v - 1e-6))
+
+
+def fitted_patches(setting: Setting, plane: Plane, contact: Box) -> Patches:
+    """Cut the final grid around a known contact."""
+    box = contact.grown(*(_MARGIN * size for size in contact.size)).clipped(setting.face)
+    patches = candidate_patches(setting.body, setting.face, plane, box, _counts(setting.across, box, contact))
+    check_somewhere(setting, patches)
+    return patches
+
+
+def find_contact(setting: Setting, control: Control, start: Floats, plane: Plane, touch_z: float) -> tuple[Box, Floats]:
+    """Return the box of the contact of one probe and its place, from frictionless solves on coarse grids."""
+    force_z = float(control.given[Z]) if control.by_force[Z] else None
+    upright = float(plane.axes[2] @ setting.first.axes[2])
+    # on a slope the normal force is larger than its part along z, and the probe sinks further along z than along n
+    normal_force = None if force_z is None else force_z / upright
+    box, depth = guess_box(setting, normal_force, (float(control.given[Z]) - touch_z) * upright)
+    place = np.where(control.by_force, start, control.given)
+    if control.by_force[Z]:
+        place[Z] = touch_z + depth / upright
+    for _ in range(_ROUNDS):
+        whole = box.clipped(setting.face)
+        patches = candidate_patches(setting.body, setting.face, plane, whole, _counts(_COARSE, whole, whole))
+        check_somewhere(setting, patches)
+        found = solve_frictionless(Contacts((setting,), (patches,)), control, place, np.array([touch_z]))
+        place = found.place
+        if not found.active.any():
+            box = Box(u0=whole.u0 / 2, u1=whole.u1 / 2, v0=whole.v0 / 2, v1=whole.v1 / 2)
+            continue
+        contact = patches.bounds(found.active)
+        if np.any(found.active & patches.border):
+            # It grows on all sides: a round grid that only moves after a contact on a slope never holds its corner.
+            larger = whole.grown(0.1 * whole.size[0], 0.1 * whole.size[1])
+            box = contact.grown(0.3 * contact.size[0], 0.3 * contact.size[1]).joined(larger)
+        elif min(c / w for c, w in zip(contact.size, whole.size, strict=True)) < _FILL:
+            cells = patches.cell_mm[found.active].max(axis=0)
+            box = contact.grown(0.15 * contact.size[0] + cells[0], 0.15 * contact.size[1] + cells[1])
+        else:
+            return contact, place
+    check_inside(setting, patches, found, float(place[Z]) - touch_z)
+    raise NotSettled(
+        f"contact: no grid fits the contact of the {setting.probe.kind} after {_ROUNDS} tries (last: "
+        f"{whole.size[0]:.3g} by {whole.size[1]:.3g} mm): the press is too light to resolve, or not held in place"
+    )
+
+
+def check_somewhere(setting: Setting, patches: Patches) -> None:
+    """Raise a ContactError when no patch lies on the sensing surface."""
+    if len(patches) == 0:
+        raise ContactError(
+            f"contact: under the {setting.name} no patch lies on the sensing surface: move it away from the edge"
+        )
+
+
+def check_inside(setting: Setting, patches: Patches, found: Equilibrium, depth: float) -> None:
+    """Refuse contact that runs over the edge of the surface, or a probe that sinks in.
+
+    Raises
+    ------
+    ContactError
+        With place, value and allowed range.
+    """
+    over = found.active & patches.edge
+    if over.any():
+        place = patches.centre_mm[over][0]
+        raise ContactError(
+            f"contact: runs over the edge of the sensing surface at ({', '.join(f'{c:.3g}' for c in place)}) mm: "
+            "press further inside, or with less force or a smaller probe"
+        )
+    low, high = setting.body.bounds_mm
+    limit = (high[2] - low[2]) / 2
+    what = "half the body's thickness"
+    probe = setting.probe
+    if isinstance(probe, Sphere) and probe.diameter_mm / 2 < limit:
+        limit, what = probe.diameter_mm / 2, "the probe's radius"
+    if depth > limit:
+        raise ContactError(
+            f"contact: the {probe.kind} sinks in by {depth:.3g} mm, allowed is up to {limit:.3g} mm ({what}): "
+            "press with less force, or with a larger probe, or on a stiffer body"
+        )
+    if isinstance(probe, Cone) and found.active.any():
+        axes, pivot = setting.first.axes, setting.first.axis_mm
+        off = (patches.centre_mm[found.active] - pivot) @ axes[:2].T - found.place[:Z]
+        width = 2.0 * float(np.hypot(off[:, 0], off[:, 1]).max())
+        if width > probe.diameter_mm:
+            raise ContactError(
+                f"contact: it reaches {width:.3g} mm across, over the cone's base of {probe.diameter_mm:g} mm: press "
+                "with less force, or give a larger probe.diameter_mm"
+            )

@@ -1,0 +1,394 @@
+"""Compliance: how far every point of a body moves under forces on its surface. The central noun of the world.
+
+A body is factored once, at the first load that needs it; every further press, marker layout or calibration is a
+product. The default method is the half-space field of the load in closed form plus the smooth rest of the finite body
+(`twin.world.elasticity.correction`); ``direct`` is plain Taylor-Hood, kept as an independent check.
+
+Errors are told twice: `Compliance.expected_error` before anything is solved, from the load's place, which is what a
+mesh is chosen by (`twin.world.elasticity.ladder`); and `Compliance.error_estimate` afterwards, from the difference to
+the next coarser level's answer.
+
+Validity: linear elasticity, small strain, quasi-static. The rest is smooth on the scale of the mesh; loads nearer to
+a free edge than an element are less accurate, which both say.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from twin.arrays import Floats, Points
+from twin.errors import InputError
+from twin.parts.body import Block, Body
+from twin.parts.load import Rectangles
+from twin.parts.material import Material
+from twin.theory import halfspace
+from twin.world.elasticity.correction import correction
+from twin.world.elasticity.direct import consistent_forces
+from twin.world.elasticity.expected import DIRECT, estimated_error, expected_error
+from twin.world.elasticity.fem import TaylorHood
+from twin.world.elasticity.half_space import require_half_space
+from twin.world.elasticity.known import REMEMBERED, Known, Memory
+from twin.world.elasticity.solve import Solver
+from twin.world.elasticity.spread import Readings, Region, patch_rests, single, worth_a_region
+from twin.world.elasticity.store import field_key, kept
+from twin.world.elasticity.symmetric import make_symmetric
+from twin.world.elasticity.table import NU_RANGE, Basis, Table, TableAtNu
+from twin.world.elasticity.tabulate import Role, find_table, table_level
+from twin.world.elasticity.tile import require_on_surface
+from twin.world.mesh.interpolate import Locator, Places
+from twin.world.mesh.mesh import Level, Mesh, Progress, body_mesh
+from twin.world.mesh.rim import drawn_to_rim
+from twin.world.mesh.sizing import WORLD
+
+Method = Literal["subtracted", "direct"]
+
+FEW = 3
+"""Points are read by adjoint solves where patches are more than this many times as many."""
+
+
+class Compliance:
+    """The elastic response of one body.
+
+    Parameters
+    ----------
+    body, material
+        What it is. Young's modulus only scales the answer.
+    mesh
+        Its mesh; the one of ``level`` is read or made when it is first needed if not given.
+    level
+        See `twin.world.mesh.sizing.Level`: truth and sensor never share one.
+    method
+        ``subtracted`` or ``direct``.
+    solver
+        See `twin.world.elasticity.solve.Factor`.
+    table
+        Whether a table of the body, shipped or cached, may replace solves; a given mesh has none. Or the table to use.
+    progress
+        Told when a mesh has to be made.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        material: Material,
+        mesh: Mesh | None = None,
+        *,
+        level: Level = "standard",
+        method: Method = "subtracted",
+        solver: Solver = "auto",
+        table: bool | Table = True,
+        progress: Progress | None = None,
+    ) -> None:
+        self.body = body
+        self.material = material
+        self.level: Level = level
+        self.method: Method = method
+        self.asymmetry = 0.0
+        self._given_mesh = mesh
+        self._progress = progress
+        self._solver: Solver = solver
+        self._use_table = table
+        self._fields: dict[str, Floats] = {}
+        self._memory = Memory(body)
+        self._sound: Rectangles | None = None
+        self._region: Region | None = None
+        self._table_tried = False
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The mesh of the rest: as given, or the level's with its elements at the clamped rim drawn to it."""
+        if self._given_mesh is not None:
+            return self._given_mesh
+        made = body_mesh(self.body, self.level, progress=self._progress)
+        return drawn_to_rim(made, self.body)
+
+    @cached_property
+    def system(self) -> TaylorHood:
+        """The elastic system, factored at its first solve."""
+        held = self.mesh.nodes_on(self.body.held_pieces)
+        return TaylorHood(self.mesh, self.material.poisson_ratio, self._solver, held=held)
+
+    @cached_property
+    def _locator(self) -> Locator:
+        return Locator(self.mesh)
+
+    @cached_property
+    def _table(self) -> Table | None:
+        return self._tabled("nominal" if self.level == "nominal" else "truth")
+
+    @cached_property
+    def _table_at_nu(self) -> TableAtNu | None:
+        return self._table.at(self.material.poisson_ratio) if self._table else None
+
+    @cached_property
+    def _check_at_nu(self) -> TableAtNu | None:
+        check = self._tabled("check")
+        return check.at(self.material.poisson_ratio) if check else None
+
+    def _tabled(self, role: Role, make: bool = False) -> Table | None:
+        if not self._use_table or self._given_mesh is not None or not self._subtracted:
+            return None
+        if isinstance(self._use_table, Table):
+            return self._use_table if role != "check" else None
+        return find_table(self.body, role, make=make, solver=self._solver, progress=self._progress)
+
+    def _table_for(self, known: Known, load: Rectangles) -> TableAtNu | None:
+        table = self._table
+        if table and table.covers(load, self.material.poisson_ratio) and known.basis(table.box_mm).inside:
+            return self._table_at_nu
+        return None
+
+    def make_table(self) -> None:
+        """Make, and keep in the cache, the tables of a block that has none: some seconds for all loads ever after."""
+        low, high = NU_RANGE
+        of_use = isinstance(self.body, Block) and low <= self.material.poisson_ratio <= high
+        if self._table is None and of_use and self.level != "nominal" and not self._table_tried:
+            self._table_tried = True  # a block too thin for a table has none, however often it is asked
+            self._tabled("check", make=True)
+            self.__dict__["_table"] = self._tabled("truth", make=True)
+            for name in ("_table_at_nu", "_check_at_nu"):
+                self.__dict__.pop(name, None)
+
+    @cached_property
+    def coarser(self) -> Compliance | None:
+        """The same body on the next coarser level, by whose answer the error is estimated; None below the coarsest."""
+        level: Level = "coarse" if self.level == "nominal" else self.level
+        rank = WORLD.index(level)
+        if rank == 0 or self._given_mesh is not None:
+            return None
+        return Compliance(
+            self.body,
+            self.material,
+            level=WORLD[rank - 1],
+            method=self.method,
+            solver=self._solver,
+            table=False,
+            progress=self._progress,
+        )
+
+    def displacement(self, points: Points, load: Rectangles) -> Points:
+        """Return the (n, 3) displacement in mm of ``points`` (n, 3) in the body under ``load``.
+
+        Raises
+        ------
+        OutOfBodyError
+            A point is outside the body.
+        InputError
+            A rectangle is not on the sensing surface or hangs over its end, or its force is not finite.
+        SolveError
+            See `twin.world.elasticity.solve.Factor.solve`.
+        """
+        known = self._checked(points, load)
+        if len(known) == 0 or not np.any(load.force_n):
+            return np.zeros_like(known.points)
+        return self._displacement(known, load)
+
+    def _displacement(self, known: Known, load: Rectangles) -> Points:
+        rest = self._rest(known, load)
+        return rest + halfspace.displacement(known.points, load, *self._rubber) if self._subtracted else rest
+
+    def _rest(self, known: Known, load: Rectangles) -> Points:
+        """Return (n, 3) what the half-space lacks, mm; everything with the direct method."""
+        if table := self._table_for(known, load):
+            return table.displacement(known.basis(table.box_mm), load) / self._modulus
+        return known.placed(self._locator).values(self._field(load)) / self._modulus
+
+    def gradient(self, points: Points, load: Rectangles) -> Floats:
+        """Return (n, 3, 3) du_i/dx_j at ``points`` (n, 3): strain and turn. Raises like `displacement`."""
+        known = self._checked(points, load)
+        if len(known) == 0 or not np.any(load.force_n):
+            return np.zeros((len(known), 3, 3))
+        if table := self._table_for(known, load):
+            rest = table.gradient(known.basis(table.box_mm), load)
+        else:
+            rest = known.placed(self._locator).gradients(self._field(load))
+        rest = rest / self._modulus
+        return rest + halfspace.gradient(known.points, load, *self._rubber) if self._subtracted else rest
+
+    def to_points(self, points: Points, rectangles: Rectangles, *, reused: bool = False) -> Floats:
+        """Return the (3 n, 3 k) displacement in mm/N of ``points`` (n, 3) per unit global force on each rectangle.
+
+        The rectangles' own ``force_n`` is ignored. With ``reused`` more patches in the same place will follow. Raises
+        like `displacement`.
+        """
+        known = self._checked(points, rectangles)
+        shape = (3 * len(known), 3 * len(rectangles))
+        if 0 in shape:
+            return np.zeros(shape)
+        if not self._subtracted:
+            return self._direct(known.placed(self._locator), rectangles).reshape(shape)
+        if worth_a_region(rectangles, reused=reused):
+            self.make_table()
+        if table := self._table_for(known, rectangles):
+            rest = table.rests(known.basis(table.box_mm), rectangles).reshape(shape)
+        else:
+            rest = self._solved_rests(known, rectangles, reused).reshape(shape)
+        whole = halfspace.compliance(known.points, rectangles, *self._rubber)
+        rest /= self._modulus
+        whole += rest
+        return whole
+
+    def _solved_rests(self, known: Known, rectangles: Rectangles, reused: bool) -> Floats:
+        """Return (n, 3, k, 3) by the fewest solves: a region for patches close together, else by patch or by point."""
+        places = known.placed(self._locator)
+        if worth_a_region(rectangles, reused=reused):
+            if self._region is not None and self._region.covers(rectangles):
+                return self._region.rests(places, rectangles)
+            try:
+                self._region = Region(self.system, self.body, rectangles)
+                return self._region.rests(places, rectangles)
+            except InputError:  # so near to the end of the surface that the region would run over it
+                pass
+        if FEW * len(known) >= len(rectangles):  # fields, unlike readings, serve points that move
+            return patch_rests(self.system, self.body, places, rectangles)
+        if known.readings is None:
+            self._memory.forget_readings()
+            known.readings = Readings(self.system, self.body, places)
+        return known.readings.rests(rectangles)
+
+    def surface(self, rectangles: Rectangles) -> Floats:
+        """Return the symmetric (3 k, 3 k) displacement in mm/N of the rectangles' centres per unit force on each.
+
+        Betti's theorem makes it symmetric for small patches; `asymmetry` keeps how far, relative to the largest
+        entry, it was from that before it was made so. Raises like `displacement`.
+        """
+        matrix = self.to_points(rectangles.centre_mm, rectangles, reused=True)
+        self.asymmetry = make_symmetric(matrix)
+        return matrix
+
+    def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
+        """Return (3 n, 3) mm/N: the half-space field at ``points`` (n, 3) under a unit force on one rectangle."""
+        return halfspace.compliance(points, rectangle, *self._rubber)
+
+    def smooth_part(self, patches: Rectangles, nodes: Rectangles) -> Floats | None:
+        """Return (3 n, 3 n) mm/N: the rest at the middles of ``nodes`` under unit forces on them.
+
+        None where no table covers all ``patches`` and their middles, between which the nodes must lie: the rest is a
+        polynomial only there.
+        """
+        if not self._subtracted:
+            return None
+        if worth_a_region(patches, reused=True):
+            self.make_table()
+        table = self._table_for(self._checked(patches.centre_mm, patches), patches)
+        if table is None:
+            return None
+        basis = Basis(points=nodes.centre_mm, box_mm=table.box_mm)
+        return table.rests(basis, nodes).reshape(3 * len(nodes), -1) / self._modulus
+
+    def error_estimate(self, points: Points, load: Rectangles) -> float:
+        """Return the estimated largest error of `displacement` at ``points`` over the largest displacement there.
+
+        A share of the difference to the coarser level's answer (or to the check table's), plus what both share
+        (`twin.world.elasticity.expected`): on all reference cases the estimate is one to three times the true error.
+
+        Validity: the law of `expected_error` where there is no coarser level. Raises like `displacement`.
+        """
+        return self.answer(points, load)[1]
+
+    def answer(self, points: Points, load: Rectangles) -> tuple[Points, float]:
+        """Return `displacement` and its `error_estimate` together. Raises like `displacement`."""
+        known = self._checked(points, load)
+        if len(known) == 0 or not np.any(load.force_n):
+            return np.zeros_like(known.points), 0.0
+        rest = self._rest(known, load)
+        moved = rest + halfspace.displacement(known.points, load, *self._rubber) if self._subtracted else rest
+        return moved, self._estimate(known, load, rest, moved)
+
+    def _estimate(self, known: Known, load: Rectangles, rest: Points, moved: Points) -> float:
+        level = self.level
+        if self._table_for(known, load):
+            if self._check_at_nu is None or level == "nominal":
+                return self.expected_error(load, known.points)
+            level = table_level(self.body, "truth")
+            other = self._check_at_nu.displacement(known.basis(self._check_at_nu.box_mm), load) / self._modulus
+        elif self.coarser is not None:
+            other = self.coarser._rest(self.coarser._checked(known.points, load), load)
+        else:
+            return self.expected_error(load)
+        differ = _largest(rest - other) / _largest(moved)
+        return estimated_error(self.body, level, differ)
+
+    def forget(self) -> None:
+        """Forget the region of the last contact: presses then don't depend, in last digits, on those before them."""
+        self._region = None
+
+    def expected_error(self, load: Rectangles, points: Points | None = None) -> float:
+        """Return the error to be expected before anything is solved: see `twin.world.elasticity.expected`.
+
+        At ``points`` that a table answers it is that of the mesh which the table was made of.
+        """
+        if not self._subtracted:
+            return DIRECT
+        known = None if points is None else self._checked(points, load)
+        tabled = self.level != "nominal" and known is not None and self._table_for(known, load) is not None
+        return expected_error(self.body, table_level(self.body, "truth") if tabled else self.level, load)
+
+    @property
+    def _subtracted(self) -> bool:
+        return self.method == "subtracted"
+
+    @property
+    def _modulus(self) -> float:
+        return self.material.youngs_modulus_mpa
+
+    @property
+    def _rubber(self) -> tuple[float, float]:
+        return self.material.youngs_modulus_mpa, self.material.poisson_ratio
+
+    def _checked(self, points: Points, load: Rectangles) -> Known:
+        known = self._memory.of(points)
+        if len(load) and load is not self._sound:
+            require_on_surface(self.body, load)
+            if self._subtracted:
+                require_half_space(self.body, load)
+            self._sound = load
+        return known
+
+    def _field(self, load: Rectangles) -> Floats:
+        """Return the nodal field (N, 3) for E = 1 MPa: the rest, or everything with the direct method."""
+        parts = (load.centre_mm, load.frames, load.half_mm, load.force_n)
+        key = _digest(*parts)
+        if key not in self._fields:
+            while len(self._fields) >= REMEMBERED:
+                self._fields.pop(next(iter(self._fields)))
+            self._fields[key] = kept(
+                field_key(self.system, self.body, *parts, np.array(self._subtracted)), lambda: self._solve(load)
+            )
+        return self._fields[key]
+
+    def _solve(self, load: Rectangles) -> Floats:
+        if self._subtracted:
+            return correction(self.system, self.body, [load])[:, :, 0]
+        forces = consistent_forces(self.body, self.mesh, self._locator, load)
+        return self.system.solve(forces[:, :, None])[:, :, 0]
+
+    def _direct(self, places: Places, rectangles: Rectangles) -> Floats:
+        nodes, count = len(self.mesh.points), len(rectangles)
+        forces = np.zeros((nodes, 3, count, 3))
+        for i in range(count):
+            one = single(rectangles, i)
+            for axis in range(3):
+                unit = Rectangles(
+                    centre_mm=one.centre_mm, frames=one.frames, half_mm=one.half_mm, force_n=np.eye(3)[axis : axis + 1]
+                )
+                forces[:, :, i, axis] = consistent_forces(self.body, self.mesh, self._locator, unit)
+        fields = self.system.solve(forces.reshape(nodes, 3, -1))
+        return np.asarray(places.values(fields) / self._modulus)
+
+
+def _digest(*arrays: Floats) -> str:
+    sha = hashlib.sha1(usedforsecurity=False)
+    for array in arrays:
+        sha.update(repr(array.shape).encode())
+        sha.update(np.ascontiguousarray(array).tobytes())
+    return sha.hexdigest()
+
+
+def _largest(moved: Points) -> float:
+    """Return the largest of the lengths of (n, 3) displacements, mm."""
+    return float(np.linalg.norm(moved, axis=1).max())

@@ -1,0 +1,196 @@
+"""Compliance of a body under a cover of another modulus: a mesh of its own for every region that is pressed.
+
+Why not one mesh: the half-space of the cover is right only above the interface. What is left of the field is as steep
+there as the load itself, so elements must be about as small as the load, under the load. They are made by halving the
+edges of the body's mesh (`twin.world.mesh.bisection`) and growing the cover on it (`twin.world.mesh.extrude`).
+
+Under a cover stiffer than the body the half-space is subtracted: it bears what happens within the cover, whatever the
+load's size. Under a softer one it is many times larger than the answer and its rest must cancel it, so plain
+Taylor-Hood is better: measured, with a tenth of the body's modulus, 0.2 to 0.9 % instead of 1.7 to 8 %.
+
+Validity: bumps as wide as the finest elements and wider are `STIFF_ERROR` or `SOFT_ERROR` off below the cover; on its
+surface softer covers are 3 to 4 % off. Contact needs a solve for every patch: a press with 8 patches across takes a
+minute of processor time, one with more grows with the square of their number.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from twin.arrays import Floats, Points
+from twin.parts.body import Body
+from twin.parts.load import Rectangles
+from twin.parts.material import Cover, Material
+from twin.world.elasticity.compliance import Compliance, Method
+from twin.world.elasticity.fem import Layer, TaylorHood
+from twin.world.elasticity.known import Known
+from twin.world.elasticity.ladder import Answer
+from twin.world.elasticity.spread import patch_rests
+from twin.world.mesh.bisection import refined
+from twin.world.mesh.extrude import with_cover
+from twin.world.mesh.mesh import Mesh, Progress, body_mesh
+from twin.world.mesh.rim import drawn_to_rim
+from twin.world.mesh.sizing import Level
+
+FINE = 0.6
+"""Longest edge under a load over the load's radius plus the cover's thickness."""
+
+GROWTH = 1.5
+"""Growth of the longest edge with distance from the load."""
+
+ACROSS = 3.0
+"""Elements across the radius of a region of many patches, at most: finer ones would cost too much."""
+
+ROOM = 1.5
+"""How much larger than the load the region is whose mesh is made: the next load is often near."""
+
+MANY = 20
+"""Patches beyond which a solve for each of them is worth a word."""
+
+STIFF_ERROR, SOFT_ERROR = 1e-2, 2e-2
+"""Largest displacement error over the largest displacement to be expected below covers stiffer and softer than the
+body (``tests/world/elasticity/test_covered.py``)."""
+
+
+def own_layer(material: Material, cover: Cover | None) -> Layer | None:
+    """Return what a cover is made of where that is not what the body is made of, else None."""
+    if cover is None:
+        return None
+    modulus = material.youngs_modulus_mpa if cover.youngs_modulus_mpa is None else cover.youngs_modulus_mpa
+    nu = material.poisson_ratio if cover.poisson_ratio is None else cover.poisson_ratio
+    same = modulus == material.youngs_modulus_mpa and nu == material.poisson_ratio
+    return None if same else Layer(modulus_ratio=modulus / material.youngs_modulus_mpa, poisson_ratio=nu)
+
+
+class Patch(Compliance):
+    """The compliance of a covered body whose mesh is fine in one place.
+
+    Parameters
+    ----------
+    body, material
+        The body, cover included, and what its inside is made of.
+    mesh, layer
+        Mesh with the cover as region 1, and what that is made of.
+    """
+
+    def __init__(self, body: Body, material: Material, mesh: Mesh, layer: Layer) -> None:
+        method: Method = "subtracted" if layer.modulus_ratio >= 1.0 else "direct"
+        super().__init__(body, material, mesh, method=method, table=False)
+        self._layer = layer
+
+    @cached_property
+    def system(self) -> TaylorHood:
+        """The elastic system, factored at its first solve."""
+        held = self.mesh.nodes_on(self.body.held_pieces)
+        return TaylorHood(self.mesh, self.material.poisson_ratio, self._solver, held=held, layers=[self._layer])
+
+    @property
+    def _rubber(self) -> tuple[float, float]:
+        return self._layer.modulus_ratio * self._modulus, self._layer.poisson_ratio
+
+    def _solved_rests(self, known: Known, rectangles: Rectangles, reused: bool) -> Floats:
+        """Return (n, 3, k, 3) patch by patch: near a patch its rest is too steep to be interpolated between patches."""
+        return patch_rests(self.system, self.body, known.placed(self._locator), rectangles)
+
+
+class Covered:
+    """The elastic response of a body under a cover of another modulus; its methods are those of `Compliance`.
+
+    Parameters
+    ----------
+    body, material
+        The body, cover included, and what its inside is made of.
+    thickness_mm, layer
+        The cover's thickness, mm, and what it is made of.
+    level
+        Mesh of the body that the regions' meshes are made from.
+    progress
+        Told when the body's mesh has to be made.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        material: Material,
+        thickness_mm: float,
+        layer: Layer,
+        *,
+        level: Level = "coarse",
+        progress: Progress | None = None,
+    ) -> None:
+        self.body, self.material, self.thickness_mm, self.layer = body, material, thickness_mm, layer
+        self._level: Level = level
+        self._progress = progress
+        self._patches: list[tuple[Points, float, float, Patch]] = []
+
+    def patch(self, load: Rectangles, *, each: bool = False) -> Patch:
+        """Return the compliance whose mesh is fine under ``load``: one made before, or a new one.
+
+        Fine enough for all rectangles together, or for ``each`` of them as far as `ACROSS` allows.
+        """
+        low, high = load.centre_mm.min(axis=0), load.centre_mm.max(axis=0)
+        centre = (low + high) / 2.0
+        reach = np.linalg.norm(load.centre_mm - centre, axis=1) + np.linalg.norm(load.half_mm, axis=1)
+        radius = float(reach.max())
+        room, size = ROOM * radius, radius
+        if each:
+            size = float(np.linalg.norm(load.half_mm, axis=1).mean())
+        edge = max(FINE * (size + self.thickness_mm), room / ACROSS if each else 0.0)
+        for other, space, finest, made in self._patches:
+            if np.linalg.norm(centre - other) + radius <= space and finest <= 1.4 * edge:
+                return made
+        bare = body_mesh(self.body, self._level, progress=self._progress)
+        fine = refined(
+            bare,
+            self.body,
+            lambda points: edge + GROWTH * np.maximum(np.linalg.norm(points - centre, axis=1) - room, 0.0),
+        )
+        mesh = drawn_to_rim(with_cover(fine, self.body, self.thickness_mm), self.body)
+        self._patches.append((centre, room, edge, Patch(self.body, self.material, mesh, self.layer)))
+        return self._patches[-1][3]
+
+    def displacement(self, points: Points, load: Rectangles) -> Points:
+        """See `Compliance.displacement`."""
+        return self.patch(load).displacement(points, load) if len(load) else np.zeros((len(points), 3))
+
+    def answer(self, points: Points, load: Rectangles) -> tuple[Points, float]:
+        """Return the displacement and the error to be expected."""
+        return self.displacement(points, load), self.expected_error(load)
+
+    def forget(self) -> None:
+        """Forget the meshes of the places pressed so far."""
+        self._patches.clear()
+
+    def gradient(self, points: Points, load: Rectangles) -> Floats:
+        """See `Compliance.gradient`; within the cover and outside it, not across."""
+        return self.patch(load).gradient(points, load) if len(load) else np.zeros((len(points), 3, 3))
+
+    def to_points(self, points: Points, rectangles: Rectangles) -> Floats:
+        """See `Compliance.to_points`."""
+        if self._progress and len(rectangles) > MANY:
+            self._progress(f"compliance of {len(rectangles)} patches on the cover, one by one: minutes", 0.0)
+        return self.patch(rectangles, each=True).to_points(points, rectangles)
+
+    def surface(self, rectangles: Rectangles) -> Floats:
+        """See `Compliance.surface`."""
+        return self.patch(rectangles, each=True).surface(rectangles)
+
+    def expected_error(self, load: Rectangles) -> float:
+        """Return the largest displacement error over the largest displacement to be expected below the cover."""
+        del load
+        return STIFF_ERROR if self.layer.modulus_ratio >= 1.0 else SOFT_ERROR
+
+
+class CoveredLadder:
+    """One way to answer, whatever accuracy is asked; see `twin.world.elasticity.ladder.Ladder`."""
+
+    def __init__(self, base: Covered) -> None:
+        self.base = base
+
+    def displacement(self, points: Points, load: Rectangles, *, always: bool = True) -> Answer:
+        """Return the (n, 3) displacement of ``points`` under ``load``, and the error to be expected."""
+        del always
+        moved = self.base.displacement(points, load)
+        return Answer(displacement_mm=moved, error=self.base.expected_error(load), compliance=self.base)

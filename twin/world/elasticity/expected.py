@@ -1,0 +1,81 @@
+"""How wrong a displacement may be: what is expected before a solve, and what two levels' difference says after it.
+
+Both were fitted to independent converged solutions (repeated by ``benchmarks/elasticity.py``), and to the finest level
+under 90 bumps 1 to 4 mm wide at 10 places of the finger and 54 disks 1.5 to 12 mm wide at 6 of the block; near edges to
+mirrored loads 1 and 4 mm wide and to the difference of two meshes.
+
+Validity: the two reference bodies; other bodies are meshed by the same rules: flat ones count as blocks, curved ones as
+fingers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.parts.body import Body
+from twin.parts.load import Rectangles
+from twin.world.mesh.sizing import Level
+
+DIRECT = 0.3
+"""Error of the direct method under loads narrower than its elements."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expected:
+    """Displacement error over largest displacement: far inside, a fifth of the body's height from an edge, at most.
+
+    ``trust`` is the largest share of the difference to the next coarser level that was this level's own error.
+    """
+
+    inside: float
+    at_fifth: float
+    power: float
+    most: float
+    trust: float
+
+
+EXPECTED: dict[tuple[bool, Level], Expected] = {
+    (True, "fine"): Expected(inside=1e-4, at_fifth=0.015, power=3.5, most=0.08, trust=0.35),
+    (True, "standard"): Expected(inside=4e-4, at_fifth=0.026, power=3.5, most=0.1, trust=1.3),
+    (True, "coarse"): Expected(inside=6e-4, at_fifth=0.059, power=3.0, most=0.14, trust=0.7),
+    (True, "nominal"): Expected(inside=8e-4, at_fifth=0.059, power=3.0, most=0.14, trust=0.9),
+    (True, "sketch"): Expected(inside=2e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.0),
+    (False, "fine"): Expected(inside=1.5e-3, at_fifth=0.012, power=1.5, most=0.04, trust=0.45),
+    (False, "standard"): Expected(inside=4e-3, at_fifth=0.02, power=1.5, most=0.06, trust=0.9),
+    (False, "coarse"): Expected(inside=7e-3, at_fifth=0.03, power=1.5, most=0.09, trust=0.9),
+    (False, "nominal"): Expected(inside=6e-3, at_fifth=0.03, power=1.5, most=0.09, trust=1.0),
+    (False, "sketch"): Expected(inside=9e-3, at_fifth=0.06, power=1.5, most=0.2, trust=1.0),
+}
+"""By whether the sensing surface is a plane, and by level."""
+
+UNSEEN = {True: 4e-5, False: 4e-4}
+"""Error that two levels share, and so can't tell (flat bodies, curved ones): of cutting a load into rectangles, and of
+the solutions that the estimate was checked against."""
+
+
+_REACH = 1.0 / np.sqrt(3.0)
+"""How far from its centre a rectangle is taken to be, over its half diagonal: as far as its 2 x 2 Gauss points."""
+
+
+def expected_error(body: Body, level: Level, load: Rectangles) -> float:
+    """Return the largest displacement error over the largest displacement to be expected 0.3 mm deep and deeper.
+
+    The mean over the load's force of a law in the least distance d to another face: constant far from it, then
+    ``at_fifth`` (height / (5 d))^power up to ``most`` (see `Expected`); within a factor of three, mostly above.
+    """
+    law = EXPECTED[body.is_flat, level]
+    if len(load) == 0:
+        return law.inside
+    away = body.piece_distances(load.centre_mm)[:, 1:].min(axis=1) - _REACH * np.hypot(*load.half_mm.T)
+    near = law.at_fifth * (body.base_z_mm / (5.0 * np.maximum(away, 1e-9))) ** law.power
+    each = np.minimum(np.maximum(near, law.inside), law.most)
+    strength = np.sqrt(np.einsum("ki,ki->k", load.force_n, load.force_n))
+    total = strength.sum()
+    return float(strength @ each / total if total > 0.0 else each.mean())
+
+
+def estimated_error(body: Body, level: Level, difference: float) -> float:
+    """Return the error of a level's answer, from its difference to the next coarser level's (both relative)."""
+    return EXPECTED[body.is_flat, level].trust * difference + UNSEEN[body.is_flat]

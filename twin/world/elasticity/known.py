@@ -1,0 +1,89 @@
+"""Points that were asked for before: found to be inside the body once, and placed once.
+
+Why compared and not hashed: equality of two arrays is certain, sees every change, and costs a few microseconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin.arrays import Points, frozen
+from twin.parts.body import Body
+from twin.world.elasticity.spread import Readings
+from twin.world.elasticity.table import Basis
+from twin.world.mesh.interpolate import Locator, Places, require_inside
+
+REMEMBERED = 8
+"""Point sets that are kept, the latest ones."""
+
+
+@dataclass(eq=False)
+class Known:
+    """Points inside a body, (n, 3) mm, and what was worked out for them.
+
+    Attributes
+    ----------
+    points
+        A copy of what was asked for.
+    places
+        Where they are in the mesh.
+    readings
+        Adjoint solves for them; large, so that one set at a time has any (`Memory.forget_readings`).
+    """
+
+    points: Points
+    places: Places | None = None
+    readings: Readings | None = None
+    _bases: dict[tuple[float, float, float], Basis] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def basis(self, box_mm: tuple[float, float, float]) -> Basis:
+        """Return what a table with this box needs to know of the points."""
+        if box_mm not in self._bases:
+            self._bases[box_mm] = Basis(points=self.points, box_mm=box_mm)
+        return self._bases[box_mm]
+
+    def placed(self, locator: Locator) -> Places:
+        """Return where the points are in the locator's mesh, which must always be the same."""
+        if self.places is None:
+            self.places = locator.locate(self.points)
+        return self.places
+
+
+class Memory:
+    """The point sets that were asked for last.
+
+    Parameters
+    ----------
+    body
+        The body that they must be in.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self._body = body
+        self._sets: list[Known] = []
+
+    def of(self, points: Points) -> Known:
+        """Return what is known of ``points`` (n, 3).
+
+        Raises
+        ------
+        OutOfBodyError
+            A point is outside the body.
+        """
+        points = np.asarray(points, float)
+        for known in reversed(self._sets):
+            if known.points.shape == points.shape and bool((known.points == points).all()):
+                return known
+        require_inside(self._body, points)
+        self._sets = [*self._sets[1 - REMEMBERED :], Known(points=frozen(np.array(points, order="C")))]
+        return self._sets[-1]
+
+    def forget_readings(self) -> None:
+        """Drop all adjoint solves, which may take a hundred megabytes a set."""
+        for known in self._sets:
+            known.readings = None

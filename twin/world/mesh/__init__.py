@@ -1,0 +1,1 @@
+"""Tetrahedra of a body: made, checked, stored, read."""

@@ -1,0 +1,182 @@
+"""Reading nodal fields at any point of a body: which element holds it, and where in the element."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from twin.arrays import Floats, Ints, Points, frozen
+from twin.errors import MeshError, OutOfBodyError
+from twin.parts.body import Body
+from twin.world.mesh.elements import tet_shapes
+from twin.world.mesh.mesh import Mesh
+
+CANDIDATES = (24, 400)
+"""How many of the nearest elements are tried, first for all points, then for those not yet found."""
+
+FORGIVEN = 1e-6
+"""How far outside the body, in mm, a point still counts as on its surface."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """Points located in a mesh.
+
+    Attributes
+    ----------
+    nodes
+        (n, 10) nodes of each point's element.
+    weights
+        (n, 10) shape functions there: a field's value is their product.
+    slopes
+        (n, 10, 3) gradients of the shape functions, 1/mm.
+    """
+
+    nodes: Ints
+    weights: Floats
+    slopes: Floats
+
+    def values(self, field: Floats) -> Floats:
+        """Return (n, ...) values of the nodal ``field`` (N, ...)."""
+        flat = field.reshape(len(field), -1)
+        return np.asarray(self.matrix(len(field)) @ flat).reshape(len(self.nodes), *field.shape[1:])
+
+    def gradients(self, field: Floats) -> Floats:
+        """Return (n, ..., 3) gradients of the nodal ``field`` (N, ...), 1/mm."""
+        out: Floats = np.einsum("qam,qa...->q...m", self.slopes, field[self.nodes])
+        return out
+
+    def matrix(self, nodes: int) -> Any:
+        """Return the (n, nodes) sparse matrix that takes a nodal field to the points."""
+        from scipy.sparse import csr_matrix
+
+        rows = np.arange(0, 10 * len(self.nodes) + 1, 10)
+        return csr_matrix((self.weights.ravel(), self.nodes.ravel(), rows), shape=(len(self.nodes), nodes))
+
+
+def require_inside(body: Body, points: Points) -> None:
+    """Raise `OutOfBodyError`, naming the first offender, unless ``points`` (n, 3) are all in the body or on it."""
+    points = np.asarray(points, float)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise OutOfBodyError(f"points must have the shape (n, 3), got {points.shape}")
+    distances = body.piece_distances(points)
+    outside = ~(np.min(distances, axis=1) >= -FORGIVEN)
+    if not np.any(outside):
+        return
+    first = int(np.argmax(outside))
+    piece = int(np.argmin(distances[first]))
+    place = ", ".join(f"{c:.4g}" for c in points[first])
+    low, high = body.bounds_mm
+    raise OutOfBodyError(
+        f"point {first} at ({place}) mm is {-distances[first, piece]:.3g} mm outside the body, beyond its "
+        f"{body.pieces[piece]} face ({int(outside.sum())} of {len(points)} points are); the body lies between "
+        f"{low} and {high} mm"
+    )
+
+
+class Locator:
+    """Finds points in a mesh; built once per mesh."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        from scipy.spatial import cKDTree
+
+        self._mesh = mesh
+        self._tree = cKDTree(mesh.points[mesh.tets[:, :4]].mean(axis=1))
+
+    def locate(self, points: Points) -> Places:
+        """Return where ``points`` (n, 3) are; points a hair outside the mesh are read from the nearest element.
+
+        Raises
+        ------
+        MeshError
+            A point is outside every element by more than a tenth of the element's size.
+        """
+        mesh, points = self._mesh, np.ascontiguousarray(points, float)
+        best = np.zeros(len(points), np.int64)
+        where, inside = np.zeros((len(points), 3)), np.full(len(points), -np.inf)
+        left = np.arange(len(points))
+        for number in CANDIDATES:
+            number = min(number, len(mesh.tets))
+            near = self._tree.query(points[left], number)[1].reshape(len(left), number)
+            found = (best[left], where[left], inside[left])
+            _search(points[left], near.astype(np.int64), mesh.points, mesh.tets, *found)
+            best[left], where[left], inside[left] = found
+            left = np.flatnonzero(inside < -1e-9)
+            if len(left) == 0:
+                break
+        if np.any(inside < -0.1):
+            first = int(np.argmin(inside))
+            raise MeshError(f"no element of the mesh holds the point {points[first]} mm: rebuild the mesh")
+        values, slopes = tet_shapes(where)
+        nodes = mesh.tets[best]
+        jacobian = np.einsum("qai,qaj->qij", mesh.points[nodes], slopes)
+        slopes = np.einsum("qaj,qjm->qam", slopes, np.linalg.inv(jacobian))
+        frozen(values), frozen(slopes)
+        return Places(nodes=nodes, weights=values, slopes=slopes)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _search(points: Floats, near: Ints, nodes: Floats, tets: Ints, best: Ints, where: Floats, inside: Floats) -> None:
+    """Keep for every point the element in which its smallest barycentric coordinate is largest, first hit wins."""
+    place = np.empty(3)
+    for q in range(len(points)):
+        for t in near[q]:
+            if inside[q] >= -1e-9:
+                break
+            if not _outside_ball(points[q], nodes, tets[t]):
+                smallest = _invert_map(points[q], nodes, tets[t], place)
+                if smallest > inside[q]:
+                    inside[q], best[q] = smallest, t
+                    where[q] = place
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _outside_ball(point: Floats, nodes: Floats, tet: Ints) -> bool:
+    """Tell whether a point is farther from the element's centroid than 1.2 times its farthest corner."""
+    reach, distance = 0.0, 0.0
+    centre = (nodes[tet[0]] + nodes[tet[1]] + nodes[tet[2]] + nodes[tet[3]]) / 4.0
+    for a in range(4):
+        reach = max(reach, np.sum((nodes[tet[a]] - centre) ** 2))
+    distance = np.sum((point - centre) ** 2)
+    return bool(distance > 1.44 * reach)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _invert_map(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> float:
+    """Set ``place`` to where ``point`` is in the reference element (Newton); return its least barycentric share."""
+    place[:] = 0.25
+    for _ in range(12):
+        x, jac = point.copy(), np.zeros((3, 3))
+        share = (1.0 - place[0] - place[1] - place[2], place[0], place[1], place[2])
+        for a in range(10):
+            if a < 4:
+                value = share[a] * (2.0 * share[a] - 1.0)
+                slope = _corner_slope(a) * (4.0 * share[a] - 1.0)
+            else:
+                i = (0, 1, 0, 0, 1, 2)[a - 4]
+                j = (1, 2, 2, 3, 3, 3)[a - 4]
+                value = 4.0 * share[i] * share[j]
+                slope = 4.0 * (share[i] * _corner_slope(j) + share[j] * _corner_slope(i))
+            x -= value * nodes[tet[a]]
+            for m in range(3):
+                jac[m] += nodes[tet[a], m] * slope
+        step = np.linalg.solve(jac, x)
+        place += step
+        if np.max(np.abs(step)) < 1e-12:
+            break
+        if np.max(np.abs(place)) > 5.0:
+            return -np.inf
+    return float(min(1.0 - place[0] - place[1] - place[2], place[0], place[1], place[2]))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _corner_slope(a: int) -> Floats:
+    slope = np.zeros(3)
+    if a == 0:
+        slope[:] = -1.0
+    else:
+        slope[a - 1] = 1.0
+    return slope

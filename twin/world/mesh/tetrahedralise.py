@@ -1,0 +1,220 @@
+"""Tetrahedra inside a closed surface, by pytetwild in a guarded child process.
+
+Why a child: the mesher holds the interpreter's lock and ignores signals until it is done, writes into the current
+folder, and ends the process on bad input. A child with a folder of its own, one thread and a time limit can be killed
+at any moment, and nothing it does reaches the caller but two arrays, which are checked before and after.
+
+Run as ``python -m twin.world.mesh.tetrahedralise IN.npz OUT.npz`` this module *is* the child.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from twin.arrays import Floats, Ints, Points, frozen
+from twin.errors import InputError, MeshError
+from twin.places import ROOT
+from twin.world.mesh.snap import signed_volumes
+
+_PR_SET_PDEATHSIG = 1
+
+_STOP_ENERGY = 10.0
+"""Element quality (conformal AMIPS energy) at which the mesher stops improving."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What the mesher is asked for.
+
+    Attributes
+    ----------
+    vertices, triangles
+        Closed surface: (n, 3) mm and (m, 3) indices, normals out.
+    background_points, background_tets, background_edge_mm
+        Sizing field: (k, 3) mm, (l, 4) indices and (k,) wanted edges, mm.
+    coarse_mm
+        Longest edge, mm.
+    envelope
+        How far the result's surface may be from the input's, as a part of the bounding box's diagonal.
+    """
+
+    vertices: Points
+    triangles: Ints
+    background_points: Points
+    background_tets: Ints
+    background_edge_mm: Floats
+    coarse_mm: float
+    envelope: float = 1e-3
+
+
+def tetrahedralise(request: Request, *, limit_s: float = 600.0) -> tuple[Points, Ints]:
+    """Fill a closed surface with tetrahedra.
+
+    Parameters
+    ----------
+    request
+        The surface and the wanted edges.
+    limit_s
+        Time limit of the child, s.
+
+    Returns
+    -------
+    points
+        (n, 3), mm, every one used.
+    tets
+        (m, 4) positive tetrahedra. Not deterministic: the mesher isn't.
+
+    Raises
+    ------
+    InputError
+        If the surface is not closed, or has numbers or indices the mesher can't survive.
+    MeshError
+        If the child fails, takes too long, or returns no body.
+    """
+    _check_request(request)
+    with tempfile.TemporaryDirectory(prefix="twin-mesh-") as folder:
+        given, made = Path(folder, "in.npz"), Path(folder, "out.npz")
+        with given.open("wb") as file:
+            _write(file, {"limit_s": limit_s, **vars(request)})
+        _run_child([sys.executable, "-m", "twin.world.mesh.tetrahedralise", str(given), str(made)], folder, limit_s)
+        if not made.exists():
+            raise MeshError("the mesher ended without a result; build the mesh again")
+        with np.load(made, allow_pickle=False) as result:
+            points, tets = result["points"], result["tets"]
+    return _checked_result(request, points, tets)
+
+
+def _check_request(request: Request) -> None:
+    """Refuse what would end the child's process or be 'repaired' in silence."""
+    vertices, triangles = request.vertices, request.triangles
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 4 or not np.all(np.isfinite(vertices)):
+        raise InputError(f"surface vertices must be (n >= 4, 3) finite numbers in mm, not {vertices.shape}; check them")
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) < 4:
+        raise InputError(f"surface triangles must be (m >= 4, 3) indices, not {triangles.shape}; split other polygons")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise InputError(
+            f"surface triangles name vertices {triangles.min()} to {triangles.max()}; allowed: 0 to {len(vertices) - 1}"
+        )
+    one_way = {(int(a), int(b)) for a, b in triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)}
+    if len(one_way) != 3 * len(triangles) or any((b, a) not in one_way for a, b in one_way):
+        raise InputError(
+            f"the surface of {len(triangles)} triangles is not closed and wound one way (every edge must belong to "
+            "two triangles that run along it in opposite directions); mend it first"
+        )
+    edge = request.background_edge_mm
+    if not (np.all(np.isfinite(edge)) and np.all(edge > 0) and request.coarse_mm > 0):
+        raise InputError("wanted edge lengths must be finite and above 0 mm; check the sizing")
+
+
+def _run_child(command: list[str], folder: str, limit_s: float) -> None:
+    """Run the child in its own folder with one thread; kill it after ``limit_s`` or when the caller is interrupted."""
+    environment = {
+        **os.environ,
+        "OMP_NUM_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])),
+    }
+    with subprocess.Popen(
+        command,
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    ) as child:
+        try:
+            said, _ = child.communicate(timeout=limit_s)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            raise MeshError(
+                f"the mesher was stopped after its time limit of {limit_s:g} s; ask for longer edges or more time"
+            ) from None
+        except BaseException:
+            child.kill()
+            raise
+    if child.returncode:
+        raise MeshError(f"the mesher {_ending(child.returncode)}: {_last_line(said)}; check the surface, or try again")
+
+
+def _ending(code: int) -> str:
+    if code >= 0:
+        return f"failed with exit code {code}"
+    try:
+        return f"was ended by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was ended by signal {-code}"
+
+
+def _last_line(said: bytes) -> str:
+    lines = said.decode(errors="replace").strip().splitlines()
+    return lines[-1][:300] if lines else "it said nothing"
+
+
+def _checked_result(request: Request, points: Points, tets: Ints) -> tuple[Points, Ints]:
+    """Drop unused points, turn tetrahedra positive, and compare the volume with the surface's."""
+    if len(tets) == 0 or not np.all(np.isfinite(points)) or tets.min() < 0 or tets.max() >= len(points):
+        raise MeshError(f"the mesher returned {len(tets)} tetrahedra that make no body; ask for shorter edges")
+    used, new = np.unique(tets, return_inverse=True)
+    points, tets = np.ascontiguousarray(points[used], np.float64), new.reshape(-1, 4).astype(np.int64)
+    flipped = signed_volumes(points, tets) < 0
+    tets[flipped] = tets[flipped][:, [0, 2, 1, 3]]
+    a, b, c = (request.vertices[request.triangles[:, k]] for k in range(3))
+    wanted = float(np.einsum("ij,ij->", np.cross(a, b), c)) / 6
+    volume = float(np.sum(signed_volumes(points, tets)))
+    if abs(volume / wanted - 1) > 0.02:
+        raise MeshError(
+            f"the tetrahedra fill {volume:.6g} mm3 of the surface's {wanted:.6g} mm3 (allowed: 2 % apart); "
+            "ask for shorter edges near thin parts"
+        )
+    return frozen(points), frozen(tets)
+
+
+def _child(given: str, made: str) -> None:
+    """Mesh what IN.npz asks for and write OUT.npz.
+
+    The alarm's default action ends the process even inside native code, so that an orphan doesn't run on for ever.
+    """
+    with np.load(given, allow_pickle=False) as request:
+        _end_with_parent()
+        if hasattr(signal, "alarm"):
+            signal.alarm(int(float(request["limit_s"])) + 60)
+        import pytetwild
+
+        points, tets = pytetwild.tetrahedralize(
+            request["vertices"],
+            request["triangles"].astype(np.int32),
+            edge_length_abs=float(request["coarse_mm"]),
+            epsilon=float(request["envelope"]),
+            stop_energy=_STOP_ENERGY,
+            coarsen=False,
+            num_threads=1,
+            bg_vertices=request["background_points"],
+            bg_tets=request["background_tets"].astype(np.int32),
+            bg_values=request["background_edge_mm"],
+        )
+    with Path(made).open("wb") as file:
+        _write(file, {"points": points, "tets": np.asarray(tets, np.int64)})
+
+
+def _end_with_parent() -> None:
+    """Ask Linux to kill this process when its parent dies, however that happens."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def _write(file: BinaryIO, values: dict[str, Any]) -> None:
+    """Write arrays and numbers to an open ``.npz`` file."""
+    np.savez(file, **values)
+
+
+if __name__ == "__main__":
+    _child(*sys.argv[1:])

@@ -1,0 +1,1 @@
+"""What the CCD sees of it: light, rays, outlines, counts."""
