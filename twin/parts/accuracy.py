@@ -40,7 +40,7 @@ class Accuracy(Part):
 
     displacement: Annotated[float, Field(ge=1e-5, le=0.2)] | Literal["auto"] = 5e-3
     centroid_px: Annotated[float, Field(ge=1e-4, le=1)] | Literal["auto"] = "auto"
-    contact_patches: Annotated[int, Field(ge=6, le=64)] | Literal["auto"] = USUAL
+    contact_patches: Annotated[int, Field(ge=6, le=40)] | Literal["auto"] = USUAL
 
     def displacement_for(self, modulus_pct: float) -> float:
         """Return the largest error of displacements of a sensor whose Young's modulus is known to so many percent."""
