@@ -14,6 +14,7 @@ The table is stored in benchmarks/results/fuzz.json; exit code 1 if anything fai
 
 from __future__ import annotations
 
+import faulthandler
 import argparse
 import json
 import os
@@ -125,6 +126,7 @@ def _as_child(reader: Reader, inside: Path, told: Path) -> None:
     from twin.cli import main
 
     code = 99
+    faulthandler.disable()  # what ends a child is told by its parent
     try:
         os.chdir(inside)
         sys.stderr.flush()

@@ -68,6 +68,7 @@ def test_every_level_against_the_independent_program(level, bound, case):
     assert error(level, case) < bound
 
 
+@pytest.mark.slow
 def test_turning_the_load_about_the_axis_turns_the_field():
     stiff, angle = compliance("nominal", 0.5), np.radians(50)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])

@@ -23,6 +23,7 @@ def in_bracket(points):
     return (np.abs(y) <= 5) & (x >= -6) & (z >= 0) & np.where(z <= 4, x <= 6, (x <= 0) & (z <= 12))
 
 
+@pytest.mark.slow
 def test_the_nearest_place_is_nearest_and_its_feature_is_where_it_lies():
     rng = np.random.default_rng(1)
     corners = rng.normal(size=(200, 1, 3)) + 0.4 * rng.normal(size=(200, 3, 3))

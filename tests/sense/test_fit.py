@@ -35,6 +35,7 @@ def test_pixels_row_by_row_are_those_one_by_one(radius, others):
     assert inside >= 60  # the last rows' surplus may reach beyond the picture's end: those are taken one by one
 
 
+@pytest.mark.slow
 def test_markers_lead_those_after_them():
     layout = flat_layout()
     step = np.array([3.1, -2.4])

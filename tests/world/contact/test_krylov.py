@@ -65,7 +65,7 @@ def _rows(compliance: np.ndarray, system: LinearSystem, found: list[np.ndarray])
     return seen + system.motion @ found[1]
 
 
-@pytest.mark.parametrize(("body", "nu"), [(BLOCK, 0.3), (FINGER, 0.5)])
+@pytest.mark.parametrize(("body", "nu"), [(BLOCK, 0.3), pytest.param(FINGER, 0.5, marks=pytest.mark.slow)])
 def test_a_path_is_the_same_either_way(body: Body, nu: float, monkeypatch: pytest.MonkeyPatch) -> None:
     steps = (
         Step(force_n=(0, 0, 0.3)),

@@ -210,6 +210,7 @@ def test_a_stuck_ball_is_turned_about_x_like_it_is_moved() -> None:
 # --- the same problem, stated otherwise ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.0), (40.0, -20.0, 70.0)])
 def test_an_stl_ball_is_a_ball_however_it_is_turned(tmp_path: Path, tilt: tuple[float, float, float]) -> None:
     vertices, triangles = sphere_triangles(20.0, 120)

@@ -234,6 +234,7 @@ def test_no_points_give_no_displacements(name):
         assert stiff.to_points(nowhere, load).shape == (0, 3 * len(load))
 
 
+@pytest.mark.slow
 def test_adjoint_and_primal_solves_agree_and_few_points_take_the_adjoint(monkeypatch):
     """Two points and nine separate patches: three solves a point give what three solves a patch give."""
     few, body = np.array([[0.0, 0.5, 1.5], [-1.0, 1.0, 3.0]]), FINGER

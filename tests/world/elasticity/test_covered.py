@@ -43,6 +43,7 @@ SLOW = pytest.mark.slow
 CASES = [(10.0, None, 1e-2), pytest.param(10.0, 0.4, 1e-2, marks=SLOW), pytest.param(0.1, None, 2e-2, marks=SLOW)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("modulus", "nu", "bound"), CASES)
 def test_flat_cover_is_a_layered_half_space(modulus, nu, bound):
     cover = Cover(thickness_mm=0.2, youngs_modulus_mpa=modulus, poisson_ratio=nu)

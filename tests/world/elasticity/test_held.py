@@ -42,6 +42,7 @@ def test_held_nodes_stay_and_reactions_balance(mesh):
     np.testing.assert_allclose(system.reaction(forces), -np.eye(3), atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_held_back_stiffens_most_near_it(mesh):
     """Work of the same load: less with the back held, by more the nearer the load is."""
     saved = []
