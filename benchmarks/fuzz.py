@@ -14,8 +14,8 @@ The table is stored in benchmarks/results/fuzz.json; exit code 1 if anything fai
 
 from __future__ import annotations
 
-import faulthandler
 import argparse
+import faulthandler
 import json
 import os
 import resource
@@ -221,6 +221,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description=__doc__)
     parser.add_argument("--rounds", type=int, default=40, help="random damages of every file (default 40)")
     parser.add_argument("--reader", choices=sorted(READERS), help="one reader only; nothing is stored")
+    parser.add_argument("--out", type=Path, default=STORED, help=f"where the table is stored (default {STORED.name})")
     arguments = parser.parse_args()
     chosen = {k: v for k, v in READERS.items() if arguments.reader in (None, k)}
 
@@ -233,7 +234,7 @@ def main() -> int:
     print(table(rows(found)))
     bad = any(one.failed for one in found.values())
     if not arguments.reader and not bad:
-        STORED.write_text(json.dumps({"machine": machine(), "rows": rows(found)}, indent=1) + "\n")
+        arguments.out.write_text(json.dumps({"machine": machine(), "rows": rows(found)}, indent=1) + "\n")
     return int(bad)
 
 
