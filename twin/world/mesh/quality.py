@@ -153,7 +153,8 @@ def jacobian_ratios(points: Points, tets: Ints) -> Floats:
     for local in lattice:
         jacobian = np.einsum("mna,nb->mab", nodes, shape_gradients(*local))
         values.append(np.linalg.det(jacobian))
-    return np.asarray(np.min(values, axis=0) / np.max(values, axis=0))
+    least, largest = np.min(values, axis=0), np.max(values, axis=0)
+    return np.divide(least, largest, out=np.full(len(tets), -np.inf), where=largest > 0)  # -inf: flat or inside out
 
 
 def shape_gradients(r: float, s: float, t: float) -> Floats:
