@@ -104,7 +104,7 @@ def test_finger_forces_reach_their_figures(name: str) -> None:
 
 @pytest.mark.slow
 def test_half_space_calibration_is_an_option_with_its_error() -> None:
-    """Its transfer matrix is off by what the papers' half-space is from the real block, the finite one's by tolerances."""
+    """Its matrix is off by what the papers' half-space is from the real block, the finite one's by tolerances."""
     off = {}
     for method in ("halfspace", "compliance"):
         sensor = twin.Sensor(twin.load_scene("kamiyama_pillar", {"calibration.method": method}))

@@ -154,7 +154,8 @@ def jacobian_ratios(points: Points, tets: Ints) -> Floats:
         jacobian = np.einsum("mna,nb->mab", nodes, shape_gradients(*local))
         values.append(np.linalg.det(jacobian))
     least, largest = np.min(values, axis=0), np.max(values, axis=0)
-    return np.divide(least, largest, out=np.full(len(tets), -np.inf), where=largest > 0)  # -inf: flat or inside out
+    flat = np.full(len(tets), -np.inf)  # or inside out
+    return np.asarray(np.divide(least, largest, out=flat, where=largest > 0))
 
 
 def shape_gradients(r: float, s: float, t: float) -> Floats:
