@@ -15,7 +15,7 @@ PARTS = 8
 """Frames of a step."""
 
 FRAME_MS, LAST_MS = 120, 1200
-KINDS = (".gif", ".png")
+KINDS = {".gif": "GIF", ".png": "PNG"}
 """GIF, or animated PNG, which keeps every colour."""
 
 
@@ -94,10 +94,10 @@ def write_film(sensor: Sensor, out: Path) -> str:
 
     from twin.results import write_whole
 
-    if out.suffix.lower() not in KINDS:
+    kind = KINDS.get(out.suffix.lower())
+    if kind is None:
         raise InputError(f"--out {out}: a film ends in {' or '.join(KINDS)}")
     frames = [Image.fromarray(picture) for picture in film_of(sensor)]
-    kind = {".gif": "GIF", ".png": "PNG"}[out.suffix.lower()]
     times = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
     file = io.BytesIO()
     frames[0].save(file, kind, save_all=True, append_images=frames[1:], duration=times, loop=0)

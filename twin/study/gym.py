@@ -47,7 +47,7 @@ class TactileEnv(gymnasium.Env[dict[str, np.ndarray], Floats]):  # type: ignore[
     def __init__(self, scene: Scene, reward: Callable[[Observation], float] | None = None) -> None:
         self._live = LivePress(scene)
         self._reward = reward
-        self._last = self._live.environment.reset()
+        self._last = self._live.rest
         ranges = self._live.facts()["range"]
         low, high = np.array([ranges[key] for key in ACTION]).T
         spaces = gymnasium.spaces

@@ -138,7 +138,7 @@ class LivePress:
         if scene.press is None:
             raise RecipeError("this scene has no [press] table: --live moves the scene's probe, so give it one")
         self.scene, self.moved = scene, scene.press
-        self._rest = self.environment.reset()
+        self.rest = self.environment.reset()
 
     def start(self) -> Hand:
         """Return where the hand begins: the scene's place, push and friction; `FRICTION` where it has none."""

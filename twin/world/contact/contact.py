@@ -27,12 +27,12 @@ from twin.world.contact.job import (
     TRIES,
     Job,
     counted_from,
-    enlarged,
     is_lifted,
     keep_states,
     lifted_place,
     no_grid,
     of_probe,
+    outgrown,
     refuse_forces_on_nothing,
     refuse_overlap,
     stopped_at,
@@ -238,13 +238,9 @@ def _frictionless(
         contacts = Contacts(settings, tuple(map(fitted_patches, settings, planes, boxes)))
         found = solve_frictionless(contacts, control, place, np.array(touch_z))
         place = found.place
-        grew = False
-        for number, (setting, rows, motions) in enumerate(contacts.rows):
-            grid, active = contacts.grids[number], found.active[rows]
-            if np.any(active & grid.border):
-                boxes[number], grew = enlarged(boxes[number], grid.bounds(active)), True
-            check_inside(setting, grid, of_one(found, rows, motions), float(place[motions][Z]) - touch_z[number])
-        if not grew:
+        for (setting, rows, motions), grid, z in zip(contacts.rows, contacts.grids, touch_z, strict=True):
+            check_inside(setting, grid, of_one(found, rows, motions), float(place[motions][Z]) - z)
+        if not outgrown(boxes, contacts, found.active):
             refuse_overlap(contacts, found)
             return contacts, found
     raise no_grid(settings[0], boxes[0])

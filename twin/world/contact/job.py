@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.arrays import Floats
+from twin.arrays import Bools, Floats
 from twin.errors import ContactError
 from twin.world.contact.contact_state import ContactState
 from twin.world.contact.gap import ABOUT_X, MOTIONS, Z
@@ -104,10 +104,18 @@ def refuse_overlap(contacts: Contacts, found: Equilibrium) -> None:
                 )
 
 
-def enlarged(contact: Box, reached: Box) -> Box:
-    """Return the box of a contact that reached its grid's border, a tenth larger: where it ends is not known yet."""
-    both = contact.joined(reached)
-    return both.grown(0.05 * both.size[0], 0.05 * both.size[1])
+def outgrown(boxes: list[Box], contacts: Contacts, reached: Bools) -> bool:
+    """Make those of the contacts' boxes larger whose patches (k,) were ``reached`` up to the border; whether any was.
+
+    By a tenth: where such a contact ends is not known yet.
+    """
+    grew = False
+    for number, (_, rows, _) in enumerate(contacts.rows):
+        grid, own = contacts.grids[number], reached[rows]
+        if np.any(own & grid.border):
+            both = boxes[number].joined(grid.bounds(own))
+            boxes[number], grew = both.grown(0.05 * both.size[0], 0.05 * both.size[1]), True
+    return grew
 
 
 def no_grid(setting: Setting, contact: Box) -> ContactError:

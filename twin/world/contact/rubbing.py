@@ -18,12 +18,12 @@ from twin.world.contact.job import (
     TRIES,
     Job,
     counted_from,
-    enlarged,
     is_lifted,
     keep_states,
     lifted_place,
     no_grid,
     of_probe,
+    outgrown,
     refuse_forces_on_nothing,
     refuse_overlap,
     stopped_at,
@@ -95,6 +95,7 @@ def _slid(setting: Setting, contact: Box, sideways: Floats, grip_mm: float, plan
 
 
 def rubbing_path(job: Job, increments: int) -> tuple[list[ContactState], str]:
+    """Take the whole path on one grid; return the states, and why it stopped before its end, if it did."""
     planes, boxes = [], []
     for number, setting in enumerate(job.settings):
         plane, touch_z = touch_at(setting, np.zeros(MOTIONS))
@@ -103,12 +104,7 @@ def rubbing_path(job: Job, increments: int) -> tuple[list[ContactState], str]:
     for _ in range(TRIES):
         contacts = Contacts(job.settings, tuple(map(fitted_patches, job.settings, planes, boxes)))
         states, reached, reason = _rubbing_on(FrictionGrid(contacts, job.friction), job, increments)
-        grew = False
-        for number, (_, rows, _) in enumerate(contacts.rows):
-            grid, own = contacts.grids[number], reached[rows]
-            if np.any(own & grid.border):
-                boxes[number], grew = enlarged(boxes[number], grid.bounds(own)), True
-        if not grew:
+        if not outgrown(boxes, contacts, reached):
             return states, reason
     raise no_grid(job.settings[0], boxes[0])
 
