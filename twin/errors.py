@@ -67,7 +67,7 @@ class SolveError(TwinError):
 class ContactError(TwinError):
     """A press has no equilibrium, or its contact did not converge.
 
-    ``last_state`` is the state (`twin.ContactState`) before the step that was refused; None at the first step.
+    ``last_state`` is the `ContactState` before the step that was refused; None at the first step.
     """
 
     last_state: object = None

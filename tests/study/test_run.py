@@ -114,7 +114,7 @@ def test_a_hard_press_is_told_what_linearity_costs_and_a_gentle_one_is_not(tmp_p
 
 
 def test_a_press_that_stops_is_saved_and_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from twin.errors import ContactError, NotSettled
+    from twin.errors import NotSettled, SomeFailed
     from twin.world.contact import contact
 
     real = contact.solve_frictionless
@@ -127,10 +127,28 @@ def test_a_press_that_stops_is_saved_and_fails(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(contact, "solve_frictionless", stuck)
     path = [{"force_n": {"z": 0.5}}, {"force_n": {"z": 1.0}}]
     scene = twin.load_scene("kamiyama_pillar", {**SMALL, "press.friction": 0.0, "press.steps": path})
-    with pytest.raises(ContactError, match=r"step 2 of 2 did not converge.*does not settle"):
+    with pytest.raises(SomeFailed, match=r"step 2 of 2 did not converge.*does not settle"):
         run_to_folder(scene, tmp_path, {"displacement", "score"})
     assert np.load(tmp_path / "truth.npz")["total_force_n"][2] == pytest.approx(0.5)
     assert "step 2 of 2" in json.loads((tmp_path / "score.json").read_text())["facts"]["contact"]["incomplete"]
+
+
+def test_a_step_that_is_refused_leaves_the_state_before_it(tmp_path: Path) -> None:
+    from twin.errors import ContactError, SomeFailed
+    from twin.world.contact.contact_state import ContactState
+
+    path = [{"force_n": {"z": 0.5}}, {"force_n": {"x": 5.0, "z": 0.5}}]
+    scene = twin.load_scene("kamiyama_pillar", {**SMALL, "press.friction": 0.5, "press.steps": path})
+    with pytest.raises(SomeFailed, match=r"step 2 of 2 was refused.*friction.*what belongs to that state is in"):
+        run_to_folder(scene, tmp_path, {"displacement", "score"})
+    np.testing.assert_allclose(np.load(tmp_path / "truth.npz")["total_force_n"], [0, 0, 0.5], atol=1e-8)
+    assert "step 2 of 2" in json.loads((tmp_path / "score.json").read_text())["facts"]["contact"]["incomplete"]
+    with pytest.raises(ContactError, match="friction") as refused:
+        twin.run(scene, {"displacement"})
+    assert isinstance(refused.value.last_state, ContactState)
+    with pytest.raises(ContactError, match="friction"):  # the first step: nothing to keep
+        run_to_folder(twin.load_scene("kamiyama_pillar", {**SMALL, "press.friction": 0.5, "press.steps": path[1:]}),
+                      tmp_path / "none", {"displacement"})  # fmt: skip
 
 
 def test_two_points_are_in_the_truth() -> None:

@@ -30,8 +30,8 @@ def run(
     """Take one press through the whole twin.
 
     What can be wanted: displacement, picture, tracking, forces, score, report; several, separated by commas. Only
-    what is wanted, and what it needs, is computed; unwanted files are absent. Where a step of the press doesn't
-    converge, what belongs to the step before is saved, and the exit code is 1.
+    what is wanted, and what it needs, is computed; unwanted files are absent. Where a step of the press after
+    the first is refused or doesn't converge, what belongs to the step before is saved, and the exit code is 3.
 
     With --live nothing is written: a page opens at the address that is printed, where keys, sliders or the pointer move
     and load the scene's probe, and picture and force field follow, with their errors. It listens on this machine only.

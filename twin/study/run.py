@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.arrays import Floats
-from twin.errors import ContactError, InputError, RecipeError
+from twin.errors import ContactError, InputError, RecipeError, SomeFailed
 from twin.parts.scene import Scene
 from twin.results import Estimate, RunResult, Truth, make_folder, remove_results, write_whole
 from twin.study.actual import shared_by_truth_and_estimate
@@ -73,18 +73,24 @@ def run(scene: Scene, want: Collection[str] | None = None, progress: Progress | 
     return _only_wanted(_run(scene, asked, by_name=want is not None, progress=progress), asked)
 
 
-def _run(scene: Scene, asked: frozenset[str], *, by_name: bool, progress: Progress | None) -> RunResult:
+def _run(
+    scene: Scene, asked: frozenset[str], *, by_name: bool, progress: Progress | None, keep_last: bool = False
+) -> RunResult:
     """Return everything that had to be computed for what was asked."""
     if unknown := sorted(asked - WANTED):
         raise RecipeError(f"want: unknown {', '.join(unknown)}; allowed are {', '.join(sorted(WANTED))}")
-    return _Chain(Sensor(scene, progress), _needed(scene, asked, by_name=by_name), progress).go()
+    return _Chain(Sensor(scene, progress), _needed(scene, asked, by_name=by_name), progress, keep_last).go()
 
 
 def run_to_folder(scene: Scene, folder: Path, want: Collection[str], progress: Progress | None = None) -> str:
-    """Run a scene, write its files into ``folder`` and return a summary of a few lines."""
+    """Run a scene, write its files into ``folder`` and return a summary of a few lines.
+
+    Where a step of the press after the first is refused or does not converge, the files are those of the state before
+    it, `SomeFailed` says so, and so do their facts.
+    """
     make_folder(folder)
     asked = frozenset(want)
-    result = _run(scene, asked, by_name=asked != WANTED, progress=progress)
+    result = _run(scene, asked, by_name=asked != WANTED, keep_last=True, progress=progress)
     remove_results(folder)
     if "report" in want:
         from twin.show.report import report
@@ -97,7 +103,7 @@ def run_to_folder(scene: Scene, folder: Path, want: Collection[str], progress: P
     if progress is not None:
         progress("done", 1.0)
     if (reason := result.facts.get("contact", {}).get("incomplete")) is not None:
-        raise ContactError(f"press: {reason}; what belongs to that state is in {folder}")
+        raise SomeFailed(f"press: {reason}; what belongs to that state is in {folder}")
     return _summary(result, folder)
 
 
@@ -123,11 +129,15 @@ def _needed(scene: Scene, asked: frozenset[str], by_name: bool) -> frozenset[str
 
 @dataclass
 class _Chain:
-    """One run through the stages; holds what later stages need of earlier ones."""
+    """One run through the stages; holds what later stages need of earlier ones.
+
+    With ``keep_last`` a step of the press that is refused leaves the state before it, else the error.
+    """
 
     sensor: Sensor
     needed: frozenset[str]
     progress: Progress | None
+    keep_last: bool = False
     timings: dict[str, float] = field(default_factory=dict)
     stages: int = 8
     failures: dict[str, str] = field(default_factory=dict)
@@ -147,7 +157,7 @@ class _Chain:
         with self.stage("contact"):
             state = None
             if scene.press is not None and not scene.tractions:
-                state = sensor.press(with_error=bool({"score", "report"} & self.needed))
+                state = self._pressed()
             load = state.load if state is not None else scene.load
         with self.stage("displacement"):
             motion = sensor.motion(load)
@@ -197,6 +207,16 @@ class _Chain:
             facts=self._facts(state, calibration, forces),
             timings=self.timings,
         )
+
+    def _pressed(self) -> ContactState:
+        from twin.world.contact.contact_state import ContactState
+
+        try:
+            return self.sensor.press(with_error=bool({"score", "report"} & self.needed))
+        except ContactError as refused:
+            if self.keep_last and isinstance(refused.last_state, ContactState):
+                return refused.last_state
+            raise
 
     def _truth(self, motion: Motion, rectangles: Rectangles) -> Truth:
         sensor = self.sensor
