@@ -1,13 +1,16 @@
 """A renderer for tests and benchmarks, apart from the tracker's model and from the twin's: discs by area.
 
 Every pixel is cut into 10 x 10 pieces, of which those on an edge count by their share inside; the fine picture is
-blurred by a Gaussian (scipy) and binned. Nothing of an edge's profile is assumed.
+blurred by a Gaussian (scipy) and binned. Nothing of an edge's profile is assumed. Blur and binning act along rows and
+columns alike, so both are one matrix, and only the pieces that a disc can cover are drawn.
 """
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter1d
 
 FINE = 10
 GROUND_DN = 30.0
@@ -20,22 +23,37 @@ def cover(size, centres, diameter, psf, shade=None):
     width, height = size
     whole = np.zeros((height, width))
     half = int(np.ceil(diameter / 2 + 5 * psf + 2))
-    steps = (np.arange((2 * half + 1) * FINE) + 0.5) / FINE - 0.5 - half
+    steps, blur = _steps(half), _blur(half, psf)
     for x, y in centres:
         if not np.isfinite(x + y):
             continue
         column, row = round(x), round(y)
-        dx, dy = np.meshgrid(steps - (x - column), steps - (y - row))
-        inside = np.clip(0.5 + FINE * (diameter / 2 - np.hypot(dx, dy)), 0, 1)
+        across, along = steps - (x - column), steps - (y - row)
+        near_x, near_y = (np.abs(off) < diameter / 2 + 1 / FINE for off in (across, along))
+        dx, dy = across[None, near_x], along[near_y, None]
+        inside = np.clip(0.5 + FINE * (diameter / 2 - np.sqrt(dx**2 + dy**2)), 0, 1)
         if shade is not None:
             inside *= shade(dx, dy, x, y)
-        fine = gaussian_filter(inside, psf * FINE) if psf > 0 else inside
-        part = fine.reshape(2 * half + 1, FINE, 2 * half + 1, FINE).mean(axis=(1, 3))
+        part = blur[:, near_y] @ inside @ blur[:, near_x].T
         left, top = column - half, row - half
         columns = slice(max(left, 0), min(left + 2 * half + 1, width))
         rows = slice(max(top, 0), min(top + 2 * half + 1, height))
         whole[rows, columns] += part[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
     return whole
+
+
+@cache
+def _steps(half):
+    """Middles of the pieces about a pixel's centre, px."""
+    return (np.arange((2 * half + 1) * FINE) + 0.5) / FINE - 0.5 - half
+
+
+@cache
+def _blur(half, psf):
+    """Matrix (pixels, pieces) that blurs the pieces of a line and bins them to pixels."""
+    pieces = np.eye((2 * half + 1) * FINE)
+    fine = gaussian_filter1d(pieces, psf * FINE, axis=0) if psf > 0 else pieces
+    return fine.reshape(2 * half + 1, FINE, -1).mean(axis=1)
 
 
 def scene(size, layers, diameter, psf=0.7, contrast=130.0, shade=None):
