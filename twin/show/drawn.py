@@ -118,10 +118,12 @@ def _bars(axes: Any, panel: BarPanel) -> None:
     axes.set_yticks(np.arange(len(names)), names, fontsize=8)
     axes.invert_yaxis()
     axes.margins(x=0.15)
-    for (label, value), colour in zip(panel.levels.items(), (PUSH, BLUE), strict=False):
-        axes.axvline(value, color=colour, linestyle="--", linewidth=1, label=label)
-    if panel.levels:
-        axes.legend(fontsize=8, frameon=False)
+    if panel.marks:
+        places = [panel.marks.get(name, float("nan")) for name in names]
+        axes.plot(
+            places, np.arange(len(names)), "|", color=PUSH, markersize=22, markeredgewidth=2.5, label=panel.marked
+        )
+        axes.legend(fontsize=8, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     _named(axes, panel.across, "")
 
 

@@ -104,12 +104,13 @@ class FieldPanel:
 
 @dataclass(frozen=True, kw_only=True)
 class BarPanel:
-    """Named lengths; ``levels`` are named vertical lines."""
+    """Named lengths; ``marks`` are a value to set against each, called ``marked``."""
 
     title: str
     values: Mapping[str, float]
     across: str
-    levels: Mapping[str, float] = field(default_factory=dict)
+    marks: Mapping[str, float] = field(default_factory=dict)
+    marked: str = ""
 
 
 Panel = PicturePanel | ArrowPanel | HistogramPanel | CurvePanel | FieldPanel | BarPanel

@@ -11,6 +11,7 @@ import numpy as np
 from twin.arrays import Floats, Points
 from twin.judge.resolution import full_width as full_width
 from twin.judge.score import force_score, into_cells
+from twin.parts.load import Load
 from twin.parts.methods import Method
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import Field, reconstruct
@@ -18,8 +19,17 @@ from twin.sense.track import Found
 from twin.show.panels import FieldPanel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import Bench, Rig
+from twin.study.sensor import Motion
 from twin.theory.optics import projection_jacobian
 from twin.world.contact.contact import ContactState
+
+NO_NOISE = "noise off"
+PAPERS_TRACKER = "tracker: the paper's instead of this project's"
+OUR_TRACKER_INSTEAD = "tracker: this project's instead of the paper's"
+NO_LENS = "lens: seen from far away"
+NO_BLOCK = "finite block: a half-space is filmed instead"
+TOLD_OF_BLOCK = "finite block: the sensor is told of the real block instead of a half-space"
+"""Causes, in the words of the page."""
 
 FAR = 50.0
 """Times the distance at which a lens sees almost in parallel."""
@@ -67,6 +77,16 @@ def far_away(rig: Rig) -> dict[str, Any]:
         "tolerance.tilt_deg": rig.scene.tolerance.tilt_deg / FAR,
         "camera.focal_px": camera.focal_px * (away + body.base_z_mm) / z,
     }
+
+
+def half_space_motion(rig: Rig, load: Load) -> Motion:
+    """Return how a load would move the actual markers, were the block a half-space: the papers' formula as the world.
+
+    The markers are beads, so that their strain isn't needed.
+    """
+    points, pieces = rig.sensor.actual.markers.points, rig.sensor.rectangles(load)
+    moved = half_space_compliance(rig.sensor.actual.scene, points, pieces) @ pieces.force_n.ravel()
+    return Motion(displacement_mm=moved.reshape(-1, 3), gradient=np.zeros((len(points), 3, 3)), error=0.0)
 
 
 def solved(found: Found, how: Calibration, method: Method, options: Mapping[str, Any] | None = None) -> Field:

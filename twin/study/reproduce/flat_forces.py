@@ -13,6 +13,10 @@ from twin.sense.reconstruct import Field
 from twin.study.reproduce.bench import OUR_TRACKER, Bench
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import (
+    NO_LENS,
+    NO_NOISE,
+    OUR_TRACKER_INSTEAD,
+    TOLD_OF_BLOCK,
     Seen,
     calibration,
     circle_mm,
@@ -82,21 +86,16 @@ def _causes(bench: Bench, how: Inverse) -> dict[str, tuple[Seen, Field]]:
     """Return the runs with one cause switched off, by name; of the first sensor."""
     base = _press(bench, bench.seed)
     cases = {
-        "noise off": _press(bench, bench.seed, "noise", {"ccd.noise": False}),
-        "tracker: this project's instead of the paper's": _press(bench, bench.seed, "tracker"),
-        "lens: seen from far away": _press(bench, bench.seed, "lens", far_away(base.rig)),
+        NO_NOISE: _press(bench, bench.seed, "noise", {"ccd.noise": False}),
+        OUR_TRACKER_INSTEAD: _press(bench, bench.seed, "tracker"),
+        NO_LENS: _press(bench, bench.seed, "lens", far_away(base.rig)),
     }
     runs = {name: (seen, _solve(bench, seen, how)) for name, seen in cases.items()}
     finite = Inverse(label="", method=how.method, options=how.options, calibration="compliance")
-    runs["finite block: the sensor is told of the real block instead of a half-space"] = (
-        base,
-        _solve(bench, base, finite),
-    )
+    runs[TOLD_OF_BLOCK] = (base, _solve(bench, base, finite))
     told = calibration(bench, base.rig, "compliance")
-    runs["inverse, tracker and block: this project's"] = (
-        cases["tracker: this project's instead of the paper's"],
-        solved(cases["tracker: this project's instead of the paper's"].found, told, "smooth", PUSHES.options),
-    )
+    ours = cases[OUR_TRACKER_INSTEAD]
+    runs["inverse, tracker and block: this project's"] = (ours, solved(ours.found, told, "smooth", PUSHES.options))
     return runs
 
 
@@ -150,12 +149,12 @@ def _figure_10(bench: Bench) -> Outcome:
     records = (
         Record(
             quantity="no constraint: largest force over the true largest (the paper: diverged greatly)", unit="",
-            **over(grown), explained_by=(Cause(cause="noise off", value=size),),
+            **over(grown), explained_by=(Cause(cause=NO_NOISE, value=size),),
         ),
         Record(
             quantity="no constraint: distance of the strongest force from the pillar's axis (the paper: clearly "
             "another)",
-            unit="mm", **over(away), explained_by=(Cause(cause="noise off", value=place),),
+            unit="mm", **over(away), explained_by=(Cause(cause=NO_NOISE, value=place),),
         ),
     )  # fmt: skip
     panel = field_panel("No constraint", drawn, circle_mm(2.5), SIDE_MM)

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
 import numpy as np
 
 from twin.arrays import Floats
 from twin.parts.load import Load, Traction
 from twin.parts.press import Cylinder, Press
+from twin.sense.rest import Method as Tracker
 from twin.sense.track import Found
 from twin.show.panels import ArrowPanel, Curve, CurvePanel, PicturePanel
 from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
-from twin.study.reproduce.fields import far_away
+from twin.study.reproduce.fields import (
+    NO_BLOCK,
+    NO_LENS,
+    NO_NOISE,
+    OUR_TRACKER_INSTEAD,
+    PAPERS_TRACKER,
+    far_away,
+    half_space_motion,
+)
 from twin.study.reproduce.record import Outcome, Record, causes, over
+from twin.study.sensor import Motion
 
 PILLAR_N = 3.0
 """Force on the 5 mm pillar, in no paper: the same in every entry."""
@@ -84,9 +97,10 @@ def _figure_9(bench: Bench) -> Outcome:
     rig = runs[0]
     state = rig.press(pillar_press())
     off = {
-        "tracker: this project's instead of the paper's": rig.seen(state, method=OUR_TRACKER),
-        "noise off": _seen(bench, {"ccd.noise": False}),
-        "lens: seen from far away": _seen(bench, far_away(rig)),
+        OUR_TRACKER_INSTEAD: rig.seen(state, method=OUR_TRACKER),
+        NO_NOISE: _seen(bench, {"ccd.noise": False}),
+        NO_LENS: _seen(bench, far_away(rig)),
+        NO_BLOCK: rig.track(rig.picture(half_space_motion(rig, state.load), 1)),
     }
     heavy = PILLAR_N * 10.0 / largest(found[0])
     records = (
@@ -138,40 +152,67 @@ def impulse(axis: int, at_mm: tuple[float, float] = (0.0, 0.0), sign: float = 1.
     return Traction.disk(at_mm, SPOT_MM, (force[0], force[1], force[2]))
 
 
-def _figure_17(bench: Bench) -> Outcome:
-    depths = DEPTHS_MM[1::2] if bench.quick else DEPTHS_MM
-    size: dict[int, list[float]] = {0: [], 2: []}
-    fields: dict[int, list[Floats]] = {0: [], 2: []}
-    for number, depth in enumerate(depths):
-        bench.progress(f"markers {depth:g} mm deep", number / len(depths))
+IMPULSES = {0: "fx", 2: "fz"}
+
+_Fields = dict[tuple[int, float], Floats]
+
+
+def _at_depths(
+    bench: Bench,
+    depths_mm: Sequence[float],
+    overrides: Mapping[str, Any] | None = None,
+    tracker: Tracker = OUR_TRACKER,
+    motion: Callable[[Rig, Load], Motion] = lambda rig, load: rig.sensor.motion(load),
+) -> _Fields:
+    """Return (2n,) tracked movements of the red layer, mm at the markers, by axis of the impulse and depth."""
+    fields: _Fields = {}
+    for depth in depths_mm:
         fewer = {"markers.red.depth_mm": depth, "markers.red.columns": 13, "markers.red.rows": 10}
-        rig = bench.rig("kamiyama", overrides=fewer)
-        for axis in (0, 2):
-            motion = rig.sensor.motion(impulse(axis))
-            found = rig.track(rig.picture(motion, 1), OUR_TRACKER)
+        rig = bench.rig("kamiyama", overrides={**fewer, **(overrides or {})})
+        for axis in IMPULSES:
+            found = rig.track(rig.picture(motion(rig, impulse(axis)), 1), tracker)
             red = found.layer == "red"
             scale = np.linalg.norm(rig.image_scale[red][:, :, 0], axis=1)
-            moved = found.shift_px[red] / scale[:, None]
-            size[axis].append(float(np.nanmax(np.linalg.norm(moved, axis=1))))
-            fields[axis].append(np.nan_to_num(moved).ravel())
-    names = {0: "fx", 2: "fz"}
-    curves = [
-        Curve(label=f"{names[axis]} = {IMPULSE_N:g} N", x=np.array(depths), y=1e3 * np.array(size[axis]), style="o-")
-        for axis in (0, 2)
-    ]
-    three, six = depths.index(3.0), depths.index(6.0)
+            fields[axis, depth] = np.nan_to_num(found.shift_px[red] / scale[:, None]).ravel()
+    return fields
+
+
+def _size(field: Floats) -> float:
+    return float(np.linalg.norm(field.reshape(-1, 2), axis=1).max())
+
+
+DEPTH_FIGURES: dict[str, Callable[[Floats, Floats], float]] = {
+    "cosine between the fields at 3 mm and at 6 mm (the paper: not orthogonal)": lambda at_3, at_6: cosine(at_3, at_6),
+    "largest movement at 6 mm over that at 3 mm": lambda at_3, at_6: _size(at_6) / _size(at_3),
+}
+
+
+def _figure_17(bench: Bench) -> Outcome:
+    depths = DEPTHS_MM[1::2] if bench.quick else DEPTHS_MM
+    bench.progress("markers at other depths", 0.1)
+    fields = _at_depths(bench, depths)
+    bench.progress("with causes off", 0.5)
+    two = (3.0, 6.0)
+    off = {
+        NO_NOISE: _at_depths(bench, two, {"ccd.noise": False}),
+        PAPERS_TRACKER: _at_depths(bench, two, tracker="two-pass"),
+        NO_LENS: _at_depths(bench, two, far_away(bench.rig("kamiyama"))),
+        NO_BLOCK: _at_depths(bench, two, motion=half_space_motion),
+    }
     records = [
         Record(
-            quantity=f"cosine between the fields at 3 mm and at 6 mm, {names[axis]} (the paper: not orthogonal)",
-            unit="", twin=cosine(fields[axis][three], fields[axis][six]),
+            quantity=f"{name}: {what}", unit="", twin=value(*(fields[axis, depth] for depth in two)),
+            explained_by=causes({c: value(*(run[axis, depth] for depth in two)) for c, run in off.items()}),
         )
-        for axis in (0, 2)
-    ] + [
-        Record(
-            quantity=f"largest movement at 6 mm over that at 3 mm, {names[axis]}", unit="",
-            twin=size[axis][six] / size[axis][three],
+        for what, value in DEPTH_FIGURES.items()
+        for axis, name in IMPULSES.items()
+    ]  # fmt: skip
+    curves = [
+        Curve(
+            label=f"{name} = {IMPULSE_N:g} N", x=np.array(depths),
+            y=1e3 * np.array([_size(fields[axis, depth]) for depth in depths]), style="o-",
         )
-        for axis in (0, 2)
+        for axis, name in IMPULSES.items()
     ]  # fmt: skip
     panel = CurvePanel(
         title="Largest movement against the markers' depth", curves=curves, across="depth (mm)", up="movement (µm)"

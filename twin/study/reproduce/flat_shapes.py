@@ -2,38 +2,101 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
 import numpy as np
 
 from twin.arrays import Floats
+from twin.parts.load import Load
+from twin.parts.methods import Method
 from twin.parts.press import Cylinder, Pillar, Press, Step
+from twin.sense.reconstruct import Field
+from twin.sense.rest import Method as Tracker
 from twin.sense.track import Found
 from twin.show.panels import Curve, CurvePanel, Panel
 from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
-from twin.study.reproduce.fields import calibration, circle_mm, field_panel, full_width, profile, solved
+from twin.study.reproduce.fields import (
+    NO_BLOCK,
+    NO_LENS,
+    NO_NOISE,
+    OUR_TRACKER_INSTEAD,
+    PAPERS_TRACKER,
+    TOLD_OF_BLOCK,
+    calibration,
+    circle_mm,
+    far_away,
+    field_panel,
+    full_width,
+    half_space_motion,
+    profile,
+    solved,
+)
 from twin.study.reproduce.flat_picture import cosine, impulse
 from twin.study.reproduce.record import Outcome, Record, causes, over
+from twin.study.sensor import Motion
+from twin.world.contact.contact import ContactState
 
 WIDTHS_MM = (2.0, 4.0, 6.0, 8.0, 10.0)
 LENGTH_MM = 16.0
 PRESSURE_MPA = 0.15
 BAND_MM = 4.0
 
-OURS = "this project's tracker, block and inverse"
+OURS = "inverse, tracker and block: this project's"
 
 
-def _widths(bench: Bench, seed: int, *, ours: bool, quiet: bool = False) -> dict[float, tuple[Floats, Floats]]:
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """How a press is filmed and solved.
+
+    Attributes
+    ----------
+    overrides
+        Of the paper's scene.
+    tracker
+        None is the scene's.
+    told
+        Calibration by another method than the scene's.
+    method, push_only
+        The inverse.
+    """
+
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    tracker: Tracker | None = None
+    told: str | None = None
+    method: Method = "smooth"
+    push_only: bool = False
+
+    def field(self, bench: Bench, seed: int, press: Press) -> tuple[ContactState, Field]:
+        """Press, film, track and solve."""
+        rig = bench.rig("kamiyama", seed, self.overrides)
+        state = rig.press(press)
+        options = {"push_only": True} if self.push_only else None
+        found = rig.seen(state, method=self.tracker)
+        return state, solved(found, calibration(bench, rig, self.told), self.method, options)
+
+
+def _ways(bench: Bench, *, push_only: bool) -> dict[str, Way]:
+    """Return the paper's way with one cause switched off, by name, and all of this project's software at last."""
+    return {
+        NO_NOISE: Way(overrides={"ccd.noise": False}),
+        OUR_TRACKER_INSTEAD: Way(tracker=OUR_TRACKER),
+        NO_LENS: Way(overrides=far_away(bench.rig("kamiyama"))),
+        TOLD_OF_BLOCK: Way(told="compliance"),
+        "inverse: the least norm instead of the least norm of differences": Way(method="norm"),
+        OURS: Way(tracker=OUR_TRACKER, told="compliance", push_only=push_only),
+    }
+
+
+def _widths(bench: Bench, seed: int, way: Way) -> dict[float, tuple[Floats, Floats]]:
     """Return the profile of the push along x by width of the pillar."""
-    rig = bench.rig("kamiyama", seed, {"ccd.noise": False} if quiet else None)
-    told = calibration(bench, rig, "compliance" if ours else None)
     profiles = {}
     for width in WIDTHS_MM[::2] if bench.quick else WIDTHS_MM:
-        press = Press(
-            probe=Pillar(width_mm=width, length_mm=LENGTH_MM), force_n=(0, 0, PRESSURE_MPA * width * LENGTH_MM)
-        )
-        found = rig.seen(rig.press(press), method=OUR_TRACKER if ours else None)
-        options = {"push_only": True} if ours else None
-        profiles[width] = profile(solved(found, told, "smooth", options), BAND_MM)
+        push = PRESSURE_MPA * width * LENGTH_MM
+        press = Press(probe=Pillar(width_mm=width, length_mm=LENGTH_MM), force_n=(0, 0, push))
+        profiles[width] = profile(way.field(bench, seed, press)[1], BAND_MM)
     return profiles
 
 
@@ -41,12 +104,11 @@ def _figure_14(bench: Bench) -> Outcome:
     runs: list[dict[float, tuple[Floats, Floats]]] = []
     for seed in bench.seeds("kamiyama"):
         bench.progress(f"sensor {seed}", len(runs) / 5)
-        runs.append(_widths(bench, seed, ours=False))
-    bench.progress("with causes off", 0.6)
-    off = {
-        "noise off": _widths(bench, bench.seed, ours=False, quiet=True),
-        OURS: _widths(bench, bench.seed, ours=True),
-    }
+        runs.append(_widths(bench, seed, Way()))
+    off: dict[str, dict[float, tuple[Floats, Floats]]] = {}
+    for name, way in _ways(bench, push_only=True).items():
+        bench.progress(name, 0.6 + 0.06 * len(off))
+        off[name] = _widths(bench, bench.seed, way)
     widths = list(runs[0])
     records = [
         Record(
@@ -82,42 +144,34 @@ def _twist_press(diameter_mm: float) -> Press:
     )  # fmt: skip
 
 
+TWIST_FIGURES: dict[str, Callable[[ContactState, Field, float], float]] = {
+    "torque recovered over the applied one": lambda state, found, _: found.total_torque_nmm[2] / state.torque_nmm,
+    "push recovered over the applied one": lambda state, found, _: found.total_force_n[2] / state.force_n[2],
+    "share of the tangential field's energy that turns about z": lambda _, found, radius: _turning_share(
+        found.site_mm, found.force_n, radius
+    ),
+}
+
+
 def _figure_15(bench: Bench) -> Outcome:
     records: list[Record] = []
     panels: list[Panel] = []
     for number, (diameter, what) in enumerate(((40.0, "as published, wider than the view"), (16.0, "one that fits"))):
         bench.progress(what, number / 2)
-        push, twist, shear = [], [], []
-        for seed in bench.seeds("kamiyama"):
-            rig = bench.rig("kamiyama", seed)
-            state = rig.press(_twist_press(diameter))
-            found = rig.seen(state)
-            field = solved(found, rig.calibration, "smooth")
-            push.append(field.total_force_n[2] / state.force_n[2])
-            twist.append(field.total_torque_nmm[2] / state.torque_nmm)
-            shear.append(_turning_share(field.site_mm, field.force_n, diameter / 2))
-            if seed == bench.seed:
-                panels.append(field_panel(f"{diameter:g} mm pillar, {what}", field, circle_mm(diameter / 2), 1.5))
-        told = calibration(bench, bench.rig("kamiyama"), "compliance")
-        rig = bench.rig("kamiyama")
-        state = rig.press(_twist_press(diameter))
-        ours = solved(rig.seen(state, method=OUR_TRACKER), told, "smooth")
+        press = _twist_press(diameter)
+        runs = [Way().field(bench, seed, press) for seed in bench.seeds("kamiyama")]
+        off = {
+            name: way.field(bench, bench.seed, press) for name, way in _ways(bench, push_only=False).items()
+        }  # fmt: skip
         records += [
             Record(
-                quantity=f"{diameter:g} mm pillar, {what}: torque recovered over the applied one", unit="",
-                **over(twist),
-                explained_by=causes({OURS: float(ours.total_torque_nmm[2] / state.torque_nmm)}),
-            ),
-            Record(
-                quantity=f"{diameter:g} mm pillar, {what}: push recovered over the applied one", unit="", **over(push),
-                explained_by=causes({OURS: float(ours.total_force_n[2] / state.force_n[2])}),
-            ),
-            Record(
-                quantity=f"{diameter:g} mm pillar, {what}: share of the tangential field's energy that turns about z",
-                unit="", **over(shear),
-                explained_by=causes({OURS: _turning_share(ours.site_mm, ours.force_n, diameter / 2)}),
-            ),
+                quantity=f"{diameter:g} mm pillar, {what}: {name}", unit="",
+                **over(float(value(*run, diameter / 2)) for run in runs),
+                explained_by=causes({cause: float(value(*run, diameter / 2)) for cause, run in off.items()}),
+            )
+            for name, value in TWIST_FIGURES.items()
         ]  # fmt: skip
+        panels.append(field_panel(f"{diameter:g} mm pillar, {what}", runs[0][1], circle_mm(diameter / 2), 1.5))
     return Outcome(records=records, panels=panels)
 
 
@@ -136,51 +190,70 @@ APART_MM = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0)
 AXIS_MM = 1.2
 """Markers nearer to the x axis than this count as on it."""
 
+AXIS = "along the x axis"
+
 COMPARED = (
     ("red layer, along the x axis", "red", False),
     ("blue layer, along the x axis", "blue", False),
-    ("along the x axis", "", False),
+    (AXIS, "", False),
     ("all markers, both directions", "", True),
 )
 """What is compared: its name, its layer, and whether the whole plane counts."""
 
 
-def _shifts(rig: Rig, load: object, exposure: int) -> Found:
-    return rig.track(rig.picture(rig.sensor.motion(load), exposure), OUR_TRACKER)  # type: ignore[arg-type]
+def _cosines(
+    rig: Rig,
+    apart_mm: Sequence[float],
+    tracker: Tracker = OUR_TRACKER,
+    motion: Callable[[Rig, Load], Motion] = lambda rig, load: rig.sensor.motion(load),
+) -> dict[str, list[float]]:
+    """Return the cosines by what is compared, of every distance of the two impulses."""
+
+    def shifts(load: Load, exposure: int) -> Found:
+        return rig.track(rig.picture(motion(rig, load), exposure), tracker)
+
+    push = shifts(impulse(2), 1)
+    on_axis = np.abs(rig.sensor.nominal_markers.points[:, 1]) < AXIS_MM
+    found: dict[str, list[float]] = {what: [] for what, _, _ in COMPARED}
+    for number, distance in enumerate(apart_mm):
+        moved = shifts(impulse(0, (distance / 2, 0.0)) + impulse(0, (-distance / 2, 0.0), -1.0), 2 + number)
+        seen = push.seen & moved.seen
+        for what, layer, across in COMPARED:
+            rows = seen & (on_axis | across) & ((push.layer == layer) | (layer == ""))
+            kept = slice(0, 2 if across else 1)
+            found[what].append(cosine(push.shift_px[rows, kept].ravel(), moved.shift_px[rows, kept].ravel()))
+    return found
 
 
 def _figure_16(bench: Bench) -> Outcome:
     """Two opposite impulses along x, both outwards, against one along z."""
     apart = APART_MM[1::2] if bench.quick else APART_MM
-    runs: dict[int, dict[str, list[float]]] = {}
+    runs: list[dict[str, list[float]]] = []
     for seed in bench.seeds("kamiyama"):
-        rig = bench.rig("kamiyama", seed)
-        push = _shifts(rig, impulse(2), 1)
-        on_axis = np.abs(rig.sensor.nominal_markers.points[:, 1]) < AXIS_MM
-        runs[seed] = {what: [] for what, _, _ in COMPARED}
-        for number, distance in enumerate(apart):
-            bench.progress(f"sensor {seed}, {distance:g} mm apart", number / len(apart))
-            pair = impulse(0, (distance / 2, 0.0)) + impulse(0, (-distance / 2, 0.0), -1.0)
-            moved = _shifts(rig, pair, 2 + number)
-            seen = push.seen & moved.seen
-            for what, layer, across in COMPARED:
-                rows = seen & (on_axis | across) & ((push.layer == layer) | (layer == ""))
-                kept = slice(0, 2 if across else 1)
-                runs[seed][what].append(cosine(push.shift_px[rows, kept].ravel(), moved.shift_px[rows, kept].ravel()))
+        bench.progress(f"sensor {seed}", len(runs) / 7)
+        runs.append(_cosines(bench.rig("kamiyama", seed), apart))
+    bench.progress("with causes off", 0.5)
+    rig = bench.rig("kamiyama")
+    off = {
+        NO_NOISE: _cosines(bench.rig("kamiyama", overrides={"ccd.noise": False}), apart),
+        PAPERS_TRACKER: _cosines(rig, apart, "two-pass"),
+        NO_LENS: _cosines(bench.rig("kamiyama", overrides=far_away(rig)), apart),
+        NO_BLOCK: _cosines(rig, apart, motion=half_space_motion),
+    }
     records = [
         Record(
-            quantity=f"{what}: largest cosine between two x-impulses and a z-force", unit="",
-            **over(max(run[what]) for run in runs.values()),
+            quantity=f"{what}: largest cosine between two x-impulses and a z-force"
+            + (" (the paper: quite the same)" if what == AXIS else ""),
+            unit="", paper=1.0 if what == AXIS else None, near=0.1, **over(max(run[what]) for run in runs),
+            explained_by=causes({cause: max(run[what]) for cause, run in off.items()}),
         )
         for what, _, _ in COMPARED
     ]  # fmt: skip
-    best = apart[int(np.argmax(runs[bench.seed]["along the x axis"]))]
+    best = apart[int(np.argmax(runs[0][AXIS]))]
     records.append(
         Record(quantity="distance of the two impulses at the largest cosine along the x axis", unit="mm", twin=best)
     )
-    curves = [
-        Curve(label=what, x=np.array(apart), y=np.array(runs[bench.seed][what]), style="o-") for what, _, _ in COMPARED
-    ]
+    curves = [Curve(label=what, x=np.array(apart), y=np.array(runs[0][what]), style="o-") for what, _, _ in COMPARED]
     panel = CurvePanel(
         title="Two x-impulses against one z-force", curves=curves, across="distance of the impulses (mm)", up="cosine"
     )

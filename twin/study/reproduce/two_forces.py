@@ -15,6 +15,7 @@ from twin.sense.reconstruct import Field
 from twin.sense.rest import Method as Tracker
 from twin.study.reproduce.bench import Bench, Rig
 from twin.study.reproduce.fields import full_width, solved
+from twin.study.reproduce.record import Record
 from twin.theory.limit import DIP, Limit, design_limit
 
 SPOT_MM = 0.5
@@ -92,6 +93,15 @@ def shift_noise_px(bench: Bench, chain: Chain) -> float:
     found = rig.track(rig.picture(None, 55), chain.tracker)
     shift = found.shift_px[found.seen]
     return float(1.4826 * np.median(np.abs(shift - np.median(shift, axis=0))))
+
+
+def limit_records(name: str, limit: Limit) -> list[Record]:
+    """Return the closed-form limits of a design as numbers of their own: no run, so they explain nothing."""
+    two, wide = float(limit.two_point_mm[0]), float(limit.fwhm_normal_mm[0])
+    return [
+        Record(quantity=f"{name}: closed-form limit of the least distance of two forces", unit="mm", twin=two),
+        Record(quantity=f"{name}: closed-form limit of the width of a narrow force", unit="mm", twin=wide),
+    ]
 
 
 def limit_of(rig: Rig, noise_px: float, force_n: float, radius_mm: float) -> Limit:
