@@ -117,12 +117,21 @@ def test_turned_rectangles_turn_the_field(points):
         np.testing.assert_allclose(back, here, atol=1e-12)
 
 
-def test_compliance_times_force_is_displacement(points):
-    load = rectangles([[0, 0, 0], [1.0, 0.5, 0]], (0.5, 0.3), [[0.2, 0.5, 1.0], [-0.3, 0.1, 0.4]])
-    matrix = halfspace.compliance(points, load, 0.5, 0.4)
-    np.testing.assert_allclose(
-        (matrix @ load.force_n.ravel()).reshape(-1, 3), halfspace.displacement(points, load, 0.5, 0.4), rtol=1e-12
-    )
+@pytest.mark.parametrize("nu", NUS)
+@pytest.mark.parametrize("half", [(0.5, 0.3), (0.0, 0.0)])
+def test_compliance_times_force_is_displacement(points, nu, half):
+    """Points are summed by a loop of their own, here in a turned frame too."""
+    for frame in (AXES, np.array([[0.6, 0, 0.8], [0, 1, 0], [-0.8, 0, 0.6]])):
+        load = rectangles([[0, 0, 0], [1.0, 0.5, 0]] @ frame, half, [[0.2, 0.5, 1.0], [-0.3, 0.1, 0.4]], frame)
+        matrix = halfspace.compliance(points @ frame, load, 0.5, nu)
+        moved = halfspace.displacement(points @ frame, load, 0.5, nu)
+        np.testing.assert_allclose((matrix @ load.force_n.ravel()).reshape(-1, 3), moved, rtol=1e-11)
+
+
+def test_the_place_of_a_point_force_is_refused(points):
+    load = rectangles([[0, 0, 0], points[3]], (0.0, 0.0), [0.2, 0.5, 1.0])
+    with pytest.raises(ZeroDivisionError, match="infinitely far"):
+        halfspace.displacement(points, load, 0.5, 0.4)
 
 
 def test_tension_under_and_beside_a_rectangle_is_its_solid_angle():

@@ -67,6 +67,23 @@ def test_table_equals_a_solve_and_factors_nothing(nu):
         np.testing.assert_allclose((matrix @ tiles.force_n.ravel()).reshape(-1, 3), got, atol=1e-9)
 
 
+def test_point_forces_are_the_limit_of_small_squares():
+    """Points are read at one place, rectangles at nine."""
+    table = find_table(STANDARD, "truth")
+    assert table is not None
+    rng = np.random.default_rng(2)
+    centre = np.column_stack([rng.uniform(-12, 12, (9, 2)), np.zeros(9)])
+    half, frames, force = np.zeros((9, 2)), np.tile(np.eye(3), (9, 1, 1)), rng.normal(size=(9, 3))
+    point, square = (
+        table.at(0.45).displacement(
+            Basis(points=points(), box_mm=table.box_mm),
+            Rectangles(centre_mm=centre, frames=frames, half_mm=half + side, force_n=force),
+        )
+        for side in (0.0, 1e-6)
+    )
+    np.testing.assert_allclose(point, square, rtol=0, atol=1e-10 * np.abs(square).max())
+
+
 def test_outside_its_range_the_table_steps_back():
     table = read_table(shipped_path("nominal"))
     inside, load = np.array([[0.0, 0.0, 5.0]]), tile(LOADS[0], STANDARD)

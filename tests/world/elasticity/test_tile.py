@@ -57,6 +57,18 @@ def test_flat_rectangle_stays_one_and_twist_turns_x_to_y():
     assert twist.force_n[on_x, 1] > 0
 
 
+@pytest.mark.parametrize("radius", [0.4, 2.3, 9.0])
+def test_a_flat_bump_is_the_integral_of_its_traction_over_each_tile(radius):
+    """All bumps on a plane are one bump, scaled: each is held against its own formula here."""
+    tiles = tile(Traction.bump((1.0, -2.0), radius, FORCE), BLOCK)
+    node, weight = np.polynomial.legendre.leggauss(8)
+    offset = tiles.half_mm[:, None, :] * np.stack(np.meshgrid(node, node, indexing="ij"), axis=-1).reshape(1, -1, 2)
+    place = tiles.centre_mm[:, None, :2] - (1.0, -2.0) + offset
+    traction = 3.0 / (np.pi * radius**2) * np.maximum(1.0 - np.sum(place**2, axis=2) / radius**2, 0.0) ** 2
+    share = traction @ np.outer(weight, weight).ravel() * tiles.half_mm.prod(axis=1)
+    assert np.abs(tiles.force_n - share[:, None] * FORCE).max() < 0.01 * np.abs(tiles.force_n).max()
+
+
 def test_wide_loads_are_cut_into_few_tiles_that_do_as_well_as_many():
     load = Traction.bump((0, 0), 44.0, (0, 0.3, 1))
     points = np.random.default_rng(0).uniform([-44, -44, 0.3], [44, 44, 0.31], (30, 3))

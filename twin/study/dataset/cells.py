@@ -44,14 +44,18 @@ def in_cells(
             continue
         sides = 2.0 * group.half_mm.max(axis=0)
         pieces = [math.ceil(SPLIT * side / min(grid.pitch_mm, sides.max()) - 1e-9) for side in sides]
-        inside = [(np.arange(n) + 0.5) / n * 2.0 - 1.0 for n in pieces]
-        square = np.stack(np.meshgrid(*inside, indexing="ij"), axis=-1).reshape(-1, 2)
-        aside = square @ (group.half_mm[:, :, None] * group.frames[:, :2])
-        chart = body.chart_of((group.centre_mm[:, None] + aside).reshape(-1, 3))
+        at = [(np.arange(n) + 0.5) / n * 2.0 - 1.0 for n in pieces]
+        middles, aside = group.centre_mm, group.half_mm[:, :, None] * group.frames[:, :2]
         area = 4.0 * group.half_mm.prod(axis=1)
         slip = area * slips[number] if slips is not None else np.zeros(len(area))
-        values = np.column_stack([group.force_n, area, slip]) / len(square)
-        over = _add(chart / grid.pitch_mm + count / 2.0, count, values, sums) * grid.pitch_mm
+        values = np.column_stack([group.force_n, area, slip])
+        if not body.is_flat:  # the pieces of a plane patch are then places of their own on the surface
+            square = np.stack(np.meshgrid(*at, indexing="ij"), axis=-1).reshape(-1, 2)
+            middles = (middles[:, None] + square @ aside).reshape(-1, 3)
+            values = np.repeat(values / len(square), len(square), axis=0)
+            aside, at = np.zeros((len(middles), 2, 3)), [np.zeros(1)] * 2
+        chart = body.chart_of(middles) / grid.pitch_mm + count / 2.0
+        over = _add(chart, aside[:, :, :2] / grid.pitch_mm, *at, count, values, sums) * grid.pitch_mm
         if over > 1e-6:
             raise ContactError(
                 f"contact: it reaches {over:.3g} mm beyond the sites; enlarge [dataset.sites] or press further inside"
@@ -61,14 +65,23 @@ def in_cells(
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _add(place: Floats, count: Ints, values: Floats, sums: Floats) -> float:
-    """Add the values of (k,) patches to the cells where their (k q, 2) pieces lie; return how far one lies beyond."""
-    each, beyond = len(place) // len(values), 0.0
-    for i in range(len(place)):
-        cell = 0
-        for axis in range(2):
-            beyond = max(beyond, -place[i, axis], place[i, axis] - count[axis])
-            cell = cell * count[axis] + min(max(int(np.floor(place[i, axis])), 0), count[axis] - 1)
-        for c in range(values.shape[1]):
-            sums[cell, c] += values[i // each, c]
+def _add(
+    middle: Floats, aside: Floats, first: Floats, second: Floats, count: Ints, values: Floats, sums: Floats
+) -> float:
+    """Add (k, 5) values to the cells where the pieces of k patches lie; return how far one lies beyond.
+
+    ``middle`` are (k, 2) places and ``aside`` (k, 2, 2) half sides, in cells; ``first`` and ``second`` say where a
+    patch's pieces are along its two sides, -1 to 1.
+    """
+    beyond, share = 0.0, 1.0 / (len(first) * len(second))
+    for p in range(len(middle)):
+        for s in first:
+            for t in second:
+                cell = 0
+                for axis in range(2):
+                    at = middle[p, axis] + s * aside[p, 0, axis] + t * aside[p, 1, axis]
+                    beyond = max(beyond, -at, at - count[axis])
+                    cell = cell * count[axis] + min(max(math.floor(at), 0), count[axis] - 1)
+                for c in range(values.shape[1]):
+                    sums[cell, c] += values[p, c] * share
     return beyond

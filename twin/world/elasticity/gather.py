@@ -13,11 +13,12 @@ box, so m nodes over a half length a are off by about rho^-m, rho = z/a + sqrt(1
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 
-from twin.arrays import Floats, Points
+from twin.arrays import Floats, Points, frozen
 from twin.parts.load import Rectangles
 
 GOAL = 1e-3
@@ -51,14 +52,21 @@ def gathered(points: Points, load: Rectangles, goal: float = GOAL) -> Rectangles
         return load
     # Enough Gauss points to share out a long patch exactly: the nodes' polynomials are of degree sum(counts) - 2.
     orders = [2 if deep >= _SMALL * side else max(2, math.ceil(sum(counts) / 2)) for side in load.half_mm.max(axis=0)]
-    places, weights = zip(*(np.polynomial.legendre.leggauss(order) for order in orders), strict=True)
-    square = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 2)
-    weight = np.multiply.outer(*weights).ravel() / 4.0
-    along = square @ (load.half_mm[:, :, None] * load.frames[:, :2, :2])
-    at = (load.centre_mm[:, None, :2] + along).reshape(-1, 2)
-    sharing = [_shares(at[:, i], low[i], high[i], counts[i]) for i in (0, 1)]
-    forces = (load.force_n[:, None] * weight[:, None]).reshape(-1, 3)
-    shared: Floats = np.stack([(sharing[0] * part[:, None]).T @ sharing[1] for part in forces.T], axis=-1)
+    places, weights = zip(*(_gauss(order) for order in orders), strict=True)
+    if not load.frames[:, 0, 1].any():  # along x and y: a mean over a patch is one along x times one along y
+        at = [load.centre_mm[:, i, None] + load.half_mm[:, i, None] * places[i] for i in (0, 1)]
+        each = [_shares(at[i].ravel(), low[i], high[i], counts[i]) for i in (0, 1)]
+        sharing = [weights[i] / 2.0 @ each[i].reshape(len(load), -1, counts[i]) for i in (0, 1)]
+        forces = load.force_n
+    else:
+        square = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 2)
+        weight = np.multiply.outer(*weights).ravel() / 4.0
+        along = square @ (load.half_mm[:, :, None] * load.frames[:, :2, :2])
+        spots = (load.centre_mm[:, None, :2] + along).reshape(-1, 2)
+        sharing = [_shares(spots[:, i], low[i], high[i], counts[i]) for i in (0, 1)]
+        forces = (load.force_n[:, None] * weight[:, None]).reshape(-1, 3)
+    carried = (sharing[1][:, :, None] * forces[:, None]).reshape(len(forces), -1)
+    shared = np.asarray(sharing[0].T @ carried)
     nodes = [(a + b) / 2.0 + (b - a) / 2.0 * chebpts1(m) for a, b, m in zip(low, high, counts, strict=True)]
     x, y = np.meshgrid(*nodes, indexing="ij")
     total = math.prod(counts)
@@ -77,9 +85,18 @@ def _nodes(deep: float, half: float, goal: float) -> int:
 
 def _shares(at: Floats, low: float, high: float, count: int) -> Floats:
     """Return (k, count) by how much each node carries a unit force at k places: the nodes' Lagrange polynomials."""
-    place = (2.0 * at - low - high) / (high - low)
-    values = chebvander(place, count - 1)
-    at_nodes = chebvander(chebpts1(count), count - 1)
-    scale = np.full(count, 2.0 / count)
-    scale[0] = 1.0 / count
-    return np.asarray(values @ (at_nodes * scale).T)
+    return np.asarray(chebvander((2.0 * at - low - high) / (high - low), count - 1) @ _lagrange(count))
+
+
+@lru_cache(maxsize=64)
+def _lagrange(count: int) -> Floats:
+    """Return (count, count) Chebyshev coefficients of the polynomials that are 1 at one node and 0 at the others."""
+    at_nodes = chebvander(chebpts1(count), count - 1).T * (2.0 / count)
+    at_nodes[0] /= 2.0
+    return frozen(np.asarray(at_nodes, float))
+
+
+@lru_cache(maxsize=64)
+def _gauss(order: int) -> tuple[Floats, Floats]:
+    places, weights = np.polynomial.legendre.leggauss(order)
+    return frozen(places), frozen(weights)

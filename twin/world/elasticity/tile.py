@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import InputError
+from twin.parts.block import Block
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles, Traction
 
@@ -167,6 +169,11 @@ def _tile_one(traction: Traction, body: Body, spacing_mm: float | None) -> Recta
         return _plane(centre, frame, offset, sides, np.outer(share / share.sum(), traction.force_n))
     if flat and traction.kind == "twist":
         return _flat_twist(traction, centre, frame, half[0])
+    if body.is_flat:
+        number = int(_number(traction, half, spacing_mm)[0])
+        unit = _unit_bump(number)
+        sides = unit.half_mm * half[0]
+        return _plane(centre, frame, unit.centre_mm[:, :2] * half[0], sides, unit.force_n[:, 2:] * traction.force_n)
     return _grid(traction, centre, frame, half, body, spacing_mm)
 
 
@@ -234,13 +241,26 @@ def _flat_twist(traction: Traction, centre: Points, frame: Floats, radius: float
     return join([along, across])
 
 
+def _number(traction: Traction, half: Floats, spacing_mm: float | None) -> Ints:
+    """Return (2,) numbers of tiles along and across a footprint."""
+    fine = min(2.0 * float(np.max(half)) / ACROSS[traction.kind], WIDEST_MM)
+    spacing = spacing_mm or max(fine, 2.0 * math.sqrt(half[0] * half[1] / MOST) * (1.0 + 1e-9))
+    return np.asarray(np.maximum(np.ceil(2.0 * half / spacing).astype(int), 4))
+
+
+@lru_cache(maxsize=64)
+def _unit_bump(number: int) -> Rectangles:
+    """Return the tiles of a bump of radius 1 mm and force 1 N along z: on a plane all others are this one, scaled."""
+    bump = Traction(kind="bump", centre_mm=(0.0, 0.0), size_mm=(2.0, 2.0), force_n=(0.0, 0.0, 1.0))
+    plane = Block(width_mm=5.0, length_mm=5.0, thickness_mm=5.0)
+    return _grid(bump, np.zeros(3), np.eye(3), np.ones(2), plane, 2.0 / number * (1.0 + 1e-9))
+
+
 def _grid(
     traction: Traction, centre: Points, frame: Floats, half: Floats, body: Body, spacing_mm: float | None
 ) -> Rectangles:
     """Return tiles in their own tangent planes on the true surface; weights are integrals over the true area."""
-    fine = min(2.0 * float(np.max(half)) / ACROSS[traction.kind], WIDEST_MM)
-    spacing = spacing_mm or max(fine, 2.0 * math.sqrt(half[0] * half[1] / MOST) * (1.0 + 1e-9))
-    number = np.maximum(np.ceil(2.0 * half / spacing).astype(int), 4)
+    number = _number(traction, half, spacing_mm)
     side = 2.0 * half / number
     s, t = ((np.arange(n) + 0.5) * d - h for n, d, h in zip(number, side, half, strict=True))
     offsets = np.stack(np.meshgrid(s, t, indexing="ij"), axis=-1).reshape(-1, 2)
