@@ -1,13 +1,16 @@
 """The picture against stock Mitsuba: a camera and LEDs in air, plates of glass and rubber, a path integrator.
 
 Nothing is folded there: rays are refracted, reflected and lost at every interface, light goes between markers and back
-from the interfaces, and LEDs are found by chance only, which takes thousands of samples a pixel. Places come from
-markers that glow, brightness from markers of the scene's colours under discs of light, each in its own channel. What
-our pictures leave out (light between markers, reflections to and fro) is in the difference.
+from the interfaces, and LEDs are found by chance only, which takes a hundred thousand paths a pixel. Places come from
+markers that glow, brightness from the middles of markers of the scene's colours under discs of light, each in its own
+channel. What our pictures leave out (light between markers, reflections to and fro) is in the difference.
+
+``python -m benchmarks.referee SCENE`` does one scene of it and prints every marker's.
 """
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -21,23 +24,36 @@ from twin.world.picture.render import Renderer
 from twin.world.picture.variant import Variant, choose_variant
 
 SPLAT = Variant(name="splat", library=None, reason="compared with the referee")
-HALF = 13
-"""Half width of the window rendered around a marker, px."""
+HALF, CORE = 13, 3
+"""Half widths, px, of the windows rendered around a marker for its place and in it for its brightness."""
 
 LIGHT = {"light.radius_mm": 8.0, "light.ambient": 0.0}
-"""Discs so wide that chance finds them. The plate mirrors their edges into a corner of the flat sensor's picture."""
+"""Discs so wide that chance finds them. The plate mirrors one into a corner of the flat sensor's picture."""
 
-SAMPLES_A_PASS = 512
+NEAR = {
+    **LIGHT, "light.radius_mm": 1.0, "camera.lens": "pinhole", "camera.focal_px": 200,
+    "markers.red.kind": "bead", "markers.blue.kind": "bead",
+}  # fmt: skip
+"""The finger's LEDs a few markers away, seen by a lens and with markers that Mitsuba has."""
+
+SCENES: dict[str, tuple[str, dict[str, Any]]] = {
+    "kamiyama_pillar": ("kamiyama_pillar", LIGHT),
+    "kamiyama_wide": ("kamiyama_wide", LIGHT),
+    "sato_press, beads, pinhole": ("sato_press", NEAR),
+}
+
+SAMPLES_A_PASS = 4096
 
 
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return one row a scene: differences of places, px, and of brightness after one scale; needs Mitsuba's LLVM."""
-    rows = []
-    for name in ("kamiyama_pillar",) if quick else ("kamiyama_pillar", "kamiyama_wide"):
-        scene = load_scene(name, {**LIGHT, "tolerance.preset": "none"})
-        count = 3 if quick else 10
-        rows.append({"scene": name, **compare(scene, count, 4096 if quick else 16384)})
-    return rows
+    return [one(name, *((3, 4096) if quick else (8, 131072))) for name in list(SCENES)[: 1 if quick else None]]
+
+
+def one(name: str, count: int, samples: int, tell: Any = None) -> dict[str, Any]:
+    """Return the row of one scene; parameters as of `compare`."""
+    base, keys = SCENES[name]
+    return {"scene": name, **compare(load_scene(base, {**keys, "tolerance.preset": "none"}), count, samples, tell)}
 
 
 def compare(scene: Scene, count: int, samples: int, tell: Any = None) -> dict[str, Any]:
@@ -50,7 +66,9 @@ def compare(scene: Scene, count: int, samples: int, tell: Any = None) -> dict[st
     count
         How many markers, from the middle outwards.
     samples
-        Paths a pixel; places take a quarter.
+        Paths a pixel for brightness; places take 4096.
+    tell
+        Called with the markers, and the differences of each in place and brightness.
     """
     markers = ellipsoids(place(scene.body, scene.markers), scene.markers)
     bare = scene.model_copy(update={"cover": None})
@@ -59,22 +77,21 @@ def compare(scene: Scene, count: int, samples: int, tell: Any = None) -> dict[st
     chosen = _some(scene, outlines.visible, outlines.centroid_px, count)
     off, ours, theirs, noise = [], [], [], []
     for i in chosen:
-        corner = np.rint(outlines.centroid_px[i]).astype(int) - HALF
+        nearest = np.rint(outlines.centroid_px[i]).astype(int)
         own = int(np.argmax(markers.colour[i]))
-        glow = path_traced(scene, markers, corner, samples // 4, glowing=i)[0][:, :, own]
-        off.append(corner + _centroid(glow) - outlines.centroid_px[i])
-        seen, error = (picture[:, :, own] for picture in path_traced(scene, markers, corner, samples))
-        only = glow > 0.5 * glow.max()
-        window = light[corner[1] : corner[1] + 2 * HALF + 1, corner[0] : corner[0] + 2 * HALF + 1, own]
-        ours.append(window[only].mean() / markers.colour[i, own])
-        theirs.append(seen[only].mean() / markers.colour[i, own])
-        noise.append(np.sqrt((error[only] ** 2).sum()) / seen[only].sum())
+        glow = path_traced(scene, markers, nearest, HALF, SAMPLES_A_PASS, glowing=i)[0][:, :, own]
+        off.append(nearest - HALF + _centroid(glow) - outlines.centroid_px[i])
+        seen, error = (p[:, :, own] for p in path_traced(scene, markers, nearest, CORE, samples))
+        (column, row), colour = nearest - CORE, markers.colour[i, own]
+        ours.append(light[row : row + 2 * CORE + 1, column : column + 2 * CORE + 1, own].mean() / colour)
+        theirs.append(seen.mean() / colour)
+        noise.append(np.sqrt((error**2).sum()) / seen.sum())
     scale = np.sum(ours) / np.sum(theirs)
     brightness = np.array(theirs) * scale / np.array(ours) - 1
     if tell is not None:
-        tell(chosen, off, brightness)
+        tell(chosen, off, brightness, noise)
     return {
-        "markers": count,
+        "markers": len(chosen),
         "samples": samples,
         "place_rms_px": float(np.sqrt(np.mean(np.square(off)))),
         "place_max_px": float(np.abs(off).max()),
@@ -85,22 +102,23 @@ def compare(scene: Scene, count: int, samples: int, tell: Any = None) -> dict[st
 
 
 def path_traced(
-    scene: Scene, markers: Ellipsoids, corner: Ints, samples: int, glowing: int | None = None
+    scene: Scene, markers: Ellipsoids, middle: Ints, half: int, samples: int, glowing: int | None = None
 ) -> tuple[Floats, Floats]:
-    """Return a square of 2 HALF + 1 px of the referee's picture from ``corner`` (column, row), and its standard errors.
+    """Return a square of 2 ``half`` + 1 px of the referee's picture around a pixel, and its standard errors.
 
-    With ``glowing`` that marker shines and the rest is black, else all are lit by the scene's LEDs.
+    With ``glowing`` that marker shines and the rest is black, else all are lit by the scene's LEDs. Paths are
+    spread evenly within each pass of 4096; standard errors come from the passes' differences.
     """
     import mitsuba as mi
 
     mi.set_variant(choose_variant("llvm_ad_rgb").name)
-    made = mi.load_dict(_literal(scene, markers, corner, glowing))
+    made = mi.load_dict(_literal(scene, markers, middle - half, 2 * half + 1, glowing))
     passes = [np.array(mi.render(made, spp=SAMPLES_A_PASS, seed=n)) for n in range(samples // SAMPLES_A_PASS)]
     stack = np.array(passes, float)
-    return stack.mean(axis=0), stack.std(axis=0, ddof=1) / np.sqrt(len(stack))
+    return stack.mean(axis=0), stack.std(axis=0, ddof=min(len(stack) - 1, 1)) / np.sqrt(len(stack))
 
 
-def _literal(scene: Scene, markers: Ellipsoids, corner: Ints, glowing: int | None) -> dict[str, Any]:
+def _literal(scene: Scene, markers: Ellipsoids, corner: Ints, size: int, glowing: int | None) -> dict[str, Any]:
     import mitsuba as mi
 
     assert scene.camera is not None
@@ -120,9 +138,9 @@ def _literal(scene: Scene, markers: Ellipsoids, corner: Ints, glowing: int | Non
             "to_world": to_world().look_at(origin=eye, target=[eye[0], eye[1], -1000], up=[0, 1, 0]),
             "film": {"type": "hdrfilm", "width": camera.width_px, "height": camera.height_px,
                      "crop_offset_x": int(corner[0]), "crop_offset_y": int(corner[1]),
-                     "crop_width": 2 * HALF + 1, "crop_height": 2 * HALF + 1,
+                     "crop_width": size, "crop_height": size,
                      "rfilter": {"type": "box"}, "pixel_format": "rgb", "component_format": "float32"},
-            "sampler": {"type": "independent"},
+            "sampler": {"type": "multijitter", "sample_count": SAMPLES_A_PASS},
         },
     }  # fmt: skip
     height, index = base, scene.material.refractive_index
@@ -168,3 +186,12 @@ def _centroid(picture: Floats) -> Floats:
     """Return column and row of a square's centroid."""
     steps = np.arange(picture.shape[0])
     return np.array([picture.sum(axis=0) @ steps, picture.sum(axis=1) @ steps]) / picture.sum()
+
+
+def _print(chosen: Any, off: Any, brightness: Any, noise: Any) -> None:
+    for row in zip(chosen, np.abs(off).max(axis=1).round(4), brightness.round(4), np.round(noise, 4), strict=True):
+        print(*row, flush=True)
+
+
+if __name__ == "__main__":
+    print(one(sys.argv[1], 8, int(sys.argv[2]) if len(sys.argv) > 2 else 131072, _print))

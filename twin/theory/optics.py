@@ -244,19 +244,34 @@ def transmission(p: Floats, body_index: float, layers: tuple[Layer, ...]) -> Flo
 
     Notes
     -----
-    Fresnel's formulas (Born & Wolf sec. 1.5.2), the mean of both polarisations at each interface in turn, relative to
-    normal incidence, which the exposure takes up. Reflections to and fro between interfaces are left out.
+    `reflection` at each interface in turn, relative to normal incidence, which the exposure takes up. Reflections to
+    and fro between interfaces are left out.
     """
     indices = [body_index, *(layer.index for layer in layers), 1.0]
-    sine2 = p**2 / (1 + p**2)
     share = np.ones_like(p)
     for one, two in pairwise(indices):
-        # n cos(angle) on both sides; n^2 cos^2 = n^2 - sin^2(angle in air).
-        a, b = np.sqrt(one**2 - sine2), np.sqrt(two**2 - sine2)
-        across = ((a - b) / (a + b)) ** 2
-        along = ((two**2 * a - one**2 * b) / (two**2 * a + one**2 * b)) ** 2
-        straight = 1 - ((one - two) / (one + two)) ** 2
-        share = share * (1 - (across + along) / 2) / straight
+        share = share * (1 - reflection(p, one, two)) / (1 - ((one - two) / (one + two)) ** 2)
+    return share
+
+
+def reflection(p: Floats, one: float, two: float) -> Floats:
+    """Return (n,) shares of unpolarised light that an interface of refractive indices ``one`` and ``two`` sends back.
+
+    Parameters
+    ----------
+    p
+        (n,) tangents of the rays' angles to z in air, wherever the interface lies.
+
+    Notes
+    -----
+    Fresnel's formulas (Born & Wolf sec. 1.5.2), the mean of both polarisations.
+    """
+    sine2 = p**2 / (1 + p**2)
+    # n cos(angle) on both sides; n^2 cos^2 = n^2 - sin^2(angle in air).
+    a, b = np.sqrt(one**2 - sine2), np.sqrt(two**2 - sine2)
+    across = ((a - b) / (a + b)) ** 2
+    along = ((two**2 * a - one**2 * b) / (two**2 * a + one**2 * b)) ** 2
+    share: Floats = (across + along) / 2
     return share
 
 

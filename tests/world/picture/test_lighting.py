@@ -9,6 +9,7 @@ from twin.errors import RecipeError
 from twin.parts.light import Light
 from twin.parts.scene import Scene
 from twin.world.picture.cover import Background, CoverMotion
+from twin.world.picture.glare import glare
 from twin.world.picture.lighting import Lamps, brightest, cover_light, irradiance, lamps_at
 from twin.world.picture.markers import Ellipsoids
 from twin.world.picture.occluders import occluders
@@ -180,3 +181,47 @@ def test_a_cover_that_moves_and_tilts_is_lit_like_one_that_stands_so() -> None:
     assert factor[239:241, 319:321].mean() == pytest.approx((after / before)[0], rel=1e-4)
     still = ground.change(CoverMotion(displacement_mm=0 * moved, gradient=0 * gradient))
     np.testing.assert_allclose(still, 1, atol=1e-6)
+
+
+def test_the_window_mirrors_a_disc_of_light_where_and_as_bright_as_it_stands() -> None:
+    """One interface: the image of a disc in the base, by similar triangles and Fresnel's formula on the axis."""
+    made = scene(1.41, 1.0, (3.0, 0.0, 70.0))
+    assert made.camera is not None
+    assert made.light is not None
+    camera = made.camera.model_copy(update={"pupil_mm": (0.0, 0.0, 100.0), "layers": (), "focal_px": 2000.0})
+    light = made.light.model_copy(update={"radius_mm": 0.5})
+    made = made.model_copy(update={"camera": camera, "light": light})
+    top = 0.01
+    veil = glare(made, top)
+    assert veil is not None
+    # Down 60 mm and up 30 mm: 3 mm aside are 66.7 px, a radius of 0.5 mm 11.1 px.
+    per_mm = 2000 / 90
+    share = veil / veil.max()
+    rows, columns = np.indices(share.shape)
+    centre = np.array([np.sum(share * columns), np.sum(share * rows)]) / share.sum()
+    np.testing.assert_allclose(centre, [319.5 + 3 * per_mm, 239.5], atol=0.02)
+    assert share.sum() == pytest.approx(np.pi * (0.5 * per_mm) ** 2, rel=0.01)
+    # White paper under irradiance E sends E T / (pi n^2) into the air, and E counts without the T on its way in.
+    sent_back = (0.41 / 2.41) ** 2
+    disc, paper = sent_back / (np.pi * 0.5**2), top * (1 - sent_back) ** 2 / (np.pi * 1.41**2)
+    assert veil.max() == pytest.approx(disc / paper, rel=1e-3)
+
+
+def test_points_and_leds_in_the_body_have_no_mirror_image() -> None:
+    made = scene()
+    assert made.light is not None
+    assert glare(made, 1.0) is None
+    inside = made.light.model_copy(update={"radius_mm": 5.0, "positions_mm": ((0.0, 0.0, 20.0),)})
+    assert glare(made.model_copy(update={"light": inside}), 1.0) is None
+
+
+def test_every_interface_mirrors_and_none_makes_light() -> None:
+    """A plate of glass in front of the body adds a fainter, nearer image; matched to the body, it moves the one."""
+    made = scene(1.41, 1.49, (8.0, 0.0, 70.0))
+    assert made.light is not None
+    discs = made.model_copy(update={"light": made.light.model_copy(update={"radius_mm": 1.0})})
+    veil = glare(discs, 0.01)
+    assert veil is not None
+    levels = [veil[240, 319 + round(500 * 8 / reach)] for reach in (70, 70 + 20 / 1.49)]
+    straight = [((1.49 - 1) / 2.49) ** 2, (1 - (0.49 / 2.49) ** 2) ** 2 * (0.08 / 2.9) ** 2]
+    assert levels[1] / levels[0] == pytest.approx(straight[1] / straight[0], rel=0.02)

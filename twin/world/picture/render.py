@@ -192,6 +192,8 @@ class Renderer:
         if factor is not None:
             light *= factor[:, :, None]
         compose(light, frame.near.pixels, marks, free, self._view.vignette)
+        if self._view.veil is not None:
+            light += self._view.veil[:, :, None]
         return light
 
     def outlines(self, markers: Ellipsoids, subpixels: int | None = None) -> Outlines:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from twin.arrays import Bools, Floats, Ints, Pixels, Singles
 from twin.parts.scene import Scene
 from twin.theory.optics import axis_cosine, project_with_jacobian, rays, transmission
+from twin.world.picture.glare import glare
 from twin.world.picture.lighting import cover_light
 from twin.world.picture.markers import Ellipsoids
 from twin.world.picture.nearby import least_eigenvalues, near_pixels
@@ -47,12 +48,15 @@ class View:
         the interfaces and the lens, which is 1 on the axis.
     cover
         (height, width, 3) light from the cover behind the markers, vignette included.
+    veil
+        (height, width) light of mirrored LEDs before all, or None.
     """
 
     corners: Floats
     sees: Bools
     vignette: Singles
     cover: Singles
+    veil: Singles | None
 
 
 def look(scene: Scene, top: float, gain: float) -> View:
@@ -82,7 +86,10 @@ def look(scene: Scene, top: float, gain: float) -> View:
     for c in range(3):
         cover[:, :, c] = stretch(rows, height) @ light[:, :, c] @ stretch(columns, width).T
     cover *= (vignette * sees)[:, :, None]
-    return View(corners=corners, sees=sees, vignette=vignette, cover=cover)
+    veil = glare(scene, top)
+    if veil is not None:
+        veil *= np.float32(gain)
+    return View(corners=corners, sees=sees, vignette=vignette, cover=cover, veil=veil)
 
 
 def _corner_rays(grid: Pixels, scene: Scene) -> tuple[Floats, Bools, Floats]:
