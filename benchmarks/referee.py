@@ -1,7 +1,7 @@
 """The picture against stock Mitsuba: a camera and LEDs in air, plates of glass and rubber, a path integrator.
 
 Nothing is folded there: rays are refracted, reflected and lost at every interface, light goes between markers and back
-from the interfaces, and LEDs are found by chance only, which takes a hundred thousand paths a pixel. Places come from
+from the interfaces, and LEDs are found by chance only, which takes many thousand paths a pixel. Places come from
 markers that glow, brightness from the middles of markers of the scene's colours under discs of light, each in its own
 channel. What our pictures leave out (light between markers, reflections to and fro) is in the difference.
 
@@ -24,8 +24,11 @@ from twin.world.picture.render import Renderer
 from twin.world.picture.variant import Variant, choose_variant
 
 SPLAT = Variant(name="splat", library=None, reason="compared with the referee")
-HALF, CORE = 13, 3
-"""Half widths, px, of the windows rendered around a marker for its place and in it for its brightness."""
+CORE = 3
+"""Half width, px, of the window in the middle of a marker that tells its brightness."""
+
+EDGE = 25
+"""Markers so near the edge of the picture, px, are left out."""
 
 LIGHT = {"light.radius_mm": 8.0, "light.ambient": 0.0}
 """Discs so wide that chance finds them. The plate mirrors one into a corner of the flat sensor's picture."""
@@ -47,7 +50,7 @@ SAMPLES_A_PASS = 4096
 
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return one row a scene: differences of places, px, and of brightness after one scale; needs Mitsuba's LLVM."""
-    return [one(name, *((3, 4096) if quick else (8, 131072))) for name in list(SCENES)[: 1 if quick else None]]
+    return [one(name, *((3, 4096) if quick else (8, 32768))) for name in list(SCENES)[: 1 if quick else None]]
 
 
 def one(name: str, count: int, samples: int, tell: Any = None) -> dict[str, Any]:
@@ -79,8 +82,9 @@ def compare(scene: Scene, count: int, samples: int, tell: Any = None) -> dict[st
     for i in chosen:
         nearest = np.rint(outlines.centroid_px[i]).astype(int)
         own = int(np.argmax(markers.colour[i]))
-        glow = path_traced(scene, markers, nearest, HALF, SAMPLES_A_PASS, glowing=i)[0][:, :, own]
-        off.append(nearest - HALF + _centroid(glow) - outlines.centroid_px[i])
+        half = int(2 * np.sqrt(outlines.area_px[i] / np.pi)) + 4
+        glow = path_traced(scene, markers, nearest, half, SAMPLES_A_PASS, glowing=i)[0][:, :, own]
+        off.append(nearest - half + _centroid(glow) - outlines.centroid_px[i])
         seen, error = (p[:, :, own] for p in path_traced(scene, markers, nearest, CORE, samples))
         (column, row), colour = nearest - CORE, markers.colour[i, own]
         ours.append(light[row : row + 2 * CORE + 1, column : column + 2 * CORE + 1, own].mean() / colour)
@@ -175,7 +179,7 @@ def _some(scene: Scene, visible: Floats, places: Pixels, count: int) -> list[int
     """Return markers that are seen whole, from the middle of the picture to its corners."""
     assert scene.camera is not None
     size = np.array([scene.camera.width_px, scene.camera.height_px])
-    inside = ((places > HALF + 2) & (places < size - HALF - 3)).all(axis=1)
+    inside = ((places > EDGE) & (places < size - 1 - EDGE)).all(axis=1)
     free = np.flatnonzero((visible > 0.999) & inside)
     away = np.linalg.norm(places[free] - scene.camera.centre_px, axis=1)
     order = free[np.argsort(away)]
@@ -194,4 +198,4 @@ def _print(chosen: Any, off: Any, brightness: Any, noise: Any) -> None:
 
 
 if __name__ == "__main__":
-    print(one(sys.argv[1], 8, int(sys.argv[2]) if len(sys.argv) > 2 else 131072, _print))
+    print(one(sys.argv[1], 8, int(sys.argv[2]) if len(sys.argv) > 2 else 32768, _print))

@@ -19,6 +19,9 @@ QUICK = {"contract", "arcp", "reassoc", "nsz"}
 _GRAZING = 0.1
 """Least cosine between a surface and a camera ray for which a shadow's edge is thought to run over it."""
 
+_INNER = 1.5
+"""How many pixels, by half their steepest step, inside the outline a pixel begins to take one ray; 0.71 is the edge."""
+
 _FAR = 3.0
 """A ray that passes a marker at so many radii is not near its shadow's edge."""
 
@@ -75,7 +78,8 @@ def candidate(met: Met, m: Six, step: Four, k: int) -> tuple[bool, bool]:
     Notes
     -----
     The distance is the norm of a map that is nearly straight over a pixel. A norm is convex: it falls nowhere below
-    its tangent, and rises at most by the map's norm times half a diagonal.
+    its tangent, and rises at most by the map's norm times half a diagonal. Pixels count as full from another one
+    inwards: next to the outline shading still bends, and one ray at their middle misses its mean.
     """
     miss, one, two = met[0], met[1], met[2]
     ax, ay, square, steep = met[6], met[7], met[9], met[10]
@@ -87,7 +91,7 @@ def candidate(met: Met, m: Six, step: Four, k: int) -> tuple[bool, bool]:
     qq = m00 * qx * qx + 2 * m01 * qx * qy + m11 * qy * qy - qa * qa / square
     pq = m00 * px * qx + m01 * (px * qy + py * qx) + m11 * py * qy - pa * qa / square
     most = np.sqrt((pp + qq) / 2 + np.sqrt((pp - qq) * (pp - qq) / 4 + pq * pq))
-    return miss < 1 + (reach * (k - 1) + 0.5 * steep) / k, miss < 1 - 0.71 * most
+    return miss < 1 + (reach * (k - 1) + 0.5 * steep) / k, miss < 1 - _INNER * most
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]

@@ -52,7 +52,7 @@ from twin.world.picture.wavefront import Wavefront
 _HIDDEN = 0.01
 """A smaller share of an outline that is seen counts as none: edges just behind edges leave such specks."""
 
-_ERROR_PX = {"splat": (0.0215, 0.0095, 0.0070, 0.0056), "traced": (0.033, 0.0148, 0.0107, 0.0096)}
+_ERROR_PX = {"splat": (0.0215, 0.0095, 0.0052, 0.0038), "traced": (0.033, 0.0148, 0.0107, 0.0096)}
 """The largest error of an intensity centroid for k = 1 to 4; beyond, the splat's falls as 1/k."""
 
 _FINEST = 16
