@@ -18,7 +18,7 @@ from twin.arrays import Floats
 from twin.sense.calibration import Calibration
 from twin.sense.problem import problem_of
 from twin.sense.track import Found
-from twin.sense.weigh import automatic_weight, noise_scale
+from twin.sense.weigh import automatic
 
 LEAST_PX = 0.5
 """Bumps below this are not told from forces."""
@@ -66,16 +66,18 @@ def camera_bump(found: Found, calibration: Calibration, weight: float | None = N
         Motion and calibration don't belong together, or fewer than 2 markers are left.
     """
     problem = problem_of(found, calibration, "smooth")
-    shift = found.shift_px[problem.used]
-    shared = np.zeros((shift.size, 2))
-    shared[0::2, 0] = shared[1::2, 1] = 1.0 / problem.noise_px
-    data, factors = problem.whiten(shift), problem.factors
+    data, reweighed, usual = (
+        problem.whiten(found.shift_px),
+        problem.reweighed,
+        np.median(found.shift_px[problem.used], axis=0),
+    )
+    shared = np.column_stack([problem.whiten(np.tile(axis, (len(found.shift_px), 1))) for axis in np.eye(2)])
     if weight is None:
-        weight = automatic_weight(factors, data - shared @ np.median(shift, axis=0))
-    explained = factors.singular**2 / (factors.singular**2 + weight)
-    seen, of_data = factors.left.T @ shared, factors.left.T @ data
-    normal = shared.T @ shared - (seen.T * explained) @ seen
-    estimate = np.asarray(np.linalg.solve(normal, shared.T @ data - (seen.T * explained) @ of_data), np.float64)
-    scale = noise_scale(factors, data - shared @ estimate, weight)
+        weight = reweighed.weight(automatic, data - shared @ usual)
+    left = shared - reweighed.predicted(reweighed.filled(shared, weight), weight)
+    weighed = reweighed.share[:, None] * left
+    normal = weighed.T @ shared
+    estimate = np.asarray(np.linalg.solve(normal, weighed.T @ data), np.float64)
+    scale = reweighed.noise_scale(data - shared @ estimate, weight)
     sd = scale * float(np.sqrt(np.linalg.inv(normal).diagonal().max()))
     return Bump(shift_px=estimate, sd_px=sd, weight=weight)

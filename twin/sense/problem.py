@@ -1,9 +1,16 @@
-"""The inverse problem of one picture, whitened and factorised: what every way of solving it starts from."""
+"""The inverse problem of one picture, whitened and factorised: what every way of solving it starts from.
+
+Why markers are weighed as at rest: a picture's own standard deviations differ a little from those of every other one,
+and each set of weights would be factorised anew (145 ms of CPU time on the flat block, where the rest takes 5). What
+does differ, lost markers and those much noisier than at rest, is corrected exactly (`twin.sense.reweigh`). So the
+answer depends on rest picture and picture alone, not on the pictures between.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -12,6 +19,7 @@ from twin.arrays import Bools, Floats
 from twin.errors import InputError
 from twin.sense.calibration import Calibration
 from twin.sense.cone import LEAST, Quadratic
+from twin.sense.reweigh import Reweighed
 from twin.sense.track import Found
 from twin.sense.weigh import Factors, factorise
 
@@ -23,6 +31,12 @@ CLASS = 2.0
 """Other markers are weighed in classes by this factor around the median: noise is estimated a little differently in
 every picture, and each new set of weights would be factorised anew. Two readings at the ends of a class lose a fifth of
 their joint precision at worst, most hardly any."""
+
+UNUSUAL = 2.0
+"""A marker whose noise differs from its usual one by more than this factor is weighed otherwise."""
+
+MOST_UNUSUAL = 0.25
+"""Share of the markers that may be weighed otherwise before the problem is factorised anew."""
 
 KEPT, KEPT_WEIGHTS = 8, 4
 _kept: WeakKeyDictionary[Calibration, dict[tuple[str, bytes], Base]] = WeakKeyDictionary()
@@ -55,24 +69,30 @@ class Base:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """One picture's data with the base they belong to; whitened means: in units of each marker's noise.
+    """One picture's data with the base they belong to; whitened means: in units of each marker's usual noise.
 
     Attributes
     ----------
     calibration, used
         What the markers are known by, and (n,) which of them take part.
+    known
+        (n,) which of them the base has rows for; those that are not used are lost in this picture.
     noise_px
-        (u,) standard deviation of a shift's component, px.
+        (u,) standard deviation of a shift's component of the known ones, px.
     base
         The factorised matrix, whitened relatively.
+    share
+        (m,) information of every datum over what its noise says: 1 for most, 0 for lost markers.
     factors
-        The same with the noise's size in it.
+        The base's with the noise's size in it.
     """
 
     calibration: Calibration
     used: Bools
+    known: Bools
     noise_px: Floats
     base: Base
+    share: Floats
     factors: Factors
 
     @property
@@ -85,9 +105,20 @@ class Problem:
         """The papers' weight over the whitened one, px^2."""
         return 2.0 * float(1.0 / np.mean(1.0 / self.noise_px**2))
 
+    @cached_property
+    def reweighed(self) -> Reweighed:
+        """The factors with this picture's weights."""
+        return Reweighed(factors=self.factors, share=self.share)
+
     def whiten(self, shift_px: Floats) -> Floats:
-        """Return (m,) data of (u, 2) shifts."""
-        return np.asarray(shift_px.ravel() / np.repeat(self.noise_px, 2))
+        """Return (m,) data of (n, 2) shifts of all markers; 0 for lost ones."""
+        shift = np.where(self.used[:, None], shift_px, 0.0)[self.known]
+        return np.asarray(shift.ravel() / np.repeat(self.noise_px, 2))
+
+    def weighed(self, rows: Floats) -> Floats:
+        """Return the (m', ...) rows of data that were not lost, in units of this picture's own noise."""
+        here = self.share > 0
+        return np.asarray((rows[here].T * np.sqrt(self.share[here])).T)
 
     def quadratic(self, weight: float) -> Quadratic:
         """Return the problem for constrained solves; its unit is px^2, not the noise."""
@@ -108,6 +139,10 @@ class Problem:
         pull = (self.base.transfer.T @ (data * self.size_px)).reshape(-1, 3)
         return np.asarray(np.einsum("kij,kj->ki", self.calibration.site_frames, pull).ravel())
 
+    def shifts_of(self, force: Floats) -> Floats:
+        """Return (m,) whitened shifts that (k, 3) forces cause, N, seen linearly."""
+        return np.asarray(self.base.transfer @ force.ravel()) / self.size_px
+
     def globally(self, local: Floats) -> Floats:
         """Return (k, 3) forces in global axes."""
         return np.asarray(np.einsum("kij,ki->kj", self.calibration.site_frames, local))
@@ -122,10 +157,13 @@ def problem_of(found: Found, calibration: Calibration, method: str) -> Problem:
         Motion and calibration don't belong together, or fewer than 2 markers are left.
     """
     used = _usable(found, calibration)
-    noise = _noise(found.sd_px[used], calibration.noise_px)
-    base = _base(calibration, method, used, noise)
+    known, noise, share = _weights(found, calibration, used, method)
+    base = _base(calibration, method, known, noise)
     factors = replace(base.factors, singular=base.factors.singular / float(noise.mean()))
-    return Problem(calibration=calibration, used=used, noise_px=noise, base=base, factors=factors)
+    return Problem(
+        calibration=calibration, used=used, known=known, noise_px=noise, base=base, share=np.repeat(share, 2),
+        factors=factors,
+    )  # fmt: skip
 
 
 def _usable(found: Found, calibration: Calibration) -> Bools:
@@ -143,9 +181,26 @@ def _usable(found: Found, calibration: Calibration) -> Bools:
     return used
 
 
-def _noise(sd_px: Floats, usual_px: float) -> Floats:
+def _weights(found: Found, calibration: Calibration, used: Bools, method: str) -> tuple[Bools, Floats, Floats]:
+    """Return (n,) markers to factorise with, (u,) their noise in px, and (u,) the share that each has of its weight."""
+    own = np.where(np.isfinite(found.sd_px) & (found.sd_px > 0), found.sd_px, calibration.noise_px)
+    usual = found.usual_sd_px
+    if usual is not None and method != "pinv":
+        known = np.asarray(calibration.calibrated & np.isfinite(usual))
+        if not (used & ~known).any():
+            noise = _in_classes(usual[known])
+            ratio, here = own[known] / noise, used[known]
+            size = float(np.median(ratio[here]))
+            odd = (ratio > UNUSUAL * size) | (ratio < size / UNUSUAL)
+            share = np.where(here, np.where(odd, (size / ratio) ** 2, 1.0), 0.0)
+            count = int((share != 1.0).sum())
+            if count <= MOST_UNUSUAL * len(noise) and 2 * (len(noise) - count) >= calibration.transfer.shape[1]:
+                return known, noise * size, share
+    return used, _in_classes(own[used]), np.ones(int(used.sum()))
+
+
+def _in_classes(noise: Floats) -> Floats:
     """Return (u,) noise per marker, px: the same for all where it hardly differs, else in classes."""
-    noise = np.where(np.isfinite(sd_px) & (sd_px > 0), sd_px, usual_px)
     low, high = np.quantile(noise, [0.1, 0.9])
     if high <= EVEN_NOISE * low and noise.max() <= 2 * EVEN_NOISE * low:
         return np.full(len(noise), np.sqrt(np.mean(noise**2)))
@@ -153,14 +208,14 @@ def _noise(sd_px: Floats, usual_px: float) -> Floats:
     return np.asarray(usual * CLASS ** np.rint(np.log(noise / usual) / np.log(CLASS)))
 
 
-def _base(calibration: Calibration, method: str, used: Bools, noise: Floats) -> Base:
+def _base(calibration: Calibration, method: str, known: Bools, noise: Floats) -> Base:
     """Factorise, or take a kept factorisation: with even noise it only scales."""
     kept = _kept.setdefault(calibration, {})
     even = bool(np.all(noise == noise[0]))
     pattern = (noise / noise.mean()).round(6) if not even else np.ones(1)
-    key = (method, used.tobytes() + pattern.tobytes())
+    key = (method, known.tobytes() + pattern.tobytes())
     if key not in kept:
-        rows = calibration.transfer.reshape(len(used), 2, -1)[used].reshape(2 * int(used.sum()), -1)
+        rows = calibration.transfer.reshape(len(known), 2, -1)[known].reshape(2 * int(known.sum()), -1)
         relative = noise / noise.mean()
         whitened, matrix = rows / np.repeat(relative, 2)[:, None], penalty(calibration, method)
         while len(kept) >= KEPT:

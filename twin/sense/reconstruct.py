@@ -7,7 +7,8 @@ incompressible rubber, nothing else would hold it. With them the penalty is a pr
 (636 markers, 15 x 12 sites, .04 px noise, 12 exposures, 5 mm pillar, mean and standard deviation of the total push's
 error): centre -1.0 +- 1.6 % (differences inside only: -1.2 +- 1.8 %), corner 2.4 +- 2.1 % (5.8 +- 2.0 %).
 
-Wrong vectors and the camera's bend both come in as corrections of the data, so that one factorisation serves all.
+Wrong vectors, the camera's bend, and markers that this picture weighs otherwise than the rest picture all come in as
+corrections of the data, so that one factorisation serves a whole sequence.
 """
 
 from __future__ import annotations
@@ -24,18 +25,10 @@ from twin.sense.calibration import Calibration
 from twin.sense.problem import Problem, problem_of
 from twin.sense.robust import excess
 from twin.sense.track import Found
-from twin.sense.weigh import (
-    automatic_weight,
-    covariance,
-    cross_validated_weight,
-    filtered,
-    most_likely_weight,
-    noise_scale,
-    site_variance,
-)
+from twin.sense.weigh import automatic, cross_validated, filtered, most_likely
 
 Rule = Literal["auto", "likelihood", "gcv"]
-_RULES = {"auto": automatic_weight, "likelihood": most_likely_weight, "gcv": cross_validated_weight}
+_RULES = {"auto": automatic, "likelihood": most_likely, "gcv": cross_validated}
 
 SOFT, MOST = 6, 40
 """Iterations with Huber's loss before wrong vectors are left out, and iterations at most."""
@@ -150,32 +143,33 @@ def reconstruct(
     """
     check_options(method, weight, push_only, friction, camera, calibration)
     problem = problem_of(found, calibration, method)
-    measured = found.shift_px[problem.used]
     rule = weight
     if previous is not None and isinstance(weight, str):
         rule = previous.weight
-    whole, factors = problem.whiten(measured), problem.factors
+    whole, reweighed = problem.whiten(found.shift_px), problem.reweighed
     off, bend, whitened, wrong = _linear(problem, whole, method, rule, robust=robust, camera=camera)
     data = whole - off - bend
     force = _forces(problem, data, whitened)
     total, torque = force.sum(axis=0), np.cross(calibration.site_mm, force).sum(axis=0)
-    scale = noise_scale(factors, data, whitened) if whitened > 0 else 1.0
-    sd_force = scale * np.sqrt(site_variance(factors, whitened)).reshape(-1, 3)
-    sd_total = scale * np.sqrt(np.diag(covariance(factors, whitened, _total_rows(calibration))))
+    scale = reweighed.noise_scale(data, whitened) if whitened > 0 else 1.0
+    sd_force = scale * np.sqrt(reweighed.site_variance(whitened)).reshape(-1, 3)
+    sd_total = scale * np.sqrt(np.diag(reweighed.covariance(whitened, _total_rows(calibration))))
     kkt = 0.0
     if push_only or friction is not None:
         at = whitened if not isinstance(rule, str) else 10.0 ** (DECADE * np.round(np.log10(whitened) / DECADE))
         start = None if previous is None else previous.force_n
+        told = reweighed.filled(data, at)
         for _ in range(MOST):
-            force, kkt = _constrained(problem, whole - off - bend, at, friction, start)
-            if not camera:
+            force, kkt = _constrained(problem, told, at, friction, start)
+            if not camera and not len(reweighed.rows):
                 break
-            start, before = force, bend
-            bend = _bend(problem, force)
-            if np.abs(bend - before).max() < SETTLED:
+            start, before = force, told
+            bend = _bend(problem, force) if camera else bend
+            told = reweighed.towards(whole - off - bend, problem.shifts_of(force))
+            if np.abs(told - before).max() < SETTLED:
                 break
     everywhere = np.zeros(len(problem.used), np.bool_)
-    everywhere[problem.used] = wrong
+    everywhere[problem.known] = wrong
     return Field(
         site_mm=calibration.site_mm, force_n=force, total_force_n=total, total_torque_nmm=torque,
         weight=problem.omega * whitened, noise_px=scale * (problem.omega / 2) ** 0.5,
@@ -216,23 +210,23 @@ def _linear(
     problem: Problem, whole: Floats, method: str, weight: float | str, *, robust: bool, camera: bool
 ) -> tuple[Floats, Floats, float, Bools]:
     """Return what wrong vectors and the camera's bend add to the whitened data, the weight, and the wrong vectors."""
-    factors = problem.factors
+    reweighed = problem.reweighed
     off, bend = np.zeros_like(whole), np.zeros_like(whole)
     wrong: Bools = np.zeros(len(whole) // 2, np.bool_)
     whitened = 0.0 if isinstance(weight, str) or method == "pinv" else float(weight) / problem.omega
     for count in range(MOST):
         data, before = whole - off - bend, off + bend
         if isinstance(weight, str) and method != "pinv" and count < 2 * SOFT:  # later it stays, so that this settles
-            whitened = _RULES[weight](factors, data)
+            whitened = reweighed.weight(_RULES[weight], data)
         if not robust and not camera:
             break
         if camera:
             bend = _bend(problem, _forces(problem, data, whitened))
         if robust:
-            share = factors.singular * filtered(factors, whitened)
-            residual = whole - bend - factors.left @ (share * (factors.left.T @ data))
-            freedom = 1.0 - float(share.sum()) / len(data)
-            off, wrong = excess(residual, freedom, leave_out=count >= SOFT)
+            filled = reweighed.filled(data, whitened)
+            freedom = 1.0 - float((problem.factors.singular * filtered(problem.factors, whitened)).sum()) / len(data)
+            residual = whole - bend - reweighed.predicted(filled, whitened)
+            off, wrong = excess(residual, reweighed.share, freedom, leave_out=count >= SOFT)
         if count > (SOFT if robust else 0) and np.abs(off + bend - before).max() < SETTLED:
             break
     return off, bend, whitened, wrong
@@ -240,13 +234,13 @@ def _linear(
 
 def _bend(problem: Problem, force: Floats) -> Floats:
     """Return (m,) whitened difference of the shifts through the camera to the linear ones."""
-    return problem.whiten(problem.calibration.bend_px(force)[problem.used])
+    return problem.whiten(problem.calibration.bend_px(force))
 
 
 def _forces(problem: Problem, data: Floats, weight: float) -> Floats:
     """Return (k, 3) linear estimate, N."""
-    factors = problem.factors
-    return np.asarray((factors.back @ (filtered(factors, weight) * (factors.left.T @ data))).reshape(-1, 3))
+    factors, told = problem.factors, problem.reweighed.filled(data, weight)
+    return np.asarray((factors.back @ (filtered(factors, weight) * (factors.left.T @ told))).reshape(-1, 3))
 
 
 def _constrained(

@@ -14,7 +14,7 @@ from twin.errors import InputError
 from twin.sense.cells import cell_centroids
 from twin.sense.detect import Blobs, find_blobs
 from twin.sense.fit import EDGE, LEVEL
-from twin.sense.judge_fit import LEAST_EDGE, centre_sds
+from twin.sense.judge_fit import COVERED_SD_PX, LEAST_EDGE, WHOLE_EDGE, centre_sds
 from twin.sense.match import Neighbourhood, follow, mutual_nearest, neighbourhood, nominal_to_rest, spacing
 from twin.sense.split import Signal, Weights, as_picture, estimate_channels, noise_dn, project
 from twin.sense.template import Templates, colour_of, make_templates, projections, used_centres
@@ -49,6 +49,8 @@ class Group:
         Typical marker width, and the least contrast of a spot.
     level_dn, area_px, sd_px
         Brightness, area and centre's standard deviation of every marker at rest.
+    usual_sd_px
+        (n,) standard deviation of the shift to a picture that looks the same, px.
     picture_px
         (height, width) of the picture.
     spot_px
@@ -68,6 +70,7 @@ class Group:
     level_dn: Floats
     area_px: Floats
     sd_px: Floats
+    usual_sd_px: Floats
     picture_px: tuple[int, int]
     spot_px: Pixels
     templates: Templates | None = None
@@ -87,6 +90,8 @@ class Rest:
         Projection (r, g, b) of every layer.
     groups
         What tracking needs, signal by signal.
+    usual_sd_px
+        (N,) standard deviation of the shift to a picture that looks the same, px; NaN where not found.
     size_px
         (height, width) of the picture.
     method
@@ -97,6 +102,7 @@ class Rest:
     rest_px: Pixels
     channels: dict[str, Weights]
     groups: tuple[Group, ...]
+    usual_sd_px: Floats
     size_px: tuple[int, int]
     method: Method
 
@@ -144,14 +150,15 @@ def analyse_rest(
         ]
     if method == "disc-fit":
         groups = _with_templates(picture, groups, given=channels is not None)
-    rest_px = np.full((len(layer), 2), np.nan)
+    rest_px, usual = np.full((len(layer), 2), np.nan), np.full(len(layer), np.nan)
     for group in groups:
         rest_px[group.rows] = group.around.rest_px
-    frozen(rest_px)
+        usual[group.rows] = group.usual_sd_px
     height, width = picture.shape[:2]
     return Rest(
-        layer=layer, rest_px=rest_px, channels=weights, groups=tuple(groups), size_px=(height, width), method=method
-    )
+        layer=layer, rest_px=frozen(rest_px), channels=weights, groups=tuple(groups), usual_sd_px=frozen(usual),
+        size_px=(height, width), method=method,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +240,8 @@ def _group(
     return Group(
         rows=rows, weights=look.weights, floor_dn=look.floor_dn, ground_dn=look.ground_dn,
         around=neighbourhood(rest_px, size), diameter_px=look.diameter_px, contrast_dn=look.contrast_dn,
-        level_dn=level, area_px=area, sd_px=sd, picture_px=look.signal.shape, spot_px=rest_px,
+        level_dn=level, area_px=area, sd_px=sd, usual_sd_px=np.sqrt(2.0) * sd, picture_px=look.signal.shape,
+        spot_px=rest_px,
     )  # fmt: skip
 
 
@@ -250,7 +258,8 @@ def _with_templates(picture: Picture, groups: list[Group], given: bool) -> list[
         rest_px = np.where(good[:, None], used_centres(fitted), np.nan)
         around = neighbourhood(rest_px, group.around.spacing_px)
         sd = np.where(good, centre_sds(fitted, templates.usual_misfit), np.nan)
-        fitted_groups.append(replace(group, around=around, sd_px=sd, templates=templates))
+        usual = np.hypot(np.sqrt(2.0) * sd, np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0))
+        fitted_groups.append(replace(group, around=around, sd_px=sd, usual_sd_px=usual, templates=templates))
     return fitted_groups
 
 

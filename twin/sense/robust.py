@@ -21,13 +21,15 @@ RAYLEIGH_MEDIAN = 1.1774
 """Median length of a vector of two normal components, over their standard deviation."""
 
 
-def excess(residual: Floats, freedom: float, *, leave_out: bool) -> tuple[Floats, Bools]:
+def excess(residual: Floats, share: Floats, freedom: float, *, leave_out: bool) -> tuple[Floats, Bools]:
     """Return what to take off the data, and which vectors it concerns.
 
     Parameters
     ----------
     residual
         (m,) whitened residuals of the data as measured.
+    share
+        (m,) information of the data over what whitening says, 0 for lost ones (see `twin.sense.reweigh`).
     freedom
         Degrees of freedom of the residual over m: residuals are shorter than the noise by its root.
     leave_out
@@ -40,10 +42,10 @@ def excess(residual: Floats, freedom: float, *, leave_out: bool) -> tuple[Floats
     wrong
         (m/2,) vectors beyond the threshold.
     """
-    vectors = residual.reshape(-1, 2)
-    length = np.sqrt((vectors**2).sum(axis=1))
-    scale = np.median(length) / RAYLEIGH_MEDIAN / np.sqrt(max(freedom, 0.05))
+    vectors, known = residual.reshape(-1, 2), share[::2] > 0
+    length = np.sqrt(share[::2] * (vectors**2).sum(axis=1))
+    scale = np.median(length[known]) / RAYLEIGH_MEDIAN / np.sqrt(max(freedom, 0.05))
     limit = THRESHOLD * scale
     wrong = np.asarray(length > limit)
-    share = np.where(wrong, 1.0 if leave_out else 1.0 - limit / np.where(wrong, length, 1.0), 0.0)
-    return (share[:, None] * vectors).ravel(), wrong
+    beyond = np.where(wrong, 1.0 if leave_out else 1.0 - limit / np.where(wrong, length, 1.0), 0.0)
+    return (beyond[:, None] * vectors).ravel(), wrong

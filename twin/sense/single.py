@@ -97,7 +97,7 @@ def single_contact(
         raise InputError(f"camera: this calibration ({calibration.method}) holds no compliance and camera")
     problem = problem_of(found, calibration, "norm")
     search = _Search(problem, radius_mm, place)
-    whole = problem.whiten(found.shift_px[problem.used])
+    whole = problem.weighed(problem.whiten(found.shift_px))
     off, bend = np.zeros_like(whole), np.zeros_like(whole)
     at = search.best(whole)
     for count in range(ROUNDS):
@@ -106,10 +106,10 @@ def single_contact(
         before = off + bend
         if (camera is None and calibration.has_camera) or camera:
             sites = np.outer(search.weights(at), search.force(at, data))
-            bend = problem.whiten(calibration.bend_px(sites)[problem.used])
+            bend = problem.weighed(problem.whiten(calibration.bend_px(sites)))
         if robust:
             residual = whole - bend - search.predicted(at, data)
-            off, _ = excess(residual, 1.0, leave_out=count > 1)
+            off, _ = excess(residual, np.ones_like(residual), 1.0, leave_out=count > 1)
         if np.abs(off + bend - before).max() < 1e-3:
             break
     return search.contact(at, whole - off - bend)
@@ -123,7 +123,7 @@ class _Search:
         columns, rows = self.calibration.grid
         self.pitch = np.sqrt(float(np.median(self.calibration.site_area_mm2)))
         self.splines = _cardinal(columns), _cardinal(rows)
-        self.by_site = problem.base.transfer.reshape(-1, columns * rows, 3) / problem.size_px
+        self.by_site = problem.weighed(problem.base.transfer).reshape(-1, columns * rows, 3) / problem.size_px
         largest = self.pitch * (max(columns, rows) - 1) / 2
         self.low = np.array([-MARGIN, -MARGIN, 0.0])
         self.high = np.array([columns - 1 + MARGIN, rows - 1 + MARGIN, max(largest, self.pitch)])

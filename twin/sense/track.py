@@ -64,6 +64,9 @@ class Found:
         How centres were measured.
     state
         (N,) index into `STATES`.
+    usual_sd_px
+        (N,) standard deviation of the shift where picture and rest picture look alike, px; NaN where not found at rest,
+        None where not known.
     spurious_px
         (s, 2) spots that look like markers and are none's, px; None where the whole picture was not searched.
     """
@@ -76,6 +79,7 @@ class Found:
     method: str
     state: NDArray[np.uint8] | None = None
     spurious_px: Pixels | None = None
+    usual_sd_px: Floats | None = None
 
     def __post_init__(self) -> None:
         if self.state is None:
@@ -210,6 +214,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
     return Found(
         rest_px=rest.rest_px, shift_px=shift, sd_px=sd, layer=rest.layer, channels=rest.channels, method=rest.method,
         state=state, spurious_px=None if spurious is None else frozen(np.concatenate(spurious)),
+        usual_sd_px=rest.usual_sd_px,
     )  # fmt: skip
 
 

@@ -6,20 +6,16 @@ product; what belongs to the sensor (body, calibration, rest picture) is made on
 Why every step starts from the rest state: the body is elastic and a `Press` holds its own path, so that a step's
 answer depends on its load and the number of its exposure alone, whatever came before. A path with friction is one
 press of several steps.
-
-Why markers are weighed as in the first picture: the standard deviations of single pictures differ in their last
-digits, and every other pattern of weights is another singular value decomposition (145 ms of CPU time on the flat
-block, where the rest of the inverse takes 5).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats, Picture, Pixels, Points, frozen
+from twin.arrays import Floats, Picture, Pixels, Points
 from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.load import Load
 from twin.parts.press import Press
@@ -129,7 +125,6 @@ class Environment:
         self.sensor = Sensor(scene, progress)
         self._exposure = 0
         self._made: tuple[Calibration, Tracker] | None = None
-        self._sd_px: Floats | None = None
 
     def reset(self) -> Observation:
         """Begin again: exposures count from 1. Returns what the sensor feels under no load."""
@@ -168,7 +163,9 @@ class Environment:
         self._exposure += 1
         picture = sensor.picture(motion, self._exposure)
         found = tracker.track(picture)
-        field = reconstruct(self._weighed(found), calibration, **options.model_dump(exclude=_NOT_OPTIONS))
+        if not found.seen.any():
+            raise InputError("no marker was found in the picture: is the press far beyond what the sensor can follow?")
+        field = reconstruct(found, calibration, **options.model_dump(exclude=_NOT_OPTIONS))
         rest = sensor.actual.markers.points
         total, torque = patches.force_n.sum(axis=0), np.cross(patches.centre_mm, patches.force_n).sum(axis=0)
         truth = Happened(
@@ -205,15 +202,6 @@ class Environment:
             calibration = calibration_of(sensor)
             self._made = calibration, Tracker(sensor.picture(None), sensor.layout_px, method=scene.tracking.method)
         return self._made
-
-    def _weighed(self, found: Found) -> Found:
-        """Return the motion with the first picture's standard deviations."""
-        if not found.seen.any():
-            raise InputError("no marker was found in the picture: is the press far beyond what the sensor can follow?")
-        if self._sd_px is None:
-            usual = float(np.nanmedian(found.sd_px))
-            self._sd_px = frozen(np.where(np.isfinite(found.sd_px), found.sd_px, usual))
-        return replace(found, sd_px=self._sd_px)
 
 
 _NOT_OPTIONS = {"sites", "source", "assumed"}
