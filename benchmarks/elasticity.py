@@ -8,6 +8,7 @@ code is warmed up before, and nothing solved earlier is read from the cache.
 from __future__ import annotations
 
 import gc
+from functools import cache
 from typing import Any
 
 from benchmarks.clock import Clock, empty_cache
@@ -35,7 +36,7 @@ def run(quick: bool) -> list[dict[str, Any]]:
         if not quick:
             ways += [(f"direct, {level}", "direct", level, False) for level in LEVELS]
         for way in ways:
-            warm_up(body, *way)
+            warm_up(body, *way[1:])
             with empty_cache():
                 rows += way_rows(body, *way, quick)
             gc.collect()
@@ -81,9 +82,13 @@ def compliance(body: str, nu: float, method: Method, level: Level, table: bool) 
     return made
 
 
-def warm_up(body: str, way: str, method: Method, level: Level, table: bool) -> None:
+def warm_up(body: str, method: Method, level: Level, table: bool) -> None:
     """Answer once and forget it: compiled code and libraries are loaded afterwards."""
+    _warm(body, method, level if table else "sketch", table)
+
+
+@cache
+def _warm(body: str, method: Method, level: Level, table: bool) -> None:
     case: Case = reference(body).cases[-1]
-    small: Level = level if table else "sketch"
     with empty_cache():
-        compliance(body, case.nu, method, small, table).displacement(reference(body).points, case.load(BODIES[body]))
+        compliance(body, case.nu, method, level, table).displacement(reference(body).points, case.load(BODIES[body]))

@@ -137,7 +137,7 @@ def twin_rows(body: str, quick: bool) -> Iterator[dict[str, Any]]:
     if body == "block":
         ways.append(("twin, table", "standard", True))
     for program, level, table in ways:
-        warm_up(body, "", "subtracted", level, table)
+        warm_up(body, "subtracted", level, table)
         for nu in (0.5, 0.49):
             problem = Problem(body=body, nu=nu)
             start = {

@@ -181,7 +181,7 @@ def remove_results(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make ``folder`` and check that it can be written.
+    """Make ``folder``, check that it can be written, and remove what a killed writer left half written in it.
 
     Raises
     ------
@@ -196,6 +196,20 @@ def make_folder(folder: Path) -> None:
         ) from None
     if not os.access(folder, os.W_OK):
         raise InputError(f"{folder}: the output folder can't be written; give another --out")
+    for part in folder.glob(".*.part"):
+        writer = part.suffixes[-2].removeprefix(".") if len(part.suffixes) > 1 else ""
+        if writer.isdecimal() and not _is_alive(int(writer)):
+            part.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from benchmarks import endurance, kills
+from twin.results import make_folder
 
 
 @pytest.mark.slow
@@ -34,3 +38,14 @@ def test_a_torn_file_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "b.html").write_text("<html>")
     (tmp_path / ".c.png.1.part").write_bytes(b"")  # not under its own name yet
     assert [line.split(":")[0] for line in kills.torn(tmp_path)] == ["a.json", "b.html"]
+
+
+def test_only_what_a_dead_writer_left_is_removed(tmp_path: Path) -> None:
+    """Found by killing ``reproduce``: its half-written page stayed beside the finished one."""
+    dead = subprocess.Popen([sys.executable, "-S", "-c", ""])
+    dead.wait()
+    kept = {"mine.part", ".mine.part", ".notes.old.part", f".b.html.{os.getpid()}.part"}
+    for name in (*kept, f".a.html.{dead.pid}.part"):
+        (tmp_path / name).write_text("<html>")
+    make_folder(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == kept
