@@ -24,7 +24,8 @@ class Light(Part):
         Emission as a table instead, of (angle to -z in degrees, share of the largest), joined by straight lines; 0
         beyond the last.
     radius_mm
-        Radius of each LED's disc, which lies across z; 0 is a point.
+        Radius of each LED's disc, which lies across z and is seen where the window mirrors it; 0 is a point, whose
+        mirror image has no size.
     ambient
         Share of the brightness that comes from all sides (scattering in the body), 0 to 1.
     """

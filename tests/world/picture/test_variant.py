@@ -21,6 +21,7 @@ def _own_surroundings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(variant, "cache_folder", lambda: tmp_path)
     monkeypatch.delenv(variant.FORCE, raising=False)
     monkeypatch.setenv(variant.LIBRARY, "")
+    monkeypatch.setattr(variant, "_DRIVERS", ())
 
 
 def test_no_library_means_splat_with_a_remedy() -> None:
@@ -36,7 +37,7 @@ def test_a_file_that_is_no_library_is_refused_and_remembered(tmp_path: Path, mon
     assert choose_variant(candidates=[str(fake)]).name == "splat"
     assert list(json.loads((tmp_path / "llvm.json").read_text()).values()) == ["not a library of LLVM 16 or later"]
 
-    def never(library: str) -> str:
+    def never(library: str, way: str) -> str:
         raise AssertionError(f"{library} was tried twice")
 
     monkeypatch.setattr(variant, "_try", never)
@@ -58,13 +59,13 @@ def test_a_library_that_kills_its_process_leaves_ours_alive(tmp_path: Path, monk
 def test_a_hanging_library_is_given_up_but_not_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = tmp_path / "libLLVM.so.97"
     fake.write_bytes(b"")
-    monkeypatch.setattr(variant, "_try", lambda library: f"{variant._UNTRIED} (TimeoutExpired)")
+    monkeypatch.setattr(variant, "_try", lambda library, way: f"{variant._UNTRIED} (TimeoutExpired)")
     assert choose_variant(candidates=[str(fake)]).name == "splat"
     assert not (tmp_path / "llvm.json").exists()
 
 
 def test_old_versions_are_refused_by_name_without_a_try(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(variant, "_try", lambda library: "good")
+    monkeypatch.setattr(variant, "_try", lambda library, variant: "good")
     assert variant._verdict("/nowhere/libLLVM-15.so.1") == "older than 19"
     assert variant._named_version("/x/libLLVM.so.19.1") == 19
     assert variant._named_version("/x/libLLVM-22.so") == 22
@@ -75,7 +76,7 @@ def test_old_versions_are_refused_by_name_without_a_try(monkeypatch: pytest.Monk
 def test_a_good_library_is_handed_to_drjit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     good = tmp_path / "libLLVM.so.19"
     good.write_bytes(b"")
-    monkeypatch.setattr(variant, "_try", lambda library: "good")
+    monkeypatch.setattr(variant, "_try", lambda library, variant: "good")
     chosen = choose_variant(candidates=["/nowhere/libLLVM.so", str(good)])
     assert chosen.name == "llvm_ad_rgb"
     assert os.environ[variant.LIBRARY] == str(good)
@@ -84,6 +85,21 @@ def test_a_good_library_is_handed_to_drjit(tmp_path: Path, monkeypatch: pytest.M
 def test_a_broken_memory_is_no_obstacle(tmp_path: Path) -> None:
     (tmp_path / "llvm.json").write_text("{not json")
     assert choose_variant(candidates=[str(tmp_path / "llvm.json")]).name == "splat"
+
+
+def test_a_gpu_on_which_mitsuba_works_goes_first_and_another_is_passed_by(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = tmp_path / "libcuda.so.1"
+    driver.write_bytes(b"")
+    monkeypatch.setattr(variant, "_DRIVERS", (str(tmp_path / "libcuda*"),))
+    for verdict, name in (("ends with code -6", "splat"), ("good", "cuda_ad_rgb")):
+        (tmp_path / "llvm.json").unlink(missing_ok=True)
+        monkeypatch.setattr(variant, "_try", lambda library, way, verdict=verdict: verdict)
+        assert choose_variant(candidates=[]).name == name
+    assert choose_variant("splat", candidates=[]).name == "splat"
+    with pytest.raises(MissingCapability):
+        choose_variant("llvm_ad_rgb", candidates=[])
 
 
 @pytest.mark.parametrize("name", ["scalar_rgb", "cuda_ad_rgb", "splat"])

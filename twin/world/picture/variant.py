@@ -1,6 +1,8 @@
 """Which way of rendering this machine can go, found out without ever risking the process.
 
-``llvm_ad_rgb`` is the fast one. It needs a system libLLVM of version 19 or later that Dr.Jit loads by name: without one
+``cuda_ad_rgb`` is taken where NVIDIA's driver is and Mitsuba on it meets a marker where it stands; it runs the same
+code as ``llvm_ad_rgb``, and no machine with a GPU was at hand to measure it. ``llvm_ad_rgb`` is the fast one of every
+other machine. It needs a system libLLVM of version 19 or later that Dr.Jit loads by name: without one
 it fails politely, but with LLVM 15 or 16 it aborts the process, which no ``except`` can catch. So every candidate is
 tried in a process of its own, once, and the verdict is remembered with the library's path, size and time. Where none
 works, ``splat`` gives the same pictures without Mitsuba (`twin.world.picture.splat`). ``scalar_rgb`` is Mitsuba on any
@@ -42,9 +44,37 @@ _PLACES = (
     "C:/Program Files/LLVM/bin/LLVM-C.dll",
 )
 
+_DRIVERS = (
+    "/usr/lib/*/libcuda.so.1",
+    "/usr/lib64/libcuda.so.1",
+    "/usr/lib/libcuda.so.1",
+    "/usr/lib/wsl/lib/libcuda.so.1",
+    "C:/Windows/System32/nvcuda.dll",
+)
+
 _UNTRIED = "could not be tried"
 
-_PROBE = """
+_TRIAL = """
+mitsuba.set_variant(sys.argv[3])
+marker = mitsuba.TensorXf([0, 0, 0, 1, 1, 1, 0, 0, 0, 1], (1, 10))
+scene = mitsuba.load_dict({"type": "scene", "one": {"type": "ellipsoids", "data": marker, "extent": 1.0}})
+ray = mitsuba.Ray3f(mitsuba.Point3f(0, 0, 5), mitsuba.Vector3f(0, 0, -1))
+total = mitsuba.Float([1, 2, 3]) * 2
+good = sum(total) == 12 and abs(scene.ray_intersect_preliminary(ray, True).t[0] - 4) < 1e-3
+print("good" if good else "wrong", *version)
+"""
+
+_PROBE_CUDA = (
+    """
+import sys
+import mitsuba
+version = []
+"""
+    + _TRIAL
+)
+
+_PROBE = (
+    """
 import ctypes, os, sys
 try:
     library = ctypes.CDLL(sys.argv[1])
@@ -57,10 +87,10 @@ if numbers[0].value < int(sys.argv[2]):
     print("old", numbers[0].value); sys.exit()
 os.environ["DRJIT_LIBLLVM_PATH"] = sys.argv[1]
 import mitsuba
-mitsuba.set_variant("llvm_ad_rgb")
-total = mitsuba.Float([1, 2, 3]) * 2
-print("good" if sum(total) == 12 else "wrong", numbers[0].value)
+version = [numbers[0].value]
 """
+    + _TRIAL
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +113,7 @@ class Variant:
 
 
 def choose_variant(force: str | None = None, candidates: Iterable[str] | None = None) -> Variant:
-    """Choose how to render: Mitsuba's fast variant where it works, else ``splat``; prepare the environment for it.
+    """Choose how to render: Mitsuba on a GPU, else with LLVM, else ``splat``; prepare the environment for it.
 
     Parameters
     ----------
@@ -104,6 +134,8 @@ def choose_variant(force: str | None = None, candidates: Iterable[str] | None = 
         raise InputError(f"{FORCE} is {name!r}; it must be one of {', '.join(VARIANTS)}, or unset")
     if name in ("scalar_rgb", "cuda_ad_rgb", "splat"):
         return Variant(name=name, library=None, reason=f"{name} was asked for")
+    if not name and (driver := _working_driver()):
+        return Variant(name="cuda_ad_rgb", library=None, reason=f"{driver} and Mitsuba on it work")
     refused = []
     for library in _libraries() if candidates is None else candidates:
         verdict = _verdict(library)
@@ -115,6 +147,12 @@ def choose_variant(force: str | None = None, candidates: Iterable[str] | None = 
     if name:
         raise MissingCapability(f"llvm_ad_rgb was asked for, but {why}: {REMEDY}")
     return Variant(name="splat", library=None, reason=f"pictures are made without Mitsuba, as {why}: {REMEDY}")
+
+
+def _working_driver() -> str | None:
+    """Return NVIDIA's driver where there is one on which Mitsuba works."""
+    found = (path for place in _DRIVERS for path in glob.glob(place))
+    return next((path for path in found if _verdict(path, "cuda_ad_rgb") == "good"), None)
 
 
 def _libraries() -> Sequence[str]:
@@ -132,9 +170,9 @@ def _named_version(path: str) -> int:
     return int(told.group(1)) if told else 0
 
 
-def _verdict(library: str) -> str:
+def _verdict(library: str, variant: str = "llvm_ad_rgb") -> str:
     """Return ``good`` or why a library can't be used; tried in a child process once and remembered."""
-    if 0 < _named_version(library) < OLDEST:
+    if variant == "llvm_ad_rgb" and 0 < _named_version(library) < OLDEST:
         return f"older than {OLDEST}"
     try:
         facts = os.stat(library)
@@ -146,7 +184,7 @@ def _verdict(library: str) -> str:
     memory = cache_folder() / "llvm.json"
     known = _remembered(memory)
     if key not in known:
-        verdict = _try(library)
+        verdict = _try(library, variant)
         if verdict.startswith(_UNTRIED):
             return verdict
         _remember(memory, {**_remembered(memory), key: verdict})
@@ -154,12 +192,13 @@ def _verdict(library: str) -> str:
     return known[key]
 
 
-def _try(library: str) -> str:
+def _try(library: str, variant: str = "llvm_ad_rgb") -> str:
     """Load a library, and Mitsuba on it, in a child process."""
     try:
         child = subprocess.run(
-            [sys.executable, "-c", _PROBE, library, str(OLDEST)], capture_output=True, text=True, timeout=120
-        )
+            [sys.executable, "-c", _PROBE if variant == "llvm_ad_rgb" else _PROBE_CUDA, library, str(OLDEST), variant],
+            capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired) as problem:
         return f"{_UNTRIED} ({type(problem).__name__})"
     told = child.stdout.split()
@@ -167,6 +206,8 @@ def _try(library: str) -> str:
         return f"Mitsuba on it ends with code {child.returncode}"
     if told[0] == "good":
         return "good"
+    if told[0] == "wrong":
+        return "Mitsuba on it computes wrongly"
     return f"version {told[1]} is older than {OLDEST}" if told[0] == "old" else "not a library of LLVM 16 or later"
 
 
