@@ -36,11 +36,15 @@ class Accuracy(Part):
         Largest error of a marker's place in the noise-free picture, px; ``auto`` balances it against the noise.
     contact_patches
         Contact patches across the contact's diameter, or ``auto``.
+    surface_table
+        Whether a curved body's answers are interpolated between patches solved all over its sensing surface, for many
+        loads: a minute or two once, milliseconds a load afterwards, and a thousandth more of error, which is told.
     """
 
     displacement: Annotated[float, Field(ge=1e-5, le=0.2)] | Literal["auto"] = 5e-3
     centroid_px: Annotated[float, Field(ge=1e-4, le=1)] | Literal["auto"] = "auto"
     contact_patches: Annotated[int, Field(ge=6, le=40)] | Literal["auto"] = USUAL
+    surface_table: bool = False
 
     def displacement_for(self, modulus_pct: float) -> float:
         """Return the largest error of displacements of a sensor whose Young's modulus is known to so many percent."""

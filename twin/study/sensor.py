@@ -96,7 +96,13 @@ class Sensor:
             from twin.world.elasticity.covered import CoveredLadder
 
             return CoveredLadder(covered)
-        return Ladder(scene.body, scene.material, scene.displacement_error, progress=self.progress)
+        return Ladder(
+            scene.body,
+            scene.material,
+            scene.displacement_error,
+            surface_table=scene.accuracy.surface_table,
+            progress=self.progress,
+        )
 
     @property
     def compliance(self) -> Compliance | Covered:

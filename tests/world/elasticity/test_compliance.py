@@ -100,6 +100,8 @@ def test_table_reaches_the_reference_s_own_accuracy_and_knows_it(case):
     ratio, error = estimate_ratio(Compliance(BLOCK, material), "block", case)
     assert error < 7e-5
     assert error < ratio * error < 3.0 * max(error, 4e-5)
+    nominal, _ = estimate_ratio(Compliance(BLOCK, material, level="nominal"), "block", case)
+    assert 1.0 < nominal < 3.0
     assert factorisations() == before
 
 
@@ -221,6 +223,21 @@ def test_expected_error_grows_towards_edges_and_is_the_measured_bound_inside():
     growing = [estimate("block", "standard", (x, 0.0), 4.0) for x in (20.0, 35.0, 40.0, 45.0)]
     assert growing == sorted(growing)
     assert growing[-1] > 0.05
+
+
+def test_next_to_the_clamped_rim_there_is_no_bound_and_estimates_say_so():
+    """The rim is at z = 10; the barrel's skirt begins at z = 8, where a load is 2 mm from it and has a bound."""
+
+    def pressed(z):
+        load = Traction.rectangle((-3.0, -8.0, z), (0.4, 0.4), (0, 0.2, 0))
+        return tile(load, BODIES["finger"])
+
+    stiff, points = compliance("finger", "nominal", 0.5), np.array([[-3.0, -7.5, 8.5]])
+    assert stiff.expected_error(pressed(8.3)) < 0.1
+    assert stiff.error_estimate(points, pressed(8.3)) < 0.1
+    for z in (9.3, 9.7):
+        assert stiff.expected_error(pressed(z)) > 1.0
+        assert stiff.error_estimate(points, pressed(z)) > 1.0
 
 
 @pytest.mark.parametrize("name", ["block", "finger"])

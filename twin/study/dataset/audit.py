@@ -158,7 +158,7 @@ def _relative(one: Floats | float, other: Floats | float) -> float:
 def _finer(made: MadeSensor) -> MadeSensor:
     """Return the same sensor at the highest accuracy."""
     scene = made.plan.scene
-    changes: dict[str, Any] = {"contact_patches": min(MOST_PATCHES, 2 * scene.contact_patches)}
+    changes: dict[str, Any] = {"contact_patches": min(MOST_PATCHES, 2 * scene.contact_patches), "surface_table": False}
     if pinned(finest_mesh_file(scene.body)):
         changes["displacement"] = BEST
     finest = scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update=changes)})

@@ -9,7 +9,8 @@ mesh is chosen by (`twin.world.elasticity.ladder`); and `Compliance.error_estima
 the next coarser level's answer.
 
 Validity: linear elasticity, small strain, quasi-static. The rest is smooth on the scale of the mesh; loads nearer to
-a free edge than an element are less accurate, which both say.
+a free edge than an element are less accurate, which both say. Within a tenth of the body's height of a held face there
+is no bound, and both say that by an error of one and more.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from twin.world.elasticity.known import REMEMBERED, Known, Memory
 from twin.world.elasticity.solve import Solver
 from twin.world.elasticity.spread import Readings, Region, patch_rests, single, worth_a_region
 from twin.world.elasticity.store import field_key, kept
+from twin.world.elasticity.surface_table import SurfaceTable
 from twin.world.elasticity.symmetric import make_symmetric
 from twin.world.elasticity.table import NU_RANGE, Basis, Table, TableAtNu
 from twin.world.elasticity.tabulate import Role, find_table, table_level
@@ -67,8 +69,10 @@ class Compliance:
         See `twin.world.elasticity.solve.Factor`.
     table
         Whether a table of the body, shipped or cached, may replace solves; a given mesh has none. Or the table to use.
+    surface_table
+        Whether to make, and keep, a `SurfaceTable` of a curved body, at its first load: a minute or two, for many.
     progress
-        Told when a mesh has to be made.
+        Told when a mesh or a table of the surface has to be made.
     """
 
     def __init__(
@@ -81,6 +85,7 @@ class Compliance:
         method: Method = "subtracted",
         solver: Solver = "auto",
         table: bool | Table = True,
+        surface_table: bool = False,
         progress: Progress | None = None,
     ) -> None:
         self.body = body
@@ -92,6 +97,7 @@ class Compliance:
         self._progress = progress
         self._solver: Solver = solver
         self._use_table = table
+        self._use_surface = surface_table
         self._fields: dict[str, Floats] = {}
         self._memory = Memory(body)
         self._sound: Rectangles | None = None
@@ -128,6 +134,19 @@ class Compliance:
     def _check_at_nu(self) -> TableAtNu | None:
         check = self._tabled("check")
         return check.at(self.material.poisson_ratio) if check else None
+
+    @cached_property
+    def _surface_table(self) -> SurfaceTable | None:
+        if not self._use_surface or self.body.is_flat or self._given_mesh is not None or not self._subtracted:
+            return None
+        try:
+            return SurfaceTable(self.system, self.body, self._progress)
+        except InputError:
+            return None
+
+    def _surface_for(self, load: Rectangles) -> SurfaceTable | None:
+        table = self._surface_table
+        return table if table is not None and table.covers(load) and table.pushes(load) else None
 
     def _tabled(self, role: Role, make: bool = False) -> Table | None:
         if not self._use_table or self._given_mesh is not None or not self._subtracted:
@@ -167,6 +186,7 @@ class Compliance:
             method=self.method,
             solver=self._solver,
             table=False,
+            surface_table=self._use_surface,
             progress=self._progress,
         )
 
@@ -195,7 +215,14 @@ class Compliance:
         """Return (n, 3) what the half-space lacks, mm; everything with the direct method."""
         if table := self._table_for(known, load):
             return table.displacement(known.basis(table.box_mm), load) / self._modulus
+        if surface := self._surface_for(load):
+            return surface.displacement(self._reading(surface, known), load)[0] / self._modulus
         return known.placed(self._locator).values(self._field(load)) / self._modulus
+
+    def _reading(self, surface: SurfaceTable, known: Known) -> Floats:
+        if known.reading is None:
+            known.reading = surface.reading(known.placed(self._locator))
+        return known.reading
 
     def gradient(self, points: Points, load: Rectangles) -> Floats:
         """Return (n, 3, 3) du_i/dx_j at ``points`` (n, 3): strain and turn. Raises like `displacement`."""
@@ -204,6 +231,10 @@ class Compliance:
             return np.zeros((len(known), 3, 3))
         if table := self._table_for(known, load):
             rest = table.gradient(known.basis(table.box_mm), load)
+        elif surface := self._surface_for(load):
+            if known.slopes is None:
+                known.slopes = surface.slopes(known.placed(self._locator))
+            rest = surface.gradient(known.slopes, load)
         else:
             rest = known.placed(self._locator).gradients(self._field(load))
         rest = rest / self._modulus
@@ -235,6 +266,8 @@ class Compliance:
     def _solved_rests(self, known: Known, rectangles: Rectangles, reused: bool) -> Floats:
         """Return (n, 3, k, 3) by the fewest solves: a region for patches close together, else by patch or by point."""
         places = known.placed(self._locator)
+        if self._surface_table is not None and self._surface_table.covers(rectangles):
+            return self._surface_table.rests(places, rectangles)
         if worth_a_region(rectangles, reused=reused):
             if self._region is not None and self._region.covers(rectangles):
                 return self._region.rests(places, rectangles)
@@ -300,18 +333,22 @@ class Compliance:
         return moved, self._estimate(known, load, rest, moved)
 
     def _estimate(self, known: Known, load: Rectangles, rest: Points, moved: Points) -> float:
-        level = self.level
+        level, tabled = self.level, False
         if self._table_for(known, load):
-            if self._check_at_nu is None or level == "nominal":
+            if self._check_at_nu is None:
                 return self.expected_error(load, known.points)
-            level = table_level(self.body, "truth")
+            tabled, level = True, table_level(self.body, "truth")
             other = self._check_at_nu.displacement(known.basis(self._check_at_nu.box_mm), load) / self._modulus
         elif self.coarser is not None:
             other = self.coarser._rest(self.coarser._checked(known.points, load), load)
         else:
             return self.expected_error(load)
         differ = _largest(rest - other) / _largest(moved)
-        return estimated_error(self.body, level, differ)
+        nominal = tabled and self.level == "nominal"
+        error = estimated_error(self.body, level, differ, load, nominal=nominal)
+        if surface := self._surface_for(load):
+            error += surface.displacement(self._reading(surface, known), load)[1] / self._modulus / _largest(moved)
+        return error
 
     def forget(self) -> None:
         """Forget the region of the last contact: presses then don't depend, in last digits, on those before them."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.arrays import Floats
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.world.mesh.sizing import Level
@@ -55,6 +56,13 @@ UNSEEN = {True: 4e-5, False: 4e-4}
 the solutions that the estimate was checked against."""
 
 
+NOMINAL_TABLE = 1.4
+"""Share of a nominal table's difference to the check table that is taken for its error."""
+
+RIM = 0.1
+"""Distance from a held face, over the body's height, within which the error of a load has no bound: the subtracted
+field is steep on the clamp there, which no mesh follows, and what two meshes make of it is alike."""
+
 _REACH = 1.0 / np.sqrt(3.0)
 """How far from its centre a rectangle is taken to be, over its half diagonal: as far as its 2 x 2 Gauss points."""
 
@@ -63,19 +71,42 @@ def expected_error(body: Body, level: Level, load: Rectangles) -> float:
     """Return the largest displacement error over the largest displacement to be expected 0.3 mm deep and deeper.
 
     The mean over the load's force of a law in the least distance d to another face: constant far from it, then
-    ``at_fifth`` (height / (5 d))^power up to ``most`` (see `Expected`); within a factor of three, mostly above.
+    ``at_fifth`` (height / (5 d))^power up to ``most`` (see `Expected`); within a factor of three, mostly above. The
+    share of the force that has no bound (`unbounded`) is added.
     """
     law = EXPECTED[body.is_flat, level]
     if len(load) == 0:
         return law.inside
-    away = body.piece_distances(load.centre_mm)[:, 1:].min(axis=1) - _REACH * np.hypot(*load.half_mm.T)
+    away = _away(body, load)[:, 1:].min(axis=1)
     near = law.at_fifth * (body.base_z_mm / (5.0 * np.maximum(away, 1e-9))) ** law.power
     each = np.minimum(np.maximum(near, law.inside), law.most)
+    return _mean(load, each) + unbounded(body, load)
+
+
+def unbounded(body: Body, load: Rectangles) -> float:
+    """Return the share of a load's force that is so near to a held face (`RIM`) that its error has no bound.
+
+    Added to an estimate, which is relative to the largest displacement, it says that nothing may be right.
+    """
+    return _mean(load, (_away(body, load)[:, list(body.held_pieces)].min(axis=1) < RIM * body.base_z_mm).astype(float))
+
+
+def _away(body: Body, load: Rectangles) -> Floats:
+    """Return (k, pieces) distances of the rectangles' nearer Gauss points from the body's faces, mm."""
+    return np.asarray(body.piece_distances(load.centre_mm) - _REACH * np.hypot(*load.half_mm.T)[:, None])
+
+
+def _mean(load: Rectangles, each: Floats) -> float:
+    """Return the mean of (k,) values over the rectangles' forces."""
     strength = np.sqrt(np.einsum("ki,ki->k", load.force_n, load.force_n))
     total = strength.sum()
     return float(strength @ each / total if total > 0.0 else each.mean())
 
 
-def estimated_error(body: Body, level: Level, difference: float) -> float:
-    """Return the error of a level's answer, from its difference to the next coarser level's (both relative)."""
-    return EXPECTED[body.is_flat, level].trust * difference + UNSEEN[body.is_flat]
+def estimated_error(body: Body, level: Level, difference: float, load: Rectangles, *, nominal: bool = False) -> float:
+    """Return the error of a level's answer, from its difference to the next coarser level's (both relative).
+
+    With ``nominal`` from that of a nominal table to the check table.
+    """
+    trust = NOMINAL_TABLE if nominal else EXPECTED[body.is_flat, level].trust
+    return trust * difference + UNSEEN[body.is_flat] + unbounded(body, load)

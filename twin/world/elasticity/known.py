@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twin.arrays import Points, frozen
+from twin.arrays import Floats, Points, frozen
 from twin.parts.body import Body
 from twin.world.elasticity.spread import Readings
 from twin.world.elasticity.table import Basis
@@ -31,11 +31,15 @@ class Known:
         Where they are in the mesh.
     readings
         Adjoint solves for them; large, so that one set at a time has any (`Memory.forget_readings`).
+    reading, slopes
+        What reads displacements and gradients there off a `twin.world.elasticity.surface_table.SurfaceTable`.
     """
 
     points: Points
     places: Places | None = None
     readings: Readings | None = None
+    reading: Floats | None = None
+    slopes: Floats | None = None
     _bases: dict[tuple[float, float, float], Basis] = field(default_factory=dict)
 
     def __len__(self) -> int:

@@ -58,26 +58,47 @@ class Ladder:
         What it is.
     asked
         Largest error over the largest displacement.
+    surface_table
+        Whether the cheapest level that is expected to do has a table of a curved body's surface: see `Compliance`.
     progress
         Told when a mesh or a table has to be made.
     """
 
-    def __init__(self, body: Body, material: Material, asked: float, *, progress: Progress | None = None) -> None:
+    def __init__(
+        self,
+        body: Body,
+        material: Material,
+        asked: float,
+        *,
+        surface_table: bool = False,
+        progress: Progress | None = None,
+    ) -> None:
         self._body, self._material, self._progress = body, material, progress
+        self._surface_table = surface_table
         self.asked = asked
         self._rungs: dict[Level, Compliance] = {}
 
     def at(self, level: Level) -> Compliance:
         """Return the compliance on one level."""
         if level not in self._rungs:
-            self._rungs[level] = Compliance(self._body, self._material, level=level, progress=self._progress)
+            self._rungs[level] = Compliance(
+                self._body,
+                self._material,
+                level=level,
+                surface_table=self._surface_table and level == self._cheapest,
+                progress=self._progress,
+            )
         return self._rungs[level]
+
+    @property
+    def _cheapest(self) -> Level:
+        flat = self._body.is_flat
+        return next((r for r in WORLD[1:] if EXPECTED[flat, r].inside <= self.asked), WORLD[-1])
 
     @property
     def base(self) -> Compliance:
         """The cheapest level that is expected to do."""
-        flat = self._body.is_flat
-        return self.at(next((r for r in WORLD[1:] if EXPECTED[flat, r].inside <= self.asked), WORLD[-1]))
+        return self.at(self._cheapest)
 
     def displacement(self, points: Points, load: Rectangles, *, always: bool = True) -> Answer:
         """Return the (n, 3) displacement of ``points`` under ``load``, from as fine a level as it takes.

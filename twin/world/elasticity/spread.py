@@ -78,7 +78,7 @@ class Region:
         axes = probes.frames.transpose(0, 2, 1)
         self._fields = kept(
             field_key(system, body, probes.centre_mm, probes.half_mm),
-            lambda: np.concatenate([field for _, field in _solved(system, body, probes, axes)], axis=2),
+            lambda: np.concatenate([field for _, field in solved(system, body, probes, axes)], axis=2),
             single=True,
         )
 
@@ -129,14 +129,14 @@ def patch_rests(system: TaylorHood, body: Body, places: Places, rectangles: Rect
     Patches whose fields would fill more than `KEPT_BYTES` are solved again each time.
     """
     axes = np.broadcast_to(np.eye(3), (len(rectangles), 3, 3))
-    solved = _solved(system, body, rectangles, axes)
+    parts = solved(system, body, rectangles, axes)
     matrix = places.matrix(len(system.mesh.points))
     if 4 * 9 * len(system.mesh.points) * len(rectangles) <= KEPT_BYTES:
         key = field_key(system, body, rectangles.centre_mm, rectangles.frames, rectangles.half_mm)
-        fields = kept(key, lambda: np.concatenate([field for _, field in solved], axis=2), single=True)
-        solved = iter([(slice(None), fields)])
+        fields = kept(key, lambda: np.concatenate([field for _, field in parts], axis=2), single=True)
+        parts = iter([(slice(None), fields)])
     out = np.empty((len(places.nodes), 3, len(rectangles), 3))
-    for part, fields in solved:
+    for part, fields in parts:
         out[:, :, part] = (matrix @ fields.reshape(len(fields), -1)).reshape(len(out), 3, -1, 3)
     return out
 
@@ -167,7 +167,7 @@ class Readings:
         return out
 
 
-def _solved(system: TaylorHood, body: Body, rectangles: Rectangles, axes: Floats) -> Iterator[tuple[slice, Floats]]:
+def solved(system: TaylorHood, body: Body, rectangles: Rectangles, axes: Floats) -> Iterator[tuple[slice, Floats]]:
     """Yield which patches, and the (N, 3, 3 k) rests under unit forces along the columns of each patch's axes."""
     for part, patches, columns in _batches(rectangles, axes):
         yield part, correction(system, body, patches, columns, PROBE_GOAL)

@@ -1,0 +1,105 @@
+"""Tables of a curved surface: exact at the grid's patches, and between them as near to solves as they say."""
+
+import numpy as np
+import pytest
+
+from twin.parts.body import Block, Finger
+from twin.parts.load import Rectangles, Traction
+from twin.parts.material import Material
+from twin.world.elasticity import surface_table
+from twin.world.elasticity.compliance import Compliance
+from twin.world.elasticity.surface_table import PATCH, SurfaceTable
+from twin.world.elasticity.tile import tile
+
+FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
+RUBBER = Material(youngs_modulus_mpa=0.5, poisson_ratio=0.5)
+HALF = 7.0
+POINTS = FINGER.chart_points(np.array([[0.2, 0.1], [1.0, 0.5], [-2.0, 3.0], [3.0, -1.0]] * 2), np.repeat([0.5, 2.0], 4))
+
+
+def finger(surface):
+    return Compliance(FINGER, RUBBER, level="sketch", surface_table=surface)
+
+
+def patch(chart, force=(0.2, -0.1, 1.0)):
+    centre = FINGER.chart_points(np.array([chart], float))
+    return Rectangles(
+        centre_mm=centre,
+        frames=FINGER.frames(centre),
+        half_mm=np.full((1, 2), PATCH * HALF),
+        force_n=np.array([force], float),
+    )
+
+
+@pytest.fixture(scope="module")
+def small():
+    """A finger with a table of few nodes, and one that solves."""
+    with pytest.MonkeyPatch.context() as change:
+        change.setattr(surface_table, "NODES", 7)
+        made = finger(True)
+        assert made._surface_table is not None
+        yield made, finger(False)
+
+
+def test_patches_of_the_grid_are_answered_as_if_solved(small):
+    table, solved = small
+    for chart in ((0.0, 0.0), (HALF / 3, -HALF / 3)):
+        expected = solved.displacement(POINTS, patch(chart))
+        got = table.displacement(POINTS, patch(chart))
+        assert np.abs(got - expected).max() < 1e-5 * np.abs(expected).max()
+        slopes = solved.gradient(POINTS, patch(chart))
+        assert np.abs(table.gradient(POINTS, patch(chart)) - slopes).max() < 1e-4 * np.abs(slopes).max()
+
+
+def test_many_patches_at_once_and_one_load_are_the_same_answer(small):
+    table, _ = small
+    load = tile(Traction.disk((1.0, 0.5), 1.0, (0.3, 0, 1)), FINGER, 0.3)
+    columns = table.to_points(POINTS, load)
+    np.testing.assert_allclose(
+        columns @ load.force_n.ravel(), table.displacement(POINTS, load).ravel(), atol=1e-10, rtol=0
+    )
+
+
+def test_what_the_table_does_not_cover_is_solved(small):
+    table, solved = small
+    surface = table._surface_table
+    assert surface.covers(patch((6.9, 6.9)))
+    assert not surface.covers(patch((7.1, 0.0)))
+    twist = tile(Traction.twist((0, 0), 1.0, 1.0), FINGER, 0.4)
+    assert surface.covers(twist)
+    assert not surface.pushes(twist)
+    np.testing.assert_array_equal(table.displacement(POINTS, twist), solved.displacement(POINTS, twist))
+
+
+def test_only_curved_bodies_with_room_around_the_window_have_one():
+    block = Compliance(Block(width_mm=40, length_mm=40, thickness_mm=20), RUBBER, level="sketch", surface_table=True)
+    assert block._surface_table is None
+    assert finger(False)._surface_table is None
+
+
+LOADS = [
+    (Traction.bump((1.2, 0.8), 1.0, (0.3, 0.1, 1)), 2.5e-3),
+    (Traction.bump((-2.5, 2.1), 2.0, (1, 0, 0)), 2.5e-3),
+    (Traction.disk((2.6, 0.3), 1.0, (0, 0.5, 1)), 2.5e-3),
+    (Traction.rectangle((0.3, -2.0), (2.0, 1.0), (0, 0, 1)), 2.5e-3),
+    (Traction.rectangle((3.1, -1.0), (0.2, 0.2), (0.5, 0, 1)), 8e-3),
+]
+
+
+@pytest.mark.slow
+def test_answers_between_the_patches_are_as_near_to_solves_as_they_say():
+    chart = np.stack(np.meshgrid(np.linspace(-3, 3.5, 7), np.linspace(-3, 3, 7)), -1).reshape(-1, 2)
+    points = np.vstack([FINGER.chart_points(chart, depth) for depth in (0.3, 0.5, 2.0)])
+    table, solved = finger(True), finger(False)
+    surface = table._surface_table
+    assert isinstance(surface, SurfaceTable)
+    for traction, bound in LOADS:
+        load = tile(traction, FINGER)
+        expected = solved.displacement(points, load)
+        size = np.linalg.norm(expected, axis=1).max()
+        error = np.linalg.norm(table.displacement(points, load) - expected, axis=1).max() / size
+        known = table._checked(points, load)
+        told = surface.displacement(table._reading(surface, known), load)[1] / RUBBER.youngs_modulus_mpa / size
+        assert error < bound
+        assert error < told + 5e-4  # the solves themselves are that rough
+        assert table.error_estimate(points, load) > told
