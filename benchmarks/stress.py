@@ -23,6 +23,7 @@ from typing import Any
 from benchmarks.__main__ import RESULTS, table
 from benchmarks.stress_axes import Axis, Measured, system_axes, unsolvable
 from benchmarks.stress_loads import load_axes
+from benchmarks.stress_picture import unfit_libraries
 from twin.errors import TwinError
 from twin.places import ROOT, cache_folder
 
@@ -41,6 +42,12 @@ STAGES = {
     "dataset": "stress_dataset.dataset_axes",
 }
 """Stages, with the function that returns their axes; elasticity has two here."""
+
+REFUSALS: dict[str, Callable[[], dict[str, Callable[[], Measured]]]] = {
+    ELASTICITY: unsolvable,
+    "picture": unfit_libraries,
+}
+"""What has no answer, or no good one, by stage."""
 
 BREAKING, REFUSED = "Breaking points", "What can't be solved"
 
@@ -61,9 +68,8 @@ def _walked(stage: str, quick: bool = False) -> list[dict[str, Any]]:
         start = sum(os.times()[:4])
         row = survey(axis, axis.steps[:: 3 if quick else 1])
         rows.append({"what": BREAKING, "stage": stage, **row, "cpu_s": sum(os.times()[:4]) - start})
-    if stage != ELASTICITY:
-        return rows
-    return rows + [{"what": REFUSED, **refusal(name, attempt)} for name, attempt in unsolvable().items()]
+    attempts = REFUSALS.get(stage, dict)()
+    return rows + [{"what": REFUSED, "stage": stage, **refusal(name, attempt)} for name, attempt in attempts.items()]
 
 
 def _axes(stage: str) -> list[Axis]:

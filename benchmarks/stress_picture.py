@@ -1,30 +1,48 @@
-"""Axes of the picture: lens, place, size, number and strain of markers, picture size and exposure, on the splat.
+"""Axes of the picture: lens, place, size, number and strain of markers, light, picture size, exposure, on the splat.
 
-Departure is that of a marker's visible outline, drawn, from the place that the closed form of the rays projects its
-centre to, px; where a marker fills many pixels the lens bends it, so the bound grows with its radius. A picture must be
-finite and hold what is asked of it; else its residual is infinite.
+Departure is that of a marker's visible outline, drawn, from the middle of the hull of its surface's points, each
+projected in closed form, px. Where an axis says so it is another: shares and areas are brought to px of the outline. A
+picture must be finite and hold what is asked of it; else its residual is infinite.
 """
 
 from __future__ import annotations
 
+import json
 import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from benchmarks.stress_axes import Axis, Measured
+from twin.arrays import Pixels
+from twin.errors import MissingCapability
 from twin.parts.ccd import Ccd
 from twin.parts.scene import Scene
+from twin.places import ROOT
 from twin.study.recipe import load_scene
 from twin.theory.optics import project, rays
 from twin.world.picture.exposure import expose
 from twin.world.picture.markers import Ellipsoids
 from twin.world.picture.render import Renderer
-from twin.world.picture.variant import Variant
+from twin.world.picture.variant import Variant, choose_variant
 
 SPLAT = Variant(name="splat", library=None, reason="on every machine")
 DRAWN = Measured(residual=1e-6, departure=0.02)
 """Bounds: round trip from pixel to ray to pixel, px, and a drawn outline's place, px."""
+
+PX_A_MM = 20.35
+"""Of the block's camera, 6 mm deep."""
+
+BALL = np.random.default_rng(4).normal(size=(4000, 3))
+BALL /= np.linalg.norm(BALL, axis=1, keepdims=True)
 
 
 def picture_axes() -> list[Axis]:
@@ -37,12 +55,44 @@ def picture_axes() -> list[Axis]:
         _axis("marker diameter down, px", (20.0, 5.0, 2.0, 1.0, 0.5, 0.1), _diameter),
         _axis("marker diameter up, px", (20.0, 40.0, 60.0, 100.0), _diameter),
         _axis("picture, px a side, down", (64.0, 8.0, 2.0, 1.0, 0.0), _size),
-        _axis("picture, px a side, up", (256.0, 1024.0, 2048.0, 8193.0), _size),
-        _axis("markers", (1.0, 100.0, 1e3, 5e3, 2e4), _crowd),
+        _axis("picture, px a side, up", (256.0, 1024.0, 4096.0, 8193.0), _size),
+        _axis("markers", (0.0, 1.0, 100.0, 1e3, 5e3, 2e4), _crowd),
         _axis("depth of a marker under the window, mm", (30.0, 5.0, 1.0, 0.3, 0.1, -1.0), _near),
+        _axis("marker behind the window, mm", (0.01, 1.0, 10.0, 100.0, 1e6), _behind),
+        _axis("marker beyond the picture's edge, radii (departure: of its share that is seen)",
+              (-1.0, -0.5, 0.0, 0.5, 0.9, 1.0, 10.0, 1e3), _outside),
+        _axis("overlap of two markers, diameters (departure: of their common area)",
+              (0.0, 0.25, 0.5, 0.9, 0.99, 1.0), _overlap),
+        _axis("strain of a print", (0.1, 0.5, 1.0, 3.0, 10.0), _strained),
+        _axis("LED in the body above a marker's middle, mm (departure: of its light)",
+              (20.0, 5.0, 1.0, 0.5, 0.3, 0.2, 0.0), _inner_light),
+        _axis("markers in front of an LED in the body (departure: of the light on the last)", (1.0, 2.0, 10.0, 100.0),
+              _shaded),
         _axis("exposure up", (1.0, 10.0, 1e3, 1e4), _exposure),
         _axis("exposure down", (1.0, 1e-2, 1e-6, 1e-30, 0.0), _exposure),
+        Axis(name="pictures of a process without a home (departure: MiB grown)", steps=(100.0, 1e4), attempt=_many,
+             bounds=replace(DRAWN, departure=5.0)),
     ]  # fmt: skip
+
+
+def unfit_libraries() -> dict[str, Callable[[], Measured]]:
+    """Return libraries that can't be asked for, by name; unasked, the splat draws the picture."""
+
+    def asked(library: str | None) -> Measured:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / (library or "none")
+            path.write_text("no library at all")
+            try:
+                choose_variant("llvm_ad_rgb", candidates=[] if library is None else [str(path)])
+            except MissingCapability as problem:
+                raise MissingCapability(str(problem).replace(f"{folder}/", "")) from None
+        return Measured(residual=0.0)
+
+    return {
+        "picture, llvm_ad_rgb asked for, no libLLVM": lambda: asked(None),
+        "picture, llvm_ad_rgb asked for, libLLVM too old": lambda: asked("libLLVM-15.so.1"),
+        "picture, llvm_ad_rgb asked for, libLLVM a text": lambda: asked("libLLVM.so.99"),
+    }
 
 
 def _axis(name: str, steps: tuple[float, ...], attempt: Any) -> Axis:
@@ -54,59 +104,161 @@ def _scene(**camera: Any) -> Scene:
     return load_scene("kamiyama_pillar", {f"camera.{key}": value for key, value in keys.items()})
 
 
-def _beads(places: Any, radius: float = 0.25) -> Ellipsoids:
+def _beads(places: Any, radius: Any = 0.25) -> Ellipsoids:
     centres = np.atleast_2d(np.asarray(places, float))
-    n = len(centres)
-    return Ellipsoids(centres=centres, axes=np.tile(radius * np.eye(3), (n, 1, 1)), colour=np.full((n, 3), 0.7))
+    axes = np.broadcast_to(radius, len(centres))[:, None, None] * np.eye(3)
+    return Ellipsoids(centres=centres, axes=axes, colour=np.full((len(centres), 3), 0.7))
 
 
-def _seen(scene: Scene, markers: Ellipsoids, allowed: float = 1.0) -> Measured:
-    """Draw markers; return round trip and the largest departure of whole outlines, over ``allowed``."""
+def _seen(scene: Scene, markers: Ellipsoids) -> Measured:
+    """Draw markers; return round trip and the largest departure of whole outlines."""
     assert scene.camera is not None
     optics = scene.camera, scene.material.refractive_index, scene.body.base_z_mm
-    renderer = Renderer(scene, markers, SPLAT, subpixels=4)
+    renderer = Renderer(scene, markers if len(markers) else _beads([(0, 0, 6.0)]), SPLAT, subpixels=4)
     light, outlines = renderer.radiance(markers), renderer.outlines(markers)
     pixels = project(markers.centres, *optics)
     seen = np.isfinite(pixels).all(axis=1)
     start, way = rays(pixels[seen], *optics)
     along = np.sum((markers.centres[seen] - start) * way, axis=1)[:, None]
     trip = np.abs(project(start + along * way, *optics) - pixels[seen]).max(initial=0.0)
-    whole = (outlines.visible > 0.999) & seen
-    off = np.abs(outlines.centroid_px - pixels)[whole].max(initial=0.0)
+    whole = np.flatnonzero((outlines.visible > 0.999) & seen)
+    if len(whole) > 50:
+        whole = whole[:: len(whole) // 50]
+    off = [np.abs(outlines.centroid_px[i] - _hull(markers, int(i), scene)[0]).max() for i in whole]
     good = np.isfinite(light).all() and (light >= 0).all()
-    return Measured(residual=float(trip) if good else math.inf, departure=float(off) / allowed)
+    return Measured(residual=float(trip) if good else math.inf, departure=float(np.max(off, initial=0.0)))
+
+
+def _hull(markers: Ellipsoids, i: int, scene: Scene) -> tuple[Pixels, float]:
+    """Return the centroid and area of one marker's outline: the hull of its surface's projected points."""
+    assert scene.camera is not None
+    surface = markers.centres[i] + BALL @ markers.axes[i].T
+    places = project(surface, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
+    hull = ConvexHull(places)
+    x, y = (places[hull.vertices] - places[hull.vertices[0]]).T
+    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
+    moments = np.array([((x + np.roll(x, -1)) * cross).sum(), ((y + np.roll(y, -1)) * cross).sum()])
+    return places[hull.vertices[0]] + moments / (3 * cross.sum()), float(hull.volume)
 
 
 def _field(degrees: float, lens: str) -> Measured:
+    """Draw beads as wide as the body allows: in a wide field they are small."""
     half = math.radians(degrees / 2)
-    focal = 60 / (math.tan(half) if lens == "pinhole" else half)
-    scene = _scene(lens=lens, focal_px=max(focal, 1.0 + 1e-9))
-    width = 0.5 * 100 / max(focal, 60.0)
+    focal = 240 / (math.tan(half) if lens == "pinhole" else half)
+    scene = _scene(width_px=480, height_px=360, lens=lens, focal_px=max(focal, 1.0 + 1e-9))
+    width = min(0.8, 200 / focal)
     places = [(x * width, y * width, 6.0) for x in (-20, 0, 20) for y in (-15, 0, 15)]
-    return _seen(scene, _beads(places, min(0.25, 300.0 / focal)))
+    return _seen(scene, _beads(places, min(2.5, 300.0 / focal)))
 
 
 def _diameter(size_px: float) -> Measured:
-    scene = _scene()
-    # 20.35 px a mm at 6 mm; a wide marker is bent by the lens, in proportion to its radius
-    return _seen(scene, _beads([(0.03, -0.02, 6.0)], size_px / 20.35 / 2), max(1.0, size_px / 20))
+    return _seen(_scene(), _beads([(0.03, -0.02, 6.0)], size_px / PX_A_MM / 2))
 
 
 def _size(side: float) -> Measured:
     focal = 1814.8 * max(side, 1.0) / 640
-    return _seen(
-        _scene(width_px=int(side), height_px=int(side), focal_px=focal), _beads([(0, 0, 6.0)], 1.0), side / 20 + 1
-    )
+    return _seen(_scene(width_px=int(side), height_px=int(side), focal_px=focal), _beads([(0, 0, 6.0)], 1.0))
 
 
 def _crowd(count: float) -> Measured:
     rng, n = np.random.default_rng(3), int(count)
     places = np.column_stack([rng.uniform(-2.5, 2.5, n), rng.uniform(-2, 2, n), rng.uniform(1, 12, n)])
-    return _seen(_scene(), _beads(places, 0.02), 2.0)
+    return _seen(_scene(), _beads(places.reshape(n, 3), 0.02))
 
 
 def _near(depth: float) -> Measured:
-    return _seen(_scene(), _beads([(0, 0, 40.0 - depth)], min(0.25, abs(depth) / 2)), 2.0)
+    return _seen(_scene(), _beads([(0, 0, 40.0 - depth)], min(0.25, abs(depth) / 2)))
+
+
+def _behind(height: float) -> Measured:
+    """Draw one behind the base, which must not be seen, in front of one that must."""
+    outlines = Renderer(_scene(), _beads([(0, 0, 6.0)]), SPLAT).outlines(_beads([(0, 0, 40 + height), (0, 0, 6.0)]))
+    return Measured(
+        residual=0.0 if outlines.visible[0] == 0 and outlines.visible[1] > 0.999 else math.inf, departure=0.0
+    )
+
+
+def _outside(radii: float) -> Measured:
+    """Draw one whose middle stands so many radii beyond the right edge; a circle's segment is seen."""
+    scene, radius = _scene(), 0.25
+    x = (119.5 - 59.5) / PX_A_MM
+    for _ in range(5):  # to the edge, by what a mm is there
+        markers = _beads([(x + radii * radius, 0, 6.0)], radius)
+        x += (119.5 + radii * radius * PX_A_MM - _place(markers, scene)) / PX_A_MM
+    outlines = Renderer(scene, _beads([(0, 0, 6.0)]), SPLAT, subpixels=8).outlines(markers)
+    _, area = _hull(markers, 0, scene)
+    out = min(max((_place(markers, scene) - 119.5) / math.sqrt(area / math.pi), -1.0), 1.0)
+    share = (math.acos(out) - out * math.sqrt(1 - out**2)) / math.pi
+    return Measured(residual=0.0, departure=abs(float(outlines.visible[0]) - share) * math.sqrt(area / math.pi) / 2)
+
+
+def _place(markers: Ellipsoids, scene: Scene) -> float:
+    assert scene.camera is not None
+    place = project(markers.centres, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
+    return float(place[0, 0])
+
+
+def _overlap(share: float) -> Measured:
+    """Draw two at one depth, a part of a diameter into each other; discs' common area is known."""
+    scene, radius = _scene(), 0.25
+    markers = _beads([(-radius * (1 - share), 0, 6.0), (radius * (1 - share), 0, 6.0)], radius)
+    outlines = Renderer(scene, markers, SPLAT, subpixels=8).outlines(markers)
+    _, area = _hull(markers, 0, scene)
+    common = 2 / math.pi * (math.acos(1 - share) - (1 - share) * math.sqrt(1 - (1 - share) ** 2))
+    off = float(outlines.area_px.sum()) - area * (2 - common)
+    return Measured(residual=0.0, departure=abs(off) / (2 * math.pi * math.sqrt(area / math.pi)))
+
+
+def _strained(strain: float) -> Measured:
+    """Draw a print that is drawn out along x and thinner across."""
+    stretch = np.diag([1 + strain, (1 + strain) ** -0.5, (1 + strain) ** -0.5])
+    disc = stretch @ np.diag([0.25, 0.25, 0.025])
+    print_ = Ellipsoids(centres=np.array([[0.03, -0.02, 6.0]]), axes=disc[None], colour=np.full((1, 3), 0.7))
+    return _seen(_scene(), print_)
+
+
+def _inner_light(above: float) -> Measured:
+    """Light the pole of a bead from straight above, the picture's middle; inside the bead it must stay dark."""
+    scene = _scene(width_px=121, height_px=91)
+    assert scene.light is not None
+    led = {"positions_mm": ((0.0, 0.0, 6.0 + above),), "ambient": 0.0}
+    renderer = Renderer(
+        scene.model_copy(update={"cover": None, "light": scene.light.model_copy(update=led)}),
+        _beads([(0, 0, 3.0)]), SPLAT, subpixels=1,
+    )  # fmt: skip
+    light = renderer.radiance(_beads([(0, 0, 6.0)]))
+    if not np.isfinite(light).all():
+        return Measured(residual=math.inf)
+    lit = float(light[45, 60, 0])
+    if above <= 0.25:
+        return Measured(residual=0.0, departure=lit)
+    return Measured(residual=0.0, departure=abs(lit * renderer._top * (above - 0.25) ** 2 / 0.7 / renderer._gain - 1))
+
+
+def _shaded(count: float) -> Measured:
+    """Put beads between an LED in the body and the last one, beside the camera's way to it: it must be dark."""
+    scene, n = _scene(), int(count)
+    assert scene.light is not None
+    led, last = np.array([1.5, 0.0, 20.0]), np.array([0.0, 0.0, 6.0])
+    lit = {"positions_mm": (tuple(led),), "ambient": 0.0}
+    scene = scene.model_copy(update={"cover": None, "light": scene.light.model_copy(update=lit)})
+    between = led + (last - led) * np.linspace(0.2, 0.8, n)[:, None]
+    renderer = Renderer(scene, _beads([last]), SPLAT)
+    shaded = renderer.radiance(_beads(np.vstack([last, between]), [0.25, *[0.3] * n]))
+    column, row = np.rint(renderer.outlines(_beads([last])).centroid_px[0]).astype(int)
+    return Measured(residual=0.0 if np.isfinite(shaded).all() else math.inf, departure=float(shaded[row, column, 0]))
+
+
+def _many(count: float) -> Measured:
+    """Make pictures in a process that can write nowhere."""
+    env = {**os.environ, "HOME": "/proc/nowhere", "TWIN_CACHE": "/proc/nowhere", "XDG_CACHE_HOME": "/proc/nowhere"}
+    told = subprocess.run(
+        [sys.executable, "-m", "benchmarks.picture_process", "splat", str(int(count))],
+        capture_output=True, text=True, cwd=ROOT, env=env,
+    )  # fmt: skip
+    if told.returncode != 0:
+        return Measured(residual=math.inf)
+    return Measured(residual=0.0, departure=float(json.loads(told.stdout.splitlines()[-1])["grown_mib"]))
 
 
 def _exposure(factor: float) -> Measured:

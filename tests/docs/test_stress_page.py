@@ -20,6 +20,11 @@ PROMISED = {
     "cover, times as stiff": "1e-12",
     "E up, MPa": "1e+06",
     "threads": "4",
+    "field of view, pinhole, deg": "170",
+    "field of view, equidistant, deg": "200",
+    "markers": "20000",
+    "strain of a print": "10",
+    "pictures of a process without a home (departure: MiB grown)": "10000",
 }
 
 
@@ -38,8 +43,8 @@ def test_axis_holds_as_far_as_promised(axis: str) -> None:
 
 def test_every_impossible_system_is_refused() -> None:
     refused = [row for row in ROWS if row["what"] == REFUSED]
-    assert len(refused) >= 9
-    assert all(row["error"] in ("SolveError", "MeshError", "InputError") for row in refused)
+    assert len(refused) >= 12
+    assert all(row["error"] in ("SolveError", "MeshError", "InputError", "MissingCapability") for row in refused)
 
 
 def test_survey_stops_at_the_first_wrong_step_and_goes_on_to_the_error() -> None:

@@ -8,6 +8,7 @@ import pytest
 from twin.errors import RecipeError
 from twin.parts.light import Light
 from twin.parts.scene import Scene
+from twin.study.recipe import load_scene
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.glare import glare
 from twin.world.picture.lighting import Lamps, brightest, cover_light, irradiance, lamps_at
@@ -219,9 +220,21 @@ def test_every_interface_mirrors_and_none_makes_light() -> None:
     """A plate of glass in front of the body adds a fainter, nearer image; matched to the body, it moves the one."""
     made = scene(1.41, 1.49, (8.0, 0.0, 70.0))
     assert made.light is not None
-    discs = made.model_copy(update={"light": made.light.model_copy(update={"radius_mm": 1.0})})
+    discs = made.model_copy(update={"light": made.light.model_copy(update={"radius_mm": 0.3})})
     veil = glare(discs, 0.01)
     assert veil is not None
     levels = [veil[240, 319 + round(500 * 8 / reach)] for reach in (70, 70 + 20 / 1.49)]
     straight = [((1.49 - 1) / 2.49) ** 2, (1 - (0.49 / 2.49) ** 2) ** 2 * (0.08 / 2.9) ** 2]
     assert levels[1] / levels[0] == pytest.approx(straight[1] / straight[0], rel=0.02)
+
+
+def test_a_lens_that_sees_the_horizon_shows_no_glare_there() -> None:
+    made = load_scene("sato_press", {"light.radius_mm": 0.4})
+    assert made.camera is not None
+    veil = glare(made, 0.01)
+    assert veil is not None
+    rows, columns = np.indices(veil.shape)
+    away = np.hypot(rows - 239.5, columns - 319.5) / made.camera.focal_px
+    # Mirrored by the window: 5.66 - 0.4 to 5.66 + 0.4 mm aside over 1.5 mm of air, at 74.1 to 76.1 degrees.
+    assert np.rad2deg(away[veil > 0].max()) < 76.3
+    assert np.rad2deg(away[veil > 0].min()) > 67

@@ -103,7 +103,9 @@ def _disc(away: Floats, radius: float) -> Floats:
     across, down = away[:, 1:] - away[:, :-1], away[1:] - away[:-1]
     steep = np.hypot((across[1:] + across[:-1]) / 2, (down[:, 1:] + down[:, :-1]) / 2)
     covers: Floats = np.clip(0.5 + (radius - _mean(away)) / np.maximum(steep, 1e-12), 0, 1)
-    return covers
+    # At the horizon a pixel looks at more than the whole disc: there its share is next to nothing.
+    within: Floats = np.where(steep < 2 * radius, covers, 0.0)
+    return within
 
 
 def _mean(corners: Floats) -> Floats:
