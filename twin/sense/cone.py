@@ -7,7 +7,8 @@ Why active sets: a probe touches few of the sites, so the systems to solve hold 
 frame is nearly that of the next. Fz >= 0 has its tangential part eliminated beforehand (a Schur complement) and is
 solved by block principal pivoting (Portugal, Judice and Vicente, Math. Comp. 63 (1994) 625); the cone by a semismooth
 Newton method on F = P(F - D (A F - b)), P the projection onto the cones (Facchinei and Pang, Finite-Dimensional
-Variational Inequalities, sec. 9.1; the cone's derivative as in Fukushima, Luo and Tseng, SIAM J. Optim. 12 (2001) 436).
+Variational Inequalities, sec. 9.1; the cone's derivative as in Fukushima, Luo and Tseng, SIAM J. Optim. 12 (2001) 436),
+whose steps are symmetric systems along the derivative's axes, without those that slipping sites can't move along.
 
 Validity: weights below `LEAST` times the largest curvature of H^T H have to be raised to it by the caller: H^T H holds
 no more in double precision.
@@ -20,7 +21,8 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg
-from scipy.linalg.lapack import dposv
+from numba import njit
+from scipy.linalg.lapack import dposv, sposv
 
 from twin.arrays import Bools, Floats, Ints
 
@@ -36,8 +38,14 @@ LOOSE = 1e-6
 SINGLE = 1e-4
 """Above this residual Newton's steps are solved in single precision: what they point at is not the end yet."""
 
+CLEAR = 0.1
+"""Share of the largest push above which a site of the solution without bounds is taken to carry force at first."""
+
 PATIENCE = 4
 """Block exchanges without progress before single ones, which cannot cycle."""
+
+LEAST_SHARE = 1e-12
+"""Eigenvalue of the projection's derivative below which it is none: at the cone's tip."""
 
 MOST_NEWTON, HALVINGS = 60, 6
 
@@ -74,6 +82,11 @@ class Quadratic:
         response = scipy.linalg.solve_triangular(factor.T, half, lower=False)
         return np.asarray((schur + schur.T) / 2), factor, response
 
+    @cached_property
+    def _freely(self) -> Floats:
+        """Normal forces without bounds, from their reduced linear term."""
+        return np.asarray(np.linalg.inv(self._split[0]))
+
     def pushes(self, linear: Floats, start: Bools | None = None) -> tuple[Floats, Bools, float]:
         """Solve under F_n >= 0.
 
@@ -97,6 +110,9 @@ class Quadratic:
         linear = linear.reshape(-1, 3)
         beside = scipy.linalg.cho_solve((factor, True), linear[:, :2].ravel(), check_finite=False)
         reduced = linear[:, 2] - response.T @ linear[:, :2].ravel()
+        if start is None:
+            freely = self._freely @ reduced
+            start = freely > CLEAR * freely.max(initial=0.0)
         normal, free, kkt = _block_pivoting(schur, reduced, start)
         tangent = (beside - response @ normal).reshape(-1, 2)
         return np.column_stack([tangent, normal]), free, kkt
@@ -119,22 +135,22 @@ class Quadratic:
         return _working_set(self.curvature, linear, mu, project_onto_cone(start, mu))
 
 
-def _block_pivoting(matrix: Floats, linear: Floats, start: Bools | None) -> tuple[Floats, Bools, float]:
+def _block_pivoting(matrix: Floats, linear: Floats, start: Bools) -> tuple[Floats, Bools, float]:
     """Solve x >= 0, y = S x - q >= 0, x y = 0 by exchanging all wrong signs at once, or the last one when stuck."""
     count = len(linear)
     scale = float(np.abs(linear).max(initial=0.0))
     if scale == 0.0:
         return np.zeros(count), np.zeros(count, bool), 0.0
-    free = np.asarray(linear > 0 if start is None else start.copy(), np.bool_)
+    free = start
     best, patience, value = count + 1, PATIENCE, np.zeros(count)
     for _ in range(100 + 10 * count):
         value[:] = 0.0
         where = np.flatnonzero(free)
         if len(where):
-            block = matrix[np.ix_(where, where)]
+            block = matrix[where][:, where]
             _, part, failed = dposv(block, linear[where], lower=1)
             value[where] = part if failed == 0 else np.linalg.lstsq(block, linear[where], rcond=None)[0]
-        slack = matrix[:, where] @ value[where] - linear
+        slack = matrix @ value - linear
         slack[where] = 0.0
         size = float(np.abs(value).max(initial=0.0))
         wrong = (free & (value < -1e-14 * size)) | (~free & (slack < -1e-12 * scale))
@@ -171,25 +187,26 @@ def _project(force: Floats, mu: float) -> tuple[Floats, Ints]:
     return out, kind
 
 
-def _project_derivative(force: Floats, kind: Ints, mu: float) -> Floats:
-    """Return (k, 3, 3) derivatives of the projection."""
-    out = np.zeros((len(force), 3, 3))
-    out[kind == 2] = np.eye(3)
+def _project_axes(force: Floats, kind: Ints, mu: float) -> tuple[Floats, Floats]:
+    """Return (k, 3, 3) orthonormal axes, the columns, and (k, 3) eigenvalues of the derivative of the projection.
+
+    Where a force sticks all are 1; where it slips they are 1 along the cone, a share across it, and 0 off it.
+    """
+    axes, share = np.tile(np.eye(3), (len(force), 1, 1)), np.ones((len(force), 3))
     slips = kind == 1
     if slips.any():
         tangent, normal = force[slips, :2], force[slips, 2]
         length = np.sqrt((tangent**2).sum(axis=1))
         unit = tangent / length[:, None]
-        share = 1 / (1 + mu**2)
-        carried = (normal + mu * length) * share
-        block = np.zeros((len(unit), 3, 3))
-        outer = unit[:, :, None] * unit[:, None, :]
-        around = (mu * carried / length)[:, None, None]
-        block[:, :2, :2] = mu**2 * share * outer + around * (np.eye(2) - outer)
-        block[:, :2, 2] = block[:, 2, :2] = mu * share * unit
-        block[:, 2, 2] = share
-        out[slips] = block
-    return out
+        size = np.sqrt(1 + mu**2)
+        turned = np.zeros((len(unit), 3, 3))
+        turned[:, :2, 0], turned[:, 2, 0] = mu * unit / size, 1 / size
+        turned[:, 0, 1], turned[:, 1, 1] = -unit[:, 1], unit[:, 0]
+        turned[:, :2, 2], turned[:, 2, 2] = unit / size, -mu / size
+        axes[slips] = turned
+        share[slips, 1] = mu * (normal + mu * length) / (1 + mu**2) / length
+        share[slips, 2] = 0.0
+    return axes, share
 
 
 def _working_set(matrix: Floats, linear: Floats, mu: float, start: Floats) -> tuple[Floats, float]:
@@ -201,12 +218,11 @@ def _working_set(matrix: Floats, linear: Floats, mu: float, start: Floats) -> tu
     force, inside, goal = start.copy(), np.asarray(start.any(axis=1), np.bool_), LOOSE
     for _ in range(MOST_GROWTH):
         where = np.flatnonzero(inside)
-        rows = (3 * where[:, None] + np.arange(3)).ravel()
-        block = matrix[rows]
+        gradient = _pull(matrix, where, force[where]) - linear.reshape(-1, 3)
         if len(where):
-            some = block[:, rows]
-            force[where] = _newton(some, linear[rows], mu, force[where], rate[where], goal * scale, SINGLE * scale)
-        gradient = (force[where].ravel() @ block - linear).reshape(-1, 3)
+            force[where], gradient = _newton(
+                matrix, where, force[where], gradient, mu, rate[where], goal * scale, SINGLE * scale
+            )
         onto, _ = _project(force - rate[:, None] * gradient, mu)
         wrong = np.abs((force - onto) / rate[:, None]).max(axis=1) / scale
         missing = np.flatnonzero(~inside & (wrong > goal))
@@ -222,57 +238,126 @@ def _working_set(matrix: Floats, linear: Floats, mu: float, start: Floats) -> tu
 
 
 def _newton(
-    matrix: Floats, linear: Floats, mu: float, start: Floats, rate: Floats, goal: float, single: float
-) -> Floats:
-    """Semismooth Newton with a line search on the residual; sites that carry nothing drop out of the system."""
+    matrix: Floats, where: Ints, start: Floats, gradient: Floats, mu: float, rate: Floats, goal: float, single: float
+) -> tuple[Floats, Floats]:
+    """Semismooth Newton with a line search on the residual; sites that carry nothing drop out of the system.
 
-    def residual(force: Floats, gradient: Floats) -> tuple[Floats, Floats, Ints, float]:
-        trial = force - rate[:, None] * gradient
+    From forces at the sites ``where`` and the (k, 3) gradient of all return the same at the solution.
+    """
+
+    def residual(force: Floats, slope: Floats) -> tuple[Floats, Floats, Ints, float]:
+        trial = force - rate[:, None] * slope
         onto, kind = _project(trial, mu)
         miss = force - onto
         return miss, trial, kind, float(np.abs(miss / rate[:, None]).max())
 
-    force, gradient = start, (matrix @ start.ravel() - linear).reshape(-1, 3)
-    miss, trial, kind, size = residual(force, gradient)
-    best, least = force, size
+    force = start
+    miss, trial, kind, size = residual(force, gradient[where])
+    best, best_gradient, least = force, gradient, size
     for _ in range(MOST_NEWTON):
         if size <= goal:
             break
-        step = _newton_step(matrix, rate, mu, miss, trial, kind, np.float32 if size > single else np.float64)
-        change = (matrix @ step.ravel()).reshape(-1, 3)
+        step = _newton_step(matrix, where, rate, mu, miss, trial, kind, np.float32 if size > single else np.float64)
+        change = _pull(matrix, where, step)
         length = 1.0
         for _ in range(HALVINGS):
-            after = residual(force + length * step, gradient + length * change)
+            after = residual(force + length * step, gradient[where] + length * change[where])
             if after[3] < size:
                 break
             length *= 0.5
         force, gradient = force + length * step, gradient + length * change
         miss, trial, kind, size = after
         if size < least:
-            best, least = force, size
-    return project_onto_cone(best, mu)
+            best, best_gradient, least = force, gradient, size
+    inside = project_onto_cone(best, mu)
+    return inside, best_gradient + _pull(matrix, where, inside - best)
+
+
+@njit(cache=True, fastmath=True)
+def _pull(matrix, where, force):  # type: ignore[no-untyped-def]
+    """Return (k, 3) A F of forces at the sites ``where`` alone, without copying their rows."""
+    out = np.zeros(len(matrix))
+    for i in range(len(where)):
+        x, y, z = force[i, 0], force[i, 1], force[i, 2]
+        if x == 0.0 and y == 0.0 and z == 0.0:
+            continue
+        first, second, third = matrix[3 * where[i]], matrix[3 * where[i] + 1], matrix[3 * where[i] + 2]
+        for column in range(len(out)):
+            out[column] += x * first[column] + y * second[column] + z * third[column]
+    return out.reshape(-1, 3)
+
+
+@njit(cache=True, fastmath=True)
+def _turned(matrix, active, axes, sought, diagonal, system):  # type: ignore[no-untyped-def]
+    """Fill the lower triangle of ``system`` with v.(A w) of the sought axes v, w of the active sites.
+
+    ``diagonal`` is added to the diagonal. In one pass: as array expressions it took most of a solve.
+    """
+    half = np.empty((3, 3))
+    row = 0
+    for i in range(len(active)):
+        start, column = row, 0
+        for j in range(i + 1):
+            for a in range(3):
+                for d in range(3):
+                    half[a, d] = (
+                        axes[i, 0, a] * matrix[3 * active[i], 3 * active[j] + d]
+                        + axes[i, 1, a] * matrix[3 * active[i] + 1, 3 * active[j] + d]
+                        + axes[i, 2, a] * matrix[3 * active[i] + 2, 3 * active[j] + d]
+                    )
+            for e in range(3):
+                if not sought[j, e]:
+                    continue
+                row = start
+                for a in range(3):
+                    if sought[i, a]:
+                        system[row, column] = (
+                            half[a, 0] * axes[j, 0, e] + half[a, 1] * axes[j, 1, e] + half[a, 2] * axes[j, 2, e]
+                        )
+                        row += 1
+                column += 1
+        row = start
+        for a in range(3):
+            if sought[i, a]:
+                system[row, row] += diagonal[row]
+                row += 1
 
 
 def _newton_step(
-    matrix: Floats, rate: Floats, mu: float, miss: Floats, trial: Floats, kind: Ints, precision: type[np.floating]
+    matrix: Floats,
+    where: Ints,
+    rate: Floats,
+    mu: float,
+    miss: Floats,
+    trial: Floats,
+    kind: Ints,
+    precision: type[np.floating],
 ) -> Floats:
-    """Return the (k, 3) step that makes the linearised residual vanish, solved in a precision."""
-    step = -miss
-    active = np.flatnonzero(kind > 0)
+    """Return the (k, 3) step that makes the linearised residual vanish, solved in a precision.
+
+    With the projection's derivative P = sum a v v^T the step s solves (1 - a) v.s + a rate v.(A s) = -v.miss for every
+    v: at once where a is 0, and divided by a rate a symmetric positive definite system for the others.
+    """
+    step, active = -miss, np.flatnonzero(kind > 0)
     if not len(active):
         return step
-    slope = _project_derivative(trial[active], kind[active], mu)
-    gain = slope * rate[active][:, None, None]
-    rows = (3 * active[:, None] + np.arange(3)).ravel()
-    block = matrix[rows]
-    system = np.matmul(gain, block[:, rows].reshape(len(active), 3, -1)).reshape(len(rows), len(rows))
-    each = np.arange(len(active))
-    system.reshape(len(active), 3, len(active), 3)[each, :, each, :] += np.eye(3) - slope
-    right = -miss[active]
-    idle = np.flatnonzero((kind == 0) & miss.any(axis=1))
-    if len(idle):
-        columns = (3 * idle[:, None] + np.arange(3)).ravel()
-        pull = (block[:, columns] @ step[idle].ravel()).reshape(-1, 3)
-        right = right - np.einsum("nij,nj->ni", gain, pull)
-    step[active] = np.linalg.solve(system.astype(precision), right.ravel().astype(precision)).reshape(-1, 3)
+    axes, share = _project_axes(trial[active], kind[active], mu)
+    along = np.einsum("nij,ni->nj", axes, miss[active])
+    sought = (share > LEAST_SHARE).ravel()
+    known = np.where(share > LEAST_SHARE, 0.0, -along)
+    step[active] = np.einsum("nij,nj->ni", axes, known)
+    pull = np.einsum("nij,ni->nj", axes, _pull(matrix, where, step)[where[active]])
+    gain = (share * rate[active][:, None]).ravel()[sought]
+    size = int(sought.sum())
+    system = np.zeros((size, size), precision)
+    _turned(matrix, where[active], axes, sought.reshape(-1, 3), (1.0 - share.ravel()[sought]) / gain, system)
+    right = -along.ravel()[sought] / gain - pull.ravel()[sought]
+    solve = sposv if precision is np.float32 else dposv
+    _, part, failed = solve(
+        system.T, right.astype(precision), lower=0, overwrite_a=1
+    )  # its transpose as LAPACK has it: no copy
+    if failed:
+        return -miss if solve is dposv else _newton_step(matrix, where, rate, mu, miss, trial, kind, np.float64)
+    known.ravel()[sought] = part
+    step[active] = np.einsum("nij,nj->ni", axes, known)
     return step
