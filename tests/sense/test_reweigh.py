@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from half_space_sensor import as_found, disk, finger_sensor, flat_sensor, shifts
 
-from tests.sense.half_space_sensor import as_found, disk, finger_sensor, flat_sensor, shifts
 from twin.sense.bump import camera_bump
 from twin.sense.problem import problem_of
 from twin.sense.reconstruct import reconstruct
