@@ -372,6 +372,14 @@ def test_picture_and_outlines_in_one_pass_are_those_of_two(make: Any) -> None:
         np.testing.assert_array_equal(getattr(outlines, name), getattr(renderer.outlines(rest_of(scene)), name))
 
 
+def test_traced_pictures_share_their_preparation_with_outlines(scene: Scene, renderer: Renderer) -> None:
+    markers = rest_of(scene)
+    for moved in (markers, markers.rows(slice(0, 0))):
+        light, outlines = renderer.seen(moved)
+        np.testing.assert_array_equal(light, renderer.radiance(moved))
+        np.testing.assert_array_equal(outlines.centroid_px, renderer.outlines(moved).centroid_px)
+
+
 def test_outlines_are_what_traced_markers_cover(scene: Scene) -> None:
     """Outlines come in closed form; Mitsuba's rays say what markers leave free of each pixel, hit by hit."""
     markers = beads([(0, 0, 6), (1.3, 0.9, 3), (-1.2, 0.7, 6)])

@@ -173,16 +173,20 @@ class Renderer:
         return light
 
     def seen(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> tuple[Singles, Outlines]:
-        """Return `radiance` and `outlines`, for little more than the price of the first where the splat draws it."""
-        if self._pupils or self._tracer is not self._splat:
+        """Return `radiance` and `outlines`, of one preparation, and in one pass where the splat draws the picture."""
+        if self._pupils:
             return self.radiance(markers, cover), self.outlines(markers)
         frame = self._frame(markers, self.subpixels)
-        shaded = self._splat.look(frame)
         factor = self.background.change(cover) if cover is not None and self.background is not None else None
+        if self._tracer is not self._splat:
+            return self._traced(frame, factor), _outlines(frame, self._splat.look(frame, bright=False))
+        shaded = self._splat.look(frame)
         return self._over_cover(frame, shaded.light, shaded.free, factor), _outlines(frame, shaded)
 
     def _render(self, markers: Ellipsoids, factor: Singles | None) -> Singles:
-        frame = self._frame(markers, self.subpixels)
+        return self._traced(self._frame(markers, self.subpixels), factor)
+
+    def _traced(self, frame: Frame, factor: Singles | None) -> Singles:
         if not len(frame.near.pixels):
             return self._over_cover(frame, np.zeros((0, 3), np.float32), np.zeros(0, np.float32), factor)
         return self._over_cover(frame, *self._tracer.shade(frame), factor)
