@@ -225,14 +225,15 @@ def test_bent_lenses_invert_and_have_their_derivatives(kind: str, distortion: tu
     np.testing.assert_allclose(analytic, np.stack(steps, axis=-1), atol=3e-6 * np.abs(analytic).max())
 
 
+@pytest.mark.parametrize("distortion", [(0.0, 0.0), (-0.02, 0.001, 0.0005, -0.0002)])
 @pytest.mark.parametrize("field_deg", [10, 60, 120, 170, 179.9])
-def test_fields_of_view_up_to_half_the_sky_invert(field_deg: float) -> None:
-    # A fisheye whose picture is the field wide: at 180 deg its edge looks along the layers.
+def test_fields_of_view_up_to_half_the_sky_invert(field_deg: float, distortion: tuple[float, ...]) -> None:
+    # A fisheye whose picture is about the field wide: at 180 deg its edge looks along the layers.
     half = np.deg2rad(field_deg / 2)
-    camera = Camera(lens="equidistant", focal_px=320 / half, pupil_mm=(0, 0, 12),
+    camera = Camera(lens="equidistant", focal_px=320 / half, pupil_mm=(0, 0, 12), distortion=distortion,
                     layers=(Layer(index=1.49, thickness_mm=1),))  # fmt: skip
-    angle = np.linspace(0, half, 200)
-    pixels = np.asarray(camera.centre_px) + camera.focal_px * angle[:, None] * [0.6, 0.8]
+    angle = np.linspace(0, half, 200)[:, None]
+    pixels = lens(np.hstack([np.sin(angle) * [0.6, -0.8], -np.cos(angle)]), camera)
     origins, directions = rays(pixels, camera, RUBBER, 10.0)
     assert np.abs(project(origins + directions, camera, RUBBER, 10.0) - pixels).max() < 1e-6
     lean = np.rad2deg(np.arccos(-directions[:, 2]))
