@@ -61,13 +61,14 @@ WITHIN = 0.2
 
 
 def run(quick: bool) -> list[dict[str, Any]]:
-    """Return the rows of the stage."""
+    """Return the rows of the stage; the quick form has few designs, made sensors and no processes of its own."""
     rows = [_closed(2_000 if quick else 200_000), _linear(8 if quick else 100), _full(2 if quick else 8)]
     if not quick:
         rows.append(_whole(1000))
-    for name in ("flat",) if quick else tuple(SENSORS):
-        rows += agreement(name, 2 if quick else 25)
-    return rows
+        for name in SENSORS:
+            rows += agreement(name, 25)
+        return rows
+    return rows + agreement("flat", 2, made=2, workers=1)
 
 
 def _sweep(table: dict[str, Any], **changes: Any) -> tuple[Sweep, Scene]:
@@ -124,12 +125,14 @@ def _whole(count: int) -> dict[str, Any]:
     return _rate("closed form, linear information and page, two processes", count, cost.cpu, cost.wall)
 
 
-def agreement(name: str, count: int, folder: Path | None = None) -> list[dict[str, Any]]:
+def agreement(
+    name: str, count: int, folder: Path | None = None, made: int = MADE, workers: int = CORES
+) -> list[dict[str, Any]]:
     """Return how far the linear information is from the full chain, by metric; ``folder`` keeps the designs' rows."""
-    table = {**SENSORS[name], "loads": {**SENSORS[name]["loads"], "presses": PRESSES}, "sensors": MADE}
-    with tempfile.TemporaryDirectory() as made:
+    table = {**SENSORS[name], "loads": {**SENSORS[name]["loads"], "presses": PRESSES}, "sensors": made}
+    with tempfile.TemporaryDirectory() as place:
         settings = {"count": count, "fidelity": ["closed", "linear", "full"], "confirm": {"full": count}}
-        done = run_sweep(*_sweep(table, **settings), folder or Path(made), workers=CORES)
+        done = run_sweep(*_sweep(table, **settings), folder or Path(place), workers=workers)
     rows = [
         compared(done, one, other, metric, name)
         for one, other, metric in (
