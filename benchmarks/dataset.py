@@ -1,9 +1,9 @@
 """Datasets: where a sample's time goes, stage by stage, and what many workers add.
 
 CPU milliseconds a sample of one process, after a shard that warms everything up. A machine with n idle cores makes n
-times 1000 / total samples a second; the last rows say what was got from start to end with 1 and 2 workers, by the
-clock on the wall and by CPU seconds of all processes, start included. ``python -m benchmarks.dataset`` puts the stored
-rows into docs/dataset.md.
+times 1000 / total samples a second; the last rows say what one process and dask with 1 and 2 workers take of the CPU
+of all processes, and which share is not the samples' own (`benchmarks.dataset_workers`). ``python -m
+benchmarks.dataset`` puts the stored rows into docs/dataset.md.
 """
 
 from __future__ import annotations
@@ -18,13 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.__main__ import RESULTS, table
-from benchmarks.clock import Clock
-from twin.parts.scene import Scene
+from benchmarks.dataset_workers import rows as workers_rows
 from twin.places import ROOT
 from twin.study import sensor
 from twin.study.batch.engine import one_thread, unpacked
 from twin.study.dataset import cells, work
-from twin.study.dataset.create import create_dataset
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import job_of, prepare
 from twin.study.recipe import load_scene
@@ -132,17 +130,14 @@ def _stages() -> Iterator[dict[str, float]]:
             setattr(owner, name, before[stage])
 
 
-def _workers(samples: int = 320) -> list[dict[str, Any]]:
-    rows = []
-    scene: Scene = load_scene("dataset_kamiyama", {"dataset.columns": TRUTH, "dataset.samples_per_shard": 32})
-    for workers in (1, 2):
-        with tempfile.TemporaryDirectory(prefix="twin-benchmark-") as folder:
-            clock = Clock()
-            done = create_dataset(scene, Path(folder) / "d", samples, workers=workers)
-            cost = clock.lap()
-        rows.append({"what": f"start to end, {workers} worker{'s' if workers > 1 else ''}", "samples": samples,
-                     "total": 1000 * cost.cpu / samples, "per_s_wall": samples / done.seconds})  # fmt: skip
-    return rows
+def _workers() -> list[dict[str, Any]]:
+    """Return what dask adds to samples of a usual price, and to the quickest ones, in larger shards."""
+    usual = {"dataset.columns": TRUTH, "dataset.samples_per_shard": 32}
+    quick = {"dataset.columns": TRUTH, "dataset.samples_per_shard": 250, **RECTANGLE}
+    return [
+        *workers_rows("flat, no pictures, friction", "dataset_kamiyama", usual, 192),
+        *workers_rows("flat, no pictures, a rectangle given", "dataset_tractions", quick, 2000),
+    ]
 
 
 def page_tables() -> str:

@@ -6,6 +6,7 @@ The public names are loaded when they are first used, so that ``import twin`` an
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -22,6 +23,12 @@ if TYPE_CHECKING:
     from twin.study.recipe import load_scene
     from twin.study.run import run
     from twin.study.sensor import Sensor
+
+if "NUMBA_CACHE_DIR" not in os.environ and not os.access(os.path.dirname(__file__), os.W_OK):
+    # numba keeps compiled code beside its source, else in the home folder, and refuses to work where it can do neither
+    from twin.places import cache_folder
+
+    os.environ["NUMBA_CACHE_DIR"] = str(cache_folder() / "numba")
 
 _HOMES = {
     "Calibration": "twin.sense.calibration",

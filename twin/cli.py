@@ -6,10 +6,12 @@ A command is a function in a file of `twin.commands`. Heavy packages are importe
 
 from __future__ import annotations
 
+import errno
 import importlib.metadata
 import os
 import signal
 import sys
+import tempfile
 import threading
 import warnings
 from collections.abc import Sequence
@@ -57,6 +59,10 @@ app.command(sweep, help_epilogue="Example: twin sweep sweep_kamiyama_depth_pitch
 app.command(scenes)
 app.command(check, help_epilogue="Examples: twin check my_scene.toml; twin check out/kamiyama_pillar")
 app.command(doctor)
+
+
+FULL = {errno.ENOSPC, errno.EFBIG, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}
+"""What a full or read-only disk says."""
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -107,7 +113,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             raise
         if heard:  # a library that was interrupted while it loaded says something else
             sys.exit(_interrupted())
-        print(f"twin: internal error: {type(problem).__name__}: {problem}", file=sys.stderr)
-        print("Set TWIN_DEBUG=1 to see where, and please report it.", file=sys.stderr)
+        if isinstance(problem, OSError) and problem.errno in FULL:  # of a temporary file, or of a library's own
+            where = problem.filename or tempfile.gettempdir()
+            print(f"twin: {where}: can't be written ({problem.strerror}); files written so far are whole. Make room or "
+                  "name another folder (--out, TWIN_CACHE, TMPDIR), and run again.", file=sys.stderr)  # fmt: skip
+        else:
+            print(f"twin: internal error: {type(problem).__name__}: {problem}", file=sys.stderr)
+            print("Set TWIN_DEBUG=1 to see where, and please report it.", file=sys.stderr)
         code = 1
     sys.exit(code)

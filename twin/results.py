@@ -222,7 +222,8 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
             os.fsync(file.fileno())
         os.replace(part, path)
     except OSError as problem:
-        raise TwinError(f"{path}: can't be written ({problem.strerror}); files written so far are whole") from None
+        why = problem.strerror or problem  # numpy says how much it wrote, and no more
+        raise TwinError(f"{path}: can't be written ({why}); files written so far are whole") from None
     finally:
         part.unlink(missing_ok=True)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -70,7 +71,8 @@ def calibration_of(sensor: Sensor) -> Calibration:
         print(f"twin: {given[0].name} was made for another sensor than this scene's; calibrating anew, which takes "
               "minutes", file=sys.stderr)  # fmt: skip
     made = calibrate_by_presses(sensor)
-    write_calibration(made, cached)
+    with suppress(InputError):  # a full disk costs the time to calibrate again
+        write_calibration(made, cached)
     return made
 
 

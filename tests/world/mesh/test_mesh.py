@@ -11,7 +11,7 @@ import pytest
 
 import twin.world.mesh.build
 import twin.world.mesh.mesh
-from twin.errors import InputError, MeshError
+from twin.errors import InputError, MeshError, TwinError
 from twin.parts.body import Block, Body, Finger
 from twin.places import MESHES
 from twin.world.mesh.mesh import Mesh, body_mesh, mesh_key, read_mesh, read_provenance, write_mesh
@@ -183,7 +183,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez_compressed", full_disk)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(TwinError, match="No space"):
         write_mesh(small_mesh(), tmp_path / "m.npz", {})
     assert list(tmp_path.iterdir()) == []
 

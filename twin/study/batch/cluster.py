@@ -16,6 +16,14 @@ from twin.study.batch.engine import AHEAD, RETRIES, Done, Job, died, task_on_wor
 PATIENCE_S = 20
 """How long a scheduler is waited for."""
 
+QUIET = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.admin.tick.interval": "1s",
+    "distributed.scheduler.active-memory-manager.start": False,
+}
+"""What dask watches in workers of this machine, and nobody looks at: half of what it costs beside tasks."""
+
 
 def tasks_on_cluster(job: Job, numbers: Iterable[int], workers: int, scheduler: str | None) -> Iterator[Done]:
     """Do the tasks and yield them as they finish; see `twin.study.batch.engine.run_tasks`."""
@@ -32,7 +40,7 @@ def tasks_on_cluster(job: Job, numbers: Iterable[int], workers: int, scheduler: 
         def setup(self, worker: Any) -> None:
             unpack_on_worker(job)
 
-    dask.config.set({"distributed.scheduler.allowed-failures": RETRIES})
+    dask.config.set({"distributed.scheduler.allowed-failures": RETRIES, **QUIET})
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     cluster = None
     try:

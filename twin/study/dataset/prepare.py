@@ -6,7 +6,6 @@ import hashlib
 import importlib.metadata
 import json
 import platform
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
@@ -46,9 +45,14 @@ def portable(scene: Scene, meta: Path) -> Scene:
     if isinstance(scene.body, Solid):
         name = f"body{Path(scene.body.file).suffix}"
         if (meta / name).resolve() != Path(scene.body.file).resolve():
-            shutil.copyfile(scene.body.file, meta / name)
+            _copied(Path(scene.body.file), meta / name)
         changes["body"] = scene.body.model_copy(update={"file": name})
     return scene.model_copy(update=changes)
+
+
+def _copied(path: Path, to: Path) -> None:
+    data = path.read_bytes()
+    write_whole(to, lambda file: file.write(data))
 
 
 def pin_meshes(scene: Scene, meta: Path, progress: Told | None) -> None:
@@ -77,7 +81,7 @@ def pin_meshes(scene: Scene, meta: Path, progress: Told | None) -> None:
             if find_table(body, role, make=True, progress=progress) is not None:
                 shipped, cached = shipped_path(role), cached_path(body, role)
                 path = cached if cached.is_file() else shipped
-                shutil.copyfile(path, meta / path.name)
+                _copied(path, meta / path.name)
 
 
 def finest_mesh_file(body: Body) -> str:

@@ -15,6 +15,7 @@ import hashlib
 import json
 import sys
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +24,7 @@ from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from twin.archive import read_arrays
 from twin.arrays import Bools, Floats, Points, frozen
-from twin.errors import InputError
+from twin.errors import InputError, TwinError
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.places import MESHES, cache_folder, is_pinned, pinned
@@ -105,7 +106,8 @@ def find_table(
     if make and not path.exists():
         mesh = drawn_to_rim(body_mesh(body, MADE[role], progress=progress), body)
         table = make_table(body, mesh, solver, progress)
-        write_table(table, path)
+        with suppress(TwinError):  # a full disk costs the table, for which solves stand in
+            write_table(table, path)
     return _usable(path, usable)
 
 

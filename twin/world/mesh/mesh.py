@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,11 @@ import numpy as np
 
 from twin.archive import read_arrays
 from twin.arrays import Bools, Ints, Points, frozen
-from twin.errors import InputError, MeshError
+from twin.errors import InputError, MeshError, TwinError
 from twin.parts.body import Body
 from twin.parts.part import without_later
 from twin.places import MESHES, cache_folder, is_pinned, pinned
+from twin.results import write_whole
 from twin.world.mesh.sizing import Level, Sizing, default_sizing
 from twin.world.mesh.snap import signed_volumes
 
@@ -101,29 +101,24 @@ def write_mesh(mesh: Mesh, path: Path | str, provenance: dict[str, Any]) -> None
         Where to.
     provenance
         How it was made, as plain JSON values.
+
+    Raises
+    ------
+    TwinError
+        It can't be written.
     """
     path = Path(path)
     told = json.dumps({**provenance, "format": FORMAT, "digest": mesh.digest()}, sort_keys=True)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(
-                file,
-                points=mesh.points,
-                tets=mesh.tets.astype(np.int32),
-                corners=np.int64(mesh.corners),
-                faces=mesh.faces.astype(np.int32),
-                piece=mesh.piece.astype(np.int32),
-                region=mesh.region.astype(np.int32),
-                provenance=np.array(told),
-            )
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    arrays: dict[str, Any] = {
+        "points": mesh.points,
+        "tets": mesh.tets.astype(np.int32),
+        "corners": np.int64(mesh.corners),
+        "faces": mesh.faces.astype(np.int32),
+        "piece": mesh.piece.astype(np.int32),
+        "region": mesh.region.astype(np.int32),
+        "provenance": np.array(told),
+    }
+    write_whole(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
 
 
 def read_mesh(path: Path | str) -> Mesh:
@@ -249,7 +244,8 @@ def body_mesh(body: Body, level: Level, *, rebuild: bool = False, progress: Prog
         "sizing": sizing.described(),
         "quality": measured.described(),
     }
-    write_mesh(mesh, cached, provenance)
+    with suppress(TwinError):  # a full disk costs the time to make it again
+        write_mesh(mesh, cached, provenance)
     return mesh
 
 

@@ -1,0 +1,81 @@
+"""What handing shards to dask workers costs, by CPU seconds of all processes: client, scheduler and workers.
+
+Workers are warmed up first. Every shard says how many CPU seconds its samples took; whatever else all processes spend
+until the last shard is there (messages, the way of the bytes, heartbeats) is the overhead.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from twin.study.batch.engine import Job, one_thread, run_tasks
+from twin.study.dataset.plan import Places, Plan
+from twin.study.dataset.prepare import job_of, prepare
+from twin.study.dataset.work import ShardBytes, make_shard
+from twin.study.recipe import load_scene
+
+WARM = 3
+"""Shards of every worker before the clock is started."""
+
+
+def timed(folder: Path, shard: int) -> tuple[ShardBytes, float]:
+    """Make a shard; return it with the CPU seconds that it took."""
+    started = time.process_time()
+    made = make_shard(folder, shard)
+    return made, time.process_time() - started
+
+
+def rows(name: str, scene: str, overrides: dict[str, Any], samples: int) -> list[dict[str, Any]]:
+    """Return a row for one process without dask, and for one and two workers of it."""
+    loaded = load_scene(scene, overrides)
+    each = loaded.dataset.samples_per_shard
+    shards = samples // each
+    found = []
+    for workers in (0, 1, 2):
+        with tempfile.TemporaryDirectory(prefix="twin-benchmark-") as folder, one_thread():
+            places = Places(Path(folder))
+            places.meta.mkdir()
+            prepare(Plan(loaded, (WARM * 2 + shards) * each), places, None)
+            job = Job(files=job_of(places).files, work=f"{__name__}:timed")
+            with _pool(workers) as address:
+                warm = WARM * max(1, workers)
+                for _ in run_tasks(job, range(warm), scheduler=address):
+                    pass
+                clock, before = time.perf_counter(), _cpu()
+                spent = sum(done.result[1] for done in run_tasks(job, range(warm, warm + shards), scheduler=address))
+                wall, cpu = time.perf_counter() - clock, _cpu() - before
+        count = shards * each
+        how = f"dask, {workers} worker{'s' if workers > 1 else ''}" if workers else "one process"
+        found.append({"what": f"{name}, {how}", "samples": count, "total": 1000 * cpu / count,
+                      "overhead_percent": 100 * (cpu / spent - 1), "per_s_wall": count / wall})  # fmt: skip
+    return found
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[str | None]:
+    """Start so many workers, whose scheduler's address is given; none without any."""
+    if not workers:
+        yield None
+        return
+    import dask
+    from distributed import LocalCluster
+
+    from twin.study.batch.cluster import QUIET
+
+    dask.config.set(QUIET)
+    with LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
+                      memory_limit=0, host="127.0.0.1") as cluster:  # fmt: skip
+        yield cluster.scheduler_address
+
+
+def _cpu() -> float:
+    """Return the CPU seconds of this process and of all that it started and that still run."""
+    import psutil
+
+    this = psutil.Process()
+    return float(sum(sum(p.cpu_times()[:2]) for p in (this, *this.children(recursive=True))))

@@ -1,0 +1,143 @@
+"""Full disks, unwritable homes, odd names, other locales, two at once: the same results, or a clear error."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import twin
+from twin.study.recipe import dump_scene
+
+SMALL: dict[str, Any] = {
+    "markers.red.columns": 3, "markers.red.rows": 3, "markers.blue.columns": 2, "markers.blue.rows": 2,
+    "accuracy.contact_patches": 6, "press.friction": 0.0, "dataset.samples_per_shard": 2,
+    "vary": {"press.at_mm": {"low": [-3.0, -2.0], "high": [3.0, 2.0]}},
+    "dataset.columns": ["force_n", "surface_force_n", "marker_displacement_mm"],
+}  # fmt: skip
+RUN = ("run", "small.toml", "--want", "displacement", "--out", "out")
+DATASET = ("dataset", "small.toml", "--samples", "6", "--out", "out")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "small.toml").write_text(dump_scene(twin.load_scene("kamiyama_pillar", SMALL)), encoding="utf-8")
+    return tmp_path
+
+
+def started(folder: Path, *words: str, before: str = "", **environment: str | None) -> subprocess.Popen[str]:
+    """Start the command in a folder, after a line of the shell's; an environment variable of None is taken out."""
+    told = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parent.parent), "OMP_NUM_THREADS": "1"}
+    told |= {key: value for key, value in environment.items() if value is not None}
+    told = {key: value for key, value in told.items() if environment.get(key, "") is not None}
+    line = f'{before} exec "$0" -m twin "$@"'
+    return subprocess.Popen(
+        ["bash", "-c", line, sys.executable, *words], cwd=folder, env=told, text=True, encoding="utf-8",
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+
+
+def said(command: subprocess.Popen[str]) -> tuple[int, str]:
+    out, problem = command.communicate()
+    assert "Traceback" not in problem
+    assert "internal error" not in problem
+    return command.returncode, out + problem
+
+
+def twin_in(folder: Path, *words: str, before: str = "", **environment: str | None) -> tuple[int, str]:
+    return said(started(folder, *words, before=before, **environment))
+
+
+def contents(folder: Path) -> dict[str, str]:
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def moved(folder: Path) -> np.ndarray:
+    with np.load(folder / "truth.npz") as told:
+        return told["marker_displacement_mm"]
+
+
+def test_compiled_code_has_a_place_where_neither_package_nor_home_can_be_written(tmp_path: Path) -> None:
+    words = "import os; os.access = lambda *_: False; import twin; print(os.environ['NUMBA_CACHE_DIR'])"
+    told = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+    told |= {"PYTHONPATH": str(Path(twin.__file__).parent.parent), "TWIN_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run([sys.executable, "-c", words], env=told, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(tmp_path / "cache" / "numba")
+
+
+def test_a_library_that_finds_the_disk_full_is_told_without_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import errno
+
+    from twin import cli
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/tmp/somewhere")
+
+    monkeypatch.delenv("TWIN_DEBUG", raising=False)
+    monkeypatch.setattr(cli, "app", full)
+    with pytest.raises(SystemExit) as left:
+        cli.main(["run"])
+    assert left.value.code == 1
+    assert "/tmp/somewhere: can't be written (No space left on device)" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="files have no largest size there")
+@pytest.mark.parametrize("kilobytes", [1, 20, 350])
+def test_on_a_full_disk_a_dataset_ends_and_goes_on_to_the_same_bytes(folder: Path, kilobytes: int) -> None:
+    """No room for the scene; for the mesh; for the tables."""
+    code, words = twin_in(folder, *DATASET, before=f"ulimit -f {kilobytes};")
+    assert code == 1
+    assert "can't be written (File too large)" in words
+    assert twin_in(folder, *DATASET)[0] == 0
+    assert twin_in(folder, *DATASET[:-1], "whole")[0] == 0
+    assert contents(folder / "out") == contents(folder / "whole")
+
+
+@pytest.mark.slow
+def test_a_run_on_a_full_disk_leaves_no_torn_file(folder: Path) -> None:
+    code, words = twin_in(folder, *RUN, before="ulimit -f 2;")
+    assert code == 1
+    assert "can't be written (File too large)" in words
+    assert [path.name for path in (folder / "out").iterdir() if path.suffix == ".npz" or ".part" in path.name] == []
+
+
+@pytest.mark.slow
+def test_a_home_that_cannot_be_written_costs_a_warning(folder: Path) -> None:
+    code, words = twin_in(folder, *RUN, HOME="/dev/null", TWIN_CACHE=None, XDG_CACHE_HOME=None)
+    assert code == 0
+    assert "can't be written" in words
+    assert "TWIN_CACHE" in words
+    assert len(moved(folder / "out"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("locale", ["C", "de_DE", "de_DE.ISO-8859-1", "ja_JP.SJIS"])
+def test_names_with_spaces_and_other_letters_in_any_locale(folder: Path, locale: str) -> None:
+    """A locale that the machine lacks falls back to C, as it does for users."""
+    odd = folder / "Daten für 触覚"
+    odd.mkdir()
+    text = (folder / "small.toml").read_text(encoding="utf-8").replace('title = "', 'title = "Säule 触, ', 1)
+    (odd / "Szene ä.toml").write_text(text, encoding="utf-8")
+    where = {"LC_ALL": locale, "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "utf-8"}
+    assert twin_in(odd, *DATASET[:1], "Szene ä.toml", "--samples", "2", "--out", "der Satz", **where)[0] == 0
+    assert twin_in(odd, "check", "der Satz", **where)[0] == 0
+    assert twin.load_scene(odd / "der Satz" / "meta" / "scene.toml").title.startswith("Säule 触, ")
+
+
+@pytest.mark.slow
+def test_two_at_once_on_one_new_cache_say_the_same(folder: Path) -> None:
+    fine = ("-s", "accuracy.displacement=1e-3", "-s", "body.thickness_mm=20")  # a block without a shipped table
+    both = [started(folder, *RUN[:-1], name, *fine, TWIN_CACHE=str(folder / "cache")) for name in ("a", "b")]
+    assert [said(each)[0] for each in both] == [0, 0]
+    np.testing.assert_allclose(moved(folder / "a"), moved(folder / "b"), rtol=1e-6)
+    assert not list((folder / "cache").rglob("*.part"))
