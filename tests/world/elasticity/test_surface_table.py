@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from twin.errors import InputError
 from twin.parts.body import Block, Finger
 from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
@@ -75,6 +76,9 @@ def test_only_curved_bodies_with_room_around_the_window_have_one():
     block = Compliance(Block(width_mm=40, length_mm=40, thickness_mm=20), RUBBER, level="sketch", surface_table=True)
     assert block._surface_table is None
     assert finger(False)._surface_table is None
+    short = Finger(radius_mm=8, barrel_mm=4, skirt_mm=2)
+    with pytest.raises(InputError, match=r"accuracy\.surface_table = true: the window .* set it to false"):
+        SurfaceTable(finger(False).system, short)
 
 
 LOADS = [

@@ -139,10 +139,7 @@ class Compliance:
     def _surface_table(self) -> SurfaceTable | None:
         if not self._use_surface or self.body.is_flat or self._given_mesh is not None or not self._subtracted:
             return None
-        try:
-            return SurfaceTable(self.system, self.body, self._progress)
-        except InputError:
-            return None
+        return SurfaceTable(self.system, self.body, self._progress)
 
     def _surface_for(self, load: Rectangles) -> SurfaceTable | None:
         table = self._surface_table

@@ -66,8 +66,13 @@ class SurfaceTable:
         self._axes = [np.linspace(-half, half, NODES) for half in self._half]
         chart = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1).reshape(-1, 2)
         points = body.chart_points(chart)
-        if not body.piece_distances(points)[:, 1:].min() > CLEAR * self._half.min():
-            raise InputError("no table of the surface: its window comes too near to the body's other faces")
+        clear = float(body.piece_distances(points)[:, 1:].min())
+        if not clear > CLEAR * self._half.min():
+            raise InputError(
+                f"accuracy.surface_table = true: the window that would be tabled, {2 * self._half[0]:.3g} x "
+                f"{2 * self._half[1]:.3g} mm of the sensing surface around the origin, comes within {clear:.3g} mm of "
+                f"another face or runs over it (allowed: {CLEAR * self._half.min():.3g} mm and more): set it to false"
+            )
         probes = Rectangles(
             centre_mm=points,
             frames=body.frames(points),
