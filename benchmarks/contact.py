@@ -24,6 +24,7 @@ from twin.theory import halfspace
 from twin.theory.contact import hertz, punch_stiffness, tangential_stiffness, torsional_stiffness
 from twin.theory.friction import sheared_motion, stick_radius, twisted
 from twin.world.contact.contact import ContactState, press
+from twin.world.elasticity.symmetric import make_symmetric
 
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
 """Only its flat surface counts where a half-space stands for it."""
@@ -63,8 +64,10 @@ class HalfSpace:
         return np.zeros((3 * len(nodes), 3 * len(nodes)))
 
     def surface(self, rectangles: Rectangles) -> Floats:
-        """Return the (3 k, 3 k) compliance, mm/N."""
-        return self.to_points(rectangles.centre_mm, rectangles)
+        """Return the symmetric (3 k, 3 k) compliance, mm/N."""
+        found = self.to_points(rectangles.centre_mm, rectangles)
+        make_symmetric(found)
+        return found
 
 
 def run(quick: bool) -> list[dict[str, Any]]:

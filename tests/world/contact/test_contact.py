@@ -20,7 +20,7 @@ from twin.theory.contact import (
     tangential_stiffness,
     torsional_stiffness,
 )
-from twin.world.contact import region
+from twin.world.contact import contact, region
 from twin.world.contact.contact import ContactState, press
 from twin.world.contact.patches import Box, Plane, candidate_patches
 
@@ -30,7 +30,7 @@ STUCK = math.inf
 
 
 class HalfSpace:
-    """The compliance of a half-space under every patch's own tangent plane."""
+    """The compliance of a half-space under every patch's own tangent plane, made symmetric."""
 
     def __init__(self, youngs_modulus_mpa: float = 1.0, poisson_ratio: float = 0.5) -> None:
         self.rubber = youngs_modulus_mpa, poisson_ratio
@@ -39,7 +39,8 @@ class HalfSpace:
         return halfspace.compliance(points, rectangles, *self.rubber)
 
     def surface(self, rectangles: Rectangles) -> np.ndarray:
-        return halfspace.compliance(rectangles.centre_mm, rectangles, *self.rubber)
+        found = halfspace.compliance(rectangles.centre_mm, rectangles, *self.rubber)
+        return (found + found.T) / 2.0
 
 
 def pressed(
@@ -380,3 +381,32 @@ def test_a_probe_sheared_harder_than_it_is_pressed_peels_off_its_trailing_side()
     assert sheared.force_n[0] > one.force_n[2]
     front = only(sheared).force_n[:, 2] @ only(sheared).centre_mm[:, 0]
     assert abs(front) > 10 * abs(only(one).force_n[:, 2] @ only(one).centre_mm[:, 0])
+
+
+@pytest.mark.parametrize("probe", [Sphere(diameter_mm=5), Cone(apex_deg=150, diameter_mm=8)])
+def test_a_contact_that_a_closed_form_tells_is_the_one_that_is_searched(
+    probe: Sphere | Cone, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = Press(probe=probe, at_mm=(1, 2), force_n=(None, None, 0.05))
+    told = pressed(wanted)
+    monkeypatch.setattr(contact, "disc_contact", lambda *_: None)
+    searched = pressed(wanted)
+    assert told.indentation_mm == pytest.approx(searched.indentation_mm, rel=2e-3)
+    assert told.contact_radius_mm == pytest.approx(searched.contact_radius_mm, rel=0.03)
+
+
+def test_a_contact_that_a_closed_form_misses_is_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Told a rubber eight times softer than it is, the disc is twice too large."""
+    wanted, searches = Press(probe=Sphere(diameter_mm=5), at_mm=(0, 0), force_n=(None, None, 0.05)), list[object]()
+    find = contact.find_contact
+
+    def finding(*given: object) -> object:
+        searches.append(given)
+        return find(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(contact, "find_contact", finding)
+    soft = press(wanted, BLOCK, HalfSpace(1.0), patches_across=12, youngs_modulus_mpa=0.125, poisson_ratio=0.5)
+    assert len(searches) == 1
+    known = pressed(wanted, across=12)
+    assert len(searches) == 1
+    assert soft.indentation_mm == pytest.approx(known.indentation_mm, rel=5e-3)

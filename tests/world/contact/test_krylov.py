@@ -37,7 +37,7 @@ def test_iteration_agrees_with_elimination(motions: int) -> None:
     place = rng.uniform(0, 8, (k, 2))
     away = np.hypot(*(place[:, None] - place).T)
     near = 1 / np.sqrt(away**2 + 0.2)  # a smooth kernel like that of elasticity, with some coupling between axes
-    mixed = np.array([[1.0, 0.1, 0.05], [0.1, 0.9, -0.05], [-0.05, 0.05, 1.1]])
+    mixed = np.array([[1.0, 0.1, 0.05], [0.1, 0.9, -0.05], [0.05, -0.05, 1.1]])
     compliance = 3e-3 * np.einsum("kl,ab->kalb", near + 2 * np.eye(k), mixed)
     pattern = random_pattern(rng, n)
     carried = rng.normal(size=(3, n, motions))

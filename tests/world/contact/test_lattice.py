@@ -76,7 +76,24 @@ def test_the_inverse_convolution_undoes_the_whole_lattice() -> None:
     assert there.inverse is not None
     field = np.random.default_rng(0).normal(size=(3, lu, lv))
     np.testing.assert_allclose(there.inverse.product(there.product(field)), field, atol=1e-12 * 10)
-    np.testing.assert_allclose(there.inverse.normal(there.normal(field[2])), field[2], atol=1e-12 * 10)
+    forth, back = (one.normal((lu, lv), np.float64) for one in (there, there.inverse))
+    np.testing.assert_allclose(back.product(forth.product(field[2])), field[2], atol=1e-12 * 10)
+
+
+@pytest.mark.parametrize("shape", [(12, 12), (9, 13)])  # padded to an even and to an odd number of places
+def test_the_normal_part_by_cosines_and_sines_is_that_by_fourier_transforms(shape: tuple[int, int]) -> None:
+    lu, lv = padded_size(shape)
+    along = np.fft.fftfreq(lu, 1.0 / lu), np.fft.fftfreq(lv, 1.0 / lv)
+    place = np.stack([*np.meshgrid(*along, indexing="ij"), np.zeros((lu, lv))], axis=-1).reshape(-1, 3)
+    one = Rectangles(centre_mm=np.zeros((1, 3)), frames=np.eye(3)[None], half_mm=np.full((1, 2), 0.5),
+                     force_n=np.zeros((1, 3)))  # fmt: skip
+    there = Convolution.of_kernel(halfspace.compliance(place, one, 1.0, 0.5).reshape(lu, lv, 3, 3))
+    field = np.zeros((3, shape[0], lv))
+    field[2, :, : shape[1]] = np.random.default_rng(0).normal(size=shape)
+    whole = there.product(field)[2, :, : shape[1]]
+    np.testing.assert_allclose(there.normal(shape, np.float64).product(field[2, :, : shape[1]]), whole, atol=1e-12)
+    single = there.normal(shape, np.float32).product(field[2, :, : shape[1]].astype(np.float32))
+    np.testing.assert_allclose(single, whole, atol=1e-5 * np.abs(whole).max())
 
 
 def test_what_is_no_lattice_has_none() -> None:

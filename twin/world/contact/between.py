@@ -10,9 +10,13 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from scipy.linalg import lapack
 
 from twin.arrays import Floats, Ints
-from twin.world.contact.singles import Operator, Singles
+from twin.world.contact.singles import Operator, Singles, SinglesArray, symmetric_product
+
+_NEW, _SLACK = 0.02, 1.3
+"""Shares of the patches in contact: what a factor doesn't know, and all it knows, before one is made anew."""
 
 
 class Rough(Protocol):
@@ -60,10 +64,42 @@ class Between(Protocol):
         ...
 
 
-class Dense:
-    """A compliance that is known as a matrix (k, 3, k, 3)."""
+class Eliminated:
+    """A `Rough` of a matrix (k, k): Cholesky's factor, in single precision, of its part on the patches in contact.
 
-    rough = None
+    The factor serves while few patches come that it doesn't know; those are moved by themselves.
+    """
+
+    def __init__(self, normal: Floats) -> None:
+        self._normal = normal
+        self._place: Ints = np.full(len(normal), -1)
+        self._root: SinglesArray | None = None
+        self._count = 0
+
+    def pushes(self, rows: Ints, depth: Floats) -> Floats:
+        """See `Rough`; NaN where the matrix is not definite."""
+        place = self._place[rows]
+        known = place >= 0
+        if len(rows) - known.sum() > _NEW * len(rows) or self._count > _SLACK * len(rows):
+            self._factor(rows)
+            place, known = np.arange(len(rows)), np.ones(len(rows), bool)
+        if self._root is None:
+            return np.full(len(rows), np.nan)
+        right: SinglesArray = np.zeros(self._count, np.float32)
+        right[place[known]] = depth[known]
+        found, _ = lapack.spotrs(self._root, right, lower=0)
+        return np.where(known, found[place], depth / self._normal[rows, rows])
+
+    def _factor(self, rows: Ints) -> None:
+        part: SinglesArray = self._normal[np.ix_(rows, rows)].astype(np.float32)
+        root, wrong = lapack.spotrf(part.T, lower=0, clean=0, overwrite_a=1)
+        self._root = None if wrong else root
+        self._place[:], self._count = -1, len(rows)
+        self._place[rows] = np.arange(len(rows))
+
+
+class Dense:
+    """A compliance that is known as a symmetric matrix (k, 3, k, 3)."""
 
     def __init__(self, matrix: Floats) -> None:
         self._matrix = matrix
@@ -77,6 +113,11 @@ class Dense:
         return np.array(np.diagonal(self._matrix[:, 2, :, 2]))
 
     @cached_property
+    def rough(self) -> Rough:
+        """See `Between`."""
+        return Eliminated(self._normal)
+
+    @cached_property
     def operator(self) -> Operator:
         """See `Between`."""
         return Singles(self._matrix)
@@ -88,11 +129,11 @@ class Dense:
     def moved(self, force: Floats) -> Floats:
         """See `Between`."""
         size = 3 * len(self)
-        return np.asarray(self._matrix.reshape(size, size) @ force.reshape(-1)).reshape(-1, 3)
+        return np.asarray(symmetric_product(self._matrix.reshape(size, size).T, force.reshape(-1))).reshape(-1, 3)
 
     def sunk(self, push: Floats) -> Floats:
         """See `Between`."""
-        return np.asarray(self._normal @ push)
+        return np.asarray(symmetric_product(self._normal.T, push))
 
     def part(self, rows: Ints) -> Floats:
         """See `Between`."""

@@ -38,8 +38,15 @@ from twin.world.contact.job import (
     stopped_at,
     together,
 )  # fmt: skip
-from twin.world.contact.patches import Plane
-from twin.world.contact.region import check_inside, find_contact, fitted_patches, solve_frictionless
+from twin.world.contact.patches import Box, Plane
+from twin.world.contact.region import (
+    check_inside,
+    disc_contact,
+    fills,
+    find_contact,
+    fitted_patches,
+    solve_frictionless,
+)
 from twin.world.contact.rubbing import rubbing_path
 from twin.world.contact.together import Contacts, Control, Setting, SurfaceCompliance, all_controls, of_one, touch_at
 from twin.world.contact.unilateral import Equilibrium
@@ -229,10 +236,14 @@ def _frictionless(
     touch_z: list[float],
 ) -> tuple[Contacts, Equilibrium]:  # fmt: skip
     """Find the contacts, cut the grids that fit them, and solve on these; a grid grows while its border is reached."""
-    boxes = []
+    boxes, said = [], dict[int, Box]()
     for number, setting in enumerate(settings):
-        box, places[number] = find_contact(setting, controls[number], places[number], planes[number], touch_z[number])
+        own, start, z = controls[number], places[number], touch_z[number]
+        disc = disc_contact(setting, own, start, z)
+        box, places[number] = disc or find_contact(setting, own, start, planes[number], z)
         boxes.append(box)
+        if disc is not None:
+            said[number] = box
     control, place = all_controls(controls), np.concatenate(places)
     for _ in range(TRIES):
         contacts = Contacts(settings, tuple(map(fitted_patches, settings, planes, boxes)))
@@ -240,7 +251,18 @@ def _frictionless(
         place = found.place
         for (setting, rows, motions), grid, z in zip(contacts.rows, contacts.grids, touch_z, strict=True):
             check_inside(setting, grid, of_one(found, rows, motions), float(place[motions][Z]) - z)
-        if not outgrown(boxes, contacts, found.active):
+        missed = [
+            number for number, (_, rows, _) in enumerate(contacts.rows)
+            if number in said and not (found.active[rows].any()
+                                       and fills(contacts.grids[number].bounds(found.active[rows]), said[number]))
+        ]  # fmt: skip
+        for number in missed:
+            motions = slice(MOTIONS * number, MOTIONS * (number + 1))
+            boxes[number], place[motions] = find_contact(
+                settings[number], controls[number], place[motions], planes[number], touch_z[number]
+            )
+            del said[number]
+        if not outgrown(boxes, contacts, found.active) and not missed:
             refuse_overlap(contacts, found)
             return contacts, found
     raise no_grid(settings[0], boxes[0])

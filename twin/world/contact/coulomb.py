@@ -13,7 +13,9 @@ the balance of the probe in it. Nothing is penalised: r scales the equations and
 
 Why steps are shortened: far from the solution whole steps can cycle; the step that leaves the least of the equations is
 taken. Why a step is solved for the change of the trial, not for the forces: an iterative solution
-(`twin.world.contact.krylov`) need then be good to a thousandth only, as the next step mends the rest.
+(`twin.world.contact.krylov`) need then be good to a thousandth only, as the next step mends the rest. For the same
+reason a change's motion is a product in single precision, until what these lose counts beside what is left of the
+equations: then the motion is taken anew in double precision, once in most solutions.
 
 Validity: the slip of one increment, from b to its end. Paths are walked in increments by `twin.world.contact.friction`.
 With a large coefficient, or strong coupling of normal and tangential motion, there may be no solution or more than one.
@@ -39,6 +41,9 @@ _FAR = 1e4
 
 _AT_BOUND = 1.0 - 1e-9
 """A patch that slipped before stands at its bound, to round-off, and slips on unless its load turns."""
+
+_LOST, _COUNTS = 2e-7, 0.03
+"""Share of a motion that single precision loses at most; share of what is left of the equations that this may be."""
 
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 
@@ -158,6 +163,24 @@ def _moved(problem: Unilateral, touching: Ints, change: Floats) -> Floats:
     return problem.moved(change)[touching].T
 
 
+def _changed(problem: Unilateral, force: Floats) -> tuple[Floats, float]:
+    """Return the motions (k, 3) under forces (k, 3) or their change, mm, and what is lost of them, N."""
+    if not problem.krylov or len(force) <= _FEW or not problem.krylov.saves:
+        return problem.moved(force), 0.0
+    moved = np.ascontiguousarray(problem.krylov.moved(force).T)
+    return moved, _LOST * float(np.linalg.norm(_scales(problem)[:, None] * moved))
+
+
+def _known(problem: Unilateral, scale: Floats, trial: _Trial, lost: float) -> tuple[_Trial, float, float]:
+    """Return a trial, its motions taken anew where what is lost of them counts; what it leaves; and what is lost."""
+    left, size = trial.size(problem.reach), float(np.linalg.norm(trial.force))
+    next_left = min(left, 10.0 * left**2 / size) if size else left  # near the solution steps are quadratic
+    if lost <= max(_COUNTS * next_left, 0.1 * _GOAL * size):
+        return trial, left, lost
+    anew = _tried(problem, scale, trial.force, problem.moved(trial.force), trial.place)
+    return anew, anew.size(problem.reach), 0.0
+
+
 def _eliminated(
     compliance: Floats | Between, system: LinearSystem, right: Floats, balance: Floats
 ) -> tuple[Floats, Floats]:
@@ -212,8 +235,8 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
     reach, pushed = problem.reach, bool(problem.pushing.any())
     far = _FAR * float(reach.max())
     place = np.where(problem.by_force, place, problem.given)
-    trial = _tried(problem, scale, force, problem.moved(force), place)
-    left = trial.size(reach)
+    displacement, lost = _changed(problem, force)
+    trial, left, lost = _known(problem, scale, _tried(problem, scale, force, displacement, place), lost)
     if trial.force.any() and left <= _GOAL * float(np.linalg.norm(trial.force)):
         return _settled(problem, trial, reach, 0)
     for step in range(1, _STEPS + 1):
@@ -228,7 +251,8 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
             force, place = np.zeros((k, 3)), trial.place  # nothing touches where the probe is held
         if not np.abs((place - trial.place) * reach).max() < far:
             raise _slides_off()
-        displacement = problem.moved(force)
+        change, loses = _changed(problem, force - trial.force)
+        displacement, lost = trial.displacement + change, lost + loses
         best, best_left = trial, np.inf
         for share in _SHARES:
             tried = _tried(
@@ -241,7 +265,8 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
                 best, best_left = tried, now
             if best_left < (1.0 - 0.5 * share) * left:
                 break
-        trial, before, left = best, left, best_left
+        before = left
+        trial, left, lost = _known(problem, scale, best, lost)
         if left <= _GOAL * float(np.linalg.norm(trial.force)) or (
             left >= 0.5 * before and _residual(problem, trial, reach) <= 0.01 * TOLERANCE
         ):

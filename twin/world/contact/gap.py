@@ -18,12 +18,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 
 from twin.arrays import Bools, Floats, Points
 from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.press import Press, Probe, frame_of
-from twin.parts.probe import Cylinder, Pillar
+from twin.parts.probe import Cylinder, Pillar, Stl
 from twin.world.contact.probe_shape import Shape, half_extent, rotation_of, shape_of, tilt_of, turning_of
 
 X, Y, Z, ABOUT_X, ABOUT_Y, TURN = range(6)
@@ -32,6 +33,7 @@ FLAT_TILT_DEG = 20.0
 """A flat face that is tilted less touches with its face, one that is tilted more with its rim."""
 
 _LEVELS, _ACROSS = 14, 25
+_STEPS = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, _ACROSS)]), axis=-1).reshape(-1, 2)
 _ON_SURFACE_MM = 1e-3
 
 
@@ -88,15 +90,32 @@ class Approach:
         own = (points - self.axis_mm) @ self.axes.T - place[:3]
         along = normals @ self.axes.T
         gap, normal = self.shape.met(own @ turned, along @ turned)
-        normal = normal @ turned.T
-        met = np.isfinite(gap)
-        # A motion dc of the probe at the place that is met changes the gap by -(e . dc) / (e . n), e its normal there.
-        reached = own - np.where(met, gap, 0.0)[:, None] * along
-        turning = np.cross(reached, normal) @ turning_of(place[ABOUT_X:])
-        steep = np.einsum("ki,ki->k", normal, along)
-        slope = -np.concatenate([normal, turning], axis=1) / np.where(met, steep, 1.0)[:, None]
-        slope[~met] = 0.0
+        slope = np.zeros((len(gap), MOTIONS))
+        _slopes(own, along, gap, normal, turned, turning_of(place[ABOUT_X:]), slope)
         return gap, slope
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _slopes(
+    own: Floats, along: Floats, gap: Floats, normal: Floats, turned: Floats, turning: Floats, slope: Floats
+) -> None:
+    """Set ``slope`` (k, 6) to the gap's derivatives where a line meets the probe.
+
+    A motion dc of the probe at the place that is met changes the gap by -(e . dc) / (e . n), e its normal there.
+    """
+    for i in range(len(gap)):
+        if not math.isfinite(gap[i]):
+            continue
+        a, b, c = own[i, 0] - gap[i] * along[i, 0], own[i, 1] - gap[i] * along[i, 1], own[i, 2] - gap[i] * along[i, 2]
+        u, v, w = normal[i, 0], normal[i, 1], normal[i, 2]
+        x = turned[0, 0] * u + turned[0, 1] * v + turned[0, 2] * w
+        y = turned[1, 0] * u + turned[1, 1] * v + turned[1, 2] * w
+        z = turned[2, 0] * u + turned[2, 1] * v + turned[2, 2] * w
+        steep = x * along[i, 0] + y * along[i, 1] + z * along[i, 2]
+        about = b * z - c * y, c * x - a * z, a * y - b * x
+        slope[i, 0], slope[i, 1], slope[i, 2] = -x / steep, -y / steep, -z / steep
+        for j in range(3):
+            slope[i, 3 + j] = -(about[0] * turning[0, j] + about[1] * turning[1, j] + about[2] * turning[2, j]) / steep
 
 
 def is_flat(probe: Probe, tilt_deg: tuple[float, float, float]) -> bool:
@@ -245,7 +264,8 @@ def approach(
     Notes
     -----
     The smallest height of the surface over the probe is found on grids that shrink around the minimum; ties (a flat
-    face on a flat body, or along a barrel) are averaged.
+    face on a flat body, or along a barrel) are averaged. Where the surface is as high everywhere under an upright
+    probe, its lowest point is the one.
     """
     axes = np.eye(3) if axes is None else axes
     at = np.zeros(3)
@@ -258,10 +278,13 @@ def approach(
         reach = np.full(2, np.hypot(*reach))
     centre, half, meets = np.zeros(2), reach, meeting(body, axes[2])
     height, touch, on_sensing = np.inf, np.full(2, np.nan), True
-    steps = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, _ACROSS)]), axis=-1).reshape(-1, 2)
+    upright = not isinstance(probe, Stl) and not any(tilt_deg) and turned[2, 2] == 1.0
     for _ in range(_LEVELS):
-        offset = centre + steps * half
+        offset = centre + _STEPS * half
         surface, sensing = meets(at + offset @ axes[:2])
+        if upright and sensing.all() and np.all(surface == surface[0]):
+            height, touch = float(surface[0]), np.zeros(2)
+            break
         rise = shape.met(np.column_stack([offset, np.zeros(len(offset))]) @ turned, along)[0]
         height_here = surface + np.where(np.isfinite(rise), rise, np.nan)
         height_here = np.where(np.isfinite(height_here), height_here, np.inf)

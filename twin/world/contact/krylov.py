@@ -62,6 +62,11 @@ class Krylov:
     def __init__(self, compliance: Floats | Between) -> None:
         self._operator = between(compliance).operator
 
+    @property
+    def saves(self) -> bool:
+        """Whether `moved` costs much less than a product in double precision."""
+        return self._operator.saves
+
     def moved(self, force: Floats) -> Floats:
         """Return the (3, k) displacements of all patches under forces (k, 3) on them, mm, to 1e-7 of the largest."""
         return self._operator.displaced(force)

@@ -67,7 +67,7 @@ class Lattice:
         (3, M, 3, M) smooth rest between M = m x m nodes; None for none.
     """
 
-    precision, finest = np.float32, 1e-5
+    precision, finest, saves = np.float32, 1e-5, False
 
     def __init__(self, place: Ints, kernel: Floats, rest: Floats | None) -> None:
         self._place, self._kernel = place, kernel
@@ -75,6 +75,9 @@ class Lattice:
         self._convolution = Convolution.of_kernel(kernel)
         self._at = self._chosen = place[:, 0] * kernel.shape[1] + place[:, 1]
         self._inverse = self._convolution.inverse
+        self._cell, self._shape = place[:, 0] * nv + place[:, 1], (nu, nv)
+        self._normal = self._convolution.normal(self._shape, np.float64)
+        self._rough_normal = None if self._inverse is None else self._inverse.normal(self._shape, np.float32)
         self.unit = float(np.mean(np.diag(kernel[0, 0])))
         self._rest = None if rest is None else np.ascontiguousarray(rest.reshape(3 * rest.shape[1], -1))
         m = NODES[0] if rest is None else math.isqrt(rest.shape[1])
@@ -113,11 +116,11 @@ class Lattice:
 
     def sunk(self, push: Floats) -> Floats:
         """See `Between`."""
-        field = self._spread(self._at, push)
-        out = self._convolution.normal(field)
+        field = self._filled(self._cell, push)
+        out = self._normal.product(field)
         if self._rest is not None:
             out += self._rest_of(field, self._normal_rest)
-        return np.asarray(out.reshape(-1)[self._at])
+        return np.asarray(out.reshape(-1)[self._cell])
 
     def part(self, rows: Ints) -> Floats:
         """See `Between`."""
@@ -139,9 +142,10 @@ class Lattice:
 
     def pushes(self, rows: Ints, depth: Floats) -> Floats:
         """See `twin.world.contact.between.Rough`."""
-        assert self._inverse is not None
-        at = self._at[rows]
-        return np.asarray(self._inverse.normal(self._spread(at, depth)).reshape(-1)[at])
+        assert self._rough_normal is not None
+        cell = self._cell[rows]
+        depth_single: Any = depth.astype(np.float32)
+        return np.asarray(self._rough_normal.product(self._filled(cell, depth_single)).reshape(-1)[cell].astype(float))
 
     def make_room(self, touching: Ints) -> bool:
         """See `twin.world.contact.singles.Operator`."""
@@ -172,6 +176,7 @@ class Lattice:
     def _rest_of(self, field: Floats, rest: Floats) -> Floats:
         """Return what the smooth rest makes of a field on the lattice."""
         u, v = self._sides[field.dtype.name]
+        v = v[: field.shape[-1]]
         counted = u.T @ field @ v
         return np.asarray(u @ (rest @ counted.reshape(-1)).reshape(counted.shape) @ v.T)
 
@@ -180,6 +185,12 @@ class Lattice:
         field = np.zeros((*values.shape[:-1], self._lines[0] * self._lines[1]), values.dtype)
         field[..., at] = values
         return field.reshape(*values.shape[:-1], *self._lines)
+
+    def _filled(self, cell: Ints, values: Floats) -> Floats:
+        """Return (nu, nv) values (n,) on the lattice."""
+        field = np.zeros(self._shape[0] * self._shape[1], values.dtype)
+        field[cell] = values
+        return field.reshape(self._shape)
 
     @cached_property
     def _normal_rest(self) -> Floats:

@@ -2,7 +2,8 @@
 
 Why coarse grids first: a curved body, a flat face over a barrel, or a large contact are far from Hertz's disc, and a
 fine grid over too large a region would waste patches. A frictionless solve on about a hundred patches tells the
-region; the grid grows while contact reaches its border and shrinks while contact fills too little of it.
+region; the grid grows while contact reaches its border and shrinks while contact fills too little of it. A sphere or a
+cone on a flat surface needs none of that: Hertz's or Sneddon's disc is right, or so wrong that it shows.
 """
 
 from __future__ import annotations
@@ -15,13 +16,24 @@ from twin.arrays import Floats
 from twin.errors import ContactError, NotSettled
 from twin.parts.probe import Cone, Sphere
 from twin.theory.contact import cone_contact_radius, hertz
-from twin.world.contact.gap import X, Y, Z
+from twin.world.contact.gap import ABOUT_X, TURN, X, Y, Z
 from twin.world.contact.patches import Box, Patches, Plane, candidate_patches
 from twin.world.contact.probe_shape import half_extent
 from twin.world.contact.together import Contacts, Control, Setting
 from twin.world.contact.unilateral import Equilibrium, Unilateral, solve
 
 _COARSE, _ROUNDS, _MARGIN, _FILL = 10, 14, 0.13, 0.4
+_WIDER = 1.25
+"""First coarse grid over the contact guessed."""
+
+_INNER = 0.96
+"""Half width of a box to be filled with patches, over a disc's radius: rather more patches across than asked."""
+
+_THIN = 0.15
+"""Largest contact over a body's thickness for which closed forms of half-spaces tell its size."""
+
+_FILLS = 0.85
+"""Share of a disc from a closed form that a contact fills at least, or the form doesn't fit it."""
 _NAMES = ("x", "y", "z", "the turn about x", "the turn about y", "the turn about z")
 
 
@@ -57,27 +69,61 @@ def frictionless_control(contacts: Contacts, carried: Floats, control: Control, 
 
 def guess_box(setting: Setting, force_z: float | None, depth: float) -> tuple[Box, float]:
     """Return a first box around the contact and a first guess of the indentation, from Hertz or Sneddon."""
-    probe = setting.probe
-    a, b = half_extent(probe, setting.first.tilt_deg)
-    rubber = setting.youngs_modulus_mpa, setting.poisson_ratio
+    a, b = half_extent(setting.probe, setting.first.tilt_deg)
     if setting.face is not None:
         stiff = 2.0 * math.sqrt(a * b) * setting.youngs_modulus_mpa
-        return Box(u0=-a, u1=a, v0=-b, v1=b), depth if force_z is None else force_z / stiff
+        return _square(a, b), depth if force_z is None else force_z / stiff
+    radius, depth = _disc(setting, force_z, depth)
+    return _square(_WIDER * radius, _WIDER * radius), depth
+
+
+def _square(a: float, b: float) -> Box:
+    return Box(u0=-a, u1=a, v0=-b, v1=b)
+
+
+def _disc(setting: Setting, force_z: float | None, depth: float) -> tuple[float, float]:
+    """Return radius and indentation of a contact as if on a half-space; at most what the probe's size allows."""
+    probe = setting.probe
+    a, _ = half_extent(probe, setting.first.tilt_deg)
+    rubber = setting.youngs_modulus_mpa, setting.poisson_ratio
     if isinstance(probe, Cone):
         slope = 1.0 / math.tan(math.radians(probe.apex_deg / 2))
         radius = 2.0 * depth / (math.pi * slope)
         if force_z is not None:
             radius = cone_contact_radius(force_z, probe.apex_deg, *rubber)
         if radius > probe.tip_mm * math.cos(math.radians(probe.apex_deg / 2)):
-            half = 1.25 * min(radius, a)
-            return Box(u0=-half, u1=half, v0=-half, v1=half), math.pi / 2 * min(radius, a) * slope
+            return min(radius, a), math.pi / 2 * min(radius, a) * slope
         a = probe.tip_mm
     like = hertz(
         radius_mm=a, youngs_modulus_mpa=rubber[0], poisson_ratio=rubber[1],
         force_n=force_z, indentation_mm=None if force_z is not None else depth,
     )  # fmt: skip
-    half = 1.25 * min(like.contact_radius_mm, 0.7 * a)
-    return Box(u0=-half, u1=half, v0=-half, v1=half), min(like.indentation_mm, 0.5 * a)
+    return min(like.contact_radius_mm, 0.7 * a), min(like.indentation_mm, 0.5 * a)
+
+
+def disc_contact(setting: Setting, control: Control, start: Floats, touch_z: float) -> tuple[Box, Floats] | None:
+    """Return what `find_contact` does by a closed form, for an upright sphere or cone on a flat surface."""
+    axes, place = setting.first.axes, np.where(control.by_force, start, control.given)
+    if not isinstance(setting.probe, Sphere | Cone) or any(setting.first.tilt_deg) or place[ABOUT_X:TURN].any():
+        return None
+    if control.by_force[:Z].any():  # it may slide away from there
+        return None
+    force_z = float(control.given[Z]) if control.by_force[Z] else None
+    radius, depth = _disc(setting, force_z, float(control.given[Z]) - touch_z)
+    middle = setting.first.axis_mm + np.array([*place[:Z], touch_z]) @ axes
+    ring = middle + 1.2 * radius * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]]) @ axes[:2]
+    low, high = setting.body.bounds_mm
+    thin = radius > _THIN * (high[2] - low[2])
+    if radius <= 0.0 or thin or np.abs(setting.body.depth(ring)).max() > 1e-12:
+        return None
+    if control.by_force[Z]:
+        place[Z] = touch_z + depth
+    return _square(_INNER * radius, _INNER * radius), place
+
+
+def fills(contact: Box, box: Box) -> bool:
+    """Return whether a contact is as large as a closed form said."""
+    return min(found / said for found, said in zip(contact.size, box.size, strict=True)) >= _FILLS
 
 
 def solve_frictionless(contacts: Contacts, control: Control, place: Floats, touch_z: Floats) -> Equilibrium:

@@ -2,7 +2,8 @@
 
 Why single precision: it halves the time, and the outer Newton steps mend what it loses, as they measure what is left
 of the equations in double precision. Why the inverses are kept: they serve any subset of the patches that they were
-made for as well, so that a whole path needs a few.
+made for as well, so that a whole path needs a few. Why products of symmetric matrices: they read one half of a matrix,
+and reading is what products of this size cost.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from twin.arrays import Floats, Ints
 
@@ -39,6 +40,11 @@ class Operator(Protocol):
         """Share of a right-hand side that iteration can reach."""
         ...
 
+    @property
+    def saves(self) -> bool:
+        """Whether `displaced` costs much less than a product in double precision."""
+        ...
+
     def make_room(self, touching: Ints) -> bool:
         """Take over the n patches in contact; return whether their compliance can be inverted."""
         ...
@@ -59,7 +65,7 @@ class Operator(Protocol):
 class Singles:
     """An `Operator` of a matrix (k, 3, k, 3), mm/N."""
 
-    precision, finest = np.float32, 1e-4
+    precision, finest, saves = np.float32, 1e-4, True
 
     def __init__(self, compliance: Floats) -> None:
         k = len(compliance)
@@ -78,8 +84,8 @@ class Singles:
             self._place[touching] = np.arange(n)
             part = self._whole[:, touching][:, :, :, touching]
             self._part = part.reshape(3 * n, 3 * n)
-            self._stiffness = _inverse(self._part[: 2 * n, : 2 * n]), _inverse(self._part[2 * n :, 2 * n :])
-            self._kept = touching if all(np.isfinite(each).all() for each in self._stiffness) else np.zeros(0, int)
+            self._stiffness: list[Any] = [inverse(self._part[: 2 * n, : 2 * n]), inverse(self._part[2 * n :, 2 * n :])]
+            self._kept = touching if all(each is not None for each in self._stiffness) else np.zeros(0, int)
         self._at = self._place[touching]
         return len(self._kept) > 0
 
@@ -87,29 +93,43 @@ class Singles:
         """See `Operator`."""
         size = 3 * len(force)
         pushed: SinglesArray = np.ascontiguousarray(force.T, np.float32).reshape(size)
-        return np.asarray((self._whole.reshape(size, size) @ pushed).reshape(3, -1).astype(float) * self.unit)
+        moved = symmetric_product(self._whole.reshape(size, size).T, pushed)
+        return np.asarray(moved.reshape(3, -1).astype(float) * self.unit)
 
     def product(self, force: Floats) -> Floats:
         """See `Operator`."""
         spread: SinglesArray = np.zeros((3, len(self._kept)), np.float32)
         spread[:, self._at] = force
-        return np.asarray((self._part @ spread.reshape(-1)).reshape(3, -1)[:, self._at])
+        return np.asarray(symmetric_product(self._part.T, spread.reshape(-1)).reshape(3, -1)[:, self._at])
 
     def roughly(self, displacement: Floats) -> Floats:
         """See `Operator`."""
-        spread: SinglesArray = np.zeros((3, len(self._kept), displacement.shape[2]), np.float32)
-        spread[:, self._at] = displacement
+        count = displacement.shape[2]
+        spread: SinglesArray = np.zeros((count, 3, len(self._kept)), np.float32)
+        spread[:, :, self._at] = displacement.transpose(2, 0, 1)
+        columns = spread.reshape(count, -1).T
         along, normal = self._stiffness
-        out = np.empty_like(spread)
-        out[:2] = (along @ spread[:2].reshape(2 * spread.shape[1], -1)).reshape(out[:2].shape)
-        out[2] = normal @ spread[2]
-        return np.asarray(out[:, self._at])
+        size = len(along)
+        out = np.concatenate([symmetric_product(along, columns[:size]), symmetric_product(normal, columns[size:])])
+        return np.asarray(out.reshape(3, -1, count)[:, self._at])
 
 
-def _inverse(matrix: SinglesArray) -> SinglesArray:
-    """Return the inverse of a symmetric positive definite matrix in single precision; NaN where it is not definite."""
+def symmetric_product(matrix: Any, right: Any) -> Any:
+    """Return the product of a symmetric matrix (n, n) with (n,) or (n, m); what is above its diagonal is read only.
+
+    The matrix in Fortran's order, or it is copied.
+    """
+    double = matrix.dtype == np.float64
+    if right.ndim == 1 or right.shape[1] == 1:
+        by = blas.dsymv if double else blas.ssymv
+        return by(1.0, matrix, right.reshape(-1)).reshape(right.shape)
+    return (blas.dsymm if double else blas.ssymm)(1.0, matrix, right)
+
+
+def inverse(matrix: SinglesArray) -> SinglesArray | None:
+    """Return what is above the diagonal of a symmetric matrix's inverse, (n, n); None where it is not definite."""
     root, wrong = lapack.spotrf(matrix, lower=0, clean=0)
-    if wrong:
-        return np.full_like(matrix, np.nan)
-    inverse, _ = lapack.spotri(root, lower=0)
-    return np.asarray(np.triu(inverse) + np.triu(inverse, 1).T)
+    if wrong or not np.isfinite(root[-1, -1]):
+        return None
+    found: SinglesArray = lapack.spotri(root, lower=0, overwrite_c=1)[0]
+    return found if np.isfinite(found.diagonal()).all() else None

@@ -31,7 +31,10 @@ class SurfaceCompliance(Protocol):
     """A body's surface, solved: whatever can say how patches move under forces on patches."""
 
     def surface(self, rectangles: Rectangles) -> Floats:
-        """Return (3k, 3k) displacements of the patch centres under unit forces on the patches, global axes, mm/N."""
+        """Return (3k, 3k) displacements of the patch centres under unit forces on the patches, global axes, mm/N.
+
+        Symmetric (Betti): products read one half of it.
+        """
         ...
 
     def to_points(self, points: Points, rectangles: Rectangles) -> Floats:

@@ -97,7 +97,8 @@ class Unilateral:
     @cached_property
     def reach(self) -> Floats:
         """(m,) largest motion of a patch per unit of each component: 1 of a translation, the arm of a turn, mm."""
-        largest = np.sqrt(np.max(np.sum(self.carried**2, axis=1), axis=0, initial=0.0))
+        squared = np.einsum("kam,kam->km", self.carried, self.carried)
+        largest = np.sqrt(np.max(squared, axis=0, initial=0.0))
         return np.where(largest > 0.0, largest, 1.0)
 
     def total(self, force: Floats) -> Floats:
