@@ -61,6 +61,18 @@ def test_many_patches_at_once_and_one_load_are_the_same_answer(small):
     )
 
 
+def test_points_too_many_to_keep_are_answered_alike(small):
+    table, _ = small
+    load, many = patch((1.3, 0.4)), np.tile(POINTS, (surface_table.KEPT_POINTS // len(POINTS) + 1, 1))
+    few = table.answer(POINTS, load)
+    moved, error = table.answer(many, load)
+    np.testing.assert_allclose(moved[: len(POINTS)], few[0], atol=1e-5 * np.abs(moved).max(), rtol=0)
+    assert error == pytest.approx(few[1], rel=1e-3)
+    slopes = table.gradient(POINTS, load)
+    np.testing.assert_allclose(table.gradient(many, load)[: len(POINTS)], slopes, atol=1e-4 * np.abs(slopes).max())
+    assert table._memory.of(many).reading is None
+
+
 def test_what_the_table_does_not_cover_is_solved(small):
     table, solved = small
     surface = table._surface_table
@@ -102,8 +114,7 @@ def test_answers_between_the_patches_are_as_near_to_solves_as_they_say():
         expected = solved.displacement(points, load)
         size = np.linalg.norm(expected, axis=1).max()
         error = np.linalg.norm(table.displacement(points, load) - expected, axis=1).max() / size
-        known = table._checked(points, load)
-        told = surface.displacement(table._reading(surface, known), load)[1] / RUBBER.youngs_modulus_mpa / size
+        told = table._interpolated(surface, table._checked(points, load), load)[1] / RUBBER.youngs_modulus_mpa / size
         assert error < bound
         assert error < told + 5e-4  # the solves themselves are that rough
         assert table.error_estimate(points, load) > told
