@@ -42,6 +42,8 @@ WAYS: dict[str, dict[str, Any]] = {
     "smooth, robust, 2 % wrong vectors": {"robust": True},
 }
 
+FITTED = "smooth, fitted twin"
+
 
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return rows of all parts; the quick form has few loads."""
@@ -51,6 +53,7 @@ def run(quick: bool) -> list[dict[str, Any]]:
     some = loads[: 6 if quick else 30]
     return [
         *(way(calibration, some, name) for name in WAYS),
+        by_fitted_twin(len(some)),
         weights(calibration, loads),
         *speed(calibration, loads[0]),
     ]
@@ -110,6 +113,15 @@ def way(calibration: Calibration, loads: list[Any], name: str) -> dict[str, Any]
         "centre mm": float(np.median(centre)), "centre mm, 95 of 100": float(np.quantile(centre, 0.95)),
         "KKT": kkt if kkt else "",
     }  # fmt: skip
+
+
+def by_fitted_twin(count: int) -> dict[str, Any]:
+    """Return the errors with the twin fitted to five pictured presses and the rest picture, on the same loads."""
+    told = {"calibration.method": "fitted", "calibration.presses": None, "calibration.file": None}
+    sensor = Sensor(load_scene("kamiyama_pillar", overrides=told))
+    calibration = calibration_of(sensor)
+    loads = [case(sensor, calibration, seed) for seed in range(count)]
+    return {**way(calibration, loads, "smooth"), "what": FITTED}
 
 
 def weights(calibration: Calibration, loads: list[Any]) -> dict[str, Any]:
