@@ -9,11 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from twin.errors import InputError, TwinError
+from twin.show.reproduction import reproduction
 from twin.study.reproduce import runner
 from twin.study.reproduce.bench import Bench, sensor_hash
 from twin.study.reproduce.catalogue import ENTRIES, chosen
+from twin.study.reproduce.fields import half_space_motion
+from twin.study.reproduce.flat_picture import impulse
 from twin.study.reproduce.record import Outcome, Record, causes, over
 from twin.study.reproduce.runner import reproduce
 from twin.study.reproduce.shifted import displaced
@@ -96,6 +100,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
 
     def run(_: Bench) -> Outcome:
         runs.append(1)
+        assert all(library["num_threads"] == 1 for library in threadpool_info()), "last digits would hang on cores"
         return Outcome(records=(Record(quantity="q", unit="", twin=1.0),))
 
     def fails(_: Bench) -> Outcome:
@@ -153,6 +158,35 @@ def test_the_quick_form_makes_everything(tmp_path: Path) -> None:
     assert twin("kamiyama/fig-10", "largest force over the true") > 100
     assert twin("kamiyama/fig-11", "distance of the strongest") < 2.5
     assert 0.7 < twin("kamiyama/fig-11", "total push") < 1.3
+
+
+def test_a_block_that_is_a_half_space_moves_as_the_formula_says() -> None:
+    rig = Bench().rig("kamiyama")
+    at, load = rig.sensor.actual.markers.points, impulse(2)
+    got = half_space_motion(rig, load).displacement_mm
+    material, square = rig.sensor.actual.scene.material, np.arange(-1.475, 1.5, 0.05)
+    spots = np.stack(np.meshgrid(square, square), axis=-1).reshape(-1, 2)
+    spots = spots[np.hypot(*spots.T) < 1.5]
+    for marker in (0, len(at) // 4, len(at) // 2):  # Boussinesq's point force, summed over the disc
+        x, y = (at[marker, :2] - spots).T
+        z = at[marker, 2]
+        r = np.sqrt(x**2 + y**2 + z**2)
+        nu = material.poisson_ratio
+        factor = (1 + nu) / (2 * np.pi * material.youngs_modulus_mpa)
+        along = factor * (x * z / r**3 - (1 - 2 * nu) * x / (r * (r + z)))
+        down = factor * (2 * (1 - nu) / r + z**2 / r**3)
+        np.testing.assert_allclose(got[marker, [0, 2]], [along.mean(), down.mean()], rtol=0.02)
+
+
+def test_a_page_says_first_what_nothing_explains() -> None:
+    record = Record(quantity="share", unit="px", paper=1.0, twin=2.0, spread=0.1, n=3, explained_by=causes({"a": 3.0}))
+    row = {"name": "kamiyama/fig-6", **record.row()}
+    table = {"name": "kamiyama/fig-6", "title": "t", "source": "s", "protocol": "p", "notes": [], "records": [row]}
+    page = reproduction([table], {}, {}, {}, seed=1, quick=True)
+    assert "What no modelled cause explains" in page
+    assert "share: paper 1, twin 2 ± 0.1 px" in page
+    fine = {**table, "records": [{**row, "verdict": "agrees"}]}
+    assert "What no modelled cause explains" not in reproduction([fine], {}, {}, {}, seed=1, quick=True)
 
 
 def test_a_width_is_never_missing() -> None:

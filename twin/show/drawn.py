@@ -114,7 +114,8 @@ def _bars(axes: Any, panel: BarPanel) -> None:
     axes.barh(np.arange(len(names)), np.nan_to_num(values), color="#7d8894", height=0.6)
     for row, value in enumerate(values):
         told = f" {value:.3g}" if np.isfinite(value) else " not reached"
-        axes.text(value if np.isfinite(value) else 0.0, row, told, va="center", fontsize=8, color=INK)
+        clear = max(value if np.isfinite(value) else 0.0, panel.marks.get(names[row], 0.0))
+        axes.text(clear, row, told, va="center", fontsize=8, color=INK)
     axes.set_yticks(np.arange(len(names)), names, fontsize=8)
     axes.invert_yaxis()
     axes.margins(x=0.15)

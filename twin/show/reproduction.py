@@ -32,7 +32,10 @@ nav a { color: inherit; display: block } .source { color: var(--soft); font-size
 @media screen and (prefers-color-scheme: dark) { .agrees { color: #7fd6a0 } .explained { color: #e6bd5c } }
 @media (max-width: 600px) { nav { columns: 1 } }
 @media print { details::details-content { content-visibility: visible; display: block } nav { display: none }
-  article img { max-width: 15cm } .records { font-size: 8.5pt } }
+  article { break-inside: auto; margin-top: 1.2rem } article h3, .source { break-after: avoid }
+  article img { max-width: 15cm; break-inside: avoid } .records { font-size: 8.5pt } .records tr { break-after: auto }
+  .records td, .records th { padding: .15rem .6rem .15rem 0 } .records small, .records li { display: inline }
+  .records summary { display: none } .records ul { padding: 0 } .records li:not(:last-child)::after { content: "; " } }
 """
 
 
@@ -60,7 +63,7 @@ def reproduction(
     seed, quick
         How it was run.
     """
-    parts = [_counts(tables), _sensors(sensors), _contents(tables)]
+    parts = [_counts(tables), _left(tables), _sensors(sensors), _contents(tables)]
     for paper, heading in PAPERS.items():
         mine = [t for t in tables if str(t["name"]).split("/")[0] == paper]
         if mine:
@@ -93,6 +96,22 @@ def _counts(tables: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
+def _left(tables: Sequence[Mapping[str, Any]]) -> str:
+    """Return what neither agrees nor is explained, before anything else: it is what a reader must know first."""
+    items = "".join(
+        f'<li><a href="#{_anchor(t)}">{escape(t["name"])}</a> {escape(r["quantity"])}: paper {_number(r["paper"])}, '
+        f"twin {_with_spread(r)} {escape(r['unit'])}</li>"
+        for t in tables
+        for r in t["records"]
+        if _plainly_off(r)
+    )
+    return f"<section><h2>What no modelled cause explains</h2><ul>{items}</ul></section>" if items else ""
+
+
+def _plainly_off(record: Mapping[str, Any]) -> bool:
+    return str(record["verdict"]).startswith("disagrees")
+
+
 def _sensors(sensors: Mapping[str, Mapping[str, Any]]) -> str:
     rows = "".join(
         f"<dt>{escape(PAPERS[paper].split(' (')[0])}</dt><dd>scene {escape(str(facts['scene']))}, resolved sensor "
@@ -120,7 +139,7 @@ def _article(table: Mapping[str, Any], picture: bytes) -> str:
     return (
         f'<article id="{_anchor(table)}"><h3>{escape(table["name"])}: {escape(table["title"])}</h3>'
         f'<p class="source">{escape(table["source"])}</p><p>{escape(table["protocol"])}</p>'
-        f"{_records(table['records'])}{image}{notes}</article>"
+        f"{image}{notes}{_records(table['records'])}</article>"
     )
 
 
@@ -134,9 +153,7 @@ def _records(records: Sequence[Mapping[str, Any]]) -> str:
 
 def _row(record: Mapping[str, Any]) -> str:
     unit = f" {record['unit']}" if record["unit"] else ""
-    twin = _number(record["twin"])
-    if record["spread"] is not None:
-        twin += f" ± {digits(record['spread'])}"
+    twin = _with_spread(record)
     runs = f"<small>{record['n']} runs</small>" if record["n"] > 1 else ""
     verdict = str(record["verdict"])
     gentle = "explained by:" in verdict or record["timed"] or record["ours"]
@@ -150,6 +167,11 @@ def _row(record: Mapping[str, Any]) -> str:
         f'<tr><th>{escape(record["quantity"])}</th><td class="n">{paper}</td>'
         f'<td class="n">{twin}{unit}{runs}</td><td class="n">{_number(record["difference"])}</td><td>{text}</td></tr>'
     )
+
+
+def _with_spread(record: Mapping[str, Any]) -> str:
+    spread = "" if record["spread"] is None else f" ± {digits(record['spread'])}"
+    return _number(record["twin"]) + spread
 
 
 def _number(value: float | None) -> str:

@@ -46,8 +46,9 @@ SENSOR_KEYS = ("body", "material", "cover", "markers", "camera", "light", "ccd",
 DRAWING = ("body", "material", "cover", "markers", "camera", "calibration", "reconstruction")
 """What a calibration from the nominal design depends on."""
 
-SEEDS = {"kamiyama": (1, 2, 3), "sato": (1,)}
-"""Made sensors by paper. One finger: its contact takes seconds a press; its spread is of exposures and load cell."""
+MADE = 3
+"""Made sensors, over which a number's spread is told. Where fingers are pressed it is one: its calibration alone is 75
+presses, and the spread is of exposures and load cell."""
 
 FITTED: dict[str, tuple[str, ...]] = {
     "kamiyama": (
@@ -197,9 +198,9 @@ class Bench:
             start, width = self._share
             self._told(f"{self._entry} {what}".strip(), min(0.999, start + width * min(share, 1.0)))
 
-    def seeds(self, paper: str) -> tuple[int, ...]:
-        """Return the seeds of the made sensors."""
-        count = 1 if self.quick else len(SEEDS[paper])
+    def seeds(self, paper: str, *, pressed: bool = True) -> tuple[int, ...]:
+        """Return the seeds of the made sensors; ``pressed`` says whether a probe touches them."""
+        count = 1 if self.quick or (paper == "sato" and pressed) else MADE
         return tuple(self.seed + k for k in range(count))
 
     def rig(self, paper: str, seed: int | None = None, overrides: Mapping[str, Any] | None = None) -> Rig:

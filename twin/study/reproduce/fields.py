@@ -26,6 +26,10 @@ from twin.world.contact.contact import ContactState
 NO_NOISE = "noise off"
 PAPERS_TRACKER = "tracker: the paper's instead of this project's"
 OUR_TRACKER_INSTEAD = "tracker: this project's instead of the paper's"
+TOO = ", in the calibration too"
+NO_NOISE_AT_ALL = "noise of the picture off" + TOO
+OURS_AT_ALL = OUR_TRACKER_INSTEAD + TOO
+SMOOTH = "inverse: smooth instead of the pseudo-inverse"
 NO_LENS = "lens: seen from far away"
 NO_BLOCK = "finite block: a half-space is filmed instead"
 TOLD_OF_BLOCK = "finite block: the sensor is told of the real block instead of a half-space"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from twin.show.panels import Curve, CurvePanel
 from twin.study.calibrate import calibrate_by_presses
 from twin.study.reproduce.bench import OUR_TRACKER, Bench
 from twin.study.reproduce.entry import Entry
+from twin.study.reproduce.fields import TOO
 from twin.study.reproduce.record import Outcome, Record, causes, over
 
 
@@ -23,6 +25,26 @@ def site_errors(made: Calibration, wanted: Calibration) -> Floats:
     return np.asarray(np.linalg.norm(one - other, axis=(1, 2)) / np.linalg.norm(other, axis=(1, 2)))
 
 
+def calibrated(bench: Bench, overrides: Mapping[str, Any]) -> Calibration:
+    """Return a variant of the finger's calibration by presses; every variant is made once."""
+    rig = bench.rig("sato", overrides=overrides)
+    return bench.once(("by presses", repr(sorted(overrides.items()))), lambda: calibrate_by_presses(rig.sensor))
+
+
+QUIET: dict[str, Any] = {"ccd.noise": False}
+OUR_WAY: dict[str, Any] = {"tracking.method": OUR_TRACKER}
+
+
+def calibrated_without(bench: Bench, cause: Mapping[str, Any]) -> Calibration:
+    """Return the calibration that a finger without a cause would have had; the quick form takes the paper's own."""
+    return bench.rig("sato").calibration if bench.quick else calibrated(bench, cause)
+
+
+def said(bench: Bench, cause: str) -> str:
+    """Return what is switched off, in words: in the quick form it stays on in the calibration."""
+    return cause.removesuffix(TOO) if bench.quick else cause
+
+
 FEW: dict[str, Any] = {
     f"{table}.{key}": 1 for table in ("calibration.presses", "reconstruction.sites") for key in ("columns", "rows")
 }
@@ -32,19 +54,19 @@ FEW: dict[str, Any] = {
 def _calibration(bench: Bench) -> Outcome:
     """Calibrate, and calibrate again with one source of error off; every press is solved once."""
     few = FEW if bench.quick else {}
-    made = calibrate_by_presses(bench.rig("sato", overrides=few).sensor)
+    made = calibrated(bench, few)
     bench.progress("once more without errors", 0.8)
     clean = {"ccd.preset": "ideal", "calibration.load_cell_n": 0.0, "tracking.method": OUR_TRACKER}
-    exact = calibrate_by_presses(bench.rig("sato", overrides=few | clean).sensor)
+    exact = calibrated(bench, few | clean)
     off: dict[str, dict[str, Any]] = {
-        "noise of the picture off": {"ccd.noise": False},
+        "noise of the picture off": QUIET,
         "noise of the load cell off": {"calibration.load_cell_n": 0.0},
-        "tracker: this project's instead of the paper's": {"tracking.method": OUR_TRACKER},
+        "tracker: this project's instead of the paper's": OUR_WAY,
     }
     variants = {}
     for number, (name, overrides) in enumerate(off.items()):
         bench.progress(name, 0.85 + 0.05 * number)
-        variants[name] = site_errors(calibrate_by_presses(bench.rig("sato", overrides=few | overrides).sensor), exact)
+        variants[name] = site_errors(calibrated(bench, few | overrides), exact)
     errors = site_errors(made, exact)
     variants["drawing instead of presses: the nominal finger's compliance"] = site_errors(
         bench.rig("sato", overrides=few | {"calibration.method": "compliance"}).calibration, exact

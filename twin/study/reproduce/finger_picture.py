@@ -10,7 +10,8 @@ from twin.sense.reconstruct import Field
 from twin.show.panels import ArrowPanel, Panel, PicturePanel
 from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
-from twin.study.reproduce.fields import circle_mm, field_panel, scored, solved
+from twin.study.reproduce.fields import NO_NOISE_AT_ALL, OURS_AT_ALL, SMOOTH, circle_mm, field_panel, scored, solved
+from twin.study.reproduce.finger_calibration import OUR_WAY, QUIET, calibrated_without, said
 from twin.study.reproduce.record import Outcome, Record, causes, over
 from twin.world.contact.contact import ContactState
 
@@ -34,15 +35,18 @@ def above(rig: Rig, chart_mm: tuple[float, float]) -> tuple[float, float]:
 
 def _figure_6(bench: Bench) -> Outcome:
     rig = bench.rig("sato")
-    rest = rig.rest(OUR_TRACKER)
-    widths = [group.diameter_px for group in rest.groups]
+    rests = [bench.rig("sato", seed).rest(OUR_TRACKER) for seed in bench.seeds("sato", pressed=False)]
     points = rig.sensor.sites.centre_mm
     marks = rig.sensor.project(points, "nominal")
     records = (
-        Record(quantity="width of a marker in the picture", unit="px", paper=15.0, near=5.0, **over(widths)),
+        Record(
+            quantity="width of a marker in the picture", unit="px", paper=15.0, near=5.0,
+            **over(float(np.mean([group.diameter_px for group in rest.groups])) for rest in rests),
+        ),
         Record(quantity="points where force is applied", unit="", paper=25.0, twin=float(len(points))),
         Record(
-            quantity="share of markers found", unit="", twin=float(np.isfinite(rest.rest_px).all(axis=1).mean())
+            quantity="share of markers found", unit="",
+            **over(float(np.isfinite(rest.rest_px).all(axis=1).mean()) for rest in rests),
         ),
     )  # fmt: skip
     picture = rig.picture(None, 0)
@@ -73,11 +77,13 @@ def _figure_7(bench: Bench) -> Outcome:
         bench.progress(where, 0.6)
         told = rig.calibration
         fields = [solved(rig.seen(state, 30 + k), told, "pinv") for k in range(EXPOSURES)]
-        quiet = bench.rig("sato", overrides={"ccd.noise": False})
+        quiet = bench.rig("sato", overrides=QUIET)
         off = {
-            "noise of the picture off": solved(quiet.seen(state, 30), told, "pinv"),
-            "tracker: this project's instead of the paper's": solved(rig.seen(state, 30, OUR_TRACKER), told, "pinv"),
-            "inverse: smooth instead of the pseudo-inverse": solved(rig.seen(state, 30), told, "smooth"),
+            said(bench, NO_NOISE_AT_ALL): solved(quiet.seen(state, 30), calibrated_without(bench, QUIET), "pinv"),
+            said(bench, OURS_AT_ALL): solved(
+                rig.seen(state, 30, OUR_TRACKER), calibrated_without(bench, OUR_WAY), "pinv"
+            ),
+            SMOOTH: solved(rig.seen(state, 30), told, "smooth"),
         }
         for name, unit, key in (
             ("field error", "", "field_error"), ("error of the total force", "", "total_force_error"),
