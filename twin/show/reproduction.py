@@ -28,13 +28,14 @@ article img { background: #fff; width: auto; max-width: 100%; margin-top: .9rem;
 .records td, .records th { padding-right: .9rem } .records details { margin: 0; padding: 0; border: 0 }
 .records summary { color: var(--soft) } .agrees { color: #19733b } .explained { color: #8a6100 }
 .disagrees { color: var(--alarm); font-weight: 600 } nav { columns: 2; margin-top: 1rem; font-size: .92rem }
-nav a { color: inherit; display: block } .source { color: var(--soft); font-size: .92rem }
+nav a { color: inherit; display: block } li a { color: inherit } .source { color: var(--soft); font-size: .92rem }
 @media screen and (prefers-color-scheme: dark) { .agrees { color: #7fd6a0 } .explained { color: #e6bd5c } }
 @media (max-width: 600px) { nav { columns: 1 } }
 @media print { details::details-content { content-visibility: visible; display: block } nav { display: none }
   article { break-inside: auto; margin-top: 1.2rem } article h3, .source { break-after: avoid }
   article img { max-width: 15cm; break-inside: avoid } .records { font-size: 8.5pt } .records tr { break-after: auto }
-  .records td, .records th { padding: .15rem .6rem .15rem 0 } .records small, .records li { display: inline }
+  .records td, .records th { padding: .15rem .6rem .15rem 0 } .records li { display: inline }
+  .records th:first-child { width: 25% } .records td:last-child { width: 45% }
   .records summary { display: none } .records ul { padding: 0 } .records li:not(:last-child)::after { content: "; " } }
 """
 

@@ -258,9 +258,9 @@ def _figure_16(bench: Bench) -> Outcome:
         title="Two x-impulses against one z-force", curves=curves, across="distance of the impulses (mm)", up="cosine"
     )
     note = (
-        "The paper says that the two make quite the same movement (a cosine of 1). In the half-space's closed form "
-        "the best that a pair can do along the axis is .76 on the blue layer and .84 on the red one, near what is "
-        "tracked; in the plane the two are far apart, as the pair moves the markers beside it the other way."
+        "The paper says that the two make quite the same movement (a cosine of 1). The papers' own half-space, filmed "
+        "in the block's place, doesn't give that either; in the plane the two are far apart, as the pair moves the "
+        "markers beside it the other way."
     )
     return Outcome(records=records, panels=(panel,), notes=(note,))
 
