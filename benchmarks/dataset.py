@@ -65,13 +65,20 @@ COUNT = 24
 FEW = 4
 """Of the finger, whose contacts take seconds, and of the quick form."""
 
+MANY = 96
+"""Of tractions without pictures, which take milliseconds: by then all sizes of bumps were met."""
+
 
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return one row a case and one a number of workers; the quick form tries four samples of two cases."""
-    rows = [
-        _case(*case, FEW if quick or case[1] == "dataset_sato" else COUNT) for case in (CASES[1:3] if quick else CASES)
-    ]
+    rows = [_case(*case, FEW if quick else _count(*case[:2])) for case in (CASES[1:3] if quick else CASES)]
     return rows if quick else [*rows, *_workers()]
+
+
+def _count(name: str, scene: str) -> int:
+    if scene == "dataset_sato":
+        return FEW
+    return MANY if scene == "dataset_tractions" and "no pictures" in name else COUNT
 
 
 def _case(name: str, scene: str, overrides: dict[str, Any], count: int) -> dict[str, Any]:

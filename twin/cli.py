@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import importlib.metadata
+import io
 import os
 import signal
 import sys
@@ -91,6 +92,9 @@ def _listen() -> list[int]:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with the code that `twin.errors` lists."""
     heard = _listen()
+    for stream in (sys.stdout, sys.stderr):  # a terminal that lacks a letter is shown its number
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning

@@ -92,9 +92,9 @@ def test_a_library_that_finds_the_disk_full_is_told_without_a_traceback(
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="files have no largest size there")
-@pytest.mark.parametrize("kilobytes", [1, 20, 350])
+@pytest.mark.parametrize("kilobytes", [1, 20, 100])
 def test_on_a_full_disk_a_dataset_ends_and_goes_on_to_the_same_bytes(folder: Path, kilobytes: int) -> None:
-    """No room for the scene; for the mesh; for the tables."""
+    """No room for the scene; for the first mesh; for the second."""
     code, words = twin_in(folder, *DATASET, before=f"ulimit -f {kilobytes};")
     assert code == 1
     assert "can't be written (File too large)" in words
@@ -112,11 +112,10 @@ def test_a_run_on_a_full_disk_leaves_no_torn_file(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_home_that_cannot_be_written_costs_a_warning(folder: Path) -> None:
+def test_a_home_that_cannot_be_written_costs_no_run(folder: Path) -> None:
     code, words = twin_in(folder, *RUN, HOME="/dev/null", TWIN_CACHE=None, XDG_CACHE_HOME=None)
     assert code == 0
-    assert "can't be written" in words
-    assert "TWIN_CACHE" in words
+    assert "indentation" in words
     assert len(moved(folder / "out"))
 
 

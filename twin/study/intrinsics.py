@@ -103,7 +103,7 @@ def write_intrinsics(camera: Camera, file: str | Path) -> None:
             lines += [f"   data: [ {values} ]"]
         text = "\n".join(lines)
     try:
-        path.write_text(text + "\n")
+        path.write_text(text + "\n", encoding="utf-8")
     except OSError as problem:
         raise InputError(f"{path}: can't be written ({problem.strerror})") from None
 

@@ -82,7 +82,7 @@ class TableFile:
     def _add_csv(self, row: Mapping[str, Any]) -> None:
         plain = {key: value for key, value in row.items() if key != FIELD}
         if self._writer is None:
-            self._file = open(self._part, "w", newline="")  # noqa: SIM115  closed by close()
+            self._file = open(self._part, "w", newline="", encoding="utf-8")  # noqa: SIM115  closed by close()
             self._writer = csv.DictWriter(self._file, list(plain))
             self._writer.writeheader()
         self._writer.writerow({k: "" if isinstance(v, float) and v != v else v for k, v in plain.items()})
