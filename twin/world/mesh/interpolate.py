@@ -11,11 +11,15 @@ from numba import njit
 from twin.arrays import Floats, Ints, Points, frozen
 from twin.errors import MeshError, OutOfBodyError
 from twin.parts.body import Body
-from twin.world.mesh.elements import tet_shapes
+from twin.world.mesh.elements import TET_EDGES, tet_shapes
 from twin.world.mesh.mesh import Mesh
 
 CANDIDATES = (24, 400)
 """How many of the nearest elements are tried, first for all points, then for those not yet found."""
+
+HAIR = 5e-3
+"""How far outside its element, over the element's size, a point may be read from it: the true surface is that far from
+the mesh's."""
 
 FORGIVEN = 1e-6
 """How far outside the body, in mm, a point still counts as on its surface."""
@@ -104,7 +108,7 @@ class Locator:
             found = (best[left], where[left], inside[left])
             _search(points[left], near.astype(np.int64), mesh.points, mesh.tets, *found)
             best[left], where[left], inside[left] = found
-            left = np.flatnonzero(inside < -1e-9)
+            left = np.flatnonzero(inside < -HAIR)
             if len(left) == 0:
                 break
         if np.any(inside < -0.1):
@@ -148,35 +152,58 @@ def _outside_ball(point: Floats, nodes: Floats, tet: Ints) -> bool:
 def _invert_map(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> float:
     """Set ``place`` to where ``point`` is in the reference element (Newton); return its least barycentric share."""
     place[:] = 0.25
+    residual, jac = np.empty(3), np.empty((3, 3))
     for _ in range(12):
-        x, jac = point.copy(), np.zeros((3, 3))
-        share = (1.0 - place[0] - place[1] - place[2], place[0], place[1], place[2])
-        for a in range(10):
-            if a < 4:
-                value = share[a] * (2.0 * share[a] - 1.0)
-                slope = _corner_slope(a) * (4.0 * share[a] - 1.0)
-            else:
-                i = (0, 1, 0, 0, 1, 2)[a - 4]
-                j = (1, 2, 2, 3, 3, 3)[a - 4]
-                value = 4.0 * share[i] * share[j]
-                slope = 4.0 * (share[i] * _corner_slope(j) + share[j] * _corner_slope(i))
-            x -= value * nodes[tet[a]]
-            for m in range(3):
-                jac[m] += nodes[tet[a], m] * slope
-        step = np.linalg.solve(jac, x)
-        place += step
-        if np.max(np.abs(step)) < 1e-12:
+        rest = 1.0 - place[0] - place[1] - place[2]
+        residual[:], jac[:] = point, 0.0
+        for a in range(4):
+            share = place[a - 1] if a else rest
+            value, slope = share * (2.0 * share - 1.0), 4.0 * share - 1.0
+            for i in range(3):
+                x = nodes[tet[a], i]
+                residual[i] -= value * x
+                if a:
+                    jac[i, a - 1] += slope * x
+                else:
+                    for m in range(3):
+                        jac[i, m] -= slope * x
+        for e in range(6):
+            one, two = TET_EDGES[e]
+            first, second = place[one - 1] if one else rest, place[two - 1]
+            for i in range(3):
+                x = 4.0 * nodes[tet[4 + e], i]
+                residual[i] -= first * second * x
+                jac[i, two - 1] += first * x
+                if one:
+                    jac[i, one - 1] += second * x
+                else:
+                    for m in range(3):
+                        jac[i, m] -= second * x
+        largest = _add_solution(jac, residual, place)
+        if largest < 1e-12:
             break
-        if np.max(np.abs(place)) > 5.0:
+        if not np.max(np.abs(place)) <= 5.0:
             return -np.inf
     return float(min(1.0 - place[0] - place[1] - place[2], place[0], place[1], place[2]))
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _corner_slope(a: int) -> Floats:
-    slope = np.zeros(3)
-    if a == 0:
-        slope[:] = -1.0
-    else:
-        slope[a - 1] = 1.0
-    return slope
+def _add_solution(jac: Floats, residual: Floats, place: Floats) -> float:
+    """Add the solution of three equations to ``place`` (Cramer's rule); return its largest component."""
+    largest, det = 0.0, 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        det += jac[0, i] * (jac[1, j] * jac[2, k] - jac[1, k] * jac[2, j])
+    if det == 0.0:
+        place[:] = np.inf
+        return np.inf
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        step = (
+            residual[0] * (jac[1, j] * jac[2, k] - jac[1, k] * jac[2, j])
+            + residual[1] * (jac[2, j] * jac[0, k] - jac[2, k] * jac[0, j])
+            + residual[2] * (jac[0, j] * jac[1, k] - jac[0, k] * jac[1, j])
+        ) / det
+        place[i] += step
+        largest = max(largest, abs(step))
+    return largest
