@@ -12,9 +12,10 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from twin.errors import InputError, TwinError
+from twin.sense.track import track_frame
 from twin.show.reproduction import reproduction
 from twin.study.reproduce import runner
-from twin.study.reproduce.bench import Bench, sensor_hash
+from twin.study.reproduce.bench import OUR_TRACKER, Bench, sensor_hash
 from twin.study.reproduce.catalogue import ENTRIES, chosen
 from twin.study.reproduce.fields import half_space_motion
 from twin.study.reproduce.flat_picture import impulse
@@ -158,6 +159,17 @@ def test_the_quick_form_makes_everything(tmp_path: Path) -> None:
     assert twin("kamiyama/fig-10", "largest force over the true") > 100
     assert twin("kamiyama/fig-11", "distance of the strongest") < 2.5
     assert 0.7 < twin("kamiyama/fig-11", "total push") < 1.3
+
+
+@pytest.mark.slow
+def test_our_tracker_sees_every_marker_through_the_papers_capture_unit() -> None:
+    """Blurred colour makes markers dark at the edge: steps that took their edge alone for their place overshot."""
+    rig = Bench().rig("kamiyama")
+    found = rig.track(rig.picture(None, 7), OUR_TRACKER)
+    assert found.seen.all()
+    assert found.shift_px.std(axis=0).max() < 0.08
+    again = track_frame(rig.rest(OUR_TRACKER), rig.picture(None, 8), found.shift_px)
+    assert again.seen.all()
 
 
 def test_a_block_that_is_a_half_space_moves_as_the_formula_says() -> None:

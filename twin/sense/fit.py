@@ -40,6 +40,10 @@ SETTLED_PX, SETTLED_GROWTH = 0.02, 0.02
 OUTLIER_SD = 6.0
 """A pixel that misses by this many standard deviations counts a quarter."""
 
+OVERSHOT, LEAST_SHARE = 0.2, 0.2
+"""A step that goes back by more than this share of the last one went too far, as with blurred markers that are darker
+at their edge, whose middle helps to hold them: from then on steps are shortened to what would have gone right."""
+
 IMPERFECT, SHARE = 0.02, 0.25
 """What the model is trusted to: as a share of the brightness, and of the mean squared residual that it has (a marker
 that has changed its shape misses at its edge, where its place is to be read)."""
@@ -179,6 +183,7 @@ def fit_centres(image, own, others, start, lead, shape, ground, noise, slopes, r
         xx, xy, yy, blur, level, here = shape[k, 0], shape[k, 1], shape[k, 2], shape[k, 6], shape[k, 7], ground[k]
         mean_radius = np.sqrt(max(xx * yy - xy * xy, 0.25))
         scale, step, column, row = 1.0, 1e9, 0, 0
+        share, last_x, last_y = 1.0, 0.0, 0.0
         for turn in range(turns):
             middle_x, middle_y = int(np.rint(cx)), int(np.rint(cy))
             if middle_x < 0 or middle_y < 0 or middle_x >= columns or middle_y >= rows:
@@ -215,8 +220,12 @@ def fit_centres(image, own, others, start, lead, shape, ground, noise, slopes, r
                 break
             step_x = (jyy * total[8] - jxy * total[9]) / information
             step_y = (jxx * total[9] - jxy * total[8]) / information
+            swing = -(step_x * last_x + step_y * last_y) / max(last_x * last_x + last_y * last_y, 1e-9)
+            if swing > OVERSHOT:
+                share = max(share / (1.0 + swing), LEAST_SHARE)
+            last_x, last_y = step_x, step_y
             limit = 0.5 * mean_radius
-            step_x, step_y = min(max(step_x, -limit), limit), min(max(step_y, -limit), limit)
+            step_x, step_y = min(max(share * step_x, -limit), limit), min(max(share * step_y, -limit), limit)
             cx, cy = cx + step_x, cy + step_y
             step = step_x * step_x + step_y * step_y
             growth = 1.0

@@ -26,8 +26,8 @@ LEAST_EDGE = 0.5
 """Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
 
 UNLIKE = 0.12
-"""Root mean square of what a fit leaves beyond noise, as a share of the marker's brightness, above which it is no
-picture of that marker."""
+"""Root mean square of what a fit leaves beyond what usual fits leave, as a share of the marker's brightness, above
+which it is no picture of that marker. Noise that hangs together over pixels (a capture unit's colour) is usual."""
 
 UNSETTLED_PX = 0.3
 """A fit whose last step was larger has found nothing."""
@@ -89,7 +89,8 @@ def judge_fits(fitted, rest, level, usual_misfit, rest_sd, diameter, contrast, s
             continue
         x, y, bright, mean_square = fit[CENTRE_X], fit[CENTRE_Y], fit[LEVEL], fit[SQUARES] / fit[PIXELS]
         area, against_rest = fit[SCALE] ** 2, bright / level[k]
-        unlike = np.sqrt(max(mean_square - mean_square / max(fit[MISFIT], 1e-9), 0.0)) / bright
+        usual = max(usual_misfit, 1.0) / max(fit[MISFIT], 1e-9)
+        unlike = np.sqrt(max(mean_square * (1.0 - usual), 0.0)) / bright
         if not (radius - 0.5 < x < size[1] - 0.5 - radius and radius - 0.5 < y < size[0] - 0.5 - radius):
             state[k] = MISSING
         elif fit[EDGE] < LEAST_EDGE:
