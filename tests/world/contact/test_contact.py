@@ -20,7 +20,7 @@ from twin.theory.contact import (
     tangential_stiffness,
     torsional_stiffness,
 )
-from twin.world.contact import contact, region
+from twin.world.contact import contact, region, rubbing
 from twin.world.contact.contact import ContactState, press
 from twin.world.contact.patches import Box, Plane, candidate_patches
 
@@ -410,3 +410,20 @@ def test_a_contact_that_a_closed_form_misses_is_searched(monkeypatch: pytest.Mon
     known = pressed(wanted, across=12)
     assert len(searches) == 1
     assert soft.indentation_mm == pytest.approx(known.indentation_mm, rel=5e-3)
+
+
+def test_under_a_cover_of_another_material_contacts_with_friction_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Layered(HalfSpace):
+        one_material = False
+
+    searches, find = list[object](), rubbing.find_contact
+
+    def finding(*given: object) -> object:
+        searches.append(given)
+        return find(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(rubbing, "find_contact", finding)
+    rough = Press(probe=Sphere(diameter_mm=5), at_mm=(0, 0), force_n=(None, None, 0.05), friction=0.5)
+    for surface, expected in ((HalfSpace(1.0), 0), (Layered(1.0), 1)):
+        press(rough, BLOCK, surface, patches_across=8, youngs_modulus_mpa=1.0, poisson_ratio=0.5)
+        assert len(searches) == expected

@@ -122,6 +122,9 @@ class Covered:
         Told when the body's mesh has to be made.
     """
 
+    one_material = False
+    """Closed forms of a half-space don't tell how large a contact on it is."""
+
     def __init__(
         self,
         body: Body,
