@@ -34,7 +34,7 @@ SLOW = ("peers", "growth", "referee", "calibrations", "scaling")
 """Stages that a quick run leaves out unless they are named: they need other programs, much memory, LLVM or
 time."""
 
-ONE_THREAD = ("tracking", "inverse", "budget")
+ONE_THREAD = ("contact", "tracking", "inverse", "budget")
 """Stages of small products, whose times are of one thread: a second costs more than it gives."""
 
 RESULTS = Path(__file__).parent / "results"

@@ -19,6 +19,7 @@ import contextlib
 import copy
 import io
 import json
+import math
 import sys
 import tempfile
 import time
@@ -55,6 +56,8 @@ BALANCE, ASKED, THROUGH_MM, SUPERPOSED, MIRRORED = 1e-6, 1e-6, 1e-5, 1e-9, 3.0
 """Forces over the total; the same; a ray's distance from its marker; what motions may be off beside the estimated
 error; mirrored answers over the estimated error (both are off)."""
 
+LEFT_OUT = "left out, for lack of time"
+
 LEAST = 1e-3
 """Error that two mirrored answers may always have: patches are laid along the probe's axes, which are not mirrored."""
 
@@ -73,9 +76,15 @@ class Tally:
         self.worst[what] = max(self.worst.get(what, 0.0), size)
 
 
-def survey(strategy: st.SearchStrategy[Any], check: Callable[[Any, Tally], str], count: int, seed: int) -> Tally:
-    """Check ``count`` drawn things; return the tally, with the smallest failure that was found."""
-    tally = Tally()
+def survey(
+    strategy: st.SearchStrategy[Any],
+    check: Callable[[Any, Tally], str],
+    count: int,
+    seed: int,
+    most_s: float = math.inf,
+) -> Tally:
+    """Check ``count`` drawn things, or what ``most_s`` allows; return the tally, with the smallest failure found."""
+    tally, began = Tally(), time.monotonic()
 
     @seeded(seed)
     @settings(
@@ -84,6 +93,9 @@ def survey(strategy: st.SearchStrategy[Any], check: Callable[[Any, Tally], str],
     )  # fmt: skip
     @given(strategy)
     def each(drawn: Any) -> None:
+        if time.monotonic() - began > most_s:
+            tally.outcomes[LEFT_OUT] += 1
+            return
         started = time.process_time()
         try:
             tally.outcomes[check(drawn, tally)] += 1

