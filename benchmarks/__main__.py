@@ -8,10 +8,7 @@ import json
 import os
 import platform
 import sys
-from contextlib import nullcontext
 from pathlib import Path
-
-from twin.study.batch.engine import one_thread
 
 STAGES = (
     "elasticity",
@@ -34,9 +31,6 @@ SLOW = ("peers", "growth", "referee", "calibrations", "scaling")
 """Stages that a quick run leaves out unless they are named: they need other programs, much memory, LLVM or
 time."""
 
-ONE_THREAD = ("contact", "tracking", "inverse", "budget")
-"""Stages of small products, whose times are of one thread: a second costs more than it gives."""
-
 RESULTS = Path(__file__).parent / "results"
 
 
@@ -52,8 +46,7 @@ def main() -> int:
     for stage in arguments.stage or everything:
         print(f"\n{stage}\n", flush=True)
         started = sum(os.times()[:4])
-        with one_thread() if stage in ONE_THREAD else nullcontext():
-            rows = importlib.import_module(f"benchmarks.{stage}").run(quick=arguments.quick)
+        rows = importlib.import_module(f"benchmarks.{stage}").run(quick=arguments.quick)
         print(f"{table(rows)}\n\n{sum(os.times()[:4]) - started:.3g} s of CPU", flush=True)
         if not arguments.quick:
             RESULTS.mkdir(exist_ok=True)

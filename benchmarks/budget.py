@@ -31,6 +31,7 @@ from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found, track
 from twin.sense.transfer import from_compliance
 from twin.streams import Purpose, stream
+from twin.study.batch.engine import one_thread
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
@@ -72,6 +73,7 @@ class Press:
     light: tuple[Singles, Singles]
 
 
+@one_thread()
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return a row for every stage of every scene."""
     names = ("kamiyama_pillar",) if quick else SCENES

@@ -20,6 +20,7 @@ from twin.arrays import Floats, Points
 from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.parts.press import Cylinder, Press, Sphere, Step
+from twin.study.batch.engine import one_thread
 from twin.theory import halfspace
 from twin.theory.contact import hertz, punch_stiffness, tangential_stiffness, torsional_stiffness
 from twin.theory.friction import sheared_motion, stick_radius, twisted
@@ -43,6 +44,8 @@ class HalfSpace:
 
     Then normal forces move nothing sideways, and the other way round, which only at nu = 1/2 is so.
     """
+
+    one_material = True
 
     def __init__(self, poisson_ratio: float, *, coupled: bool = True) -> None:
         self._poisson_ratio, self._coupled = poisson_ratio, coupled
@@ -70,6 +73,7 @@ class HalfSpace:
         return found
 
 
+@one_thread()
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return the rows of all tables; the quick form takes coarse grids, and leaves out tamaas and the finger."""
     from benchmarks.contact_bodies import body_rows

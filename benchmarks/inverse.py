@@ -24,6 +24,7 @@ from twin.sense.problem import problem_of
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
 from twin.sense.weigh import automatic_weight, filtered
+from twin.study.batch.engine import one_thread
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
@@ -45,6 +46,7 @@ WAYS: dict[str, dict[str, Any]] = {
 FITTED = "smooth, fitted twin"
 
 
+@one_thread()
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return rows of all parts; the quick form has few loads."""
     sensor = Sensor(load_scene("kamiyama_pillar"))

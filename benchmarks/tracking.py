@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
-from threadpoolctl import threadpool_limits
 
 from benchmarks.__main__ import RESULTS, table
 from benchmarks.discs import bound_px, expose, scene
 from twin.sense.force_map import ForceMap
 from twin.sense.rest import Method
 from twin.sense.track import Tracker, analyse_rest, track_frame
+from twin.study.batch.engine import one_thread
 
 PAGE = Path(__file__).parent.parent / "docs" / "tracking.md"
 SIZE = (640, 480)
@@ -60,14 +60,14 @@ FLAT = Design(name="flat", red=(21, 16), blue=(20, 15), pitch=29.0, diameter=10.
 FINGER = Design(name="finger", red=(5, 5), blue=(6, 6), pitch=70.0, diameter=15.0, sites=25)
 
 
+@one_thread()
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return rows of error and time, then of the whole chain; the quick form draws fewer pictures."""
-    with threadpool_limits(1):
-        rows = []
-        for design in (FLAT,) if quick else (FLAT, FINGER):
-            rows += _errors(design, 4 if quick else 10)
-        for design in (FLAT, FINGER):
-            rows += _chains(design, 8 if quick else 20, 200 if quick else 1000)
+    rows: list[dict[str, Any]] = []
+    for design in (FLAT,) if quick else (FLAT, FINGER):
+        rows += _errors(design, 4 if quick else 10)
+    for design in (FLAT, FINGER):
+        rows += _chains(design, 8 if quick else 20, 200 if quick else 1000)
     return rows
 
 

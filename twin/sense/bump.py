@@ -66,13 +66,10 @@ def camera_bump(found: Found, calibration: Calibration, weight: float | None = N
         Motion and calibration don't belong together, or fewer than 2 markers are left.
     """
     problem = problem_of(found, calibration, "smooth")
-    data, reweighed, usual = (
-        problem.whiten(found.shift_px),
-        problem.reweighed,
-        np.median(found.shift_px[problem.used], axis=0),
-    )
+    data, reweighed = problem.whiten(found.shift_px), problem.reweighed
     shared = np.column_stack([problem.whiten(np.tile(axis, (len(found.shift_px), 1))) for axis in np.eye(2)])
     if weight is None:
+        usual = np.median(found.shift_px[problem.used], axis=0)
         weight = reweighed.weight(automatic, data - shared @ usual)
     left = shared - reweighed.predicted(reweighed.filled(shared, weight), weight)
     weighed = reweighed.share[:, None] * left

@@ -32,6 +32,8 @@ STUCK = math.inf
 class HalfSpace:
     """The compliance of a half-space under every patch's own tangent plane, made symmetric."""
 
+    one_material = True
+
     def __init__(self, youngs_modulus_mpa: float = 1.0, poisson_ratio: float = 0.5) -> None:
         self.rubber = youngs_modulus_mpa, poisson_ratio
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from twin.arrays import Floats
 from twin.parts.load import Load
-from twin.parts.methods import Method
 from twin.parts.press import Cylinder, Pillar, Press, Step
 from twin.sense.reconstruct import Field
 from twin.sense.rest import Method as Tracker
@@ -25,17 +23,16 @@ from twin.study.reproduce.fields import (
     OUR_TRACKER_INSTEAD,
     PAPERS_TRACKER,
     TOLD_OF_BLOCK,
-    calibration,
     circle_mm,
     far_away,
     field_panel,
     full_width,
     half_space_motion,
     profile,
-    solved,
 )
 from twin.study.reproduce.flat_picture import cosine, impulse
 from twin.study.reproduce.record import Outcome, Record, causes, over
+from twin.study.reproduce.two_forces import Chain
 from twin.study.sensor import Motion
 from twin.world.contact.contact import ContactState
 
@@ -47,56 +44,36 @@ BAND_MM = 4.0
 OURS = "inverse, tracker and block: this project's"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Way:
-    """How a press is filmed and solved.
-
-    Attributes
-    ----------
-    overrides
-        Of the paper's scene.
-    tracker
-        None is the scene's.
-    told
-        Calibration by another method than the scene's.
-    method, push_only
-        The inverse.
-    """
-
-    overrides: Mapping[str, Any] = field(default_factory=dict)
-    tracker: Tracker | None = None
-    told: str | None = None
-    method: Method = "smooth"
-    push_only: bool = False
-
-    def field(self, bench: Bench, seed: int, press: Press) -> tuple[ContactState, Field]:
-        """Press, film, track and solve."""
-        rig = bench.rig("kamiyama", seed, self.overrides)
-        state = rig.press(press)
-        options = {"push_only": True} if self.push_only else None
-        found = rig.seen(state, method=self.tracker)
-        return state, solved(found, calibration(bench, rig, self.told), self.method, options)
+AS_PUBLISHED = Chain(paper="kamiyama", method="smooth")
 
 
-def _ways(bench: Bench, *, push_only: bool) -> dict[str, Way]:
+def _field(bench: Bench, seed: int, chain: Chain, press: Press) -> tuple[ContactState, Field]:
+    """Press, film, track and solve."""
+    rig = chain.rig(bench, seed)
+    state = rig.press(press)
+    return state, chain.solved(bench, rig, rig.seen(state, method=chain.tracker))
+
+
+def _ways(bench: Bench, *, push_only: bool) -> dict[str, Chain]:
     """Return the paper's way with one cause switched off, by name, and all of this project's software at last."""
+    options = {"push_only": True} if push_only else {}
     return {
-        NO_NOISE: Way(overrides={"ccd.noise": False}),
-        OUR_TRACKER_INSTEAD: Way(tracker=OUR_TRACKER),
-        NO_LENS: Way(overrides=far_away(bench.rig("kamiyama"))),
-        TOLD_OF_BLOCK: Way(told="compliance"),
-        "inverse: the least norm instead of the least norm of differences": Way(method="norm"),
-        OURS: Way(tracker=OUR_TRACKER, told="compliance", push_only=push_only),
+        NO_NOISE: replace(AS_PUBLISHED, overrides={"ccd.noise": False}),
+        OUR_TRACKER_INSTEAD: replace(AS_PUBLISHED, tracker=OUR_TRACKER),
+        NO_LENS: replace(AS_PUBLISHED, overrides=far_away(bench.rig("kamiyama"))),
+        TOLD_OF_BLOCK: replace(AS_PUBLISHED, told="compliance"),
+        "inverse: the least norm instead of the least norm of differences": replace(AS_PUBLISHED, method="norm"),
+        OURS: replace(AS_PUBLISHED, tracker=OUR_TRACKER, told="compliance", options=options),
     }
 
 
-def _widths(bench: Bench, seed: int, way: Way) -> dict[float, tuple[Floats, Floats]]:
+def _widths(bench: Bench, seed: int, way: Chain) -> dict[float, tuple[Floats, Floats]]:
     """Return the profile of the push along x by width of the pillar."""
     profiles = {}
     for width in WIDTHS_MM[::2] if bench.quick else WIDTHS_MM:
         push = PRESSURE_MPA * width * LENGTH_MM
         press = Press(probe=Pillar(width_mm=width, length_mm=LENGTH_MM), force_n=(0, 0, push))
-        profiles[width] = profile(way.field(bench, seed, press)[1], BAND_MM)
+        profiles[width] = profile(_field(bench, seed, way, press)[1], BAND_MM)
     return profiles
 
 
@@ -104,7 +81,7 @@ def _figure_14(bench: Bench) -> Outcome:
     runs: list[dict[float, tuple[Floats, Floats]]] = []
     for seed in bench.seeds("kamiyama"):
         bench.progress(f"sensor {seed}", len(runs) / 5)
-        runs.append(_widths(bench, seed, Way()))
+        runs.append(_widths(bench, seed, AS_PUBLISHED))
     off: dict[str, dict[float, tuple[Floats, Floats]]] = {}
     for name, way in _ways(bench, push_only=True).items():
         bench.progress(name, 0.6 + 0.06 * len(off))
@@ -159,9 +136,9 @@ def _figure_15(bench: Bench) -> Outcome:
     for number, (diameter, what) in enumerate(((40.0, "as published, wider than the view"), (16.0, "one that fits"))):
         bench.progress(what, number / 2)
         press = _twist_press(diameter)
-        runs = [Way().field(bench, seed, press) for seed in bench.seeds("kamiyama")]
+        runs = [_field(bench, seed, AS_PUBLISHED, press) for seed in bench.seeds("kamiyama")]
         off = {
-            name: way.field(bench, bench.seed, press) for name, way in _ways(bench, push_only=False).items()
+            name: _field(bench, bench.seed, way, press) for name, way in _ways(bench, push_only=False).items()
         }  # fmt: skip
         records += [
             Record(

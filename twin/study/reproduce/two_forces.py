@@ -13,8 +13,9 @@ from twin.parts.load import Traction
 from twin.parts.methods import Method
 from twin.sense.reconstruct import Field
 from twin.sense.rest import Method as Tracker
+from twin.sense.track import Found
 from twin.study.reproduce.bench import Bench, Rig
-from twin.study.reproduce.fields import full_width, solved
+from twin.study.reproduce.fields import calibration, full_width, solved
 from twin.study.reproduce.record import Record
 from twin.theory.limit import DIP, Limit, design_limit
 
@@ -31,7 +32,9 @@ class Chain:
     overrides
         Of the paper's scene.
     tracker, method, options
-        How pictures are tracked and the inverse is solved.
+        How pictures are tracked and the inverse is solved; without a tracker by the scene's.
+    told
+        Calibration by another method than the scene's.
     """
 
     paper: str
@@ -39,10 +42,15 @@ class Chain:
     tracker: Tracker | None = None
     method: Method = "norm"
     options: Mapping[str, Any] = field(default_factory=dict)
+    told: str | None = None
 
     def rig(self, bench: Bench, seed: int | None = None) -> Rig:
         """Return the sensor."""
         return bench.rig(self.paper, seed, dict(self.overrides))
+
+    def solved(self, bench: Bench, rig: Rig, found: Found) -> Field:
+        """Reconstruct what was tracked."""
+        return solved(found, calibration(bench, rig, self.told), self.method, self.options)
 
 
 def along_x(found: Field, *, magnitude: bool = False) -> tuple[Floats, Floats]:
@@ -66,7 +74,7 @@ def pressed(bench: Bench, chain: Chain, at_mm: tuple[float, ...], force_n: float
     load = sum((Traction.disk((x, 0.0), SPOT_MM, (0.0, 0.0, force_n)) for x in at_mm), start=Traction.disk(
         (at_mm[0], 0.0), SPOT_MM, (0.0, 0.0, 0.0)))  # fmt: skip
     found = rig.track(rig.picture(rig.sensor.motion(load), exposure), chain.tracker)
-    return solved(found, rig.calibration, chain.method, chain.options)
+    return chain.solved(bench, rig, found)
 
 
 def point_width_mm(bench: Bench, chain: Chain, force_n: float) -> float:

@@ -106,7 +106,7 @@ def disc_contact(setting: Setting, control: Control, start: Floats, touch_z: flo
     axes, place = setting.first.axes, np.where(control.by_force, start, control.given)
     if not isinstance(setting.probe, Sphere | Cone) or any(setting.first.tilt_deg) or place[ABOUT_X:TURN].any():
         return None
-    if control.by_force[:Z].any() or not getattr(setting.compliance, "one_material", True):
+    if control.by_force[:Z].any() or not setting.compliance.one_material:
         return None  # it may slide away from there, or is as large as a cover makes it
     force_z = float(control.given[Z]) if control.by_force[Z] else None
     radius, depth = _disc(setting, force_z, float(control.given[Z]) - touch_z)

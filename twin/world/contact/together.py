@@ -28,7 +28,15 @@ from twin.world.contact.unilateral import Equilibrium
 
 
 class SurfaceCompliance(Protocol):
-    """A body's surface, solved: whatever can say how patches move under forces on patches."""
+    """A body's surface, solved: whatever can say how patches move under forces on patches.
+
+    Attributes
+    ----------
+    one_material
+        Whether a half-space's closed forms may tell how large a contact on it is.
+    """
+
+    one_material: bool
 
     def surface(self, rectangles: Rectangles) -> Floats:
         """Return (3k, 3k) displacements of the patch centres under unit forces on the patches, global axes, mm/N.

@@ -75,6 +75,8 @@ class Compliance:
         Told when a mesh or a table of the surface has to be made.
     """
 
+    one_material = True
+
     def __init__(
         self,
         body: Body,
@@ -202,19 +204,19 @@ class Compliance:
         known = self._checked(points, load)
         if len(known) == 0 or not np.any(load.force_n):
             return np.zeros_like(known.points)
-        return self._displacement(known, load)
+        return self._whole(known, load, self._rest(known, load)[0])
 
-    def _displacement(self, known: Known, load: Rectangles) -> Points:
-        rest = self._rest(known, load)
+    def _whole(self, known: Known, load: Rectangles, rest: Points) -> Points:
         return rest + halfspace.displacement(known.points, load, *self._rubber) if self._subtracted else rest
 
-    def _rest(self, known: Known, load: Rectangles) -> Points:
-        """Return (n, 3) what the half-space lacks, mm; everything with the direct method."""
+    def _rest(self, known: Known, load: Rectangles) -> tuple[Points, float]:
+        """Return (n, 3) what the half-space lacks, everything with the direct method; and interpolation's error, mm."""
         if table := self._table_for(known, load):
-            return table.displacement(known.basis(table.box_mm), load) / self._modulus
+            return table.displacement(known.basis(table.box_mm), load) / self._modulus, 0.0
         if surface := self._surface_for(load):
-            return self._interpolated(surface, known, load)[0] / self._modulus
-        return known.placed(self._locator).values(self._field(load)) / self._modulus
+            rest, lost = self._interpolated(surface, known, load)
+            return rest / self._modulus, lost / self._modulus
+        return known.placed(self._locator).values(self._field(load)) / self._modulus, 0.0
 
     def _interpolated(self, surface: SurfaceTable, known: Known, load: Rectangles) -> tuple[Points, float]:
         """Return the rest (n, 3) for E = 1 MPa, and the largest error of interpolation, mm."""
@@ -333,11 +335,12 @@ class Compliance:
         known = self._checked(points, load)
         if len(known) == 0 or not np.any(load.force_n):
             return np.zeros_like(known.points), 0.0
-        rest = self._rest(known, load)
-        moved = rest + halfspace.displacement(known.points, load, *self._rubber) if self._subtracted else rest
-        return moved, self._estimate(known, load, rest, moved)
+        rest, lost = self._rest(known, load)
+        moved = self._whole(known, load, rest)
+        return moved, self._estimate(known, load, rest, lost, _largest(moved))
 
-    def _estimate(self, known: Known, load: Rectangles, rest: Points, moved: Points) -> float:
+    def _estimate(self, known: Known, load: Rectangles, rest: Points, lost: float, size: float) -> float:
+        """Return the error over the largest displacement, ``size``, from what `_rest` returned."""
         level, tabled = self.level, False
         if self._table_for(known, load):
             if self._check_at_nu is None:
@@ -345,15 +348,12 @@ class Compliance:
             tabled, level = True, table_level(self.body, "truth")
             other = self._check_at_nu.displacement(known.basis(self._check_at_nu.box_mm), load) / self._modulus
         elif self.coarser is not None:
-            other = self.coarser._rest(self.coarser._checked(known.points, load), load)
+            other = self.coarser._rest(self.coarser._checked(known.points, load), load)[0]
         else:
             return self.expected_error(load)
-        differ = _largest(rest - other) / _largest(moved)
         nominal = tabled and self.level == "nominal"
-        error = estimated_error(self.body, level, differ, load, nominal=nominal)
-        if surface := self._surface_for(load):
-            error += self._interpolated(surface, known, load)[1] / self._modulus / _largest(moved)
-        return error
+        differ = _largest(rest - other) / size
+        return estimated_error(self.body, level, differ, load, nominal=nominal) + lost / size
 
     def forget(self) -> None:
         """Forget the region of the last contact: presses then don't depend, in last digits, on those before them."""

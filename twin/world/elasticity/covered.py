@@ -123,7 +123,7 @@ class Covered:
     """
 
     one_material = False
-    """Closed forms of a half-space don't tell how large a contact on it is."""
+    """Closed forms of a half-space don't tell how large a contact on it is: see `SurfaceCompliance`."""
 
     def __init__(
         self,

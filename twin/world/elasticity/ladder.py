@@ -114,8 +114,8 @@ class Ladder:
         expected = rung.expected_error(load, points)
         if not always and CLEAR * expected <= self.asked:
             return Answer(displacement_mm=rung.displacement(points, load), error=expected, compliance=rung)
-        error = rung.error_estimate(points, load)
+        moved, error = rung.answer(points, load)
         while self.asked < error <= GAIN * self.asked and rung.level != WORLD[-1]:
             rung = self.at(WORLD[WORLD.index(rung.level) + 1])
-            error = rung.error_estimate(points, load)
-        return Answer(displacement_mm=rung.displacement(points, load), error=error, compliance=rung)
+            moved, error = rung.answer(points, load)
+        return Answer(displacement_mm=moved, error=error, compliance=rung)
