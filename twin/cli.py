@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import importlib.metadata
+import inspect
 import io
 import os
 import signal
@@ -15,7 +16,7 @@ import sys
 import tempfile
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -45,21 +46,18 @@ app = App(
     result_action="return_none",
 )
 
-app.command(run, help_epilogue="Examples: twin run kamiyama_pillar; twin run my_scene.toml -s press.force_n='{z=2}'")
-app.command(mesh, help_epilogue="Example: twin mesh sato_press --rebuild")
-app.command(reproduce, help_epilogue="Examples: twin reproduce all; twin reproduce kamiyama/table-1 sato --out here")
-app.command(calibrate, help_epilogue="Example: twin calibrate --scene sato_press --out scenes/sato_calibration.npz")
-app.command(view, help_epilogue="Examples: twin view kamiyama_shear; twin view out/kamiyama_pillar")
-app.command(dataset, help_epilogue="Example: twin dataset dataset_kamiyama --samples 1000 --out data/flat")
-app.command(export, help_epilogue="Example: twin export data/flat --format coco --out coco")
-app.command(
-    reconstruct,
-    help_epilogue="Example: twin reconstruct rest.png press*.png --calibration flat.npz --out forces.parquet",
-)
-app.command(sweep, help_epilogue="Example: twin sweep sweep_kamiyama_depth_pitch --out out/depth_pitch")
-app.command(scenes)
-app.command(check, help_epilogue="Examples: twin check my_scene.toml; twin check out/kamiyama_pillar")
-app.command(doctor)
+
+def _told(command: Callable[..., None]) -> dict[str, str]:
+    """Return a command's help from its docstring: paragraphs for a terminal to wrap, and examples, a line each."""
+    text, _, examples = (inspect.getdoc(command) or "").partition("\n\nExamples:\n")
+    paragraphs = [" ".join(paragraph.split("\n")) for paragraph in text.split("\n\n")]
+    return {"help": "\n\n".join(paragraphs), "help_epilogue": f"Examples:\n{examples}" if examples else ""}
+
+
+for _command in (
+    run, mesh, reproduce, calibrate, view, dataset, export, reconstruct, sweep, scenes, check, doctor
+):  # fmt: skip
+    app.command(_command, **_told(_command))
 
 
 FULL = {errno.ENOSPC, errno.EFBIG, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}

@@ -32,6 +32,10 @@ def calibrate(
 
     Method sato presses the simulated sensor at every site in three directions, in pictures with noise; fitted
     presses five and fits the design's parameters to them.
+
+    Examples:
+    twin calibrate --scene sato_press --out sato.npz
+    twin calibrate recording --scene kamiyama_pillar --method fitted --out mine.npz
     """
     from twin.study.calibrate import calibrate_to_file
     from twin.study.recorded_presses import calibrate_from_folder

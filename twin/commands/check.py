@@ -10,7 +10,12 @@ from cyclopts import Parameter
 def check(
     file: Annotated[str, Parameter(help="Scene or sweep file, calibration (.npz), result folder or dataset.")],
 ) -> None:
-    """Check a file or a folder and say everything that is wrong with it."""
+    """Check a file or a folder and say everything that is wrong with it.
+
+    Examples:
+    twin check my_scene.toml
+    twin check out/kamiyama_pillar
+    """
     from twin.study.check import check_path
 
     for line in check_path(file):

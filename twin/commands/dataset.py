@@ -33,8 +33,10 @@ def dataset(
     is stopped, by whatever, goes on when the same command is given again, and ends with the same bytes. A sample that
     fails is a row with its error (exit code 3).
 
-    Examples: twin dataset dataset_kamiyama --samples 1000 --out data/flat; twin dataset dataset_sato --samples 50
-    --columns force_n,marker_pressed_px; twin dataset my_scene.toml --samples 100000 --scheduler tcp://10.0.0.1:8786.
+    Examples:
+    twin dataset dataset_kamiyama --samples 1000 --out data/flat
+    twin dataset dataset_sato --samples 50 --columns force_n,marker_pressed_px
+    twin dataset my_scene.toml --samples 100000 --scheduler tcp://10.0.0.1:8786
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # before numpy is loaded, so that workers inherit it

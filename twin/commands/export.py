@@ -18,7 +18,9 @@ def export(
 ) -> None:
     """Write a dataset as HDF5, as COCO keypoints, or as WebDataset tar files; failed samples are left out.
 
-    Examples: twin export data/flat --format hdf5 --out flat_h5; twin export data/flat --format coco --out flat_coco.
+    Examples:
+    twin export data/flat --format hdf5 --out flat_h5
+    twin export data/flat --format coco --out flat_coco
     """
     from twin.study.dataset.export import export_dataset
 

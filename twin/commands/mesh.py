@@ -17,7 +17,12 @@ def mesh(
     export: Annotated[Path | None, Parameter(help="Write the truth's mesh as .vtu for other programs.")] = None,
     set_: Overrides = (),
 ) -> None:
-    """Show the meshes of a scene's body, or make them anew."""
+    """Show the meshes of a scene's body, or make them anew.
+
+    Examples:
+    twin mesh sato_press
+    twin mesh sato_press --export finger.vtu
+    """
     from twin.study.meshes import describe_meshes
 
     for line in describe_meshes(load(scene, set_), rebuild=rebuild, export=export, progress=progress()):

@@ -49,10 +49,11 @@ def reconstruct(
     shift that all markers share (a bumped camera), and in .parquet and .npz the force at every site. A frame that
     fails is a row with its reason, and the sequence goes on (exit code 3).
 
-    Examples: twin reconstruct rest.png press*.png --calibration flat.npz --out forces.parquet; twin reconstruct
-    rest.png film.mp4 --calibration flat.npz --overlay drawn.mp4; ffmpeg -i /dev/video0 -f rawvideo -pix_fmt rgb24 - |
-    twin reconstruct rest.png - --size 640x480 --format rgb24 --calibration flat.npz
-    """
+    Examples:
+    twin reconstruct rest.png press*.png --calibration flat.npz --out forces.parquet
+    twin reconstruct rest.png film.mp4 --calibration flat.npz --overlay drawn.mp4
+    ffmpeg -i /dev/video0 -f rawvideo -pix_fmt rgb24 - | twin reconstruct rest.png - --size 640x480 --format rgb24 --calibration flat.npz
+    """  # noqa: E501
     from twin.errors import InputError, SomeFailed
     from twin.sense.calibration import read_calibration
     from twin.sense.reconstruct import check_options

@@ -20,6 +20,10 @@ def reproduce(
 
     Every experiment runs through the full chain: contact, picture, CCD, tracking, inverse. Writes DIR/index.html,
     DIR/results.json and a PNG for each. What DIR holds already and still stands is not run again.
+
+    Examples:
+    twin reproduce all
+    twin reproduce kamiyama/table-1 sato --out here
     """
     from twin.errors import InputError, SomeFailed
     from twin.study.reproduce.runner import reproduce as run

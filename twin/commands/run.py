@@ -37,8 +37,11 @@ def run(
     and load the scene's probe, and picture and force field follow, with their errors. It listens on this machine only.
     Fewer contact patches and coarser pictures than the scene's are used unless -s says otherwise.
 
-    Examples: twin run kamiyama_pillar; twin run sato_press --want displacement --out here; twin run my_scene.toml -s
-    press.force_n='{z=2}'; twin run kamiyama_pillar --live.
+    Examples:
+    twin run kamiyama_pillar
+    twin run my_scene.toml -s press.force_n='{z=2}' --out out/two
+    twin run sato_press --want displacement
+    twin run kamiyama_pillar --live
     """
     if live:
         _live(scene, out, want, port, set_)

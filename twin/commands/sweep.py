@@ -30,8 +30,10 @@ def sweep(
 
     Shipped sweeps: sweep_kamiyama_depth_pitch, sweep_sato_pitch_diameter, sweep_lens, sweep_youngs_modulus.
 
-    Examples: twin sweep sweep_lens --out out/lens; twin sweep my_sweep.toml --workers 8; twin sweep
-    sweep_kamiyama_depth_pitch --optimise.
+    Examples:
+    twin sweep sweep_lens --out out/lens
+    twin sweep my_sweep.toml --workers 8
+    twin sweep sweep_kamiyama_depth_pitch --optimise
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # before numpy is loaded, so that workers inherit it

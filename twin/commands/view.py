@@ -28,8 +28,10 @@ def view(
 
     Of a dataset it shows a sheet of samples, with the truth drawn in.
 
-    Examples: twin view kamiyama_shear; twin view out/kamiyama_pillar; twin view sato_press --out finger.html; twin view
-    kamiyama_shear --out shear.gif.
+    Examples:
+    twin view kamiyama_shear
+    twin view out/kamiyama_pillar
+    twin view kamiyama_shear --out shear.gif
     """
     folder = Path(path)
     if (folder / "meta" / "info.json").is_file():
