@@ -7,6 +7,7 @@ from test_contact import BLOCK, FINGER, HalfSpace
 from twin.parts.body import Body
 from twin.parts.press import Press, Sphere, Step
 from twin.world.contact import coulomb
+from twin.world.contact.between import Inverted
 from twin.world.contact.contact import ContactState, press
 from twin.world.contact.krylov import Krylov, LinearSystem
 from twin.world.contact.pattern import Pattern
@@ -63,6 +64,20 @@ def _rows(compliance: np.ndarray, system: LinearSystem, found: list[np.ndarray])
     seen = pattern.seen(np.einsum("kalb,bl->ak", part, pattern.forces(found[0])))
     seen[pattern.aside] = pattern.share * seen[pattern.aside] + system.shift * found[0][pattern.aside]
     return seen + system.motion @ found[1]
+
+
+def test_an_inverse_serves_sets_that_lost_and_gained_patches() -> None:
+    rng = np.random.default_rng(2)
+    place = rng.uniform(0, 8, (60, 2))
+    normal = 1 / np.sqrt(np.sum((place[:, None] - place) ** 2, axis=2) + 0.2) + 2 * np.eye(60)
+    first, depth = np.arange(0, 50), rng.normal(size=60)
+    inverted, made = Inverted(normal), set()
+    for rows in (first, first[7:], np.r_[4:53], np.r_[0:3, 9:52], np.r_[3:33]):  # the last is too small a part
+        found = inverted.pushes(rows, depth[rows])
+        made.add(id(inverted._inverse))
+        wanted = np.linalg.solve(normal[np.ix_(rows, rows)], depth[rows])
+        np.testing.assert_allclose(found, wanted, atol=3e-6 * np.abs(wanted).max())
+    assert len(made) == 2
 
 
 @pytest.mark.parametrize(("body", "nu"), [(BLOCK, 0.3), pytest.param(FINGER, 0.5, marks=pytest.mark.slow)])

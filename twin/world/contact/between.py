@@ -10,11 +10,12 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numba import njit
 
 from twin.arrays import Floats, Ints
-from twin.world.contact.singles import Operator, Singles, SinglesArray, inverse, symmetric_product
+from twin.world.contact.singles import Operator, Singles, SinglesArray, full_inverse, symmetric_product
 
-_NEW, _SLACK = 0.02, 1.3
+_NEW, _SLACK = 0.1, 1.3
 """Shares of the patches in contact: what an inverse doesn't know, and all it knows, before one is made anew."""
 
 
@@ -64,36 +65,64 @@ class Between(Protocol):
 
 
 class Inverted:
-    """A `Rough` of a matrix (k, k): the inverse, in single precision, of its part on the patches in contact.
+    """A `Rough` of a matrix (k, k): the inverse, in single precision, of its part on patches that were in contact.
 
-    It serves while few patches come that it doesn't know; those are moved by themselves. Why not a factor: its two
-    triangles take ten times as long as one product, two dozen of which a solution needs.
+    What pushes on patches that left since are taken back, and those on patches that came are added, by blocks (Schur's
+    complements): so an inverse serves the sets in contact that follow, one of which differs little from the next, as
+    well as one made for each. Why not factors: those of other sets are others.
     """
 
     def __init__(self, normal: Floats) -> None:
         self._normal = normal
         self._place: Ints = np.full(len(normal), -1)
         self._inverse: SinglesArray | None = None
-        self._count = 0
+        self._kept = self._rows = np.zeros(0, int)
 
     def pushes(self, rows: Ints, depth: Floats) -> Floats:
         """See `Rough`; NaN where the matrix is not definite."""
-        place = self._place[rows]
-        known = place >= 0
-        if len(rows) - known.sum() > _NEW * len(rows) or self._count > _SLACK * len(rows):
-            self._invert(rows)
-            place, known = np.arange(len(rows)), np.ones(len(rows), bool)
+        if not np.array_equal(rows, self._rows):
+            self._take_over(rows)
         if self._inverse is None:
             return np.full(len(rows), np.nan)
-        right: SinglesArray = np.zeros(self._count, np.float32)
-        right[place[known]] = depth[known]
-        found = symmetric_product(self._inverse, right)
-        return np.where(known, found[place], depth / self._normal[rows, rows])
+        right: SinglesArray = np.zeros(len(self._kept), np.float32)
+        right[self._at] = depth[self._old]
+        found = self._on_old(right)
+        pushes = np.empty(len(rows))
+        if len(self._new):
+            added = self._schur @ (depth[self._new] - self._coupling @ found)
+            found -= self._answer @ added
+            pushes[self._new] = added
+        pushes[self._old] = found[self._at]
+        return pushes
 
-    def _invert(self, rows: Ints) -> None:
-        self._inverse = inverse(self._normal[np.ix_(rows, rows)].astype(np.float32).T)
-        self._place[:], self._count = -1, len(rows)
-        self._place[rows] = np.arange(len(rows))
+    def _on_old(self, right: SinglesArray) -> SinglesArray:
+        """Return the pushes (kept, ...) under depths (kept, ...) on patches kept, none on those that left."""
+        assert self._inverse is not None
+        found = symmetric_product(self._inverse.T, right)
+        return found - self._of_gone.T @ (self._back @ found[self._gone]) if len(self._gone) else found
+
+    def _take_over(self, rows: Ints) -> None:
+        """Make ready for a set in contact."""
+        new = self._place[rows] < 0
+        if new.sum() > _NEW * len(rows) or len(self._kept) > _SLACK * len(rows):
+            self._inverse = full_inverse(self._normal[np.ix_(rows, rows)].astype(np.float32))
+            self._place[:], self._kept = -1, rows.copy()
+            self._place[rows] = np.arange(len(rows))
+            new[:] = False
+        self._rows, self._new, self._old = rows.copy(), np.flatnonzero(new), np.flatnonzero(~new)
+        self._at = self._place[rows[self._old]]
+        if self._inverse is None:
+            return
+        self._gone = np.setdiff1d(np.arange(len(self._kept)), self._at, assume_unique=True)
+        if len(self._gone):
+            self._of_gone = self._inverse[self._gone]
+            self._back = np.linalg.inv(self._of_gone[:, self._gone])
+        if len(self._new):
+            came = rows[self._new]
+            coupling = self._normal[np.ix_(came, self._kept)].astype(np.float32)
+            coupling[:, self._gone] = 0.0
+            self._coupling, self._answer = coupling, self._on_old(np.asfortranarray(coupling.T))
+            self._schur = np.linalg.inv(self._normal[np.ix_(came, came)] - coupling @ self._answer).astype(np.float32)
 
 
 class Dense:
@@ -127,7 +156,13 @@ class Dense:
     def moved(self, force: Floats) -> Floats:
         """See `Between`."""
         size = 3 * len(self)
-        return np.asarray(symmetric_product(self._matrix.reshape(size, size).T, force.reshape(-1))).reshape(-1, 3)
+        matrix, flat = self._matrix.reshape(size, size), force.reshape(-1)
+        pushed = np.flatnonzero(flat)
+        if 2 * len(pushed) > size:  # a symmetric product reads one half
+            return np.asarray(symmetric_product(matrix.T, flat)).reshape(-1, 3)
+        moved = np.zeros(size)
+        _add_rows(matrix, pushed, flat, moved)
+        return moved.reshape(-1, 3)
 
     def sunk(self, push: Floats) -> Floats:
         """See `Between`."""
@@ -140,6 +175,14 @@ class Dense:
     def normal_part(self, rows: Ints, columns: Ints) -> Floats:
         """See `Between`."""
         return np.asarray(self._normal[np.ix_(rows, columns)])
+
+
+@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+def _add_rows(matrix: Floats, rows: Ints, weights: Floats, out: Floats) -> None:
+    """Add some rows of a matrix to ``out``, each times its weight; others are not read."""
+    for row in rows:
+        for i in range(len(out)):
+            out[i] += weights[row] * matrix[row, i]
 
 
 def between(compliance: Floats | Between) -> Between:

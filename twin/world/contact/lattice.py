@@ -201,7 +201,7 @@ class Lattice:
     def _weights(self, rows: Ints) -> Floats:
         """Return (n, M) how much each node counts at some patches."""
         u, v = (side[self._place[rows, axis]] for axis, side in enumerate(self._sides["float64"]))
-        return np.asarray((u[:, :, None] * v[:, None, :]).reshape(len(rows), -1))
+        return np.asarray((u[:, :, None] * v[:, None, :]).reshape(len(rows), u.shape[1] * v.shape[1]))
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

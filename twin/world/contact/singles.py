@@ -133,3 +133,14 @@ def inverse(matrix: SinglesArray) -> SinglesArray | None:
         return None
     found: SinglesArray = lapack.spotri(root, lower=0, overwrite_c=1)[0]
     return found if np.isfinite(found.diagonal()).all() else None
+
+
+def full_inverse(matrix: SinglesArray) -> SinglesArray | None:
+    """Return a symmetric matrix's inverse, (n, n); None where it is not definite."""
+    half = inverse(matrix.T)
+    if half is None:
+        return None
+    half = np.triu(half)
+    whole: SinglesArray = half + half.T
+    whole[np.diag_indices(len(whole))] /= 2.0
+    return whole

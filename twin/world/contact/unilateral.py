@@ -43,6 +43,9 @@ FEW = 60
 _NEARER, _HELD = 1e-4, 1e-12
 """Shares of a right-hand side that iteration leaves: while the set in contact is sought, and where it is known."""
 
+_MET = 1e-10
+"""Largest opening of a patch in contact over the largest displacement; its gap is taken anew after every step."""
+
 _FELT = 1e-9
 _ALL_AT_ONCE, _LETTING_GO, _PULLS_FIRST, _ONE_BY_ONE = range(4)
 
@@ -203,11 +206,13 @@ def _linear_solve(
 
 
 def _iterated(
-    problem: Unilateral, active: Bools, force: Floats, place: Floats, gap: Floats, slope: Floats, share: float
-) -> tuple[Floats, Floats] | None:
+    problem: Unilateral, active: Bools, force: Floats, sunk: Floats, place: Floats, gap: Floats, slope: Floats,
+    share: float,
+) -> tuple[Floats, Floats] | None:  # fmt: skip
     """Return forces and place nearer to those of `_linear_solve`: a share of what a guess leaves is left.
 
-    None where patches are few or stick, where nothing iterates well, and where the goal is out of reach.
+    ``sunk`` (k,) are the normal displacements under the guess's forces. None where patches are few or stick, where
+    nothing iterates well, and where the goal is out of reach.
     """
     compliance, touching = problem.between, np.flatnonzero(active)
     rough = compliance.rough
@@ -222,7 +227,9 @@ def _iterated(
         roughly=lambda y: unit * np.stack([rough.pushes(touching, column) for column in y.T], axis=1),
         motion=slope[:, free] / reach, pull=(carried[:, free] / reach).T,
     )  # fmt: skip
-    right = -gap[touching] - slope @ (fixed - place) - compliance.sunk(push)[touching]
+    left = np.flatnonzero(~active & (force[:, 2] != 0.0))
+    sunk_now = sunk[touching] - compliance.normal_part(touching, left) @ force[left, 2]
+    right = -gap[touching] - slope @ (fixed - place) - sunk_now
     balance = (problem.given - problem.total(np.column_stack([0.0 * push, 0.0 * push, push])))[free]
     found = bordered.solve(right / unit, balance / reach, share)
     if found is None:
@@ -275,8 +282,7 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
     """
     k = len(active)
     stiffness = 1.0 / problem.between.own
-    reach = problem.reach
-    force, place = np.zeros((k, 3)), np.where(problem.by_force, place, problem.given)
+    force, sunk, place = np.zeros((k, 3)), np.zeros(k), np.where(problem.by_force, place, problem.given)
     seen: set[bytes] = set()
     mode, let_go, left = _ALL_AT_ONCE, np.zeros(k, bool), np.inf
     smooth = not problem.sticking.any()
@@ -285,9 +291,8 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
     for step in range(1, _STEPS + 1):
         active = active & np.isfinite(gap)
         active[problem.apart(active, gap)] = True
-        before = place
         if active.any():
-            found = _iterated(problem, active, force, place, gap, slope, _HELD if exact else _NEARER)
+            found = _iterated(problem, active, force, sunk, place, gap, slope, _HELD if exact else _NEARER)
             force, place = found or _linear_solve(problem, active, place, gap, slope)
         else:
             force = np.zeros((k, 3))
@@ -298,10 +303,10 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
         following = _next_set(active, force[:, 2] / stiffness, opening, 1e-13 * scale, mode)
         curved = float(np.max(np.abs(opening[active & np.isfinite(opening)]), initial=0.0))
         # The gap of a large probe is known to round-off of its size, which is more than that of a light touch's depth.
-        met = curved <= 1e-11 * scale or (curved >= 0.5 * left and curved <= 0.1 * TOLERANCE * scale)
-        still, left = met and float(np.abs((place - before) * reach).max()) <= 1e-9 * (1 + scale), curved
+        met = curved <= _MET * scale or (curved >= 0.5 * left and curved <= 0.1 * TOLERANCE * scale)
+        left = curved
         settled = np.array_equal(following, active)
-        if settled and (still or not active.any()):
+        if settled and (met or not active.any()):
             return _checked(problem, active, force, place, opening, let_go, step)
         repeats = following.tobytes() + problem.sticking.tobytes() in seen
         if not settled and (repeats or (len(seen) >= _PATIENCE and mode == _ALL_AT_ONCE)):
