@@ -21,6 +21,7 @@ HOMES = {
     "scipy.sparse.linalg": {"world/elasticity/solve.py"},
     "pyvista": {"world/mesh/export.py"},
     "trimesh": {"world/mesh/surface.py"},
+    "numba": {"compiled.py", "world/picture/threads.py"},
     "pickle": set(),
 }
 

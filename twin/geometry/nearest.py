@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats, Ints, Points, frozen
+from twin.compiled import njit
 
 LEAF = 4
 """Triangles in a leaf at most."""

@@ -10,9 +10,9 @@ It is here as the baseline that the soft window is compared with.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Pixels
+from twin.compiled import njit
 from twin.sense.split import Signal
 
 

@@ -18,7 +18,8 @@ merged ones show by their area.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from twin.compiled import njit
 
 COLUMNS = 8
 """Numbers that `measure` gives for every spot."""

@@ -21,10 +21,10 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg
-from numba import njit
 from scipy.linalg.lapack import dposv, sposv
 
 from twin.arrays import Bools, Floats, Ints
+from twin.compiled import njit
 
 LEAST = 1e-12
 """Smallest weight over the largest curvature."""

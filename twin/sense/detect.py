@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats, Pixels
+from twin.compiled import njit
 from twin.sense.centre import COLUMNS, measure
 from twin.sense.split import Signal
 

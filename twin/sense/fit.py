@@ -19,8 +19,8 @@ Validity: markers at least about 4 px wide and blurred by less than their radius
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from twin.compiled import njit
 from twin.sense.gather import LANES, disc, gather, gather_inside, runs_of
 
 SHAPE = 8

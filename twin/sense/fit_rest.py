@@ -6,8 +6,8 @@ The model is `twin.sense.fit`'s with all its parameters free; what comes out is 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from twin.compiled import njit
 from twin.sense.fit import MARGIN_PX, SHAPE, doubtful, inverse_form
 from twin.sense.gather import disc, gather
 

@@ -7,7 +7,8 @@ all of them in the picture; near its border they are taken one by one.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from twin.compiled import njit
 
 LANES = 16
 """So many pixels of a row are worked on at once."""

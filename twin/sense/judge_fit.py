@@ -6,8 +6,8 @@ Compiled: this runs for every marker of every picture, and as array expressions 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from twin.compiled import njit
 from twin.sense.fit import CENTRE_X, CENTRE_Y, EDGE, LEVEL, MISFIT, PIXELS, SCALE, SQUARES, STEP, VAR_X, VAR_Y
 
 STATES = ("seen", "missing", "dim", "merged", "occluded")

@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Ints, Pixels
+from twin.compiled import njit
 from twin.sense.fit import LEADS
 
 NEIGHBOURS = 10

@@ -15,10 +15,10 @@ from collections.abc import Mapping
 from itertools import permutations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twin.arrays import Floats, Picture, Pixels
+from twin.compiled import njit
 from twin.errors import InputError
 
 Weights = tuple[float, float, float]

@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats, Points
+from twin.compiled import njit
 from twin.parts.load import Rectangles
 from twin.theory.halfspace_kernels import rectangle_slopes, rectangle_terms
 

@@ -17,9 +17,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats
+from twin.compiled import njit
 from twin.theory.halfspace_rectangle import add_slopes, closed_slopes, closed_terms
 
 GAUSS_2 = (-0.5773502691896257, 0.5773502691896257)

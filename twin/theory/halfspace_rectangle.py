@@ -16,9 +16,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from twin.arrays import Floats
+from twin.compiled import njit
 
 _TINY = 1e-300
 

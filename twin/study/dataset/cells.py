@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Bools, Floats, Ints
+from twin.compiled import njit
 from twin.errors import ContactError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles

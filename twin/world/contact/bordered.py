@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats
+from twin.compiled import njit
 
 MOST = 60
 """Products at most."""

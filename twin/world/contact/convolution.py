@@ -21,10 +21,10 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
-from numba import njit
 from scipy import fft
 
 from twin.arrays import Floats, Ints
+from twin.compiled import njit
 
 Complexes: TypeAlias = Any
 """Complex arrays."""

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Bools, Floats, Points
+from twin.compiled import njit
 from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.press import Press, Probe, frame_of

@@ -17,9 +17,9 @@ from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats, Ints, Points
+from twin.compiled import njit
 from twin.parts.load import Rectangles
 from twin.world.contact.convolution import Convolution, padded_size
 from twin.world.contact.patches import Patches

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Bools, Floats, Ints
+from twin.compiled import njit
 
 
 @dataclass(frozen=True, kw_only=True)

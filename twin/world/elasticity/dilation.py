@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats, Ints
+from twin.compiled import njit
 from twin.parts.load import Rectangles
 from twin.theory.halfspace_kernels import rectangle_terms
 from twin.world.mesh.elements import tet_shapes

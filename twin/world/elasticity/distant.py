@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats
+from twin.compiled import njit
 
 FAR = 6.0
 """Half diagonals beyond which one point force stands for a rectangle."""

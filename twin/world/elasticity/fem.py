@@ -23,9 +23,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Bools, Floats, Ints
+from twin.compiled import njit
 from twin.errors import InputError
 from twin.world.elasticity.interfaces import regions_behind
 from twin.world.elasticity.solve import GOAL, Factor, Solver

@@ -6,9 +6,8 @@ took two thirds of the time of a press on the block.
 
 from __future__ import annotations
 
-from numba import njit
-
 from twin.arrays import Floats
+from twin.compiled import njit
 
 TILE = 64
 """Rows and columns at a time: two tiles stay in the fast memory."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats, Ints, Points, frozen
+from twin.compiled import njit
 from twin.errors import MeshError, OutOfBodyError
 from twin.parts.body import Body
 from twin.world.mesh.elements import TET_EDGES, tet_shapes

@@ -8,9 +8,9 @@ distance and how fast it changes from pixel to pixel, and so is smooth.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats
+from twin.compiled import njit
 from twin.world.picture.frame import INTO
 
 QUICK = {"contract", "arcp", "reassoc", "nsz"}

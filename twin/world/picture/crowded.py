@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats, Ints, Singles
+from twin.compiled import njit
 from twin.world.picture.closed_form import (
     QUICK,
     Four,

@@ -10,9 +10,9 @@ Why one array of rows of a fixed length: the compiler then knows that rows don't
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats, Ints, Singles
+from twin.compiled import njit
 from twin.world.picture.closed_form import (
     QUICK,
     Four,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twin.arrays import Floats, Ints, Pixels, Singles
+from twin.compiled import njit
 from twin.world.picture.crowded import hits_of_sample, most_candidates, pixel_candidates, pixel_rays
 from twin.world.picture.frame import Frame
 from twin.world.picture.nearby import Whole

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Ints, Pixels
+from twin.compiled import njit
 
 _LARGER = 1.05
 """How much larger an outline may be than its first-order ellipse."""

@@ -12,11 +12,11 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from twin.arrays import Singles
+from twin.compiled import njit
 from twin.world.picture.segments import Segments, at_segments, segments
 
 _OCTAVES = 32

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Ints
+from twin.compiled import njit
 
 _ROOM = 1.05
 

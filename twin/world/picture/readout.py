@@ -6,10 +6,10 @@ Each function works on rows ``begin`` to ``end`` of the picture and writes nothi
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twin.arrays import Ints, Picture, Singles
+from twin.compiled import njit
 from twin.world.picture.noise import normal_numbers
 from twin.world.picture.segments import Segments, at_segments
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twin.arrays import Floats, Singles
+from twin.compiled import njit
 
 _SHIFT = 17
 """Bits of a float32's 23 that lie within a piece."""

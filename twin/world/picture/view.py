@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Ints, Pixels, Singles
+from twin.compiled import njit
 from twin.parts.scene import Scene
 from twin.theory.optics import axis_cosine, project_with_jacobian, rays, transmission
 from twin.world.picture.glare import glare

@@ -1,0 +1,81 @@
+"""Kept machine code follows the sources that it was made of, in other modules too, and nothing else."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import FunctionType
+
+import pytest
+
+import twin
+import twin.compiled
+import twin.theory.halfspace
+import twin.world.elasticity.fem
+import twin.world.elasticity.residual
+
+HELPER = "from twin.compiled import njit\nSIZE = 2.0\n\n@njit(cache=True)\ndef helper(x):\n    return SIZE * x\n"
+CALLER = """from twin.compiled import njit
+from twin.inner import (
+    helper,
+)
+
+@njit(cache=True)
+def caller(x):
+    return helper(x) + 1.0
+"""
+SAY = "from twin.outer import caller; print(caller(3.0), sum(caller.stats.cache_hits.values()))"
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """Make a package of the same name, of a caller, its helper, and a module that neither knows."""
+    folder = tmp_path / "twin"
+    folder.mkdir()
+    shutil.copy(twin.compiled.__file__, folder / "compiled.py")
+    for name, text in (("__init__", ""), ("inner", HELPER), ("outer", CALLER), ("other", "")):
+        (folder / f"{name}.py").write_text(text)
+    return folder
+
+
+def said(package: Path) -> list[str]:
+    """Return the caller's answer in a new process, and how many functions it found kept."""
+    place = package.parent
+    told = {**os.environ, "PYTHONPATH": str(place)}
+    return subprocess.check_output([sys.executable, "-c", SAY], cwd=place, env=told, text=True).split()
+
+
+def test_a_helper_changed_in_another_module_changes_its_callers(package: Path) -> None:
+    assert said(package) == ["7.0", "0"]
+    (package / "other.py").write_text("CHANGED = 1\n")
+    assert said(package) == ["7.0", "1"]
+    (package / "inner.py").write_text(HELPER.replace("2.0", "5.0"))
+    assert said(package) == ["16.0", "0"]
+
+
+def test_the_sources_of_a_module_hold_all_that_it_took_from_others() -> None:
+    """Against what Python itself says of the things in a module's name space: where each was made."""
+    compared = 0
+    for module in [sys.modules[name] for name in sorted(sys.modules) if name.startswith("twin.")]:
+        file = module.__file__
+        if file and any(hasattr(thing, "py_func") for thing in vars(module).values()):
+            found = twin.compiled.sources(file)
+            taken = [getattr(thing, "py_func", thing) for thing in vars(module).values()]
+            homes = {each.__module__ for each in taken if isinstance(each, FunctionType | type)}
+            homes = {name for name in homes if name.startswith("twin.")}
+            assert {sys.modules[name].__file__ for name in homes} <= found
+            compared += len(homes) > 1
+    assert compared > 5
+
+
+def test_without_its_sources_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(_: str) -> str:
+        raise FileNotFoundError
+
+    monkeypatch.setattr(twin.compiled, "digest", lost)
+    compiled = twin.compiled.njit(cache=True)(lambda number: number + 1)
+    assert compiled(2) == 3
+    assert compiled._cache.cache_path is None

@@ -1,0 +1,70 @@
+"""numba's compiled code, kept only as long as all that it was made of.
+
+Why: numba freezes constants and helpers of other modules into a function's machine code, but looks only at the
+function's own file to tell whether the code that it kept is still good. Whoever updated the package went on computing
+with a helper as it was, without a word. Here kept code is good for the contents of a module and of every module of the
+package that it imports: nothing is compiled again for changes elsewhere, in a copy, or for a new date.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numba
+
+_PACKAGE = os.path.dirname(os.path.abspath(__file__))
+_IMPORTS = re.compile(r"^\s*(?:from|import) +twin([\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
+
+
+def njit(**options: Any) -> Any:
+    """Return ``numba.njit(**options)`` whose kept code is made anew when any module that it may have used has changed.
+
+    Parameters
+    ----------
+    **options
+        numba's own.
+    """
+
+    def made(function: Callable[..., Any]) -> Any:
+        compiled = numba.njit(**options)(function)
+        try:
+            kept = compiled._cache._cache_file
+            kept._source_stamp = (kept._source_stamp, digest(function.__code__.co_filename))
+        except (AttributeError, OSError):  # another numba, or no source: rather keep nothing than what may be stale
+            compiled = numba.njit(**{**options, "cache": False})(function)
+        return compiled
+
+    return made
+
+
+@cache
+def digest(file: str) -> str:
+    """Return a digest of a module and of all modules of the package that it imports, directly or not."""
+    return hashlib.sha256(b"".join(_read(each)[0] for each in sorted(sources(file)))).hexdigest()
+
+
+def sources(file: str) -> set[str]:
+    """Return the files of a module and of all modules of the package that it imports, directly or not."""
+    found, new = set[str](), {file}
+    while new:
+        found |= new
+        new = {each for path in new for each in _read(path)[1]} - found
+    return found
+
+
+@cache
+def _read(file: str) -> tuple[bytes, set[str]]:
+    """Return the digest of a file, and the files of the package's modules that its imports name."""
+    with open(file, "rb") as opened:
+        source = opened.read()
+    named = set[str]()
+    for module, names in _IMPORTS.findall(source.decode()):
+        place = _PACKAGE + module.replace(".", os.sep)
+        inside = [os.path.join(place, name) for name in ["__init__", *re.findall(r"\w+", names)]]
+        named |= {f"{each}.py" for each in (inside if os.path.isdir(place) else [place])}
+    return hashlib.sha256(source).digest(), {each for each in named if os.path.isfile(each)}
