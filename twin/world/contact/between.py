@@ -10,9 +10,9 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
 from twin.arrays import Floats, Ints
+from twin.compiled import njit
 from twin.world.contact.singles import Operator, Singles, SinglesArray, full_inverse, symmetric_product
 
 _NEW, _SLACK = 0.1, 1.3
