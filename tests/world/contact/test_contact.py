@@ -10,6 +10,7 @@ from twin.errors import ContactError, InputError
 from twin.parts.body import Block, Body, Finger
 from twin.parts.load import Rectangles
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step
+from twin.parts.probe import Probe
 from twin.theory import halfspace
 from twin.theory.contact import (
     bonded_punch_stiffness,
@@ -385,13 +386,22 @@ def test_a_probe_sheared_harder_than_it_is_pressed_peels_off_its_trailing_side()
     assert abs(front) > 10 * abs(only(one).force_n[:, 2] @ only(one).centre_mm[:, 0])
 
 
-@pytest.mark.parametrize("probe", [Sphere(diameter_mm=5), Cone(apex_deg=150, diameter_mm=8)])
+@pytest.mark.parametrize(
+    "probe",
+    [
+        Sphere(diameter_mm=5),
+        Cone(apex_deg=150, diameter_mm=8),
+        Cylinder(diameter_mm=4),
+        Pillar(width_mm=2, length_mm=5),
+        Cylinder(diameter_mm=4, edge_mm=0.5),
+    ],
+)
 def test_a_contact_that_a_closed_form_tells_is_the_one_that_is_searched(
-    probe: Sphere | Cone, monkeypatch: pytest.MonkeyPatch
+    probe: Probe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wanted = Press(probe=probe, at_mm=(1, 2), force_n=(None, None, 0.05))
     told = pressed(wanted)
-    monkeypatch.setattr(contact, "disc_contact", lambda *_: None)
+    monkeypatch.setattr(contact, "known_contact", lambda *_: None)
     searched = pressed(wanted)
     assert told.indentation_mm == pytest.approx(searched.indentation_mm, rel=2e-3)
     assert told.contact_radius_mm == pytest.approx(searched.contact_radius_mm, rel=0.03)

@@ -41,10 +41,10 @@ from twin.world.contact.job import (
 from twin.world.contact.patches import Box, Plane
 from twin.world.contact.region import (
     check_inside,
-    disc_contact,
     fills,
     find_contact,
     fitted_patches,
+    known_contact,
     solve_frictionless,
 )
 from twin.world.contact.rubbing import rubbing_path
@@ -239,7 +239,7 @@ def _frictionless(
     boxes, said = [], dict[int, Box]()
     for number, setting in enumerate(settings):
         own, start, z = controls[number], places[number], touch_z[number]
-        disc = disc_contact(setting, own, start, z)
+        disc = known_contact(setting, own, start, z)
         box, places[number] = disc or find_contact(setting, own, start, planes[number], z)
         boxes.append(box)
         if disc is not None:

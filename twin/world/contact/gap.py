@@ -64,7 +64,7 @@ class Approach:
         """The probe's surface."""
         return shape_of(self.probe, self.tilt_deg)
 
-    @property
+    @cached_property
     def is_flat(self) -> bool:
         """Whether the probe touches with a flat face, so that its footprint bounds the contact."""
         return is_flat(self.probe, self.tilt_deg)

@@ -2,8 +2,9 @@
 
 Why coarse grids first: a curved body, a flat face over a barrel, or a large contact are far from Hertz's disc, and a
 fine grid over too large a region would waste patches. A frictionless solve on about a hundred patches tells the
-region; the grid grows while contact reaches its border and shrinks while contact fills too little of it. A sphere or a
-cone on a flat surface needs none of that: Hertz's or Sneddon's disc is right, or so wrong that it shows.
+region; the grid grows while contact reaches its border and shrinks while contact fills too little of it. On a flat
+surface a sphere or a cone needs none of that: Hertz's or Sneddon's disc is right, or so wrong that it shows; nor does a
+face with a sharp rim, all of which touches.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ _WIDER = 1.25
 
 _INNER = 0.96
 """Half width of a box to be filled with patches, over a disc's radius: rather more patches across than asked."""
+
+_CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))
 
 _THIN = 0.15
 """Largest contact over a body's thickness for which closed forms of half-spaces tell its size."""
@@ -101,24 +104,29 @@ def _disc(setting: Setting, force_z: float | None, depth: float) -> tuple[float,
     return min(like.contact_radius_mm, 0.7 * a), min(like.indentation_mm, 0.5 * a)
 
 
-def disc_contact(setting: Setting, control: Control, start: Floats, touch_z: float) -> tuple[Box, Floats] | None:
-    """Return what `find_contact` does by a closed form, for an upright sphere or cone on a flat surface."""
+def known_contact(setting: Setting, control: Control, start: Floats, touch_z: float) -> tuple[Box, Floats] | None:
+    """Return what `find_contact` does by a closed form, for an upright sphere, cone or flat face on a flat surface."""
     axes, place = setting.first.axes, np.where(control.by_force, start, control.given)
-    if not isinstance(setting.probe, Sphere | Cone) or any(setting.first.tilt_deg) or place[ABOUT_X:TURN].any():
+    sharp = setting.face is not None and setting.face.edge_mm == 0.0
+    if not (sharp or isinstance(setting.probe, Sphere | Cone)) or any(setting.first.tilt_deg):
         return None
-    if control.by_force[:Z].any() or not setting.compliance.one_material:
+    if place[ABOUT_X:TURN].any() or control.by_force[:Z].any() or not setting.compliance.one_material:
         return None  # it may slide away from there, or is as large as a cover makes it
     force_z = float(control.given[Z]) if control.by_force[Z] else None
-    radius, depth = _disc(setting, force_z, float(control.given[Z]) - touch_z)
-    middle = setting.first.axis_mm + np.array([*place[:Z], touch_z]) @ axes
-    ring = middle + 1.2 * radius * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]]) @ axes[:2]
+    box, depth = guess_box(setting, force_z, float(control.given[Z]) - touch_z)
     low, high = setting.body.bounds_mm
-    thin = radius > _THIN * (high[2] - low[2])
-    if radius <= 0.0 or thin or np.abs(setting.body.depth(ring)).max() > 1e-12:
+    if not sharp:
+        radius = box.u1 / _WIDER
+        if radius <= 0.0 or radius > _THIN * (high[2] - low[2]):
+            return None
+        box = _square(_INNER * radius, _INNER * radius)
+    middle = setting.first.axis_mm + np.array([*place[:Z], touch_z]) @ axes
+    around = middle + _WIDER * np.array(_CORNERS) * (box.u1, box.v1) @ axes[:2]
+    if np.abs(setting.body.depth(around)).max() > 1e-12:
         return None
     if control.by_force[Z]:
         place[Z] = touch_z + depth
-    return _square(_INNER * radius, _INNER * radius), place
+    return box, place
 
 
 def fills(contact: Box, box: Box) -> bool:
@@ -206,6 +214,8 @@ def find_contact(setting: Setting, control: Control, start: Floats, plane: Plane
         if not found.active.any():
             box = Box(u0=whole.u0 / 2, u1=whole.u1 / 2, v0=whole.v0 / 2, v1=whole.v1 / 2)
             continue
+        if setting.face is not None and found.active.all():
+            return whole, place
         contact = patches.bounds(found.active)
         if np.any(found.active & patches.border):
             # It grows on all sides: a round grid that only moves after a contact on a slope never holds its corner.

@@ -30,7 +30,7 @@ from twin.world.contact.job import (
     together,
 )  # fmt: skip
 from twin.world.contact.patches import Box, Plane
-from twin.world.contact.region import check_inside, disc_contact, find_contact, fitted_patches
+from twin.world.contact.region import check_inside, find_contact, fitted_patches, known_contact
 from twin.world.contact.together import Contacts, Control, Setting, of_one, touch_at
 from twin.world.contact.unilateral import Equilibrium
 
@@ -58,7 +58,7 @@ def _largest_contact(job: Job, number: int, plane: Plane, touch_z: float) -> Box
         if is_lifted(still, touch_z):
             place = lifted_place(still, place, touch_z)
             continue
-        disc = disc_contact(setting, still, place, touch_z)
+        disc = known_contact(setting, still, place, touch_z)
         contact, place = disc or find_contact(setting, still, place, plane, touch_z)
         grip_mm = friction * (float(place[Z]) - touch_z)
         contact = contact.joined(_slid(setting, contact, sideways, grip_mm, plane))
