@@ -122,10 +122,19 @@ class Calibration:
         if self.has_camera:
             self._optics  # noqa: B018  a bad camera is said now
 
-    @property
+    @cached_property
     def calibrated(self) -> Bools:
         """(n,) markers whose transfer is known."""
-        return np.asarray(np.isfinite(self.transfer).all(axis=1).reshape(-1, 2).all(axis=1))
+        return frozen(np.asarray(np.isfinite(self.transfer).all(axis=1).reshape(-1, 2).all(axis=1)))
+
+    @cached_property
+    def total_rows(self) -> Floats:
+        """(6, 3k): total force, N, and torque about the origin, N mm, of the sites' forces."""
+        rows = np.zeros((6, len(self.site_mm), 3))
+        rows[:3] = np.eye(3)[:, None, :]
+        for axis in range(3):
+            rows[3:, :, axis] = np.cross(self.site_mm, np.eye(3)[axis]).T
+        return frozen(rows.reshape(6, -1))
 
     @property
     def has_camera(self) -> bool:

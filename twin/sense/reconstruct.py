@@ -150,10 +150,10 @@ def reconstruct(
     off, bend, whitened, wrong = _linear(problem, whole, method, rule, robust=robust, camera=camera)
     data = whole - off - bend
     force = _forces(problem, data, whitened)
-    total, torque = force.sum(axis=0), np.cross(calibration.site_mm, force).sum(axis=0)
+    totals = calibration.total_rows @ force.ravel()
     scale = reweighed.noise_scale(data, whitened) if whitened > 0 else 1.0
     sd_force = scale * np.sqrt(reweighed.site_variance(whitened)).reshape(-1, 3)
-    sd_total = scale * np.sqrt(np.diag(reweighed.covariance(whitened, _total_rows(calibration))))
+    sd_total = scale * np.sqrt(np.diag(reweighed.covariance(whitened, calibration.total_rows)))
     kkt = 0.0
     if push_only or friction is not None:
         at = whitened if not isinstance(rule, str) else 10.0 ** (DECADE * np.round(np.log10(whitened) / DECADE))
@@ -171,7 +171,7 @@ def reconstruct(
     everywhere = np.zeros(len(problem.used), np.bool_)
     everywhere[problem.known] = wrong
     return Field(
-        site_mm=calibration.site_mm, force_n=force, total_force_n=total, total_torque_nmm=torque,
+        site_mm=calibration.site_mm, force_n=force, total_force_n=totals[:3], total_torque_nmm=totals[3:],
         weight=problem.omega * whitened, noise_px=scale * (problem.omega / 2) ** 0.5,
         sd_force_n=sd_force, sd_total_n=sd_total[:3], sd_torque_nmm=sd_total[3:],
         used=problem.used.copy(), wrong=everywhere, method=method, kkt=kkt,
@@ -254,12 +254,3 @@ def _constrained(
     else:
         local, kkt = quadratic.cone(linear, friction, begin)
     return problem.globally(local), kkt
-
-
-def _total_rows(calibration: Calibration) -> Floats:
-    """Return (6, 3k): total force and torque about the origin of the sites' forces."""
-    rows = np.zeros((6, len(calibration.site_mm), 3))
-    rows[:3] = np.eye(3)[:, None, :]
-    for axis in range(3):
-        rows[3:, :, axis] = np.cross(calibration.site_mm, np.eye(3)[axis]).T
-    return rows.reshape(6, -1)

@@ -133,7 +133,7 @@ def analyse_rest(
     prepared = [_first_look(picture, w, nominal[r], diameter_px) for w, r in zip(projections, rows, strict=True)]
     if method == "two-pass":
         measured = [
-            cell_centroids(look.signal, nominal[r], size, look.contrast_dn)
+            cell_centroids(picture, look.weights, look.ground_dn, nominal[r], size, look.contrast_dn)
             for look, r in zip(prepared, rows, strict=True)
         ]
         pairs = [np.where(np.isfinite(m[:, 0]), np.arange(len(m)), -1) for m in measured]

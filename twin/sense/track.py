@@ -231,12 +231,13 @@ class _Seen:
 def _in_group(method: Method, group: Group, picture: Picture, start_px: Pixels | None) -> _Seen:
     if group.templates is not None and start_px is not None and (warm := _from_last(group, picture, start_px)):
         return warm
-    signal = project(picture, group.weights, group.ground_dn + group.floor_dn) - np.float32(group.ground_dn)
     known = group.around.rest_px
     if method == "two-pass":
-        shift = cell_centroids(signal, known, group.around.spacing_px, group.contrast_dn) - known
+        cell_px, least_dn = group.around.spacing_px, group.contrast_dn
+        shift = cell_centroids(picture, group.weights, group.ground_dn, known, cell_px, least_dn) - known
         state = np.full(len(known), MISSING, np.uint8)
         return _Seen(shift_px=shift, sd_px=np.full(len(known), CELLS_SD_PX), state=state, spurious_px=None)
+    signal = project(picture, group.weights, group.ground_dn + group.floor_dn) - np.float32(group.ground_dn)
     blobs = find_blobs(signal, group.diameter_px, group.contrast_dn, crowd_level(group.floor_dn))
     alike, odd = _alike(group, blobs)
     spot = follow(group.around, blobs.centre_px, alike, start_px)
