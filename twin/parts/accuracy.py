@@ -23,6 +23,8 @@ PER_DEPTH = 1.2
 """Patches on the least depth of a marker, with ``auto``."""
 
 FEWEST, USUAL, LOOSEST, TIGHTEST = 8, 16, 1e-2, 1e-3
+INCREMENTS = 8
+"""Parts of a step with friction: the force of a stuck sphere is within 0.05 % of many then."""
 
 
 class Accuracy(Part):
@@ -36,6 +38,8 @@ class Accuracy(Part):
         Largest error of a marker's place in the noise-free picture, px; ``auto`` balances it against the noise.
     contact_patches
         Contact patches across the contact's diameter, or ``auto``.
+    contact_increments
+        With friction: parts of a step in which patches touch or slip, at most.
     surface_table
         Whether a curved body's answers are interpolated between patches solved all over its sensing surface, for many
         loads: a minute or two once, milliseconds a load afterwards, and a thousandth more of error, which is told.
@@ -44,6 +48,7 @@ class Accuracy(Part):
     displacement: Annotated[float, Field(ge=1e-5, le=0.2)] | Literal["auto"] = 5e-3
     centroid_px: Annotated[float, Field(ge=1e-4, le=1)] | Literal["auto"] = "auto"
     contact_patches: Annotated[int, Field(ge=6, le=40)] | Literal["auto"] = USUAL
+    contact_increments: Annotated[int, Field(ge=1, le=64)] = INCREMENTS
     surface_table: bool = False
 
     def displacement_for(self, modulus_pct: float) -> float:

@@ -273,6 +273,7 @@ class Sensor:
             patches_across=self.nominal.contact_patches,
             youngs_modulus_mpa=material.youngs_modulus_mpa,
             poisson_ratio=material.poisson_ratio,
+            increments=self.nominal.accuracy.contact_increments,
             with_error=with_error,
         )
 

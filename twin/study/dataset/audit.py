@@ -23,7 +23,6 @@ from twin.study.dataset.plan import Plan, load_of, press_of
 from twin.study.dataset.prepare import finest_mesh_file
 from twin.study.dataset.sample import MadeSensor, slips_of, truth_of
 from twin.study.dataset.work import working
-from twin.world.contact.friction import INCREMENTS
 
 if TYPE_CHECKING:
     from twin.parts.press import Press
@@ -33,7 +32,7 @@ WORK = "twin.study.dataset.audit:audit_sample"
 MOST, EVERY = 100, 100
 """One sample in a hundred is computed again, a hundred at most, one at least."""
 
-MOST_PATCHES = 40
+MOST_PATCHES, MOST_INCREMENTS = 40, 64
 BEST = 1e-4
 """Accuracy of displacements that takes the finest mesh."""
 
@@ -110,7 +109,7 @@ def _differences(made: MadeSensor, values: Table) -> dict[str, float]:
         usual, best = truth_of(made, load), truth_of(finer, load)
     else:
         press = press_of(table)
-        states = _pressed(made, press, INCREMENTS), _pressed(finer, press, 2 * INCREMENTS)
+        states = _pressed(made, press), _pressed(finer, press)
         load = states[0].load
         usual, best = (
             truth_of(one, state.load, slips_of(state)) for one, state in zip((made, finer), states, strict=True)
@@ -132,20 +131,9 @@ def _differences(made: MadeSensor, values: Table) -> dict[str, float]:
     return out
 
 
-def _pressed(made: MadeSensor, press: Press, increments: int) -> ContactState:
-    from twin.world.contact.contact import press as solve
-
+def _pressed(made: MadeSensor, press: Press) -> ContactState:
     made.sensor.compliance.forget()
-    scene = made.sensor.actual.scene
-    state = solve(
-        press,
-        scene.body,
-        made.sensor.compliance,
-        patches_across=scene.contact_patches,
-        youngs_modulus_mpa=scene.material.youngs_modulus_mpa,
-        poisson_ratio=scene.material.poisson_ratio,
-        increments=increments,
-    )
+    state = made.sensor.press(press)
     if not state.complete:
         raise ContactError(f"press: {state.reason}")
     return state
@@ -158,7 +146,11 @@ def _relative(one: Floats | float, other: Floats | float) -> float:
 def _finer(made: MadeSensor) -> MadeSensor:
     """Return the same sensor at the highest accuracy."""
     scene = made.plan.scene
-    changes: dict[str, Any] = {"contact_patches": min(MOST_PATCHES, 2 * scene.contact_patches), "surface_table": False}
+    changes: dict[str, Any] = {
+        "contact_patches": min(MOST_PATCHES, 2 * scene.contact_patches),
+        "contact_increments": min(MOST_INCREMENTS, 2 * scene.accuracy.contact_increments),
+        "surface_table": False,
+    }
     if pinned(finest_mesh_file(scene.body)):
         changes["displacement"] = BEST
     finest = scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update=changes)})

@@ -17,11 +17,11 @@ import numpy as np
 
 from twin.arrays import Floats
 from twin.errors import ContactError, InputError, NotSettled
+from twin.parts.accuracy import INCREMENTS
 from twin.parts.body import Body
 from twin.parts.press import Press
 from twin.parts.probe import Cylinder, Sphere
 from twin.world.contact.contact_state import ContactState, lifted_state, touching_state
-from twin.world.contact.friction import INCREMENTS
 from twin.world.contact.gap import MOTIONS, Approach, Z, approach_of, meeting, outline
 from twin.world.contact.job import (
     TRIES,

@@ -25,6 +25,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
+from twin.parts.accuracy import INCREMENTS
 from twin.parts.probe import Cone
 from twin.world.contact.capacity import asked_share
 from twin.world.contact.coulomb import solve_coulomb
@@ -34,7 +35,6 @@ from twin.world.contact.probe_shape import half_extent
 from twin.world.contact.together import Control, every
 from twin.world.contact.unilateral import Equilibrium, Unilateral, holding, solve
 
-INCREMENTS = 8
 SLIDE_LIMIT = 0.05
 """How far a flat face may slide as a whole, over its smaller width."""
 

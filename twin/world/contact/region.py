@@ -23,7 +23,10 @@ from twin.world.contact.probe_shape import half_extent
 from twin.world.contact.together import Contacts, Control, Setting
 from twin.world.contact.unilateral import Equilibrium, Unilateral, solve
 
-_COARSE, _ROUNDS, _MARGIN, _FILL = 10, 14, 0.13, 0.4
+_COARSE, _ROUNDS, _FILL = 10, 14, 0.4
+_MARGIN, _SPARE = 0.13, 1.5
+"""Share of a contact by which its grid is larger on every side, and how many patches that is at least."""
+
 _WIDER = 1.25
 """First coarse grid over the contact guessed."""
 
@@ -189,7 +192,8 @@ def _counts(across: int, box: Box, contact: Box) -> tuple[int, int]:
 
 def fitted_patches(setting: Setting, plane: Plane, contact: Box) -> Patches:
     """Cut the final grid around a known contact."""
-    box = contact.grown(*(_MARGIN * size for size in contact.size)).clipped(setting.face)
+    margin = max(_MARGIN, _SPARE / setting.across)
+    box = contact.grown(*(margin * size for size in contact.size)).clipped(setting.face)
     patches = candidate_patches(setting.body, setting.face, plane, box, _counts(setting.across, box, contact))
     check_somewhere(setting, patches)
     return patches
