@@ -55,11 +55,11 @@ def jacobian(markers, camera_z, px_per_mm):
     return j
 
 
-def flat_sensor(columns=15, rows=12):
-    """The flat paper's design: 636 markers in two layers, sites at 2 mm. Returns markers, jacobian, calibration."""
+def flat_sensor(columns=15, rows=12, pitch=2.0):
+    """The flat paper's design: 636 markers, sites at ``pitch`` mm. Returns markers, jacobian, calibration."""
     markers = np.vstack([grid(21, 16, 1.5, 6.0), grid(20, 15, 1.5, 3.0)])
     layer = np.repeat(["red", "blue"], [336, 300])
-    return _sensor(markers, layer, (columns, rows), 2.0, jacobian(markers, 100.0, 20.0))
+    return _sensor(markers, layer, (columns, rows), pitch, jacobian(markers, 100.0, 20.0))
 
 
 def finger_sensor():

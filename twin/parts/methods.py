@@ -2,5 +2,5 @@
 
 from typing import Literal
 
-Method = Literal["smooth", "norm", "pinv"]
-"""What each keeps small is in `twin.sense.problem`; ``pinv`` nothing at all."""
+Method = Literal["smooth", "norm", "pinv", "local"]
+"""What each keeps small: `twin.sense.problem`. ``pinv`` nothing, ``local`` what ``smooth`` does, where forces are."""

@@ -94,7 +94,8 @@ class Reconstruction(Part):
         Where forces are reconstructed.
     method
         ``smooth``: differences of neighbouring forces are kept small (the flat paper's eq. 11 and 12, corrected);
-        ``norm``: the forces themselves (eq. 14 and 15); ``pinv``: the plain pseudo-inverse.
+        ``norm``: the forces themselves (eq. 14 and 15); ``pinv``: the plain pseudo-inverse; ``local``: as ``smooth``,
+        with forces expected only where a first solution has some: sharper, better totals, slower.
     weight
         The papers' omega; ``auto`` chooses it by marginal likelihood and robust cross-validation, ``likelihood`` and
         ``gcv`` by one of them.

@@ -60,8 +60,10 @@ def force_map(calibration: Calibration, weight: float, method: Method = "smooth"
     Raises
     ------
     InputError
-        The weight is not finite and above 0.
+        The weight is not finite and above 0, or the method is not linear.
     """
+    if method == "local":
+        raise InputError("method = 'local' is not linear in the shifts, so it has no map: use 'smooth' or 'norm'")
     if not (np.isfinite(weight) and weight > 0):
         raise InputError(f"weight = {weight} px^2/N^2: a map needs a finite one above 0")
     rows = np.repeat(calibration.calibrated, 2)

@@ -55,7 +55,7 @@ class Base:
     factors
         Of both.
     gram
-        (3k, 3k) H^T H in the sites' own frames; filled when first asked for.
+        (3k, 3k) H^T H in the sites' own frames, and others that are filled in when first asked for.
     quadratics
         Constrained problems by weight, the last few.
     """
@@ -259,7 +259,9 @@ def _differences(count: int) -> Floats:
     return np.asarray(np.diff(np.eye(count + 2), axis=0)[:, 1:-1], float)
 
 
-PENALTIES: dict[str, Callable[[int, int], Floats]] = {"smooth": _neighbours, "norm": _forces, "pinv": _forces}
+PENALTIES: dict[str, Callable[[int, int], Floats]] = {
+    "smooth": _neighbours, "norm": _forces, "pinv": _forces, "local": _neighbours,
+}  # fmt: skip
 """By method, from the grid's columns and rows to the (sites, sites) matrix that every component of the force is kept
 small in: positive definite, sites counted row by row within columns."""
 

@@ -14,7 +14,7 @@ corrections of the data, so that one factorisation serves a whole sequence.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -22,19 +22,11 @@ from twin.arrays import Bools, Floats, Points, frozen
 from twin.errors import InputError
 from twin.parts.methods import Method
 from twin.sense.calibration import Calibration
+from twin.sense.linear import MOST, SETTLED, Linear, bend_of, solved
+from twin.sense.local import solved_locally
 from twin.sense.problem import Problem, problem_of
-from twin.sense.robust import excess
 from twin.sense.track import Found
-from twin.sense.weigh import automatic, cross_validated, filtered, most_likely
-
-Rule = Literal["auto", "likelihood", "gcv"]
-_RULES = {"auto": automatic, "likelihood": most_likely, "gcv": cross_validated}
-
-SOFT, MOST = 6, 40
-"""Iterations with Huber's loss before wrong vectors are left out, and iterations at most."""
-
-SETTLED = 1e-4
-"""Change of the whitened data that ends the iterations, in units of the noise."""
+from twin.sense.weigh import RULES, Rule
 
 DECADE = 0.1
 """Under constraints an automatic weight is rounded to this in its logarithm, so that what was solved serves again."""
@@ -113,10 +105,12 @@ def reconstruct(
         Sites and transfer matrix.
     method
         ``smooth``: small differences between neighbouring sites (flat paper, eq. 11, in two dimensions and per
-        component); ``norm``: small forces (eq. 14); ``pinv``: plain pseudo-inverse, which diverges with noise.
+        component); ``norm``: small forces (eq. 14); ``pinv``: plain pseudo-inverse, which diverges with noise;
+        ``local``: as ``smooth``, with forces expected only where a first solution has some (`twin.sense.local`).
+        Where loads cover a part of the surface it is sharper and has better totals, at ten to twenty times the time.
     weight
         The papers' omega, px^2/N^2, or how to choose it: ``likelihood`` (marginal likelihood), ``gcv`` (robust
-        generalised cross-validation), ``auto`` (see `weigh.automatic_weight`).
+        generalised cross-validation), ``auto`` (see `weigh.automatic_weight`; for ``local`` marginal likelihood).
     push_only
         No site pulls: F_n >= 0 along the inward normal (eq. 13).
     friction
@@ -127,8 +121,8 @@ def reconstruct(
         Take the camera's bend into account: shifts are not linear in the forces where markers move far or the lens is
         wide. Needs a calibration with a compliance and a camera.
     previous
-        The last frame's field under the same options: its weight is used again where ``weight`` names a rule, and its
-        contact is where a constrained solve starts.
+        The last frame's field under the same options: its weight is used again where ``weight`` names a rule (not by
+        ``local``), and its contact is where a constrained solve starts.
 
     Raises
     ------
@@ -142,37 +136,28 @@ def reconstruct(
     repeated until nothing changes: Gauss-Newton with the derivative kept from the rest state.
     """
     check_options(method, weight, push_only, friction, camera, calibration)
-    problem = problem_of(found, calibration, method)
+    problem = problem_of(found, calibration, "smooth" if method == "local" else method)
     rule = weight
-    if previous is not None and isinstance(weight, str):
+    if previous is not None and isinstance(weight, str) and method != "local":
         rule = previous.weight
-    whole, reweighed = problem.whiten(found.shift_px), problem.reweighed
-    off, bend, whitened, wrong = _linear(problem, whole, method, rule, robust=robust, camera=camera)
-    data = whole - off - bend
-    force = _forces(problem, data, whitened)
+    whole = problem.whiten(found.shift_px)
+    if method == "local":
+        linear, sd_force = solved_locally(problem, whole, rule, robust=robust, camera=camera)
+    else:
+        linear = solved(problem, whole, 0.0 if method == "pinv" else rule, robust=robust, camera=camera)
+        sd_force = linear.sd_force_n
+    problem, force = linear.problem, linear.force_n
     totals = calibration.total_rows @ force.ravel()
-    scale = reweighed.noise_scale(data, whitened) if whitened > 0 else 1.0
-    sd_force = scale * np.sqrt(reweighed.site_variance(whitened)).reshape(-1, 3)
-    sd_total = scale * np.sqrt(np.diag(reweighed.covariance(whitened, calibration.total_rows)))
+    sd_total = linear.scale * np.sqrt(np.diag(problem.reweighed.covariance(linear.weight, calibration.total_rows)))
     kkt = 0.0
     if push_only or friction is not None:
-        at = whitened if not isinstance(rule, str) else 10.0 ** (DECADE * np.round(np.log10(whitened) / DECADE))
-        start = None if previous is None else previous.force_n
-        told = reweighed.filled(data, at)
-        for _ in range(MOST):
-            force, kkt = _constrained(problem, told, at, friction, start)
-            if not camera and not len(reweighed.rows):
-                break
-            start, before = force, told
-            bend = _bend(problem, force) if camera else bend
-            told = reweighed.towards(whole - off - bend, problem.shifts_of(force))
-            if np.abs(told - before).max() < SETTLED:
-                break
+        at = linear.weight if not isinstance(rule, str) else _rounded(linear.weight)
+        force, kkt = _held(linear, at, friction, camera, None if previous is None else previous.force_n)
     everywhere = np.zeros(len(problem.used), np.bool_)
-    everywhere[problem.known] = wrong
+    everywhere[problem.known] = linear.wrong
     return Field(
         site_mm=calibration.site_mm, force_n=force, total_force_n=totals[:3], total_torque_nmm=totals[3:],
-        weight=problem.omega * whitened, noise_px=scale * (problem.omega / 2) ** 0.5,
+        weight=problem.omega * linear.weight, noise_px=linear.scale * (problem.omega / 2) ** 0.5,
         sd_force_n=sd_force, sd_total_n=sd_total[:3], sd_torque_nmm=sd_total[3:],
         used=problem.used.copy(), wrong=everywhere, method=method, kkt=kkt,
     )  # fmt: skip
@@ -191,7 +176,7 @@ def check_options(
     if method not in get_args(Method):
         raise InputError(f"method = {method!r}: allowed are {', '.join(map(repr, get_args(Method)))}")
     if isinstance(weight, str):
-        if weight not in _RULES:
+        if weight not in RULES:
             raise InputError(f"weight = {weight!r}: allowed are numbers, 'auto', 'likelihood' and 'gcv'")
     elif not (np.isfinite(weight) and weight >= 0):
         raise InputError(f"weight = {weight} px^2/N^2: allowed are finite numbers >= 0, or 'auto'")
@@ -206,41 +191,26 @@ def check_options(
         )
 
 
-def _linear(
-    problem: Problem, whole: Floats, method: str, weight: float | str, *, robust: bool, camera: bool
-) -> tuple[Floats, Floats, float, Bools]:
-    """Return what wrong vectors and the camera's bend add to the whitened data, the weight, and the wrong vectors."""
-    reweighed = problem.reweighed
-    off, bend = np.zeros_like(whole), np.zeros_like(whole)
-    wrong: Bools = np.zeros(len(whole) // 2, np.bool_)
-    whitened = 0.0 if isinstance(weight, str) or method == "pinv" else float(weight) / problem.omega
-    for count in range(MOST):
-        data, before = whole - off - bend, off + bend
-        if isinstance(weight, str) and method != "pinv" and count < 2 * SOFT:  # later it stays, so that this settles
-            whitened = reweighed.weight(_RULES[weight], data)
-        if not robust and not camera:
+def _held(
+    linear: Linear, weight: float, friction: float | None, camera: bool, start: Floats | None
+) -> tuple[Floats, float]:
+    """Return the (k, 3) forces held to pushes or friction cones, and how far from optimal they are."""
+    problem, bend = linear.problem, linear.bend
+    told = problem.reweighed.filled(linear.data, weight)
+    for _ in range(MOST):
+        force, kkt = _constrained(problem, told, weight, friction, start)
+        if not camera and not len(problem.reweighed.rows):
             break
-        if camera:
-            bend = _bend(problem, _forces(problem, data, whitened))
-        if robust:
-            filled = reweighed.filled(data, whitened)
-            freedom = 1.0 - float((problem.factors.singular * filtered(problem.factors, whitened)).sum()) / len(data)
-            residual = whole - bend - reweighed.predicted(filled, whitened)
-            off, wrong = excess(residual, reweighed.share, freedom, leave_out=count >= SOFT)
-        if count > (SOFT if robust else 0) and np.abs(off + bend - before).max() < SETTLED:
+        start, before = force, told
+        bend = bend_of(problem, force) if camera else bend
+        told = problem.reweighed.towards(linear.whole - linear.off - bend, problem.shifts_of(force))
+        if np.abs(told - before).max() < SETTLED:
             break
-    return off, bend, whitened, wrong
+    return force, kkt
 
 
-def _bend(problem: Problem, force: Floats) -> Floats:
-    """Return (m,) whitened difference of the shifts through the camera to the linear ones."""
-    return problem.whiten(problem.calibration.bend_px(force))
-
-
-def _forces(problem: Problem, data: Floats, weight: float) -> Floats:
-    """Return (k, 3) linear estimate, N."""
-    factors, told = problem.factors, problem.reweighed.filled(data, weight)
-    return np.asarray((factors.back @ (filtered(factors, weight) * (factors.left.T @ told))).reshape(-1, 3))
+def _rounded(weight: float) -> float:
+    return float(10.0 ** (DECADE * np.round(np.log10(weight) / DECADE)))
 
 
 def _constrained(

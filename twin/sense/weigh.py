@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import scipy.linalg
@@ -145,6 +146,13 @@ def cross_validated(seen: Spectrum) -> float:
         return np.asarray(np.log(residual * influence / freedom**2))
 
     return _least(log_score, seen)
+
+
+Rule = Literal["auto", "likelihood", "gcv"]
+RULES: dict[str, Callable[[Spectrum], float]] = {
+    "auto": automatic, "likelihood": most_likely, "gcv": cross_validated,
+}  # fmt: skip
+"""By name, from a spectrum to the whitened weight."""
 
 
 def _least(objective: Callable[[Floats], Floats], seen: Spectrum) -> float:

@@ -18,7 +18,7 @@ import scipy.linalg
 from twin.arrays import Floats
 from twin.parts.pipeline import Reconstruction
 from twin.sense.problem import grid_penalty
-from twin.sense.weigh import Spectrum, automatic, cross_validated, most_likely
+from twin.sense.weigh import RULES, Spectrum
 from twin.study.sweep.mirror import Signs, fold, unfold
 
 LEAST = 1e-12
@@ -106,12 +106,8 @@ class Information:
         """
         if wanted.method == "pinv":
             return 0.0
-        if wanted.weight == "auto":
-            return automatic(seen)
-        if wanted.weight == "likelihood":
-            return most_likely(seen)
-        if wanted.weight == "gcv":
-            return cross_validated(seen)
+        if isinstance(wanted.weight, str):
+            return RULES[wanted.weight](seen)
         return float(wanted.weight) / (2.0 * mean_noise**2)
 
     def forces(self, reduced: Sequence[Floats], weight: float) -> Floats:

@@ -5,7 +5,8 @@ solved on another level, its markers projected exactly. Noise enters as a covari
 not one draw of luck. The estimator is the sensor's own, with the weight that it would choose.
 
 Validity: constraints on the field (``push_only``, ``friction``) are left out, as the totals come from the linear solve;
-loads are patches of given traction; the noise is that of `twin.study.sweep.noise`.
+method ``local``, which is not linear, is judged as ``smooth``; loads are patches of given traction; the noise is that
+of `twin.study.sweep.noise`.
 """
 
 from __future__ import annotations
