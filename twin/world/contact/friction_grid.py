@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Points
+from twin.arrays import Bools, Floats
 from twin.world.contact.between import Between, Dense
 from twin.world.contact.gap import MOTIONS, Z
 from twin.world.contact.krylov import Krylov
@@ -133,38 +133,13 @@ class FrictionGrid:
         gap, slope = np.zeros(len(self.patches)), np.zeros((len(self.patches), len(self.along_z)))
         for number, (setting, rows, motions) in enumerate(self.contacts.rows):
             grid, first = self.contacts.grids[number], setting.first
-            slid = slid_mm[number] @ first.axes[:Z]
-            centre, normals = grid.centre_mm, grid.frames[:, 2]
             lowered = np.zeros(MOTIONS)
             lowered[Z] = along_z[number]
-            centre = centre - slid if setting.face is None else centre
-            if self._upright[number]:
-                gap[rows], slope[rows, motions.start + Z] = self._above(number, centre, slid)
-                gap[rows] -= along_z[number]
-            else:
-                gap[rows], slope[rows, motions] = first.gap(centre, normals, lowered)
-            gap[rows] += normals @ slid
+            if setting.face is None:
+                lowered[:Z] = slid_mm[number]
+            gap[rows], slope[rows, motions] = self.contacts.gap_under(number, lowered)
+            gap[rows] += grid.frames[:, 2] @ (slid_mm[number] @ first.axes[:Z])
         return gap, slope
-
-    @cached_property
-    def _upright(self) -> list[bool]:
-        """Whether a probe comes along the normals of all its patches: its gaps then close as it comes."""
-        pairs = zip(self.contacts.settings, self.contacts.grids, strict=True)
-        return [bool((grid.frames[:, 2] == setting.first.axes[2]).all()) for setting, grid in pairs]
-
-    def _above(self, number: int, centre: Points, slid: Floats) -> tuple[Floats, Floats]:
-        """Return the gaps of patches of a probe at first touch, and their slopes as it comes; the last one is kept."""
-        key = slid.tobytes()
-        if number not in self._last or self._last[number][0] != key:
-            gap, slope = self.contacts.settings[number].first.gap(
-                centre, self.contacts.grids[number].frames[:, 2], np.zeros(MOTIONS)
-            )
-            self._last[number] = key, (gap, slope[:, Z])
-        return self._last[number][1]
-
-    @cached_property
-    def _last(self) -> dict[int, tuple[bytes, tuple[Floats, Floats]]]:
-        return {}
 
     def gap(self, memory: Memory, place: Floats) -> tuple[Floats, Floats]:
         """Return (k,) gaps and (k, 6 p) slopes at a place."""

@@ -164,7 +164,7 @@ class Contacts:
     @cached_property
     def between(self) -> Between:
         """The compliance between patches: a convolution where they are a lattice in a plane, else a matrix."""
-        found = lattice(self.grids[0], self.settings[0].compliance) if len(self.grids) == 1 else None
+        found = lattice(self.patches, self.settings[0].compliance)
         return Dense(self.compliance) if found is None else found
 
     @cached_property
@@ -201,9 +201,35 @@ class Contacts:
     def gap(self, place: Floats) -> tuple[Floats, Floats]:
         """Return (k,) gaps, mm, and their (k, 6 p) slopes at a place."""
         gap, slope = np.zeros(len(self.patches)), np.zeros((len(self.patches), len(place)))
-        for (setting, rows, motions), grid in zip(self.rows, self.grids, strict=True):
-            gap[rows], slope[rows, motions] = setting.first.gap(grid.centre_mm, grid.frames[:, 2], place[motions])
+        for number, (_, rows, motions) in enumerate(self.rows):
+            gap[rows], slope[rows, motions] = self.gap_under(number, place[motions])
         return gap, slope
+
+    def gap_under(self, number: int, place: Floats) -> tuple[Floats, Floats]:
+        """Return the gaps of the patches under one probe at its place (6,), and their slopes.
+
+        A probe that comes along the normals of all its patches changes their gaps by as much as it comes, and nothing
+        else: what it was at its last place sideways is kept.
+        """
+        grid, first = self.grids[number], self.settings[number].first
+        normals = grid.frames[:, 2]
+        if not self._upright[number]:
+            return first.gap(grid.centre_mm, normals, place)
+        at_touch = np.where(np.arange(MOTIONS) == Z, 0.0, place)
+        key, (gap, slope) = self._last.get(number, (b"", (place, place)))
+        if key != at_touch.tobytes():
+            gap, slope = first.gap(grid.centre_mm, normals, at_touch)
+            self._last[number] = at_touch.tobytes(), (gap, slope)
+        return gap - place[Z], slope
+
+    @cached_property
+    def _upright(self) -> list[bool]:
+        pairs = zip(self.settings, self.grids, strict=True)
+        return [bool((grid.frames[:, 2] == setting.first.axes[2]).all()) for setting, grid in pairs]
+
+    @cached_property
+    def _last(self) -> dict[int, tuple[bytes, tuple[Floats, Floats]]]:
+        return {}
 
 
 def _in_own_frames(compliance: Floats, frames: Floats) -> Floats:
