@@ -387,22 +387,22 @@ def test_a_probe_sheared_harder_than_it_is_pressed_peels_off_its_trailing_side()
 
 
 @pytest.mark.parametrize(
-    "probe",
+    ("probe", "force_n", "across"),
     [
-        Sphere(diameter_mm=5),
-        Cone(apex_deg=150, diameter_mm=8),
-        Cylinder(diameter_mm=4),
-        Pillar(width_mm=2, length_mm=5),
-        Cylinder(diameter_mm=4, edge_mm=0.5),
+        (Sphere(diameter_mm=5), 0.05, 16),
+        (Cone(apex_deg=150, diameter_mm=8), 0.05, 16),
+        (Cylinder(diameter_mm=4), 0.05, 16),
+        (Pillar(width_mm=2, length_mm=5), 0.05, 16),
+        (Cylinder(diameter_mm=4, edge_mm=0.5), 0.5, 28),
     ],
 )
 def test_a_contact_that_a_closed_form_tells_is_the_one_that_is_searched(
-    probe: Probe, monkeypatch: pytest.MonkeyPatch
+    probe: Probe, force_n: float, across: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wanted = Press(probe=probe, at_mm=(1, 2), force_n=(None, None, 0.05))
-    told = pressed(wanted)
+    wanted = Press(probe=probe, at_mm=(1, 2), force_n=(None, None, force_n))
+    told = pressed(wanted, across=across)
     monkeypatch.setattr(contact, "known_contact", lambda *_: None)
-    searched = pressed(wanted)
+    searched = pressed(wanted, across=across)
     assert told.indentation_mm == pytest.approx(searched.indentation_mm, rel=2e-3)
     assert told.contact_radius_mm == pytest.approx(searched.contact_radius_mm, rel=0.03)
 

@@ -133,3 +133,28 @@ def test_a_press_is_the_same_either_way(nu: float, friction: float, monkeypatch:
     np.testing.assert_array_equal(fast.slip, plain.slip)
     np.testing.assert_allclose(fast.traction_mpa, plain.traction_mpa, atol=3e-8 * np.abs(plain.traction_mpa).max())
     np.testing.assert_allclose(fast.torques_nmm, plain.torques_nmm, atol=1e-8)
+
+
+@pytest.mark.parametrize("at", [((-1.3, 0.2), (1.3, 0.2)), ((-1.3, 0.0), (1.3, 0.4), (0.1, 2.6))], ids=["two", "three"])
+def test_balls_in_one_plane_share_a_lattice(
+    at: tuple[tuple[float, float], ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What one does to the other is that of a matrix between the same patches."""
+    made, plain = [], together.lattice
+    monkeypatch.setattr(together, "lattice", lambda *given: made.append(plain(*given)) or made[-1])
+    one, *others = (
+        Press(probe=Sphere(diameter_mm=2 + 0.2 * number), at_mm=place, force_n=(0, 0, 0.05))
+        for number, place in enumerate(at)
+    )
+    wanted, body = one.model_copy(update={"also": tuple(others)}), elastic(0.5)
+
+    def pressed() -> ContactState:
+        return press(wanted, BLOCK, body, patches_across=10, youngs_modulus_mpa=0.5, poisson_ratio=0.5)
+
+    fast = pressed()
+    assert isinstance(made[-1], Lattice)
+    monkeypatch.setattr(together, "lattice", lambda *_: None)
+    matrix = pressed()
+    for each, other in zip((fast, *fast.also), (matrix, *matrix.also), strict=True):
+        assert each.indentation_mm == pytest.approx(other.indentation_mm, rel=1e-7)
+        np.testing.assert_allclose(each.traction_mpa, other.traction_mpa, atol=3e-7 * other.peak_pressure_mpa)

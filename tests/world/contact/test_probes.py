@@ -152,7 +152,7 @@ def test_rounded_punch(edge: float) -> None:
         return 0.0 if r <= flat else (r - flat) / math.sqrt(max(edge**2 - (r - flat) ** 2, 1e-12))
 
     radius, depth = axisymmetric(slope, 0.5, 2.499)
-    state = pressed(Press(probe=Cylinder(diameter_mm=5, edge_mm=edge), force_n=(0, 0, 0.5)))
+    state = pressed(Press(probe=Cylinder(diameter_mm=5, edge_mm=edge), force_n=(0, 0, 0.5)), across=28)
     assert state.indentation_mm == pytest.approx(depth, rel=0.002)
     assert state.contact_radius_mm == pytest.approx(radius, rel=0.05)  # counted in patches
     inner = np.hypot(*only(state).centre_mm[:, :2].T) < flat / 2
@@ -308,8 +308,8 @@ def two(apart: float, **more: object) -> Press:
 @pytest.mark.parametrize("apart", [4.0, 40.0])
 def test_two_points_superpose(apart: float) -> None:
     """Each is lowered by what the other's load does at its place (small contacts, far apart)."""
-    alone = pressed(Press(probe=BALL, force_n=(0, 0, 0.05)))
-    state = pressed(two(apart))
+    alone = pressed(Press(probe=BALL, force_n=(0, 0, 0.05)), across=24)
+    state = pressed(two(apart), across=24)
     sunk = halfspace.displacement(np.array([[apart, 0.0, 0.0]]), only(alone), 1.0, 0.5)[0, 2]
     assert state.indentation_mm - alone.indentation_mm == pytest.approx(sunk, rel=0.003)
     assert state.also[0].indentation_mm == pytest.approx(state.indentation_mm, rel=1e-9)

@@ -43,7 +43,7 @@ from twin.world.contact.region import (
     check_inside,
     fills,
     find_contact,
-    fitted_patches,
+    fitted_grids,
     known_contact,
     solve_frictionless,
 )
@@ -246,7 +246,7 @@ def _frictionless(
             said[number] = box
     control, place = all_controls(controls), np.concatenate(places)
     for _ in range(TRIES):
-        contacts = Contacts(settings, tuple(map(fitted_patches, settings, planes, boxes)))
+        contacts = Contacts(settings, fitted_grids(settings, planes, boxes))
         found = solve_frictionless(contacts, control, place, np.array(touch_z))
         place = found.place
         for (setting, rows, motions), grid, z in zip(contacts.rows, contacts.grids, touch_z, strict=True):

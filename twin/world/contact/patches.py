@@ -4,6 +4,7 @@ The grid lies in a plane at the place that is touched first and is projected alo
 that flat-ended probes keep their exact footprint and curved bodies are tiled without a chart. Rows of a round
 footprint end where the row's piece of the disc has its exact area. Why graded cells at a footprint's border: the
 pressure under a sharp edge grows like 1/sqrt(distance), and cells that shrink like its inverse carry equal forces.
+Under a rounded rim that cells resolve it ends like a sphere's: equal cells, a lattice on a flat body, serve as well.
 """
 
 from __future__ import annotations
@@ -136,33 +137,47 @@ def cell_edges(low: float, high: float, count: int, *, graded: tuple[bool, bool]
     return np.asarray(low + (high - low) * shape)
 
 
-def _half_chord(face: Face, v0: float, v1: float) -> float:
+def _half_chord(face: Cylinder | Pillar, v0: float, v1: float) -> float:
     """Half the mean width of the footprint between v0 and v1: the strip's exact area over its height."""
     if isinstance(face, Pillar):
         return face.size_mm[0] / 2
+    a = face.diameter_mm / 2
+    area = [(v * math.sqrt(max(a * a - v * v, 0.0)) + a * a * math.asin(max(-1.0, min(1.0, v / a)))) / 2
+            for v in (v0, v1)]  # fmt: skip
+    return (area[1] - area[0]) / (v1 - v0)
+
+
+def is_even(face: Face, box: Box, across: tuple[int, int]) -> bool:
+    """Return whether all cells are equal: where no face bounds the contact, or its rim is as wide as a cell."""
+    return face is None or face.edge_mm >= max(size / count for size, count in zip(box.size, across, strict=True))
+
+
+def _even_cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Return (n, 2) middles and (n, 2) half sizes of equal cells, those beyond a round face left out."""
+    u, v = (np.linspace(low, high, 2 * count + 1)[1::2]
+            for low, high, count in ((box.u0, box.u1, across[0]), (box.v0, box.v1, across[1])))  # fmt: skip
+    middle = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     if isinstance(face, Cylinder):
-        a = face.diameter_mm / 2
-        area = [(v * math.sqrt(max(a * a - v * v, 0.0)) + a * a * math.asin(max(-1.0, min(1.0, v / a)))) / 2
-                for v in (v0, v1)]  # fmt: skip
-        return (area[1] - area[0]) / (v1 - v0)
-    return math.inf
+        middle = middle[np.hypot(middle[:, 0], middle[:, 1]) < face.diameter_mm / 2]
+    half = [size / (2 * count) for size, count in zip(box.size, across, strict=True)]
+    return middle, np.tile(half, (len(middle), 1))
 
 
 def _cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
     """Return (n, 2) middles and (n, 2) half sizes of the grid's cells."""
-    flat = face is not None
-    a, b = half_extent(face) if face is not None else (math.inf, math.inf)
-    near = 1e-6 * max(a, b) if flat else 0.0
-    rows = cell_edges(box.v0, box.v1, across[1], graded=(flat and box.v0 <= near - b, flat and box.v1 >= b - near))
+    if face is None or is_even(face, box, across):
+        return _even_cells(face, box, across)
+    a, b = half_extent(face)
+    near = 1e-6 * max(a, b)
+    rows = cell_edges(box.v0, box.v1, across[1], graded=(box.v0 <= near - b, box.v1 >= b - near))
     middles, halves = [], []
     for v0, v1 in pairwise(rows):
         chord = _half_chord(face, float(v0), float(v1))
         u0, u1 = max(box.u0, -chord), min(box.u1, chord)
         if u1 <= u0:
             continue
-        count = max(3, round(across[0] * math.sqrt((u1 - u0) / box.size[0]))) if flat else across[0]
-        graded = (flat and u0 <= near - chord, flat and u1 >= chord - near)
-        columns = cell_edges(u0, u1, count, graded=graded)
+        count = max(3, round(across[0] * math.sqrt((u1 - u0) / box.size[0])))
+        columns = cell_edges(u0, u1, count, graded=(u0 <= near - chord, u1 >= chord - near))
         middles.append(np.column_stack([(columns[:-1] + columns[1:]) / 2, np.full(count, (v0 + v1) / 2)]))
         halves.append(np.column_stack([np.diff(columns) / 2, np.full(count, (v1 - v0) / 2)]))
     return np.concatenate(middles), np.concatenate(halves)

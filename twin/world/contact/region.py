@@ -4,12 +4,13 @@ Why coarse grids first: a curved body, a flat face over a barrel, or a large con
 fine grid over too large a region would waste patches. A frictionless solve on about a hundred patches tells the
 region; the grid grows while contact reaches its border and shrinks while contact fills too little of it. On a flat
 surface a sphere or a cone needs none of that: Hertz's or Sneddon's disc is right, or so wrong that it shows; nor does a
-face with a sharp rim, all of which touches.
+flat face, most of which touches.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from twin.errors import ContactError, NotSettled
 from twin.parts.probe import Cone, Sphere
 from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact.gap import ABOUT_X, TURN, X, Y, Z
-from twin.world.contact.patches import Box, Patches, Plane, candidate_patches
+from twin.world.contact.patches import Box, Patches, Plane, candidate_patches, is_even
 from twin.world.contact.probe_shape import half_extent
 from twin.world.contact.together import Contacts, Control, Setting
 from twin.world.contact.unilateral import Equilibrium, Unilateral, solve
@@ -31,7 +32,7 @@ _WIDER = 1.25
 """First coarse grid over the contact guessed."""
 
 _INNER = 0.96
-"""Half width of a box to be filled with patches, over a disc's radius: rather more patches across than asked."""
+"""Half width of a box to be filled with patches over that of the contact: rather more patches across than asked."""
 
 _CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))
 
@@ -39,7 +40,11 @@ _THIN = 0.15
 """Largest contact over a body's thickness for which closed forms of half-spaces tell its size."""
 
 _FILLS = 0.85
-"""Share of a disc from a closed form that a contact fills at least, or the form doesn't fit it."""
+"""Share of a region that was said to be in contact which is at least, or it isn't the region."""
+
+_FINER, _WIDE = 1.5, 8.0
+"""How many times as many cells several contacts on one lattice may have, and as many places it may."""
+
 _NAMES = ("x", "y", "z", "the turn about x", "the turn about y", "the turn about z")
 
 
@@ -108,17 +113,20 @@ def _disc(setting: Setting, force_z: float | None, depth: float) -> tuple[float,
 
 
 def known_contact(setting: Setting, control: Control, start: Floats, touch_z: float) -> tuple[Box, Floats] | None:
-    """Return what `find_contact` does by a closed form, for an upright sphere, cone or flat face on a flat surface."""
+    """Return what `find_contact` does without a search, for an upright sphere, cone or flat face on a flat surface.
+
+    Under a flat face it is the face, up to the middle of its rim; under a sphere or a cone a closed form says it.
+    """
     axes, place = setting.first.axes, np.where(control.by_force, start, control.given)
-    sharp = setting.face is not None and setting.face.edge_mm == 0.0
-    if not (sharp or isinstance(setting.probe, Sphere | Cone)) or any(setting.first.tilt_deg):
+    face = setting.face
+    if (face is None and not isinstance(setting.probe, Sphere | Cone)) or any(setting.first.tilt_deg):
         return None
     if place[ABOUT_X:TURN].any() or control.by_force[:Z].any() or not setting.compliance.one_material:
         return None  # it may slide away from there, or is as large as a cover makes it
     force_z = float(control.given[Z]) if control.by_force[Z] else None
     box, depth = guess_box(setting, force_z, float(control.given[Z]) - touch_z)
     low, high = setting.body.bounds_mm
-    if not sharp:
+    if face is None:
         radius = box.u1 / _WIDER
         if radius <= 0.0 or radius > _THIN * (high[2] - low[2]):
             return None
@@ -129,11 +137,11 @@ def known_contact(setting: Setting, control: Control, start: Floats, touch_z: fl
         return None
     if control.by_force[Z]:
         place[Z] = touch_z + depth
-    return box, place
+    return box if face is None else box.grown(-face.edge_mm / 2, -face.edge_mm / 2), place
 
 
 def fills(contact: Box, box: Box) -> bool:
-    """Return whether a contact is as large as a closed form said."""
+    """Return whether a contact is as large as it was said to be."""
     return min(found / said for found, said in zip(contact.size, box.size, strict=True)) >= _FILLS
 
 
@@ -190,13 +198,53 @@ def _counts(across: int, box: Box, contact: Box) -> tuple[int, int]:
     return max(4, math.ceil(across * shape * u - 1e-6)), max(4, math.ceil(across / shape * v - 1e-6))
 
 
-def fitted_patches(setting: Setting, plane: Plane, contact: Box) -> Patches:
-    """Cut the final grid around a known contact."""
-    margin = max(_MARGIN, _SPARE / setting.across)
-    box = contact.grown(*(margin * size for size in contact.size)).clipped(setting.face)
-    patches = candidate_patches(setting.body, setting.face, plane, box, _counts(setting.across, box, contact))
-    check_somewhere(setting, patches)
-    return patches
+def fitted_grids(settings: Sequence[Setting], planes: Sequence[Plane], contacts: Sequence[Box]) -> tuple[Patches, ...]:
+    """Cut the final grids around known contacts: on one lattice where they lie in one plane and are about as fine."""
+    boxes = [
+        contact.grown(*(max(_MARGIN, _SPARE / setting.across) * size for size in contact.size)).clipped(setting.face)
+        for setting, contact in zip(settings, contacts, strict=True)
+    ]
+    counts = [_counts(*each) for each in zip([setting.across for setting in settings], boxes, contacts, strict=True)]
+    if len(boxes) > 1:
+        boxes, counts = _on_one_lattice(settings, planes, boxes, counts)
+    grids = []
+    for setting, plane, box, count in zip(settings, planes, boxes, counts, strict=True):
+        grids.append(candidate_patches(setting.body, setting.face, plane, box, count))
+        check_somewhere(setting, grids[-1])
+    return tuple(grids)
+
+
+def _on_one_lattice(
+    settings: Sequence[Setting], planes: Sequence[Plane], boxes: list[Box], counts: list[tuple[int, int]]
+) -> tuple[list[Box], list[tuple[int, int]]]:
+    """Return boxes and counts whose cells are those of one lattice, as fine as the finest; as they are if none serves.
+
+    A whole number of cells lies between the middles of the first two, which keep theirs; further ones move by up to
+    half a cell.
+    """
+    first = planes[0]
+    away = np.array([first.axes @ (plane.origin_mm - first.origin_mm) for plane in planes])
+    even = all(is_even(one.face, box, count) for one, box, count in zip(settings, boxes, counts, strict=True))
+    if not even or any(np.any(plane.axes != first.axes) for plane in planes) or np.any(away[:, 2]):
+        return boxes, counts
+    sizes = np.array([box.size for box in boxes])
+    middle = away[:, :2] + [((box.u0 + box.u1) / 2, (box.v0 + box.v1) / 2) for box in boxes]
+    step = (sizes / counts).min(axis=0)
+    apart = np.abs(middle[1] - middle[0])
+    step = np.where(apart > step, apart / np.maximum(np.ceil(apart / step - 1e-6), 1.0), step)
+    most = np.ceil(sizes / step - 1e-6)
+    cells = most + (most - most[0]) % 2 + (np.arange(len(boxes)) > 1)[:, None]
+    first_cell = np.rint((middle - middle[0]) / step - (cells - cells[0]) / 2)
+    whole = (first_cell + cells).max(axis=0) - first_cell.min(axis=0)
+    every = cells.prod(axis=1).sum()
+    if every > _FINER * np.prod(counts, axis=1).sum() or whole.prod() > _WIDE * every:
+        return boxes, counts
+    low = middle[0] - cells[0] * step / 2 + first_cell * step - away[:, :2]
+    high = low + cells * step
+    return (
+        [Box(u0=a, u1=b, v0=c, v1=d) for (a, c), (b, d) in zip(low.tolist(), high.tolist(), strict=True)],
+        [(int(u), int(v)) for u, v in cells],
+    )
 
 
 def find_contact(setting: Setting, control: Control, start: Floats, plane: Plane, touch_z: float) -> tuple[Box, Floats]:

@@ -30,7 +30,7 @@ from twin.world.contact.job import (
     together,
 )  # fmt: skip
 from twin.world.contact.patches import Box, Plane
-from twin.world.contact.region import check_inside, find_contact, fitted_patches, known_contact
+from twin.world.contact.region import check_inside, find_contact, fitted_grids, known_contact
 from twin.world.contact.together import Contacts, Control, Setting, of_one, touch_at
 from twin.world.contact.unilateral import Equilibrium
 
@@ -103,7 +103,7 @@ def rubbing_path(job: Job, increments: int) -> tuple[list[ContactState], str]:
         planes.append(plane)
         boxes.append(_largest_contact(job, number, plane, touch_z))
     for _ in range(TRIES):
-        contacts = Contacts(job.settings, tuple(map(fitted_patches, job.settings, planes, boxes)))
+        contacts = Contacts(job.settings, fitted_grids(job.settings, planes, boxes))
         states, reached, reason = _rubbing_on(FrictionGrid(contacts, job.friction), job, increments)
         if not outgrown(boxes, contacts, reached):
             return states, reason
