@@ -349,11 +349,12 @@ def test_pixels_of_one_marker_and_of_several_go_by_the_same_sums(make: Any, k: i
     light, free = np.full((len(near.pixels), 3), np.nan, np.float32), np.full(len(near.pixels), np.nan, np.float32)
     tallies = np.zeros((len(frame), 4))
     shade_crowded(
-        0, len(near.pixels), near.pixels, near.first, near.members, renderer._splat._corners, frame.base, frame.centres,
+        0, len(near.pixels), near.pixels, near.first, near.members, renderer._splat.corners, frame.base, frame.centres,
         frame.metric, frame.colour, frame.lamps, lists.first, lists.members, np.rint(near.centres_px).astype(np.int64),
         k, max(k // 3, 1), scene.light.ambient, True, light, free, tallies)  # fmt: skip
-    np.testing.assert_allclose(seen.light, light, atol=2e-6)
-    np.testing.assert_allclose(seen.free, free, atol=2e-6)
+    # Lanes are singles: a thin print's metric, a hundred of them across it, costs two of their digits.
+    np.testing.assert_allclose(seen.light, light, atol=5e-5)
+    np.testing.assert_allclose(seen.free, free, atol=2e-5)
     # A sub-pixel's coverage may be rounded to the next of 4096 steps.
     np.testing.assert_allclose(np.column_stack([seen.whole, seen.seen]), tallies[:, :2], rtol=1e-5, atol=2)
     assert free.min() == 0

@@ -16,6 +16,7 @@ from twin.world.picture.closed_form import (
     footprint,
     matrix_of,
     place_met,
+    relative,
 )
 from twin.world.picture.frame import OPAQUE, WEIGHT
 from twin.world.picture.nearby import Whole
@@ -34,7 +35,7 @@ def shade_crowded(
     room = most_candidates(begin, end, first)
     near, order = np.empty(room, np.int64), np.empty(room, np.int64)
     meet = np.empty((room, 7))
-    width = corners.shape[1] - 1
+    width = corners.shape[2] - 1
     for j in range(begin, end):
         middle, across, down = pixel_rays(pixels[j] // width, pixels[j] % width, corners)
         found, simple = pixel_candidates(first[j], first[j + 1], members, base, centres, metric, edge_grid, near,
@@ -98,7 +99,8 @@ def tally_whole(count: int, k: int, columns: float, rows: float, tally: Floats) 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
 def pixel_rays(row: int, column: int, corners: Floats) -> tuple[Four, Four, Four]:
     """Return a pixel's middle ray, and how rays change along its column and row."""
-    a, b, c, d = corners[row, column], corners[row, column + 1], corners[row + 1, column], corners[row + 1, column + 1]
+    a, b = corners[:, row, column], corners[:, row, column + 1]
+    c, d = corners[:, row + 1, column], corners[:, row + 1, column + 1]
     return (
         ((a[0] + b[0] + c[0] + d[0]) / 4, (a[1] + b[1] + c[1] + d[1]) / 4,
          (a[2] + b[2] + c[2] + d[2]) / 4, (a[3] + b[3] + c[3] + d[3]) / 4),
@@ -126,11 +128,12 @@ def pixel_candidates(
     for i in range(begin, end):
         marker = members[i]
         m, centre = matrix_of(metric, marker), (centres[marker, 0], centres[marker, 1], centres[marker, 2])
-        step = footprint(across, down, base - centre[2])
-        met = approach(ray, base, centre, m, step)
+        drop = base - centre[2]
+        step = footprint(across, down, drop)
+        met = approach(relative(ray, drop, centre), m, step)
         may, fills = candidate(met, m, step, k)
-        if may:
-            full = fills
+        if may > 0:
+            full = fills > 0
             near[found] = marker
             found += 1
     return found, found == 1 and full
@@ -150,7 +153,8 @@ def hits_of_sample(
     for i in range(found):
         marker = near[i]
         m, centre = matrix_of(metric, marker), (centres[marker, 0], centres[marker, 1], centres[marker, 2])
-        met = approach(ray, base, centre, m, footprint(across, down, base - centre[2]))
+        drop = base - centre[2]
+        met = approach(relative(ray, drop, centre), m, footprint(across, down, drop))
         covers = coverage(met, k)
         if covers > 0:
             x, y, z, nx, ny, nz = place_met(met, ray, m, covers, k)

@@ -13,7 +13,6 @@ from twin.world.picture.crowded import hits_of_sample, most_candidates, pixel_ca
 from twin.world.picture.frame import Frame
 from twin.world.picture.nearby import Whole
 from twin.world.picture.threads import in_parts
-from twin.world.picture.view import View
 
 NONE = -1
 """No marker."""
@@ -65,18 +64,20 @@ class PictureTruth:
     centroid_error_px: float
 
 
-def marker_map(frame: Frame, view: View, unit_mm: float, base_z_mm: float) -> tuple[Whole, Singles]:
-    """Return (height, width) numbers of the markers that pixels' middles show, and the heights z of those places."""
-    near = frame.near
-    corners = view.corners / [unit_mm, unit_mm, 1, 1]
+def marker_map(frame: Frame, corners: Floats, base_z_mm: float) -> tuple[Whole, Singles]:
+    """Return (height, width) numbers of the markers that pixels' middles show, and the heights z of those places.
+
+    ``corners`` are the rays of `twin.world.picture.splat.Splat`.
+    """
+    near, size = frame.near, (corners.shape[1] - 1, corners.shape[2] - 1)
     shown, heights = np.full(len(near.pixels), NONE, np.int32), np.full(len(near.pixels), np.nan, np.float32)
     in_parts(len(near.pixels), lambda _, begin, end: _front(
         begin, end, near.pixels, near.first, near.members, corners, frame.base, frame.centres, frame.metric,
         shown, heights))  # fmt: skip
-    marker = np.full(view.sees.shape, NONE, np.int32)
-    z_mm = np.full(view.sees.shape, np.nan, np.float32)
+    marker = np.full(size, NONE, np.int32)
+    z_mm = np.full(size, np.nan, np.float32)
     marker.ravel()[near.pixels] = shown
-    z_mm.ravel()[near.pixels] = (heights - frame.base) * unit_mm + base_z_mm
+    z_mm.ravel()[near.pixels] = (heights - frame.base) * frame.unit_mm + base_z_mm
     return marker, z_mm
 
 
@@ -89,7 +90,7 @@ def _front(
     room = most_candidates(begin, end, first)
     near, order = np.empty(room, np.int64), np.empty(room, np.int64)
     meet = np.empty((room, 7))
-    width = corners.shape[1] - 1
+    width = corners.shape[2] - 1
     for j in range(begin, end):
         middle, across, down = pixel_rays(pixels[j] // width, pixels[j] % width, corners)
         found, _ = pixel_candidates(first[j], first[j + 1], members, base, centres, metric, 1, near, middle, across,

@@ -227,7 +227,7 @@ class Renderer:
         assert camera is not None
         base = self.scene.body.base_z_mm
         optics = (camera, self.scene.material.refractive_index, base)
-        marker, z_mm = marker_map(self._frame(markers, 1), self._view, self._unit, base)
+        marker, z_mm = marker_map(self._frame(markers, 1), self._splat.corners, base)
         here, there = self.outlines(markers), self.outlines(rest)
         centre = project(markers.centres, *optics)
         return PictureTruth(

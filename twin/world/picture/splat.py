@@ -4,7 +4,7 @@ The sums are those of `twin.world.picture.wavefront`, three things cheaper. A pi
 searched, and those of one marker go through vector instructions (`twin.world.picture.lanes`). A pixel inside one
 marker's outline takes one ray where edges take k x k: shading is smooth. And the edge of a shadow is smoothed as the
 edge of a marker is, by the ray's distance to the silhouette of what blocks it, so that it needs no finer grid. All in
-numba and in double precision: rays may start anywhere, and thin or far markers lose nothing.
+numba, and rays are told from the marker that they meet: thin or far markers lose nothing.
 
 Outlines come from the same hits, in one pass with the picture or alone, and are the truth beside traced pictures too.
 
@@ -58,7 +58,8 @@ class Splat:
     """Camera and shadow rays of all pixels, on all cores."""
 
     def __init__(self, view: View, unit_mm: float, ambient: float) -> None:
-        self._corners = np.ascontiguousarray(view.corners / [unit_mm, unit_mm, 1, 1])
+        self.corners = np.ascontiguousarray(np.moveaxis(view.corners / [unit_mm, unit_mm, 1, 1], 2, 0))
+        """(4, height + 1, width + 1) rays through pixels' corners, of `View`, x and y in units of ``unit_mm``."""
         self._ambient = ambient
 
     def shade(self, frame: Frame) -> tuple[Singles, Singles]:
@@ -72,7 +73,7 @@ class Splat:
         light, free = np.empty((len(near.pixels), 3), np.float32), np.empty(len(near.pixels), np.float32)
         nearest = np.rint(near.centres_px).astype(np.int64)
         own = int(near.alone[-1])
-        lit = (self._corners, frame.base, frame.centres, frame.metric, frame.colour, frame.lamps, lists.first,
+        lit = (self.corners, frame.base, frame.centres, frame.metric, frame.colour, frame.lamps, lists.first,
                lists.members, nearest, k, max(k // _INTERIOR, 1), self._ambient, bright)  # fmt: skip
 
         def alone(_: int, begin: int, end: int) -> Any:
