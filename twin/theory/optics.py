@@ -179,7 +179,7 @@ def air_gap(camera: Camera, base_z_mm: float) -> float:
 
 
 def sideways(
-    p: Floats, depth_mm: Floats, body_index: float, layers: tuple[Layer, ...], air_mm: float
+    p: Floats, depth_mm: Floats, body_index: float, layers: tuple[Layer, ...], air_mm: Floats | float
 ) -> tuple[Floats, Floats]:
     """Return how far rays move sideways between a depth in the body and the pupil, and the derivative.
 
@@ -190,7 +190,7 @@ def sideways(
     depth_mm
         (n,) distances from the base plane into the body, mm.
     body_index, layers, air_mm
-        The stack.
+        The stack; the way in air may be another one for every ray.
 
     Returns
     -------
@@ -199,19 +199,20 @@ def sideways(
     slope
         (n,) d(reach)/dp, mm.
     """
-    reach = air_mm * p
+    reach, square = air_mm * p, p * p
     slope = np.full(np.shape(p), air_mm, float)
     stack: list[tuple[Floats | float, float]] = [(depth_mm, body_index)]
     stack += [(layer.thickness_mm, layer.index) for layer in layers]
     for thickness, index in stack:
-        root = np.sqrt(index**2 + (index**2 - 1) * p**2)
+        inside = index**2 + (index**2 - 1) * square
+        root = np.sqrt(inside)
         reach = reach + thickness * p / root
-        slope = slope + thickness * index**2 / root**3
+        slope = slope + thickness * index**2 / (inside * root)
     return reach, slope
 
 
 def air_tangents(
-    reach_mm: Floats, depth_mm: Floats, body_index: float, layers: tuple[Layer, ...], air_mm: float
+    reach_mm: Floats, depth_mm: Floats, body_index: float, layers: tuple[Layer, ...], air_mm: Floats | float
 ) -> Floats:
     """Return (n,) tangents in air of the rays that move ``reach_mm`` sideways: the inverse of `sideways`.
 

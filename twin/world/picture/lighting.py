@@ -55,42 +55,53 @@ def lamps_at(points: Points, scene: Scene) -> Lamps:
     RecipeError
         An LED lies within a layer or beside the body.
     """
+    assert scene.light is not None
+    leds, share = scene.light.points()
+    within = scene.body.contains(leds, 0.0)
+    place, power = np.empty((len(points), len(leds), 3)), np.empty((len(points), len(leds)))
+    if within.any():
+        towards = points[:, None] - leds[within]
+        cosine = -towards[:, :, 2] / np.maximum(np.linalg.norm(towards, axis=2), 1e-9)
+        place[:, within], power[:, within] = leds[within], scene.light.emission(cosine)
+    if not within.all():
+        place[:, ~within], power[:, ~within] = _refracted(points, leds[~within], scene)
+    return Lamps(place=place, power=power * share)
+
+
+def _refracted(points: Points, leds: Points, scene: Scene) -> tuple[Floats, Floats]:
+    """Return (n, leds, 3) places and (n, leds) powers of the images of (leds, 3) LEDs in air, of power 1."""
     assert scene.camera is not None
     assert scene.light is not None
     layers, index, base = scene.camera.layers, scene.material.refractive_index, scene.body.base_z_mm
     back = base + sum(layer.thickness_mm for layer in layers)
-    places, powers = [], []
-    for led, share in zip(*scene.light.points(), strict=True):
-        if scene.body.contains(led[None], 0.0)[0]:
-            towards = points - led
-            cosine = -towards[:, 2] / np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
-            places.append(np.tile(led, (len(points), 1)))
-            powers.append(share * scene.light.emission(cosine))
-            continue
-        air = led[2] - back
-        if air < -1e-9:
-            raise RecipeError(
-                f"light.positions_mm: z = {led[2]:.6g} mm must be at least {back:.6g} mm, "
-                "behind the base and the layers, or in the body: move the LED back"
-            )
-        aside = led[:2] - points[:, :2]
-        reach = np.linalg.norm(aside, axis=1)
-        depth = np.maximum(base - points[:, 2], 0.0)
-        p = air_tangents(reach, depth, index, layers, max(air, 0.0))
-        _, slope = sideways(p, depth, index, layers, max(air, 0.0))
-        near = reach <= 1e-9
-        per_reach = np.where(near, 1 / slope, p / np.where(near, 1.0, reach))
-        sine = p / np.sqrt(1 + p**2) / index
-        cosine = np.sqrt(1 - sine**2)
-        spread = (1 + p**2) ** -1.5 * per_reach / (slope * cosine)
-        distance = index / np.sqrt(spread)
-        unit = np.column_stack([aside / np.where(near, 1.0, reach)[:, None] * sine[:, None], cosine])
-        arrival = share * scene.light.emission((1 + p**2) ** -0.5) * transmission(p, index, layers)
-        crossing = points + unit * (depth / cosine)[:, None]
-        arrives = np.isfinite(p) & scene.body.contains(np.nan_to_num(crossing), -1e-6)
-        places.append(np.where(arrives[:, None], points + unit * distance[:, None], [0.0, 0.0, 2 * base]))
-        powers.append(np.where(arrives, arrival * spread * distance**2, 0.0))
-    return Lamps(place=np.stack(places, axis=1), power=np.stack(powers, axis=1))
+    if (leds[:, 2] < back - 1e-9).any():
+        raise RecipeError(
+            f"light.positions_mm: z = {leds[:, 2].min():.6g} mm must be at least {back:.6g} mm, "
+            "behind the base and the layers, or in the body: move the LED back"
+        )
+    shape = (len(points), len(leds))
+    start = np.repeat(points, len(leds), axis=0)
+    aside = (leds[:, :2] - points[:, None, :2]).reshape(-1, 2)
+    air = np.tile(np.maximum(leds[:, 2] - back, 0.0), len(points))
+    reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)
+    depth = np.maximum(base - start[:, 2], 0.0)
+    p = air_tangents(reach, depth, index, layers, air)
+    _, slope = sideways(p, depth, index, layers, air)
+    near = reach <= 1e-9
+    per_reach = np.where(near, 1 / slope, p / np.where(near, 1.0, reach))
+    square = 1 + p * p
+    leaving = 1 / np.sqrt(square)
+    sine = p * leaving / index
+    cosine = np.sqrt(1 - sine * sine)
+    spread = leaving / square * per_reach / (slope * cosine)
+    distance = index / np.sqrt(spread)
+    unit = np.column_stack([aside * (sine / np.where(near, 1.0, reach))[:, None], cosine])
+    crossing = start + unit * (depth / cosine)[:, None]
+    arrives = np.isfinite(p) & scene.body.contains(np.nan_to_num(crossing), -1e-6)
+    place = np.where(arrives[:, None], start + unit * distance[:, None], [0.0, 0.0, 2 * base])
+    # The image's distance squared times the spread is the index squared.
+    power = np.where(arrives, scene.light.emission(leaving) * transmission(p, index, layers) * index**2, 0.0)
+    return place.reshape(*shape, 3), power.reshape(shape)
 
 
 def irradiance(points: Points, normals: Floats, lamps: Lamps) -> Floats:

@@ -61,7 +61,7 @@ def near_pixels(centres: Pixels, conjugate: Floats, room: float, there: Bools, w
     end[~there] = 0
     # A point so near a stretched ellipse is within this in the ellipse's own metric.
     reach = (_LARGER + room / np.sqrt(least_eigenvalues(conjugate))) ** 2
-    spread = np.linalg.inv(conjugate) / reach[:, None, None]
+    spread = _inverses(conjugate) / reach[:, None, None]
     pixels, alone, first, members = _lists(begin, end, middle, spread, wanted)
     return Nearby(pixels=pixels, alone=alone, first=first, members=members)
 
@@ -72,6 +72,13 @@ def least_eigenvalues(matrices: Floats) -> Floats:
     larger = (a + c) / 2 + np.sqrt(((a - c) / 2) ** 2 + b**2)
     smaller: Floats = (a * c - b**2) / larger
     return smaller
+
+
+def _inverses(matrices: Floats) -> Floats:
+    """Return the inverses of (n, 2, 2) symmetric matrices."""
+    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    inverses: Floats = np.array([[c, -b], [-b, a]]).transpose(2, 0, 1) / (a * c - b**2)[:, None, None]
+    return inverses
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -91,14 +98,14 @@ def _columns(spread: Floats, middle: Floats, begin: Ints, end: Ints, i: int, row
 def _lists(begin: Ints, end: Ints, middle: Floats, spread: Floats, wanted: Bools) -> tuple[Ints, Ints, Whole, Whole]:
     """Return the arrays of `Nearby`."""
     n, width = len(begin), wanted.shape[1]
-    count = np.zeros(wanted.shape, np.int32)
+    count = np.zeros(wanted.shape, np.uint8)  # none, one or several
     total = 0
     for i in range(n):
         for row in range(begin[i, 1], end[i, 1]):
             left, right = _columns(spread, middle, begin, end, i, row)
             for column in range(left, right):
                 if wanted[row, column]:
-                    count[row, column] += 1
+                    count[row, column] = min(count[row, column] + 1, 2)
                     total += 1
     pixels, alone = np.empty(total, np.int64), np.zeros(n + 1, np.int64)
     shared_pixel, shared_marker = np.empty(total, np.int64), np.empty(total, np.int32)

@@ -1,4 +1,4 @@
-"""Which markers may stand between a marker and a lamp: a list for each pair, found in a strip of the sorted markers.
+"""Which markers may stand between a marker and a lamp: a list for each pair, found in a grid over the markers.
 
 Why lists: one marker in three has another before an LED, and then mostly one or two. Who knows them needs no search
 among all markers for a shadow.
@@ -55,19 +55,29 @@ def occluders(centres: Floats, radii: Floats, places: Floats, wanted: Bools) -> 
     """
     n, lamps = wanted.shape
     here = np.flatnonzero(np.isfinite(centres).all(axis=1) & np.isfinite(radii))
-    order = here[np.argsort(centres[here, 0], kind="stable")]
-    if len(order) == 0 or lamps == 0:
+    if len(here) == 0 or lamps == 0:
         empty = np.zeros(n * lamps + 1, np.int32)
         return Occluders(first=empty, members=np.zeros(0, np.int32), flags=np.zeros((n, lamps), bool))
-    first, members = _lists(np.ascontiguousarray(centres, float), np.asarray(radii, float), order, places, wanted)
+    # About one marker a cell; cells of one row of the grid lie one after the other.
+    side = int(np.ceil(np.sqrt(len(here))))
+    low = centres[here, :2].min(axis=0)
+    size = np.maximum((centres[here, :2].max(axis=0) - low) / side, 1e-9)
+    column, row = np.minimum((centres[here, :2] - low) / size, side - 1).astype(np.int64).T
+    cell = row * side + column
+    order = here[np.argsort(cell, kind="stable")]
+    begin = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=side * side))])
+    first, members = _lists(np.ascontiguousarray(centres, float), np.asarray(radii, float), order, begin, low, size,
+                            places, wanted)  # fmt: skip
     return Occluders(first=first, members=members, flags=np.diff(first).reshape(n, lamps) > 0)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _lists(
-    centres: Floats, radii: Floats, order: Ints, places: Floats, wanted: Bools
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    centres: Floats, radii: Floats, order: Ints, begin: Ints, origin: Floats, size: Floats, places: Floats,
+    wanted: Bools,
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:  # fmt: skip
     n, lamps = wanted.shape
+    side = int(np.sqrt(len(begin) - 1) + 0.5)
     xs, ys, zs, rs = centres[order, 0], centres[order, 1], centres[order, 2], radii[order]
     largest = rs.max()
     bottom, top = zs.min() - 2 * _ROOM * largest, zs.max() + 2 * _ROOM * largest
@@ -86,23 +96,26 @@ def _lists(
                 elif dz < 0:
                     end = min(end, (bottom - cz) / dz)
                 room = _ROOM * (radii[i] + largest)
-                left, right = min(cx, cx + dx * end) - room, max(cx, cx + dx * end) + room
-                low, high = min(0.0, dy * end) - room, max(0.0, dy * end) + room
+                left, right = _cells(cx, cx + dx * end, room, origin[0], size[0], side)
+                low, high = _cells(cy, cy + dy * end, room, origin[1], size[1], side)
                 dx, dy, dz = dx / length, dy / length, dz / length
-                at = np.searchsorted(xs, left)
-                while at < len(xs) and xs[at] <= right:
-                    wx, wy, wz = xs[at] - cx, ys[at] - cy, zs[at] - cz
-                    if wy < low or wy > high:
-                        at += 1
-                        continue
-                    along = wx * dx + wy * dy + wz * dz
-                    reach = _ROOM * (radii[i] + rs[at])
-                    aside = wx * wx + wy * wy + wz * wz - along * along
-                    if along > -reach and along < length + reach and aside < reach * reach and order[at] != i:
-                        if used == len(members):
-                            members = np.concatenate((members, np.empty_like(members)))
-                        members[used] = order[at]
-                        used += 1
-                    at += 1
+                for row in range(low, high + 1):
+                    for at in range(begin[row * side + left], begin[row * side + right + 1]):
+                        wx, wy, wz = xs[at] - cx, ys[at] - cy, zs[at] - cz
+                        along = wx * dx + wy * dy + wz * dz
+                        reach = _ROOM * (radii[i] + rs[at])
+                        aside = wx * wx + wy * wy + wz * wz - along * along
+                        if along > -reach and along < length + reach and aside < reach * reach and order[at] != i:
+                            if used == len(members):
+                                members = np.concatenate((members, np.empty_like(members)))
+                            members[used] = order[at]
+                            used += 1
             first[i * lamps + lamp + 1] = used
     return first, members[:used].copy()
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _cells(one: float, other: float, room: float, origin: float, size: float, side: int) -> tuple[int, int]:
+    """Return the first and the last row or column of cells near a way from one place to another."""
+    low, high = (min(one, other) - room - origin) / size, (max(one, other) + room - origin) / size
+    return int(max(min(low, side - 1.0), 0.0)), int(max(min(high, side - 1.0), 0.0))

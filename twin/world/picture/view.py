@@ -110,11 +110,11 @@ def _corner_rays(grid: Pixels, scene: Scene) -> tuple[Floats, Bools, Floats]:
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def compose(picture: Singles, pixels: Ints, light: Singles, free: Singles, vignette: Singles) -> None:
     """Put (m, 3) light from markers over what (m,) free shares of pixels leave of a picture of the cover, in place."""
-    width = picture.shape[1]
+    there, passed = picture.reshape(-1, 3), vignette.reshape(-1)
     for j in range(len(pixels)):
-        row, column = pixels[j] // width, pixels[j] % width
+        at = pixels[j]
         for c in range(3):
-            picture[row, column, c] = picture[row, column, c] * free[j] + light[j, c] * vignette[row, column]
+            there[at, c] = there[at, c] * free[j] + light[j, c] * passed[at]
 
 
 @dataclass(frozen=True, kw_only=True)
