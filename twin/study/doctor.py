@@ -9,6 +9,7 @@ import os
 import platform
 from dataclasses import dataclass
 
+from twin.errors import MissingCapability
 from twin.places import MESHES, SCENES, cache_folder
 
 NEEDED = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pytetwild", "trimesh", "pyvista", "pydantic")
@@ -46,8 +47,11 @@ def examine() -> Examination:
         from twin.world.elasticity.solve import available_solvers
         from twin.world.picture.variant import choose_variant
 
-        variant = choose_variant()
-        lines.append(f"renderer    {variant.name}: {variant.reason}")
+        try:
+            variant = choose_variant()
+            lines.append(f"renderer    {variant.name}: {variant.reason}")
+        except MissingCapability as problem:
+            missing.append(str(problem))
         lines.append(f"solver      {', '.join(available_solvers())}")
     has_gl = all(ctypes.util.find_library(name) for name in ("GL", "EGL"))
     lines.append(f"GL          {'found' if has_gl else 'not found: only interactive 3-D windows need it'}")

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from twin.errors import InputError, MissingCapability
+from twin.study.doctor import examine
 from twin.world.picture import variant
 from twin.world.picture.variant import REMEDY, choose_variant
 
@@ -21,6 +22,7 @@ def _own_surroundings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(variant, "cache_folder", lambda: tmp_path)
     monkeypatch.delenv(variant.FORCE, raising=False)
     monkeypatch.setenv(variant.LIBRARY, "")
+    monkeypatch.delenv(variant.DRIVER, raising=False)
     monkeypatch.setattr(variant, "_DRIVERS", ())
 
 
@@ -102,7 +104,28 @@ def test_a_gpu_on_which_mitsuba_works_goes_first_and_another_is_passed_by(
         choose_variant("llvm_ad_rgb", candidates=[])
 
 
-@pytest.mark.parametrize("name", ["scalar_rgb", "cuda_ad_rgb", "splat"])
+def test_a_gpu_that_is_asked_for_must_be_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    verdicts = {"": "Mitsuba on it ends with code 1"}
+    monkeypatch.setattr(variant, "_try", lambda library, way: verdicts[library])
+    monkeypatch.setenv(variant.FORCE, "cuda_ad_rgb")
+    with pytest.raises(MissingCapability, match=r"ends with code 1.*unset TWIN_VARIANT"):
+        choose_variant()
+    assert any("unset TWIN_VARIANT" in said for said in examine().missing)
+    verdicts[""] = "good"
+    assert choose_variant().name == "cuda_ad_rgb"
+
+
+def test_the_driver_that_the_user_names_is_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = tmp_path / "libcuda.so.1"
+    driver.write_bytes(b"")
+    monkeypatch.setenv(variant.DRIVER, str(driver))
+    monkeypatch.setattr(variant, "_try", lambda library, way: "good" if way == "cuda_ad_rgb" else "bad")
+    chosen = choose_variant(candidates=[])
+    assert chosen.name == "cuda_ad_rgb"
+    assert str(driver) in chosen.reason
+
+
+@pytest.mark.parametrize("name", ["scalar_rgb", "splat"])
 def test_the_environment_forces_a_variant(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(variant.FORCE, name)
     assert choose_variant(candidates=[]).name == name

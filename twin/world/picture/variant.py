@@ -28,6 +28,7 @@ from twin.places import cache_folder
 
 FORCE = "TWIN_VARIANT"
 LIBRARY = "DRJIT_LIBLLVM_PATH"
+DRIVER = "DRJIT_LIBCUDA_PATH"
 VARIANTS = ("llvm_ad_rgb", "scalar_rgb", "cuda_ad_rgb", "splat")
 OLDEST = 19
 REMEDY = "install LLVM 19 or later (Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to its library"
@@ -49,6 +50,7 @@ _DRIVERS = (
     "/usr/lib64/libcuda.so.1",
     "/usr/lib/libcuda.so.1",
     "/usr/lib/wsl/lib/libcuda.so.1",
+    "/usr/local/nvidia/lib64/libcuda.so.1",
     "C:/Windows/System32/nvcuda.dll",
 )
 
@@ -127,15 +129,22 @@ def choose_variant(force: str | None = None, candidates: Iterable[str] | None = 
     InputError
         An unknown variant is forced.
     MissingCapability
-        ``llvm_ad_rgb`` is forced and no library for it works.
+        ``llvm_ad_rgb`` is forced and no library for it works, or ``cuda_ad_rgb`` and there is no GPU that does.
     """
     name = force or os.environ.get(FORCE) or ""
     if name and name not in VARIANTS:
         raise InputError(f"{FORCE} is {name!r}; it must be one of {', '.join(VARIANTS)}, or unset")
-    if name in ("scalar_rgb", "cuda_ad_rgb", "splat"):
+    if name in ("scalar_rgb", "splat"):
         return Variant(name=name, library=None, reason=f"{name} was asked for")
-    if not name and (driver := _working_driver()):
+    if name != "llvm_ad_rgb" and (driver := _working_driver()):
         return Variant(name="cuda_ad_rgb", library=None, reason=f"{driver} and Mitsuba on it work")
+    if name == "cuda_ad_rgb":
+        if (verdict := _try("", name)) != "good":  # Dr.Jit may know of another driver than we do
+            raise MissingCapability(
+                f"cuda_ad_rgb was asked for, but no GPU can be used here ({verdict}): install NVIDIA's driver, set "
+                f"{DRIVER} to its libcuda, or unset {FORCE} for the best way that works"
+            )
+        return Variant(name=name, library=None, reason=f"{name} was asked for")
     refused = []
     for library in _libraries() if candidates is None else candidates:
         verdict = _verdict(library)
@@ -151,7 +160,7 @@ def choose_variant(force: str | None = None, candidates: Iterable[str] | None = 
 
 def _working_driver() -> str | None:
     """Return NVIDIA's driver where there is one on which Mitsuba works."""
-    found = (path for place in _DRIVERS for path in glob.glob(place))
+    found = [*filter(None, [os.environ.get(DRIVER)]), *(path for place in _DRIVERS for path in glob.glob(place))]
     return next((path for path in found if _verdict(path, "cuda_ad_rgb") == "good"), None)
 
 
