@@ -63,7 +63,7 @@ COUNT = 24
 """Samples that are timed, after as many that warm up."""
 
 FEW = 4
-"""Of the finger, whose contacts take seconds, and of the quick form."""
+"""Of the quick form."""
 
 MANY = 96
 """Of tractions without pictures, which take milliseconds: by then all sizes of bumps were met."""
@@ -76,8 +76,6 @@ def run(quick: bool) -> list[dict[str, Any]]:
 
 
 def _count(name: str, scene: str) -> int:
-    if scene == "dataset_sato":
-        return FEW
     return MANY if scene == "dataset_tractions" and "no pictures" in name else COUNT
 
 

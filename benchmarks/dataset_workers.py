@@ -1,7 +1,9 @@
 """What handing shards to dask workers costs, by CPU seconds of all processes: client, scheduler and workers.
 
 Workers are warmed up first. Every shard says how many CPU seconds its samples took; whatever else all processes spend
-until the last shard is there (messages, the way of the bytes, heartbeats) is the overhead.
+until the last shard is there (messages, the way of the bytes, heartbeats) is the overhead. Heartbeats go by the clock,
+tasks or none: where other programs take most of the cores, they come more often per sample. So what idle processes
+spend is measured, too, and from that what the overhead is where workers have the cores for themselves.
 """
 
 from __future__ import annotations
@@ -21,6 +23,9 @@ from twin.study.recipe import load_scene
 
 WARM = 3
 """Shards of every worker before the clock is started."""
+
+IDLE_S = 5.0
+"""How long idle processes are watched."""
 
 
 def timed(folder: Path, shard: int) -> tuple[ShardBytes, float]:
@@ -49,10 +54,13 @@ def rows(name: str, scene: str, overrides: dict[str, Any], samples: int) -> list
                 clock, before = time.perf_counter(), _cpu()
                 spent = sum(done.result[1] for done in run_tasks(job, range(warm, warm + shards), scheduler=address))
                 wall, cpu = time.perf_counter() - clock, _cpu() - before
+                idle = _idle() if workers else 0.0
         count = shards * each
         how = f"dask, {workers} worker{'s' if workers > 1 else ''}" if workers else "one process"
+        own_cores = (cpu - idle * wall) / spent - 1 + idle / max(1, workers)
         found.append({"what": f"{name}, {how}", "samples": count, "total": 1000 * cpu / count,
-                      "overhead_percent": 100 * (cpu / spent - 1), "per_s_wall": count / wall})  # fmt: skip
+                      "overhead_percent": 100 * (cpu / spent - 1), "on_own_cores_percent": 100 * own_cores,
+                      "idle_ms_per_s": 1000 * idle, "per_s_wall": count / wall})  # fmt: skip
     return found
 
 
@@ -71,6 +79,13 @@ def _pool(workers: int) -> Iterator[str | None]:
     with LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
                       memory_limit=0, host="127.0.0.1") as cluster:  # fmt: skip
         yield cluster.scheduler_address
+
+
+def _idle() -> float:
+    """Return the CPU seconds that idle processes spend in a second."""
+    clock, before = time.perf_counter(), _cpu()
+    time.sleep(IDLE_S)
+    return (_cpu() - before) / (time.perf_counter() - clock)
 
 
 def _cpu() -> float:
