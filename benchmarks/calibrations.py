@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.__main__ import RESULTS, table
-from benchmarks.inverse_truth import BETWEEN, EDGE, SENSORS, Truth, design, sensors
+from benchmarks.inverse_truth import BETWEEN, EDGE, LAWN, SENSORS, Truth, design, sensors
 from twin.arrays import Floats
+from twin.parts.load import Rectangles
 from twin.parts.pipeline import Sites
 from twin.parts.scene import Scene
 from twin.sense.calibration import Calibration
@@ -27,7 +28,8 @@ from twin.sense.fit_design import Fit, Presses, fit
 from twin.sense.reconstruct import reconstruct
 from twin.sense.single import single_contact
 from twin.sense.track import Found
-from twin.study.calibrate import hertz_radius
+from twin.sense.transfer import fill_between, from_presses
+from twin.study.calibrate import FOOTPRINT, hertz_radius
 from twin.study.fitted import FittedDesign
 from twin.study.sensor import on_grid, on_surface
 
@@ -40,6 +42,13 @@ PLACES: dict[int, list[tuple[float, float]]] = {
     5: [(0.0, 0.0), (2.5, 2.5), (2.5, -2.5), (-2.5, 2.5), (-2.5, -2.5)],
 }
 PLACES[9] = [*PLACES[5], (5.0, 5.0), (5.0, -5.0), (-5.0, 5.0), (-5.0, -5.0)]
+PLACES[25] = LAWN
+GRID = np.arange(-5.0, 5.1, 2.5)
+"""Of Sato's places, along either direction, mm."""
+
+MEASURED = {"Sato's H, interpolated": False, "Sato's H, the design in between": True}
+"""Ways of using a free matrix between the pressed places: whether the nominal design carries the shape."""
+
 FINE = Sites(columns=17, rows=17, pitch_mm=0.7)
 """Sites that a single contact is sought between."""
 
@@ -57,7 +66,8 @@ def run(quick: bool) -> list[dict[str, Any]]:
     if quick:
         return summary(study(range(2), covered=False, counts=(0, 5)))
     cases = study(range(SENSORS), covered=True, counts=(5,)) + study(range(FEW), covered=False, counts=(5, 0))
-    cases += study(range(FEWEST), covered=False, counts=(1, 2, 9))
+    cases += study(range(FEWEST), covered=False, counts=(1, 2, 9, 25))
+    cases += free_matrices(range(FEW))
     return summary(cases)
 
 
@@ -103,45 +113,93 @@ def drawn(twin: FittedDesign) -> Fit:
 
 
 def errors(truth: Truth, number: int, twin: FittedDesign, found: Fit, presses: Presses) -> dict[str, float]:
-    """Return one sensor's errors."""
+    """Return one sensor's errors by a fit."""
     scene = truth.scene
     rest = presses.rest_px if found.residual_px else np.full_like(presses.rest_px, np.nan)
     markers, _ = twin.markers_of(found.scaled, rest)
-    out: dict[str, float] = {"residual_px": found.residual_px}
-    squares = on_surface(scene.body, np.array(BETWEEN + EDGE), 0.625, "squares")
-    transfer = twin.transfer(found.scaled, markers, twin.compliance(found.scaled, markers, squares))
-    for index, place in enumerate(BETWEEN + EDGE):
-        exact = truth.square(place, 0.625)[number]
-        part = transfer.reshape(len(transfer), -1, 3)[:, index]
-        out[f"transfer {place}"] = float(np.linalg.norm(part - exact) / np.linalg.norm(exact))
+    transfer = twin.transfer(found.scaled, markers, twin.compliance(found.scaled, markers, squares(scene)))
     fine = calibration(scene, twin, found, markers, FINE)
-    radius = twin.footprint_mm(found.scaled, 0)
-    for index, place in enumerate(BETWEEN + EDGE):
-        step = truth.press(place, 1)[0]
-        random = np.random.default_rng([number, 2, index])
-        told = as_found(fine, step.shift_px[number] + random.normal(0, NOISE_PX, rest.shape))
-        force = step.force_n[number]
-        known = (place[0] / FINE.pitch_mm + 8, place[1] / FINE.pitch_mm + 8)
-        at_place = single_contact(told, fine, place=known, radius_mm=radius)
-        sought = single_contact(told, fine, radius_mm=radius)
-        centre = scene.body.chart_points(np.array([place]))[0]
-        out[f"known {place}"] = float(np.linalg.norm(at_place.force_n - force) / np.linalg.norm(force))
-        out[f"sought {place}"] = float(np.linalg.norm(sought.force_n - force) / np.linalg.norm(force))
-        out[f"place_mm {place}"] = float(np.linalg.norm(sought.place_mm - centre))
+    out = {"residual_px": found.residual_px}
+    out |= known_errors(truth, number, transfer, fine, twin.footprint_mm(found.scaled, 0))
     if not truth.covered:
         out |= totals(truth, number, calibration(scene, twin, found, markers, scene.reconstruction.sites))
     return out
 
 
+def free_matrices(numbers: Any) -> list[dict[str, Any]]:
+    """Return every sensor's errors by a free matrix, measured at Sato's 25 places by 75 presses."""
+    scene = design()
+    truth, out = Truth(scene, sensors(scene), False), []
+    radius = hertz_radius(scene, scene.calibration.press_force_n)
+    places = on_surface(scene.body, np.array(LAWN), FOOTPRINT * radius, "places")
+    twin = FittedDesign(scene, places, np.full(len(places), radius))
+    for number in numbers:
+        presses = measured(truth, number, LAWN)
+        found = drawn(twin)
+        markers, _ = twin.markers_of(found.scaled, np.full_like(presses.rest_px, np.nan))
+        own = from_presses(
+            presses.force_n.reshape(-1, 3, 3).transpose(0, 2, 1), presses.shift_px.reshape(len(LAWN), 3, -1)
+        )
+
+        def nominal(at: Rectangles, found: Fit = found, markers: Floats = markers) -> Floats:
+            return twin.transfer(found.scaled, markers, twin.compliance(found.scaled, markers, at))
+
+        fine = calibration(scene, twin, found, markers, FINE)
+        coarse = calibration(scene, twin, found, markers, scene.reconstruction.sites)
+        wanted = {"squares": nominal(squares(scene)), "fine": fine.transfer, "coarse": coarse.transfer}
+        charts = {
+            "squares": np.array(BETWEEN + EDGE), "fine": FINE.chart(), "coarse": scene.reconstruction.sites.chart(),
+        }  # fmt: skip
+        there = nominal(places)
+        for name, helped in MEASURED.items():
+            filled = {
+                key: fill_between(own, helped * there, helped * value, (GRID, GRID), charts[key])
+                for key, value in wanted.items()
+            }
+            case: dict[str, Any] = {"places": 25, "covered": False, "sensor": number, "way": name, "residual_px": 0.0}
+            case |= known_errors(truth, number, filled["squares"], linear(fine, filled["fine"]), radius)
+            case |= totals(truth, number, linear(coarse, filled["coarse"]))
+            out.append(case)
+            print(json.dumps(case), file=sys.stderr, flush=True)
+    return out
+
+
+def squares(scene: Scene) -> Rectangles:
+    """Return the squares whose transfer is compared."""
+    return on_surface(scene.body, np.array(BETWEEN + EDGE), 0.625, "squares")
+
+
+def linear(one: Calibration, transfer: Floats) -> Calibration:
+    """Return a calibration with another transfer matrix and no camera to follow."""
+    return replace(
+        one, transfer=transfer, compliance=np.zeros((0, 0), np.float32), marker_mm=np.zeros((0, 3)), camera="{}"
+    )  # fmt: skip
+
+
+def known_errors(truth: Truth, number: int, transfer: Floats, fine: Calibration, radius: float) -> dict[str, float]:
+    """Return the errors of a (2n, 3q) transfer at the squares, and of presses there by a calibration on `FINE`."""
+    out = {}
+    for index, place in enumerate(BETWEEN + EDGE):
+        exact = truth.square(place, 0.625)[number]
+        part = transfer.reshape(len(transfer), -1, 3)[:, index]
+        out[f"transfer {place}"] = float(np.linalg.norm(part - exact) / np.linalg.norm(exact))
+        step = truth.press(place, 1)[0]
+        random = np.random.default_rng([number, 2, index])
+        told = as_found(fine, step.shift_px[number] + random.normal(0, NOISE_PX, fine.layout_px.shape))
+        force = step.force_n[number]
+        known = (place[0] / FINE.pitch_mm + 8, place[1] / FINE.pitch_mm + 8)
+        at_place = single_contact(told, fine, place=known, radius_mm=radius)
+        sought = single_contact(told, fine, radius_mm=radius)
+        centre = truth.scene.body.chart_points(np.array([place]))[0]
+        out[f"known {place}"] = float(np.linalg.norm(at_place.force_n - force) / np.linalg.norm(force))
+        out[f"sought {place}"] = float(np.linalg.norm(sought.force_n - force) / np.linalg.norm(force))
+        out[f"place_mm {place}"] = float(np.linalg.norm(sought.place_mm - centre))
+    return out
+
+
 def totals(truth: Truth, number: int, own: Calibration) -> dict[str, float]:
     """Return the total's error under distributed loads, by this calibration and by the exact transfer matrix."""
-    exact = replace(
-        own,
-        transfer=truth.sites()[number],
-        compliance=np.zeros((0, 0), np.float32),
-        marker_mm=np.zeros((0, 3)),
-        camera="{}",
-    )
+    exact = linear(own, truth.sites()[number])
     wrong: dict[str, list[float]] = {"total": [], "total, exact H": []}
     for seed in range(BUMPS):
         (step,), _ = truth.bumps(seed)
@@ -179,11 +237,12 @@ def as_found(calibration: Calibration, shift_px: Floats) -> Found:
 def summary(cases: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return one row a way and truth: root mean square and worst over sensors and places, percent and mm."""
     rows = []
-    for covered, count in sorted({(c["covered"], c["places"]) for c in cases}):
-        mine = [c for c in cases if (c["covered"], c["places"]) == (covered, count)]
+    for covered, count, way in sorted({(c["covered"], c["places"], c.get("way", "")) for c in cases}):
+        mine = [c for c in cases if (c["covered"], c["places"], c.get("way", "")) == (covered, count, way)]
         row: dict[str, Any] = {
             "truth": "covered" if covered else "bare",
-            "calibration": f"fitted, {count} place{'s' * (count > 1)}" if count else "as drawn",
+            "calibration": way or (f"fitted, {count} place{'s' * (count > 1)}" if count else "as drawn"),
+            "presses": 3 * count,
             "sensors": len(mine),
         }
         for what, scale, unit in (
@@ -208,7 +267,8 @@ def main() -> None:
     stored = json.loads((RESULTS / "calibrations.json").read_text())
     told = [
         {
-            "truth": row["truth"], "calibration": row["calibration"], "sensors": row["sensors"],
+            "truth": row["truth"], "calibration": row["calibration"], "presses": row["presses"],
+            "sensors": row["sensors"],
             "transfer, between %": row["transfer %"], "transfer, edge %": row["transfer %, edge"],
             "transfer, worst %": max(row["transfer %, worst"], row["transfer %, edge, worst"]),
             "force at a known place %": row["known %"], "edge %": row["known %, edge"],

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from twin.arrays import Floats
-from twin.judge.resolution import field_errors, widths
+from twin.judge.resolution import dip, field_errors, two_point_distance, widths
 from twin.judge.score import into_cells
 from twin.parts.load import Traction
 from twin.sense.calibration import Calibration
 from twin.sense.cone import Quadratic
-from twin.sense.force_map import force_map
+from twin.sense.force_map import force_map, in_units
 from twin.sense.problem import problem_of
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
@@ -41,9 +42,15 @@ WAYS: dict[str, dict[str, Any]] = {
     "smooth, cone, mu half": {"friction": FRICTION / 2},
     "smooth, cone, mu twice": {"friction": 2 * FRICTION},
     "smooth, robust, 2 % wrong vectors": {"robust": True},
+    "local": {"method": "local"},
+    "local, pushes": {"method": "local", "push_only": True},
+    "local, cone": {"method": "local", "friction": FRICTION},
 }
+FITTED = ("smooth", "local")
+"""The ways that are shown with the twin fitted as well."""
 
-FITTED = "smooth, fitted twin"
+APART = np.arange(2.0, 6.1, 0.5)
+"""Distances of two pushes, mm."""
 
 
 @one_thread()
@@ -55,8 +62,9 @@ def run(quick: bool) -> list[dict[str, Any]]:
     some = loads[: 3 if quick else 30]
     return [
         *(way(calibration, some, name) for name in WAYS),
-        by_fitted_twin(len(some)),
+        *by_fitted_twin(len(some)),
         weights(calibration, loads),
+        *width(sensor, APART[2::2] if quick else APART),
         *speed(calibration, loads[0]),
     ]
 
@@ -117,13 +125,13 @@ def way(calibration: Calibration, loads: list[Any], name: str) -> dict[str, Any]
     }  # fmt: skip
 
 
-def by_fitted_twin(count: int) -> dict[str, Any]:
+def by_fitted_twin(count: int) -> list[dict[str, Any]]:
     """Return the errors with the twin fitted to five pictured presses and the rest picture, on the same loads."""
     told = {"calibration.method": "fitted", "calibration.presses": None, "calibration.file": None}
     sensor = Sensor(load_scene("kamiyama_pillar", overrides=told))
     calibration = calibration_of(sensor)
     loads = [case(sensor, calibration, seed) for seed in range(count)]
-    return {**way(calibration, loads, "smooth"), "what": FITTED}
+    return [{**way(calibration, loads, name), "what": f"{name}, fitted twin"} for name in FITTED]
 
 
 def weights(calibration: Calibration, loads: list[Any]) -> dict[str, Any]:
@@ -146,26 +154,43 @@ def weights(calibration: Calibration, loads: list[Any]) -> dict[str, Any]:
     return {"what": what, "loads": len(loads)}
 
 
-def width(sensor: Sensor) -> dict[str, Any]:
-    """Return the width of the estimate of a point push of 3 N on sites of 1 mm, beside the design limit's."""
+def width(sensor: Sensor, apart: Floats) -> list[dict[str, Any]]:
+    """Return widths of the estimate of a point push of 3 N, and least distances of two, on sites of 1 mm.
+
+    In the last row the design limit's.
+    """
     sites = {"columns": 29, "rows": 23, "pitch_mm": 1.0}
     scene = load_scene("kamiyama_pillar", overrides={f"reconstruction.sites.{k}": v for k, v in sites.items()})
     calibration = calibration_of(Sensor(scene))
-    load = sensor.rectangles(Traction.disk((0.0, 0.0), 0.3, (0.0, 0.0, 3.0)))
     points = sensor.actual.markers.points
-    shift = sensor.project(points + sensor.compliance.displacement(points, load)) - sensor.project(points)
-    found = []
-    for seed in range(5):
+    x, middle = np.arange(-14.0, 15.0), sites["rows"] // 2
+
+    def seen(*places: float, seed: int) -> Found:
+        """Return what is tracked under point pushes along x."""
+        pushes = [Traction.disk((float(place), 0.0), 0.3, (0.0, 0.0, 3.0)) for place in places]
+        load = sensor.rectangles(sum(pushes[1:], pushes[0]))
+        shift = sensor.project(points + sensor.compliance.displacement(points, load)) - sensor.project(points)
         noise = np.random.default_rng([seed, 9]).normal(0, NOISE_PX, shift.shape)
-        field = reconstruct(as_found(calibration, shift + noise), calibration)
-        found.append(np.mean(widths(field.force_n[:, 2], calibration.grid, 1.0)))
+        return as_found(calibration, shift + noise)
+
+    rows = []
+    for name in ("smooth", "smooth, cone", "local"):
+        told = WAYS[name]
+        one = [reconstruct(seen(0.0, seed=seed), calibration, **told).force_n[:, 2] for seed in range(5)]
+        two = [reconstruct(seen(-d / 2, d / 2, seed=0), calibration, **told).force_n[:, 2] for d in apart]
+        dips = [dip(x, push.reshape(calibration.grid)[:, middle], d) for push, d in zip(two, apart, strict=True)]
+        wide = float(np.mean([widths(push, calibration.grid, 1.0) for push in one]))
+        rows.append({
+            "what": f"point push, {name}", "width mm": wide, "two points mm": two_point_distance(apart, np.array(dips)),
+        })  # fmt: skip
     layers = scene.markers.values()
     limit = design_limit(
         depth_mm=np.array([[v.depth_mm for v in layers]]), pitch_mm=np.array([[v.pitch_mm for v in layers]]),
         noise_mm=np.full((1, 2), NOISE_PX * 0.05), youngs_modulus_mpa=np.array([scene.material.youngs_modulus_mpa]),
         poisson_ratio=np.array([scene.material.poisson_ratio]), force_n=np.array([3.0]), radius_mm=np.array([2.5]),
-    ).fwhm_normal_mm[0]  # fmt: skip
-    return {"what": f"width of a point push {np.mean(found):.2f} mm, design limit {limit:.2f} mm", "loads": 5}
+    )  # fmt: skip
+    told_limit = {"width mm": float(limit.fwhm_normal_mm[0]), "two points mm": float(limit.two_point_mm[0])}
+    return [*rows, {"what": "point push, design limit", **told_limit}]
 
 
 def speed(calibration: Calibration, one: Any) -> list[dict[str, Any]]:
@@ -173,13 +198,21 @@ def speed(calibration: Calibration, one: Any) -> list[dict[str, Any]]:
     found = one[0]
     weight = reconstruct(found, calibration).weight
     fast = force_map(calibration, weight)
-    rows = [{"what": "linear map, flat, 540 x 1272", "CPU ms": _cpu(lambda: fast.forces(found.shift_px), 300)}]
+    rows = [
+        {"what": "linear map, flat, 540 x 1272", "CPU ms": _cpu(lambda: fast.forces(found.shift_px), 300)},
+        {
+            "what": "local, flat, 180 sites",
+            "CPU ms": _cpu(lambda: reconstruct(found, calibration, method="local"), 2),
+        },
+    ]
     random = np.random.default_rng(1)
-    small = random.normal(0, 1, (75, 122)).astype(np.float32)
-    shift = random.normal(0, 1, 122).astype(np.float32)
-    rows.append({"what": "linear map, finger, 75 x 122", "CPU ms": _cpu(lambda: small @ shift, 3000)})
-    for columns, rows_count, pitch in ((15, 12, 2.0), (20, 16, 1.5)):
-        rows += constrained(columns, rows_count, pitch, one)
+    for what, rows_count, markers in (("flat", 960, 636), ("finger", 75, 61)):
+        drawn = in_units(random.normal(0, 1, (rows_count, 2 * markers)), np.zeros((0, 0)))
+        shift = random.normal(0, 1, (markers, 2))
+        name = f"linear map, {what}, {rows_count} x {2 * markers}"
+        rows.append({"what": name, "CPU ms": _cpu(partial(drawn.forces, shift), 300 if markers > 100 else 3000)})
+    for columns, high, pitch in ((15, 12, 2.0), (20, 16, 1.5)):
+        rows += constrained(columns, high, pitch, one)
     return rows
 
 

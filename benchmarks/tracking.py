@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.__main__ import RESULTS, table
 from benchmarks.discs import bound_px, expose, scene
-from twin.sense.force_map import ForceMap
+from twin.sense.force_map import in_units
 from twin.sense.rest import Method
 from twin.sense.track import Tracker, analyse_rest, track_frame
 from twin.study.batch.engine import one_thread
@@ -191,8 +191,7 @@ def _chains(design: Design, frames: int, repeats: int) -> Iterator[dict[str, Any
     layout = design.layout()
     count = 2 * sum(map(len, layout.values()))
     random = np.random.default_rng(0)
-    force = ForceMap(matrix=random.normal(0, 1e-3, (3 * design.sites, count)).astype(np.float32),
-                     predicted=np.zeros((count, count)))  # fmt: skip
+    force = in_units(random.normal(0, 1e-3, (3 * design.sites, count)), np.zeros((count, count)))
     there_and_back = [*pictures, *reversed(pictures)]
     for sensors in (1, 4) if design is FINGER else (1,):
         trackers = [Tracker(pictures[0], layout) for _ in range(sensors)]

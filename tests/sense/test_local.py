@@ -111,6 +111,15 @@ def test_with_bounds_and_wrong_vectors():
     assert field.total_force_n == pytest.approx([0.8, 0, 2.0], abs=0.06)
 
 
+@pytest.mark.parametrize("weight", [0.0, 1e-300, 1e-12, 1e12, 1e300])
+def test_any_weight(weight):
+    field = reconstruct(pressed(FINGER, (1, 0.5), 3.0, (0.3, 0, 3.0)), FINGER[2], "local", weight)
+    assert np.isfinite(field.force_n).all()
+    assert np.isfinite(field.sd_force_n).all()
+    if weight < 1:
+        assert field.total_force_n[2] == pytest.approx(3.0, rel=0.05)
+
+
 def test_expected_sizes():
     """A lone force is expected around its site, and far away none is."""
     force = np.zeros((9 * 9, 3))

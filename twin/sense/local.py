@@ -38,7 +38,9 @@ half of it. A press this much weaker than the strongest goes unseen, so it is no
 
 def expected(force_n: Floats, grid: tuple[int, int]) -> Floats:
     """Return (k,) the size of the forces that (k, 3) forces lead to expect, over the largest; 0 below `LEAST`."""
-    squared = gaussian_filter((force_n**2).sum(axis=1).reshape(grid), AROUND, mode="constant").ravel()
+    squared = gaussian_filter(
+        ((force_n / np.abs(force_n).max()) ** 2).sum(axis=1).reshape(grid), AROUND, mode="constant"
+    ).ravel()
     size = np.sqrt(squared / squared.max())
     return np.where(size > LEAST, size, 0.0)
 
