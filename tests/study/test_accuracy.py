@@ -36,14 +36,8 @@ class Rung:
     def __init__(self, level, error):
         self.level, self._error = level, error
 
-    def expected_error(self, load, points=None):
-        return self._error
-
-    def displacement(self, points, load):
-        return np.full((1, 3), WORLD.index(self.level), float)
-
-    def answer(self, points, load):
-        return self.displacement(points, load), self._error
+    def answer(self, points, load, enough=0.0):
+        return np.full((1, 3), WORLD.index(self.level), float), self._error
 
 
 ERRORS = {"coarse": 8e-3, "standard": 2e-3, "fine": 5e-4}

@@ -10,6 +10,9 @@ from pydantic import Field
 from twin.arrays import Chart, Floats, Points
 from twin.parts.shape import Body
 
+_AXES = np.eye(3)
+_INWARD = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]], float)
+
 
 class Block(Body):
     """A rectangular block, its sensing face z = 0 centred on the origin, bonded at z = thickness.
@@ -42,11 +45,12 @@ class Block(Body):
         return out.T
 
     def piece_normals(self, points: Points) -> Floats:
-        inward = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]], float)
-        return np.broadcast_to(inward, (len(points), 6, 3))
+        return np.broadcast_to(_INWARD, (len(points), 6, 3))
 
     def frames(self, points: Points) -> Floats:
-        return np.tile(np.eye(3), (len(points), 1, 1))
+        out = np.empty((len(points), 3, 3))
+        out[:] = _AXES
+        return out
 
     def chart_points(self, chart: Chart, depth_mm: Floats | float = 0.0) -> Points:
         chart = np.asarray(chart, float)
@@ -56,7 +60,8 @@ class Block(Body):
         return np.array(points, float)[:, :2]
 
     def surface_from_above(self, xy: Floats) -> Points:
-        points = self.chart_points(xy)
+        points = np.zeros((len(xy), 3))
+        points[:, :2] = xy
         points[~self.contains(points, -1e-9)] = np.nan
         return points
 

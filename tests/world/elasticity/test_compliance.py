@@ -80,7 +80,7 @@ def estimate_ratio(stiff, name, case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", ["coarse", "standard"])
+@pytest.mark.parametrize("level", ["nominal", "sketch", "coarse", "standard"])
 @pytest.mark.parametrize("name", ["block", "finger"])
 def test_estimate_is_one_to_three_times_the_true_error(name, level):
     made = {}

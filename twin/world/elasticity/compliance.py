@@ -6,7 +6,7 @@ product. The default method is the half-space field of the load in closed form p
 
 Errors are told twice: `Compliance.expected_error` before anything is solved, from the load's place, which is what a
 mesh is chosen by (`twin.world.elasticity.ladder`); and `Compliance.error_estimate` afterwards, from the difference to
-the next coarser level's answer.
+another level's answer.
 
 Validity: linear elasticity, small strain, quasi-static. The rest is smooth on the scale of the mesh; loads nearer to
 a free edge than an element are less accurate, which both say. Within a tenth of the body's height of a held face there
@@ -29,7 +29,7 @@ from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.world.elasticity.correction import correction
 from twin.world.elasticity.direct import consistent_forces
-from twin.world.elasticity.expected import DIRECT, estimated_error, expected_error
+from twin.world.elasticity.expected import DIRECT, EXPECTED, estimated_error, expected_error
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.half_space import require_half_space
 from twin.world.elasticity.known import REMEMBERED, Known, Memory
@@ -44,7 +44,6 @@ from twin.world.elasticity.tile import require_on_surface
 from twin.world.mesh.interpolate import Locator, Places
 from twin.world.mesh.mesh import Level, Mesh, Progress, body_mesh
 from twin.world.mesh.rim import drawn_to_rim
-from twin.world.mesh.sizing import WORLD
 
 Method = Literal["subtracted", "direct"]
 
@@ -172,16 +171,14 @@ class Compliance:
                 self.__dict__.pop(name, None)
 
     @cached_property
-    def coarser(self) -> Compliance | None:
-        """The same body on the next coarser level, by whose answer the error is estimated; None below the coarsest."""
-        level: Level = "coarse" if self.level == "nominal" else self.level
-        rank = WORLD.index(level)
-        if rank == 0 or self._given_mesh is not None:
+    def compared(self) -> Compliance | None:
+        """The same body on the level by whose answer the error is estimated; None where the mesh was given."""
+        if self._given_mesh is not None:
             return None
         return Compliance(
             self.body,
             self.material,
-            level=WORLD[rank - 1],
+            level=EXPECTED[self.body.is_flat, self.level].against,
             method=self.method,
             solver=self._solver,
             table=False,
@@ -204,14 +201,14 @@ class Compliance:
         known = self._checked(points, load)
         if len(known) == 0 or not np.any(load.force_n):
             return np.zeros_like(known.points)
-        return self._whole(known, load, self._rest(known, load)[0])
+        return self._whole(known, load, self._rest(known, load, self._table_for(known, load))[0])
 
     def _whole(self, known: Known, load: Rectangles, rest: Points) -> Points:
         return rest + halfspace.displacement(known.points, load, *self._rubber) if self._subtracted else rest
 
-    def _rest(self, known: Known, load: Rectangles) -> tuple[Points, float]:
+    def _rest(self, known: Known, load: Rectangles, table: TableAtNu | None) -> tuple[Points, float]:
         """Return (n, 3) what the half-space lacks, everything with the direct method; and interpolation's error, mm."""
-        if table := self._table_for(known, load):
+        if table:
             return table.displacement(known.basis(table.box_mm), load) / self._modulus, 0.0
         if surface := self._surface_for(load):
             rest, lost = self._interpolated(surface, known, load)
@@ -323,35 +320,43 @@ class Compliance:
     def error_estimate(self, points: Points, load: Rectangles) -> float:
         """Return the estimated largest error of `displacement` at ``points`` over the largest displacement there.
 
-        A share of the difference to the coarser level's answer (or to the check table's), plus what both share
+        A share of the difference to another level's answer (or to the check table's), plus what both share
         (`twin.world.elasticity.expected`): on all reference cases the estimate is one to three times the true error.
 
-        Validity: the law of `expected_error` where there is no coarser level. Raises like `displacement`.
+        Validity: the law of `expected_error` where the mesh was given. Raises like `displacement`.
         """
         return self.answer(points, load)[1]
 
-    def answer(self, points: Points, load: Rectangles) -> tuple[Points, float]:
-        """Return `displacement` and its `error_estimate` together. Raises like `displacement`."""
-        known = self._checked(points, load)
-        if len(known) == 0 or not np.any(load.force_n):
-            return np.zeros_like(known.points), 0.0
-        rest, lost = self._rest(known, load)
-        moved = self._whole(known, load, rest)
-        return moved, self._estimate(known, load, rest, lost, _largest(moved))
+    def answer(self, points: Points, load: Rectangles, *, enough: float = 0.0) -> tuple[Points, float]:
+        """Return `displacement` and its `error_estimate` together. Raises like `displacement`.
 
-    def _estimate(self, known: Known, load: Rectangles, rest: Points, lost: float, size: float) -> float:
+        An `expected_error` of no more than ``enough`` is told in place of the estimate, which takes another answer.
+        """
+        known = self._checked(points, load)
+        if len(known) == 0 or not load.force_n.any():
+            return np.zeros_like(known.points), 0.0
+        table = self._table_for(known, load)
+        rest, lost = self._rest(known, load, table)
+        moved = self._whole(known, load, rest)
+        if enough and (expected := self._expected(load, table)) <= enough:
+            return moved, expected
+        return moved, self._estimate(known, load, table, rest, lost, _largest(moved))
+
+    def _estimate(
+        self, known: Known, load: Rectangles, table: TableAtNu | None, rest: Points, lost: float, size: float
+    ) -> float:
         """Return the error over the largest displacement, ``size``, from what `_rest` returned."""
-        level, tabled = self.level, False
-        if self._table_for(known, load):
+        level = self.level
+        if table:
             if self._check_at_nu is None:
-                return self.expected_error(load, known.points)
-            tabled, level = True, table_level(self.body, "truth")
+                return self._expected(load, table)
+            level = table_level(self.body, "truth")
             other = self._check_at_nu.displacement(known.basis(self._check_at_nu.box_mm), load) / self._modulus
-        elif self.coarser is not None:
-            other = self.coarser._rest(self.coarser._checked(known.points, load), load)[0]
+        elif self.compared is not None:
+            other = self.compared._rest(self.compared._checked(known.points, load), load, None)[0]
         else:
-            return self.expected_error(load)
-        nominal = tabled and self.level == "nominal"
+            return self._expected(load, table)
+        nominal = table is not None and self.level == "nominal"
         differ = _largest(rest - other) / size
         return estimated_error(self.body, level, differ, load, nominal=nominal) + lost / size
 
@@ -364,10 +369,13 @@ class Compliance:
 
         At ``points`` that a table answers it is that of the mesh which the table was made of.
         """
+        table = None if points is None else self._table_for(self._checked(points, load), load)
+        return self._expected(load, table)
+
+    def _expected(self, load: Rectangles, table: TableAtNu | None) -> float:
         if not self._subtracted:
             return DIRECT
-        known = None if points is None else self._checked(points, load)
-        tabled = self.level != "nominal" and known is not None and self._table_for(known, load) is not None
+        tabled = table is not None and self.level != "nominal"
         return expected_error(self.body, table_level(self.body, "truth") if tabled else self.level, load)
 
     @property

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.arrays import Floats
+from twin.arrays import Bools, Floats
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.world.mesh.sizing import Level
@@ -27,7 +27,7 @@ DIRECT = 0.3
 class Expected:
     """Displacement error over largest displacement: far inside, a fifth of the body's height from an edge, at most.
 
-    ``trust`` is the largest share of the difference to the next coarser level that was this level's own error.
+    ``trust`` is the largest share of the difference to the level ``against`` that was this level's own error.
     """
 
     inside: float
@@ -35,19 +35,20 @@ class Expected:
     power: float
     most: float
     trust: float
+    against: Level
 
 
 EXPECTED: dict[tuple[bool, Level], Expected] = {
-    (True, "fine"): Expected(inside=1e-4, at_fifth=0.015, power=3.5, most=0.08, trust=0.35),
-    (True, "standard"): Expected(inside=4e-4, at_fifth=0.026, power=3.5, most=0.1, trust=1.3),
-    (True, "coarse"): Expected(inside=6e-4, at_fifth=0.059, power=3.0, most=0.14, trust=0.7),
-    (True, "nominal"): Expected(inside=8e-4, at_fifth=0.059, power=3.0, most=0.14, trust=0.9),
-    (True, "sketch"): Expected(inside=2e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.0),
-    (False, "fine"): Expected(inside=1.5e-3, at_fifth=0.012, power=1.5, most=0.04, trust=0.45),
-    (False, "standard"): Expected(inside=4e-3, at_fifth=0.02, power=1.5, most=0.06, trust=0.9),
-    (False, "coarse"): Expected(inside=7e-3, at_fifth=0.03, power=1.5, most=0.09, trust=0.9),
-    (False, "nominal"): Expected(inside=6e-3, at_fifth=0.03, power=1.5, most=0.09, trust=1.0),
-    (False, "sketch"): Expected(inside=9e-3, at_fifth=0.06, power=1.5, most=0.2, trust=1.0),
+    (True, "fine"): Expected(inside=1e-4, at_fifth=0.015, power=3.5, most=0.08, trust=0.35, against="standard"),
+    (True, "standard"): Expected(inside=4e-4, at_fifth=0.026, power=3.5, most=0.1, trust=1.3, against="coarse"),
+    (True, "coarse"): Expected(inside=6e-4, at_fifth=0.059, power=3.0, most=0.14, trust=0.7, against="sketch"),
+    (True, "nominal"): Expected(inside=8e-4, at_fifth=0.059, power=3.0, most=0.14, trust=1.6, against="standard"),
+    (True, "sketch"): Expected(inside=2e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.6, against="coarse"),
+    (False, "fine"): Expected(inside=1.5e-3, at_fifth=0.012, power=1.5, most=0.04, trust=0.45, against="standard"),
+    (False, "standard"): Expected(inside=4e-3, at_fifth=0.02, power=1.5, most=0.06, trust=0.9, against="coarse"),
+    (False, "coarse"): Expected(inside=7e-3, at_fifth=0.03, power=1.5, most=0.09, trust=0.9, against="sketch"),
+    (False, "nominal"): Expected(inside=6e-3, at_fifth=0.03, power=1.5, most=0.09, trust=1.25, against="coarse"),
+    (False, "sketch"): Expected(inside=9e-3, at_fifth=0.06, power=1.5, most=0.2, trust=1.4, against="coarse"),
 }
 """By whether the sensing surface is a plane, and by level."""
 
@@ -77,10 +78,9 @@ def expected_error(body: Body, level: Level, load: Rectangles) -> float:
     law = EXPECTED[body.is_flat, level]
     if len(load) == 0:
         return law.inside
-    away = _away(body, load)[:, 1:].min(axis=1)
-    near = law.at_fifth * (body.base_z_mm / (5.0 * np.maximum(away, 1e-9))) ** law.power
-    each = np.minimum(np.maximum(near, law.inside), law.most)
-    return _mean(load, each) + unbounded(body, load)
+    away = _away(body, load)
+    near = law.at_fifth * (body.base_z_mm / (5.0 * np.maximum(away[:, 1:].min(axis=1), 1e-9))) ** law.power
+    return _mean(load, np.minimum(np.maximum(near, law.inside), law.most) + _on_rim(body, away))
 
 
 def unbounded(body: Body, load: Rectangles) -> float:
@@ -88,7 +88,12 @@ def unbounded(body: Body, load: Rectangles) -> float:
 
     Added to an estimate, which is relative to the largest displacement, it says that nothing may be right.
     """
-    return _mean(load, (_away(body, load)[:, list(body.held_pieces)].min(axis=1) < RIM * body.base_z_mm).astype(float))
+    return _mean(load, _on_rim(body, _away(body, load)))
+
+
+def _on_rim(body: Body, away: Floats) -> Bools:
+    """Return (k,) whether rectangles so far ``away`` from the body's faces have no bound."""
+    return np.asarray(away[:, list(body.held_pieces)].min(axis=1) < RIM * body.base_z_mm)
 
 
 def _away(body: Body, load: Rectangles) -> Floats:
@@ -96,7 +101,7 @@ def _away(body: Body, load: Rectangles) -> Floats:
     return np.asarray(body.piece_distances(load.centre_mm) - _REACH * np.hypot(*load.half_mm.T)[:, None])
 
 
-def _mean(load: Rectangles, each: Floats) -> float:
+def _mean(load: Rectangles, each: Floats | Bools) -> float:
     """Return the mean of (k,) values over the rectangles' forces."""
     strength = np.sqrt(np.einsum("ki,ki->k", load.force_n, load.force_n))
     total = strength.sum()
@@ -104,7 +109,7 @@ def _mean(load: Rectangles, each: Floats) -> float:
 
 
 def estimated_error(body: Body, level: Level, difference: float, load: Rectangles, *, nominal: bool = False) -> float:
-    """Return the error of a level's answer, from its difference to the next coarser level's (both relative).
+    """Return the error of a level's answer, from its difference to the other level's (both relative).
 
     With ``nominal`` from that of a nominal table to the check table.
     """

@@ -1,7 +1,7 @@
 """Accuracy as a request: the cheapest level of a body's mesh that meets it, and the error that came out.
 
 A level is chosen before anything is solved, by what it is expected to reach well inside the sensing surface. The error
-of an answer is then estimated from the next coarser level's (`Compliance.error_estimate`); where that is above what
+of an answer is then estimated from another level's (`Compliance.error_estimate`); where that is above what
 was asked, and the next finer level is likely to meet it, the answer is taken from there. What no level reaches is
 answered by the last one tried, and said.
 """
@@ -9,6 +9,7 @@ answered by the last one tried, and said.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from twin.arrays import Points
@@ -90,7 +91,7 @@ class Ladder:
             )
         return self._rungs[level]
 
-    @property
+    @cached_property
     def _cheapest(self) -> Level:
         flat = self._body.is_flat
         return next((r for r in WORLD[1:] if EXPECTED[flat, r].inside <= self.asked), WORLD[-1])
@@ -111,10 +112,7 @@ class Ladder:
             Whether to estimate the error even where it is expected to be far below the asked one.
         """
         rung = self.base
-        expected = rung.expected_error(load, points)
-        if not always and CLEAR * expected <= self.asked:
-            return Answer(displacement_mm=rung.displacement(points, load), error=expected, compliance=rung)
-        moved, error = rung.answer(points, load)
+        moved, error = rung.answer(points, load, enough=0.0 if always else self.asked / CLEAR)
         while self.asked < error <= GAIN * self.asked and rung.level != WORLD[-1]:
             rung = self.at(WORLD[WORLD.index(rung.level) + 1])
             moved, error = rung.answer(points, load)

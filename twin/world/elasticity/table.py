@@ -18,6 +18,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
 from twin.arrays import Floats, Points
+from twin.compiled import njit
 from twin.parts.load import Rectangles
 
 NU_RANGE = (0.0, 0.5)
@@ -28,9 +29,7 @@ MANY_LOADS = 25
 """Loads at the same points from which on the table is worth a product with the points' polynomials."""
 
 _GAUSS = np.polynomial.legendre.leggauss(3)
-_NODES = np.stack(np.meshgrid(_GAUSS[0], _GAUSS[0], indexing="ij"), axis=-1).reshape(-1, 2)
-_WEIGHTS = np.outer(_GAUSS[1], _GAUSS[1]).ravel() / 4.0
-"""Gauss points of a square, and weights that sum to one."""
+"""Nodes and weights along each side of a rectangle."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,8 +181,31 @@ class TableAtNu:
             x, y = (load.centre_mm[:, :2] / self.window_mm).T
             a, b = chebvander(x, SIZES[1] - 1), chebvander(y, SIZES[2] - 1)
             return np.asarray(a[:, :, None] * b[:, None]).reshape(len(load), -1)
-        places = load.centre_mm[:, None, :2] + _NODES @ (load.half_mm[:, :, None] * load.frames[:, :2, :2])
-        angles = np.arccos(np.clip(places / self.window_mm, -1.0, 1.0))
-        a = np.cos(angles[:, :, :1] * np.arange(SIZES[1])) * _WEIGHTS[:, None]
-        b = np.cos(angles[:, :, 1:] * np.arange(SIZES[2]))
-        return np.asarray(np.matmul(a.transpose(0, 2, 1), b)).reshape(len(load), -1)
+        out = np.empty((len(load), SIZES[1], SIZES[2]))
+        # copies have one type each, whether what they were made of was writable or contiguous: compiled once
+        centre, frames, half = (np.array(each, order="C") for each in (load.centre_mm, load.frames, load.half_mm))
+        _means(centre, frames, half, self.window_mm, _GAUSS, out)
+        return out.reshape(len(load), -1)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _means(
+    centre: Floats, frames: Floats, half: Floats, window: tuple[float, float], nodes: tuple[Floats, Floats], out: Floats
+) -> None:
+    """Set ``out`` (k, x', y') to the means of the products T_a(x') T_b(y') over each rectangle."""
+    most = max(out.shape[1], out.shape[2], 2)
+    values = np.ones((2, most))
+    for t in range(len(centre)):
+        out[t] = 0.0
+        for i in range(len(nodes[0])):
+            for j in range(len(nodes[0])):
+                for axis in range(2):
+                    side = nodes[0][i] * half[t, 0] * frames[t, 0, axis] + nodes[0][j] * half[t, 1] * frames[t, 1, axis]
+                    place = (centre[t, axis] + side) / window[axis]
+                    values[axis, 1] = place
+                    for n in range(2, most):
+                        values[axis, n] = 2.0 * place * values[axis, n - 1] - values[axis, n - 2]
+                weight = nodes[1][i] * nodes[1][j] / 4.0
+                for a in range(out.shape[1]):
+                    for b in range(out.shape[2]):
+                        out[t, a, b] += weight * values[0, a] * values[1, b]

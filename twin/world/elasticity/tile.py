@@ -90,12 +90,12 @@ def footprint_centre(traction: Traction, body: Body) -> Points:
             f"spans x {low[0]:g} to {high[0]:g} and y {low[1]:g} to {high[1]:g} mm"
         )
     distances = body.piece_distances(centre[None])[0]
-    if abs(distances[0]) > ON_SURFACE_MM or np.min(distances[1:]) < 0.0:
+    if abs(distances[0]) > ON_SURFACE_MM or distances[1:].min() < 0.0:
         raise InputError(
             f"{traction.kind} traction: centre_mm = {traction.centre_mm} is {abs(distances[0]):.3g} mm off the sensing "
             f"surface (allowed {ON_SURFACE_MM:g} mm): give (x, y), or a point on the surface"
         )
-    return np.asarray(centre - distances[0] * body.piece_normals(centre[None])[0, 0])
+    return np.asarray(centre - distances[0] * body.piece_normals(centre[None])[0, 0] if distances[0] else centre)
 
 
 def require_on_surface(body: Body, load: Rectangles) -> None:
@@ -107,26 +107,26 @@ def require_on_surface(body: Body, load: Rectangles) -> None:
         ("force", load.force_n, "N"), ("centre", load.centre_mm, "mm"), ("half side", load.half_mm, "mm"),
         ("frame", load.frames.reshape(-1, 9), ""),
     ):  # fmt: skip
-        if not np.isfinite(values).all():
-            finite = np.isfinite(values).all(axis=1)
-            first = int(np.argmin(finite))
+        finite = np.isfinite(values)
+        if not finite.all():
+            first = int(np.argmin(finite.all(axis=1)))
             raise InputError(f"rectangle {first}: its {what} {values[first]} {unit} is not finite: check the load")
     distances = body.piece_distances(load.centre_mm)
-    off = (np.abs(distances[:, 0]) > ON_SURFACE_MM) | (np.min(distances, axis=1) < -ON_SURFACE_MM)
-    if np.any(off):
+    inside = distances[:, 1:].min(axis=1)
+    off = (np.abs(distances[:, 0]) > ON_SURFACE_MM) | (inside < -ON_SURFACE_MM)
+    if off.any():
         raise InputError(
             f"{_named(load, int(np.argmax(off)))} is not on the sensing surface (allowed {ON_SURFACE_MM:g} mm off): "
             "the load would miss the body"
         )
-    inside = np.min(distances[:, 1:], axis=1)
-    if np.any(inside < EDGE_MM):
+    if (inside < EDGE_MM).any():
         first = int(np.argmin(inside))
         face = body.pieces[1 + int(np.argmin(distances[first, 1:]))]
         raise InputError(
             f"{_named(load, first)} is {inside[first]:.2g} mm from the body's {face} face (allowed: {EDGE_MM:g} mm and "
             "more): on an edge a part of the load would miss the body; move it inwards"
         )
-    if np.min(inside - np.hypot(*load.half_mm.T), initial=0.0) >= 0.0:
+    if (inside >= np.hypot(*load.half_mm.T)).all():
         return
     out = _overhang(body, load)
     if np.any(out > OVERHANG):
@@ -157,7 +157,7 @@ def _tile_one(traction: Traction, body: Body, spacing_mm: float | None) -> Recta
     frame = body.frames(centre[None])[0]
     half = np.array(traction.size_mm) / 2.0
     flat = body.is_flat
-    if not flat or np.min(body.piece_distances(centre[None])[0, 1:]) < math.hypot(*half):
+    if not flat or body.piece_distances(centre[None])[0, 1:].min() < math.hypot(*half):
         rim = (_SQUARE if traction.kind == "rectangle" else _CIRCLE) * half
         on_rim = onto_surface(rim, centre, frame, body, traction)
         flat = flat or float(np.max(np.abs(body.piece_normals(on_rim)[:, 0] - frame[2]))) < 1e-12
