@@ -12,6 +12,7 @@ from pathlib import Path
 
 STAGES = (
     "elasticity",
+    "calls",
     "contact",
     "peers",
     "growth",

@@ -29,12 +29,16 @@ BODIES: dict[str, Body] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One load: its name, Poisson's ratio, the load in words, and the (n, 3) displacements that are right, mm."""
+    """One load: its name, Poisson's ratio, the load in words, and the (n, 3) displacements that are right, mm.
+
+    ``own_error`` is the reference's, over the largest displacement: the difference of its two best meshes.
+    """
 
     key: str
     nu: float
     words: dict[str, Any]
     right: Points
+    own_error: float
 
     def load(self, body: Body) -> Rectangles:
         """Return the load on the body."""
@@ -70,7 +74,13 @@ def reference(name: str) -> Reference:
         points=data["points"],
         markers=int(data["slice_blue"][1]),
         cases=tuple(
-            Case(key=case["key"], nu=case["nu"], words=case["load"], right=data[case["key"]])
+            Case(
+                key=case["key"],
+                nu=case["nu"],
+                words=case["load"],
+                right=data[case["key"]],
+                own_error=case["error_estimate"],
+            )
             for case in json.loads(str(data["cases"]))
         ),
     )
