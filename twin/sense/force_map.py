@@ -14,10 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from twin.arrays import Floats, Pixels
+from twin.compiled import njit
 from twin.errors import InputError
 from twin.parts.methods import Method
 from twin.sense.calibration import Calibration
