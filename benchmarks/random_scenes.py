@@ -49,7 +49,7 @@ from twin.study.sensor import Sensor
 from twin.theory.optics import rays
 from twin.world.elasticity.tile import tile
 
-COUNT, CHUNK = 2000, 25
+COUNT, CHUNK = 2000, 50
 STORED = RESULTS / "random_scenes.json"
 
 BALANCE, ASKED, THROUGH_MM, SUPERPOSED, MIRRORED = 1e-6, 1e-6, 1e-5, 1e-9, 3.0

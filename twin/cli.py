@@ -69,6 +69,11 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"twin: warning: {message}", file=sys.stderr)
 
 
+def _help_for(problem: CycloptsError) -> str:
+    """Return the command whose help tells what is allowed."""
+    return " ".join(["twin", *(problem.command_chain or ()), "--help"])
+
+
 def _interrupted() -> int:
     print("twin: interrupted; files written so far are whole", file=sys.stderr)
     return 130
@@ -100,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         sys.stdout.flush()
         code = 0
     except CycloptsError as problem:
-        print(f"twin: {problem}\nSee: twin --help", file=sys.stderr)
+        print(f"twin: {problem}\nSee: {_help_for(problem)}", file=sys.stderr)
         code = 2
     except TwinError as problem:
         print(f"twin: {problem}", file=sys.stderr)

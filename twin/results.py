@@ -6,6 +6,7 @@ absent.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -225,7 +226,8 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         why = problem.strerror or problem  # numpy says how much it wrote, and no more
         raise TwinError(f"{path}: can't be written ({why}); files written so far are whole") from None
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # where there is no such folder there is no such file
+            part.unlink(missing_ok=True)
 
 
 def write_json(path: Path, table: Mapping[str, Any]) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.cli import app
+from twin.cli import app, main
 
 TWIN = [sys.executable, "-m", "twin"]
 
@@ -21,6 +21,37 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
     return subprocess.run(
         [*TWIN, *arguments], capture_output=True, text=True, cwd=cwd, env={**os.environ, **environment}, timeout=300
     )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "kamiyama_pillar", "-s", "press.force_n=3"], "press.force_n = 3 N: must name its components"),
+        (["run", "kamiyama_pillar", "-s", "accuracy.displacement=0"], "(allowed: 1e-05 to 0.2 or 'auto')"),
+        (["run", "sweep_lens"], "sweep_lens.toml: is a sweep over many designs"),
+        (["run", "FOLDER"], "is a folder"),
+        (["view", "FOLDER"], "holds neither scene.toml"),
+        (["view", "kamiyama_pillar", "--out", "x.pdf"], "allowed are .html for a page, .gif and .png for a film"),
+        (["view", "kamiyama_pillar", "--out", "FILE/x.html"], "FILE: the output folder can't be made"),
+        (["mesh", "sato_press", "--mend"], "See: twin mesh --help"),
+    ],
+)
+def test_wrong_input_is_told_in_the_users_terms(
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("FOLDER").mkdir()
+    Path("FILE").touch()
+    with pytest.raises(SystemExit) as done:
+        main(arguments)
+    told = capsys.readouterr().err
+    assert done.value.code == 2
+    assert words in told
+    assert told.count("displacement = ") <= 1
 
 
 def test_help_names_every_command_and_an_example() -> None:

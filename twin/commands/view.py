@@ -9,6 +9,8 @@ from cyclopts import Parameter
 
 from twin.commands.common import Overrides, load, progress
 
+PAGES = (".html", ".htm")
+
 
 def view(
     path: Annotated[str, Parameter(help="A scene (path or shipped name), or the folder of a run or of a dataset.")],
@@ -39,12 +41,19 @@ def view(
 
         print(view_dataset(folder, out or Path(f"{folder.name or 'dataset'}.html")))
         return
+    from twin.errors import InputError
+    from twin.results import make_folder
     from twin.study.film import KINDS, write_film
     from twin.study.sensor import Sensor
     from twin.study.view import view_scene
 
-    scene = load(str(folder / "scene.toml") if folder.is_dir() else path, set_)
+    if folder.is_dir() and not (folder / "scene.toml").is_file():
+        raise InputError(f"{path}: holds neither scene.toml (of a run) nor meta/info.json (of a dataset)")
     page = out or (folder if folder.is_dir() else Path()) / "view.html"
+    if page.suffix.lower() not in {*PAGES, *KINDS}:
+        raise InputError(f"--out {page}: allowed are .html for a page, {' and '.join(sorted(KINDS))} for a film")
+    scene = load(str(folder / "scene.toml") if folder.is_dir() else path, set_)
+    make_folder(page.parent)
     told = progress()
     if page.suffix.lower() in KINDS:
         print(write_film(Sensor(scene, told), page))

@@ -181,7 +181,7 @@ def check_options(
     elif not (np.isfinite(weight) and weight >= 0):
         raise InputError(f"weight = {weight} px^2/N^2: allowed are finite numbers >= 0, or 'auto'")
     if friction is not None and not (np.isfinite(friction) and 0 < friction <= 100):
-        raise InputError(f"friction = {friction}: allowed are numbers above 0 and up to 100, or None for no bound")
+        raise InputError(f"friction = {friction}: allowed are numbers above 0 and up to 100, or none for no bound")
     if method == "pinv" and (push_only or friction is not None):
         raise InputError("method = 'pinv' has no weight, so it can't be held to pushes or friction: use 'norm'")
     if camera and not calibration.has_camera:

@@ -16,7 +16,15 @@ from twin.parts.scene import Scene
 
 def complaints(problem: ValidationError, table: Mapping[str, Any]) -> list[str]:
     """Return one line for every error of a failed validation of ``table`` as a `Scene`."""
-    return [_line(dict(error), table) for error in problem.errors(include_url=False)]
+    errors = [dict(error) for error in problem.errors(include_url=False)]
+    return [_line(error, table) for error in errors if not _is_other_word(error, errors)]
+
+
+def _is_other_word(error: dict[str, Any], errors: list[dict[str, Any]]) -> bool:
+    """Return whether an error says that a number is not the word that may stand in its place: its range says more."""
+    if error["type"] != "literal_error" or isinstance(error.get("input"), str):
+        return False
+    return any(other is not error and other["loc"][:-1] == error["loc"][:-1] for other in errors)
 
 
 def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
@@ -32,6 +40,9 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
         return f"{dotted}: missing; give a value" + (f" in {unit}" if unit else "")
     message = str(error["msg"]).removeprefix("Value error, ")
     message = message.replace("Input should be", "must be")
+    if error["type"] == "tuple_type":
+        by_name = last in ("force_n", "move_mm")
+        message = "must name its components, such as {z = 1}" if by_name else "must be a list, such as [0, 0]"
     if error["type"] == "union_tag_invalid":
         context = error["ctx"]
         dotted = f"{dotted}.{context['discriminator'].strip(chr(39))} = '{context['tag']}'"
@@ -54,14 +65,28 @@ def _range(keys: list[Any], table: Mapping[str, Any], unit: str) -> str:
     if field is None:
         return ""
     low = high = None
-    for rule in field.metadata:
+    rules = [*field.metadata, *_rules_of_members(field.annotation)]
+    for rule in rules:
         low = getattr(rule, "gt", None) if low is None else low
         low = getattr(rule, "ge", None) if low is None else low
         high = getattr(rule, "lt", None) if high is None else high
         high = getattr(rule, "le", None) if high is None else high
     if low is None or high is None:
         return ""
-    return f"{low:g} to {high:g}{' ' + unit if unit else ''}"
+    words = [f"'{word}'" for word in _words(field.annotation)]
+    return " or ".join([f"{low:g} to {high:g}{' ' + unit if unit else ''}", *words])
+
+
+def _rules_of_members(annotation: Any) -> list[Any]:
+    """Return the rules of the numbers among a union's members."""
+    members = [m for m in typing.get_args(annotation) if typing.get_origin(m) is typing.Annotated]
+    return [rule for member in members for each in member.__metadata__ for rule in getattr(each, "metadata", [each])]
+
+
+def _words(annotation: Any) -> list[str]:
+    """Return the words that may stand in a number's place."""
+    found = [m for m in typing.get_args(annotation) if typing.get_origin(m) is typing.Literal]
+    return [str(word) for literal in found for word in typing.get_args(literal)]
 
 
 def _keys(location: tuple[Any, ...], table: Any) -> list[Any]:

@@ -27,6 +27,9 @@ ALTERNATIVES = ("steps", "force_n", "indentation_mm")
 VECTORS = ("force_n", "move_mm", "torque_nmm", "turn_deg")
 """Keys whose value may be a table of components."""
 
+SWEEP = "sweep_"
+"""What names of shipped sweeps begin with, which lie beside the scenes."""
+
 Table = dict[str, Any]
 
 
@@ -49,6 +52,8 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
     """
     path = find_scene(scene)
     table = _read_with_base(path)
+    if {"scene", "axes"} <= table.keys():
+        raise RecipeError("is a sweep over many designs, not a scene: give it to twin sweep", str(path))
     folders = [path.parent]
     for key, value in (overrides or {}).items():
         _set(table, key, value)
@@ -177,11 +182,13 @@ def parse_override(text: str) -> tuple[str, Any]:
 
 def shipped_scenes() -> dict[str, Path]:
     """Return the shipped scenes by name; sweeps lie beside them."""
-    return {path.stem: path for path in sorted(SCENES.glob("*.toml")) if not path.stem.startswith("sweep_")}
+    return {path.stem: path for path in sorted(SCENES.glob("*.toml")) if not path.stem.startswith(SWEEP)}
 
 
 def find_scene(scene: str | Path) -> Path:
     """Return the file of a scene given by path or by the name of a shipped one."""
+    if Path(scene).is_dir():
+        raise InputError(f"{scene}: is a folder; give a scene file, such as {Path(scene) / 'scene.toml'}")
     return _find(str(scene), SCENES, Path.cwd(), "scene")
 
 
@@ -190,7 +197,7 @@ def _find(name: str, shipped: Path, beside: Path, what: str, where: Path | None 
     for candidate in (given if given.is_absolute() else beside / given, shipped / f"{name}.toml"):
         if candidate.is_file():
             return candidate
-    known = [p.stem for p in sorted(shipped.glob("*.toml"))]
+    known = [p.stem for p in sorted(shipped.glob("*.toml")) if not p.stem.startswith(SWEEP)]
     near = difflib.get_close_matches(given.stem, known, 1)
     hint = f"did you mean '{near[0]}'?" if near else f"shipped ones are: {', '.join(known)}"
     prefix = f"{where}: " if where else ""

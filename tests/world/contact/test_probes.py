@@ -480,7 +480,10 @@ def test_yielding_to_more_than_friction_carries_names_the_cause() -> None:
 
 @pytest.mark.parametrize("mixed", [(math.inf, 0.5), (0.5, math.inf)])
 def test_a_probe_that_sticks_beside_one_that_slips(mixed: tuple[float, float]) -> None:
-    """Sticking is the law with an unbounded coefficient: beside a probe that slips it is what a large one gives."""
+    """Sticking is the law with an unbounded coefficient: beside a probe that slips it is what a large one gives.
+
+    As large as to hold the rim's patches too, which feel next to no pressure.
+    """
     steps = (Step(force_n=(0, 0, 0.5)), Step(force_n=(0.1, 0.05, 0.5), torque_nmm=0.03))
 
     def both(frictions: tuple[float, ...]) -> ContactState:
@@ -490,7 +493,7 @@ def test_a_probe_that_sticks_beside_one_that_slips(mixed: tuple[float, float]) -
         )
         return pressed(one.model_copy(update={"also": (other,)}), across=8, nu=0.3, increments=2)
 
-    state, much = both(mixed), both(tuple(min(mu, 50.0) for mu in mixed))
+    state, much = both(mixed), both(tuple(min(mu, 1e4) for mu in mixed))
     for one, other, mu in zip((state, *state.also), (much, *much.also), mixed, strict=True):
         np.testing.assert_allclose(one.move_mm, other.move_mm, rtol=1e-8)
         np.testing.assert_allclose(one.traction_mpa, other.traction_mpa, atol=1e-8)

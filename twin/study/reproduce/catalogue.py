@@ -69,9 +69,9 @@ def chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
         found = [key for key in ENTRIES if name in ("all", key, key.split("/")[0])]
         if not found:
             near = difflib.get_close_matches(name, ENTRIES, 1, 0.4)
-            hint = f"did you mean '{near[0]}'?" if near else "see: twin reproduce --help"
+            hint = f" did you mean '{near[0]}'?" if near else ""
             raise InputError(
-                f"there is no entry '{name}': {hint} Allowed are all, kamiyama, sato, beyond, {', '.join(ENTRIES)}"
+                f"there is no entry '{name}':{hint} allowed are all, kamiyama, sato, beyond, {', '.join(ENTRIES)}"
             )
         wanted.update(key for key in found if key == name or not (quick and ENTRIES[key].long))
     return [entry for key, entry in ENTRIES.items() if key in wanted]

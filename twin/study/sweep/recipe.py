@@ -12,15 +12,12 @@ from twin.parts.part import unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.places import SCENES
-from twin.study.recipe import load_scene, read_recipe
-
-PREFIX = "sweep_"
-"""Shipped sweeps are the recipes of the scenes folder whose names begin so."""
+from twin.study.recipe import SWEEP, load_scene, read_recipe
 
 
 def shipped_sweeps() -> dict[str, Path]:
     """Return the shipped sweeps by name."""
-    return {path.stem: path for path in sorted(SCENES.glob(f"{PREFIX}*.toml"))}
+    return {path.stem: path for path in sorted(SCENES.glob(f"{SWEEP}*.toml"))}
 
 
 def load_sweep(name: str | Path) -> tuple[Sweep, Scene]:
@@ -50,7 +47,10 @@ def sweep_of(table: dict[str, Any], where: str) -> Sweep:
     try:
         return Sweep.model_validate(table)
     except ValidationError as problem:
-        raise RecipeError([_line(dict(error)) for error in problem.errors(include_url=False)], where) from None
+        errors: list[dict[str, Any]] = [dict(error) for error in problem.errors(include_url=False)]
+        inside = {error["loc"][0] for error in errors if len(error["loc"]) > 1}  # a wrong item shortens its list
+        told = [_line(e) for e in errors if not (e["type"] == "too_short" and e["loc"][0] in inside)]
+        raise RecipeError(told, where) from None
 
 
 def _line(error: dict[str, Any]) -> str:
@@ -70,7 +70,7 @@ def _line(error: dict[str, Any]) -> str:
 
 
 def _find(name: str) -> Path:
-    for candidate in (Path(name).expanduser(), SCENES / f"{name}.toml", SCENES / f"{PREFIX}{name}.toml"):
+    for candidate in (Path(name).expanduser(), SCENES / f"{name}.toml", SCENES / f"{SWEEP}{name}.toml"):
         if candidate.is_file():
             return candidate
     import difflib
