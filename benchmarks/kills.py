@@ -1,9 +1,10 @@
-"""Killed at any moment: ``python -m benchmarks.kills [--count 50]``.
+"""Killed at any moment: ``python -m benchmarks.kills [--count 50] [--anew]``.
 
 Run, dataset, sweep and reproduce are started as processes of their own, killed (SIGKILL, all of their group) after a
 random time, and looked at: every file that is there must be whole. Then the same command is given again until it ends,
 and what it leaves must be what an undisturbed command left: the same bytes for samples, designs, pictures and arrays.
-Stored in benchmarks/results/kills.json; exit code 1 if anything was lost or torn.
+Done in rounds, a dozen kills each, that are stored in benchmarks/results/kills.json and taken up from there; exit code
+1 if anything was lost or torn.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from benchmarks.__main__ import RESULTS, machine, table
 from benchmarks.fuzz_files import SMALL, SWEEP, VARY
 from twin.places import ROOT
 
 STORED = RESULTS / "kills.json"
-WALL_S = 600
+WALL_S, ROUND = 600, 12
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def torn(folder: Path) -> list[str]:
     return bad
 
 
-def killed(names: list[str], count: int, seed: int = 1) -> list[dict[str, object]]:
+def killed(names: list[str], count: int, seed: int = 1) -> list[dict[str, Any]]:
     """Kill each job in turn, ``count`` times in all; return a row a job.
 
     Raises
@@ -116,7 +118,7 @@ def killed(names: list[str], count: int, seed: int = 1) -> list[dict[str, object
         Something was torn, lost, or came out otherwise.
     """
     chance = random.Random(seed)
-    rows: list[dict[str, object]] = []
+    rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         prepare(folder)
@@ -158,20 +160,36 @@ def _compare(folder: Path, job: Job, out: str, wanted: dict[str, str], name: str
     shutil.rmtree(folder / out)
 
 
+def added(before: list[dict[str, Any]], rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows with those of earlier rounds added: counts in all, the seconds of the last round."""
+    earlier = {row["command"]: row for row in before}
+    counts = ("killed", "ended before", "lost or torn")
+    return [
+        {**row, **{key: row.get(key, 0) + earlier.get(row["command"], {}).get(key, 0) for key in counts}}
+        for row in rows
+    ]
+
+
 def main() -> int:
     """Kill, print the rows and store them; exit code 1 if anything was lost or torn."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.kills", description=__doc__)
     parser.add_argument("--count", type=int, default=50, help="kills in all (default 50)")
+    parser.add_argument("--anew", action="store_true", help="forget what was killed before")
     parser.add_argument("--job", choices=sorted(JOBS), help="one command only; nothing is stored")
     arguments = parser.parse_args()
-    try:
-        rows = killed([arguments.job] if arguments.job else list(JOBS), arguments.count)
-    except AssertionError as problem:
-        print(problem, file=sys.stderr)
-        return 1
-    print(table(rows))
-    if not arguments.job:
-        STORED.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
+    found: dict[str, Any] = {"rounds": 0, "rows": []}
+    if STORED.is_file() and not (arguments.anew or arguments.job):
+        found |= json.loads(STORED.read_text())
+    while sum(row.get("killed", 0) for row in found["rows"]) < arguments.count:
+        try:
+            rows = killed([arguments.job] if arguments.job else list(JOBS), ROUND, seed=found["rounds"] + 1)
+        except AssertionError as problem:
+            print(problem, file=sys.stderr)
+            return 1
+        found = {"rounds": found["rounds"] + 1, "machine": machine(), "rows": added(found["rows"], rows)}
+        if not arguments.job:
+            STORED.write_text(json.dumps(found, indent=1) + "\n")
+    print(table(found["rows"]))
     return 0
 
 

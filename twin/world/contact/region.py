@@ -25,7 +25,7 @@ from twin.world.contact.together import Contacts, Control, Setting
 from twin.world.contact.unilateral import Equilibrium, Unilateral, solve
 
 _COARSE, _ROUNDS, _FILL = 10, 14, 0.4
-_MARGIN, _SPARE = 0.13, 1.5
+_MARGIN, _SPARE = 0.13, 1.6
 """Share of a contact by which its grid is larger on every side, and how many patches that is at least."""
 
 _WIDER = 1.25
