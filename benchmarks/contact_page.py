@@ -82,7 +82,7 @@ def page_tables() -> str:
         parts += [
             f"**{PEER}** (tamaas on 512 x 512 cells is the truth)",
             table([row for row in peers if "program" in row]),
-            "CPU seconds to an indentation that is 0.5 % off or better, by each program's own best runs",
+            "CPU seconds to an indentation as good or better, by each program's own best runs",
             table([row for row in peers if "program" not in row]),
         ]
     parts += [row["remark"] for row in of(rows, SAID)]
