@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks.__main__ import RESULTS, table
 from benchmarks.contact import CLOSED, HELD, extrapolated, order
-from benchmarks.contact_peer import PEER, SAID
+from benchmarks.contact_peer import PEER, SAID, to_bounds
 from benchmarks.contact_speed import SPEED
 from benchmarks.presses import BODIES, summary
 from twin.places import ROOT
@@ -81,9 +81,9 @@ def page_tables() -> str:
     if peers:
         parts += [
             f"**{PEER}** (tamaas on 512 x 512 cells is the truth)",
-            table([row for row in peers if "program" in row]),
+            table(peers),
             "CPU seconds to an indentation as good or better, by each program's own best runs",
-            table([row for row in peers if "program" not in row]),
+            table([{k: "not reached" if v is None else v for k, v in row.items()} for row in to_bounds(peers)]),
         ]
     parts += [row["remark"] for row in of(rows, SAID)]
     parts += [f"**{SPEED}**", table(of(rows, SPEED)), *presses_tables(), f"On {processor}."]
