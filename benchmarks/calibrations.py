@@ -286,14 +286,29 @@ def main() -> None:
         "and is a fraction of what the drawing alone is wrong by. The likely reason is that the rest picture tells "
         "depths, print and camera, and any place the stiffness. With a cover that the fit knows nothing of, about "
         "twice as much is left.\n\n"
+        f"{against_sato(stored['rows'])}\n\n"
         "Rows with few sensors say little about the worst case. Shifts here are projected, with noise drawn. Through "
         "rendered pictures, tracked, `tests/study/test_fitted_pictures.py` leaves .37 % of the transfer matrix on the "
         "sites of a flat sensor (as drawn: .57 %) and .88 % of a finger's (1.12 %) after five places, and .48 % of "
-        "another flat one's after two, from a folder of pictures with a table of forces. Not measured here: the finger "
-        "paper's 75 presses (25 places) as a free matrix on these sensors; `sato/calibration` of `twin reproduce` has "
-        "it on one sensor. The truth is solved on another mesh, by contact, with lens distortion and another Poisson's "
-        "ratio.\n\n"
+        "another flat one's after two, from a folder of pictures with a table of forces. The truth is "
+        "solved on another mesh, by contact, with lens distortion and another Poisson's ratio.\n\n"
         "Run again with `python -m benchmarks calibrations`, then `python -m benchmarks.calibrations`.\n"
+    )
+
+
+def against_sato(rows: list[dict[str, Any]]) -> str:
+    """Say what 75 presses as a free matrix leave, against fits to fewer."""
+    by_name = {row["calibration"]: row for row in rows if row["truth"] == "bare"}
+    plain, helped = (by_name[name] for name in MEASURED)
+    few = by_name["fitted, 5 places"]
+    return (
+        f"**Sato's way**, the {plain['presses']} presses of the finger paper's 25 places as a free matrix, leaves "
+        f"{plain['transfer %']:.1f} % of the transfer matrix between the places where it is interpolated linearly, and "
+        f"{helped['transfer %']:.1f} % where the design as drawn carries the shape and only its error is interpolated; "
+        f"{few['presses']} presses with the fit leave {few['transfer %']:.2f} %, "
+        f"{plain['transfer %'] / few['transfer %']:.0f} and {helped['transfer %'] / few['transfer %']:.1f} times less. "
+        "The press's footprint is part of a measured matrix: it is that of a 3 mm sphere, not of the square it is "
+        "compared with."
     )
 
 

@@ -36,7 +36,7 @@ def reconstruct(
     ] = None,
     size: Annotated[str | None, Parameter(help="Size of raw frames: 640x480.")] = None,
     format: Annotated[str | None, Parameter(help="Format of raw frames: rgb24 or gray8.")] = None,
-    method: Annotated[Method, Parameter(help="How it is solved.")] = "smooth",
+    method: Annotated[Method, Parameter(help="How it is solved; local: forces only where some are found.")] = "smooth",
     weight: Annotated[str, Parameter(help="The papers' omega, px2/N2, or auto, likelihood, gcv.")] = "auto",
     push_only: Annotated[bool, Parameter(help="No site pulls.", negative="")] = False,
     friction: Annotated[float | None, Parameter(help="Friction coefficient that bounds every site's force.")] = None,
