@@ -56,7 +56,7 @@ The quick form presses so little that it is cheaper without."""
 
 MADE = 3
 """Made sensors, over which a number's spread is told. Where fingers are pressed it is one: its calibration alone is 75
-presses, and the spread is of exposures and load cell."""
+presses, and the spread is of as many runs of exposures and load cell."""
 
 FITTED: dict[str, tuple[str, ...]] = {
     "kamiyama": (
@@ -77,11 +77,13 @@ class Rig:
         sensor: KeptSensor,
         drawn: dict[str, Calibration],
         pressed: Callable[[ContactState], None],
+        filmed: Callable[[Motion], None],
     ) -> None:
         self.scene = scene
         self.sensor = sensor
         self._drawn = drawn
         self._pressed = pressed
+        self._filmed = filmed
         self._rests: dict[tuple[str, int], Rest] = {}
 
     def press(self, press: Press) -> ContactState:
@@ -95,7 +97,9 @@ class Rig:
         return self.sensor.motion(state.load)
 
     def picture(self, motion: Motion | None, exposure: int) -> Picture:
-        """Expose the markers at rest or moved."""
+        """Expose the markers at rest or moved; how far off their motion may be is noted."""
+        if motion is not None:
+            self._filmed(motion)
         return self.sensor.picture(motion, exposure)
 
     def rest(self, method: Method, exposure: int = 0) -> Rest:
@@ -175,30 +179,39 @@ class Bench:
         self.kept: dict[Any, Any] = {}
         self.used: set[str] = set()
         self._worst: ContactState | None = None
+        self._least_exact = 0.0
 
     def begin(self, entry: str, share: float, width: float) -> None:
         """Say which entry runs, and which part of the whole it is."""
         self._entry, self._share = entry, (share, width)
         self.used.clear()
-        self._worst = None
+        self._worst, self._least_exact = None, 0.0
         self.progress("", 0.0)
 
     @property
     def validity(self) -> str:
-        """What linear theory costs in the present entry's hardest press, in words; empty without a press."""
+        """What the mesh, and linear theory in the hardest press, cost in the present entry; empty without a load."""
+        mesh = (
+            f"Marker motion is up to {100 * self._least_exact:.2g} % of its largest off, by the mesh's own estimate. "
+            if self._least_exact
+            else ""
+        )
         if self._worst is None:
-            return ""
+            return mesh.strip()
         doubt = self._worst.validity
         ratio = doubt.contact_over_probe_radius
         radius = f"contact radius / probe radius {ratio:.2f}, " if ratio is not None else ""
         return (
-            f"Hardest press: {radius}mean pressure / Young's modulus {doubt.mean_strain:.2g}; linear theory may be "
-            f"up to {100 * doubt.linearisation_error:.2g} % of the largest displacement off."
+            f"{mesh}Hardest press: {radius}mean pressure / Young's modulus {doubt.mean_strain:.2g}; linear theory "
+            f"may be up to {100 * doubt.linearisation_error:.2g} % of the largest displacement off."
         )
 
     def _pressed(self, state: ContactState) -> None:
         if self._worst is None or state.validity.linearisation_error > self._worst.validity.linearisation_error:
             self._worst = state
+
+    def _filmed(self, motion: Motion) -> None:
+        self._least_exact = max(self._least_exact, motion.error)
 
     def progress(self, what: str, share: float) -> None:
         """Tell how far the present entry is."""
@@ -222,7 +235,7 @@ class Bench:
         key = json.dumps([paper, given], sort_keys=True, default=str)
         if key not in self._rigs:
             sensor = KeptSensor(scene, self._bodies, lambda what, _share: self.progress(what, 0.0))
-            self._rigs[key] = Rig(scene, sensor, self._drawn, self._pressed)
+            self._rigs[key] = Rig(scene, sensor, self._drawn, self._pressed, self._filmed)
         return self._rigs[key]
 
     def _tabled(self, paper: str, given: Mapping[str, Any]) -> bool:

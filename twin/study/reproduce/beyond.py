@@ -1,4 +1,4 @@
-"""Beyond the papers: what limits each sensor, what the half-space costs, and what the same hardware reaches today."""
+"""Beyond the papers: what limits each sensor, and what the half-space costs."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ import numpy as np
 from twin.parts.load import Traction
 from twin.show.panels import BarPanel, Curve, CurvePanel
 from twin.study.calibrate import half_space_compliance
-from twin.study.reproduce.bench import OUR_TRACKER, Bench
+from twin.study.reproduce.bench import Bench
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import far_away
-from twin.study.reproduce.finger_forces import FIRST_EXPOSURE, READ_GF, Line
-from twin.study.reproduce.finger_forces import line as force_line
-from twin.study.reproduce.reach import DISTANCES_MM, DRAWN, FINER, FORCE_N, OURS, QUIET
-from twin.study.reproduce.record import Outcome, Record, causes, over
-from twin.study.reproduce.shifted import KAMIYAMA, SATO, measured, samples
+from twin.study.reproduce.reach import DISTANCES_MM, DRAWN, FINER, FORCE_N
+from twin.study.reproduce.record import Outcome, Record
 from twin.study.reproduce.two_forces import (
     Chain,
     limit_of,
@@ -141,79 +138,6 @@ def _limits(bench: Bench) -> Outcome:
     return Outcome(records=records, panels=panels, notes=(note,))
 
 
-def _same_hardware(bench: Bench) -> Outcome:
-    """Measure today's software on the papers' hardware, beside the papers' figures."""
-    flat = Chain(paper="kamiyama", overrides=OURS, tracker=OUR_TRACKER, method="smooth")
-    finger = Chain(
-        paper="sato", overrides=DRAWN | {"reconstruction.sites.columns": 9, "reconstruction.sites.rows": 9,
-                                         "reconstruction.sites.pitch_mm": 1.25},
-        tracker=OUR_TRACKER, method="smooth",
-    )  # fmt: skip
-    records: list[Record] = []
-    for paper, protocol, printed in (("kamiyama", KAMIYAMA, 0.2125), ("sato", SATO, 0.1275)):
-        bench.progress(f"{paper}, tracking", 0.05)
-        deviations = []
-        for seed in bench.seeds(paper, pressed=False):
-            found = measured(bench.rig(paper, seed), protocol, "re-rendered", OUR_TRACKER)
-            deviations.append(float(np.mean([samples(found, layer).std(axis=0, ddof=1) for layer in ("red", "blue")])))
-        quiet = measured(bench.rig(paper, overrides=QUIET), protocol, "re-rendered", OUR_TRACKER)
-        records.append(
-            Record(
-                quantity=f"{paper}: standard deviation of a shift, re-rendered", unit="px",
-                ours=True, paper=printed, **over(deviations),
-                explained_by=causes({
-                    "capture chain: an industrial camera": float(
-                        np.mean([samples(quiet, layer).std(axis=0, ddof=1) for layer in ("red", "blue")])
-                    )
-                }),
-            )
-        )  # fmt: skip
-    for chain, printed_mm in ((flat, None), (finger, 5.0)):
-        bench.progress(f"{chain.paper}, resolution", 0.4)
-        limit = limit_of(chain.rig(bench), shift_noise_px(bench, chain), FORCE_N, 1.0)
-        better = Chain(
-            paper=chain.paper, overrides={**chain.overrides, **QUIET}, tracker=chain.tracker, method=chain.method
-        )
-        records += [
-            Record(
-                quantity=f"{chain.paper}: full width at half maximum of a narrow force", unit="mm",
-                paper=printed_mm, ours=True,
-                twin=point_width_mm(bench, chain, FORCE_N),
-                explained_by=causes({
-                    "capture chain: an industrial camera": point_width_mm(bench, better, FORCE_N),
-                }),
-            ),
-            Record(
-                quantity=f"{chain.paper}: least distance of two narrow forces", unit="mm",
-                twin=two_points_mm(bench, chain, FORCE_N, DISTANCES_MM),
-                explained_by=causes({
-                    "capture chain: an industrial camera": two_points_mm(bench, better, FORCE_N, DISTANCES_MM),
-                }),
-            ),
-            *limit_records(chain.paper, limit),
-        ]  # fmt: skip
-    bench.progress("finger, magnitude", 0.7)
-    lines = {} if bench.quick else _lines(bench, finger)
-    records += [
-        Record(
-            quantity=f"sato, {name}: smallest difference of force two readings tell apart at 95 %", unit="gf",
-            paper=READ_GF, ours=True,
-            twin=line.resolution_gf,
-        )
-        for name, line in lines.items()
-    ]  # fmt: skip
-    return Outcome(records=records)
-
-
-def _lines(bench: Bench, chain: Chain) -> dict[str, Line]:
-    steps, repeats = 10, 2
-    rig = chain.rig(bench)
-    return {
-        name: force_line(rig, rig.calibration, axis, steps, repeats, chain.method, chain.tracker, FIRST_EXPOSURE + 5000)
-        for axis, name in enumerate("xyz")
-    }
-
-
 HALF_SPACE = Entry(
     name="beyond/half-space",
     title="The papers' half-space against the real block",
@@ -230,14 +154,5 @@ LIMITS = Entry(
     "depth, pitch, lens, model. A narrow force of 1 N, and two of them ever further apart; beside them the design's "
     "closed-form limit.",
     run=_limits,
-    long=True,
-)
-SAME_HARDWARE = Entry(
-    name="beyond/same-hardware",
-    title="What the same hardware reaches with this project's tracker, calibration and inverse",
-    source="beyond the papers",
-    protocol="The papers' bodies, markers, cameras and capture chains; the disc-fit tracker, the nominal body's "
-    "compliance and the smooth inverse. The papers' numbers stand beside them.",
-    run=_same_hardware,
     long=True,
 )

@@ -16,6 +16,7 @@ from twin.study.reproduce import (
     flat_picture,
     flat_shapes,
     reach,
+    same_hardware,
     shifted,
     times,
 )
@@ -49,7 +50,7 @@ ENTRIES: dict[str, Entry] = {
         reach.SATO_PREDICTION,
         beyond.HALF_SPACE,
         beyond.LIMITS,
-        beyond.SAME_HARDWARE,
+        same_hardware.SAME_HARDWARE,
     )
 }
 

@@ -19,7 +19,8 @@ from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import NO_NOISE_AT_ALL, OURS_AT_ALL, SMOOTH, solved
 from twin.study.reproduce.finger_calibration import OUR_WAY, QUIET, calibrated_without, said
 from twin.study.reproduce.finger_picture import GRAM_FORCE_N
-from twin.study.reproduce.record import Outcome, Record, causes
+from twin.study.reproduce.record import Outcome, Record, causes, over
+from twin.study.reproduce.two_forces import trials
 
 PRELOAD_GF = 200.0
 REPEATS = 5
@@ -73,6 +74,11 @@ class Line:
         deviation = np.sqrt((self.residual_gf**2).sum() / (len(self.applied_gf) - 2))
         return float(TOLD_APART * deviation / abs(self.slope))
 
+    @property
+    def widest_gf(self) -> float:
+        """Largest difference of measured and applied force."""
+        return float(np.abs(self.measured_gf - self.applied_gf).max())
+
 
 def line(
     rig: Rig,
@@ -105,6 +111,7 @@ FIGURES: dict[str, tuple[str, Callable[[Line], float], float | None]] = {
     "slope of measured over applied force": ("", lambda line: line.slope, None),
     "R squared": ("", lambda line: line.determination, None),
     "resolution: smallest difference two readings tell apart at 95 %": ("gf", lambda line: line.resolution_gf, READ_GF),
+    "largest difference of measured and applied force": ("gf", lambda line: line.widest_gf, None),
 }
 
 
@@ -119,7 +126,11 @@ def _figure_8(bench: Bench) -> Outcome:
         if bench.quick and name != "z":
             continue
         bench.progress(f"cylinder along {name}", axis / 3)
-        readings = line(rig, told, axis, steps, repeats, "pinv")
+        runs = [
+            line(rig, told, axis, steps, repeats, "pinv", first=FIRST_EXPOSURE + trial.exposures)
+            for trial in trials(bench, "sato")
+        ]
+        readings = runs[0]
         off = {
             said(bench, NO_NOISE_AT_ALL): line(quiet, calm, axis, steps, 1, "pinv"),
             said(bench, OURS_AT_ALL): line(rig, ours, axis, steps, repeats, "pinv", OUR_TRACKER),
@@ -128,7 +139,8 @@ def _figure_8(bench: Bench) -> Outcome:
         for figure, (unit, value, paper) in FIGURES.items():
             records.append(
                 Record(
-                    quantity=f"{name}: {figure}", unit=unit, paper=paper, twin=value(readings), n=1,
+                    quantity=f"{name}: {figure} (n times {repeats} repeats)", unit=unit, paper=paper,
+                    **over(value(run) for run in runs),
                     explained_by=causes({cause: value(other) for cause, other in off.items()}),
                 )
             )  # fmt: skip

@@ -11,14 +11,17 @@ from twin.study.reproduce.bench import OUR_TRACKER, Bench
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import solved
 from twin.study.reproduce.finger_picture import sphere_press
-from twin.study.reproduce.record import Outcome, Record, causes
+from twin.study.reproduce.record import Outcome, Record, causes, over
 from twin.study.reproduce.two_forces import (
+    ONCE,
     Chain,
+    Trial,
     along_x,
     limit_of,
     limit_records,
     point_width_mm,
     shift_noise_px,
+    trials,
     two_points_mm,
     width_mm,
 )
@@ -116,9 +119,9 @@ FINER: dict[str, Any] = {
 DRAWN: dict[str, Any] = {"calibration.method": "compliance"}
 
 
-def _sphere_width(bench: Bench, chain: Chain, gram_force: float) -> float:
-    rig = chain.rig(bench)
-    found = rig.seen(rig.press(sphere_press((0.0, 0.0), gram_force)), 80, chain.tracker)
+def _sphere_width(bench: Bench, chain: Chain, gram_force: float, trial: Trial = ONCE) -> float:
+    rig = chain.rig(bench, trial.seed)
+    found = rig.seen(rig.press(sphere_press((0.0, 0.0), gram_force)), 80 + trial.exposures, chain.tracker)
     return width_mm(*along_x(solved(found, rig.calibration, chain.method, chain.options), magnitude=True))
 
 
@@ -142,24 +145,26 @@ def _sato(bench: Bench) -> Outcome:
             ways = {"tracker and inverse: this project's": ours}
         noise = shift_noise_px(bench, chain)
         limit = limit_of(chain.rig(bench), noise, FORCE_N, 1.0)
+        runs = trials(bench, "sato")
         predicted = {0: None, 1: 2.0}[number]
         records += [
             Record(
-                quantity=f"{name}: full width at half maximum under the 3 mm sphere at {force:g} gf", unit="mm",
-                paper=predicted if force == 200 else None, twin=_sphere_width(bench, chain, force),
+                quantity=f"{name}: full width at half maximum under the 3 mm sphere at {force:g} gf (n exposures)",
+                unit="mm", paper=predicted if force == 200 else None,
+                **over(_sphere_width(bench, chain, force, trial) for trial in runs),
                 explained_by=causes({way: _sphere_width(bench, other, force) for way, other in ways.items()}),
             )
             for force in ((200.0,) if bench.quick else (200.0, 20.0))
         ]  # fmt: skip
         records += [
             Record(
-                quantity=f"{name}: full width at half maximum of a narrow force of 1 N", unit="mm", paper=predicted,
-                twin=point_width_mm(bench, chain, FORCE_N),
+                quantity=f"{name}: full width at half maximum of a narrow force of 1 N (n exposures)", unit="mm",
+                paper=predicted, **over(point_width_mm(bench, chain, FORCE_N, trial) for trial in runs),
                 explained_by=causes({way: point_width_mm(bench, c, FORCE_N) for way, c in ways.items()}),
             ),
             Record(
-                quantity=f"{name}: least distance of two narrow forces with a dip of a fifth", unit="mm",
-                twin=two_points_mm(bench, chain, FORCE_N, DISTANCES_MM),
+                quantity=f"{name}: least distance of two narrow forces with a dip of a fifth (n exposures)", unit="mm",
+                **over(two_points_mm(bench, chain, FORCE_N, DISTANCES_MM, trial) for trial in runs),
                 explained_by=causes(
                     {way: two_points_mm(bench, c, FORCE_N, DISTANCES_MM) for way, c in ways.items()}
                 ),

@@ -14,9 +14,10 @@ from twin.parts.methods import Method
 from twin.sense.reconstruct import Field
 from twin.sense.rest import Method as Tracker
 from twin.sense.track import Found
-from twin.study.reproduce.bench import Bench, Rig
+from twin.study.reproduce.bench import MADE, Bench, Rig
 from twin.study.reproduce.fields import calibration, full_width, solved
 from twin.study.reproduce.record import Record
+from twin.study.sensor import Motion
 from twin.theory.limit import DIP, Limit, design_limit
 
 SPOT_MM = 0.5
@@ -68,27 +69,56 @@ def width_mm(x: Floats, size: Floats) -> float:
     return width if np.isfinite(width) else float(x[-1] - x[0])
 
 
-def pressed(bench: Bench, chain: Chain, at_mm: tuple[float, ...], force_n: float, exposure: int) -> Field:
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """One of several runs of the same thing: a made sensor, and where its exposures are counted from."""
+
+    seed: int | None = None
+    exposures: int = 0
+
+
+ONCE = Trial()
+APART = 20_000
+"""Exposures from one trial to the next on the same made sensor."""
+
+
+def trials(bench: Bench, paper: str) -> tuple[Trial, ...]:
+    """Return the runs over which a number's spread is told: made sensors; exposures of one where probes touch it."""
+    seeds = bench.seeds(paper)
+    if bench.quick or len(seeds) > 1:
+        return tuple(Trial(seed=seed) for seed in seeds)
+    return tuple(Trial(exposures=APART * number) for number in range(MADE))
+
+
+def pressed(
+    bench: Bench, chain: Chain, at_mm: tuple[float, ...], force_n: float, exposure: int, trial: Trial = ONCE
+) -> Field:
     """Push narrow forces at places along x and return the reconstructed field."""
-    rig = chain.rig(bench)
-    load = sum((Traction.disk((x, 0.0), SPOT_MM, (0.0, 0.0, force_n)) for x in at_mm), start=Traction.disk(
-        (at_mm[0], 0.0), SPOT_MM, (0.0, 0.0, 0.0)))  # fmt: skip
-    found = rig.track(rig.picture(rig.sensor.motion(load), exposure), chain.tracker)
+    rig = chain.rig(bench, trial.seed)
+    motion = bench.once(("narrow", id(rig), at_mm, force_n), lambda: _motion(rig, at_mm, force_n))
+    found = rig.track(rig.picture(motion, exposure + trial.exposures), chain.tracker)
     return chain.solved(bench, rig, found)
 
 
-def point_width_mm(bench: Bench, chain: Chain, force_n: float) -> float:
+def _motion(rig: Rig, at_mm: tuple[float, ...], force_n: float) -> Motion:
+    spots = [Traction.disk((x, 0.0), SPOT_MM, (0.0, 0.0, force_n)) for x in at_mm]
+    return rig.sensor.motion(sum(spots[1:], start=spots[0]))
+
+
+def point_width_mm(bench: Bench, chain: Chain, force_n: float, trial: Trial = ONCE) -> float:
     """Return the full width at half maximum of the estimate of a narrow force, mm: of the magnitude, as Sato has it.
 
     Of the push alone it would flatter an inverse that swings from site to site.
     """
-    return width_mm(*along_x(pressed(bench, chain, (0.0,), force_n, 60), magnitude=True))
+    return width_mm(*along_x(pressed(bench, chain, (0.0,), force_n, 60, trial), magnitude=True))
 
 
-def two_points_mm(bench: Bench, chain: Chain, force_n: float, distances_mm: tuple[float, ...]) -> float:
+def two_points_mm(
+    bench: Bench, chain: Chain, force_n: float, distances_mm: tuple[float, ...], trial: Trial = ONCE
+) -> float:
     """Return the least distance of two narrow forces with a dip of a fifth between them, mm; else the largest."""
     for number, apart in enumerate(distances_mm):
-        x, push = along_x(pressed(bench, chain, (-apart / 2, apart / 2), force_n, 70 + number))
+        x, push = along_x(pressed(bench, chain, (-apart / 2, apart / 2), force_n, 70 + number, trial))
         peaks = np.interp((-apart / 2, apart / 2), x, push)
         if peaks.min() > 0 and 1.0 - float(np.interp(0.0, x, push)) / float(peaks.min()) >= DIP:
             return apart

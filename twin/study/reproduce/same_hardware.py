@@ -1,0 +1,224 @@
+"""What the papers' hardware reaches with today's software: the papers' figures, and their software's, beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from twin.parts.press import Press
+from twin.sense.reconstruct import reconstruct
+from twin.sense.track import track_frame
+from twin.study.reproduce.bench import OUR_TRACKER, Bench
+from twin.study.reproduce.entry import Entry
+from twin.study.reproduce.fields import calibration, scored
+from twin.study.reproduce.finger_forces import FIRST_EXPOSURE, READ_GF, TOLD_APART
+from twin.study.reproduce.finger_forces import line as force_line
+from twin.study.reproduce.finger_picture import GRAM_FORCE_N, sphere_press
+from twin.study.reproduce.flat_picture import pillar_press
+from twin.study.reproduce.reach import DISTANCES_MM, DRAWN, FORCE_N, OURS, QUIET
+from twin.study.reproduce.record import Outcome, Record, causes, over
+from twin.study.reproduce.shifted import KAMIYAMA, SATO, Protocol, measured, samples
+from twin.study.reproduce.times import BEFORE, TRIALS, timed
+from twin.study.reproduce.two_forces import (
+    ONCE,
+    Chain,
+    Trial,
+    limit_of,
+    limit_records,
+    point_width_mm,
+    shift_noise_px,
+    trials,
+    two_points_mm,
+)
+
+CAMERA = "capture chain: an industrial camera"
+PAPERS = "tracker, calibration and inverse: the paper's"
+READINGS = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hardware:
+    """A paper's sensor with its own software and with this project's, and what the paper prints.
+
+    Attributes
+    ----------
+    own, ours
+        The two chains.
+    shift
+        The test of Table 1 or I.
+    press, pressed
+        A contact whose field is reconstructed, and its name.
+    width_mm, rate_hz
+        Full width at half maximum, and frames a second, as printed.
+    """
+
+    own: Chain
+    ours: Chain
+    shift: Protocol
+    press: Callable[[], Press]
+    pressed: str
+    width_mm: float | None
+    rate_hz: float
+
+    @property
+    def quiet(self) -> Chain:
+        """This project's software behind an industrial camera."""
+        return replace(self.ours, overrides={**self.ours.overrides, **QUIET})
+
+
+FINE: dict[str, Any] = {
+    "reconstruction.sites.columns": 9, "reconstruction.sites.rows": 9, "reconstruction.sites.pitch_mm": 1.25,
+}  # fmt: skip
+HARDWARE = (
+    Hardware(
+        own=Chain(paper="kamiyama", method="norm"),
+        ours=Chain(paper="kamiyama", overrides=OURS, tracker=OUR_TRACKER, method="smooth"),
+        shift=KAMIYAMA, press=pillar_press, pressed="under the 5 mm pillar", width_mm=None, rate_hz=1 / 0.08,
+    ),
+    Hardware(
+        own=Chain(paper="sato", method="pinv"),
+        ours=Chain(paper="sato", overrides=DRAWN | FINE, tracker=OUR_TRACKER, method="smooth"),
+        shift=SATO, press=lambda: sphere_press((0.0, 0.0), 100.0), pressed="under the 3 mm sphere at 100 gf",
+        width_mm=5.0, rate_hz=1e6 / 545.0,
+    ),
+)  # fmt: skip
+
+
+def _deviation_px(bench: Bench, hardware: Hardware, chain: Chain, seed: int) -> float:
+    """Return the standard deviation of a re-rendered shift, mean over layers and axes, px."""
+    rig = bench.rig(chain.paper, seed, QUIET if chain == hardware.quiet else None)
+    found = measured(rig, hardware.shift, "re-rendered", chain.tracker)
+    return float(np.mean([samples(found, layer).std(axis=0, ddof=1) for layer in ("red", "blue")]))
+
+
+def _field_error(bench: Bench, hardware: Hardware, chain: Chain, trial: Trial = ONCE) -> float:
+    rig = chain.rig(bench, trial.seed)
+    state = rig.press(hardware.press())
+    field = chain.solved(bench, rig, rig.seen(state, 90 + trial.exposures, chain.tracker))
+    error = scored(rig, state, field)["field_error"]
+    return float("nan") if error is None else float(error)
+
+
+def _told_apart_gf(bench: Bench, hardware: Hardware, chain: Chain, trial: Trial = ONCE) -> float:
+    """Return the smallest difference of pushes that two readings of one press tell apart at 95 %, gf."""
+    rig = chain.rig(bench, trial.seed)
+    state = rig.press(hardware.press())
+    first = 100 + trial.exposures
+    fields = [chain.solved(bench, rig, rig.seen(state, first + k, chain.tracker)) for k in range(READINGS)]
+    pushes = np.array([field.total_force_n[2] for field in fields])
+    slope = float(pushes.mean() / state.force_n[2])
+    return float(TOLD_APART * pushes.std(ddof=1) / abs(slope) / GRAM_FORCE_N)
+
+
+def _rates(bench: Bench, hardware: Hardware, chain: Chain) -> np.ndarray:
+    """Return (trials,) frames a second from a frame that has arrived to its force field, on one thread."""
+    rig = chain.rig(bench)
+    told = calibration(bench, rig, chain.told)
+    rest = rig.rest(chain.tracker or rig.scene.tracking.method)
+    picture = rig.picture(rig.motion(rig.press(hardware.press())), 90)
+    found = track_frame(rest, picture)
+    before = BEFORE * found.shift_px
+    weight = reconstruct(found, told, method=chain.method).weight
+    return 1.0 / timed(
+        lambda: reconstruct(track_frame(rest, picture, before), told, method=chain.method, weight=weight),
+        20 if bench.quick else TRIALS,
+    )
+
+
+def _records(bench: Bench, hardware: Hardware) -> list[Record]:
+    paper, ours, runs = hardware.ours.paper, hardware.ours, trials(bench, hardware.ours.paper)
+    others = {PAPERS: hardware.own, CAMERA: hardware.quiet}
+    pushes = {"pushes only": replace(ours, options={"push_only": True})}
+
+    def compared(
+        quantity: str, unit: str, value: Callable[[Chain, Trial], float], printed: float | None, **more: Chain
+    ) -> Record:
+        return Record(
+            quantity=f"{paper}{quantity}", unit=unit, paper=printed, ours=True,
+            **over(value(ours, trial) for trial in runs),
+            explained_by=causes({name: value(chain, ONCE) for name, chain in {**others, **more}.items()}),
+        )  # fmt: skip
+
+    bench.progress(f"{paper}, tracking", 0.05)
+    printed_px = float(np.mean([deviation for _, deviation in hardware.shift.paper.values()]))
+    deviation = Record(
+        quantity=f"{paper}: standard deviation of a shift, re-rendered", unit="px", ours=True, paper=printed_px,
+        **over(_deviation_px(bench, hardware, ours, seed) for seed in bench.seeds(paper, pressed=False)),
+        explained_by=causes({n: _deviation_px(bench, hardware, c, bench.seed) for n, c in others.items()}),
+    )  # fmt: skip
+    bench.progress(f"{paper}, fields", 0.2)
+    records = [
+        deviation,
+        compared(
+            f": field error {hardware.pressed}", "", lambda c, t: _field_error(bench, hardware, c, t), None, **pushes
+        ),
+        compared(
+            ": full width at half maximum of a narrow force", "mm",
+            lambda c, t: point_width_mm(bench, c, FORCE_N, t), hardware.width_mm,
+        ),
+        compared(
+            ": least distance of two narrow forces", "mm",
+            lambda c, t: two_points_mm(bench, c, FORCE_N, DISTANCES_MM, t), None,
+        ),
+        *limit_records(paper, limit_of(ours.rig(bench), shift_noise_px(bench, ours), FORCE_N, 1.0)),
+    ]  # fmt: skip
+    bench.progress(f"{paper}, magnitude", 0.6)
+    if paper == "kamiyama":
+        told = "z: smallest difference of force two readings of one press tell apart at 95 %"
+        records.append(compared(f", {told}", "gf", lambda c, t: _told_apart_gf(bench, hardware, c, t), None))
+    elif not bench.quick:
+        records += _lines(bench, ours, runs)
+    rates, own = (_rates(bench, hardware, chain) for chain in (ours, hardware.own))
+    records.append(
+        Record(
+            quantity=f"{paper}: frames a second, from the frame to the force field", unit="Hz",
+            paper=hardware.rate_hz, twin=float(np.median(rates)), n=len(rates), timed=True,
+            explained_by=causes({PAPERS: float(np.median(own))}),
+        )
+    )  # fmt: skip
+    return records
+
+
+def _lines(bench: Bench, chain: Chain, runs: tuple[Trial, ...]) -> list[Record]:
+    """Return Fig. 8's resolution with this chain, two repeats a run."""
+    steps, repeats = 10, 2
+    rig = chain.rig(bench)
+    first = FIRST_EXPOSURE + 5000
+    return [
+        Record(
+            quantity=f"sato, {name}: smallest difference of force two readings tell apart at 95 %", unit="gf",
+            paper=READ_GF, ours=True,
+            **over(
+                force_line(
+                    rig, rig.calibration, axis, steps, repeats, chain.method, chain.tracker, first + trial.exposures
+                ).resolution_gf
+                for trial in runs
+            ),
+        )
+        for axis, name in enumerate("xyz")
+    ]  # fmt: skip
+
+
+def _same_hardware(bench: Bench) -> Outcome:
+    records = [record for hardware in HARDWARE for record in _records(bench, hardware)]
+    note = (
+        "Runs are made sensors on the flat sensor, exposures of one made finger. The papers' rates are of their "
+        "machines: Kamiyama's with capture, Sato's of the calculation alone. The weight of the inverse is given when "
+        "times are taken."
+    )
+    return Outcome(records=records, notes=(note,))
+
+
+SAME_HARDWARE = Entry(
+    name="beyond/same-hardware",
+    title="What the same hardware reaches with this project's tracker, calibration and inverse",
+    source="beyond the papers",
+    protocol="The papers' bodies, markers, cameras and capture chains; the disc-fit tracker, the nominal body's "
+    "compliance and the smooth inverse. Beside them the papers' numbers, and the same with the paper's own tracker, "
+    "calibration and inverse.",
+    run=_same_hardware,
+    long=True,
+)
