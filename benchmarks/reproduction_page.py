@@ -18,6 +18,7 @@ from benchmarks.elasticity_page import stored
 from twin.places import ROOT
 from twin.study.reproduce.bench import FITTED
 from twin.study.reproduce.catalogue import ENTRIES
+from twin.study.reproduce.same_hardware import CAMERA, PAPERS
 
 PAGE = ROOT / "docs" / "reproduction.md"
 PICTURES = {"beyond_limits.png": "reproduction_limits.png", "beyond_half-space.png": "reproduction_half_space.png"}
@@ -25,7 +26,6 @@ MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"
 HEADINGS = {
     "kamiyama": "The flat sensor (Kamiyama)",
     "sato": "The finger (Sato)",
-    "beyond": "The same hardware with this project's tracker, calibration and inverse",
 }
 
 Row = dict[str, Any]
@@ -58,6 +58,10 @@ def page_tables(rows: list[Row]) -> str:
             parts += [f"Fitted: {'; '.join(FITTED[paper])}.", ""]
         parts += [table([_row(record) for record in mine]), ""]
     parts += [
+        "## The same hardware with this project's tracker, calibration and inverse", "",
+        "The papers' bodies, markers, cameras and capture chains. Beside what the papers print, what the twin gives "
+        "with the paper's own software, with this project's, and with this project's behind an industrial camera.", "",
+        table([_beside(r) for r in records if r["name"] == "beyond/same-hardware"]), "",
         "## What limits each sensor", "",
         "One thing is changed at a time, with the papers' tracker and inverse; the mark on each bar is the closed-form "
         "limit of that design at its noise, of a half-space seen straight on.", "",
@@ -92,6 +96,22 @@ def _row(record: Row) -> Row:
         "paper": f"{record['paper']:g}", "twin": "not defined" if record["twin"] is None
         else f"{record['twin']:.3g}{spread}", "n": record["n"], "agreement": record["verdict"],
     }  # fmt: skip
+
+
+def _beside(record: Row) -> Row:
+    others = {cause["cause"]: cause["value"] for cause in record["explained_by"]}
+    spread = f" ± {record['spread']:.2g}" if record["spread"] else ""
+    return {
+        "number": record["quantity"], "unit": record["unit"],
+        "paper prints": "" if record["paper"] is None else f"{record['paper']:.3g}",
+        "with the paper's software": _value(others.get(PAPERS)),
+        "with this project's": f"{_value(record['twin'])}{spread}",
+        "and an industrial camera": _value(others.get(CAMERA)), "n": record["n"],
+    }  # fmt: skip
+
+
+def _value(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
 
 
 def main() -> None:

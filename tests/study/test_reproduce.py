@@ -15,14 +15,14 @@ from twin.errors import InputError, TwinError
 from twin.sense.track import track_frame
 from twin.show.reproduction import reproduction
 from twin.study.reproduce import runner
-from twin.study.reproduce.bench import OUR_TRACKER, Bench, sensor_hash
+from twin.study.reproduce.bench import MADE, OUR_TRACKER, Bench, sensor_hash
 from twin.study.reproduce.catalogue import ENTRIES, chosen
 from twin.study.reproduce.fields import half_space_motion
-from twin.study.reproduce.flat_picture import impulse
+from twin.study.reproduce.flat_picture import impulse, pillar_press
 from twin.study.reproduce.record import Outcome, Record, causes, over
 from twin.study.reproduce.runner import reproduce
 from twin.study.reproduce.shifted import displaced
-from twin.study.reproduce.two_forces import width_mm
+from twin.study.reproduce.two_forces import trials, width_mm
 
 FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
 
@@ -125,6 +125,38 @@ ASKED = {
     "kamiyama/table-1", *(f"kamiyama/fig-{n}" for n in range(6, 18)), "kamiyama/times", "sato/table-1", "sato/table-2",
     *(f"sato/fig-{n}" for n in range(6, 10)), "sato/calibration", "sato/2mm-prediction",
 }  # fmt: skip
+
+
+def test_numbers_are_of_several_runs() -> None:
+    flat, finger = trials(Bench(), "kamiyama"), trials(Bench(), "sato")
+    assert len({trial.seed for trial in flat}) == MADE
+    assert len({(trial.seed, trial.exposures) for trial in finger}) == MADE
+    assert len({trial.seed for trial in finger}) == 1, "its calibration is of one made finger"
+    assert len(trials(Bench(quick=True), "sato")) == 1
+
+
+def test_an_entry_says_what_its_loads_cost_in_accuracy() -> None:
+    bench = Bench()
+    bench.begin("kamiyama/fig-9", 0.0, 1.0)
+    assert not bench.validity
+    rig = bench.rig("kamiyama")
+    motion = rig.motion(rig.press(pillar_press()))
+    assert f"up to {100 * motion.error:.2g} % of its largest off" in bench.validity
+    assert "linear theory" in bench.validity
+    bench.begin("kamiyama/fig-10", 0.0, 1.0)
+    assert not bench.validity, "the next entry's own loads count"
+
+
+def test_only_the_papers_own_finger_is_read_off_a_table() -> None:
+    def tabled(bench: Bench, **more: object) -> bool:
+        return bool(bench.rig("sato", **more).scene.accuracy.surface_table)  # type: ignore[arg-type]
+
+    assert tabled(Bench())
+    assert tabled(Bench(), overrides={"ccd.noise": False}), "another camera on the same body"
+    assert not tabled(Bench(), seed=2)
+    assert not tabled(Bench(), overrides={"tolerance.preset": "none"}), "another body, pressed a few times"
+    assert not tabled(Bench(quick=True))
+    assert not Bench().rig("kamiyama").scene.accuracy.surface_table
 
 
 def test_every_table_and_figure_has_an_entry() -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from twin.arrays import Floats, Picture
+from twin.parts.load import Load
 from twin.parts.part import without_later
 from twin.parts.press import Press
 from twin.parts.scene import Scene
@@ -77,13 +78,13 @@ class Rig:
         sensor: KeptSensor,
         drawn: dict[str, Calibration],
         pressed: Callable[[ContactState], None],
-        filmed: Callable[[Motion], None],
+        moved: Callable[[Motion], None],
     ) -> None:
         self.scene = scene
         self.sensor = sensor
         self._drawn = drawn
         self._pressed = pressed
-        self._filmed = filmed
+        self._moved = moved
         self._rests: dict[tuple[str, int], Rest] = {}
 
     def press(self, press: Press) -> ContactState:
@@ -94,12 +95,16 @@ class Rig:
 
     def motion(self, state: ContactState) -> Motion:
         """Return how a press moves the markers."""
-        return self.sensor.motion(state.load)
+        return self.moved_by(state.load)
+
+    def moved_by(self, load: Load) -> Motion:
+        """Return how a load moves the markers; how far off that may be is noted."""
+        motion = self.sensor.motion(load)
+        self._moved(motion)
+        return motion
 
     def picture(self, motion: Motion | None, exposure: int) -> Picture:
-        """Expose the markers at rest or moved; how far off their motion may be is noted."""
-        if motion is not None:
-            self._filmed(motion)
+        """Expose the markers at rest or moved."""
         return self.sensor.picture(motion, exposure)
 
     def rest(self, method: Method, exposure: int = 0) -> Rest:
@@ -210,7 +215,7 @@ class Bench:
         if self._worst is None or state.validity.linearisation_error > self._worst.validity.linearisation_error:
             self._worst = state
 
-    def _filmed(self, motion: Motion) -> None:
+    def _moved(self, motion: Motion) -> None:
         self._least_exact = max(self._least_exact, motion.error)
 
     def progress(self, what: str, share: float) -> None:
@@ -235,7 +240,7 @@ class Bench:
         key = json.dumps([paper, given], sort_keys=True, default=str)
         if key not in self._rigs:
             sensor = KeptSensor(scene, self._bodies, lambda what, _share: self.progress(what, 0.0))
-            self._rigs[key] = Rig(scene, sensor, self._drawn, self._pressed, self._filmed)
+            self._rigs[key] = Rig(scene, sensor, self._drawn, self._pressed, self._moved)
         return self._rigs[key]
 
     def _tabled(self, paper: str, given: Mapping[str, Any]) -> bool:

@@ -146,11 +146,12 @@ def _figure(found: Found, layer: str, axis: str, number: int) -> float:
 
 def _note(protocol: Protocol) -> str:
     which = "the rest picture itself" if protocol.exposure == 0 else "a second exposure at rest"
+    text = "" if protocol is KAMIYAMA else " The paper's section IV rounds its table to 0.15 px."
     return (
         f"Digital: {which}, displaced by {protocol.shift_px} px in the computer, windows fixed on the rest state. "
         "Re-rendered: every marker moved so that its centre shifts by as much, filmed anew with noise of its own. A "
         "displaced picture takes its mosaic, lines and compression along and so hides what they do to a moving "
-        "marker."
+        f"marker.{text}"
     )
 
 

@@ -102,7 +102,7 @@ def pressed(
 
 def _motion(rig: Rig, at_mm: tuple[float, ...], force_n: float) -> Motion:
     spots = [Traction.disk((x, 0.0), SPOT_MM, (0.0, 0.0, force_n)) for x in at_mm]
-    return rig.sensor.motion(sum(spots[1:], start=spots[0]))
+    return rig.moved_by(sum(spots[1:], start=spots[0]))
 
 
 def point_width_mm(bench: Bench, chain: Chain, force_n: float, trial: Trial = ONCE) -> float:
