@@ -36,6 +36,7 @@ from twin.study.reproduce.two_forces import (
 
 CAMERA = "capture chain: an industrial camera"
 PAPERS = "tracker, calibration and inverse: the paper's"
+LOCAL = "inverse: method local, forces expected where some are found"
 READINGS = 10
 
 
@@ -67,6 +68,11 @@ class Hardware:
     def quiet(self) -> Chain:
         """This project's software behind an industrial camera."""
         return replace(self.ours, overrides={**self.ours.overrides, **QUIET})
+
+    @property
+    def others(self) -> dict[str, Chain]:
+        """What stands beside this project's default, by name."""
+        return {PAPERS: self.own, LOCAL: replace(self.ours, method="local"), CAMERA: self.quiet}
 
 
 FINE: dict[str, Any] = {
@@ -130,7 +136,7 @@ def _rates(bench: Bench, hardware: Hardware, chain: Chain) -> np.ndarray:
 
 def _records(bench: Bench, hardware: Hardware) -> list[Record]:
     paper, ours, runs = hardware.ours.paper, hardware.ours, trials(bench, hardware.ours.paper)
-    others = {PAPERS: hardware.own, CAMERA: hardware.quiet}
+    others = hardware.others
     pushes = {"pushes only": replace(ours, options={"push_only": True})}
 
     def compared(
@@ -147,7 +153,9 @@ def _records(bench: Bench, hardware: Hardware) -> list[Record]:
     deviation = Record(
         quantity=f"{paper}: standard deviation of a shift, re-rendered", unit="px", ours=True, paper=printed_px,
         **over(_deviation_px(bench, hardware, ours, seed) for seed in bench.seeds(paper, pressed=False)),
-        explained_by=causes({n: _deviation_px(bench, hardware, c, bench.seed) for n, c in others.items()}),
+        explained_by=causes(
+            {n: _deviation_px(bench, hardware, c, bench.seed) for n, c in others.items() if n != LOCAL}
+        ),
     )  # fmt: skip
     bench.progress(f"{paper}, fields", 0.2)
     records = [
@@ -170,32 +178,33 @@ def _records(bench: Bench, hardware: Hardware) -> list[Record]:
         told = "z: smallest difference of force two readings of one press tell apart at 95 %"
         records.append(compared(f", {told}", "gf", lambda c, t: _told_apart_gf(bench, hardware, c, t), None))
     elif not bench.quick:
-        records += _lines(bench, ours, runs)
-    rates, own = (_rates(bench, hardware, chain) for chain in (ours, hardware.own))
+        records += _lines(bench, hardware, runs)
+    rates = _rates(bench, hardware, ours)
     records.append(
         Record(
             quantity=f"{paper}: frames a second, from the frame to the force field", unit="Hz",
             paper=hardware.rate_hz, twin=float(np.median(rates)), n=len(rates), timed=True,
-            explained_by=causes({PAPERS: float(np.median(own))}),
+            explained_by=causes(
+                {n: float(np.median(_rates(bench, hardware, c))) for n, c in others.items() if n != CAMERA}
+            ),
         )
     )  # fmt: skip
     return records
 
 
-def _lines(bench: Bench, chain: Chain, runs: tuple[Trial, ...]) -> list[Record]:
-    """Return Fig. 8's resolution with this chain, two repeats a run."""
-    steps, repeats = 10, 2
-    rig = chain.rig(bench)
-    first = FIRST_EXPOSURE + 5000
+def _lines(bench: Bench, hardware: Hardware, runs: tuple[Trial, ...]) -> list[Record]:
+    """Return Fig. 8's resolution along every axis, two repeats a run."""
+
+    def resolution_gf(chain: Chain, axis: int, trial: Trial) -> float:
+        rig, first = chain.rig(bench), FIRST_EXPOSURE + 5000 + trial.exposures
+        return force_line(rig, rig.calibration, axis, 10, 2, chain.method, chain.tracker, first).resolution_gf
+
     return [
         Record(
             quantity=f"sato, {name}: smallest difference of force two readings tell apart at 95 %", unit="gf",
-            paper=READ_GF, ours=True,
-            **over(
-                force_line(
-                    rig, rig.calibration, axis, steps, repeats, chain.method, chain.tracker, first + trial.exposures
-                ).resolution_gf
-                for trial in runs
+            paper=READ_GF, ours=True, **over(resolution_gf(hardware.ours, axis, trial) for trial in runs),
+            explained_by=causes(
+                {n: resolution_gf(c, axis, ONCE) for n, c in hardware.others.items() if n != CAMERA}
             ),
         )
         for axis, name in enumerate("xyz")
