@@ -32,7 +32,8 @@ FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
     [
         (None, 1.0, None, {}, "the paper gives no number"),
         (1.0, 1.1, None, {}, "agrees"),
-        (1.0, 1.6, 0.4, {}, "agrees"),
+        (1.0, 1.4, 0.4, {}, "agrees"),
+        (2.0, 7.0, 2.6, {}, "disagrees, and no modelled cause explains it"),
         (1.0, 2.0, None, {"noise": 1.1, "lens": 1.9}, "explained by: noise"),
         (1.0, 2.0, None, {"noise": 1.4, "lens": 1.9}, "partly explained by: noise"),
         (1.0, 2.0, None, {"noise": 3.0, "lens": 1.9}, "disagrees, and no modelled cause explains it"),

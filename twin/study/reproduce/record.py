@@ -12,6 +12,9 @@ CLOSE = 0.15
 """Share of the paper's number within which twin and paper agree whatever the spread: the papers round and read off
 plots."""
 
+MOST = 0.5
+"""Share of the paper's number beyond which nothing agrees, however wide the runs are spread."""
+
 DIGITS = 6
 """Significant digits kept of every number: the last ones of a sum depend on the processor."""
 
@@ -76,8 +79,9 @@ class Record:
     @property
     def tolerance(self) -> float:
         """Difference from the paper within which the two are said to agree."""
-        least = self.near if self.near is not None else CLOSE * abs(self.paper or 0.0)
-        return max(least, 2.0 * (self.spread or 0.0))
+        size = abs(self.paper or 0.0)
+        least = self.near if self.near is not None else CLOSE * size
+        return max(least, min(2.0 * (self.spread or 0.0), MOST * size))
 
     @property
     def verdict(self) -> str:
