@@ -91,10 +91,8 @@ def _counts(tables: Sequence[Mapping[str, Any]]) -> str:
         "explained "
         f"in whole or part by a cause that was switched off, {left} are not explained.</p>"
         '<p class="note">Two numbers agree when they differ by less than 15 % of the paper\'s (0.1 px for '
-        "average shifts), or "
-        "by twice the spread over runs, and at most by half. A cause explains a difference when the run without it comes "
-        "as near as that to "
-        "the paper; it explains it in part when it more than halves it.</p>"
+        "average shifts), or by twice the spread over runs, and at most by half. A cause explains a difference when "
+        "the run without it comes as near as that to the paper; it explains it in part when it more than halves it.</p>"
     )
 
 
