@@ -35,7 +35,8 @@ nav a { color: inherit; display: block } li a { color: inherit } .source { color
   article { break-inside: auto; margin-top: 1.2rem } article h3, .source { break-after: avoid }
   article img { max-width: 15cm; break-inside: avoid } .records { font-size: 8.5pt } .records tr { break-after: auto }
   .records td, .records th { padding: .15rem .6rem .15rem 0 } .records li { display: inline }
-  .records th:first-child { width: 25% } .records td:last-child { width: 45% }
+  section, .records tr { break-inside: avoid } .records small { font-size: 7.5pt }
+  .records:not(.alone) th:first-child { width: 25% } .records:not(.alone) td:last-child { width: 45% }
   .records summary { display: none } .records ul { padding: 0 } .records li:not(:last-child)::after { content: "; " } }
 """
 
@@ -144,6 +145,10 @@ def _article(table: Mapping[str, Any], picture: bytes) -> str:
 
 
 def _records(records: Sequence[Mapping[str, Any]]) -> str:
+    if not any(record["paper"] is not None or record["explained_by"] for record in records):
+        rows = "".join(f'<tr><th>{escape(r["quantity"])}</th><td class="n">{_measured(r)}</td></tr>' for r in records)
+        head = '<thead><tr><th>quantity</th><th class="n">twin</th></tr></thead>'
+        return f'<div class="wide"><table class="records alone">{head}<tbody>{rows}</tbody></table></div>'
     head = (
         '<thead><tr><th>quantity</th><th class="n">paper</th><th class="n">twin</th><th class="n">difference</th>'
         "<th>agreement, and causes switched off</th></tr></thead>"
@@ -152,9 +157,7 @@ def _records(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _row(record: Mapping[str, Any]) -> str:
-    unit = f" {record['unit']}" if record["unit"] else ""
-    twin = _with_spread(record)
-    runs = f"<small>{record['n']} runs</small>" if record["n"] > 1 else ""
+    unit = _unit(record)
     verdict = str(record["verdict"])
     gentle = "explained by:" in verdict or record["timed"] or record["ours"]
     said = "agrees" if verdict == "agrees" else "explained" if gentle else "disagrees"
@@ -165,8 +168,17 @@ def _row(record: Mapping[str, Any]) -> str:
     paper = _number(record["paper"]) + (unit if record["paper"] is not None else "")
     return (
         f'<tr><th>{escape(record["quantity"])}</th><td class="n">{paper}</td>'
-        f'<td class="n">{twin}{unit}{runs}</td><td class="n">{_number(record["difference"])}</td><td>{text}</td></tr>'
+        f'<td class="n">{_measured(record)}</td><td class="n">{_number(record["difference"])}</td><td>{text}</td></tr>'
     )
+
+
+def _measured(record: Mapping[str, Any]) -> str:
+    runs = f"<small>{record['n']} runs</small>" if record["n"] > 1 else ""
+    return f"{_with_spread(record)}{escape(_unit(record))}{runs}"
+
+
+def _unit(record: Mapping[str, Any]) -> str:
+    return f" {record['unit']}" if record["unit"] else ""
 
 
 def _with_spread(record: Mapping[str, Any]) -> str:
