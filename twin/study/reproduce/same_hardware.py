@@ -21,7 +21,7 @@ from twin.study.reproduce.flat_picture import pillar_press
 from twin.study.reproduce.reach import DISTANCES_MM, DRAWN, FORCE_N, OURS, QUIET
 from twin.study.reproduce.record import Outcome, Record, causes, over
 from twin.study.reproduce.shifted import KAMIYAMA, SATO, Protocol, measured, samples
-from twin.study.reproduce.times import BEFORE, TRIALS, timed
+from twin.study.reproduce.times import BEFORE, timed
 from twin.study.reproduce.two_forces import (
     ONCE,
     Chain,
@@ -37,7 +37,7 @@ from twin.study.reproduce.two_forces import (
 CAMERA = "capture chain: an industrial camera"
 PAPERS = "tracker, calibration and inverse: the paper's"
 DEFAULT = "inverse: smooth, as scenes have it"
-READINGS = 10
+READINGS, RATED = 10, 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +137,7 @@ def _rates(bench: Bench, hardware: Hardware, chain: Chain) -> np.ndarray:
     weight = reconstruct(found, told, method=chain.method).weight
     return 1.0 / timed(
         lambda: reconstruct(track_frame(rest, picture, before), told, method=chain.method, weight=weight),
-        20 if bench.quick else TRIALS,
+        RATED,
     )
 
 
