@@ -306,7 +306,8 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
         met = curved <= _MET * scale or (curved >= 0.5 * left and curved <= 0.1 * TOLERANCE * scale)
         left = curved
         settled = np.array_equal(following, active)
-        if settled and (met or not active.any()):
+        reachable = np.isfinite(gap[active]).all()  # what the probe has moved away from leaves in the next step
+        if settled and ((met and reachable) or not active.any()):
             return _checked(problem, active, force, place, opening, let_go, step)
         repeats = following.tobytes() + problem.sticking.tobytes() in seen
         if not settled and (repeats or (len(seen) >= _PATIENCE and mode == _ALL_AT_ONCE)):
