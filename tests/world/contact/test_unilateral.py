@@ -1,12 +1,13 @@
 """The active-set solver against enumeration, on problems small enough to try every set of patches."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 
 from twin.errors import ContactError
-from twin.world.contact.unilateral import Equilibrium, Unilateral, solve
+from twin.world.contact.unilateral import TOLERANCE, Equilibrium, Unilateral, solve
 
 
 def random_problem(seed: int, *, by_force: bool, k: int = 7) -> Unilateral:
@@ -92,6 +93,22 @@ def test_a_gap_that_can_not_be_met_stays_open() -> None:
     result = solve(Unilateral(**{**vars(problem), "gap": gap}), np.ones(7, bool), np.zeros(4))
     assert not result.active[0]
     assert not result.force_n[0].any()
+
+
+def test_a_patch_that_the_probe_moves_away_from_is_let_go() -> None:
+    """A flat face that turns off a patch can't be met by it any more: such a set in contact is none."""
+    problem = random_problem(1, by_force=True)
+    problem = replace(problem, friction=np.zeros(7))
+    whole, met = solve(problem, np.ones(7, bool), np.zeros(4)), problem.gap
+    lost = int(np.flatnonzero(whole.active)[0])
+
+    def gap(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values, slope = met(q)
+        return np.where((np.arange(7) == lost) & (q[2] > 0.5 * whole.place[2]), np.inf, values), slope
+
+    result = solve(replace(problem, gap=gap), whole.active, np.zeros(4))
+    assert not result.active[lost]
+    assert result.residual <= TOLERANCE
 
 
 def test_no_equilibrium_is_an_error() -> None:
