@@ -17,9 +17,9 @@ from twin.world.mesh.mesh import Mesh
 CANDIDATES = (24, 400)
 """How many of the nearest elements are tried, first for all points, then for those not yet found."""
 
-HAIR = 5e-3
-"""How far outside its element, over the element's size, a point may be read from it: the true surface is that far from
-the mesh's."""
+HAIR, WITHIN = 5e-3, 1e-9
+"""How far outside its element, over the element's size, a point may be read from it: beyond the body's own surface, as
+the true surface is that far from the mesh's, and beyond any other face, where a neighbour holds it."""
 
 FORGIVEN = 1e-6
 """How far outside the body, in mm, a point still counts as on its surface."""
@@ -82,13 +82,21 @@ def require_inside(body: Body, points: Points) -> None:
 
 
 class Locator:
-    """Finds points in a mesh; built once per mesh."""
+    """Finds points in a mesh; built once per mesh.
+
+    A large element among small ones is far from the nearest by its centroid: a point that none of the first candidates
+    holds is looked for among more of them, unless it is a hair beyond the body's own surface.
+    """
 
     def __init__(self, mesh: Mesh) -> None:
         from scipy.spatial import cKDTree
 
         self._mesh = mesh
         self._tree = cKDTree(mesh.points[mesh.tets[:, :4]].mean(axis=1))
+        outer = np.zeros(len(mesh.points), bool)
+        outer[mesh.faces] = True
+        opposite = [[4 + e for e, edge in enumerate(TET_EDGES) if a not in edge] for a in range(4)]
+        self._outer = np.stack([outer[mesh.tets[:, middles]].all(axis=1) for middles in opposite], axis=1)
 
     def locate(self, points: Points) -> Places:
         """Return where ``points`` (n, 3) are; points a hair outside the mesh are read from the nearest element.
@@ -108,7 +116,9 @@ class Locator:
             found = (best[left], where[left], inside[left])
             _search(points[left], near.astype(np.int64), mesh.points, mesh.tets, *found)
             best[left], where[left], inside[left] = found
-            left = np.flatnonzero(inside < -HAIR)
+            share = np.column_stack([1.0 - where.sum(axis=1), where])
+            beyond_body = self._outer[best, share.argmin(axis=1)]
+            left = np.flatnonzero(inside < np.where(beyond_body, -HAIR, -WITHIN))
             if len(left) == 0:
                 break
         if np.any(inside < -0.1):
@@ -128,7 +138,7 @@ def _search(points: Floats, near: Ints, nodes: Floats, tets: Ints, best: Ints, w
     place = np.empty(3)
     for q in range(len(points)):
         for t in near[q]:
-            if inside[q] >= -1e-9:
+            if inside[q] >= -WITHIN:
                 break
             if not _outside_ball(points[q], nodes, tets[t]):
                 smallest = _invert_map(points[q], nodes, tets[t], place)
