@@ -11,11 +11,17 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import sys
+import time
 from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numba
+from numba.core import event
+
+TOLD_AFTER_S = 1.0
+"""Seconds of compiling after which a terminal is told what takes so long."""
 
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 _IMPORTS = re.compile(r"^\s*(?:from|import) +twin([\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
@@ -68,3 +74,28 @@ def _read(file: str) -> tuple[bytes, set[str]]:
         inside = [os.path.join(place, name) for name in ["__init__", *re.findall(r"\w+", names)]]
         named |= {f"{each}.py" for each in (inside if os.path.isdir(place) else [place])}
     return hashlib.sha256(source).digest(), {each for each in named if os.path.isfile(each)}
+
+
+class Told(event.Listener):  # type: ignore[misc]
+    """Tells a terminal, once a process, that the package is being compiled."""
+
+    def __init__(self) -> None:
+        self._spent_s, self._since, self._depth = 0.0, 0.0, 0
+
+    def on_start(self, event: event.Event) -> None:
+        """Start the clock, unless it runs for the function that calls this one."""
+        if self._depth == 0:
+            self._since = time.perf_counter()
+        self._depth += 1
+
+    def on_end(self, event: event.Event) -> None:
+        """Stop the clock, and tell when much has been spent."""
+        self._depth -= 1
+        if self._depth or not str(event.data["dispatcher"].py_func.__module__).startswith("twin."):
+            return
+        before, self._spent_s = self._spent_s, self._spent_s + time.perf_counter() - self._since
+        if before < TOLD_AFTER_S <= self._spent_s and sys.stderr.isatty():
+            print("twin: compiling, once after an install or an update: half a minute in all", file=sys.stderr)
+
+
+event.register("numba:compile", Told())

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, SimpleNamespace
 
 import pytest
+from numba.core import event
 
 import twin
 import twin.compiled
@@ -79,3 +81,22 @@ def test_without_its_sources_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) ->
     compiled = twin.compiled.njit(cache=True)(lambda number: number + 1)
     assert compiled(2) == 3
     assert compiled._cache.cache_path is None
+
+
+class Terminal(io.StringIO):
+    """What stderr is on a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_is_told_once_what_takes_so_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    monkeypatch.setattr(twin.compiled, "TOLD_AFTER_S", 1e-9)
+    told = twin.compiled.Told()
+    for home in ("elsewhere", "twin.somewhere", "twin.somewhere"):
+        function = SimpleNamespace(py_func=SimpleNamespace(__module__=home))
+        inner = event.Event("numba:compile", event.EventStatus.START, {"dispatcher": function})
+        for each in (told.on_start, told.on_start, told.on_end, told.on_end):
+            each(inner)
+        assert terminal.getvalue().count("compiling") == (home != "elsewhere")
