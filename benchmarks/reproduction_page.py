@@ -63,7 +63,7 @@ def page_tables(rows: list[Row]) -> str:
         "with the paper's own software, with this project's tracker and calibration and its default inverse "
         "(`smooth`), with its inverse `local`, and that behind an industrial camera. Field errors are over the sites "
         "of each: 1 mm apart on the flat sensor (the paper's 1.5 mm), 1.25 mm on the finger (2.5 mm).", "",
-        table([_beside(r) for r in records if r["name"] == "beyond/same-hardware"]), "",
+        table([_beside(r) for r in records if r["name"].startswith("beyond/same-hardware")]), "",
         "## What limits each sensor", "",
         "One thing is changed at a time, with the papers' tracker and inverse; the mark on each bar is the closed-form "
         "limit of that design at its noise, of a half-space seen straight on.", "",

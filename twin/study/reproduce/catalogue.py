@@ -50,7 +50,7 @@ ENTRIES: dict[str, Entry] = {
         reach.SATO_PREDICTION,
         beyond.HALF_SPACE,
         beyond.LIMITS,
-        same_hardware.SAME_HARDWARE,
+        *same_hardware.SAME_HARDWARE,
     )
 }
 
