@@ -54,6 +54,9 @@ FINE = Sites(columns=17, rows=17, pitch_mm=0.7)
 
 BUMPS = 6
 
+SINGLE = "fitted, one press at each of {} places"
+"""Press n is along z, with shear along x, or with shear along y, by turns."""
+
 FEW = 7
 """Sensors without a cover: what doesn't need twenty."""
 
@@ -66,13 +69,14 @@ def run(quick: bool) -> list[dict[str, Any]]:
     if quick:
         return summary(study(range(2), covered=False, counts=(0, 5)))
     cases = study(range(SENSORS), covered=True, counts=(5,)) + study(range(FEW), covered=False, counts=(5, 0))
+    cases += study(range(SENSORS), covered=True, counts=(5,), single=True)
     cases += study(range(FEWEST), covered=False, counts=(1, 2, 9, 25))
     cases += free_matrices(range(FEW))
     return summary(cases)
 
 
-def study(numbers: Any, covered: bool, counts: tuple[int, ...]) -> list[dict[str, Any]]:
-    """Return the errors of every sensor and way."""
+def study(numbers: Any, covered: bool, counts: tuple[int, ...], single: bool = False) -> list[dict[str, Any]]:
+    """Return the errors of every sensor and way; see `measured` for ``single``."""
     scene = design()
     truth, out = Truth(scene, sensors(scene), covered), []
     for count in counts:
@@ -81,25 +85,28 @@ def study(numbers: Any, covered: bool, counts: tuple[int, ...]) -> list[dict[str
         radius = [hertz_radius(scene, scene.calibration.press_force_n * float(n)) for n in places.frames[:, 2, 2]]
         twin = FittedDesign(scene, places, np.array(radius))
         for number in numbers:
-            presses = measured(truth, number, chart)
+            presses = measured(truth, number, chart, single)
             found = fit(twin, presses) if chart else drawn(twin)
-            out.append(
-                {"places": count, "covered": covered, "sensor": number, **errors(truth, number, twin, found, presses)}
-            )
+            case = {"places": count, "covered": covered, "sensor": number}
+            if single:
+                case["way"] = SINGLE.format(count)
+            out.append(case | errors(truth, number, twin, found, presses))
             print(json.dumps(out[-1]), file=sys.stderr, flush=True)
     return out
 
 
-def measured(truth: Truth, number: int, chart: list[tuple[float, float]]) -> Presses:
-    """Return what is measured on one sensor at the given places."""
+def measured(truth: Truth, number: int, chart: list[tuple[float, float]], single: bool = False) -> Presses:
+    """Return what is measured on one sensor at the given places; ``single``: one press a place, its kinds by turns."""
     random = np.random.default_rng([number, 1])
     steps = [step for place in chart for step in truth.press(place, 3)]
     rest = truth.rest_px()[number]
     forces = np.array([step.force_n[number] for step in steps]).reshape(-1, 3)
     shifts = np.array([step.shift_px[number] for step in steps]).reshape(-1, *rest.shape)
+    kept = [3 * place + place % 3 for place in range(len(chart))] if single else slice(None)
     return Presses(
-        place=np.repeat(np.arange(len(chart)), 3), force_n=forces + random.normal(0, CELL_N, forces.shape),
-        shift_px=shifts + random.normal(0, NOISE_PX, shifts.shape),
+        place=np.repeat(np.arange(len(chart)), 3)[kept],
+        force_n=(forces + random.normal(0, CELL_N, forces.shape))[kept],
+        shift_px=(shifts + random.normal(0, NOISE_PX, shifts.shape))[kept],
         rest_px=rest + random.normal(0, REST_PX, rest.shape), load_cell_n=CELL_N, noise_px=NOISE_PX,
     )  # fmt: skip
 
@@ -242,7 +249,7 @@ def summary(cases: list[dict[str, Any]]) -> list[dict[str, Any]]:
         row: dict[str, Any] = {
             "truth": "covered" if covered else "bare",
             "calibration": way or (f"fitted, {count} place{'s' * (count > 1)}" if count else "as drawn"),
-            "presses": 3 * count,
+            "presses": count if way == SINGLE.format(count) else 3 * count,
             "sensors": len(mine),
         }
         for what, scale, unit in (
