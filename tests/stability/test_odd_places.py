@@ -138,5 +138,6 @@ def test_two_at_once_on_one_new_cache_say_the_same(folder: Path) -> None:
     fine = ("-s", "accuracy.displacement=1e-3", "-s", "body.thickness_mm=20")  # a block without a shipped table
     both = [started(folder, *RUN[:-1], name, *fine, TWIN_CACHE=str(folder / "cache")) for name in ("a", "b")]
     assert [said(each)[0] for each in both] == [0, 0]
-    np.testing.assert_allclose(moved(folder / "a"), moved(folder / "b"), rtol=1e-6)
+    one, other = moved(folder / "a"), moved(folder / "b")
+    assert np.abs(one - other).max() < 1e-6 * np.abs(one).max()  # each may have made its own table, rounded otherwise
     assert not list((folder / "cache").rglob("*.part"))
