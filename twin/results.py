@@ -213,21 +213,33 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file so that it is either whole or absent."""
+def write_whole(path: Path, write: Callable[[IO[bytes]], object], *, first: bool = False) -> None:
+    """Write a file so that it is either whole or absent; ``first``: keep one that another process wrote by then."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with open(part, "wb") as file:
             write(file)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(part, path)
+        if not (first and _linked(part, path)):
+            os.replace(part, path)
     except OSError as problem:
         why = problem.strerror or problem  # numpy says how much it wrote, and no more
         raise TwinError(f"{path}: can't be written ({why}); files written so far are whole") from None
     finally:
         with contextlib.suppress(OSError):  # where there is no such folder there is no such file
             part.unlink(missing_ok=True)
+
+
+def _linked(part: Path, path: Path) -> bool:
+    """Give a file a name unless there is one of that name; False where the file system can't."""
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        return True
+    except OSError:
+        return False
+    return True
 
 
 def write_json(path: Path, table: Mapping[str, Any]) -> None:

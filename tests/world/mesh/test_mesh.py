@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -380,3 +381,21 @@ def test_what_no_stretched_mesh_fits_is_meshed(body, monkeypatch, tmp_path):
     monkeypatch.setattr("twin.world.mesh.build.build_mesh", build)
     with pytest.raises(MeshError, match="asked for a mesh"):
         body_mesh(body, "coarse")
+
+
+def test_of_two_that_make_a_mesh_at_once_both_take_the_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Meshing isn't deterministic, so that answers would differ by the mesh's error."""
+    body, made = Block(width_mm=6, length_mm=6, thickness_mm=6), []
+    monkeypatch.setattr(twin.world.mesh.mesh, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(twin.world.mesh.mesh, "_stretched", lambda body, level: None)
+
+    def build(body: Body, sizing: object, progress: object) -> tuple[Mesh, object]:
+        mesh = read_mesh(MESHES / "kamiyama_block.nominal.npz")
+        made.append(mine := replace(mesh, points=mesh.points * (1.0 + len(made))))
+        if len(made) == 1:  # while the first is at it, a second begins and ends
+            quicker.append(body_mesh(body, "nominal"))
+        return mine, SimpleNamespace(described=dict)
+
+    quicker: list[Mesh] = []
+    monkeypatch.setattr(twin.world.mesh.build, "build_mesh", build)
+    assert body_mesh(body, "nominal").digest() == quicker[0].digest() == made[1].digest() != made[0].digest()

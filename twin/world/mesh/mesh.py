@@ -90,7 +90,7 @@ class Mesh:
         return 3 * len(self.points) + self.corners
 
 
-def write_mesh(mesh: Mesh, path: Path | str, provenance: dict[str, Any]) -> None:
+def write_mesh(mesh: Mesh, path: Path | str, provenance: dict[str, Any], *, first: bool = False) -> None:
     """Write a mesh to an ``.npz`` file: under a temporary name first, so that a kill leaves no half file.
 
     Parameters
@@ -101,6 +101,8 @@ def write_mesh(mesh: Mesh, path: Path | str, provenance: dict[str, Any]) -> None
         Where to.
     provenance
         How it was made, as plain JSON values.
+    first
+        Whether a file that another process has written by then is kept.
 
     Raises
     ------
@@ -118,7 +120,7 @@ def write_mesh(mesh: Mesh, path: Path | str, provenance: dict[str, Any]) -> None
         "region": mesh.region.astype(np.int32),
         "provenance": np.array(told),
     }
-    write_whole(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
+    write_whole(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays), first=first)
 
 
 def read_mesh(path: Path | str) -> Mesh:
@@ -236,6 +238,7 @@ def body_mesh(body: Body, level: Level, *, rebuild: bool = False, progress: Prog
             return stretched
     from twin.world.mesh.build import build_mesh
 
+    damaged = cached.exists()
     mesh, measured = build_mesh(body, sizing, progress=progress)
     provenance = {
         "key": key,
@@ -245,8 +248,9 @@ def body_mesh(body: Body, level: Level, *, rebuild: bool = False, progress: Prog
         "quality": measured.described(),
     }
     with suppress(TwinError):  # a full disk costs the time to make it again
-        write_mesh(mesh, cached, provenance)
-    return mesh
+        write_mesh(mesh, cached, provenance, first=not (rebuild or damaged))
+    # another process may have been first: all that is made of this body is then made of that one's mesh
+    return _matching(cached, key) or mesh
 
 
 def shipped_mesh(body: Body, level: Level) -> Mesh | None:
