@@ -21,7 +21,7 @@ from twin.study.reproduce.flat_picture import pillar_press
 from twin.study.reproduce.reach import DISTANCES_MM, DRAWN, FORCE_N, OURS, QUIET
 from twin.study.reproduce.record import Outcome, Record, causes, over
 from twin.study.reproduce.shifted import KAMIYAMA, SATO, Protocol, measured, samples
-from twin.study.reproduce.times import BEFORE, timed
+from twin.study.reproduce.times import BEFORE, CALCULATED_US, FRAME_S, timed
 from twin.study.reproduce.two_forces import (
     ONCE,
     Chain,
@@ -85,7 +85,7 @@ HARDWARE = (
     Hardware(
         own=Chain(paper="kamiyama", method="norm"),
         ours=Chain(paper="kamiyama", overrides=OURS, tracker=OUR_TRACKER, method="local"),
-        shift=KAMIYAMA, presses={"under the 5 mm pillar": lambda _: pillar_press()}, width_mm=None, rate_hz=1 / 0.08,
+        shift=KAMIYAMA, presses={"under the 5 mm pillar": lambda _: pillar_press()}, width_mm=None, rate_hz=1 / FRAME_S,
     ),
     Hardware(
         own=Chain(paper="sato", method="pinv"),
@@ -95,7 +95,7 @@ HARDWARE = (
             "under the 3 mm sphere at 100 gf, on a calibrated point": lambda _: sphere_press((0.0, 0.0), 100.0),
             "between four": lambda rig: sphere_press(above(rig, (1.25, 1.25)), 100.0),
         },
-        width_mm=5.0, rate_hz=1e6 / 545.0,
+        width_mm=5.0, rate_hz=1e6 / CALCULATED_US,
     ),
 )  # fmt: skip
 
