@@ -72,6 +72,8 @@ def test_impossible_designs_are_dropped_with_their_reason() -> None:
     [
         ({"axes": {"markers.green.depth_mm": [1.0]}}, "no 'green'"),
         ({"axes": {"markers.blue.depth": [1.0]}}, "did you mean 'depth_mm'"),
+        ({"axes": {"materal.youngs_modulus_mpa": [1.0]}}, "did you mean 'material'"),
+        ({"axes": {"markers.blue.depth_mm": [1.0, "deep"]}}, "must be a valid number"),
         ({"axes": {"press.force_n": [1.0]}}, "no part of a sensor's design"),
         ({"derived": {"markers.red.depth_mm": {"follows": "markers.blue.deep"}}}, "no 'deep'"),
     ],
@@ -79,6 +81,24 @@ def test_impossible_designs_are_dropped_with_their_reason() -> None:
 def test_keys_that_are_not_there_are_said_before_anything_is_done(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(RecipeError, match=said):
         designs_of(*small(**{"derived": {}, **changes}))
+
+
+def test_every_wrong_key_of_a_file_is_said_with_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'scene = "kamiyama_pillar"\n[axes]\n"markers.blue.depht_mm" = [1.0]\n"markers.green.depth_mm" = [1.0]\n'
+        '[derived]\n"camera.zoom" = { follows = "camera.focal_px" }\n'
+    )
+    with pytest.raises(RecipeError) as problem:
+        load_sweep(path)
+    lines = str(problem.value).splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith(f"{path}: ") for line in lines)
+    assert f"{path}: axes.markers.blue.depht_mm: unknown key; did you mean 'depth_mm'?" in lines
+    assert any("derived.camera.zoom: unknown key" in line for line in lines)
+    path.write_text('scene = "kamiyama_pillar"\n[set]\n"camera.width" = 1\n[axes]\n"markers.red.depth_mm" = [1.0]\n')
+    with pytest.raises(RecipeError, match=rf"{path}: set.camera.width: unknown key; did you mean"):
+        load_sweep(path)
 
 
 @pytest.mark.parametrize(
@@ -89,6 +109,7 @@ def test_keys_that_are_not_there_are_said_before_anything_is_done(changes: dict[
         ({**TABLE, "axes": {"markers.blue.depth_mm": {"low": 3, "high": 1}}}, "must not be above"),
         ({**TABLE, "targets": {"twopoint": 2}}, "unknown metric"),
         ({**TABLE, "loads": {"size_mm": -1}}, "size_mm"),
+        ({**TABLE, "loads": {"sise_mm": 1}}, "did you mean 'size_mm'"),
         ({**TABLE, "fidelity": ["exact"]}, "closed"),
     ],
 )

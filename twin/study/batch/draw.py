@@ -8,6 +8,7 @@ beginning of every larger one, and any worker can draw any sample.
 from __future__ import annotations
 
 import copy
+import difflib
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
@@ -136,7 +137,9 @@ def _step(here: Any, name: str, dotted: str) -> Any:
         return here[name]
     if isinstance(here, list):
         return here[_place(here, name, dotted)]
+    near = difflib.get_close_matches(name, list(here), 1) if isinstance(here, dict) else []
     known = f"known there are {', '.join(here)}" if isinstance(here, dict) else "that is a single value"
+    known = f"did you mean '{near[0]}'?" if near else known
     raise RecipeError(f"vary.{dotted}: the scene has no '{name}'; {known}")
 
 

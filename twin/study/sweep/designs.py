@@ -16,7 +16,7 @@ import numpy as np
 from twin.arrays import Floats
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
-from twin.parts.sweep import Sweep
+from twin.parts.sweep import Sweep, Values
 from twin.streams import Purpose, stream
 from twin.study.batch.draw import Table, look_up, plain_table, put
 from twin.study.recipe import validate_scene
@@ -93,15 +93,8 @@ def designs_of(sweep: Sweep, scene: Scene) -> Designs:
     RecipeError
         An axis names a key that the scene does not have, or a key follows what is not a number.
     """
-    table = plain_table(scene)
-    _check_keys(sweep, table)
-    designs = designs_at(sweep, scene, _unit(sweep) if sweep.sampling != "grid" else None)
-    try:
-        designs.scene_of(0, table)
-    except RecipeError as problem:  # a value that is not allowed is the design's failure, not the sweep's
-        if unknown := [line for line in problem.problems if "unknown key" in line]:
-            raise RecipeError(unknown, "axes") from None
-    return designs
+    check_keys(sweep, scene)
+    return designs_at(sweep, scene, _unit(sweep) if sweep.sampling != "grid" else None)
 
 
 def designs_at(sweep: Sweep, scene: Scene, u: Floats | None) -> Designs:
@@ -141,18 +134,37 @@ def _unit(sweep: Sweep) -> Floats:
     return np.asarray(qmc.Sobol(width, scramble=True, rng=rng).random_base2(whole)[: sweep.count])
 
 
-def _check_keys(sweep: Sweep, table: Table) -> None:
-    problems = []
-    for where in ("axes", "derived"):
-        for name in getattr(sweep, where):
+def check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
+    """Refuse axes, and keys that follow, that the scene does not have; ``where`` is the sweep's file.
+
+    A number that is not allowed is its design's failure, not the sweep's; what is no number in its place is.
+
+    Raises
+    ------
+    RecipeError
+        With every such key at once.
+    """
+    table = plain_table(scene)
+    filled, problems = copy.deepcopy(table), []
+    for part in ("axes", "derived"):
+        for name in getattr(sweep, part):
             if name.split(".")[0] in ("title", "seed", "press", "vary", "dataset"):
-                problems.append(f"{where}.{name}: {name.split('.')[0]} is no part of a sensor's design")
+                problems.append(f"{part}.{name}: {name.split('.')[0]} is no part of a sensor's design")
                 continue
             try:
                 for key in spelt_out(name, table):
                     look_up(table, key.rpartition(".")[0] or key)
+                    put(filled, key, sweep.axes[name].at(np.zeros(1))[0] if part == "axes" else 1.0)
+                    problems += _wrong_words(sweep, table, name, key)
             except RecipeError as problem:
-                problems.append(f"{where}.{name}: {str(problem).split(': ', 1)[-1]}")
+                problems.append(f"{part}.{name}: {str(problem).split(': ', 1)[-1]}")
+    try:
+        validate_scene(filled, "design")
+    except RecipeError as problem:  # optional keys are not in the table: only the scene's validation knows them
+        for line in problem.problems:
+            if "unknown key" in line:
+                follows = any(matches(name, line.split(":")[0]) for name in sweep.derived)
+                problems.append(f"{'derived' if follows else 'axes'}.{line}")
     for key, rule in sweep.derived.items():
         if not any(matches(name, rule.follows) or name == rule.follows for name in sweep.axes):
             try:
@@ -160,7 +172,21 @@ def _check_keys(sweep: Sweep, table: Table) -> None:
             except RecipeError as problem:
                 problems.append(f"derived.{key}.follows: {str(problem).split(': ', 1)[-1]}")
     if problems:
-        raise RecipeError(problems)
+        raise RecipeError(problems, where)
+
+
+def _wrong_words(sweep: Sweep, table: Table, name: str, key: str) -> list[str]:
+    """Return what the scene says about an axis's words and lists, which may stand where it takes a number."""
+    axis, told = sweep.axes.get(name), []
+    for value in axis.values if isinstance(axis, Values) else ():
+        if not isinstance(value, int | float):
+            changed = copy.deepcopy(table)
+            put(changed, key, value)
+            try:
+                validate_scene(changed, "design")
+            except RecipeError as problem:
+                told += [f"axes.{line}" for line in problem.problems if line.startswith(key)]
+    return told
 
 
 def scene_of(sweep: Sweep, base: Table, values: Mapping[str, Any]) -> Scene:

@@ -8,11 +8,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from twin.errors import InputError, RecipeError
-from twin.parts.part import unit_of
+from twin.parts.part import Part, unit_of
 from twin.parts.scene import Scene
-from twin.parts.sweep import Sweep
+from twin.parts.sweep import Confirm, Cost, Limits, Loads, Sweep
 from twin.places import SCENES
 from twin.study.recipe import SWEEP, load_scene, read_recipe
+from twin.study.sweep.designs import check_keys
 
 
 def shipped_sweeps() -> dict[str, Path]:
@@ -33,7 +34,15 @@ def load_sweep(name: str | Path) -> tuple[Sweep, Scene]:
     path = _find(str(name))
     sweep = sweep_of(read_recipe(path), str(path))
     beside = path.parent / sweep.scene
-    scene = load_scene(beside if beside.is_file() else sweep.scene, sweep.set)
+    base = beside if beside.is_file() else sweep.scene
+    try:
+        scene = load_scene(base, sweep.set)
+    except RecipeError as problem:
+        load_scene(base)  # if the scene alone is wrong, it is named
+        raise RecipeError([f"set.{line}" for line in problem.problems], str(path)) from None
+    except InputError as problem:
+        raise InputError(f"{path}: scene: {problem}") from None
+    check_keys(sweep, scene, str(path))
     return sweep, scene
 
 
@@ -59,7 +68,8 @@ def _line(error: dict[str, Any]) -> str:
     keys = [str(k) for k in error["loc"] if not str(k).startswith("[")]
     dotted, last = ".".join(keys) or "sweep", keys[-1] if keys else ""
     if error["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(last, Sweep.model_fields, 1) if len(keys) == 1 else []
+        parts: dict[str, type[Part]] = {"loads": Loads, "confirm": Confirm, "limits": Limits, "cost": Cost}
+        near = difflib.get_close_matches(last, parts.get(keys[0], Sweep).model_fields, 1)
         return f"{dotted}: unknown key" + (f"; did you mean '{near[0]}'?" if near else "")
     if error["type"] == "missing":
         return f"{dotted}: missing; give a value"
