@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from half_space_sensor import as_found, disk, finger_sensor, flat_sensor, shifts
 
-from twin.sense.force_map import force_map, forces_of_all
+from twin.errors import InputError
+from twin.sense.force_map import force_map, forces_of_all, in_units
 from twin.sense.reconstruct import reconstruct
 
 FLAT, FINGER = flat_sensor(), finger_sensor()
@@ -77,3 +78,14 @@ def test_map_is_the_solve_also_with_lost_markers():
     both = forces_of_all([one, one], [shift, lost])
     assert both.shape == (2, len(calibration.site_mm), 3)
     assert np.array_equal(both[0], one.forces(shift))
+
+
+@pytest.mark.parametrize("sites", [1, 2, 3, 25, 27])
+def test_map_of_any_number_of_sites(sites):
+    """Rows are worked on in eight parts, which don't come out even."""
+    random = np.random.default_rng(sites)
+    matrix, shift = random.normal(0, 1, (3 * sites, 2 * 61)), random.normal(0, 1, (61, 2))
+    one = in_units(matrix, np.zeros((122, 122)))
+    assert one.forces(shift).ravel() == pytest.approx(matrix @ shift.ravel(), abs=5e-3)
+    with pytest.raises(InputError, match="60 markers for a map of 61"):
+        one.forces(shift[:60])

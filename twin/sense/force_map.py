@@ -1,8 +1,12 @@
 """The linear inverse as one matrix, for live use: forces of a frame, or of several sensors, by one product.
 
 Its weight is fixed beforehand. Its entries are whole numbers of 16 bits, a unit for every row: the product waits
-for the matrix to be read, so half the bytes take half the time. Rounding moves the forces by less than a thousandth of
-their standard deviation (measured, weights from .05 to 8 on the flat design at .05 px).
+for the matrix to be read, so half the bytes take half the time. Rounding moves the forces by less than two thousandths
+of their standard deviation (root mean square; at one site of 20 loads a hundredth at most), the total by less than a
+millinewton (weights from 1 to 60 px^2/N^2 on the flat design at .05 px, loads of 1 to 4 N).
+
+Why not a product of two smaller matrices: at the weights in use half of the directions still count. With 250 of them
+forces are 5 % off, and with the 400 that bring it to a thousandth it reads as much.
 
 Lost markers are left out exactly: their data are filled in with what the other markers' own reconstruction predicts
 there, which gives the same forces as a solve without them.
@@ -44,10 +48,19 @@ class ForceMap:
     predicted: Floats
 
     def forces(self, shift_px: Pixels) -> NDArray[np.float32]:
-        """Return (k, 3) forces, N, of (n, 2) shifts, px; NaN rows are lost markers."""
-        data = np.asarray(shift_px, np.float32).ravel()
-        if not np.isfinite(data.sum()):
-            data = self._filled(np.asarray(shift_px, float).ravel())
+        """Return (k, 3) forces, N, of (n, 2) shifts, px; NaN rows are lost markers.
+
+        Raises
+        ------
+        InputError
+            Not as many shifts as the map has markers, or no marker was found.
+        """
+        shift = np.asarray(shift_px, np.float64).ravel()
+        if len(shift) != self.matrix.shape[1]:
+            raise InputError(f"shifts of {len(shift) // 2} markers for a map of {self.matrix.shape[1] // 2}")
+        data = np.empty(len(shift), np.float32)
+        if not _narrowed(shift, data):
+            data = self._filled(shift)
         out = np.empty(len(self.matrix), np.float32)
         _product(self.matrix, self.unit, data, out)
         return out.reshape(-1, 3)
@@ -94,17 +107,41 @@ def in_units(matrix: Floats, predicted: Floats) -> ForceMap:
     )
 
 
+@njit(cache=True)
+def _narrowed(shift, data):  # type: ignore[no-untyped-def]
+    """Copy shifts into ``data``; whether all are finite."""
+    total = 0.0
+    for at in range(len(shift)):
+        data[at] = shift[at]
+        total += 0.0 * shift[at]
+    return total == 0.0
+
+
 @njit(cache=True, fastmath=True)
 def _product(matrix, unit, data, out):  # type: ignore[no-untyped-def]
-    """Put the product into ``out``; three rows, a site's, at a time, so that the data are read less often."""
-    for row in range(0, len(matrix), 3):
-        x, y, z = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    """Put the product into ``out``; eight rows at a time, far from each other.
+
+    Memory hands over eight straight reads at a time in half the time of one. Where eight parts overlap, rows are
+    worked out twice.
+    """
+    size = (len(matrix) + 7) // 8
+    apart = len(matrix) - size
+    for first in range(size):
+        a, b, c, d = first, first + apart // 7, first + 2 * apart // 7, first + 3 * apart // 7
+        e, f, g, h = first + 4 * apart // 7, first + 5 * apart // 7, first + 6 * apart // 7, first + apart
+        at_a = at_b = at_c = at_d = at_e = at_f = at_g = at_h = np.float32(0.0)
         for column in range(len(data)):
             value = data[column]
-            x += np.float32(matrix[row, column]) * value
-            y += np.float32(matrix[row + 1, column]) * value
-            z += np.float32(matrix[row + 2, column]) * value
-        out[row], out[row + 1], out[row + 2] = x * unit[row], y * unit[row + 1], z * unit[row + 2]
+            at_a += matrix[a, column] * value
+            at_b += matrix[b, column] * value
+            at_c += matrix[c, column] * value
+            at_d += matrix[d, column] * value
+            at_e += matrix[e, column] * value
+            at_f += matrix[f, column] * value
+            at_g += matrix[g, column] * value
+            at_h += matrix[h, column] * value
+        out[a], out[b], out[c], out[d] = at_a * unit[a], at_b * unit[b], at_c * unit[c], at_d * unit[d]
+        out[e], out[f], out[g], out[h] = at_e * unit[e], at_f * unit[f], at_g * unit[g], at_h * unit[h]
 
 
 def forces_of_all(maps: Sequence[ForceMap], shifts_px: Sequence[Pixels]) -> NDArray[np.float32]:
