@@ -22,7 +22,7 @@ TABLES: dict[str, Level] = {"table, truth": "standard", "table, nominal": "nomin
 """Ways of the block without a solve; a truth's table is one and the same for every level."""
 
 LEVELS: tuple[Level, ...] = ("nominal", *WORLD)
-QUICK: tuple[Level, ...] = ("nominal", "sketch", "coarse", "standard")
+QUICK: tuple[Level, ...] = ("nominal", "sketch", "coarse")
 
 
 def run(quick: bool) -> list[dict[str, Any]]:

@@ -64,8 +64,8 @@ def run(quick: bool) -> list[dict[str, Any]]:
         *(way(calibration, some, name) for name in WAYS),
         *by_fitted_twin(len(some)),
         weights(calibration, loads),
-        *width(sensor, APART[2::2] if quick else APART),
-        *speed(calibration, loads[0]),
+        *width(sensor, *((APART[2::4], 1) if quick else (APART, 5))),
+        *speed(calibration, loads[0], against=not quick),
     ]
 
 
@@ -154,10 +154,10 @@ def weights(calibration: Calibration, loads: list[Any]) -> dict[str, Any]:
     return {"what": what, "loads": len(loads)}
 
 
-def width(sensor: Sensor, apart: Floats) -> list[dict[str, Any]]:
+def width(sensor: Sensor, apart: Floats, times: int) -> list[dict[str, Any]]:
     """Return widths of the estimate of a point push of 3 N, and least distances of two, on sites of 1 mm.
 
-    In the last row the design limit's.
+    Widths are means over ``times`` noises. In the last row the design limit's.
     """
     sites = {"columns": 29, "rows": 23, "pitch_mm": 1.0}
     scene = load_scene("kamiyama_pillar", overrides={f"reconstruction.sites.{k}": v for k, v in sites.items()})
@@ -176,7 +176,7 @@ def width(sensor: Sensor, apart: Floats) -> list[dict[str, Any]]:
     rows = []
     for name in ("smooth", "smooth, cone", "local"):
         told = WAYS[name]
-        one = [reconstruct(seen(0.0, seed=seed), calibration, **told).force_n[:, 2] for seed in range(5)]
+        one = [reconstruct(seen(0.0, seed=seed), calibration, **told).force_n[:, 2] for seed in range(times)]
         two = [reconstruct(seen(-d / 2, d / 2, seed=0), calibration, **told).force_n[:, 2] for d in apart]
         dips = [dip(x, push.reshape(calibration.grid)[:, middle], d) for push, d in zip(two, apart, strict=True)]
         wide = float(np.mean([widths(push, calibration.grid, 1.0) for push in one]))
@@ -193,8 +193,8 @@ def width(sensor: Sensor, apart: Floats) -> list[dict[str, Any]]:
     return [*rows, {"what": "point push, design limit", **told_limit}]
 
 
-def speed(calibration: Calibration, one: Any) -> list[dict[str, Any]]:
-    """Return CPU times of single solves, beside general solvers where they are installed."""
+def speed(calibration: Calibration, one: Any, against: bool) -> list[dict[str, Any]]:
+    """Return CPU times of single solves, if wanted ``against`` general solvers, where they are installed."""
     found = one[0]
     weight = reconstruct(found, calibration).weight
     fast = force_map(calibration, weight)
@@ -212,11 +212,11 @@ def speed(calibration: Calibration, one: Any) -> list[dict[str, Any]]:
         name = f"linear map, {what}, {rows_count} x {2 * markers}"
         rows.append({"what": name, "CPU ms": _cpu(partial(drawn.forces, shift), 300 if markers > 100 else 3000)})
     for columns, high, pitch in ((15, 12, 2.0), (20, 16, 1.5)):
-        rows += constrained(columns, high, pitch, one)
+        rows += constrained(columns, high, pitch, one, against)
     return rows
 
 
-def constrained(columns: int, rows: int, pitch: float, one: Any) -> list[dict[str, Any]]:
+def constrained(columns: int, rows: int, pitch: float, one: Any, against: bool) -> list[dict[str, Any]]:
     """Return CPU times under constraints at a number of sites."""
     overrides = {
         f"reconstruction.sites.{key}": value
@@ -233,7 +233,7 @@ def constrained(columns: int, rows: int, pitch: float, one: Any) -> list[dict[st
         {"what": f"pushes, {sites}", "CPU ms": _cpu(lambda: quadratic.pushes(linear), 5), "KKT": kkt},
         {"what": f"pushes, {sites}, warm", "CPU ms": _cpu(lambda: quadratic.pushes(linear, free), 5), "KKT": kkt},
     ]
-    out += peers(quadratic, linear, force, sites)
+    out += peers(quadratic, linear, force, sites) if against else []
     cone, kkt = quadratic.cone(linear, FRICTION)
     out += [
         {"what": f"cone, {sites}", "CPU ms": _cpu(lambda: quadratic.cone(linear, FRICTION), 3), "KKT": kkt},

@@ -55,7 +55,7 @@ BREAKING, REFUSED = "Breaking points", "What can't be solved"
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return one row an axis, then one for every kind of system that can't be solved.
 
-    The quick form walks every third step, of elasticity alone.
+    The quick form walks every fourth step, of elasticity alone, and leaves out axes that have no fourth.
     """
     with tempfile.TemporaryDirectory() as folder:
         _forget(folder)
@@ -65,8 +65,11 @@ def run(quick: bool) -> list[dict[str, Any]]:
 def _walked(stage: str, quick: bool = False) -> list[dict[str, Any]]:
     rows = []
     for axis in _axes(stage):
+        steps = axis.steps[:: 4 if quick else 1]
+        if len(steps) == 1:
+            continue
         start = sum(os.times()[:4])
-        row = survey(axis, axis.steps[:: 3 if quick else 1])
+        row = survey(axis, steps)
         rows.append({"what": BREAKING, "stage": stage, **row, "cpu_s": sum(os.times()[:4]) - start})
     attempts = REFUSALS.get(stage, dict)()
     return rows + [{"what": REFUSED, "stage": stage, **refusal(name, attempt)} for name, attempt in attempts.items()]
