@@ -1,23 +1,30 @@
-"""Newton steps by iteration against elimination, on a contact's own systems."""
+"""Newton steps by iteration and by a kept inverse against elimination, on a contact's own systems."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from test_contact import BLOCK, FINGER, HalfSpace
 
+from twin.arrays import Floats, Ints
 from twin.parts.body import Body
 from twin.parts.press import Press, Sphere, Step
 from twin.world.contact import coulomb
 from twin.world.contact.between import Inverted
 from twin.world.contact.contact import ContactState, press
-from twin.world.contact.krylov import Krylov, LinearSystem
+from twin.world.contact.krylov import Krylov
+from twin.world.contact.linear import LinearSolver, LinearSystem
 from twin.world.contact.pattern import Pattern
+from twin.world.contact.released import Released
 
 
-def random_pattern(rng: np.random.Generator, n: int) -> Pattern:
+def random_pattern(rng: np.random.Generator, n: int, touching: Ints | None = None) -> Pattern:
+    if touching is None:
+        touching = np.sort(rng.choice(2 * n, n, replace=False))
+    n = len(touching)
     slips, turn = rng.random(n) < 0.5, rng.uniform(0, 2 * np.pi, n)
     ahead = np.where(slips[:, None], np.column_stack([np.cos(turn), np.sin(turn)]), [1.0, 0.0])
     share = np.where(slips, 10 ** rng.uniform(-6, 0, n), 1.0)
-    touching = np.sort(rng.choice(2 * n, n, replace=False))
     return Pattern(touching=touching, slips=slips, ahead=ahead, mu=np.where(slips, 0.4, 0.0), share=share)
 
 
@@ -31,8 +38,34 @@ def test_forces_and_what_is_seen_of_them_are_adjoint() -> None:
     np.testing.assert_array_equal(pattern.forces(two)[..., 1], pattern.forces(two[:, 1]))
 
 
+class Matrix:
+    """Products with a matrix, and the inverses of its normal and its tangential part, in double precision."""
+
+    precision, finest, saves, unit = np.float64, 1e-10, False, 1.0
+
+    def __init__(self, compliance: Floats) -> None:
+        self._whole = compliance
+
+    def make_room(self, touching: Ints) -> bool:
+        self._part = self._whole[touching][:, :, touching].transpose(1, 0, 3, 2)
+        return True
+
+    def displaced(self, force: Floats) -> Floats:
+        return np.einsum("kalb,lb->ak", self._whole, force)
+
+    def product(self, force: Floats) -> Floats:
+        return np.einsum("akbl,bl->ak", self._part, force)
+
+    def roughly(self, displacement: Floats) -> Floats:
+        n = displacement.shape[1]
+        along = np.linalg.solve(self._part[:2, :, :2].reshape(2 * n, 2 * n), displacement[:2].reshape(2 * n, -1))
+        normal = np.linalg.solve(self._part[2, :, 2], displacement[2])
+        return np.concatenate([along.reshape(2, n, -1), normal[None]])
+
+
 @pytest.mark.parametrize("motions", [0, 3])
-def test_iteration_agrees_with_elimination(motions: int) -> None:
+@pytest.mark.parametrize("kept", [False, True])
+def test_iteration_and_a_kept_inverse_agree_with_elimination(motions: int, kept: bool) -> None:
     rng = np.random.default_rng(1)
     n, k = 40, 80
     place = rng.uniform(0, 8, (k, 2))
@@ -40,29 +73,57 @@ def test_iteration_agrees_with_elimination(motions: int) -> None:
     near = 1 / np.sqrt(away**2 + 0.2)  # a smooth kernel like that of elasticity, with some coupling between axes
     mixed = np.array([[1.0, 0.1, 0.05], [0.1, 0.9, -0.05], [0.05, -0.05, 1.1]])
     compliance = 3e-3 * np.einsum("kl,ab->kalb", near + 2 * np.eye(k), mixed)
+    carried = rng.normal(size=(k, 3, 5))
+    solver = Released(compliance, carried) if kept else Krylov(Matrix(compliance))
     pattern = random_pattern(rng, n)
-    carried = rng.normal(size=(3, n, motions))
-    system = LinearSystem(
-        pattern=pattern, shift=3e-3 * (1 - pattern.share), motion=-pattern.seen(carried),
-        pull=pattern.pulled(carried), reach=10 ** rng.uniform(0, 1, motions),
+    for _ in range(3):
+        system = random_system(rng, pattern, carried, motions)
+        right, balance = 3e-3 * rng.normal(size=pattern.size), rng.normal(size=motions)
+        exact = coulomb._eliminated(compliance, system, right, balance)
+        found = solved(solver, compliance, system, right, balance)
+        for now, wanted in zip(found, exact, strict=True):
+            np.testing.assert_allclose(now, wanted, atol=1e-7 * np.abs(wanted).max(initial=0.0))
+        pattern = random_pattern(rng, n, np.sort(rng.choice(pattern.touching, n - 4, replace=False)))  # four leave
+
+
+def random_system(rng: np.random.Generator, pattern: Pattern, carried: Floats, motions: int) -> LinearSystem:
+    """Return a system with jumps of slipping patches along their drags, and of one that left."""
+    touching, free = pattern.touching, np.arange(motions) + 1
+    jump = np.zeros((len(carried), 3))
+    jump[touching, :2] = np.where(pattern.slips, rng.normal(size=len(touching)), 0.0)[:, None] * pattern.ahead
+    jump[rng.choice(np.setdiff1d(np.arange(len(carried)), touching))] = rng.normal(size=3)
+    held = carried[touching][:, :, free].transpose(1, 0, 2)
+    slope = -held[2] + np.where(rng.random((len(touching), 1)) < 0.5, rng.normal(size=(len(touching), motions)), 0.0)
+    return LinearSystem(
+        pattern=pattern, jump=jump, shift=3e-3 * (1 - pattern.share), free=free, carried=held, slope=slope,
+        reach=10 ** rng.uniform(0, 1, motions),
     )  # fmt: skip
-    right, balance = rng.normal(size=pattern.size), rng.normal(size=motions)
-    exact = coulomb._eliminated(compliance, system, right, balance)
-    krylov, found = Krylov(compliance), [np.zeros(pattern.size), np.zeros(motions)]
-    for _ in range(4):  # every solution leaves a thousandth: mend what is left, as Newton's steps do
+
+
+def solved(
+    solver: LinearSolver, compliance: Floats, system: LinearSystem, right: Floats, balance: Floats
+) -> list[Floats]:
+    """Return a solution; every one leaves a little: mend what is left, as Newton's steps do."""
+    found = [np.zeros(system.pattern.size), np.zeros(len(balance))]
+    for _ in range(4):
         left = right - _rows(compliance, system, found)
-        change = krylov.solve(system, left, balance - system.pull.T @ found[0])
+        change = solver.solve(system, left, balance - system.pull.T @ found[0], 1e-3)
         assert change is not None
         found = [now + part for now, part in zip(found, change, strict=True)]
-    for now, wanted in zip(found, exact, strict=True):
-        np.testing.assert_allclose(now, wanted, atol=1e-7 * np.abs(wanted).max(initial=0.0))
+        right, system = right - system.seen(moved(compliance, system)), replace(system, jump=0.0 * system.jump)
+    return found
 
 
-def _rows(compliance: np.ndarray, system: LinearSystem, found: list[np.ndarray]) -> np.ndarray:
+def moved(compliance: Floats, system: LinearSystem) -> Floats:
+    """Return (3, n) how the jump moves the patches in contact."""
+    return np.einsum("kalb,lb->ak", compliance[system.pattern.touching], system.jump)
+
+
+def _rows(compliance: Floats, system: LinearSystem, found: list[Floats]) -> Floats:
     pattern, rows = system.pattern, system.pattern.touching
     part = compliance[rows][:, :, rows]
-    seen = pattern.seen(np.einsum("kalb,bl->ak", part, pattern.forces(found[0])))
-    seen[pattern.aside] = pattern.share * seen[pattern.aside] + system.shift * found[0][pattern.aside]
+    seen = system.seen(np.einsum("kalb,bl->ak", part, pattern.forces(found[0])))
+    seen[pattern.aside] += system.shift * found[0][pattern.aside]
     return seen + system.motion @ found[1]
 
 

@@ -13,7 +13,9 @@ import numpy as np
 
 from twin.arrays import Floats, Ints
 from twin.compiled import njit
-from twin.world.contact.singles import Operator, Singles, SinglesArray, full_inverse, symmetric_product
+from twin.world.contact.linear import LinearSolver
+from twin.world.contact.released import Released
+from twin.world.contact.singles import SinglesArray, full_inverse, symmetric_product
 
 _NEW, _SLACK = 0.1, 1.3
 """Shares of the patches in contact: what an inverse doesn't know, and all it knows, before one is made anew."""
@@ -42,9 +44,8 @@ class Between(Protocol):
         """What makes iteration on normal forces worth while; None where elimination is better."""
         ...
 
-    @property
-    def operator(self) -> Operator:
-        """What `twin.world.contact.krylov` works with."""
+    def solver(self, carried: Floats) -> LinearSolver:
+        """Return what solves Newton's systems under probes that carry the patches so, (k, 3, m) per unit motion."""
         ...
 
     def moved(self, force: Floats) -> Floats:
@@ -144,10 +145,9 @@ class Dense:
         """See `Between`."""
         return Inverted(self._normal)
 
-    @cached_property
-    def operator(self) -> Operator:
+    def solver(self, carried: Floats) -> LinearSolver:
         """See `Between`."""
-        return Singles(self._matrix)
+        return Released(self._matrix, carried)
 
     @cached_property
     def _normal(self) -> Floats:

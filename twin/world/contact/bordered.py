@@ -19,7 +19,7 @@ from twin.compiled import njit
 MOST = 60
 """Products at most."""
 
-_SINGULAR = 1e6
+SINGULAR = 1e6
 """Condition of the border's own equations from which single precision can't be trusted."""
 
 
@@ -51,7 +51,7 @@ class Bordered:
             return np.zeros(size), np.zeros(count)
         of_motion = self.roughly(self.motion) if count else self.motion
         felt = (self.pull @ of_motion).astype(float)
-        if not np.isfinite(felt).all() or (count and np.linalg.cond(felt) > _SINGULAR):
+        if not np.isfinite(felt).all() or (count and np.linalg.cond(felt) > SINGULAR):
             return None
         steer = np.linalg.inv(felt).astype(precision)
 

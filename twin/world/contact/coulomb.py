@@ -27,10 +27,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.arrays import Floats, Ints
+from twin.arrays import Floats
 from twin.errors import ContactError, NotSettled
 from twin.world.contact.between import Between, between
-from twin.world.contact.krylov import LinearSystem
+from twin.world.contact.linear import LinearSystem
 from twin.world.contact.pattern import Pattern
 from twin.world.contact.unilateral import FEW, TOLERANCE, Equilibrium, Unilateral
 
@@ -125,28 +125,24 @@ def _newton_step(problem: Unilateral, scale: Floats, trial: _Trial, share: float
     pattern = _pattern(problem, trial)
     touching, aside = pattern.touching, pattern.aside
     place = np.where(problem.by_force, trial.place, problem.given)
-    carried, slope = problem.carried[touching], trial.slope[touching]
-    motion = -pattern.seen(carried.transpose(1, 0, 2))
-    motion[: len(touching)] = slope
-    motion[aside] *= pattern.share[:, None]
-    # How an unknown enters the balance: a slipping patch's normal force brings its friction along.
-    pull = pattern.pulled(carried.transpose(1, 0, 2))
-    free = np.flatnonzero(problem.by_force & (np.abs(pull).max(axis=0) > 1e-9))
-    system = LinearSystem(
-        pattern=pattern, shift=(1.0 - pattern.share) / scale[touching], motion=motion[:, free], pull=pull[:, free],
-        reach=problem.reach[free],
-    )  # fmt: skip
+    carried, slope = problem.carried[touching].transpose(1, 0, 2), trial.slope[touching]
     # The trial's forces as far as the pattern allows them, and what they leave of the equations.
     unknowns = pattern.seen(trial.force[touching].T)
     start = np.zeros_like(trial.force)
     start[touching] = pattern.forces(unknowns).T
-    displacement = trial.displacement[touching].T + _moved(problem, touching, start - trial.force)
-    away = displacement[:2] - (carried[:, :2] @ place + problem.offset[touching]).T
-    opening = displacement[2] + trial.gap[touching] + slope @ (place - trial.place)
-    left = pattern.seen(np.stack([*away, opening]))
-    left[aside] = pattern.share * left[aside] + system.shift * unknowns[aside]
+    feels = problem.by_force & (np.abs(pattern.pulled(carried)).max(axis=0) > 1e-9)
+    free = np.flatnonzero(feels)
+    system = LinearSystem(
+        pattern=pattern, jump=start - trial.force, shift=(1.0 - pattern.share) / scale[touching], free=free,
+        carried=carried[..., free], slope=slope[:, free], reach=problem.reach[free],
+    )  # fmt: skip
+    away = trial.displacement[touching].T
+    away[:2] -= carried[:2] @ place + problem.offset[touching].T
+    away[2] += trial.gap[touching] + slope @ (place - trial.place)
+    left = system.seen(away)
+    left[aside] += system.shift * unknowns[aside]
     balance = (problem.given - problem.total(start))[free]
-    found = problem.krylov.solve(system, -left, balance, share) if problem.krylov and len(touching) > _FEW else None
+    found = problem.solver.solve(system, -left, balance, share) if problem.solver and len(touching) > _FEW else None
     change, moved = found if found is not None else _eliminated(problem.between, system, -left, balance)
     force = np.zeros_like(trial.force)
     force[touching] = pattern.forces(unknowns + change).T
@@ -154,20 +150,11 @@ def _newton_step(problem: Unilateral, scale: Floats, trial: _Trial, share: float
     return force, place
 
 
-def _moved(problem: Unilateral, touching: Ints, change: Floats) -> Floats:
-    """Return (3, n) how a change of the forces (k, 3) moves the patches in contact, mm."""
-    if not change.any():
-        return np.zeros((3, len(touching)))
-    if problem.krylov and len(touching) > _FEW:
-        return problem.krylov.moved(change)[:, touching]
-    return problem.moved(change)[touching].T
-
-
 def _changed(problem: Unilateral, force: Floats) -> tuple[Floats, float]:
     """Return the motions (k, 3) under forces (k, 3) or their change, mm, and what is lost of them, N."""
-    if not problem.krylov or len(force) <= _FEW or not problem.krylov.saves:
+    if not problem.solver or len(force) <= _FEW or not problem.solver.saves:
         return problem.moved(force), 0.0
-    moved = np.ascontiguousarray(problem.krylov.moved(force).T)
+    moved = np.ascontiguousarray(problem.solver.moved(force).T)
     return moved, _LOST * float(np.linalg.norm(_scales(problem)[:, None] * moved))
 
 
@@ -185,9 +172,11 @@ def _eliminated(
     compliance: Floats | Between, system: LinearSystem, right: Floats, balance: Floats
 ) -> tuple[Floats, Floats]:
     """Solve a step's equations by elimination, compliances (the first rows) and balances both scaled to about one."""
-    pattern, count = system.pattern, len(balance)
+    pattern, count, compliance = system.pattern, len(balance), between(compliance)
     rows, size = pattern.touching, pattern.size
-    part = between(compliance).part(rows)
+    if system.jump.any():
+        right = right - system.seen(compliance.moved(system.jump)[rows].T)
+    part = compliance.part(rows)
     columns = pattern.pulled(part.transpose(3, 2, 1, 0))
     matrix = np.zeros((size + count, size + count))
     matrix[:size, :size] = pattern.seen(columns.transpose(1, 2, 0))

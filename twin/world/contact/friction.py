@@ -68,7 +68,7 @@ def _problem(grid: FrictionGrid, memory: Memory, control: Control, held: Bools |
         compliance=grid.between, gap=lambda q: grid.gap(memory, q), carried=grid.carried,
         by_force=control.by_force, given=control.given, pushing=control.pushing,
         friction=np.where(rubs, grid.friction[grid.contacts.owner], 0.0), offset=_offset(grid, memory),
-        krylov=grid.krylov,
+        solver=grid.solver,
     )  # fmt: skip
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from twin.arrays import Bools, Floats
 from twin.world.contact.between import Between, Dense
 from twin.world.contact.gap import MOTIONS, Z
-from twin.world.contact.krylov import Krylov
 from twin.world.contact.lattice import Lattice
+from twin.world.contact.linear import LinearSolver
 from twin.world.contact.patches import Patches
 from twin.world.contact.together import Contacts, every
 
@@ -100,9 +100,9 @@ class FrictionGrid:
         return found
 
     @cached_property
-    def krylov(self) -> Krylov:
+    def solver(self) -> LinearSolver:
         """The solver of linear systems on these patches, with what it keeps along the path."""
-        return Krylov(self.between)
+        return self.between.solver(self.carried)
 
     @property
     def sticks(self) -> bool:

@@ -1,11 +1,7 @@
 """The linear system of one Newton step of contact with friction, solved by iteration.
 
-A step's unknowns x (`twin.world.contact.pattern`) and the motion of the probe meet
-
-    C x + M q = right,    B^T x = balance,
-
-C being the compliance between unknowns, with (1 - c) / r added where a patch slips. Dense elimination of 1500 unknowns
-takes fifty times a product with them. So x is sought by GMRES, preconditioned with rough inverses of the
+Dense elimination of 1500 unknowns takes fifty times a product with them. So the unknowns of a step
+(`twin.world.contact.linear`) are sought by GMRES, preconditioned with rough inverses of the
 normal and of the tangential compliance of the patches in contact, each by itself. What those leave out (normal forces
 that move patches sideways, the turns of slipping patches) is small or local: a thousandth is left after four or five
 products, whatever the number of patches. The outer Newton steps mend the rest, as they measure what is left of the
@@ -14,40 +10,56 @@ equations in double precision.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
-from twin.arrays import Floats
-from twin.world.contact.between import Between, between
+from twin.arrays import Floats, Ints
 from twin.world.contact.bordered import Bordered
-from twin.world.contact.pattern import Pattern
+from twin.world.contact.linear import LinearSystem
 
 LEFT = 1e-3
 """Share of the right-hand side that may be left at most."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinearSystem:
-    """One Newton step's equations.
+class Operator(Protocol):
+    """Products with a compliance over its ``unit``, mm/N, on the patches in contact, and rough inverses of them."""
 
-    Attributes
-    ----------
-    pattern
-        The n patches in contact and their unknowns.
-    shift
-        (n,) (1 - c) / r of the equations across the drag, mm/N.
-    motion, pull
-        (size, m) M and B for the m motions that are held by force.
-    reach
-        (m,) sizes of those motions: 1 of a translation, an arm of a turn, mm.
-    """
+    @property
+    def unit(self) -> float:
+        """The mean of the patches' own compliances, mm/N."""
+        ...
 
-    pattern: Pattern
-    shift: Floats
-    motion: Floats
-    pull: Floats
-    reach: Floats
+    @property
+    def precision(self) -> type[np.floating[Any]]:
+        """Of the arrays."""
+        ...
+
+    @property
+    def finest(self) -> float:
+        """Share of a right-hand side that iteration can reach."""
+        ...
+
+    @property
+    def saves(self) -> bool:
+        """Whether `displaced` costs much less than a product in double precision."""
+        ...
+
+    def make_room(self, touching: Ints) -> bool:
+        """Take over the n patches in contact; return whether their compliance can be inverted."""
+        ...
+
+    def displaced(self, force: Floats) -> Floats:
+        """Return the (3, k) displacements of all patches under forces (k, 3) on them, mm, to 1e-7 of the largest."""
+        ...
+
+    def product(self, force: Floats) -> Floats:
+        """Return the (3, n) displacements of the patches in contact under forces (3, n)."""
+        ...
+
+    def roughly(self, displacement: Floats) -> Floats:
+        """Return (3, n, m) forces that cause about (3, n, m) displacements of the patches in contact."""
+        ...
 
 
 class Krylov:
@@ -55,12 +67,12 @@ class Krylov:
 
     Parameters
     ----------
-    compliance
-        (k, 3, k, 3) compliance between patches, mm/N, or what stands for it.
+    operator
+        Products with the compliance between patches.
     """
 
-    def __init__(self, compliance: Floats | Between) -> None:
-        self._operator = between(compliance).operator
+    def __init__(self, operator: Operator) -> None:
+        self._operator = operator
 
     @property
     def saves(self) -> bool:
@@ -74,20 +86,12 @@ class Krylov:
     def solve(
         self, system: LinearSystem, right: Floats, balance: Floats, left: float = LEFT
     ) -> tuple[Floats, Floats] | None:
-        """Return x (size,) and q (m,) with the share ``left`` of the right-hand sides left, None if out of reach.
-
-        Parameters
-        ----------
-        system
-            The equations.
-        right, balance
-            (size,) mm and (m,) N and N mm.
-        left
-            As far as the operator's precision allows it.
-        """
+        """See `twin.world.contact.linear.LinearSolver`."""
         pattern, operator = system.pattern, self._operator
         if not operator.make_room(pattern.touching):
             return None
+        if system.jump.any():
+            right = right - system.seen(self.moved(system.jump)[:, pattern.touching])
         aside, unit, precision = pattern.aside, operator.unit, operator.precision
         share = np.maximum(pattern.share, 1e-20).astype(precision)
         shift = (system.shift / unit).astype(precision)

@@ -22,6 +22,8 @@ from twin.arrays import Floats, Ints, Points
 from twin.compiled import njit
 from twin.parts.load import Rectangles
 from twin.world.contact.convolution import Convolution, padded_size
+from twin.world.contact.krylov import Krylov
+from twin.world.contact.linear import LinearSolver
 from twin.world.contact.patches import Patches
 from twin.world.elasticity.spread import lagrange
 from twin.world.elasticity.table import SIZES
@@ -100,17 +102,16 @@ class Lattice:
         """Itself, with the inverse convolution."""
         return self if self._inverse is not None else None
 
-    @property
-    def operator(self) -> Lattice:
-        """Itself."""
-        return self
+    def solver(self, carried: Floats) -> LinearSolver:
+        """See `Between`; iteration needs nothing of the probes."""
+        return Krylov(self)
 
     def moved(self, force: Floats) -> Floats:
         """See `twin.world.contact.between.Between`."""
         return self._product(self._at, force.T, self._convolution, self._rest).T
 
     def displaced(self, force: Floats) -> Floats:
-        """See `twin.world.contact.singles.Operator`."""
+        """See `twin.world.contact.krylov.Operator`."""
         field: Any = force.T.astype(np.float32)
         return self._product(self._at, field, self._convolution.single, self._rest_single).astype(float)
 
@@ -148,18 +149,18 @@ class Lattice:
         return np.asarray(self._rough_normal.product(self._filled(cell, depth_single)).reshape(-1)[cell].astype(float))
 
     def make_room(self, touching: Ints) -> bool:
-        """See `twin.world.contact.singles.Operator`."""
+        """See `twin.world.contact.krylov.Operator`."""
         self._chosen = self._at[touching]
         return self._inverse is not None
 
     def product(self, force: Floats) -> Floats:
-        """See `twin.world.contact.singles.Operator`."""
+        """See `twin.world.contact.krylov.Operator`."""
         return self._product(self._chosen, force, self._convolution.single, self._rest_single) * np.float32(
             1.0 / self.unit
         )
 
     def roughly(self, displacement: Floats) -> Floats:
-        """See `twin.world.contact.singles.Operator`."""
+        """See `twin.world.contact.krylov.Operator`."""
         assert self._inverse is not None
         field = self._spread(self._chosen, displacement.transpose(2, 0, 1))
         out = self._inverse.single.product(field).reshape(*field.shape[:2], -1)[..., self._chosen]

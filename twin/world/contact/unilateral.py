@@ -32,7 +32,7 @@ from twin.arrays import Bools, Floats, Ints
 from twin.errors import ContactError, NotSettled
 from twin.world.contact.between import Between, between
 from twin.world.contact.bordered import Bordered
-from twin.world.contact.krylov import Krylov
+from twin.world.contact.linear import LinearSolver
 
 GapOfPlace = Callable[[Floats], tuple[Floats, Floats]]
 TOLERANCE = 1e-8
@@ -74,7 +74,7 @@ class Unilateral:
         (k,) coefficient of friction: 0 slides freely, inf is carried along whenever in contact.
     offset
         (k, 2) b, mm: the patch's motion over the probe, u_t - T q, from which its slip counts.
-    krylov
+    solver
         Solver of linear systems with this compliance; all are solved by elimination without one.
     """
 
@@ -86,7 +86,7 @@ class Unilateral:
     pushing: Bools
     friction: Floats
     offset: Floats
-    krylov: Krylov | None = None
+    solver: LinearSolver | None = None
 
     @cached_property
     def between(self) -> Between:
