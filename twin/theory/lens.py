@@ -85,21 +85,23 @@ def lens_jacobian(towards: Points, camera: Camera) -> Floats:
     by_across, by_ahead = RADIAL[camera.lens].slopes(across, ahead)
     near = across <= 1e-12
     unit = towards[:, :2] / np.where(near, 1.0, across)[:, None]
-    radial = unit[:, :, None] * unit[:, None, :]
     # First to the undistorted place in the picture, then through the distortion.
     around = np.where(near, by_across, radius / np.where(near, 1.0, across))
     first = np.empty((len(towards), 2, 3))
-    first[:, :, :2] = around[:, None, None] * (np.eye(2) - radial) + radial * by_across[:, None, None]
+    first[:, :, :2] = stretches(unit, by_across, around)
     first[:, :, 2] = -unit * by_ahead[:, None]
-    place = radius[:, None] * unit
+    if any(camera.distortion):
+        first = _distortion_jacobian(radius[:, None] * unit, radius, camera) @ first
+    return first * (camera.focal_px * np.array([1.0, -camera.aspect]))[:, None]
+
+
+def _distortion_jacobian(place: Floats, radius: Floats, camera: Camera) -> Floats:
+    """Return (n, 2, 2) derivatives of distorted places with respect to undistorted ones, ``radius`` from the axis."""
     image, growth = _radial(radius, camera)
     stretch = np.where(radius > 1e-12, image / np.maximum(radius, 1e-300), 1.0)
-    second = _turned(place, radius, stretch, growth)
     _, slope = _decentring(place, camera)
-    if slope is not None:
-        second = second + slope
-    jacobian: Floats = second @ first
-    return jacobian * (camera.focal_px * np.array([1.0, -camera.aspect]))[:, None]
+    radial = _turned(place, radius, stretch, growth)
+    return radial if slope is None else radial + slope
 
 
 def lens_inverse(pixels: Pixels, camera: Camera) -> Points:
@@ -180,9 +182,15 @@ def _undistort(distorted: Floats, camera: Camera) -> Floats:
 def _turned(place: Floats, radius: Floats, around: Floats, growth: Floats) -> Floats:
     """Return (n, 2, 2) derivatives of a radial map: ``growth`` along the radius, ``around`` across it."""
     unit = place / np.where(radius > 1e-12, radius, 1.0)[:, None]
-    radial = unit[:, :, None] * unit[:, None, :]
-    jacobian: Floats = around[:, None, None] * (np.eye(2) - radial) + radial * growth[:, None, None]
-    return jacobian
+    return stretches(unit, growth, around)
+
+
+def stretches(unit: Floats, along: Floats, across: Floats) -> Floats:
+    """Return (n, 2, 2) symmetric matrices that stretch by (n,) factors along (n, 2) unit vectors and across them."""
+    matrices: Floats = (along - across)[:, None, None] * (unit[:, :, None] * unit[:, None, :])
+    matrices[:, 0, 0] += across
+    matrices[:, 1, 1] += across
+    return matrices
 
 
 def _decentring(place: Floats, camera: Camera) -> tuple[Floats, Floats | None]:

@@ -20,13 +20,14 @@ from __future__ import annotations
 
 from enum import IntEnum
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from twin.arrays import Floats, Ints, Pixels, Points
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Layer
-from twin.theory.lens import lens, lens_inverse, lens_jacobian
+from twin.theory.lens import lens, lens_inverse, lens_jacobian, stretches
 
 _ITERATIONS = 60
 
@@ -74,7 +75,8 @@ def project_with_jacobian(points: Points, camera: Camera, body_index: float, bas
     towards, slope = _leave(points, camera, body_index, base_z_mm)
     turn = tilt_matrix(camera)
     seen = towards @ turn
-    jacobian: Floats = lens_jacobian(seen, camera) @ (turn.T @ slope)
+    turned = (lens_jacobian(seen, camera).reshape(-1, 3) @ turn.T).reshape(-1, 2, 3)
+    jacobian: Floats = turned[:, :, :2] @ slope
     return lens(seen, camera), jacobian
 
 
@@ -199,16 +201,20 @@ def sideways(
     slope
         (n,) d(reach)/dp, mm.
     """
-    reach, square = air_mm * p, p * p
-    slope = np.full(np.shape(p), air_mm, float)
+    reach, slope = air_mm * p, np.full(np.shape(p), air_mm, float)
     stack: list[tuple[Floats | float, float]] = [(depth_mm, body_index)]
     stack += [(layer.thickness_mm, layer.index) for layer in layers]
     for thickness, index in stack:
-        inside = index**2 + (index**2 - 1) * square
-        root = np.sqrt(inside)
-        reach = reach + thickness * p / root
-        slope = slope + thickness * index**2 / (inside * root)
+        further, steeper = through(p, thickness, index)
+        reach, slope = reach + further, slope + steeper
     return reach, slope
+
+
+def through(p: Any, thickness: Any, index: float) -> tuple[Any, Any]:
+    """Return `sideways` of one layer; numbers or arrays."""
+    square = index * index
+    inverse = 1 / np.sqrt(square + (square - 1) * (p * p))
+    return thickness * (p * inverse), thickness * (square * (inverse * inverse * inverse))
 
 
 def air_tangents(
@@ -255,13 +261,13 @@ def transmission(p: Floats, body_index: float, layers: tuple[Layer, ...]) -> Flo
     return share
 
 
-def reflection(p: Floats, one: float, two: float) -> Floats:
-    """Return (n,) shares of unpolarised light that an interface of refractive indices ``one`` and ``two`` sends back.
+def reflection(p: Any, one: float, two: float) -> Any:
+    """Return the shares of unpolarised light that an interface of refractive indices ``one`` and ``two`` sends back.
 
     Parameters
     ----------
     p
-        (n,) tangents of the rays' angles to z in air, wherever the interface lies.
+        Tangents of the rays' angles to z in air, wherever the interface lies; a number or an array.
 
     Notes
     -----
@@ -272,8 +278,7 @@ def reflection(p: Floats, one: float, two: float) -> Floats:
     a, b = np.sqrt(one**2 - sine2), np.sqrt(two**2 - sine2)
     across = ((a - b) / (a + b)) ** 2
     along = ((two**2 * a - one**2 * b) / (two**2 * a + one**2 * b)) ** 2
-    share: Floats = (across + along) / 2
-    return share
+    return (across + along) / 2
 
 
 def tilt_matrix(camera: Camera) -> Floats:
@@ -290,11 +295,11 @@ def tilt_matrix(camera: Camera) -> Floats:
 
 
 def _leave(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Points, Floats]:
-    """Return (n, 3) air directions (p e, -1) in which the pupil sees the points, and their (n, 3, 3) derivatives."""
+    """Return (n, 3) air directions (p e, -1) in which the pupil sees the points, and (n, 2, 3) derivatives of p e."""
     points = np.asarray(points, float)
     air = air_gap(camera, base_z_mm)
     aside = points[:, :2] - np.asarray(camera.pupil_mm[:2])
-    reach = np.linalg.norm(aside, axis=1)
+    reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)
     depth = base_z_mm - points[:, 2]
     p = air_tangents(reach, depth, body_index, camera.layers, air)
     _, slope = sideways(p, np.maximum(depth, 0.0), body_index, camera.layers, air)
@@ -302,9 +307,8 @@ def _leave(points: Points, camera: Camera, body_index: float, base_z_mm: float) 
     unit = aside / np.where(near, 1.0, reach)[:, None]
     over = np.where(near, 1 / slope, p / np.where(near, 1.0, reach))
     towards = np.column_stack([over[:, None] * aside, np.where(np.isnan(p), np.nan, -1.0)])
-    radial = unit[:, :, None] * unit[:, None, :]
-    derivative = np.zeros((len(points), 3, 3))
-    derivative[:, :2, :2] = over[:, None, None] * (np.eye(2) - radial) + radial / slope[:, None, None]
+    derivative = np.empty((len(points), 2, 3))
+    derivative[:, :, :2] = stretches(unit, 1 / slope, over)
     body_tangent = p / np.sqrt(body_index**2 + (body_index**2 - 1) * p**2)
-    derivative[:, :2, 2] = unit * (body_tangent / slope)[:, None]
+    derivative[:, :, 2] = unit * (body_tangent / slope)[:, None]
     return towards, derivative

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from twin.errors import RecipeError
+from twin.parts.camera import Layer
 from twin.parts.light import Light
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
+from twin.theory.optics import air_tangents, transmission
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.glare import glare
+from twin.world.picture.images import images
 from twin.world.picture.lighting import Lamps, brightest, cover_light, irradiance, lamps_at
 from twin.world.picture.markers import Ellipsoids
 from twin.world.picture.occluders import occluders
@@ -56,6 +59,28 @@ def test_the_image_on_the_axis_is_the_paraxial_one() -> None:
     lamps = lamps_at(points, scene())
     apparent = 36 + 1.41 * (10 / 1.49 + 20)
     np.testing.assert_allclose(lamps.place[0, 0], [10, 5, 4 + apparent], atol=1e-6)
+
+
+def test_images_stand_along_the_rays_of_the_cameras_closed_form() -> None:
+    # The rays of LEDs are compiled; those of the camera, tested against Snell's law, are not.
+    layers, index, base = (Layer(index=1.49, thickness_mm=2.0), Layer(index=1.6, thickness_mm=0.5)), 1.41, 10.0
+    rng = np.random.default_rng(1)
+    points = rng.uniform([-8, -8, 0], [8, 8, 10], (30, 3))
+    lights = np.array([[4.0, 4, 12.5], [-20, 3, 13], [0, 0, 60]])
+    place, power, crossing, leaving = images(points, lights, layers, index, base)
+    for j, light in enumerate(lights):
+        aside, depth = light[:2] - points[:, :2], base - points[:, 2]
+        reach = np.linalg.norm(aside, axis=1)
+        p = air_tangents(reach, depth, index, layers, np.full(30, light[2] - 12.5))
+        np.testing.assert_allclose(leaving[:, j], 1 / np.sqrt(1 + p**2), rtol=1e-9)
+        np.testing.assert_allclose(power[:, j], index**2 * transmission(p, index, layers), rtol=1e-9)
+        tangent = p / np.sqrt(index**2 + (index**2 - 1) * p**2)
+        ray = np.column_stack([aside * (tangent / reach)[:, None], np.ones(30)])
+        np.testing.assert_allclose(crossing[:, j], points + ray * depth[:, None], atol=1e-9)
+        lit = np.isfinite(p)  # no ray leads from a light that touches the layers to all places
+        np.testing.assert_allclose(np.cross(ray, place[:, j] - points)[lit], 0, atol=1e-7)
+        assert lit.any()
+        assert lit.all() or j == 0
 
 
 def test_the_cover_sends_its_albedo_back() -> None:

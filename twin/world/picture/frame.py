@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from twin.arrays import Bools, Floats, Singles
+from twin.compiled import njit
 from twin.parts.scene import Scene
 from twin.world.picture.lighting import lamps_at
 from twin.world.picture.markers import Ellipsoids
@@ -149,24 +150,21 @@ def make_frame(
     near = near_markers(markers, scene, view, subpixels)
     zero = _behind(near)
     lamps = lamps_at(centres, scene)
-    radii = np.where(here, _longest(axes), np.nan)
+    longest, placed, axes, metric = _placed(centres, axes, here, zero, unit_mm)
     wanted = here[:, None] & (lamps.power > 0) & shadows
-    shift = np.array([0.0, 0.0, zero])
-    axes = axes / unit_mm
-    inverse = np.linalg.inv(axes)
     return Frame(
         near=near,
         base=(base - zero) / unit_mm,
         unit_mm=unit_mm,
-        centres=np.where(here[:, None], (centres - shift) / unit_mm, _ABSENT),
+        centres=placed,
         axes=axes,
-        metric=np.swapaxes(inverse, 1, 2) @ inverse,
+        metric=metric,
         pad=near.pad_mm / unit_mm,
         subpixels=subpixels,
         lamps=np.concatenate(
-            [(lamps.place - shift) / unit_mm, (lamps.power / (full_power * unit_mm**2))[:, :, None]], axis=2
+            [(lamps.place - [0.0, 0.0, zero]) / unit_mm, (lamps.power / (full_power * unit_mm**2))[:, :, None]], axis=2
         ),
-        occluders=occluders(np.where(here[:, None], centres, np.nan), radii, lamps.place, wanted),
+        occluders=occluders(np.where(here[:, None], centres, np.nan), longest, lamps.place, wanted),
         colour=markers.colour,
     )
 
@@ -176,10 +174,48 @@ def _behind(near: Near) -> float:
     return float(np.max(near.top_mm, initial=0.0))
 
 
-def _longest(axes: Floats) -> Floats:
-    """Return a bound on (n,) ellipsoids' longest semi-axes: the root of the largest row sum of A^T A (Gershgorin)."""
-    bound: Floats = np.sqrt(np.abs(np.swapaxes(axes, 1, 2) @ axes).sum(axis=2).max(axis=1))
-    return bound
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _placed(
+    centres: Floats, axes: Floats, here: Bools, behind: float, unit: float
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return bounds on ellipsoids' longest semi-axes, mm; and in renderer units centres, axes and matrices M.
+
+    Notes
+    -----
+    The bound is the root of the largest row sum of A^T A (Gershgorin); M = (A A^T)^-1 from the cofactors of A.
+    """
+    n = len(centres)
+    longest, placed, scaled, metric = np.empty(n), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 3))
+    cofactor = np.empty((3, 3))
+    for i in range(n):
+        a = axes[i]
+        largest = 0.0
+        for j in range(3):
+            total = 0.0
+            for k in range(3):
+                total += abs(a[0, j] * a[0, k] + a[1, j] * a[1, k] + a[2, j] * a[2, k])
+                scaled[i, j, k] = a[j, k] / unit
+            largest = max(largest, total)
+        longest[i] = np.sqrt(largest)
+        for j in range(3):
+            m, o = (j + 1) % 3, (j + 2) % 3
+            for k in range(3):
+                p, q = (k + 1) % 3, (k + 2) % 3
+                cofactor[j, k] = scaled[i, m, p] * scaled[i, o, q] - scaled[i, m, q] * scaled[i, o, p]
+        determinant = 0.0
+        for k in range(3):
+            determinant += scaled[i, 0, k] * cofactor[0, k]
+        for j in range(3):
+            for k in range(3):
+                total = 0.0
+                for m in range(3):
+                    total += cofactor[j, m] * cofactor[k, m]
+                metric[i, j, k] = total / determinant**2
+        if here[i]:
+            placed[i] = centres[i, 0] / unit, centres[i, 1] / unit, (centres[i, 2] - behind) / unit
+        else:
+            placed[i] = _ABSENT
+    return longest, placed, scaled, metric
 
 
 def quaternions(axes: Floats) -> Floats:

@@ -21,8 +21,8 @@ import numpy as np
 from twin.arrays import Floats, Points
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
-from twin.theory.optics import air_tangents, sideways, transmission
 from twin.world.picture.exposure import response_matrix
+from twin.world.picture.images import images
 from twin.world.picture.markers import Ellipsoids
 
 
@@ -44,11 +44,6 @@ class Lamps:
 
 def lamps_at(points: Points, scene: Scene) -> Lamps:
     """Return each LED's virtual image for each of (n, 3) points in the body.
-
-    Notes
-    -----
-    A cone dp of an LED with intensity cos^m fills a ring dr of the body: the flux through a surface across the ray is
-    E = cos^m(a) sin(a) da / (r dr cos(b)), a and b the angles in air and body, times Fresnel's transmission.
 
     Raises
     ------
@@ -79,29 +74,12 @@ def _refracted(points: Points, leds: Points, scene: Scene) -> tuple[Floats, Floa
             f"light.positions_mm: z = {leds[:, 2].min():.6g} mm must be at least {back:.6g} mm, "
             "behind the base and the layers, or in the body: move the LED back"
         )
-    shape = (len(points), len(leds))
-    start = np.repeat(points, len(leds), axis=0)
-    aside = (leds[:, :2] - points[:, None, :2]).reshape(-1, 2)
-    air = np.tile(np.maximum(leds[:, 2] - back, 0.0), len(points))
-    reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)
-    depth = np.maximum(base - start[:, 2], 0.0)
-    p = air_tangents(reach, depth, index, layers, air)
-    _, slope = sideways(p, depth, index, layers, air)
-    near = reach <= 1e-9
-    per_reach = np.where(near, 1 / slope, p / np.where(near, 1.0, reach))
-    square = 1 + p * p
-    leaving = 1 / np.sqrt(square)
-    sine = p * leaving / index
-    cosine = np.sqrt(1 - sine * sine)
-    spread = leaving / square * per_reach / (slope * cosine)
-    distance = index / np.sqrt(spread)
-    unit = np.column_stack([aside * (sine / np.where(near, 1.0, reach))[:, None], cosine])
-    crossing = start + unit * (depth / cosine)[:, None]
-    arrives = np.isfinite(p) & scene.body.contains(np.nan_to_num(crossing), -1e-6)
-    place = np.where(arrives[:, None], start + unit * distance[:, None], [0.0, 0.0, 2 * base])
-    # The image's distance squared times the spread is the index squared.
-    power = np.where(arrives, scene.light.emission(leaving) * transmission(p, index, layers) * index**2, 0.0)
-    return place.reshape(*shape, 3), power.reshape(shape)
+    place, power, crossing, leaving = images(points, leds, layers, index, base)
+    arrives = np.isfinite(power) & scene.body.contains(np.nan_to_num(crossing).reshape(-1, 3), -1e-6).reshape(
+        power.shape
+    )
+    power = np.where(arrives, power * scene.light.emission(leaving), 0.0)
+    return np.where(arrives[:, :, None], place, [0.0, 0.0, 2 * base]), power
 
 
 def irradiance(points: Points, normals: Floats, lamps: Lamps) -> Floats:

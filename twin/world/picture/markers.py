@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class Ellipsoids:
     def __len__(self) -> int:
         return len(self.centres)
 
-    @property
+    @cached_property
     def present(self) -> Bools:
         """(n,) which markers exist."""
         numbers = np.concatenate([self.centres, self.axes.reshape(-1, 9)], axis=1)

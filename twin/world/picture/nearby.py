@@ -53,76 +53,82 @@ def near_pixels(centres: Pixels, conjugate: Floats, room: float, there: Bools, w
     wanted
         (height, width) the pixels that may be covered.
     """
-    size = np.array(wanted.shape[::-1])
-    half = _LARGER * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + room
-    middle = np.clip(centres, -1e6, 1e6)
-    begin = np.clip(np.ceil(middle - half), 0, size).astype(np.int64)
-    end = np.clip(np.floor(middle + half) + 1, 0, size).astype(np.int64)
-    end[~there] = 0
-    # A point so near a stretched ellipse is within this in the ellipse's own metric.
-    reach = (_LARGER + room / np.sqrt(least_eigenvalues(conjugate))) ** 2
-    spread = _inverses(conjugate) / reach[:, None, None]
-    pixels, alone, first, members = _lists(begin, end, middle, spread, wanted)
+    pixels, alone, first, members = _lists(*_runs(centres, conjugate, room, there, *wanted.shape), wanted)
     return Nearby(pixels=pixels, alone=alone, first=first, members=members)
 
 
-def least_eigenvalues(matrices: Floats) -> Floats:
-    """Return the smaller eigenvalue of each of (n, 2, 2) symmetric matrices, for a tenth of LAPACK's price."""
-    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
-    larger = (a + c) / 2 + np.sqrt(((a - c) / 2) ** 2 + b**2)
-    smaller: Floats = (a * c - b**2) / larger
-    return smaller
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def least_eigenvalue(a: float, b: float, c: float) -> float:
+    """Return the smaller eigenvalue of the symmetric matrix [[a, b], [b, c]]."""
+    larger = (a + c) / 2 + np.sqrt(((a - c) / 2) ** 2 + b * b)
+    least: float = (a * c - b * b) / larger
+    return least
 
 
-def _inverses(matrices: Floats) -> Floats:
-    """Return the inverses of (n, 2, 2) symmetric matrices."""
-    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
-    inverses: Floats = np.array([[c, -b], [-b, a]]).transpose(2, 0, 1) / (a * c - b**2)[:, None, None]
-    return inverses
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _runs(centres: Pixels, conjugate: Floats, room: float, there: Bools, height: int, width: int) -> tuple[Ints, Ints]:
+    """Return (n + 1,) where each ellipse's runs of pixels begin, and (runs, 3) row, first column, column after."""
+    n = len(centres)
+    begin = np.zeros(n + 1, np.int64)
+    runs = np.empty((max(32 * n, 64), 3), np.int64)
+    used = 0
+    for i in range(n):
+        if there[i]:
+            a, b, c = conjugate[i, 0, 0], conjugate[i, 0, 1], conjugate[i, 1, 1]
+            # A point so near a stretched ellipse is within this in the ellipse's own metric.
+            reach = _LARGER + room / np.sqrt(least_eigenvalue(a, b, c))
+            low, high = _between(centres[i, 1], _LARGER * np.sqrt(c) + room, height)
+            left, right = _between(centres[i, 0], _LARGER * np.sqrt(a) + room, width)
+            while used + high - low > len(runs):
+                runs = np.concatenate((runs, np.empty_like(runs)))
+            # x^T C^-1 x = reach^2 in a row: x = shear y +- narrow sqrt(c reach^2 - y^2).
+            shear, narrow = b / c, np.sqrt(a * c - b * b) / c
+            for row in range(low, high):
+                y = row - centres[i, 1]
+                square = c * reach * reach - y * y
+                if square >= 0:
+                    middle, half = centres[i, 0] + shear * y, narrow * np.sqrt(square)
+                    first, last = max(np.ceil(middle - half), left), min(np.floor(middle + half) + 1, right)
+                    if first < last:
+                        runs[used] = row, int(first), int(last)
+                        used += 1
+        begin[i + 1] = used
+    return begin, runs[:used]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _between(middle: float, half: float, size: int) -> tuple[int, int]:
+    """Return the first pixel that is within ``half`` of ``middle`` and the one after the last, in a picture."""
+    return int(min(max(np.ceil(middle - half), 0.0), size)), int(min(max(np.floor(middle + half) + 1, 0.0), size))
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _columns(spread: Floats, middle: Floats, begin: Ints, end: Ints, i: int, row: int) -> tuple[int, int]:
-    """Return from and to where ellipse ``i`` covers a row."""
-    y = row - middle[i, 1]
-    a, b = spread[i, 0, 0], spread[i, 0, 1] * y
-    square = b * b - a * (spread[i, 1, 1] * y * y - 1)
-    if square < 0:
-        return 0, 0
-    root = np.sqrt(square)
-    left, right = middle[i, 0] + (-b - root) / a, middle[i, 0] + (-b + root) / a
-    return max(begin[i, 0], int(np.ceil(left))), min(end[i, 0], int(np.floor(right)) + 1)
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _lists(begin: Ints, end: Ints, middle: Floats, spread: Floats, wanted: Bools) -> tuple[Ints, Ints, Whole, Whole]:
+def _lists(begin: Ints, runs: Ints, wanted: Bools) -> tuple[Ints, Ints, Whole, Whole]:
     """Return the arrays of `Nearby`."""
-    n, width = len(begin), wanted.shape[1]
+    n, width = len(begin) - 1, wanted.shape[1]
     count = np.zeros(wanted.shape, np.uint8)  # none, one or several
     total = 0
-    for i in range(n):
-        for row in range(begin[i, 1], end[i, 1]):
-            left, right = _columns(spread, middle, begin, end, i, row)
-            for column in range(left, right):
-                if wanted[row, column]:
-                    count[row, column] = min(count[row, column] + 1, 2)
-                    total += 1
+    for j in range(len(runs)):
+        strip, good = count[runs[j, 0]], wanted[runs[j, 0]]
+        for column in range(runs[j, 1], runs[j, 2]):
+            strip[column] += np.uint8(good[column] & (strip[column] < 2))
+        total += runs[j, 2] - runs[j, 1]
     pixels, alone = np.empty(total, np.int64), np.zeros(n + 1, np.int64)
     shared_pixel, shared_marker = np.empty(total, np.int64), np.empty(total, np.int32)
     used, shared = 0, 0
     for i in range(n):
-        for row in range(begin[i, 1], end[i, 1]):
-            left, right = _columns(spread, middle, begin, end, i, row)
-            for column in range(left, right):
-                if count[row, column] == 1:
-                    pixels[used] = row * width + column
+        for j in range(begin[i], begin[i + 1]):
+            strip, row = count[runs[j, 0]], runs[j, 0] * width
+            for column in range(runs[j, 1], runs[j, 2]):
+                if strip[column] == 1:
+                    pixels[used] = row + column
                     used += 1
-                elif count[row, column] > 1:
-                    shared_pixel[shared], shared_marker[shared] = row * width + column, i
+                elif strip[column] > 1:
+                    shared_pixel[shared], shared_marker[shared] = row + column, i
                     shared += 1
         alone[i + 1] = used
     order = np.argsort(shared_pixel[:shared], kind="mergesort")
-    first, members = np.empty(total + 1, np.int32), np.empty(total, np.int32)
+    first, members = np.empty(used + shared + 1, np.int32), np.empty(used + shared, np.int32)
     for i in range(n):
         for j in range(alone[i], alone[i + 1]):
             first[j], members[j] = j, i
@@ -133,5 +139,5 @@ def _lists(begin: Ints, end: Ints, middle: Floats, spread: Floats, wanted: Bools
             first[at], pixels[at], last = used + j, pixel, pixel
             at += 1
         members[used + j] = shared_marker[order[j]]
-    first[at] = total
-    return pixels[:at].copy(), alone, first[: at + 1].copy(), members
+    first[at] = used + shared
+    return pixels[:at], alone, first[: at + 1], members

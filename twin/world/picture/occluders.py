@@ -58,26 +58,37 @@ def occluders(centres: Floats, radii: Floats, places: Floats, wanted: Bools) -> 
     if len(here) == 0 or lamps == 0:
         empty = np.zeros(n * lamps + 1, np.int32)
         return Occluders(first=empty, members=np.zeros(0, np.int32), flags=np.zeros((n, lamps), bool))
-    # About one marker a cell; cells of one row of the grid lie one after the other.
-    side = int(np.ceil(np.sqrt(len(here))))
-    low = centres[here, :2].min(axis=0)
-    size = np.maximum((centres[here, :2].max(axis=0) - low) / side, 1e-9)
-    column, row = np.minimum((centres[here, :2] - low) / size, side - 1).astype(np.int64).T
-    cell = row * side + column
-    order = here[np.argsort(cell, kind="stable")]
-    begin = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=side * side))])
-    first, members = _lists(np.ascontiguousarray(centres, float), np.asarray(radii, float), order, begin, low, size,
-                            places, wanted)  # fmt: skip
+    first, members = _lists(np.ascontiguousarray(centres, float), np.asarray(radii, float), here, places, wanted)
     return Occluders(first=first, members=members, flags=np.diff(first).reshape(n, lamps) > 0)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _grid(x: Floats, y: Floats, side: int) -> tuple[Ints, Ints, Floats, Floats]:
+    """Return places in the order of side * side cells, where each begins, the cells' corner, and how many make a mm."""
+    low = np.array([x.min(), y.min()])
+    a_mm = np.array([side / max(x.max() - low[0], 1e-9), side / max(y.max() - low[1], 1e-9)])
+    cell, begin = np.empty(len(x), np.int64), np.zeros(side * side + 1, np.int64)
+    for i in range(len(x)):
+        column, row = min(int((x[i] - low[0]) * a_mm[0]), side - 1), min(int((y[i] - low[1]) * a_mm[1]), side - 1)
+        cell[i] = row * side + column
+        begin[cell[i] + 1] += 1
+    begin = np.cumsum(begin)
+    order, at = np.empty(len(x), np.int64), begin.copy()
+    for i in range(len(x)):
+        order[at[cell[i]]] = i
+        at[cell[i]] += 1
+    return order, begin, low, a_mm
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _lists(
-    centres: Floats, radii: Floats, order: Ints, begin: Ints, origin: Floats, size: Floats, places: Floats,
-    wanted: Bools,
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:  # fmt: skip
+    centres: Floats, radii: Floats, here: Ints, places: Floats, wanted: Bools
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     n, lamps = wanted.shape
-    side = int(np.sqrt(len(begin) - 1) + 0.5)
+    # About one marker a cell; cells of one row of the grid lie one after the other.
+    side = int(np.ceil(np.sqrt(len(here))))
+    order, begin, origin, a_mm = _grid(centres[here, 0], centres[here, 1], side)
+    order = here[order]
     xs, ys, zs, rs = centres[order, 0], centres[order, 1], centres[order, 2], radii[order]
     largest = rs.max()
     bottom, top = zs.min() - 2 * _ROOM * largest, zs.max() + 2 * _ROOM * largest
@@ -90,15 +101,16 @@ def _lists(
             if wanted[i, lamp]:
                 dx, dy, dz = places[i, lamp, 0] - cx, places[i, lamp, 1] - cy, places[i, lamp, 2] - cz
                 length = np.sqrt(dx * dx + dy * dy + dz * dz)
+                short = 1 / length
                 end = 1.0
                 if dz > 0:
                     end = min(end, (top - cz) / dz)
                 elif dz < 0:
                     end = min(end, (bottom - cz) / dz)
                 room = _ROOM * (radii[i] + largest)
-                left, right = _cells(cx, cx + dx * end, room, origin[0], size[0], side)
-                low, high = _cells(cy, cy + dy * end, room, origin[1], size[1], side)
-                dx, dy, dz = dx / length, dy / length, dz / length
+                left, right = _cells(cx, cx + dx * end, room, origin[0], a_mm[0], side)
+                low, high = _cells(cy, cy + dy * end, room, origin[1], a_mm[1], side)
+                dx, dy, dz = dx * short, dy * short, dz * short
                 for row in range(low, high + 1):
                     for at in range(begin[row * side + left], begin[row * side + right + 1]):
                         wx, wy, wz = xs[at] - cx, ys[at] - cy, zs[at] - cz
@@ -115,7 +127,7 @@ def _lists(
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _cells(one: float, other: float, room: float, origin: float, size: float, side: int) -> tuple[int, int]:
+def _cells(one: float, other: float, room: float, origin: float, a_mm: float, side: int) -> tuple[int, int]:
     """Return the first and the last row or column of cells near a way from one place to another."""
-    low, high = (min(one, other) - room - origin) / size, (max(one, other) + room - origin) / size
+    low, high = (min(one, other) - room - origin) * a_mm, (max(one, other) + room - origin) * a_mm
     return int(max(min(low, side - 1.0), 0.0)), int(max(min(high, side - 1.0), 0.0))

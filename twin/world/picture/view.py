@@ -19,7 +19,7 @@ from twin.theory.optics import axis_cosine, project_with_jacobian, rays, transmi
 from twin.world.picture.glare import glare
 from twin.world.picture.lighting import cover_light
 from twin.world.picture.markers import Ellipsoids
-from twin.world.picture.nearby import least_eigenvalues, near_pixels
+from twin.world.picture.nearby import least_eigenvalue, near_pixels
 
 _COARSE = 4
 _AT_ONCE = 400_000
@@ -161,31 +161,60 @@ def near_markers(markers: Ellipsoids, scene: Scene, view: View, subpixels: int) 
     assert camera is not None
     optics = (camera, scene.material.refractive_index, scene.body.base_z_mm)
     centres, jacobian = project_with_jacobian(markers.centres, *optics)
-    outline = jacobian @ markers.axes
-    seen = markers.present & np.isfinite(centres).all(axis=1) & np.isfinite(outline).all(axis=(1, 2))
+    seen = markers.present & np.isfinite(centres).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
     centres = np.where(seen[:, None], centres, 0.0)
-    conjugate = np.where(seen[:, None, None], outline @ np.swapaxes(outline, 1, 2), np.eye(2))
-    scale = np.where(seen[:, None, None], jacobian, np.eye(2, 3))
-    least = np.sqrt(least_eigenvalues(scale @ np.swapaxes(scale, 1, 2)))
-    pad = np.where(seen, _EDGE_SEARCH / subpixels / least, 0.0)
-    half = 1.05 * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + _ROOM_PX
-    size = np.array([camera.width_px, camera.height_px])
-    cut = seen & ((centres - half < 0) | (centres + half > size - 1)).any(axis=1)
-    thick = np.sqrt(np.sum(markers.axes[:, 2] ** 2, axis=1))
-    tops = np.minimum(markers.centres[:, 2] + 1.02 * (thick + pad), scene.body.base_z_mm)
+    conjugate, pad, tops, cut = _outlines(
+        centres, jacobian, markers.centres[:, 2], markers.axes, seen, subpixels, scene.body.base_z_mm,
+        camera.width_px, camera.height_px,
+    )  # fmt: skip
     nearby = near_pixels(centres, conjugate, _ROOM_PX, seen, view.sees)
     return Near(
         pixels=nearby.pixels,
         alone=nearby.alone,
         first=nearby.first,
         members=nearby.members,
-        top_mm=np.where(seen, tops, -np.inf),
+        top_mm=tops,
         centres_px=centres,
         conjugate=conjugate,
         pad_mm=pad,
         seen=seen,
         cut=cut,
     )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _outlines(
+    centres: Pixels, jacobian: Floats, z: Floats, axes: Floats, seen: Bools, subpixels: int, base: float, width: int,
+    height: int,
+) -> tuple[Floats, Floats, Floats, Bools]:  # fmt: skip
+    """Return ``conjugate``, ``pad_mm``, ``top_mm`` and ``cut`` of `Near`."""
+    n = len(centres)
+    conjugate, pad, tops, cut = np.zeros((n, 2, 2)), np.zeros(n), np.full(n, -np.inf), np.zeros(n, np.bool_)
+    for i in range(n):
+        if not seen[i]:
+            conjugate[i, 0, 0] = conjugate[i, 1, 1] = 1.0
+            continue
+        a = b = c = 0.0  # of J J^T
+        thick = 0.0
+        for j in range(3):
+            a += jacobian[i, 0, j] ** 2
+            b += jacobian[i, 0, j] * jacobian[i, 1, j]
+            c += jacobian[i, 1, j] ** 2
+            thick += axes[i, 2, j] ** 2
+            across = down = 0.0
+            for k in range(3):
+                across += jacobian[i, 0, k] * axes[i, k, j]
+                down += jacobian[i, 1, k] * axes[i, k, j]
+            conjugate[i, 0, 0] += across * across
+            conjugate[i, 0, 1] += across * down
+            conjugate[i, 1, 1] += down * down
+        conjugate[i, 1, 0] = conjugate[i, 0, 1]
+        pad[i] = _EDGE_SEARCH / subpixels / np.sqrt(least_eigenvalue(a, b, c))
+        tops[i] = min(z[i] + 1.02 * (np.sqrt(thick) + pad[i]), base)
+        right, below = 1.05 * np.sqrt(conjugate[i, 0, 0]) + _ROOM_PX, 1.05 * np.sqrt(conjugate[i, 1, 1]) + _ROOM_PX
+        column, row = centres[i]
+        cut[i] = column < right or row < below or column + right > width - 1 or row + below > height - 1
+    return conjugate, pad, tops, cut
 
 
 def _pixelwise(corners: Any, join: np.ufunc) -> Any:
