@@ -144,3 +144,17 @@ def test_a_grid_of_markers_solved_by_brute_force_has_this_width() -> None:
 def test_bad_designs_are_refused() -> None:
     with pytest.raises(InputError, match="positive"):
         _flat(noise_mm=[[0.0, 0.001]])
+
+
+def test_pitch_and_noise_widen_together_and_alone_each_is_what_it_is() -> None:
+    """Far below the noise's width the pitch does not count; far above it the picture is a sinc's, and sinc(x) = 1/2."""
+    x = np.linspace(0, 1, 200_001)
+    assert 2 * x[np.argmin(np.abs(np.sinc(x) - 0.5))] == pytest.approx(limit.SAMPLED, rel=1e-4)
+    noise = {"sampling": "squares", "noise_mm": [[0.03, 0.03]]}
+    dense, coarse = (_flat(**noise, pitch_mm=[[p, p]]).fwhm_normal_mm[0] for p in (0.01, 100.0))
+    floor = _flat(noise_mm=[[0.03, 0.03]], pitch_mm=[[0.01, 0.01]]).fwhm_normal_mm[0]
+    assert dense == pytest.approx(floor, rel=1e-3)
+    assert coarse == pytest.approx(100 * limit.SAMPLED, rel=0.05)
+    both = _flat(**noise).fwhm_normal_mm[0]
+    alone = _flat(noise_mm=[[0.03, 0.03]], pitch_mm=[[1.5, 1.5]], sampling="floor").fwhm_normal_mm[0]
+    assert alone < both < alone + 1.5 * limit.SAMPLED

@@ -65,6 +65,8 @@ def sweep(
         bar("done", 1.0)
     kinds = {kind: int((done.status == kind).sum()) for kind in ("ok", "dropped", "failed")}
     print(f"designs     {len(done.designs)}: " + ", ".join(f"{n} {kind}" for kind, n in kinds.items()))
+    for warning in done.warnings:
+        print(f"warning     {warning}")
     for note in done.notes:
         print(f"            {note}")
     for each in best[:3]:

@@ -12,16 +12,21 @@ the rows A of all layers, M = A^T N^-1 A and a prior of spectral density P = F^2
 of radius r, the best linear estimate of a wave is W = (M + 1/P)^-1 M of it (N. Wiener 1949). W against k is the
 sensor's transfer function, and its Hankel transform the picture of a point force.
 
+Sampling: markers p apart tell waves up to pi / p, and the picture of a point that is made of these is
+sin(pi x / p) / (pi x / p), `SAMPLED` p wide. Where noise and sampling both matter their widths add like those of one
+picture smeared by the other: in squares. For a bound that no sensor beats there is a floor instead.
+
 Why two layers: for depths a < b the determinant of A is k (b - a) exp(-k (a + b)) / (2 G k)^2, so one layer alone can't
 tell a push from a shear.
 
-Validity: a half-space seen straight on, layers wider than what is resolved; markers no wider than their pitch. Sampling
-sets a floor of 1.41 pitches, which is put in by hand. Real bodies and lenses: the linear information of a sweep.
+Validity: a half-space seen straight on, layers wider than what is resolved; markers no wider than their pitch. The
+floor of 1.41 pitches is put in by hand. Real bodies and lenses: the linear information of a sweep.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.special import j0, j1
@@ -31,6 +36,9 @@ from twin.errors import InputError
 
 FLOOR = 1.41
 """Least width of a point force's picture, in pitches."""
+
+SAMPLED = 1.2067
+"""Full width at half maximum of sin(pi x) / (pi x)."""
 
 DIP = 0.2
 """Two forces count as two where the estimate between them falls by this share of the peaks."""
@@ -93,6 +101,7 @@ def design_limit(
     poisson_ratio: Floats,
     force_n: Floats,
     radius_mm: Floats,
+    sampling: Literal["floor", "squares"] = "floor",
 ) -> Limit:
     """Return what designs can reach.
 
@@ -105,6 +114,8 @@ def design_limit(
         (m,) of the rubber.
     force_n, radius_mm
         (m,) size of the loads that are expected: the prior.
+    sampling
+        How the markers' pitch counts: as a floor (a bound), or by the sum of squares (what to expect).
 
     Raises
     ------
@@ -119,15 +130,16 @@ def design_limit(
     if min(a.min() for a in (depth, pitch, noise, modulus, force, radius)) <= 0:
         raise InputError("design limit: depths, pitches, noise, modulus, force and radius must be positive")
     chunks = [
-        _limits(*(a[i : i + _CHUNK] for a in (depth, pitch, noise, modulus, nu, force, radius)))
+        _limits(*(a[i : i + _CHUNK] for a in (depth, pitch, noise, modulus, nu, force, radius)), sampling=sampling)
         for i in range(0, len(depth), _CHUNK)
     ]
     return Limit(**dict(zip(Limit.__annotations__, np.concatenate(chunks, axis=1), strict=True)))
 
 
 def _limits(
-    depth: Floats, pitch: Floats, noise: Floats, modulus: Floats, nu: Floats, force: Floats, radius: Floats
-) -> Floats:
+    depth: Floats, pitch: Floats, noise: Floats, modulus: Floats, nu: Floats, force: Floats, radius: Floats,
+    *, sampling: str,
+) -> Floats:  # fmt: skip
     """Return the rows of a `Limit`."""
     scale = depth.min(axis=1)
     k = _K / scale[:, None]
@@ -146,15 +158,10 @@ def _limits(
     push = (1 - prior * (tt + prior) / determinant) @ _HANKEL
     shear = (0.5 * (1 - prior * (nn + prior) / determinant) + 0.5 * across / (across + prior)) @ _HANKEL
     disc = k**2 * _STEP / (2 * np.pi) * _disc(k * radius[:, None]) ** 2
-    floor = FLOOR * pitch.max(axis=1)
-    return np.array(
-        [
-            np.maximum(_width(push) * scale, floor),
-            np.maximum(_width(shear) * scale, floor),
-            np.maximum(_two_points(push) * scale, floor),
-            np.sum(disc * nn, axis=1) ** -0.5,
-        ]
-    )
+    widths = np.array([_width(push), _width(shear), _two_points(push)]) * scale
+    widest = pitch.max(axis=1)
+    sampled = np.maximum(widths, FLOOR * widest) if sampling == "floor" else np.hypot(widths, SAMPLED * widest)
+    return np.concatenate([sampled, np.sum(disc * nn, axis=1)[None] ** -0.5])
 
 
 def _disc(kr: Floats) -> Floats:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from small_sweep import small
 
+from twin.parts.pipeline import Sites
+from twin.parts.sweep import Loads
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
 from twin.study.calibrate import nominal_calibration
@@ -16,6 +18,7 @@ from twin.study.sweep import linear as under_test
 from twin.study.sweep.linear import linear, noise_of
 from twin.study.sweep.loads import Bodies, pushes_of
 from twin.study.sweep.mirror import classes, fold, unfold
+from twin.study.sweep.sites import told_by_sites
 from twin.study.sweep.view import view_of
 
 
@@ -78,6 +81,15 @@ def test_the_predicted_noise_of_the_total_is_that_of_many_noisy_pictures() -> No
         noisy = replace(found, shift_px=shift + noise[:, None] * rng.standard_normal(shift.shape))
         totals.append(reconstruct(noisy, calibration, weight=figures["weight"]).total_force_n[2])
     assert np.std(totals) / 9.80665e-3 == pytest.approx(figures["resolution_gf"], rel=0.2)
+
+
+@pytest.mark.parametrize(("pitch", "told"), [(2.0, 2.6), (0.75, 1.15)])
+def test_two_pushes_are_told_by_sites_from_where_a_site_lies_between_them(pitch: float, told: float) -> None:
+    """By hand: at 2 mm pushes of 1 mm need a site under each, from 3 mm on; at .75 mm 1.5 mm apart dip by 2/3, 1 mm
+    apart not at all. Between two distances the dip is interpolated to .2."""
+    grid = Sites(columns=15, rows=12, pitch_mm=pitch)
+    assert told_by_sites(grid, Loads(size_mm=1.0, pair_mm=2.0)) == pytest.approx(told)
+    assert told_by_sites(Sites(columns=3, rows=3, pitch_mm=9.0), Loads(pair_mm=2.0)) == np.inf
 
 
 def _found(pixels: np.ndarray, shift: np.ndarray, sd: np.ndarray, layer: np.ndarray) -> Found:

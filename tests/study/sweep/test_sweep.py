@@ -17,11 +17,12 @@ import tomli_w
 from small_sweep import TABLE, small
 
 import twin
+from benchmarks.sweep import ranked
 from twin.study.sweep.best import write_best
 from twin.study.sweep.optimise import descend
 from twin.study.sweep.rank import agreement, best_first, pareto, scores
 from twin.study.sweep.report import write_report
-from twin.study.sweep.run import run_sweep
+from twin.study.sweep.run import Swept, run_sweep
 from twin.study.sweep.table import Store
 
 
@@ -169,6 +170,28 @@ def test_a_search_finds_what_the_grid_does_not_have(tmp_path: Path) -> None:
     assert found.score[found.order[0]] <= random.score[random.order[0]]
     best = found.designs.values(int(found.order[0]))
     assert best["markers.*.pitch_mm"] < 1.1
+
+
+@pytest.mark.slow
+def test_the_closed_form_ranks_designs_as_the_linear_information_does() -> None:
+    """Two hundredths of a second a design: markers of the flat sensor at random depths, pitches and sizes."""
+    rows = ranked("flat", 30)
+    assert rows["two_point_mm"]["rank correlation"] > 0.8
+    assert 0.85 < rows["two_point_mm"]["median"] < 1.15
+
+
+def test_sites_that_hold_designs_back_are_said_and_rank_nothing(tmp_path: Path) -> None:
+    coarse = {"size_mm": 1.0, "pair_mm": 2.0, "presses": 2}
+    done = run_sweep(*small(loads=coarse, axes={"markers.*.pitch_mm": [1.2, 1.5]}, derived={}), tmp_path)
+    assert len(done.warnings) == 1
+    assert "set reconstruction.sites.pitch_mm = 0.75" in done.warnings[0]
+    assert not any(note.startswith("two_point_mm") for note in done.notes)
+    assert "reconstruction.sites.pitch_mm = 0.75" in _page(done, tmp_path)
+
+
+def _page(done: Swept, folder: Path) -> str:
+    write_report(done, write_best(done, folder), folder)
+    return (folder / "report.html").read_text()
 
 
 def test_one_axis_and_nothing_possible_still_make_a_page(tmp_path: Path) -> None:

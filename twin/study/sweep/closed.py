@@ -1,5 +1,8 @@
 """The first fidelity: the design limit of every design in one go, and what rules designs out before anything is solved.
 
+Pitch and noise widen the picture of a push together (`twin.theory.limit`), not the larger of them alone: with a floor
+all designs of a sweep of usual pitches sat on it, and their depths and noise did not count.
+
 Nothing here makes a scene: columns of numbers in, columns out (`twin.theory.limit`). The camera is taken on its axis.
 """
 
@@ -76,6 +79,7 @@ def closed(designs: Designs) -> Closed:
             youngs_modulus_mpa=designs.numbers("material.youngs_modulus_mpa", scene.material.youngs_modulus_mpa)[good],
             poisson_ratio=designs.numbers("material.poisson_ratio", scene.material.poisson_ratio)[good],
             force_n=np.array(sweep.loads.force_n), radius_mm=np.array(sweep.loads.size_mm / np.sqrt(np.pi)),
+            sampling="squares",
         )  # fmt: skip
         for name, values in zip(names, (limit.fwhm_normal_mm, limit.two_point_mm, limit.force_sd_n / GF), strict=True):
             found[name][good] = values

@@ -18,6 +18,7 @@ from twin.study.sweep.closed import closed
 from twin.study.sweep.designs import Designs, designs_of
 from twin.study.sweep.recipe import load_sweep
 from twin.study.sweep.run import check
+from twin.study.sweep.sites import advice, told_by_sites
 from twin.study.sweep.work import WORK, make_rows
 
 TRIED = {"linear": 4, "full": 1}
@@ -75,4 +76,9 @@ def _overview(sweep: Sweep, scene: Scene) -> tuple[list[str], Ints, Designs]:
     ]
     for reason in sorted({str(r) for r in first.reason if r}):
         lines.append(f"            {int((first.reason == reason).sum())}: {reason}")
+    target = sweep.targets.get("two_point_mm")
+    if target is not None and scene.reconstruction is not None and not designs.swept("reconstruction.sites.pitch_mm"):
+        told = told_by_sites(scene.reconstruction.sites, sweep.loads)
+        if told > target:
+            lines.append(f"warning     targets.two_point_mm = {target:g} can't be met: {advice(told, target)}")
     return lines, good, designs

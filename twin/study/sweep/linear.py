@@ -27,6 +27,7 @@ from twin.study.sweep.information import Information, information
 from twin.study.sweep.loads import Bodies, Pushes
 from twin.study.sweep.mirror import Quarter, Signs, classes, fold, mirrored
 from twin.study.sweep.noise import shift_sd
+from twin.study.sweep.sites import reached, told_by_sites
 from twin.study.sweep.view import View
 from twin.theory.optics import project
 
@@ -191,6 +192,7 @@ def _figures(
     scene: Scene, sweep: Sweep, info: Information, sites: Rectangles, pushes: Pushes, force: Floats, weight: float
 ) -> dict[str, float]:
     """Return errors and widths of expected forces (k, 3, sensors, loads)."""
+    assert scene.reconstruction is not None
     totals = np.zeros((3, len(sites), 3))
     totals[np.arange(3), :, np.arange(3)] = 1.0
     noise = info.noise(totals.reshape(3, -1), weight)
@@ -211,7 +213,9 @@ def _figures(
     widths = [p.width(0) for p in profiles]
     dips = np.mean([p.dips(pushes) for p in profiles], axis=0)
     figures["fwhm_mm"] = float(np.mean(widths))
-    figures["two_point_mm"] = two_point_distance(pushes.pair_mm, dips) if len(dips) else float("nan")
+    figures["sites_mm"] = told_by_sites(scene.reconstruction.sites, sweep.loads)
+    over = reached(scene.reconstruction.sites, pushes.pair_mm)
+    figures["two_point_mm"] = two_point_distance(pushes.pair_mm[over], dips[over]) if over.any() else float("nan")
     figures["dip"] = float(np.interp(sweep.loads.pair_mm, pushes.pair_mm, dips)) if len(dips) else float("nan")
     return figures
 

@@ -23,14 +23,12 @@ from twin.parts.material import Material
 from twin.parts.scene import Scene
 from twin.parts.sweep import Loads, Range, Sweep, Values
 from twin.streams import Purpose, stream
+from twin.study.sweep.sites import PAIRS
 
 if TYPE_CHECKING:
     from twin.world.elasticity.compliance import Compliance
     from twin.world.elasticity.table import Table
     from twin.world.mesh.mesh import Level
-
-PAIRS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
-"""Distances of two pushes over the sweep's ``pair_mm``."""
 
 REGION = 0.6
 """Half sides of the presses' region over those of the sites."""

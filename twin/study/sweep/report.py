@@ -39,12 +39,13 @@ def write_report(done: Swept, best: Sequence[Best], folder: Path) -> None:
 
     sweep = done.designs.sweep
     counts = {kind: int((done.status == kind).sum()) for kind in ("ok", "dropped", "failed")}
+    failed = [f"{counts['failed']} designs failed: the table says why."] if counts["failed"] else []
     reasons = Counter(str(e) for e in done.error if e)
     told = [(s.metric, s.axis, s.first, s.total, s.rank) for s in sensitivities(done)]
     page = sweep_page(
         SweepPage(
             title=sweep.title or f"Sweep of {sweep.scene}", verdict=_verdict(done, best),
-            alarms=[f"{counts['failed']} designs failed: the table says why."] if counts["failed"] else [],
+            alarms=[*done.warnings, *failed],
             notes=done.notes, counts=counts, dropped=dict(reasons.most_common(MOST_REASONS)),
             fronts=_fronts(done), maps=_maps(done), cards=_cards(done, best, folder), sensitivity=told,
             recipe=tomli_w.dumps(sweep.model_dump(mode="json", exclude_none=True, exclude={"source", "assumed"})),

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats, Ints
+from twin.arrays import Bools, Floats, Ints
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
@@ -29,10 +29,11 @@ from twin.study.sweep.closed import closed
 from twin.study.sweep.designs import Designs, designs_of
 from twin.study.sweep.loads import refuse, thickness_range
 from twin.study.sweep.rank import agreement, best_first, scores
+from twin.study.sweep.sites import advice, limited
 from twin.study.sweep.table import Store, row_key, write_table
 from twin.study.sweep.work import WORK, Row, region_of
 
-FORMAT = 2
+FORMAT = 3
 CHUNK = {"linear": 16, "full": 1}
 """Designs of one task: what a kill loses at most, a worker each."""
 
@@ -59,6 +60,8 @@ class Swept:
         Keys of the rows of the full chain by design.
     notes
         What was reused and how well fidelities agree, in words.
+    warnings
+        What makes figures other than they seem, and what to do.
     seconds
         Of this run, by fidelity.
     """
@@ -72,6 +75,7 @@ class Swept:
     order: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     keys: dict[int, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -245,7 +249,8 @@ def sweep_designs(designs: Designs, runner: Runner) -> Swept:
     depth = np.array([("closed", "linear", "full").index(f) for f in done.fidelity])
     order = np.lexsort((done.score, -depth))
     done.order = order[(done.status == "ok")[order]]
-    done.notes = _notes(done, runner)
+    coarse, done.warnings = _coarse(done)
+    done.notes = _notes(done, runner, coarse)
     return done
 
 
@@ -276,11 +281,29 @@ COMPARED = (
 )  # fmt: skip
 
 
-def _notes(done: Swept, runner: Runner) -> list[str]:
+def _coarse(done: Swept) -> tuple[Bools, list[str]]:
+    """Return which designs' widths are those of their sites, and a warning of them."""
+    none = np.full(len(done.designs), np.nan)
+    told, sites = (done.columns.get(f"linear_{name}", none) for name in ("two_point_mm", "sites_mm"))
+    coarse = limited(told, sites)
+    if not coarse.any():
+        return coarse, []
+    sweep = done.designs.sweep
+    wanted = sweep.targets.get("two_point_mm", sweep.loads.pair_mm)
+    return coarse, [
+        f"{int(coarse.sum())} of {int((~np.isnan(told)).sum())} designs tell two points as near as their sites can, so "
+        f"that two_point_mm does not rank them: {advice(float(sites[coarse].max()), wanted)}"
+    ]
+
+
+def _notes(done: Swept, runner: Runner, coarse: Bools) -> list[str]:
+    """Return how fidelities agree, and what was reused; designs whose sites hold them back count in no width."""
     notes = []
     for one, other, name in COMPARED:
         a, b = done.columns.get(f"{one}_{name}"), done.columns.get(f"{other}_{name}")
         if a is not None and b is not None:
+            if name in ("two_point_mm", "fwhm_mm"):
+                a = np.where(coarse, np.nan, a)
             rank, ratio, count = agreement(a, b)
             if count:
                 told = (
