@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Bools, Floats, frozen
+from twin.compiled import njit
 from twin.parts.load import Load
 from twin.parts.probe import Cone, Sphere
 from twin.theory.linearity import ERROR_BOUND, SHEARED, law_of
@@ -17,7 +18,8 @@ from twin.world.contact.together import Setting
 from twin.world.contact.unilateral import Equilibrium
 
 _RATIO_LIMIT, _DEPTH_LIMIT, _SLOPE_LIMIT = 0.3, 0.1, 0.3
-_RAYS, _ALONG = 60, 240
+_RAYS, _ALONG, _NEAR, _FAR = 60, 240, 0.3, 1.5
+"""Rays from a contact's middle along which its end is sought, steps along each, and where over its size."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,25 +186,45 @@ def contact_area(setting: Setting, patches: Patches, equilibrium: Equilibrium) -
     size = float(np.abs(middle).max())
     fourth = isinstance(setting.probe, Cone)
     near = pressure <= np.median(pressure) if fourth else np.ones(len(pressure), bool)
-    terms = _terms(middle[near] / size, fourth=fourth)
-    found = np.linalg.lstsq(terms, (pressure[near] / pressure.max()) ** 2, rcond=None)[0]
-    angle, radius = np.arange(_RAYS) * 2.0 * math.pi / _RAYS, np.linspace(0.3, 1.5, _ALONG)
-    around = np.column_stack([np.cos(angle), np.sin(angle)])
-    left = (_terms((radius[:, None, None] * around).reshape(-1, 2), fourth=fourth) @ found).reshape(_ALONG, _RAYS)
-    first = np.argmax(left < 0.0, axis=0)
-    if not first.all():
-        return counted
-    here, before = left[first, np.arange(_RAYS)], left[first - 1, np.arange(_RAYS)]
-    ends = radius[first] - (radius[1] - radius[0]) * here / (here - before)
+    place, squared = middle[near] / size, (pressure[near] / pressure.max()) ** 2
+    terms = np.empty((len(place), 7 if fourth else 6))
+    _fill_terms(place, terms)
+    squared_radius = _squared_radius(np.linalg.lstsq(terms, squared, rcond=None)[0])
     stretch = counted / float(4.0 * np.prod(patches.cell_mm[active], axis=1).sum())
-    fitted = math.pi * float(np.mean(ends**2)) * size**2 * stretch
+    fitted = math.pi * squared_radius * size**2 * stretch
     return fitted if abs(fitted / counted - 1.0) < 0.15 else counted
 
 
-def _terms(place: Floats, *, fourth: bool) -> Floats:
-    u, v = place.T
-    terms = [np.ones_like(u), u, v, u * u, u * v, v * v]
-    return np.column_stack([*terms, (u * u + v * v) ** 2] if fourth else terms)
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _fill_terms(place: Floats, terms: Floats) -> None:
+    for i in range(len(place)):
+        u, v = place[i]
+        terms[i, 0], terms[i, 1], terms[i, 2] = 1.0, u, v
+        terms[i, 3], terms[i, 4], terms[i, 5] = u * u, u * v, v * v
+        if terms.shape[1] > 6:
+            terms[i, 6] = (u * u + v * v) ** 2
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _squared_radius(found: Floats) -> float:
+    """Return the mean square of how far from the middle a polynomial of `_fill_terms` vanishes; inf if it doesn't."""
+    total, step = 0.0, (_FAR - _NEAR) / (_ALONG - 1)
+    fourth = found[6] if len(found) > 6 else 0.0
+    for ray in range(_RAYS):
+        angle = ray * 2.0 * math.pi / _RAYS
+        cosine, sine = math.cos(angle), math.sin(angle)
+        first = found[1] * cosine + found[2] * sine
+        second = found[3] * cosine**2 + found[4] * cosine * sine + found[5] * sine**2
+        before, radius = -1.0, _NEAR
+        for _ in range(_ALONG):
+            here = found[0] + radius * (first + radius * (second + radius**2 * fourth))
+            if here < 0.0:
+                break
+            before, radius = here, radius + step
+        if here >= 0.0 or before < 0.0:
+            return math.inf
+        total += (radius - step * here / (here - before)) ** 2
+    return total / _RAYS
 
 
 def _steepest_slope(setting: Setting, patches: Patches, found: Equilibrium) -> float:

@@ -1,149 +1,162 @@
-"""Products with a compliance that depends on the offset between patches only, on a lattice of equal patches, by FFT.
+"""Products with a compliance that depends on the offset between patches only, on a lattice of equal patches.
 
-With patches at the points of a lattice, u_i = sum over j of K(i - j) f_j is a convolution. Padded with as many zeros,
-it is a product in Fourier space (circular convolution theorem). An elastic plane's kernel has parities: moved along and
-across itself it is even, and between the normal and a tangential axis odd. So its spectrum is one real symmetric 3 x 3
-matrix M a wave, K^ = D M D* with D = diag(1, 1, -i), and so is the spectrum of its inverse.
+With patches at the points of a lattice, u_i = sum over j of K(i - j) f_j is a convolution. On a lattice padded with
+zeros to 2 n - 1 places a side it is circular, and its eigenvectors are cosines and sines. An elastic plane's kernel has
+parities: moved along and across itself it is even, and odd, along one side, between the normal and a tangential axis
+and, along both, between two tangential ones. An even kernel multiplies a wave by a number; one that is odd along a side
+makes sines of cosines there, and of sines cosines with the other sign. So six real numbers a wave are all there is.
 
 Why the inverse: taken wave by wave on the padded lattice and cut to the patches in contact, it is the nearest thing to
 the true inverse that costs no more than a product (E. A. H. Vollebregt, J. Optim. Theory Appl. 162 (2014) 931): with it
 conjugate gradients need ten products for twelve digits, whatever the number of patches; without it, forty or more.
 
-Why numba: six real spectra times three complex fields are a dozen passes through memory in NumPy, and one here.
+Why matrices of waves and no FFT: on a few dozen patches a side they are faster than any, in half as many calls, and a
+smooth rest rides along as a few more rows of them: values of its polynomials in place of waves.
 
-Why the normal part has transforms of its own: its kernel is even along either side, so that cosines and sines are its
-waves and its spectrum is real (`Even`). On a few dozen patches a side, matrices of these are faster than any FFT.
+Why numba: mixing six real spectra with three fields is a dozen passes through memory in NumPy, and one here.
 """
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from scipy import fft
 
-from twin.arrays import Floats, Ints
+from twin.arrays import Floats, Ints, frozen
 from twin.compiled import njit
 
-Complexes: TypeAlias = Any
-"""Complex arrays."""
-
 XX, XY, YY, XZ, YZ, ZZ = range(6)
+_AXES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+
+
+def spectra_of(kernel: Floats, chosen: Sequence[int] = range(6)) -> Floats:
+    """Return (c, nu, nv) the spectra xx, xy, yy, xz, yz, zz, or some, of a kernel (nu, nv, 3, 3) of offsets from 0 on.
+
+    Of its parts only those on and above the diagonal are read, the others follow by reciprocity.
+    """
+    found = []
+    for part in chosen:
+        a, b = _AXES[part]
+        u, v = (_summing(n, (a == axis) != (b == axis)) for axis, n in enumerate(kernel.shape[:2]))
+        found.append(u @ kernel[..., a, b] @ v.T)
+    return np.stack(found)
+
+
+def inverse_of(spectra: Floats) -> Floats | None:
+    """Return the inverses, wave by wave, of the tangential and of the normal part; None where one is not positive."""
+    xx, xy, yy, _, _, zz = spectra
+    det = xx * yy - xy * xy
+    if not (det.min() > 0.0 and xx.min() > 0.0 and zz.min() > 0.0):
+        return None
+    none = np.zeros_like(zz)
+    return np.stack([yy / det, -xy / det, xx / det, none, none, 1.0 / zz])
 
 
 class Convolution:
-    """A kernel on a padded lattice, in Fourier space.
+    """A kernel on a lattice, and a smooth rest.
 
     Parameters
     ----------
     spectra
-        (6, Lu, Lv/2 + 1) the matrices M: xx, xy, yy, xz, yz, zz.
-    padded
-        (Lu, Lv) size of the padded lattice.
-    """
-
-    def __init__(self, spectra: Floats, padded: tuple[int, int]) -> None:
-        self.padded, self._spectra = padded, spectra
-
-    @cached_property
-    def single(self) -> Convolution:
-        """The same in single precision, for fields that are."""
-        return Convolution(self._spectra.astype(np.float32), self.padded)
-
-    @classmethod
-    def of_kernel(cls, kernel: Floats) -> Convolution:
-        """Return the convolution with a kernel (Lu, Lv, 3, 3) whose offsets wrap around: -1 is the last."""
-        spectrum = fft.rfft2(kernel, axes=(0, 1))
-        even, odd = spectrum.real, spectrum.imag
-        spectra = [even[..., 0, 0], even[..., 0, 1], even[..., 1, 1], odd[..., 0, 2], odd[..., 1, 2], even[..., 2, 2]]
-        return cls(np.ascontiguousarray(spectra), (kernel.shape[0], kernel.shape[1]))
-
-    @property
-    def inverse(self) -> Convolution | None:
-        """The inverses, wave by wave, of the tangential and of the normal part; None where one is not positive."""
-        xx, xy, yy, _, _, zz = self._spectra
-        det = xx * yy - xy * xy
-        if not (det.min() > 0.0 and xx.min() > 0.0 and zz.min() > 0.0):
-            return None
-        none = np.zeros_like(zz)
-        return Convolution(np.stack([yy / det, -xy / det, xx / det, none, none, 1.0 / zz]), self.padded)
-
-    def product(self, field: Floats) -> Floats:
-        """Return the convolution of a vector field (..., 3, nu, Lv), 0 where the lattice is padded."""
-        waves = self._forward(field)
-        _multiply(self._spectra, waves.reshape(-1, *waves.shape[-3:]))
-        return self._back(waves, field.shape[-2])
-
-    def normal(self, shape: tuple[int, int], precision: type[np.floating[Any]]) -> Even:
-        """Return the normal part of the convolution, for normal fields of a shape (nu, nv)."""
-        return Even(self._spectra[ZZ], self.padded, shape, precision)
-
-    def _forward(self, field: Floats) -> Complexes:
-        nu, (lu, lv) = field.shape[-2], self.padded
-        waves = np.zeros((*field.shape[:-2], lu, lv // 2 + 1), np.result_type(field, np.complex64))
-        waves[..., :nu, :] = fft.rfft(field, axis=-1)
-        return fft.fft(waves, axis=-2, overwrite_x=True)
-
-    def _back(self, waves: Complexes, nu: int) -> Floats:
-        lines = fft.ifft(waves, axis=-2, overwrite_x=True)[..., :nu, :]
-        return np.asarray(fft.irfft(lines, self.padded[1], axis=-1))
-
-
-class Even:
-    """A scalar kernel that is even along both sides of a padded lattice, in waves that are cosines and sines.
-
-    Parameters
-    ----------
-    spectrum
-        (Lu, Lv/2 + 1) the kernel's real spectrum.
-    padded
-        (Lu, Lv) size of the padded lattice.
-    shape
-        (nu, nv) size of the fields.
+        (6, nu, nv) as of `spectra_of`; (1, nu, nv) of the normal part alone.
     precision
         Of the products.
+    rest, sides
+        (c m m, c m m) what polynomials of m terms along either side, whose values are ``sides`` (nu, m) and (nv, m),
+        make of each other, c = 3 axes or the normal alone; None for none.
     """
 
     def __init__(
-        self, spectrum: Floats, padded: tuple[int, int], shape: tuple[int, int], precision: type[np.floating[Any]]
-    ) -> None:
-        (u, of_u), (v, of_v) = (_waves(n, length) for n, length in zip(shape, padded, strict=True))
-        self._u, self._v = u.astype(precision), v.astype(precision)
+        self, spectra: Floats, precision: type[np.floating[Any]], rest: Floats | None = None,
+        sides: tuple[Floats, Floats] | None = None,
+    ) -> None:  # fmt: skip
+        self._axes, self._shape = 3 if len(spectra) == 6 else 1, spectra.shape[1:]
+        rows = [_waves(n) for n in self._shape]
+        if rest is not None and sides is not None:
+            rows = [np.concatenate([wave, side.T]) for wave, side in zip(rows, sides, strict=True)]
+        self._u, self._v = (np.ascontiguousarray(row, precision) for row in rows)
         self._u_back, self._v_back = np.ascontiguousarray(self._u.T), np.ascontiguousarray(self._v.T)
-        self._size = spectrum[np.ix_(of_u, of_v)].astype(precision)
+        self._spectra = np.ascontiguousarray(spectra, precision)
+        self._rest = np.zeros((0, 0), precision) if rest is None else np.ascontiguousarray(rest, precision)
 
     def product(self, field: Floats) -> Floats:
-        """Return the convolution with a field (nu, nv)."""
-        waves = self._u @ field @ self._v_back
-        waves *= self._size
-        return np.asarray(self._u_back @ waves @ self._v)
+        """Return what a field (..., 3, nu, nv), or a normal one (..., nu, nv), becomes."""
+        fields = field.reshape(-1, *self._shape)
+        waves = ((self._u @ fields).reshape(-1, self._shape[1]) @ self._v_back).reshape(
+            -1, self._axes, len(self._u), len(self._v)
+        )
+        out = np.empty_like(waves)
+        (_mix if self._axes == 3 else _scale)(self._spectra, self._rest, waves, out)
+        lines = (out.reshape(-1, len(self._v)) @ self._v).reshape(-1, len(self._u), self._shape[1])
+        return np.asarray(self._u_back @ lines).reshape(field.shape)
 
 
-def _waves(count: int, length: int) -> tuple[Floats, Ints]:
-    """Return (L, n) orthonormal cosines, then sines, of L places at the first n of them, and (L,) their frequencies."""
-    k = np.concatenate([np.arange(length // 2 + 1), np.arange(1, (length + 1) // 2)])
-    angle = 2.0 * np.pi / length * np.outer(k, np.arange(count))
-    is_sine = np.arange(length) > length // 2
-    once = (2 * k % length == 0) & ~is_sine
-    wave = np.where(is_sine[:, None], np.sin(angle), np.cos(angle))
-    return wave * np.where(once, length**-0.5, (length / 2.0) ** -0.5)[:, None], k
+@lru_cache(maxsize=64)
+def _waves(n: int) -> Floats:
+    """Return (2 n - 1, n) a constant, n - 1 cosines and n - 1 sines, orthonormal on 2 n - 1 places, at n of them."""
+    angle = 2.0 * np.pi / (2 * n - 1) * np.outer(np.arange(n), np.arange(n))
+    wave = np.concatenate([np.cos(angle), np.sin(angle[1:])]) * np.sqrt(2.0 / (2 * n - 1))
+    wave[0] *= np.sqrt(0.5)
+    return frozen(wave)
 
 
-def padded_size(shape: tuple[int, int]) -> tuple[int, int]:
-    """Return sizes of at least 2 n - 1 for which transforms are fast."""
-    return int(fft.next_fast_len(2 * shape[0] - 1, True)), int(fft.next_fast_len(2 * shape[1] - 1, True))
+@lru_cache(maxsize=64)
+def _summing(n: int, odd: bool) -> Floats:
+    """Return (n, n) what sums a kernel, given at offsets from 0 on, over all offsets times a cosine (a sine if odd)."""
+    angle = 2.0 * np.pi / (2 * n - 1) * np.outer(np.arange(n), np.arange(n))
+    whole = 2.0 * (np.sin(angle) if odd else np.cos(angle))
+    whole[:, 0] /= 2.0
+    return frozen(whole)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _multiply(m: Floats, f: Complexes) -> None:
-    """Replace (b, 3, Lu, Lh) fields by D M D* times them."""
+def _partners(n: int) -> tuple[Ints, Ints, Floats]:
+    """Return (2 n - 1,) each wave's frequency, the wave that an odd kernel makes it of, and with which sign."""
+    size = 2 * n - 1
+    frequency, partner, sign = np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(size)
+    for k in range(1, n):
+        frequency[k], partner[k], sign[k] = k, k + n - 1, -1.0
+        frequency[k + n - 1], partner[k + n - 1], sign[k + n - 1] = k, k, 1.0
+    return frequency, partner, sign
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _mix(m: Floats, rest: Floats, f: Floats, out: Floats) -> None:
+    """Set ``out`` (b, 3, Lu, Lv) to what the spectra and the rest make of fields of waves and polynomials."""
+    of_u, other_u, sign_u = _partners(m.shape[1])
+    of_v, other_v, sign_v = _partners(m.shape[2])
     for b in range(f.shape[0]):
-        for i in range(f.shape[2]):
-            for j in range(f.shape[3]):
-                x, y, z = f[b, 0, i, j], f[b, 1, i, j], f[b, 2, i, j]
-                xz, yz = m[3, i, j], m[4, i, j]
-                turned, along = complex(-z.imag, z.real), xz * x + yz * y
-                f[b, 0, i, j] = m[0, i, j] * x + m[1, i, j] * y + xz * turned
-                f[b, 1, i, j] = m[1, i, j] * x + m[2, i, j] * y + yz * turned
-                f[b, 2, i, j] = m[5, i, j] * z + complex(along.imag, -along.real)
+        for i in range(len(of_u)):
+            p, su = other_u[i], sign_u[i]
+            for j in range(len(of_v)):
+                q, sv = other_v[j], sign_v[j]
+                k, n = of_u[i], of_v[j]
+                xy, xz, yz = su * sv * m[1, k, n], su * m[3, k, n], sv * m[4, k, n]
+                out[b, 0, i, j] = m[0, k, n] * f[b, 0, i, j] + xy * f[b, 1, p, q] + xz * f[b, 2, p, j]
+                out[b, 1, i, j] = m[2, k, n] * f[b, 1, i, j] + xy * f[b, 0, p, q] + yz * f[b, 2, i, q]
+                out[b, 2, i, j] = m[5, k, n] * f[b, 2, i, j] - xz * f[b, 0, p, j] - yz * f[b, 1, i, q]
+    _add_rest(rest, len(of_u), len(of_v), f, out)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _scale(m: Floats, rest: Floats, f: Floats, out: Floats) -> None:
+    """Do as `_mix` for the normal part alone, (b, 1, Lu, Lv)."""
+    of_u, of_v = _partners(m.shape[1])[0], _partners(m.shape[2])[0]
+    for b in range(f.shape[0]):
+        for i in range(len(of_u)):
+            for j in range(len(of_v)):
+                out[b, 0, i, j] = m[0, of_u[i], of_v[j]] * f[b, 0, i, j]
+    _add_rest(rest, len(of_u), len(of_v), f, out)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _add_rest(rest: Floats, lu: int, lv: int, f: Floats, out: Floats) -> None:
+    """Set what lies beyond the waves: products of polynomials to what the rest makes of them, those with waves to 0."""
+    out[:, :, lu:] = 0.0
+    out[:, :, :lu, lv:] = 0.0
+    if len(rest):
+        for b in range(len(f)):
+            made = np.dot(rest, f[b, :, lu:, lv:].copy().reshape(-1))
+            out[b, :, lu:, lv:] = made.reshape(f[b, :, lu:, lv:].shape)

@@ -34,6 +34,7 @@ FLAT_TILT_DEG = 20.0
 
 _LEVELS, _ACROSS = 14, 25
 _STEPS = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, _ACROSS)]), axis=-1).reshape(-1, 2)
+_CORNERS = np.array([(0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)], float)
 _ON_SURFACE_MM = 1e-3
 
 
@@ -279,6 +280,13 @@ def approach(
     centre, half, meets = np.zeros(2), reach, meeting(body, axes[2])
     height, touch, on_sensing = np.inf, np.full(2, np.nan), True
     upright = not isinstance(probe, Stl) and not any(tilt_deg) and turned[2, 2] == 1.0
+    if upright and body.is_convex:  # as high at a rectangle's corners as in its middle is so everywhere
+        surface, sensing = meets(at + _CORNERS * half @ axes[:2])
+        if sensing.all() and np.all(surface == surface[0]):
+            return Approach(
+                probe=probe, axis_mm=at + surface[0] * axes[2], touch_mm=at + surface[0] * axes[2], axes=axes,
+                tilt_deg=tilt_deg,
+            )  # fmt: skip
     for _ in range(_LEVELS):
         offset = centre + _STEPS * half
         surface, sensing = meets(at + offset @ axes[:2])

@@ -21,7 +21,7 @@ import numpy as np
 from twin.arrays import Floats, Ints, Points
 from twin.compiled import njit
 from twin.parts.load import Rectangles
-from twin.world.contact.convolution import Convolution, padded_size
+from twin.world.contact.convolution import ZZ, Convolution, inverse_of, spectra_of
 from twin.world.contact.krylov import Krylov
 from twin.world.contact.linear import LinearSolver
 from twin.world.contact.patches import Patches
@@ -64,7 +64,7 @@ class Lattice:
     place
         (k, 2) whole numbers of steps of each patch along the lattice's sides.
     kernel
-        (Lu, Lv, 3, 3) compliance by offset, wrapped around.
+        (nu, nv, 3, 3) compliance by offset; one to the other side has its parity.
     rest
         (3, M, 3, M) smooth rest between M = m x m nodes; None for none.
     """
@@ -72,35 +72,60 @@ class Lattice:
     precision, finest, saves = np.float32, 1e-5, False
 
     def __init__(self, place: Ints, kernel: Floats, rest: Floats | None) -> None:
-        self._place, self._kernel = place, kernel
-        nu, nv = int(place[:, 0].max()) + 1, int(place[:, 1].max()) + 1
-        self._convolution = Convolution.of_kernel(kernel)
-        self._at = self._chosen = place[:, 0] * kernel.shape[1] + place[:, 1]
-        self._inverse = self._convolution.inverse
-        self._cell, self._shape = place[:, 0] * nv + place[:, 1], (nu, nv)
-        self._normal = self._convolution.normal(self._shape, np.float64)
-        self._rough_normal = None if self._inverse is None else self._inverse.normal(self._shape, np.float32)
+        self._place, self._kernel, self._shape = place, kernel, kernel.shape[:2]
+        self._cell = self._chosen = place[:, 0] * kernel.shape[1] + place[:, 1]
         self.unit = float(np.mean(np.diag(kernel[0, 0])))
         self._rest = None if rest is None else np.ascontiguousarray(rest.reshape(3 * rest.shape[1], -1))
-        m = NODES[0] if rest is None else math.isqrt(rest.shape[1])
-        self._lines = nu, kernel.shape[1]
-        u, v = (lagrange(nodes(n, m), np.arange(n, dtype=float)) for n in (nu, nv))
-        v = np.concatenate([v, np.zeros((kernel.shape[1] - nv, m))])
-        self._sides = {kind: (u.astype(kind), v.astype(kind)) for kind in ("float64", "float32")}
-        self._rest_single: Any = None if self._rest is None else self._rest.astype(np.float32)
+        self._nodes = NODES[0] if rest is None else math.isqrt(rest.shape[1])
 
     def __len__(self) -> int:
-        return len(self._at)
+        return len(self._cell)
+
+    @cached_property
+    def _spectra(self) -> Floats:
+        return spectra_of(self._kernel)
+
+    @cached_property
+    def _normal_spectrum(self) -> Floats:
+        return spectra_of(self._kernel, (ZZ,))
+
+    @cached_property
+    def _inverse(self) -> Convolution | None:
+        found = inverse_of(self._spectra)
+        return None if found is None else Convolution(found, np.float32)
+
+    @cached_property
+    def _whole(self) -> Convolution:
+        return Convolution(self._spectra, np.float64, self._rest, self._sides)
+
+    @cached_property
+    def _single(self) -> Convolution:
+        return Convolution(self._spectra, np.float32, self._rest, self._sides)
+
+    @cached_property
+    def _normal(self) -> Convolution:
+        rest = None if self._rest is None else self._normal_rest
+        return Convolution(self._normal_spectrum, np.float64, rest, self._sides)
+
+    @cached_property
+    def _rough_normal(self) -> Convolution:
+        return Convolution(1.0 / self._normal_spectrum, np.float32)
+
+    @cached_property
+    def _sides(self) -> tuple[Floats, Floats]:
+        """(nu, m) and (nv, m) Lagrange's polynomials of the nodes along either side."""
+        u, v = (lagrange(nodes(n, self._nodes), np.arange(n, dtype=float)) for n in self._shape)
+        return u, v
 
     @cached_property
     def own(self) -> Floats:
         """(k,) own normal compliances; the rest, a hundredth of them, is left out."""
         return np.full(len(self), self._kernel[0, 0, 2, 2])
 
-    @property
+    @cached_property
     def rough(self) -> Lattice | None:
         """Itself, with the inverse convolution."""
-        return self if self._inverse is not None else None
+        return self if self._normal_spectrum.min() > 0.0 else None
 
     def solver(self, carried: Floats) -> LinearSolver:
         """See `Between`; iteration needs nothing of the probes."""
@@ -108,20 +133,16 @@ class Lattice:
 
     def moved(self, force: Floats) -> Floats:
         """See `twin.world.contact.between.Between`."""
-        return self._product(self._at, force.T, self._convolution, self._rest).T
+        return self._spread_out(self._whole, self._cell, force.T).T
 
     def displaced(self, force: Floats) -> Floats:
         """See `twin.world.contact.krylov.Operator`."""
         field: Any = force.T.astype(np.float32)
-        return self._product(self._at, field, self._convolution.single, self._rest_single).astype(float)
+        return self._spread_out(self._single, self._cell, field).astype(float)
 
     def sunk(self, push: Floats) -> Floats:
         """See `Between`."""
-        field = self._filled(self._cell, push)
-        out = self._normal.product(field)
-        if self._rest is not None:
-            out += self._rest_of(field, self._normal_rest)
-        return np.asarray(out.reshape(-1)[self._cell])
+        return self._spread_out(self._normal, self._cell, push)
 
     def part(self, rows: Ints) -> Floats:
         """See `Between`."""
@@ -136,62 +157,37 @@ class Lattice:
     def normal_part(self, rows: Ints, columns: Ints) -> Floats:
         """See `Between`."""
         away = self._place[rows][:, None] - self._place[columns][None]
-        part = self._kernel[away[..., 0], away[..., 1], 2, 2]  # negative offsets are at the end
+        part = self._kernel[..., 2, 2][np.abs(away[..., 0]), np.abs(away[..., 1])]
         if self._rest is not None:
             part = part + self._weights(rows) @ self._normal_rest @ self._weights(columns).T
         return np.asarray(part)
 
     def pushes(self, rows: Ints, depth: Floats) -> Floats:
         """See `twin.world.contact.between.Rough`."""
-        assert self._rough_normal is not None
-        cell = self._cell[rows]
-        depth_single: Any = depth.astype(np.float32)
-        return np.asarray(self._rough_normal.product(self._filled(cell, depth_single)).reshape(-1)[cell].astype(float))
+        single: Any = depth.astype(np.float32)
+        return self._spread_out(self._rough_normal, self._cell[rows], single).astype(float)
 
     def make_room(self, touching: Ints) -> bool:
         """See `twin.world.contact.krylov.Operator`."""
-        self._chosen = self._at[touching]
+        self._chosen = self._cell[touching]
         return self._inverse is not None
 
     def product(self, force: Floats) -> Floats:
         """See `twin.world.contact.krylov.Operator`."""
-        return self._product(self._chosen, force, self._convolution.single, self._rest_single) * np.float32(
-            1.0 / self.unit
-        )
+        return self._spread_out(self._single, self._chosen, force) * np.float32(1.0 / self.unit)
 
     def roughly(self, displacement: Floats) -> Floats:
         """See `twin.world.contact.krylov.Operator`."""
         assert self._inverse is not None
-        field = self._spread(self._chosen, displacement.transpose(2, 0, 1))
-        out = self._inverse.single.product(field).reshape(*field.shape[:2], -1)[..., self._chosen]
+        out = self._spread_out(self._inverse, self._chosen, displacement.transpose(2, 0, 1))
         return np.asarray(out.transpose(1, 2, 0) * np.float32(self.unit))
 
-    def _product(self, at: Ints, force: Floats, convolution: Convolution, rest: Floats | None) -> Floats:
-        """Return (3, n) displacements under forces (3, n), mm."""
-        field = self._spread(at, force)
-        out = convolution.product(field)
-        if rest is not None:
-            out += self._rest_of(field, rest)
-        return np.asarray(out.reshape(3, -1)[:, at])
-
-    def _rest_of(self, field: Floats, rest: Floats) -> Floats:
-        """Return what the smooth rest makes of a field on the lattice."""
-        u, v = self._sides[field.dtype.name]
-        v = v[: field.shape[-1]]
-        counted = u.T @ field @ v
-        return np.asarray(u @ (rest @ counted.reshape(-1)).reshape(counted.shape) @ v.T)
-
-    def _spread(self, at: Ints, values: Floats) -> Floats:
-        """Return (..., nu, Lv) values (..., n) on the lattice, its lines padded."""
-        field = np.zeros((*values.shape[:-1], self._lines[0] * self._lines[1]), values.dtype)
-        field[..., at] = values
-        return field.reshape(*values.shape[:-1], *self._lines)
-
-    def _filled(self, cell: Ints, values: Floats) -> Floats:
-        """Return (nu, nv) values (n,) on the lattice."""
-        field = np.zeros(self._shape[0] * self._shape[1], values.dtype)
-        field[cell] = values
-        return field.reshape(self._shape)
+    def _spread_out(self, convolution: Convolution, cell: Ints, values: Floats) -> Floats:
+        """Return the convolution (..., n) with values (..., n) of some cells, 0 in all others, in those cells."""
+        field = np.zeros((*values.shape[:-1], self._shape[0] * self._shape[1]), values.dtype)
+        field[..., cell] = values
+        made = convolution.product(field.reshape(*values.shape[:-1], *self._shape))
+        return np.asarray(made.reshape(field.shape)[..., cell])
 
     @cached_property
     def _normal_rest(self) -> Floats:
@@ -201,19 +197,23 @@ class Lattice:
 
     def _weights(self, rows: Ints) -> Floats:
         """Return (n, M) how much each node counts at some patches."""
-        u, v = (side[self._place[rows, axis]] for axis, side in enumerate(self._sides["float64"]))
+        u, v = (side[self._place[rows, axis]] for axis, side in enumerate(self._sides))
         return np.asarray((u[:, :, None] * v[:, None, :]).reshape(len(rows), u.shape[1] * v.shape[1]))
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _gather(kernel: Floats, place: Ints, out: Floats) -> None:
-    """Set ``out`` (n, 3, n, 3) to the kernel at the offsets between n places."""
+    """Set ``out`` (n, 3, n, 3) to the kernel at the offsets between n places: odd in what one of two axes is along."""
     for i in range(len(place)):
         for j in range(len(place)):
-            u, v = (place[i, 0] - place[j, 0]) % kernel.shape[0], (place[i, 1] - place[j, 1]) % kernel.shape[1]
+            away = place[i] - place[j]
             for a in range(3):
                 for b in range(3):
-                    out[i, a, j, b] = kernel[u, v, a, b]
+                    sign = 1.0
+                    for axis in range(2):
+                        if (a == axis) != (b == axis) and away[axis] < 0:
+                            sign = -sign
+                    out[i, a, j, b] = sign * kernel[abs(away[0]), abs(away[1]), a, b]
 
 
 def nodes(count: int, m: int) -> Floats:
@@ -258,15 +258,15 @@ def _last_term(rest: Floats, m: int) -> float:
 
 
 def _kernel(compliance: PlaneCompliance, shape: Ints, patches: Patches, step: Floats) -> Floats:
+    """Return (nu, nv, 3, 3) the compliance by offset, in the patches' frame."""
     frame = patches.frames[0]
-    lu, lv = padded_size((int(shape[0]), int(shape[1])))
-    away = [np.fft.fftfreq(length, 1.0 / length) * side for length, side in zip((lu, lv), step, strict=True)]
+    away = [np.arange(count) * side for count, side in zip(shape, step, strict=True)]
     flat = np.stack(np.meshgrid(*away, indexing="ij"), axis=-1).reshape(-1, 2)
     one = Rectangles(
         centre_mm=patches.centre_mm[:1], frames=patches.frames[:1], half_mm=patches.half_mm[:1],
         force_n=np.zeros((1, 3)),
     )  # fmt: skip
-    kernel = compliance.offset_part(patches.centre_mm[0] + flat @ frame[:2], one).reshape(lu, lv, 3, 3)
+    kernel = compliance.offset_part(patches.centre_mm[0] + flat @ frame[:2], one).reshape(*shape, 3, 3)
     return np.asarray(frame @ kernel @ frame.T)
 
 
@@ -282,6 +282,6 @@ def _rest(patches: Patches, compliance: PlaneCompliance, along: list[Floats], or
     found = compliance.smooth_part(patches.rectangles(np.zeros((len(patches), 3)), everyone), at_nodes)
     if found is None:
         return None
-    rest = np.einsum("ab,kblc,dc->akdl", frame, found.reshape(count, 3, count, 3), frame, optimize=True)
+    rest = (frame @ found.reshape(count, 3, count, 3).swapaxes(1, 2) @ frame.T).transpose(2, 0, 3, 1)
     flat_rest = rest.reshape(3 * count, 3 * count)
     return np.asarray((flat_rest + flat_rest.T).reshape(3, count, 3, count) / 2.0)

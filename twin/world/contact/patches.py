@@ -17,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points, frozen
+from twin.compiled import njit
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.probe import Cylinder, Pillar
@@ -214,12 +215,42 @@ def _tangent_rectangles(plane: Plane, cell: Floats, normals: Floats) -> tuple[Fl
     return np.stack([first, np.cross(normals, first), normals], axis=1), half
 
 
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def _touching(middle: Floats, cell: Floats, others: Bools) -> Bools:
     """Return (n,) whether each cell has one of the others for a neighbour, corners included."""
-    if not others.any():
-        return np.zeros(len(middle), bool)
-    reach = (cell[:, None] + cell[None, others]) * (1 + 1e-6)
-    return np.asarray(np.all(np.abs(middle[:, None] - middle[None, others]) <= reach, axis=2).any(axis=1))
+    rows, found = np.flatnonzero(others), np.zeros(len(middle), np.bool_)
+    for i in range(len(middle)):
+        for j in rows:
+            u, v = cell[i, 0] + cell[j, 0], cell[i, 1] + cell[j, 1]
+            near = abs(middle[i, 0] - middle[j, 0]) <= u * (1 + 1e-6)
+            if near and abs(middle[i, 1] - middle[j, 1]) <= v * (1 + 1e-6):
+                found[i] = True
+                break
+    return found
+
+
+def _all_level(body: Body, plane: Plane, box: Box) -> bool:
+    """Return whether a box, with a hair's breadth around it, lies on a plane piece of a convex body's surface."""
+    if not body.is_convex:
+        return False
+    wide = box.grown(1e-6 * box.size[0], 1e-6 * box.size[1])
+    corners = np.array([(u, v) for u in (wide.u0, wide.u1) for v in (wide.v0, wide.v1)])
+    points = np.concatenate([plane.origin_mm[None], plane.origin_mm + corners @ plane.axes[:2]])
+    distances = body.piece_distances(points)
+    return bool(np.abs(distances[:, 0]).max() == 0.0 and distances[:, 1:].min() > 0.0)
+
+
+def _on_body(body: Body, plane: Plane, middle: Floats, cell: Floats) -> tuple[Points, Floats, Floats, Bools]:
+    """Return points, frames and half sizes of cells projected on the body, and (n,) which don't lie on it wholly."""
+    points, normals, found = _projected(body, plane, middle)
+    frames, half = _tangent_rectangles(plane, cell, normals)
+    off = ~found
+    for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        side = np.array(signs) * half
+        corners = points + side[:, :1] * frames[:, 0] + side[:, 1:] * frames[:, 1]
+        # A tangent corner stands out of a curved surface a little; only the other pieces of the boundary count.
+        off |= np.any(body.piece_distances(corners)[:, 1:] < -1e-9, axis=1)
+    return points, frames, half, off
 
 
 def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tuple[int, int]) -> Patches:
@@ -242,14 +273,11 @@ def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tu
     """
     flat = face is not None
     middle, cell = _cells(face, box, across)
-    points, normals, found = _projected(body, plane, middle)
-    frames, half = _tangent_rectangles(plane, cell, normals)
-    off = ~found
-    for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        side = np.array(signs) * half
-        corners = points + side[:, :1] * frames[:, 0] + side[:, 1:] * frames[:, 1]
-        # A tangent corner stands out of a curved surface a little; only the other pieces of the boundary count.
-        off |= np.any(body.piece_distances(corners)[:, 1:] < -1e-9, axis=1)
+    if _all_level(body, plane, box):
+        points, frames = plane.origin_mm + middle @ plane.axes[:2], np.empty((len(middle), 3, 3))
+        frames[:], half, off = plane.axes, cell, np.zeros(len(middle), bool)
+    else:
+        points, frames, half, off = _on_body(body, plane, middle, cell)
     kept = ~off
     outer = np.zeros(len(middle), bool)
     a, b = half_extent(face) if face is not None else (math.inf, math.inf)
@@ -265,7 +293,7 @@ def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tu
         outside = np.hypot(round_in[:, 0], round_in[:, 1]) > 1.0
         outer |= _touching(middle, cell, outside)
         kept &= ~outside
-    edge = _touching(middle, cell, off)
+    edge = _touching(middle, cell, off) if off.any() else off
     return Patches(
         centre_mm=points[kept], frames=frames[kept], half_mm=half[kept], middle_mm=middle[kept], cell_mm=cell[kept],
         border=outer[kept], edge=edge[kept],

@@ -195,9 +195,9 @@ class Tilted:
 
 def rotation_of(turn: Floats) -> Floats:
     """Return the (3, 3) rotation about a vector (3,) by its length, radians (Rodrigues)."""
-    angle = float(np.linalg.norm(turn))
-    if angle == 0.0:
+    if not turn.any():
         return np.eye(3)
+    angle = float(np.linalg.norm(turn))
     x, y, z = turn / angle
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
@@ -205,6 +205,8 @@ def rotation_of(turn: Floats) -> Floats:
 
 def turning_of(turn: Floats) -> Floats:
     """Return the (3, 3) matrix that takes a change of a rotation vector to the turn that it makes (left Jacobian)."""
+    if not turn.any():
+        return np.eye(3)
     angle = float(np.linalg.norm(turn))
     cross = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])
     if angle < 1e-6:
@@ -216,7 +218,7 @@ def turning_of(turn: Floats) -> Floats:
 def tilt_of(tilt_deg: tuple[float, float, float]) -> Floats:
     """Return the rotation by angles about x, then y, then z."""
     whole = np.eye(3)
-    for axis, angle in enumerate(tilt_deg):
+    for axis, angle in enumerate(tilt_deg if any(tilt_deg) else ()):
         whole = rotation_of(math.radians(angle) * np.eye(3)[axis]) @ whole
     return whole
 
