@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, NoReturn
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from twin.commands.calibrate import calibrate
 from twin.commands.check import check
@@ -74,6 +74,13 @@ def _help_for(problem: CycloptsError) -> str:
     return " ".join(["twin", *(problem.command_chain or ()), "--help"])
 
 
+def _said(problem: CycloptsError) -> str:
+    """Return what is wrong with the command line, in words of ours where the library's are of its inside."""
+    if isinstance(problem, UnusedCliTokensError):
+        return f"what is {' '.join(map(repr, problem.unused_tokens or ()))}? The command takes no more arguments"
+    return str(problem)
+
+
 def _interrupted() -> int:
     print("twin: interrupted; files written so far are whole", file=sys.stderr)
     return 130
@@ -105,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         sys.stdout.flush()
         code = 0
     except CycloptsError as problem:
-        print(f"twin: {problem}\nSee: {_help_for(problem)}", file=sys.stderr)
+        print(f"twin: {_said(problem)}\nSee: {_help_for(problem)}", file=sys.stderr)
         code = 2
     except TwinError as problem:
         print(f"twin: {problem}", file=sys.stderr)

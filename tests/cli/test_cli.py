@@ -34,6 +34,8 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["view", "kamiyama_pillar", "--out", "x.pdf"], "allowed are .html for a page, .gif and .png for a film"),
         (["view", "kamiyama_pillar", "--out", "FILE/x.html"], "FILE: the output folder can't be made"),
         (["mesh", "sato_press", "--mend"], "See: twin mesh --help"),
+        (["run", "kamiyama_pillar", "more"], "what is 'more'? The command takes no more"),
+        (["check", "PICTURE"], "PICTURE: is a picture (PNG), which twin reconstruct takes"),
     ],
 )
 def test_wrong_input_is_told_in_the_users_terms(
@@ -46,6 +48,7 @@ def test_wrong_input_is_told_in_the_users_terms(
     monkeypatch.chdir(tmp_path)
     Path("FOLDER").mkdir()
     Path("FILE").touch()
+    Path("PICTURE").write_bytes(b"\x89PNG\r\n")
     with pytest.raises(SystemExit) as done:
         main(arguments)
     told = capsys.readouterr().err

@@ -43,7 +43,7 @@ def _map(one: Touch) -> str:
             f"are the shear on the body, the longest {digits(largest)} N/mm²."
         )
     say = f"Map of stick and slip under the {one.probe}, {len(one.slip)} patches, {int(stuck.sum())} stick"
-    return figure(plots.drawing(axes, content, "along the surface (mm)", "(mm)", say), caption)
+    return figure(plots.drawing(axes, content, "along the surface (mm)", "across that (mm)", say), caption)
 
 
 def _pressure(one: Touch) -> str:

@@ -27,6 +27,18 @@ ALTERNATIVES = ("steps", "force_n", "indentation_mm")
 VECTORS = ("force_n", "move_mm", "torque_nmm", "turn_deg")
 """Keys whose value may be a table of components."""
 
+_PICTURE = "which twin reconstruct takes as a frame; twin check and twin view take the folder of a run"
+OTHERS = {
+    b"\x89PNG": f"a picture (PNG), {_PICTURE}",
+    b"\xff\xd8\xff": f"a picture (JPEG), {_PICTURE}",
+    b"GIF8": f"a picture (GIF), {_PICTURE}",
+    b"PK\x03\x04": "an archive: twin check takes a calibration by its ending .npz, and the folder of a run",
+    b"PAR1": "a table (Parquet): twin check and twin view take the folder of the dataset",
+    b"{": "JSON: twin check takes the folder of a run or of a dataset",
+    b"<": "a page: open it in a browser",
+}
+"""What else people name, by its first bytes."""
+
 SWEEP = "sweep_"
 """What names of shipped sweeps begin with, which lie beside the scenes."""
 
@@ -220,10 +232,15 @@ def _read(path: Path) -> Table:
         data = path.read_bytes()
     except OSError as problem:
         raise InputError(f"{path}: can't be read ({problem.strerror})") from None
+    for begins, what in OTHERS.items():
+        if data.startswith(begins):
+            raise RecipeError(f"is {what}; a scene or a sweep is a text file (TOML)", str(path))
     if len(data) > 1_000_000:
         raise RecipeError(f"{len(data)} bytes: a recipe is at most 1 MB", str(path))
     try:
         return _by_key(tomllib.loads(data.decode()))
+    except UnicodeDecodeError as problem:
+        raise RecipeError(f"not valid TOML: byte {problem.start + 1} is no text in UTF-8", str(path)) from None
     except (ValueError, RecursionError) as problem:  # a number of 4,300 digits is a ValueError of its own
         raise RecipeError(f"not valid TOML: {problem}", str(path)) from None
 
