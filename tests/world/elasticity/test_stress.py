@@ -139,6 +139,27 @@ def test_narrow_loads_tend_to_a_point(block):
         np.testing.assert_allclose(field, fields[0], rtol=1e-6)
 
 
+def pieces(load, width):
+    """The same load, every rectangle cut into pieces no wider than ``width``."""
+    out = []
+    for centre, frame, half, force in zip(load.centre_mm, load.frames, load.half_mm, load.force_n, strict=True):
+        number = np.ceil(2.0 * half / width).astype(int)
+        a, b = ((np.arange(n) + 0.5) / n * 2.0 - 1.0 for n in number)
+        for place in np.stack(np.meshgrid(a, b), axis=-1).reshape(-1, 2):
+            out.append((centre + (place * half) @ frame[:2], frame, half / number, force / number.prod()))
+    middles, frames, halves, forces = (np.array(each) for each in zip(*out, strict=True))
+    return Rectangles(centre_mm=middles, frames=frames, half_mm=halves, force_n=forces)
+
+
+@pytest.mark.parametrize("load", [Traction.disk((2, 1), 6.0, PUSH), Traction.rectangle((2, 1), (12, 8), PUSH),
+                                  Traction.twist((2, 1), 6.0, 10.0)], ids=lambda load: load.terms[0].kind)  # fmt: skip
+def test_wide_loads_are_the_sum_of_small_pieces(block, load):
+    """Far from a load as near to it: a disk is a few dozen strips as long as the disk is wide."""
+    points, whole = np.array([[1.0, 2.0, 3.0], [9.0, -7.0, 6.0], [-11.0, 2.0, 3.0]]), tile(load, BLOCK)
+    one, other = (block.displacement(points, each) for each in (whole, pieces(whole, 1.5)))
+    np.testing.assert_allclose(one, other, atol=2e-5 * np.abs(one).max())
+
+
 def test_a_load_over_the_whole_face_is_the_sum_of_its_quarters(block):
     points = np.array([[1.0, 2.0, 3.0], [40.0, -30.0, 9.0], [0.0, 0.0, 30.0]])
     whole = tile(Traction.rectangle((0, 0), (100, 90), PUSH), BLOCK)

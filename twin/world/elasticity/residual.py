@@ -45,7 +45,8 @@ LEVELS = 40
 """Halvings of a face at most, down to 1e-11 mm: narrow loads at an edge need them, others stop by their own size."""
 
 DISTANT, CELLS, MERGEABLE = 2.5, 6.0, 64
-"""Load radii beyond which a load of at least so many rectangles is merged into cells, so many across."""
+"""Load radii beyond which point forces stand for a load; if it has at least so many rectangles they are merged into
+cells, so many across."""
 
 
 def nodal_forces(
@@ -80,7 +81,7 @@ def nodal_forces(
         return out
     balls = _balls(load)
     columns = np.ascontiguousarray(columns)
-    coarse, sums = _merged(load, columns)
+    coarse, sums = _from_afar(load, columns)
     for inside in (False, True):
         chosen = surface[surface.inside == inside]
         if len(chosen.faces) == 0:
@@ -119,38 +120,45 @@ def _quadrature(
     return places, areas, values, faces[face]
 
 
-def _merged(load: Rectangles, columns: Floats) -> tuple[Rectangles, Floats]:
-    """Return fewer point forces (c) and their forces (c, 3, m) that stand for a fine load at a distance.
+def _from_afar(load: Rectangles, columns: Floats) -> tuple[Rectangles, Floats]:
+    """Return point forces (c) and their values (c, 3, m) that stand for a load at a distance.
 
-    Loads of few rectangles, several cases at once, and neighbours that pull in opposite directions are left alone.
+    Four in every rectangle, for a wide one's spread counts far away too; those of a fine load are merged into cells.
+    Loads of few rectangles, several cases at once, and neighbours that pull in opposite directions are not merged.
     """
-    if len(load) < MERGEABLE or columns.shape[2] != 1:
-        return load, columns
-    size = np.max(np.ptp(load.centre_mm, axis=0)) / CELLS
-    _, group = np.unique(np.round(load.centre_mm / size).astype(int), axis=0, return_inverse=True)
+    corners = np.array([(s, t) for t in GAUSS_2 for s in GAUSS_2])
+    offsets = np.einsum("sa,ka,kai->ksi", corners, load.half_mm, load.frames[:, :2])
+    centre = (load.centre_mm[:, None] + offsets).reshape(-1, 3)
+    frames, forces = np.repeat(load.frames, 4, axis=0), np.repeat(columns / 4.0, 4, axis=0)
+    merged = _merged(centre, frames, forces) if len(load) >= MERGEABLE and columns.shape[2] == 1 else None
+    centre, frames, forces = merged or (centre, frames, forces)
+    none = np.zeros((len(centre), 3))
+    points = Rectangles(centre_mm=centre, frames=frames, half_mm=none[:, :2], force_n=none)
+    return points, np.ascontiguousarray(forces)
+
+
+def _merged(centre: Points, frames: Floats, forces: Floats) -> tuple[Points, Floats, Floats] | None:
+    """Return fewer point forces: places, frames and values (c, 3, 1); None where neighbours cancel."""
+    size = np.max(np.ptp(centre, axis=0)) / CELLS
+    _, group = np.unique(np.round(centre / size).astype(int), axis=0, return_inverse=True)
     group = group.ravel()
-    strength = np.linalg.norm(columns[:, :, 0], axis=1)
+    strength = np.linalg.norm(forces[:, :, 0], axis=1)
     weight = strength + 1e-12 * strength.max(initial=1.0)
     total = np.bincount(group, weight)
 
     def summed(array: Floats) -> Floats:
         return np.column_stack([np.bincount(group, array[:, i]) for i in range(3)])
 
-    force = summed(columns[:, :, 0])
+    force = summed(forces[:, :, 0])
     if np.linalg.norm(force, axis=1).sum() < 0.98 * strength.sum():
-        return load, columns
-    normal = summed(weight[:, None] * load.frames[:, 2])
+        return None
+    normal = summed(weight[:, None] * frames[:, 2])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    first = load.frames[np.unique(group, return_index=True)[1], 0]
+    first = frames[np.unique(group, return_index=True)[1], 0]
     first = first - np.sum(first * normal, axis=1, keepdims=True) * normal
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    coarse = Rectangles(
-        centre_mm=summed(weight[:, None] * load.centre_mm) / total[:, None],
-        frames=np.stack([first, np.cross(normal, first), normal], axis=1),
-        half_mm=np.zeros((len(total), 2)),
-        force_n=np.zeros((len(total), 3)),
-    )
-    return coarse, np.ascontiguousarray(force[:, :, None])
+    middle = summed(weight[:, None] * centre) / total[:, None]
+    return middle, np.stack([first, np.cross(normal, first), normal], axis=1), force[:, :, None]
 
 
 def _in_plane(nodes: Floats, load: Rectangles) -> Bools:
