@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -122,18 +123,22 @@ class Choice(Part):
             _nested(value)
         return self
 
+    @cached_property
+    def _made(self) -> tuple[Any, ...]:
+        return tuple(_made(value) for value in self.choice)
+
     @property
     def takes(self) -> int:
         """How many numbers u a draw takes: one to choose, and those of the choices."""
-        return 1 + sum(_takes(value) for value in self.choice)
+        return 1 + sum(_takes(value) for value in self._made)
 
     def at(self, u: Floats) -> Any:
         """Return the value of (takes,) numbers u; every choice has numbers of its own."""
         weights = np.array(self.weights or (1.0,) * len(self.choice))
         chosen = int(np.searchsorted(np.cumsum(weights / weights.sum()), u[0], side="right"))
         chosen = min(chosen, len(self.choice) - 1)
-        start = 1 + sum(_takes(value) for value in self.choice[:chosen])
-        return _inside(self.choice[chosen], u[start:])
+        start = 1 + sum(_takes(value) for value in self._made[:chosen])
+        return _inside(self._made[chosen], u[start:])
 
 
 class ForceCone(Part):
@@ -157,7 +162,8 @@ class ForceCone(Part):
             value = getattr(self, key)
             try:
                 _nested(value)
-                ends = [_inside(value, np.full(_takes(value), u)) for u in (0.0, 1.0)]
+                made = _made(value)
+                ends = [_inside(made, np.full(_takes(made), u)) for u in (0.0, 1.0)]
             except ValueError as problem:
                 raise ValueError(f"{key}: {problem}") from None
             if not all(isinstance(end, int | float) and end >= 0 for end in ends):
@@ -167,12 +173,17 @@ class ForceCone(Part):
     @property
     def takes(self) -> int:
         """How many numbers u a draw takes."""
-        return 1 + _takes(self.normal_n) + _takes(self.ratio)
+        return 1 + sum(_takes(value) for value in self._made)
+
+    @cached_property
+    def _made(self) -> tuple[Any, Any]:
+        return _made(self.normal_n), _made(self.ratio)
 
     def at(self, u: Floats) -> Any:
         """Return (x, y, z) in N of (takes,) numbers u; every direction sideways is equally likely."""
-        normal = float(_inside(self.normal_n, u[1:]))
-        sideways = normal * float(_inside(self.ratio, u[1 + _takes(self.normal_n) :]))
+        normal_n, ratio = self._made
+        normal = float(_inside(normal_n, u[1:]))
+        sideways = normal * float(_inside(ratio, u[1 + _takes(normal_n) :]))
         angle = 2.0 * math.pi * float(u[0])
         return [sideways * math.cos(angle), sideways * math.sin(angle), normal]
 
@@ -265,17 +276,23 @@ def _nested(value: Any) -> None:
                 _nested(inner)
 
 
-def _takes(value: Any) -> int:
+def _made(value: Any) -> Any:
+    """Return a plain value with the distributions inside it made."""
     if is_distribution(value):
-        return int(_CLASSES[_kind(value) or ""].model_validate(value).takes)  # type: ignore[attr-defined]
-    return sum(_takes(inner) for inner in value.values()) if isinstance(value, Mapping) else 0
+        return _CLASSES[_kind(value) or ""].model_validate(value)
+    return {key: _made(inner) for key, inner in value.items()} if isinstance(value, Mapping) else value
+
+
+def _takes(value: Any) -> int:
+    if isinstance(value, Mapping):
+        return sum(_takes(inner) for inner in value.values())
+    return int(value.takes) if isinstance(value, Part) else 0  # type: ignore[attr-defined]
 
 
 def _inside(value: Any, u: Floats) -> Any:
-    """Return a plain value with the distributions inside it drawn from u, in their order."""
-    if is_distribution(value):
-        made: Any = _CLASSES[_kind(value) or ""].model_validate(value)
-        return made.at(u[: made.takes])
+    """Return what `_made` returned with its distributions drawn from u, in their order."""
+    if isinstance(value, Part):
+        return value.at(u[: value.takes])  # type: ignore[attr-defined]
     if not isinstance(value, Mapping):
         return value
     drawn, start = {}, 0

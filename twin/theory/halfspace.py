@@ -23,13 +23,14 @@ from twin.theory.halfspace_kernels import rectangle_slopes, rectangle_terms
 
 def displacement(points: Points, load: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float) -> Points:
     """Return the (n, 3) displacement in mm of ``points`` (n, 3) under all rectangles together."""
-    out = np.zeros((len(points), 3))
     if len(load) > 1 and not load.half_mm.any() and (load.frames == load.frames[0]).all():
         turn = load.frames[0]
         parts = (np.ascontiguousarray((each @ turn.T).T) for each in (points, load.centre_mm, load.force_n))
-        _of_point_forces(*parts, 1.0 - 2.0 * poisson_ratio, out)
-        out = out @ turn
+        moved = np.zeros((3, len(points)))
+        _of_point_forces(*parts, 1.0 - 2.0 * poisson_ratio, moved)
+        out = np.asarray(moved.T @ turn)
     else:
+        out = np.zeros((len(points), 3))
         _displacement(*_pairs(points, load), _c(load.force_n), 1.0 - 2.0 * poisson_ratio, out)
     return out * scale(youngs_modulus_mpa, poisson_ratio)
 
@@ -107,32 +108,33 @@ def _displacement(
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
 def _of_point_forces(points: Floats, centre: Floats, force: Floats, k: float, out: Floats) -> None:
-    """Set ``out`` (n, 3) at ``points`` (3, n) to the sums over forces (3, t) at ``centre`` (3, t), all in one frame.
+    """Add to ``out`` (3, n) at ``points`` (3, n) the sums over forces (3, t) at ``centre`` (3, t), all in one frame.
 
-    `_displacement` of points only, whose sums may be taken in any order: several forces are done at once, and a pair
-    takes a tenth of the time.
+    `_displacement` of points only. Points run innermost, so that several are done at once without a sum among them: a
+    pair takes a thirtieth of the time.
     """
-    x, y, z = centre
-    fx, fy, fz = force
-    for q in range(points.shape[1]):
-        px, py, pz = points[0, q], points[1, q], points[2, q]
-        ux, uy, uz, nearest = 0.0, 0.0, 0.0, np.inf
-        for t in range(len(x)):
-            dx, dy, dz = px - x[t], py - y[t], max(pz - z[t], 0.0)
+    for t in range(centre.shape[1]):
+        x, y, z = centre[0, t], centre[1, t], centre[2, t]
+        fx, fy, fz = force[0, t], force[1, t], force[2, t]
+        for q in range(points.shape[1]):
+            dx, dy, dz = points[0, q] - x, points[1, q] - y, max(points[2, q] - z, 0.0)
             r2 = dx * dx + dy * dy + dz * dz
-            nearest = min(nearest, r2)
-            over_r = 1.0 / math.sqrt(r2)
-            s = 1.0 / (r2 * over_r + dz)
-            aside = dx * fx[t] + dy * fy[t]
-            pull = (aside + dz * fz[t]) * over_r * over_r * over_r
+            r = math.sqrt(r2)
+            over_both = 1.0 / (r2 + r * dz)
+            over_r, s = (r + dz) * over_both, r * over_both
+            aside = dx * fx + dy * fy
+            pull = (aside + dz * fz) * over_r * over_r * over_r
             slope = k * over_r * s
-            sideways = pull - slope * (aside * s + fz[t])
-            ux += fx[t] * (over_r + k * s) + dx * sideways
-            uy += fy[t] * (over_r + k * s) + dy * sideways
-            uz += fz[t] * over_r * (1.0 + k) + dz * pull + slope * aside
-        if nearest == 0.0:
-            raise ZeroDivisionError("a point force moves its own place infinitely far")
-        out[q, 0], out[q, 1], out[q, 2] = ux, uy, uz
+            sideways = pull - slope * (aside * s + fz)
+            out[0, q] += fx * (over_r + k * s) + dx * sideways
+            out[1, q] += fy * (over_r + k * s) + dy * sideways
+            out[2, q] += fz * over_r * (1.0 + k) + dz * pull + slope * aside
+    for q in range(points.shape[1]):
+        if not math.isfinite(out[2, q]):
+            for t in range(centre.shape[1]):
+                same = points[0, q] == centre[0, t] and points[1, q] == centre[1, t]
+                if same and points[2, q] <= centre[2, t]:
+                    raise ZeroDivisionError("a point force moves its own place infinitely far")
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

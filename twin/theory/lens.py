@@ -67,10 +67,12 @@ _NEWTON = 20
 def lens(towards: Points, camera: Camera) -> Pixels:
     """Return (n, 2) px of (n, 3) directions in camera axes (right, up, backward); NaN where the lens shows nothing."""
     radius, across, ahead = _radius(towards, camera)
+    undistorted = np.where(across > 1e-12, radius / np.maximum(across, 1e-300), 1 / ahead)[:, None] * towards[:, :2]
+    if not any(camera.distortion):
+        return _to_pixels(undistorted, camera)
     image, growth = _radial(radius, camera)
     around = np.where(across > 1e-12, image / np.maximum(across, 1e-300), 1 / ahead)
     flat = around[:, None] * towards[:, :2]
-    undistorted = np.where(across > 1e-12, radius / np.maximum(across, 1e-300), 1 / ahead)[:, None] * towards[:, :2]
     more, slope = _decentring(undistorted, camera)
     one_to_one = growth > 0
     if slope is not None:

@@ -28,8 +28,7 @@ from twin.arrays import Floats, Ints, Pixels, Points
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Layer
 from twin.theory.lens import lens, lens_inverse, lens_jacobian, stretches
-
-_ITERATIONS = 60
+from twin.theory.stack import tangents, through
 
 
 def project(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> Pixels:
@@ -56,7 +55,7 @@ def project(points: Points, camera: Camera, body_index: float, base_z_mm: float)
     RecipeError
         The pupil lies in front of the layers.
     """
-    towards, _ = _leave(points, camera, body_index, base_z_mm)
+    towards, _, _ = _leave(points, camera, body_index, base_z_mm)
     return lens(towards @ tilt_matrix(camera), camera)
 
 
@@ -72,7 +71,8 @@ def projection_jacobian(points: Points, camera: Camera, body_index: float, base_
 
 def project_with_jacobian(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Pixels, Floats]:
     """Return `project` and `projection_jacobian` for the price of one."""
-    towards, slope = _leave(points, camera, body_index, base_z_mm)
+    towards, p, aside = _leave(points, camera, body_index, base_z_mm)
+    slope = _leaving_slopes(points, p, aside, camera, body_index, base_z_mm)
     turn = tilt_matrix(camera)
     seen = towards @ turn
     turned = (lens_jacobian(seen, camera).reshape(-1, 3) @ turn.T).reshape(-1, 2, 3)
@@ -134,7 +134,7 @@ class Sight(IntEnum):
 def sight(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> Ints:
     """Return (n,) `Sight`: why `project` has no place for points; parameters as there."""
     points = np.asarray(points, float)
-    towards, _ = _leave(points, camera, body_index, base_z_mm)
+    towards, _, _ = _leave(points, camera, body_index, base_z_mm)
     found = np.isfinite(lens(towards @ tilt_matrix(camera), camera)).all(axis=1)
     tests = [
         ~np.isfinite(points).all(axis=1),
@@ -210,13 +210,6 @@ def sideways(
     return reach, slope
 
 
-def through(p: Any, thickness: Any, index: float) -> tuple[Any, Any]:
-    """Return `sideways` of one layer; numbers or arrays."""
-    square = index * index
-    inverse = 1 / np.sqrt(square + (square - 1) * (p * p))
-    return thickness * (p * inverse), thickness * (square * (inverse * inverse * inverse))
-
-
 def air_tangents(
     reach_mm: Floats, depth_mm: Floats, body_index: float, layers: tuple[Layer, ...], air_mm: Floats | float
 ) -> Floats:
@@ -224,21 +217,12 @@ def air_tangents(
 
     NaN where there is no such ray: negative depth, or too far aside when the pupil touches the layers.
     """
-    reach_mm = np.asarray(reach_mm, float)
-    depth_mm = np.where(np.asarray(depth_mm) >= -1e-9, np.maximum(depth_mm, 0.0), np.nan)
-    if len(reach_mm) == 0:
-        return np.zeros(0)
-    _, steepest = sideways(np.zeros(len(reach_mm)), depth_mm, body_index, layers, air_mm)
-    tolerance = 1e-13 * (1 + reach_mm)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        p = np.where(steepest > 0, reach_mm / steepest, np.nan)
-        for _ in range(_ITERATIONS):
-            reach, slope = sideways(p, depth_mm, body_index, layers, air_mm)
-            missing = reach_mm - reach
-            if not np.any(np.abs(missing) > tolerance):
-                break
-            p = p + missing / slope
-        return np.where(np.abs(missing) <= 1e-9 * (1 + reach_mm), p, np.nan)
+    reach = np.array(reach_mm, float)
+    depth, air = (np.array(np.broadcast_to(np.asarray(each, float), reach.shape)) for each in (depth_mm, air_mm))
+    stack = np.array([(layer.thickness_mm, layer.index) for layer in layers], float).reshape(-1, 2)
+    out = np.empty(len(reach))
+    tangents(reach, depth, float(body_index), stack, air, out)
+    return out
 
 
 def transmission(p: Floats, body_index: float, layers: tuple[Layer, ...]) -> Floats:
@@ -294,21 +278,30 @@ def tilt_matrix(camera: Camera) -> Floats:
     return turn
 
 
-def _leave(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Points, Floats]:
-    """Return (n, 3) air directions (p e, -1) in which the pupil sees the points, and (n, 2, 3) derivatives of p e."""
+def _leave(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Points, Floats, Floats]:
+    """Return (n, 3) air directions (p e, -1) from pupil to points, (n,) p, and how far aside (n, 2) the points are."""
     points = np.asarray(points, float)
-    air = air_gap(camera, base_z_mm)
     aside = points[:, :2] - np.asarray(camera.pupil_mm[:2])
     reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)
-    depth = base_z_mm - points[:, 2]
-    p = air_tangents(reach, depth, body_index, camera.layers, air)
-    _, slope = sideways(p, np.maximum(depth, 0.0), body_index, camera.layers, air)
+    p = air_tangents(reach, base_z_mm - points[:, 2], body_index, camera.layers, air_gap(camera, base_z_mm))
+    towards = np.empty((len(points), 3))
+    towards[:, :2] = (p / np.maximum(reach, 1e-300))[:, None] * aside
+    towards[:, 2] = np.where(np.isnan(p), np.nan, -1.0)
+    return towards, p, aside
+
+
+def _leaving_slopes(
+    points: Points, p: Floats, aside: Floats, camera: Camera, body_index: float, base_z_mm: float
+) -> Floats:
+    """Return (n, 2, 3) derivatives of the p e that `_leave` returns."""
+    depth = np.maximum(base_z_mm - np.asarray(points, float)[:, 2], 0.0)
+    _, slope = sideways(p, depth, body_index, camera.layers, air_gap(camera, base_z_mm))
+    reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)
     near = reach <= 1e-12
     unit = aside / np.where(near, 1.0, reach)[:, None]
     over = np.where(near, 1 / slope, p / np.where(near, 1.0, reach))
-    towards = np.column_stack([over[:, None] * aside, np.where(np.isnan(p), np.nan, -1.0)])
     derivative = np.empty((len(points), 2, 3))
     derivative[:, :, :2] = stretches(unit, 1 / slope, over)
     body_tangent = p / np.sqrt(body_index**2 + (body_index**2 - 1) * p**2)
     derivative[:, :, 2] = unit * (body_tangent / slope)[:, None]
-    return towards, derivative
+    return derivative

@@ -64,6 +64,16 @@ def test_the_same_samples_whatever_the_files_and_a_sheet_of_them(made: Path, tmp
     assert "2 of 2" in view_dataset(tmp_path / "seen", tmp_path / "sheet.html")
 
 
+def test_how_many_samples_a_worker_made_before_does_not_matter(tmp_path: Path) -> None:
+    """Points asked about often are read another way: that must not depend on what was asked before."""
+    scene = small_scene(NO_PICTURE, **TWO, dataset__samples_per_shard=30, dataset__samples_per_sensor=60)
+    make(tmp_path / "d", 60, scene)
+    made = contents(tmp_path / "d")
+    (tmp_path / "d" / "data" / "part-00001.parquet").unlink()
+    make(tmp_path / "d", 60, scene)
+    assert contents(tmp_path / "d") == made
+
+
 def test_what_only_a_press_tells_is_refused_or_left_out(tmp_path: Path) -> None:
     with pytest.raises(RecipeError, match="indentation_mm' is known of a press only"):
         make(tmp_path / "a", 2, small_scene(("indentation_mm",), **TWO))

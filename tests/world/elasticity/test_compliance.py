@@ -11,7 +11,9 @@ from twin.parts.body import Block, Finger
 from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
 from twin.world.elasticity.compliance import FEW, Compliance
+from twin.world.elasticity.known import REMEMBERED
 from twin.world.elasticity.solve import factorisations
+from twin.world.elasticity.table import MANY_LOADS
 from twin.world.elasticity.tile import join, tile
 
 REFERENCE = Path(__file__).parents[2] / "reference"
@@ -267,6 +269,24 @@ def test_adjoint_and_primal_solves_agree_and_few_points_take_the_adjoint(monkeyp
     many = np.vstack([few, body.chart_points(np.random.default_rng(3).uniform(-3, 3, (len(apart), 2)), 1.0)])
     by_patch = stiff.to_points(many, apart)[: 3 * len(few)]
     np.testing.assert_allclose(by_point, by_patch, atol=2e-6 * np.abs(by_patch).max())
+
+
+def test_kept_points_outlive_others_and_answer_alike_from_the_first_load_on():
+    """What reads a table at points asked about often is made late, unless it is known beforehand."""
+    points = np.array([[0.0, 0.5, 3.0], [-1.0, 1.0, 6.0]])
+    load = tile(Traction.rectangle((0, 0), (4, 4), (0, 0, 1)), BODIES["block"])
+    stiff = Compliance(BODIES["block"], Material(youngs_modulus_mpa=0.5))
+    stiff.keep(points)
+    known = stiff._memory.of(points)
+    first = stiff.displacement(points, load)
+    for shift in range(1, 2 * REMEMBERED):
+        stiff.displacement(points + 0.01 * shift, load)
+        np.testing.assert_array_equal(stiff.displacement(points, load), first)
+    stiff.forget()
+    assert stiff._memory.of(points) is known
+    assert stiff._memory.of(points + 0.01)._bases == {}
+    for _ in range(2 * MANY_LOADS):
+        np.testing.assert_array_equal(stiff.displacement(points, load), first)
 
 
 def test_points_are_compared_by_value_and_a_changed_array_is_checked_again():

@@ -103,6 +103,8 @@ def audit_sample(folder: Path, sample: int) -> dict[str, float]:
 
 def _differences(made: MadeSensor, values: Table) -> dict[str, float]:
     plan, finer = made.plan, _finer(made)
+    for each in (made, finer):
+        each.compliance.forget()
     table, out = plan.press_table(values), {}
     if plan.scene.tractions:
         load = load_of(table)
@@ -132,7 +134,6 @@ def _differences(made: MadeSensor, values: Table) -> dict[str, float]:
 
 
 def _pressed(made: MadeSensor, press: Press) -> ContactState:
-    made.sensor.compliance.forget()
     state = made.sensor.press(press)
     if not state.complete:
         raise ContactError(f"press: {state.reason}")

@@ -1,7 +1,7 @@
 """One sample: from its number to a row of truth, doing only what its columns need.
 
-Every sample starts from the same state, whatever was computed before it: what solved fields a contact finds in memory
-may change its last digits, so they are put aside between samples.
+Every sample starts from the same state, whatever was computed before it: which solved fields a contact finds in memory,
+or how often points were asked about, may change last digits, so that is put aside between samples.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from twin.parts.load import Rectangles
     from twin.parts.press import Press
     from twin.world.contact.contact_state import ContactState
+    from twin.world.elasticity.compliance import Compliance
     from twin.world.picture.render import Outlines, Renderer
 
 Row = dict[str, Any]
@@ -84,6 +85,16 @@ class MadeSensor:
         return told
 
     @cached_property
+    def compliance(self) -> Compliance:
+        """Of its body, which knows its markers."""
+        from twin.world.elasticity.compliance import Compliance
+
+        found = self.sensor.compliance
+        assert isinstance(found, Compliance), "a cover of its own modulus was refused"
+        found.keep(self.sensor.actual.markers.points)
+        return found
+
+    @cached_property
     def grid(self) -> Sites:
         """The grid of sites."""
         scene = self.plan.scene
@@ -121,6 +132,7 @@ def rows_of_sample(made: MadeSensor, sample: int, values: Table) -> list[Row]:
     try:
         table = plan.press_table(values)
         base["press"] = json.dumps(table, sort_keys=True)
+        made.compliance.forget()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what warnings say is in the row's error estimates
             if plan.scene.tractions:
@@ -141,7 +153,6 @@ def failed_row(plan: Plan, sample: int, values: Table, why: str) -> Row:
 
 def _rows(made: MadeSensor, sample: int, press: Press) -> list[Row]:
     plan, sensor = made.plan, made.sensor
-    sensor.compliance.forget()
     state = sensor.press(press, with_error="traction_error" in {c.name for c in plan.columns})
     if not state.complete:
         raise ContactError(f"press: {state.reason}")
@@ -188,9 +199,10 @@ def truth_of(made: MadeSensor, load: Load, slips: list[Bools] | None = None, exp
     sensor, needs = made.sensor, made.plan.needs
     groups = [sensor.rectangles(Load((term,))) for term in load.terms] or [sensor.rectangles(load)]
     patches = join(groups)
+    moment = patches.centre_mm.T @ patches.force_n
     row: Row = {
         "force_n": patches.force_n.sum(axis=0),
-        "torque_nmm": np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
+        "torque_nmm": np.array([moment[1, 2] - moment[2, 1], moment[2, 0] - moment[0, 2], moment[0, 1] - moment[1, 0]]),
         "surface_mm": patches.centre_mm,
         "surface_force_n": patches.force_n,
     }

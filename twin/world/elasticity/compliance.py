@@ -361,8 +361,13 @@ class Compliance:
         return estimated_error(self.body, level, differ, load, nominal=nominal) + lost / size
 
     def forget(self) -> None:
-        """Forget the region of the last contact: presses then don't depend, in last digits, on those before them."""
+        """Forget what the last loads left behind: answers then don't depend, in last digits, on those before them."""
         self._region = None
+        self._memory.forget()
+
+    def keep(self, points: Points) -> None:
+        """Expect many loads at ``points`` (n, 3): what reads them is made at the first, and outlives `forget`."""
+        self._memory.keep(points)
 
     def expected_error(self, load: Rectangles, points: Points | None = None) -> float:
         """Return the error to be expected before anything is solved: see `twin.world.elasticity.expected`.

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from twin.arrays import Floats, Points, frozen
+from twin.compiled import njit
 from twin.parts.load import Rectangles
 
 GOAL = 1e-3
@@ -53,28 +54,31 @@ def gathered(points: Points, load: Rectangles, goal: float = GOAL) -> Rectangles
     # Enough Gauss points to share out a long patch exactly: the nodes' polynomials are of degree sum(counts) - 2.
     orders = [2 if deep >= _SMALL * side else max(2, math.ceil(sum(counts) / 2)) for side in load.half_mm.max(axis=0)]
     places, weights = zip(*(_gauss(order) for order in orders), strict=True)
-    if not load.frames[:, 0, 1].any():  # along x and y: a mean over a patch is one along x times one along y
-        at = [load.centre_mm[:, i, None] + load.half_mm[:, i, None] * places[i] for i in (0, 1)]
-        each = [_shares(at[i].ravel(), low[i], high[i], counts[i]) for i in (0, 1)]
-        sharing = [weights[i] / 2.0 @ each[i].reshape(len(load), -1, counts[i]) for i in (0, 1)]
-        forces = load.force_n
-    else:
+    centre, half, forces = load.centre_mm[:, :2], load.half_mm, load.force_n
+    if load.frames[:, 0, 1].any():  # turned patches are shared out as the Gauss points that they are made of
         square = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 2)
         weight = np.multiply.outer(*weights).ravel() / 4.0
         along = square @ (load.half_mm[:, :, None] * load.frames[:, :2, :2])
-        spots = (load.centre_mm[:, None, :2] + along).reshape(-1, 2)
-        sharing = [_shares(spots[:, i], low[i], high[i], counts[i]) for i in (0, 1)]
-        forces = (load.force_n[:, None] * weight[:, None]).reshape(-1, 3)
-    carried = (sharing[1][:, :, None] * forces[:, None]).reshape(len(forces), -1)
-    shared = np.asarray(sharing[0].T @ carried)
-    nodes = [(a + b) / 2.0 + (b - a) / 2.0 * chebpts1(m) for a, b, m in zip(low, high, counts, strict=True)]
-    x, y = np.meshgrid(*nodes, indexing="ij")
+        centre = (centre[:, None] + along).reshape(-1, 2)
+        forces = (forces[:, None] * weight[:, None]).reshape(-1, 3)
+        half = np.zeros_like(centre)
+        (places, weights) = zip(_gauss(1), _gauss(1), strict=True)
+    middle, reach = (low + high) / 2.0, (high - low) / 2.0
+    means = [
+        _means((centre[:, i] - middle[i]) / reach[i], half[:, i] / reach[i], places[i], weights[i], counts[i])
+        for i in (0, 1)
+    ]
+    shared = np.empty((counts[0], counts[1], 3))
+    _shared(means[0] @ _lagrange(counts[0]), means[1] @ _lagrange(counts[1]), np.array(forces, order="C"), shared)
     total = math.prod(counts)
+    nodes = np.empty((*counts, 3))
+    nodes[:, :, 0] = (middle[0] + reach[0] * chebpts1(counts[0]))[:, None]
+    nodes[:, :, 1] = middle[1] + reach[1] * chebpts1(counts[1])
+    nodes[:, :, 2] = load.centre_mm[0, 2]
+    frames = np.empty((total, 3, 3))
+    frames[:] = load.frames[0]
     return Rectangles(
-        centre_mm=np.column_stack([x.ravel(), y.ravel(), np.full(total, load.centre_mm[0, 2])]),
-        frames=np.tile(load.frames[0], (total, 1, 1)),
-        half_mm=np.zeros((total, 2)),
-        force_n=shared.reshape(-1, 3),
+        centre_mm=nodes.reshape(-1, 3), frames=frames, half_mm=np.zeros((total, 2)), force_n=shared.reshape(-1, 3)
     )
 
 
@@ -83,9 +87,34 @@ def _nodes(deep: float, half: float, goal: float) -> int:
     return 2 + math.ceil(-math.log(goal) / math.log(ratio + math.hypot(1.0, ratio))) if deep > 0 else 10**6
 
 
-def _shares(at: Floats, low: float, high: float, count: int) -> Floats:
-    """Return (k, count) by how much each node carries a unit force at k places: the nodes' Lagrange polynomials."""
-    return np.asarray(chebvander((2.0 * at - low - high) / (high - low), count - 1) @ _lagrange(count))
+def _means(middle: Floats, half: Floats, places: Floats, weights: Floats, count: int) -> Floats:
+    """Return (k, count) means of the Chebyshev polynomials over k intervals."""
+    out = np.zeros((len(middle), count))
+    _add_means(middle, half, places, weights, out)
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _add_means(middle: Floats, half: Floats, places: Floats, weights: Floats, out: Floats) -> None:
+    for k in range(len(middle)):
+        for g in range(len(places)):
+            at, weight = middle[k] + half[k] * places[g], weights[g] / 2.0
+            before, here = at, 1.0
+            for n in range(out.shape[1]):
+                out[k, n] += weight * here
+                before, here = here, 2.0 * at * here - before
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _shared(first: Floats, second: Floats, forces: Floats, out: Floats) -> None:
+    """Set ``out`` (a, b, 3) to the forces (k, 3) shared out by what nodes carry of each, (k, a) and (k, b)."""
+    out[:] = 0.0
+    for k in range(len(forces)):
+        for a in range(out.shape[0]):
+            for b in range(out.shape[1]):
+                share = first[k, a] * second[k, b]
+                for i in range(3):
+                    out[a, b, i] += share * forces[k, i]
 
 
 @lru_cache(maxsize=64)

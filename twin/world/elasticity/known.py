@@ -33,9 +33,12 @@ class Known:
         Adjoint solves for them; large, so that one set at a time has any (`Memory.forget_readings`).
     reading, slopes
         What reads displacements and gradients there off a `twin.world.elasticity.surface_table.SurfaceTable`.
+    often
+        Whether many loads will be asked about, so that what reads a table is made at the first one.
     """
 
     points: Points
+    often: bool = False
     places: Places | None = None
     readings: Readings | None = None
     reading: Floats | None = None
@@ -48,7 +51,7 @@ class Known:
     def basis(self, box_mm: tuple[float, float, float]) -> Basis:
         """Return what a table with this box needs to know of the points."""
         if box_mm not in self._bases:
-            self._bases[box_mm] = Basis(points=self.points, box_mm=box_mm)
+            self._bases[box_mm] = Basis(points=self.points, box_mm=box_mm, often=self.often)
         return self._bases[box_mm]
 
     def placed(self, locator: Locator) -> Places:
@@ -70,6 +73,7 @@ class Memory:
     def __init__(self, body: Body) -> None:
         self._body = body
         self._sets: list[Known] = []
+        self._kept: list[Known] = []
 
     def of(self, points: Points) -> Known:
         """Return what is known of ``points`` (n, 3).
@@ -80,14 +84,25 @@ class Memory:
             A point is outside the body.
         """
         points = np.asarray(points, float)
-        for known in reversed(self._sets):
+        for known in (*self._kept, *reversed(self._sets)):
             if known.points.shape == points.shape and bool((known.points == points).all()):
                 return known
-        require_inside(self._body, points)
-        self._sets = [*self._sets[1 - REMEMBERED :], Known(points=frozen(np.array(points, order="C")))]
+        self._sets = [*self._sets[1 - REMEMBERED :], self._new(points)]
         return self._sets[-1]
+
+    def keep(self, points: Points) -> None:
+        """Never forget ``points`` (n, 3), at which many loads will be asked about. Raises like `of`."""
+        self._kept.append(self._new(np.asarray(points, float), often=True))
+
+    def forget(self) -> None:
+        """Drop all sets but those that are kept."""
+        self._sets = []
+
+    def _new(self, points: Points, *, often: bool = False) -> Known:
+        require_inside(self._body, points)
+        return Known(points=frozen(np.array(points, order="C")), often=often)
 
     def forget_readings(self) -> None:
         """Drop all adjoint solves, which may take a hundred megabytes a set."""
-        for known in self._sets:
+        for known in (*self._kept, *self._sets):
             known.readings = None

@@ -14,10 +14,8 @@ from twin.arrays import Floats, Points
 from twin.compiled import njit
 from twin.parts.camera import Layer
 from twin.theory import optics
+from twin.theory.stack import tangent
 
-_ITERATIONS = 60
-
-_through = njit(error_model="numpy")(optics.through)
 _reflection = njit(error_model="numpy")(optics.reflection)
 
 
@@ -70,7 +68,7 @@ def _images(points: Points, lights: Points, stack: Floats, index: float, base: f
         for j in range(m):
             across, along = lights[j, 0] - x, lights[j, 1] - y
             reach = np.sqrt(across * across + along * along)
-            p, slope = _tangent(reach, depth, index, stack, max(lights[j, 2] - back, 0.0))
+            p, slope = tangent(reach, depth, index, stack, max(lights[j, 2] - back, 0.0))
             # p over the reach tends to 1 over the slope on the axis; the way aside is nothing there.
             over, aside = (p / reach, 1 / reach) if reach > 1e-9 else (1 / slope, 1.0)
             cosine_air = 1 / np.sqrt(1 + p * p)
@@ -85,28 +83,6 @@ def _images(points: Points, lights: Points, stack: Floats, index: float, base: f
             # The image's distance squared times the spread is the index squared.
             power[i, j] = index * index * _transmission(p, index, stack)
     return place, power, crossing, leaving
-
-
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _tangent(reach: float, depth: float, index: float, stack: Floats, air: float) -> tuple[float, float]:
-    """Return `twin.theory.optics.air_tangents` of one ray, and the slope of its `sideways` there."""
-    p = reach / _sideways(0.0, depth, index, stack, air)[1]
-    for _ in range(_ITERATIONS):
-        so_far, slope = _sideways(p, depth, index, stack, air)
-        missing = reach - so_far
-        if abs(missing) <= 1e-13 * (1 + reach):
-            break
-        p += missing / slope
-    return (p if abs(missing) <= 1e-9 * (1 + reach) else np.nan), slope
-
-
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _sideways(p: float, depth: float, index: float, stack: Floats, air: float) -> tuple[float, float]:
-    reach, slope = _through(p, depth, index)
-    for layer in range(len(stack)):
-        further, steeper = _through(p, stack[layer, 0], stack[layer, 1])
-        reach, slope = reach + further, slope + steeper
-    return reach + air * p, slope + air
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
