@@ -32,10 +32,11 @@ from twin.errors import ContactError, NotSettled
 from twin.world.contact.between import Between, between
 from twin.world.contact.linear import LinearSystem
 from twin.world.contact.pattern import Pattern
-from twin.world.contact.unilateral import FEW, TOLERANCE, Equilibrium, Unilateral
+from twin.world.contact.unilateral import TOLERANCE, Equilibrium, Unilateral
 
 _STEPS, _GOAL = 60, 1e-10
-_FEW = FEW
+_FEW = 60
+"""Patches in contact up to which linear systems are solved by elimination; each has three unknowns."""
 _FAR = 1e4
 """A step of the probe over the contact's size that only a singular system asks for."""
 

@@ -3,7 +3,7 @@
 On a plane the half-space part of the compliance depends on the offset between two patches only, so that products are
 Fourier transforms (`twin.world.contact.convolution`). What a finite body adds varies smoothly with both places. Where a
 table holds it as polynomials (`twin.world.elasticity.table`), it is a product of their values at a few Chebyshev nodes
-of the lattice with Lagrange's polynomials on either side: of 4 nodes a side, or more where the last term is more than a
+of the lattice with Lagrange's polynomials on either side: of 6 nodes a side, or more where the last term is more than a
 billionth of a patch's own compliance; 8 hold the table's polynomials without any error. So no matrix between patches is
 made: one of 750 patches takes 40 MB, which every product would read.
 
@@ -28,7 +28,7 @@ from twin.world.contact.patches import Patches
 from twin.world.elasticity.spread import lagrange
 from twin.world.elasticity.table import SIZES
 
-NODES = (4, 6, max(SIZES[1:5]))
+NODES = (6, max(SIZES[1:5]))
 """Chebyshev nodes along each side; the last are as many as the table's polynomials have terms."""
 
 _SMALL = 1e-9
@@ -146,12 +146,12 @@ class Lattice:
 
     def part(self, rows: Ints) -> Floats:
         """See `Between`."""
-        part = np.empty((len(rows), 3, len(rows), 3))
-        _gather(self._kernel, self._place[rows], part)
+        part, rest = np.empty((len(rows), 3, len(rows), 3)), np.zeros((0, 3, 3, 0))
         if self._rest is not None:
-            weights, n = self._weights(rows), len(self._rest) // 3
-            rest = np.matmul(weights, self._rest.reshape(3, n, 3 * n)).reshape(3, len(rows), 3, n) @ weights.T
-            part += rest.transpose(1, 0, 3, 2)
+            weights, m = self._weights(rows), len(self._rest) // 3
+            by_row = weights @ self._rest.reshape(3, m, 3, m).transpose(1, 0, 2, 3).reshape(m, 9 * m)
+            rest = (by_row.reshape(-1, m) @ weights.T).reshape(len(rows), 3, 3, len(rows))
+        _gather(self._kernel, self._place[rows], rest, part)
         return part
 
     def normal_part(self, rows: Ints, columns: Ints) -> Floats:
@@ -202,18 +202,24 @@ class Lattice:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _gather(kernel: Floats, place: Ints, out: Floats) -> None:
-    """Set ``out`` (n, 3, n, 3) to the kernel at the offsets between n places: odd in what one of two axes is along."""
+def _gather(kernel: Floats, place: Ints, rest: Floats, out: Floats) -> None:
+    """Set ``out`` (n, 3, n, 3) to the kernel at the offsets between n places, and add the rest (n, 3, 3, n), if any.
+
+    The kernel is odd along an axis where one of its two axes is that one.
+    """
     for i in range(len(place)):
         for j in range(len(place)):
-            away = place[i] - place[j]
+            away_u, away_v = place[i, 0] - place[j, 0], place[i, 1] - place[j, 1]
+            u, v = -1.0 if away_u < 0 else 1.0, -1.0 if away_v < 0 else 1.0
+            k = kernel[abs(away_u), abs(away_v)]
+            out[i, 0, j, 0], out[i, 0, j, 1], out[i, 0, j, 2] = k[0, 0], u * v * k[0, 1], u * k[0, 2]
+            out[i, 1, j, 0], out[i, 1, j, 1], out[i, 1, j, 2] = u * v * k[1, 0], k[1, 1], v * k[1, 2]
+            out[i, 2, j, 0], out[i, 2, j, 1], out[i, 2, j, 2] = u * k[2, 0], v * k[2, 1], k[2, 2]
+        if len(rest):
             for a in range(3):
                 for b in range(3):
-                    sign = 1.0
-                    for axis in range(2):
-                        if (a == axis) != (b == axis) and away[axis] < 0:
-                            sign = -sign
-                    out[i, a, j, b] = sign * kernel[abs(away[0]), abs(away[1]), a, b]
+                    for j in range(len(place)):
+                        out[i, a, j, b] += rest[i, a, b, j]
 
 
 def nodes(count: int, m: int) -> Floats:

@@ -21,7 +21,7 @@ from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact.gap import ABOUT_X, TURN, X, Y, Z
 from twin.world.contact.patches import Box, Patches, Plane, candidate_patches, is_even
 from twin.world.contact.probe_shape import half_extent
-from twin.world.contact.together import Contacts, Control, Setting
+from twin.world.contact.together import Contacts, Control, Setting, every
 from twin.world.contact.unilateral import Equilibrium, Unilateral, solve
 
 _COARSE, _ROUNDS, _FILL = 10, 14, 0.4
@@ -56,6 +56,8 @@ def frictionless_control(contacts: Contacts, carried: Floats, control: Control, 
     ContactError
         A torque about its axis, or a lateral force on a face without slope, is asked of a frictionless probe.
     """
+    if not np.any(control.by_force & ~every(Z, len(control.by_force))):
+        return control
     by_force, given = control.by_force.copy(), control.given.copy()
     gap, slope = contacts.gap(place)
     moves = np.abs(slope[np.isfinite(gap)]).max(axis=0, initial=0.0) > 1e-9

@@ -37,7 +37,7 @@ from twin.world.contact.linear import LinearSolver
 GapOfPlace = Callable[[Floats], tuple[Floats, Floats]]
 TOLERANCE = 1e-8
 _STEPS, _PATIENCE = 200, 40
-FEW = 60
+FEW = 120
 """Patches in contact up to which linear systems are solved by elimination."""
 
 _NEARER, _HELD = 1e-4, 1e-12
