@@ -15,6 +15,8 @@ cancel, are left to a solve.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points
@@ -67,6 +69,7 @@ class SurfaceTable:
         self._system, self._body = system, body
         self._half = np.array(default_sizing(body, "standard").window_mm)
         self._axes = [np.linspace(-half, half, NODES) for half in self._half]
+        self._cardinal = {step: [_cardinal(axis[::step]) for axis in self._axes] for step in (1, 2)}
         chart = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1).reshape(-1, 2)
         points = body.chart_points(chart)
         clear = float(body.piece_distances(points)[:, 1:].min())
@@ -104,14 +107,14 @@ class SurfaceTable:
 
     def reading(self, places: Places) -> Floats:
         """Return (n, 3, s, t, axis): w at ``places`` (n) under a unit force on each patch of the grid, mm for 1 MPa."""
-        return self._read(places, places.weights[:, :, None])[..., 0]
+        return self._read(places, places.weights[:, :, None])[:, :, 0]
 
     def slopes(self, places: Places) -> Floats:
-        """Return (n, 3, s, t, axis, 3) gradients of `reading`."""
+        """Return (n, 3, 3, s, t, axis): `reading` and, on the third axis, its derivative along x, y and z."""
         return self._read(places, places.slopes)
 
     def _read(self, places: Places, weights: Floats) -> Floats:
-        out = np.empty((len(places.nodes), 3 * self._fields.shape[2], weights.shape[2]))
+        out = np.empty((len(places.nodes), weights.shape[2], 3 * self._fields.shape[2]))
         for start in range(0, len(out), 64):
             part = slice(start, start + 64)
             used, column = np.unique(places.nodes[part], return_inverse=True)
@@ -120,8 +123,9 @@ class SurfaceTable:
             for axis in range(weights.shape[2]):
                 matrix = np.zeros((len(column), len(used)))
                 np.put_along_axis(matrix, column, weights[part, :, axis], axis=1)
-                out[part, :, axis] = matrix @ rows
-        return out.reshape(-1, 3, NODES, NODES, 3, weights.shape[2])
+                out[part, axis] = matrix @ rows
+        each = out.reshape(len(out), weights.shape[2], 3, NODES, NODES, 3)
+        return np.ascontiguousarray(each.swapaxes(1, 2))
 
     def displacement(self, reading: Floats, load: Rectangles) -> tuple[Points, float]:
         """Return (n, 3) w in mm for E = 1 MPa under ``load``, and the largest error of interpolation, mm."""
@@ -136,7 +140,7 @@ class SurfaceTable:
 
     def gradient(self, slopes: Floats, load: Rectangles) -> Floats:
         """Return (n, 3, 3) dw_i/dx_j for E = 1 MPa under ``load``."""
-        return np.asarray(np.einsum("qistaj,sta->qij", slopes, self._moments(load, 1), optimize=True))
+        return np.asarray(np.tensordot(slopes, self._moments(load, 1), axes=3))
 
     def rests(self, places: Places, rectangles: Rectangles) -> Floats:
         """Return (n, 3, k, 3): w in mm/N at ``places`` for E = 1 MPa per unit global force on each rectangle."""
@@ -154,11 +158,16 @@ class SurfaceTable:
 
     def _splines(self, load: Rectangles, step: int) -> list[Floats]:
         """Return (k, s) and (k, t): the cardinal splines of the grid's nodes at the patches."""
-        from scipy.interpolate import make_interp_spline
-
         chart = self._body.chart_of(load.centre_mm)
-        nodes = [axis[::step] for axis in self._axes]
-        return [make_interp_spline(n, np.eye(len(n)), k=3)(chart[:, i]) for i, n in enumerate(nodes)]
+        return [spline(chart[:, axis]) for axis, spline in enumerate(self._cardinal[step])]
+
+
+def _cardinal(nodes: Floats) -> Callable[[Floats], Floats]:
+    """Return the cubic splines that are 1 at one of the nodes each and 0 at the others, as one function."""
+    from scipy.interpolate import make_interp_spline
+
+    made: Callable[[Floats], Floats] = make_interp_spline(nodes, np.eye(len(nodes)), k=3)
+    return made
 
 
 def _all_solved(system: TaylorHood, body: Body, probes: Rectangles, progress: Progress | None) -> Floats:
