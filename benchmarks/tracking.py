@@ -37,9 +37,9 @@ In the finger, near its lamps, the shadows of one layer cross the other and move
 brightness in what a fit leaves, that was not there at rest, is therefore part of the stated deviation. Nine presses of
 two rendered fingers (`sato_press`, seeds 1 and 7), errors over stated deviations, root mean square: red markers, on
 which blue's shadows fall, 1.00 and 1.31 (without that part 2.04 and 1.65), blue ones 1.03 and 0.93 (1.17 and 1.09).
-Where markers lie free nothing changes. Of 225 red ones four are still off by four to eight deviations (0.02 to 0.05 px).
-`reconstruct` takes the noise's size from what its fit leaves (`Field.noise_px`), and a marker that is far off is
-left out where `robust` is asked for.
+Where markers lie free nothing changes. Of 225 red ones four are still off by four to eight deviations (.02 to .05 px).
+`reconstruct` takes the noise's size from what its fit leaves (`Field.noise_px`), and a marker that is far off is left
+out where `robust` is asked for.
 """
 SIZE = (640, 480)
 Layout = dict[str, np.ndarray]
