@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -20,7 +20,7 @@ def calibrate(
     scene: SceneName,
     out: Annotated[Path, Parameter(help="Calibration file to write (.npz).")],
     method: Annotated[
-        str | None, Parameter(help="sato, fitted, compliance or halfspace (default: the scene's).")
+        Literal["sato", "fitted", "compliance", "halfspace"] | None, Parameter(help="Default: the scene's.")
     ] = None,
     set_: Overrides = (),
 ) -> None:

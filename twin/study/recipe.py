@@ -210,10 +210,15 @@ def _find(name: str, shipped: Path, beside: Path, what: str, where: Path | None 
         if candidate.is_file():
             return candidate
     known = [p.stem for p in sorted(shipped.glob("*.toml")) if not p.stem.startswith(SWEEP)]
-    near = difflib.get_close_matches(given.stem, known, 1)
-    hint = f"did you mean '{near[0]}'?" if near else f"shipped ones are: {', '.join(known)}"
     prefix = f"{where}: " if where else ""
-    raise InputError(f"{prefix}no {what} '{name}': {hint}")
+    raise InputError(f"{prefix}{nothing_named(name, known, what)}")
+
+
+def nothing_named(name: str, known: list[str], what: str) -> str:
+    """Return what is said of a name that is neither a file nor one of the shipped recipes."""
+    near = difflib.get_close_matches(Path(name).stem, known, 1)
+    hint = f"did you mean '{near[0]}'?" if near else f"there is no such file, and shipped ones are: {', '.join(known)}"
+    return f"no {what} '{name}': {hint}"
 
 
 def read_recipe(path: Path) -> Table:

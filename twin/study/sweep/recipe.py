@@ -12,7 +12,7 @@ from twin.parts.part import Part, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import Confirm, Cost, Limits, Loads, Sweep
 from twin.places import SCENES
-from twin.study.recipe import SWEEP, load_scene, read_recipe
+from twin.study.recipe import SWEEP, load_scene, nothing_named, read_recipe
 from twin.study.sweep.designs import check_keys
 
 
@@ -83,9 +83,4 @@ def _find(name: str) -> Path:
     for candidate in (Path(name).expanduser(), SCENES / f"{name}.toml", SCENES / f"{SWEEP}{name}.toml"):
         if candidate.is_file():
             return candidate
-    import difflib
-
-    known = list(shipped_sweeps())
-    near = difflib.get_close_matches(Path(name).stem, known, 1)
-    hint = f"did you mean '{near[0]}'?" if near else f"shipped ones are: {', '.join(known)}"
-    raise InputError(f"no sweep '{name}': {hint}")
+    raise InputError(nothing_named(name, list(shipped_sweeps()), "sweep"))
