@@ -23,6 +23,7 @@ from twin.world.mesh.mesh import read_mesh
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
 PUSH = (0.3, -0.5, 1.0)
+SIDES = ("width_mm", "length_mm", "thickness_mm")
 
 
 class LooseBlock(Block):
@@ -90,6 +91,21 @@ def test_length_scales_exactly(block, factor):
     forces = push(block.mesh)
     scaled = TaylorHood(replace(block.mesh, points=block.mesh.points * factor), 0.5)
     np.testing.assert_array_equal(scaled.solve(forces) * factor, block.system.solve(forces))
+
+
+@pytest.mark.parametrize("factor", [2.0**-10, 2.0**10])
+def test_whole_bodies_scale_exactly_beyond_what_a_recipe_allows(block, factor):
+    """From a tenth of a millimetre to a hundred metres; a recipe's 5 to 500 mm are there to notice wrong units."""
+    body = Block.model_construct(**{name: getattr(BLOCK, name) * factor for name in SIDES})
+    mesh = replace(block.mesh, points=block.mesh.points * factor)
+    other = Compliance(body, block.material, mesh, level="sketch", table=False)
+    points = np.array([[1.0, 2.0, 3.0], [5.0, 0.0, 9.0]])
+    load, unscaled = (
+        tile(Traction.rectangle((s, -s), (4 * s, 4 * s), PUSH), of) for s, of in ((factor, body), (1.0, BLOCK))
+    )
+    right = block.displacement(points, unscaled)
+    np.testing.assert_allclose(other.displacement(points * factor, load) * factor, right, rtol=1e-12)
+    assert other.expected_error(load) == pytest.approx(block.expected_error(unscaled))
 
 
 @pytest.mark.parametrize("size", [2.0**-990, *POWERS, 2.0**990])
