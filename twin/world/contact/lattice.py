@@ -1,11 +1,11 @@
 """Equal contact patches on a plane lattice: their compliance as a convolution and a smooth rest.
 
 On a plane the half-space part of the compliance depends on the offset between two patches only, so that products are
-Fourier transforms (`twin.world.contact.convolution`). What a finite body adds varies smoothly with both places. Where a
-table holds it as polynomials (`twin.world.elasticity.table`), it is a product of their values at a few Chebyshev nodes
-of the lattice with Lagrange's polynomials on either side: of 6 nodes a side, or more where the last term is more than a
-billionth of a patch's own compliance; 8 hold the table's polynomials without any error. So no matrix between patches is
-made: one of 750 patches takes 40 MB, which every product would read.
+transforms to waves and back (`twin.world.contact.convolution`). What a finite body adds varies smoothly with both
+places. Where a table holds it as polynomials (`twin.world.elasticity.table`), it is a product of their values at a few
+Chebyshev nodes of the lattice with Lagrange's polynomials on either side: of 6 nodes a side, or 8, which hold the
+table's polynomials without any error, where the last term is more than a billionth of a patch's own compliance. So no
+matrix between patches is made: one of 750 patches takes 40 MB, which every product would read.
 
 Validity: the exact influence of a uniform rectangle on the middle of another, and the table's own error.
 """
