@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.metadata
 import subprocess
 import sys
 from pathlib import Path
@@ -101,3 +102,7 @@ def test_importing_loads_no_heavy_package(code: str) -> None:
     check = f"{code}; import sys; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_version_is_the_distribution_s() -> None:
+    assert twin.__version__ == importlib.metadata.version("tactile-twin")

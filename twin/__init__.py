@@ -88,6 +88,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(importlib.import_module(_HOMES[name]), name)
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("tactile-twin")
     raise AttributeError(f"module 'twin' has no attribute {name!r}")
 
 
