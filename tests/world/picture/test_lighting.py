@@ -10,13 +10,14 @@ from twin.parts.camera import Layer
 from twin.parts.light import Light
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
-from twin.theory.optics import air_tangents, transmission
+from twin.theory.optics import air_tangents, rays, transmission
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.glare import glare
 from twin.world.picture.images import images
 from twin.world.picture.lighting import Lamps, brightest, cover_light, irradiance, lamps_at
 from twin.world.picture.markers import Ellipsoids
 from twin.world.picture.occluders import occluders
+from twin.world.picture.view import look
 
 
 def scene(index: float = 1.41, glass: float = 1.49, led: tuple[float, float, float] = (10.0, 5.0, 70.0)) -> Scene:
@@ -96,6 +97,21 @@ def test_the_cover_sends_its_albedo_back() -> None:
     np.testing.assert_allclose(light[0], expected * np.array([0.2, 0.1, 0.05]), rtol=1e-6)
     assert (light[1:] == 0).all()  # out of the side wall, no ray, beside the body
     assert (cover_light(origins, directions, made.model_copy(update={"cover": None}), 1.0) == 0).all()
+
+
+def test_the_cover_ends_where_its_own_pixels_do() -> None:
+    # Light is interpolated from every fourth pixel, but not over the finger's cut back face.
+    made = load_scene("sato_press", {"camera.width_px": 160, "camera.height_px": 120, "camera.focal_px": 57})
+    assert made.camera is not None
+    view = look(made, 1.0, 1.0)
+    row, column = np.indices((120, 160)).reshape(2, -1)
+    pixels = np.column_stack([column, row]).astype(float)
+    each = cover_light(*rays(pixels, made.camera, made.material.refractive_index, made.body.base_z_mm), made, 1.0)
+    truth = each.reshape(120, 160, 3) * (view.vignette * view.sees)[:, :, None]
+    lit = truth.any(axis=2)
+    assert (view.sees & ~lit).mean() > 0.1
+    assert (view.cover.any(axis=2) == lit).all()
+    assert np.abs(view.cover - truth).max() < 0.03 * truth.max()
 
 
 @pytest.mark.parametrize("height", [100.0, 7.0])

@@ -85,6 +85,10 @@ def look(scene: Scene, top: float, gain: float) -> View:
     cover = np.empty((height, width, 3), np.float32)
     for c in range(3):
         cover[:, :, c] = stretch(rows, height) @ light[:, :, c] @ stretch(columns, width).T
+    rim = np.argwhere(_between_unlike(np.any(light > 0, axis=2), rows, columns, sees))
+    for begin in range(0, len(rim), _AT_ONCE):
+        some = rim[begin : begin + _AT_ONCE]
+        cover[some[:, 0], some[:, 1]] = cover_light(*rays(some[:, ::-1].astype(float), camera, index, base), scene, top)
     cover *= (vignette * sees)[:, :, None]
     veil = glare(scene, top)
     if veil is not None:
@@ -221,6 +225,16 @@ def _pixelwise(corners: Any, join: np.ufunc) -> Any:
     """Join the values at each pixel's four corners."""
     rows = join(corners[:-1], corners[1:])
     return join(rows[:, :-1], rows[:, 1:])
+
+
+def _between_unlike(met: Bools, rows: Floats, columns: Floats, sees: Bools) -> Bools:
+    """Return which pixels that see into the body lie between nodes of which some have met the cover and some not."""
+    corners = np.pad(met, (0, 1), mode="edge")
+    unlike = _pixelwise(corners, np.logical_or) & ~_pixelwise(corners, np.logical_and)
+    row, column = (np.searchsorted(nodes, np.arange(size), side="right") - 1
+                   for nodes, size in zip((rows, columns), sees.shape, strict=True))  # fmt: skip
+    between: Bools = unlike[np.ix_(row, column)] & sees
+    return between
 
 
 def _coarse(size: int) -> Floats:
