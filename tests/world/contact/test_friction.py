@@ -10,7 +10,7 @@ from test_contact import BLOCK, FINGER, HalfSpace, down, only, pressed
 
 from twin.errors import ContactError, TwinError
 from twin.parts.load import Rectangles
-from twin.parts.press import Cylinder, Pillar, Press, Probe, Sphere, Step
+from twin.parts.press import Cone, Cylinder, Pillar, Press, Probe, Sphere, Step
 from twin.theory.contact import oblique_motion
 from twin.theory.friction import sheared_motion, stick_radius, twisted
 from twin.world.contact import friction
@@ -299,3 +299,13 @@ def test_random_presses_end_in_balance_or_say_why_not(part: int) -> None:
         assert breaks(state) <= 1e-8, number
     assert set(said) <= set(known), said
     assert said.total() <= 20, said
+
+
+def test_a_tip_that_is_lifted_and_pressed_again_grips_as_before() -> None:
+    push, lift = Step(force_n=(None, None, 0.1)), Step(force_n=(None, None, 0.0))
+    cone = Press(probe=Cone(apex_deg=140, diameter_mm=6), at_mm=(0, 0), friction=0.4, steps=(push, lift, push))
+    state = press(
+        cone, FINGER, HalfSpace(0.5, 0.5), patches_across=9, youngs_modulus_mpa=0.5, poisson_ratio=0.5, increments=4
+    )
+    first, _, again = state.path
+    np.testing.assert_allclose(first.traction_mpa, again.traction_mpa, atol=1e-8 * first.peak_pressure_mpa)

@@ -170,7 +170,10 @@ class Dense:
 
     def part(self, rows: Ints) -> Floats:
         """See `Between`."""
-        return np.asarray(self._matrix[rows][:, :, rows])
+        size = 3 * len(self)
+        flat = (3 * rows[:, None] + np.arange(3)).reshape(-1)
+        part = self._matrix.reshape(size, size)[np.ix_(flat, flat)]
+        return np.asarray(part.reshape(len(rows), 3, len(rows), 3))
 
     def normal_part(self, rows: Ints, columns: Ints) -> Floats:
         """See `Between`."""

@@ -203,7 +203,7 @@ def _slides_off() -> ContactError:
     )
 
 
-def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibrium:
+def solve_coulomb(problem: Unilateral, force: Floats, place: Floats, displacement: Floats | None = None) -> Equilibrium:
     """Find open, sticking and slipping patches, their forces and the probe's place.
 
     Parameters
@@ -214,6 +214,8 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
         (k, 3) first guess of the forces, in the patches' frames, N.
     place
         (m,) first guess of the place.
+    displacement
+        (k, 3) displacements of the patches under the guess's forces, mm, where they are known.
 
     Raises
     ------
@@ -225,7 +227,10 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats) -> Equilibr
     reach, pushed = problem.reach, bool(problem.pushing.any())
     far = _FAR * float(reach.max())
     place = np.where(problem.by_force, place, problem.given)
-    displacement, lost = _changed(problem, force)
+    if displacement is None:
+        displacement, lost = _changed(problem, force)
+    else:
+        lost = 0.1 * _GOAL * float(np.linalg.norm(force))  # known as well as they were asked for
     trial, left, lost = _known(problem, scale, _tried(problem, scale, force, displacement, place), lost)
     if trial.force.any() and left <= _GOAL * float(np.linalg.norm(trial.force)):
         return _settled(problem, trial, reach, 0)

@@ -45,11 +45,12 @@ _RUBBED = [X, Y, Z, TURN]
 
 @dataclass(frozen=True, kw_only=True)
 class _Guess:
-    """Forces (k, 3), a place (6 p,) and patches in contact (k,) to start from."""
+    """Forces (k, 3), a place (6 p,) and patches in contact (k,) to start from, and displacements where known."""
 
     force_n: Floats
     place: Floats
     active: Bools
+    displacement_mm: Floats | None = None
 
 
 def _offset(grid: FrictionGrid, memory: Memory) -> Floats:
@@ -81,13 +82,15 @@ def _part(
     active = guess.active if guess is not None and guess.active.any() else _nearest(grid, memory, place)
     if grid.sticks:
         return memory, solve(problem, active, place)
-    force = guess.force_n if guess is not None else memory.force_n
+    force, displacement = memory.force_n, None
+    if guess is not None:
+        force, displacement = guess.force_n, guess.displacement_mm
     if not force.any():
         pushed = _without_friction(grid, problem, memory, control, active)
-        force, place = pushed.force_n, _along(problem, pushed)
+        force, displacement, place = pushed.force_n, pushed.displacement_mm, _along(problem, pushed)
     elif guess is not None:
         place = guess.place
-    found = _from_guess(problem, active, force, place)
+    found = _from_guess(problem, active, force, place, displacement)
     start = memory.slid_mm
     for _ in range(_SLIDE_ROUNDS):
         slid = start + _slide(grid, memory, problem, found)
@@ -97,7 +100,7 @@ def _part(
         if change <= 1e-3 * float(grid.patches.half_mm.min()) or flat:
             return memory, found
         problem = _problem(grid, memory, control, held)
-        found = solve_coulomb(problem, found.force_n, found.place)
+        found = solve_coulomb(problem, found.force_n, found.place, found.displacement_mm)
     raise NotSettled("contact: the probe slides, and where it slides to does not settle: take smaller steps")
 
 
@@ -115,17 +118,29 @@ def _foreseen(memory: Memory, control: Control, start: Floats) -> _Guess | None:
     return _Guess(force_n=force, place=place, active=memory.touched)
 
 
-def _from_guess(problem: Unilateral, active: Bools, force: Floats, place: Floats) -> Equilibrium:
+def _went_on(before: Equilibrium | None, now: Equilibrium | None) -> Equilibrium | _Guess | None:
+    """Return what the next part leads to if it changes as the last one did."""
+    if before is None or now is None:
+        return now
+    return _Guess(
+        force_n=2.0 * now.force_n - before.force_n, place=2.0 * now.place - before.place, active=now.active,
+        displacement_mm=2.0 * now.displacement_mm - before.displacement_mm,
+    )  # fmt: skip
+
+
+def _from_guess(
+    problem: Unilateral, active: Bools, force: Floats, place: Floats, displacement: Floats | None
+) -> Equilibrium:
     """Solve Coulomb's law from a guess, and from a probe that sticks where the guess is too far off."""
     try:
-        return solve_coulomb(problem, force, place)
+        return solve_coulomb(problem, force, place, displacement)
     except ContactError:
         try:
             stuck = solve(replace(problem, friction=np.where(problem.friction > 0, np.inf, 0.0)), active, place)
         except ContactError:
             pass  # the first error is the telling one
         else:
-            return solve_coulomb(problem, stuck.force_n, stuck.place)
+            return solve_coulomb(problem, stuck.force_n, stuck.place, stuck.displacement_mm)
         raise
 
 
@@ -236,7 +251,7 @@ def _held_on_the_way(grid: FrictionGrid, memory: Memory, free: Equilibrium, new:
 
 
 def _pass(
-    grid: FrictionGrid, memory: Memory, control: Control, guess: Equilibrium | None
+    grid: FrictionGrid, memory: Memory, control: Control, guess: Equilibrium | _Guess | None
 ) -> tuple[Memory, Equilibrium]:
     """Solve one part, with the patches that touch within it held by friction from where they touched."""
     try:
@@ -256,7 +271,7 @@ def _advance(
     grid: FrictionGrid,
     memory: Memory,
     control: Control,
-    guess: Equilibrium | None,
+    guess: Equilibrium | _Guess | None,
     wanted: Control,
     halvings: int = _HALVINGS,
 ) -> tuple[Memory, Equilibrium]:
@@ -332,7 +347,7 @@ def take_step(
     ContactError
         A part has no equilibrium, or a flat face slides too far; `NotSettled` when the first part doesn't converge.
     """
-    previous, first = None, memory
+    before, previous, first = None, None, memory
     start = np.where(control.by_force, memory.total, memory.place)
 
     def with_trend(then: Memory) -> Memory:
@@ -360,7 +375,8 @@ def take_step(
         now = Control(by_force=control.by_force, given=start + share * (control.given - start))
         _refuse_slide(grid, memory)
         try:
-            memory, previous = _advance(grid, memory, now, previous, control)
+            memory, found = _advance(grid, memory, now, _went_on(before, previous), control)
+            before, previous = previous, found
         except NotSettled as stopped:
             if part == 1 or previous is None:
                 raise

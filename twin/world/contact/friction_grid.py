@@ -164,7 +164,10 @@ class FrictionGrid:
 
 
 def at_first_touch(grid: FrictionGrid) -> Memory:
-    """Return the memory of probes that just touch: patches under a flat face on a flat body stick at once."""
+    """Return the memory of probes that just touch: patches under a flat face on a flat body stick at once.
+
+    A single patch in the middle under a ball doesn't count: alone it would have to hold a probe on a slope.
+    """
     k, p = len(grid.patches), len(grid.friction)
     nothing = Memory(
         touched=np.zeros(k, bool), slipping=np.zeros(k, bool), closed_mm=np.zeros(k), offset_mm=np.zeros((k, 2)),
@@ -173,7 +176,10 @@ def at_first_touch(grid: FrictionGrid) -> Memory:
         slid_mm=np.zeros((p, 2)), lifted=np.zeros(p, bool),
     )  # fmt: skip
     gap, _ = grid.gap(nothing, nothing.place)
-    return replace(nothing, touched=gap <= 1e-9, closed_mm=np.where(gap <= 1e-9, gap, 0.0))
+    touched = gap <= 1e-9
+    for _, rows, _ in grid.contacts.rows:
+        touched[rows] &= np.count_nonzero(touched[rows]) > 1
+    return replace(nothing, touched=touched, closed_mm=np.where(touched, gap, 0.0))
 
 
 def let_go(grid: FrictionGrid, memory: Memory, lifted: Bools) -> Memory:

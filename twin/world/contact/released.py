@@ -110,7 +110,8 @@ class Released:
             needed = np.union1d(touching, jumping)
             both = np.union1d(needed, self._kept)
             kept = both if len(both) <= _SLACK * len(touching) else needed
-            part = self._whole[:, kept][:, :, :, kept].reshape(3 * len(kept), -1)
+            part: SinglesArray = np.empty((3 * len(kept), 3 * len(kept)), np.float32)
+            _gather(self._whole, kept, part)
             inverse = full_inverse(part)
             self._place[:], self._kept = -1, np.zeros(0, int)
             if inverse is None:
@@ -178,6 +179,18 @@ def _given(system: LinearSystem, right: Floats) -> Floats:
     known = right.copy()
     known[pattern.aside] = np.where(pattern.slips, 0.0, known[pattern.aside])
     return pattern.unseen(known)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _gather(whole: SinglesArray, rows: Ints, out: SinglesArray) -> None:
+    """Set ``out`` (3 n, 3 n) to the compliance between some of the patches of (3, k, 3, k)."""
+    n = len(rows)
+    for a in range(3):
+        for i in range(n):
+            for b in range(3):
+                line = whole[a, rows[i], b]
+                for j in range(n):
+                    out[a * n + i, b * n + j] = line[rows[j]]
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

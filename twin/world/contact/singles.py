@@ -12,6 +12,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.linalg import blas, lapack
 
+from twin.compiled import njit
+
 SinglesArray: TypeAlias = Any
 """Arrays in single precision."""
 
@@ -42,7 +44,21 @@ def full_inverse(matrix: SinglesArray) -> SinglesArray | None:
     half = inverse(matrix.T)
     if half is None:
         return None
-    half = np.triu(half)
-    whole: SinglesArray = half + half.T
-    whole[np.diag_indices(len(whole))] /= 2.0
+    whole = half.T  # rows of its lower half lie together
+    _mirror(whole)
     return whole
+
+
+_TILE = 64
+"""Rows and columns at a time: two tiles stay in the fast memory."""
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _mirror(matrix: SinglesArray) -> None:
+    """Make a matrix (n, n) symmetric by what is below its diagonal."""
+    n = len(matrix)
+    for first in range(0, n, _TILE):
+        for second in range(0, first + 1, _TILE):
+            for i in range(first, min(first + _TILE, n)):
+                for j in range(second, min(second + _TILE, i)):
+                    matrix[j, i] = matrix[i, j]
