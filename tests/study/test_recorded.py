@@ -16,6 +16,7 @@ from half_space_sensor import _sensor, disk, grid, jacobian, shifts
 
 from benchmarks.discs import expose, scene
 from twin.sense.calibration import write_calibration
+from twin.study.frames import in_number
 
 SIZE, OFFSET, FORCE = (320, 260), np.array([159.5, 129.5]), np.array([0.2, -0.1, 1.5])
 
@@ -187,3 +188,8 @@ def test_a_film_in_and_a_film_out(folder):
     done = twin("rest.png", "cut.mp4", "--calibration", "flat.npz", cwd=folder)
     assert done.returncode == 3
     assert b"can't be read as a video" in done.stderr
+
+
+def test_a_folder_is_read_as_it_was_counted():
+    names = ["f9.png", "f10.png", "f099.png", "f0100.png", "g1_2.png", "g1_10.png", "rest.png"]
+    assert [p.name for p in sorted(map(Path, reversed(names)), key=in_number)] == names

@@ -98,13 +98,18 @@ def frames(sources: Sequence[str], stream: IO[bytes], size: str | None, layout: 
     for source in sources:
         path = Path(source)
         if path.is_dir():
-            files = sorted(f for f in path.iterdir() if f.suffix.lower() in (*PICTURES, *VIDEOS))
+            files = sorted((f for f in path.iterdir() if f.suffix.lower() in (*PICTURES, *VIDEOS)), key=in_number)
             if not files:
                 yield Frame(name=source, problem=f"{source}: the folder holds no pictures ({', '.join(PICTURES)})")
             for file in files:
                 yield from _of_file(file)
         else:
             yield from _of_file(path)
+
+
+def in_number(path: Path) -> tuple[tuple[str, int], ...]:
+    """Return a key that sorts files as they were counted: frame_9.png before frame_10.png, whatever the zeros."""
+    return tuple((text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", path.name))
 
 
 def _of_file(path: Path) -> Iterator[Frame]:
