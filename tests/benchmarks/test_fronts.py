@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.fronts import front, seconds_to
@@ -14,6 +14,7 @@ SIZES = st.floats(1e-6, 1e3)
 RUNS = st.lists(st.tuples(SIZES, SIZES), max_size=12)
 
 
+@settings(deadline=None)
 @given(RUNS)
 def test_no_run_beats_the_front_and_every_other_run_is_beaten(runs):
     best = front(runs)
