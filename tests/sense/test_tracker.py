@@ -220,29 +220,3 @@ def test_memory_does_not_grow_with_the_frames():
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert grown < 300_000
-
-
-def test_a_shadow_that_moves_is_in_the_stated_deviation():
-    """The edge of a shadow crosses every marker and moves otherwise than it: errors are as large as told."""
-    random = np.random.default_rng(3)
-    layout = {"red": flat_layout(6, 5, 60.0, (45.0, 45.0))["red"]}
-    count = len(layout["red"])
-    angle, edge = random.uniform(0, 2 * np.pi, count), random.uniform(-6, 6, count)
-    row, column = np.mgrid[0:330, 0:390]
-
-    def shadowed(places, edge, seed):
-        lit = scene((390, 330), [(places, 0)], 15.0)
-        for (x, y), a, e in zip(places, angle, edge, strict=True):
-            along = np.cos(a) * (column - x) + np.sin(a) * (row - y) - e
-            near = np.hypot(column - x, row - y) < 15
-            lit[near] *= (1.0 - 0.2 / (1.0 + np.exp(-along / 0.7)))[near, None]
-        return expose(lit, seed)
-
-    shift = random.uniform(-2, 2, (count, 2))
-    rest = shadowed(layout["red"], edge, 0)
-    pressed = shadowed(layout["red"] + shift, edge + random.uniform(-1.5, 1.5, count), 1)
-    found = track(rest, pressed, layout)
-    assert found.seen.mean() > 0.9
-    error = (found.shift_px - shift)[found.seen]
-    ratio = np.sqrt(np.mean((error / found.sd_px[found.seen, None]) ** 2))
-    assert 0.6 < ratio < 1.4, ratio

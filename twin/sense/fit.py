@@ -26,11 +26,11 @@ from twin.sense.gather import LANES, disc, gather, gather_inside, runs_of
 SHAPE = 8
 """Numbers of a template: semi-axes xx, xy, yy in px; slope x, y in 1/px; bulge; half width of the blur in px; level."""
 
-CENTRE_X, CENTRE_Y, LEVEL, GROUND, SCALE, VAR_X, VAR_Y, EDGE, SQUARES, PIXELS, STEP, MISFIT, PULL_X, PULL_Y = range(14)
-COLUMNS = 14
+CENTRE_X, CENTRE_Y, LEVEL, GROUND, SCALE, VAR_X, VAR_Y, EDGE, SQUARES, PIXELS, STEP, MISFIT = range(12)
+COLUMNS = 12
 """What `fit_centres` gives for a marker: centre, level, ground, scale against the template; variances of the centre;
 share of the edge in sight; sum of squared residuals over how many pixels; last step in px; squared residuals over
-their expected size; px by which a slope of the residuals across the marker pulls its centre (`_pull`)."""
+their expected size."""
 
 MARGIN_PX = 1.0
 """Pixels of ground beyond the blurred edge that are looked at."""
@@ -69,7 +69,6 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, n
     n, sm, smm, si, sim = zero, zero, zero, zero, zero
     jxx, jxy, jyy, jxr, jyr = zero, zero, zero, zero, zero
     jrr, jr, jxxm, jyym, rr, edge = zero, zero, zero, zero, zero, zero
-    mxr, myr = zero, zero
     for p in range(len(signal)):
         dx, dy = place[0, p] - cx, place[1, p] - cy
         ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
@@ -103,14 +102,10 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, n
         jxxm += wx * jx * model
         jyym += wy * jy * model
         rr += w * residual * residual
-        shown = use[p] * model * residual  # whatever its trust, which depends on the steps before
-        mxr += shown * dx
-        myr += shown * dy
         edge += use[p] * tilt * tilt
     total[0], total[1], total[2], total[3], total[4] = n, sm, smm, si, sim
     total[5], total[6], total[7], total[8], total[9] = jxx, jxy, jyy, jxr, jyr
     total[10], total[11], total[12], total[13], total[14], total[15] = jrr, jr, jxxm, jyym, rr, edge
-    total[16], total[17] = mxr, myr
 
 
 @njit(cache=True)
@@ -177,7 +172,7 @@ def fit_centres(image, own, others, start, lead, shape, ground, noise, slopes, r
     room, runs = np.empty((2, offset.shape[1] + LANES), np.float32), runs_of(offset)
     signal, use = room[0, : offset.shape[1]], room[1, : offset.shape[1]]
     colour = (own[0], own[1], own[2], own[3])
-    total = np.empty(18, np.float64)
+    total = np.empty(16, np.float64)
     for k in range(len(start)):
         out[k, :] = np.nan
         cx, cy = start[k, 0], start[k, 1]
@@ -253,19 +248,6 @@ def fit_centres(image, own, others, start, lead, shape, ground, noise, slopes, r
         out[k, EDGE] = total[15] / max(_whole_edge(xx, yy, xy, scale, blur, level, shape[k, 5]), 1e-9)
         out[k, SQUARES], out[k, PIXELS], out[k, STEP] = total[14], n, np.sqrt(step)
         out[k, MISFIT] = total[14] / max(noise[0] * n + more * total[1], 1e-9)
-        radius = scale * 0.5 * (xx + yy)
-        pull, moved = _pull(radius, blur) / level, 0.5 * np.pi * radius * radius * level
-        out[k, PULL_X], out[k, PULL_Y] = pull * (total[16] - moved * last_x), pull * (total[17] - moved * last_y)
-
-
-@njit(cache=True)
-def _pull(radius, blur):  # type: ignore[no-untyped-def]
-    """Return px by which a disc's centre is pulled, over the residuals' first moment across it in units of its level.
-
-    A slope b of brightness that the template lacks moves the centre of a disc of radius R, blurred by a half width h,
-    by .7 R h b (the edge's biweight gives 5/7 in `_whole_edge`), and leaves the moment pi R^3 (R/4 - .35 h) b.
-    """
-    return 0.7 * blur / (np.pi * radius * radius * max(0.25 * radius - 0.35 * blur, 0.05 * radius))
 
 
 @njit(cache=True)

@@ -8,21 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin.compiled import njit
-from twin.sense.fit import (
-    CENTRE_X,
-    CENTRE_Y,
-    EDGE,
-    LEVEL,
-    MISFIT,
-    PIXELS,
-    PULL_X,
-    PULL_Y,
-    SCALE,
-    SQUARES,
-    STEP,
-    VAR_X,
-    VAR_Y,
-)
+from twin.sense.fit import CENTRE_X, CENTRE_Y, EDGE, LEVEL, MISFIT, PIXELS, SCALE, SQUARES, STEP, VAR_X, VAR_Y
 
 STATES = ("seen", "missing", "dim", "merged", "occluded")
 """What a marker can be: measured; without a spot, or out of the picture; too dark; one spot with another; partly hidden
@@ -56,13 +42,6 @@ UNUSUAL, DOUBT = 1.5, 4.0
 """A marker whose residuals exceed the usual ones by this factor is doubted: its variance grows by so much of the
 excess. Residuals beyond the noise hang together over several pixels, hence more than in proportion."""
 
-UNEXPLAINED, ALIKE = 2.0, 0.05
-"""A slope in the residuals that was not there at rest, as another layer's shadow leaves when it moves, pulls at the
-centre: that is added to the standard deviation, of either axis, as shadows aren't slopes. Taken off is what noise gives
-(a centre's own variance), and that share of the pull at rest; and it counts by how far squared residuals exceed so many
-times what the noise explains. Two rendered fingers, nine presses, errors over stated, root mean square: red markers, on
-which blue's shadows fall, 1.1 (without it 1.9), blue 1.0 (1.15)."""
-
 SD_FLOOR_PX = 0.001
 """No centre is taken to be better than this: what a lens and a finite pixel leave even without noise."""
 
@@ -85,16 +64,15 @@ def centre_sds(fitted, usual_misfit):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def judge_fits(fitted, rest, level, pull, usual_misfit, rest_sd, diameter, contrast, size, shift, sd, state):  # type: ignore[no-untyped-def]
+def judge_fits(fitted, rest, level, usual_misfit, rest_sd, diameter, contrast, size, shift, sd, state):  # type: ignore[no-untyped-def]
     """Fill ``shift`` (n, 2) and ``sd`` (n,), NaN where a fit is refused, and ``state`` (n,) where there was a fit.
 
     Parameters
     ----------
     fitted
         (n, `fit.COLUMNS`) what `fit.fit_centres` found.
-    rest, level, pull, rest_sd
-        (n, 2) centres at rest, px; (n,) brightness there; (n, 2) what pulls at the centre there, px; (n,) its standard
-        deviation, px.
+    rest, level, rest_sd
+        (n, 2) centres at rest, px; (n,) brightness there; (n,) standard deviation of the centre, px.
     usual_misfit
         Squared residuals of a good fit over their expected size.
     diameter, contrast, size
@@ -138,8 +116,4 @@ def judge_fits(fitted, rest, level, pull, usual_misfit, rest_sd, diameter, contr
             continue
         covered = COVERED_SD_PX if fitted[k, EDGE] < WHOLE_EDGE else 0.0
         shift[k, 0], shift[k, 1] = place_x[i] - rest[k, 0], place_y[i] - rest[k, 1]
-        pulled = (fitted[k, PULL_X] - pull[k, 0]) ** 2 + (fitted[k, PULL_Y] - pull[k, 1]) ** 2
-        usual_pull = ALIKE**2 * (pull[k, 0] ** 2 + pull[k, 1] ** 2)
-        pulled = max(pulled - fitted[k, VAR_X] - fitted[k, VAR_Y] - usual_pull, 0.0)
-        pulled *= max(1.0 - UNEXPLAINED / max(fitted[k, MISFIT], 1e-9), 0.0)
-        sd[k] = np.sqrt(centre_sd(fitted[k], usual_misfit) ** 2 + covered**2 + pulled + rest_sd[k] ** 2)
+        sd[k] = np.sqrt(centre_sd(fitted[k], usual_misfit) ** 2 + covered**2 + rest_sd[k] ** 2)

@@ -24,7 +24,6 @@ from twin.sense.fit import (
     LEADS,
     MARGIN_PX,
     MISFIT,
-    PULL_X,
     SHAPE,
     fit_centres,
 )
@@ -78,8 +77,6 @@ class Templates:
         Squared residuals of a good fit at rest over what the noise explains: what the model lacks for every marker.
     level
         (n,) brightness at rest, counts.
-    pull_px
-        (n, 2) what the residuals at rest pull the centre by, px.
     reach_px
         Radius of what is looked at around a marker, px.
     """
@@ -92,7 +89,6 @@ class Templates:
     slopes: Floats
     usual_misfit: float
     level: Floats
-    pull_px: Floats
     reach_px: float
 
     def fit(self, picture: Picture, start_px: Pixels, turns: int = 4, lead: Ints | None = None) -> Floats:
@@ -185,15 +181,13 @@ def _of_group(
     reach = float(np.nanmax(axes, initial=3.0)) + MARGIN_PX
     templates = Templates(
         own=own, others=others, shape=np.ascontiguousarray(shape[:, :SHAPE]), ground=np.zeros(count), noise=noise,
-        slopes=slopes, usual_misfit=1.0, level=shape[:, 7].copy(), pull_px=np.zeros((count, 2)),
-        reach_px=reach,
+        slopes=slopes, usual_misfit=1.0, level=shape[:, 7].copy(), reach_px=reach,
     )  # fmt: skip
     fitted = templates.fit(picture, places, turns=SETTLED_TURNS)
     misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
     usual = float(np.quantile(misfit, 0.25)) if len(misfit) else 1.0
     settled = replace(templates, ground=np.nan_to_num(fitted[:, 3]), usual_misfit=max(usual, 1.0), level=fitted[:, 2])
-    fitted = settled.fit(picture, used_centres(fitted), turns=SETTLED_TURNS)
-    return replace(settled, pull_px=np.ascontiguousarray(fitted[:, PULL_X : PULL_X + 2])), fitted
+    return settled, settled.fit(picture, used_centres(fitted), turns=SETTLED_TURNS)
 
 
 def slope_terms(places: Pixels, size: Sequence[int]) -> Floats:

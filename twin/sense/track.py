@@ -299,8 +299,8 @@ def _judged(group: Group, fitted: Floats, state: NDArray[np.uint8]) -> _Seen:
     assert templates is not None
     shift, sd, state = np.empty((len(fitted), 2)), np.empty(len(fitted)), state.copy()
     judge_fits(
-        fitted, group.around.rest_px, templates.level, templates.pull_px, templates.usual_misfit, group.sd_px,
-        group.diameter_px, group.contrast_dn, group.picture_px, shift, sd, state,
+        fitted, group.around.rest_px, templates.level, templates.usual_misfit, group.sd_px, group.diameter_px,
+        group.contrast_dn, group.picture_px, shift, sd, state,
     )  # fmt: skip
     return _Seen(shift_px=shift, sd_px=sd, state=state, spurious_px=None)
 
