@@ -1,4 +1,8 @@
-"""``python -m benchmarks [STAGE ...] [--quick]``: run stages, print tables, write benchmarks/results/STAGE.json."""
+"""``python -m benchmarks [STAGE ...] [--quick]``: run stages, print tables, write benchmarks/results/STAGE.json.
+
+Full stages run two at a time, each in a process of its own, as methods are compared by CPU seconds; those that need
+every core or the wall clock come after, alone. ``--jobs 1`` runs one after the other, for wall times without company.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,10 @@ import importlib
 import json
 import os
 import platform
+import subprocess
 import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 STAGES = (
@@ -32,6 +39,9 @@ SLOW = ("peers", "growth", "referee", "calibrations", "scaling")
 """Stages that a quick run leaves out unless they are named: they need other programs, much memory, LLVM or
 time."""
 
+ALONE = ("picture", "dataset", "sweep", "scaling")
+"""Stages that give figures of several workers, or of the wall clock alone."""
+
 RESULTS = Path(__file__).parent / "results"
 
 
@@ -40,19 +50,54 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("stage", nargs="*", help=f"one or more of {', '.join(STAGES)} (default all)")
     parser.add_argument("--quick", action="store_true", help="small versions, in two minutes, written nowhere")
+    parser.add_argument("--jobs", type=int, help="full stages at a time (default 2, or 1 where a core is all there is)")
     arguments = parser.parse_args()
     if unknown := sorted(set(arguments.stage) - set(STAGES)):
         parser.error(f"unknown stages {', '.join(unknown)}: choose from {', '.join(STAGES)}")
-    everything = [stage for stage in STAGES if not (arguments.quick and stage in SLOW)]
-    for stage in arguments.stage or everything:
-        print(f"\n{stage}\n", flush=True)
-        started = sum(os.times()[:4])
-        rows = importlib.import_module(f"benchmarks.{stage}").run(quick=arguments.quick)
-        print(f"{table(rows)}\n\n{sum(os.times()[:4]) - started:.3g} s of CPU", flush=True)
-        if not arguments.quick:
-            RESULTS.mkdir(exist_ok=True)
-            (RESULTS / f"{stage}.json").write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
-    return 0
+    jobs = arguments.jobs if arguments.jobs is not None else min(2, os.cpu_count() or 1)
+    if jobs < 1:
+        parser.error(f"--jobs {jobs}: give 1 or more")
+    wanted = arguments.stage or [stage for stage in STAGES if not (arguments.quick and stage in SLOW)]
+    if arguments.quick or jobs == 1 or len(wanted) == 1:
+        for stage in wanted:
+            run(stage, arguments.quick)
+        return 0
+    ways = [(jobs, [s for s in wanted if s not in ALONE]), (1, [s for s in wanted if s in ALONE])]
+    return max([together([[sys.executable, "-m", "benchmarks", s] for s in some], n) for n, some in ways if some])
+
+
+def run(stage: str, quick: bool) -> None:
+    """Run a stage here; print its table, and store it if it is not a quick one."""
+    print(f"\n{stage}\n", flush=True)
+    started = sum(os.times()[:4])
+    rows = importlib.import_module(f"benchmarks.{stage}").run(quick=quick)
+    print(f"{table(rows)}\n\n{sum(os.times()[:4]) - started:.3g} s of CPU", flush=True)
+    if not quick:
+        RESULTS.mkdir(exist_ok=True)
+        (RESULTS / f"{stage}.json").write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
+
+
+def together(commands: Sequence[Sequence[str]], jobs: int) -> int:
+    """Run commands, so many at a time; print what they say in their order; return 1 if any failed, after all.
+
+    Those with company have one thread each in their linear algebra: waiting threads would spend CPU time.
+    """
+    one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"} if jobs > 1 else {}
+    code, pool = 0, ThreadPoolExecutor(jobs)
+
+    def each(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+        print(f"started: {' '.join(command)}", file=sys.stderr, flush=True)
+        return subprocess.run(command, stdout=subprocess.PIPE, text=True, env=os.environ | one, check=False)
+
+    try:
+        for done in pool.map(each, commands):
+            print(done.stdout, end="", flush=True)
+            if done.returncode:
+                print(f"failed, exit code {done.returncode}: {' '.join(done.args)}", file=sys.stderr, flush=True)
+                code = 1
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return code
 
 
 def table(rows: list[dict[str, object]]) -> str:
