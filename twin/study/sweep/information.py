@@ -1,14 +1,14 @@
 """What a transfer matrix can tell, without any picture: singular values, expected estimate and its noise.
 
 The same estimator as the sensor's (`twin.sense.weigh`): with the whitened transfer matrix H and the penalty Q = L L^T,
-the eigenvalues S^2 of L^-1 H^T H L^-T give every weight's answer. Taking them from the smaller H^T H costs digits only
-where S is below 1e-6 of the largest, far below any noise. By mirror symmetry there are up to four such problems of a
-quarter of the size (`twin.study.sweep.mirror`).
+the eigenvalues S^2 of L^-1 H^T H L^-T = V S^2 V^T give every weight's answer. Taking them from the smaller H^T H costs
+digits only where S is below 1e-6 of the largest, far below any noise. By mirror symmetry there are up to four such
+problems of a quarter of the size (`twin.study.sweep.mirror`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,9 +17,9 @@ import scipy.linalg
 
 from twin.arrays import Floats
 from twin.parts.pipeline import Reconstruction
-from twin.sense.problem import grid_penalty
+from twin.sense.problem import PENALTIES
 from twin.sense.weigh import RULES, Spectrum
-from twin.study.sweep.mirror import Signs, fold, unfold
+from twin.study.sweep.mirror import Signs, component_signs, fold, fold_one, unfold
 
 LEAST = 1e-12
 """Squared singular values below this share of the largest are round-off."""
@@ -35,16 +35,30 @@ class Sector:
         Of the class.
     squared
         (r,) S^2.
-    back
-        (r, r) L^-T V, from reduced unknowns to the class's forces.
-    pull
-        (r, m) back^T H^T.
+    vectors
+        (r, r) V.
+    roots
+        L^-1 by component of the force, as the penalty mixes none: (r_c, r_c) each.
+    whitened
+        (m, r) H L^-T.
     """
 
     signs: Signs
     squared: Floats
-    back: Floats
-    pull: Floats
+    vectors: Floats
+    roots: tuple[Floats, ...]
+    whitened: Floats
+
+    def back(self, reduced: Floats) -> Floats:
+        """Return the class's (r, q) forces L^-T V of (r, q) reduced unknowns."""
+        out = self.vectors @ reduced
+        for part, root in _parts(self.roots):
+            out[part] = root.T @ out[part]
+        return out
+
+    def seen(self, rows: Floats) -> Floats:
+        """Return (q, r) what (q, r) rows over the class's forces make of reduced unknowns."""
+        return _through(self.roots, rows) @ self.vectors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +85,8 @@ class Information:
         return np.asarray(np.sqrt(np.sort(np.concatenate([b.squared for b in self.blocks]))[::-1]))
 
     def reduced(self, data: Sequence[Floats]) -> list[Floats]:
-        """Return by class the (r, loads) products back^T H^T d of whitened, folded (m, loads) data."""
-        return [block.pull @ d for block, d in zip(self.blocks, data, strict=True)]
+        """Return by class the (r, loads) products V^T L^-1 H^T d of whitened, folded (m, loads) data."""
+        return [b.vectors.T @ (b.whitened.T @ d) for b, d in zip(self.blocks, data, strict=True)]
 
     def spectrum(self, reduced: Sequence[Floats], energy: float) -> Spectrum:
         """Return the spectrum to expect on average over the loads and the noise.
@@ -115,7 +129,7 @@ class Information:
         shape = (*self.grid, 3)
         out: Floats = np.zeros(())
         for block, b in zip(self.blocks, reduced, strict=True):
-            x = block.back @ (self._inverse(block, weight)[:, None] * b)
+            x = block.back(self._inverse(block, weight)[:, None] * b)
             out = out + unfold(x, block.signs, shape)
         return np.asarray(out.reshape(self.grid[0] * self.grid[1], 3, -1))
 
@@ -124,7 +138,7 @@ class Information:
         total = np.zeros((len(rows), len(rows)))
         for block in self.blocks:
             folded = fold(rows.T.reshape(*self.grid, 3, -1), block.signs)
-            seen = folded.T @ block.back
+            seen = block.seen(folded.T)
             total += (seen * (block.squared * self._inverse(block, weight) ** 2)) @ seen.T
         return total
 
@@ -154,20 +168,36 @@ def information(
     """
     blocks = []
     for transfer, each in zip(transfers, signs, strict=True):
-        inverse = _inverse_factor(grid, method, each)
-        whole = inverse @ (transfer.T @ transfer) @ inverse.T
-        squared, vectors = np.linalg.eigh((whole + whole.T) / 2)
-        back = inverse.T @ vectors
-        pull = back.T @ transfer.T
-        blocks.append(Sector(signs=each, squared=np.maximum(squared, 0.0), back=back, pull=pull))
+        roots = tuple(_inverse_factor(grid, method, part) for part in component_signs(each, 3))
+        whitened = _through(roots, transfer)
+        squared, vectors = np.linalg.eigh(whitened.T @ whitened)
+        sector = Sector(
+            signs=each, squared=np.maximum(squared, 0.0), vectors=vectors, roots=roots, whitened=whitened
+        )  # fmt: skip
+        blocks.append(sector)
     return Information(blocks=tuple(blocks), grid=grid, count=count)
+
+
+def _parts(roots: tuple[Floats, ...]) -> Iterator[tuple[slice, Floats]]:
+    """Yield each component's places among a class's forces, and its L^-1."""
+    start = 0
+    for root in roots:
+        yield slice(start, start + len(root)), root
+        start += len(root)
+
+
+def _through(roots: tuple[Floats, ...], rows: Floats) -> Floats:
+    """Return (m, r) rows times L^-T."""
+    out = np.empty(rows.shape)
+    for part, root in _parts(roots):
+        np.matmul(rows[:, part], root.T, out=out[:, part])
+    return out
 
 
 @lru_cache(maxsize=64)
 def _inverse_factor(grid: tuple[int, int], method: str, signs: Signs) -> Floats:
-    """Return the inverse of the Cholesky factor L of a class's part of the penalty, whose condition is small."""
-    whole = grid_penalty(grid, method)
-    half = fold(whole.reshape(*grid, 3, -1), signs)
-    folded = fold(half.T.reshape(*grid, 3, -1), signs)
+    """Return L^-1 of the penalty's part on a component that goes by ``signs``; its condition is small."""
+    half = fold_one(PENALTIES[method](*grid).reshape(*grid, -1), signs)
+    folded = fold_one(half.T.reshape(*grid, -1), signs)
     lower = np.linalg.cholesky((folded + folded.T) / 2)
     return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True), np.float64)

@@ -25,7 +25,7 @@ from twin.study.actual import make
 from twin.study.sensor import on_grid
 from twin.study.sweep.information import Information, information
 from twin.study.sweep.loads import Bodies, Pushes
-from twin.study.sweep.mirror import Quarter, Signs, classes, fold, mirrored
+from twin.study.sweep.mirror import Quarter, Signs, blocks_of, classes, fold, mirrored
 from twin.study.sweep.noise import shift_sd
 from twin.study.sweep.sites import reached, told_by_sites
 from twin.study.sweep.view import View
@@ -152,21 +152,11 @@ def _problem(scene: Scene, view: View, noise: Floats, used: Bools, sites: Rectan
         compliance = half_space_compliance(scene, points, sites)
     else:
         compliance = bodies.moved(scene, "nominal", points, sites)
-    scaled = view.jacobian[taken] * np.where(used[taken], 1.0 / noise[taken], 0.0)[:, None, None]
-    scaled = np.where(used[taken][:, None, None], scaled, 0.0)
-    transfer = np.matmul(scaled, compliance.reshape(len(points), 3, -1))
-    signs = classes(mirrors)
-    by_class = []
-    for each in signs:
-        columns = fold(np.moveaxis(transfer, 2, 0).reshape(grid.columns, grid.rows, 3, -1), each).T
-        columns = columns.reshape(len(points), 2, -1)
-        start, rows = 0, []
-        for _, quarter in quarters:
-            size = int(np.prod(quarter.shape))
-            rows.append(quarter.rows_of(columns[start : start + size].reshape(*quarter.shape, 2, -1), each))
-            start += size
-        by_class.append(np.concatenate(rows))
-    info = information(by_class, signs, (grid.columns, grid.rows), scene.reconstruction.method, 2 * int(used.sum()))
+    scaled = np.where(used[taken][:, None, None], view.jacobian[taken], 0.0)
+    scaled /= np.where(used[taken], noise[taken], 1.0)[:, None, None]
+    signs, size = classes(mirrors), (grid.columns, grid.rows)
+    by_class = blocks_of(compliance, scaled, [quarter for _, quarter in quarters], size, signs)
+    info = information(by_class, signs, size, scene.reconstruction.method, 2 * int(used.sum()))
     return _Problem(info=info, signs=signs, layers=quarters)
 
 
