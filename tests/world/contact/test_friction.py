@@ -260,6 +260,13 @@ def test_refusals(words: str, probe: Probe, steps: tuple[Step, ...]) -> None:
         rubbed(*steps, probe=probe)
 
 
+def test_a_force_at_the_edge_of_the_cone_is_refused_in_its_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The share is an estimate: where every patch slips, one that is just under 1 tells the cause as well."""
+    monkeypatch.setattr(friction, "asked_share", lambda *_: 0.97)
+    with pytest.raises(ContactError, match=r"are 0\.97 times what friction 0\.5 can carry on this surface"):
+        rubbed(pushed(), pushed(torque=0.3))
+
+
 def random_press(rng: np.random.Generator) -> Press:
     probe: Probe = (
         Sphere(diameter_mm=float(rng.uniform(2, 20))),

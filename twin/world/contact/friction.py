@@ -39,6 +39,8 @@ SLIDE_LIMIT = 0.05
 """How far a flat face may slide as a whole, over its smaller width."""
 
 _HALVINGS, _SLIDE_ROUNDS, _FORESEEN = 3, 12, 4.0
+_KNOWN_TO = 0.05
+"""How well `twin.world.contact.capacity` knows what friction can carry, over the whole."""
 _RUBBED = [X, Y, Z, TURN]
 """The components of a probe's place that `twin.world.contact.capacity` knows."""
 
@@ -292,8 +294,10 @@ def _advance(
     return _advance(grid, memory, control, found, wanted, halvings - 1)
 
 
-def _explain(grid: FrictionGrid, memory: Memory, control: Control, problem_found: ContactError) -> None:
-    """Raise a ContactError that names the cause when more is asked than friction can carry."""
+def _explain(
+    grid: FrictionGrid, memory: Memory, control: Control, problem_found: ContactError, least: float = 1.0
+) -> None:
+    """Raise a ContactError that names the cause when ``least`` times what friction can carry is asked, or more."""
     place = np.where(control.by_force, memory.place, control.given)
     nearest = _nearest(grid, memory, place)
     pushed = _without_friction(grid, _problem(grid, memory, control, None), memory, control, nearest)
@@ -301,13 +305,13 @@ def _explain(grid: FrictionGrid, memory: Memory, control: Control, problem_found
         carried, friction = grid.carried[rows, :, motions][..., _RUBBED], float(grid.friction[number])
         held, given = control.by_force[motions][_RUBBED], control.given[motions][_RUBBED]
         share = asked_share(carried, pushed.force_n[rows, 2], friction, held, given)
-        if share >= 1.0:
+        if share >= least:
             asked = [f"{value:.4g}" for value in np.where(held, given, 0.0)]
             raise ContactError(
                 f"contact: the forces ({', '.join(asked[:3])}) N and the torque {asked[3]} N mm can't be balanced: "
-                f"sideways and about z they are {share:.3g} times what friction {friction:g} can carry (allowed is "
-                "less than 1 times): ask for less, push harder, raise press.friction, or hold x, y and the turn by "
-                "motion"
+                f"sideways and about z they are {share:.4g} times what friction {friction:g} can carry on this surface "
+                f"(allowed is less than 1 times, known to {_KNOWN_TO:g}), so that the probe slides: ask for less, push "
+                "harder, raise press.friction, or hold x, y and the turn by motion"
             ) from problem_found
 
 
@@ -381,6 +385,9 @@ def take_step(
             if part == 1 or previous is None:
                 raise
             return memory, previous, f"stopped after {part - 1} of {increments} parts: {stopped}"
+        except ContactError as refused:
+            _explain(grid, memory, control, refused, least=1.0 - _KNOWN_TO)
+            raise
     _refuse_slide(grid, memory)
     assert previous is not None, "a step has at least one part"
     return with_trend(memory), previous, ""
