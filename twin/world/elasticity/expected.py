@@ -41,15 +41,15 @@ class Expected:
 
 EXPECTED: dict[tuple[bool, Level], Expected] = {
     (True, "fine"): Expected(inside=1e-4, at_fifth=0.015, power=3.5, most=0.08, trust=0.35, against="standard"),
-    (True, "standard"): Expected(inside=4e-4, at_fifth=0.026, power=3.5, most=0.1, trust=1.3, against="coarse"),
+    (True, "standard"): Expected(inside=4e-4, at_fifth=0.026, power=3.5, most=0.1, trust=1.4, against="coarse"),
     (True, "coarse"): Expected(inside=6e-4, at_fifth=0.059, power=3.0, most=0.14, trust=0.7, against="sketch"),
     (True, "nominal"): Expected(inside=8e-4, at_fifth=0.059, power=3.0, most=0.14, trust=1.6, against="standard"),
     (True, "sketch"): Expected(inside=2e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.6, against="coarse"),
     (False, "fine"): Expected(inside=1.5e-3, at_fifth=0.012, power=1.5, most=0.04, trust=0.45, against="standard"),
-    (False, "standard"): Expected(inside=4e-3, at_fifth=0.02, power=1.5, most=0.06, trust=0.9, against="coarse"),
+    (False, "standard"): Expected(inside=4e-3, at_fifth=0.02, power=1.5, most=0.06, trust=1.1, against="coarse"),
     (False, "coarse"): Expected(inside=7e-3, at_fifth=0.03, power=1.5, most=0.09, trust=0.9, against="sketch"),
     (False, "nominal"): Expected(inside=6e-3, at_fifth=0.03, power=1.5, most=0.09, trust=1.3, against="standard"),
-    (False, "sketch"): Expected(inside=9e-3, at_fifth=0.06, power=1.5, most=0.2, trust=1.4, against="coarse"),
+    (False, "sketch"): Expected(inside=9e-3, at_fifth=0.06, power=1.5, most=0.2, trust=1.5, against="coarse"),
 }
 """By whether the sensing surface is a plane, and by level."""
 
