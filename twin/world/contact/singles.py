@@ -30,19 +30,13 @@ def symmetric_product(matrix: Any, right: Any) -> Any:
     return (blas.dsymm if double else blas.ssymm)(1.0, matrix, right)
 
 
-def inverse(matrix: SinglesArray) -> SinglesArray | None:
-    """Return what is above the diagonal of a symmetric matrix's inverse, (n, n); None where it is not definite."""
-    root, wrong = lapack.spotrf(matrix, lower=0, clean=0)
-    if wrong or not np.isfinite(root[-1, -1]):
-        return None
-    found: SinglesArray = lapack.spotri(root, lower=0, overwrite_c=1)[0]
-    return found if np.isfinite(found.diagonal()).all() else None
-
-
 def full_inverse(matrix: SinglesArray) -> SinglesArray | None:
     """Return a symmetric matrix's inverse, (n, n); None where it is not definite."""
-    half = inverse(matrix.T)
-    if half is None:
+    root, wrong = lapack.spotrf(matrix.T, lower=0, clean=0)
+    if wrong or not np.isfinite(root[-1, -1]):
+        return None
+    half: SinglesArray = lapack.spotri(root, lower=0, overwrite_c=1)[0]
+    if not np.isfinite(half.diagonal()).all():
         return None
     whole = half.T  # rows of its lower half lie together
     _mirror(whole)
