@@ -20,6 +20,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 
+def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float = 0.6) -> str:
+    """Return the question after the nearest of the known names; ``otherwise`` where none is as near as ``cutoff``."""
+    import difflib  # an error is rare, and the program starts without it
+
+    near = difflib.get_close_matches(name, list(known), 1, cutoff)
+    return f"did you mean '{near[0]}'?" if near else otherwise
+
+
 class TwinError(Exception):
     """Anything that went wrong in a way this program understands (exit code 1)."""
 

@@ -9,7 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from twin.commands.common import Overrides, SceneName, load, progress
-from twin.errors import InputError
+from twin.errors import InputError, did_you_mean
 
 WANTED = ("displacement", "picture", "tracking", "forces", "score", "report")
 
@@ -68,12 +68,9 @@ def _live(scene: str, out: Path | None, want: Sequence[str], port: int, set_: Se
 
 
 def _wanted(names: Sequence[str]) -> frozenset[str]:
-    import difflib
-
     given = [part.strip() for name in names for part in name.split(",") if part.strip()]
     for name in given:
         if name not in WANTED:
-            near = difflib.get_close_matches(name, WANTED, 1)
-            hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(WANTED)}"
+            hint = did_you_mean(name, WANTED, f"allowed are {', '.join(WANTED)}")
             raise InputError(f"--want {name}: unknown; {hint}")
     return frozenset(given or WANTED)

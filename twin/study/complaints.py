@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import types
 import typing
 from collections.abc import Mapping
@@ -10,6 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from twin.errors import did_you_mean
 from twin.parts.part import unit_of
 from twin.parts.scene import Scene
 
@@ -33,8 +33,8 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
     last = str(keys[-1]) if keys else ""
     if error["type"] == "extra_forbidden":
         known = _known_keys(keys[:-1], table)
-        near = difflib.get_close_matches(last, known, 1, cutoff=0.5)
-        return f"{dotted}: unknown key; " + (f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}")
+        hint = did_you_mean(last, known, f"known are {', '.join(known)}", 0.5)
+        return f"{dotted}: unknown key; {hint}"
     if error["type"] == "missing":
         unit = unit_of(last)
         return f"{dotted}: missing; give a value" + (f" in {unit}" if unit else "")

@@ -7,7 +7,6 @@ provenance of the value it replaces.
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from twin.errors import InputError, RecipeError
+from twin.errors import InputError, RecipeError, did_you_mean
 from twin.parts.scene import Scene
 from twin.parts.vary import flat
 from twin.places import MESHES, SCENES
@@ -216,9 +215,8 @@ def _find(name: str, shipped: Path, beside: Path, what: str, where: Path | None 
 
 def nothing_named(name: str, known: list[str], what: str) -> str:
     """Return what is said of a name that is neither a file nor one of the shipped recipes."""
-    near = difflib.get_close_matches(Path(name).stem, known, 1)
-    hint = f"did you mean '{near[0]}'?" if near else f"there is no such file, and shipped ones are: {', '.join(known)}"
-    return f"no {what} '{name}': {hint}"
+    otherwise = f"there is no such file, and shipped ones are: {', '.join(known)}"
+    return f"no {what} '{name}': {did_you_mean(Path(name).stem, known, otherwise)}"
 
 
 def read_recipe(path: Path) -> Table:

@@ -8,7 +8,6 @@ beginning of every larger one, and any worker can draw any sample.
 from __future__ import annotations
 
 import copy
-import difflib
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
@@ -16,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from twin.arrays import Floats
-from twin.errors import RecipeError
+from twin.errors import RecipeError, did_you_mean
 from twin.parts.scene import Scene
 from twin.parts.vary import Distribution, Follows
 from twin.streams import Purpose, stream
@@ -137,10 +136,10 @@ def _step(here: Any, name: str, dotted: str) -> Any:
         return here[name]
     if isinstance(here, list):
         return here[_place(here, name, dotted)]
-    near = difflib.get_close_matches(name, list(here), 1) if isinstance(here, dict) else []
-    known = f"known there are {', '.join(here)}" if isinstance(here, dict) else "that is a single value"
-    known = f"did you mean '{near[0]}'?" if near else known
-    raise RecipeError(f"vary.{dotted}: the scene has no '{name}'; {known}")
+    hint = "that is a single value"
+    if isinstance(here, dict):
+        hint = did_you_mean(name, here, f"known there are {', '.join(here)}")
+    raise RecipeError(f"vary.{dotted}: the scene has no '{name}'; {hint}")
 
 
 def _place(here: Any, name: str, dotted: str) -> int:

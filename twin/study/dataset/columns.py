@@ -6,13 +6,12 @@ for every made sensor, with what all its samples share.
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from twin.errors import RecipeError
+from twin.errors import RecipeError, did_you_mean
 from twin.parts.scene import Scene
 from twin.parts.vary import Choice, Distribution, ForceCone, Normal, Uniform
 
@@ -129,8 +128,7 @@ def chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
     problems = []
     for name in wanted:
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
+            hint = did_you_mean(name, known, f"known are {', '.join(known)}")
             problems.append(f"columns: no '{name}'; {hint}")
         elif not _available(known[name], scene, has):
             lacking = known[name].needs - has

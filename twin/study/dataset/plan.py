@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 from collections.abc import Mapping
@@ -13,7 +12,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from twin.errors import RecipeError
+from twin.errors import RecipeError, did_you_mean
 from twin.parts.footprint import Footprint
 from twin.parts.load import Load
 from twin.parts.part import Part
@@ -200,8 +199,8 @@ def _valid(part: type[P], table: Table, where: str) -> P:
             key = ".".join(str(k) for k in (where, *error["loc"]))
             if error["type"] == "extra_forbidden":
                 unknown = True
-                near = difflib.get_close_matches(str(error["loc"][-1]), part.model_fields, 1)
-                hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(part.model_fields)}"
+                otherwise = f"known are {', '.join(part.model_fields)}"
+                hint = did_you_mean(str(error["loc"][-1]), part.model_fields, otherwise)
                 lines.append(f"vary.{key}: unknown key; {hint}")
             else:
                 told = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")

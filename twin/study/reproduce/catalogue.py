@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 
-from twin.errors import InputError
+from twin.errors import InputError, did_you_mean
 from twin.study.reproduce import (
     beyond,
     finger_calibration,
@@ -69,10 +68,10 @@ def chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
     for name in names or ("all",):
         found = [key for key in ENTRIES if name in ("all", key, key.split("/")[0])]
         if not found:
-            near = difflib.get_close_matches(name, ENTRIES, 1, 0.4)
-            hint = f" did you mean '{near[0]}'?" if near else ""
+            hint = did_you_mean(name, ENTRIES, "", 0.4)
             raise InputError(
-                f"there is no entry '{name}':{hint} allowed are all, kamiyama, sato, beyond, {', '.join(ENTRIES)}"
+                f"there is no entry '{name}':{hint and f' {hint}'} allowed are all, kamiyama, sato, beyond, "
+                f"{', '.join(ENTRIES)}"
             )
         wanted.update(key for key in found if key == name or not (quick and ENTRIES[key].long))
     return [entry for key, entry in ENTRIES.items() if key in wanted]

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from twin.errors import InputError, RecipeError
+from twin.errors import InputError, RecipeError, did_you_mean
 from twin.parts.part import Part, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import Confirm, Cost, Limits, Loads, Sweep
@@ -63,14 +63,12 @@ def sweep_of(table: dict[str, Any], where: str) -> Sweep:
 
 
 def _line(error: dict[str, Any]) -> str:
-    import difflib
-
     keys = [str(k) for k in error["loc"] if not str(k).startswith("[")]
     dotted, last = ".".join(keys) or "sweep", keys[-1] if keys else ""
     if error["type"] == "extra_forbidden":
         parts: dict[str, type[Part]] = {"loads": Loads, "confirm": Confirm, "limits": Limits, "cost": Cost}
-        near = difflib.get_close_matches(last, parts.get(keys[0], Sweep).model_fields, 1)
-        return f"{dotted}: unknown key" + (f"; did you mean '{near[0]}'?" if near else "")
+        hint = did_you_mean(last, parts.get(keys[0], Sweep).model_fields, "")
+        return f"{dotted}: unknown key" + (f"; {hint}" if hint else "")
     if error["type"] == "missing":
         return f"{dotted}: missing; give a value"
     told = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
