@@ -28,19 +28,24 @@ STAGES = (
     "tracking",
     "chain",
     "inverse",
-    "calibrations",
     "stress",
     "dataset",
     "sweep",
     "budget",
     "scaling",
 )
-SLOW = ("peers", "growth", "referee", "calibrations", "scaling")
+SLOW = ("peers", "growth", "referee", "scaling")
 """Stages that a quick run leaves out unless they are named: they need other programs, much memory, LLVM or
 time."""
 
+STUDIES = ("calibrations",)
+"""What is run when it is named: a quarter of an hour of CPU time for a figure that has no accuracy knob."""
+
 ALONE = ("picture", "dataset", "sweep", "scaling")
 """Stages that give figures of several workers, or of the wall clock alone."""
+
+LONGEST = ("peers", "budget", "growth", "elasticity", "stress")
+"""Stages that are begun first where several run at a time, so that all cores end at about the same moment."""
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -48,12 +53,14 @@ RESULTS = Path(__file__).parent / "results"
 def main() -> int:
     """Run the wanted stages; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("stage", nargs="*", help=f"one or more of {', '.join(STAGES)} (default all)")
+    parser.add_argument(
+        "stage", nargs="*", help=f"one or more of {', '.join(STAGES)} (default all stages); or {', '.join(STUDIES)}"
+    )
     parser.add_argument("--quick", action="store_true", help="small versions, in two minutes, written nowhere")
     parser.add_argument("--jobs", type=int, help="full stages at a time (default 2, or 1 where a core is all there is)")
     arguments = parser.parse_args()
-    if unknown := sorted(set(arguments.stage) - set(STAGES)):
-        parser.error(f"unknown stages {', '.join(unknown)}: choose from {', '.join(STAGES)}")
+    if unknown := sorted(set(arguments.stage) - {*STAGES, *STUDIES}):
+        parser.error(f"unknown stages {', '.join(unknown)}: choose from {', '.join(STAGES + STUDIES)}")
     jobs = arguments.jobs if arguments.jobs is not None else min(2, os.cpu_count() or 1)
     if jobs < 1:
         parser.error(f"--jobs {jobs}: give 1 or more")
@@ -62,7 +69,8 @@ def main() -> int:
         for stage in wanted:
             run(stage, arguments.quick)
         return 0
-    ways = [(jobs, [s for s in wanted if s not in ALONE]), (1, [s for s in wanted if s in ALONE])]
+    first = [*(s for s in LONGEST if s in wanted), *(s for s in wanted if s not in LONGEST)]
+    ways = [(jobs, [s for s in first if s not in ALONE]), (1, [s for s in first if s in ALONE])]
     return max([together([[sys.executable, "-m", "benchmarks", s] for s in some], n) for n, some in ways if some])
 
 

@@ -23,6 +23,7 @@ from twin.places import cache_folder
 from twin.study.actual import Actual, make
 from twin.study.calibrate import calibration_press
 from twin.study.recipe import load_scene
+from twin.study.reproduce.runner import source_hash
 from twin.study.sensor import Sensor
 from twin.theory.optics import project, projection_jacobian
 from twin.world.elasticity.covered import Covered
@@ -69,7 +70,7 @@ class Measured:
 
 
 class Truth:
-    """Loads on all sensors, each solved once and kept on disk.
+    """Loads on all sensors, each solved once and kept on disk, until the program's sources change.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ class Truth:
         self.sensor = Sensor(plain)
         self._last: tuple[tuple[float, float], Covered] | None = None
         self.points = np.concatenate([one.markers.points for one in made])
-        self.folder = cache_folder() / "inverse"
+        self.folder = cache_folder() / f"inverse-{source_hash()[:16]}"
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def rest_px(self) -> Floats:
