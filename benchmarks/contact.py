@@ -24,6 +24,7 @@ from twin.study.batch.engine import one_thread
 from twin.theory import halfspace
 from twin.theory.contact import hertz, punch_stiffness, tangential_stiffness, torsional_stiffness
 from twin.theory.friction import sheared_motion, stick_radius, twisted
+from twin.theory.halfspace_normal import normal_compliance
 from twin.world.contact.contact import ContactState, press
 from twin.world.elasticity.symmetric import make_symmetric
 
@@ -57,6 +58,10 @@ class HalfSpace:
             parts = whole.reshape(len(points), 3, len(rectangles), 3)
             parts[:, 2, :, :2] = parts[:, :2, :, 2] = 0.0
         return whole
+
+    def normal(self, rectangles: Rectangles) -> Floats | None:
+        """Return the symmetric (k, k) normal compliance, mm/N."""
+        return normal_compliance(rectangles, 1.0, self._poisson_ratio)
 
     def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
         """Return (3 n, 3): all there is on a half-space."""

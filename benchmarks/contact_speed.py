@@ -8,16 +8,15 @@ hand: with friction *warm* the last seven increments of a shear, each from the e
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 import twin
-from benchmarks.clock import Clock, empty_cache
+from benchmarks.clock import Clock, empty_cache, recorded
 from twin.parts.press import Press, Sphere, Step
-from twin.world.contact import friction, region
+from twin.world.contact import contact, friction
 from twin.world.contact.contact import press
 
 SPEED = "Speed, CPU seconds"
@@ -60,22 +59,6 @@ def _pushed(body: str, x: float = 0.0, torque: float | None = None, push: float 
     return Step(force_n=(x * force, 0.0, push * force), torque_nmm=torque)
 
 
-@contextmanager
-def _recorded(module: Any, name: str) -> Iterator[list[tuple[Any, ...]]]:
-    """Record the arguments of every call of a function."""
-    plain, calls = getattr(module, name), list[tuple[Any, ...]]()
-
-    def recording(*arguments: Any) -> Any:
-        calls.append(arguments)
-        return plain(*arguments)
-
-    setattr(module, name, recording)
-    try:
-        yield calls
-    finally:
-        setattr(module, name, plain)
-
-
 def _best(work: Callable[..., Any], arguments: tuple[Any, ...]) -> float:
     best = np.inf
     for _ in range(TRIES):
@@ -93,15 +76,16 @@ def _row(body: str, what: str, patches: int, cpu_s: float, residual: float) -> d
 def equilibria(body: str, across: int) -> list[dict[str, Any]]:
     """Return the rows of single equilibria: without friction, with it from scratch, and from the increment before."""
     sensor, force = _sensor(body, across), FORCE_N[body]
-    with _recorded(region, "solve") as calls:
+    with recorded(contact, "solve_frictionless") as calls:
         state = sensor.press(_press(body, Step(force_n=(None, None, force)), mu=0.0))
-    rows = [_row(body, "frictionless equilibrium", len(state.slip), _best(region.solve, calls[-1]), state.residual)]
-    with _recorded(friction, "solve_coulomb") as calls:
+    seconds = _best(contact.solve_frictionless, calls[-1])
+    rows = [_row(body, "frictionless equilibrium", len(state.slip), seconds, state.residual)]
+    with recorded(friction, "solve_coulomb") as calls:
         state = sensor.press(_press(body, _pushed(body), _pushed(body, 0.6 * MU)))
     full = [call for call in calls if np.count_nonzero(call[1][:, 2]) == len(state.slip)][-LATEST:]
     seconds = float(np.mean([_best(friction.solve_coulomb, call) for call in full]))
     rows.append(_row(body, "friction, warm", len(state.slip), seconds, state.residual))
-    with _recorded(friction, "solve_coulomb") as calls:
+    with recorded(friction, "solve_coulomb") as calls:
         state = press(
             _press(body, _pushed(body, 0.6 * MU)), sensor.nominal.body, sensor.compliance, patches_across=across,
             youngs_modulus_mpa=0.5, poisson_ratio=0.5, increments=1,

@@ -5,6 +5,7 @@ import pytest
 
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
+from twin.theory.halfspace_normal import normal_compliance
 
 AXES = np.eye(3)
 NUS = (0.5, 0.3, -0.2)
@@ -146,3 +147,33 @@ def test_tension_under_and_beside_a_rectangle_is_its_solid_angle():
         angle = exact if exact is not None else np.sum(area * place[2] / r**3)
         mean = np.trace(halfspace.stress(place[None], load, 0.5)[0]) / 3.0
         assert mean == pytest.approx(-angle / (2.0 * np.pi), abs=1e-6)
+
+
+@pytest.mark.parametrize("nu", NUS)
+def test_normal_forces_alone_are_a_part_of_all(nu):
+    """On a lattice, on rectangles of all sizes far and near, and in a plane that leans."""
+    rng = np.random.default_rng(2)
+    cells = np.stack(np.meshgrid(np.arange(12), np.arange(9)), axis=-1).reshape(-1, 2)[rng.permutation(108)[:90]]
+    frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    frame *= np.array([1.0, 1.0, np.linalg.det(frame)])[:, None]
+    uneven = rng.uniform(0.01, 0.2, (60, 2))
+    for place, half in ((cells * (0.4, 0.3), np.full((90, 2), (0.2, 0.15))), (rng.uniform(-9, 9, (60, 2)), uneven)):
+        given = rectangles(place @ frame[:2] + 3.0, half, (0, 0, 0), frame)
+        given = Rectangles(**{**vars(given), "half_mm": half})
+        whole = halfspace.compliance(given.centre_mm, given, 0.5, nu).reshape(len(place), 3, len(place), 3)
+        part = np.einsum("i,kilj,j->kl", frame[2], whole, frame[2])
+        found = normal_compliance(given, 0.5, nu)
+        np.testing.assert_allclose(found, (part + part.T) / 2, atol=2e-9 * part.max())
+        np.testing.assert_array_equal(found, found.T)
+
+
+@pytest.mark.parametrize("off", ["place", "turn"])
+def test_normal_forces_alone_need_a_plane(off):
+    given = vars(rectangles([[0, 0, 0], [1, 0, 0.0]], (0.5, 0.5), (0, 0, 0)))
+    given = {name: np.array(each) for name, each in given.items()}
+    assert normal_compliance(Rectangles(**given), 1.0, 0.5) is not None
+    if off == "place":
+        given["centre_mm"] = given["centre_mm"] + [[0, 0, 0], [0, 0, 1e-6]]
+    else:
+        given["frames"] = np.stack([AXES, AXES[[1, 0, 2]] * [[1], [-1], [1]]])
+    assert normal_compliance(Rectangles(**given), 1.0, 0.5) is None

@@ -222,12 +222,13 @@ def _frictionless_step(job: Job, control: Control, place: Floats) -> tuple[Conta
         settings = tuple(job.settings[number] for number in touching)
         controls = [of_probe(control, number) for number in touching]
         contacts, found = _frictionless(settings, controls, starts, planes, touch_z)
-        for number, (setting, rows, motions), grid in zip(touching, contacts.rows, contacts.grids, strict=True):
+        for each, (number, (setting, rows, motions)) in enumerate(zip(touching, contacts.rows, strict=True)):
             own_found = of_one(found, rows, motions)
             places[number] = own_found.place
             states[number] = touching_state(
-                setting, grid, own_found, touch_z_mm=touch_at(setting, own_found.place)[1], friction=0.0
-            )
+                setting, contacts.grids[each], own_found, touch_z_mm=touch_at(setting, own_found.place)[1],
+                friction=0.0, slope=contacts.gap_under(each, own_found.place)[1],
+            )  # fmt: skip
     return together([state for state in states if state is not None]), np.concatenate(places)
 
 

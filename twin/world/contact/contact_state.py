@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.arrays import Bools, Floats, frozen
-from twin.compiled import njit
 from twin.parts.load import Load
-from twin.parts.probe import Cone, Sphere
+from twin.parts.probe import Sphere
 from twin.theory.linearity import ERROR_BOUND, SHEARED, law_of
+from twin.world.contact.contact_area import contact_area
 from twin.world.contact.gap import ABOUT_X, TURN, Z
 from twin.world.contact.patches import Patches
 from twin.world.contact.together import Setting
 from twin.world.contact.unilateral import Equilibrium
 
 _RATIO_LIMIT, _DEPTH_LIMIT, _SLOPE_LIMIT = 0.3, 0.1, 0.3
-_RAYS, _ALONG, _NEAR, _FAR = 60, 240, 0.3, 1.5
-"""Rays from a contact's middle along which its end is sought, steps along each, and where over its size."""
+_GRAZED = 1e6
+"""Largest slope, squared, that is told."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,78 +166,13 @@ class ContactState:
             frozen(array)
 
 
-def contact_area(setting: Setting, patches: Patches, equilibrium: Equilibrium) -> float:
-    """Return the area of the contact, mm2.
+def _steepest(slope: Floats) -> float:
+    """Return the tangent of the largest angle between probe and surface, from the gaps' slopes (k, 6) where they touch.
 
-    Notes
-    -----
-    Under any smooth probe the squared pressure vanishes linearly at the contact's border. Hertz's is a quadratic of the
-    place everywhere, a cone's is near the border, with a fourth-order term; where the fit vanishes, the contact ends.
-    Validity: contacts near an ellipse, a sphere with a/R below about 0.6 (0.3 % of the radius, a cone 0.5 %, at 16
-    patches across); the fit is dropped for the sum of the patches, which is 1 to 4 % off, where the two differ by more
-    than 15 %, below 12 patches, and under any other probe.
+    A probe that comes along e meets a surface of the probe's normal n with slopes n / (e . n), as long as 1 / cosine.
     """
-    active = equilibrium.active
-    counted = float(patches.area_mm2[active].sum())
-    if not isinstance(setting.probe, Sphere | Cone) or active.sum() < 12:
-        return counted
-    pressure = equilibrium.force_n[active, 2] / patches.area_mm2[active]
-    middle = patches.middle_mm[active] - patches.middle_mm[active].mean(axis=0)
-    size = float(np.abs(middle).max())
-    fourth = isinstance(setting.probe, Cone)
-    near = pressure <= np.median(pressure) if fourth else np.ones(len(pressure), bool)
-    place, squared = middle[near] / size, (pressure[near] / pressure.max()) ** 2
-    terms = np.empty((len(place), 7 if fourth else 6))
-    _fill_terms(place, terms)
-    squared_radius = _squared_radius(np.linalg.lstsq(terms, squared, rcond=None)[0])
-    stretch = counted / float(4.0 * np.prod(patches.cell_mm[active], axis=1).sum())
-    fitted = math.pi * squared_radius * size**2 * stretch
-    return fitted if abs(fitted / counted - 1.0) < 0.15 else counted
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _fill_terms(place: Floats, terms: Floats) -> None:
-    for i in range(len(place)):
-        u, v = place[i]
-        terms[i, 0], terms[i, 1], terms[i, 2] = 1.0, u, v
-        terms[i, 3], terms[i, 4], terms[i, 5] = u * u, u * v, v * v
-        if terms.shape[1] > 6:
-            terms[i, 6] = (u * u + v * v) ** 2
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _squared_radius(found: Floats) -> float:
-    """Return the mean square of how far from the middle a polynomial of `_fill_terms` vanishes; inf if it doesn't."""
-    total, step = 0.0, (_FAR - _NEAR) / (_ALONG - 1)
-    fourth = found[6] if len(found) > 6 else 0.0
-    for ray in range(_RAYS):
-        angle = ray * 2.0 * math.pi / _RAYS
-        cosine, sine = math.cos(angle), math.sin(angle)
-        first = found[1] * cosine + found[2] * sine
-        second = found[3] * cosine**2 + found[4] * cosine * sine + found[5] * sine**2
-        before, radius = -1.0, _NEAR
-        for _ in range(_ALONG):
-            here = found[0] + radius * (first + radius * (second + radius**2 * fourth))
-            if here < 0.0:
-                break
-            before, radius = here, radius + step
-        if here >= 0.0 or before < 0.0:
-            return math.inf
-        total += (radius - step * here / (here - before)) ** 2
-    return total / _RAYS
-
-
-def _steepest_slope(setting: Setting, patches: Patches, found: Equilibrium) -> float:
-    """Return the tangent of the largest angle between probe and surface where they touch, but for flat faces."""
-    if setting.face is not None:
-        return 0.0
-    first, active = setting.first, found.active
-    along = patches.frames[active, 2] @ first.axes.T
-    own = (patches.centre_mm[active] - first.axis_mm) @ first.axes.T - found.place[:ABOUT_X]
-    distance, normal = first.shape.met(own, along)
-    cosine = np.where(np.isfinite(distance), np.einsum("ki,ki->k", normal, along), 1.0)
-    least = float(np.clip(cosine.min(), 1e-3, 1.0))
-    return math.sqrt(1.0 / least**2 - 1.0)
+    longest = np.square(slope[:, : Z + 1]).sum(axis=1).max(initial=1.0)
+    return math.sqrt(min(max(longest, 1.0), _GRAZED) - 1.0)
 
 
 def _validity(
@@ -276,10 +211,14 @@ def _validity(
 
 def touching_state(
     setting: Setting, patches: Patches, equilibrium: Equilibrium, *, touch_z_mm: float, friction: float,
-    dissipated_nmm: float = 0.0,
+    dissipated_nmm: float = 0.0, slope: Floats | None = None,
 ) -> ContactState:  # fmt: skip
-    """Return the state of a probe in contact; ``touch_z_mm`` is its z at first touch at its present place."""
+    """Return the state of a probe in contact.
+
+    ``touch_z_mm`` is its z at first touch at its present place; ``slope`` (k, 6) that of its gaps, if it is known.
+    """
     active, axes = equilibrium.active, setting.first.axes
+    felt = slice(None) if friction > 0 else slice(Z, Z + 1)
     force = np.einsum("kai,ka->ki", patches.frames, equilibrium.force_n)
     area = patches.area_mm2[active]
     pressure = equilibrium.force_n[active, 2] / area
@@ -287,10 +226,15 @@ def touching_state(
     radius = math.sqrt(contact / math.pi)
     depth = float(equilibrium.place[Z]) - touch_z_mm
     mean = float(equilibrium.force_n[active, 2].sum()) / contact if contact else 0.0
-    total = force[active].sum(axis=0)
+    pushed = force[active]
+    total = pushed.sum(axis=0)
     own = axes @ total
     sheared = friction > 0 and bool(np.hypot(own[0], own[1]) > SHEARED * abs(own[2]))
-    slope = _steepest_slope(setting, patches, equilibrium) if active.any() else 0.0
+    steepest = 0.0
+    if active.any() and setting.face is None:
+        if slope is None:
+            _, slope = setting.first.gap(patches.centre_mm, patches.frames[:, 2], equilibrium.place)
+        steepest = _steepest(slope[active])
     return ContactState(
         load=Load((patches.rectangles(force, active),)) if active.any() else Load(),
         indentation_mm=depth,
@@ -304,12 +248,12 @@ def touching_state(
         area_mm2=contact,
         peak_pressure_mpa=float(pressure.max(initial=0.0)),
         pressure_mpa=pressure,
-        traction_mpa=force[active] / area[:, None],
+        traction_mpa=pushed / area[:, None],
         slip=equilibrium.slipping[active] if friction > 0 else np.ones(int(active.sum()), bool),
         residual=equilibrium.residual,
-        validity=_validity(setting, radius, slope, mean, depth, sheared=sheared),
+        validity=_validity(setting, radius, steepest, mean, depth, sheared=sheared),
         friction=friction,
-        elastic_nmm=0.5 * float(np.sum(equilibrium.force_n * equilibrium.displacement_mm)),
+        elastic_nmm=0.5 * float(np.sum((equilibrium.force_n * equilibrium.displacement_mm)[:, felt])),
         dissipated_nmm=dissipated_nmm,
     )
 

@@ -271,9 +271,7 @@ def approach(
     axes = np.eye(3) if axes is None else axes
     at = np.zeros(3)
     at[: len(at_mm)] = at_mm
-    shape = shape_of(probe, tilt_deg)
     turned = rotation_of(np.zeros(3) if turn is None else turn)
-    along = np.broadcast_to(turned[2], (_ACROSS**2, 3))
     reach = np.array(half_extent(probe, tilt_deg))
     if isinstance(probe, Pillar):
         reach = np.full(2, np.hypot(*reach))
@@ -287,6 +285,7 @@ def approach(
                 probe=probe, axis_mm=at + surface[0] * axes[2], touch_mm=at + surface[0] * axes[2], axes=axes,
                 tilt_deg=tilt_deg,
             )  # fmt: skip
+    shape, along = shape_of(probe, tilt_deg), np.broadcast_to(turned[2], (_ACROSS**2, 3))
     for _ in range(_LEVELS):
         offset = centre + _STEPS * half
         surface, sensing = meets(at + offset @ axes[:2])

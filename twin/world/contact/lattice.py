@@ -278,14 +278,14 @@ def _kernel(compliance: PlaneCompliance, shape: Ints, patches: Patches, step: Fl
 
 def _rest(patches: Patches, compliance: PlaneCompliance, along: list[Floats], origin: Floats) -> Floats | None:
     """Return (3, M, 3, M) the symmetric rest between the nodes, in the patches' frame."""
-    frame, everyone = patches.frames[0], np.ones(len(patches), bool)
+    frame = patches.frames[0]
     flat = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1).reshape(-1, 2)
     count = len(flat)
     at_nodes = Rectangles(
         centre_mm=origin + flat @ frame[:2], frames=np.tile(frame, (count, 1, 1)),
         half_mm=np.tile(patches.half_mm[0], (count, 1)), force_n=np.zeros((count, 3)),
     )  # fmt: skip
-    found = compliance.smooth_part(patches.rectangles(np.zeros((len(patches), 3)), everyone), at_nodes)
+    found = compliance.smooth_part(patches.unloaded, at_nodes)
     if found is None:
         return None
     rest = (frame @ found.reshape(count, 3, count, 3).swapaxes(1, 2) @ frame.T).transpose(2, 0, 3, 1)

@@ -105,6 +105,13 @@ class Patches:
         """(k,) areas."""
         return np.asarray(4.0 * self.half_mm[:, 0] * self.half_mm[:, 1])
 
+    @property
+    def unloaded(self) -> Rectangles:
+        """All patches under no force."""
+        return Rectangles(
+            centre_mm=self.centre_mm, frames=self.frames, half_mm=self.half_mm, force_n=np.zeros((len(self), 3))
+        )
+
     def rectangles(self, force_n: Floats, chosen: Bools) -> Rectangles:
         """Return the chosen patches under the forces (k, 3) of all, global axes."""
         return Rectangles(
@@ -155,13 +162,19 @@ def is_even(face: Face, box: Box, across: tuple[int, int]) -> bool:
 
 def _even_cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
     """Return (n, 2) middles and (n, 2) half sizes of equal cells, those beyond a round face left out."""
-    u, v = (np.linspace(low, high, 2 * count + 1)[1::2]
-            for low, high, count in ((box.u0, box.u1, across[0]), (box.v0, box.v1, across[1])))  # fmt: skip
-    middle = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    sides = [size / (2 * count) for size, count in zip(box.size, across, strict=True)]
+    u, v = (
+        np.arange(1, 2 * count, 2) * side + low
+        for low, count, side in zip((box.u0, box.v0), across, sides, strict=True)
+    )
+    grid = np.empty((len(v), len(u), 2))
+    grid[..., 0], grid[..., 1] = u, v[:, None]
+    middle = grid.reshape(-1, 2)
     if isinstance(face, Cylinder):
         middle = middle[np.hypot(middle[:, 0], middle[:, 1]) < face.diameter_mm / 2]
-    half = [size / (2 * count) for size, count in zip(box.size, across, strict=True)]
-    return middle, np.tile(half, (len(middle), 1))
+    half = np.empty_like(middle)
+    half[:] = sides
+    return middle, half
 
 
 def _cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
@@ -217,9 +230,9 @@ def _tangent_rectangles(plane: Plane, cell: Floats, normals: Floats) -> tuple[Fl
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _touching(middle: Floats, cell: Floats, others: Bools) -> Bools:
-    """Return (n,) whether each cell has one of the others for a neighbour, corners included."""
-    rows, found = np.flatnonzero(others), np.zeros(len(middle), np.bool_)
-    for i in range(len(middle)):
+    """Return (n,) whether each cell is one of the others, or has one for a neighbour, corners included."""
+    rows, found = np.flatnonzero(others), others.copy()
+    for i in np.flatnonzero(~others):
         for j in rows:
             u, v = cell[i, 0] + cell[j, 0], cell[i, 1] + cell[j, 1]
             near = abs(middle[i, 0] - middle[j, 0]) <= u * (1 + 1e-6)
@@ -234,8 +247,8 @@ def _all_level(body: Body, plane: Plane, box: Box) -> bool:
     if not body.is_convex:
         return False
     wide = box.grown(1e-6 * box.size[0], 1e-6 * box.size[1])
-    corners = np.array([(u, v) for u in (wide.u0, wide.u1) for v in (wide.v0, wide.v1)])
-    points = np.concatenate([plane.origin_mm[None], plane.origin_mm + corners @ plane.axes[:2]])
+    places = np.array([(0.0, 0.0), *((u, v) for u in (wide.u0, wide.u1) for v in (wide.v0, wide.v1))])
+    points = plane.origin_mm + places @ plane.axes[:2]
     distances = body.piece_distances(points)
     return bool(np.abs(distances[:, 0]).max() == 0.0 and distances[:, 1:].min() > 0.0)
 

@@ -1,14 +1,12 @@
 """Where lines through the body's surface meet a probe: the shapes of `twin.parts.probe` as surfaces.
 
-A shape stands as its probe does before it moves: the lowest point at the origin, z into the body. Rounded shapes are
-smaller sharp ones with a ball rolled around them. The distance to those is known in closed form, and along a line it is
-convex, so that Newton's steps from outside can't pass the first place where the line enters.
+A shape stands as its probe does before it moves: the lowest point at the origin, z into the body. Rounded shapes are in
+`twin.world.contact.rounded`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
@@ -17,11 +15,8 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Points
 from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere, Stl
+from twin.world.contact.rounded import CONE, GRAZING, ROUND, SQUARE, Rounded
 
-_GRAZING = 1e-3
-"""A line that meets a probe at a smaller sine than this doesn't meet it."""
-
-_NEWTON = 60
 RIM = 1.005
 """A patch whose middle lies this share of the half width from the middle still belongs to a flat face."""
 
@@ -58,7 +53,7 @@ class Ball:
         away = points + np.array([0.0, 0.0, self.radius_mm])
         ahead = np.einsum("ki,ki->k", away, along)
         inside = ahead**2 - np.einsum("ki,ki->k", away, away) + self.radius_mm**2
-        met = inside > (_GRAZING * self.radius_mm) ** 2
+        met = inside > (GRAZING * self.radius_mm) ** 2
         distance = np.where(met, ahead - np.sqrt(np.where(met, inside, 1.0)), np.inf)
         normal = (away - np.where(met, distance, 0.0)[:, None] * along) / self.radius_mm
         return distance, np.where(met[:, None], normal, along)
@@ -75,7 +70,7 @@ class Face:
         upright = np.maximum(along[:, 2], 1e-9)
         distance = points[:, 2] / upright
         over = points - distance[:, None] * along
-        met = (along[:, 2] > _GRAZING) & within_footprint(self.probe, over[:, :2])
+        met = (along[:, 2] > GRAZING) & within_footprint(self.probe, over[:, :2])
         down = np.broadcast_to([0.0, 0.0, 1.0], along.shape)
         return np.where(met, distance, np.inf), np.where(met[:, None], down, along)
 
@@ -85,74 +80,6 @@ def within_footprint(probe: Cylinder | Pillar, offset_mm: Floats) -> Bools:
     if isinstance(probe, Cylinder):
         return np.asarray(np.hypot(offset_mm[:, 0], offset_mm[:, 1]) <= probe.diameter_mm / 2 * RIM)
     return np.asarray(np.all(np.abs(offset_mm) <= np.array(probe.size_mm) / 2 * RIM, axis=1))
-
-
-@dataclass(frozen=True)
-class Convex:
-    """All places nearer than ``radius_mm`` to a sharp convex body, given by its distance and the gradient of that."""
-
-    distance_to: Callable[[Points], tuple[Floats, Floats]]
-    radius_mm: float
-
-    def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
-        """See `Shape`."""
-        far = 10.0 * (1.0 + self.radius_mm + float(np.abs(points).max(initial=0.0)))
-        distance = np.full(len(points), -far)
-        met = np.ones(len(points), bool)
-        normal = np.array(along)
-        for _ in range(_NEWTON):
-            left, normal = self.distance_to(points - distance[:, None] * along)
-            left = left - self.radius_mm
-            steep = np.einsum("ki,ki->k", normal, along)
-            met = steep > _GRAZING
-            step = np.where(met, left / np.where(met, steep, 1.0), 0.0)
-            distance += step
-            if np.abs(step).max(initial=0.0) < 1e-13 * far:
-                break
-        met &= np.abs(left) <= 1e-9 * far
-        return np.where(met, distance, np.inf), np.where(met[:, None], normal, along)
-
-
-def _shaft(half: tuple[float, ...], lowest: float) -> Callable[[Points], tuple[Floats, Floats]]:
-    """Return the distance to a shaft, round for one half width and rectangular for two, that ends flat at a height."""
-
-    def distance_to(points: Points) -> tuple[Floats, Floats]:
-        if len(half) == 1:
-            rho = np.hypot(points[:, 0], points[:, 1])
-            out = points[:, :2] / np.maximum(rho, 1e-300)[:, None]
-            sides = np.column_stack([rho - half[0], points[:, 2] - lowest])
-            ways = np.zeros((len(points), 2, 3))
-            ways[:, 0, :2] = out
-        else:
-            sides = np.column_stack([np.abs(points[:, :2]) - half, points[:, 2] - lowest])
-            ways = np.zeros((len(points), 3, 3))
-            ways[:, 0, 0], ways[:, 1, 1] = np.sign(points[:, 0]), np.sign(points[:, 1])
-        ways[:, -1, 2] = 1.0
-        beyond = np.maximum(sides, 0.0)
-        away = np.linalg.norm(beyond, axis=1)
-        nearest = np.argmax(sides, axis=1)
-        inner = ways[np.arange(len(points)), nearest]
-        outer = np.einsum("ks,ksi->ki", beyond, ways) / np.maximum(away, 1e-300)[:, None]
-        outside = away > 0.0
-        return np.where(outside, away, sides.max(axis=1)), np.where(outside[:, None], outer, inner)
-
-    return distance_to
-
-
-def _sharp_cone(half_angle: float, apex: float) -> Callable[[Points], tuple[Floats, Floats]]:
-    """Return the distance to an endless cone that opens towards -z from an apex at a height."""
-    sine, cosine = math.sin(half_angle), math.cos(half_angle)
-
-    def distance_to(points: Points) -> tuple[Floats, Floats]:
-        rho, up = np.hypot(points[:, 0], points[:, 1]), points[:, 2] - apex
-        out = points[:, :2] / np.maximum(rho, 1e-300)[:, None]
-        beyond = rho * sine - up * cosine <= 0.0  # the apex is nearest
-        away = np.hypot(rho, up)
-        tip = np.column_stack([points[:, :2], up]) / np.maximum(away, 1e-300)[:, None]
-        side = np.column_stack([cosine * out, np.full(len(points), sine)])
-        return np.where(beyond, away, rho * cosine + up * sine), np.where(beyond[:, None], tip, side)
-
-    return distance_to
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +96,7 @@ class Triangles:
         a, b, c = (self.corners[np.maximum(triangle, 0), k] for k in range(3))
         normal = np.cross(b - a, c - a)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        met = (triangle >= 0) & (np.einsum("ki,ki->k", normal, along) > _GRAZING)
+        met = (triangle >= 0) & (np.einsum("ki,ki->k", normal, along) > GRAZING)
         return np.where(met, distance, np.inf), np.where(met[:, None], normal, along)
 
 
@@ -233,13 +160,14 @@ def shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0
     shape: Shape
     if isinstance(probe, Cone):
         # the ball that rounds the tip touches the plane z = 0 with its lowest point
-        shape = Convex(_sharp_cone(math.radians(probe.apex_deg / 2), -probe.tip_mm), probe.tip_mm)
+        half = math.radians(probe.apex_deg / 2)
+        shape = Rounded(CONE, (math.sin(half), math.cos(half), -probe.tip_mm), probe.tip_mm)
     elif probe.edge_mm == 0.0:
         shape = Face(probe)
     else:
-        widths = (probe.diameter_mm,) if isinstance(probe, Cylinder) else probe.size_mm
-        inner = tuple(width / 2 - probe.edge_mm for width in widths)
-        shape = Convex(_shaft(inner, -probe.edge_mm), probe.edge_mm)
+        a, b = half_extent(probe)
+        kind, edge = ROUND if isinstance(probe, Cylinder) else SQUARE, probe.edge_mm
+        shape = Rounded(kind, (a - edge, b - edge, -edge), edge)
     return shape if np.array_equal(tilt, np.eye(3)) else Tilted(shape, tilt)
 
 

@@ -21,6 +21,7 @@ from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact.gap import ABOUT_X, TURN, X, Y, Z
 from twin.world.contact.patches import Box, Patches, Plane, candidate_patches, is_even
 from twin.world.contact.probe_shape import half_extent
+from twin.world.contact.pushed import pushed
 from twin.world.contact.together import Contacts, Control, Setting, every
 from twin.world.contact.unilateral import Equilibrium, Unilateral, solve
 
@@ -149,6 +150,8 @@ def fills(contact: Box, box: Box) -> bool:
 
 def solve_frictionless(contacts: Contacts, control: Control, place: Floats, touch_z: Floats) -> Equilibrium:
     """Solve the frictionless contact on given patches, from a guess of the place; ``touch_z`` (p,) of each probe."""
+    if found := pushed(contacts, control, place, touch_z):
+        return found
     k = len(contacts.patches)
     carried = contacts.carried(place)
     held = frictionless_control(contacts, carried, control, place)

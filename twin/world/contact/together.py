@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -47,6 +47,18 @@ class SurfaceCompliance(Protocol):
 
     def to_points(self, points: Points, rectangles: Rectangles) -> Floats:
         """Return (3n, 3k) displacements of points (n, 3) under unit forces on the patches, likewise."""
+        ...
+
+
+@runtime_checkable
+class PlaneSurface(Protocol):
+    """A surface that tells its normal compliance in a plane by itself, for a tenth of the work of the whole."""
+
+    def normal(self, rectangles: Rectangles) -> Floats | None:
+        """Return the symmetric (k, k) normal displacements under unit normal forces on the patches, mm/N.
+
+        None where they don't lie in one plane, or only the whole compliance is known.
+        """
         ...
 
 
@@ -115,9 +127,10 @@ def touch_at(setting: Setting, place: Floats) -> tuple[Plane, float]:
     InputError
         It would miss the sensing surface.
     """
-    first = setting.first
-    over = first.axis_mm + place[:Z] @ first.axes[:Z]
-    there = approach(setting.probe, setting.body, over, first.axes, first.tilt_deg, place[ABOUT_X:])
+    first = there = setting.first
+    if place[:Z].any() or place[ABOUT_X:].any():
+        over = first.axis_mm + place[:Z] @ first.axes[:Z]
+        there = approach(setting.probe, setting.body, over, first.axes, first.tilt_deg, place[ABOUT_X:])
     if setting.face is None:
         plane = Plane(origin_mm=there.touch_mm, axes=setting.body.frames(there.touch_mm[None])[0])
     else:
@@ -172,7 +185,7 @@ class Contacts:
         """(k, 3, k, 3) compliance between patches in their own frames, mm/N."""
         patches, k = self.patches, len(self.patches)
         body = self.settings[0].compliance
-        loads = [grid.rectangles(np.zeros((len(grid), 3)), np.ones(len(grid), bool)) for grid in self.grids]
+        loads = [grid.unloaded for grid in self.grids]
         if len(loads) == 1:
             whole = np.asarray(body.surface(loads[0]))
         else:  # probe by probe, as what is solved for one probe's patches serves them all but not those far away
@@ -182,6 +195,14 @@ class Contacts:
         if not np.isfinite(compliance).all():
             raise ContactError(f"contact: the body's compliance is not finite on {k} patches: check mesh and material")
         return _in_own_frames(compliance, patches.frames)
+
+    @cached_property
+    def normal(self) -> Floats | None:
+        """(k, k) normal compliance alone, mm/N, where it is known without the rest."""
+        body, patches = self.settings[0].compliance, self.patches
+        if not isinstance(body, PlaneSurface):
+            return None
+        return body.normal(patches.unloaded)
 
     def carried(self, place: Floats) -> Floats:
         """Return (k, 3, 6 p): motion of the probes' points at the patches, in their frames, per unit of the place.
@@ -200,6 +221,8 @@ class Contacts:
 
     def gap(self, place: Floats) -> tuple[Floats, Floats]:
         """Return (k,) gaps, mm, and their (k, 6 p) slopes at a place."""
+        if len(self.grids) == 1:
+            return self.gap_under(0, place)
         gap, slope = np.zeros(len(self.patches)), np.zeros((len(self.patches), len(place)))
         for number, (_, rows, motions) in enumerate(self.rows):
             gap[rows], slope[rows, motions] = self.gap_under(number, place[motions])
@@ -213,9 +236,10 @@ class Contacts:
         """
         grid, first = self.grids[number], self.settings[number].first
         normals = grid.frames[:, 2]
-        if not self._upright[number]:
+        if not self.upright[number]:
             return first.gap(grid.centre_mm, normals, place)
-        at_touch = np.where(np.arange(MOTIONS) == Z, 0.0, place)
+        at_touch = place.copy()
+        at_touch[Z] = 0.0
         key, (gap, slope) = self._last.get(number, (b"", (place, place)))
         if key != at_touch.tobytes():
             gap, slope = first.gap(grid.centre_mm, normals, at_touch)
@@ -223,7 +247,8 @@ class Contacts:
         return gap - place[Z], slope
 
     @cached_property
-    def _upright(self) -> list[bool]:
+    def upright(self) -> list[bool]:
+        """Whether each probe comes along the normals of all its patches."""
         pairs = zip(self.settings, self.grids, strict=True)
         return [bool((grid.frames[:, 2] == setting.first.axes[2]).all()) for setting, grid in pairs]
 
@@ -253,6 +278,8 @@ def of_one(found: Equilibrium, rows: slice, motions: slice) -> Equilibrium:
 
 def all_controls(controls: Sequence[Control]) -> Control:
     """Return what holds several probes, one after the other."""
+    if len(controls) == 1:
+        return controls[0]
     return Control(
         by_force=np.concatenate([one.by_force for one in controls]),
         given=np.concatenate([one.given for one in controls]),

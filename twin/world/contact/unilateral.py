@@ -132,7 +132,7 @@ class Equilibrium:
     force_n
         (k, 3) forces of the patches on the body in their own frames.
     displacement_mm
-        (k, 3) displacements of the patches in their own frames.
+        (k, 3) displacements of the patches in their own frames; NaN sideways where nothing is felt that way.
     place
         (m,) the probe's place.
     active

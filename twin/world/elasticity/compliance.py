@@ -27,6 +27,7 @@ from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.theory import halfspace
+from twin.theory.halfspace_normal import normal_compliance
 from twin.world.elasticity.correction import correction
 from twin.world.elasticity.direct import consistent_forces
 from twin.world.elasticity.expected import DIRECT, EXPECTED, estimated_error, expected_error
@@ -296,6 +297,26 @@ class Compliance:
         matrix = self.to_points(rectangles.centre_mm, rectangles, reused=True)
         self.asymmetry = make_symmetric(matrix)
         return matrix
+
+    def normal(self, rectangles: Rectangles) -> Floats | None:
+        """Return the symmetric (k, k) normal displacements of rectangles under unit normal forces on each, mm/N.
+
+        What `surface` says of them, alone. None where no table knows the rest there, or they lie in no one plane.
+        """
+        if not self._subtracted:
+            return None
+        if self._table is None and worth_a_region(rectangles, reused=True):
+            self.make_table()
+        table, away = self._table, np.abs(rectangles.centre_mm[:, :2])
+        inside = table is not None and bool((away <= table.box_mm[:2]).all())
+        if table is None or not inside or not table.covers(rectangles, self.material.poisson_ratio):
+            return None
+        found = normal_compliance(rectangles, *self._rubber)
+        if found is not None:
+            assert self._table_at_nu is not None
+            rest = self._table_at_nu.normal_rests(rectangles)
+            found += (rest + rest.T) / (2.0 * self._modulus)
+        return found
 
     def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
         """Return (3 n, 3) mm/N: the half-space field at ``points`` (n, 3) under a unit force on one rectangle."""

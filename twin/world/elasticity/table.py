@@ -162,9 +162,23 @@ class TableAtNu:
         loads = np.einsum("ka,fg->afkg", self._load_basis(rectangles), np.eye(3)).reshape(-1, 3 * k)
         return np.asarray(reading @ loads).reshape(-1, 3, k, 3)
 
+    def normal_rests(self, rectangles: Rectangles) -> Floats:
+        """Return (k, k): w along z in the middles of rectangles per unit force along z on each, for E = 1 MPa."""
+        at = rectangles.centre_mm[:, :2] / self.box_mm[:2]
+        x, y = (chebvander(at[:, axis], SIZES[3 + axis] - 1) for axis in range(2))
+        points = (x[:, :, None] * y[:, None, :]).reshape(len(at), -1)
+        return np.asarray(points @ self._on_face @ self._load_basis(rectangles).T)
+
     def _moments(self, load: Rectangles) -> Floats:
         """Return (x' y' force axis) the load's moments."""
         return np.asarray(self._load_basis(load).T @ load.force_n).ravel()
+
+    @cached_property
+    def _on_face(self) -> Floats:
+        """(x y, x' y') what normal forces do along z at z = 0, where T_k is 1 and -1 by turns."""
+        signs = np.where(np.arange(SIZES[5]) % 2, -1.0, 1.0)
+        onto = self.coefficients[:, :, 2, 2] @ signs
+        return np.ascontiguousarray(onto.transpose(2, 3, 0, 1).reshape(SIZES[3] * SIZES[4], -1))
 
     @cached_property
     def _by_load(self) -> Floats:

@@ -1,0 +1,249 @@
+"""Frictionless contact on a plane, all in one compiled loop: the patches in contact, their forces, the probes' depths.
+
+Probes that come straight onto a flat surface change every gap by as much as they come. What is left of
+`twin.world.contact.unilateral` is then a symmetric linear complementarity problem with one depth a probe,
+
+    N f + gap = depth of its probe, f >= 0    in contact,
+    N f + gap >= depth of its probe, f = 0    elsewhere,    sum f = force, or the depth is given,
+
+and the set in contact is sought as there. For a set, conjugate gradients run among the forces of the given sum: what
+they look for is moved by a mean, which is the depth (constraint preconditioning; I. A. Polonsky and L. M. Keer, Wear
+231 (1999) 206, do so for even cells). Why not elimination: a product with the matrix of a hundred patches takes 3 us,
+and a set that is not the last one is told from the next by a few of them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Ints
+from twin.compiled import njit
+from twin.parts.probe import Cone
+from twin.world.contact.gap import MOTIONS, Z
+from twin.world.contact.together import Contacts, Control, every
+from twin.world.contact.unilateral import TOLERANCE, Equilibrium
+
+MOST = 800
+"""Equal patches up to which a matrix is faster than transforms (`twin.world.contact.lattice`)."""
+
+_END_OF_CONE = 1.0 - 2.0 / math.pi
+"""Gap at rest where contact ends, over the indentation: under a sphere 1 / 2 (Hertz, Sneddon)."""
+
+_SETS, _PRODUCTS = 60, 400
+_LEFT = (1e-2, 1e-5, 1e-13)
+"""Largest gap left in contact over the largest displacement, until a set follows itself: three times in turn."""
+
+
+def pushed(contacts: Contacts, control: Control, place: Floats, touch_z: Floats) -> Equilibrium | None:
+    """Return the equilibrium of probes that come straight onto a plane and are held in all else; None of any others.
+
+    Parameters
+    ----------
+    contacts, control
+        The probes, their patches and what holds them.
+    place
+        (6 p,) a guess, with what is held.
+    touch_z
+        (p,) z of the probes at first touch, mm.
+    """
+    k, half, z = len(contacts.patches), contacts.patches.half_mm, slice(Z, None, MOTIONS)
+    if (control.by_force & ~every(Z, len(place))).any() or not all(contacts.upright):
+        return None
+    if (k > MOST and (half == half[0]).all()) or contacts.normal is None:
+        return None
+    normal, owner, by_force = contacts.normal, contacts.owner, control.by_force[z]
+    found = np.where(control.by_force, place, control.given)
+    high = found.copy()
+    high[z] = 0.0
+    gap = contacts.gap(high)[0]
+    reach = found[z] - touch_z
+    ends = np.array([_END_OF_CONE if isinstance(one.probe, Cone) else 0.5 for one in contacts.settings])
+    over = (found[z] - ends * reach)[owner] - gap
+    active, force = over > 0.0, np.sqrt(np.maximum(over, 0.0))
+    depth, sunk = np.empty(len(touch_z)), np.empty(k)
+    steps = settle(normal, gap, owner, by_force, control.given[z], active, force, depth, sunk)
+    found[z] = depth
+    residual = _residual(gap, depth, owner, by_force, control.given[z], active, force, sunk) if steps else 1.0
+    if not residual <= TOLERANCE:
+        return None
+    pushes, moved = np.zeros((k, 3)), np.full((k, 3), np.nan)
+    pushes[:, 2], moved[:, 2] = force, sunk
+    return Equilibrium(
+        force_n=pushes, displacement_mm=moved, place=found, active=active, total=_total(contacts, found, force),
+        slipping=np.zeros(k, bool), residual=residual, steps=steps,
+    )  # fmt: skip
+
+
+def _total(contacts: Contacts, place: Floats, force: Floats) -> Floats:
+    """Return (6 p,) what normal forces (k,) add up to, about the probes' axes."""
+    total = np.zeros(len(place))
+    for (setting, rows, motions), grid in zip(contacts.rows, contacts.grids, strict=True):
+        push, first = force[rows], setting.first
+        whole = push.sum()
+        x, y = first.axes[:Z] @ (push @ grid.centre_mm - whole * first.axis_mm) - whole * place[motions][:Z]
+        total[motions] = 0.0, 0.0, whole, y, -x, 0.0
+    return total
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _residual(
+    gap: Floats, depth: Floats, owner: Ints, by_force: Bools, given: Floats, active: Bools, force: Floats,
+    sunk: Floats,
+) -> float:  # fmt: skip
+    """Return the largest relative error of gap, overlap, pull and balance."""
+    deep, push, load, off, pull = 1e-300, 1e-300, 1e-300, 0.0, 0.0
+    total = np.zeros(len(depth))
+    for i in range(len(gap)):
+        opening = gap[i] + sunk[i] - depth[owner[i]]
+        deep, push = max(deep, abs(sunk[i])), max(push, force[i])
+        off = max(off, abs(opening) if active[i] else -opening)
+        pull = max(pull, -force[i])
+        total[owner[i]] += force[i]
+    unbalanced = 0.0
+    for q in range(len(depth)):
+        load = max(load, abs(total[q]))
+        unbalanced = max(unbalanced, abs(total[q] - given[q]) if by_force[q] else 0.0)
+    return max(off / deep, pull / push, unbalanced / load)
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+def settle(
+    normal: Floats, gap: Floats, owner: Ints, by_force: Bools, given: Floats, active: Bools, force: Floats,
+    depth: Floats, sunk: Floats,
+) -> int:  # fmt: skip
+    """Set ``active``, ``force``, ``depth`` and ``sunk`` to the equilibrium's.
+
+    Parameters
+    ----------
+    normal
+        (k, k) symmetric normal displacement of each patch per unit normal force on each, mm/N.
+    gap
+        (k,) gaps at first touch, mm; inf where a probe can't be met.
+    owner
+        (k,) the probe above each patch.
+    by_force, given
+        (p,) whether a probe is held by its force, and the force, N, more than 0, or the depth, mm.
+    active, force
+        (k,) guesses of the set in contact and of the normal forces there, N, of any size.
+    depth, sunk
+        (p,) mm and (k,) mm, set only.
+
+    Returns
+    -------
+    How many sets were tried; 0 where they didn't settle.
+    """
+    k, stage = len(gap), 0
+    for tried in range(1, _SETS + 1):
+        _touch_somewhere(gap, owner, by_force, active)
+        rows = np.flatnonzero(active)
+        n, share = len(rows), _LEFT[stage]
+        part = np.empty((n, n))
+        for i in range(n):
+            for j in range(n):
+                part[i, j] = normal[rows[i], rows[j]]
+        f, moved = force[rows], np.empty(n)
+        if not _solve(part, gap[rows], owner[rows], by_force, given, f, depth, moved, share):
+            return 0
+        force[:] = 0.0
+        largest = 1e-12
+        for i in range(n):
+            force[rows[i]] = f[i]
+            sunk[rows[i]] = moved[i]
+            largest = max(largest, abs(moved[i]))
+        changed = False
+        for i in range(k):
+            if active[i]:
+                follows = not force[i] * normal[i, i] < -share * largest
+            else:
+                sunk[i] = _along(normal[i], force)
+                follows = sunk[i] + gap[i] - depth[owner[i]] < -share * largest
+            changed = changed or follows != active[i]
+            active[i] = follows
+        if changed:
+            continue
+        stage += 1
+        if stage == len(_LEFT):
+            for i in range(n):
+                sunk[rows[i]] = _along(normal[rows[i]], force)
+            return int(tried)
+    return 0
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+def _along(one: Floats, other: Floats) -> float:
+    total = 0.0
+    for i in range(len(one)):
+        total += one[i] * other[i]
+    return total
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _touch_somewhere(gap: Floats, owner: Ints, by_force: Bools, active: Bools) -> None:
+    """Let every probe that is pushed touch the nearest patch, if it touches none; leave out what can't be met."""
+    touched, nearest = np.zeros(len(by_force), np.bool_), np.full(len(by_force), -1)
+    for i in range(len(gap)):
+        active[i] = active[i] and math.isfinite(gap[i])
+        p = owner[i]
+        touched[p] = touched[p] or active[i]
+        if nearest[p] < 0 or gap[i] < gap[nearest[p]]:
+            nearest[p] = i
+    for p in range(len(by_force)):
+        if by_force[p] and not touched[p]:
+            active[nearest[p]] = True
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+def _solve(
+    part: Floats, gap: Floats, owner: Ints, by_force: Bools, given: Floats, f: Floats, depth: Floats,
+    moved: Floats, share: float,
+) -> bool:  # fmt: skip
+    """Set forces ``f`` (n,), depths (p,) and displacements (n,) of a set in contact, from a guess of f; if found."""
+    n, p = len(f), len(depth)
+    weight = np.zeros(p)
+    along, right, made, kept = np.zeros(n), np.empty(n), np.empty(n), np.empty(p)
+    for q in range(p):
+        depth[q] = given[q]
+        total = 0.0
+        for i in range(n):
+            if owner[i] == q:
+                weight[q] += 1.0 / part[i, i]
+                f[i] = max(f[i], 0.0)
+                total += f[i]
+        if by_force[q]:
+            for i in range(n):
+                if owner[i] == q:
+                    f[i] = f[i] * given[q] / total if total > 0.0 else given[q] / part[i, i] / weight[q]
+    for i in range(n):
+        right[i] = -gap[i] - _along(part[i], f)
+    before = 0.0
+    for step in range(_PRODUCTS):
+        kept[:] = 0.0
+        for i in range(n):
+            kept[owner[i]] -= right[i] / part[i, i]
+        for q in range(p):
+            if by_force[q]:
+                depth[q] = kept[q] / weight[q] if weight[q] > 0.0 else 0.0
+        size, left, largest = 0.0, 0.0, 1e-12
+        for i in range(n):
+            here = right[i] + depth[owner[i]]
+            size += here * here / part[i, i]
+            left = max(left, abs(here))
+            moved[i] = -gap[i] - right[i]
+            largest = max(largest, abs(moved[i]))
+        if left <= share * largest:
+            return True
+        if not math.isfinite(size):
+            return False
+        for i in range(n):
+            here = (right[i] + depth[owner[i]]) / part[i, i]
+            along[i] = here + (size / before * along[i] if step else 0.0)
+        before = size
+        for i in range(n):
+            made[i] = _along(part[i], along)
+        far = size / _along(along, made)
+        for i in range(n):
+            f[i] += far * along[i]
+            right[i] -= far * made[i]
+    return False
