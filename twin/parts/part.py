@@ -59,7 +59,7 @@ class Part(BaseModel):
     @model_validator(mode="after")
     def _provenance_names_keys(self) -> Part:
         for table in (self.source, self.assumed):
-            if isinstance(table, dict):
+            if table and isinstance(table, dict):
                 unknown = sorted(set(table) - set(type(self).model_fields))
                 if unknown:
                     raise ValueError(

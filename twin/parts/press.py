@@ -12,12 +12,13 @@ and is held by force in some directions and by motion in others needs its own ax
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from twin.arrays import Floats
+from twin.arrays import Floats, frozen
 from twin.parts.part import Part
 from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere, Stl
 
@@ -101,6 +102,7 @@ def _about_z(value: float | Triple | None) -> Triple:
     return value if isinstance(value, tuple) else (None, None, value)
 
 
+@lru_cache(maxsize=64)
 def frame_of(direction: Vector) -> Floats:
     """Return the (3, 3) axes, as rows, of a probe that comes along a direction: its own x, y and z.
 
@@ -110,7 +112,7 @@ def frame_of(direction: Vector) -> Floats:
     first = np.array([1.0, 0.0, 0.0]) if abs(along[0]) < 0.999 else np.array([0.0, 1.0, 0.0])
     first = first - (first @ along) * along
     first = first / np.linalg.norm(first)
-    return np.stack([first, np.cross(along, first), along])
+    return frozen(np.stack([first, np.cross(along, first), along]))
 
 
 class Press(Part):

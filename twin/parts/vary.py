@@ -53,16 +53,20 @@ class Uniform(Part):
             raise ValueError(f"low = {self.low}: with log = true it must be greater than 0")
         return self
 
-    @property
+    @cached_property
     def takes(self) -> int:
         """How many numbers u a draw takes."""
         return np.size(self.low)
 
     def at(self, u: Floats) -> Any:
         """Return the value of (takes,) numbers u."""
-        low, high = np.atleast_1d(self.low), np.atleast_1d(self.high)
+        low, high = self._ends
         value = low * (high / low) ** u if self.log else low + (high - low) * u
         return _plain(value, self.low)
+
+    @cached_property
+    def _ends(self) -> tuple[Floats, Floats]:
+        return np.atleast_1d(self.low), np.atleast_1d(self.high)
 
 
 class Normal(Part):
@@ -85,7 +89,7 @@ class Normal(Part):
             raise ValueError(f"sd = {self.sd}: must be 0 or more")
         return self
 
-    @property
+    @cached_property
     def takes(self) -> int:
         """How many numbers u a draw takes."""
         return np.size(self.mean)
@@ -127,7 +131,7 @@ class Choice(Part):
     def _made(self) -> tuple[Any, ...]:
         return tuple(_made(value) for value in self.choice)
 
-    @property
+    @cached_property
     def takes(self) -> int:
         """How many numbers u a draw takes: one to choose, and those of the choices."""
         return 1 + sum(_takes(value) for value in self._made)
@@ -170,7 +174,7 @@ class ForceCone(Part):
                 raise ValueError(f"{key} = {value!r}: must be a number of 0 or more, or a distribution of such")
         return self
 
-    @property
+    @cached_property
     def takes(self) -> int:
         """How many numbers u a draw takes."""
         return 1 + sum(_takes(value) for value in self._made)
@@ -203,7 +207,7 @@ class Follows(Part):
     times: float = 1.0
     plus: float = 0.0
 
-    @property
+    @cached_property
     def takes(self) -> int:
         """How many numbers u a draw takes: none."""
         return 0

@@ -186,7 +186,7 @@ class Sensor:
             gradient=compliance.gradient(background.points, rectangles),
         )
 
-    def motion_of_patches(self, *patches: Rectangles, strained: bool = True) -> Motion:
+    def motion_of_patches(self, *patches: Rectangles, strained: bool = True, gather: bool = True) -> Motion:
         """Return how the actual markers move, on the level of mesh that the asked accuracy takes and no other.
 
         What `motion` answers, for many loads: patches far above all markers are gathered into a few point forces
@@ -199,13 +199,15 @@ class Sensor:
         strained
             Whether gradients are wanted too: without them prints are not strained and beads not turned (of which no
             picture shows anything), and the gradients are zero.
+        gather
+            Whether patches may be gathered; else each pushes as it is, which the audit of datasets compares with.
         """
         from twin.world.elasticity.gather import gathered
         from twin.world.elasticity.tile import join
 
         points = self.actual.markers.points
         whole = join(patches)
-        few = join([gathered(points, group) for group in patches])
+        few = join([gathered(points, group) for group in patches]) if gather else whole
         moved, error = self.compliance.answer(points, few)
         gradient = self.compliance.gradient(points, whole) if strained else np.zeros((len(points), 3, 3))
         if self.stiff_beads is not None and moved.any():

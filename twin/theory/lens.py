@@ -139,7 +139,10 @@ def _radius(towards: Points, camera: Camera) -> tuple[Floats, Floats, Floats]:
 def _to_pixels(flat: Floats, camera: Camera) -> Pixels:
     column, row = camera.centre_px
     scale = camera.focal_px
-    return np.column_stack([column + scale * flat[:, 0], row - scale * camera.aspect * flat[:, 1]])
+    pixels = np.empty((len(flat), 2))
+    pixels[:, 0] = column + scale * flat[:, 0]
+    pixels[:, 1] = row - scale * camera.aspect * flat[:, 1]
+    return pixels
 
 
 def _polynomials(camera: Camera) -> tuple[np.polynomial.Polynomial, np.polynomial.Polynomial]:

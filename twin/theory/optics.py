@@ -19,12 +19,13 @@ lean to z by less than the critical angle, where total reflection begins: no cam
 from __future__ import annotations
 
 from enum import IntEnum
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Pixels, Points
+from twin.arrays import Floats, Ints, Pixels, Points, frozen
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Layer
 from twin.theory.lens import lens, lens_inverse, lens_jacobian, stretches
@@ -267,15 +268,20 @@ def reflection(p: Any, one: float, two: float) -> Any:
 
 def tilt_matrix(camera: Camera) -> Floats:
     """Return the (3, 3) rotation from camera to body axes: turns about x, y and z, applied in this order."""
+    return _tilted(tuple(camera.tilt_deg))
+
+
+@lru_cache(maxsize=64)
+def _tilted(tilt_deg: tuple[float, float, float]) -> Floats:
     turn = np.eye(3)
-    for axis, angle in enumerate(np.deg2rad(camera.tilt_deg)):
+    for axis, angle in enumerate(np.deg2rad(tilt_deg)):
         cosine, sine = np.cos(angle), np.sin(angle)
         i, j = (axis + 1) % 3, (axis + 2) % 3
         step = np.eye(3)
         step[i, i] = step[j, j] = cosine
         step[i, j], step[j, i] = -sine, sine
         turn = step @ turn
-    return turn
+    return frozen(turn)
 
 
 def _leave(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Points, Floats, Floats]:

@@ -7,7 +7,6 @@ beginning of every larger one, and any worker can draw any sample.
 
 from __future__ import annotations
 
-import copy
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
@@ -112,9 +111,9 @@ def put(table: Table, dotted: str, value: Any) -> None:
         if parents == ["press"] and last in ALTERNATIVES:
             for other in ALTERNATIVES:
                 here.pop(other, None)
-        here[last] = copy.deepcopy(value)
+        here[last] = copied(value)
     else:
-        here[_place(here, last, dotted)] = copy.deepcopy(value)
+        here[_place(here, last, dotted)] = copied(value)
 
 
 def look_up(table: Table, dotted: str) -> Any:
@@ -147,6 +146,15 @@ def _place(here: Any, name: str, dotted: str) -> int:
         count = len(here) if isinstance(here, list) else 0
         raise RecipeError(f"vary.{dotted}: '{name}' is no place in a list of {count} (the first is 0)")
     return int(name)
+
+
+def copied(value: Any) -> Any:
+    """Return a copy of plain values, whose tables and lists are its own."""
+    if isinstance(value, dict):
+        return {k: copied(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(copied(v) for v in value)
+    return value
 
 
 def _bare(value: Any) -> Any:

@@ -60,8 +60,9 @@ def in_cells(
             raise ContactError(
                 f"contact: it reaches {over:.3g} mm beyond the sites; enlarge [dataset.sites] or press further inside"
             )
-    slipping = np.divide(sums[:, 4], sums[:, 3], out=np.zeros(len(sums)), where=sums[:, 3] > 0)
-    return sums[:, :3], np.minimum(sums[:, 3] / grid.pitch_mm**2, 1.0), slipping
+    force, shares, slipping = np.empty((len(sums), 3)), np.empty(len(sums)), np.empty(len(sums))
+    _read(sums, grid.pitch_mm**2, force, shares, slipping)
+    return force, shares, slipping
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -85,3 +86,14 @@ def _add(
                 for c in range(values.shape[1]):
                     sums[cell, c] += values[p, c] * share
     return beyond
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _read(sums: Floats, area: float, force: Floats, shares: Floats, slipping: Floats) -> None:
+    """Set what `in_cells` returns from the (c, 5) ``sums`` over cells of an ``area``, mm2."""
+    for cell in range(len(sums)):
+        for axis in range(3):
+            force[cell, axis] = sums[cell, axis]
+        touched = sums[cell, 3]
+        shares[cell] = min(touched / area, 1.0)
+        slipping[cell] = sums[cell, 4] / touched if touched > 0.0 else 0.0

@@ -20,7 +20,7 @@ from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.parts.vary import Distribution
 from twin.streams import Purpose
-from twin.study.batch.draw import Table, drawn, plain_table, put_all, unit_numbers, width, with_values
+from twin.study.batch.draw import Table, copied, drawn, plain_table, put_all, unit_numbers, width, with_values
 from twin.study.dataset.columns import Column, chosen_columns, drawn_columns, sensor_columns
 
 FORMAT = 1
@@ -121,9 +121,7 @@ class Plan:
 
     def press_table(self, values: Table) -> Any:
         """Return the plain table of a press, or the tables of tractions, with their drawn values."""
-        import copy
-
-        table = {self.pushed_by: copy.deepcopy(self._plain.get(self.pushed_by, {}))}
+        table = {self.pushed_by: copied(self._plain.get(self.pushed_by, {}))}
         put_all(table, values, self.press_axes)
         return table[self.pushed_by]
 

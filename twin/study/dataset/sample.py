@@ -46,10 +46,12 @@ class MadeSensor:
         Of the sensor.
     values
         What is drawn for it, by dotted key.
+    gather
+        Whether patches may be gathered into point forces: see `Sensor.motion_of_patches`.
     """
 
-    def __init__(self, plan: Plan, number: int, values: Table) -> None:
-        self.plan, self.number, self.values = plan, number, values
+    def __init__(self, plan: Plan, number: int, values: Table, *, gather: bool = True) -> None:
+        self.plan, self.number, self.values, self.gather = plan, number, values, gather
         self.seed = sensor_seed(plan.scene.seed, number)
         drawn = with_values(plan.scene, values, plan.sensor_axes) if values or plan.sensor_axes else plan.scene
         self.sensor = Sensor(drawn.model_copy(update={"seed": self.seed}))
@@ -214,7 +216,8 @@ def truth_of(made: MadeSensor, load: Load, slips: list[Bools] | None = None, exp
     if not needs & {"motion", "picture", "outlines"}:
         return row
     looked_at = bool(needs & {"picture", "outlines"})
-    motion = sensor.motion_of_patches(*groups, strained=looked_at and sensor.markers_strain)
+    strained = looked_at and sensor.markers_strain
+    motion = sensor.motion_of_patches(*groups, strained=strained, gather=made.gather)
     row |= {"marker_displacement_mm": motion.displacement_mm, "displacement_error": motion.error}
     if sensor.nominal.camera is not None:
         row["marker_pressed_px"] = sensor.project(sensor.actual.markers.points + motion.displacement_mm)

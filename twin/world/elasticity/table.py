@@ -29,6 +29,7 @@ MANY_LOADS = 25
 """Loads at the same points from which on the table is worth a product with the points' polynomials."""
 
 _GAUSS = np.polynomial.legendre.leggauss(3)
+_MIDDLE = np.polynomial.legendre.leggauss(1)
 """Nodes and weights along each side of a rectangle."""
 
 
@@ -194,14 +195,10 @@ class TableAtNu:
 
     def _load_basis(self, load: Rectangles) -> Floats:
         """Return (k, x' y') means of the polynomials over each rectangle, by 3 x 3 Gauss points; of points by one."""
-        if not load.half_mm.any():
-            x, y = (load.centre_mm[:, :2] / self.window_mm).T
-            a, b = chebvander(x, SIZES[1] - 1), chebvander(y, SIZES[2] - 1)
-            return np.asarray(a[:, :, None] * b[:, None]).reshape(len(load), -1)
         out = np.empty((len(load), SIZES[1], SIZES[2]))
         # copies have one type each, whether what they were made of was writable or contiguous: compiled once
         centre, frames, half = (np.array(each, order="C") for each in (load.centre_mm, load.frames, load.half_mm))
-        _means(centre, frames, half, self.window_mm, _GAUSS, out)
+        _means(centre, frames, half, self.window_mm, _GAUSS if half.any() else _MIDDLE, out)
         return out.reshape(len(load), -1)
 
 

@@ -59,11 +59,13 @@ def tile(load: Load, body: Body, spacing_mm: float | None = None) -> Rectangles:
         A footprint lies partly off the sensing surface, or its centre is not on it.
     """
     parts = [term if isinstance(term, Rectangles) else _tile_one(term, body, spacing_mm) for term in load.terms]
-    return parts[0] if len(parts) == 1 else join(parts)
+    return join(parts)
 
 
 def join(parts: Sequence[Rectangles]) -> Rectangles:
     """Return all rectangles of ``parts`` in one, in their order."""
+    if len(parts) == 1:
+        return parts[0]
     return Rectangles(
         centre_mm=np.concatenate([np.zeros((0, 3)), *(p.centre_mm for p in parts)]),
         frames=np.concatenate([np.zeros((0, 3, 3)), *(p.frames for p in parts)]),
