@@ -1,17 +1,29 @@
 """Tasks on dask.distributed: this machine's cores, or any cluster whose scheduler has an address.
 
 A task that loses its worker is done again by another; a task whose workers die again and again is reported and left
-out. Results travel through the scheduler's workers to this process, which alone writes.
+out. Results travel to this process, which alone writes: through a cluster's scheduler, as its workers may not be
+reached from here, and straight from workers of this machine.
 """
 
 from __future__ import annotations
 
-import itertools
 import logging
+from collections import deque
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
-from twin.study.batch.engine import AHEAD, RETRIES, Done, Job, died, task_on_worker, unpack_on_worker, unreachable
+from twin.study.batch.engine import (
+    AHEAD,
+    RETRIES,
+    TOGETHER_S,
+    Done,
+    Job,
+    died,
+    tasks_on_worker,
+    unpack_on_worker,
+    unreachable,
+)
 
 PATIENCE_S = 20
 """How long a scheduler is waited for."""
@@ -25,10 +37,29 @@ QUIET = {
 """What dask watches in workers of this machine, and nobody looks at: half of what it costs beside tasks."""
 
 
-def tasks_on_cluster(job: Job, numbers: Iterable[int], workers: int, scheduler: str | None) -> Iterator[Done]:
-    """Do the tasks and yield them as they finish; see `twin.study.batch.engine.run_tasks`."""
+@contextmanager
+def workers_here(count: int) -> Iterator[Any]:
+    """Start so many worker processes on this machine, and stop them in the end."""
     import dask
-    from distributed import Client, LocalCluster, as_completed
+    from distributed import LocalCluster
+
+    _configure(dask)
+    with LocalCluster(
+        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", memory_limit=0,
+        silence_logs=logging.CRITICAL, host="127.0.0.1",
+    ) as cluster:  # fmt: skip
+        yield cluster
+
+
+def _configure(dask: Any) -> None:
+    dask.config.set({"distributed.scheduler.allowed-failures": RETRIES, **QUIET})
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+
+
+def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator[Done]:
+    """Do the tasks on `workers_here`, or a scheduler's, and yield them as they finish; see `Pool.run`."""
+    import dask
+    from distributed import Client, as_completed
     from distributed.diagnostics.plugin import WorkerPlugin
 
     class JobFiles(WorkerPlugin):  # type: ignore[misc]
@@ -40,44 +71,44 @@ def tasks_on_cluster(job: Job, numbers: Iterable[int], workers: int, scheduler: 
         def setup(self, worker: Any) -> None:
             unpack_on_worker(job)
 
-    dask.config.set({"distributed.scheduler.allowed-failures": RETRIES, **QUIET})
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    cluster = None
+    _configure(dask)
     try:
-        if scheduler is None:
-            cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0", memory_limit=0,
-                silence_logs=logging.CRITICAL, host="127.0.0.1",
-            )  # fmt: skip
-        try:
-            client = Client(cluster or scheduler, timeout=PATIENCE_S, direct_to_workers=False)
-        except (OSError, TimeoutError, ValueError) as problem:
-            raise unreachable(str(scheduler), problem) from None
-        with client:
-            client.register_plugin(JobFiles())
-            waiting = iter(numbers)
-            count = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+        client = Client(cluster, timeout=PATIENCE_S, direct_to_workers=not isinstance(cluster, str))
+    except (OSError, TimeoutError, ValueError) as problem:
+        raise unreachable(str(cluster), problem) from None
+    with client:
+        client.register_plugin(JobFiles())
+        waiting, alone = deque(numbers), deque[int]()
+        given: dict[str, list[int]] = {}
+        ahead = AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
 
-            def hand_out(number: int) -> Any:
-                return client.submit(task_on_worker, job.name, job.work, number, pure=False, key=f"task-{number}")
+        def hand_out(many: int) -> Any:
+            these = [alone.popleft()] if alone else [waiting.popleft() for _ in range(many)]
+            key = f"{job.work}-{these[0]}-{len(these)}"
+            given[key] = these
+            return client.submit(tasks_on_worker, job.name, job.work, these, pure=False, key=key)
 
-            pool = as_completed([hand_out(n) for n in itertools.islice(waiting, AHEAD * count)])
-            for future in pool:
-                number = int(future.key.split("-")[1])
-                done = _done(number, future)
-                future.release()
-                for more in itertools.islice(waiting, 1):
-                    pool.add(hand_out(more))
-                yield done
-    finally:
-        if cluster is not None:
-            cluster.close()
+        pool, many = as_completed([hand_out(1) for _ in range(min(ahead, len(waiting)))]), 1
+        for future in pool:
+            these = given.pop(future.key)
+            found, seconds = _done(these, future)
+            future.release()
+            if seconds is None and len(these) > 1:  # what kills workers shall take no others along
+                alone.extend(these)
+                found = []
+            elif seconds is not None:
+                many = max(1, int(TOGETHER_S * len(these) / max(seconds, 1e-6)))
+            if alone or waiting:
+                pool.add(hand_out(min(many, -(-len(waiting) // ahead))))
+            yield from found
 
 
-def _done(number: int, future: Any) -> Done:
+def _done(numbers: list[int], future: Any) -> tuple[list[Done], float | None]:
+    """Return what became of tasks, and the seconds they took; None if they were lost."""
     problem = future.exception()
     if problem is None:
-        return Done(number, future.result())
+        found, seconds = future.result()
+        return found, seconds
     if type(problem).__name__ == "KilledWorker":
-        return Done(number, problem=str(died(number)))
-    return Done(number, problem=f"{type(problem).__name__}: {problem}")
+        return [Done(number, problem=str(died(number))) for number in numbers], None
+    return [Done(number, problem=f"{type(problem).__name__}: {problem}") for number in numbers], None

@@ -11,7 +11,8 @@ import hashlib
 import importlib
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +25,10 @@ Work = Callable[[Path, int], Any]
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 AHEAD = 2
-"""Tasks handed out per worker: the next is there when one is done, and memory stays flat."""
+"""Hand-outs per worker: the next is there when one is done, and memory stays flat."""
+
+TOGETHER_S = 0.5
+"""Quick tasks are handed out several at a time, as many as take so long: a hand-out costs some 7 ms of CPU."""
 
 RETRIES = 3
 """Times a task may see its worker die before it is given up."""
@@ -66,40 +70,70 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Hash of the files: equal jobs are unpacked once per process."""
-        sha = hashlib.sha256(self.work.encode())
+        """Hash of the files: equal ones are unpacked once per process, whatever is done with them."""
+        sha = hashlib.sha256()
         for path in sorted(self.files):
             sha.update(path.encode())
             sha.update(hashlib.sha256(self.files[path]).digest())
         return sha.hexdigest()[:32]
 
 
-def run_tasks(job: Job, numbers: Iterable[int], *, workers: int = 1, scheduler: str | None = None) -> Iterator[Done]:
-    """Do the tasks and yield them as they finish.
+class Pool:
+    """Who does tasks: this process, processes on this machine that start when they are first needed, or a cluster.
+
+    A context manager, which stops the processes in the end.
 
     Parameters
     ----------
-    job
-        Files and function.
-    numbers
-        Of the tasks, in the order in which they are wanted.
     workers
         Processes on this machine; 1 works in this one.
     scheduler
         Address of a dask scheduler (``tcp://host:8786``), whose workers are used instead.
-
-    Raises
-    ------
-    InputError
-        The scheduler can't be reached.
     """
-    if scheduler is None and workers == 1:
-        with one_thread(), unpacked(job) as folder:
-            work = _function(job.work)
-            for number in numbers:
-                yield Done(number, work(folder, number))
-    else:
-        yield from _distributed(job, numbers, workers, scheduler)
+
+    def __init__(self, workers: int = 1, scheduler: str | None = None) -> None:
+        self._workers = workers
+        self._cluster: Any = scheduler
+        self._started = ExitStack()
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._started.close()
+
+    def run(self, job: Job, numbers: Sequence[int]) -> Iterator[Done]:
+        """Do tasks and yield them as they finish.
+
+        Parameters
+        ----------
+        job
+            Files and function.
+        numbers
+            Of the tasks, in the order in which they are wanted.
+
+        Raises
+        ------
+        InputError
+            The scheduler can't be reached.
+        """
+        if self._cluster is None and min(self._workers, len(numbers)) <= 1:
+            with one_thread(), unpacked(job) as folder:
+                work = _function(job.work)
+                for number in numbers:
+                    yield Done(number, work(folder, number))
+            return
+        from twin.study.batch.cluster import tasks_on_cluster, workers_here
+
+        if self._cluster is None:
+            self._cluster = self._started.enter_context(workers_here(min(self._workers, len(numbers))))
+        yield from tasks_on_cluster(job, numbers, self._cluster)
+
+
+def run_tasks(job: Job, numbers: Iterable[int], *, workers: int = 1, scheduler: str | None = None) -> Iterator[Done]:
+    """Do the tasks of one job and yield them as they finish: see `Pool`."""
+    with Pool(workers, scheduler) as pool:
+        yield from pool.run(job, list(numbers))
 
 
 @contextmanager
@@ -141,11 +175,19 @@ _KEPT: dict[str, tuple[ExitStack, Path]] = {}
 """Unpacked jobs of this worker process; the one used last stays."""
 
 
-def task_on_worker(name: str, work: str, number: int) -> Any:
-    """Do a task on a dask worker, whose plugin has unpacked the job."""
+def tasks_on_worker(name: str, work: str, numbers: Sequence[int]) -> tuple[list[Done], float]:
+    """Do tasks on a dask worker, whose plugin has unpacked the job; return them and the seconds they took."""
     if name not in _KEPT:
         raise RuntimeError("this worker was not given the job's files")
-    return _function(work)(_KEPT[name][1], number)
+    function, folder, started = _function(work), _KEPT[name][1], time.perf_counter()
+    return [_tried(function, folder, number) for number in numbers], time.perf_counter() - started
+
+
+def _tried(function: Work, folder: Path, number: int) -> Done:
+    try:
+        return Done(number, function(folder, number))
+    except Exception as problem:  # whatever it is, the other tasks go on
+        return Done(number, problem=f"{type(problem).__name__}: {problem}")
 
 
 def unpack_on_worker(job: Job) -> None:
@@ -158,12 +200,6 @@ def unpack_on_worker(job: Job) -> None:
     stack = ExitStack()
     stack.enter_context(one_thread())
     _KEPT[job.name] = (stack, stack.enter_context(unpacked(job)))
-
-
-def _distributed(job: Job, numbers: Iterable[int], workers: int, scheduler: str | None) -> Iterator[Done]:
-    from twin.study.batch.cluster import tasks_on_cluster
-
-    yield from tasks_on_cluster(job, numbers, workers, scheduler)
 
 
 def unreachable(scheduler: str, problem: Exception) -> InputError:

@@ -1,7 +1,8 @@
 """How far off the truth is: some samples computed again at the highest accuracy, and the differences.
 
 Highest means twice as many contact patches across and, in path, twice as many parts of every step; the finest shipped
-mesh of the body where there is one (a standard block's table was made on it); and 12 x 12 rays per pixel.
+mesh of the body where there is one (a standard block's table was made on it); patches that are not gathered into
+point forces; and 12 x 12 rays per pixel.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from twin.arrays import Floats
 from twin.errors import ContactError, TwinError
 from twin.places import pinned
 from twin.study.batch.draw import Table
-from twin.study.batch.engine import Job, run_tasks
+from twin.study.batch.engine import Job, Pool
 from twin.study.dataset.plan import Plan, load_of, press_of
 from twin.study.dataset.prepare import finest_mesh_file
 from twin.study.dataset.sample import MadeSensor, slips_of, truth_of
@@ -62,19 +63,13 @@ def audited(samples: int, failed: Collection[int]) -> list[int]:
 
 
 def audit(
-    plan: Plan,
-    job: Job,
-    failed: Collection[int],
-    *,
-    workers: int,
-    scheduler: str | None,
-    progress: Callable[[str, float], None] | None,
+    plan: Plan, job: Job, failed: Collection[int], pool: Pool, progress: Callable[[str, float], None] | None
 ) -> dict[str, Any]:
     """Return the differences: for every figure median and largest, and how many samples they are of."""
     numbers = audited(plan.samples, failed)
     found: dict[int, dict[str, float]] = {}
     again = replace(job, work=WORK)
-    for done in run_tasks(again, numbers, workers=max(1, min(workers, len(numbers))), scheduler=scheduler):
+    for done in pool.run(again, numbers):
         if done.result is not None:
             found[done.number] = done.result
         if progress is not None:
@@ -155,4 +150,4 @@ def _finer(made: MadeSensor) -> MadeSensor:
     if pinned(finest_mesh_file(scene.body)):
         changes["displacement"] = BEST
     finest = scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update=changes)})
-    return MadeSensor(Plan(finest, made.plan.samples), made.number, made.values)
+    return MadeSensor(Plan(finest, made.plan.samples), made.number, made.values, gather=False)

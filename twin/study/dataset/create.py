@@ -17,7 +17,7 @@ from typing import Any
 from twin.errors import InputError, TwinError
 from twin.parts.scene import Scene
 from twin.results import make_folder, write_whole
-from twin.study.batch.engine import Done, Job, run_tasks
+from twin.study.batch.engine import Done, Job, Pool
 from twin.study.batch.lock import only_writer
 from twin.study.dataset.finish import finish
 from twin.study.dataset.plan import Places, Plan
@@ -81,7 +81,7 @@ def create_dataset(
     samples
         How many; a dataset can grow, but not shrink.
     workers, scheduler
-        See `twin.study.batch.engine.run_tasks`.
+        See `twin.study.batch.engine.Pool`.
     progress
         Told what is being done and the share that is done.
 
@@ -108,19 +108,18 @@ def create_dataset(
             make_folder(wanted)
         job = job_of(places)
         content = json.loads(places.info.read_text())["content"]
-        return _work(plan, places, job, content, workers, scheduler, progress)
+        with Pool(workers, scheduler) as pool:
+            return _work(plan, places, job, content, pool, progress)
 
 
-def _work(
-    plan: Plan, places: Places, job: Job, content: str, workers: int, scheduler: str | None, progress: Told | None
-) -> Outcome:
+def _work(plan: Plan, places: Places, job: Job, content: str, pool: Pool, progress: Told | None) -> Outcome:
     started = time.perf_counter()
     waiting = [number for number in range(plan.shards) if not is_whole(plan, places, number, content)]
     total = sum(len(plan.of_shard(n)) for n in waiting)
     made, failed, reason = 0, 0, ""
     missing: list[int] = []
     _tell(progress, plan, plan.samples - total, 0, 0, started)
-    for done in run_tasks(job, waiting, workers=min(workers, max(1, len(waiting))), scheduler=scheduler):
+    for done in pool.run(job, waiting):
         if done.problem is not None:
             missing.append(done.number)
             reason = reason or f"shard {done.number}: {done.problem}"
@@ -132,7 +131,7 @@ def _work(
         _tell(progress, plan, plan.samples - total + made, made, failed, started)
     seconds = time.perf_counter() - started
     if not missing:
-        told = finish(plan, places, job, workers=workers, scheduler=scheduler, progress=progress)
+        told = finish(plan, places, job, pool, progress)
         failed, reason = len(told.numbers), reason or told.reason
     if progress is not None:
         progress("done", 1.0)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.results import write_json, write_whole
-from twin.study.batch.engine import Job
+from twin.study.batch.engine import Job, Pool
 from twin.study.dataset.audit import audit
 from twin.study.dataset.card import card_text, croissant
 from twin.study.dataset.plan import Places, Plan
@@ -35,9 +35,7 @@ class Counted:
     reason: str
 
 
-def finish(
-    plan: Plan, places: Places, job: Job, *, workers: int, scheduler: str | None, progress: Told | None
-) -> Counted:
+def finish(plan: Plan, places: Places, job: Job, pool: Pool, progress: Told | None) -> Counted:
     """Count, compute some samples again, and write the card, the Croissant metadata and the checksums."""
     counted = count(plan, places)
     kept = places.meta / "audit.json"
@@ -45,14 +43,11 @@ def finish(
     if kept.is_file():
         told = json.loads(kept.read_text())
     if told is None or told.get("of") != plan.samples:
-        told = {
-            "of": plan.samples,
-            **audit(plan, job, counted.numbers, workers=workers, scheduler=scheduler, progress=progress),
-        }
+        told = {"of": plan.samples, **audit(plan, job, counted.numbers, pool, progress)}
         write_json(kept, told)
     card = card_text(plan, places, told, len(counted.numbers))
     write_whole(places.folder / "README.md", lambda file: file.write(card.encode()))
-    write_json(places.meta / "croissant.json", croissant(plan, places))
+    write_json(places.folder / "croissant.json", croissant(plan))
     write_sums(places)
     return counted
 
