@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 import warnings
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -64,9 +65,49 @@ def test_the_ridge_reads_force_from_a_dataset_better_than_the_mean_shift(tmp_pat
     assert found["ridge"] < 0.8 * found["mean shift"]
 
 
-def test_torch_loads_pictures_in_batches() -> None:
-    pytest.importorskip("torch")
-    assert callable(example("torch_loader").loader)
+@pytest.fixture
+def torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Torch where it is installed, else as much of it as the example takes: batches of numpy arrays in turn."""
+    if importlib.util.find_spec("torch") is not None:
+        return
+
+    class Subset:
+        def __init__(self, data: Any, rows: list[int]) -> None:
+            self.data, self.rows = data, rows
+
+    class DataLoader:
+        def __init__(self, data: Subset, batch_size: int, collate_fn: Any, shuffle: bool, num_workers: int) -> None:
+            del shuffle, num_workers
+            self.data, self.size, self.batch = data, batch_size, collate_fn
+
+        def __iter__(self) -> Any:
+            rows = [self.data.data[row] for row in self.data.rows]
+            return (self.batch(rows[i : i + self.size]) for i in range(0, len(rows), self.size))
+
+    modules = {name: ModuleType(name) for name in ("torch", "torch.utils", "torch.utils.data")}
+    modules["torch"].__dict__.update(
+        Tensor=np.ndarray, from_numpy=lambda array: SimpleNamespace(float=lambda: array.astype(np.float32))
+    )
+    modules["torch.utils.data"].__dict__.update(Subset=Subset, DataLoader=DataLoader)
+    for name, module in modules.items():
+        monkeypatch.setitem(sys.modules, name, module)
+
+
+@pytest.mark.usefixtures("torch")
+def test_torch_loads_pictures_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [
+        {"status": "ok", "picture": np.full((4, 5, 3), 51 * n, np.uint8), "force_n": np.full(3, float(n))}
+        for n in range(6)
+    ]
+    rows[2] = {"status": "failed", "picture": None, "force_n": None}
+    torch_loader = example("torch_loader")
+    monkeypatch.setattr(torch_loader.twin, "open_dataset", lambda folder, columns: rows, raising=False)
+    batches = list(torch_loader.loader("anywhere", batch_size=2, workers=0))
+    assert [tuple(batch["picture"].shape) for batch in batches] == [(2, 3, 4, 5), (2, 3, 4, 5), (1, 3, 4, 5)]
+    forces = np.concatenate([np.asarray(batch["force_n"]) for batch in batches])
+    assert sorted(forces[:, 0].tolist()) == [0, 1, 3, 4, 5]
+    for batch in batches:
+        np.testing.assert_allclose(np.asarray(batch["picture"])[:, 0, 0, 0] * 5, np.asarray(batch["force_n"])[:, 0])
 
 
 @pytest.mark.slow

@@ -91,9 +91,12 @@ def test_the_card_tells_errors_and_croissant_names_every_column(made: Path) -> N
     assert audited(500, {0, 499}) == [1, 125, 249, 373, 498]
     audit = json.loads((made / "meta" / "audit.json").read_text())
     assert 0 < audit["displacement"]["largest"] < 0.02
-    told = json.loads((made / "meta" / "croissant.json").read_text())
+    told = json.loads((made / "croissant.json").read_text())
     named = {field["name"] for field in told["recordSet"][0]["field"]}
     assert named == set(twin.open_dataset(made).columns)
+    for files, there in zip(told["distribution"], ("data", "sensors"), strict=True):  # as mlcroissant looks for them
+        assert "containedIn" not in files
+        assert sorted(made.glob(files["includes"])) == sorted((made / there).iterdir())
 
 
 def test_torch_reads_it_by_number(made: Path) -> None:

@@ -61,8 +61,8 @@ samples.
 
 ## How far off the truth is
 
-{audit["samples"]} samples were computed again at the highest accuracy (twice the contact patches and steps, the body's
-finest mesh, 12 x 12 rays per pixel). Differences:
+{audit["samples"]} samples were computed again at the highest accuracy (twice the contact patches and steps, no patches
+gathered, the body's finest mesh, 12 x 12 rays per pixel). Differences:
 
 | quantity | median | largest |
 | --- | --- | --- |
@@ -97,8 +97,12 @@ def _in_words(axis: Any) -> str:
     return ", ".join(f"{key} {json.dumps(value)}" for key, value in plain.items())
 
 
-def croissant(plan: Plan, places: Places) -> dict[str, Any]:
-    """Return the dataset's Croissant 1.0 metadata (MLCommons), as JSON-LD."""
+def croissant(plan: Plan) -> dict[str, Any]:
+    """Return the dataset's Croissant 1.0 metadata (MLCommons), as JSON-LD.
+
+    Its files are named from the folder of the metadata, which is the dataset's: readers look for a file set that is
+    contained in nothing else there.
+    """
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
@@ -110,7 +114,7 @@ def croissant(plan: Plan, places: Places) -> dict[str, Any]:
         "version": "1.0.0",
         "datePublished": "2026-01-01",
         "citeAs": "see CITATION.cff of tactile-twin",
-        "distribution": [_files("samples", "data", plan, places), _files("sensors", "sensors", plan, places)],
+        "distribution": [_files("samples", "data"), _files("sensors", "sensors")],
         "recordSet": [
             _record_set("samples", (*ALWAYS, *plan.drawn_columns, *plan.columns)),
             _record_set("sensors", plan.sensor_columns),
@@ -118,13 +122,11 @@ def croissant(plan: Plan, places: Places) -> dict[str, Any]:
     }
 
 
-def _files(name: str, folder: str, plan: Plan, places: Places) -> dict[str, Any]:
-    del plan, places
+def _files(name: str, folder: str) -> dict[str, Any]:
     return {
         "@type": "cr:FileSet",
         "@id": f"{name}-files",
         "name": f"{name}-files",
-        "containedIn": {"@id": "folder"},
         "encodingFormat": "application/x-parquet",
         "includes": f"{folder}/*.parquet",
     }
@@ -160,12 +162,13 @@ _CONTEXT = {
     "rai": "http://mlcommons.org/croissant/RAI/", "dct": "http://purl.org/dc/terms/", "citeAs": "cr:citeAs",
     "column": "cr:column", "conformsTo": "dct:conformsTo", "containedIn": "cr:containedIn",
     "data": {"@id": "cr:data", "@type": "@json"}, "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "examples": {"@id": "cr:examples", "@type": "@json"}, "extract": "cr:extract", "field": "cr:field",
-    "fileProperty": "cr:fileProperty", "fileObject": "cr:fileObject", "fileSet": "cr:fileSet", "format": "cr:format",
-    "includes": "cr:includes", "isLiveDataset": "cr:isLiveDataset", "jsonPath": "cr:jsonPath", "key": "cr:key",
-    "md5": "cr:md5", "parentField": "cr:parentField", "path": "cr:path", "recordSet": "cr:recordSet",
-    "references": "cr:references", "regex": "cr:regex", "repeated": "cr:repeated", "replace": "cr:replace",
-    "separator": "cr:separator", "source": "cr:source", "subField": "cr:subField", "transform": "cr:transform",
+    "equivalentProperty": "cr:equivalentProperty", "examples": {"@id": "cr:examples", "@type": "@json"},
+    "extract": "cr:extract", "field": "cr:field", "fileProperty": "cr:fileProperty", "fileObject": "cr:fileObject",
+    "fileSet": "cr:fileSet", "format": "cr:format", "includes": "cr:includes", "isLiveDataset": "cr:isLiveDataset",
+    "jsonPath": "cr:jsonPath", "key": "cr:key", "md5": "cr:md5", "parentField": "cr:parentField", "path": "cr:path",
+    "recordSet": "cr:recordSet", "references": "cr:references", "regex": "cr:regex", "repeated": "cr:repeated",
+    "replace": "cr:replace", "samplingRate": "cr:samplingRate", "separator": "cr:separator", "source": "cr:source",
+    "subField": "cr:subField", "transform": "cr:transform",
 }  # fmt: skip
 
 

@@ -46,6 +46,7 @@ def check_dataset(folder: Path) -> list[str]:
     rows = np.unique(np.linspace(0, len(reader) - 1, min(ROWS, len(reader))).astype(int))
     lines, failed = [f"{folder}: {len(reader)} rows, checksums and schema ok"], 0
     balance = seen = 0.0
+    base_z_mm = load_scene(places.meta / "scene.toml").body.base_z_mm
     for row in rows:
         sample = reader[int(row)]
         if sample["status"] != "ok":
@@ -53,7 +54,7 @@ def check_dataset(folder: Path) -> list[str]:
             continue
         problems += _finite(sample, int(row))
         balance = max(balance, _imbalance(sample))
-        seen = max(seen, _misprojection(sample, reader, folder))
+        seen = max(seen, _misprojection(sample, reader, base_z_mm))
     if balance > BALANCE_N:
         problems.append(f"forces: patches or sites sum to {balance:.2g} N away from force_n (allowed {BALANCE_N:g} N)")
     if seen > PROJECTION_PX:
@@ -119,14 +120,13 @@ def _imbalance(sample: dict[str, np.ndarray]) -> float:
     return max((float(np.abs(sample[name].sum(axis=0) - sample["force_n"]).max()) for name in names), default=0.0)
 
 
-def _misprojection(sample: dict[str, np.ndarray], reader: DatasetReader, folder: Path) -> float:
+def _misprojection(sample: dict[str, np.ndarray], reader: DatasetReader, base_z_mm: float) -> float:
     """Project the displaced markers through the sensor's own camera."""
     if not {"marker_pressed_px", "marker_displacement_mm"} <= sample.keys():
         return 0.0
     sensor = reader.sensor(int(sample["sensor"]))
     actual = json.loads(sensor["actual"])
-    scene = load_scene(folder / "meta" / "scene.toml")
     camera = Camera.model_validate(actual["camera"])
     points = sensor["marker_rest_mm"] + sample["marker_displacement_mm"]
-    pixels = project(points, camera, actual["material"]["refractive_index"], scene.body.base_z_mm)
+    pixels = project(points, camera, actual["material"]["refractive_index"], base_z_mm)
     return float(np.abs(pixels - sample["marker_pressed_px"]).max())

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from twin.parts.scene import Scene
 from twin.study.batch.engine import one_thread, unpacked
+from twin.study.dataset.audit import audit_sample, audited
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import job_of, prepare
 from twin.study.dataset.work import make_shard
@@ -34,22 +35,25 @@ def estimate(
         places.meta.mkdir()
         prepare(Plan(tried, 2 * TRIED), places, progress)
         with unpacked(job_of(places)) as folder:
-            make_shard(folder, 0)
+            first = make_shard(folder, 0)
             started = time.perf_counter()
             shard = make_shard(folder, 1)
-            seconds = (time.perf_counter() - started) / TRIED
+            made = time.perf_counter()
+            audit_sample(folder, TRIED)
+            seconds, again = (made - started) / TRIED, time.perf_counter() - made
+        beside = sum(path.stat().st_size for path in places.meta.iterdir())
     if progress is not None:
         progress("done", 1.0)
-    size = len(shard.samples) / TRIED * samples
-    sensors = plan.sensor_of(samples - 1) + 1
+    sensors, audits = plan.sensor_of(samples - 1) + 1, len(audited(samples, ()))
+    size = len(shard.samples) / TRIED * samples + len(first.sensors or b"") * sensors + beside
     with_workers = f"{workers} worker{'s' if workers > 1 else ''}"
     lines = [
         f"samples     {samples} on {sensors} sensor{'s' if sensors > 1 else ''}, in {plan.shards} files",
         f"columns     {', '.join(c.name for c in plan.columns)}",
         f"varies      {', '.join(sorted(scene.vary)) or 'nothing: every sample is the same press'}",
         f"size        about {_bytes(size)}",
-        f"time        about {_duration(samples * seconds / workers)} with {with_workers}, "
-        f"from {TRIED} samples at {seconds:.3g} s each",
+        f"time        about {_duration((samples * seconds + audits * again) / workers)} with {with_workers}, "
+        f"from {TRIED} samples at {seconds:.3g} s each; {audits} are computed again, {again:.2g} s each",
     ]
     if shard.failed:
         lines.append(f"failures    {shard.failed} of {TRIED} tried: {shard.reason}")
