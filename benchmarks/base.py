@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.__main__ import RESULTS, machine, table
+from benchmarks.arguments import command_line
 from twin.parts.body import Block, Body, Finger
 from twin.parts.load import Traction
 from twin.parts.material import Material
@@ -79,7 +80,7 @@ def run(quick: bool) -> list[dict[str, Any]]:
 
 def main() -> int:
     """Print the table and store it."""
-    quick = "--quick" in sys.argv[1:]
+    quick = command_line("base", __doc__, quick=True).quick
     rows = run(quick)
     print(table(rows))
     if not quick:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.__main__ import RESULTS, machine
+from benchmarks.arguments import at_least
 from benchmarks.dataset import RECTANGLE, TRUTH
 from benchmarks.endurance import state
 from twin.study.dataset.create import create_dataset
@@ -28,6 +29,7 @@ WARM = 0.1
 """Share of the samples after which everything that is allocated once is there."""
 
 GROWTH_MB = 20.0
+SAMPLES = 100_000
 
 
 def measured(samples: int) -> dict[str, Any]:
@@ -61,9 +63,10 @@ def grown(row: dict[str, Any]) -> bool:
 def main() -> int:
     """Measure, store, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, default=100_000)
+    parser.add_argument("--samples", type=at_least(1000), default=SAMPLES)
     row = measured(parser.parse_args().samples)
-    STORED.write_text(json.dumps({"machine": machine(), **row}, indent=1) + "\n")
+    if row["samples"] >= SAMPLES:  # fewer are a look, and stored nowhere
+        STORED.write_text(json.dumps({"machine": machine(), **row}, indent=1) + "\n")
     print({key: value for key, value in row.items() if key != "memory_mb"})
     return int(grown(row))
 

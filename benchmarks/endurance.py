@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.__main__ import RESULTS, machine, table
+from benchmarks.arguments import minutes
 from benchmarks.fuzz_files import SMALL
 from benchmarks.random_scenes import said
 
@@ -121,7 +122,7 @@ def problems(states: list[dict[str, float]]) -> list[str]:
 def main() -> int:
     """Work, print what became of the process and store it; exit code 1 if something grew."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.endurance", description=__doc__)
-    parser.add_argument("--minutes", type=float, default=60.0, help="how long (default 60)")
+    parser.add_argument("--minutes", type=minutes, default=60.0, help="how long (default 60; shorter is not stored)")
     arguments = parser.parse_args()
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
@@ -130,14 +131,14 @@ def main() -> int:
         {"what": name, "after warming up": first, "at the end": last, "largest": max(s[name] for s in states)}
         for name, (first, last) in grown(states).items()
     ]
-    minutes = (time.monotonic() - started) / 60
-    print(f"{table(rows)}\n\n{len(states)} rounds in {minutes:.3g} minutes")
+    took = (time.monotonic() - started) / 60
+    print(f"{table(rows)}\n\n{len(states)} rounds in {took:.3g} minutes")
     found = problems(states)
     for line in found:
         print(line, file=sys.stderr)
-    if not found:
+    if not found and took >= 60:
         STORED.write_text(
-            json.dumps({"machine": machine(), "minutes": minutes, "rounds": len(states), "rows": rows}, indent=1) + "\n"
+            json.dumps({"machine": machine(), "minutes": took, "rounds": len(states), "rows": rows}, indent=1) + "\n"
         )
     return int(bool(found))
 

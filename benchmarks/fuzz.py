@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.__main__ import RESULTS, machine, table
+from benchmarks.arguments import at_least
 from benchmarks.fuzz_damage import damaged
 from benchmarks.fuzz_files import READERS, Reader, make_whole_files
 
@@ -221,10 +222,12 @@ def rows(found: dict[str, Found]) -> list[dict[str, Any]]:
 def main() -> int:
     """Attack the readers, print and store what became of them; exit code 1 if anything failed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=40, help="random damages of every file (default 40)")
+    parser.add_argument("--rounds", type=at_least(0), default=40, help="random damages of every file (default 40)")
     parser.add_argument("--reader", choices=sorted(READERS), help="one reader only; nothing is stored")
     parser.add_argument("--out", type=Path, default=STORED, help=f"where the table is stored (default {STORED.name})")
     arguments = parser.parse_args()
+    if not arguments.out.parent.is_dir() or arguments.out.is_dir():
+        parser.error(f"--out {arguments.out}: name a file in a folder that is there")
     chosen = {k: v for k, v in READERS.items() if arguments.reader in (None, k)}
 
     def tell(name: str, one: Found) -> None:

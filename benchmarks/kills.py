@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.__main__ import RESULTS, machine, table
+from benchmarks.arguments import at_least
 from benchmarks.fuzz_files import SMALL, SWEEP, VARY
 from twin.places import ROOT
 
@@ -173,7 +174,7 @@ def added(before: list[dict[str, Any]], rows: list[dict[str, Any]]) -> list[dict
 def main() -> int:
     """Kill, print the rows and store them; exit code 1 if anything was lost or torn."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.kills", description=__doc__)
-    parser.add_argument("--count", type=int, default=50, help="kills in all (default 50)")
+    parser.add_argument("--count", type=at_least(1), default=50, help="kills in all (default 50)")
     parser.add_argument("--anew", action="store_true", help="forget what was killed before")
     parser.add_argument("--job", choices=sorted(JOBS), help="one command only; nothing is stored")
     arguments = parser.parse_args()

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.__main__ import RESULTS, machine, table
+from benchmarks.arguments import at_least
 from benchmarks.balance import rightly_refused
 from twin.errors import ContactError, InputError, NotSettled, TwinError
 from twin.parts.body import Block, Body, Finger
@@ -230,7 +231,7 @@ def file(body: str) -> Any:
 def main() -> int:
     """Run or take up the presses, print what was found; exit code 1 if any failed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.presses", description=__doc__)
-    parser.add_argument("--count", type=int, default=COUNT, help=f"presses on each body (default {COUNT})")
+    parser.add_argument("--count", type=at_least(1), default=COUNT, help=f"presses on each body (default {COUNT})")
     parser.add_argument("--body", choices=sorted(BODIES), help="one body only")
     parser.add_argument("--anew", action="store_true", help="forget what was found before")
     arguments = parser.parse_args()

@@ -37,6 +37,7 @@ from hypothesis import seed as seeded
 from hypothesis import strategies as st
 
 from benchmarks.__main__ import RESULTS, machine, table
+from benchmarks.arguments import at_least
 from benchmarks.random_recipes import Spoilt, Table, recipes, spoilt
 from twin.errors import ContactError, InputError, MeshError, RecipeError, TwinError
 from twin.parts.load import Traction
@@ -313,7 +314,7 @@ def add(stored: dict[str, Any], tally: Tally, cpu_s: float) -> dict[str, Any]:
 def main() -> int:
     """Draw the scenes, print and store what became of them; exit code 1 if any failed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.random_scenes", description=__doc__)
-    parser.add_argument("--count", type=int, default=COUNT, help=f"scenes of each kind (default {COUNT})")
+    parser.add_argument("--count", type=at_least(1), default=COUNT, help=f"scenes of each kind (default {COUNT})")
     parser.add_argument("--kind", choices=sorted(KINDS), help="one kind only")
     parser.add_argument("--anew", action="store_true", help="forget what was drawn before")
     arguments = parser.parse_args()

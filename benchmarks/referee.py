@@ -198,4 +198,7 @@ def _print(chosen: Any, off: Any, brightness: Any, noise: Any) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) not in (2, 3):
+        print("give a scene: python -m benchmarks.referee kamiyama_pillar [SAMPLES]", file=sys.stderr)
+        sys.exit(2)
     print(one(sys.argv[1], 8, int(sys.argv[2]) if len(sys.argv) > 2 else 32768, _print))

@@ -5,10 +5,10 @@ DIR is what ``twin reproduce all`` wrote; its numbers and times are stored first
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import shutil
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -119,8 +119,13 @@ def _value(value: float | None) -> str:
 
 def main() -> None:
     """Store what is given, and write the page."""
-    if len(sys.argv) > 1:
-        store(Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.reproduction_page", description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, help="what twin reproduce wrote, to be stored first")
+    folder = parser.parse_args().folder
+    if folder is not None and not (folder / "results.json").is_file():
+        parser.error(f"{folder}: holds no results.json; give the folder that twin reproduce wrote")
+    if folder is not None:
+        store(folder)
     text = page_tables(stored("reproduction"))
     PAGE.write_text(re.sub(MARKS, lambda m: m[1] + text + m[2], PAGE.read_text(), flags=re.DOTALL))
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.__main__ import RESULTS, table
+from benchmarks.arguments import command_line
 from benchmarks.stress_axes import Axis, Measured, system_axes, unsolvable
 from benchmarks.stress_loads import load_axes
 from benchmarks.stress_picture import unfit_libraries
@@ -165,9 +166,7 @@ def write_page(page: Path = PAGE) -> None:
 
 
 if __name__ == "__main__":
-    if unknown := sorted(set(sys.argv[1:]) - set(STAGES)):
-        sys.exit(f"unknown stages {', '.join(unknown)}: choose from {', '.join(STAGES)}")
-    if sys.argv[1:]:
-        anew(sys.argv[1:])
+    if wanted := command_line("stress", __doc__, STAGES).names:
+        anew(wanted)
     write_page()
     sys.exit(0)

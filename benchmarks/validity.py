@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.__main__ import RESULTS, machine, table
+from benchmarks.arguments import command_line
 from benchmarks.neohooke import Contact, DeadTraction, Rubber, press
 from benchmarks.refined import refined
 from twin.arrays import Floats, Points
@@ -233,14 +234,12 @@ def _dead(case: Case, levels: tuple[float, ...]) -> Iterator[dict[str, Any]]:
 
 def main() -> int:
     """Run the parts named on the command line (all if none), print their rows and put them into the stored file."""
-    if "--quick" in sys.argv:
+    known = studies()
+    given = command_line("validity", __doc__, known, quick=True)
+    if given.quick:
         print(table(run(quick=True)))
         return 0
-    known = studies()
-    for name in sys.argv[1:] or known:
-        if name not in known:
-            print(f"unknown part {name!r}: choose from {', '.join(known)}", file=sys.stderr)
-            return 2
+    for name in given.names or known:
         rows = list(known[name]())
         print(f"\n{table(rows)}", flush=True)
         file = RESULTS / "validity.json"

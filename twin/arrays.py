@@ -11,6 +11,8 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
+
 Floats: TypeAlias = NDArray[np.float64]
 """Any float64 array; its docstring says the shape."""
 
@@ -34,6 +36,23 @@ Pixels: TypeAlias = NDArray[np.float64]
 
 Picture: TypeAlias = NDArray[np.uint8]
 """(height, width, 3) CCD counts, red, green, blue."""
+
+
+def as_points(given: object, what: str) -> Points:
+    """Return what was given as (n, 3) numbers.
+
+    Raises
+    ------
+    InputError
+        It is something else.
+    """
+    try:
+        points = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{what}: must be numbers of shape (n, 3), got {given!r:.60}") from None
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"{what}: must have shape (n, 3), got {points.shape}")
+    return points
 
 
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, NoReturn
 
-from cyclopts import App, CycloptsError, UnusedCliTokensError
+from cyclopts import App, CycloptsError, MissingArgumentError, UnusedCliTokensError
 
 from twin.commands.calibrate import calibrate
 from twin.commands.check import check
@@ -78,6 +78,12 @@ def _said(problem: CycloptsError) -> str:
     """Return what is wrong with the command line, in words of ours where the library's are of its inside."""
     if isinstance(problem, UnusedCliTokensError):
         return f"what is {' '.join(map(repr, problem.unused_tokens or ()))}? The command takes no more arguments"
+    if isinstance(problem, MissingArgumentError) and problem.argument is not None:
+        wanted = problem.argument
+        if problem.keyword is not None:
+            return f"{problem.keyword} needs a value: {wanted.parameter.help}"
+        name = wanted.name if wanted.index is None else wanted.name.lstrip("-").upper()
+        return f"{name} is missing: {wanted.parameter.help}"
     return str(problem)
 
 

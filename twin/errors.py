@@ -24,8 +24,9 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float 
     """Return the question after the nearest of the known names; ``otherwise`` where none is as near as ``cutoff``."""
     import difflib  # an error is rare, and the program starts without it
 
-    near = difflib.get_close_matches(name, list(known), 1, cutoff)
-    return f"did you mean '{near[0]}'?" if near else otherwise
+    spelt = {one.lower(): one for one in known}
+    near = difflib.get_close_matches(name.lower(), list(spelt), 1, cutoff)
+    return f"did you mean '{spelt[near[0]]}'?" if near else otherwise
 
 
 class TwinError(Exception):
@@ -58,6 +59,13 @@ class InputError(TwinError):
     """A file or an argument given by the user can't be used (exit code 2)."""
 
     exit_code = 2
+
+
+def require(value: object, kind: type | tuple[type, ...], what: str, remedy: str) -> None:
+    """Raise an `InputError` unless an argument is of its kind; ``remedy`` says where one comes from."""
+    if not isinstance(value, kind):
+        kinds = " or ".join(f"a {one.__name__}" for one in (kind if isinstance(kind, tuple) else (kind,)))
+        raise InputError(f"{what} must be {kinds}, not {type(value).__name__!s} {value!r:.60}: {remedy}")
 
 
 class OutOfBodyError(InputError):

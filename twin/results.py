@@ -154,6 +154,7 @@ class RunResult:
         from PIL import Image
 
         make_folder(folder)
+        write_json(folder / MARK, self.timings)
         write_whole(folder / "scene.toml", lambda f: f.write(self.scene_toml.encode()))
         for name, arrays in (("truth", self.truth), ("estimate", self.estimate)):
             if arrays is not None:
@@ -166,13 +167,25 @@ class RunResult:
                 write_whole(folder / f"{name}.png", lambda f, i=image: i.save(f, "PNG", compress_level=1))  # type: ignore[misc]
         if self.score is not None:
             write_json(folder / "score.json", {**self.score, "facts": self.facts})
-        write_json(folder / "timings.json", self.timings)
 
+
+MARK = "timings.json"
+"""Written first and removed last: beside it, files of the names below are an earlier run's."""
 
 RESULT_FILES = (
-    "rest.png", "pressed.png", "truth.npz", "estimate.npz", "score.json", "timings.json", "scene.toml", "report.html",
+    "rest.png", "pressed.png", "truth.npz", "estimate.npz", "score.json", "scene.toml", "report.html", MARK,
 )  # fmt: skip
-"""What a run may write; files of these names are an earlier run's."""
+"""What a run may write."""
+
+
+def refuse_others_files(folder: Path) -> None:
+    """Raise an `InputError` if ``folder`` holds a file that a run would replace and none has written."""
+    there = [name for name in RESULT_FILES if (folder / name).exists()]
+    if there and MARK not in there:
+        raise InputError(
+            f"--out {folder}: holds {', '.join(there)}, which no run wrote (there is no {MARK} beside), and which "
+            "would be replaced; give another folder"
+        )
 
 
 def remove_results(folder: Path) -> None:

@@ -36,6 +36,32 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["mesh", "sato_press", "--mend"], "See: twin mesh --help"),
         (["run", "kamiyama_pillar", "more"], "what is 'more'? The command takes no more"),
         (["check", "PICTURE"], "PICTURE: is a picture (PNG), which twin reconstruct takes"),
+        (["run"], "SCENE is missing: Path of a scene file"),
+        (["run", "kamiyama_pillar", "--out"], "--out needs a value: Folder for the results"),
+        (["run", "kamiyama_pillar", "--want", ","], "--want names nothing: give any of displacement"),
+        (
+            ["run", "kamiyama_pillar", "-s", "camera.width_px=true"],
+            "px: must be a whole number (allowed: 1 to 8192 px)",
+        ),
+        (["run", "kamiyama_pillar", "-s", "press.at_mm=[0]"], "press.at_mm.1: missing; give a value\n"),
+        (
+            ["run", "kamiyama_pillar", "-s", "press.at_mm=[1,2,3,4]"],
+            "at_mm = [1, 2, 3, 4] mm: must be a list of at most 3",
+        ),
+        (["run", "kamiyama_pillar", "-s", "press.direction=down"], "must be a list, such as [0, 0] or 'normal'\n"),
+        (["run", "kamiyama_pillar", "--out", "RECORDING"], "RECORDING: holds rest.png, which no run wrote"),
+        (["run", "LINK"], "scene 'LINK': is no file to read, but a folder, a device, or a link to nowhere"),
+        (["run", "long" * 100], "there is no such file"),
+        (["run", "~nobody_of_this_name/a.toml"], "there is no such file"),
+        (["reproduce", "--seed", "1.5"], "'1.5' is no whole number"),
+        (["reproduce", "Sato"], "there is no entry 'Sato': did you mean 'sato'?"),
+        (["dataset", "dataset_kamiyama", "--samples", "9999999999999"], "allowed are 1 to 1,000,000,000"),
+        (["sweep", "kamiyama_pillar"], "kamiyama_pillar.toml: is a scene, not a sweep"),
+        (["reconstruct", "REST", "PRESSED", "--calibration", "C", "--size", "64x48"], "belong to raw frames"),
+        (["reconstruct", "REST", "PRESSED", "--calibration", "C", "--overlay", "PRESSED"], "is what is read"),
+        (["reconstruct", "REST", "FOLDER", "--calibration", "C", "--overlay", "FOLDER"], "is what is read"),
+        (["reconstruct", "REST", "FOLDER", "--calibration", "C", "--overlay", "FOLDER/a.png"], "is what is read"),
+        (["reconstruct", "REST", "PRESSED", "--calibration", "C.npz", "--out", "./C.npz"], "is what is read"),
     ],
 )
 def test_wrong_input_is_told_in_the_users_terms(
@@ -49,12 +75,19 @@ def test_wrong_input_is_told_in_the_users_terms(
     Path("FOLDER").mkdir()
     Path("FILE").touch()
     Path("PICTURE").write_bytes(b"\x89PNG\r\n")
+    Path("LINK").symlink_to("NOWHERE")
+    Path("RECORDING").mkdir()
+    Path("RECORDING/rest.png").touch()
+    for name in ("OMP", "OPENBLAS", "MKL", "NUMBA"):  # which commands with workers would set for good
+        monkeypatch.setenv(f"{name}_NUM_THREADS", os.environ.get(f"{name}_NUM_THREADS", "1"))
+    before = sorted(tmp_path.rglob("*"))
     with pytest.raises(SystemExit) as done:
         main(arguments)
     told = capsys.readouterr().err
     assert done.value.code == 2
     assert words in told
     assert told.count("displacement = ") <= 1
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_help_names_every_command_and_an_example() -> None:

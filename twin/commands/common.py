@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 if TYPE_CHECKING:
     from twin.parts.scene import Scene
 
+
+def _whole(_: Any, tokens: Sequence[Token]) -> int:
+    """Read a whole number; the command line's library would round others without a word."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f"'{tokens[0].value}' is no whole number") from None
+
+
+Whole = Annotated[int, Parameter(converter=_whole)]
 SceneName = Annotated[str, Parameter(help="Path of a scene file, or the name of a shipped scene (see: twin scenes).")]
 Overrides = Annotated[
     tuple[str, ...],

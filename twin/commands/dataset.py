@@ -8,19 +8,22 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from twin.commands.common import Overrides, SceneName, load, progress
+from twin.commands.common import Overrides, SceneName, Whole, load, progress
+
+MOST = 1_000_000_000
+"""Samples of a dataset at most: years of work, and what its plan still holds in memory."""
 
 
 def dataset(
     scene: SceneName,
     *,
-    samples: Annotated[int, Parameter(help="How many samples; a dataset can grow later.")],
+    samples: Annotated[Whole, Parameter(help="How many samples; a dataset can grow later.")],
     out: Annotated[Path | None, Parameter(help="Folder of the dataset (default out/<scene>).")] = None,
     columns: Annotated[
         tuple[str, ...],
         Parameter(help="What to keep, separated by commas (default all).", show_default=False, negative_iterable=""),
     ] = (),
-    workers: Annotated[int | None, Parameter(help="Processes on this machine (default: its cores).")] = None,
+    workers: Annotated[Whole | None, Parameter(help="Processes on this machine (default: its cores).")] = None,
     scheduler: Annotated[str | None, Parameter(help="dask scheduler whose workers do it: tcp://host:8786.")] = None,
     dry_run: Annotated[
         bool, Parameter(help="Only say how large it will be and how long it takes.", negative="")
@@ -48,8 +51,8 @@ def dataset(
     loaded = load(scene, set_)
     if names:
         loaded = loaded.model_copy(update={"dataset": loaded.dataset.model_copy(update={"columns": tuple(names)})})
-    if samples < 1:
-        raise InputError(f"--samples {samples}: give at least 1")
+    if not 1 <= samples <= MOST:
+        raise InputError(f"--samples {samples}: allowed are 1 to {MOST:,}")
     count = workers if workers is not None else len(os.sched_getaffinity(0))
     if count < 1:
         raise InputError(f"--workers {count}: give at least 1")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -67,6 +69,9 @@ def reconstruct(
         ffmpeg()
     if "-" in frames:
         raw_layout(size, format)
+    elif size is not None or format is not None:
+        raise InputError("--size and --format belong to raw frames: give - in place of the pictures")
+    _keep_inputs((rest, calibration, *map(Path, frames)), out=out, overlay=overlay)
     known = read_calibration(calibration)
     chosen = _weight(weight)
     check_options(method, chosen, push_only, friction, camera, known)
@@ -105,6 +110,19 @@ def reconstruct(
         print(f"written to  {out}")
     if failed:
         raise SomeFailed(f"{failed} of {count} frames failed, the first trouble: {first}")
+
+
+def _keep_inputs(inputs: Sequence[Path], **outputs: Path | None) -> None:
+    """Refuse to write over what is read, or between it: a folder's drawings would be its next frames."""
+    from twin.errors import InputError
+
+    read = {os.path.realpath(path) for path in inputs}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        places = {path, path.parent} if option == "overlay" else {path}
+        if read & {os.path.realpath(place) for place in places}:
+            raise InputError(f"--{option} {path}: is what is read, or in a folder that is; give another name")
 
 
 def _weight(text: str) -> float | str:

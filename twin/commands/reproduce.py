@@ -7,14 +7,14 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from twin.commands.common import progress
+from twin.commands.common import Whole, progress
 
 
 def reproduce(
     *names: Annotated[str, Parameter(help="Entries (kamiyama/table-1), papers (sato), or all (default).")],
     out: Annotated[Path, Parameter(help="Folder for the page, the records and the pictures.")] = Path("reproduce"),
     quick: Annotated[bool, Parameter(help="One made sensor, fewer steps, no long entries.", negative="")] = False,
-    seed: Annotated[int, Parameter(help="Root seed of sensors and noise.")] = 1,
+    seed: Annotated[Whole, Parameter(help="Root seed of sensors and noise.")] = 1,
 ) -> None:
     """Make the papers' tables and figures again, paper beside twin.
 

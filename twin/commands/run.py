@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from twin.commands.common import Overrides, SceneName, load, progress
+from twin.commands.common import Overrides, SceneName, Whole, load, progress
 from twin.errors import InputError, did_you_mean
 
 WANTED = ("displacement", "picture", "tracking", "forces", "score", "report")
@@ -24,7 +24,9 @@ def run(
     live: Annotated[
         bool, Parameter(help="Move the probe by hand in a page on this machine instead.", negative="")
     ] = False,
-    port: Annotated[int, Parameter(help="Port of the live page (default: any that is free).", show_default=False)] = 0,
+    port: Annotated[
+        Whole, Parameter(help="Port of the live page (default: any that is free).", show_default=False)
+    ] = 0,
     set_: Overrides = (),
 ) -> None:
     """Take one press through the whole twin.
@@ -73,4 +75,6 @@ def _wanted(names: Sequence[str]) -> frozenset[str]:
         if name not in WANTED:
             hint = did_you_mean(name, WANTED, f"allowed are {', '.join(WANTED)}")
             raise InputError(f"--want {name}: unknown; {hint}")
+    if names and not given:
+        raise InputError(f"--want names nothing: give any of {', '.join(WANTED)}, or leave it out for all")
     return frozenset(given or WANTED)

@@ -8,14 +8,14 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from twin.commands.common import progress
+from twin.commands.common import Whole, progress
 
 
 def sweep(
     sweep: Annotated[str, Parameter(help="Path of a sweep file, or the name of a shipped sweep.")],
     *,
     out: Annotated[Path | None, Parameter(help="Folder of the results (default out/<sweep>).")] = None,
-    workers: Annotated[int | None, Parameter(help="Processes on this machine (default: its cores).")] = None,
+    workers: Annotated[Whole | None, Parameter(help="Processes on this machine (default: its cores).")] = None,
     scheduler: Annotated[str | None, Parameter(help="dask scheduler whose workers do it: tcp://host:8786.")] = None,
     dry_run: Annotated[bool, Parameter(help="Only say what would be done and how long it takes.", negative="")] = False,
     optimise: Annotated[

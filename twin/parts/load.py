@@ -7,12 +7,13 @@ contact solution consists of). ``twin.Traction.rectangle(...)`` and its siblings
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 from typing import Literal
 
 import numpy as np
 
 from twin.arrays import Floats, Points, frozen
-from twin.errors import InputError
+from twin.errors import InputError, require
 
 Vector = tuple[float, float, float]
 
@@ -91,17 +92,17 @@ class Traction:
     @staticmethod
     def disk(centre_mm: tuple[float, ...], radius_mm: float, force_n: Vector) -> Load:
         """Return a uniform traction on a disk of ``radius_mm`` with total ``force_n``."""
-        return _single("disk", centre_mm, (2.0 * radius_mm, 2.0 * radius_mm), force_n)
+        return _single("disk", centre_mm, _across(radius_mm), force_n)
 
     @staticmethod
     def bump(centre_mm: tuple[float, ...], radius_mm: float, force_n: Vector) -> Load:
         """Return a smooth traction max(0, 1 - r^2/a^2)^2 in the constant direction of ``force_n``, its total."""
-        return _single("bump", centre_mm, (2.0 * radius_mm, 2.0 * radius_mm), force_n)
+        return _single("bump", centre_mm, _across(radius_mm), force_n)
 
     @staticmethod
     def twist(centre_mm: tuple[float, ...], radius_mm: float, torque_nmm: float) -> Load:
         """Return a tangential traction proportional to r with total ``torque_nmm``, turning x towards y."""
-        return _single("twist", centre_mm, (2.0 * radius_mm, 2.0 * radius_mm), (0.0, 0.0, 0.0), torque_nmm)
+        return _single("twist", centre_mm, _across(radius_mm), (0.0, 0.0, 0.0), torque_nmm)
 
 
 @dataclass(frozen=True)
@@ -122,6 +123,11 @@ class Load:
         return self
 
 
+def _across(radius_mm: float) -> tuple[float, float]:
+    require(radius_mm, Real, "radius_mm", "one number, mm")
+    return 2.0 * float(radius_mm), 2.0 * float(radius_mm)
+
+
 def _single(
     kind: Literal["rectangle", "disk", "bump", "twist"],
     centre_mm: tuple[float, ...],
@@ -132,10 +138,11 @@ def _single(
     try:
         centre = tuple(float(c) for c in centre_mm)
         fx, fy, fz = (float(f) for f in force_n)
+        torque = float(torque_nmm)
     except (TypeError, ValueError):
         raise InputError(
-            f"{kind} traction: centre_mm must be two or three numbers and force_n three, got {centre_mm!r} and "
-            f"{force_n!r}"
+            f"{kind} traction: centre_mm must be two or three numbers, force_n three, torque_nmm one, got "
+            f"{centre_mm!r}, {force_n!r} and {torque_nmm!r}"
         ) from None
-    term = Traction(kind=kind, centre_mm=centre, size_mm=size_mm, force_n=(fx, fy, fz), torque_nmm=float(torque_nmm))
+    term = Traction(kind=kind, centre_mm=centre, size_mm=size_mm, force_n=(fx, fy, fz), torque_nmm=torque)
     return Load((term,))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -56,6 +58,14 @@ class Part(BaseModel):
     # Whole files are validated without a call of this constructor, so that their complaints can name the file's keys.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
+    @model_validator(mode="before")
+    @classmethod
+    def _true_is_no_number(cls, table: Any) -> Any:
+        """Make ``true`` a word where only a number fits, so that it is refused there: it would be taken as 1."""
+        if not isinstance(table, Mapping):
+            return table
+        return {key: _spelt(value) if key in _numbers(cls) else value for key, value in table.items()}
+
     @model_validator(mode="after")
     def _provenance_names_keys(self) -> Part:
         for table in (self.source, self.assumed):
@@ -75,11 +85,54 @@ class Part(BaseModel):
         return [k for k in sorted(self.model_fields_set) if k not in told and _holds_number(getattr(self, k))]
 
 
+@cache
+def _numbers(part: type[Part]) -> frozenset[str]:
+    """Return the keys that take neither truth values nor texts."""
+    taken = {key: _leaves(field.annotation) for key, field in part.model_fields.items()}
+    return frozenset(key for key, kinds in taken.items() if not any(map(_says_more, kinds)))
+
+
+def _says_more(kind: Any) -> bool:
+    return kind in (bool, str, Any) or (isinstance(kind, type) and issubclass(kind, BaseModel))
+
+
+def _leaves(annotation: Any) -> set[Any]:
+    return {annotation}.union(*map(_leaves, get_args(annotation)))
+
+
+def _spelt(value: Any) -> Any:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return {key: _spelt(one) for key, one in value.items()}
+    return [_spelt(one) for one in value] if isinstance(value, tuple | list) else value
+
+
+WORDS = {
+    "missing": "missing; give a value", "extra_forbidden": "unknown key", "string_type": "must be a text",
+    "tuple_type": "must be a list, such as [0, 0]", "dict_type": "must be a table", "model_type": "must be a table",
+    "float_type": "must be a number", "float_parsing": "must be a number", "int_type": "must be a whole number",
+    "int_parsing": "must be a whole number", "int_from_float": "must be a whole number",
+    "bool_type": "must be true or false", "bool_parsing": "must be true or false",
+}  # fmt: skip
+"""What the validation library's errors say, in the words of a recipe."""
+
+
+def in_words(error: Mapping[str, Any]) -> str:
+    """Return what an error of the validation library says, in the words of a recipe."""
+    kind, facts = str(error["type"]), error.get("ctx") or {}
+    if kind in ("too_short", "too_long") and "field_type" in facts:
+        bound = f"at least {facts['min_length']}" if kind == "too_short" else f"at most {facts['max_length']}"
+        return f"must be a list of {bound} values" if facts["field_type"] == "Tuple" else f"must have {bound} entries"
+    return WORDS.get(kind) or str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
+
+
 def _complaint(error: dict[str, Any]) -> str:
     key = ".".join(str(k) for k in error["loc"])
     unit = unit_of(str(error["loc"][-1])) if error["loc"] else ""
-    message = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
-    given = "" if isinstance(error["input"], dict) or not key else f" = {error['input']!r}{' ' + unit if unit else ''}"
+    message = in_words(error)
+    told = isinstance(error["input"], dict) or error["type"] in ("missing", "extra_forbidden")
+    given = "" if told or not key else f" = {error['input']!r}{' ' + unit if unit else ''}"
     return f"{key}{given}: {message}" if key else message
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
 from twin.arrays import Floats
-from twin.parts.part import Part
+from twin.parts.part import Part, in_words
 from twin.parts.tolerance import CUT
 
 Number = float | tuple[float, ...]
@@ -273,8 +273,8 @@ def _nested(value: Any) -> None:
                 _CLASSES[kind].model_validate(value)
             except ValidationError as problem:
                 first = problem.errors()[0]
-                told = str(first["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
-                raise ValueError(f"{'.'.join(str(k) for k in first['loc'])}: {told}".lstrip(": ")) from None
+                key = ".".join(str(k) for k in first["loc"])
+                raise ValueError(f"{key}: {in_words(first)}".lstrip(": ")) from None
         else:
             for inner in value.values():
                 _nested(inner)

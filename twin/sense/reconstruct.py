@@ -14,12 +14,14 @@ corrections of the data, so that one factorisation serves a whole sequence.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
+from types import NoneType
 from typing import get_args
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points, frozen
-from twin.errors import InputError
+from twin.errors import InputError, require
 from twin.parts.methods import Method
 from twin.sense.calibration import Calibration
 from twin.sense.linear import MOST, SETTLED, Linear, bend_of, solved
@@ -135,6 +137,8 @@ def reconstruct(
     objective is minimised (`twin.sense.cone`). The camera's bend g(F) - H F is taken off the data and the solve
     repeated until nothing changes: Gauss-Newton with the derivative kept from the rest state.
     """
+    require(found, Found, "the motion", "make it with twin.track")
+    require(calibration, Calibration, "the calibration", "read one with twin.read_calibration")
     check_options(method, weight, push_only, friction, camera, calibration)
     problem = problem_of(found, calibration, "smooth" if method == "local" else method)
     rule = weight
@@ -175,6 +179,8 @@ def check_options(
     """
     if method not in get_args(Method):
         raise InputError(f"method = {method!r}: allowed are {', '.join(map(repr, get_args(Method)))}")
+    require(weight, (Real, str), "weight", "a number of px^2/N^2, or 'auto', 'likelihood', 'gcv'")
+    require(friction, (Real, NoneType), "friction", "a coefficient, or None for no bound")
     if isinstance(weight, str):
         if weight not in RULES:
             raise InputError(f"weight = {weight!r}: allowed are numbers, 'auto', 'likelihood' and 'gcv'")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Picture, Pixels, frozen
-from twin.errors import InputError
+from twin.errors import InputError, require
 from twin.sense.cells import cell_centroids
 from twin.sense.detect import Blobs, find_blobs
 from twin.sense.fit import EDGE, LEVEL
@@ -264,6 +265,7 @@ def _with_templates(picture: Picture, groups: list[Group], given: bool) -> list[
 
 
 def _checked_layout(layout: Mapping[str, Pixels]) -> dict[str, Pixels]:
+    require(layout, Mapping, "the layout", "give {layer name: (n, 2) nominal positions in px}")
     drawn = {str(name): np.atleast_2d(np.asarray(points, float)) for name, points in layout.items()}
     if not drawn:
         raise InputError("the layout has no layers: give {layer name: (n, 2) nominal positions in px}")
@@ -282,6 +284,8 @@ def _check_options(
     channels: Mapping[str, Weights] | None,
     method: str,
 ) -> None:
+    if diameter_px is not None:
+        require(diameter_px, Real, "diameter_px", "one width in px for all layers, or None to measure it")
     if diameter_px is not None and not 2.0 <= diameter_px <= 500.0:
         raise InputError(f"diameter_px = {diameter_px} px: allowed are 2 to 500 px, or None to measure it")
     if polarity not in (None, "bright", "dark"):
@@ -289,6 +293,7 @@ def _check_options(
     if method not in METHODS:
         raise InputError(f"method = {method!r}: allowed are {', '.join(METHODS)}")
     if channels is not None:
+        require(channels, Mapping, "channels", "give {layer name: (r, g, b)}, or None to estimate them")
         for name in drawn:
             numbers = np.asarray(channels.get(name, ()), float)
             if numbers.shape != (3,) or not np.isfinite(numbers).all() or not numbers.any():

@@ -10,14 +10,15 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from twin.errors import did_you_mean
-from twin.parts.part import unit_of
+from twin.parts.part import in_words, unit_of
 from twin.parts.scene import Scene
 
 
 def complaints(problem: ValidationError, table: Mapping[str, Any]) -> list[str]:
     """Return one line for every error of a failed validation of ``table`` as a `Scene`."""
     errors = [dict(error) for error in problem.errors(include_url=False)]
-    return [_line(error, table) for error in errors if not _is_other_word(error, errors)]
+    errors = [error for error in errors if not _is_other_word(error, errors)]
+    return [_line(error, table) for error in _nearest(errors, table)]
 
 
 def _is_other_word(error: dict[str, Any], errors: list[dict[str, Any]]) -> bool:
@@ -25,6 +26,28 @@ def _is_other_word(error: dict[str, Any], errors: list[dict[str, Any]]) -> bool:
     if error["type"] != "literal_error" or isinstance(error.get("input"), str):
         return False
     return any(other is not error and other["loc"][:-1] == error["loc"][:-1] for other in errors)
+
+
+def _nearest(errors: list[dict[str, Any]], table: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Keep, of a value that fits none of the kinds it may be of, what is said by the kind that it is nearest to."""
+    by_value: dict[tuple[Any, ...], dict[Any, list[dict[str, Any]]]] = {}
+    for error in errors:
+        loc, keys = error["loc"], _keys(error["loc"], table)
+        place = next((i for i, part in enumerate(loc) if i >= len(keys) or keys[i] != part), len(loc))
+        kind = loc[place] if place < len(loc) else None
+        by_value.setdefault(loc[:place], {}).setdefault(kind, []).append(error)
+    kept: list[dict[str, Any]] = []
+    for kinds in by_value.values():
+        plain = kinds.pop(None, [])
+        far = {kind: (len(some), -max(len(e["loc"]) for e in some)) for kind, some in kinds.items()}
+        near = [some for kind, some in kinds.items() if far[kind] == min(far.values())]
+        if len(near) > 1 and len(near[0]) == 1:  # the value is none of them: what each wants, in one line
+            words = {some[0]["type"]: in_words(some[0]).removeprefix("must be ") for some in near}
+            plain.append({**near[-1][0], "type": "", "msg": "must be " + " or ".join(words.values())})
+        else:
+            plain += [error for some in near for error in some]
+        kept += plain
+    return kept
 
 
 def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
@@ -38,11 +61,9 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
     if error["type"] == "missing":
         unit = unit_of(last)
         return f"{dotted}: missing; give a value" + (f" in {unit}" if unit else "")
-    message = str(error["msg"]).removeprefix("Value error, ")
-    message = message.replace("Input should be", "must be")
-    if error["type"] == "tuple_type":
-        by_name = last in ("force_n", "move_mm")
-        message = "must name its components, such as {z = 1}" if by_name else "must be a list, such as [0, 0]"
+    message = in_words(error)
+    if error["type"] == "tuple_type" and last in ("force_n", "move_mm"):
+        message = "must name its components, such as {z = 1}"
     if error["type"] == "union_tag_invalid":
         context = error["ctx"]
         dotted = f"{dotted}.{context['discriminator'].strip(chr(39))} = '{context['tag']}'"

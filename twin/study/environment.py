@@ -119,10 +119,10 @@ class Environment:
     """
 
     def __init__(self, scene: Scene, progress: Progress | None = None) -> None:
+        self.sensor = Sensor(scene, progress)
         for table, there in (("camera", scene.camera), ("reconstruction", scene.reconstruction)):
             if there is None:
                 raise RecipeError(f"this scene has no [{table}] table, so its sensor feels nothing")
-        self.sensor = Sensor(scene, progress)
         self._exposure = 0
         self._made: tuple[Calibration, Tracker] | None = None
 

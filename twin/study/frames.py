@@ -100,7 +100,7 @@ def frames(sources: Sequence[str], stream: IO[bytes], size: str | None, layout: 
         if path.is_dir():
             files = sorted((f for f in path.iterdir() if f.suffix.lower() in (*PICTURES, *VIDEOS)), key=in_number)
             if not files:
-                yield Frame(name=source, problem=f"{source}: the folder holds no pictures ({', '.join(PICTURES)})")
+                yield Frame(name=source, problem=f"the folder holds no pictures ({', '.join(PICTURES)})")
             for file in files:
                 yield from _of_file(file)
         else:
@@ -119,7 +119,7 @@ def _of_file(path: Path) -> Iterator[Frame]:
     try:
         yield Frame(name=path.name, picture=read_picture(path))
     except InputError as problem:
-        yield Frame(name=path.name, problem=str(problem))
+        yield Frame(name=path.name, problem=str(problem).removeprefix(f"{path}: "))
 
 
 def raw_layout(size: str | None, layout: str | None) -> tuple[int, int, int]:
@@ -169,7 +169,7 @@ def video_frames(path: Path) -> Iterator[Frame]:
     """Yield the frames of a video file."""
     package = ffmpeg()
     if not path.is_file():
-        yield Frame(name=path.name, problem=f"{path}: there is no such video")
+        yield Frame(name=path.name, problem="there is no such video")
         return
     try:
         with closing(package.read_frames(str(path), pix_fmt="rgb24")) as reader:
@@ -178,7 +178,7 @@ def video_frames(path: Path) -> Iterator[Frame]:
                 picture = np.frombuffer(data, np.uint8).reshape(height, width, 3)
                 yield Frame(name=f"{path.name}:{number}", picture=picture)
     except (OSError, RuntimeError, StopIteration, ValueError, KeyError) as problem:
-        yield Frame(name=path.name, problem=f"{path}: can't be read as a video ({type(problem).__name__})")
+        yield Frame(name=path.name, problem=f"can't be read as a video ({type(problem).__name__})")
 
 
 class VideoWriter:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Floats
-from twin.errors import MissingCapability, TwinError
+from twin.errors import InputError, MissingCapability, TwinError
 from twin.parts.scene import Scene
 from twin.study.environment import Observation
 from twin.study.live import Hand, LivePress
@@ -72,8 +72,11 @@ class TactileEnv(gymnasium.Env[dict[str, np.ndarray], Floats]):  # type: ignore[
 
     def step(self, action: Floats) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Press; see `gymnasium.Env.step`."""
+        given = np.asarray(action)
+        if given.shape != (len(ACTION),) or given.dtype.kind not in "fiu":
+            raise InputError(f"the action must be {len(ACTION)} numbers ({', '.join(ACTION)}), got {action!r:.60}")
         begin = self._live.start()
-        question = {**begin.told(), **dict(zip(ACTION, map(float, action), strict=True))}
+        question = {**begin.told(), **dict(zip(ACTION, map(float, given), strict=True))}
         try:
             press = Hand.of(question, by_motion=begin.by_motion).press(self._live.moved)
             self._last = self._live.environment.step(press)

@@ -7,6 +7,7 @@ provenance of the value it replaces.
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from twin.errors import InputError, RecipeError, did_you_mean
+from twin.errors import InputError, RecipeError, did_you_mean, require
 from twin.parts.scene import Scene
 from twin.parts.vary import flat
 from twin.places import MESHES, SCENES
@@ -59,14 +60,17 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
     RecipeError
         With every problem of the scene at once: file, key, value, unit, allowed range.
     InputError
-        There is no such file.
+        There is no such file, or an argument is of another kind.
     """
+    require(scene, (str, Path), "the scene", "give a shipped scene's name (twin scenes) or a path")
+    require(overrides or {}, Mapping, "overrides", 'give values by key, such as {"material.poisson_ratio": 0.3}')
     path = find_scene(scene)
     table = _read_with_base(path)
     if {"scene", "axes"} <= table.keys():
         raise RecipeError("is a sweep over many designs, not a scene: give it to twin sweep", str(path))
     folders = [path.parent]
     for key, value in (overrides or {}).items():
+        require(key, str, "an override's key", "write it with dots, such as material.poisson_ratio")
         _set(table, key, value)
     body = table.get("body")
     if isinstance(body, dict) and "recipe" in body:
@@ -198,18 +202,20 @@ def shipped_scenes() -> dict[str, Path]:
 
 def find_scene(scene: str | Path) -> Path:
     """Return the file of a scene given by path or by the name of a shipped one."""
-    if Path(scene).is_dir():
+    if scene and os.path.isdir(scene):
         raise InputError(f"{scene}: is a folder; give a scene file, such as {Path(scene) / 'scene.toml'}")
     return _find(str(scene), SCENES, Path.cwd(), "scene")
 
 
 def _find(name: str, shipped: Path, beside: Path, what: str, where: Path | None = None) -> Path:
-    given = Path(name).expanduser()
-    for candidate in (given if given.is_absolute() else beside / given, shipped / f"{name}.toml"):
-        if candidate.is_file():
+    given = beside / os.path.expanduser(name)
+    for candidate in (given, shipped / f"{name}.toml"):
+        if os.path.isfile(candidate):  # Path.is_file raises where a name is too long
             return candidate
     known = [p.stem for p in sorted(shipped.glob("*.toml")) if not p.stem.startswith(SWEEP)]
     prefix = f"{where}: " if where else ""
+    if name and os.path.lexists(given):
+        raise InputError(f"{prefix}{what} '{name}': is no file to read, but a folder, a device, or a link to nowhere")
     raise InputError(f"{prefix}{nothing_named(name, known, what)}")
 
 

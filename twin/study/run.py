@@ -26,7 +26,7 @@ import numpy as np
 from twin.arrays import Floats
 from twin.errors import ContactError, InputError, RecipeError, SomeFailed
 from twin.parts.scene import Scene
-from twin.results import Estimate, RunResult, Truth, make_folder, remove_results, write_whole
+from twin.results import Estimate, RunResult, Truth, make_folder, refuse_others_files, remove_results, write_whole
 from twin.study.actual import shared_by_truth_and_estimate
 from twin.study.recipe import dump_scene
 from twin.study.sensor import Motion, Progress, Sensor
@@ -89,17 +89,20 @@ def run_to_folder(scene: Scene, folder: Path, want: Collection[str], progress: P
     it, `SomeFailed` says so, and so do their facts.
     """
     make_folder(folder)
+    refuse_others_files(folder)
     asked = frozenset(want)
     result = _run(scene, asked, by_name=asked != WANTED, keep_last=True, progress=progress)
-    remove_results(folder)
+    page = ""
     if "report" in want:
         from twin.show.report import report
 
         started = time.perf_counter()
         page = report(result)
         result = replace(result, timings={**result.timings, "report": time.perf_counter() - started})
-        write_whole(folder / "report.html", lambda f: f.write(page.encode()))
+    remove_results(folder)
     _only_wanted(result, asked).write(folder)
+    if page:
+        write_whole(folder / "report.html", lambda f: f.write(page.encode()))
     if progress is not None:
         progress("done", 1.0)
     if (reason := result.facts.get("contact", {}).get("incomplete")) is not None:

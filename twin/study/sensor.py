@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from twin.arrays import Chart, Floats, Picture, Pixels, Points, Singles
-from twin.errors import AccuracyWarning, InputError, RecipeError
+from twin.arrays import Chart, Floats, Picture, Pixels, Points, Singles, as_points
+from twin.errors import AccuracyWarning, InputError, RecipeError, require
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
 from twin.parts.markers import MarkerSet, place
@@ -73,9 +73,15 @@ class Sensor:
         The nominal design, with tolerances, seed and accuracy.
     progress
         Told about work that takes longer.
+
+    Raises
+    ------
+    InputError
+        It is no `Scene`.
     """
 
     def __init__(self, scene: Scene, progress: Progress | None = None) -> None:
+        require(scene, Scene, "the scene", "load one with twin.load_scene")
         self.nominal = scene
         self.progress = progress
         self._warned = False
@@ -135,6 +141,7 @@ class Sensor:
     def rectangles(self, load: Load) -> Rectangles:
         """Cut a load into the rectangles that the solvers work on; the last load's are kept."""
         if self._cut is None or self._cut[0] is not load:
+            require(load, Load, "the load", "make one with twin.Traction, or of a press: sensor.press(press).load")
             from twin.world.elasticity.tile import tile
 
             self._cut = load, tile(load, self.actual.scene.body)
@@ -150,9 +157,7 @@ class Sensor:
         InputError
             The load misses the sensing surface.
         """
-        points = np.asarray(points_mm, float)
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise InputError(f"points_mm: must have shape (n, 3), got {points.shape}")
+        points = as_points(points_mm, "points_mm")
         answer = self.ladder.displacement(points, self.rectangles(load), always=False)
         self._warn_if_inaccurate(answer.error)
         return answer.displacement_mm
@@ -267,6 +272,7 @@ class Sensor:
         wanted = press if press is not None else self.nominal.press
         if wanted is None:
             raise RecipeError("this scene has no [press] table: give Sensor.press a Press")
+        require(wanted, Press, "the press", "make one with twin.Press; loads go to Sensor.displacement and .picture")
         material = self.actual.scene.material
         return solve(
             wanted,
@@ -289,9 +295,18 @@ class Sensor:
         exposure
             Number of the exposure: pictures of the same number have the same noise. The rest state is exposure 0, a
             loaded one 1 if not given.
+
+        Raises
+        ------
+        RecipeError
+            The scene has no camera.
+        InputError
+            ``load`` or ``exposure`` is of another kind.
         """
         number = exposure if exposure is not None else int(load is not None)
-        motion = self.motion(load) if isinstance(load, Load) else load
+        if not isinstance(number, int | np.integer) or number < 0:
+            raise InputError(f"exposure = {number!r}: allowed are whole numbers from 0")
+        motion = self._moved(load)
         radiance = self.renderer.radiance(self.ellipsoids(motion), motion.cover if motion is not None else None)
         return self._exposed(radiance, number)
 
@@ -329,12 +344,15 @@ class Sensor:
         own = stream(self.nominal.seed, Purpose.SENSOR_PATTERN)
         return fixed_pattern(self.nominal.ccd, (camera.height_px, camera.width_px), own)
 
+    def _moved(self, load: Load | Motion | None) -> Motion | None:
+        return load if load is None or isinstance(load, Motion) else self.motion(load)
+
     def ellipsoids(self, load: Load | Motion | None) -> Ellipsoids:
         """Return the actual markers as they stand under ``load``."""
         from twin.world.picture.markers import ellipsoids
 
         markers, layers = self.actual.markers, self.actual.scene.markers
-        motion = self.motion(load) if isinstance(load, Load) else load
+        motion = self._moved(load)
         if motion is None:
             return ellipsoids(markers, layers, prints=self.actual.prints)
         return ellipsoids(markers, layers, motion.displacement_mm, motion.gradient, self.actual.prints)
@@ -344,7 +362,8 @@ class Sensor:
         scene = self.actual.scene if which == "actual" else self.nominal
         if scene.camera is None:
             return np.zeros((0, 2))
-        return project(points_mm, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
+        points = as_points(points_mm, "points_mm")
+        return project(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
 
     @cached_property
     def layout_px(self) -> dict[str, Pixels]:

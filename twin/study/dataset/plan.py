@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from twin.errors import RecipeError, did_you_mean
 from twin.parts.footprint import Footprint
 from twin.parts.load import Load
-from twin.parts.part import Part
+from twin.parts.part import Part, in_words
 from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.parts.vary import Distribution
@@ -201,8 +201,7 @@ def _valid(part: type[P], table: Table, where: str) -> P:
                 hint = did_you_mean(str(error["loc"][-1]), part.model_fields, otherwise)
                 lines.append(f"vary.{key}: unknown key; {hint}")
             else:
-                told = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
-                lines.append(f"{key}: {told}")
+                lines.append(f"{key}: {in_words(error)}")
         raise (UnknownKey if unknown else RecipeError)(lines) from None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import io
+import operator
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -67,6 +68,7 @@ class DatasetReader:
         return self._starts[-1]
 
     def __getitem__(self, row: int) -> dict[str, Any]:
+        row = operator.index(row)  # a TypeError that says what it was, as for a list
         number = row + len(self) if row < 0 else row
         if not 0 <= number < len(self):
             raise IndexError(f"row {row}: the dataset has {len(self)}")

@@ -68,7 +68,7 @@ def chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
     for name in names or ("all",):
         found = [key for key in ENTRIES if name in ("all", key, key.split("/")[0])]
         if not found:
-            hint = did_you_mean(name, ENTRIES, "", 0.4)
+            hint = did_you_mean(name, (*(key.split("/")[0] for key in ENTRIES), *ENTRIES), "", 0.4)
             raise InputError(
                 f"there is no entry '{name}':{hint and f' {hint}'} allowed are all, kamiyama, sato, beyond, "
                 f"{', '.join(ENTRIES)}"

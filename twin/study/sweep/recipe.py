@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from twin.errors import InputError, RecipeError, did_you_mean
-from twin.parts.part import Part, unit_of
+from twin.parts.part import Part, in_words, unit_of
 from twin.parts.scene import Scene
-from twin.parts.sweep import Confirm, Cost, Limits, Loads, Sweep
+from twin.parts.sweep import Confirm, Cost, Limits, Loads, Range, Sweep
 from twin.places import SCENES
 from twin.study.recipe import SWEEP, load_scene, nothing_named, read_recipe
 from twin.study.sweep.designs import check_keys
+
+PARTS: dict[str, type[Part]] = {"axes": Range, "loads": Loads, "confirm": Confirm, "limits": Limits, "cost": Cost}
+"""What the tables of a sweep file hold."""
 
 
 def shipped_sweeps() -> dict[str, Path]:
@@ -53,6 +57,8 @@ def is_sweep(path: Path) -> bool:
 
 def sweep_of(table: dict[str, Any], where: str) -> Sweep:
     """Return the sweep of a table read from ``where``."""
+    if "axes" not in table and table.keys() & Scene.model_fields.keys() - Sweep.model_fields.keys():
+        raise RecipeError("is a scene, not a sweep over designs: give it to twin run", where)
     try:
         return Sweep.model_validate(table)
     except ValidationError as problem:
@@ -66,19 +72,17 @@ def _line(error: dict[str, Any]) -> str:
     keys = [str(k) for k in error["loc"] if not str(k).startswith("[")]
     dotted, last = ".".join(keys) or "sweep", keys[-1] if keys else ""
     if error["type"] == "extra_forbidden":
-        parts: dict[str, type[Part]] = {"loads": Loads, "confirm": Confirm, "limits": Limits, "cost": Cost}
-        hint = did_you_mean(last, parts.get(keys[0], Sweep).model_fields, "")
+        hint = did_you_mean(last, PARTS.get(keys[0], Sweep).model_fields, "")
         return f"{dotted}: unknown key" + (f"; {hint}" if hint else "")
     if error["type"] == "missing":
         return f"{dotted}: missing; give a value"
-    told = str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
-    value, unit = error.get("input"), unit_of(last)
+    told, value, unit = in_words(error), error.get("input"), unit_of(last)
     shown = "" if isinstance(value, dict | Sweep) or not keys else f" = {value!r}{' ' + unit if unit else ''}"
     return f"{dotted}{shown}: {told}"
 
 
 def _find(name: str) -> Path:
-    for candidate in (Path(name).expanduser(), SCENES / f"{name}.toml", SCENES / f"{SWEEP}{name}.toml"):
-        if candidate.is_file():
+    for candidate in (Path(os.path.expanduser(name)), SCENES / f"{name}.toml", SCENES / f"{SWEEP}{name}.toml"):
+        if os.path.isfile(candidate):
             return candidate
     raise InputError(nothing_named(name, list(shipped_sweeps()), "sweep"))
