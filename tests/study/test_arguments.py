@@ -70,7 +70,7 @@ def test_points_may_come_in_any_layout_of_memory(given: Callable[[Any], Any], ba
 
 
 def test_a_run_writes_over_its_own_files_only(tmp_path: Path) -> None:
-    from twin.study.run import run_to_folder
+    from twin.study.run_folder import run_to_folder
 
     scene = twin.load_scene("block_bare")
     for _ in range(2):

@@ -11,7 +11,7 @@ import pytest
 import twin
 from twin.errors import RecipeError
 from twin.results import RESULT_FILES
-from twin.study.run import run_to_folder
+from twin.study.run_folder import run_to_folder
 
 SMALL = {
     "camera.width_px": 160, "camera.height_px": 120, "camera.focal_px": 450,

@@ -51,7 +51,7 @@ def run(
     if port:
         raise InputError("--port: belongs to --live")
     from twin.study.recipe import find_scene
-    from twin.study.run import run_to_folder
+    from twin.study.run_folder import run_to_folder
 
     wanted = _wanted(want)
     path = find_scene(scene)

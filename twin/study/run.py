@@ -17,24 +17,21 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.arrays import Floats
-from twin.errors import ContactError, InputError, RecipeError, SomeFailed
+from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.scene import Scene
-from twin.results import Estimate, RunResult, Truth, make_folder, refuse_others_files, remove_results, write_whole
-from twin.study.actual import shared_by_truth_and_estimate
+from twin.results import Estimate, RunResult, Truth
 from twin.study.recipe import dump_scene
+from twin.study.scored import facts_of, score_of
 from twin.study.sensor import Motion, Progress, Sensor
 from twin.study.touch import touches
 
 if TYPE_CHECKING:
     from twin.parts.load import Rectangles
-    from twin.sense.calibration import Calibration
     from twin.sense.reconstruct import Field
     from twin.sense.track import Found
     from twin.world.contact.contact import ContactState
@@ -70,44 +67,26 @@ def run(scene: Scene, want: Collection[str] | None = None, progress: Progress | 
     if isinstance(want, str):
         want = {want}
     asked = frozenset(want) if want is not None else WANTED
-    return _only_wanted(_run(scene, asked, by_name=want is not None, progress=progress), asked)
+    return only_wanted(computed(scene, asked, by_name=want is not None, progress=progress), asked)
 
 
-def _run(
+def computed(
     scene: Scene, asked: frozenset[str], *, by_name: bool, progress: Progress | None, keep_last: bool = False
 ) -> RunResult:
-    """Return everything that had to be computed for what was asked."""
+    """Return everything that had to be computed for what was asked.
+
+    Parameters
+    ----------
+    asked
+        As ``want`` of `run`.
+    by_name
+        Whether the scene must have all of it.
+    keep_last
+        Where a step of the press is refused, go on with the state before it, which its facts say.
+    """
     if unknown := sorted(asked - WANTED):
         raise RecipeError(f"want: unknown {', '.join(unknown)}; allowed are {', '.join(sorted(WANTED))}")
     return _Chain(Sensor(scene, progress), _needed(scene, asked, by_name=by_name), progress, keep_last).go()
-
-
-def run_to_folder(scene: Scene, folder: Path, want: Collection[str], progress: Progress | None = None) -> str:
-    """Run a scene, write its files into ``folder`` and return a summary of a few lines.
-
-    Where a step of the press after the first is refused or does not converge, the files are those of the state before
-    it, `SomeFailed` says so, and so do their facts.
-    """
-    make_folder(folder)
-    refuse_others_files(folder)
-    asked = frozenset(want)
-    result = _run(scene, asked, by_name=asked != WANTED, keep_last=True, progress=progress)
-    page = ""
-    if "report" in want:
-        from twin.show.report import report
-
-        started = time.perf_counter()
-        page = report(result)
-        result = replace(result, timings={**result.timings, "report": time.perf_counter() - started})
-    remove_results(folder)
-    _only_wanted(result, asked).write(folder)
-    if page:
-        write_whole(folder / "report.html", lambda f: f.write(page.encode()))
-    if progress is not None:
-        progress("done", 1.0)
-    if (reason := result.facts.get("contact", {}).get("incomplete")) is not None:
-        raise SomeFailed(f"press: {reason}; what belongs to that state is in {folder}")
-    return _summary(result, folder)
 
 
 def _needed(scene: Scene, asked: frozenset[str], by_name: bool) -> frozenset[str]:
@@ -198,7 +177,7 @@ class _Chain:
         estimate = _estimate(found, forces)
         with self.stage("score"):
             frames = calibration.site_frames if calibration is not None else None
-            score = self._score(truth, motion, estimate, state, frames)
+            score = score_of(sensor, truth, motion, estimate, state, frames, self.failures)
         return RunResult(
             scene_toml=dump_scene(scene),
             truth=truth,
@@ -207,7 +186,7 @@ class _Chain:
             pressed=pressed,
             score=score,
             touches=touches(scene, scene.press, state) if scene.press is not None and state is not None else (),
-            facts=self._facts(state, calibration, forces),
+            facts=facts_of(sensor, state, calibration, forces, "picture" in self.needed),
             timings=self.timings,
         )
 
@@ -251,114 +230,6 @@ class _Chain:
             marker_visible=(rest.visible >= UNOCCLUDED) & (pressed.visible >= UNOCCLUDED),
         )
 
-    def _score(
-        self,
-        truth: Truth,
-        motion: Motion,
-        estimate: Estimate | None,
-        state: ContactState | None,
-        frames: Floats | None,
-    ) -> dict[str, Any]:
-        from twin.judge.score import force_score, score, tracking_score
-
-        moved = np.linalg.norm(truth.marker_displacement_mm, axis=1)
-        elastic = {
-            "displacement_error": motion.error,
-            "largest_displacement_mm": float(moved.max()) if len(moved) else None,
-            "contact_residual": state.residual if state is not None else None,
-            **_linearity(motion, state),
-        }
-        tracking = force = None
-        if estimate is not None:
-            true_shift = truth.marker_outline_pressed_px - truth.marker_outline_rest_px
-            bound = self._bound_px()
-            tracking = tracking_score(estimate.marker_shift_px, true_shift, truth.marker_visible, bound_px=bound)
-        if estimate is not None and len(estimate.site_mm):
-            force = force_score(
-                site_mm=estimate.site_mm,
-                force_n=estimate.force_n,
-                total_force_n=estimate.total_force_n,
-                total_torque_nmm=estimate.total_torque_nmm,
-                surface_mm=truth.surface_mm,
-                surface_force_n=truth.surface_force_n,
-                true_force_n=truth.total_force_n,
-                true_torque_nmm=truth.total_torque_nmm,
-                frames=frames,
-            )
-        result = score(elastic=elastic, tracking=tracking, force=force)
-        result["reasons"] |= self.failures
-        return result
-
-    def _bound_px(self) -> Floats | None:
-        """Return (n,) what the pictures' noise allows at best, px; None where no closed form knows the camera."""
-        from twin.study.sweep.noise import can_tell, shift_bound
-        from twin.study.sweep.view import view_of
-
-        scene = self.sensor.nominal
-        if scene.camera is None or not can_tell(scene) or not scene.ccd.spelt_out().noise:
-            return None
-        view = view_of(scene)
-        bound = np.full(len(view.markers), np.nan)
-        for name in scene.markers:
-            rows = view.markers.layer == name
-            bound[rows] = shift_bound(scene, name, np.nan_to_num(view.diameter_px[rows]))
-        return np.where(np.isfinite(view.diameter_px), bound, np.nan)
-
-    def _facts(
-        self, state: ContactState | None, calibration: Calibration | None, forces: Field | None
-    ) -> dict[str, Any]:
-        scene = self.sensor.nominal
-        facts: dict[str, Any] = {"seed": scene.seed, "shared": shared_by_truth_and_estimate(scene)}
-        if state is not None:
-            facts["contact"] = {
-                "force_n": state.force_n,
-                "torque_nmm": state.torque_nmm,
-                "indentation_mm": state.indentation_mm,
-                "contact_radius_mm": state.contact_radius_mm,
-                "area_mm2": state.area_mm2,
-                "peak_pressure_mpa": state.peak_pressure_mpa,
-                "elastic_nmm": state.elastic_nmm,
-                "dissipated_nmm": state.dissipated_nmm,
-            }
-            if state.error is not None:
-                facts["contact"]["patch_error"] = asdict(state.error)
-            if not state.complete:
-                facts["contact"]["incomplete"] = state.reason
-            if state.also:
-                facts["further_probes"] = [
-                    {"force_n": other.force_n, "torque_nmm": other.torque_nmm, "indentation_mm": other.indentation_mm}
-                    for other in state.also
-                ]
-            facts["validity"] = _validity(state)
-        if calibration is not None and forces is not None:
-            facts["calibration"] = {"method": scene.calibration.method, "sites": len(calibration.site_mm)}
-            facts["weight"] = forces.weight
-        if "picture" in self.needed:
-            variant = self.sensor.renderer.variant
-            facts["renderer"] = f"{variant.name}: {variant.reason}"
-        return facts
-
-
-def _validity(state: ContactState) -> dict[str, Any]:
-    """Return the first probe's validity with every probe's warnings."""
-    warned = [warning for one in (state, *state.also) for warning in one.validity.warnings]
-    incomplete = [f"the press is not complete: {state.reason}"] if not state.complete else []
-    return asdict(state.validity) | {"warnings": (*incomplete, *dict.fromkeys(warned))}
-
-
-def _linearity(motion: Motion, state: ContactState | None) -> dict[str, Any]:
-    """Return how far the load strains linear theory, and what that is expected to cost."""
-    from twin.theory.linearity import largest_strain_and_turn
-
-    strain, turn = largest_strain_and_turn(motion.gradient)
-    figures: dict[str, Any] = {"largest_strain": strain, "largest_turn_deg": turn}
-    if state is None:
-        unknown = ("contact_over_probe_radius", "linearisation_error")
-        return figures | dict.fromkeys(unknown) | {"reasons": dict.fromkeys(unknown, "nothing is pressed")}
-    ratio = state.validity.contact_over_probe_radius
-    figures |= {"contact_over_probe_radius": ratio, "linearisation_error": state.validity.linearisation_error}
-    return figures | {"reasons": {"contact_over_probe_radius": "the probe is flat"} if ratio is None else {}}
-
 
 def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
     if found is None:
@@ -374,7 +245,7 @@ def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
     )
 
 
-def _only_wanted(result: RunResult, asked: frozenset[str]) -> RunResult:
+def only_wanted(result: RunResult, asked: frozenset[str]) -> RunResult:
     """Drop what was only needed on the way."""
     return replace(
         result,
@@ -384,27 +255,3 @@ def _only_wanted(result: RunResult, asked: frozenset[str]) -> RunResult:
         estimate=result.estimate if asked & {"tracking", "forces"} else None,
         score=result.score if "score" in asked else None,
     )
-
-
-def _summary(result: RunResult, folder: Path) -> str:
-    lines = []
-    score = result.score or {}
-    contact = result.facts.get("contact")
-    if contact is not None:
-        lines.append(
-            f"contact     {contact['force_n'][2]:.4g} N along z, indentation {contact['indentation_mm']:.3g} mm"
-        )
-    lines += [f"warning     {doubt}" for doubt in result.facts.get("validity", {}).get("warnings", ())]
-    if "renderer" in result.facts:
-        lines.append(f"renderer    {result.facts['renderer']}")
-    tracking, force = score.get("tracking"), score.get("force")
-    for stage in ("tracking", "force"):
-        if score.get(stage) is None and "tracking" in result.timings and stage in score.get("reasons", {}):
-            lines.append(f"{stage:11s} failed: {score['reasons'][stage]}")
-    if tracking and tracking.get("sd_px") is not None:
-        lines.append(f"tracking    SD {tracking['sd_px']:.3f} px, {100 * tracking['matched']:.1f} % matched")
-    if force and force.get("total_force_error") is not None:
-        lines.append(f"total force {100 * force['total_force_error']:.1f} % off")
-    lines.append(f"time        {sum(result.timings.values()):.1f} s")
-    lines.append(f"written to  {folder}")
-    return "\n".join(lines)
