@@ -244,7 +244,7 @@ def test_several_probes_count_together(tmp_path: Path) -> None:
 def test_the_command_line_makes_estimates_and_refuses(tmp_path: Path) -> None:
     twin_ = [sys.executable, "-m", "twin", "dataset", "dataset_kamiyama"]
     done = subprocess.run([*twin_, "--samples", "0"], capture_output=True, text=True)
-    assert (done.returncode, "at least 1" in done.stderr) == (2, True)
+    assert (done.returncode, "allowed are 1 to" in done.stderr) == (2, True)
     done = subprocess.run([*twin_, "--samples", "3", "--columns", "forse_n"], capture_output=True, text=True)
     assert (done.returncode, "did you mean 'force_n'" in done.stderr) == (2, True)
 
