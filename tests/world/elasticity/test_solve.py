@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import bmat, csr_matrix, eye, random_array
 
+from benchmarks.stress_axes import _of_threads
 from twin.errors import SolveError
 from twin.world.elasticity.solve import LIMIT, Factor, available_solvers, factorisations
 
@@ -41,3 +42,12 @@ def test_empty_row_and_infinite_load_are_refused():
         Factor(csr_matrix(np.diag([1.0, 0.0])), np.zeros(2))
     with pytest.raises(SolveError, match="not finite"):
         Factor(csr_matrix(np.eye(2)), np.zeros(2)).solve(np.array([np.nan, 1.0]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [2, 4])
+def test_threads_change_no_answer(number):
+    """In processes of their own, that find no solved fields: nodal forces on the block, and the markers of a press."""
+    measured = _of_threads(number)
+    assert measured.departure < 1e-10
+    assert measured.residual < 1e-9

@@ -23,26 +23,27 @@ import numpy as np
 
 from twin.arrays import Floats, Points
 from twin.errors import InputError
-from twin.parts.body import Block, Body
+from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.theory.halfspace_normal import normal_compliance
 from twin.world.elasticity.correction import correction
-from twin.world.elasticity.direct import consistent_forces
+from twin.world.elasticity.direct import consistent_forces, direct_columns
 from twin.world.elasticity.expected import DIRECT, EXPECTED, estimated_error, expected_error
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.half_space import require_half_space
 from twin.world.elasticity.known import REMEMBERED, Known, Memory
 from twin.world.elasticity.solve import Solver
-from twin.world.elasticity.spread import Readings, Region, patch_rests, single, worth_a_region
+from twin.world.elasticity.spread import Readings, Region, patch_rests, worth_a_region
 from twin.world.elasticity.store import field_key, kept
 from twin.world.elasticity.surface_table import KEPT_POINTS, SHARE, SurfaceTable
 from twin.world.elasticity.symmetric import make_symmetric
-from twin.world.elasticity.table import NU_RANGE, Basis, Table, TableAtNu
-from twin.world.elasticity.tabulate import Role, find_table, table_level
+from twin.world.elasticity.table import Basis, Table, TableAtNu
+from twin.world.elasticity.tables import Tables
+from twin.world.elasticity.tabulate import table_level
 from twin.world.elasticity.tile import require_on_surface
-from twin.world.mesh.interpolate import Locator, Places
+from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.mesh import Level, Mesh, Progress, body_mesh
 from twin.world.mesh.rim import drawn_to_rim
 
@@ -98,13 +99,19 @@ class Compliance:
         self._given_mesh = mesh
         self._progress = progress
         self._solver: Solver = solver
-        self._use_table = table
         self._use_surface = surface_table
         self._fields: dict[str, Floats] = {}
         self._memory = Memory(body)
         self._sound: Rectangles | None = None
         self._region: Region | None = None
-        self._table_tried = False
+        self._tables = Tables(
+            body,
+            material.poisson_ratio,
+            nominal=level == "nominal",
+            use=table if mesh is None and method == "subtracted" else False,
+            solver=solver,
+            progress=progress,
+        )
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -125,19 +132,6 @@ class Compliance:
         return Locator(self.mesh)
 
     @cached_property
-    def _table(self) -> Table | None:
-        return self._tabled("nominal" if self.level == "nominal" else "truth")
-
-    @cached_property
-    def _table_at_nu(self) -> TableAtNu | None:
-        return self._table.at(self.material.poisson_ratio) if self._table else None
-
-    @cached_property
-    def _check_at_nu(self) -> TableAtNu | None:
-        check = self._tabled("check")
-        return check.at(self.material.poisson_ratio) if check else None
-
-    @cached_property
     def _surface_table(self) -> SurfaceTable | None:
         if not self._use_surface or self.body.is_flat or self._given_mesh is not None or not self._subtracted:
             return None
@@ -147,29 +141,9 @@ class Compliance:
         table = self._surface_table
         return table if table is not None and table.covers(load) and table.pushes(load) else None
 
-    def _tabled(self, role: Role, make: bool = False) -> Table | None:
-        if not self._use_table or self._given_mesh is not None or not self._subtracted:
-            return None
-        if isinstance(self._use_table, Table):
-            return self._use_table if role != "check" else None
-        return find_table(self.body, role, make=make, solver=self._solver, progress=self._progress)
-
-    def _table_for(self, known: Known, load: Rectangles) -> TableAtNu | None:
-        table = self._table
-        if table and table.covers(load, self.material.poisson_ratio) and known.basis(table.box_mm).inside:
-            return self._table_at_nu
-        return None
-
     def make_table(self) -> None:
         """Make, and keep in the cache, the tables of a block that has none: some seconds for all loads ever after."""
-        low, high = NU_RANGE
-        of_use = isinstance(self.body, Block) and low <= self.material.poisson_ratio <= high
-        if self._table is None and of_use and self.level != "nominal" and not self._table_tried:
-            self._table_tried = True  # a block too thin for a table has none, however often it is asked
-            self._tabled("check", make=True)
-            self.__dict__["_table"] = self._tabled("truth", make=True)
-            for name in ("_table_at_nu", "_check_at_nu"):
-                self.__dict__.pop(name, None)
+        self._tables.make()
 
     @cached_property
     def compared(self) -> Compliance | None:
@@ -202,7 +176,7 @@ class Compliance:
         known = self._checked(points, load)
         if len(known) == 0 or not np.any(load.force_n):
             return np.zeros_like(known.points)
-        return self._whole(known, load, self._rest(known, load, self._table_for(known, load))[0])
+        return self._whole(known, load, self._rest(known, load, self._tables.covering(known, load))[0])
 
     def _whole(self, known: Known, load: Rectangles, rest: Points) -> Points:
         return rest + halfspace.displacement(known.points, load, *self._rubber) if self._subtracted else rest
@@ -231,7 +205,7 @@ class Compliance:
         known = self._checked(points, load)
         if len(known) == 0 or not np.any(load.force_n):
             return np.zeros((len(known), 3, 3))
-        if table := self._table_for(known, load):
+        if table := self._tables.covering(known, load):
             rest = table.gradient(known.basis(table.box_mm), load)
         elif surface := self._surface_for(load):
             if len(known) > KEPT_POINTS:
@@ -256,10 +230,11 @@ class Compliance:
         if 0 in shape:
             return np.zeros(shape)
         if not self._subtracted:
-            return self._direct(known.placed(self._locator), rectangles).reshape(shape)
+            fields = direct_columns(self.system, self.body, self._locator, rectangles)
+            return (known.placed(self._locator).values(fields) / self._modulus).reshape(shape)
         if worth_a_region(rectangles, reused=reused):
             self.make_table()
-        if table := self._table_for(known, rectangles):
+        if table := self._tables.covering(known, rectangles):
             rest = table.rests(known.basis(table.box_mm), rectangles).reshape(shape)
         else:
             rest = self._solved_rests(known, rectangles, reused).reshape(shape)
@@ -305,16 +280,14 @@ class Compliance:
         """
         if not self._subtracted:
             return None
-        if self._table is None and worth_a_region(rectangles, reused=True):
+        if not self._tables.found and worth_a_region(rectangles, reused=True):
             self.make_table()
-        table, away = self._table, np.abs(rectangles.centre_mm[:, :2])
-        inside = table is not None and bool((away <= table.box_mm[:2]).all())
-        if table is None or not inside or not table.covers(rectangles, self.material.poisson_ratio):
+        table = self._tables.between(rectangles)
+        if table is None:
             return None
         found = normal_compliance(rectangles, *self._rubber)
         if found is not None:
-            assert self._table_at_nu is not None
-            rest = self._table_at_nu.normal_rests(rectangles)
+            rest = table.normal_rests(rectangles)
             found += (rest + rest.T) / (2.0 * self._modulus)
         return found
 
@@ -332,7 +305,7 @@ class Compliance:
             return None
         if worth_a_region(patches, reused=True):
             self.make_table()
-        table = self._table_for(self._checked(patches.centre_mm, patches), patches)
+        table = self._tables.covering(self._checked(patches.centre_mm, patches), patches)
         if table is None:
             return None
         basis = Basis(points=nodes.centre_mm, box_mm=table.box_mm)
@@ -356,7 +329,7 @@ class Compliance:
         known = self._checked(points, load)
         if len(known) == 0 or not load.force_n.any():
             return np.zeros_like(known.points), 0.0
-        table = self._table_for(known, load)
+        table = self._tables.covering(known, load)
         rest, lost = self._rest(known, load, table)
         moved = self._whole(known, load, rest)
         if enough and (expected := self._expected(load, table)) <= enough:
@@ -369,10 +342,11 @@ class Compliance:
         """Return the error over the largest displacement, ``size``, from what `_rest` returned."""
         level = self.level
         if table:
-            if self._check_at_nu is None:
+            check = self._tables.check
+            if check is None:
                 return self._expected(load, table)
             level = table_level(self.body, "truth")
-            other = self._check_at_nu.displacement(known.basis(self._check_at_nu.box_mm), load) / self._modulus
+            other = check.displacement(known.basis(check.box_mm), load) / self._modulus
         elif self.compared is not None:
             other = self.compared._rest(self.compared._checked(known.points, load), load, None)[0]
         else:
@@ -395,7 +369,7 @@ class Compliance:
 
         At ``points`` that a table answers it is that of the mesh which the table was made of.
         """
-        table = None if points is None else self._table_for(self._checked(points, load), load)
+        table = None if points is None else self._tables.covering(self._checked(points, load), load)
         return self._expected(load, table)
 
     def _expected(self, load: Rectangles, table: TableAtNu | None) -> float:
@@ -442,19 +416,6 @@ class Compliance:
             return correction(self.system, self.body, [load])[:, :, 0]
         forces = consistent_forces(self.body, self.mesh, self._locator, load)
         return self.system.solve(forces[:, :, None])[:, :, 0]
-
-    def _direct(self, places: Places, rectangles: Rectangles) -> Floats:
-        nodes, count = len(self.mesh.points), len(rectangles)
-        forces = np.zeros((nodes, 3, count, 3))
-        for i in range(count):
-            one = single(rectangles, i)
-            for axis in range(3):
-                unit = Rectangles(
-                    centre_mm=one.centre_mm, frames=one.frames, half_mm=one.half_mm, force_n=np.eye(3)[axis : axis + 1]
-                )
-                forces[:, :, i, axis] = consistent_forces(self.body, self.mesh, self._locator, unit)
-        fields = self.system.solve(forces.reshape(nodes, 3, -1))
-        return np.asarray(places.values(fields) / self._modulus)
 
 
 def _digest(*arrays: Floats) -> str:
