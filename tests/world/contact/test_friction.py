@@ -13,7 +13,7 @@ from twin.parts.load import Rectangles
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Probe, Sphere, Step
 from twin.theory.contact import oblique_motion
 from twin.theory.friction import sheared_motion, stick_radius, twisted
-from twin.world.contact import friction
+from twin.world.contact import friction, refused
 from twin.world.contact.contact import ContactState, press
 
 BALL = Sphere(diameter_mm=30)
@@ -262,7 +262,7 @@ def test_refusals(words: str, probe: Probe, steps: tuple[Step, ...]) -> None:
 
 def test_a_force_at_the_edge_of_the_cone_is_refused_in_its_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     """The share is an estimate: where every patch slips, one that is just under 1 tells the cause as well."""
-    monkeypatch.setattr(friction, "asked_share", lambda *_: 0.97)
+    monkeypatch.setattr(refused, "asked_share", lambda *_: 0.97)
     with pytest.raises(ContactError, match=r"are 0\.97 times what friction 0\.5 can carry on this surface"):
         rubbed(pushed(), pushed(torque=0.3))
 

@@ -46,6 +46,9 @@ _AT_BOUND = 1.0 - 1e-9
 _LOST, _COUNTS = 2e-7, 0.03
 """Share of a motion that single precision loses at most; share of what is left of the equations that this may be."""
 
+_HOLDS, _STAYS = 0.03, 1e-6
+"""Least weight of a patch that slips in the fit of a first place, and that of the place staying as it is."""
+
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 
 
@@ -169,6 +172,33 @@ def _known(problem: Unilateral, scale: Floats, trial: _Trial, lost: float) -> tu
     return anew, anew.size(problem.reach), 0.0
 
 
+def _fitted(problem: Unilateral, force: Floats, displacement: Floats, place: Floats) -> Floats:
+    """Return the place that fits forces (k, 3) best: patches that are pushed touch, those within their cones stick.
+
+    Least squares, weighted with the normal forces and with what friction has left to carry.
+    """
+    gap, slope = problem.gap(place)
+    push = np.where(np.isfinite(gap), np.maximum(force[:, 2], 0.0), 0.0)
+    used = np.hypot(force[:, 0], force[:, 1]) / np.maximum(_most(problem.friction, push), 1e-300)
+    holds = push * np.clip(1.0 - used, _HOLDS, 1.0)
+    free, size = np.flatnonzero(problem.by_force), float(push.sum())
+    if len(free) == 0 or size == 0.0:
+        return place
+    root = np.sqrt(np.column_stack([holds, holds, push]))[..., None]
+    behind = np.empty_like(force)
+    behind[:, :2] = displacement[:, :2] - problem.carried[:, :2] @ place - problem.offset
+    behind[:, 2] = displacement[:, 2] + np.where(push > 0.0, gap, 0.0)
+    moves = problem.carried[..., free].copy()
+    moves[:, 2] = -slope[:, free]
+    moves = (moves * root).reshape(-1, len(free)) / problem.reach[free]
+    found = np.linalg.solve(
+        moves.T @ moves + _STAYS * size * np.eye(len(free)), moves.T @ (behind * root[..., 0]).reshape(-1)
+    )
+    fitted = place.copy()
+    fitted[free] += found / problem.reach[free]
+    return fitted
+
+
 def _eliminated(
     compliance: Floats | Between, system: LinearSystem, right: Floats, balance: Floats
 ) -> tuple[Floats, Floats]:
@@ -229,6 +259,7 @@ def solve_coulomb(problem: Unilateral, force: Floats, place: Floats, displacemen
     place = np.where(problem.by_force, place, problem.given)
     if displacement is None:
         displacement, lost = _changed(problem, force)
+        place = _fitted(problem, force, displacement, place)
     else:
         lost = 0.1 * _GOAL * float(np.linalg.norm(force))  # known as well as they were asked for
     trial, left, lost = _known(problem, scale, _tried(problem, scale, force, displacement, place), lost)

@@ -13,13 +13,13 @@ force of a stuck sphere at nu = 0.3 is within 0.05 % of many parts, and the side
 obliquely within 2 % of the closed form. A part that finds no equilibrium is halved, a few times.
 
 Validity: friction is the same at rest and in motion. A flat face keeps the patches that it had at first touch, so it
-may slide by a small part of its width only (`SLIDE_LIMIT`).
+may slide by a small part of its width only (`twin.world.contact.refused`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,72 +27,26 @@ from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
 from twin.parts.accuracy import INCREMENTS
 from twin.parts.probe import Cone
-from twin.world.contact.capacity import asked_share
 from twin.world.contact.coulomb import solve_coulomb
+from twin.world.contact.first_guess import Guess, first_guess, foreseen, likely_touching, went_on
 from twin.world.contact.friction_grid import FrictionGrid, Memory, Trend
-from twin.world.contact.gap import TURN, X, Y, Z
-from twin.world.contact.probe_shape import half_extent
-from twin.world.contact.together import Control, every
+from twin.world.contact.gap import Z
+from twin.world.contact.refused import KNOWN_TO, explain, refuse_slide
+from twin.world.contact.together import Control
 from twin.world.contact.unilateral import Equilibrium, Unilateral, holding, solve
 
-SLIDE_LIMIT = 0.05
-"""How far a flat face may slide as a whole, over its smaller width."""
-
-_HALVINGS, _SLIDE_ROUNDS, _FORESEEN = 3, 12, 4.0
-_KNOWN_TO = 0.05
-"""How well `twin.world.contact.capacity` knows what friction can carry, over the whole."""
-_RUBBED = [X, Y, Z, TURN]
-"""The components of a probe's place that `twin.world.contact.capacity` knows."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Guess:
-    """Forces (k, 3), a place (6 p,) and patches in contact (k,) to start from, and displacements where known."""
-
-    force_n: Floats
-    place: Floats
-    active: Bools
-    displacement_mm: Floats | None = None
-
-
-def _offset(grid: FrictionGrid, memory: Memory) -> Floats:
-    """Return (k, 2) from where each patch's slip counts.
-
-    After a lift the probe touches anew where it now is: its motion sideways counts from there.
-    """
-    anew = -np.einsum("kad,d->ka", grid.carried[:, :2], grid.sideways(memory.place))
-    return np.where(grid.untouched(memory)[:, None], anew, memory.offset_mm)
-
-
-def _problem(grid: FrictionGrid, memory: Memory, control: Control, held: Bools | None) -> Unilateral:
-    """Return a part's equations; patches in ``held`` feel friction although they had not touched before it."""
-    rubs = memory.touched | grid.untouched(memory) | (False if held is None else held)
-    return Unilateral(
-        compliance=grid.between, gap=lambda q: grid.gap(memory, q), carried=grid.carried,
-        by_force=control.by_force, given=control.given, pushing=control.pushing,
-        friction=np.where(rubs, grid.friction[grid.contacts.owner], 0.0), offset=_offset(grid, memory),
-        solver=grid.solver,
-    )  # fmt: skip
+_HALVINGS, _SLIDE_ROUNDS = 3, 12
 
 
 def _part(
-    grid: FrictionGrid, memory: Memory, control: Control, guess: Equilibrium | _Guess | None, held: Bools | None = None
+    grid: FrictionGrid, memory: Memory, control: Control, guess: Equilibrium | Guess | None, held: Bools | None = None
 ) -> tuple[Memory, Equilibrium]:
     """Solve one part from a guess; return the state, and the memory with how far the probe slid as a whole."""
-    problem = _problem(grid, memory, control, held)
-    place = np.where(control.by_force, memory.place, control.given)
-    active = guess.active if guess is not None and guess.active.any() else _nearest(grid, memory, place)
+    problem = grid.problem(memory, control, held)
     if grid.sticks:
-        return memory, solve(problem, active, place)
-    force, displacement = memory.force_n, None
-    if guess is not None:
-        force, displacement = guess.force_n, guess.displacement_mm
-    if not force.any():
-        pushed = _without_friction(grid, problem, memory, control, active)
-        force, displacement, place = pushed.force_n, pushed.displacement_mm, _along(problem, pushed)
-    elif guess is not None:
-        place = guess.place
-    found = _from_guess(problem, active, force, place, displacement)
+        place = np.where(control.by_force, memory.place, control.given)
+        return memory, solve(problem, likely_touching(grid, memory, place, guess), place)
+    found = _from_guess(problem, first_guess(grid, problem, memory, control, guess))
     start = memory.slid_mm
     for _ in range(_SLIDE_ROUNDS):
         slid = start + _slide(grid, memory, problem, found)
@@ -101,87 +55,24 @@ def _part(
         flat = all(setting.face is not None for setting in grid.contacts.settings)
         if change <= 1e-3 * float(grid.patches.half_mm.min()) or flat:
             return memory, found
-        problem = _problem(grid, memory, control, held)
+        problem = grid.problem(memory, control, held)
         found = solve_coulomb(problem, found.force_n, found.place, found.displacement_mm)
     raise NotSettled("contact: the probe slides, and where it slides to does not settle: take smaller steps")
 
 
-def _foreseen(memory: Memory, control: Control, start: Floats) -> _Guess | None:
-    """Return what a step leads to if it changes as the last one did; None where it doesn't go on in the same way."""
-    if memory.trend is None:
-        return None
-    wanted, last = control.given - start, memory.trend.given
-    length = float(last @ last)
-    share = float(wanted @ last) / length if length > 0.0 else 0.0
-    if not 0.0 < share <= _FORESEEN or np.abs(wanted - share * last).max() > 1e-6 * np.abs(wanted).max():
-        return None
-    force = memory.force_n + share * memory.trend.force_n
-    place = np.where(control.by_force, memory.place + share * memory.trend.place, control.given)
-    return _Guess(force_n=force, place=place, active=memory.touched)
-
-
-def _went_on(before: Equilibrium | None, now: Equilibrium | None) -> Equilibrium | _Guess | None:
-    """Return what the next part leads to if it changes as the last one did."""
-    if before is None or now is None:
-        return now
-    return _Guess(
-        force_n=2.0 * now.force_n - before.force_n, place=2.0 * now.place - before.place, active=now.active,
-        displacement_mm=2.0 * now.displacement_mm - before.displacement_mm,
-    )  # fmt: skip
-
-
-def _from_guess(
-    problem: Unilateral, active: Bools, force: Floats, place: Floats, displacement: Floats | None
-) -> Equilibrium:
+def _from_guess(problem: Unilateral, guess: Equilibrium | Guess) -> Equilibrium:
     """Solve Coulomb's law from a guess, and from a probe that sticks where the guess is too far off."""
     try:
-        return solve_coulomb(problem, force, place, displacement)
+        return solve_coulomb(problem, guess.force_n, guess.place, guess.displacement_mm)
     except ContactError:
         try:
-            stuck = solve(replace(problem, friction=np.where(problem.friction > 0, np.inf, 0.0)), active, place)
+            sticks = replace(problem, friction=np.where(problem.friction > 0, np.inf, 0.0))
+            stuck = solve(sticks, guess.active, guess.place)
         except ContactError:
             pass  # the first error is the telling one
         else:
             return solve_coulomb(problem, stuck.force_n, stuck.place, stuck.displacement_mm)
         raise
-
-
-def _along(problem: Unilateral, pushed: Equilibrium) -> Floats:
-    """Return the place at which a probe that is free sideways goes along with a body that it pushed without friction.
-
-    A body that is pressed beside its middle moves sideways as a whole: held back, every patch would seem to slip.
-    """
-    along = every(X, len(pushed.place)) | every(Y, len(pushed.place)) | every(TURN, len(pushed.place))
-    free = np.flatnonzero(problem.by_force & along)
-    if len(free) == 0:
-        return pushed.place
-    weight = np.sqrt(np.maximum(pushed.force_n[:, 2], 0.0))[:, None]
-    behind = pushed.displacement_mm[:, :2] - problem.carried[:, :2] @ pushed.place - problem.offset
-    moved = problem.carried[:, :2, free] * weight[..., None]
-    place = pushed.place.copy()
-    place[free] += np.linalg.lstsq(moved.reshape(-1, len(free)), (behind * weight).reshape(-1), rcond=None)[0]
-    return place
-
-
-def _nearest(grid: FrictionGrid, memory: Memory, place: Floats) -> Bools:
-    """Return a first guess of the patches in contact: those that were, or the few that are nearest to the probe."""
-    if memory.touched.any():
-        return memory.touched.copy()
-    gap, _ = grid.gap(memory, place)
-    near = [gap[rows] <= np.sort(gap[rows])[min(4, len(gap[rows]) - 1)] for _, rows, _ in grid.contacts.rows]
-    return np.concatenate(near) & np.isfinite(gap)
-
-
-def _without_friction(
-    grid: FrictionGrid, problem: Unilateral, memory: Memory, control: Control, active: Bools
-) -> Equilibrium:
-    """Push along z only, without friction and held sideways: a first guess, and the pressure that friction rests on."""
-    along_z = grid.along_z
-    held = replace(
-        problem, friction=np.zeros(len(active)), by_force=control.by_force & along_z,
-        given=np.where(control.by_force & ~along_z, memory.place, control.given), pushing=control.pushing,
-    )  # fmt: skip
-    return solve(held, active, np.where(control.by_force, memory.place, control.given))
 
 
 def _slide(grid: FrictionGrid, memory: Memory, problem: Unilateral, found: Equilibrium) -> Floats:
@@ -209,7 +100,7 @@ def _remember(grid: FrictionGrid, memory: Memory, found: Equilibrium) -> Memory:
     moved = np.einsum("kad,d->ka", grid.carried, found.place)
     away = found.displacement_mm - moved
     # What touched within the part has slipped from where it was held; where it slid before that, nothing pressed on it.
-    slipped = np.where(found.slipping[:, None], away[:, :2] - _offset(grid, memory), 0.0)
+    slipped = np.where(found.slipping[:, None], away[:, :2] - grid.offset(memory), 0.0)
     return Memory(
         touched=found.active.copy(),
         slipping=found.slipping & found.active,
@@ -253,7 +144,7 @@ def _held_on_the_way(grid: FrictionGrid, memory: Memory, free: Equilibrium, new:
 
 
 def _pass(
-    grid: FrictionGrid, memory: Memory, control: Control, guess: Equilibrium | _Guess | None
+    grid: FrictionGrid, memory: Memory, control: Control, guess: Equilibrium | Guess | None
 ) -> tuple[Memory, Equilibrium]:
     """Solve one part, with the patches that touch within it held by friction from where they touched."""
     try:
@@ -273,7 +164,7 @@ def _advance(
     grid: FrictionGrid,
     memory: Memory,
     control: Control,
-    guess: Equilibrium | _Guess | None,
+    guess: Equilibrium | Guess | None,
     wanted: Control,
     halvings: int = _HALVINGS,
 ) -> tuple[Memory, Equilibrium]:
@@ -285,34 +176,13 @@ def _advance(
         if grid.sticks:
             raise
         if halvings == _HALVINGS:
-            _explain(grid, memory, wanted, problem_found)
+            explain(grid, memory, wanted, problem_found)
         if halvings == 0:
             raise
     start = np.where(control.by_force, memory.total, memory.place)
     half = replace(control, given=(start + control.given) / 2)
     memory, found = _advance(grid, memory, half, guess, wanted, halvings - 1)
     return _advance(grid, memory, control, found, wanted, halvings - 1)
-
-
-def _explain(
-    grid: FrictionGrid, memory: Memory, control: Control, problem_found: ContactError, least: float = 1.0
-) -> None:
-    """Raise a ContactError that names the cause when ``least`` times what friction can carry is asked, or more."""
-    place = np.where(control.by_force, memory.place, control.given)
-    nearest = _nearest(grid, memory, place)
-    pushed = _without_friction(grid, _problem(grid, memory, control, None), memory, control, nearest)
-    for number, (_, rows, motions) in enumerate(grid.contacts.rows):
-        carried, friction = grid.carried[rows, :, motions][..., _RUBBED], float(grid.friction[number])
-        held, given = control.by_force[motions][_RUBBED], control.given[motions][_RUBBED]
-        share = asked_share(carried, pushed.force_n[rows, 2], friction, held, given)
-        if share >= least:
-            asked = [f"{value:.4g}" for value in np.where(held, given, 0.0)]
-            raise ContactError(
-                f"contact: the forces ({', '.join(asked[:3])}) N and the torque {asked[3]} N mm can't be balanced: "
-                f"sideways and about z they are {share:.4g} times what friction {friction:g} can carry on this surface "
-                f"(allowed is less than 1 times, known to {_KNOWN_TO:g}), so that the probe slides: ask for less, push "
-                "harder, raise press.friction, or hold x, y and the turn by motion"
-            ) from problem_found
 
 
 def _parts(memory: Memory, found: Equilibrium, most: int) -> int:
@@ -360,7 +230,7 @@ def take_step(
 
     if memory.touched.any():
         try:
-            _, found = _part(grid, memory, control, _foreseen(memory, control, start))
+            _, found = _part(grid, memory, control, foreseen(memory, control, start))
         except ContactError:
             pass  # a large step may fail where its parts succeed
         else:
@@ -377,35 +247,17 @@ def take_step(
     for part in range(1, increments + 1):
         share = (part / increments) ** powers
         now = Control(by_force=control.by_force, given=start + share * (control.given - start))
-        _refuse_slide(grid, memory)
+        refuse_slide(grid, memory)
         try:
-            memory, found = _advance(grid, memory, now, _went_on(before, previous), control)
+            memory, found = _advance(grid, memory, now, went_on(before, previous), control)
             before, previous = previous, found
         except NotSettled as stopped:
             if part == 1 or previous is None:
                 raise
             return memory, previous, f"stopped after {part - 1} of {increments} parts: {stopped}"
         except ContactError as refused:
-            _explain(grid, memory, control, refused, least=1.0 - _KNOWN_TO)
+            explain(grid, memory, control, refused, least=1.0 - KNOWN_TO)
             raise
-    _refuse_slide(grid, memory)
+    refuse_slide(grid, memory)
     assert previous is not None, "a step has at least one part"
     return with_trend(memory), previous, ""
-
-
-def _refuse_slide(grid: FrictionGrid, memory: Memory) -> None:
-    """Raise a ContactError when the probe slid, or was lifted over, to where there are no patches."""
-    for (setting, _, _), patches, moved in zip(grid.contacts.rows, grid.contacts.grids, memory.slid_mm, strict=True):
-        slid = float(np.hypot(*moved))
-        if setting.face is None:
-            under = (patches.centre_mm - setting.first.axis_mm) @ setting.first.axes[:Z].T - moved
-            off, allowed = float(np.hypot(*under.T).min()), 4.0 * float(patches.half_mm.max())
-            what = "beyond the patches, which lie around where it touched first"
-        else:
-            off, allowed = slid, SLIDE_LIMIT * 2 * min(half_extent(setting.face))
-            what = "as a whole, while the patches under a flat face stay where they are"
-        if off > allowed:
-            raise ContactError(
-                f"contact: the {setting.probe.kind} slides (or is lifted) by {slid:.3g} mm, {what} (off by {off:.3g} "
-                f"mm, allowed {allowed:.3g} mm): move it less, raise press.friction, or press it anew where it ends"
-            )

@@ -22,7 +22,8 @@ from twin.world.contact.gap import MOTIONS, Z
 from twin.world.contact.lattice import Lattice
 from twin.world.contact.linear import LinearSolver
 from twin.world.contact.patches import Patches
-from twin.world.contact.together import Contacts, every
+from twin.world.contact.together import Contacts, Control, every
+from twin.world.contact.unilateral import Unilateral
 
 _FEW = 130
 """Patches from which on products with friction are faster by transforms than with a matrix."""
@@ -161,6 +162,24 @@ class FrictionGrid:
         before = self._slid_gap(np.zeros_like(slid_mm), still)[0]
         after = self._slid_gap(slid_mm, still)[0]
         return np.where(np.isfinite(before), after - np.where(np.isfinite(before), before, 0.0), 0.0)
+
+    def offset(self, memory: Memory) -> Floats:
+        """Return (k, 2) from where each patch's slip counts.
+
+        After a lift the probe touches anew where it now is: its motion sideways counts from there.
+        """
+        anew = -np.einsum("kad,d->ka", self.carried[:, :2], self.sideways(memory.place))
+        return np.where(self.untouched(memory)[:, None], anew, memory.offset_mm)
+
+    def problem(self, memory: Memory, control: Control, held: Bools | None = None) -> Unilateral:
+        """Return a part's equations; patches in ``held`` feel friction although they had not touched before it."""
+        rubs = memory.touched | self.untouched(memory) | (False if held is None else held)
+        return Unilateral(
+            compliance=self.between, gap=lambda q: self.gap(memory, q), carried=self.carried,
+            by_force=control.by_force, given=control.given, pushing=control.pushing,
+            friction=np.where(rubs, self.friction[self.contacts.owner], 0.0), offset=self.offset(memory),
+            solver=self.solver,
+        )  # fmt: skip
 
 
 def at_first_touch(grid: FrictionGrid) -> Memory:
