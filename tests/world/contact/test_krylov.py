@@ -8,12 +8,14 @@ from test_contact import BLOCK, FINGER, HalfSpace
 
 from twin.arrays import Floats, Ints
 from twin.parts.body import Body
-from twin.parts.press import Press, Sphere, Step
-from twin.world.contact import coulomb
+from twin.parts.press import Cylinder, Press, Sphere, Step
+from twin.world.contact import between, coulomb, iterated, released
 from twin.world.contact.between import Inverted
 from twin.world.contact.contact import ContactState, press
+from twin.world.contact.iterated import Iterated, near_lattice
 from twin.world.contact.krylov import Krylov
 from twin.world.contact.linear import LinearSolver, LinearSystem
+from twin.world.contact.patches import Box, Plane, candidate_patches
 from twin.world.contact.pattern import Pattern
 from twin.world.contact.released import Released
 
@@ -47,11 +49,15 @@ class Matrix:
         self._whole = compliance
 
     def make_room(self, touching: Ints) -> bool:
+        self._touching = touching
         self._part = self._whole[touching][:, :, touching].transpose(1, 0, 3, 2)
         return True
 
     def displaced(self, force: Floats) -> Floats:
         return np.einsum("kalb,lb->ak", self._whole, force)
+
+    def felt(self, force: Floats) -> Floats:
+        return self.displaced(force)[:, self._touching]
 
     def product(self, force: Floats) -> Floats:
         return np.einsum("akbl,bl->ak", self._part, force)
@@ -164,3 +170,46 @@ def test_a_path_is_the_same_either_way(body: Body, nu: float, monkeypatch: pytes
         np.testing.assert_array_equal(one.slip, other.slip)
         np.testing.assert_allclose(one.traction_mpa, other.traction_mpa, atol=1e-8 * other.peak_pressure_mpa)
         np.testing.assert_allclose(one.move_mm, other.move_mm, atol=1e-9)
+
+
+def test_a_matrix_is_iterated_on_until_an_inverse_pays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(iterated, "MANY", coulomb._FEW)
+    monkeypatch.setattr(between, "MANY", coulomb._FEW)
+    solvers: list[Iterated] = []
+    made, inverses = Iterated.__init__, list[int]()
+    monkeypatch.setattr(Iterated, "__init__", lambda self, *given: (made(self, *given), solvers.append(self))[0])
+    inverted = released.full_inverse
+    monkeypatch.setattr(released, "full_inverse", lambda part: inverted(inverses.append(len(part)) or part))
+    sheared = Step(force_n=(0.05, 0.03, 0.3))
+    wanted = Press(probe=Sphere(diameter_mm=3), at_mm=(-3, 1), friction=0.5, steps=(sheared,))
+
+    def pressed(increments: int) -> ContactState:
+        return press(
+            wanted, FINGER, HalfSpace(1.0, 0.3), patches_across=11, youngs_modulus_mpa=1.0, poisson_ratio=0.3,
+            increments=increments,
+        )  # fmt: skip
+
+    pressed(1)
+    assert len(solvers) == 1
+    assert not inverses
+    many = pressed(6)
+    few = len(inverses)
+    assert few > 0
+    monkeypatch.setattr(iterated, "_PAYS", 0.0)
+    kept = pressed(6)
+    assert len(inverses) - few >= few
+    np.testing.assert_allclose(many.traction_mpa, kept.traction_mpa, atol=1e-8 * kept.peak_pressure_mpa)
+
+
+def test_patches_of_unequal_cells_have_no_lattice_near() -> None:
+    face, upright = Cylinder(diameter_mm=2), Plane(origin_mm=np.zeros(3), axes=np.eye(3))
+    graded = candidate_patches(BLOCK, face, upright, Box(u0=-1, u1=1, v0=-1, v1=1), (12, 12))
+    equal = candidate_patches(BLOCK, None, upright, Box(u0=-1, u1=1, v0=-1, v1=1), (12, 12))
+    assert near_lattice(graded, 0.5) is None
+    near = near_lattice(equal, 0.5)
+    assert near is not None
+    whole = HalfSpace(1.0, 0.5).surface(equal.rectangles(np.zeros((len(equal), 3)), np.ones(len(equal), bool)))
+    force = np.random.default_rng(3).normal(size=(len(equal), 3))
+    moved = (whole @ force.reshape(-1) / whole.diagonal().mean()).reshape(-1, 3).T.astype(np.float32)
+    back = near.forces(np.arange(len(equal)), moved[..., None])[..., 0].T
+    assert np.linalg.norm(back - force) < 0.3 * np.linalg.norm(force)

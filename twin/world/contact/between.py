@@ -6,6 +6,7 @@ It comes as a matrix, on any body, or as a convolution and a smooth rest where e
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Protocol
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from twin.arrays import Floats, Ints
 from twin.compiled import njit
+from twin.world.contact.iterated import MANY, Iterated, NearLattice
 from twin.world.contact.linear import LinearSolver
 from twin.world.contact.released import Released
 from twin.world.contact.singles import SinglesArray, full_inverse, symmetric_product
@@ -127,10 +129,18 @@ class Inverted:
 
 
 class Dense:
-    """A compliance that is known as a symmetric matrix (k, 3, k, 3)."""
+    """A compliance that is known as a symmetric matrix.
 
-    def __init__(self, matrix: Floats) -> None:
-        self._matrix = matrix
+    Parameters
+    ----------
+    matrix
+        (k, 3, k, 3) mm/N.
+    near
+        Returns a rough inverse of it, which costs little, where there is one.
+    """
+
+    def __init__(self, matrix: Floats, near: Callable[[], NearLattice | None] = lambda: None) -> None:
+        self._matrix, self._near = matrix, near
 
     def __len__(self) -> int:
         return len(self._matrix)
@@ -147,7 +157,9 @@ class Dense:
 
     def solver(self, carried: Floats) -> LinearSolver:
         """See `Between`."""
-        return Released(self._matrix, carried)
+        inverting = Released(self._matrix, carried)
+        near = self._near() if len(self) > MANY else None
+        return inverting if near is None else Iterated(inverting, near)
 
     @cached_property
     def _normal(self) -> Floats:

@@ -53,6 +53,10 @@ class Operator(Protocol):
         """Return the (3, k) displacements of all patches under forces (k, 3) on them, mm, to 1e-7 of the largest."""
         ...
 
+    def felt(self, force: Floats) -> Floats:
+        """Return the (3, n) displacements of the patches in contact under forces (k, 3) on all, mm, likewise."""
+        ...
+
     def product(self, force: Floats) -> Floats:
         """Return the (3, n) displacements of the patches in contact under forces (3, n)."""
         ...
@@ -91,7 +95,7 @@ class Krylov:
         if not operator.make_room(pattern.touching):
             return None
         if system.jump.any():
-            right = right - system.seen(self.moved(system.jump)[:, pattern.touching])
+            right = right - system.seen(operator.felt(system.jump))
         aside, unit, precision = pattern.aside, operator.unit, operator.precision
         share = np.maximum(pattern.share, 1e-20).astype(precision)
         shift = (system.shift / unit).astype(precision)

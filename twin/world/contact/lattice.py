@@ -74,6 +74,7 @@ class Lattice:
     def __init__(self, place: Ints, kernel: Floats, rest: Floats | None) -> None:
         self._place, self._kernel, self._shape = place, kernel, kernel.shape[:2]
         self._cell = self._chosen = place[:, 0] * kernel.shape[1] + place[:, 1]
+        self._touching = np.arange(len(place))
         self.unit = float(np.mean(np.diag(kernel[0, 0])))
         self._rest = None if rest is None else np.ascontiguousarray(rest.reshape(3 * rest.shape[1], -1))
         self._nodes = NODES[0] if rest is None else math.isqrt(rest.shape[1])
@@ -140,6 +141,10 @@ class Lattice:
         field: Any = force.T.astype(np.float32)
         return self._spread_out(self._single, self._cell, field).astype(float)
 
+    def felt(self, force: Floats) -> Floats:
+        """See `twin.world.contact.krylov.Operator`."""
+        return self.displaced(force)[:, self._touching]
+
     def sunk(self, push: Floats) -> Floats:
         """See `Between`."""
         return self._spread_out(self._normal, self._cell, push)
@@ -169,7 +174,7 @@ class Lattice:
 
     def make_room(self, touching: Ints) -> bool:
         """See `twin.world.contact.krylov.Operator`."""
-        self._chosen = self._cell[touching]
+        self._touching, self._chosen = touching, self._cell[touching]
         return self._inverse is not None
 
     def product(self, force: Floats) -> Floats:

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+import numpy as np
+
 from twin.arrays import Floats, Ints
 from twin.world.contact.pattern import Pattern
 
@@ -48,6 +50,11 @@ class LinearSystem:
     carried: Floats
     slope: Floats
     reach: Floats
+
+    @cached_property
+    def jumping(self) -> Ints:
+        """The patches whose forces jump."""
+        return np.flatnonzero(self.jump.any(axis=1))
 
     @cached_property
     def motion(self) -> Floats:

@@ -30,7 +30,7 @@ from twin.world.contact.bordered import SINGULAR
 from twin.world.contact.linear import LinearSystem
 from twin.world.contact.singles import SinglesArray, full_inverse, symmetric_product
 
-_SLACK = 1.3
+SLACK = 1.3
 """Over how many times as many patches as are in contact an inverse is used before a smaller one is made."""
 
 
@@ -38,10 +38,12 @@ _SLACK = 1.3
 class _Directions:
     """Directions in which patches are released.
 
-    ``at`` (r,) are their patches' places in the inverse, ``along`` (r, 3) the directions; the law of each is that
-    ``felt`` (r, 3) times the force, and ``own`` (r,) times the motion, are ``right`` (r,).
+    ``slipping`` is how many patches slip, whose directions come first. ``at`` (r,) are the patches' places in the
+    inverse, ``along`` (r, 3) the directions; the law of each is that ``felt`` (r, 3) times the force, and ``own`` (r,)
+    times the motion, are ``right`` (r,).
     """
 
+    slipping: int
     at: Ints
     along: SinglesArray
     felt: SinglesArray
@@ -56,9 +58,9 @@ class Released:
 
     def __init__(self, compliance: Floats, carried: Floats) -> None:
         k = len(compliance)
-        self._unit = float(np.mean(compliance.reshape(3 * k, 3 * k).diagonal()))
-        self._whole: SinglesArray = np.empty((3, k, 3, k), np.float32)
-        np.divide(compliance.transpose(1, 0, 3, 2), self._unit, out=self._whole, casting="same_kind")
+        self.unit = float(np.mean(compliance.reshape(3 * k, 3 * k).diagonal()))
+        self._whole: SinglesArray = np.empty((k, 3, k, 3), np.float32)
+        np.divide(compliance, self.unit, out=self._whole, casting="same_kind")
         self._carried = carried
         self._kept: Ints = np.zeros(0, int)
         self._place: Ints = np.full(k, -1)
@@ -66,18 +68,18 @@ class Released:
     def moved(self, force: Floats) -> Floats:
         """See `LinearSolver`."""
         size = 3 * len(force)
-        pushed: SinglesArray = np.ascontiguousarray(force.T, np.float32).reshape(size)
+        pushed: SinglesArray = force.astype(np.float32).reshape(size)
         moved = symmetric_product(self._whole.reshape(size, size).T, pushed)
-        return np.asarray(moved.reshape(3, -1).astype(float) * self._unit)
+        return np.asarray(moved.reshape(-1, 3).T.astype(float) * self.unit)
 
     def solve(self, system: LinearSystem, right: Floats, balance: Floats, left: float) -> tuple[Floats, Floats] | None:
         """See `LinearSolver`; ``left`` is as good as it gets."""
         pattern = system.pattern
-        if not self._make_room(pattern.touching, np.flatnonzero(system.jump.any(axis=1))):
+        if not self._make_room(pattern.touching, system.jumping):
             return None
         at, size, count = self._place[pattern.touching], 3 * len(self._kept), len(system.free)
         jump = system.jump[self._kept].T
-        right = right / self._unit
+        right = right / self.unit
         released = self._released(system, at, jump, right)
         given: SinglesArray = np.zeros((3, len(self._kept)), np.float32)
         given[:, at] = _given(system, right)
@@ -101,24 +103,32 @@ class Released:
         given += (carried @ motion).reshape(given.shape)
         _add(given, released.at, released.along, answer[:, 0] - answer[:, 1:] @ motion)
         force = symmetric_product(self._inverse, given.reshape(size)).reshape(3, -1)[:, at]
-        return pattern.seen(force.astype(float)), motion * self._unit
+        return pattern.seen(force.astype(float)), motion * self.unit
+
+    def part(self, rows: Ints) -> SinglesArray:
+        """Return (3 n, 3 n) the compliance over ``unit`` between some patches, axis by axis."""
+        part: SinglesArray = np.empty((3 * len(rows), 3 * len(rows)), np.float32)
+        _gather(self._whole, rows, part)
+        return part
+
+    def knows(self, touching: Ints, jumping: Ints) -> bool:
+        """Return whether the inverse serves patches in contact and those that jump."""
+        known = (self._place[touching] >= 0).all() and (self._place[jumping] >= 0).all()
+        return bool(known and len(self._kept) <= SLACK * len(touching))
 
     def _make_room(self, touching: Ints, jumping: Ints) -> bool:
         """Take over the patches in contact and those that jump; return whether their compliance can be inverted."""
-        known = (self._place[touching] >= 0).all() and (self._place[jumping] >= 0).all()
-        if not known or len(self._kept) > _SLACK * len(touching):
+        if not self.knows(touching, jumping):
             needed = np.union1d(touching, jumping)
             both = np.union1d(needed, self._kept)
-            kept = both if len(both) <= _SLACK * len(touching) else needed
-            part: SinglesArray = np.empty((3 * len(kept), 3 * len(kept)), np.float32)
-            _gather(self._whole, kept, part)
-            inverse = full_inverse(part)
+            kept = both if len(both) <= SLACK * len(touching) else needed
+            inverse = full_inverse(self.part(kept))
             self._place[:], self._kept = -1, np.zeros(0, int)
             if inverse is None:
                 return False
             self._inverse, self._kept = inverse.T, kept
             self._place[kept] = np.arange(len(kept))
-            self._points = self._carried[kept].transpose(1, 0, 2).reshape(len(part), -1).astype(np.float32)
+            self._points = self._carried[kept].transpose(1, 0, 2).reshape(3 * len(kept), -1).astype(np.float32)
             self._stiff = self._inverse @ self._points
         return True
 
@@ -133,13 +143,13 @@ class Released:
         gone = np.flatnonzero(away)
         axes = np.tile(np.eye(3), (len(gone), 1))
         along = np.concatenate([np.column_stack([ahead, flat]), aside, axes])
-        shift = system.shift[slipping, None] / self._unit
+        shift = system.shift[slipping, None] / self.unit
         felt = [np.column_stack([ahead, -pattern.mu[slipping]]), aside * shift, axes]
         too_much = np.einsum("ra,ar->r", ahead, jump[:2, here])
         own = [flat, pattern.share[slipping], np.zeros(len(axes))]
         law = [too_much, right[pattern.aside][slipping], jump[:, gone].T.reshape(-1)]
         return _Directions(
-            at=np.concatenate([here, here, np.repeat(gone, 3)]), along=along.astype(np.float32),
+            slipping=len(slipping), at=np.concatenate([here, here, np.repeat(gone, 3)]), along=along.astype(np.float32),
             felt=np.concatenate(felt).astype(np.float32), own=np.concatenate(own).astype(np.float32),
             right=np.concatenate(law).astype(np.float32),
         )  # fmt: skip
@@ -164,7 +174,7 @@ class Released:
         if count == 0:
             return np.zeros((0, border.shape[1]))
         laws: SinglesArray = np.empty((count, count), np.float32)
-        _laws(self._inverse.T, released.at, released.along, released.felt, laws)
+        _laws(self._inverse.T, released.slipping, released.at, released.along, released.felt, laws)
         laws[np.diag_indices(count)] += released.own
         factor, swaps, wrong = lapack.sgetrf(laws.T, overwrite_a=1)
         if wrong:
@@ -183,14 +193,14 @@ def _given(system: LinearSystem, right: Floats) -> Floats:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _gather(whole: SinglesArray, rows: Ints, out: SinglesArray) -> None:
-    """Set ``out`` (3 n, 3 n) to the compliance between some of the patches of (3, k, 3, k)."""
+    """Set ``out`` (3 n, 3 n) to the compliance between some of the patches of (k, 3, k, 3), axis by axis."""
     n = len(rows)
-    for a in range(3):
-        for i in range(n):
+    for i in range(n):
+        for a in range(3):
+            line = whole[rows[i], a]
             for b in range(3):
-                line = whole[a, rows[i], b]
                 for j in range(n):
-                    out[a * n + i, b * n + j] = line[rows[j]]
+                    out[a * n + i, b * n + j] = line[rows[j], b]
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -201,15 +211,37 @@ def _add(displacement: SinglesArray, at: Ints, along: SinglesArray, motion: Floa
 
 
 @njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
-def _laws(stiffness: SinglesArray, at: Ints, along: SinglesArray, felt: SinglesArray, out: SinglesArray) -> None:
-    """Set ``out`` (r, r) to what each direction's law feels of a unit motion along every other."""
+def _laws(
+    stiffness: SinglesArray, slipping: int, at: Ints, along: SinglesArray, felt: SinglesArray, out: SinglesArray
+) -> None:
+    """Set ``out`` (r, r) to what each direction's law feels of a unit motion along every other.
+
+    The directions along drags come first, then as many across them, at the same patches: rows of both are read once.
+    """
+    n, r, pairs = stiffness.shape[0] // 3, len(at), 2 * slipping
+    row, other = np.empty(3 * n, np.float32), np.empty(3 * n, np.float32)
+    end = 3 * n if r > pairs else 2 * n  # slipping patches don't move along their normals
+    for i in range(slipping):
+        _felt(stiffness, at[i], felt[i], row[:end])
+        _felt(stiffness, at[i], felt[slipping + i], other[:end])
+        for j in range(pairs):
+            x, y = along[j, 0], along[j, 1]
+            out[i, j] = x * row[at[j]] + y * row[n + at[j]]
+            out[slipping + i, j] = x * other[at[j]] + y * other[n + at[j]]
+        for j in range(pairs, r):
+            x, y, z = along[j]
+            out[i, j] = x * row[at[j]] + y * row[n + at[j]] + z * row[2 * n + at[j]]
+            out[slipping + i, j] = x * other[at[j]] + y * other[n + at[j]] + z * other[2 * n + at[j]]
+    for i in range(pairs, r):
+        _felt(stiffness, at[i], felt[i], row)
+        for j in range(r):
+            out[i, j] = along[j, 0] * row[at[j]] + along[j, 1] * row[n + at[j]] + along[j, 2] * row[2 * n + at[j]]
+
+
+@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+def _felt(stiffness: SinglesArray, at: int, felt: SinglesArray, out: SinglesArray) -> None:
+    """Set ``out`` to a combination of the rows of one patch's three axes."""
     n = stiffness.shape[0] // 3
-    row = np.empty(3 * n, np.float32)
-    for i in range(len(at)):
-        x, y, z = stiffness[at[i]], stiffness[n + at[i]], stiffness[2 * n + at[i]]
-        fx, fy, fz = felt[i]
-        for c in range(3 * n):
-            row[c] = fx * x[c] + fy * y[c] + fz * z[c]
-        for j in range(len(at)):
-            q = at[j]
-            out[i, j] = along[j, 0] * row[q] + along[j, 1] * row[n + q] + along[j, 2] * row[2 * n + q]
+    x, y, z = stiffness[at], stiffness[n + at], stiffness[2 * n + at]
+    for c in range(len(out)):
+        out[c] = felt[0] * x[c] + felt[1] * y[c] + felt[2] * z[c]

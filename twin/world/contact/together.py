@@ -21,6 +21,7 @@ from twin.parts.press import Probe
 from twin.parts.probe import Cylinder, Pillar
 from twin.world.contact.between import Between, Dense
 from twin.world.contact.gap import ABOUT_X, MOTIONS, Approach, Z, approach
+from twin.world.contact.iterated import near_lattice
 from twin.world.contact.lattice import lattice
 from twin.world.contact.patches import Face, Patches, Plane, joined
 from twin.world.contact.probe_shape import rotation_of, tilt_of
@@ -178,7 +179,9 @@ class Contacts:
     def between(self) -> Between:
         """The compliance between patches: a convolution where they are a lattice in a plane, else a matrix."""
         found = lattice(self.patches, self.settings[0].compliance)
-        return Dense(self.compliance) if found is None else found
+        if found is not None:
+            return found
+        return Dense(self.compliance, lambda: near_lattice(self.patches, self.settings[0].poisson_ratio))
 
     @cached_property
     def compliance(self) -> Floats:

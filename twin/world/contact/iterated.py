@@ -1,0 +1,158 @@
+"""Newton's linear systems on a matrix of many patches: by iteration, until a kept inverse pays.
+
+An inverse (`twin.world.contact.released`) answers a step with two products, but making one takes as long as a hundred
+and more of them: a press that is solved once need not wait for it, a path of many steps has it after a few. So systems
+are solved by iteration (`twin.world.contact.krylov`) until that took as many products as an inverse costs; whatever
+comes, this takes at most twice the least time.
+
+Iteration needs a rough inverse that costs nothing to make. Patches of equal cells lie nearly on a plane lattice, curved
+as the body may be, and near by every body is a half-space: so it is the half-space's on that lattice, wave by wave
+(`twin.world.contact.convolution`). On the finger it leaves a thousandth after six products, where inverses of the
+matrix's own parts for each axis need as many.
+
+Validity: as a guess for iteration only, which measures what is left on the matrix itself.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Floats, Ints
+from twin.parts.load import Rectangles
+from twin.theory import halfspace
+from twin.world.contact.convolution import Convolution, inverse_of, spectra_of
+from twin.world.contact.krylov import Krylov
+from twin.world.contact.linear import LinearSystem
+from twin.world.contact.patches import Patches
+from twin.world.contact.released import SLACK, Released
+from twin.world.contact.singles import SinglesArray, symmetric_product
+
+MANY = 300
+"""Patches in contact from which on making an inverse takes longer than a few solutions by iteration."""
+
+_PAYS = 0.25
+"""Products, for every patch in contact, that cost as much as making an inverse."""
+
+_EQUAL = 1e-6
+
+
+class NearLattice:
+    """A rough inverse of the compliance between patches in equal cells: a half-space's, on a plane lattice.
+
+    Parameters
+    ----------
+    place
+        (k, 2) whole numbers of steps of each patch along the lattice's sides.
+    shape
+        How many places there are along them.
+    inverse
+        The convolution.
+    """
+
+    def __init__(self, place: Ints, shape: tuple[int, ...], inverse: Convolution) -> None:
+        self._cell, self._shape, self._inverse = place[:, 0] * shape[1] + place[:, 1], shape, inverse
+
+    def forces(self, rows: Ints, displacement: SinglesArray) -> SinglesArray:
+        """Return the forces (3, n, m) under which some patches (n,) move by about (3, n, m)."""
+        cells, count = self._cell[rows], displacement.shape[2]
+        field: SinglesArray = np.zeros((count, 3, self._shape[0] * self._shape[1]), np.float32)
+        field[..., cells] = displacement.transpose(2, 0, 1)
+        made = self._inverse.product(field.reshape(count, 3, *self._shape)).reshape(field.shape)
+        return made[..., cells].transpose(1, 2, 0)
+
+
+def near_lattice(patches: Patches, poisson_ratio: float) -> NearLattice | None:
+    """Return a rough inverse of the compliance over the mean of the patches' own; None where cells aren't equal."""
+    cell = 2.0 * patches.cell_mm[0]
+    steps = (patches.middle_mm - patches.middle_mm.min(axis=0)) / cell
+    place = np.rint(steps).astype(int)
+    if np.ptp(patches.cell_mm, axis=0).max() > _EQUAL * cell.min() or np.abs(steps - place).max() > _EQUAL:
+        return None
+    shape, side = tuple((place.max(axis=0) + 1).tolist()), 2.0 * patches.half_mm.mean(axis=0)
+    flat = np.stack(np.meshgrid(*(np.arange(n) for n in shape), [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    one = Rectangles(
+        centre_mm=np.zeros((1, 3)), frames=np.eye(3)[None], half_mm=side[None] / 2.0, force_n=np.zeros((1, 3))
+    )
+    kernel = halfspace.compliance(flat * [*side, 1.0], one, 1.0, poisson_ratio).reshape(*shape, 3, 3)
+    inverse = inverse_of(spectra_of(kernel / np.mean(np.diag(kernel[0, 0]))))
+    return None if inverse is None else NearLattice(place, shape, Convolution(inverse, np.float32))
+
+
+class _OnMatrix:
+    """A `twin.world.contact.krylov.Operator` on a matrix in single precision, which counts its products."""
+
+    precision, finest, saves = np.float32, 1e-5, True
+
+    def __init__(self, released: Released, near: NearLattice) -> None:
+        self.unit, self.products = released.unit, 0
+        self._released, self._near = released, near
+        self._rows = self._kept = np.zeros(0, int)
+
+    def make_room(self, touching: Ints) -> bool:
+        """See `Operator`: patches that left stay, with no force on them."""
+        if not np.isin(touching, self._kept).all() or len(self._kept) > SLACK * len(touching):
+            self._kept, self._part = touching, self._released.part(touching)
+        self._rows, self._at = touching, np.searchsorted(self._kept, touching)
+        return True
+
+    def displaced(self, force: Floats) -> Floats:
+        """See `Operator`."""
+        return self._released.moved(force)
+
+    def felt(self, force: Floats) -> Floats:
+        """See `Operator`; only forces on patches that aren't kept need the whole matrix."""
+        if np.delete(force, self._kept, axis=0).any():
+            return self.displaced(force)[:, self._rows]
+        return self._moved(force[self._kept].T.astype(np.float32)) * self.unit
+
+    def product(self, force: Floats) -> Floats:
+        """See `Operator`."""
+        self.products += 1
+        spread: SinglesArray = np.zeros((3, len(self._kept)), np.float32)
+        spread[:, self._at] = force
+        return self._moved(spread)
+
+    def _moved(self, force: SinglesArray) -> Floats:
+        """Return the (3, n) displacements of the patches in contact under forces (3, kept)."""
+        moved = symmetric_product(self._part.T, force.reshape(-1))
+        return np.asarray(moved.reshape(3, -1)[:, self._at])
+
+    def roughly(self, displacement: Floats) -> Floats:
+        """See `Operator`."""
+        single: Any = displacement.astype(np.float32, copy=False)
+        return np.asarray(self._near.forces(self._rows, single))
+
+
+class Iterated:
+    """A `twin.world.contact.linear.LinearSolver` that iterates on a matrix until a kept inverse pays.
+
+    Parameters
+    ----------
+    inverting
+        What keeps an inverse.
+    near
+        A rough one, of the compliance over its unit.
+    """
+
+    saves = True
+
+    def __init__(self, inverting: Released, near: NearLattice) -> None:
+        self._inverting, self._operator = inverting, _OnMatrix(inverting, near)
+        self._iterating = Krylov(self._operator)
+
+    def moved(self, force: Floats) -> Floats:
+        """See `LinearSolver`."""
+        return self._inverting.moved(force)
+
+    def solve(self, system: LinearSystem, right: Floats, balance: Floats, left: float) -> tuple[Floats, Floats] | None:
+        """See `LinearSolver`."""
+        touching = system.pattern.touching
+        pays = len(touching) <= MANY or self._operator.products >= _PAYS * len(touching)
+        if not pays and not self._inverting.knows(touching, system.jumping):
+            found = self._iterating.solve(system, right, balance, left)
+            if found is not None:
+                return found
+        self._operator.products = 0
+        return self._inverting.solve(system, right, balance, left)
