@@ -41,10 +41,10 @@ time."""
 STUDIES = ("calibrations",)
 """What is run when it is named: a quarter of an hour of CPU time for a figure that has no accuracy knob."""
 
-ALONE = ("picture", "dataset", "sweep", "scaling")
-"""Stages that give figures of several workers, or of the wall clock alone."""
+ALONE = ("dataset", "sweep")
+"""Stages of several workers, whose figures are of the wall clock."""
 
-LONGEST = ("peers", "budget", "growth", "elasticity", "stress")
+LONGEST = ("peers", "budget", "growth", "picture", "elasticity", "stress")
 """Stages that are begun first where several run at a time, so that all cores end at about the same moment."""
 
 RESULTS = Path(__file__).parent / "results"
