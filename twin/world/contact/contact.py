@@ -48,7 +48,16 @@ from twin.world.contact.region import (
     solve_frictionless,
 )
 from twin.world.contact.rubbing import rubbing_path
-from twin.world.contact.together import Contacts, Control, Setting, SurfaceCompliance, all_controls, of_one, touch_at
+from twin.world.contact.together import (
+    Contacts,
+    Control,
+    Setting,
+    SurfaceCompliance,
+    all_controls,
+    of_one,
+    touch_at,
+    touch_z_at,
+)
 from twin.world.contact.unilateral import Equilibrium
 
 __all__ = ["ContactState", "SurfaceCompliance", "press"]
@@ -226,7 +235,7 @@ def _frictionless_step(job: Job, control: Control, place: Floats) -> tuple[Conta
             own_found = of_one(found, rows, motions)
             places[number] = own_found.place
             states[number] = touching_state(
-                setting, contacts.grids[each], own_found, touch_z_mm=touch_at(setting, own_found.place)[1],
+                setting, contacts.grids[each], own_found, touch_z_mm=touch_z_at(setting, own_found.place),
                 friction=0.0, slope=contacts.gap_under(each, own_found.place)[1],
             )  # fmt: skip
     return together([state for state in states if state is not None]), np.concatenate(places)

@@ -35,10 +35,11 @@ def contact_area(setting: Setting, patches: Patches, equilibrium: Equilibrium) -
     than 15 %, below 12 patches, and under any other probe.
     """
     active = equilibrium.active
-    counted = float(patches.area_mm2[active].sum())
-    if not isinstance(setting.probe, Sphere | Cone) or active.sum() < _FEWEST:
+    area = patches.area_mm2[active]
+    counted = float(area.sum())
+    if not isinstance(setting.probe, Sphere | Cone) or len(area) < _FEWEST:
         return counted
-    pressure = equilibrium.force_n[active, 2] / patches.area_mm2[active]
+    pressure = equilibrium.force_n[active, 2] / area
     squared_radius = _squared_radius(*_fitted(patches.middle_mm[active], pressure, isinstance(setting.probe, Cone)))
     stretch = counted / float(4.0 * np.prod(patches.cell_mm[active], axis=1).sum())
     fitted = math.pi * squared_radius * stretch

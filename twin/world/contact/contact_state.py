@@ -171,8 +171,8 @@ def _steepest(slope: Floats) -> float:
 
     A probe that comes along e meets a surface of the probe's normal n with slopes n / (e . n), as long as 1 / cosine.
     """
-    longest = np.square(slope[:, : Z + 1]).sum(axis=1).max(initial=1.0)
-    return math.sqrt(min(max(longest, 1.0), _GRAZED) - 1.0)
+    along = slope[:, : Z + 1]
+    return math.sqrt(min(float(np.einsum("ki,ki->k", along, along).max(initial=1.0)), _GRAZED) - 1.0)
 
 
 def _validity(
@@ -218,25 +218,26 @@ def touching_state(
     ``touch_z_mm`` is its z at first touch at its present place; ``slope`` (k, 6) that of its gaps, if it is known.
     """
     active, axes = equilibrium.active, setting.first.axes
+    touches = bool(active.any())
     felt = slice(None) if friction > 0 else slice(Z, Z + 1)
     force = np.einsum("kai,ka->ki", patches.frames, equilibrium.force_n)
     area = patches.area_mm2[active]
     pressure = equilibrium.force_n[active, 2] / area
-    contact = contact_area(setting, patches, equilibrium) if active.any() else 0.0
+    contact = contact_area(setting, patches, equilibrium) if touches else 0.0
     radius = math.sqrt(contact / math.pi)
     depth = float(equilibrium.place[Z]) - touch_z_mm
-    mean = float(equilibrium.force_n[active, 2].sum()) / contact if contact else 0.0
+    mean = float(pressure @ area) / contact if contact else 0.0
     pushed = force[active]
     total = pushed.sum(axis=0)
     own = axes @ total
     sheared = friction > 0 and bool(np.hypot(own[0], own[1]) > SHEARED * abs(own[2]))
     steepest = 0.0
-    if active.any() and setting.face is None:
+    if touches and setting.face is None:
         if slope is None:
             _, slope = setting.first.gap(patches.centre_mm, patches.frames[:, 2], equilibrium.place)
         steepest = _steepest(slope[active])
     return ContactState(
-        load=Load((patches.rectangles(force, active),)) if active.any() else Load(),
+        load=Load((patches.rectangles(force, active),)) if touches else Load(),
         indentation_mm=depth,
         move_mm=equilibrium.place[: Z + 1] @ axes,
         turn_deg=math.degrees(equilibrium.place[TURN]),

@@ -23,13 +23,13 @@ from twin.compiled import njit
 from twin.parts.probe import Cone
 from twin.world.contact.gap import MOTIONS, Z
 from twin.world.contact.together import Contacts, Control, every
-from twin.world.contact.unilateral import TOLERANCE, Equilibrium
+from twin.world.contact.unilateral import TOLERANCE, Equilibrium, sunk_alone
 
 MOST = 800
 """Equal patches up to which a matrix is faster than transforms (`twin.world.contact.lattice`)."""
 
 _END_OF_CONE = 1.0 - 2.0 / math.pi
-"""Gap at rest where contact ends, over the indentation: under a sphere 1 / 2 (Hertz, Sneddon)."""
+"""Overlap at rest where contact ends, over the indentation (Sneddon): under a sphere it is 1 / 2 (Hertz)."""
 
 _SETS, _PRODUCTS = 60, 400
 _LEFT = (1e-2, 1e-5, 1e-13)
@@ -58,9 +58,7 @@ def pushed(contacts: Contacts, control: Control, place: Floats, touch_z: Floats)
     high = found.copy()
     high[z] = 0.0
     gap = contacts.gap(high)[0]
-    reach = found[z] - touch_z
-    ends = np.array([_END_OF_CONE if isinstance(one.probe, Cone) else 0.5 for one in contacts.settings])
-    over = (found[z] - ends * reach)[owner] - gap
+    over = (found[z] - ends_at(contacts) * (found[z] - touch_z))[owner] - gap
     active, force = over > 0.0, np.sqrt(np.maximum(over, 0.0))
     depth, sunk = np.empty(len(touch_z)), np.empty(k)
     steps = settle(normal, gap, owner, by_force, control.given[z], active, force, depth, sunk)
@@ -68,12 +66,17 @@ def pushed(contacts: Contacts, control: Control, place: Floats, touch_z: Floats)
     residual = _residual(gap, depth, owner, by_force, control.given[z], active, force, sunk) if steps else 1.0
     if not residual <= TOLERANCE:
         return None
-    pushes, moved = np.zeros((k, 3)), np.full((k, 3), np.nan)
-    pushes[:, 2], moved[:, 2] = force, sunk
+    pushes = np.zeros((k, 3))
+    pushes[:, 2] = force
     return Equilibrium(
-        force_n=pushes, displacement_mm=moved, place=found, active=active, total=_total(contacts, found, force),
-        slipping=np.zeros(k, bool), residual=residual, steps=steps,
+        force_n=pushes, displacement_mm=sunk_alone(sunk), place=found, active=active,
+        total=_total(contacts, found, force), slipping=np.zeros(k, bool), residual=residual, steps=steps,
     )  # fmt: skip
+
+
+def ends_at(contacts: Contacts) -> Floats:
+    """Return (p,) about how far each probe overlaps the body at rest where its contact ends, over the indentation."""
+    return np.array([_END_OF_CONE if isinstance(one.probe, Cone) else 0.5 for one in contacts.settings])
 
 
 def _total(contacts: Contacts, place: Floats, force: Floats) -> Floats:

@@ -21,7 +21,7 @@ from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact.gap import ABOUT_X, TURN, X, Y, Z
 from twin.world.contact.patches import Box, Patches, Plane, candidate_patches, is_even
 from twin.world.contact.probe_shape import half_extent
-from twin.world.contact.pushed import pushed
+from twin.world.contact.pushed import ends_at, pushed
 from twin.world.contact.together import Contacts, Control, Setting, every
 from twin.world.contact.unilateral import Equilibrium, Unilateral, solve
 
@@ -157,10 +157,10 @@ def solve_frictionless(contacts: Contacts, control: Control, place: Floats, touc
     held = frictionless_control(contacts, carried, control, place)
     problem = Unilateral(
         compliance=contacts.between, gap=contacts.gap, carried=carried, by_force=held.by_force, given=held.given,
-        pushing=held.pushing, friction=np.zeros(k), offset=np.zeros((k, 2)),
+        pushing=held.pushing, friction=np.zeros(k), offset=np.zeros((k, 2)), sideways=False,
     )  # fmt: skip
-    depth = place[Z :: len(_NAMES)] - touch_z
-    found = solve(problem, contacts.gap(place)[0] < -0.5 * depth[contacts.owner], place)
+    least = ends_at(contacts) * (place[Z :: len(_NAMES)] - touch_z)
+    found = solve(problem, contacts.gap(place)[0] < -least[contacts.owner], place)
     load, reach = float(np.abs(found.force_n[:, 2]).sum()), problem.reach
     for number, (setting, rows, motions) in enumerate(contacts.rows):
         _check_slide(setting, contacts.grids[number], found, rows, place[motions] - found.place[motions])

@@ -14,6 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points
+from twin.compiled import njit
 from twin.errors import ContactError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
@@ -128,10 +129,7 @@ def touch_at(setting: Setting, place: Floats) -> tuple[Plane, float]:
     InputError
         It would miss the sensing surface.
     """
-    first = there = setting.first
-    if place[:Z].any() or place[ABOUT_X:].any():
-        over = first.axis_mm + place[:Z] @ first.axes[:Z]
-        there = approach(setting.probe, setting.body, over, first.axes, first.tilt_deg, place[ABOUT_X:])
+    first, there = setting.first, _touching_there(setting, place)
     if setting.face is None:
         plane = Plane(origin_mm=there.touch_mm, axes=setting.body.frames(there.touch_mm[None])[0])
     else:
@@ -140,6 +138,19 @@ def touch_at(setting: Setting, place: Floats) -> tuple[Plane, float]:
         own = np.stack([side, np.cross([0.0, 0.0, 1.0], side), [0.0, 0.0, 1.0]])
         plane = Plane(origin_mm=there.axis_mm, axes=own @ first.axes)
     return plane, float((there.axis_mm - first.axis_mm) @ first.axes[2])
+
+
+def touch_z_at(setting: Setting, place: Floats) -> float:
+    """Return the second of what `touch_at` does."""
+    return float((_touching_there(setting, place).axis_mm - setting.first.axis_mm) @ setting.first.axes[2])
+
+
+def _touching_there(setting: Setting, place: Floats) -> Approach:
+    first = setting.first
+    if not place[:Z].any() and not place[ABOUT_X:].any():
+        return first
+    over = first.axis_mm + place[:Z] @ first.axes[:Z]
+    return approach(setting.probe, setting.body, over, first.axes, first.tilt_deg, place[ABOUT_X:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,10 +227,7 @@ class Contacts:
         for (setting, rows, motions), grid in zip(self.rows, self.grids, strict=True):
             axes = setting.first.axes
             arm = grid.centre_mm - setting.first.axis_mm - place[motions][:Z] @ axes[:Z]
-            turning = np.cross(axes[None], arm[:, None])
-            whole[rows, :, motions] = grid.frames @ np.concatenate(
-                [np.tile(axes, (len(arm), 1, 1)), turning], 1
-            ).swapaxes(1, 2)
+            _carry(axes, arm, np.array(grid.frames, order="C"), whole[rows, :, motions])
         return whole
 
     def gap(self, place: Floats) -> tuple[Floats, Floats]:
@@ -258,6 +266,19 @@ class Contacts:
     @cached_property
     def _last(self) -> dict[int, tuple[bytes, tuple[Floats, Floats]]]:
         return {}
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _carry(axes: Floats, arm: Floats, frames: Floats, out: Floats) -> None:
+    """Set ``out`` (k, 3, 6) to how points at arms (k, 3) move in their frames along and about axes (rows of (3, 3))."""
+    for i in range(len(arm)):
+        x, y, z = arm[i]
+        for m in range(3):
+            a, b, c = axes[m]
+            p, q, r = b * z - c * y, c * x - a * z, a * y - b * x
+            for j in range(3):
+                u, v, w = frames[i, j]
+                out[i, j, m], out[i, j, 3 + m] = u * a + v * b + w * c, u * p + v * q + w * r
 
 
 def _in_own_frames(compliance: Floats, frames: Floats) -> Floats:

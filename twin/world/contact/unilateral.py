@@ -74,6 +74,8 @@ class Unilateral:
         (k,) coefficient of friction: 0 slides freely, inf is carried along whenever in contact.
     offset
         (k, 2) b, mm: the patch's motion over the probe, u_t - T q, from which its slip counts.
+    sideways
+        Whether it is asked for how far patches that slide freely move sideways.
     solver
         Solver of linear systems with this compliance; all are solved by elimination without one.
     """
@@ -86,6 +88,7 @@ class Unilateral:
     pushing: Bools
     friction: Floats
     offset: Floats
+    sideways: bool = True
     solver: LinearSolver | None = None
 
     @cached_property
@@ -132,7 +135,7 @@ class Equilibrium:
     force_n
         (k, 3) forces of the patches on the body in their own frames.
     displacement_mm
-        (k, 3) displacements of the patches in their own frames; NaN sideways where nothing is felt that way.
+        (k, 3) displacements of the patches in their own frames; NaN sideways where that is not asked for.
     place
         (m,) the probe's place.
     active
@@ -308,7 +311,7 @@ def solve(problem: Unilateral, active: Bools, place: Floats) -> Equilibrium:
         settled = np.array_equal(following, active)
         reachable = np.isfinite(gap[active]).all()  # what the probe has moved away from leaves in the next step
         if settled and ((met and reachable) or not active.any()):
-            return _checked(problem, active, force, place, opening, let_go, step)
+            return _checked(problem, active, force, place, sunk, opening, let_go, step)
         repeats = following.tobytes() + problem.sticking.tobytes() in seen
         if not settled and (repeats or (len(seen) >= _PATIENCE and mode == _ALL_AT_ONCE)):
             mode, exact = min(mode + int(exact), _ONE_BY_ONE), True  # a set may repeat as it isn't solved well enough
@@ -348,17 +351,26 @@ def _next_set(active: Bools, push_mm: Floats, opening: Floats, slack: float, mod
     return following
 
 
+def sunk_alone(sunk: Floats) -> Floats:
+    """Return (k, 3) displacements of which only the normal ones (k,) are known."""
+    moved = np.full((len(sunk), 3), np.nan)
+    moved[:, 2] = sunk
+    return moved
+
+
 def _checked(
     problem: Unilateral,
     active: Bools,
     force: Floats,
     place: Floats,
+    sunk: Floats,
     opening: Floats,
     let_go: Bools,
     steps: int,
 ) -> Equilibrium:
-    total, reach, displacement = problem.total(force), problem.reach, problem.moved(force)
-    depth = float(np.max(np.abs(displacement), initial=0.0)) or 1.0
+    total, reach = problem.total(force), problem.reach
+    displacement = problem.moved(force) if problem.sideways else sunk_alone(sunk)
+    depth = float(np.nanmax(np.abs(displacement), initial=0.0)) or 1.0
     push = float(np.max(force[:, 2], initial=0.0)) or 1.0
     load = float(np.max(np.abs(total / reach))) or 1.0
     stuck = active & problem.sticking
