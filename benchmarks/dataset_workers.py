@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from twin.study.batch.engine import Job, one_thread, run_tasks
+from twin.study.batch.engine import Done, Job, one_thread, run_tasks
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import job_of, prepare
 from twin.study.dataset.work import ShardBytes, make_shard
@@ -47,12 +47,12 @@ def rows(name: str, scene: str, overrides: dict[str, Any], samples: int) -> list
             places.meta.mkdir()
             prepare(Plan(loaded, (WARM * 2 + shards) * each), places, None)
             job = Job(files=job_of(places).files, work=f"{__name__}:timed")
-            with _pool(workers) as address:
+            with _runner(workers) as run:
                 warm = WARM * max(1, workers)
-                for _ in run_tasks(job, range(warm), scheduler=address):
+                for _ in run(job, range(warm)):
                     pass
                 clock, before = time.perf_counter(), _cpu()
-                spent = sum(done.result[1] for done in run_tasks(job, range(warm, warm + shards), scheduler=address))
+                spent = sum(done.result[1] for done in run(job, range(warm, warm + shards)))
                 wall, cpu = time.perf_counter() - clock, _cpu() - before
                 idle = _idle() if workers else 0.0
         count = shards * each
@@ -65,20 +65,15 @@ def rows(name: str, scene: str, overrides: dict[str, Any], samples: int) -> list
 
 
 @contextmanager
-def _pool(workers: int) -> Iterator[str | None]:
-    """Start so many workers, whose scheduler's address is given; none without any."""
+def _runner(workers: int) -> Iterator[Callable[[Job, Iterable[int]], Iterator[Done]]]:
+    """Give what does tasks: so many of dask's workers, also a single one; this process without any."""
     if not workers:
-        yield None
+        yield run_tasks
         return
-    import dask
-    from distributed import LocalCluster
+    from twin.study.batch.cluster import tasks_on_cluster, workers_here
 
-    from twin.study.batch.cluster import QUIET
-
-    dask.config.set(QUIET)
-    with LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
-                      memory_limit=0, host="127.0.0.1") as cluster:  # fmt: skip
-        yield cluster.scheduler_address
+    with workers_here(workers) as cluster:
+        yield lambda job, numbers: tasks_on_cluster(job, numbers, cluster)
 
 
 def _idle() -> float:

@@ -104,7 +104,7 @@ def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator
 
 
 def _done(numbers: list[int], future: Any) -> tuple[list[Done], float | None]:
-    """Return what became of tasks, and the seconds they took; None if they were lost."""
+    """Return what became of tasks, and the CPU seconds they took; None if they were lost."""
     problem = future.exception()
     if problem is None:
         found, seconds = future.result()

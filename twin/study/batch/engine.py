@@ -27,8 +27,8 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_
 AHEAD = 2
 """Hand-outs per worker: the next is there when one is done, and memory stays flat."""
 
-TOGETHER_S = 0.5
-"""Quick tasks are handed out several at a time, as many as take so long: a hand-out costs some 7 ms of CPU."""
+TOGETHER_S = 1.0
+"""Quick tasks are handed out several at a time, as many as take so long, in CPU seconds: a hand-out costs some 7 ms."""
 
 RETRIES = 3
 """Times a task may see its worker die before it is given up."""
@@ -176,11 +176,11 @@ _KEPT: dict[str, tuple[ExitStack, Path]] = {}
 
 
 def tasks_on_worker(name: str, work: str, numbers: Sequence[int]) -> tuple[list[Done], float]:
-    """Do tasks on a dask worker, whose plugin has unpacked the job; return them and the seconds they took."""
+    """Do tasks on a dask worker, whose plugin has unpacked the job; return them and the CPU seconds they took."""
     if name not in _KEPT:
         raise RuntimeError("this worker was not given the job's files")
-    function, folder, started = _function(work), _KEPT[name][1], time.perf_counter()
-    return [_tried(function, folder, number) for number in numbers], time.perf_counter() - started
+    function, folder, started = _function(work), _KEPT[name][1], time.process_time()
+    return [_tried(function, folder, number) for number in numbers], time.process_time() - started
 
 
 def _tried(function: Work, folder: Path, number: int) -> Done:

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from pickle import PickleBuffer
+from typing import Any
 
 from twin.errors import TwinError
 from twin.places import cache_folder, pin
@@ -20,6 +22,9 @@ from twin.study.dataset.columns import ALWAYS, Column, schema, to_arrow
 from twin.study.dataset.plan import Plan
 from twin.study.dataset.sample import MadeSensor, Row, failed_row, rows_of_sample, sensor_seed
 from twin.study.recipe import load_scene
+
+Bytes = bytes | bytearray | memoryview
+"""A file's contents; what came from another process is not copied to make it one type."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +39,19 @@ class ShardBytes:
         How many of its samples failed, and the first reason.
     """
 
-    samples: bytes
-    sensors: bytes | None
+    samples: Bytes
+    sensors: Bytes | None
     failed: int
     reason: str
+
+    def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
+        """Travel between processes without a copy of the files on the way, where pickle can do that."""
+        files: list[Any] = [self.samples, self.sensors]
+        if protocol >= 5:
+            files = [each if each is None else PickleBuffer(each) for each in files]
+        else:
+            files = [each if each is None else bytes(each) for each in files]
+        return ShardBytes, (*files, self.failed, self.reason)
 
 
 class Workshop:
