@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import ROOT
 from benchmarks.__main__ import table
 from benchmarks.elasticity_page import stored
-from twin.places import ROOT
 
 PAGE = ROOT / "docs" / "budget.md"
 PLOT = ROOT / "docs" / "budget.png"

@@ -6,12 +6,12 @@ import json
 import re
 from typing import Any
 
+from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, table
 from benchmarks.contact import CLOSED, HELD, extrapolated, order
 from benchmarks.contact_peer import PEER, SAID, to_bounds
 from benchmarks.contact_speed import SPEED
 from benchmarks.presses import BODIES, summary
-from twin.places import ROOT
 
 PAGE, PICTURE = ROOT / "docs" / "contact.md", ROOT / "docs" / "contact.png"
 STORED = RESULTS / "contact.json"

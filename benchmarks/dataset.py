@@ -17,9 +17,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, table
 from benchmarks.dataset_workers import rows as workers_rows
-from twin.places import ROOT
 from twin.study import sensor
 from twin.study.batch.engine import one_thread, unpacked
 from twin.study.dataset import cells, work

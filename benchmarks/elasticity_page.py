@@ -11,11 +11,11 @@ import re
 from statistics import median
 from typing import Any
 
+from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, table
 from benchmarks.fronts import front, seconds_to
 from benchmarks.growth_law import exponent
 from benchmarks.reference import reference
-from twin.places import ROOT
 
 PAGE = ROOT / "docs" / "elasticity.md"
 PICTURE = ROOT / "docs" / "elasticity.png"

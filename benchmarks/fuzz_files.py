@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.places import ROOT
+from benchmarks import ROOT
 
 Spoil = Callable[[Path], object]
 

@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, machine, table
 from benchmarks.inclusions_mesh import bead_solutions
 from twin.arrays import Floats, Points
 from twin.parts.load import Rectangles, Traction
-from twin.places import ROOT
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
 from twin.study.calibrate import calibration_of

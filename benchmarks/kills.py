@@ -25,10 +25,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, machine, table
 from benchmarks.arguments import at_least
 from benchmarks.fuzz_files import SMALL, SWEEP, VARY
-from twin.places import ROOT
 
 STORED = RESULTS / "kills.json"
 WALL_S, ROUND = 600, 12

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import ROOT
 from benchmarks.__main__ import table
 from benchmarks.elasticity_page import stored
 from benchmarks.fronts import seconds_to
-from twin.places import ROOT
 
 PAGE = ROOT / "docs" / "picture.md"
 PLOT = ROOT / "docs" / "picture.png"

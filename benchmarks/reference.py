@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import ROOT
 from twin.arrays import Points
 from twin.parts.body import Block, Body, Finger
 from twin.parts.load import Rectangles, Traction
-from twin.places import ROOT
 from twin.world.elasticity.tile import tile
 
 YOUNGS_MODULUS_MPA = 0.5

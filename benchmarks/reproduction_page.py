@@ -13,9 +13,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, machine, table
 from benchmarks.elasticity_page import stored
-from twin.places import ROOT
 from twin.study.reproduce.bench import FITTED
 from twin.study.reproduce.catalogue import ENTRIES
 from twin.study.reproduce.same_hardware import CAMERA, DEFAULT, PAPERS

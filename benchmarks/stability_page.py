@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, table
-from twin.places import ROOT
 
 PAGE = ROOT / "docs" / "stability.md"
 MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"

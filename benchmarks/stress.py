@@ -20,13 +20,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, table
 from benchmarks.arguments import command_line
 from benchmarks.stress_axes import Axis, Measured, system_axes, unsolvable
 from benchmarks.stress_loads import load_axes
 from benchmarks.stress_picture import unfit_libraries
 from twin.errors import TwinError
-from twin.places import ROOT, cache_folder
+from twin.places import cache_folder
 
 PAGE = ROOT / "docs" / "stress.md"
 MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"

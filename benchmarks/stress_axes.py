@@ -12,12 +12,13 @@ from functools import cache, partial
 
 import numpy as np
 
+from benchmarks import ROOT
 from benchmarks.stress_meshes import with_inverted_element, with_loose_node, with_loose_part, with_slivers
 from twin.arrays import Bools, Floats
 from twin.parts.body import Block
 from twin.parts.load import Traction
 from twin.parts.material import Material
-from twin.places import MESHES, ROOT
+from twin.places import MESHES
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.fem import Layer, TaylorHood
 from twin.world.elasticity.tile import tile

@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from benchmarks import ROOT
 from benchmarks.stress_axes import Axis, Measured
 from twin.arrays import Pixels
 from twin.errors import MissingCapability
 from twin.parts.ccd import Ccd
 from twin.parts.scene import Scene
-from twin.places import ROOT
 from twin.study.recipe import load_scene
 from twin.theory.optics import project, rays
 from twin.world.picture.exposure import expose

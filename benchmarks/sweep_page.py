@@ -6,8 +6,8 @@ import json
 import re
 from typing import Any
 
+from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, table
-from twin.places import ROOT
 
 PAGE = ROOT / "docs" / "sweeps.md"
 STORED = RESULTS / "sweep.json"

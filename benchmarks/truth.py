@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import ROOT
 from twin.arrays import Floats, Points
-from twin.places import ROOT
 
 HALF_MM, THICKNESS_MM, MODULUS_MPA = (50.0, 45.0), 40.0, 0.5
 SOFTNESS = 1e-7

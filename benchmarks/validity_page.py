@@ -9,8 +9,8 @@ import json
 import re
 from typing import Any
 
+from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, table
-from twin.places import ROOT
 from twin.theory.linearity import law_of
 
 PAGE = ROOT / "docs" / "validity.md"

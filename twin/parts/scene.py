@@ -34,10 +34,14 @@ class Scene(Part):
         One line for people.
     seed
         Root of every random stream.
-    body, material, cover, markers, camera, light, ccd, press, accuracy, tolerance, tracking, calibration,
-    reconstruction, dataset
-        See the parts of the same names. A scene without ``camera`` renders nothing; one without ``press`` is only at
-        rest; one without ``reconstruction`` estimates nothing.
+    body, material, cover, markers, light, ccd, accuracy, tolerance, tracking, calibration, dataset
+        See the part of that name.
+    camera
+        Without one nothing is rendered.
+    press
+        Without one the sensor is only at rest.
+    reconstruction
+        Without one no forces are estimated.
     tractions
         Footprints whose tractions push instead of the press; a press beside them is not done.
     vary

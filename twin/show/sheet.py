@@ -15,9 +15,6 @@ from twin.arrays import Floats, Pixels
 GAIN = 4.0
 """Times by which the markers' shifts are drawn longer."""
 
-LARGEST_N = 40.0
-"""Length in px of the arrow of the largest resultant force sideways."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Card:

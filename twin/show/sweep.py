@@ -158,8 +158,8 @@ def _cards(cards: Sequence[Card]) -> str:
         parts += [_field(name, sites, force) for name, sites, force in card.fields]
         out.append(
             f"<h3>{escape(card.heading)}</h3><p>{escape(card.words)}</p>"
-            f'<p class="note">Ready to run: <code>twin run {escape(card.file)}</code></p><div class="two">'
-            f"{''.join(parts)}</div>"
+            f'<p class="note">Ready to run, in this page&rsquo;s folder: <code>twin run {escape(card.file)}</code></p>'
+            f'<div class="two">{"".join(parts)}</div>'
         )
     return "".join(out)
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.arrays import Floats
 from twin.parts.press import Press, Sphere
-from twin.sense.reconstruct import Field
 from twin.show.panels import ArrowPanel, Panel, PicturePanel
 from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
@@ -58,11 +56,6 @@ def _figure_6(bench: Bench) -> Outcome:
         ),
         notes=("The paper tells 15 px in section II D and 10 to 20 px in section IV.",),
     )
-
-
-def tangential_and_normal(rig: Rig, field: Field) -> Floats:
-    """Return (k, 3) forces in the sites' frames: along s, along t, along the inward normal."""
-    return np.asarray(np.einsum("kab,kb->ka", rig.calibration.site_frames, field.force_n))
 
 
 def _figure_7(bench: Bench) -> Outcome:
