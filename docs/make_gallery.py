@@ -39,8 +39,8 @@ def make_gallery(folder: Path) -> None:
         write_whole(folder / "pages" / f"{exhibit.scene}.html", lambda f, page=page: f.write(page.encode()))
         lines += [
             f"## {sensor.nominal.title}", "", exhibit.said, "",
-            f"![at rest]({exhibit.scene}_rest.png){{width=49%}} "
-            f"![pressed]({exhibit.scene}_pressed.png){{width=49%}}", "",
+            f"![at rest]({exhibit.scene}_rest.png){{width=\"49%\"}} "
+            f"![pressed]({exhibit.scene}_pressed.png){{width=\"49%\"}}", "",
             f"Turn it in the browser: <a href=\"{{root}}{exhibit.scene}.html\">the deformed body</a> "
             f"(`twin view {exhibit.scene}`).", "",
         ]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from pathlib import Path
 
 import pytest
@@ -41,3 +42,8 @@ def test_links_lead_somewhere(page: str) -> None:
     wanted = {part.split(")")[0] for part in page.split("](#")[1:]}
     there = {line[1:-2] for line in page.splitlines() if line.startswith("(recipe-")}
     assert wanted <= there
+
+
+def test_a_width_is_quoted_or_the_site_shows_it_as_text() -> None:
+    sources = [*DOCS.glob("*.md"), *DOCS.glob("*.py")]
+    assert not [path.name for path in sources if re.search(r"\{+width=[^\"\\]", path.read_text(encoding="utf-8"))]
