@@ -2,13 +2,14 @@
 
 import math
 from collections import Counter
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
 from test_contact import BLOCK, FINGER, HalfSpace, down, only, pressed
 
-from twin.errors import ContactError, TwinError
+from twin.errors import ContactError, NotSettled, TwinError
 from twin.parts.load import Rectangles
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Probe, Sphere, Step
 from twin.theory.contact import oblique_motion
@@ -212,6 +213,23 @@ def test_many_small_steps_are_taken_in_few_parts_each(monkeypatch: pytest.Monkey
         np.testing.assert_allclose(one.move_mm, other.move_mm, atol=2e-3 * np.abs(other.move_mm).max())
         assert one.turn_deg == pytest.approx(other.turn_deg, rel=0.01, abs=1e-9)
     assert large[1].slip.any()
+
+
+@pytest.mark.parametrize(("jump", "settles"), [(6e-3, True), (6e-2, False)])
+def test_a_slide_that_jumps_as_a_patch_comes_and_goes(
+    jump: float, settles: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over half a patch: where a slide jumps less than the model can tell, either end is an answer."""
+    there, slide = [False], friction._slide
+
+    def jumping(grid: friction.FrictionGrid, *given: Any) -> np.ndarray:
+        there[0] = not there[0]
+        return slide(grid, *given) + there[0] * jump * float(grid.patches.half_mm.min())
+
+    monkeypatch.setattr(friction, "_slide", jumping)
+    drag = Step(force_n={"z": PUSH}, move_mm=(0.4, None, None))
+    with nullcontext() if settles else pytest.raises(NotSettled, match="does not settle"):
+        rubbed(drag, across=8, increments=1)
 
 
 # --- any body ------------------------------------------------------------------------------------------------------

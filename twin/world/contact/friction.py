@@ -36,6 +36,8 @@ from twin.world.contact.together import Control
 from twin.world.contact.unilateral import Equilibrium, Unilateral, holding, solve
 
 _HALVINGS, _SLIDE_ROUNDS = 3, 12
+_SLID, _SLID_AT_LAST = 1e-3, 1e-2
+"""How well a slide is known, over half a patch; the last where a patch comes and goes with it, so that it jumps."""
 
 
 def _part(
@@ -48,12 +50,13 @@ def _part(
         return memory, solve(problem, likely_touching(grid, memory, place, guess), place)
     found = _from_guess(problem, first_guess(grid, problem, memory, control, guess))
     start = memory.slid_mm
-    for _ in range(_SLIDE_ROUNDS):
+    for turn in range(_SLIDE_ROUNDS):
         slid = start + _slide(grid, memory, problem, found)
         change = float(np.abs(slid - memory.slid_mm).max())
         memory = replace(memory, slid_mm=slid)
         flat = all(setting.face is not None for setting in grid.contacts.settings)
-        if change <= 1e-3 * float(grid.patches.half_mm.min()) or flat:
+        known = _SLID if 2 * turn < _SLIDE_ROUNDS else _SLID_AT_LAST
+        if change <= known * float(grid.patches.half_mm.min()) or flat:
             return memory, found
         problem = grid.problem(memory, control, held)
         found = solve_coulomb(problem, found.force_n, found.place, found.displacement_mm)
