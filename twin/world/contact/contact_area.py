@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from twin.arrays import Floats
+from twin.arrays import Floats, Ints
 from twin.compiled import njit
 from twin.parts.probe import Cone, Sphere
 from twin.world.contact.patches import Patches
@@ -40,25 +40,29 @@ def contact_area(setting: Setting, patches: Patches, equilibrium: Equilibrium) -
     if not isinstance(setting.probe, Sphere | Cone) or len(area) < _FEWEST:
         return counted
     pressure = equilibrium.force_n[active, 2] / area
-    squared_radius = _squared_radius(*_fitted(patches.middle_mm[active], pressure, isinstance(setting.probe, Cone)))
+    fourth = isinstance(setting.probe, Cone)
+    used = np.arange(len(pressure))
+    if fourth:
+        rising = np.sort(pressure)
+        used = np.flatnonzero(pressure <= _EVEN * (rising[(len(used) - 1) // 2] + rising[len(used) // 2]) / 2.0)
+    squared_radius = _squared_radius(*_fitted(patches.middle_mm[active], pressure, used, fourth))
     stretch = counted / float(4.0 * np.prod(patches.cell_mm[active], axis=1).sum())
     fitted = math.pi * squared_radius * stretch
     return fitted if abs(fitted / counted - 1.0) < _APART else counted
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _fitted(place: Floats, pressure: Floats, fourth: bool) -> tuple[Floats, float]:
+def _fitted(place: Floats, pressure: Floats, used: Ints, fourth: bool) -> tuple[Floats, float]:
     """Return (6,) or (7,) coefficients of the polynomial nearest to squared pressures, and the size it is scaled by.
 
-    Of 1, u, v, u^2, u v, v^2 and, with ``fourth``, (u^2 + v^2)^2, of the lower half of the pressures alone. By
+    Of 1, u, v, u^2, u v, v^2 and, with ``fourth``, (u^2 + v^2)^2, of those pressures alone that are ``used``. By
     orthogonalising each term to those before it, twice over in effect, as the right-hand side is a term itself.
     """
     n = len(pressure)
     middle = place.sum(axis=0) / n
-    size, most, median = 0.0, pressure.max(), np.median(pressure)
+    size, most = 0.0, pressure.max()
     for i in range(n):
         size = max(size, abs(place[i, 0] - middle[0]), abs(place[i, 1] - middle[1]))
-    used = np.flatnonzero(pressure <= _EVEN * median) if fourth else np.arange(n)
     count = 7 if fourth else 6
     terms, triangle = np.empty((count + 1, len(used))), np.zeros((count + 1, count + 1))
     for i in range(len(used)):
