@@ -3,13 +3,15 @@
 Disks on the block, against the truth's table, and bumps on the finger, against its finest mesh with finer quadrature
 under the load, at Poisson's ratio 0.5: at given places, axis by axis (the shares in `twin.world.elasticity.expected`
 were chosen with these in view), and of random width, place and direction. The finger's finest mesh is itself up to 6e-4
-off.
+off. The block's standard table is tried on squares, disks and twists at random against `benchmarks.truth`, where
+NGSolve is installed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from itertools import product
 
 import numpy as np
@@ -17,7 +19,8 @@ import numpy as np
 from benchmarks.__main__ import table
 from benchmarks.clock import empty_cache
 from benchmarks.elasticity import compliance
-from benchmarks.reference import BODIES, reference
+from benchmarks.reference import BODIES, Case, reference
+from benchmarks.truth import COARSE, Quarter, Words, half_space
 from twin.arrays import Points
 from twin.parts.load import Rectangles, Traction
 from twin.world.elasticity import residual
@@ -34,6 +37,7 @@ BOX_MM = (16.0, 12.0)
 
 
 RANDOM, SEED = 36, 7
+NUS, AGAINST_TRUTH, KINDS = (0.5, 0.3, 0.1), 8, ("rectangle", "disk", "rectangle", "twist")
 
 
 def _given(body: str) -> Iterator[tuple[float, tuple[float, float], list[float]]]:
@@ -104,8 +108,42 @@ def ratios(body: str) -> dict[tuple[str, Level], list[float]]:
     return found
 
 
+def _words(number: int) -> Iterator[Words]:
+    """Yield loads in words for `benchmarks.truth`, all at random: rectangles, disks and twists."""
+    rng = np.random.default_rng(11)
+    for i in range(number):
+        force = rng.normal(size=3)
+        words: Words = {"centre_mm": [float(rng.uniform(-10, 10)), float(rng.uniform(-8, 8))]}
+        if i % 2 == 0:
+            words["size_mm"] = np.exp(rng.uniform(*np.log((DISKS_MM[0], DISKS_MM[-1])), 2)).tolist()
+        else:
+            words["radius_mm"] = float(np.exp(rng.uniform(*np.log((DISKS_MM[0] / 2, DISKS_MM[-1] / 2)))))
+        pushed = {"force_n": (force / np.linalg.norm(force)).tolist()}
+        yield words | {"kind": KINDS[i % 4]} | (pushed if KINDS[i % 4] != "twist" else {"torque_nmm": 10.0})
+
+
+def of_table(nu: float) -> list[float]:
+    """Return the standard table's estimated errors over its errors against `benchmarks.truth`."""
+    quarter, stiff, found = Quarter(COARSE, nu), compliance("block", nu, "subtracted", "standard", True), []
+    for words in _words(AGAINST_TRUTH):
+        points = reference("block").points + np.array([*words["centre_mm"], 0.0])
+        points = points[(np.abs(points[:, :2]) < BOX_MM).all(axis=1)]
+        right = half_space(points, words, nu) + quarter.rest(points, words)
+        load = Case(key="", nu=nu, words=words, right=right, own_error=0.0).load(BODIES["block"])
+        got, told = stiff.answer(points, load)
+        found.append(told * float(np.linalg.norm(right, axis=1).max() / np.linalg.norm(got - right, axis=1).max()))
+    return found
+
+
 if __name__ == "__main__":
     rows = []
+    for nu in NUS if find_spec("ngsolve") else ():
+        told = np.array(of_table(nu))
+        rows.append(
+            {"body": "block", "loads": f"random, nu {nu:g}", "level": "table, truth", "number": len(told),
+             "least": told.min(), "median": np.median(told), "most": told.max(), "below 1": np.mean(told < 1.0),
+             "above 3": np.mean(told > 3.0)}
+        )  # fmt: skip
     for name in BODIES:
         for (loads, level), each in ratios(name).items():
             all_of = np.array(each)

@@ -22,7 +22,7 @@ def away(one, other):
 def test_stored_truth_is_block_npz_within_what_that_says_of_itself():
     with np.load(FOLDER / "block.npz") as file:
         other = {key: file[key] for key in file.files}
-    truth = reference("block_converged")
+    truth = reference("block")
     assert np.array_equal(truth.points, other["points"])
     for case, said in zip(truth.cases, json.loads(str(other["cases"])), strict=True):
         assert (case.key, case.nu, case.words) == (said["key"], said["nu"], said["load"])
@@ -33,7 +33,7 @@ def test_stored_truth_is_block_npz_within_what_that_says_of_itself():
 @pytest.mark.parametrize("key", ["R1x_nu0.49", "R1z_nu0.5", "D1z_nu0.49", "W1t_nu0.49"])
 def test_half_space_of_point_forces_is_the_closed_form(key):
     """Exactly for rectangles; disks and twists are cut into strips, which is all of the difference."""
-    case, points = reference("block_converged").case(key), reference("block").points[::20]
+    case, points = reference("block").case(key), reference("block").points[::20]
     closed = halfspace.displacement(points, case.load(BODIES["block"]), 0.5, case.nu)
     assert away(half_space(points, case.words, case.nu), closed) < (1e-12 if key.startswith("R") else 6e-5)
 
@@ -43,7 +43,7 @@ def test_half_space_of_point_forces_is_the_closed_form(key):
 def test_quarter_of_bricks_gives_the_stored_truth_and_loads_beside_the_middle():
     """The coarse bricks of this test are 1e-5 off. Beside the middle all four symmetries take part."""
     pytest.importorskip("ngsolve")
-    truth, quarter = reference("block_converged"), Quarter(Bricks(order=5, shares=(0.0, 0.5, 0.8, 1.0)), 0.5)
+    truth, quarter = reference("block"), Quarter(Bricks(order=5, shares=(0.0, 0.5, 0.8, 1.0)), 0.5)
 
     def whole(words):
         return half_space(truth.points, words, 0.5) + quarter.rest(truth.points, words)

@@ -97,16 +97,26 @@ def test_estimate_is_one_to_three_times_the_true_error(name, level):
 
 
 @pytest.mark.parametrize("case", CASES["block"], ids=lambda case: case["key"])
-def test_table_reaches_the_reference_s_own_accuracy_and_knows_it(case):
-    """The reference is good to 3e-5 only, which is what most of these errors are."""
+def test_table_knows_its_error_to_a_factor_of_three_and_factors_nothing(case):
+    """The truth's table is 1.4e-5 to 4.3e-5 off, which only a truth that is good to 3e-6 can tell."""
     before = factorisations()
     material = Material(youngs_modulus_mpa=0.5, poisson_ratio=case["nu"])
     ratio, error = estimate_ratio(Compliance(BLOCK, material), "block", case)
-    assert error < 7e-5
-    assert error < ratio * error < 3.0 * max(error, 4e-5)
+    assert error < 5e-5
+    assert 1.0 < ratio < 3.0
     nominal, _ = estimate_ratio(Compliance(BLOCK, material, level="nominal"), "block", case)
     assert 1.0 < nominal < 3.0
     assert factorisations() == before
+
+
+@pytest.mark.slow
+def test_finest_mesh_knows_its_error_to_a_factor_of_three():
+    stiff = Compliance(BLOCK, Material(youngs_modulus_mpa=0.5, poisson_ratio=0.49), level="fine", table=False)
+    for case in CASES["block"]:
+        if case["nu"] == 0.49:
+            ratio, error = estimate_ratio(stiff, "block", case)
+            assert error < 6e-5
+            assert 1.0 < ratio < 3.0, (case["key"], error)
 
 
 @pytest.mark.slow

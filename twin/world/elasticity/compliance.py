@@ -30,7 +30,7 @@ from twin.theory import halfspace
 from twin.theory.halfspace_normal import normal_compliance
 from twin.world.elasticity.correction import correction
 from twin.world.elasticity.direct import consistent_forces, direct_columns
-from twin.world.elasticity.expected import DIRECT, EXPECTED, estimated_error, expected_error
+from twin.world.elasticity.expected import DIRECT, EXPECTED, estimated_error, expected_error, finest_error, unbounded
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.half_space import require_half_space
 from twin.world.elasticity.known import REMEMBERED, Known, Memory
@@ -282,7 +282,7 @@ class Compliance:
             return None
         if not self._tables.found and worth_a_region(rectangles, reused=True):
             self.make_table()
-        table = self._tables.between(rectangles)
+        table = self._tables.spanning(rectangles)
         if table is None:
             return None
         found = normal_compliance(rectangles, *self._rubber)
@@ -353,6 +353,9 @@ class Compliance:
             return self._expected(load, table)
         nominal = table is not None and self.level == "nominal"
         differ = _largest(rest - other) / size
+        if self.body.is_flat and level == "fine" and not nominal:
+            between = self._tables.between * _largest(rest) / size if table else None
+            return finest_error(differ, load, size * self._modulus, between) + unbounded(self.body, load)
         return estimated_error(self.body, level, differ, load, nominal=nominal) + lost / size
 
     def forget(self) -> None:

@@ -6,6 +6,7 @@ sensor's own mesh, and the check, whose difference from it tells the error.
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +15,7 @@ from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.world.elasticity.known import Known
 from twin.world.elasticity.solve import Solver
-from twin.world.elasticity.table import NU_RANGE, Table, TableAtNu
+from twin.world.elasticity.table import NU_RANGE, SIZES, Table, TableAtNu
 from twin.world.elasticity.tabulate import Role, find_table
 from twin.world.mesh.mesh import Progress
 
@@ -49,7 +50,7 @@ class Tables:
             return self._at_nu
         return None
 
-    def between(self, patches: Rectangles) -> TableAtNu | None:
+    def spanning(self, patches: Rectangles) -> TableAtNu | None:
         """Return the table that answers patches at each other's middles, if there is one."""
         table, away = self._table, np.abs(patches.centre_mm[:, :2])
         if table and bool((away <= table.box_mm[:2]).all()) and table.covers(patches, self._nu):
@@ -66,6 +67,12 @@ class Tables:
         """The table of a coarser mesh, if there is one."""
         found = self._find("check")
         return found.at(self._nu) if found else None
+
+    @cached_property
+    def between(self) -> float:
+        """How far Poisson's ratio is from those solved for: 0 at them, 1 in the middle between two and at the ends."""
+        low, high = NU_RANGE
+        return abs(math.cos(SIZES[0] * math.acos(min(max((2.0 * self._nu - low - high) / (high - low), -1.0), 1.0))))
 
     def make(self) -> None:
         """Make, and keep in the cache, the tables of a block that has none; nothing where they would be of no use."""
