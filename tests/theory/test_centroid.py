@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from twin.theory.centroid import centre_bound, rim_noise
+from twin.theory.centroid import centre_bound, pixel_sd
 
 
 def fisher_sd(diameter: float, contrast: float, psf: float, noise: float) -> float:
@@ -39,7 +39,7 @@ def test_more_light_less_blur_and_wider_markers_tell_more() -> None:
     assert float(centre_bound(np.array(10.0), 100.0, 1.4, 1.0)) > 1.3 * base
 
 
-def test_rim_noise_is_shot_read_and_rounding_noise() -> None:
+def test_a_pixels_noise_is_shot_read_and_rounding_noise() -> None:
     electrons_per_count = 20000 / 255
     wanted = np.sqrt((110 * electrons_per_count + 12**2) / electrons_per_count**2 + 1 / 12)
-    assert rim_noise(200.0, 10.0, 255.0, 20000.0, 12.0) == pytest.approx(wanted)
+    assert pixel_sd(110.0, 255.0, 20000.0, 12.0) == pytest.approx(wanted)

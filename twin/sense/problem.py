@@ -188,7 +188,7 @@ def _weights(found: Found, calibration: Calibration, used: Bools, method: str) -
     if usual is not None and method != "pinv":
         known = np.asarray(calibration.calibrated & np.isfinite(usual))
         if not (used & ~known).any():
-            noise = _in_classes(usual[known])
+            noise = in_classes(usual[known])
             ratio, here = own[known] / noise, used[known]
             size = float(np.median(ratio[here]))
             odd = (ratio > UNUSUAL * size) | (ratio < size / UNUSUAL)
@@ -196,10 +196,10 @@ def _weights(found: Found, calibration: Calibration, used: Bools, method: str) -
             count = int((share != 1.0).sum())
             if count <= MOST_UNUSUAL * len(noise) and 2 * (len(noise) - count) >= calibration.transfer.shape[1]:
                 return known, noise * size, share
-    return used, _in_classes(own[used]), np.ones(int(used.sum()))
+    return used, in_classes(own[used]), np.ones(int(used.sum()))
 
 
-def _in_classes(noise: Floats) -> Floats:
+def in_classes(noise: Floats) -> Floats:
     """Return (u,) noise per marker, px: the same for all where it hardly differs, else in classes."""
     low, high = noise.min(), noise.max()
     even = high <= EVEN_NOISE * low

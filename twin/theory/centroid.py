@@ -43,18 +43,17 @@ def centre_bound(diameter_px: Floats, contrast: float, psf_px: float, noise: flo
     return np.asarray(information**-0.5)
 
 
-def rim_noise(contrast: float, ground: float, full_scale: float, full_well_e: float, read_noise_e: float) -> float:
-    """Return the standard deviation of a pixel halfway up a marker's rim, counts: shot, read and rounding noise.
+def pixel_sd(counts: float, full_scale: float, full_well_e: float, read_noise_e: float) -> float:
+    """Return the standard deviation of a pixel, counts: shot, read and rounding noise.
 
     Parameters
     ----------
-    contrast, ground
-        Counts of the marker over the ground, and of the ground.
+    counts
+        Of the pixel; halfway up a marker's rim the mean of its own and the ground's.
     full_scale
         Counts of a full well.
     full_well_e, read_noise_e
         Electrons.
     """
     gain = full_well_e / full_scale
-    electrons = (ground + contrast / 2) * gain
-    return float(np.sqrt((electrons + read_noise_e**2) / gain**2 + 1 / 12))
+    return float(np.sqrt((counts * gain + read_noise_e**2) / gain**2 + 1 / 12))

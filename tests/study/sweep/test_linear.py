@@ -17,7 +17,8 @@ from twin.study.sensor import Sensor
 from twin.study.sweep import linear as under_test
 from twin.study.sweep.linear import linear, noise_of
 from twin.study.sweep.loads import Bodies, pushes_of
-from twin.study.sweep.mirror import classes, fold, unfold
+from twin.study.sweep.mirror import classes, fold, mirrored, unfold
+from twin.study.sweep.shadows import shadows_of
 from twin.study.sweep.sites import told_by_sites
 from twin.study.sweep.view import view_of
 
@@ -50,6 +51,15 @@ def test_mirror_symmetry_changes_no_figure(monkeypatch: pytest.MonkeyPatch) -> N
     np.testing.assert_allclose(field.force_n, whole.force_n, atol=1e-9)
 
 
+def test_leds_on_one_side_leave_no_mirror_across_them() -> None:
+    scene = small()[1]
+    assert mirrored(scene) == (True, True)
+    assert scene.light is not None
+    aside = [place for place in scene.light.positions_mm if place[0] > 0]
+    changed = scene.light.model_copy(update={"positions_mm": tuple(aside)})
+    assert mirrored(scene.model_copy(update={"light": changed})) == (False, True)
+
+
 def test_expected_fields_are_what_the_sensors_software_makes_of_noise_free_shifts() -> None:
     """Independent of the factors used here: the software's own solve, with the weight that was predicted."""
     sweep, scene = small()
@@ -58,10 +68,10 @@ def test_expected_fields_are_what_the_sensors_software_makes_of_noise_free_shift
     figures, shown = linear(scene, view, sweep, bodies, pushes)
     sensor = Sensor(scene)
     calibration = nominal_calibration(sensor, sensor.nominal_compliance.to_points(view.markers.points, sensor.sites))
-    shift = under_test._shifts(scene, sweep, 0, bodies, pushes)[:, :, 0]
-    noise = noise_of(scene, view, sweep)
-    sd = np.full(len(shift), float(noise.mean()))
-    found = _found(view.pixels, shift, sd, calibration.layer)
+    shadows = shadows_of(scene, view)
+    assert shadows is not None
+    shift = under_test._shifts(scene, shadows, 0, bodies, pushes)[:, :, 0]
+    found = _found(view.pixels, shift, noise_of(scene, view, sweep) * shadows.doubt, calibration.layer)
     field = reconstruct(found, calibration, weight=figures["weight"])
     np.testing.assert_allclose(shown.force_n, field.force_n, atol=0.02 * np.abs(field.force_n).max())
 
@@ -73,9 +83,11 @@ def test_the_predicted_noise_of_the_total_is_that_of_many_noisy_pictures() -> No
     figures, _ = linear(scene, view, sweep, bodies, pushes)
     sensor = Sensor(scene)
     calibration = nominal_calibration(sensor, sensor.nominal_compliance.to_points(view.markers.points, sensor.sites))
-    shift = under_test._shifts(scene, sweep, 0, bodies, pushes)[:, :, 0]
-    noise, rng = noise_of(scene, view, sweep), np.random.default_rng(7)
-    found = _found(view.pixels, shift, np.full(len(shift), float(noise.mean())), calibration.layer)
+    shadows = shadows_of(scene, view)
+    assert shadows is not None
+    shift = under_test._shifts(scene, shadows, 0, bodies, pushes)[:, :, 0]
+    noise, rng = noise_of(scene, view, sweep) * shadows.doubt, np.random.default_rng(7)
+    found = _found(view.pixels, shift, noise, calibration.layer)
     totals = []
     for _ in range(150):
         noisy = replace(found, shift_px=shift + noise[:, None] * rng.standard_normal(shift.shape))

@@ -182,7 +182,7 @@ def test_the_closed_form_ranks_designs_as_the_linear_information_does() -> None:
 
 def test_sites_that_hold_designs_back_are_said_and_rank_nothing(tmp_path: Path) -> None:
     coarse = {"size_mm": 1.0, "pair_mm": 2.0, "presses": 2}
-    done = run_sweep(*small(loads=coarse, axes={"markers.*.pitch_mm": [1.2, 1.5]}, derived={}), tmp_path)
+    done = run_sweep(*small(loads=coarse, axes={"markers.*.pitch_mm": [1.5, 1.6]}, derived={}), tmp_path)
     assert len(done.warnings) == 1
     assert "set reconstruction.sites.pitch_mm = 0.75" in done.warnings[0]
     assert not any(note.startswith("two_point_mm") for note in done.notes)

@@ -1,12 +1,14 @@
 """The second fidelity: what a design's transfer matrix can tell, from the real lens and the finite body, no picture.
 
 The nominal design is what the sensor's software is told; the truth is a made sensor, drawn from the tolerances and
-solved on another level, its markers projected exactly. Noise enters as a covariance, so that one design's figures are
-not one draw of luck. The estimator is the sensor's own, with the weight that it would choose.
+solved on another level, its markers projected exactly and pulled by the shadows of others. Noise enters as a
+covariance, so that one design's figures are not one draw of luck. The estimator is the sensor's own, with the weight
+that it would choose.
 
 Validity: constraints on the field (``push_only``, ``friction``) are left out, as the totals come from the linear solve;
 method ``local``, which is not linear, is judged as ``smooth``; loads are patches of given traction; the noise is that
-of `twin.study.sweep.noise`.
+of `twin.study.sweep.noise`, doubted as `twin.study.sweep.shadows` has it. With the sweep's own ``noise_px`` shadows are
+taken to be in it.
 """
 
 from __future__ import annotations
@@ -21,12 +23,14 @@ from twin.judge.resolution import dip, full_width, two_point_distance
 from twin.parts.load import Rectangles
 from twin.parts.scene import Scene
 from twin.parts.sweep import GF, Sweep
+from twin.sense.problem import in_classes
 from twin.study.actual import make
 from twin.study.sensor import on_grid
 from twin.study.sweep.information import Information, information
 from twin.study.sweep.loads import Bodies, Pushes
 from twin.study.sweep.mirror import Quarter, Signs, blocks_of, classes, fold, mirrored
 from twin.study.sweep.noise import shift_sd
+from twin.study.sweep.shadows import Shadows, shadows_of
 from twin.study.sweep.sites import reached, told_by_sites
 from twin.study.sweep.view import View
 from twin.theory.optics import project
@@ -77,14 +81,17 @@ def linear(scene: Scene, view: View, sweep: Sweep, bodies: Bodies, pushes: Pushe
     grid = scene.reconstruction.sites
     sites = on_grid(scene.body, grid, grid.pitch_mm / 2, "reconstruction.sites")
     _require_cover(scene, pushes)
-    noise = noise_of(scene, view, sweep)
-    used = view.usable & (noise > 0)
+    shadows = shadows_of(scene, view) if sweep.noise_px is None else None
+    spread = noise_of(scene, view, sweep) * (1.0 if shadows is None else shadows.doubt)
+    used = view.usable & (spread > 0) & np.isfinite(spread)
     if used.sum() < 2:
         raise RecipeError(f"only {int(used.sum())} of {len(used)} markers are usable in the picture")
+    noise = np.zeros(len(used))
+    noise[used] = in_classes(spread[used])  # as the software weighs markers
     known = _problem(scene, view, noise, used, sites, bodies)
-    sensors = [_shifts(scene, sweep, number, bodies, pushes) for number in range(sweep.sensors)]
+    sensors = [_shifts(scene, shadows, number, bodies, pushes) for number in range(sweep.sensors)]
     loads = np.concatenate(sensors, axis=2)
-    whitened = np.where(used[:, None, None], loads / noise[:, None, None], 0.0)
+    whitened = np.where(used[:, None, None], loads / np.where(used, noise, 1.0)[:, None, None], 0.0)
     reduced = known.info.reduced(known.folded(whitened))
     singles = 1 + pushes.presses
     single = np.arange(whitened.shape[2]) % len(pushes.loads) < singles
@@ -94,14 +101,14 @@ def linear(scene: Scene, view: View, sweep: Sweep, bodies: Bodies, pushes: Pushe
     weight = known.info.weight(scene.reconstruction, seen, mean_noise)
     force = known.info.forces(reduced, weight).reshape(len(sites), 3, sweep.sensors, len(pushes.loads))
     figures = _figures(scene, sweep, known.info, sites, pushes, force, weight)
-    spread = known.info.singular
+    singular = known.info.singular
     figures |= {
-        "condition": float(spread[0] / max(spread[-1], 1e-6 * spread[0])),
-        "directions": float((spread**2 > max(weight, 1e-300)).sum()),
+        "condition": float(singular[0] / max(singular[-1], 1e-6 * singular[0])),
+        "directions": float((singular**2 > max(weight, 1e-300)).sum()),
         "weight": weight * 2.0 * mean_noise**2,
         "markers_seen": float(used.sum()),
-        "sd_px": float(np.sqrt(np.mean(noise[used] ** 2))),
-        "noise_px": float(np.median(noise[used])),
+        "sd_px": float(np.sqrt(np.mean(spread[used] ** 2))),
+        "noise_px": float(np.median(spread[used])),
         "range_n": _range(scene, view, sweep, loads[:, :, 0]),
         "frame_ms": MARKER_MS * len(used) + ENTRY_MS * 6 * len(used) * len(sites),
     }
@@ -160,8 +167,8 @@ def _problem(scene: Scene, view: View, noise: Floats, used: Bools, sites: Rectan
     return _Problem(info=info, signs=signs, layers=quarters)
 
 
-def _shifts(scene: Scene, sweep: Sweep, number: int, bodies: Bodies, pushes: Pushes) -> Floats:
-    """Return (n, 2, loads) noise-free shifts of a made sensor's markers, px."""
+def _shifts(scene: Scene, shadows: Shadows | None, number: int, bodies: Bodies, pushes: Pushes) -> Floats:
+    """Return (n, 2, loads) noise-free shifts of a made sensor's markers, px, with the pull of shadows."""
     actual = make(seeded(scene, number))
     points, camera = actual.markers.points, actual.scene.camera
     assert camera is not None
@@ -169,8 +176,8 @@ def _shifts(scene: Scene, sweep: Sweep, number: int, bodies: Bodies, pushes: Pus
     optics = (camera, actual.scene.material.refractive_index, actual.scene.body.base_z_mm)
     everywhere = points[:, :, None] + moved.reshape(len(points), 3, -1)
     seen = project(everywhere.transpose(0, 2, 1).reshape(-1, 3), *optics).reshape(len(points), -1, 2)
-    shifts = seen - project(points, *optics)[:, None]
-    return np.nan_to_num(shifts.transpose(0, 2, 1))
+    shifts = np.nan_to_num(seen - project(points, *optics)[:, None]).transpose(0, 2, 1)
+    return shifts if shadows is None else shifts + shadows.pulled(moved.reshape(len(points), 3, -1))
 
 
 def seeded(scene: Scene, number: int) -> Scene:

@@ -42,10 +42,18 @@ def mirrored(scene: Scene) -> tuple[bool, bool]:
     if any(camera.tilt_deg) or camera.principal_px is not None or _decentred(camera):
         return (False, False)
     along = [
-        camera.pupil_mm[axis] == 0 and all(layer.offset_mm[axis] == 0 for layer in scene.markers.values())
+        camera.pupil_mm[axis] == 0
+        and all(layer.offset_mm[axis] == 0 for layer in scene.markers.values())
+        and _lit_evenly(scene, axis)
         for axis in (0, 1)
     ]
     return (along[0], along[1])
+
+
+def _lit_evenly(scene: Scene, axis: int) -> bool:
+    """Return whether each LED has a mirror image along an axis, so that shadows have, too."""
+    places = set(scene.light.positions_mm) if scene.light is not None else set()
+    return all((*p[:axis], -p[axis], *p[axis + 1 :]) in places for p in places)
 
 
 def _decentred(camera: Camera) -> bool:
