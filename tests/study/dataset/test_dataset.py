@@ -204,6 +204,7 @@ def test_pictures_are_png_that_other_readers_open(tmp_path: Path) -> None:
 def test_a_reader_reads_what_is_asked_for_and_travels_to_other_processes(made: Path) -> None:
     data = twin.open_dataset(made, ["force_n"])
     assert set(data[0]) == {"force_n"}
+    assert data[0]["force_n"].flags.writeable  # torch warns of arrays that are not
     copy = pickle.loads(pickle.dumps(data))
     np.testing.assert_array_equal(copy[1]["force_n"], data[1]["force_n"])
     with pytest.raises(InputError, match="no column froce"):

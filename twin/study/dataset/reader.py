@@ -206,7 +206,7 @@ def _value(scalar: Any, kind: str, decode: bool = True) -> Any:
     if kind == "png":
         return decoded(scalar.as_py()) if decode else scalar.as_py()
     if kind in _SHAPES:
-        return scalar.values.flatten().to_numpy(zero_copy_only=False).reshape(-1, _SHAPES[kind])
+        return scalar.values.flatten().to_numpy(zero_copy_only=False, writable=True).reshape(-1, _SHAPES[kind])
     if kind in ("numbers", "flags"):
-        return scalar.values.to_numpy(zero_copy_only=False)
+        return scalar.values.to_numpy(zero_copy_only=False, writable=True)
     return scalar.as_py()
