@@ -205,11 +205,9 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        raise InputError(
-            f"{folder}: the output folder can't be made ({problem.strerror}); give another --out"
-        ) from None
+        raise InputError(f"{folder}: the output folder can't be made ({problem.strerror}); give another") from None
     if not os.access(folder, os.W_OK):
-        raise InputError(f"{folder}: the output folder can't be written; give another --out")
+        raise InputError(f"{folder}: the output folder can't be written; give another")
     for part in folder.glob(".*.part"):
         writer = part.suffixes[-2].removeprefix(".") if len(part.suffixes) > 1 else ""
         if writer.isdecimal() and not _is_alive(int(writer)):

@@ -56,6 +56,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["reproduce", "--seed", "1.5"], "'1.5' is no whole number"),
         (["reproduce", "Sato"], "there is no entry 'Sato': did you mean 'sato'?"),
         (["dataset", "dataset_kamiyama", "--samples", "9999999999999"], "allowed are 1 to 1,000,000,000"),
+        (["dataset", "dataset_kamiyama", "--samples", "3", "--columns", ","], "--columns names nothing"),
         (["sweep", "kamiyama_pillar"], "kamiyama_pillar.toml: is a scene, not a sweep"),
         (["reconstruct", "REST", "PRESSED", "--calibration", "C", "--size", "64x48"], "belong to raw frames"),
         (["reconstruct", "REST", "PRESSED", "--calibration", "C", "--overlay", "PRESSED"], "is what is read"),

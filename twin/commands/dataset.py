@@ -48,6 +48,8 @@ def dataset(
     from twin.study.recipe import find_scene
 
     names = [part.strip() for name in columns for part in name.split(",") if part.strip()]
+    if columns and not names:
+        raise InputError("--columns names nothing: name some, or leave it out for all")
     loaded = load(scene, set_)
     if names:
         loaded = loaded.model_copy(update={"dataset": loaded.dataset.model_copy(update={"columns": tuple(names)})})
