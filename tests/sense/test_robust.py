@@ -3,7 +3,7 @@ import pytest
 from half_space_sensor import as_found, disk, finger_sensor, flat_sensor, shifts
 
 from twin.errors import InputError
-from twin.sense.force_map import force_map, forces_of_all, in_units
+from twin.sense.force_map import force_map, in_units
 from twin.sense.reconstruct import reconstruct
 
 FLAT, FINGER = flat_sensor(), finger_sensor()
@@ -75,9 +75,6 @@ def test_map_is_the_solve_also_with_lost_markers():
         field = reconstruct(as_found(data, calibration, 0.05), calibration, "smooth", 0.5)
         assert one.forces(data) == pytest.approx(field.force_n, abs=1e-4)
         assert np.sqrt(np.mean((one.forces(data) - field.force_n) ** 2)) < 1e-3 * np.median(field.sd_force_n)
-    both = forces_of_all([one, one], [shift, lost])
-    assert both.shape == (2, len(calibration.site_mm), 3)
-    assert np.array_equal(both[0], one.forces(shift))
 
 
 @pytest.mark.parametrize("sites", [1, 2, 3, 25, 27])

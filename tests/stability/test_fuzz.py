@@ -17,6 +17,7 @@ from benchmarks.fuzz_files import LAUGHS, READERS, Reader, npy_header, png, png_
 from twin.archive import read_arrays
 from twin.errors import InputError
 from twin.results import write_json
+from twin.study.batch import lock
 from twin.study.batch.lock import only_writer
 from twin.study.check import check_path
 from twin.study.dataset.plan import FORMAT
@@ -102,6 +103,24 @@ def test_a_lock_is_not_taken_through_a_link(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="can't be written"), only_writer(tmp_path / "writer.lock"):
         pass
     assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_lock_is_gone_with_its_holder_and_one_just_removed_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, taken, really = tmp_path / "writer.lock", [], lock._lock
+
+    def late(handle: int) -> None:
+        really(handle)
+        if not taken:
+            path.unlink()  # as the holder before does, between this one's opening and locking
+        taken.append(handle)
+
+    monkeypatch.setattr(lock, "_lock", late)
+    with only_writer(path), pytest.raises(InputError, match="another process"), only_writer(path):
+        pass
+    assert len(taken) == 2
+    assert not path.exists()
 
 
 @pytest.mark.parametrize("info", [[], {}, {"format": FORMAT}, {"format": FORMAT, "columns": "x", "sensor_columns": []}])

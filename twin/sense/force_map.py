@@ -1,4 +1,4 @@
-"""The linear inverse as one matrix, for live use: forces of a frame, or of several sensors, by one product.
+"""The linear inverse as one matrix, for live use: forces of a frame by one product.
 
 Its weight is fixed beforehand. Its entries are whole numbers of 16 bits, a unit for every row: the product waits
 for the matrix to be read, so half the bytes take half the time. Rounding moves the forces by less than two thousandths
@@ -14,7 +14,6 @@ there, which gives the same forces as a solve without them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,11 +141,6 @@ def _product(matrix, unit, data, out):  # type: ignore[no-untyped-def]
             at_h += matrix[h, column] * value
         out[a], out[b], out[c], out[d] = at_a * unit[a], at_b * unit[b], at_c * unit[c], at_d * unit[d]
         out[e], out[f], out[g], out[h] = at_e * unit[e], at_f * unit[f], at_g * unit[g], at_h * unit[h]
-
-
-def forces_of_all(maps: Sequence[ForceMap], shifts_px: Sequence[Pixels]) -> NDArray[np.float32]:
-    """Return (sensors, k, 3) forces, N, of several sensors of one design, each with its own map."""
-    return np.stack([one.forces(shift) for one, shift in zip(maps, shifts_px, strict=True)])
 
 
 def _put(where: NDArray[np.bool_], values: Floats) -> Floats:

@@ -26,6 +26,7 @@ def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(cluster, "PATIENCE_S", 0.5)
     with pytest.raises(InputError, match="no dask scheduler answers there"):
         make(tmp_path / "d", 2, scheduler="tcp://127.0.0.1:1")
+    assert not (tmp_path / "d").exists(), "nothing is left of what was never begun"
 
 
 @pytest.mark.slow

@@ -96,6 +96,9 @@ def test_every_wrong_key_of_a_file_is_said_with_the_file(tmp_path: Path) -> None
     assert all(line.startswith(f"{path}: ") for line in lines)
     assert f"{path}: axes.markers.blue.depht_mm: unknown key; did you mean 'depth_mm'?" in lines
     assert any("derived.camera.zoom: unknown key" in line for line in lines)
+    path.write_text('scene = "kamiyama_pillar"\n[axes]\n"markers.red.depth_mm" = {low = 1, high = 2, count = 3}\n')
+    with pytest.raises(RecipeError, match=r"count: unknown key; known are .*low, high, steps, log, whole"):
+        load_sweep(path)
     path.write_text('scene = "kamiyama_pillar"\n[set]\n"camera.width" = 1\n[axes]\n"markers.red.depth_mm" = [1.0]\n')
     with pytest.raises(RecipeError, match=rf"{path}: set.camera.width: unknown key; did you mean"):
         load_sweep(path)

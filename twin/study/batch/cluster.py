@@ -56,10 +56,27 @@ def _configure(dask: Any) -> None:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
+def connected(cluster: Any) -> Any:
+    """Return a client of `workers_here`, or of a scheduler by its address.
+
+    Raises
+    ------
+    InputError
+        The scheduler doesn't answer.
+    """
+    import dask
+    from distributed import Client
+
+    _configure(dask)
+    try:
+        return Client(cluster, timeout=PATIENCE_S, direct_to_workers=not isinstance(cluster, str))
+    except (OSError, TimeoutError, ValueError) as problem:
+        raise unreachable(str(cluster), problem) from None
+
+
 def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator[Done]:
     """Do the tasks on `workers_here`, or a scheduler's, and yield them as they finish; see `Pool.run`."""
-    import dask
-    from distributed import Client, as_completed
+    from distributed import as_completed
     from distributed.diagnostics.plugin import WorkerPlugin
 
     class JobFiles(WorkerPlugin):  # type: ignore[misc]
@@ -71,12 +88,7 @@ def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator
         def setup(self, worker: Any) -> None:
             unpack_on_worker(job)
 
-    _configure(dask)
-    try:
-        client = Client(cluster, timeout=PATIENCE_S, direct_to_workers=not isinstance(cluster, str))
-    except (OSError, TimeoutError, ValueError) as problem:
-        raise unreachable(str(cluster), problem) from None
-    with client:
+    with connected(cluster) as client:
         client.register_plugin(JobFiles())
         waiting, alone = deque(numbers), deque[int]()
         given: dict[str, list[int]] = {}

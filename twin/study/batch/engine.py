@@ -202,6 +202,20 @@ def unpack_on_worker(job: Job) -> None:
     _KEPT[job.name] = (stack, stack.enter_context(unpacked(job)))
 
 
+def reach(scheduler: str | None) -> None:
+    """Ask a scheduler, if one is wanted, whether it is there: before anything is written for it.
+
+    Raises
+    ------
+    InputError
+        It doesn't answer.
+    """
+    if scheduler is not None:
+        from twin.study.batch.cluster import connected
+
+        connected(scheduler).close()
+
+
 def unreachable(scheduler: str, problem: Exception) -> InputError:
     """Return the error of a scheduler that doesn't answer."""
     return InputError(

@@ -25,6 +25,7 @@ def card_text(plan: Plan, places: Places, audit: dict[str, Any], failed: int) ->
         if name in audit
     )
     versions = ", ".join(f"{name} {version}" for name, version in told["versions"].items())
+    again = "1 sample was" if audit["samples"] == 1 else f"{audit['samples']} samples were"
     return f"""---
 license: cc0-1.0
 tags: [tactile, simulation, physics, robotics]
@@ -61,7 +62,7 @@ samples.
 
 ## How far off the truth is
 
-{audit["samples"]} samples were computed again at the highest accuracy (twice the contact patches and steps, no patches
+{again} computed again at the highest accuracy (twice the contact patches and steps, no patches
 gathered, the body's finest mesh, 12 x 12 rays per pixel). Differences:
 
 | quantity | median | largest |

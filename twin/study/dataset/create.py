@@ -17,7 +17,7 @@ from typing import Any
 from twin.errors import InputError, TwinError
 from twin.parts.scene import Scene
 from twin.results import make_folder, write_whole
-from twin.study.batch.engine import Done, Job, Pool
+from twin.study.batch.engine import Done, Job, Pool, reach
 from twin.study.batch.lock import only_writer
 from twin.study.dataset.finish import finish
 from twin.study.dataset.plan import Places, Plan
@@ -90,10 +90,11 @@ def create_dataset(
     RecipeError
         The scene can't be sampled.
     InputError
-        The folder holds something else, or another process is writing there.
+        The folder holds something else, another process is writing there, or the scheduler doesn't answer.
     """
     plan = Plan(scene, samples)
     plan.check()
+    reach(scheduler)
     places = Places(folder)
     make_folder(folder)
     make_folder(places.meta)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.arrays import Picture
-from twin.errors import InputError
+from twin.errors import InputError, did_you_mean
 from twin.study.dataset.plan import Places
 from twin.study.dataset.prepare import read_info
 from twin.study.frames import LARGEST_PX
@@ -55,8 +55,7 @@ class DatasetReader:
         self._kinds = {c["name"]: c["kind"] for c in self.info["columns"]}
         self._sensor_kinds = {c["name"]: c["kind"] for c in self.info["sensor_columns"]}
         self.columns = tuple(columns) if columns is not None else tuple(self._kinds)
-        if unknown := [name for name in self.columns if name not in self._kinds]:
-            raise InputError(f"{folder}: no column {', '.join(unknown)}; known are {', '.join(self._kinds)}")
+        self._known(self.columns)
         self._files = sorted(self.places.data.glob("part-*.parquet"))
         with readable(self.places.data):
             counts = [pq.read_metadata(file).num_rows for file in self._files]
@@ -94,8 +93,7 @@ class DatasetReader:
         only_ok
             Leave out the rows of samples that failed.
         """
-        if name not in self._kinds:
-            raise InputError(f"{self.places.folder}: no column {name}; known are {', '.join(self._kinds)}")
+        self._known([name])
         table = self.table([name, "status"])
         status = table["status"].to_pylist()
         values = [
@@ -111,8 +109,18 @@ class DatasetReader:
         import pyarrow.parquet as pq
 
         wanted = list(dict.fromkeys(columns if columns is not None else self.columns))
+        self._known(wanted)
         with readable(self.places.data):
             return pq.read_table([str(file) for file in self._files], columns=wanted)
+
+    def _known(self, names: Sequence[str]) -> None:
+        """Refuse columns that the samples don't have, each with the nearest that they have."""
+        every = f"known are {', '.join(self._kinds)}"
+        told = [
+            f"no column {name}; {did_you_mean(name, self._kinds, every)}" for name in names if name not in self._kinds
+        ]
+        if told:
+            raise InputError(f"{self.places.folder}: {', '.join(told)}")
 
     def sensor(self, number: int) -> dict[str, Any]:
         """Return a row of the sensors table: rest picture, rest places, camera, what was drawn."""

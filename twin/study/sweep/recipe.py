@@ -72,8 +72,9 @@ def _line(error: dict[str, Any]) -> str:
     keys = [str(k) for k in error["loc"] if not str(k).startswith("[")]
     dotted, last = ".".join(keys) or "sweep", keys[-1] if keys else ""
     if error["type"] == "extra_forbidden":
-        hint = did_you_mean(last, PARTS.get(keys[0], Sweep).model_fields, "")
-        return f"{dotted}: unknown key" + (f"; {hint}" if hint else "")
+        known = PARTS.get(keys[0], Sweep).model_fields
+        every = f"known are {', '.join(known)}"
+        return f"{dotted}: unknown key; {did_you_mean(last, known, every)}"
     if error["type"] == "missing":
         return f"{dotted}: missing; give a value"
     told, value, unit = in_words(error), error.get("input"), unit_of(last)

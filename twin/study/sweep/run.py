@@ -22,7 +22,7 @@ from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.results import make_folder
 from twin.study.batch.draw import plain_table
-from twin.study.batch.engine import Job, run_tasks
+from twin.study.batch.engine import Job, reach, run_tasks
 from twin.study.batch.lock import only_writer
 from twin.study.recipe import dump_scene
 from twin.study.sweep.closed import closed
@@ -197,10 +197,11 @@ def run_sweep(
     RecipeError
         The sweep can't be run.
     InputError
-        The folder can't be written, or another process is writing there.
+        The folder can't be written, another process is writing there, or the scheduler doesn't answer.
     """
     check(sweep, scene)
     designs = designs_of(sweep, scene)
+    reach(scheduler)
     make_folder(folder)
     with only_writer(folder / "writer.lock"):
         for stale in folder.rglob(".*.part"):
