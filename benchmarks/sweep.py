@@ -52,12 +52,17 @@ FINGER: dict[str, Any] = {
     "limits": {"overlap": 0.25},
 }
 SENSORS = {"flat": FLAT, "finger": FINGER}
-PRESSES, MADE = 3, 8
-"""Presses of the comparison with the full chain, and made sensors of each design: its error is a mean over all of them.
+PRESSES, MADE, EXPOSURES = 3, 6, 8
+"""Presses of the comparison with the full chain, made sensors of each design and exposures of each press: a design's
+error is a mean over all of them.
 
-Why many sensors: of one, a tracker's systematic errors (shadows) add to the error of its tolerances or cancel it."""
+Why many sensors: of one, a tracker's systematic errors (shadows) add to the error of its tolerances or cancel it. Why
+many exposures: the linear information means noise over all its draws; of one draw, the full chain's error of a total
+force lies a tenth and more off its mean."""
 
 WITHIN = 0.2
+NOISE_SE = {"fwhm_mm": "fwhm_noise_se_mm", "total_force_error": "total_force_error_noise_se"}
+"""Which metric tells the standard error that noise leaves of another."""
 
 
 def run(quick: bool) -> list[dict[str, Any]]:
@@ -68,7 +73,7 @@ def run(quick: bool) -> list[dict[str, Any]]:
         for name in SENSORS:
             rows += [*ranked(name, 60).values(), *ranked(name, 60, even=True).values(), *agreement(name, 25)]
         return rows
-    return rows + agreement("flat", 2, made=2, workers=1)
+    return rows + agreement("flat", 2, made=2, exposures=2, workers=1)
 
 
 def _sweep(table: dict[str, Any], **changes: Any) -> tuple[Sweep, Scene]:
@@ -143,10 +148,12 @@ def ranked(name: str, count: int, even: bool = False) -> dict[str, dict[str, Any
 
 
 def agreement(
-    name: str, count: int, folder: Path | None = None, made: int = MADE, workers: int = CORES
-) -> list[dict[str, Any]]:
+    name: str, count: int, folder: Path | None = None, made: int = MADE, exposures: int = EXPOSURES,
+    workers: int = CORES, seed: int = 1,
+) -> list[dict[str, Any]]:  # fmt: skip
     """Return how far the linear information is from the full chain, by metric; ``folder`` keeps the designs' rows."""
-    table = {**SENSORS[name], "loads": {**SENSORS[name]["loads"], "presses": PRESSES}, "sensors": made}
+    loads = {**SENSORS[name]["loads"], "presses": PRESSES, "exposures": exposures}
+    table = {**SENSORS[name], "loads": loads, "sensors": made, "seed": seed}
     with tempfile.TemporaryDirectory() as place:
         settings = {"count": count, "fidelity": ["closed", "linear", "full"], "confirm": {"full": count}}
         done = run_sweep(*_sweep(table, **settings), folder or Path(place), workers=workers)
@@ -161,7 +168,10 @@ def agreement(
 
 
 def compared(done: Swept, one: str, other: str, metric: str, name: str) -> dict[str, Any]:
-    """Return the row that compares a metric at two fidelities; empty where no design has both."""
+    """Return the row that compares a metric at two fidelities; empty where no design has both.
+
+    ``standard error`` is the median over the designs of what noise leaves uncertain of the other, over its value.
+    """
     from scipy.stats import spearmanr
 
     a, b = (done.columns.get(f"{f}_{metric}", np.full(len(done.designs), np.nan)) for f in (one, other))
@@ -170,8 +180,12 @@ def compared(done: Swept, one: str, other: str, metric: str, name: str) -> dict[
         return {}
     ratio: Floats = a[both] / b[both]
     rank = float(spearmanr(a[both], b[both]).statistic) if both.sum() > 2 else float("nan")
-    return {
+    row = {
         "what": f"{name}: {metric}, {one} over {other}", "designs": int(both.sum()), "median": float(np.median(ratio)),
         "tenth": float(np.quantile(ratio, 0.1)), "nine tenths": float(np.quantile(ratio, 0.9)),
         f"within {100 * WITHIN:.0f} %": float(np.mean(np.abs(ratio - 1) <= WITHIN)), "rank correlation": rank,
     }  # fmt: skip
+    left = done.columns.get(f"{other}_{NOISE_SE.get(metric, '')}")
+    if left is not None:
+        row["standard error"] = float(np.median(left[both] / b[both]))
+    return row

@@ -52,6 +52,9 @@ class Taken:
 def full(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> tuple[dict[str, float], Taken]:
     """Return a design's metrics by the full chain over its made sensors, and what the first of them looks like.
 
+    Metrics are over all exposures of all made sensors. ``..._noise_se`` is the standard error that is left of noise,
+    from the scatter over the exposures of the same made sensors; NaN of one exposure.
+
     Raises
     ------
     InputError
@@ -67,14 +70,17 @@ def full(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> tuple[di
     size = np.linalg.norm(truth[press], axis=1)
     off = np.stack([np.linalg.norm(one.totals - truth, axis=2)[:, press] / size for one in made])
     grid = made[0].sites
-    profiles = [Profiles(scene, grid, np.stack(one.forces, axis=2)) for one in made]
+    profiles = [Profiles(scene, grid, field) for one in made for field in one.forces]
+    widths = np.reshape([each.width(0) for each in profiles], off.shape[:2])
     pair = len(pushes.pair_mm) > 0
     dips = [dip(*each.along(len(chosen) - 1, 0), _pair_mm(sweep, pushes)) if pair else np.nan for each in profiles]
     spread = [one.spread for one in made if one.spread is not None]
     figures = {
         "total_force_error": float(np.sqrt(np.mean(off**2))),
         "total_force_error_se": standard_error(off.mean(axis=(1, 2)) if len(made) > 1 else off.ravel()),
-        "fwhm_mm": float(np.mean([each.width(0) for each in profiles])),
+        "total_force_error_noise_se": standard_error(np.sqrt(np.mean(off**2, axis=(0, 2)))),
+        "fwhm_mm": float(np.mean(widths)),
+        "fwhm_noise_se_mm": standard_error(widths.mean(axis=0)),
         "dip": float(np.mean(dips)),
         **_tracking(np.concatenate([one.errors for one in made]), np.concatenate([one.told for one in made])),
         "noise_px": float(np.sqrt(np.nanmedian(np.concatenate(spread)))) if spread else float("nan"),
@@ -82,8 +88,8 @@ def full(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> tuple[di
     }
     first = made[0]
     taken = Taken(
-        picture=first.picture, middle=Shown(site_mm=grid.centre_mm, force_n=np.array(first.forces[0])),
-        pair=Shown(site_mm=grid.centre_mm, force_n=np.array(first.forces[-1])),
+        picture=first.picture, middle=Shown(site_mm=grid.centre_mm, force_n=first.forces[0, :, :, 0]),
+        pair=Shown(site_mm=grid.centre_mm, force_n=first.forces[0, :, :, -1]),
     )  # fmt: skip
     return figures, taken
 
@@ -99,7 +105,7 @@ class _Seen:
     totals
         (exposures, loads, 3) total forces, N.
     forces
-        (k, 3) forces of the first exposure of each load, N.
+        (exposures, k, 3, loads) forces at the sites, N.
     errors
         (loads x exposures n, 2) wrong by so much, px.
     told
@@ -114,7 +120,7 @@ class _Seen:
 
     sites: Rectangles
     totals: Floats
-    forces: list[Floats]
+    forces: Floats
     errors: Floats
     told: Floats
     spread: Floats | None
@@ -147,35 +153,33 @@ class _Made:
         assert scene.reconstruction is not None
         sensor, motions = self._sensor, self._motions
         calibration = _calibration(sensor, self._bodies)
-        # of one exposure all pictures share a zero; of several each has its own, or its noise would be in all of them
+        # each round of exposures has a zero of its own, or one zero's noise would be in all of them
         again = range(self._sweep.loads.exposures)
         still = sensor.renderer.radiance(sensor.ellipsoids(None))
         rest = analyse_rest(_exposed(sensor, still, 0), sensor.layout_px, method=scene.tracking.method)
-        count = 1 if len(again) == 1 else len(again) * len(motions)
-        zeros = [track_frame(rest, _exposed(sensor, still, 1 + k)) for k in range(count)]
+        zeros = [track_frame(rest, _exposed(sensor, still, 1 + k)) for k in again]
         # a marker's noise is the same in every picture, so that one factorisation serves them all
         told = np.nanmean([zero.sd_px for zero in zeros], axis=0) if len(zeros) > 1 else zeros[0].sd_px
         at_rest = sensor.project(sensor.actual.markers.points)
         options = scene.reconstruction.model_dump(exclude={"sites", "source", "assumed"})
         totals = np.zeros((len(again), len(motions), 3))
-        forces, errors, spread, matched, first = [], [], [], [], None
+        forces = np.zeros((len(again), len(sensor.sites), 3, len(motions)))
+        errors, spread, matched, first = [], [], [], None
         for place, motion in enumerate(motions):
             light = sensor.renderer.radiance(sensor.ellipsoids(motion))
             true = sensor.project(sensor.actual.markers.points + motion.displacement_mm) - at_rest
             shifts = []
             for k in again:
-                zero = zeros[(place * len(again) + k) % count]
-                picture = _exposed(sensor, light, 1 + count + place * len(again) + k)
+                picture = _exposed(sensor, light, 1 + len(again) * (1 + place) + k)
                 first = picture if first is None else first
                 found = track_frame(rest, picture)
-                found = replace(found, shift_px=found.shift_px - zero.shift_px, sd_px=told)
+                found = replace(found, shift_px=found.shift_px - zeros[k].shift_px, sd_px=told)
                 field = reconstruct(found, calibration, **options)
                 shifts.append(found.shift_px)
                 errors.append(found.shift_px - true)
                 matched.append(float(np.isfinite(found.shift_px[:, 0]).mean()))
                 totals[k, place] = field.total_force_n
-                if k == 0:
-                    forces.append(field.force_n)
+                forces[k, :, :, place] = field.force_n
             if len(shifts) > 1:
                 spread.append(np.var(shifts, axis=0, ddof=1))
         assert first is not None
