@@ -10,6 +10,7 @@ from twin.parts.material import Material
 from twin.world.contact import pushed, region
 from twin.world.contact.contact import ContactState, press
 from twin.world.contact.contact_area import _fitted
+from twin.world.contact.unilateral import TOLERANCE
 from twin.world.elasticity.compliance import Compliance
 
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
@@ -41,6 +42,26 @@ def test_its_conditions_are_met(seed: int, by_force: tuple[bool, ...]) -> None:
     assert pushed._residual(gap, depth, owner, held, given, active, force, sunk) < 1e-9
     wrong = force * 1.001
     assert pushed._residual(gap, depth, owner, held, given, active, wrong, normal @ wrong) > 1e-5
+
+
+def test_what_is_not_finite_is_no_answer() -> None:
+    """A compliance that isn't known, or a push on what can't be met: the general solver says what is wrong."""
+    k, held = 6, np.array([True])
+    for what in ("own", "all", "gap", "nan gap"):
+        normal, gap = np.eye(k) + 0.1, np.linspace(0.0, 1.0, k)
+        if what == "own":
+            normal[4, 4] = np.nan
+        elif what == "all":
+            normal[:] = np.nan
+        elif what == "gap":
+            gap[:] = np.inf
+        else:
+            gap[4] = np.nan
+        owner, given, active = np.zeros(k, int), np.ones(1), np.zeros(k, bool)
+        force, depth, sunk = np.zeros(k), np.empty(1), np.empty(k)
+        settled = pushed.settle(normal, gap, owner, held, given, active, force, depth, sunk)
+        residual = pushed._residual(gap, depth, owner, held, given, active, force, sunk)
+        assert not (settled and residual <= TOLERANCE), what
 
 
 PRESSES = {

@@ -95,11 +95,14 @@ def _residual(
     gap: Floats, depth: Floats, owner: Ints, by_force: Bools, given: Floats, active: Bools, force: Floats,
     sunk: Floats,
 ) -> float:  # fmt: skip
-    """Return the largest relative error of gap, overlap, pull and balance."""
+    """Return the largest relative error of gap, overlap, pull and balance; inf where it is not finite."""
     deep, push, load, off, pull = 1e-300, 1e-300, 1e-300, 0.0, 0.0
     total = np.zeros(len(depth))
     for i in range(len(gap)):
         opening = gap[i] + sunk[i] - depth[owner[i]]
+        met = math.isfinite(gap[i]) if active[i] else gap[i] > -math.inf
+        if not (met and math.isfinite(sunk[i] + force[i] + depth[owner[i]])):
+            return math.inf  # max() passes NaN over
         deep, push = max(deep, abs(sunk[i])), max(push, force[i])
         off = max(off, abs(opening) if active[i] else -opening)
         pull = max(pull, -force[i])
@@ -235,10 +238,10 @@ def _solve(
             left = max(left, abs(here))
             moved[i] = -gap[i] - right[i]
             largest = max(largest, abs(moved[i]))
-        if left <= share * largest:
-            return True
         if not math.isfinite(size):
             return False
+        if left <= share * largest:
+            return True
         for i in range(n):
             here = (right[i] + depth[owner[i]]) / part[i, i]
             along[i] = here + (size / before * along[i] if step else 0.0)
