@@ -14,7 +14,7 @@ import pytest
 from small_dataset import contents, make
 
 import twin
-from twin.errors import InputError
+from twin.errors import InputError, MissingCapability
 from twin.study.dataset.work import ShardBytes
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parent.parent)}
@@ -27,6 +27,14 @@ def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path, monkeypatch: p
     with pytest.raises(InputError, match="no dask scheduler answers there"):
         make(tmp_path / "d", 2, scheduler="tcp://127.0.0.1:1")
     assert not (tmp_path / "d").exists(), "nothing is left of what was never begun"
+
+
+def test_several_workers_need_a_loopback(monkeypatch: pytest.MonkeyPatch) -> None:
+    from twin.study.batch import cluster
+
+    monkeypatch.setattr(cluster, "HERE", "192.0.2.1")  # an address for documentation: no machine's own
+    with pytest.raises(MissingCapability, match="--workers 1"), cluster.workers_here(2):
+        pass
 
 
 @pytest.mark.slow

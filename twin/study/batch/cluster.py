@@ -8,11 +8,13 @@ reached from here, and straight from workers of this machine.
 from __future__ import annotations
 
 import logging
+import socket
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from twin.errors import MissingCapability
 from twin.study.batch.engine import (
     AHEAD,
     RETRIES,
@@ -24,6 +26,9 @@ from twin.study.batch.engine import (
     unpack_on_worker,
     unreachable,
 )
+
+HERE = "127.0.0.1"
+"""This machine, for itself."""
 
 PATIENCE_S = 20
 """How long a scheduler is waited for."""
@@ -39,16 +44,35 @@ QUIET = {
 
 @contextmanager
 def workers_here(count: int) -> Iterator[Any]:
-    """Start so many worker processes on this machine, and stop them in the end."""
+    """Start so many worker processes on this machine, and stop them in the end.
+
+    Raises
+    ------
+    MissingCapability
+        This machine has no network to itself (127.0.0.1), by which they are talked to.
+    """
     import dask
     from distributed import LocalCluster
 
+    _talks_to_itself()
     _configure(dask)
     with LocalCluster(
         n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", memory_limit=0,
-        silence_logs=logging.CRITICAL, host="127.0.0.1",
+        silence_logs=logging.CRITICAL, host=HERE,
     ) as cluster:  # fmt: skip
         yield cluster
+
+
+def _talks_to_itself() -> None:
+    """Refuse a machine whose loopback is down: dask would wait for its workers for minutes."""
+    try:
+        with socket.create_server((HERE, 0)) as server, socket.create_connection(server.getsockname(), timeout=5):
+            pass
+    except OSError as problem:
+        raise MissingCapability(
+            f"several workers talk over {HERE}, which can't be reached here ({problem.strerror or problem}): "
+            "ip link set lo up, or --workers 1"
+        ) from None
 
 
 def _configure(dask: Any) -> None:
