@@ -130,3 +130,18 @@ def test_the_area_is_of_the_nearest_polynomial() -> None:
         found, size = _fitted(place, pressure, np.flatnonzero(chosen), fourth)
         wanted = np.linalg.lstsq(terms(chosen, size)[:, : 6 + fourth], (pressure[chosen] / pressure.max()) ** 2)[0]
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("fourth", [False, True])
+def test_a_term_that_others_make_up_is_left_out(fourth: bool) -> None:
+    """Of two rows v^2 is one: the polynomial is no less near to the pressures."""
+    place = np.array([(a, b) for a in range(6) for b in range(2)], float)
+    pressure = np.random.default_rng(1).uniform(0.1, 1.0, 12)
+    found, size = _fitted(place, pressure, np.arange(12), fourth)
+    u, v = ((place - place.mean(axis=0)) / size).T
+    terms = np.column_stack([np.ones(12), u, v, u * u, u * v, v * v, (u * u + v * v) ** 2])[:, : 6 + fourth]
+    squared = (pressure / pressure.max()) ** 2
+    np.testing.assert_allclose(terms @ found, terms @ np.linalg.lstsq(terms, squared)[0], atol=1e-12)
+    assert np.abs(found).max() < 1e3
+    one_row = _fitted(place[::2], pressure[::2], np.arange(6), fourth)[0]
+    assert np.isfinite(one_row).all()

@@ -19,6 +19,9 @@ _RAYS, _ALONG, _NEAR, _FAR = 60, 240, 0.3, 1.5
 _EVEN = 1.0 + 1e-9
 """Pressures of patches that lie alike are equal up to this."""
 
+_OWN = 1e-9
+"""Share of a term that those before it don't make up, from which on it counts."""
+
 _FEWEST, _APART = 12, 0.15
 """Patches from which on a fit is made, and how far it may be from their sum."""
 
@@ -56,7 +59,8 @@ def _fitted(place: Floats, pressure: Floats, used: Ints, fourth: bool) -> tuple[
     """Return (6,) or (7,) coefficients of the polynomial nearest to squared pressures, and the size it is scaled by.
 
     Of 1, u, v, u^2, u v, v^2 and, with ``fourth``, (u^2 + v^2)^2, of those pressures alone that are ``used``. By
-    orthogonalising each term to those before it, twice over in effect, as the right-hand side is a term itself.
+    orthogonalising each term to those before it, twice over in effect, as the right-hand side is a term itself. A term
+    that those before it make up, as on patches in two rows, is left out.
     """
     n = len(pressure)
     middle = place.sum(axis=0) / n
@@ -72,8 +76,10 @@ def _fitted(place: Floats, pressure: Floats, used: Ints, fourth: bool) -> tuple[
         if fourth:
             terms[6, i] = (u * u + v * v) ** 2
         terms[count, i] = (pressure[used[i]] / most) ** 2
+    whole = np.sqrt((terms * terms).sum(axis=1))
     for a in range(count):
-        triangle[a, a] = math.sqrt((terms[a] * terms[a]).sum())
+        own = math.sqrt((terms[a] * terms[a]).sum())
+        triangle[a, a] = own if own > _OWN * whole[a] else math.inf
         terms[a] /= triangle[a, a]
         for b in range(a + 1, count + 1):
             triangle[a, b] = (terms[a] * terms[b]).sum()
