@@ -30,6 +30,16 @@ from twin.compiled import njit
 XX, XY, YY, XZ, YZ, ZZ = range(6)
 _AXES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
+_OFF = 1e-6
+"""Share of a step that a point of a lattice may be off."""
+
+
+def on_lattice(place_mm: Floats, step_mm: Floats) -> Ints | None:
+    """Return how many steps (k, 2) points in a plane (k, 2) are from the lowest; None where they are on no lattice."""
+    steps = (place_mm - place_mm.min(axis=0)) / step_mm
+    whole = np.rint(steps).astype(int)
+    return None if np.abs(steps - whole).max() > _OFF else whole
+
 
 def spectra_of(kernel: Floats, chosen: Sequence[int] = range(6)) -> Floats:
     """Return (c, nu, nv) the spectra xx, xy, yy, xz, yz, zz, or some, of a kernel (nu, nv, 3, 3) of offsets from 0 on.

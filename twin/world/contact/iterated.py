@@ -22,7 +22,7 @@ import numpy as np
 from twin.arrays import Floats, Ints
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
-from twin.world.contact.convolution import Convolution, inverse_of, spectra_of
+from twin.world.contact.convolution import Convolution, inverse_of, on_lattice, spectra_of
 from twin.world.contact.krylov import Krylov
 from twin.world.contact.linear import LinearSystem
 from twin.world.contact.patches import Patches
@@ -66,9 +66,8 @@ class NearLattice:
 def near_lattice(patches: Patches, poisson_ratio: float) -> NearLattice | None:
     """Return a rough inverse of the compliance over the mean of the patches' own; None where cells aren't equal."""
     cell = 2.0 * patches.cell_mm[0]
-    steps = (patches.middle_mm - patches.middle_mm.min(axis=0)) / cell
-    place = np.rint(steps).astype(int)
-    if np.ptp(patches.cell_mm, axis=0).max() > _EQUAL * cell.min() or np.abs(steps - place).max() > _EQUAL:
+    place = on_lattice(patches.middle_mm, cell)
+    if place is None or np.ptp(patches.cell_mm, axis=0).max() > _EQUAL * cell.min():
         return None
     shape, side = tuple((place.max(axis=0) + 1).tolist()), 2.0 * patches.half_mm.mean(axis=0)
     flat = np.stack(np.meshgrid(*(np.arange(n) for n in shape), [0.0], indexing="ij"), axis=-1).reshape(-1, 3)

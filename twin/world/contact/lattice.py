@@ -21,7 +21,7 @@ import numpy as np
 from twin.arrays import Floats, Ints, Points
 from twin.compiled import njit
 from twin.parts.load import Rectangles
-from twin.world.contact.convolution import ZZ, Convolution, inverse_of, spectra_of
+from twin.world.contact.convolution import ZZ, Convolution, inverse_of, on_lattice, spectra_of
 from twin.world.contact.krylov import Krylov
 from twin.world.contact.linear import LinearSolver
 from twin.world.contact.patches import Patches
@@ -242,12 +242,10 @@ def lattice(patches: Patches, compliance: object) -> Lattice | None:
     if not equal or np.any(np.ptp(patches.frames, axis=0)):
         return None
     middle = (patches.centre_mm - patches.centre_mm[0]) @ frame.T
-    corner = middle[:, :2].min(axis=0)
-    steps = (middle[:, :2] - corner) / step
-    place = np.rint(steps).astype(int)
-    if np.abs(steps - place).max() > 1e-6 or np.abs(middle[:, 2]).max() > _ROUND_OFF * step.min():
+    place = on_lattice(middle[:, :2], step)
+    if place is None or np.abs(middle[:, 2]).max() > _ROUND_OFF * step.min():
         return None
-    origin = patches.centre_mm[0] + corner @ frame[:2]
+    origin = patches.centre_mm[0] + middle[:, :2].min(axis=0) @ frame[:2]
     shape = place.max(axis=0) + 1
     kernel, rest = _kernel(compliance, shape, patches, step), None
     for m in NODES:
