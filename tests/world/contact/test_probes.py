@@ -104,6 +104,18 @@ def test_round_shapes_meet_lines_where_balls_around_their_cores_do() -> None:
     assert np.isfinite(flat).tolist() == [True, False]
 
 
+@pytest.mark.parametrize("kind", [Cylinder(diameter_mm=2), Pillar(width_mm=2)])
+@pytest.mark.parametrize("edge", [5e-324, 8.5e-207, 1e-160, 1e-30])
+def test_a_rim_too_narrow_to_square_is_as_good_as_sharp(kind: Cylinder | Pillar, edge: float) -> None:
+    """Found by random scenes: the square of such a height is 0, and the nearest point's direction was divided by it."""
+    points = np.column_stack([np.linspace(-1.1, 1.1, 23), np.zeros(23), np.zeros(23)])
+    along = np.tile([0.0, 0.0, 1.0], (23, 1))
+    distance, normal = shape_of(kind.model_copy(update={"edge_mm": edge})).met(points, along)
+    sharp, down = shape_of(kind).met(points, along)
+    np.testing.assert_allclose(distance, sharp, atol=1e-12)
+    np.testing.assert_allclose(normal, down, atol=1e-12)
+
+
 def test_rotation_vectors() -> None:
     turn, change = np.array([0.3, -0.7, 0.5]), 1e-6 * np.array([1.0, 2.0, -1.0])
     rotation = rotation_of(turn)

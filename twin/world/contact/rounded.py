@@ -22,6 +22,9 @@ GRAZING = 1e-3
 CONE, ROUND, SQUARE = range(3)
 _NEWTON = 60
 
+_TINY_MM = 1e-150
+"""What lies nearer to the sharp body lies on it: the squares of smaller lengths are 0, and nothing divides by them."""
+
 
 @dataclass(frozen=True)
 class Rounded:
@@ -92,7 +95,7 @@ def _distance(
         beside, b, a_x, a_y, b_y = rho - sizes[0], -math.inf, out_x, out_y, 0.0
     else:
         beside, b, a_x, a_y, b_y = abs(x) - sizes[0], abs(y) - sizes[1], np.sign(x), 0.0, np.sign(y)
-    if max(beside, b, below) <= 0.0:
+    if max(beside, b, below) <= _TINY_MM:
         if beside >= b and beside >= below:
             return beside, a_x, a_y, 0.0
         return (b, 0.0, b_y, 0.0) if b >= below else (below, 0.0, 0.0, 1.0)
