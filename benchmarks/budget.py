@@ -33,8 +33,9 @@ from twin.sense.transfer import from_compliance
 from twin.streams import Purpose, stream
 from twin.study.batch.engine import one_thread
 from twin.study.calibrate import calibration_of
+from twin.study.motion import Motion
 from twin.study.recipe import load_scene
-from twin.study.sensor import Motion, Sensor
+from twin.study.sensor import Sensor
 from twin.theory.optics import project_with_jacobian
 from twin.world.picture.exposure import expose
 from twin.world.picture.render import Renderer

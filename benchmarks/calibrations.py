@@ -31,7 +31,7 @@ from twin.sense.track import Found
 from twin.sense.transfer import fill_between, from_presses
 from twin.study.calibrate import FOOTPRINT, hertz_radius
 from twin.study.fitted import FittedDesign
-from twin.study.sensor import on_grid, on_surface
+from twin.study.sites import on_grid, on_surface
 
 PAGE = Path(__file__).parent.parent / "docs" / "calibrations.md"
 NOISE_PX, REST_PX, CELL_N = 0.05, 0.02, 0.005

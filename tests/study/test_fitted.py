@@ -5,7 +5,7 @@ from twin.sense.fit_design import fit
 from twin.study.actual import make
 from twin.study.fitted import FittedDesign, _hertz_shares
 from twin.study.recipe import load_scene
-from twin.study.sensor import on_surface
+from twin.study.sites import on_surface
 from twin.theory.optics import project
 
 SCENE = load_scene("sato_press", overrides={"tolerance.distortion": 0.01})

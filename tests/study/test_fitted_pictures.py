@@ -11,7 +11,8 @@ from twin.sense.transfer import from_compliance
 from twin.study.calibrate import FOOTPRINT, calibrate_by_presses, calibration_of, calibration_press, hertz_radius
 from twin.study.recipe import load_scene
 from twin.study.recorded_presses import calibrate_from_folder
-from twin.study.sensor import Sensor, on_surface
+from twin.study.sensor import Sensor
+from twin.study.sites import on_surface
 from twin.theory.optics import projection_jacobian
 
 

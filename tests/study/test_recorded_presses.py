@@ -10,7 +10,8 @@ from twin.sense.calibration import read_calibration
 from twin.study.calibrate import _nominal_compliance, _through_camera, hertz_radius
 from twin.study.recipe import load_scene
 from twin.study.recorded_presses import FOOTPRINT, calibrate_from_folder, read_presses
-from twin.study.sensor import Sensor, on_surface
+from twin.study.sensor import Sensor
+from twin.study.sites import on_surface
 
 HEAD = "frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\n"
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter, Token
+
+from twin.progress import Progress
 
 if TYPE_CHECKING:
     from twin.parts.scene import Scene
@@ -39,7 +41,7 @@ def load(scene: str, overrides: Sequence[str]) -> Scene:
     return load_scene(scene, dict(parse_override(text) for text in overrides))
 
 
-def progress() -> Callable[[str, float], None] | None:
+def progress() -> Progress | None:
     """Return a progress bar on stderr; None where that is not a terminal."""
     from twin.show.progress import progress_on_terminal
 

@@ -27,7 +27,8 @@ from twin.parts.scene import Scene
 from twin.places import cache_folder
 from twin.results import make_folder
 from twin.streams import Purpose, stream
-from twin.study.sensor import Sensor, on_surface
+from twin.study.sensor import Sensor
+from twin.study.sites import on_surface
 from twin.theory.contact import hertz
 from twin.theory.optics import projection_jacobian
 

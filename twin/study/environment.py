@@ -20,7 +20,9 @@ from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.load import Load
 from twin.parts.press import Press
 from twin.parts.scene import Scene
-from twin.study.sensor import Motion, Progress, Sensor
+from twin.progress import Progress
+from twin.study.motion import Motion
+from twin.study.sensor import Sensor
 
 if TYPE_CHECKING:
     from twin.sense.calibration import Calibration

@@ -48,7 +48,7 @@ class FittedDesign:
     scene
         The nominal scene; what its ``tolerance`` gives no room is not fitted.
     places
-        Squares on the surface where presses were made, as `twin.study.sensor.on_grid` returns them.
+        Squares on the surface where presses were made, as `twin.study.sites.on_grid` returns them.
     radius_mm
         (p,) nominal contact radius of the presses there.
     progress

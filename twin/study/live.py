@@ -21,8 +21,8 @@ from twin.arrays import Bools, Floats
 from twin.errors import ContactError, InputError, RecipeError, TwinError
 from twin.parts.press import Press, Step
 from twin.parts.scene import Scene
+from twin.progress import Progress
 from twin.study.environment import Environment, Observation
-from twin.study.sensor import Progress
 
 QUICK = (
     "accuracy.contact_patches=8", "accuracy.contact_increments=4", "accuracy.centroid_px=0.05",

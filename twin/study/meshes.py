@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from twin.parts.scene import Scene
-from twin.study.sensor import Progress
+from twin.progress import Progress
 
 
 def describe_meshes(

@@ -26,7 +26,8 @@ from twin.study.calibrate import (
     measured_calibration,
 )
 from twin.study.frames import read_picture
-from twin.study.sensor import Sensor, on_surface
+from twin.study.sensor import Sensor
+from twin.study.sites import on_surface
 
 TABLE = "presses.csv"
 PLACES = ("x_mm", "y_mm", "z_mm")

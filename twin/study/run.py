@@ -24,10 +24,12 @@ import numpy as np
 
 from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.scene import Scene
+from twin.progress import Progress
 from twin.results import Estimate, RunResult, Truth
+from twin.study.motion import Motion
 from twin.study.recipe import dump_scene
 from twin.study.scored import facts_of, score_of
-from twin.study.sensor import Motion, Progress, Sensor
+from twin.study.sensor import Sensor
 from twin.study.touch import touches
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from twin.errors import SomeFailed
 from twin.parts.scene import Scene
+from twin.progress import Progress
 from twin.results import RunResult, make_folder, refuse_others_files, remove_results, write_whole
 from twin.study.run import WANTED, computed, only_wanted
-from twin.study.sensor import Progress
 
 
 def run_to_folder(scene: Scene, folder: Path, want: Collection[str], progress: Progress | None = None) -> str:

@@ -11,7 +11,8 @@ import numpy as np
 from twin.arrays import Floats
 from twin.results import Estimate, Truth
 from twin.study.actual import shared_by_truth_and_estimate
-from twin.study.sensor import Motion, Sensor
+from twin.study.motion import Motion
+from twin.study.sensor import Sensor
 
 if TYPE_CHECKING:
     from twin.sense.calibration import Calibration

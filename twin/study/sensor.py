@@ -7,23 +7,23 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from twin.arrays import Chart, Floats, Picture, Pixels, Points, Singles, as_points
+from twin.arrays import Picture, Pixels, Points, Singles, as_points
 from twin.errors import AccuracyWarning, InputError, RecipeError, require
-from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
 from twin.parts.markers import MarkerSet, place
-from twin.parts.pipeline import Sites
 from twin.parts.press import Press
 from twin.parts.scene import Scene
+from twin.progress import Progress
 from twin.streams import Purpose, stream
 from twin.study.actual import Actual, make
+from twin.study.elastic import actual_ladder, nominal_compliance
+from twin.study.motion import Motion, cover_motion, with_stiff_beads
+from twin.study.sites import on_grid
 from twin.theory.optics import project
 
 if TYPE_CHECKING:
@@ -37,31 +37,6 @@ if TYPE_CHECKING:
     from twin.world.picture.maps import PictureTruth
     from twin.world.picture.markers import Ellipsoids
     from twin.world.picture.render import Outlines, Renderer
-
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the share that is done, 0 to 1."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Motion:
-    """What a load does to the markers.
-
-    Attributes
-    ----------
-    displacement_mm
-        (n, 3) displacements of the marker centres, mm.
-    gradient
-        (n, 3, 3) displacement gradients du_i/dx_j there.
-    error
-        Estimated largest error of the displacements over the largest displacement.
-    cover
-        How the cover moves where the camera sees it; None where pictures don't show that.
-    """
-
-    displacement_mm: Points
-    gradient: Floats
-    error: float
-    cover: CoverMotion | None = None
 
 
 class Sensor:
@@ -95,20 +70,7 @@ class Sensor:
     @cached_property
     def ladder(self) -> Ladder | CoveredLadder:
         """The actual body on as many levels of mesh as the asked accuracy takes."""
-        from twin.world.elasticity.ladder import Ladder
-
-        scene = self.actual.scene
-        if covered := _covered(scene, "coarse", self.progress):
-            from twin.world.elasticity.covered import CoveredLadder
-
-            return CoveredLadder(covered)
-        return Ladder(
-            scene.body,
-            scene.material,
-            scene.displacement_error,
-            surface_table=scene.accuracy.surface_table,
-            progress=self.progress,
-        )
+        return actual_ladder(self.actual.scene, self.progress)
 
     @property
     def compliance(self) -> Compliance | Covered:
@@ -118,11 +80,7 @@ class Sensor:
     @cached_property
     def nominal_compliance(self) -> Compliance | Covered:
         """Compliance of the nominal body, on a mesh of its own: what the sensor's software may be told."""
-        from twin.world.elasticity.compliance import Compliance
-
-        if covered := _covered(self.nominal, "nominal", self.progress):
-            return covered
-        return Compliance(self.nominal.body, self.nominal.material, level="nominal", progress=self.progress)
+        return nominal_compliance(self.nominal, self.progress)
 
     @cached_property
     def nominal_markers(self) -> MarkerSet:
@@ -164,32 +122,23 @@ class Sensor:
 
     def motion(self, load: Load) -> Motion:
         """Return how the actual markers move and turn under ``load``."""
-        rectangles = self.rectangles(load)
-        points = self.actual.markers.points
+        rectangles, points = self.rectangles(load), self.actual.markers.points
         answer = self.ladder.displacement(points, rectangles)
         self._warn_if_inaccurate(answer.error)
-        moved, error = answer.displacement_mm, answer.error
-        gradient = answer.compliance.gradient(points, rectangles)
-        if self.stiff_beads is not None and moved.any():
-            change = self.stiff_beads.change(lambda p: answer.compliance.displacement(p, rectangles), gradient)
-            error += self.stiff_beads.error(change, moved)
-            moved = moved + change
-        cover = self._cover_motion(answer.compliance, rectangles)
-        return Motion(displacement_mm=moved, gradient=gradient, error=error, cover=cover)
+        compliance = answer.compliance
+        passive = Motion(
+            displacement_mm=answer.displacement_mm, gradient=compliance.gradient(points, rectangles),
+            error=answer.error, cover=self._cover_motion(compliance, rectangles),
+        )  # fmt: skip
+        return with_stiff_beads(passive, self.stiff_beads, lambda p: compliance.displacement(p, rectangles))
 
     def _cover_motion(self, compliance: Compliance | Covered, rectangles: Rectangles) -> CoverMotion | None:
         """Return how the cover moves where the camera sees it; None if the scene doesn't ask for that."""
         cover = self.nominal.cover
         if cover is None or not cover.deforms or self.nominal.camera is None:
             return None
-        from twin.world.picture.cover import CoverMotion
-
-        background = self.renderer.background
-        assert background is not None
-        return CoverMotion(
-            displacement_mm=compliance.displacement(background.points, rectangles),
-            gradient=compliance.gradient(background.points, rectangles),
-        )
+        assert self.renderer.background is not None
+        return cover_motion(compliance, self.renderer.background.points, rectangles)
 
     def motion_of_patches(self, *patches: Rectangles, strained: bool = True, gather: bool = True) -> Motion:
         """Return how the actual markers move, on the level of mesh that the asked accuracy takes and no other.
@@ -214,13 +163,12 @@ class Sensor:
         whole = join(patches)
         few = join([gathered(points, group) for group in patches]) if gather else whole
         moved, error = self.compliance.answer(points, few)
+        strained = strained or self.stiff_beads is not None
         gradient = self.compliance.gradient(points, whole) if strained else np.zeros((len(points), 3, 3))
-        if self.stiff_beads is not None and moved.any():
-            gradient = gradient if strained else self.compliance.gradient(points, whole)
-            change = self.stiff_beads.change(lambda p: self.compliance.displacement(p, gathered(p, whole)), gradient)
-            error += self.stiff_beads.error(change, moved)
-            moved = moved + change
-        return Motion(displacement_mm=moved, gradient=gradient, error=error)
+        passive = Motion(displacement_mm=moved, gradient=gradient, error=error)
+        return with_stiff_beads(
+            passive, self.stiff_beads, lambda p: self.compliance.displacement(p, gathered(p, whole))
+        )
 
     @cached_property
     def stiff_beads(self) -> StiffBeads | None:
@@ -378,35 +326,3 @@ class Sensor:
             raise RecipeError("this scene has no [reconstruction] table, so there are no sites")
         grid = self.nominal.reconstruction.sites
         return on_grid(self.nominal.body, grid, grid.pitch_mm / 2, "reconstruction.sites")
-
-
-def _covered(scene: Scene, level: Literal["coarse", "nominal"], progress: Progress | None) -> Covered | None:
-    """Return the compliance of a body whose cover is of another material, None if there is no such cover."""
-    if scene.cover is None or (scene.cover.youngs_modulus_mpa is None and scene.cover.poisson_ratio is None):
-        return None
-    from twin.world.elasticity.covered import Covered, own_layer
-
-    layer = own_layer(scene.material, scene.cover)
-    if layer is None:
-        return None
-    return Covered(scene.body, scene.material, scene.cover.thickness_mm, layer, level=level, progress=progress)
-
-
-def on_grid(body: Body, grid: Sites, half_mm: float, key: str) -> Rectangles:
-    """Return squares of a half side on a grid over the surface; see `on_surface`."""
-    return on_surface(body, grid.chart(), half_mm, key)
-
-
-def on_surface(body: Body, chart: Chart, half_mm: float, key: str) -> Rectangles:
-    """Return squares of a half side at (k, 2) surface coordinates, under no force yet.
-
-    Raises
-    ------
-    RecipeError
-        A place lies outside the sensing surface.
-    """
-    points = body.chart_points(chart)
-    if not body.contains(points, -1e-6).all():
-        raise RecipeError(f"{key}: some lie outside the sensing surface; reduce columns, rows or pitch_mm")
-    half = np.full((len(points), 2), half_mm)
-    return Rectangles(centre_mm=points, frames=body.frames(points), half_mm=half, force_n=np.zeros((len(points), 3)))

@@ -9,7 +9,8 @@ from small_sweep import small
 from twin.arrays import Floats
 from twin.parts.scene import Scene
 from twin.sense.track import analyse_rest, track_frame
-from twin.study.sensor import Motion, Sensor
+from twin.study.motion import Motion
+from twin.study.sensor import Sensor
 from twin.study.sweep.designs import designs_of
 from twin.study.sweep.shadows import shadows_of
 from twin.study.sweep.view import view_of

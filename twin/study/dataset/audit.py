@@ -8,7 +8,7 @@ point forces; and 12 x 12 rays per pixel.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ import numpy as np
 from twin.arrays import Floats
 from twin.errors import ContactError, TwinError
 from twin.places import pinned
+from twin.progress import Progress
 from twin.study.batch.draw import Table
 from twin.study.batch.engine import Job, Pool
 from twin.study.dataset.plan import Plan, load_of, press_of
@@ -62,9 +63,7 @@ def audited(samples: int, failed: Collection[int]) -> list[int]:
     return [int(number) for number in good]
 
 
-def audit(
-    plan: Plan, job: Job, failed: Collection[int], pool: Pool, progress: Callable[[str, float], None] | None
-) -> dict[str, Any]:
+def audit(plan: Plan, job: Job, failed: Collection[int], pool: Pool, progress: Progress | None) -> dict[str, Any]:
     """Return the differences: for every figure median and largest, and how many samples they are of."""
     numbers = audited(plan.samples, failed)
     found: dict[int, dict[str, float]] = {}

@@ -9,21 +9,19 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from twin.errors import InputError, TwinError
 from twin.parts.scene import Scene
+from twin.progress import Progress
 from twin.results import make_folder, write_whole
 from twin.study.batch.engine import Done, Job, Pool, reach
 from twin.study.batch.lock import only_writer
 from twin.study.dataset.finish import finish
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import job_of, prepare, resumed
-
-Told = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ def create_dataset(
     *,
     workers: int = 1,
     scheduler: str | None = None,
-    progress: Told | None = None,
+    progress: Progress | None = None,
 ) -> Outcome:
     """Make a dataset, or what is missing of it.
 
@@ -113,7 +111,7 @@ def create_dataset(
             return _work(plan, places, job, content, pool, progress)
 
 
-def _work(plan: Plan, places: Places, job: Job, content: str, pool: Pool, progress: Told | None) -> Outcome:
+def _work(plan: Plan, places: Places, job: Job, content: str, pool: Pool, progress: Progress | None) -> Outcome:
     started = time.perf_counter()
     waiting = [number for number in range(plan.shards) if not is_whole(plan, places, number, content)]
     total = sum(len(plan.of_shard(n)) for n in waiting)
@@ -149,7 +147,7 @@ def _write(places: Places, done: Done) -> None:
     write_whole(places.shard(done.number), lambda file: file.write(shard.samples))
 
 
-def _tell(progress: Told | None, plan: Plan, there: int, made: int, failed: int, started: float) -> None:
+def _tell(progress: Progress | None, plan: Plan, there: int, made: int, failed: int, started: float) -> None:
     if progress is None:
         return
     rate = made / max(time.perf_counter() - started, 1e-9)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from twin.parts.scene import Scene
+from twin.progress import Progress
 from twin.study.batch.engine import one_thread, unpacked
 from twin.study.dataset.audit import audit_sample, audited
 from twin.study.dataset.plan import Places, Plan
@@ -17,9 +17,7 @@ from twin.study.dataset.work import make_shard
 TRIED = 4
 
 
-def estimate(
-    scene: Scene, samples: int, *, workers: int = 1, progress: Callable[[str, float], None] | None = None
-) -> list[str]:
+def estimate(scene: Scene, samples: int, *, workers: int = 1, progress: Progress | None = None) -> list[str]:
     """Return lines that say what a dataset would hold, its size and the time it takes.
 
     Raises

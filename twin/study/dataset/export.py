@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from twin.errors import InputError, MissingCapability, TwinError
+from twin.progress import Progress
 from twin.results import make_folder, write_whole
 from twin.study.dataset.reader import DatasetReader
 
@@ -24,9 +25,7 @@ FORMATS: tuple[Format, ...] = ("hdf5", "coco", "webdataset")
 PER_TAR = 1000
 
 
-def export_dataset(
-    folder: Path, form: str, out: Path, progress: Callable[[str, float], None] | None = None
-) -> list[Path]:
+def export_dataset(folder: Path, form: str, out: Path, progress: Progress | None = None) -> list[Path]:
     """Write a dataset in another format and return the files.
 
     Parameters
@@ -57,7 +56,7 @@ def export_dataset(
     return _WRITERS[form](reader, out, progress)
 
 
-def _samples(reader: DatasetReader, progress: Callable[[str, float], None] | None) -> Iterator[tuple[int, Any]]:
+def _samples(reader: DatasetReader, progress: Progress | None) -> Iterator[tuple[int, Any]]:
     """Yield the samples that did not fail, counted from 0."""
     number = 0
     for row in range(len(reader)):
@@ -71,7 +70,7 @@ def _samples(reader: DatasetReader, progress: Callable[[str, float], None] | Non
         progress("done", 1.0)
 
 
-def _hdf5(reader: DatasetReader, out: Path, progress: Callable[[str, float], None] | None) -> list[Path]:
+def _hdf5(reader: DatasetReader, out: Path, progress: Progress | None) -> list[Path]:
     try:
         import h5py
     except ImportError:
@@ -128,7 +127,7 @@ def _put(where: Any, number: int, value: Any) -> None:
         where[number] = np.asarray(value).ravel() if where.name.lstrip("/") in _RAGGED else value
 
 
-def _coco(reader: DatasetReader, out: Path, progress: Callable[[str, float], None] | None) -> list[Path]:
+def _coco(reader: DatasetReader, out: Path, progress: Progress | None) -> list[Path]:
     """Write every picture as an image with one object: the sensor, whose keypoints are its markers."""
     if not {"picture", "marker_pressed_px"} <= set(reader.columns):
         raise InputError("coco: the dataset needs the columns picture and marker_pressed_px")
@@ -163,7 +162,7 @@ def _coco(reader: DatasetReader, out: Path, progress: Callable[[str, float], Non
     return [out / "keypoints.json", *files]
 
 
-def _webdataset(reader: DatasetReader, out: Path, progress: Callable[[str, float], None] | None) -> list[Path]:
+def _webdataset(reader: DatasetReader, out: Path, progress: Progress | None) -> list[Path]:
     """Write tar files; a sample is the members that share a name before the first point."""
     paths: list[Path] = []
     held = io.BytesIO()
@@ -196,6 +195,6 @@ def _webdataset(reader: DatasetReader, out: Path, progress: Callable[[str, float
     return paths
 
 
-_WRITERS: dict[str, Callable[[DatasetReader, Path, Callable[[str, float], None] | None], list[Path]]] = {
+_WRITERS: dict[str, Callable[[DatasetReader, Path, Progress | None], list[Path]]] = {
     "hdf5": _hdf5, "coco": _coco, "webdataset": _webdataset,
 }  # fmt: skip

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from twin.progress import Progress
 from twin.results import write_json, write_whole
 from twin.study.batch.engine import Job, Pool
 from twin.study.dataset.audit import audit
 from twin.study.dataset.card import card_text, croissant
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.reader import readable
-
-Told = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Counted:
     reason: str
 
 
-def finish(plan: Plan, places: Places, job: Job, pool: Pool, progress: Told | None) -> Counted:
+def finish(plan: Plan, places: Places, job: Job, pool: Pool, progress: Progress | None) -> Counted:
     """Count, compute some samples again, and write the card, the Croissant metadata and the checksums."""
     counted = count(plan, places)
     kept = places.meta / "audit.json"

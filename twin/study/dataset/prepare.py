@@ -6,7 +6,6 @@ import hashlib
 import importlib.metadata
 import json
 import platform
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,13 +13,13 @@ from twin.errors import InputError
 from twin.parts.body import Block, Body
 from twin.parts.scene import Scene
 from twin.parts.solid import Solid
+from twin.progress import Progress
 from twin.results import write_json, write_whole
 from twin.study.batch.engine import Job
 from twin.study.dataset.columns import ALWAYS, Kind
 from twin.study.dataset.plan import FORMAT, Places, Plan, content_hash
 from twin.study.recipe import dump_scene
 
-Told = Callable[[str, float], None]
 WORK = "twin.study.dataset.work:make_shard"
 PACKAGES = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pyarrow", "deflate")
 PACKAGE = Path(__file__).resolve().parents[2]
@@ -28,7 +27,7 @@ COUNTED = ("arrays.py", "png.py", "streams.py", "geometry", "parts", "theory", "
 """Sources on which the numbers depend."""
 
 
-def prepare(plan: Plan, places: Places, progress: Told | None) -> None:
+def prepare(plan: Plan, places: Places, progress: Progress | None) -> None:
     """Write ``meta/``: the resolved scene, the meshes, and last of all info.json."""
     if any(places.folder.glob("data/*")):
         raise InputError(f"{places.folder}: has data but no meta/info.json, so it is no dataset; give another --out")
@@ -55,7 +54,7 @@ def _copied(path: Path, to: Path) -> None:
     write_whole(to, lambda file: file.write(data))
 
 
-def pin_meshes(scene: Scene, meta: Path, progress: Told | None) -> None:
+def pin_meshes(scene: Scene, meta: Path, progress: Progress | None) -> None:
     """Write the meshes, and a block's tables, that the scene's accuracy takes and by which its error is estimated."""
     from twin.study.recipe import load_scene
     from twin.study.sensor import Sensor

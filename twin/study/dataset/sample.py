@@ -23,7 +23,9 @@ from twin.streams import Purpose
 from twin.study.batch.draw import Table, with_values
 from twin.study.dataset.columns import drawn_values
 from twin.study.dataset.plan import MOST_STEPS, Plan, load_of, press_of
-from twin.study.sensor import Motion, Sensor, on_grid
+from twin.study.motion import Motion
+from twin.study.sensor import Sensor
+from twin.study.sites import on_grid
 
 if TYPE_CHECKING:
     from twin.parts.load import Rectangles

@@ -20,11 +20,12 @@ from twin.parts.load import Load
 from twin.parts.part import without_later
 from twin.parts.press import Press
 from twin.parts.scene import Scene
+from twin.progress import Progress
 from twin.sense.rest import Method
 from twin.study.calibrate import calibration_of
+from twin.study.motion import Motion
 from twin.study.recipe import load_scene
 from twin.study.reproduce.kept import KeptSensor, Mechanics
-from twin.study.sensor import Motion, Progress
 from twin.theory.optics import projection_jacobian
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from twin.sense.reconstruct import Field, reconstruct
 from twin.sense.track import Found
 from twin.show.panels import FieldPanel
 from twin.study.calibrate import half_space_compliance
+from twin.study.motion import Motion
 from twin.study.reproduce.bench import Bench, Rig
-from twin.study.sensor import Motion
 from twin.theory.optics import projection_jacobian
 from twin.world.contact.contact import ContactState
 

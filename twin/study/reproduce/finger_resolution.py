@@ -12,13 +12,13 @@ from twin.parts.methods import Method
 from twin.sense.calibration import Calibration
 from twin.sense.rest import Method as Tracker
 from twin.show.panels import Curve, CurvePanel
+from twin.study.motion import Motion
 from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import NO_NOISE_AT_ALL, OURS_AT_ALL, SMOOTH, calibration, full_width, solved
 from twin.study.reproduce.finger_calibration import OUR_WAY, QUIET, calibrated_without, said
 from twin.study.reproduce.finger_picture import PITCH_MM, above, sphere_press
 from twin.study.reproduce.record import Outcome, Record, causes, over
-from twin.study.sensor import Motion
 
 AXES = ("x", "y", "z")
 STEP_MM = 0.5

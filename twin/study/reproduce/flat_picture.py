@@ -13,6 +13,7 @@ from twin.parts.press import Cylinder, Press
 from twin.sense.rest import Method as Tracker
 from twin.sense.track import Found
 from twin.show.panels import ArrowPanel, Curve, CurvePanel, PicturePanel
+from twin.study.motion import Motion
 from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import (
@@ -25,7 +26,6 @@ from twin.study.reproduce.fields import (
     half_space_motion,
 )
 from twin.study.reproduce.record import Outcome, Record, causes, over
-from twin.study.sensor import Motion
 
 PILLAR_N = 3.0
 """Force on the 5 mm pillar, in no paper: the same in every entry."""

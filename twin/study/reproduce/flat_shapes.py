@@ -14,6 +14,7 @@ from twin.sense.reconstruct import Field
 from twin.sense.rest import Method as Tracker
 from twin.sense.track import Found
 from twin.show.panels import Curve, CurvePanel, Panel
+from twin.study.motion import Motion
 from twin.study.reproduce.bench import OUR_TRACKER, Bench, Rig
 from twin.study.reproduce.entry import Entry
 from twin.study.reproduce.fields import (
@@ -33,7 +34,6 @@ from twin.study.reproduce.fields import (
 from twin.study.reproduce.flat_picture import cosine, impulse
 from twin.study.reproduce.record import Outcome, Record, causes, over
 from twin.study.reproduce.two_forces import Chain
-from twin.study.sensor import Motion
 from twin.world.contact.contact import ContactState
 
 WIDTHS_MM = (2.0, 4.0, 6.0, 8.0, 10.0)

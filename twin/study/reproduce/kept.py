@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 from twin.parts.load import Load
 from twin.parts.press import Press
 from twin.parts.scene import Scene
-from twin.study.sensor import Motion, Progress, Sensor
+from twin.progress import Progress
+from twin.study.motion import Motion
+from twin.study.sensor import Sensor
 
 if TYPE_CHECKING:
     from twin.world.contact.contact import ContactState

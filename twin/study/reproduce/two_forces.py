@@ -14,10 +14,10 @@ from twin.parts.methods import Method
 from twin.sense.reconstruct import Field
 from twin.sense.rest import Method as Tracker
 from twin.sense.track import Found
+from twin.study.motion import Motion
 from twin.study.reproduce.bench import MADE, Bench, Rig
 from twin.study.reproduce.fields import calibration, full_width, solved
 from twin.study.reproduce.record import Record
-from twin.study.sensor import Motion
 from twin.theory.limit import DIP, Limit, design_limit
 
 SPOT_MM = 0.5

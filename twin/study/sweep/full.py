@@ -21,7 +21,8 @@ from twin.parts.load import Rectangles
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.streams import Purpose, stream
-from twin.study.sensor import Motion, Sensor
+from twin.study.motion import Motion
+from twin.study.sensor import Sensor
 from twin.study.sweep.linear import Profiles, Shown, seeded, standard_error
 from twin.study.sweep.loads import Bodies, Pushes
 

@@ -25,7 +25,7 @@ from twin.parts.scene import Scene
 from twin.parts.sweep import GF, Sweep
 from twin.sense.problem import in_classes
 from twin.study.actual import make
-from twin.study.sensor import on_grid
+from twin.study.sites import on_grid
 from twin.study.sweep.information import Information, information
 from twin.study.sweep.loads import Bodies, Pushes
 from twin.study.sweep.mirror import Quarter, Signs, blocks_of, classes, fold, mirrored

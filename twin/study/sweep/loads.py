@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,6 +21,7 @@ from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.scene import Scene
 from twin.parts.sweep import Loads, Range, Sweep, Values
+from twin.progress import Progress
 from twin.streams import Purpose, stream
 from twin.study.sweep.sites import PAIRS
 
@@ -141,7 +141,7 @@ class Bodies:
         prepared.
     """
 
-    progress: Callable[[str, float], None] | None = None
+    progress: Progress | None = None
     thickness_mm: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from twin.arrays import Bools, Floats, Ints
 from twin.errors import RecipeError
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
+from twin.progress import Progress
 from twin.results import make_folder
 from twin.study.batch.draw import plain_table
 from twin.study.batch.engine import Job, reach, run_tasks
@@ -36,8 +37,6 @@ from twin.study.sweep.work import WORK, Row, region_of
 FORMAT = 3
 CHUNK = {"linear": 16, "full": 1}
 """Designs of one task: what a kill loses at most, a worker each."""
-
-Told = Callable[[str, float], None]
 
 
 @dataclass
@@ -101,7 +100,7 @@ class Runner:
 
     def __init__(
         self, sweep: Sweep, scene: Scene, folder: Path, *, workers: int = 1, scheduler: str | None = None,
-        progress: Told | None = None,
+        progress: Progress | None = None,
     ) -> None:  # fmt: skip
         self.sweep, self.scene = sweep, scene
         self.store = Store(folder)
@@ -188,7 +187,7 @@ def check(sweep: Sweep, scene: Scene) -> None:
 
 def run_sweep(
     sweep: Sweep, scene: Scene, folder: Path, *, workers: int = 1, scheduler: str | None = None,
-    progress: Told | None = None, optimise: bool = False,
+    progress: Progress | None = None, optimise: bool = False,
 ) -> Swept:  # fmt: skip
     """Run a sweep, or what is missing of it, and write its table.
 

@@ -26,6 +26,7 @@ from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
+from twin.progress import Progress
 from twin.theory import halfspace
 from twin.theory.halfspace_normal import normal_compliance
 from twin.world.elasticity.correction import correction
@@ -44,7 +45,7 @@ from twin.world.elasticity.tables import Tables
 from twin.world.elasticity.tabulate import table_level
 from twin.world.elasticity.tile import require_on_surface
 from twin.world.mesh.interpolate import Locator
-from twin.world.mesh.mesh import Level, Mesh, Progress, body_mesh
+from twin.world.mesh.mesh import Level, Mesh, body_mesh
 from twin.world.mesh.rim import drawn_to_rim
 
 Method = Literal["subtracted", "direct"]

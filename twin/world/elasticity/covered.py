@@ -27,6 +27,7 @@ from twin.arrays import Floats, Points
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Cover, Material
+from twin.progress import Progress
 from twin.world.elasticity.compliance import Compliance, Method
 from twin.world.elasticity.expected import unbounded
 from twin.world.elasticity.fem import Layer, TaylorHood
@@ -35,7 +36,7 @@ from twin.world.elasticity.ladder import Answer
 from twin.world.elasticity.spread import patch_rests
 from twin.world.mesh.bisection import refined
 from twin.world.mesh.extrude import with_cover
-from twin.world.mesh.mesh import Mesh, Progress, body_mesh
+from twin.world.mesh.mesh import Mesh, body_mesh
 from twin.world.mesh.rim import drawn_to_rim
 from twin.world.mesh.sizing import WORLD, Level
 

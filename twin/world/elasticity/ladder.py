@@ -16,9 +16,9 @@ from twin.arrays import Points
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
+from twin.progress import Progress
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.expected import EXPECTED
-from twin.world.mesh.mesh import Progress
 from twin.world.mesh.sizing import WORLD, Level
 
 if TYPE_CHECKING:

@@ -23,11 +23,11 @@ from twin.arrays import Bools, Floats, Points
 from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
+from twin.progress import Progress
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.spread import solved
 from twin.world.elasticity.store import field_key, kept
 from twin.world.mesh.interpolate import Places
-from twin.world.mesh.mesh import Progress
 from twin.world.mesh.sizing import default_sizing
 
 NODES = 19

@@ -13,11 +13,11 @@ import numpy as np
 
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
+from twin.progress import Progress
 from twin.world.elasticity.known import Known
 from twin.world.elasticity.solve import Solver
 from twin.world.elasticity.table import NU_RANGE, SIZES, Table, TableAtNu
 from twin.world.elasticity.tabulate import Role, find_table
-from twin.world.mesh.mesh import Progress
 
 
 class Tables:

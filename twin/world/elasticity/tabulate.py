@@ -28,6 +28,7 @@ from twin.errors import InputError, TwinError
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.places import MESHES, cache_folder, is_pinned, pinned
+from twin.progress import Progress
 from twin.results import write_whole
 from twin.theory import halfspace
 from twin.world.elasticity.correction import correction
@@ -35,7 +36,7 @@ from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.solve import Solver
 from twin.world.elasticity.table import NU_RANGE, SIZES, Basis, Table
 from twin.world.mesh.interpolate import Locator
-from twin.world.mesh.mesh import Level, Mesh, Progress, body_mesh, mesh_key
+from twin.world.mesh.mesh import Level, Mesh, body_mesh, mesh_key
 from twin.world.mesh.rim import SHARE, drawn_to_rim
 from twin.world.mesh.sizing import default_sizing
 

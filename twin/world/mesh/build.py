@@ -8,13 +8,13 @@ pass the gates the one with the largest smallest dihedral angle is kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from twin.arrays import Ints, Points
 from twin.errors import MeshError
 from twin.parts.body import Body
+from twin.progress import Progress
 from twin.world.mesh.mesh import Mesh
 from twin.world.mesh.quality import Quality, quality
 from twin.world.mesh.sizing import Sizing, background
@@ -40,7 +40,7 @@ def build_mesh(
     body: Body,
     sizing: Sizing,
     *,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     good_tries: int = GOOD_TRIES,
     limit_s: float = 600.0,
 ) -> tuple[Mesh, Quality]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,6 +22,7 @@ from twin.errors import InputError, MeshError, TwinError
 from twin.parts.body import Body
 from twin.parts.part import without_later
 from twin.places import MESHES, cache_folder, is_pinned, pinned
+from twin.progress import Progress
 from twin.results import write_whole
 from twin.world.mesh.sizing import Level, Sizing, default_sizing
 from twin.world.mesh.snap import signed_volumes
@@ -30,8 +31,6 @@ __all__ = ["Level", "Mesh", "Sizing", "body_mesh", "mesh_key", "read_mesh", "rea
 
 FORMAT = 1
 """Version of the file format and of the way meshes are made; part of every key."""
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
