@@ -43,7 +43,7 @@ def test_forces_and_what_is_seen_of_them_are_adjoint() -> None:
 class Matrix:
     """Products with a matrix, and the inverses of its normal and its tangential part, in double precision."""
 
-    precision, finest, saves, unit = np.float64, 1e-10, False, 1.0
+    precision, finest, unit = np.float64, 1e-10, 1.0
 
     def __init__(self, compliance: Floats) -> None:
         self._whole = compliance
@@ -53,11 +53,8 @@ class Matrix:
         self._part = self._whole[touching][:, :, touching].transpose(1, 0, 3, 2)
         return True
 
-    def displaced(self, force: Floats) -> Floats:
-        return np.einsum("kalb,lb->ak", self._whole, force)
-
     def felt(self, force: Floats) -> Floats:
-        return self.displaced(force)[:, self._touching]
+        return np.einsum("kalb,lb->ak", self._whole[self._touching], force)
 
     def product(self, force: Floats) -> Floats:
         return np.einsum("akbl,bl->ak", self._part, force)
@@ -145,6 +142,25 @@ def test_an_inverse_serves_sets_that_lost_and_gained_patches() -> None:
         wanted = np.linalg.solve(normal[np.ix_(rows, rows)], depth[rows])
         np.testing.assert_allclose(found, wanted, atol=3e-6 * np.abs(wanted).max())
     assert len(made) == 2
+
+
+def test_a_gathered_part_of_a_matrix_serves_sets_that_lost_and_gained_patches() -> None:
+    rng = np.random.default_rng(4)
+    k, middle = 40, Plane(origin_mm=np.zeros(3), axes=np.eye(3))
+    near = near_lattice(candidate_patches(BLOCK, None, middle, Box(u0=-1, u1=1, v0=-1, v1=1), (8, 8)), 0.5)
+    assert near is not None
+    root = rng.normal(size=(3 * k, 3 * k))
+    matrix = 1e-3 * (root + root.T).reshape(k, 3, k, 3)
+    matrix += 2e-2 * np.eye(3 * k).reshape(k, 3, k, 3)
+    part, force = iterated._OnMatrix(matrix, near), rng.normal(size=(k, 3))
+    for rows in (np.arange(5, 25), np.r_[7:26, 30], np.r_[0:7, 9:26], np.arange(8, 14)):  # the last is too small a part
+        assert part.make_room(rows)
+        moved = np.einsum("kalb,lb->ak", matrix[rows], force)
+        np.testing.assert_allclose(part.felt(force), moved, atol=3e-6 * np.abs(moved).max())
+        own = np.einsum("kalb,bl->ak", matrix[rows][:, :, rows], force[rows].T)
+        found = part.product(force[rows].T.astype(np.float32)) * part.unit
+        np.testing.assert_allclose(found, own, atol=3e-6 * np.abs(own).max())
+    assert len(part._kept) == 6
 
 
 @pytest.mark.parametrize(("body", "nu"), [(BLOCK, 0.3), pytest.param(FINGER, 0.5, marks=pytest.mark.slow)])

@@ -157,9 +157,8 @@ class Dense:
 
     def solver(self, carried: Floats) -> LinearSolver:
         """See `Between`."""
-        inverting = Released(self._matrix, carried)
         near = self._near() if len(self) > MANY else None
-        return inverting if near is None else Iterated(inverting, near)
+        return Released(self._matrix, carried) if near is None else Iterated(self._matrix, carried, near)
 
     @cached_property
     def _normal(self) -> Floats:

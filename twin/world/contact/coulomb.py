@@ -14,8 +14,8 @@ the balance of the probe in it. Nothing is penalised: r scales the equations and
 Why steps are shortened: far from the solution whole steps can cycle; the step that leaves the least of the equations is
 taken. Why a step is solved for the change of the trial, not for the forces: an iterative solution
 (`twin.world.contact.krylov`) need then be good to a thousandth only, as the next step mends the rest. For the same
-reason a change's motion is a product in single precision, until what these lose counts beside what is left of the
-equations: then the motion is taken anew in double precision, once in most solutions.
+reason a change's motion is a product in single precision, where a solver keeps what that takes, until what these lose
+counts beside what is left of the equations: then the motion is taken anew in double precision.
 
 Validity: the slip of one increment, from b to its end. Paths are walked in increments by `twin.world.contact.friction`.
 With a large coefficient, or strong coupling of normal and tangential motion, there may be no solution or more than one.
@@ -156,9 +156,10 @@ def _newton_step(problem: Unilateral, scale: Floats, trial: _Trial, share: float
 
 def _changed(problem: Unilateral, force: Floats) -> tuple[Floats, float]:
     """Return the motions (k, 3) under forces (k, 3) or their change, mm, and what is lost of them, N."""
-    if not problem.solver or len(force) <= _FEW or not problem.solver.saves:
+    found = problem.solver.moved(force) if problem.solver and len(force) > _FEW else None
+    if found is None:
         return problem.moved(force), 0.0
-    moved = np.ascontiguousarray(problem.solver.moved(force).T)
+    moved = np.ascontiguousarray(found.T)
     return moved, _LOST * float(np.linalg.norm(_scales(problem)[:, None] * moved))
 
 

@@ -18,8 +18,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.linalg import blas
 
 from twin.arrays import Floats, Ints
+from twin.compiled import njit
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
 from twin.world.contact.convolution import Convolution, inverse_of, on_lattice, spectra_of
@@ -27,7 +29,7 @@ from twin.world.contact.krylov import Krylov
 from twin.world.contact.linear import LinearSystem
 from twin.world.contact.patches import Patches
 from twin.world.contact.released import SLACK, Released
-from twin.world.contact.singles import SinglesArray, symmetric_product
+from twin.world.contact.singles import SinglesArray
 
 MANY = 300
 """Patches in contact from which on making an inverse takes longer than a few solutions by iteration."""
@@ -80,43 +82,55 @@ def near_lattice(patches: Patches, poisson_ratio: float) -> NearLattice | None:
 
 
 class _OnMatrix:
-    """A `twin.world.contact.krylov.Operator` on a matrix in single precision, which counts its products."""
+    """A `twin.world.contact.krylov.Operator` on a matrix, which counts its products.
 
-    precision, finest, saves = np.float32, 1e-5, True
+    What it multiplies by is the part of the patches in contact, in single precision: gathered once, one half of it,
+    packed column by column, so that patches that come are appended. Those that left stay, with no force on them.
+    """
 
-    def __init__(self, released: Released, near: NearLattice) -> None:
-        self.unit, self.products = released.unit, 0
-        self._released, self._near = released, near
+    precision, finest = np.float32, 1e-5
+
+    def __init__(self, compliance: Floats, near: NearLattice) -> None:
+        k = len(compliance)
+        self.unit, self.products = float(np.mean(compliance.reshape(3 * k, 3 * k).diagonal())), 0
+        self._whole, self._near = compliance, near
+        self._place: Ints = np.full(k, -1)
         self._rows = self._kept = np.zeros(0, int)
+        self._packed: SinglesArray = np.zeros(0, np.float32)
 
     def make_room(self, touching: Ints) -> bool:
-        """See `Operator`: patches that left stay, with no force on them."""
-        if not np.isin(touching, self._kept).all() or len(self._kept) > SLACK * len(touching):
-            self._kept, self._part = touching, self._released.part(touching)
-        self._rows, self._at = touching, np.searchsorted(self._kept, touching)
+        """See `Operator`."""
+        new = touching[self._place[touching] < 0]
+        if len(self._kept) + len(new) > SLACK * len(touching):
+            self._place[:], self._kept, self._packed, new = -1, touching[:0], self._packed[:0], touching
+        if len(new):
+            known, self._kept = len(self._kept), np.concatenate([self._kept, new])
+            self._place[new] = np.arange(known, len(self._kept))
+            columns: SinglesArray = np.empty(_packed(len(self._kept)) - _packed(known), np.float32)
+            _pack(self._whole, self._kept, known, 1.0 / self.unit, columns)
+            self._packed = np.concatenate([self._packed, columns]) if known else columns
+        self._rows, self._at = touching, self._place[touching]
         return True
 
-    def displaced(self, force: Floats) -> Floats:
-        """See `Operator`."""
-        return self._released.moved(force)
-
     def felt(self, force: Floats) -> Floats:
-        """See `Operator`; only forces on patches that aren't kept need the whole matrix."""
-        if np.delete(force, self._kept, axis=0).any():
-            return self.displaced(force)[:, self._rows]
-        return self._moved(force[self._kept].T.astype(np.float32)) * self.unit
+        """See `Operator`; forces on patches that aren't kept are few."""
+        moved = self._moved(force[self._kept].astype(np.float32)) * self.unit
+        beyond = np.flatnonzero(force.any(axis=1) & (self._place < 0))
+        if len(beyond):
+            moved += np.einsum("ja,jaib->bi", force[beyond], self._whole[beyond][:, :, self._rows])
+        return moved
 
     def product(self, force: Floats) -> Floats:
         """See `Operator`."""
         self.products += 1
-        spread: SinglesArray = np.zeros((3, len(self._kept)), np.float32)
-        spread[:, self._at] = force
+        spread: SinglesArray = np.zeros((len(self._kept), 3), np.float32)
+        spread[self._at] = force.T
         return self._moved(spread)
 
     def _moved(self, force: SinglesArray) -> Floats:
-        """Return the (3, n) displacements of the patches in contact under forces (3, kept)."""
-        moved = symmetric_product(self._part.T, force.reshape(-1))
-        return np.asarray(moved.reshape(3, -1)[:, self._at])
+        """Return the (3, n) displacements of the patches in contact over the unit under forces (kept, 3)."""
+        moved = blas.sspmv(force.size, 1.0, self._packed, force.reshape(-1))
+        return np.ascontiguousarray(moved.reshape(-1, 3)[self._at].T)
 
     def roughly(self, displacement: Floats) -> Floats:
         """See `Operator`."""
@@ -124,26 +138,47 @@ class _OnMatrix:
         return np.asarray(self._near.forces(self._rows, single))
 
 
+def _packed(patches: int) -> int:
+    """Return how many numbers one half of a matrix of three axes a patch has."""
+    return 3 * patches * (3 * patches + 1) // 2
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _pack(whole: Floats, rows: Ints, known: int, share: float, out: SinglesArray) -> None:
+    """Set ``out`` to the columns of some patches, down to the diagonal, but for those of the first ``known``."""
+    at = 0
+    for j in range(known, len(rows)):
+        for b in range(3):
+            column = whole[rows[j], b]
+            for i in range(j):
+                for a in range(3):
+                    out[at + a] = share * column[rows[i], a]
+                at += 3
+            for a in range(b + 1):
+                out[at] = share * column[rows[j], a]
+                at += 1
+
+
 class Iterated:
     """A `twin.world.contact.linear.LinearSolver` that iterates on a matrix until a kept inverse pays.
 
     Parameters
     ----------
-    inverting
-        What keeps an inverse.
+    compliance
+        (k, 3, k, 3) mm/N.
+    carried
+        (k, 3, m) how the probes' points at the patches move with each of their motions.
     near
-        A rough one, of the compliance over its unit.
+        A rough inverse of the compliance over its unit.
     """
 
-    saves = True
-
-    def __init__(self, inverting: Released, near: NearLattice) -> None:
-        self._inverting, self._operator = inverting, _OnMatrix(inverting, near)
+    def __init__(self, compliance: Floats, carried: Floats, near: NearLattice) -> None:
+        self._inverting, self._operator = Released(compliance, carried), _OnMatrix(compliance, near)
         self._iterating = Krylov(self._operator)
 
-    def moved(self, force: Floats) -> Floats:
-        """See `LinearSolver`."""
-        return self._inverting.moved(force)
+    def moved(self, force: Floats) -> Floats | None:
+        """See `LinearSolver`; a whole copy in single precision is made together with an inverse only."""
+        return self._inverting.moved(force) if self._inverting.inverts else None
 
     def solve(self, system: LinearSystem, right: Floats, balance: Floats, left: float) -> tuple[Floats, Floats] | None:
         """See `LinearSolver`."""

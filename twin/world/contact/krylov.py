@@ -40,21 +40,12 @@ class Operator(Protocol):
         """Share of a right-hand side that iteration can reach."""
         ...
 
-    @property
-    def saves(self) -> bool:
-        """Whether `displaced` costs much less than a product in double precision."""
-        ...
-
     def make_room(self, touching: Ints) -> bool:
         """Take over the n patches in contact; return whether their compliance can be inverted."""
         ...
 
-    def displaced(self, force: Floats) -> Floats:
-        """Return the (3, k) displacements of all patches under forces (k, 3) on them, mm, to 1e-7 of the largest."""
-        ...
-
     def felt(self, force: Floats) -> Floats:
-        """Return the (3, n) displacements of the patches in contact under forces (k, 3) on all, mm, likewise."""
+        """Return the (3, n) displacements of the patches in contact under forces (k, 3) on all, mm, to 1e-7."""
         ...
 
     def product(self, force: Floats) -> Floats:
@@ -78,14 +69,8 @@ class Krylov:
     def __init__(self, operator: Operator) -> None:
         self._operator = operator
 
-    @property
-    def saves(self) -> bool:
-        """Whether `moved` costs much less than a product in double precision."""
-        return self._operator.saves
-
-    def moved(self, force: Floats) -> Floats:
-        """Return the (3, k) displacements of all patches under forces (k, 3) on them, mm, to 1e-7 of the largest."""
-        return self._operator.displaced(force)
+    def moved(self, force: Floats) -> None:
+        """See `twin.world.contact.linear.LinearSolver`: a product in double precision is as good as any."""
 
     def solve(
         self, system: LinearSystem, right: Floats, balance: Floats, left: float = LEFT

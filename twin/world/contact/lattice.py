@@ -69,7 +69,7 @@ class Lattice:
         (3, M, 3, M) smooth rest between M = m x m nodes; None for none.
     """
 
-    precision, finest, saves = np.float32, 1e-5, False
+    precision, finest = np.float32, 1e-5
 
     def __init__(self, place: Ints, kernel: Floats, rest: Floats | None) -> None:
         self._place, self._kernel, self._shape = place, kernel, kernel.shape[:2]
@@ -136,14 +136,10 @@ class Lattice:
         """See `twin.world.contact.between.Between`."""
         return self._spread_out(self._whole, self._cell, force.T).T
 
-    def displaced(self, force: Floats) -> Floats:
-        """See `twin.world.contact.krylov.Operator`."""
-        field: Any = force.T.astype(np.float32)
-        return self._spread_out(self._single, self._cell, field).astype(float)
-
     def felt(self, force: Floats) -> Floats:
         """See `twin.world.contact.krylov.Operator`."""
-        return self.displaced(force)[:, self._touching]
+        field: Any = force.T.astype(np.float32)
+        return self._spread_out(self._single, self._cell, field)[:, self._touching].astype(float)
 
     def sunk(self, push: Floats) -> Floats:
         """See `Between`."""

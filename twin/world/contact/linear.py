@@ -79,13 +79,11 @@ class LinearSystem:
 class LinearSolver(Protocol):
     """What solves these systems for one compliance between k patches."""
 
-    @property
-    def saves(self) -> bool:
-        """Whether `moved` costs much less than a product in double precision."""
-        ...
+    def moved(self, force: Floats) -> Floats | None:
+        """Return the (3, k) displacements of all patches under forces (k, 3) on them, mm, to 1e-7 of the largest.
 
-    def moved(self, force: Floats) -> Floats:
-        """Return the (3, k) displacements of all patches under forces (k, 3) on them, mm, to 1e-7 of the largest."""
+        None where that doesn't cost much less than a product in double precision.
+        """
         ...
 
     def solve(self, system: LinearSystem, right: Floats, balance: Floats, left: float) -> tuple[Floats, Floats] | None:

@@ -20,6 +20,7 @@ Validity: single precision; 1e-4 of a step is left, which the next step mends.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
@@ -54,23 +55,30 @@ class _Directions:
 class Released:
     """A `twin.world.contact.linear.LinearSolver` for a compliance (k, 3, k, 3), mm/N, under probes ``carried`` so."""
 
-    saves = True
-
     def __init__(self, compliance: Floats, carried: Floats) -> None:
         k = len(compliance)
-        self.unit = float(np.mean(compliance.reshape(3 * k, 3 * k).diagonal()))
-        self._whole: SinglesArray = np.empty((k, 3, k, 3), np.float32)
-        np.divide(compliance, self.unit, out=self._whole, casting="same_kind")
-        self._carried = carried
+        self._unit = float(np.mean(compliance.reshape(3 * k, 3 * k).diagonal()))
+        self._compliance, self._carried = compliance, carried
         self._kept: Ints = np.zeros(0, int)
         self._place: Ints = np.full(k, -1)
+
+    @property
+    def inverts(self) -> bool:
+        """Whether an inverse is at hand."""
+        return len(self._kept) > 0
+
+    @cached_property
+    def _whole(self) -> SinglesArray:
+        whole: SinglesArray = np.empty(self._compliance.shape, np.float32)
+        np.divide(self._compliance, self._unit, out=whole, casting="same_kind")
+        return whole
 
     def moved(self, force: Floats) -> Floats:
         """See `LinearSolver`."""
         size = 3 * len(force)
         pushed: SinglesArray = force.astype(np.float32).reshape(size)
         moved = symmetric_product(self._whole.reshape(size, size).T, pushed)
-        return np.asarray(moved.reshape(-1, 3).T.astype(float) * self.unit)
+        return np.asarray(moved.reshape(-1, 3).T.astype(float) * self._unit)
 
     def solve(self, system: LinearSystem, right: Floats, balance: Floats, left: float) -> tuple[Floats, Floats] | None:
         """See `LinearSolver`; ``left`` is as good as it gets."""
@@ -79,7 +87,7 @@ class Released:
             return None
         at, size, count = self._place[pattern.touching], 3 * len(self._kept), len(system.free)
         jump = system.jump[self._kept].T
-        right = right / self.unit
+        right = right / self._unit
         released = self._released(system, at, jump, right)
         given: SinglesArray = np.zeros((3, len(self._kept)), np.float32)
         given[:, at] = _given(system, right)
@@ -103,10 +111,10 @@ class Released:
         given += (carried @ motion).reshape(given.shape)
         _add(given, released.at, released.along, answer[:, 0] - answer[:, 1:] @ motion)
         force = symmetric_product(self._inverse, given.reshape(size)).reshape(3, -1)[:, at]
-        return pattern.seen(force.astype(float)), motion * self.unit
+        return pattern.seen(force.astype(float)), motion * self._unit
 
-    def part(self, rows: Ints) -> SinglesArray:
-        """Return (3 n, 3 n) the compliance over ``unit`` between some patches, axis by axis."""
+    def _part(self, rows: Ints) -> SinglesArray:
+        """Return (3 n, 3 n) the compliance over its unit between some patches, axis by axis."""
         part: SinglesArray = np.empty((3 * len(rows), 3 * len(rows)), np.float32)
         _gather(self._whole, rows, part)
         return part
@@ -122,7 +130,7 @@ class Released:
             needed = np.union1d(touching, jumping)
             both = np.union1d(needed, self._kept)
             kept = both if len(both) <= SLACK * len(touching) else needed
-            inverse = full_inverse(self.part(kept))
+            inverse = full_inverse(self._part(kept))
             self._place[:], self._kept = -1, np.zeros(0, int)
             if inverse is None:
                 return False
@@ -143,7 +151,7 @@ class Released:
         gone = np.flatnonzero(away)
         axes = np.tile(np.eye(3), (len(gone), 1))
         along = np.concatenate([np.column_stack([ahead, flat]), aside, axes])
-        shift = system.shift[slipping, None] / self.unit
+        shift = system.shift[slipping, None] / self._unit
         felt = [np.column_stack([ahead, -pattern.mu[slipping]]), aside * shift, axes]
         too_much = np.einsum("ra,ar->r", ahead, jump[:2, here])
         own = [flat, pattern.share[slipping], np.zeros(len(axes))]
