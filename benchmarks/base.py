@@ -24,9 +24,9 @@ from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.direct import consistent_forces
 from twin.world.elasticity.fem import Layer, TaylorHood
 from twin.world.elasticity.tile import tile
+from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.extrude import with_base
 from twin.world.mesh.interpolate import Locator
-from twin.world.mesh.mesh import body_mesh
 
 ACRYLIC_MPA, ACRYLIC_NU = 3000.0, 0.37
 RUBBER = Material(youngs_modulus_mpa=1.0, poisson_ratio=0.5)

@@ -15,8 +15,7 @@ from benchmarks.clock import Clock, empty_cache
 from benchmarks.reference import BODIES, YOUNGS_MODULUS_MPA, Case, reference
 from twin.parts.material import Material
 from twin.world.elasticity.compliance import Compliance, Method
-from twin.world.mesh.mesh import Level
-from twin.world.mesh.sizing import WORLD
+from twin.world.mesh.sizing import WORLD, Level
 
 TABLES: dict[str, Level] = {"table, truth": "standard", "table, nominal": "nominal"}
 """Ways of the block without a solve; a truth's table is one and the same for every level."""

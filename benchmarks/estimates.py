@@ -26,7 +26,7 @@ from twin.parts.load import Rectangles, Traction
 from twin.world.elasticity import residual
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.tile import tile
-from twin.world.mesh.mesh import Level
+from twin.world.mesh.sizing import Level
 
 LEVELS: tuple[Level, ...] = ("nominal", "sketch", "coarse", "standard")
 DISKS_MM, BUMPS_MM = (1.5, 4.0, 8.0, 12.0), (2.0, 3.0, 4.0)

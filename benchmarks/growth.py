@@ -18,7 +18,8 @@ from benchmarks.peers_run import nodal_shares
 from benchmarks.reference import BODIES
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh.bisection import refined
-from twin.world.mesh.mesh import Mesh, body_mesh
+from twin.world.mesh.body_mesh import body_mesh
+from twin.world.mesh.mesh import Mesh
 from twin.world.mesh.sizing import WantedEdge, default_sizing
 
 SIZES = (10_000, 20_000, 40_000, 80_000, 160_000, 300_000)

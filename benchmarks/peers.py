@@ -27,8 +27,7 @@ from benchmarks.elasticity import compliance, warm_up
 from benchmarks.peers_mesh import Edges, curved, netgen_mesh
 from benchmarks.peers_run import KEYS, Answers, Problem
 from benchmarks.reference import BODIES, reference
-from twin.world.mesh.mesh import Level
-from twin.world.mesh.sizing import WORLD
+from twin.world.mesh.sizing import WORLD, Level
 
 REPEATS, LONG_S = 3, 5.0
 

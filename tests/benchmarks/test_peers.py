@@ -12,7 +12,7 @@ from benchmarks import peers
 from benchmarks.peers_mesh import BUMP_MM, Edges, curved, netgen_mesh
 from benchmarks.peers_run import PLACES, WEIGHTS, Problem, nodal_shares
 from benchmarks.reference import BODIES, reference
-from twin.world.mesh.mesh import body_mesh
+from twin.world.mesh.body_mesh import body_mesh
 
 COARSE = Edges(ring=1.3, load=1.3, rim=25, far=25, grading=0.5)
 

@@ -19,7 +19,8 @@ from twin.places import MESHES
 from twin.theory import halfspace
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.tile import join, tile
-from twin.world.mesh.mesh import mesh_key, read_mesh, read_provenance
+from twin.world.mesh.body_mesh import mesh_key
+from twin.world.mesh.mesh import read_mesh, read_provenance
 from twin.world.mesh.quality import check
 from twin.world.mesh.sizing import WORLD, default_sizing
 

@@ -11,7 +11,7 @@ from stl_shapes import HELD_ABOVE, SENSING_BELOW, box, bracket, solid_box, solid
 from twin.errors import RecipeError
 from twin.parts.body import Solid
 from twin.study.recipe import dump_scene, load_scene, validate_scene
-from twin.world.mesh.mesh import mesh_key
+from twin.world.mesh.body_mesh import mesh_key
 from twin.world.mesh.sizing import default_sizing, rim_points
 
 RECIPE = """

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from stl_shapes import SENSING_BELOW, bracket, solid_box, solid_bracket, solid_dome, write_stl
 
-import twin.world.mesh.mesh
+import twin.world.mesh.body_mesh
 from twin.errors import InputError
 from twin.parts.body import Block, Solid
 from twin.parts.load import Traction
@@ -14,7 +14,8 @@ from twin.parts.material import Material
 from twin.places import MESHES
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.tile import join, tile
-from twin.world.mesh.mesh import Mesh, body_mesh, read_mesh
+from twin.world.mesh.body_mesh import body_mesh
+from twin.world.mesh.mesh import Mesh, read_mesh
 from twin.world.mesh.quality import check
 from twin.world.mesh.snap import quadratic, snapped
 
@@ -86,7 +87,7 @@ def test_a_load_whose_plane_the_body_crosses_is_refused(tmp_path):
 
 @pytest.fixture
 def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setattr(twin.world.mesh.mesh, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(twin.world.mesh.body_mesh, "cache_folder", lambda: tmp_path)
     return tmp_path
 
 

@@ -12,8 +12,9 @@ def describe_meshes(
     scene: Scene, *, rebuild: bool, export: Path | None = None, progress: Progress | None = None
 ) -> list[str]:
     """Return a line for each of the body's meshes: size and worst quality; make them anew, or export, if asked."""
-    from twin.world.mesh.mesh import Level, body_mesh
+    from twin.world.mesh.body_mesh import body_mesh
     from twin.world.mesh.quality import quality
+    from twin.world.mesh.sizing import Level
 
     lines = []
     levels: tuple[Level, ...] = ("standard", "nominal")  # what most scenes need; the others are made when asked for

@@ -54,7 +54,7 @@ def _states(sensor: Sensor) -> list[ContactState | None]:
 
 
 def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points, Ints]:
-    from twin.world.mesh.mesh import body_mesh
+    from twin.world.mesh.body_mesh import body_mesh
 
     body = sensor.actual.scene.body
     mesh = body_mesh(body, "sketch", progress=sensor.progress)

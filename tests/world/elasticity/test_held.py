@@ -9,8 +9,8 @@ from twin.parts.material import Material
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.tile import tile
-from twin.world.mesh.mesh import body_mesh, default_sizing, mesh_key
-from twin.world.mesh.sizing import rim_points
+from twin.world.mesh.body_mesh import body_mesh, mesh_key
+from twin.world.mesh.sizing import default_sizing, rim_points
 
 FREE = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
 HELD = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2, back="held")

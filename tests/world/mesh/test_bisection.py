@@ -5,7 +5,7 @@ import pytest
 
 from twin.parts.body import Block, Finger
 from twin.world.mesh.bisection import refined
-from twin.world.mesh.mesh import body_mesh
+from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.quality import dihedral_angles, open_edges, quality
 from twin.world.mesh.snap import EDGE_CORNERS
 

@@ -9,8 +9,8 @@ import pyvista
 
 from twin.errors import InputError
 from twin.parts.body import Finger
+from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.export import export_mesh
-from twin.world.mesh.mesh import body_mesh
 
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
 

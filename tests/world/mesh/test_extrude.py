@@ -7,9 +7,10 @@ from slabs import slab
 from twin.errors import MeshError
 from twin.parts.body import Block, Dome, Finger
 from twin.world.elasticity.fem import Layer, TaylorHood
+from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.elements import tet_quadrature, tet_shapes
 from twin.world.mesh.extrude import extruded, squeezed, with_base, with_cover
-from twin.world.mesh.mesh import body_mesh, read_mesh, write_mesh
+from twin.world.mesh.mesh import read_mesh, write_mesh
 from twin.world.mesh.quality import enclosed_volume, jacobian_ratios, offsets, open_edges
 from twin.world.mesh.snap import boundary_triangles, signed_volumes
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from twin.parts.body import Block, Body, Finger
+from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.elements import tet_shapes
 from twin.world.mesh.interpolate import Locator
-from twin.world.mesh.mesh import body_mesh
 
 BODIES: list[Body] = [
     Block(width_mm=100, length_mm=90, thickness_mm=40),

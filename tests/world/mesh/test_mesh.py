@@ -10,12 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import twin.world.mesh.body_mesh
 import twin.world.mesh.build
-import twin.world.mesh.mesh
 from twin.errors import InputError, MeshError, TwinError
 from twin.parts.body import Block, Body, Finger
 from twin.places import MESHES
-from twin.world.mesh.mesh import Mesh, body_mesh, mesh_key, read_mesh, read_provenance, write_mesh
+from twin.world.mesh.body_mesh import body_mesh, mesh_key
+from twin.world.mesh.mesh import Mesh, read_mesh, read_provenance, write_mesh
 from twin.world.mesh.quality import check, enclosed_volume, offsets, quality
 from twin.world.mesh.sizing import Level, WantedEdge, default_sizing
 from twin.world.mesh.snap import quadratic, snapped
@@ -286,7 +287,7 @@ def test_a_new_body_is_built_once_then_cached_and_a_broken_cache_entry_is_mended
         mesh = small_mesh(jitter_mm=0.1)
         return mesh, quality(mesh, body)
 
-    monkeypatch.setattr(twin.world.mesh.mesh, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(twin.world.mesh.body_mesh, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(twin.world.mesh.build, "build_mesh", build)
     first = body_mesh(SMALL, "standard")
     assert body_mesh(SMALL, "standard").digest() == first.digest()
@@ -306,7 +307,7 @@ def test_shipped_bodies_need_no_mesher(tmp_path, monkeypatch):
     def build(*_: object, **__: object) -> None:
         raise AssertionError("the mesher was called")
 
-    monkeypatch.setattr(twin.world.mesh.mesh, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(twin.world.mesh.body_mesh, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(twin.world.mesh.build, "build_mesh", build)
     for name, body, level in SHIPPED:
         assert body_mesh(body, level).digest() == read_mesh(MESHES / f"{name}.{level}.npz").digest()
@@ -333,7 +334,7 @@ def test_a_build_gives_up_with_the_reason_when_no_try_is_good(monkeypatch):
 
 @pytest.mark.slow
 def test_a_real_build_through_the_guarded_mesher_passes_and_is_cached(tmp_path, monkeypatch):
-    monkeypatch.setattr(twin.world.mesh.mesh, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(twin.world.mesh.body_mesh, "cache_folder", lambda: tmp_path)
     body = Block(width_mm=10, length_mm=10, thickness_mm=6)
     lines: list[str] = []
     mesh = body_mesh(body, "nominal", rebuild=True, progress=lambda line, share: lines.append(line))
@@ -347,7 +348,7 @@ def test_a_real_build_through_the_guarded_mesher_passes_and_is_cached(tmp_path, 
 @pytest.mark.slow
 @pytest.mark.parametrize("body", [FINGER, Finger(radius_mm=6, barrel_mm=10, skirt_mm=1)], ids=["sato", "other"])
 def test_a_finger_is_rebuilt_within_the_gates(tmp_path, monkeypatch, body):
-    monkeypatch.setattr(twin.world.mesh.mesh, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(twin.world.mesh.body_mesh, "cache_folder", lambda: tmp_path)
     measured = check(body_mesh(body, "nominal", rebuild=True), body)
     assert abs(measured.volume_error) < 5e-5
 
@@ -361,7 +362,7 @@ def test_a_finger_is_rebuilt_within_the_gates(tmp_path, monkeypatch, body):
     ],
 )
 def test_a_shipped_mesh_is_stretched_to_another_size(body, monkeypatch, tmp_path):
-    monkeypatch.setattr("twin.world.mesh.mesh.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("twin.world.mesh.body_mesh.cache_folder", lambda: tmp_path)
     mesh = body_mesh(body, "coarse")
     assert not quality(mesh, body).failures()
     a, b, c, d = (mesh.points[mesh.tets[:, i]] for i in range(4))
@@ -373,7 +374,7 @@ def test_a_shipped_mesh_is_stretched_to_another_size(body, monkeypatch, tmp_path
     "body", [Block(width_mm=30, length_mm=90, thickness_mm=10), Finger(radius_mm=8, barrel_mm=12, skirt_mm=2)]
 )
 def test_what_no_stretched_mesh_fits_is_meshed(body, monkeypatch, tmp_path):
-    monkeypatch.setattr("twin.world.mesh.mesh.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("twin.world.mesh.body_mesh.cache_folder", lambda: tmp_path)
 
     def build(*arguments, **words):
         raise MeshError("asked for a mesh")
@@ -386,8 +387,8 @@ def test_what_no_stretched_mesh_fits_is_meshed(body, monkeypatch, tmp_path):
 def test_of_two_that_make_a_mesh_at_once_both_take_the_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Meshing isn't deterministic, so that answers would differ by the mesh's error."""
     body, made = Block(width_mm=6, length_mm=6, thickness_mm=6), []
-    monkeypatch.setattr(twin.world.mesh.mesh, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(twin.world.mesh.mesh, "_stretched", lambda body, level: None)
+    monkeypatch.setattr(twin.world.mesh.body_mesh, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(twin.world.mesh.body_mesh, "_stretched", lambda body, level: None)
 
     def build(body: Body, sizing: object, progress: object) -> tuple[Mesh, object]:
         mesh = read_mesh(MESHES / "kamiyama_block.nominal.npz")

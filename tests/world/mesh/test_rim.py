@@ -8,9 +8,9 @@ from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.tile import tile
+from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.elements import tet_quadrature, tet_shapes
 from twin.world.mesh.interpolate import Locator
-from twin.world.mesh.mesh import body_mesh
 from twin.world.mesh.rim import SHARE, drawn_to_rim, on_rim
 
 BODIES = {

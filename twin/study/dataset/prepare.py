@@ -60,7 +60,8 @@ def pin_meshes(scene: Scene, meta: Path, progress: Progress | None) -> None:
     from twin.study.sensor import Sensor
     from twin.world.elasticity.compliance import Compliance
     from twin.world.elasticity.tabulate import cached_path, find_table, shipped_path
-    from twin.world.mesh.mesh import body_mesh, mesh_file, mesh_key, shipped_mesh, write_mesh
+    from twin.world.mesh.body_mesh import body_mesh, mesh_file, mesh_key, shipped_mesh
+    from twin.world.mesh.mesh import write_mesh
     from twin.world.mesh.sizing import WORLD, default_sizing
 
     there = load_scene(meta / "scene.toml")
@@ -85,7 +86,7 @@ def pin_meshes(scene: Scene, meta: Path, progress: Progress | None) -> None:
 
 def finest_mesh_file(body: Body) -> str:
     """Return the name of the file of the body's finest mesh, which is there for bodies that ship with one."""
-    from twin.world.mesh.mesh import mesh_file, mesh_key
+    from twin.world.mesh.body_mesh import mesh_file, mesh_key
     from twin.world.mesh.sizing import WORLD, default_sizing
 
     return mesh_file(mesh_key(body, default_sizing(body, WORLD[-1])))

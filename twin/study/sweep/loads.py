@@ -28,7 +28,7 @@ from twin.study.sweep.sites import PAIRS
 if TYPE_CHECKING:
     from twin.world.elasticity.compliance import Compliance
     from twin.world.elasticity.table import Table
-    from twin.world.mesh.mesh import Level
+    from twin.world.mesh.sizing import Level
 
 REGION = 0.6
 """Half sides of the presses' region over those of the sites."""

@@ -44,9 +44,11 @@ from twin.world.elasticity.table import Basis, Table, TableAtNu
 from twin.world.elasticity.tables import Tables
 from twin.world.elasticity.tabulate import table_level
 from twin.world.elasticity.tile import require_on_surface
+from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.interpolate import Locator
-from twin.world.mesh.mesh import Level, Mesh, body_mesh
+from twin.world.mesh.mesh import Mesh
 from twin.world.mesh.rim import drawn_to_rim
+from twin.world.mesh.sizing import Level
 
 Method = Literal["subtracted", "direct"]
 

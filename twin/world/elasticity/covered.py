@@ -35,8 +35,9 @@ from twin.world.elasticity.known import Known
 from twin.world.elasticity.ladder import Answer
 from twin.world.elasticity.spread import patch_rests
 from twin.world.mesh.bisection import refined
+from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.extrude import with_cover
-from twin.world.mesh.mesh import Mesh, body_mesh
+from twin.world.mesh.mesh import Mesh
 from twin.world.mesh.rim import drawn_to_rim
 from twin.world.mesh.sizing import WORLD, Level
 

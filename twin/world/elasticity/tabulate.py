@@ -35,10 +35,11 @@ from twin.world.elasticity.correction import correction
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.solve import Solver
 from twin.world.elasticity.table import NU_RANGE, SIZES, Basis, Table
+from twin.world.mesh.body_mesh import body_mesh, mesh_key
 from twin.world.mesh.interpolate import Locator
-from twin.world.mesh.mesh import Level, Mesh, body_mesh, mesh_key
+from twin.world.mesh.mesh import Mesh
 from twin.world.mesh.rim import SHARE, drawn_to_rim
-from twin.world.mesh.sizing import default_sizing
+from twin.world.mesh.sizing import Level, default_sizing
 
 Role = Literal["truth", "check", "nominal"]
 ROLES: tuple[Role, ...] = ("truth", "check", "nominal")

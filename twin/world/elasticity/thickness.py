@@ -3,7 +3,7 @@
 In coordinates that are stretched with the block (a depth over the thickness) the rest w of a point force varies
 smoothly with the thickness, so that the coefficients of `twin.world.elasticity.table` do. They are interpolated between
 Chebyshev places of the range that is asked for. All tables come from one mesh that is stretched
-(`twin.world.mesh.mesh.body_mesh`), so that its error varies smoothly too, far below what the thickness changes.
+(`twin.world.mesh.body_mesh.body_mesh`), so that its error varies smoothly too, far below what the thickness changes.
 
 Validity: blocks of one width and length, ranges up to `WIDEST`; what `twin.world.elasticity.table` says. Where a table
 of a range is too inaccurate to be used (thin blocks) there is none between them either.

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twin.arrays import Floats, Ints, Points
 from twin.errors import MeshError
 from twin.parts.body import Body
+from twin.world.mesh.mesh import Mesh
 from twin.world.mesh.snap import EDGE_CORNERS, FACE_CORNERS, boundary_triangles, signed_volumes
-
-if TYPE_CHECKING:
-    from twin.world.mesh.mesh import Mesh
 
 LEAST_DIHEDRAL_DEG = 12.0
 LEAST_SCALED_JACOBIAN = 0.12
