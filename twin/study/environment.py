@@ -199,9 +199,12 @@ class Environment:
         if self._made is None:
             from twin.sense.track import Tracker
             from twin.study.calibrate import calibration_of
+            from twin.world.elasticity.compliance import Compliance
 
             sensor, scene = self.sensor, self.sensor.nominal
             calibration = calibration_of(sensor)
+            if isinstance(sensor.compliance, Compliance):
+                sensor.compliance.keep(sensor.actual.markers.points)
             self._made = calibration, Tracker(sensor.picture(None), sensor.layout_px, method=scene.tracking.method)
         return self._made
 

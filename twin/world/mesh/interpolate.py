@@ -21,6 +21,10 @@ HAIR, WITHIN = 5e-3, 1e-9
 """How far outside its element, over the element's size, a point may be read from it: beyond the body's own surface, as
 the true surface is that far from the mesh's, and beyond any other face, where a neighbour holds it."""
 
+FAR = -0.7
+"""A point whose smallest barycentric coordinate in an element would be less than this, were the element's edges
+straight, is not looked for in it any further."""
+
 FORGIVEN = 1e-6
 """How far outside the body, in mm, a point still counts as on its surface."""
 
@@ -140,7 +144,7 @@ def _search(points: Floats, near: Ints, nodes: Floats, tets: Ints, best: Ints, w
         for t in near[q]:
             if inside[q] >= -WITHIN:
                 break
-            if not _outside_ball(points[q], nodes, tets[t]):
+            if not _outside_ball(points[q], nodes, tets[t], place):
                 smallest = _invert_map(points[q], nodes, tets[t], place)
                 if smallest > inside[q]:
                     inside[q], best[q] = smallest, t
@@ -148,13 +152,17 @@ def _search(points: Floats, near: Ints, nodes: Floats, tets: Ints, best: Ints, w
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _outside_ball(point: Floats, nodes: Floats, tet: Ints) -> bool:
-    """Tell whether a point is farther from the element's centroid than 1.2 times its farthest corner."""
+def _outside_ball(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> bool:
+    """Tell whether a point is farther from the element's centroid, left in ``place``, than 1.2 times any corner."""
     reach, distance = 0.0, 0.0
-    centre = (nodes[tet[0]] + nodes[tet[1]] + nodes[tet[2]] + nodes[tet[3]]) / 4.0
+    for i in range(3):
+        place[i] = (nodes[tet[0], i] + nodes[tet[1], i] + nodes[tet[2], i] + nodes[tet[3], i]) / 4.0
+        distance += (point[i] - place[i]) ** 2
     for a in range(4):
-        reach = max(reach, np.sum((nodes[tet[a]] - centre) ** 2))
-    distance = np.sum((point - centre) ** 2)
+        square = 0.0
+        for i in range(3):
+            square += (nodes[tet[a], i] - place[i]) ** 2
+        reach = max(reach, square)
     return bool(distance > 1.44 * reach)
 
 
@@ -163,7 +171,7 @@ def _invert_map(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> float
     """Set ``place`` to where ``point`` is in the reference element (Newton); return its least barycentric share."""
     place[:] = 0.25
     residual, jac = np.empty(3), np.empty((3, 3))
-    for _ in range(12):
+    for turn in range(12):
         rest = 1.0 - place[0] - place[1] - place[2]
         residual[:], jac[:] = point, 0.0
         for a in range(4):
@@ -192,7 +200,8 @@ def _invert_map(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> float
         largest = _add_solution(jac, residual, place)
         if largest < 1e-12:
             break
-        if not np.max(np.abs(place)) <= 5.0:
+        smallest = min(1.0 - place[0] - place[1] - place[2], place[0], place[1], place[2])
+        if not smallest >= -5.0 or (turn == 0 and smallest < FAR):
             return -np.inf
     return float(min(1.0 - place[0] - place[1] - place[2], place[0], place[1], place[2]))
 
