@@ -7,6 +7,8 @@ import importlib.metadata
 import importlib.util
 import os
 import platform
+import subprocess
+import sys
 from dataclasses import dataclass
 
 from twin.errors import MissingCapability
@@ -14,6 +16,12 @@ from twin.places import MESHES, SCENES, cache_folder
 
 NEEDED = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pytetwild", "trimesh", "pyvista", "pydantic")
 OPTIONAL = {"pypardiso": "faster factorisation on x86-64: pip install 'tactile-twin[mkl]'"}
+
+GL = ("GL", "EGL")
+"""Looked for by loading them: the list that the system keeps of its libraries also has those that were taken away."""
+
+LOADING_S = 20.0
+"""How long a library is waited for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,13 +61,23 @@ def examine() -> Examination:
         except MissingCapability as problem:
             missing.append(str(problem))
         lines.append(f"solver      {', '.join(available_solvers())}")
-    has_gl = all(ctypes.util.find_library(name) for name in ("GL", "EGL"))
-    lines.append(f"GL          {'found' if has_gl else 'not found: only interactive 3-D windows need it'}")
+    lines.append(f"GL          {'found' if _loads(*GL) else 'not found: only interactive 3-D windows need it'}")
     lines.append(f"cache       {cache_folder()}")
     if not (SCENES.is_dir() and MESHES.is_dir()):
         missing.append(f"the recipes are not beside the package ({SCENES.parent}): install with pip install -e")
     lines.append(f"recipes     {SCENES.parent}")
     return Examination(lines=tuple(lines), missing=tuple(missing))
+
+
+def _loads(*names: str) -> bool:
+    """Tell whether libraries can be loaded: in a process of its own, as a broken one may end it."""
+    found = [ctypes.util.find_library(name) for name in names]
+    code = "import ctypes, sys\nfor name in sys.argv[1:]: ctypes.CDLL(name)"
+    command = [sys.executable, "-c", code, *(name for name in found if name)]
+    try:
+        return all(found) and subprocess.run(command, capture_output=True, timeout=LOADING_S).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
 
 
 def _version(name: str) -> str | None:

@@ -37,6 +37,25 @@ def test_several_workers_need_a_loopback(monkeypatch: pytest.MonkeyPatch) -> Non
         pass
 
 
+@pytest.mark.parametrize(
+    ("problem", "said"),
+    [(RuntimeError("Nanny failed to start."), "Nanny failed"), (OSError(11, "no processes left"), "no processes left")],
+)
+def test_workers_that_can_not_be_started_are_told_with_the_cause(
+    problem: Exception, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import distributed
+
+    from twin.study.batch import cluster
+
+    def failing(**options: object) -> None:
+        raise RuntimeError("Nanny failed to start.") from problem
+
+    monkeypatch.setattr(distributed, "LocalCluster", failing)
+    with pytest.raises(MissingCapability, match=f"2 worker processes .*{said}.*--workers 1"), cluster.workers_here(2):
+        pass
+
+
 @pytest.mark.slow
 def test_two_local_workers_make_the_same_bytes_as_one(tmp_path: Path) -> None:
     make(tmp_path / "one", 8)

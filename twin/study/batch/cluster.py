@@ -49,18 +49,33 @@ def workers_here(count: int) -> Iterator[Any]:
     Raises
     ------
     MissingCapability
-        This machine has no network to itself (127.0.0.1), by which they are talked to.
+        This machine has no network to itself (127.0.0.1), by which they are talked to, or no room for them.
     """
     import dask
     from distributed import LocalCluster
 
     _talks_to_itself()
     _configure(dask)
-    with LocalCluster(
-        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", memory_limit=0,
-        silence_logs=logging.CRITICAL, host=HERE,
-    ) as cluster:  # fmt: skip
+    try:
+        started = LocalCluster(
+            n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0", memory_limit=0,
+            silence_logs=logging.CRITICAL, host=HERE,
+        )  # fmt: skip
+    except (OSError, RuntimeError, TimeoutError) as problem:
+        raise MissingCapability(
+            f"{count} worker processes could not be started here ({_why(problem)}): see that there are enough "
+            "processes, memory, open files and room for temporary files, or take --workers 1"
+        ) from None
+    with started as cluster:
         yield cluster
+
+
+def _why(problem: BaseException) -> str:
+    """Return what the system said, if that lies under an error: dask's own says no more than that none did start."""
+    under: BaseException | None = problem
+    while under is not None and not isinstance(under, OSError):
+        under = under.__cause__ or under.__context__
+    return " ".join(str(under or problem).split()) or type(problem).__name__
 
 
 def _talks_to_itself() -> None:
