@@ -80,8 +80,7 @@ def run(quick: bool) -> list[dict[str, Any]]:
     names = ("kamiyama_pillar",) if quick else SCENES
     rows = []
     for name in names:
-        warm = load_scene(name)
-        _press(Sensor(warm))  # reads tables and compiles: no part of a press's time
+        _chain(load_scene(name))  # makes tables and calibrations and compiles: no part of a press's time
         rows += budget(name, 2 if quick else EXPOSURES)
     return [*rows, *(skipped(name, 2 if quick else EXPOSURES) for name in names)]
 
@@ -89,21 +88,8 @@ def run(quick: bool) -> list[dict[str, Any]]:
 def budget(name: str, exposures: int) -> list[dict[str, Any]]:
     """Return the rows of a scene."""
     scene = load_scene(name)
-    clock, seconds = Clock(), {}
-
-    def lap(stage: str) -> None:
-        seconds[stage] = seconds.get(stage, 0.0) + clock.lap().cpu
-
-    sensor = Sensor(scene)
-    press = _press(sensor, lap)
-    calibration = calibration_of(sensor)
-    lap("inverse model")
-    pictures = [_picture(sensor, press.light[number], number, noise=True) for number in (0, 1)]
-    lap("CCD noise")
-    found = track(*pictures, sensor.layout_px, method=scene.tracking.method)
-    lap("tracking")
-    _error(scene, found, calibration, press.force)
-    lap("regularisation")
+    press, calibration, found, seconds = _chain(scene)
+    sensor = press.sensor
     exact = _exact(press, found)
     perfect = _error(scene, exact, _own(sensor, calibration), press.force)
     told = _error(scene, exact, calibration, press.force)
@@ -125,6 +111,26 @@ def budget(name: str, exposures: int) -> list[dict[str, Any]]:
         }
         for stage, part in parts.items()
     ]  # fmt: skip
+
+
+def _chain(scene: Scene) -> tuple[Press, Calibration, Found, dict[str, float]]:
+    """Go through the whole chain once; return what comes of it, and the CPU seconds of each stage."""
+    clock, seconds = Clock(), dict[str, float]()
+
+    def lap(stage: str) -> None:
+        seconds[stage] = seconds.get(stage, 0.0) + clock.lap().cpu
+
+    sensor = Sensor(scene)
+    press = _press(sensor, lap)
+    calibration = calibration_of(sensor)
+    lap("inverse model")
+    pictures = [_picture(sensor, press.light[number], number, noise=True) for number in (0, 1)]
+    lap("CCD noise")
+    found = track(*pictures, sensor.layout_px, method=scene.tracking.method)
+    lap("tracking")
+    _error(scene, found, calibration, press.force)
+    lap("regularisation")
+    return press, calibration, found, seconds
 
 
 AUTO: dict[str, Any] = {"accuracy.displacement": "auto", "accuracy.contact_patches": "auto"}

@@ -105,7 +105,7 @@ def _processes(variant: Variant, pictures: int) -> list[dict[str, Any]]:
     ).stdout  # fmt: skip
     found = json.loads(told.splitlines()[-1])
     first = {"scene": "kamiyama_pillar", "method": f"first picture of a process, {variant.name}"}
-    many = {"scene": "160 x 120 px", "method": f"{pictures} pictures of a process, {variant.name}"}
+    many = {"scene": "64 x 48 px, 32 markers", "method": f"{pictures} pictures of a process, {variant.name}"}
     return [
         {**first, "milliseconds": found["first_ms"], "cpu_ms": found["first_cpu_ms"], "peak_mib": found["first_mib"]},
         {**many, "milliseconds": found["each_ms"], "cpu_ms": found["each_cpu_ms"], "peak_mib": found["last_mib"],

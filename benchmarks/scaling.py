@@ -1,4 +1,4 @@
-"""How the chain grows: CPU seconds over markers, sites, pixels and samples, and what more nodes add.
+"""How the chain grows: CPU seconds over markers, sites, pixels, samples and workers, and what more nodes add.
 
 One process and thread each, warmed up; the scene is the flat sensor's. ``exponent`` is the power of the size, by least
 squares in log-log axes over all rows of one stage. Unknowns of the mesh have a stage of their own (``growth``), whose
@@ -43,8 +43,14 @@ SITES = (6, 9, 13, 18)
 WIDTHS = (320, 640, 1280, 1920)
 """Picture widths; the view stays."""
 
-SAMPLES = (40, 160)
-"""Samples of the two datasets that nodes make."""
+SAMPLES = (100, 400, 1600)
+"""Of datasets that one process makes."""
+
+ON_NODES = (40, 440)
+"""Samples of the two datasets that nodes make: what the larger one takes more is a sample's, without any start."""
+
+NODES = (1, 2, 4)
+"""Workers, each a node of its own."""
 
 Row = dict[str, Any]
 
@@ -54,14 +60,16 @@ def run(quick: bool) -> list[Row]:
     with one_thread():
         rows = [
             *_markers(PITCHES[:2] if quick else PITCHES), *_sites(SITES[:2] if quick else SITES),
-            *_pixels(WIDTHS[:2] if quick else WIDTHS), *_unknowns(),
+            *_pixels(WIDTHS[:2] if quick else WIDTHS), *_unknowns(), *_samples(SAMPLES[:2] if quick else SAMPLES),
         ]  # fmt: skip
+    nodes = [] if quick else cluster()
+    rows += [row for row in nodes if "stage" in row]
     fitted = [
         {"axis": axis, "stage": stage, "exponent": exponent(mine, "cpu_ms")}
         for axis, stage in dict.fromkeys((row["axis"], row["stage"]) for row in rows)
         if len(mine := [{**r, "unknowns": r["size"]} for r in rows if (r["axis"], r["stage"]) == (axis, stage)]) > 1
     ]
-    return [*rows, *fitted, *([] if quick else cluster())]
+    return [*rows, *fitted, *(row for row in nodes if "stage" not in row)]
 
 
 def _timed(axis: str, size: int, stages: dict[str, Callable[[], object]], tries: int = 3) -> list[Row]:
@@ -147,23 +155,48 @@ def _unknowns() -> list[Row]:
     ]  # fmt: skip
 
 
+def _dataset(samples_per_shard: int) -> Scene:
+    """Return what the cheapest samples are made of: truth without pictures or friction."""
+    return load_scene(
+        "dataset_kamiyama",
+        {"dataset.columns": TRUTH, "dataset.samples_per_shard": samples_per_shard, **FRICTIONLESS},
+    )
+
+
+def _samples(counts: tuple[int, ...]) -> Iterator[Row]:
+    for turn, count in enumerate((counts[0], *counts)):
+        with tempfile.TemporaryDirectory(prefix="twin-benchmark-") as folder:
+            started = time.process_time()
+            create_dataset(_dataset(50), Path(folder) / "d", count)
+            spent = time.process_time() - started
+        if turn:  # the first one warms up
+            yield {"axis": "samples", "size": count, "stage": "dataset, one process", "cpu_ms": 1e3 * spent}
+
+
 def cluster() -> list[Row]:
-    """Return what one and two nodes spend on datasets of two sizes, and what many would do.
+    """Return what some nodes spend on datasets of two sizes, what of it a sample takes, and what many would do.
 
     A node spends a start and so much a sample, the head (client and scheduler) so much a sample for handing out and
     collecting: n nodes make ``samples_per_s`` n times one node's, as long as the head keeps up.
     """
     _on_nodes(1, 4)  # what the head does once: imports, the body's files
-    rows, spent = [], {}
-    for nodes in (1, 2):
-        for samples in SAMPLES:
-            head, each = _on_nodes(nodes, samples)
-            spent[nodes, samples] = head, sum(each)
-            rows.append({"axis": "nodes", "size": nodes, "samples": samples, "head_cpu_s": head,
-                         "nodes_cpu_s": [round(one, 2) for one in each]})  # fmt: skip
-    few, many = SAMPLES
-    head, node = (float(np.mean([spent[n, many][k] - spent[n, few][k] for n in (1, 2)])) / (many - few) for k in (0, 1))
-    start = float(np.mean([(spent[n, few][1] - few * node) / n for n in (1, 2)]))
+    rows, starts, heads, alls = list[Row](), list[float](), list[float](), list[float]()
+    few, many = ON_NODES
+    for nodes in NODES:
+        head, each = zip(*(_on_nodes(nodes, samples) for samples in ON_NODES), strict=True)
+        for k, samples in enumerate(ON_NODES):
+            rows.append({"axis": "nodes", "size": nodes, "samples": samples, "head_cpu_s": head[k],
+                         "nodes_cpu_s": [round(one, 2) for one in each[k]]})  # fmt: skip
+        heads.append((head[1] - head[0]) / (many - few))
+        alls.append((sum(each[1]) - sum(each[0])) / (many - few))
+        starts.append((sum(each[0]) - few * alls[-1]) / nodes)
+        told = {
+            "all workers, a sample": alls[-1],
+            "a worker, a sample of all": alls[-1] / nodes,
+            "head, a sample": heads[-1],
+        }
+        rows += [{"axis": "workers", "size": nodes, "stage": s, "cpu_ms": 1e3 * spent} for s, spent in told.items()]
+    head, node, start = (float(np.mean(of)) for of in (heads, alls, starts))
     most = node / head if head > 0 else float("inf")
     rows.append({"axis": "on paper", "start_s": start, "node_ms_a_sample": 1e3 * node,
                  "head_ms_a_sample": 1e3 * head, "nodes_kept_busy": most})  # fmt: skip
@@ -178,7 +211,7 @@ def _on_nodes(nodes: int, samples: int) -> tuple[float, list[float]]:
     """Return CPU seconds of the head (this process and the scheduler) and of each node for a dataset."""
     import psutil
 
-    scene = load_scene("dataset_kamiyama", {"dataset.columns": TRUTH, "dataset.samples_per_shard": 4, **FRICTIONLESS})
+    scene = _dataset(4)
     with (
         tempfile.TemporaryDirectory(prefix="twin-benchmark-") as folder,
         _cluster(nodes, Path(folder)) as (address, at),

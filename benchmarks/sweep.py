@@ -71,7 +71,8 @@ def run(quick: bool) -> list[dict[str, Any]]:
     if not quick:
         rows.append(_whole(1000))
         for name in SENSORS:
-            rows += [*ranked(name, 60).values(), *ranked(name, 60, even=True).values(), *agreement(name, 25)]
+            rows += [row for even in (False, True) for row in ranked(name, 60, even, CORES).values()]
+            rows += agreement(name, 25)
         return rows
     return rows + agreement("flat", 2, made=2, exposures=2, workers=1)
 
@@ -130,7 +131,7 @@ def _whole(count: int) -> dict[str, Any]:
     return _rate("closed form, linear information and page, two processes", count, cost.cpu, cost.wall)
 
 
-def ranked(name: str, count: int, even: bool = False) -> dict[str, dict[str, Any]]:
+def ranked(name: str, count: int, even: bool = False, workers: int = 1) -> dict[str, dict[str, Any]]:
     """Return by metric how the closed form ranks designs, at sites that are fine enough not to hold any back.
 
     In ``even`` light nothing shadows anything, as the closed form has it.
@@ -141,7 +142,7 @@ def ranked(name: str, count: int, even: bool = False) -> dict[str, dict[str, Any
     table = {**SENSORS[name], "set": {**SENSORS[name]["set"], **fine, **light}}
     table["loads"] = {**table["loads"], "size_mm": 1.0, "pair_mm": 2.0, "region_mm": [2.0, 2.0], "presses": PRESSES}
     with tempfile.TemporaryDirectory() as place:
-        done = run_sweep(*_sweep(table, count=count), Path(place))
+        done = run_sweep(*_sweep(table, count=count), Path(place), workers=workers)
     metrics = ("fwhm_mm", "two_point_mm", "resolution_gf")
     told = f"{name} in even light" if even else name
     return {metric: compared(done, "closed", "linear", metric, told) for metric in metrics}
