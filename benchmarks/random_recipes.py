@@ -263,7 +263,7 @@ def spoilt_values(slot: Slot) -> list[Any]:
         wrong.append({"unheard_of": 1})
     if not kinds & {tuple, object}:
         wrong.append([[[1]]])
-    rules = list(slot.field.metadata) + _nested_rules(slot.field.annotation)
+    rules = list(slot.field.metadata) + nested_rules(slot.field.annotation)
     low, high = bounds(rules)
     if kinds & {float, int} and not kinds & {object}:
         if slot.path[0] != "press" and not kinds & {int}:
@@ -293,11 +293,11 @@ def _literals(annotation: Any) -> bool:
     return typing.get_origin(annotation) is Literal
 
 
-def _nested_rules(annotation: Any) -> list[Any]:
+def nested_rules(annotation: Any) -> list[Any]:
     if typing.get_origin(annotation) is typing.Annotated:
         return _rules(typing.get_args(annotation)[1:])
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        return [rule for each in typing.get_args(annotation) for rule in _nested_rules(each)]
+        return [rule for each in typing.get_args(annotation) for rule in nested_rules(each)]
     return []
 
 
@@ -319,14 +319,14 @@ def spoilt(draw: Callable[[Strategy], Any], valid: Strategy) -> Spoilt:
     slot = chance.choice([s for s in slots(scene) if s.field is None or spoilt_values(s)])
     if slot.field is None:
         name = f"no_{chance.randrange(10**6)}"
-        _put(table, (*slot.path, name), 1)
+        put(table, (*slot.path, name), 1)
         return Spoilt(table, name, "unknown key")
     if slot.field.is_required() and chance.random() < 0.3:
         _drop(table, slot.path)
         return Spoilt(table, str(slot.path[-1]), "missing key")
     values = spoilt_values(slot)
     how = chance.choice(sorted({_how(v) for v in values}))
-    _put(table, slot.path, chance.choice([v for v in values if _how(v) == how]))
+    put(table, slot.path, chance.choice([v for v in values if _how(v) == how]))
     return Spoilt(table, str(slot.path[-1]), how)
 
 
@@ -338,7 +338,7 @@ def _how(value: Any) -> str:
     return {dict: "a table", list: "a list"}.get(type(value), "out of range")
 
 
-def _put(table: Table, path: tuple[Any, ...], value: Any) -> None:
+def put(table: Table, path: tuple[Any, ...], value: Any) -> None:
     _at(table, path[:-1])[path[-1]] = value
 
 

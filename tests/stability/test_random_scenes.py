@@ -20,6 +20,34 @@ from twin.study.recipe import dump_scene, load_scene
 from twin.study.sensor import Sensor
 from twin.study.sweep.noise import shift_bound
 
+FOUND = Path(__file__).parent / "found"
+AGAIN = "save the recipe as FILE: python -m benchmarks.random_scenes --again FILE; once mended, keep it in found/"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", sorted(FOUND.glob("*.toml")), ids=lambda file: file.stem)
+def test_what_random_scenes_found_stays_mended(file: Path) -> None:
+    assert check_valid(tomllib.loads(file.read_text()), Tally())
+
+
+def test_what_is_drawn_depends_on_the_seed_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not on numbers in the sources of what is imported: every change of the program would draw other scenes."""
+    drawn: list[str] = []
+
+    def keep(recipe: Any, tally: Tally) -> str:
+        drawn.append(random_scenes.shown(recipe))
+        return "kept"
+
+    survey(recipes(), keep, 20, seed=1)
+
+    def asked(*arguments: Any, **settings: Any) -> None:
+        raise AssertionError("numbers of the sources are drawn")
+
+    monkeypatch.setattr(random_scenes.HypothesisProvider, "_maybe_draw_constant", asked)
+    assert survey(recipes(), keep, 20, seed=1).outcomes == {"kept": 20}
+    assert len(drawn) == 40
+    assert drawn[:20] == drawn[20:]
+
 
 @pytest.mark.parametrize("count", [20, pytest.param(200, marks=pytest.mark.slow)])
 def test_spoilt_recipes_are_refused_with_file_and_key(count: int) -> None:
@@ -33,7 +61,7 @@ def test_spoilt_recipes_are_refused_with_file_and_key(count: int) -> None:
 def test_random_scenes_are_computed_or_refused_with_a_cause() -> None:
     """Two hundred, or as many as five minutes allow: with nothing in the cache every body's first scene meshes it."""
     tally = survey(recipes(), check_valid, 200, seed=1, most_s=300.0)
-    assert tally.outcomes["failed"] == 0, tally.smallest_failure
+    assert tally.outcomes["failed"] == 0, f"{tally.smallest_failure}\n{AGAIN}"
     drawn = sum(tally.outcomes.values()) - tally.outcomes[LEFT_OUT]
     done = sum(n for what, n in tally.outcomes.items() if what.startswith("computed"))
     assert drawn >= 5

@@ -60,7 +60,7 @@ def test_one_scene_is_ten_lines_long() -> None:
     [
         ("material.poisson_ratio", 0.7, ["material.poisson_ratio", "0.7", "-0.5 to 0.5"]),
         ("material.poisson_ratio", float("nan"), ["material.poisson_ratio", "nan", "finite"]),
-        ("markers.red.depth_mm", -1, ["markers.red.depth_mm", "-1 mm", "greater than 0 mm", "0 to 100 mm"]),
+        ("markers.red.depth_mm", -1, ["markers.red.depth_mm", "-1 mm", "0.000001 mm", "1e-06 to 100 mm"]),
         ("markers.red.depht_mm", 1, ["markers.red.depht_mm", "did you mean 'depth_mm'"]),
         ("cmaera.width_px", 4, ["cmaera", "did you mean 'camera'"]),
         ("press.friction", -0.3, ["press.friction", "-0.3", "0 (frictionless)"]),

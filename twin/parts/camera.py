@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from twin.parts.part import Part
+from twin.parts.ranges import LEAST_MM, Angle, Coefficient, Pixel, Place
 
 Lens = Literal["pinhole", "equidistant"]
 """What each makes of an angle is in `twin.theory.lens`."""
@@ -27,7 +28,7 @@ class Layer(Part):
     """
 
     index: float = Field(ge=1, le=3)
-    thickness_mm: float = Field(gt=0, le=1000)
+    thickness_mm: float = Field(ge=LEAST_MM, le=1000)
 
 
 class Camera(Part):
@@ -68,13 +69,13 @@ class Camera(Part):
     lens: Lens = "pinhole"
     focal_px: float = Field(gt=1, le=1e6)
     aspect: float = Field(default=1.0, gt=0.1, lt=10)
-    principal_px: tuple[float, float] | None = None
-    distortion: tuple[float, ...] = (0.0, 0.0)
+    principal_px: tuple[Pixel, Pixel] | None = None
+    distortion: tuple[Coefficient, ...] = (0.0, 0.0)
     vignetting: float = Field(default=0.0, ge=0, le=20)
     aperture_mm: float = Field(default=0.0, ge=0, le=50)
-    focus_z_mm: float = 0.0
-    pupil_mm: tuple[float, float, float]
-    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    focus_z_mm: Place = 0.0
+    pupil_mm: tuple[Place, Place, Place]
+    tilt_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     layers: tuple[Layer, ...] = ()
 
     @model_validator(mode="after")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from twin.parts.load import Load, Traction
 from twin.parts.part import Part
+from twin.parts.ranges import Force, Place, Size
 
-Vector = tuple[float, float, float]
+Spot = tuple[Place, Place] | tuple[Place, Place, Place]
 
 
 class Footprint(Part):
@@ -33,11 +34,11 @@ class Footprint(Part):
     """
 
     kind: Literal["rectangle", "disk", "bump", "twist"] = "disk"
-    centre_mm: tuple[float, float] | Vector = (0.0, 0.0)
-    size_mm: tuple[float, float] | None = None
-    radius_mm: float | None = Field(default=None, gt=0, le=1000)
-    force_n: Vector | None = None
-    torque_nmm: float | None = None
+    centre_mm: Spot = (0.0, 0.0)
+    size_mm: tuple[Size, Size] | None = None
+    radius_mm: Size | None = None
+    force_n: tuple[Force, Force, Force] | None = None
+    torque_nmm: Force | None = None
 
     @model_validator(mode="after")
     def _of_one_kind(self) -> Footprint:

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from twin.arrays import Floats, Points
 from twin.parts.part import Part
+from twin.parts.ranges import Place
 
 
 class Light(Part):
@@ -30,7 +31,7 @@ class Light(Part):
         Share of the brightness that comes from all sides (scattering in the body), 0 to 1.
     """
 
-    positions_mm: tuple[tuple[float, float, float], ...] = Field(min_length=1, max_length=64)
+    positions_mm: tuple[tuple[Place, Place, Place], ...] = Field(min_length=1, max_length=64)
     exponent: float = Field(default=1.0, ge=0, le=50)
     profile: tuple[tuple[float, float], ...] | None = None
     radius_mm: float = Field(default=0.0, ge=0, le=50)

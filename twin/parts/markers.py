@@ -14,6 +14,7 @@ from twin.errors import RecipeError
 from twin.parts.body import Body
 from twin.parts.grid import grid_axes, grid_chart
 from twin.parts.part import Part
+from twin.parts.ranges import LEAST_MM, Place, Share
 
 
 class MarkerLayer(Part):
@@ -43,13 +44,13 @@ class MarkerLayer(Part):
     """
 
     kind: Literal["bead", "print"] = "bead"
-    depth_mm: float = Field(gt=0, le=100)
-    pitch_mm: float = Field(gt=0, le=100)
-    diameter_mm: float = Field(gt=0, le=20)
+    depth_mm: float = Field(ge=LEAST_MM, le=100)
+    pitch_mm: float = Field(ge=LEAST_MM, le=100)
+    diameter_mm: float = Field(ge=LEAST_MM, le=20)
     columns: int = Field(ge=1, le=200)
     rows: int = Field(ge=1, le=200)
-    offset_mm: tuple[float, float] = (0.0, 0.0)
-    colour: tuple[float, float, float]
+    offset_mm: tuple[Place, Place] = (0.0, 0.0)
+    colour: tuple[Share, Share, Share]
     stiff: bool = False
 
     @model_validator(mode="after")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from twin.parts.part import Part
+from twin.parts.ranges import LEAST_MM, LEAST_MPA, Share
 
 
 class Material(Part):
@@ -20,7 +21,7 @@ class Material(Part):
         Of the transparent rubber, for the camera's rays.
     """
 
-    youngs_modulus_mpa: float = Field(default=1.0, gt=0, le=1e6)
+    youngs_modulus_mpa: float = Field(default=1.0, ge=LEAST_MPA, le=1e6)
     poisson_ratio: float = Field(default=0.5, ge=-0.5, le=0.5)
     refractive_index: float = Field(default=1.41, ge=1, le=3)
 
@@ -41,8 +42,8 @@ class Cover(Part):
         Its own modulus, MPa, and Poisson's ratio; those of the body if not given.
     """
 
-    thickness_mm: float = Field(default=0.2, gt=0, le=5)
-    albedo: tuple[float, float, float] = (0.03, 0.03, 0.03)
+    thickness_mm: float = Field(default=0.2, ge=LEAST_MM, le=5)
+    albedo: tuple[Share, Share, Share] = (0.03, 0.03, 0.03)
     deforms: bool = False
-    youngs_modulus_mpa: float | None = Field(default=None, gt=0, le=1e6)
+    youngs_modulus_mpa: float | None = Field(default=None, ge=LEAST_MPA, le=1e6)
     poisson_ratio: float | None = Field(default=None, ge=-0.5, le=0.5)

@@ -10,6 +10,7 @@ from twin.arrays import Chart, Floats
 from twin.parts.grid import grid_axes, grid_chart
 from twin.parts.methods import Method
 from twin.parts.part import Part
+from twin.parts.ranges import LEAST_MM
 
 
 class Sites(Part):
@@ -23,7 +24,7 @@ class Sites(Part):
 
     columns: int = Field(ge=1, le=64)
     rows: int = Field(ge=1, le=64)
-    pitch_mm: float = Field(gt=0, le=50)
+    pitch_mm: float = Field(ge=LEAST_MM, le=50)
 
     def axes(self) -> tuple[Floats, Floats]:
         """Return the s and the t of the grid, mm."""
@@ -81,7 +82,7 @@ class Calibration(Part):
     file: str | None = None
     presses: Sites | None = None
     press_force_n: float = Field(default=0.980665, gt=0, le=100)
-    press_probe_mm: float = Field(default=3.0, gt=0, le=100)
+    press_probe_mm: float = Field(default=3.0, ge=LEAST_MM, le=100)
     load_cell_n: float = Field(default=0.005, ge=0, le=1)
 
 

@@ -21,12 +21,16 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 from twin.arrays import Floats, frozen
 from twin.parts.part import Part
 from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere, Stl
+from twin.parts.ranges import Angle, Force, Place
 
 __all__ = ["Cone", "Cylinder", "Pillar", "Press", "Probe", "Sphere", "Step", "Stl"]
 
 Component = float | None
 Triple = tuple[Component, Component, Component]
 Vector = tuple[float, float, float]
+Forces = tuple[Force | None, Force | None, Force | None]
+Moves = tuple[Place | None, Place | None, Place | None]
+Turns = tuple[Angle | None, Angle | None, Angle | None]
 
 LARGEST_TURN_DEG = 60.0
 """How far a probe may be tilted against its direction of approach."""
@@ -58,10 +62,10 @@ class Step(Part):
         (`twin.world.contact.gap`).
     """
 
-    force_n: Triple = (None, None, None)
-    move_mm: Triple = (None, None, None)
-    torque_nmm: float | Triple | None = None
-    turn_deg: float | Triple | None = None
+    force_n: Forces = (None, None, None)
+    move_mm: Moves = (None, None, None)
+    torque_nmm: Force | Forces | None = None
+    turn_deg: Angle | Turns | None = None
 
     _tables = field_validator("force_n", "move_mm", "torque_nmm", "turn_deg", mode="before")(_triple)
 
@@ -108,7 +112,8 @@ def frame_of(direction: Vector) -> Floats:
 
     x is the global x made perpendicular to z; where the probe comes along the global x, it is the global y.
     """
-    along = np.array(direction, float) / np.linalg.norm(direction)
+    along = np.array(direction, float) / np.max(np.abs(direction))  # of any length, also one whose square is no number
+    along = along / np.linalg.norm(along)
     first = np.array([1.0, 0.0, 0.0]) if abs(along[0]) < 0.999 else np.array([0.0, 1.0, 0.0])
     first = first - (first @ along) * along
     first = first / np.linalg.norm(first)
@@ -143,13 +148,13 @@ class Press(Part):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True, validate_default=True)
 
     probe: Probe
-    at_mm: tuple[float, float] | Vector = (0.0, 0.0)
+    at_mm: tuple[Place, Place] | tuple[Place, Place, Place] = (0.0, 0.0)
     direction: Vector | Literal["normal"] | None = None
-    tilt_deg: Vector = (0.0, 0.0, 0.0)
+    tilt_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     axes: Literal["global", "probe"] = "global"
     steps: tuple[Step, ...] = ()
-    force_n: Triple | None = None
-    indentation_mm: float | None = None
+    force_n: Forces | None = None
+    indentation_mm: Place | None = None
     friction: float = 0.0
     also: tuple[Press, ...] = Field(default=(), max_length=7)
 

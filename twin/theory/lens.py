@@ -62,6 +62,8 @@ RADIAL: dict[str, Radial] = {
 
 _ITERATIONS = 60
 _NEWTON = 20
+_NONE = 1e-30
+"""A coefficient this small bends nothing, and quotients of such overflow."""
 
 
 def lens(towards: Points, camera: Camera) -> Pixels:
@@ -147,7 +149,7 @@ def _to_pixels(flat: Floats, camera: Camera) -> Pixels:
 
 def _polynomials(camera: Camera) -> tuple[np.polynomial.Polynomial, np.polynomial.Polynomial]:
     """Return numerator and denominator of the radial stretch in the squared radius."""
-    told = [*camera.distortion, *[0.0] * 8][:8]
+    told = [k if abs(k) > _NONE else 0.0 for k in [*camera.distortion, *[0.0] * 8][:8]]
     if camera.lens == "equidistant":
         return np.polynomial.Polynomial([1.0, *told[:4]]), np.polynomial.Polynomial([1.0])
     k1, k2, _, _, k3, k4, k5, k6 = told

@@ -88,7 +88,7 @@ def test_what_only_a_press_tells_is_refused_or_left_out(tmp_path: Path) -> None:
     [
         ({"kind": "disk", "force_n": (0, 0, 1)}, "needs radius_mm"),
         ({"kind": "rectangle", "radius_mm": 1, "force_n": (0, 0, 1)}, "needs size_mm"),
-        ({"kind": "rectangle", "size_mm": (1, 0), "force_n": (0, 0, 1)}, "greater than 0"),
+        ({"kind": "rectangle", "size_mm": (1, 0), "force_n": (0, 0, 1)}, "size_mm.1 = 0"),
         ({"kind": "twist", "radius_mm": 1, "force_n": (0, 0, 1)}, "needs torque_nmm"),
         ({"kind": "bump", "radius_mm": 1, "torque_nmm": 1}, "needs force_n"),
         ({"kind": "bump", "radius_mm": -1, "force_n": (0, 0, 1)}, "radius_mm"),

@@ -456,7 +456,7 @@ def test_a_cone_that_sinks_to_its_base_is_told() -> None:
 @pytest.mark.parametrize(
     ("words", "given"),
     [
-        ("greater than 0", {"probe": {"kind": "cone", "apex_deg": 90, "diameter_mm": 0}}),
+        ("diameter_mm = 0 mm", {"probe": {"kind": "cone", "apex_deg": 90, "diameter_mm": 0}}),
         ("edge_mm", {"probe": {"kind": "cylinder", "diameter_mm": 2, "edge_mm": 1.5}}),
         ("as wide as the base", {"probe": {"kind": "cone", "apex_deg": 90, "diameter_mm": 2, "tip_mm": 2}}),
         ("0 .frictionless. or more", {"friction": -0.1}),
@@ -466,7 +466,7 @@ def test_a_cone_that_sinks_to_its_base_is_told() -> None:
         ("as many", {"also": ({"probe": BALL, "steps": (Step(move_mm={"z": 1}), Step())},)}),
         ("both given about x", {"steps": ({"force_n": {"z": 1}, "turn_deg": {"x": 1}, "torque_nmm": {"x": 1}},)}),
         ("can't be read", {"probe": {"kind": "stl", "file": "nowhere.stl"}}),
-        ("must be finite", {"also": ({"probe": BALL, "at_mm": (math.nan, 0), "indentation_mm": 1},)}),
+        ("finite number", {"also": ({"probe": BALL, "at_mm": (math.nan, 0), "indentation_mm": 1},)}),
     ],
 )
 def test_recipes_that_are_refused(words: str, given: dict[str, object]) -> None:

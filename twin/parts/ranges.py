@@ -1,0 +1,31 @@
+"""Ranges that many keys share: wider than any sensor needs, and narrow enough that their squares are still numbers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+Place = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
+"""A coordinate or a motion, mm: ten metres either way."""
+
+Force = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+"""A component of a force or of a torque, N or N mm."""
+
+Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+"""Degrees."""
+
+Share = Annotated[float, Field(ge=0, le=1)]
+"""Of light: reflectances and shares of a colour."""
+
+Size = Annotated[float, Field(ge=1e-6, le=1000)]
+"""A length that something is wide, mm: from a nanometre."""
+
+Pixel = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+"""A coordinate in a picture, px."""
+
+Coefficient = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+"""Of a lens's distortion, whatever its power."""
+
+LEAST_MM, LEAST_MPA = 1e-6, 1e-6
+"""The least length and the least stiffness: a nanometre, one pascal."""
