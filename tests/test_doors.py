@@ -20,7 +20,7 @@ HOMES = {
     "pytetwild": {"world/mesh/tetrahedralise.py"},
     "pypardiso": {"world/elasticity/solve.py"},
     "scipy.sparse.linalg": {"world/elasticity/solve.py"},
-    "pyvista": {"world/mesh/export.py"},
+    "pyvista": {"world/mesh/export.py", "show/window.py"},
     "trimesh": {"world/mesh/surface.py"},
     "numba": {"compiled.py", "world/picture/threads.py"},
     "pickle": set(),

@@ -32,6 +32,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["run", "FOLDER"], "is a folder"),
         (["view", "FOLDER"], "holds neither scene.toml"),
         (["view", "kamiyama_pillar", "--out", "x.pdf"], "allowed are .html for a page, .gif and .png for a film"),
+        (["view", "kamiyama_pillar", "--window", "--out", "x.html"], "leave --out, or --window, away"),
         (["view", "kamiyama_pillar", "--out", "FILE/x.html"], "FILE: the output folder can't be made"),
         (["mesh", "sato_press", "--mend"], "See: twin mesh --help"),
         (["run", "kamiyama_pillar", "more"], "what is 'more'? The command takes no more"),

@@ -16,6 +16,15 @@ def environment() -> twin.Environment:
     return twin.Environment(twin.load_scene("kamiyama_pillar", QUICK))
 
 
+def test_what_is_known_of_the_markers_outlives_many_contacts(environment: twin.Environment) -> None:
+    environment.step(None)
+    compliance, points = environment.sensor.compliance, environment.sensor.actual.markers.points
+    known = compliance._memory.of(points)
+    for count in range(20):  # more sets of points than are remembered
+        compliance._memory.of(points + 1e-6 * (count + 1))
+    assert compliance._memory.of(points) is known
+
+
 def test_it_feels_the_force_of_a_load_where_it_is(environment: twin.Environment) -> None:
     load = twin.Traction.disk(centre_mm=(3, -2), radius_mm=2.5, force_n=(0.3, 0, 2.0))
     seen = environment.step(load)

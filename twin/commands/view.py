@@ -19,6 +19,7 @@ def view(
         Path | None,
         Parameter(help="Page to write (default: view.html in the folder; DATASET.html here), or a film: .gif or .png."),
     ] = None,
+    window: Annotated[bool, Parameter(negative="", help="Open a window (needs a display and OpenGL).")] = False,
     set_: Overrides = (),
 ) -> None:
     """Write a page that shows a body under its press and turns in the browser, without a server.
@@ -28,15 +29,23 @@ def view(
 
     An --out that ends in .gif or .png is an animated picture instead: what the camera sees along the path.
 
+    With --window the same is shown in a window, with sliders for the step and for how large displacements are shown.
+
     Of a dataset it shows a sheet of samples, with the truth drawn in.
 
     Examples:
     twin view kamiyama_shear
     twin view out/kamiyama_pillar
     twin view kamiyama_shear --out shear.gif
+    twin view kamiyama_shear --window
     """
     folder = Path(path)
-    if (folder / "meta" / "info.json").is_file():
+    is_dataset = (folder / "meta" / "info.json").is_file()
+    if window and (out is not None or is_dataset):
+        from twin.errors import InputError
+
+        raise InputError("--window shows a scene or a run's folder, and writes nothing: leave --out, or --window, away")
+    if is_dataset:
         from twin.study.dataset.view import view_dataset
 
         print(view_dataset(folder, out or Path(f"{folder.name or 'dataset'}.html")))
@@ -53,8 +62,18 @@ def view(
     if page.suffix.lower() not in {*PAGES, *KINDS}:
         raise InputError(f"--out {page}: allowed are .html for a page, {' and '.join(sorted(KINDS))} for a film")
     scene = load(str(folder / "scene.toml") if folder.is_dir() else path, set_)
-    make_folder(page.parent)
     told = progress()
+    if window:
+        from twin.show.window import require_window, show_body
+        from twin.study.view import body_view
+
+        require_window()
+        shown = body_view(Sensor(scene, told))
+        if told is not None:
+            told("done", 1.0)
+        show_body(shown)
+        return
+    make_folder(page.parent)
     if page.suffix.lower() in KINDS:
         print(write_film(Sensor(scene, told), page))
     else:

@@ -80,7 +80,7 @@ class BodyView:
 def body_page(view: BodyView) -> str:
     """Return the page."""
     names = list(view.layer_radius_mm)
-    middle, zoom = _home(view)
+    middle, zoom = home(view)
     data = {
         "middle": middle,
         "zoom": zoom,
@@ -97,7 +97,7 @@ def body_page(view: BodyView) -> str:
     )
 
 
-def _home(view: BodyView) -> tuple[list[float], float]:
+def home(view: BodyView) -> tuple[list[float], float]:
     """Return the point to look at, mm, and how near: the whole body, or what happens where that is a small part."""
     low, high = view.corner_mm.min(axis=0), view.corner_mm.max(axis=0)
     inside = np.concatenate([view.marker_mm, *(frame.patch_mm.reshape(-1, 3) for frame in view.frames)])
