@@ -6,6 +6,7 @@ import io
 import json
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -68,6 +69,39 @@ def test_an_interrupted_dataset_ends_with_the_same_bytes(made: Path, tmp_path: P
     (folder / "data" / "part-00000.parquet").write_bytes(b"damaged")
     assert make(folder).made == 4
     assert contents(folder) == contents(made)
+
+
+def test_what_was_damaged_later_is_made_again_and_never_taken_for_whole(made: Path, tmp_path: Path) -> None:
+    """Files that still open, so that only their checksums tell; and those that no checksum of a shard covers."""
+    folder = tmp_path / "d"
+    shutil.copytree(made, folder)
+    path = folder / "data" / "part-00001.parquet"
+    whole = bytearray(path.read_bytes())
+    whole[len(whole) // 3] ^= 1
+    path.write_bytes(whole)
+    pq.read_schema(path)
+    (folder / "sensors" / "part-00000.parquet").unlink()
+    scene = folder / "meta" / "scene.toml"
+    scene.write_text(scene.read_text().replace("poisson_ratio = 0.5", "poisson_ratio = 0.4"))
+    (folder / "meta" / "audit.json").write_text('{"of": 4')
+    assert make(folder).made == 4
+    assert contents(folder) == contents(made)
+    mesh = next((folder / "meta").glob("mesh-*.npz"))
+    mesh.write_bytes(mesh.read_bytes() + b"x")
+    with pytest.raises(InputError, match=f"{mesh.name}: changed since the dataset was begun"):
+        make(folder)
+    assert make(made).made == 0
+
+
+def test_a_body_without_markers_is_no_trouble_and_columns_that_are_always_there_may_be_named(tmp_path: Path) -> None:
+    folder = tmp_path / "d"
+    vary = {"press.at_mm": {"low": [-3.0, -2.0], "high": [3.0, 2.0]}}
+    press = {"probe": {"kind": "sphere", "diameter_mm": 6.0}, "force_n": [0.0, 0.0, 0.5], "friction": 0.0}
+    columns = ["index", "force_n", "marker_displacement_mm"]
+    scene = twin.load_scene("block_bare", {"press": press, "vary": vary, "dataset.columns": columns})
+    assert make(folder, 2, scene).failed == 0
+    assert twin.open_dataset(folder)[1]["marker_displacement_mm"].shape == (0, 3)
+    assert "no columns whose forces should balance, no columns to project" in check_path(str(folder))[-1]
 
 
 def test_a_larger_dataset_begins_with_the_smaller_one(made: Path, tmp_path: Path) -> None:

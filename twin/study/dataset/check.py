@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.errors import InputError, RecipeError
 from twin.parts.camera import Camera
-from twin.study.dataset.finish import sums
+from twin.study.dataset.finish import listed, sums
 from twin.study.dataset.plan import Places
 from twin.study.dataset.prepare import read_info
 from twin.study.dataset.reader import DatasetReader, readable
@@ -33,10 +33,9 @@ def check_dataset(folder: Path) -> list[str]:
     """
     places = Places(folder)
     told = read_info(places)
-    listed = places.meta / "SHA256SUMS"
-    if not listed.is_file():
+    if not places.sums.is_file():
         raise InputError(f"{folder}: has no meta/SHA256SUMS, so it was not finished; give the same command again")
-    problems = _checksums(folder, listed)
+    problems = _checksums(places)
     if problems:
         raise RecipeError(problems, str(folder))
     reader = DatasetReader(folder)
@@ -45,7 +44,8 @@ def check_dataset(folder: Path) -> list[str]:
         raise RecipeError(problems, str(folder))
     rows = np.unique(np.linspace(0, len(reader) - 1, min(ROWS, len(reader))).astype(int))
     lines, failed = [f"{folder}: {len(reader)} rows, checksums and schema ok"], 0
-    balance = seen = 0.0
+    balances: list[float] = []
+    misses: list[float] = []
     base_z_mm = load_scene(places.meta / "scene.toml").body.base_z_mm
     for row in rows:
         sample = reader[int(row)]
@@ -53,25 +53,21 @@ def check_dataset(folder: Path) -> list[str]:
             failed += 1
             continue
         problems += _finite(sample, int(row))
-        balance = max(balance, _imbalance(sample))
-        seen = max(seen, _misprojection(sample, reader, base_z_mm))
-    if balance > BALANCE_N:
+        balances += _imbalances(sample)
+        misses += _misprojections(sample, reader, base_z_mm)
+    if (balance := max(balances, default=0.0)) > BALANCE_N:
         problems.append(f"forces: patches or sites sum to {balance:.2g} N away from force_n (allowed {BALANCE_N:g} N)")
-    if seen > PROJECTION_PX:
-        problems.append(f"pixels: {seen:.2g} px away from the projected places (allowed {PROJECTION_PX:g} px)")
+    if (miss := max(misses, default=0.0)) > PROJECTION_PX:
+        problems.append(f"pixels: {miss:.2g} px away from the projected places (allowed {PROJECTION_PX:g} px)")
     if problems:
         raise RecipeError(problems, str(folder))
-    lines.append(
-        f"{len(rows)} rows read: forces balance to {balance:.1e} N, projection to {seen:.1e} px, {failed} failed"
-    )
-    return lines
+    forces = f"forces balance to {balance:.1e} N" if balances else "no columns whose forces should balance"
+    pixels = f"projection to {miss:.1e} px" if misses else "no columns to project"
+    return [*lines, f"{len(rows)} rows read: {forces}, {pixels}, {failed} failed"]
 
 
-def _checksums(folder: Path, listed: Path) -> list[str]:
-    text = listed.read_text(errors="replace")
-    lines = [line.split("  ", 1) for line in text.splitlines() if "  " in line]
-    wanted = {name: digest for digest, name in lines}
-    found = sums(folder)
+def _checksums(places: Places) -> list[str]:
+    wanted, found = listed(places), sums(places.folder)
     problems = [f"{name}: missing" for name in sorted(set(wanted) - set(found))]
     problems += [f"{name}: not in SHA256SUMS" for name in sorted(set(found) - set(wanted))]
     changed = [name for name in sorted(set(found) & set(wanted)) if found[name] != wanted[name]]
@@ -113,20 +109,23 @@ def _finite(sample: dict[str, object], row: int) -> list[str]:
     ]
 
 
-def _imbalance(sample: dict[str, np.ndarray]) -> float:
-    if "force_n" not in sample:
-        return 0.0
+def _imbalances(sample: dict[str, np.ndarray]) -> list[float]:
+    """Return how far patches and sites, where they are kept, are from summing to the total force."""
+    if sample.get("force_n") is None:
+        return []
     names = [name for name in ("surface_force_n", "site_force_n") if sample.get(name) is not None]
-    return max((float(np.abs(sample[name].sum(axis=0) - sample["force_n"]).max()) for name in names), default=0.0)
+    return [float(np.abs(sample[name].sum(axis=0) - sample["force_n"]).max()) for name in names]
 
 
-def _misprojection(sample: dict[str, np.ndarray], reader: DatasetReader, base_z_mm: float) -> float:
-    """Project the displaced markers through the sensor's own camera."""
+def _misprojections(sample: dict[str, np.ndarray], reader: DatasetReader, base_z_mm: float) -> list[float]:
+    """Project the displaced markers, where they are kept, through the sensor's own camera."""
     if not {"marker_pressed_px", "marker_displacement_mm"} <= sample.keys():
-        return 0.0
+        return []
     sensor = reader.sensor(int(sample["sensor"]))
     actual = json.loads(sensor["actual"])
     camera = Camera.model_validate(actual["camera"])
     points = sensor["marker_rest_mm"] + sample["marker_displacement_mm"]
+    if not len(points):
+        return []
     pixels = project(points, camera, actual["material"]["refractive_index"], base_z_mm)
-    return float(np.abs(pixels - sample["marker_pressed_px"]).max())
+    return [float(np.abs(pixels - sample["marker_pressed_px"]).max())]

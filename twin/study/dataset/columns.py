@@ -109,14 +109,18 @@ SENSOR = (
 
 
 def chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
-    """Return the sample columns of these names, in their one order; if there are none all that the scene has.
+    """Return the sample columns of these names, in their one order; if none is named all that the scene has.
+
+    Those that are always there may be named too.
 
     Raises
     ------
     RecipeError
         A name is unknown, or the scene lacks what it needs.
     """
-    wanted = list(dict.fromkeys(names))
+    asked = list(dict.fromkeys(names))
+    always = {column.name for column in ALWAYS}
+    wanted = [name for name in asked if name not in always]
     has: set[Need] = {"load", "motion"}
     if not scene.tractions:
         has.add("contact")
@@ -139,7 +143,7 @@ def chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
             problems.append(f"columns: '{name}' needs a {table} table, which this scene lacks")
     if problems:
         raise RecipeError(problems)
-    return tuple(c for c in SAMPLE if (c.name in wanted if wanted else _available(c, scene, has) and not c.by_name))
+    return tuple(c for c in SAMPLE if (c.name in wanted if asked else _available(c, scene, has) and not c.by_name))
 
 
 def _available(column: Column, scene: Scene, has: set[Need]) -> bool:

@@ -19,7 +19,7 @@ from twin.progress import Progress
 from twin.results import make_folder, write_whole
 from twin.study.batch.engine import Done, Job, Pool, reach
 from twin.study.batch.lock import only_writer
-from twin.study.dataset.finish import finish
+from twin.study.dataset.finish import drop_changed, finish
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import job_of, prepare, resumed
 
@@ -101,6 +101,7 @@ def create_dataset(
             stale.unlink(missing_ok=True)
         if places.info.is_file():
             plan = resumed(plan, places)
+            drop_changed(places)
         else:
             prepare(plan, places, progress)
         for wanted in (places.data, places.sensors):
@@ -114,6 +115,8 @@ def create_dataset(
 def _work(plan: Plan, places: Places, job: Job, content: str, pool: Pool, progress: Progress | None) -> Outcome:
     started = time.perf_counter()
     waiting = [number for number in range(plan.shards) if not is_whole(plan, places, number, content)]
+    if waiting:
+        places.sums.unlink(missing_ok=True)
     total = sum(len(plan.of_shard(n)) for n in waiting)
     made, failed, reason = 0, 0, ""
     missing: list[int] = []
@@ -156,17 +159,22 @@ def _tell(progress: Progress | None, plan: Plan, there: int, made: int, failed: 
 
 
 def is_whole(plan: Plan, places: Places, number: int, content: str) -> bool:
-    """Return whether a shard is there, with all of its samples and of this dataset.
+    """Return whether a shard is there, with all of its samples and sensors and of this dataset.
 
     Raises
     ------
     InputError
         A file in its place belongs to another dataset.
     """
+    paths = [places.shard(number)] + [places.sensor_shard(number)] * bool(plan.sensors_of(number))
+    numbers = plan.of_shard(number)
+    return all(_holds(path, content, f"{numbers.start}-{numbers.stop}") for path in paths)
+
+
+def _holds(path: Path, content: str, samples: str) -> bool:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    path = places.shard(number)
     if not path.is_file():
         return False
     try:
@@ -175,5 +183,4 @@ def is_whole(plan: Plan, places: Places, number: int, content: str) -> bool:
         return False
     if words.get(b"twin.content", b"") != content.encode():
         raise InputError(f"{path}: belongs to another dataset; give another --out, or remove it")
-    numbers = plan.of_shard(number)
-    return bool(words.get(b"twin.samples", b"") == f"{numbers.start}-{numbers.stop}".encode())
+    return bool(words.get(b"twin.samples", b"") == samples.encode())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from twin.study.batch.engine import Job, Pool
 from twin.study.dataset.audit import audit
 from twin.study.dataset.card import card_text, croissant
 from twin.study.dataset.plan import Places, Plan
+from twin.study.dataset.prepare import sha256
 from twin.study.dataset.reader import readable
 
 
@@ -37,10 +37,8 @@ def finish(plan: Plan, places: Places, job: Job, pool: Pool, progress: Progress 
     """Count, compute some samples again, and write the card, the Croissant metadata and the checksums."""
     counted = count(plan, places)
     kept = places.meta / "audit.json"
-    told: dict[str, Any] | None = None
-    if kept.is_file():
-        told = json.loads(kept.read_text())
-    if told is None or told.get("of") != plan.samples:
+    told: dict[str, Any] = json.loads(kept.read_text()) if kept.is_file() else {}
+    if told.get("of") != plan.samples:
         told = {"of": plan.samples, **audit(plan, job, counted.numbers, pool, progress)}
         write_json(kept, told)
     card = card_text(plan, places, told, len(counted.numbers))
@@ -74,12 +72,31 @@ def sums(folder: Path) -> dict[str, str]:
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_file() and name not in ("meta/SHA256SUMS", "meta/writer.lock"):
-            with open(path, "rb") as file:
-                found[name] = hashlib.file_digest(file, "sha256").hexdigest()
+            found[name] = sha256(path)
     return found
+
+
+def listed(places: Places) -> dict[str, str]:
+    """Return the checksums that were written when the dataset was finished, by relative path; none if it was not."""
+    if not places.sums.is_file():
+        return {}
+    lines = [line.split("  ", 1) for line in places.sums.read_text(errors="replace").splitlines() if "  " in line]
+    return {name: digest for digest, name in lines}
+
+
+def drop_changed(places: Places) -> None:
+    """Remove of a finished dataset what is no longer as it was written, so that it is made again.
+
+    Why: a file that still opens is taken for whole, and its new checksum would then hide that it was damaged.
+    """
+    for name, digest in listed(places).items():
+        path = places.folder / name
+        made = path.parent in (places.data, places.sensors) or path == places.meta / "audit.json"
+        if made and path.is_file() and sha256(path) != digest:
+            path.unlink()
 
 
 def write_sums(places: Places) -> None:
     """Write meta/SHA256SUMS (``sha256sum -c`` reads it from the dataset's folder)."""
     lines = "".join(f"{digest}  {name}\n" for name, digest in sums(places.folder).items())
-    write_whole(places.meta / "SHA256SUMS", lambda file: file.write(lines.encode()))
+    write_whole(places.sums, lambda file: file.write(lines.encode()))

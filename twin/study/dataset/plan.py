@@ -236,6 +236,11 @@ class Places:
         """What the dataset is; written last of what must be there before the first sample."""
         return self.meta / "info.json"
 
+    @property
+    def sums(self) -> Path:
+        """Checksums of all files; there only while the dataset is finished."""
+        return self.meta / "SHA256SUMS"
+
     def shard(self, number: int) -> Path:
         """File of a shard's samples."""
         return self.data / f"part-{number:05d}.parquet"

@@ -6,6 +6,7 @@ import hashlib
 import importlib.metadata
 import json
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
@@ -31,22 +32,31 @@ def prepare(plan: Plan, places: Places, progress: Progress | None) -> None:
     """Write ``meta/``: the resolved scene, the meshes, and last of all info.json."""
     if any(places.folder.glob("data/*")):
         raise InputError(f"{places.folder}: has data but no meta/info.json, so it is no dataset; give another --out")
-    scene = portable(plan.scene, places.meta)
-    write_whole(places.meta / "scene.toml", lambda file: file.write(dump_scene(scene).encode()))
+    scene, files = portable(plan.scene)
+    _put_down(scene, files, places.meta)
     pin_meshes(scene, places.meta, progress)
-    write_json(places.info, info(Plan(scene, plan.samples), places))
+    meshes = {p.name: sha256(p) for p in sorted(places.meta.glob("*.npz"))}
+    write_json(places.info, info(Plan(scene, plan.samples), meshes))
 
 
-def portable(scene: Scene, meta: Path) -> Scene:
-    """Return the scene without what only this machine has: a body's own file is copied beside the scene."""
+def portable(scene: Scene) -> tuple[Scene, dict[str, Path]]:
+    """Return the scene without what only this machine has, and by name the files that then lie beside it."""
     bare = scene.calibration.model_copy(update={"file": None})
     changes: dict[str, Any] = {"calibration": bare}
+    files: dict[str, Path] = {}
     if isinstance(scene.body, Solid):
         name = f"body{Path(scene.body.file).suffix}"
-        if (meta / name).resolve() != Path(scene.body.file).resolve():
-            _copied(Path(scene.body.file), meta / name)
+        files[name] = Path(scene.body.file)
         changes["body"] = scene.body.model_copy(update={"file": name})
-    return scene.model_copy(update=changes)
+    return scene.model_copy(update=changes), files
+
+
+def _put_down(scene: Scene, files: Mapping[str, Path], meta: Path) -> None:
+    """Write the scene and the files that lie beside it, where they are not there as they should be."""
+    contents = {name: path.read_bytes() for name, path in files.items()}
+    for name, data in {**contents, "scene.toml": dump_scene(scene).encode()}.items():
+        if not (meta / name).is_file() or (meta / name).read_bytes() != data:
+            write_whole(meta / name, lambda file, data=data: file.write(data))  # type: ignore[misc]
 
 
 def _copied(path: Path, to: Path) -> None:
@@ -92,14 +102,14 @@ def finest_mesh_file(body: Body) -> str:
     return mesh_file(mesh_key(body, default_sizing(body, WORLD[-1])))
 
 
-def info(plan: Plan, places: Places) -> dict[str, Any]:
-    """Return what info.json holds."""
+def info(plan: Plan, meshes: Mapping[str, str]) -> dict[str, Any]:
+    """Return what info.json holds; ``meshes`` are the checksums of their files."""
     scene = plan.scene
     columns = (*ALWAYS, *plan.drawn_columns, *plan.columns)
     identity = {
         "scene": dump_scene(scene),
         "columns": [c.name for c in columns],
-        "meshes": {p.name: _sha256(p) for p in sorted(places.meta.glob("*.npz"))},
+        "meshes": dict(meshes),
         "format": FORMAT,
     }
     told: dict[str, Any] = {
@@ -160,13 +170,16 @@ def resumed(plan: Plan, places: Places) -> Plan:
     Raises
     ------
     InputError
-        Another scene, other columns, other versions, another renderer, or fewer samples.
+        Another scene, other columns, other versions, another renderer, fewer samples, or a mesh that is not the one
+        with which the dataset was begun.
     """
     from twin.study.recipe import load_scene
 
     told = read_info(places)
-    scene = portable(plan.scene, places.meta)
-    fresh = info(Plan(scene, plan.samples), places)
+    if not (isinstance(told.get("meshes"), dict) and {"versions", "renderer"} <= told.keys()):
+        raise InputError(f"{places.info}: meshes, versions or renderer are missing or damaged; copy it anew")
+    scene, files = portable(plan.scene)
+    fresh = info(Plan(scene, plan.samples), told["meshes"])
     where = f"{places.folder}: a dataset was begun here"
     if told["content"] != fresh["content"]:
         what = "other columns" if told["columns"] != fresh["columns"] else "another scene"
@@ -181,7 +194,16 @@ def resumed(plan: Plan, places: Places) -> Plan:
         raise InputError(
             f"{where} with {told['samples']} samples; give --samples {told['samples']} or more, or another --out"
         )
-    if plan.samples > told["samples"]:
+    for name, digest in told["meshes"].items():
+        path = places.meta / name
+        if not path.is_file() or sha256(path) != digest:
+            what = "changed since" if path.is_file() else "missing, with which"
+            raise InputError(
+                f"{path}: {what} the dataset was begun, and no other mesh makes the same bytes; copy it anew, or give "
+                "another --out"
+            )
+    _put_down(scene, files, places.meta)
+    if fresh != told:
         write_json(places.info, fresh)
     return Plan(load_scene(places.meta / "scene.toml"), plan.samples)
 
@@ -227,5 +249,7 @@ def job_of(places: Places) -> Job:
     return Job(files={p.name: p.read_bytes() for p in kept}, work=WORK)
 
 
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file's contents."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 
+INTERNAL = (ArithmeticError, ValueError, LookupError, AssertionError, RuntimeError)
+"""What a mistake of this program's raises: it fails a sample, not the run."""
+
 
 class MadeSensor:
     """One sensor of a dataset, ready to be pressed.
@@ -144,7 +147,7 @@ def rows_of_sample(made: MadeSensor, sample: int, values: Table) -> list[Row]:
             return [base | row for row in _rows(made, sample, press_of(table))]
     except TwinError as problem:
         told = str(problem)
-    except (ArithmeticError, ValueError, LookupError, AssertionError, RuntimeError) as problem:
+    except INTERNAL as problem:
         told = f"internal error: {type(problem).__name__}: {problem}"
     return [base | {"status": "failed", "error": told}]
 
