@@ -28,7 +28,7 @@ from twin.arrays import Floats, Points
 from twin.parts.press import Cylinder, Probe, Sphere
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
-from twin.world.contact.gap import approach
+from twin.world.contact.approach import approach
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.interpolate import Locator, Places
 from twin.world.mesh.mesh import Mesh

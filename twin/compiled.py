@@ -4,6 +4,9 @@ Why: numba freezes constants and helpers of other modules into a function's mach
 function's own file to tell whether the code that it kept is still good. Whoever updated the package went on computing
 with a helper as it was, without a word. Here kept code is good for the contents of a module and of every module of the
 package that it imports: nothing is compiled again for changes elsewhere, in a copy, or for a new date.
+
+Compiled code divides as NumPy does: by 0 it is inf or NaN, which every result is asked for. numba's own default raises
+a ZeroDivisionError as Python does, from inside a loop that can't say which of a recipe's numbers was too small.
 """
 
 from __future__ import annotations
@@ -33,8 +36,9 @@ def njit(**options: Any) -> Any:
     Parameters
     ----------
     **options
-        numba's own.
+        numba's own; ``error_model`` is "numpy" where not said otherwise.
     """
+    options = {"error_model": "numpy", **options}
 
     def made(function: Callable[..., Any]) -> Any:
         compiled = numba.njit(**options)(function)

@@ -62,7 +62,9 @@ class Block(Body):
     def surface_from_above(self, xy: Floats) -> Points:
         points = np.zeros((len(xy), 3))
         points[:, :2] = xy
-        points[~self.contains(points, -1e-9)] = np.nan
+        inside = self.contains(points, -1e-9)
+        if not inside.all():
+            points[~inside] = np.nan
         return points
 
     @property

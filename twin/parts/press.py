@@ -237,30 +237,33 @@ class Press(Part):
         ValueError
             The first step doesn't push, or oblique axes mix what is held by force and by motion.
         """
-        found = []
+        found, own = [], frame[0, 0] == frame[2, 2] == 1.0
         for number, step in enumerate(self.path, start=1):
-            by_force, given = np.array(step.by_force), np.array(step.given)
+            by_force, given = step.by_force, tuple(map(float, step.given))
             if self.force_n is not None and self.friction == 0.0 and self.axes == "global":
-                force = frame @ given[:3]  # guided wherever it isn't pushed
-                by_force[:3] = np.abs(force) > 1e-12 * np.linalg.norm(force)
-                given[:3] = np.where(by_force[:3], force, 0.0)
-            elif self.axes == "global" and self.indentation_mm is None:
+                force = given[:3] if own else tuple((frame @ given[:3]).tolist())
+                least = 1e-12 * math.hypot(*force)  # guided wherever it isn't pushed
+                by_force = (*(abs(f) > least for f in force), *by_force[3:])
+                given = (*(f if abs(f) > least else 0.0 for f in force), *given[3:])
+            elif self.axes == "global" and self.indentation_mm is None and not own:
                 by_force, given = _turned(by_force, given, frame, f"step {number}")
-            pushed = float(given[2])
+            pushed = given[2]
             if number == 1 and not pushed > 0.0:
                 push = "a push is +z" if frame[2, 2] == 1.0 else "along the direction of approach"
                 if by_force[2]:
                     raise ValueError(f"the first step's force along z must be greater than 0: {push}")
                 raise ValueError(f"the first step must push: force_n.z > 0 or move_mm.z > 0; {push}")
-            found.append((tuple(map(bool, by_force)), tuple(map(float, given))))
+            found.append((by_force, given))
         return tuple(found)
 
 
-def _turned(by_force: np.ndarray, given: Floats, frame: Floats, what: str) -> tuple[np.ndarray, Floats]:
+def _turned(
+    by_force: tuple[bool, ...], given: tuple[float, ...], frame: Floats, what: str
+) -> tuple[tuple[bool, ...], tuple[float, ...]]:
     """Return a step's controls along other axes."""
-    forced, values = by_force.copy(), given.copy()
+    forced, values = np.array(by_force), np.array(given)
     for part, words in ((slice(0, 3), "force_n and move_mm"), (slice(3, 6), "torque_nmm and turn_deg")):
-        held, numbers = by_force[part], given[part]
+        held, numbers = np.array(by_force[part]), np.array(given[part])
         for axis, row in enumerate(frame):
             used = np.abs(row) > 1e-12
             if held[used].all() or not held[used].any():
@@ -273,4 +276,4 @@ def _turned(by_force: np.ndarray, given: Floats, frame: Floats, what: str) -> tu
                 f"(along its own axis {axis + 1}: {force:g} and {motion:g}); give all three by one of them, or set "
                 'axes = "probe"'
             )
-    return forced, values
+    return tuple(forced.tolist()), tuple(values.tolist())

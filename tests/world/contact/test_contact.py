@@ -22,8 +22,9 @@ from twin.theory.contact import (
     torsional_stiffness,
 )
 from twin.world.contact import contact, region, rubbing
+from twin.world.contact.cells import Box
 from twin.world.contact.contact import ContactState, press
-from twin.world.contact.patches import Box, Plane, candidate_patches
+from twin.world.contact.patches import Plane, candidate_patches
 
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)

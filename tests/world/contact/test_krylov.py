@@ -11,11 +11,12 @@ from twin.parts.body import Body
 from twin.parts.press import Cylinder, Press, Sphere, Step
 from twin.world.contact import between, coulomb, iterated, released
 from twin.world.contact.between import Inverted
+from twin.world.contact.cells import Box
 from twin.world.contact.contact import ContactState, press
 from twin.world.contact.iterated import Iterated, near_lattice
 from twin.world.contact.krylov import Krylov
 from twin.world.contact.linear import LinearSolver, LinearSystem
-from twin.world.contact.patches import Box, Plane, candidate_patches
+from twin.world.contact.patches import Plane, candidate_patches
 from twin.world.contact.pattern import Pattern
 from twin.world.contact.released import Released
 
@@ -224,7 +225,7 @@ def test_patches_of_unequal_cells_have_no_lattice_near() -> None:
     assert near_lattice(graded, 0.5) is None
     near = near_lattice(equal, 0.5)
     assert near is not None
-    whole = HalfSpace(1.0, 0.5).surface(equal.rectangles(np.zeros((len(equal), 3)), np.ones(len(equal), bool)))
+    whole = HalfSpace(1.0, 0.5).surface(equal.unloaded)
     force = np.random.default_rng(3).normal(size=(len(equal), 3))
     moved = (whole @ force.reshape(-1) / whole.diagonal().mean()).reshape(-1, 3).T.astype(np.float32)
     back = near.forces(np.arange(len(equal)), moved[..., None])[..., 0].T

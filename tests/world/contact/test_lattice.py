@@ -11,10 +11,11 @@ from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.world.contact import region, together, unilateral
 from twin.world.contact.between import Dense
+from twin.world.contact.cells import Box
 from twin.world.contact.contact import ContactState, press
 from twin.world.contact.convolution import Convolution, _mix, inverse_of, spectra_of
 from twin.world.contact.lattice import Lattice, lattice
-from twin.world.contact.patches import Box, Patches, Plane, candidate_patches
+from twin.world.contact.patches import Patches, Plane, candidate_patches
 from twin.world.elasticity.compliance import Compliance
 
 BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
@@ -30,7 +31,7 @@ def patches(across: tuple[int, int] = (14, 11)) -> Patches:
 
 
 def everyone(cut: Patches) -> Rectangles:
-    return cut.rectangles(np.zeros((len(cut), 3)), np.ones(len(cut), bool))
+    return cut.unloaded
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.5])

@@ -26,8 +26,8 @@ from twin.theory.contact import (
     tangential_stiffness,
 )
 from twin.world.contact import contact, friction
+from twin.world.contact.approach import approach
 from twin.world.contact.contact import ContactState, press
-from twin.world.contact.gap import approach
 from twin.world.contact.probe_shape import RIM, rotation_of, shape_of, turning_of
 
 BALL = Sphere(diameter_mm=3)

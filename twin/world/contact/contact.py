@@ -3,7 +3,8 @@
 Without friction every state depends on the probes' places alone, so each step gets grids of its own under them. With
 friction the history counts and one grid serves the whole path (`twin.world.contact.rubbing`). The unilateral problem
 itself is in `twin.world.contact.unilateral`, with Coulomb's friction in `twin.world.contact.coulomb`, the probe's shape
-in `twin.world.contact.probe_shape`, its place in `twin.world.contact.gap`, the patches in `twin.world.contact.patches`.
+in `twin.world.contact.probe_shape`, its first touch in `twin.world.contact.approach`, its gaps in
+`twin.world.contact.gap`, the patches in `twin.world.contact.patches`.
 
 Validity: linear elasticity, small turns and slopes; forces act along the normals of the undeformed surface. Every state
 says how far it strains that.
@@ -21,8 +22,10 @@ from twin.parts.accuracy import INCREMENTS
 from twin.parts.body import Body
 from twin.parts.press import Press
 from twin.parts.probe import Cylinder, Sphere
+from twin.world.contact.approach import approach_of, meeting
+from twin.world.contact.cells import Box
 from twin.world.contact.contact_state import ContactState, lifted_state, touching_state
-from twin.world.contact.gap import MOTIONS, Approach, Z, approach_of, meeting, outline
+from twin.world.contact.gap import MOTIONS, Approach, Z, outline
 from twin.world.contact.job import (
     TRIES,
     Job,
@@ -38,7 +41,7 @@ from twin.world.contact.job import (
     stopped_at,
     together,
 )  # fmt: skip
-from twin.world.contact.patches import Box, Plane
+from twin.world.contact.patches import Plane
 from twin.world.contact.region import (
     check_inside,
     fills,
@@ -163,6 +166,8 @@ def _controls(presses: tuple[Press, ...], settings: tuple[Setting, ...]) -> tupl
 def _refuse_overhang(setting: Setting) -> None:
     """Raise a ContactError where a flat face is bound to run over the edge of a flat surface."""
     first = setting.first
+    if first.level:
+        return
     under = first.axis_mm + outline(setting.probe) @ first.axes[:Z]
     if not len(under) or first.axes[2, 2] != 1.0 or any(first.tilt_deg):
         return

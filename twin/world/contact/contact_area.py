@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from twin.arrays import Floats, Ints
+from twin.arrays import Bools, Floats, Ints
 from twin.compiled import njit
 from twin.parts.probe import Cone, Sphere
 from twin.world.contact.patches import Patches
@@ -37,20 +37,32 @@ def contact_area(setting: Setting, patches: Patches, equilibrium: Equilibrium) -
     patches across); the fit is dropped for the sum of the patches, which is 1 to 4 % off, where the two differ by more
     than 15 %, below 12 patches, and under any other probe.
     """
-    active = equilibrium.active
-    area = patches.area_mm2[active]
-    counted = float(area.sum())
-    if not isinstance(setting.probe, Sphere | Cone) or len(area) < _FEWEST:
+    cone = isinstance(setting.probe, Cone)
+    smooth = cone or isinstance(setting.probe, Sphere)
+    return float(_area(patches.middle_mm, patches.cell_mm, patches.half_mm, equilibrium.force_n, equilibrium.active,
+                       smooth, cone))  # fmt: skip
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _area(
+    middle: Floats, cell: Floats, half: Floats, force: Floats, active: Bools, smooth: bool, fourth: bool
+) -> float:
+    """Return the area of the patches in contact, or of the fit to their squared pressures, mm2."""
+    rows = np.flatnonzero(active)
+    counted, flat, pressure, place = 0.0, 0.0, np.empty(len(rows)), np.empty((len(rows), 2))
+    for n, i in enumerate(rows):
+        area = 4.0 * half[i, 0] * half[i, 1]
+        counted += area
+        flat += 4.0 * cell[i, 0] * cell[i, 1]
+        pressure[n], place[n, 0], place[n, 1] = force[i, 2] / area, middle[i, 0], middle[i, 1]
+    if not smooth or len(rows) < _FEWEST:
         return counted
-    pressure = equilibrium.force_n[active, 2] / area
-    fourth = isinstance(setting.probe, Cone)
-    used = np.arange(len(pressure))
+    used = np.arange(len(rows))
     if fourth:
         rising = np.sort(pressure)
-        used = np.flatnonzero(pressure <= _EVEN * (rising[(len(used) - 1) // 2] + rising[len(used) // 2]) / 2.0)
-    squared_radius = _squared_radius(*_fitted(patches.middle_mm[active], pressure, used, fourth))
-    stretch = counted / float(4.0 * np.prod(patches.cell_mm[active], axis=1).sum())
-    fitted = math.pi * squared_radius * stretch
+        used = np.flatnonzero(pressure <= _EVEN * (rising[(len(rows) - 1) // 2] + rising[len(rows) // 2]) / 2.0)
+    found, size = _fitted(place, pressure, used, fourth)
+    fitted = math.pi * _squared_radius(found, size) * counted / flat
     return fitted if abs(fitted / counted - 1.0) < _APART else counted
 
 

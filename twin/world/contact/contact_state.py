@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, frozen
+from twin.arrays import Bools, Floats, Ints, frozen
+from twin.compiled import njit
 from twin.parts.load import Load
 from twin.parts.probe import Sphere
 from twin.theory.linearity import ERROR_BOUND, SHEARED, law_of
@@ -166,13 +167,43 @@ class ContactState:
             frozen(array)
 
 
-def _steepest(slope: Floats) -> float:
-    """Return the tangent of the largest angle between probe and surface, from the gaps' slopes (k, 6) where they touch.
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _longest(slope: Floats, active: Ints) -> float:
+    """Return the largest square of 1 / cosine of the angle between probe and surface, where they touch.
 
-    A probe that comes along e meets a surface of the probe's normal n with slopes n / (e . n), as long as 1 / cosine.
+    A probe that comes along e meets a surface of the probe's normal n with slopes (k, 6) n / (e . n).
     """
-    along = slope[:, : Z + 1]
-    return math.sqrt(min(float(np.einsum("ki,ki->k", along, along).max(initial=1.0)), _GRAZED) - 1.0)
+    longest = 1.0
+    for i in active:
+        longest = max(longest, slope[i, 0] ** 2 + slope[i, 1] ** 2 + slope[i, 2] ** 2)
+    return longest
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _added_up(
+    frames: Floats, half: Floats, own_force: Floats, moved: Floats, active: Ints, rubs: bool
+) -> tuple[Floats, Floats, Floats, Floats, float, float]:
+    """Return what the n patches in contact carry: forces (n, 3), pressures (n,) and tractions (n, 3), global axes.
+
+    Then the whole force (3,), what pushes, and half of force times displacement; without friction of what pushes alone,
+    as the patches' motion sideways isn't known.
+    """
+    n = len(active)
+    force, pressure, traction, total = np.zeros((n, 3)), np.empty(n), np.empty((n, 3)), np.zeros(3)
+    push, elastic = 0.0, 0.0
+    for row in range(n):
+        i = active[row]
+        area = 4.0 * half[i, 0] * half[i, 1]
+        for axis in range(3):
+            for side in range(3):
+                force[row, axis] += frames[i, side, axis] * own_force[i, side]
+            total[axis] += force[row, axis]
+            traction[row, axis] = force[row, axis] / area
+            if rubs or axis == 2:
+                elastic += 0.5 * own_force[i, axis] * moved[i, axis]
+        pressure[row] = own_force[i, 2] / area
+        push += own_force[i, 2]
+    return force, pressure, traction, total, push, elastic
 
 
 def _validity(
@@ -217,44 +248,42 @@ def touching_state(
 
     ``touch_z_mm`` is its z at first touch at its present place; ``slope`` (k, 6) that of its gaps, if it is known.
     """
-    active, axes = equilibrium.active, setting.first.axes
-    touches = bool(active.any())
-    felt = slice(None) if friction > 0 else slice(Z, Z + 1)
-    force = np.einsum("kai,ka->ki", patches.frames, equilibrium.force_n)
-    area = patches.area_mm2[active]
-    pressure = equilibrium.force_n[active, 2] / area
+    axes, place = setting.first.axes, equilibrium.place
+    active = np.flatnonzero(equilibrium.active)
+    touches = len(active) > 0
+    force, pressure, traction, total, push, elastic = _added_up(
+        patches.frames, patches.half_mm, equilibrium.force_n, equilibrium.displacement_mm, active, friction > 0
+    )
     contact = contact_area(setting, patches, equilibrium) if touches else 0.0
-    radius = math.sqrt(contact / math.pi)
-    depth = float(equilibrium.place[Z]) - touch_z_mm
-    mean = float(pressure @ area) / contact if contact else 0.0
-    pushed = force[active]
-    total = pushed.sum(axis=0)
-    own = axes @ total
-    sheared = friction > 0 and bool(np.hypot(own[0], own[1]) > SHEARED * abs(own[2]))
+    radius, depth, sheared = math.sqrt(contact / math.pi), float(place[Z]) - touch_z_mm, False
+    if friction > 0:
+        x, y, z = axes @ total
+        sheared = math.hypot(x, y) > SHEARED * abs(z)
     steepest = 0.0
     if touches and setting.face is None:
         if slope is None:
-            _, slope = setting.first.gap(patches.centre_mm, patches.frames[:, 2], equilibrium.place)
-        steepest = _steepest(slope[active])
+            _, slope = setting.first.gap(patches.centre_mm, patches.frames[:, 2], place)
+        steepest = math.sqrt(min(_longest(slope, active), _GRAZED) - 1.0)
+    own = np.array([place[: Z + 1], place[ABOUT_X:], equilibrium.total[ABOUT_X:]]) @ axes
     return ContactState(
         load=Load((patches.rectangles(force, active),)) if touches else Load(),
         indentation_mm=depth,
-        move_mm=equilibrium.place[: Z + 1] @ axes,
-        turn_deg=math.degrees(equilibrium.place[TURN]),
-        turns_deg=np.degrees(equilibrium.place[ABOUT_X:] @ axes),
+        move_mm=own[0],
+        turn_deg=math.degrees(place[TURN]),
+        turns_deg=np.degrees(own[1]),
         force_n=total,
         torque_nmm=float(equilibrium.total[TURN]),
-        torques_nmm=equilibrium.total[ABOUT_X:] @ axes,
+        torques_nmm=own[2],
         contact_radius_mm=radius,
         area_mm2=contact,
         peak_pressure_mpa=float(pressure.max(initial=0.0)),
         pressure_mpa=pressure,
-        traction_mpa=pushed / area[:, None],
-        slip=equilibrium.slipping[active] if friction > 0 else np.ones(int(active.sum()), bool),
+        traction_mpa=traction,
+        slip=equilibrium.slipping[active] if friction > 0 else np.ones(len(active), bool),
         residual=equilibrium.residual,
-        validity=_validity(setting, radius, steepest, mean, depth, sheared=sheared),
+        validity=_validity(setting, radius, steepest, push / contact if contact else 0.0, depth, sheared=sheared),
         friction=friction,
-        elastic_nmm=0.5 * float(np.sum((equilibrium.force_n * equilibrium.displacement_mm)[:, felt])),
+        elastic_nmm=elastic,
         dissipated_nmm=dissipated_nmm,
     )
 

@@ -13,29 +13,21 @@ where the probe first touched, so turns about x and y should stay small (a few d
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Points
+from twin.arrays import Floats, Points
 from twin.compiled import njit
-from twin.errors import InputError
-from twin.parts.body import Body
-from twin.parts.press import Press, Probe, frame_of
-from twin.parts.probe import Cylinder, Pillar, Stl
+from twin.parts.press import Probe
+from twin.parts.probe import Cylinder, Pillar
 from twin.world.contact.probe_shape import Shape, half_extent, rotation_of, shape_of, tilt_of, turning_of
 
 X, Y, Z, ABOUT_X, ABOUT_Y, TURN = range(6)
 MOTIONS = 6
 FLAT_TILT_DEG = 20.0
 """A flat face that is tilted less touches with its face, one that is tilted more with its rim."""
-
-_LEVELS, _ACROSS = 14, 25
-_STEPS = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, _ACROSS)]), axis=-1).reshape(-1, 2)
-_CORNERS = np.array([(0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)], float)
-_ON_SURFACE_MM = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +44,8 @@ class Approach:
         (3,) the place of its lowest point (before it was tilted) at first touch; torques count about it.
     touch_mm
         (3,) surface point that is touched first (the middle of them if there are many).
+    level
+        Whether it is known that the surface is as high everywhere under the probe.
     """
 
     probe: Probe
@@ -59,6 +53,7 @@ class Approach:
     touch_mm: Floats
     axes: Floats
     tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    level: bool = False
 
     @cached_property
     def shape(self) -> Shape:
@@ -88,22 +83,42 @@ class Approach:
             (k, 6) d gap / d place.
         """
         turned = rotation_of(place[ABOUT_X:])
-        own = (points - self.axis_mm) @ self.axes.T - place[:3]
-        along = normals @ self.axes.T
-        gap, normal = self.shape.met(own @ turned, along @ turned)
-        slope = np.zeros((len(gap), MOTIONS))
-        _slopes(own, along, gap, normal, turned, turning_of(place[ABOUT_X:]), slope)
-        return gap, slope
+        own, along = _seen_from(points, self.axis_mm, self.axes, place), _turned(normals, self.axes.T)
+        if place[ABOUT_X:].any():
+            gap, normal = self.shape.met(_turned(own, turned), _turned(along, turned))
+        else:
+            gap, normal = self.shape.met(own, along)
+        return gap, _slopes(own, along, gap, normal, turned, turning_of(place[ABOUT_X:]))
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _slopes(
-    own: Floats, along: Floats, gap: Floats, normal: Floats, turned: Floats, turning: Floats, slope: Floats
-) -> None:
-    """Set ``slope`` (k, 6) to the gap's derivatives where a line meets the probe.
+def _turned(vectors: Floats, axes: Floats) -> Floats:
+    """Return the product of (k, 3) vectors with (3, 3) axes; for so few numbers faster than NumPy's."""
+    out = np.empty((len(vectors), 3))
+    for i in range(len(vectors)):
+        for j in range(3):
+            out[i, j] = vectors[i, 0] * axes[0, j] + vectors[i, 1] * axes[1, j] + vectors[i, 2] * axes[2, j]
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _seen_from(points: Floats, axis_mm: Floats, axes: Floats, place: Floats) -> Floats:
+    """Return points (k, 3) from where a probe is at a place, along the axes that it had at first touch."""
+    out = np.empty((len(points), 3))
+    for i in range(len(points)):
+        x, y, z = points[i, 0] - axis_mm[0], points[i, 1] - axis_mm[1], points[i, 2] - axis_mm[2]
+        for j in range(3):
+            out[i, j] = x * axes[j, 0] + y * axes[j, 1] + z * axes[j, 2] - place[j]
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _slopes(own: Floats, along: Floats, gap: Floats, normal: Floats, turned: Floats, turning: Floats) -> Floats:
+    """Return (k, 6) the gap's derivatives where a line meets the probe.
 
     A motion dc of the probe at the place that is met changes the gap by -(e . dc) / (e . n), e its normal there.
     """
+    slope = np.zeros((len(gap), 6))
     for i in range(len(gap)):
         if not math.isfinite(gap[i]):
             continue
@@ -117,6 +132,7 @@ def _slopes(
         slope[i, 0], slope[i, 1], slope[i, 2] = -x / steep, -y / steep, -z / steep
         for j in range(3):
             slope[i, 3 + j] = -(about[0] * turning[0, j] + about[1] * turning[1, j] + about[2] * turning[2, j]) / steep
+    return slope
 
 
 def is_flat(probe: Probe, tilt_deg: tuple[float, float, float]) -> bool:
@@ -134,187 +150,3 @@ def outline(probe: Probe) -> Floats:
     if isinstance(probe, Pillar):
         around /= np.abs(around).max(axis=1, keepdims=True)
     return np.asarray(around * half_extent(probe))
-
-
-def meeting(body: Body, direction: Floats) -> Callable[[Points], tuple[Floats, Bools]]:
-    """Return what tells where lines along a direction (3,) first meet a body.
-
-    Of (k, 3) points of the lines it returns (k,) how far along the direction the body is met, mm, NaN where it isn't,
-    and (k,) whether on its sensing surface.
-    """
-    if direction[2] == 1.0:
-
-        def from_above(points: Points) -> tuple[Floats, Bools]:
-            seen = body.surface_from_above(points[:, :2])[:, 2] - points[:, 2]
-            return seen, np.isfinite(seen)
-
-        return from_above
-    tree = None
-    if body.own_surface is not None:
-        from twin.geometry.nearest import box_tree, first_along
-
-        vertices, triangles = body.own_surface
-        tree = box_tree(vertices[triangles])
-
-    def anywhere(points: Points) -> tuple[Floats, Bools]:
-        if tree is None:
-            distance = _met_by_pieces(body, points, direction)
-        else:
-            triangle, distance = first_along(tree, points, np.broadcast_to(direction, points.shape))
-            distance = np.where(triangle >= 0, distance, np.nan)
-        met = np.isfinite(distance)
-        foot = points + np.where(met, distance, 0.0)[:, None] * direction
-        return distance, met & (np.abs(body.depth(foot)) < 1e-6) & body.contains(foot, -1e-6)
-
-    return anywhere
-
-
-def _met_by_pieces(body: Body, points: Points, direction: Floats) -> Floats:
-    """Find where lines enter a convex body: behind the last of its pieces, by Newton's steps from outside."""
-    low, high = np.array(body.bounds_mm)
-    far = 2.0 * float(np.abs(points).max() + np.linalg.norm(high - low) + np.abs(low).max())
-    distance = np.full(len(points), -far)
-    for _ in range(60):
-        here = points + distance[:, None] * direction
-        pieces = body.piece_distances(here)
-        last = np.argmin(pieces, axis=1)
-        left = pieces[np.arange(len(points)), last]
-        steep = body.piece_normals(here)[np.arange(len(points)), last] @ direction
-        step = np.where((steep > 1e-6) & (left < 0.0), -left / np.maximum(steep, 1e-6), 0.0)
-        distance = distance + step
-        if np.abs(step).max(initial=0.0) < 1e-13 * far:
-            break
-    return np.where(np.abs(left) <= 1e-9 * far, distance, np.nan)
-
-
-def surface_place(body: Body, at_mm: tuple[float, ...]) -> Floats:
-    """Return (3,) the place on the sensing surface that a press names.
-
-    Raises
-    ------
-    InputError
-        It is not on the sensing surface.
-    """
-    (x0, y0, z0), (x1, y1, z1) = body.bounds_mm
-    if len(at_mm) == 2:
-        found = body.surface_from_above(np.array([at_mm], float))[0]
-        if np.isnan(found[2]):
-            raise InputError(
-                f"press.at_mm = ({at_mm[0]:g}, {at_mm[1]:g}) mm misses the sensing surface, which lies within x {x0:g} "
-                f"to {x1:g} mm and y {y0:g} to {y1:g} mm: move at_mm over the body"
-            )
-        return np.asarray(found)
-    place = np.array([at_mm], float)
-    off = float(body.depth(place)[0])
-    if abs(off) > _ON_SURFACE_MM or not body.contains(place, -_ON_SURFACE_MM)[0]:
-        where = "inside the body" if body.contains(place, _ON_SURFACE_MM)[0] else "off the sensing surface"
-        raise InputError(
-            f"press.at_mm = ({', '.join(f'{c:g}' for c in at_mm)}) mm lies {where} (depth {off:.4g} mm, allowed up to "
-            f"{_ON_SURFACE_MM:g} mm; the body lies within x {x0:g} to {x1:g}, y {y0:g} to {y1:g}, z {z0:g} to {z1:g} "
-            "mm): give a place on the surface, or (x, y) alone"
-        )
-    return np.asarray(place[0])
-
-
-def approach_of(press: Press, body: Body) -> Approach:
-    """Bring a press's probe along its direction until it touches the body.
-
-    Raises
-    ------
-    InputError
-        The place is not on the sensing surface, the probe would come from inside the body, or it misses the surface.
-    """
-    flat_z = press.direction is None or press.direction == (0.0, 0.0, 1.0)
-    if flat_z and len(press.at_mm) == 2:
-        return approach(press.probe, body, np.array([*press.at_mm, 0.0]), np.eye(3), press.tilt_deg)
-    place = surface_place(body, press.at_mm)
-    inward = body.piece_normals(place[None])[0, 0]
-    along = inward if press.direction == "normal" else np.array(press.direction or (0.0, 0.0, 1.0), float)
-    along = along / np.linalg.norm(along)
-    if along @ inward <= 0.05:
-        raise InputError(
-            f"press.direction = ({', '.join(f'{c:.3g}' for c in along)}) at ({', '.join(f'{c:.3g}' for c in place)}) "
-            f"mm comes from inside the body, or along its surface (its inward normal is "
-            f"({', '.join(f'{c:.3g}' for c in inward)})): turn it inwards, or use 'normal'"
-        )
-    return approach(press.probe, body, place, frame_of(tuple(along)), press.tilt_deg)
-
-
-def approach(
-    probe: Probe, body: Body, at_mm: Floats, axes: Floats | None = None,
-    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0), turn: Floats | None = None,
-) -> Approach:  # fmt: skip
-    """Bring a probe along its own z onto a body until it touches.
-
-    Parameters
-    ----------
-    probe, body
-        The rigid probe and the undeformed body.
-    at_mm
-        (3,) any point of the probe's axis; (2,) is one along z.
-    axes
-        (3, 3) the probe's own axes as rows; the global ones if not given.
-    tilt_deg, turn
-        Its turn before the press, and the (3,) rotation vector since, radians.
-
-    Raises
-    ------
-    InputError
-        The probe misses the sensing surface.
-
-    Notes
-    -----
-    The smallest height of the surface over the probe is found on grids that shrink around the minimum; ties (a flat
-    face on a flat body, or along a barrel) are averaged. Where the surface is as high everywhere under an upright
-    probe, its lowest point is the one.
-    """
-    axes = np.eye(3) if axes is None else axes
-    at = np.zeros(3)
-    at[: len(at_mm)] = at_mm
-    turned = rotation_of(np.zeros(3) if turn is None else turn)
-    reach = np.array(half_extent(probe, tilt_deg))
-    if isinstance(probe, Pillar):
-        reach = np.full(2, np.hypot(*reach))
-    centre, half, meets = np.zeros(2), reach, meeting(body, axes[2])
-    height, touch, on_sensing = np.inf, np.full(2, np.nan), True
-    upright = not isinstance(probe, Stl) and not any(tilt_deg) and turned[2, 2] == 1.0
-    if upright and body.is_convex:  # as high at a rectangle's corners as in its middle is so everywhere
-        surface, sensing = meets(at + _CORNERS * half @ axes[:2])
-        if sensing.all() and np.all(surface == surface[0]):
-            return Approach(
-                probe=probe, axis_mm=at + surface[0] * axes[2], touch_mm=at + surface[0] * axes[2], axes=axes,
-                tilt_deg=tilt_deg,
-            )  # fmt: skip
-    shape, along = shape_of(probe, tilt_deg), np.broadcast_to(turned[2], (_ACROSS**2, 3))
-    for _ in range(_LEVELS):
-        offset = centre + _STEPS * half
-        surface, sensing = meets(at + offset @ axes[:2])
-        if upright and sensing.all() and np.all(surface == surface[0]):
-            height, touch = float(surface[0]), np.zeros(2)
-            break
-        rise = shape.met(np.column_stack([offset, np.zeros(len(offset))]) @ turned, along)[0]
-        height_here = surface + np.where(np.isfinite(rise), rise, np.nan)
-        height_here = np.where(np.isfinite(height_here), height_here, np.inf)
-        lowest = float(height_here.min())
-        if not math.isfinite(lowest):
-            break
-        ties = height_here <= lowest + (1e-12 if axes[2, 2] == 1.0 else 1e-10)
-        middle = offset[ties].mean(axis=0)
-        if lowest < height:
-            height, touch, on_sensing = lowest, middle, bool(sensing[ties].any())
-        centre, half = touch, half / 3
-    name = f"the {probe.kind} at ({', '.join(f'{c:g}' for c in at_mm)}) mm"
-    if not math.isfinite(height):
-        (x0, y0, _), (x1, y1, _) = body.bounds_mm
-        raise InputError(
-            f"{name} misses the sensing surface, which lies within "
-            f"x {x0:g} to {x1:g} mm and y {y0:g} to {y1:g} mm: move at_mm or the step's motion over the body"
-        )
-    met = at + touch @ axes[:2]
-    point = met + meets(met[None])[0][0] * axes[2]
-    if not on_sensing or not np.isfinite(point).all():
-        raise InputError(
-            f"{name} first touches the body off its sensing surface, near "
-            f"({', '.join(f'{c:.3g}' for c in np.nan_to_num(point))}) mm: move at_mm, or change direction or tilt_deg"
-        )
-    return Approach(probe=probe, axis_mm=at + height * axes[2], touch_mm=point, axes=axes, tilt_deg=tilt_deg)

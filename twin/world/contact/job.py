@@ -8,9 +8,9 @@ import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError
+from twin.world.contact.cells import Box
 from twin.world.contact.contact_state import ContactState
 from twin.world.contact.gap import ABOUT_X, MOTIONS, Z
-from twin.world.contact.patches import Box
 from twin.world.contact.together import Contacts, Control, Setting
 from twin.world.contact.unilateral import Equilibrium
 

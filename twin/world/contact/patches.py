@@ -1,10 +1,7 @@
 """Candidate contact patches: plane rectangles on the true surface, cut from a grid under the probe.
 
 The grid lies in a plane at the place that is touched first and is projected along the plane's normal onto the body, so
-that flat-ended probes keep their exact footprint and curved bodies are tiled without a chart. Rows of a round
-footprint end where the row's piece of the disc has its exact area. Why graded cells at a footprint's border: the
-pressure under a sharp edge grows like 1/sqrt(distance), and cells that shrink like its inverse carry equal forces.
-Under a rounded rim that cells resolve it ends like a sphere's: equal cells, a lattice on a flat body, serve as well.
+that flat-ended probes keep their exact footprint and curved bodies are tiled without a chart.
 """
 
 from __future__ import annotations
@@ -12,19 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Points, frozen
+from twin.arrays import Bools, Floats, Ints, Points, frozen
 from twin.compiled import njit
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
-from twin.parts.probe import Cylinder, Pillar
+from twin.world.contact.cells import Box, Face, cells
 from twin.world.contact.probe_shape import half_extent
-
-Face = Cylinder | Pillar | None
-"""The probe whose flat face bounds the contact; None where nothing but the contact itself does."""
 
 _STEEP = 0.15
 
@@ -35,38 +28,6 @@ class Plane:
 
     origin_mm: Floats
     axes: Floats
-
-
-@dataclass(frozen=True, kw_only=True)
-class Box:
-    """The piece (u0, u1, v0, v1) of a plane in which contact is sought, mm."""
-
-    u0: float
-    u1: float
-    v0: float
-    v1: float
-
-    @property
-    def size(self) -> tuple[float, float]:
-        """Extents along u and v, mm."""
-        return self.u1 - self.u0, self.v1 - self.v0
-
-    def clipped(self, face: Face) -> Box:
-        """Return the part under a flat face; without one, everything."""
-        if face is None:
-            return self
-        a, b = half_extent(face)
-        return Box(u0=max(self.u0, -a), u1=min(self.u1, a), v0=max(self.v0, -b), v1=min(self.v1, b))
-
-    def joined(self, other: Box) -> Box:
-        """Return the box around this one and another."""
-        return Box(
-            u0=min(self.u0, other.u0), u1=max(self.u1, other.u1), v0=min(self.v0, other.v0), v1=max(self.v1, other.v1)
-        )
-
-    def grown(self, u: float, v: float) -> Box:
-        """Return the box with margins u and v added on either side."""
-        return Box(u0=self.u0 - u, u1=self.u1 + u, v0=self.v0 - v, v1=self.v1 + v)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,18 +73,25 @@ class Patches:
             centre_mm=self.centre_mm, frames=self.frames, half_mm=self.half_mm, force_n=np.zeros((len(self), 3))
         )
 
-    def rectangles(self, force_n: Floats, chosen: Bools) -> Rectangles:
-        """Return the chosen patches under the forces (k, 3) of all, global axes."""
+    def rectangles(self, force_n: Floats, chosen: Ints) -> Rectangles:
+        """Return the n chosen patches under their forces (n, 3), global axes."""
         return Rectangles(
-            centre_mm=self.centre_mm[chosen], frames=self.frames[chosen], half_mm=self.half_mm[chosen],
-            force_n=np.array(force_n[chosen]),
-        )  # fmt: skip
+            centre_mm=self.centre_mm[chosen], frames=self.frames[chosen], half_mm=self.half_mm[chosen], force_n=force_n
+        )
 
     def bounds(self, chosen: Bools) -> Box:
         """Return the box around the chosen cells, in the grid's plane."""
-        low = (self.middle_mm - self.cell_mm)[chosen].min(axis=0)
-        high = (self.middle_mm + self.cell_mm)[chosen].max(axis=0)
-        return Box(u0=float(low[0]), u1=float(high[0]), v0=float(low[1]), v1=float(high[1]))
+        return Box(*_around(self.middle_mm, self.cell_mm, chosen))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _around(middle: Floats, cell: Floats, chosen: Bools) -> tuple[float, float, float, float]:
+    """Return the least and largest u, the least and largest v of chosen cells."""
+    u0, u1, v0, v1 = math.inf, -math.inf, math.inf, -math.inf
+    for i in np.flatnonzero(chosen):
+        u0, u1 = min(u0, middle[i, 0] - cell[i, 0]), max(u1, middle[i, 0] + cell[i, 0])
+        v0, v1 = min(v0, middle[i, 1] - cell[i, 1]), max(v1, middle[i, 1] + cell[i, 1])
+    return u0, u1, v0, v1
 
 
 def joined(parts: Sequence[Patches]) -> Patches:
@@ -131,70 +99,6 @@ def joined(parts: Sequence[Patches]) -> Patches:
     if len(parts) == 1:
         return parts[0]
     return Patches(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
-
-
-def cell_edges(low: float, high: float, count: int, *, graded: tuple[bool, bool]) -> Floats:
-    """Return (count + 1,) cell borders between low and high, graded like a cosine towards the ends marked so."""
-    x = np.linspace(0.0, 1.0, count + 1)
-    shape = {
-        (False, False): x,
-        (True, False): 1.0 - np.cos(math.pi / 2 * x),
-        (False, True): np.sin(math.pi / 2 * x),
-        (True, True): (1.0 - np.cos(math.pi * x)) / 2,
-    }[graded]
-    return np.asarray(low + (high - low) * shape)
-
-
-def _half_chord(face: Cylinder | Pillar, v0: float, v1: float) -> float:
-    """Half the mean width of the footprint between v0 and v1: the strip's exact area over its height."""
-    if isinstance(face, Pillar):
-        return face.size_mm[0] / 2
-    a = face.diameter_mm / 2
-    area = [(v * math.sqrt(max(a * a - v * v, 0.0)) + a * a * math.asin(max(-1.0, min(1.0, v / a)))) / 2
-            for v in (v0, v1)]  # fmt: skip
-    return (area[1] - area[0]) / (v1 - v0)
-
-
-def is_even(face: Face, box: Box, across: tuple[int, int]) -> bool:
-    """Return whether all cells are equal: where no face bounds the contact, or its rim is as wide as a cell."""
-    return face is None or face.edge_mm >= max(size / count for size, count in zip(box.size, across, strict=True))
-
-
-def _even_cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Return (n, 2) middles and (n, 2) half sizes of equal cells, those beyond a round face left out."""
-    sides = [size / (2 * count) for size, count in zip(box.size, across, strict=True)]
-    u, v = (
-        np.arange(1, 2 * count, 2) * side + low
-        for low, count, side in zip((box.u0, box.v0), across, sides, strict=True)
-    )
-    grid = np.empty((len(v), len(u), 2))
-    grid[..., 0], grid[..., 1] = u, v[:, None]
-    middle = grid.reshape(-1, 2)
-    if isinstance(face, Cylinder):
-        middle = middle[np.hypot(middle[:, 0], middle[:, 1]) < face.diameter_mm / 2]
-    half = np.empty_like(middle)
-    half[:] = sides
-    return middle, half
-
-
-def _cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Return (n, 2) middles and (n, 2) half sizes of the grid's cells."""
-    if face is None or is_even(face, box, across):
-        return _even_cells(face, box, across)
-    a, b = half_extent(face)
-    near = 1e-6 * max(a, b)
-    rows = cell_edges(box.v0, box.v1, across[1], graded=(box.v0 <= near - b, box.v1 >= b - near))
-    middles, halves = [], []
-    for v0, v1 in pairwise(rows):
-        chord = _half_chord(face, float(v0), float(v1))
-        u0, u1 = max(box.u0, -chord), min(box.u1, chord)
-        if u1 <= u0:
-            continue
-        count = max(3, round(across[0] * math.sqrt((u1 - u0) / box.size[0])))
-        columns = cell_edges(u0, u1, count, graded=(u0 <= near - chord, u1 >= chord - near))
-        middles.append(np.column_stack([(columns[:-1] + columns[1:]) / 2, np.full(count, (v0 + v1) / 2)]))
-        halves.append(np.column_stack([np.diff(columns) / 2, np.full(count, (v1 - v0) / 2)]))
-    return np.concatenate(middles), np.concatenate(halves)
 
 
 def _projected(body: Body, plane: Plane, middle: Floats) -> tuple[Points, Floats, Bools]:
@@ -246,11 +150,11 @@ def _all_level(body: Body, plane: Plane, box: Box) -> bool:
     """Return whether a box, with a hair's breadth around it, lies on a plane piece of a convex body's surface."""
     if not body.is_convex:
         return False
-    wide = box.grown(1e-6 * box.size[0], 1e-6 * box.size[1])
-    places = np.array([(0.0, 0.0), *((u, v) for u in (wide.u0, wide.u1) for v in (wide.v0, wide.v1))])
-    points = plane.origin_mm + places @ plane.axes[:2]
-    distances = body.piece_distances(points)
-    return bool(np.abs(distances[:, 0]).max() == 0.0 and distances[:, 1:].min() > 0.0)
+    u, v = 1e-6 * (box.u1 - box.u0), 1e-6 * (box.v1 - box.v0)
+    (u0, u1), (v0, v1) = (box.u0 - u, box.u1 + u), (box.v0 - v, box.v1 + v)
+    places = np.array(((0.0, 0.0), (u0, v0), (u0, v1), (u1, v0), (u1, v1)))
+    distances = body.piece_distances(plane.origin_mm + places @ plane.axes[:2])
+    return bool(not distances[:, 0].any() and distances[:, 1:].min() > 0.0)
 
 
 def _on_body(body: Body, plane: Plane, middle: Floats, cell: Floats) -> tuple[Points, Floats, Floats, Bools]:
@@ -284,30 +188,49 @@ def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tu
     -------
     Patches on the sensing surface. Cells beyond the body are left out, and their neighbours marked as ``edge``.
     """
-    flat = face is not None
-    middle, cell = _cells(face, box, across)
+    middle, cell = cells(face, box, across)
+    limit = half_extent(face) if face is not None else (math.inf, math.inf)
+    outside, outer = _bordering(middle, cell, (box.u0, box.v0), (box.u1, box.v1), limit)
     if _all_level(body, plane, box):
-        points, frames = plane.origin_mm + middle @ plane.axes[:2], np.empty((len(middle), 3, 3))
-        frames[:], half, off = plane.axes, cell, np.zeros(len(middle), bool)
-    else:
-        points, frames, half, off = _on_body(body, plane, middle, cell)
-    kept = ~off
-    outer = np.zeros(len(middle), bool)
-    a, b = half_extent(face) if face is not None else (math.inf, math.inf)
-    near = 1e-6 * max(a, b) if flat else 0.0
-    for axis, (low, high), limit in ((0, (box.u0, box.u1), a), (1, (box.v0, box.v1), b)):
-        reach = cell[:, axis] * (1 + 1e-6)
-        if not flat or low > near - limit:
-            outer |= middle[:, axis] - reach <= low
-        if not flat or high < limit - near:
-            outer |= middle[:, axis] + reach >= high
-    if not flat:
-        round_in = (middle - [(box.u0 + box.u1) / 2, (box.v0 + box.v1) / 2]) / (np.array(box.size) / 2)
-        outside = np.hypot(round_in[:, 0], round_in[:, 1]) > 1.0
-        outer |= _touching(middle, cell, outside)
-        kept &= ~outside
+        kept = ~outside
+        middle, cell = middle[kept], cell[kept]
+        frames = np.empty((len(middle), 3, 3))
+        frames[:] = plane.axes
+        return Patches(
+            centre_mm=plane.origin_mm + middle @ plane.axes[:2], frames=frames, half_mm=cell, middle_mm=middle,
+            cell_mm=cell, border=outer[kept], edge=np.zeros(len(middle), bool),
+        )  # fmt: skip
+    points, frames, half, off = _on_body(body, plane, middle, cell)
+    kept = ~(off | outside)
     edge = _touching(middle, cell, off) if off.any() else off
     return Patches(
         centre_mm=points[kept], frames=frames[kept], half_mm=half[kept], middle_mm=middle[kept], cell_mm=cell[kept],
         border=outer[kept], edge=edge[kept],
     )  # fmt: skip
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _bordering(
+    middle: Floats, cell: Floats, low: tuple[float, float], high: tuple[float, float], limit: tuple[float, float]
+) -> tuple[Bools, Bools]:
+    """Return (n,) which cells lie outside the ellipse in a box, and which have a neighbour there, or outside the box.
+
+    A box around a flat face, whose half widths are the ``limit``, has no ellipse, and beyond the face no neighbours.
+    """
+    flat = math.isfinite(limit[0])
+    outside, outer = np.zeros(len(middle), np.bool_), np.zeros(len(middle), np.bool_)
+    near = 1e-6 * max(limit[0], limit[1]) if flat else 0.0
+    for i in range(len(middle)):
+        across = np.empty(2)
+        for axis in range(2):
+            reach = cell[i, axis] * (1 + 1e-6)
+            if not flat or low[axis] > near - limit[axis]:
+                outer[i] = outer[i] or middle[i, axis] - reach <= low[axis]
+            if not flat or high[axis] < limit[axis] - near:
+                outer[i] = outer[i] or middle[i, axis] + reach >= high[axis]
+            half = (high[axis] - low[axis]) / 2
+            across[axis] = (middle[i, axis] - (low[axis] + high[axis]) / 2) / half
+        outside[i] = not flat and math.hypot(across[0], across[1]) > 1.0
+    if not flat:
+        outer |= _touching(middle, cell, outside)
+    return outside, outer

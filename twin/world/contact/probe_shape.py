@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points
+from twin.compiled import njit
 from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere, Stl
 from twin.world.contact.rounded import CONE, GRAZING, ROUND, SQUARE, Rounded
 
@@ -50,13 +51,24 @@ class Ball:
 
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
         """See `Shape`."""
-        away = points + np.array([0.0, 0.0, self.radius_mm])
-        ahead = np.einsum("ki,ki->k", away, along)
-        inside = ahead**2 - np.einsum("ki,ki->k", away, away) + self.radius_mm**2
-        met = inside > (GRAZING * self.radius_mm) ** 2
-        distance = np.where(met, ahead - np.sqrt(np.where(met, inside, 1.0)), np.inf)
-        normal = (away - np.where(met, distance, 0.0)[:, None] * along) / self.radius_mm
-        return distance, np.where(met[:, None], normal, along)
+        distance, normal = _meet_ball(points, along, self.radius_mm)
+        return distance, normal
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _meet_ball(points: Floats, along: Floats, radius: float) -> tuple[Floats, Floats]:
+    """See `Shape.met`."""
+    distance, normal = np.full(len(points), np.inf), along.copy()
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2] + radius
+        ahead = x * along[i, 0] + y * along[i, 1] + z * along[i, 2]
+        inside = ahead * ahead - (x * x + y * y + z * z) + radius * radius
+        if inside > (GRAZING * radius) ** 2:
+            way = ahead - math.sqrt(inside)
+            distance[i] = way
+            normal[i, 0], normal[i, 1] = (x - way * along[i, 0]) / radius, (y - way * along[i, 1]) / radius
+            normal[i, 2] = (z - way * along[i, 2]) / radius
+    return distance, normal
 
 
 @dataclass(frozen=True)

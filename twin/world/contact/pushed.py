@@ -22,7 +22,7 @@ from twin.arrays import Bools, Floats, Ints
 from twin.compiled import njit
 from twin.parts.probe import Cone
 from twin.world.contact.gap import MOTIONS, Z
-from twin.world.contact.together import Contacts, Control, every
+from twin.world.contact.together import Contacts, Control
 from twin.world.contact.unilateral import TOLERANCE, Equilibrium, sunk_alone
 
 MOST = 800
@@ -49,7 +49,7 @@ def pushed(contacts: Contacts, control: Control, place: Floats, touch_z: Floats)
         (p,) z of the probes at first touch, mm.
     """
     k, half, z = len(contacts.patches), contacts.patches.half_mm, slice(Z, None, MOTIONS)
-    if (control.by_force & ~every(Z, len(place))).any() or not all(contacts.upright):
+    if np.count_nonzero(control.by_force) > np.count_nonzero(control.by_force[z]) or not all(contacts.upright):
         return None
     if (k > MOST and (half == half[0]).all()) or contacts.normal is None:
         return None
@@ -58,8 +58,7 @@ def pushed(contacts: Contacts, control: Control, place: Floats, touch_z: Floats)
     high = found.copy()
     high[z] = 0.0
     gap = contacts.gap(high)[0]
-    over = (found[z] - ends_at(contacts) * (found[z] - touch_z))[owner] - gap
-    active, force = over > 0.0, np.sqrt(np.maximum(over, 0.0))
+    active, force = _overlapping(gap, owner, found[z] - ends_at(contacts) * (found[z] - touch_z))
     depth, sunk = np.empty(len(touch_z)), np.empty(k)
     steps = settle(normal, gap, owner, by_force, control.given[z], active, force, depth, sunk)
     found[z] = depth
@@ -83,11 +82,33 @@ def _total(contacts: Contacts, place: Floats, force: Floats) -> Floats:
     """Return (6 p,) what normal forces (k,) add up to, about the probes' axes."""
     total = np.zeros(len(place))
     for (setting, rows, motions), grid in zip(contacts.rows, contacts.grids, strict=True):
-        push, first = force[rows], setting.first
-        whole = push.sum()
-        x, y = first.axes[:Z] @ (push @ grid.centre_mm - whole * first.axis_mm) - whole * place[motions][:Z]
-        total[motions] = 0.0, 0.0, whole, y, -x, 0.0
+        first = setting.first
+        _add_up(grid.centre_mm, force[rows], first.axis_mm, first.axes, place[motions], total[motions])
     return total
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _add_up(centre: Floats, push: Floats, axis_mm: Floats, axes: Floats, place: Floats, total: Floats) -> None:
+    whole, x, y, z = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(push)):
+        whole += push[i]
+        x += push[i] * (centre[i, 0] - axis_mm[0])
+        y += push[i] * (centre[i, 1] - axis_mm[1])
+        z += push[i] * (centre[i, 2] - axis_mm[2])
+    total[2] = whole
+    total[3] = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - whole * place[1]
+    total[4] = whole * place[0] - (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _overlapping(gap: Floats, owner: Ints, reach: Floats) -> tuple[Bools, Floats]:
+    """Return (k,) which gaps are smaller than how far their probe (p,) reaches, and forces like a sphere's there."""
+    active, force = np.zeros(len(gap), np.bool_), np.zeros(len(gap))
+    for i in range(len(gap)):
+        over = reach[owner[i]] - gap[i]
+        if over > 0.0:
+            active[i], force[i] = True, math.sqrt(over)
+    return active, force
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -114,7 +135,7 @@ def _residual(
     return max(off / deep, pull / push, unbalanced / load)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
 def settle(
     normal: Floats, gap: Floats, owner: Ints, by_force: Bools, given: Floats, active: Bools, force: Floats,
     depth: Floats, sunk: Floats,
@@ -177,7 +198,7 @@ def settle(
     return 0
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
 def _along(one: Floats, other: Floats) -> float:
     total = 0.0
     for i in range(len(one)):
@@ -200,7 +221,7 @@ def _touch_somewhere(gap: Floats, owner: Ints, by_force: Bools, active: Bools) -
             active[nearest[p]] = True
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
 def _solve(
     part: Floats, gap: Floats, owner: Ints, by_force: Bools, given: Floats, f: Floats, depth: Floats,
     moved: Floats, share: float,

@@ -18,8 +18,9 @@ from twin.arrays import Floats
 from twin.errors import ContactError, NotSettled
 from twin.parts.probe import Cone, Sphere
 from twin.theory.contact import cone_contact_radius, hertz
+from twin.world.contact.cells import Box, is_even
 from twin.world.contact.gap import ABOUT_X, TURN, X, Y, Z
-from twin.world.contact.patches import Box, Patches, Plane, candidate_patches, is_even
+from twin.world.contact.patches import Patches, Plane, candidate_patches
 from twin.world.contact.probe_shape import half_extent
 from twin.world.contact.pushed import ends_at, pushed
 from twin.world.contact.together import Contacts, Control, Setting, every
@@ -120,8 +121,8 @@ def known_contact(setting: Setting, control: Control, start: Floats, touch_z: fl
 
     Under a flat face it is the face, up to the middle of its rim; under a sphere or a cone a closed form says it.
     """
-    axes, place = setting.first.axes, np.where(control.by_force, start, control.given)
-    face = setting.face
+    axes, face = setting.first.axes, setting.face
+    place = np.where(control.by_force, start, control.given)
     if (face is None and not isinstance(setting.probe, Sphere | Cone)) or any(setting.first.tilt_deg):
         return None
     if place[ABOUT_X:TURN].any() or control.by_force[:Z].any() or not setting.compliance.one_material:

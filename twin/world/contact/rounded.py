@@ -45,18 +45,19 @@ class Rounded:
 
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
         """See `twin.world.contact.probe_shape.Shape`."""
-        distance, normal = np.empty(len(points)), np.array(along, order="C")
-        far = 10.0 * (1.0 + self.radius_mm + float(np.abs(points).max(initial=0.0)))
         points, along = np.ascontiguousarray(points), np.ascontiguousarray(along)
-        _enter(points, along, self.sharp, self.sizes, self.radius_mm, far, distance, normal)
+        distance, normal = _enter(points, along, self.sharp, self.sizes, self.radius_mm)
         return distance, normal
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _enter(
-    points: Floats, along: Floats, sharp: int, sizes: tuple[float, float, float], radius: float, far: float,
-    distance: Floats, normal: Floats,
-) -> None:  # fmt: skip
+    points: Floats, along: Floats, sharp: int, sizes: tuple[float, float, float], radius: float
+) -> tuple[Floats, Floats]:
+    distance, normal, largest = np.empty(len(points)), along.copy(), 0.0
+    for i in range(len(points)):
+        largest = max(largest, abs(points[i, 0]), abs(points[i, 1]), abs(points[i, 2]))
+    far = 10.0 * (1.0 + radius + largest)
     for i in range(len(points)):
         e0, e1, e2 = along[i]
         way, left, met = -far, 0.0, False
@@ -75,6 +76,7 @@ def _enter(
             distance[i], normal[i, 0], normal[i, 1], normal[i, 2] = way, n0, n1, n2
         else:
             distance[i] = math.inf
+    return distance, normal
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

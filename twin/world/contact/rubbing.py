@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
+from twin.world.contact.cells import Box
 from twin.world.contact.contact_state import ContactState, lifted_state, touching_state
 from twin.world.contact.friction import take_step
 from twin.world.contact.friction_grid import FrictionGrid, Memory, at_first_touch, let_go
@@ -29,7 +30,7 @@ from twin.world.contact.job import (
     stopped_at,
     together,
 )  # fmt: skip
-from twin.world.contact.patches import Box, Plane
+from twin.world.contact.patches import Plane
 from twin.world.contact.region import check_inside, find_contact, fitted_grids, known_contact
 from twin.world.contact.together import Contacts, Control, Setting, of_one, touch_at
 from twin.world.contact.unilateral import Equilibrium

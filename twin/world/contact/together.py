@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
@@ -20,11 +20,13 @@ from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.press import Probe
 from twin.parts.probe import Cylinder, Pillar
+from twin.world.contact.approach import approach
 from twin.world.contact.between import Between, Dense
-from twin.world.contact.gap import ABOUT_X, MOTIONS, Approach, Z, approach
+from twin.world.contact.cells import Face
+from twin.world.contact.gap import ABOUT_X, MOTIONS, Approach, Z
 from twin.world.contact.iterated import near_lattice
 from twin.world.contact.lattice import lattice
-from twin.world.contact.patches import Face, Patches, Plane, joined
+from twin.world.contact.patches import Patches, Plane, joined
 from twin.world.contact.probe_shape import rotation_of, tilt_of
 from twin.world.contact.unilateral import Equilibrium
 
@@ -52,7 +54,6 @@ class SurfaceCompliance(Protocol):
         ...
 
 
-@runtime_checkable
 class PlaneSurface(Protocol):
     """A surface that tells its normal compliance in a plane by itself, for a tenth of the work of the whole."""
 
@@ -132,6 +133,8 @@ def touch_at(setting: Setting, place: Floats) -> tuple[Plane, float]:
     first, there = setting.first, _touching_there(setting, place)
     if setting.face is None:
         plane = Plane(origin_mm=there.touch_mm, axes=setting.body.frames(there.touch_mm[None])[0])
+    elif not place[ABOUT_X:].any() and not any(first.tilt_deg):
+        plane = Plane(origin_mm=there.axis_mm, axes=first.axes)
     else:
         side = rotation_of(place[ABOUT_X:]) @ tilt_of(first.tilt_deg)[:, 0]
         side = np.array([side[0], side[1], 0.0]) / np.hypot(side[0], side[1])
@@ -184,6 +187,8 @@ class Contacts:
     @cached_property
     def owner(self) -> Ints:
         """(k,) which probe each patch belongs to."""
+        if len(self.grids) == 1:
+            return np.zeros(len(self.patches), int)
         return np.repeat(np.arange(len(self.grids)), [len(grid) for grid in self.grids])
 
     @cached_property
@@ -213,10 +218,8 @@ class Contacts:
     @cached_property
     def normal(self) -> Floats | None:
         """(k, k) normal compliance alone, mm/N, where it is known without the rest."""
-        body, patches = self.settings[0].compliance, self.patches
-        if not isinstance(body, PlaneSurface):
-            return None
-        return body.normal(patches.unloaded)
+        normal = getattr(self.settings[0].compliance, "normal", None)  # a `PlaneSurface`, told by name: that is fast
+        return None if normal is None else normal(self.patches.unloaded)
 
     def carried(self, place: Floats) -> Floats:
         """Return (k, 3, 6 p): motion of the probes' points at the patches, in their frames, per unit of the place.
@@ -261,11 +264,21 @@ class Contacts:
     def upright(self) -> list[bool]:
         """Whether each probe comes along the normals of all its patches."""
         pairs = zip(self.settings, self.grids, strict=True)
-        return [bool((grid.frames[:, 2] == setting.first.axes[2]).all()) for setting, grid in pairs]
+        return [_all_along(grid.frames, setting.first.axes) for setting, grid in pairs]
 
     @cached_property
     def _last(self) -> dict[int, tuple[bytes, tuple[Floats, Floats]]]:
         return {}
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _all_along(frames: Floats, axes: Floats) -> bool:
+    """Return whether the normals of frames (k, 3, 3) are all the last of the axes (3, 3)."""
+    for i in range(len(frames)):
+        for j in range(3):
+            if frames[i, 2, j] != axes[2, j]:
+                return False
+    return True
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -293,6 +306,8 @@ def _in_own_frames(compliance: Floats, frames: Floats) -> Floats:
 
 def of_one(found: Equilibrium, rows: slice, motions: slice) -> Equilibrium:
     """Return one probe's part of an equilibrium."""
+    if len(found.place) == MOTIONS:
+        return found
     return Equilibrium(
         force_n=found.force_n[rows], displacement_mm=found.displacement_mm[rows], place=found.place[motions],
         active=found.active[rows], total=found.total[motions], slipping=found.slipping[rows], residual=found.residual,
