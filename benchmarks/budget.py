@@ -31,7 +31,7 @@ from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found, track
 from twin.sense.transfer import from_compliance
 from twin.streams import Purpose, stream
-from twin.study.batch.engine import one_thread
+from twin.study.batch.job import one_thread
 from twin.study.calibrate import calibration_of
 from twin.study.motion import Motion
 from twin.study.recipe import load_scene

@@ -20,7 +20,7 @@ from twin.arrays import Floats, Points
 from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.parts.press import Cylinder, Press, Sphere, Step
-from twin.study.batch.engine import one_thread
+from twin.study.batch.job import one_thread
 from twin.theory import halfspace
 from twin.theory.contact import hertz, punch_stiffness, tangential_stiffness, torsional_stiffness
 from twin.theory.friction import sheared_motion, stick_radius, twisted

@@ -21,7 +21,7 @@ from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, table
 from benchmarks.dataset_workers import rows as workers_rows
 from twin.study import sensor
-from twin.study.batch.engine import one_thread, unpacked
+from twin.study.batch.job import one_thread, unpacked
 from twin.study.dataset import cells, work
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import job_of, prepare

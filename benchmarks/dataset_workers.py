@@ -15,7 +15,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from twin.study.batch.engine import Done, Job, one_thread, run_tasks
+from twin.study.batch.engine import run_tasks
+from twin.study.batch.job import Done, Job, one_thread
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import job_of, prepare
 from twin.study.dataset.work import ShardBytes, make_shard

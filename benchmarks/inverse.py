@@ -25,7 +25,7 @@ from twin.sense.problem import problem_of
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
 from twin.sense.weigh import automatic_weight, filtered
-from twin.study.batch.engine import one_thread
+from twin.study.batch.job import one_thread
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor

@@ -28,7 +28,7 @@ from benchmarks.growth_law import exponent
 from twin.parts.scene import Scene
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import track
-from twin.study.batch.engine import one_thread
+from twin.study.batch.job import one_thread
 from twin.study.calibrate import nominal_calibration
 from twin.study.dataset.create import create_dataset
 from twin.study.recipe import load_scene

@@ -16,7 +16,7 @@ from benchmarks.clock import Clock
 from twin.arrays import Floats
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
-from twin.study.batch.engine import one_thread
+from twin.study.batch.job import one_thread
 from twin.study.sweep.best import write_best
 from twin.study.sweep.closed import closed
 from twin.study.sweep.designs import designs_of

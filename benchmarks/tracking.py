@@ -28,7 +28,7 @@ from benchmarks.discs import bound_px, expose, scene
 from twin.sense.force_map import in_units
 from twin.sense.rest import Method
 from twin.sense.track import Tracker, analyse_rest, track_frame
-from twin.study.batch.engine import one_thread
+from twin.study.batch.job import one_thread
 
 PAGE = Path(__file__).parent.parent / "docs" / "tracking.md"
 SHADOWED = """## What the stated deviations miss

@@ -76,6 +76,16 @@ def test_doors_between_the_wings(from_wing: str, forbidden: list[str]) -> None:
         assert not crossing, f"{file.name} imports {crossing}"
 
 
+def test_no_files_import_each_other_in_a_circle() -> None:
+    """Data flow one way: imports within functions and for types count too; `twin` itself only lists names."""
+    names = {".".join(("twin", *file.relative_to(PACKAGE).with_suffix("").parts)): file for file in FILES}
+    waiting = {name: imports(file) & names.keys() - {name} for name, file in names.items()}
+    while free := [name for name, wanted in waiting.items() if not wanted & waiting.keys()]:
+        for name in free:
+            del waiting[name]
+    assert not waiting, f"in a circle, or above one: {sorted(waiting)}"
+
+
 @pytest.mark.parametrize("package", sorted(HOMES))
 def test_heavy_packages_have_one_home(package: str) -> None:
     users = {

@@ -204,7 +204,7 @@ def test_a_browser_shows_it_moving_and_ctrl_c_ends_it(
 
 @pytest.mark.slow
 def test_ten_updates_a_second_fit_in_the_time_of_one_core(live: LivePress) -> None:
-    from twin.study.batch.engine import one_thread
+    from twin.study.batch.job import one_thread
 
     with one_thread():
         spent = []

@@ -9,14 +9,13 @@ from twin.progress import Progress
 
 if TYPE_CHECKING:
     from twin.world.elasticity.compliance import Compliance
-    from twin.world.elasticity.covered import Covered, CoveredLadder
-    from twin.world.elasticity.ladder import Ladder
+    from twin.world.elasticity.covered import Covered
+    from twin.world.elasticity.ladder import CoveredLadder, Ladder
 
 
 def actual_ladder(actual: Scene, progress: Progress | None = None) -> Ladder | CoveredLadder:
     """Return a body on as many levels of mesh as the asked accuracy takes."""
-    from twin.world.elasticity.covered import CoveredLadder
-    from twin.world.elasticity.ladder import Ladder
+    from twin.world.elasticity.ladder import CoveredLadder, Ladder
 
     if covered := _covered(actual, "coarse", progress):
         return CoveredLadder(covered)

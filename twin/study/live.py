@@ -269,7 +269,7 @@ def run_live(scene: Scene, port: int = 0, progress: Progress | None = None) -> N
         The port can't be had.
     """
     from twin.show.hand import hand_page
-    from twin.study.batch.engine import one_thread
+    from twin.study.batch.job import one_thread
     from twin.study.loopback import Loopback
 
     with one_thread():  # the steps' small products lose more than they gain by a second thread

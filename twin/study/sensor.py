@@ -29,8 +29,8 @@ from twin.theory.optics import project
 if TYPE_CHECKING:
     from twin.world.contact.contact import ContactState
     from twin.world.elasticity.compliance import Compliance
-    from twin.world.elasticity.covered import Covered, CoveredLadder
-    from twin.world.elasticity.ladder import Ladder
+    from twin.world.elasticity.covered import Covered
+    from twin.world.elasticity.ladder import CoveredLadder, Ladder
     from twin.world.elasticity.stiff import StiffBeads
     from twin.world.picture.cover import CoverMotion
     from twin.world.picture.exposure import Pattern

@@ -14,18 +14,17 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from twin.errors import MissingCapability
-from twin.study.batch.engine import (
-    AHEAD,
-    RETRIES,
-    TOGETHER_S,
-    Done,
-    Job,
-    died,
-    tasks_on_worker,
-    unpack_on_worker,
-    unreachable,
-)
+from twin.errors import InputError, MissingCapability
+from twin.study.batch.job import Done, Job, tasks_on_worker, unpack_on_worker
+
+AHEAD = 2
+"""Hand-outs per worker: the next is there when one is done, and memory stays flat."""
+
+TOGETHER_S = 1.0
+"""Quick tasks are handed out several at a time, as many as take so long, in CPU seconds: a hand-out costs some 7 ms."""
+
+RETRIES = 3
+"""Times a task may see its worker die before it is given up."""
 
 HERE = "127.0.0.1"
 """This machine, for itself."""
@@ -110,7 +109,10 @@ def connected(cluster: Any) -> Any:
     try:
         return Client(cluster, timeout=PATIENCE_S, direct_to_workers=not isinstance(cluster, str))
     except (OSError, TimeoutError, ValueError) as problem:
-        raise unreachable(str(cluster), problem) from None
+        raise InputError(
+            f"--scheduler {cluster}: no dask scheduler answers there ({type(problem).__name__}); start one with "
+            "dask scheduler, or leave the option out to work on this machine"
+        ) from None
 
 
 def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator[Done]:
@@ -161,5 +163,6 @@ def _done(numbers: list[int], future: Any) -> tuple[list[Done], float | None]:
         found, seconds = future.result()
         return found, seconds
     if type(problem).__name__ == "KilledWorker":
-        return [Done(number, problem=str(died(number))) for number in numbers], None
+        died = f"its worker died {RETRIES} times (out of memory?); run again to try it anew"
+        return [Done(number, problem=f"task {number}: {died}") for number in numbers], None
     return [Done(number, problem=f"{type(problem).__name__}: {problem}") for number in numbers], None

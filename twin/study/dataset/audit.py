@@ -20,7 +20,8 @@ from twin.errors import ContactError, TwinError
 from twin.places import pinned
 from twin.progress import Progress
 from twin.study.batch.draw import Table
-from twin.study.batch.engine import Job, Pool
+from twin.study.batch.engine import Pool
+from twin.study.batch.job import Job
 from twin.study.dataset.plan import Plan, load_of, press_of
 from twin.study.dataset.prepare import finest_mesh_file
 from twin.study.dataset.sample import INTERNAL, MadeSensor, slips_of, truth_of

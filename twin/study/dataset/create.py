@@ -17,7 +17,8 @@ from twin.errors import InputError, TwinError
 from twin.parts.scene import Scene
 from twin.progress import Progress
 from twin.results import make_folder, write_whole
-from twin.study.batch.engine import Done, Job, Pool, reach
+from twin.study.batch.engine import Pool, reach
+from twin.study.batch.job import Done, Job
 from twin.study.batch.lock import only_writer
 from twin.study.dataset.finish import drop_changed, finish
 from twin.study.dataset.plan import Places, Plan

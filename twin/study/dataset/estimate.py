@@ -8,7 +8,7 @@ from pathlib import Path
 
 from twin.parts.scene import Scene
 from twin.progress import Progress
-from twin.study.batch.engine import one_thread, unpacked
+from twin.study.batch.job import one_thread, unpacked
 from twin.study.dataset.audit import audit_sample, audited
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import job_of, prepare

@@ -9,7 +9,8 @@ from typing import Any
 
 from twin.progress import Progress
 from twin.results import write_json, write_whole
-from twin.study.batch.engine import Job, Pool
+from twin.study.batch.engine import Pool
+from twin.study.batch.job import Job
 from twin.study.dataset.audit import audit
 from twin.study.dataset.card import card_text, croissant
 from twin.study.dataset.plan import Places, Plan

@@ -16,7 +16,7 @@ from twin.parts.scene import Scene
 from twin.parts.solid import Solid
 from twin.progress import Progress
 from twin.results import write_json, write_whole
-from twin.study.batch.engine import Job
+from twin.study.batch.job import Job
 from twin.study.dataset.columns import ALWAYS, Kind
 from twin.study.dataset.plan import FORMAT, Places, Plan, content_hash
 from twin.study.recipe import dump_scene

@@ -24,7 +24,7 @@ import twin
 from twin.errors import TwinError
 from twin.progress import Progress
 from twin.results import make_folder, write_whole
-from twin.study.batch.engine import one_thread
+from twin.study.batch.job import one_thread
 from twin.study.recipe import load_scene
 from twin.study.reproduce.bench import FITTED, SCENES, Bench, sensor_hash
 from twin.study.reproduce.catalogue import ENTRIES, chosen

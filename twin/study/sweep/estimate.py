@@ -12,7 +12,7 @@ import numpy as np
 from twin.arrays import Ints
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
-from twin.study.batch.engine import Job, one_thread, unpacked
+from twin.study.batch.job import Job, one_thread, unpacked
 from twin.study.recipe import dump_scene
 from twin.study.sweep.closed import closed
 from twin.study.sweep.designs import Designs, designs_of

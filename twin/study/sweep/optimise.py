@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,9 +26,7 @@ from twin.parts.sweep import Sweep
 from twin.study.sweep.closed import closed
 from twin.study.sweep.designs import Designs, designs_at
 from twin.study.sweep.rank import scores
-
-if TYPE_CHECKING:
-    from twin.study.sweep.run import Runner
+from twin.study.sweep.runner import Runner
 
 POPULATION = 8
 """Designs of a generation, times the axes."""

@@ -32,7 +32,6 @@ from twin.world.elasticity.compliance import Compliance, Method
 from twin.world.elasticity.expected import unbounded
 from twin.world.elasticity.fem import Layer, TaylorHood
 from twin.world.elasticity.known import Known
-from twin.world.elasticity.ladder import Answer
 from twin.world.elasticity.spread import patch_rests
 from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
@@ -221,16 +220,3 @@ class Covered:
     def surface(self, rectangles: Rectangles) -> Floats:
         """See `Compliance.surface`."""
         return self.patch(rectangles, each=True).surface(rectangles)
-
-
-class CoveredLadder:
-    """One way to answer, whatever accuracy is asked; see `twin.world.elasticity.ladder.Ladder`."""
-
-    def __init__(self, base: Covered) -> None:
-        self.base = base
-
-    def displacement(self, points: Points, load: Rectangles, *, always: bool = True) -> Answer:
-        """Return the (n, 3) displacement of ``points`` under ``load``, and its estimated error."""
-        del always
-        moved, error = self.base.answer(points, load)
-        return Answer(displacement_mm=moved, error=error, compliance=self.base)

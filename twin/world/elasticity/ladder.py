@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from twin.arrays import Points
 from twin.parts.body import Body
@@ -18,11 +17,9 @@ from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.progress import Progress
 from twin.world.elasticity.compliance import Compliance
+from twin.world.elasticity.covered import Covered
 from twin.world.elasticity.expected import EXPECTED
 from twin.world.mesh.sizing import WORLD, Level
-
-if TYPE_CHECKING:
-    from twin.world.elasticity.covered import Covered
 
 GAIN = 2.5
 """How many times smaller a level's error is than that of the next coarser one, at least."""
@@ -117,3 +114,16 @@ class Ladder:
             rung = self.at(WORLD[WORLD.index(rung.level) + 1])
             moved, error = rung.answer(points, load)
         return Answer(displacement_mm=moved, error=error, compliance=rung)
+
+
+class CoveredLadder:
+    """One way to answer, whatever accuracy is asked; see `Ladder`."""
+
+    def __init__(self, base: Covered) -> None:
+        self.base = base
+
+    def displacement(self, points: Points, load: Rectangles, *, always: bool = True) -> Answer:
+        """Return the (n, 3) displacement of ``points`` under ``load``, and its estimated error."""
+        del always
+        moved, error = self.base.answer(points, load)
+        return Answer(displacement_mm=moved, error=error, compliance=self.base)
