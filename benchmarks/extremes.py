@@ -127,7 +127,6 @@ def extremes(rules: typing.Sequence[Any], kind: type, dear: float = math.inf) ->
     high = most if high is not None else None
     far = FAR if kind is float else (0, 10**12)
     ends = [end for end in (low, high) if end is not None]
-    ends += [math.nextafter(low, math.inf)] if low and kind is float else []
     return sorted({kind(value) for value in (*ends, *far) if least <= value <= most})
 
 

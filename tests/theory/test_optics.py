@@ -264,3 +264,12 @@ def test_any_number_of_layers_is_one_of_the_same_optical_path() -> None:
 def test_a_wrong_number_of_coefficients_is_refused() -> None:
     with pytest.raises(RecipeError, match="3 coefficients"):
         Camera(focal_px=500, pupil_mm=(0, 0, 60), distortion=(0.1, 0.2, 0.3))
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_a_distortion_next_to_nothing_bends_nothing(number: int) -> None:
+    told = [0.0] * 5
+    told[number] = 5e-324
+    plain, bent = (Camera(focal_px=200, pupil_mm=(0, 0, 60), distortion=d) for d in ((), tuple(told)))
+    pixels = np.array([[0.0, 0.0], [319.5, 239.5], [600.0, 20.0]])
+    np.testing.assert_allclose(lens_inverse(pixels, bent), lens_inverse(pixels, plain), atol=1e-12)

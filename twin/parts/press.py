@@ -36,6 +36,10 @@ LARGEST_TURN_DEG = 60.0
 """How far a probe may be tilted against its direction of approach."""
 
 
+LARGEST_FRICTION = 1e6
+"""Coulomb's coefficient beyond which a number means nothing that inf doesn't."""
+
+
 def _triple(value: Any) -> Any:
     if isinstance(value, dict):
         if extra := sorted(set(value) - {"x", "y", "z"}):
@@ -176,8 +180,8 @@ class Press(Part):
     @field_validator("friction")
     @classmethod
     def _known_law(cls, value: float) -> float:
-        if not value >= 0.0:
-            raise ValueError("allowed are 0 (frictionless) or more, up to inf (sticking)")
+        if not (0.0 <= value <= LARGEST_FRICTION or value == math.inf):
+            raise ValueError(f"allowed are 0 (frictionless) to {LARGEST_FRICTION:g}, or inf (sticking)")
         return value
 
     @model_validator(mode="after")

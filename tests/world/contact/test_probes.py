@@ -459,7 +459,7 @@ def test_a_cone_that_sinks_to_its_base_is_told() -> None:
         ("diameter_mm = 0 mm", {"probe": {"kind": "cone", "apex_deg": 90, "diameter_mm": 0}}),
         ("edge_mm", {"probe": {"kind": "cylinder", "diameter_mm": 2, "edge_mm": 1.5}}),
         ("as wide as the base", {"probe": {"kind": "cone", "apex_deg": 90, "diameter_mm": 2, "tip_mm": 2}}),
-        ("0 .frictionless. or more", {"friction": -0.1}),
+        ("0 .frictionless. to", {"friction": -0.1}),
         ("tilt_deg", {"tilt_deg": (80, 0, 0)}),
         ("direction", {"direction": (0, 0, 0)}),
         ("must be greater than 0: along", {"direction": (0, -1.0, 0), "steps": (Step(force_n={"y": 1.0}),)}),
@@ -531,3 +531,10 @@ def test_a_refused_step_leaves_the_states_before_it(friction: float) -> None:
     with pytest.raises(ContactError, match="sinks in") as refused:
         pressed(Press(probe=Sphere(diameter_mm=4), friction=friction, indentation_mm=2.5), across=8, increments=2)
     assert refused.value.last_state is None
+
+
+@pytest.mark.parametrize("size", [5e-324, 1e-200, 1e-101, 1e-99])
+def test_a_turn_next_to_nothing_turns_nothing(size: float) -> None:
+    turn = np.array([size, 0.0, -size])
+    np.testing.assert_allclose(rotation_of(turn), np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(turning_of(turn), np.eye(3), atol=1e-15)

@@ -127,6 +127,13 @@ def test_psf_spreads_a_point_by_its_width_and_keeps_its_light() -> None:
     assert (counts.sum(axis=1) * offsets).sum() == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.parametrize("psf_px", [5e-324, 1e-200, 1e-12])
+def test_a_psf_next_to_nothing_is_none(psf_px: float) -> None:
+    light = np.linspace(0, 200, 41 * 41 * 3, dtype=np.float32).reshape(41, 41, 3)
+    blurred = expose(light, IDEAL.model_copy(update={"psf_px": psf_px}), rng())
+    np.testing.assert_array_equal(blurred, expose(light, IDEAL, rng()))
+
+
 def test_crosstalk_leaks_its_share_into_each_other_channel() -> None:
     counts = expose(
         even(0.0, 8) + np.array([0.8, 0, 0], np.float32), IDEAL.model_copy(update={"crosstalk": 0.1}), rng()

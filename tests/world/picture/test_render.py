@@ -17,6 +17,7 @@ from twin.parts.scene import Scene
 from twin.theory.optics import Sight, project
 from twin.world.picture import threads as pool
 from twin.world.picture.crowded import shade_crowded
+from twin.world.picture.defocus import through_the_pupil
 from twin.world.picture.markers import Ellipsoids, ellipsoids
 from twin.world.picture.render import Renderer, subpixels_for
 from twin.world.picture.variant import Variant, choose_variant
@@ -251,6 +252,17 @@ def test_a_wide_pupil_blurs_what_is_out_of_focus_by_its_disc(scene: Scene) -> No
         disc = 1814.8 * 4.0 * abs(1 / apparent - 1 / focus)
         assert moments[1] - moments[0] == pytest.approx(disc**2 / 16, abs=0.03)
         assert (disc > 1) == bool(blurred)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [("focus_z_mm", 200.0, "camera.focus_z_mm = 200 mm"), ("tilt_deg", (170.0, 0.0, 0.0), "camera.tilt_deg")],
+)
+def test_a_lens_focused_on_what_it_cant_see_is_refused(scene: Scene, key: str, value: Any, words: str) -> None:
+    assert scene.camera is not None
+    turned = scene.camera.model_copy(update={"aperture_mm": 1.0, key: value})
+    with pytest.raises(RecipeError, match=words):
+        through_the_pupil(scene.model_copy(update={"camera": turned}))
 
 
 @pytest.mark.parametrize("make", [block, finger])

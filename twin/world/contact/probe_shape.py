@@ -132,9 +132,13 @@ class Tilted:
         return distance, normal @ self.rotation.T
 
 
+_NO_TURN = 1e-100
+"""A turn so small, radians, turns nothing, and its square is 0."""
+
+
 def rotation_of(turn: Floats) -> Floats:
     """Return the (3, 3) rotation about a vector (3,) by its length, radians (Rodrigues)."""
-    if not turn.any():
+    if np.max(np.abs(turn)) < _NO_TURN:
         return np.eye(3)
     angle = float(np.linalg.norm(turn))
     x, y, z = turn / angle
@@ -144,7 +148,7 @@ def rotation_of(turn: Floats) -> Floats:
 
 def turning_of(turn: Floats) -> Floats:
     """Return the (3, 3) matrix that takes a change of a rotation vector to the turn that it makes (left Jacobian)."""
-    if not turn.any():
+    if np.max(np.abs(turn)) < _NO_TURN:
         return np.eye(3)
     angle = float(np.linalg.norm(turn))
     cross = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])

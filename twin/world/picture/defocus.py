@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from twin.errors import RecipeError
 from twin.parts.camera import Camera
 from twin.parts.scene import Scene
 from twin.theory.optics import project
@@ -26,6 +27,11 @@ def through_the_pupil(scene: Scene) -> list[Camera]:
     Notes
     -----
     The seven points are the middle and a hexagon at sqrt(2/3) of the radius.
+
+    Raises
+    ------
+    RecipeError
+        The lens is focused on what it can't see.
     """
     camera = scene.camera
     if camera is None or camera.aperture_mm == 0:
@@ -36,7 +42,17 @@ def through_the_pupil(scene: Scene) -> list[Camera]:
     focus = np.array([[camera.pupil_mm[0], camera.pupil_mm[1], camera.focus_z_mm]])
     optics = (scene.material.refractive_index, scene.body.base_z_mm)
     sharp = camera.model_copy(update={"aperture_mm": 0.0})
+    if not camera.focus_z_mm < camera.pupil_mm[2]:
+        raise RecipeError(
+            f"camera.focus_z_mm = {camera.focus_z_mm:g} mm: what the lens shows sharply must lie in front of it (below "
+            f"camera.pupil_mm's z = {camera.pupil_mm[2]:g} mm); move it, or set aperture_mm = 0"
+        )
     here = project(focus, sharp, *optics)[0]
+    if not np.isfinite(here).all():
+        raise RecipeError(
+            "camera.tilt_deg: the lens doesn't see the place below its pupil where it is focused "
+            f"(z = {camera.focus_z_mm:g} mm); turn it there, or set aperture_mm = 0"
+        )
     found = []
     for x, y in points.tolist():
         pupil = (camera.pupil_mm[0] + x, camera.pupil_mm[1] + y, camera.pupil_mm[2])

@@ -168,8 +168,9 @@ def mosaic_of(ccd: Ccd) -> Ints | None:
 
 def _weights(spread_px: float) -> NDArray[np.float32]:
     """Return (2 r + 1,) samples of a Gaussian that sum to 1, out to four standard deviations."""
-    steps = np.arange(-int(4 * spread_px + 0.5), int(4 * spread_px + 0.5) + 1)
-    weights = np.exp(-(steps**2) / (2 * spread_px**2)) if spread_px > 0 else np.ones(1)
+    reach = int(4 * spread_px + 0.5)
+    steps = np.arange(-reach, reach + 1)
+    weights = np.exp(-(steps**2) / (2 * spread_px**2)) if reach else np.ones(1)
     singles: NDArray[np.float32] = (weights / weights.sum()).astype(np.float32)
     return singles
 
