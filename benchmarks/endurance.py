@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.__main__ import RESULTS, machine, table
 from benchmarks.arguments import minutes
-from benchmarks.fuzz_files import SMALL
+from benchmarks.fuzz_whole import SMALL
 from benchmarks.random_scenes import said
 
 STORED = RESULTS / "endurance.json"

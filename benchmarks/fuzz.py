@@ -31,7 +31,8 @@ from typing import Any
 from benchmarks.__main__ import RESULTS, machine, table
 from benchmarks.arguments import at_least
 from benchmarks.fuzz_damage import damaged
-from benchmarks.fuzz_files import READERS, Reader, make_whole_files
+from benchmarks.fuzz_files import READERS, Reader
+from benchmarks.fuzz_whole import make_whole_files
 
 STORED = RESULTS / "fuzz.json"
 CPU_S, WALL_S = 10, 120
@@ -179,7 +180,7 @@ def survey(readers: dict[str, Reader], rounds: int, tell: Any = None) -> dict[st
     found: dict[str, Found] = {}
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder) / "whole"
-        make_whole_files(whole)
+        make_whole_files(whole, READERS)
         warm()
         for reader in readers.values():
             here = found[reader.name] = Found()

@@ -1,69 +1,27 @@
-"""The readers that are attacked: a whole file of every kind, the command that reads it, and files hostile for it."""
+"""The readers that are attacked: the command that reads a kind of file, and what is done to that file."""
 
 from __future__ import annotations
 
-import io
-import json
 import os
-import shutil
-import struct
-import subprocess
-import sys
-import zipfile
-import zlib
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from benchmarks import ROOT
-
-Spoil = Callable[[Path], object]
-
-SMALL = {
-    "camera.width_px": 160, "camera.height_px": 120, "camera.focal_px": 450,
-    "markers.red.columns": 7, "markers.red.rows": 5, "markers.blue.columns": 6, "markers.blue.rows": 4,
-    "reconstruction.sites.columns": 4, "reconstruction.sites.rows": 3, "accuracy.contact_patches": 6,
-    "press.probe": {"kind": "sphere", "diameter_mm": 5}, "press.force_n": {"z": 0.5},
-}  # fmt: skip
-VARY = {
-    "dataset.samples_per_shard": 1,
-    "dataset.columns": ["force_n", "marker_pressed_px", "marker_displacement_mm", "picture"],
-    "vary": {"press.at_mm": {"low": [-3.0, -2.0], "high": [3.0, 2.0]}},
-}
-
-SOLID = """
-base = "block_bare"
-[material]
-youngs_modulus_mpa = 1.0
-[body]
-shape = "solid"
-file = "body.stl"
-[body.held]
-plane = {point_mm = [0, 0, 8], normal = [0, 0, 1]}
-[body.sensing]
-normal = [0, 0, -1]
-[press]
-force_n = {z = 0.1}
-[press.probe]
-kind = "sphere"
-diameter_mm = 3
-"""
-PROBE = 'base = "block_bare"\n[press]\nforce_n = {z = 0.1}\n[press.probe]\nkind = "stl"\nfile = "probe.stl"\n'
-LENS = 'base = "kamiyama_pillar"\n[camera]\nintrinsics = "lens.%s"\n'
-SWEEP = """
-scene = "small.toml"
-fidelity = ["closed"]
-[axes]
-"markers.*.pitch_mm" = {low = 1.2, high = 1.8, steps = 3}
-[loads]
-size_mm = 2.0
-pair_mm = 4.0
-presses = 2
-"""
-CSV = "frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\npressed.png,0,0,,0,0,0.5\npressed.png,0,0,,0,0,0.5\n"
+from benchmarks.fuzz_hostile import ARCHIVE, DATASET, HOSTILE_TOML, JSON, PICTURES, STL, TABLE, YAML
+from benchmarks.fuzz_spoil import (
+    Spoil,
+    appended,
+    as_folder,
+    npz_bomb,
+    npz_lying,
+    npz_pickle,
+    npz_with,
+    piped,
+    replaced,
+    swept_rows,
+    written,
+)
+from benchmarks.fuzz_whole import box_stl
 
 
 @dataclass(frozen=True)
@@ -91,427 +49,6 @@ class Reader:
     stdin: str = ""
 
 
-def make_whole_files(folder: Path) -> None:
-    """Make a folder of whole files for every reader, in a process of its own (it renders; forks don't like that)."""
-    code = f"from pathlib import Path; from benchmarks.fuzz_files import make; make(Path({str(folder)!r}))"
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, check=True, stdout=subprocess.DEVNULL)
-
-
-def make(folder: Path) -> None:
-    """Make the whole files."""
-    import twin
-    from twin.show.report import report
-    from twin.study.calibrate import calibrate_to_file
-    from twin.study.dataset.create import create_dataset
-    from twin.study.frames import VideoWriter, ffmpeg
-    from twin.study.recipe import dump_scene
-    from twin.study.run import run
-
-    folder.mkdir(parents=True)
-    scene = twin.load_scene("kamiyama_pillar", SMALL)
-    base = folder / "base"
-    result = run(scene)
-    result.write(base)
-    (base / "report.html").write_text(report(result))
-    (base / "small.toml").write_text(dump_scene(scene))
-    calibrate_to_file(scene, base / "flat.npz")
-    (base / "sweep.toml").write_text(SWEEP)
-    (base / "presses.csv").write_text(CSV)
-    (base / "solid.toml").write_text(SOLID)
-    (base / "probe.toml").write_text(PROBE)
-    (base / "body.stl").write_bytes(box_stl(12, 12, 8))
-    (base / "probe.stl").write_bytes(box_stl(2, 2, 2))
-    (base / "text.stl").write_bytes(text_stl(box_stl(12, 12, 8)))
-    matrix = {"rows": 3, "cols": 3, "data": [450.0, 0, 79.5, 0, 450.0, 59.5, 0, 0, 1]}
-    lens = {"camera_matrix": matrix, "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.01, 0, 0, 0]}}
-    (base / "lens.json").write_text(json.dumps(lens))
-    (base / "lens.yaml").write_text(json.dumps(lens, indent=1))
-    (base / "json.toml").write_text(LENS % "json")
-    (base / "yaml.toml").write_text(LENS % "yaml")
-    assert result.rest is not None
-    assert result.pressed is not None
-    (base / "frames.raw").write_bytes(result.rest.tobytes() + result.pressed.tobytes())
-    save_as(result.pressed, base / "pressed.jpg")
-    save_as(result.pressed, base / "pressed.bmp")
-    create_dataset(twin.load_scene("kamiyama_pillar", {**SMALL, **VARY}), base / "data", 2)
-    (base / "dataset.toml").write_text((base / "data" / "meta" / "scene.toml").read_text())
-    try:
-        ffmpeg()
-        film = VideoWriter(base / "film.mp4", (160, 120))
-        for picture in (result.rest, result.pressed, result.pressed):
-            film.add(picture)
-        film.close()
-    except twin.errors.MissingCapability:
-        (base / "film.mp4").write_bytes(b"no encoder here")
-    for reader in READERS.values():
-        shutil.copytree(base, folder / reader.name)
-    shutil.rmtree(base)
-
-
-def save_as(picture: np.ndarray, path: Path) -> None:
-    """Write a picture in the format that a name ends in."""
-    from PIL import Image
-
-    Image.fromarray(picture).save(path)
-
-
-def box_stl(width: float, length: float, height: float) -> bytes:
-    """Return a box as binary STL, z from 0."""
-    ends = (-width / 2, width / 2), (-length / 2, length / 2), (0.0, height)
-    corners = np.array([[x, y, z] for x in ends[0] for y in ends[1] for z in ends[2]])
-    sides = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
-    faces = np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))])
-    record = np.zeros(len(faces), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
-    record["corners"] = corners[faces]
-    return bytes(80) + struct.pack("<I", len(faces)) + record.tobytes()
-
-
-def text_stl(binary: bytes) -> bytes:
-    """Return a binary STL's triangles as text."""
-    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-    lines = ["solid box"]
-    for triangle in np.frombuffer(binary, record, offset=84)["corners"]:
-        lines += ["facet normal 0 0 0", "outer loop", *(f"vertex {x} {y} {z}" for x, y, z in triangle)]
-        lines += ["endloop", "endfacet"]
-    return "\n".join([*lines, "endsolid box\n"]).encode()
-
-
-class Evil:
-    """Unpickled, it would write a file beside the folder that it lies in."""
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (os.system, ("touch ../outside/executed",))
-
-
-def _npz_with(name: str, key: str, array: Any) -> Spoil:
-    """Replace an array of an npz file."""
-
-    def spoil(inside: Path) -> None:
-        with np.load(inside / name) as old:
-            arrays = {k: old[k] for k in old.files}
-        np.savez(inside / name, **{**arrays, key: array})
-
-    return spoil
-
-
-def _npz_pickle(name: str, key: str) -> Spoil:
-    def spoil(inside: Path) -> None:
-        with np.load(inside / name) as old:
-            arrays = {k: old[k] for k in old.files}
-        arrays[key] = np.array([Evil()], dtype=object)
-        np.savez(inside / name, allow_pickle=True, **arrays)
-
-    return spoil
-
-
-def _bare_pickle(name: str) -> Spoil:
-    import pickle
-
-    return lambda inside: (inside / name).write_bytes(pickle.dumps(Evil()))
-
-
-def _npz_bomb(name: str, key: str) -> Spoil:
-    """Replace an array by 16 GB of zeros, which deflate to 16 MB."""
-
-    def spoil(inside: Path) -> None:
-        head = npy_header((2 * 10**9,))
-        with (
-            zipfile.ZipFile(inside / name, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
-            archive.open(f"{key}.npy", "w", force_zip64=True) as member,
-        ):
-            member.write(head)
-            for _ in range(1600):
-                member.write(bytes(10**7))
-
-    return spoil
-
-
-def _npz_lying(name: str, key: str, shape: tuple[int, ...]) -> Spoil:
-    """Replace an array by one whose header claims a shape that isn't there."""
-
-    def spoil(inside: Path) -> None:
-        with zipfile.ZipFile(inside / name) as old:
-            members = {n: old.read(n) for n in old.namelist()}
-        members[f"{key}.npy"] = npy_header(shape) + bytes(80)
-        with zipfile.ZipFile(inside / name, "w") as new:
-            for n, data in members.items():
-                new.writestr(n, data)
-
-    return spoil
-
-
-def _npz_member(name: str, member: str) -> Spoil:
-    """Add a member whose name leads out of the folder."""
-
-    def spoil(inside: Path) -> None:
-        with zipfile.ZipFile(inside / name, "a") as archive:
-            archive.writestr(member, npy_header((1,)) + bytes(8))
-
-    return spoil
-
-
-def npy_header(shape: tuple[int, ...]) -> bytes:
-    """Return the head of a .npy file of float64."""
-    stream = io.BytesIO()
-    np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": shape})
-    return stream.getvalue()
-
-
-def _link(name: str, to: str) -> Spoil:
-    def spoil(inside: Path) -> None:
-        path = inside / name
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        path.unlink(missing_ok=True)
-        path.symlink_to(to)
-
-    return spoil
-
-
-def _fifo(name: str) -> Spoil:
-    def spoil(inside: Path) -> None:
-        (inside / name).unlink()
-        os.mkfifo(inside / name)
-
-    return spoil
-
-
-def _folder(name: str) -> Spoil:
-    def spoil(inside: Path) -> None:
-        (inside / name).unlink()
-        (inside / name).mkdir()
-
-    return spoil
-
-
-def _swept(rows: bytes) -> Spoil:
-    def spoil(inside: Path) -> None:
-        (inside / "swept").mkdir()
-        (inside / "swept" / "rows.jsonl").write_bytes(rows)
-
-    return spoil
-
-
-def _text(name: str, text: str | bytes) -> Spoil:
-    data = text.encode() if isinstance(text, str) else text
-    return lambda inside: (inside / name).write_bytes(data)
-
-
-def _appended(name: str, text: str) -> Spoil:
-    return lambda inside: (inside / name).write_text((inside / name).read_text() + text)
-
-
-def _replaced(name: str, old: str, new: str) -> Spoil:
-    return lambda inside: (inside / name).write_text((inside / name).read_text().replace(old, new))
-
-
-def png(width: int, height: int, *, data: bytes = b"", kind: int = 2, depth: int = 8) -> bytes:
-    """Return a PNG that claims a size, whatever its data."""
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0)), (b"IDAT", data), (b"IEND", b"")]
-    made = [struct.pack(">I", len(d)) + t + d + struct.pack(">I", zlib.crc32(t + d)) for t, d in chunks]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(made)
-
-
-def png_bomb(side: int) -> bytes:
-    """Return a black picture of ``side`` by ``side`` px, deflated."""
-    packer = zlib.compressobj(9)
-    data = b"".join(packer.compress(bytes(3 * side + 1)) for _ in range(side)) + packer.flush()
-    return png(side, side, data=data)
-
-
-def ztxt_bomb() -> bytes:
-    """Return a small PNG with a text that unpacks to 500 MB."""
-    whole = png(2, 2, data=zlib.compress(bytes(14)))
-    body = b"zTXt" + b"Comment\0\0" + zlib.compress(bytes(5 * 10**8), 9)
-    chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
-    return whole[:33] + chunk + whole[33:]
-
-
-def _shard(table: Callable[[Any], Any]) -> Spoil:
-    """Rewrite a sample file of the dataset, and its checksums."""
-
-    def spoil(inside: Path) -> None:
-        import pyarrow.parquet as pq
-
-        path = next((inside / "data" / "data").glob("*.parquet"))
-        pq.write_table(table(pq.read_table(path)), path)
-        _resum(inside)
-
-    return spoil
-
-
-def _resum(inside: Path) -> None:
-    from twin.study.dataset.finish import write_sums
-    from twin.study.dataset.plan import Places
-
-    write_sums(Places(inside / "data"))
-
-
-def _info(change: Callable[[dict[str, Any]], object]) -> Spoil:
-    def spoil(inside: Path) -> None:
-        path = inside / "data" / "meta" / "info.json"
-        told = json.loads(path.read_text())
-        change(told)
-        path.write_text(json.dumps(told))
-        _resum(inside)
-
-    return spoil
-
-
-def _bad_shard(inside: Path) -> None:
-    path = next((inside / "data" / "data").glob("*.parquet"))
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 3] + data[len(data) // 2 :])
-    _resum(inside)
-
-
-def _bad_picture(table: Any) -> Any:
-    import pyarrow as pa
-
-    at = table.schema.get_field_index("picture")
-    kind = table.schema.field(at)
-    return table.set_column(at, kind, pa.array([png_bomb(6000)] * table.num_rows, kind.type))
-
-
-HOSTILE_TOML: dict[str, Spoil] = {
-    "deep": _appended("small.toml", "\nx = " + "[" * 400_000),
-    "deep tables": _appended("small.toml", "\n[" + "a." * 40_000 + "a]\n"),
-    "deep inline": _appended("small.toml", "\nx = " + "{a=" * 5_000 + "1" + "}" * 5_000),
-    "long number": _appended("small.toml", "\nx = " + "9" * 900_000),
-    "many keys": _appended("small.toml", "".join(f"\n[k{i}]" for i in range(60_000))),
-    "a million bytes more": _appended("small.toml", "#" * 1_100_000),
-    "base leads out": _text("small.toml", 'base = "../outside/precious"\n'),
-    "base is itself": _text("small.toml", 'base = "small.toml"\n'),
-    "recipe leads out": _text("small.toml", '[body]\nrecipe = "../../../../etc/passwd"\n'),
-    "base is a device": _text("small.toml", 'base = "/dev/zero"\n'),
-    "calibration leads out": _appended("small.toml", '\n[x]\n[calibration.y]\n'),
-    "is a link": _link("small.toml", "../outside/precious"),
-    "is a loop of links": _link("small.toml", "small.toml"),
-    "is a pipe": _fifo("small.toml"),
-    "is a folder": _folder("small.toml"),
-    "is endless": _link("small.toml", "/dev/zero"),
-    "utf-16": _text("small.toml", 'seed = 1'.encode("utf-16")),
-    "NaN": _replaced("small.toml", "diameter_mm = 0.5", "diameter_mm = nan"),
-    "huge": _replaced("small.toml", "columns = 7", "columns = 99999999999999999999999"),
-    "dates": _replaced("small.toml", "seed = 1", "seed = 2026-01-01T00:00:00Z"),
-    "title of markup": _replaced("small.toml", "title = ", 'title = "<script>alert(1)</script>" #'),
-}  # fmt: skip
-
-ARCHIVE = {
-    "pickle in it": _npz_pickle("flat.npz", "transfer"),
-    "is a pickle": _bare_pickle("flat.npz"),
-    "bomb": _npz_bomb("flat.npz", "transfer"),
-    "bomb under another name": _npz_bomb("flat.npz", "unheard_of"),
-    "claims a trillion": _npz_lying("flat.npz", "transfer", (10**6, 10**6)),
-    "claims less than nothing": _npz_lying("flat.npz", "transfer", (-1, 5)),
-    "claims a thousand axes": _npz_lying("flat.npz", "transfer", (1,) * 1000),
-    "NaN": _npz_with("flat.npz", "transfer", np.full((130, 36), np.nan)),
-    "NaN places": _npz_with("flat.npz", "site_mm", np.full((12, 3), np.nan)),
-    "inf noise": _npz_with("flat.npz", "noise_px", np.array(np.inf)),
-    "leads out": _npz_member("flat.npz", "../outside/executed.npy"),
-    "camera is code": _npz_with("flat.npz", "camera", np.array("__import__('os').system('touch ../outside/executed')")),
-    "deep provenance": _npz_with("flat.npz", "provenance", np.array("[" * 100_000)),
-    "version is a text": _npz_with("flat.npz", "version", np.array("2")),
-    "is a pipe": _fifo("flat.npz"),
-    "is a folder": _folder("flat.npz"),
-    "is a link": _link("flat.npz", "../outside/precious"),
-}
-PICTURES = {
-    "bomb": _text("pressed.png", png_bomb(20_000)),
-    "bomb below the limit": _text("pressed.png", png_bomb(6_000)),
-    "claims 4 billion by 4 billion": _text("pressed.png", png(2**32 - 1, 2**32 - 1, data=zlib.compress(b"0" * 100))),
-    "claims 2 billion by 1": _text("pressed.png", png(2**31 - 1, 1, data=zlib.compress(b"0" * 100))),
-    "no pixels": _text("pressed.png", png(0, 0)),
-    "text bomb": _text("pressed.png", ztxt_bomb()),
-    "16 bits": _text("pressed.png", png(4, 4, data=zlib.compress(bytes(4 * 25)), depth=16)),
-    "palette without colours": _text("pressed.png", png(4, 4, data=zlib.compress(bytes(20)), kind=3)),
-    "another size": lambda inside: save_as(np.zeros((7, 9, 3), np.uint8), inside / "pressed.png"),
-    "one pixel": lambda inside: save_as(np.zeros((1, 1, 3), np.uint8), inside / "pressed.png"),
-    "saturated": lambda inside: save_as(np.full((120, 160, 3), 255, np.uint8), inside / "pressed.png"),
-    "noise": lambda inside: save_as(
-        np.random.default_rng(0).integers(0, 256, (120, 160, 3), np.uint8), inside / "pressed.png"
-    ),
-    "noise at rest": lambda inside: save_as(
-        np.random.default_rng(0).integers(0, 256, (120, 160, 3), np.uint8), inside / "rest.png"
-    ),
-    "PostScript": _text("pressed.png", b"%!PS-Adobe-3.0\n%%BoundingBox: 0 0 9 9\n(../outside/executed) (w) file\n"),
-    "is endless": _link("pressed.png", "/dev/zero"),
-    "is a pipe": _fifo("pressed.png"),
-    "is a folder": _folder("pressed.png"),
-    "table is a link": _link("forces.parquet", "../outside/precious"),
-}  # fmt: skip
-STL = {
-    "claims 4 billion": _text("body.stl", bytes(80) + b"\xff\xff\xff\xff" + bytes(50)),
-    "NaN": _text("body.stl", box_stl(12, 12, 8).replace(struct.pack("<f", 6.0), struct.pack("<f", np.nan))),
-    "inf": _text("body.stl", box_stl(12, 12, 8).replace(struct.pack("<f", 6.0), struct.pack("<f", np.inf))),
-    "largest numbers": _text("body.stl", box_stl(3e38, 3e38, 3e38)),
-    "flat": _text("body.stl", box_stl(12, 12, 0)),
-    "tiny": _text("body.stl", box_stl(1e-30, 1e-30, 1e-30)),
-    "open": _text("body.stl", bytes(80) + struct.pack("<I", 11) + box_stl(12, 12, 8)[84:-50]),
-    "a million copies": _text("body.stl", bytes(80) + struct.pack("<I", 600_000) + box_stl(12, 12, 8)[84:] * 50_000),
-    "text bomb": _text("body.stl", b"solid " + b"vertex 1 1 1\n" * 3_000_000),
-    "is endless": _link("body.stl", "/dev/zero"),
-    "is a pipe": _fifo("body.stl"),
-    "is a folder": _folder("body.stl"),
-}
-DATASET: dict[str, Spoil] = {
-    "shard cut": _bad_shard,
-    "shard without a column": _shard(lambda t: t.drop_columns(["status"])),
-    "shard of NaN": _shard(lambda t: t.set_column(t.schema.get_field_index("force_n"), "force_n", _nans(t))),
-    "shard of text": _shard(lambda t: t.set_column(t.schema.get_field_index("index"), "index", [["x"] * t.num_rows])),
-    "shard without rows": _shard(lambda t: t.slice(0, 0)),
-    "picture is a bomb": _shard(_bad_picture),
-    "info lacks its columns": _info(lambda told: told.pop("columns")),
-    "info claims a billion": _info(lambda told: told.update(samples=10**9)),
-    "info of other kinds": _info(lambda told: told.update(columns="x", samples="many")),
-    "info is a list": _text("data/meta/info.json", "[]"),
-    "info is deep": _text("data/meta/info.json", "[" * 200_000),
-    "sums lead out": _appended("data/meta/SHA256SUMS", "0" * 64 + "  ../../outside/precious\n"),
-    "sums of bytes": _text("data/meta/SHA256SUMS", b"\xff\xfe  x\n"),
-    "shard leads out": _link("data/data/part-00000.parquet", "../../../outside/precious"),
-    "a link to a folder outside": _link("data/more", "../../outside"),
-    "data folder leads out": _link("data/data", "../../outside"),
-    "lock leads out": _link("data/meta/writer.lock", "../../../outside/lock"),
-    "scene is another": _text("data/meta/scene.toml", 'base = "block_bare"\n'),
-}
-
-
-def _nans(shards: Any) -> Any:
-    import pyarrow as pa
-
-    kind = shards.schema.field("force_n").type
-    none = [np.nan] * 3
-    return pa.array([[none] if pa.types.is_nested(kind.value_type) else none] * shards.num_rows, kind)
-
-
-LAUGHS = "\n".join(["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"] + [
-    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]) + "\ncamera_matrix: *a11\n"  # fmt: skip
-YAML = {
-    "billion laughs": _text("lens.yaml", LAUGHS),
-    "python object": _text("lens.yaml", "camera_matrix: !!python/object/apply:os.system ['touch ../outside/made']\n"),
-    "deep": _text("lens.yaml", "[" * 100_000),
-    "a table of itself": _text("lens.yaml", "camera_matrix: &a\n  data: *a\n"),
-    "NaN": _replaced("lens.yaml", "450.0", ".nan"),
-    "is a pipe": _fifo("lens.yaml"),
-    "is endless": _link("lens.yaml", "/dev/zero"),
-}
-JSON = {
-    "deep": _text("lens.json", "[" * 500_000),
-    "long number": _text("lens.json", '{"camera_matrix": ' + "9" * 400_000 + "}"),
-    "NaN": _replaced("lens.json", "450.0", "NaN"),
-    "huge": _replaced("lens.json", "450.0", "1e308"),
-}
-TABLE = {
-    "NUL": _text("presses.csv", b"frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\n\x00,1,1,1,1,1,1\n"),
-    "one field of 10 MB": _text("presses.csv", CSV + "x" * 10_000_000),
-    "open quote": _text("presses.csv", CSV + '"' + "x\n" * 200_000),
-    "frame leads out": _text("presses.csv", CSV.replace("pressed.png", "../outside/precious")),
-    "frame is a device": _text("presses.csv", CSV.replace("pressed.png", "/dev/zero")),
-    "far away": _text("presses.csv", CSV.replace("0,0,,", "1e300,0,,")),
-    "force of 1e300": _text("presses.csv", CSV.replace("0.5", "1e300")),
-    "no force": _text("presses.csv", CSV.replace("0.5", "0")),
-}
 RAW = ("reconstruct", "rest.png", "-", "--size", "160x120", "--format", "rgb24", "--calibration", "flat.npz")
 
 READERS = {
@@ -520,14 +57,14 @@ READERS = {
         Reader("scene", ("check", "small.toml"), ("small.toml",), HOSTILE_TOML),
         Reader("scene, run", ("run", "small.toml", "--want", "displacement", "--out", "here"), (), HOSTILE_TOML),
         Reader("sweep", ("check", "sweep.toml"), ("sweep.toml",), {
-            "a design for every atom": _replaced("sweep.toml", "steps = 3", "steps = 10000"),
-            "many steps": _replaced("sweep.toml", "steps = 3", "steps = 999999999"),
-            "scene leads out": _replaced("sweep.toml", "small.toml", "../outside/precious"),
-            "deep": _appended("sweep.toml", "\nx = " + "[" * 100_000),
+            "a design for every atom": replaced("sweep.toml", "steps = 3", "steps = 10000"),
+            "many steps": replaced("sweep.toml", "steps = 3", "steps = 999999999"),
+            "scene leads out": replaced("sweep.toml", "small.toml", "../outside/precious"),
+            "deep": appended("sweep.toml", "\nx = " + "[" * 100_000),
         }),
         Reader("sweep, kept rows", ("sweep", "sweep.toml", "--out", "swept", "--workers", "1"), (), {
-            "rows of another kind": _swept(b'{"key": "a"}\n[]\n{}\n3\n'),
-            "rows of bytes": _swept(b"\xff\xfe\n" * 1000),
+            "rows of another kind": swept_rows(b'{"key": "a"}\n[]\n{}\n3\n'),
+            "rows of bytes": swept_rows(b"\xff\xfe\n" * 1000),
             "a link to a folder outside": lambda inside: (
                 (inside / "swept").mkdir(), (inside / "swept" / "more").symlink_to("../../outside")),
         }),
@@ -536,19 +73,19 @@ READERS = {
             "text": lambda inside: os.replace(inside / "text.stl", inside / "body.stl"),
         }),
         Reader("STL probe", ("check", "probe.toml"), ("probe.stl",), {
-            "is a folder": _folder("probe.stl"), "flat": _text("probe.stl", box_stl(2, 2, 0)),
+            "is a folder": as_folder("probe.stl"), "flat": written("probe.stl", box_stl(2, 2, 0)),
         }),
         Reader("calibration", ("check", "flat.npz"), ("flat.npz",), ARCHIVE),
         Reader("calibration, used", ("reconstruct", "rest.png", "pressed.png", "--calibration", "flat.npz", "--out",
                                      "forces.csv"), (), ARCHIVE),
         Reader("results", ("check", "."), ("truth.npz",), {
-            "pickle in it": _npz_pickle("truth.npz", "total_force_n"),
-            "bomb": _npz_bomb("truth.npz", "surface_force_n"),
-            "claims a trillion": _npz_lying("truth.npz", "surface_force_n", (10**6, 10**6)),
-            "other shapes": _npz_with("truth.npz", "surface_force_n", np.zeros(7)),
-            "text": _npz_with("truth.npz", "surface_force_n", np.array(["a", "b"])),
-            "no pieces": _npz_with("truth.npz", "surface_force_n", np.zeros(())),
-            "NaN": _npz_with("truth.npz", "surface_force_n", np.full((4, 3), np.nan)),
+            "pickle in it": npz_pickle("truth.npz", "total_force_n"),
+            "bomb": npz_bomb("truth.npz", "surface_force_n"),
+            "claims a trillion": npz_lying("truth.npz", "surface_force_n", (10**6, 10**6)),
+            "other shapes": npz_with("truth.npz", "surface_force_n", np.zeros(7)),
+            "text": npz_with("truth.npz", "surface_force_n", np.array(["a", "b"])),
+            "no pieces": npz_with("truth.npz", "surface_force_n", np.zeros(())),
+            "NaN": npz_with("truth.npz", "surface_force_n", np.full((4, 3), np.nan)),
         }),
         Reader("pictures", ("reconstruct", "rest.png", "pressed.png", "--calibration", "flat.npz", "--out",
                             "forces.parquet", "--overlay", "drawn"), ("pressed.png", "rest.png"), PICTURES),
@@ -558,7 +95,7 @@ READERS = {
             "cut": lambda inside: os.truncate(inside / "frames.raw", 60_000),
         }, stdin="frames.raw"),
         Reader("video", ("reconstruct", "rest.png", "film.mp4", "--calibration", "flat.npz", "--out", "forces.npz"),
-               ("film.mp4",), {"is a folder": _folder("film.mp4"), "is a pipe": _fifo("film.mp4")}),
+               ("film.mp4",), {"is a folder": as_folder("film.mp4"), "is a pipe": piped("film.mp4")}),
         Reader("dataset", ("check", "data"), ("data/meta/info.json", "data/meta/SHA256SUMS", "data/meta/scene.toml",
                                               "data/data/part-00000.parquet"), DATASET),
         Reader("dataset, viewed", ("view", "data"), ("data/data/part-00000.parquet",), DATASET),

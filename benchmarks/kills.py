@@ -28,7 +28,7 @@ from typing import Any
 from benchmarks import ROOT
 from benchmarks.__main__ import RESULTS, machine, table
 from benchmarks.arguments import at_least
-from benchmarks.fuzz_files import SMALL, SWEEP, VARY
+from benchmarks.fuzz_whole import SMALL, SWEEP, VARY
 
 STORED = RESULTS / "kills.json"
 WALL_S, ROUND = 600, 12

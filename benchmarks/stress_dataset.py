@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from benchmarks.fuzz_files import SMALL
+from benchmarks.fuzz_whole import SMALL
 from benchmarks.stress_axes import Axis, Measured
 from twin.study.dataset.create import create_dataset
 from twin.study.dataset.reader import open_dataset

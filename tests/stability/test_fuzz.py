@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from benchmarks import fuzz
-from benchmarks.fuzz_files import LAUGHS, READERS, Reader, npy_header, png, png_bomb
+from benchmarks.fuzz_files import READERS, Reader
+from benchmarks.fuzz_hostile import LAUGHS
+from benchmarks.fuzz_spoil import npy_header, png, png_bomb
 from twin.archive import read_arrays
 from twin.errors import InputError
 from twin.results import write_json
