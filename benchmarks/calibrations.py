@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.__main__ import RESULTS, table
+from benchmarks.inverse import NOISE_PX, as_found
 from benchmarks.inverse_truth import BETWEEN, EDGE, LAWN, SENSORS, Truth, design, sensors
 from twin.arrays import Floats
 from twin.parts.load import Rectangles
@@ -27,14 +28,13 @@ from twin.sense.calibration import Calibration
 from twin.sense.fit_design import Fit, Presses, fit
 from twin.sense.reconstruct import reconstruct
 from twin.sense.single import single_contact
-from twin.sense.track import Found
 from twin.sense.transfer import fill_between, from_presses
 from twin.study.calibrate import FOOTPRINT, hertz_radius
 from twin.study.fitted import FittedDesign
 from twin.study.sites import on_grid, on_surface
 
 PAGE = Path(__file__).parent.parent / "docs" / "calibrations.md"
-NOISE_PX, REST_PX, CELL_N = 0.05, 0.02, 0.005
+REST_PX, CELL_N = 0.02, 0.005
 PLACES: dict[int, list[tuple[float, float]]] = {
     0: [],
     1: [(0.0, 0.0)],
@@ -229,15 +229,6 @@ def calibration(scene: Scene, twin: FittedDesign, found: Fit, markers: Floats, g
         site_area_mm2=np.full(len(sites), grid.pitch_mm**2), grid=(grid.columns, grid.rows),
         transfer=twin.transfer(found.scaled, markers, compliance), noise_px=NOISE_PX,
         compliance=compliance.astype(np.float32), marker_mm=markers, camera=twin.optics(found.scaled),
-    )  # fmt: skip
-
-
-def as_found(calibration: Calibration, shift_px: Floats) -> Found:
-    """Return shifts as tracking hands them over."""
-    sd = np.full(len(shift_px), NOISE_PX)
-    return Found(
-        rest_px=np.array(calibration.layout_px), shift_px=shift_px, sd_px=sd, layer=calibration.layer, channels={},
-        method="drawn",
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ import pytest
 import twin
 from twin.errors import InputError
 from twin.show.hand import hand_page
-from twin.study.live import QUICK, Hand, LivePress
+from twin.study.live import QUICK, Hand, LivePress, run_live
 from twin.study.loopback import LARGEST_QUESTION, Loopback
 from twin.study.recipe import parse_override
 
@@ -138,11 +138,12 @@ def test_what_can_t_be_is_said_and_the_page_lives_on(page: Loopback) -> None:
     assert step(page, PUSH)[0]["matched"] > 0.99
 
 
-def test_a_port_that_is_taken_is_said(page: Loopback) -> None:
+def test_a_port_that_can_t_be_had_is_said_before_any_work(page: Loopback, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("twin.study.live.LivePress", None)
     with pytest.raises(InputError, match=f"--port {page.port}"):
-        Loopback("", lambda _: b"", page.port)
+        run_live(twin.load_scene("kamiyama_pillar"), page.port)
     with pytest.raises(InputError, match="65535"):
-        Loopback("", lambda _: b"", 70000)
+        run_live(twin.load_scene("kamiyama_pillar"), 70000)
 
 
 def test_without_friction_the_probe_is_guided_and_on_a_slope_it_is_held_by_motion() -> None:

@@ -270,8 +270,9 @@ def run_live(scene: Scene, port: int = 0, progress: Progress | None = None) -> N
     """
     from twin.show.hand import hand_page
     from twin.study.batch.job import one_thread
-    from twin.study.loopback import Loopback
+    from twin.study.loopback import Loopback, may_listen
 
+    may_listen(port)
     with one_thread():  # the steps' small products lose more than they gain by a second thread
         live = LivePress(scene, progress)
         live.answer(live.start().told())

@@ -35,6 +35,24 @@ Answer = Callable[[dict[str, Any]], bytes]
 _Job = tuple[dict[str, Any], "queue.SimpleQueue[tuple[int, str, bytes]]"]
 
 
+def may_listen(port: int) -> None:
+    """Ask for a port before the work that goes before the page.
+
+    Raises
+    ------
+    InputError
+        The port can't be had.
+    """
+    _listening(port).server_close()
+
+
+def _listening(port: int) -> _Server:
+    try:
+        return _Server((HOST, port), _Handler)
+    except (OSError, OverflowError) as problem:
+        raise InputError(f"--port {port}: can't be listened on ({problem}); allowed are 0 (any) to 65535") from None
+
+
 class Loopback:
     """Serves one page at ``/`` and answers questions at ``/ask``.
 
@@ -57,10 +75,7 @@ class Loopback:
         self._answer = answer
         self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
         self.token = secrets.token_urlsafe(24)
-        try:
-            self._server = _Server((HOST, port), _Handler)
-        except (OSError, OverflowError) as problem:
-            raise InputError(f"--port {port}: can't be listened on ({problem}); allowed are 0 (any) to 65535") from None
+        self._server = _listening(port)
         self._server.page, self._server.token, self._server.jobs = page.encode(), self.token, self._jobs
 
     @property
