@@ -47,6 +47,7 @@ from twin.world.elasticity.tile import require_on_surface
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.mesh import Mesh
+from twin.world.mesh.recovery import Recovery
 from twin.world.mesh.rim import drawn_to_rim
 from twin.world.mesh.sizing import Level
 
@@ -133,6 +134,10 @@ class Compliance:
     @cached_property
     def _locator(self) -> Locator:
         return Locator(self.mesh)
+
+    @cached_property
+    def _recovery(self) -> Recovery:
+        return Recovery(self.mesh)
 
     @cached_property
     def _surface_table(self) -> SurfaceTable | None:
@@ -317,7 +322,8 @@ class Compliance:
     def error_estimate(self, points: Points, load: Rectangles) -> float:
         """Return the estimated largest error of `displacement` at ``points`` over the largest displacement there.
 
-        A share of the difference to another level's answer (or to the check table's), plus what both share
+        A share of the difference to another level's answer (or to the check table's), on curved bodies one of the
+        difference to a smoother reading of the same field (`twin.world.mesh.recovery`), plus what neither sees
         (`twin.world.elasticity.expected`): on all reference cases the estimate is one to three times the true error.
 
         Validity: the law of `expected_error` where the mesh was given. Raises like `displacement`.
@@ -354,12 +360,29 @@ class Compliance:
             other = self.compared._rest(self.compared._checked(known.points, load), load, None)[0]
         else:
             return self._expected(load, table)
+        direct = not self._subtracted
+        rough = 0.0 if table or direct or self.body.is_flat else self._rough(known, load, rest) / size
         nominal = table is not None and self.level == "nominal"
         differ = _largest(rest - other) / size
         if self.body.is_flat and level == "fine" and not nominal:
             between = self._tables.between * _largest(rest) / size if table else None
             return finest_error(differ, load, size * self._modulus, between) + unbounded(self.body, load)
-        return estimated_error(self.body, level, differ, load, nominal=nominal) + lost / size
+        return (
+            estimated_error(self.body, level, differ, load, rough=rough, nominal=nominal, direct=direct) + lost / size
+        )
+
+    def _rough(self, known: Known, load: Rectangles, rest: Points) -> float:
+        """Return the largest difference of the ``rest`` (n, 3) to a smoother reading of the same field, mm."""
+        smooth, surface = known.smoothed(self._recovery), self._surface_for(load)
+        if surface is None:
+            read = smooth.values(self._field(load))
+        elif len(known) > KEPT_POINTS:
+            read = smooth.values(surface.field(load))
+        else:
+            if known.rough_reading is None:
+                known.rough_reading = surface.reading(smooth)
+            read = surface.displacement(known.rough_reading, load)[0]
+        return _largest(read / self._modulus - rest[known.every])
 
     def forget(self) -> None:
         """Forget what the last loads left behind: answers then don't depend, in last digits, on those before them."""

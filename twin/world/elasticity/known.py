@@ -13,10 +13,14 @@ from twin.arrays import Floats, Points, frozen
 from twin.parts.body import Body
 from twin.world.elasticity.spread import Readings
 from twin.world.elasticity.table import Basis
-from twin.world.mesh.interpolate import Locator, Places, require_inside
+from twin.world.mesh.interpolate import Locator, Places, Weighted, require_inside
+from twin.world.mesh.recovery import Recovery
 
 REMEMBERED = 8
 """Point sets that are kept, the latest ones."""
+
+LOOKED_AT = 5000
+"""Of more points than this, every so manieth is looked at for how rough a mesh is there."""
 
 
 @dataclass(eq=False)
@@ -29,6 +33,8 @@ class Known:
         A copy of what was asked for.
     places
         Where they are in the mesh.
+    cubics, rough_reading
+        What reads a field more smoothly at `every` so manieth point, and a surface table there.
     readings
         Adjoint solves for them; large, so that one set at a time has any (`Memory.forget_readings`).
     reading, slopes
@@ -40,6 +46,8 @@ class Known:
     points: Points
     often: bool = False
     places: Places | None = None
+    cubics: Weighted | None = None
+    rough_reading: Floats | None = None
     readings: Readings | None = None
     reading: Floats | None = None
     slopes: Floats | None = None
@@ -53,6 +61,17 @@ class Known:
         if box_mm not in self._bases:
             self._bases[box_mm] = Basis(points=self.points, box_mm=box_mm, often=self.often)
         return self._bases[box_mm]
+
+    @property
+    def every(self) -> slice:
+        """Which points are looked at for how rough a mesh is there."""
+        return slice(None, None, max(1, -(-len(self) // LOOKED_AT)))
+
+    def smoothed(self, recovery: Recovery) -> Weighted:
+        """Return what reads fields on the recovery's mesh, which must always be the same, at `every` point."""
+        if self.cubics is None:
+            self.cubics = recovery.at(self.points[self.every])
+        return self.cubics
 
     def placed(self, locator: Locator) -> Places:
         """Return where the points are in the locator's mesh, which must always be the same."""

@@ -29,7 +29,7 @@ from twin.progress import Progress
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.elasticity.spread import solved
 from twin.world.elasticity.store import field_key, kept
-from twin.world.mesh.interpolate import Places
+from twin.world.mesh.interpolate import Places, Weighted
 from twin.world.mesh.sizing import default_sizing
 
 NODES = 19
@@ -110,7 +110,7 @@ class SurfaceTable:
         sizes = np.linalg.norm(load.force_n, axis=1).sum()
         return bool(np.linalg.norm(load.force_n.sum(axis=0)) >= CANCEL * sizes)
 
-    def reading(self, places: Places) -> Floats:
+    def reading(self, places: Weighted) -> Floats:
         """Return (n, 3, s, t, axis): the coefficients of w at ``places`` (n), mm for unit forces and 1 MPa."""
         return self._read(places, places.weights[:, :, None])[:, :, 0]
 
@@ -118,8 +118,8 @@ class SurfaceTable:
         """Return (n, 3, 3, s, t, axis): `reading` and, on the third axis, its derivative along x, y and z."""
         return self._read(places, places.slopes)
 
-    def _read(self, places: Places, weights: Floats, s: slice = ALL, t: slice = ALL) -> Floats:
-        """Return (n, 3, m, s, t, axis) of some of the grid's rows ``s`` and columns ``t``, by weights (n, 10, m)."""
+    def _read(self, places: Weighted, weights: Floats, s: slice = ALL, t: slice = ALL) -> Floats:
+        """Return (n, 3, m, s, t, axis) of some of the grid's rows ``s`` and columns ``t``, by weights (n, k, m)."""
         fields = self._grid[:, :, s, t]
         out = np.empty((len(places.nodes), weights.shape[2], math.prod(fields.shape[1:])))
         for start in range(0, len(out), 64):

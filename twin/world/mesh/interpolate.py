@@ -30,39 +30,49 @@ FORGIVEN = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Places:
-    """Points located in a mesh.
+class Weighted:
+    """Sums of nodal values, one for every point.
 
     Attributes
     ----------
     nodes
-        (n, 10) nodes of each point's element.
+        (n, k) nodes that a point's sum is made of: of its element (k = 10), or around it.
     weights
-        (n, 10) shape functions there: a field's value is their product.
-    slopes
-        (n, 10, 3) gradients of the shape functions, 1/mm.
+        (n, k) what they count: a field's value is their product.
     """
 
     nodes: Ints
     weights: Floats
-    slopes: Floats
 
     def values(self, field: Floats) -> Floats:
         """Return (n, ...) values of the nodal ``field`` (N, ...)."""
         flat = field.reshape(len(field), -1)
         return np.asarray(self.matrix(len(field)) @ flat).reshape(len(self.nodes), *field.shape[1:])
 
-    def gradients(self, field: Floats) -> Floats:
-        """Return (n, ..., 3) gradients of the nodal ``field`` (N, ...), 1/mm."""
-        out: Floats = np.einsum("qam,qa...->q...m", self.slopes, field[self.nodes])
-        return out
-
     def matrix(self, nodes: int) -> Any:
         """Return the (n, nodes) sparse matrix that takes a nodal field to the points."""
         from scipy.sparse import csr_matrix
 
-        rows = np.arange(0, 10 * len(self.nodes) + 1, 10)
+        rows = np.arange(len(self.nodes) + 1) * self.nodes.shape[1]
         return csr_matrix((self.weights.ravel(), self.nodes.ravel(), rows), shape=(len(self.nodes), nodes))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places(Weighted):
+    """Points located in a mesh: ``weights`` are the shape functions of each point's element.
+
+    Attributes
+    ----------
+    slopes
+        (n, 10, 3) gradients of the shape functions, 1/mm.
+    """
+
+    slopes: Floats
+
+    def gradients(self, field: Floats) -> Floats:
+        """Return (n, ..., 3) gradients of the nodal ``field`` (N, ...), 1/mm."""
+        out: Floats = np.einsum("qam,qa...->q...m", self.slopes, field[self.nodes])
+        return out
 
 
 def require_inside(body: Body, points: Points) -> None:

@@ -1,0 +1,57 @@
+"""Smoother readings of nodal fields: exact for cubics, and as far from the elements' reading as that is wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin.parts.body import Finger
+from twin.world.mesh.body_mesh import body_mesh
+from twin.world.mesh.interpolate import Locator
+from twin.world.mesh.recovery import NEIGHBOURS, Recovery
+
+FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
+
+
+def cubic(at):
+    x, y, z = at.T
+    return np.column_stack([1 + x - y * z + x**3, 0.1 * x * y * z - z**3, y**2 * z + x])
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return body_mesh(FINGER, "nominal")
+
+
+@pytest.fixture(scope="module")
+def points():
+    return FINGER.chart_points(np.random.default_rng(5).uniform(-4, 4, (700, 2)), 0.4)
+
+
+def test_cubics_are_read_exactly_and_constants_in_any_way(mesh, points):
+    read = Recovery(mesh).at(points)
+    np.testing.assert_allclose(read.values(cubic(mesh.points)), cubic(points), atol=1e-9 * 500)
+    np.testing.assert_allclose(read.weights.sum(axis=1), 1.0, atol=1e-10)
+    assert read.nodes.shape == (len(points), NEIGHBOURS)
+
+
+def test_the_difference_to_the_elements_reading_is_their_error(mesh, points):
+    """Of a field that elements of this size don't quite follow: within a seventh at the worst point."""
+
+    def wave(at):
+        return np.sin(at @ np.array([0.25, 0.15, 0.2]))[:, None]
+
+    field = wave(mesh.points)
+    plain = Locator(mesh).locate(points).values(field)
+    told, wrong = Recovery(mesh).at(points).values(field) - plain, wave(points) - plain
+    assert np.abs(told).max() == pytest.approx(np.abs(wrong).max(), rel=0.15)
+    assert np.linalg.norm(told - wrong) < 0.2 * np.linalg.norm(wrong)
+
+
+def test_nodes_in_three_planes_tell_no_cubic_across_them(mesh, points):
+    """As in a thin wall: values stay near, instead of a singular fit's."""
+    flat = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0), np.array([0.0, 0.5, 1.0])), axis=-1).reshape(-1, 3)
+    read = Recovery(replace(mesh, points=flat)).at(np.array([[5.3, 6.1, 0.2]]))
+    assert read.values(flat[:, 2])[0] == pytest.approx(0.2, abs=1e-3)
+    assert read.values(flat[:, 2] ** 2)[0] == pytest.approx(0.04, abs=0.01)
+    assert np.abs(read.weights).sum() < 3.0
