@@ -115,6 +115,7 @@ def approach_of(press: Press, body: Body) -> Approach:
     place = surface_place(body, press.at_mm)
     inward = body.piece_normals(place[None])[0, 0]
     along = inward if press.direction == "normal" else np.array(press.direction or (0.0, 0.0, 1.0), float)
+    along = along / np.abs(along).max()  # of any length, also one whose square is no number
     along = along / np.linalg.norm(along)
     if along @ inward <= 0.05:
         raise InputError(

@@ -67,6 +67,9 @@ __all__ = ["ContactState", "SurfaceCompliance", "press"]
 
 _ACROSS_RANGE = (6, 40)
 
+LEAST_N = 1e-9
+"""Least force that presses: under less the gaps are lost in the round-off of the patches' places."""
+
 
 def press(
     press: Press,
@@ -152,10 +155,10 @@ def _controls(presses: tuple[Press, ...], settings: tuple[Setting, ...]) -> tupl
         raise InputError(f"press: {problem}") from None
     for steps in found:
         for number, (by_force, given) in enumerate(steps, start=1):
-            if by_force[Z] and given[Z] < 0.0:
+            if by_force[Z] and given[Z] < LEAST_N and given[Z] != 0.0:
                 raise InputError(
-                    f"press: step {number} asks for a normal force of {given[Z]:g} N; allowed is 0 (lift off) or "
-                    "more, as a probe can't pull"
+                    f"press: step {number} asks for a normal force of {given[Z]:g} N; allowed is 0 (lift off), or "
+                    f"{LEAST_N:g} N or more, as a probe can't pull, and feels nothing under less"
                 )
     return tuple(
         all_controls([Control(by_force=np.array(by_force), given=np.array(given)) for by_force, given in step])
