@@ -66,6 +66,8 @@ def test_one_scene_is_ten_lines_long() -> None:
         ("press.friction", -0.3, ["press.friction", "-0.3", "0 (frictionless)"]),
         ("press.probe.kind", "ball", ["press.probe.kind", "'ball'", "'sphere'"]),
         ("press.force_n", {"z": -1}, ["press", "push is +z"]),
+        ("press.force_n", {"z": "much"}, ["press.force_n.z = 'much' N: must be a number"]),
+        ("press.move_mm", {"z": 1}, ["press.move_mm", "belongs to a step"]),
         ("body.shape", "cube", ["body.shape", "'cube'", "'block'"]),
         ("ccd.preset", "idael", ["ccd.preset", "'ideal'"]),
         ("camera.pupil_mm", [0, 0, 3], ["camera.pupil_mm", "z >= 50"]),

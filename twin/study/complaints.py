@@ -11,7 +11,11 @@ from pydantic import BaseModel, ValidationError
 
 from twin.errors import did_you_mean
 from twin.parts.part import in_words, unit_of
+from twin.parts.press import Step
 from twin.parts.scene import Scene
+
+BY_AXIS = ("force_n", "move_mm", "torque_nmm", "turn_deg")
+"""Keys whose values are written by axis, such as {z = 1}, and kept as three numbers."""
 
 
 def complaints(problem: ValidationError, table: Mapping[str, Any]) -> list[str]:
@@ -52,11 +56,13 @@ def _nearest(errors: list[dict[str, Any]], table: Mapping[str, Any]) -> list[dic
 
 def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
     keys = _keys(error["loc"], table)
-    dotted = ".".join(str(k) for k in keys) or "scene"
+    dotted = _dotted(keys) or "scene"
     last = str(keys[-1]) if keys else ""
     if error["type"] == "extra_forbidden":
         known = _known_keys(keys[:-1], table)
         hint = did_you_mean(last, known, f"known are {', '.join(known)}", 0.5)
+        if "steps" in known and last in Step.model_fields:
+            hint = f"it belongs to a step of the path: steps = [{{force_n = {{z = 1}}}}, {{{last} = {{z = 1}}}}]"
         return f"{dotted}: unknown key; {hint}"
     if error["type"] == "missing":
         unit = unit_of(last)
@@ -77,6 +83,15 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
         message = f"{message} {unit}"
     allowed = _range(keys, table, unit)
     return f"{dotted} = {shown}{' ' + unit if unit else ''}: {message}" + (f" (allowed: {allowed})" if allowed else "")
+
+
+def _dotted(keys: list[Any]) -> str:
+    """Return keys as recipes write them: the parts of a force or a motion are named, not numbered."""
+    named = [
+        "xyz"[key] if key in (0, 1, 2) and before in BY_AXIS else str(key)
+        for before, key in zip([None, *keys], keys, strict=False)
+    ]
+    return ".".join(named)
 
 
 def _range(keys: list[Any], table: Mapping[str, Any], unit: str) -> str:
