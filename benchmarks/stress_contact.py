@@ -31,7 +31,7 @@ def contact_axes() -> list[Axis]:
     """Return the axes of contact on the block."""
     ball = Sphere(diameter_mm=BALL_MM)
     return [
-        _axis("friction up (departure: over the cone)", (0.0, 0.1, 1.0, 10.0, 1e3, 1e6, 1e12, math.inf), _of_friction),
+        _axis("friction up (departure: over the cone)", (0.0, 0.1, 1.0, 10.0, 1e3, 1e6, math.inf), _of_friction),
         _axis("friction down (departure: over the cone)", (0.1, 1e-3, 1e-6, 1e-12, 1e-100, 0.0, -1e-6), _of_friction),
         _axis("force up, N (6 mm ball)", (0.1, 1.0, 10.0, 100.0, 1e3, 1e4), lambda n: _pushed(ball, n)),
         _axis("force down, N (6 mm ball; departure: Hertz)", (0.1, 1e-2, 1e-3, 1e-6, 1e-9, 1e-12, 0.0),

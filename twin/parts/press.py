@@ -36,6 +36,9 @@ LARGEST_TURN_DEG = 60.0
 """How far a probe may be tilted against its direction of approach."""
 
 
+FARTHEST = 1e6
+"""How long a direction's vector may be, and its inverse how short."""
+
 LARGEST_FRICTION = 1e6
 """Coulomb's coefficient beyond which a number means nothing that inf doesn't."""
 
@@ -116,8 +119,7 @@ def frame_of(direction: Vector) -> Floats:
 
     x is the global x made perpendicular to z; where the probe comes along the global x, it is the global y.
     """
-    along = np.array(direction, float) / np.max(np.abs(direction))  # of any length, also one whose square is no number
-    along = along / np.linalg.norm(along)
+    along = np.array(direction, float) / np.linalg.norm(direction)
     first = np.array([1.0, 0.0, 0.0]) if abs(along[0]) < 0.999 else np.array([0.0, 1.0, 0.0])
     first = first - (first @ along) * along
     first = first / np.linalg.norm(first)
@@ -173,8 +175,13 @@ class Press(Part):
     @field_validator("direction")
     @classmethod
     def _points_somewhere(cls, value: Vector | str | None) -> Vector | str | None:
-        if isinstance(value, tuple) and not (all(math.isfinite(c) for c in value) and any(value)):
-            raise ValueError("must be three finite numbers, not all 0, or 'normal'")
+        if isinstance(value, tuple):
+            finite = all(math.isfinite(c) for c in value)
+            if not (finite and 1 / FARTHEST <= max(map(abs, value)) <= FARTHEST):
+                raise ValueError(
+                    f"must be three finite numbers, not all 0 (the largest {1 / FARTHEST:g} to {FARTHEST:g}), or "
+                    "'normal'"
+                )
         return value
 
     @field_validator("friction")

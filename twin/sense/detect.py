@@ -124,6 +124,7 @@ def find_blobs(signal: Signal, diameter_px: float, contrast_dn: float, crowd_dn:
     crowd_dn
         A pixel at or below this count shows another layer's colour.
     """
+    diameter_px = min(diameter_px, float(max(signal.shape)))  # windows are as large: none is larger than the picture
     half = max(1, round(0.3 * diameter_px))
     smooth = _box(signal, half)
     broad = _box(signal, max(2 * half + 2, round(1.5 * diameter_px)))

@@ -462,6 +462,8 @@ def test_a_cone_that_sinks_to_its_base_is_told() -> None:
         ("0 .frictionless. to", {"friction": -0.1}),
         ("tilt_deg", {"tilt_deg": (80, 0, 0)}),
         ("direction", {"direction": (0, 0, 0)}),
+        ("direction", {"direction": (1e300, 0, 1.0)}),
+        ("direction", {"direction": (0, math.nan, 1.0)}),
         ("must be greater than 0: along", {"direction": (0, -1.0, 0), "steps": (Step(force_n={"y": 1.0}),)}),
         ("as many", {"also": ({"probe": BALL, "steps": (Step(move_mm={"z": 1}), Step())},)}),
         ("both given about x", {"steps": ({"force_n": {"z": 1}, "turn_deg": {"x": 1}, "torque_nmm": {"x": 1}},)}),

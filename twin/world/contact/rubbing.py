@@ -64,7 +64,11 @@ def _largest_contact(job: Job, number: int, plane: Plane, touch_z: float) -> Box
         grip_mm = friction * (float(place[Z]) - touch_z)
         contact = contact.joined(_slid(setting, contact, sideways, grip_mm, plane))
         whole = contact if whole is None else whole.joined(contact)
-    assert whole is not None, "the first step of a press pushes"
+    if whole is None:
+        raise ContactError(
+            "contact: the probe touches no patch, as its push is too small to be told from rounding; press further "
+            "(press.indentation_mm, or force_n or move_mm of the steps)"
+        )
     return whole
 
 
