@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -10,6 +11,15 @@ from pydantic import Field, field_validator, model_validator
 
 from twin.errors import InputError
 from twin.parts.part import Part
+
+
+def each_file(value: Any, changed: Callable[[str], str]) -> Any:
+    """Return a plain value in which every probe's own file (``kind = "stl"``), however deep, has another name."""
+    if isinstance(value, Mapping):
+        table = {key: each_file(inner, changed) for key, inner in value.items()}
+        own = table.get("kind") == "stl" and isinstance(table.get("file"), str)
+        return {**table, "file": changed(table["file"])} if own else table
+    return [each_file(inner, changed) for inner in value] if isinstance(value, list | tuple) else value
 
 
 class StlFile(Part):

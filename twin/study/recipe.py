@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from twin.errors import InputError, RecipeError, did_you_mean, require
 from twin.parts.scene import Scene
+from twin.parts.stl_file import each_file
 from twin.parts.vary import flat
 from twin.places import MESHES, SCENES
 from twin.study.complaints import complaints
@@ -86,7 +87,7 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
     _find_probes(table, path)
     _read_intrinsics(table, path)
     if isinstance(table.get("vary"), dict):
-        table["vary"] = flat(table["vary"])
+        table["vary"] = each_file(flat(table["vary"]), lambda file: _found_file(file, path, "vary.press.probe"))
     return validate_scene(table, str(path))
 
 
@@ -138,13 +139,15 @@ def _found_probe(press: Any, path: Path, which: str) -> Any:
     probe = press.get("probe") if isinstance(press, dict) else None
     if not isinstance(probe, dict) or probe.get("kind") != "stl" or not isinstance(probe.get("file"), str):
         return press
-    found = path.parent / probe["file"]
+    return {**press, "probe": {**probe, "file": _found_file(probe["file"], path, f"press.{which}probe")}}
+
+
+def _found_file(file: str, path: Path, which: str) -> str:
+    found = path.parent / file
     if not found.is_file():
-        raise RecipeError(
-            f"press.{which}probe.file = '{probe['file']}': there is no such file beside the recipe; check the path",
-            str(path),
-        )
-    return {**press, "probe": {**probe, "file": str(found.resolve())}}
+        told = f"{which}.file = '{file}': there is no such file beside the recipe; check the path"
+        raise RecipeError(told, str(path))
+    return str(found.resolve())
 
 
 def _read_intrinsics(table: Table, path: Path) -> None:

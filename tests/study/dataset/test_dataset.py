@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import tomli_w
 from PIL import Image
 from small_dataset import NO_PICTURE, contents, make, small_scene
 
@@ -102,6 +103,30 @@ def test_a_body_without_markers_is_no_trouble_and_columns_that_are_always_there_
     assert make(folder, 2, scene).failed == 0
     assert twin.open_dataset(folder)[1]["marker_displacement_mm"].shape == (0, 3)
     assert "no columns whose forces should balance, no columns to project" in check_path(str(folder))[-1]
+
+
+def test_a_probes_own_file_travels_with_the_dataset_wherever_it_lay(tmp_path: Path) -> None:
+    """Given outright or as one of several: the bytes know it by its content, and `meta/` has it for every worker."""
+    base, tip = [(4, 4, -2), (-4, 4, -2), (-4, -4, -2), (4, -4, -2)], (0, 0, 0)  # a blunt pyramid
+    sides = [(base[i], base[(i + 1) % 4], tip) for i in range(4)]
+    corners = [*sides, (base[2], base[1], base[0]), (base[3], base[2], base[0])]
+    facets = ["".join(f"vertex {x} {y} {z}\n" for x, y, z in triangle) for triangle in corners]
+    text = "".join(f"facet normal 0 0 0\nouter loop\n{facet}endloop\nendfacet\n" for facet in facets)
+    for place in ("here", "there"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "tip.stl").write_text(f"solid tip\n{text}endsolid tip\n")
+        probe = {"kind": "stl", "file": "tip.stl"}
+        table = {"base": "kamiyama_pillar", "press": {"probe": probe, "friction": 0.0, "force_n": [0.0, 0.0, 0.3]},
+                 "accuracy": {"contact_patches": 6}, "vary": {"press.probe": {"choice": [probe, probe]}}}  # fmt: skip
+        (tmp_path / place / "scene.toml").write_text(tomli_w.dumps(table))
+        scene = twin.load_scene(tmp_path / place / "scene.toml", {"dataset.columns": ["force_n"]})
+        assert make(tmp_path / place / "d", 1, scene).failed == 0
+        shutil.move(tmp_path / place / "tip.stl", tmp_path / "gone.stl")
+    row = twin.open_dataset(tmp_path / "here" / "d")[0]
+    name = json.loads(row["press"])["probe"]["file"]
+    assert name == json.loads(row["vary_press_probe"])["file"]
+    assert (tmp_path / "here" / "d" / "meta" / name).is_file()
+    assert contents(tmp_path / "here" / "d") == contents(tmp_path / "there" / "d")
 
 
 def test_a_larger_dataset_begins_with_the_smaller_one(made: Path, tmp_path: Path) -> None:

@@ -137,13 +137,31 @@ def test_the_best_designs_are_scenes_and_the_page_has_no_outside(finished: Path)
 
 def test_a_broken_last_line_is_left_out(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    store.add({"a": {"status": "ok"}}, {})
+    store.add({"a": {"status": "ok", "error": ""}}, {})
     with open(tmp_path / "rows.jsonl", "ab") as file:
         file.write(b'{"key": "b", "row"')
     again = Store(tmp_path)
     assert "a" in again
-    again.add({"c": {"status": "ok"}}, {})
+    again.add({"c": {"status": "ok", "error": ""}}, {"c": b"no picture"})
     assert "c" in Store(tmp_path)
+    assert Store(tmp_path).pictures("a") is None
+    assert Store(tmp_path).pictures("c") is None
+    (tmp_path / "rows.jsonl").write_text('{"key": "a", "row": {"x": 1}}\n')
+    assert "a" not in Store(tmp_path)
+
+
+def test_a_full_disk_is_not_kept_as_a_designs_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from twin.study.sweep import work
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    changes = {"axes": {"markers.blue.depth_mm": [2.0]}, "fidelity": ["linear"]}
+    with monkeypatch.context() as patch:
+        patch.setattr(work, "linear", full)
+        with pytest.raises(OSError, match="No space left"):
+            run_sweep(*small(**changes), tmp_path)
+    assert run_sweep(*small(**changes), tmp_path).failed == 0
 
 
 def test_ranks_and_fronts() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from twin.study.dataset.audit import FIGURES
 from twin.study.dataset.columns import ALWAYS, Column
 from twin.study.dataset.plan import Places, Plan
+from twin.study.dataset.portable import bare
 from twin.study.dataset.prepare import described, read_info
 
 LICENCE = "https://creativecommons.org/publicdomain/zero/1.0/"
@@ -94,7 +95,7 @@ def _rows(columns: tuple[Column, ...]) -> str:
 
 
 def _in_words(axis: Any) -> str:
-    plain = axis.model_dump(mode="json", exclude={"source", "assumed"}, exclude_defaults=True)
+    plain = bare(axis.model_dump(mode="json", exclude={"source", "assumed"}, exclude_defaults=True))
     return ", ".join(f"{key} {json.dumps(value)}" for key, value in plain.items())
 
 

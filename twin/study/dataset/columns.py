@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from twin.errors import RecipeError, did_you_mean
 from twin.parts.scene import Scene
 from twin.parts.vary import Choice, Distribution, ForceCone, Normal, Uniform
+from twin.study.dataset.portable import bare
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -168,7 +169,7 @@ def drawn_values(axes: Mapping[str, Distribution], values: Mapping[str, Any]) ->
     row: dict[str, Any] = {}
     for key, value in values.items():
         kind = _kind(axes[key])
-        text = json.dumps(value, sort_keys=True) if kind == "text" else None
+        text = json.dumps(bare(value), sort_keys=True) if kind == "text" else None
         row[_name(key)] = text or (np.array(value, float) if kind == "numbers" else float(value))
     return row
 

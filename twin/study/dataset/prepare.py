@@ -13,12 +13,12 @@ from typing import Any, get_args
 from twin.errors import InputError
 from twin.parts.body import Block, Body
 from twin.parts.scene import Scene
-from twin.parts.solid import Solid
 from twin.progress import Progress
 from twin.results import write_json, write_whole
 from twin.study.batch.job import Job
 from twin.study.dataset.columns import ALWAYS, Kind
 from twin.study.dataset.plan import FORMAT, Places, Plan, content_hash
+from twin.study.dataset.portable import portable
 from twin.study.recipe import dump_scene
 
 WORK = "twin.study.dataset.work:make_shard"
@@ -37,18 +37,6 @@ def prepare(plan: Plan, places: Places, progress: Progress | None) -> None:
     pin_meshes(scene, places.meta, progress)
     meshes = {p.name: sha256(p) for p in sorted(places.meta.glob("*.npz"))}
     write_json(places.info, info(Plan(scene, plan.samples), meshes))
-
-
-def portable(scene: Scene) -> tuple[Scene, dict[str, Path]]:
-    """Return the scene without what only this machine has, and by name the files that then lie beside it."""
-    bare = scene.calibration.model_copy(update={"file": None})
-    changes: dict[str, Any] = {"calibration": bare}
-    files: dict[str, Path] = {}
-    if isinstance(scene.body, Solid):
-        name = f"body{Path(scene.body.file).suffix}"
-        files[name] = Path(scene.body.file)
-        changes["body"] = scene.body.model_copy(update={"file": name})
-    return scene.model_copy(update=changes), files
 
 
 def _put_down(scene: Scene, files: Mapping[str, Path], meta: Path) -> None:

@@ -23,6 +23,7 @@ from twin.streams import Purpose
 from twin.study.batch.draw import Table, with_values
 from twin.study.dataset.columns import drawn_values
 from twin.study.dataset.plan import MOST_STEPS, Plan, load_of, press_of
+from twin.study.dataset.portable import bare
 from twin.study.motion import Motion
 from twin.study.sensor import Sensor
 from twin.study.sites import on_grid
@@ -138,7 +139,7 @@ def rows_of_sample(made: MadeSensor, sample: int, values: Table) -> list[Row]:
     base |= drawn_values(plan.press_axes, values)
     try:
         table = plan.press_table(values)
-        base["press"] = json.dumps(table, sort_keys=True)
+        base["press"] = json.dumps(bare(table), sort_keys=True)
         made.compliance.forget()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what warnings say is in the row's error estimates

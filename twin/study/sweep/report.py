@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -126,14 +125,14 @@ def _cards(done: Swept, best: Sequence[Best], folder: Path) -> list[Card]:
     for each in best:
         picture, fields = None, []
         key = done.keys.get(each.number)
-        if key is not None and store.shown(key).is_file():
-            with np.load(io.BytesIO(store.shown(key).read_bytes()), allow_pickle=False) as kept:
-                picture = png_bytes(kept["picture"])
-                fields = [
-                    ("Estimate of the push in the middle", kept["site_mm"], kept["middle_n"]),
-                    (f"Estimate of two pushes {done.designs.sweep.loads.pair_mm:g} mm apart", kept["site_mm"],
-                     kept["pair_n"]),
-                ]  # fmt: skip
+        kept = store.pictures(key) if key is not None else None
+        if kept is not None:
+            picture = png_bytes(kept["picture"])
+            fields = [
+                ("Estimate of the push in the middle", kept["site_mm"], kept["middle_n"]),
+                (f"Estimate of two pushes {done.designs.sweep.loads.pair_mm:g} mm apart", kept["site_mm"],
+                 kept["pair_n"]),
+            ]  # fmt: skip
         elif done.fidelity[each.number] == "linear":
             shown = expected(done.designs.sweep, done.designs.scene, done.designs.values(each.number))
             fields = [("Expected estimate of the push in the middle", shown.site_mm, shown.force_n)]

@@ -53,7 +53,7 @@ class Runner:
     def rows(self, stage: str, values: Sequence[dict[str, Any]]) -> list[Row]:
         """Return the rows of designs, computing those that are not there."""
         keys = [self.key(stage, each) for each in values]
-        missing = {key: each for key, each in zip(keys, values, strict=True) if key not in self.store}
+        missing = {key: each for key, each in zip(keys, values, strict=True) if not self._is_whole(stage, key)}
         names, waiting = list(missing), list(missing.values())
         chunk = max(1, min(CHUNK[stage], -(-len(waiting) // self._workers)))
         told = {"sweep": self.sweep.model_dump(mode="json"), "stage": stage, "chunk": chunk, "designs": waiting}
@@ -79,6 +79,12 @@ class Runner:
             self.fresh += len(mine)
             self._tell(stage, sum(key in self.store for key in names), len(names), started)
         return [self.store[key] for key in keys]
+
+    def _is_whole(self, stage: str, key: str) -> bool:
+        """Return whether a design's row is there, and of the full chain also what the page shows of it."""
+        if key not in self.store:
+            return False
+        return stage != "full" or self.store[key]["status"] != "ok" or self.store.pictures(key) is not None
 
     def key(self, stage: str, values: dict[str, Any]) -> str:
         """Return the key of a design's row."""

@@ -10,6 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from twin.results import write_whole
-from twin.study.sweep.work import Row
+from twin.study.sweep.work import SHOWN, Row
 
 
 class Store:
@@ -41,7 +43,7 @@ class Store:
                     told = json.loads(line) if line.endswith(b"\n") else None
                 except (ValueError, RecursionError):
                     told = None
-                if not isinstance(told, dict) or not {"key", "row"} <= told.keys():
+                if not (isinstance(told, dict) and isinstance(told.get("key"), str) and _is_row(told.get("row"))):
                     break
                 self._rows[told["key"]] = told["row"]
                 whole += len(line)
@@ -70,6 +72,18 @@ class Store:
     def shown(self, key: str) -> Path:
         """Return the file of a design's picture and fields, which may not be there."""
         return self._shown / f"{key}.npz"
+
+    def pictures(self, key: str) -> dict[str, np.ndarray] | None:
+        """Return a design's picture and fields; None where they are missing or damaged."""
+        try:
+            with np.load(self.shown(key), allow_pickle=False) as kept:
+                return {name: kept[name] for name in SHOWN}
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+            return None
+
+
+def _is_row(row: Any) -> bool:
+    return isinstance(row, dict) and {"status", "error"} <= row.keys()
 
 
 def row_key(identity: str, stage: str, values: Mapping[str, Any]) -> str:

@@ -30,6 +30,8 @@ from twin.study.sweep.view import view_of
 
 Row = dict[str, Any]
 WORK = "twin.study.sweep.work:make_rows"
+SHOWN = ("picture", "site_mm", "middle_n", "pair_n")
+"""What is kept of a design's full chain for the page."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,6 +90,8 @@ class Workshop:
             row |= {"status": "dropped", "error": "; ".join(problem.problems)}
         except TwinError as problem:
             row |= {"status": "failed", "error": str(problem)}
+        except OSError:  # this machine's trouble, such as a full disk, and not the design's: its row is no row
+            raise
         except Exception as problem:  # one design must not end a sweep of thousands
             row |= {"status": "failed", "error": f"{type(problem).__name__}: {problem}"}
         row["seconds"] = time.perf_counter() - started
