@@ -38,8 +38,9 @@ SLOW = ("peers", "growth", "referee", "scaling")
 """Stages that a quick run leaves out unless they are named: they need other programs, much memory, LLVM or
 time."""
 
-STUDIES = ("calibrations",)
-"""What is run when it is named: a quarter of an hour of CPU time for a figure that has no accuracy knob."""
+STUDIES = ("calibrations", "live")
+"""What is run when it is named: minutes of CPU time, a quarter of an hour for calibrations, for figures that have no
+accuracy knob."""
 
 ALONE = ("dataset", "sweep")
 """Stages of several workers, whose figures are of the wall clock."""

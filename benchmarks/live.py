@@ -1,0 +1,93 @@
+"""The page of ``twin run --live``: CPU milliseconds of an update, over places, pushes, side forces and twists.
+
+An update is all that the program does between a question and its answer: contact, displacement, picture, tracking,
+reconstruction, and the answer's bytes. Hands are drawn within half of what the page's sliders reach, and every one is
+asked for twice, the first time to warm up; those that friction can't carry are refused, and counted. ``open_cpu_s`` is
+what it takes until the page can be asked, with nothing kept from earlier runs: of a curved body nearly all of it is the
+table of its surface. ``python -m benchmarks.live`` puts the stored rows into docs/live.md.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import ROOT
+from benchmarks.__main__ import RESULTS, table
+from benchmarks.clock import Clock, empty_cache
+from twin.errors import ContactError
+from twin.study.batch.engine import one_thread
+from twin.study.live import QUICK, LivePress
+from twin.study.recipe import load_scene, parse_override
+
+PAGE = ROOT / "docs" / "live.md"
+MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"
+SCENES = ("kamiyama_pillar", "sato_press")
+HANDS = 24
+REACH = 0.5
+"""Of the sliders' ranges."""
+
+
+@one_thread()
+def run(quick: bool) -> list[dict[str, Any]]:
+    """Return one row a scene; the quick form takes few hands on the flat block."""
+    with empty_cache():
+        return [_row(name, 4 if quick else HANDS) for name in (SCENES[:1] if quick else SCENES)]
+
+
+def _row(name: str, count: int) -> dict[str, Any]:
+    _opened("kamiyama_pillar")  # compiles
+    clock = Clock()
+    live = _opened(name)
+    opening = clock.lap().cpu
+    spent, refused = [], 0
+    for hand in _hands(live, count):
+        try:
+            live.answer(hand)
+        except ContactError:
+            refused += 1
+            continue
+        started = time.process_time()
+        live.answer(hand)
+        spent.append(1e3 * (time.process_time() - started))
+    middle = float(np.median(spent))
+    return {"scene": name, "updates": len(spent), "refused": refused, "median_cpu_ms": middle,
+            "worst_cpu_ms": max(spent), "updates_per_s": 1e3 / middle, "open_cpu_s": opening}  # fmt: skip
+
+
+def _opened(name: str) -> LivePress:
+    live = LivePress(load_scene(name, dict(parse_override(text) for text in QUICK)))
+    live.answer(live.start().told())
+    return live
+
+
+def _hands(live: LivePress, count: int) -> list[dict[str, Any]]:
+    """Draw questions."""
+    rng, start, sliders = np.random.default_rng(3), live.start().told(), live.facts()["range"]
+    both = ("x_mm", "y_mm", "side_x", "side_y", "twist")
+    return [
+        start
+        | {key: float(rng.uniform(-REACH, REACH) * sliders[key][1]) for key in both}
+        | {"push_n": float(rng.uniform(0.2, 1.0) * start["push_n"])}
+        for _ in range(count)
+    ]
+
+
+def page_table() -> str:
+    """Return the stored rows as the page shows them."""
+    told = json.loads((RESULTS / "live.json").read_text())
+    return f"\nOn {told['machine']['processor']}, one core.\n\n{table(told['rows'])}\n\n"
+
+
+def write_page(page: Path = PAGE) -> None:
+    """Put the stored rows into the page."""
+    page.write_text(re.sub(MARKS, lambda m: m[1] + page_table() + m[2], page.read_text(), flags=re.DOTALL))
+
+
+if __name__ == "__main__":
+    write_page()
