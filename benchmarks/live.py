@@ -4,29 +4,22 @@ An update is all that the program does between a question and its answer: contac
 reconstruction, and the answer's bytes. Hands are drawn within half of what the page's sliders reach, and every one is
 asked for twice, the first time to warm up; those that friction can't carry are refused, and counted. ``open_cpu_s`` is
 what it takes until the page can be asked, with nothing kept from earlier runs: of a curved body nearly all of it is the
-table of its surface. ``python -m benchmarks.live`` puts the stored rows into docs/live.md.
+table of its surface.
 """
 
 from __future__ import annotations
 
-import json
-import re
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks import ROOT
-from benchmarks.__main__ import RESULTS, table
 from benchmarks.clock import Clock, empty_cache
 from twin.errors import ContactError
 from twin.study.batch.engine import one_thread
 from twin.study.live import QUICK, LivePress
 from twin.study.recipe import load_scene, parse_override
 
-PAGE = ROOT / "docs" / "live.md"
-MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"
 SCENES = ("kamiyama_pillar", "sato_press")
 HANDS = 24
 REACH = 0.5
@@ -76,18 +69,3 @@ def _hands(live: LivePress, count: int) -> list[dict[str, Any]]:
         | {"push_n": float(rng.uniform(0.2, 1.0) * start["push_n"])}
         for _ in range(count)
     ]
-
-
-def page_table() -> str:
-    """Return the stored rows as the page shows them."""
-    told = json.loads((RESULTS / "live.json").read_text())
-    return f"\nOn {told['machine']['processor']}, one core.\n\n{table(told['rows'])}\n\n"
-
-
-def write_page(page: Path = PAGE) -> None:
-    """Put the stored rows into the page."""
-    page.write_text(re.sub(MARKS, lambda m: m[1] + page_table() + m[2], page.read_text(), flags=re.DOTALL))
-
-
-if __name__ == "__main__":
-    write_page()

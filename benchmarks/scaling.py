@@ -68,6 +68,7 @@ def run(quick: bool) -> list[Row]:
         {"axis": axis, "stage": stage, "exponent": exponent(mine, "cpu_ms")}
         for axis, stage in dict.fromkeys((row["axis"], row["stage"]) for row in rows)
         if len(mine := [{**r, "unknowns": r["size"]} for r in rows if (r["axis"], r["stage"]) == (axis, stage)]) > 1
+        and min(row["cpu_ms"] for row in mine) > 0
     ]
     return [*rows, *fitted, *(row for row in nodes if "stage" not in row)]
 
