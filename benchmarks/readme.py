@@ -66,14 +66,15 @@ def draw_chain() -> None:
     from twin.study.run import run
 
     figure, panels = plt.subplots(2, 3, figsize=(12, 6.2), layout="constrained")
-    for row, name in zip(panels, ("kamiyama_shear", "sato_press"), strict=True):
+    said = {"kamiyama_shear": "flat sensor, pressed and sheared", "sato_press": "finger, pressed by a 3 mm sphere"}
+    for row, name in zip(panels, said, strict=True):
         result = run(load_scene(name))
         truth, estimate = result.truth, result.estimate
         assert truth is not None
         assert estimate is not None
         assert result.pressed is not None
         row[0].imshow(np.minimum(result.pressed.astype(int) * 3 // 2, 255))
-        row[0].set_title("what the CCD sees")
+        row[0].set(title="what the CCD sees (brightened)", ylabel=said[name])
         rest, shift = estimate.marker_rest_px, estimate.marker_shift_px
         for layer, colour in (("red", "#c0392b"), ("blue", "#2457c5")):
             mine = truth.marker_layer == layer
