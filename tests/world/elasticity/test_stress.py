@@ -73,8 +73,9 @@ def push(mesh, force=PUSH):
     return forces
 
 
-POWERS = [2.0**-20, 2.0**20]
-"""A millionth and a million, about: powers of two, by which floating point numbers scale without rounding."""
+POWERS = [2.0**-18, 2.0**20]
+"""Four millionths, above the least modulus, and a million, about: even powers of two, by which numbers and their roots
+scale without rounding."""
 
 
 @pytest.mark.parametrize("factor", POWERS)
