@@ -128,7 +128,7 @@ def in_words(error: Mapping[str, Any]) -> str:
 
 
 def _complaint(error: dict[str, Any]) -> str:
-    key = ".".join(str(k) for k in error["loc"])
+    key = ".".join(str(k) for k in error["loc"] if k != "constrained-float")  # no key: a union's number
     unit = unit_of(str(error["loc"][-1])) if error["loc"] else ""
     message = in_words(error)
     told = isinstance(error["input"], dict) or error["type"] in ("missing", "extra_forbidden")

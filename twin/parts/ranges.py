@@ -12,8 +12,8 @@ Place = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 Force = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 """A component of a force or of a torque, N or N mm."""
 
-Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
-"""Degrees."""
+Angle = Annotated[float, Field(ge=-3600, le=3600, allow_inf_nan=False)]
+"""Degrees: ten turns either way."""
 
 Share = Annotated[float, Field(ge=0, le=1)]
 """Of light: reflectances and shares of a colour."""
