@@ -7,6 +7,10 @@ package that it imports: nothing is compiled again for changes elsewhere, in a c
 
 Compiled code divides as NumPy does: by 0 it is inf or NaN, which every result is asked for. numba's own default raises
 a ZeroDivisionError as Python does, from inside a loop that can't say which of a recipe's numbers was too small.
+
+What may add up in any order (``fastmath``) becomes a part of whatever calls it. Left apart, the caller's own copy of it
+and the one compiled by itself are optimised differently, and which of the two answers depends on whether this process
+compiled them or found them kept: first runs and later ones differed in their last digits.
 """
 
 from __future__ import annotations
@@ -36,9 +40,9 @@ def njit(**options: Any) -> Any:
     Parameters
     ----------
     **options
-        numba's own; ``error_model`` is "numpy" where not said otherwise.
+        numba's own; ``error_model`` is "numpy" where not said otherwise, ``forceinline`` on wherever ``fastmath`` is.
     """
-    options = {"error_model": "numpy", **options}
+    options = {"error_model": "numpy", "forceinline": bool(options.get("fastmath")), **options}
 
     def made(function: Callable[..., Any]) -> Any:
         compiled = numba.njit(**options)(function)
@@ -99,7 +103,7 @@ class Told(event.Listener):  # type: ignore[misc]
             return
         before, self._spent_s = self._spent_s, self._spent_s + time.perf_counter() - self._since
         if before < TOLD_AFTER_S <= self._spent_s and sys.stderr.isatty():
-            print("twin: compiling, once after an install or an update: half a minute in all", file=sys.stderr)
+            print("twin: compiling, once after an install or an update: about a minute in all", file=sys.stderr)
 
 
 event.register("numba:compile", Told())

@@ -100,3 +100,16 @@ def test_a_terminal_is_told_once_what_takes_so_long(monkeypatch: pytest.MonkeyPa
         for each in (told.on_start, told.on_start, told.on_end, told.on_end):
             each(inner)
         assert terminal.getvalue().count("compiling") == (home != "elsewhere")
+
+
+@pytest.mark.slow
+def test_what_is_compiled_here_and_what_was_kept_give_the_same_answers(tmp_path: Path) -> None:
+    """Bit for bit, through the whole chain: sums in any order were once made in another one by first runs."""
+    told = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    for name in ("first", "second"):
+        command = [sys.executable, "-m", "twin", "run", "kamiyama_pillar", "--out", str(tmp_path / name)]
+        subprocess.run(command, env=told, check=True, capture_output=True)
+    found = {path.name: path.read_bytes() for path in (tmp_path / "first").iterdir() if path.suffix in (".npz", ".png")}
+    assert {"truth.npz", "pressed.png"} <= set(found)
+    differing = [name for name, data in found.items() if (tmp_path / "second" / name).read_bytes() != data]
+    assert differing == []
