@@ -232,6 +232,20 @@ def test_a_slide_that_jumps_as_a_patch_comes_and_goes(
         rubbed(drag, across=8, increments=1)
 
 
+def test_a_slide_that_jumps_where_it_ends_is_met_in_between(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By 1.6 % of half a patch, down where the probe slid far and up where it did not: the middle is 0.8 % off both."""
+    slide = friction._slide
+
+    def jumping(grid: friction.FrictionGrid, memory: friction.Memory, *given: Any) -> np.ndarray:
+        moved, jump = slide(grid, memory, *given), 1.6e-2 * float(grid.patches.half_mm.min())
+        return moved + jump * (memory.slid_mm < moved + 0.5 * jump)
+
+    monkeypatch.setattr(friction, "_slide", jumping)
+    state = rubbed(Step(force_n={"z": PUSH}, move_mm=(0.4, None, None)), across=8, increments=1)[0]
+    assert state.slip.any()
+    assert state.residual <= 1e-8
+
+
 # --- any body ------------------------------------------------------------------------------------------------------
 
 

@@ -49,15 +49,17 @@ def _part(
         place = np.where(control.by_force, memory.place, control.given)
         return memory, solve(problem, likely_touching(grid, memory, place, guess), place)
     found = _from_guess(problem, first_guess(grid, problem, memory, control, guess))
-    start = memory.slid_mm
+    start, share, before = memory.slid_mm, 1.0, np.zeros_like(memory.slid_mm)
     for turn in range(_SLIDE_ROUNDS):
         slid = start + _slide(grid, memory, problem, found)
-        change = float(np.abs(slid - memory.slid_mm).max())
-        memory = replace(memory, slid_mm=slid)
+        off, late = slid - memory.slid_mm, 2 * turn >= _SLIDE_ROUNDS
         flat = all(setting.face is not None for setting in grid.contacts.settings)
-        known = _SLID if 2 * turn < _SLIDE_ROUNDS else _SLID_AT_LAST
-        if change <= known * float(grid.patches.half_mm.min()) or flat:
-            return memory, found
+        known = _SLID_AT_LAST if late else _SLID
+        if float(np.abs(off).max()) <= known * float(grid.patches.half_mm.min()) or flat:
+            return replace(memory, slid_mm=slid), found
+        if late and float(np.sum(off * before)) < 0.0:
+            share /= 2  # to and fro: where a patch comes and goes lies between
+        memory, before = replace(memory, slid_mm=slid - (1.0 - share) * off), off
         problem = grid.problem(memory, control, held)
         found = solve_coulomb(problem, found.force_n, found.place, found.displacement_mm)
     raise NotSettled("contact: the probe slides, and where it slides to does not settle: take smaller steps")
