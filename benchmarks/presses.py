@@ -183,8 +183,9 @@ def run(body: str, count: int, stored: dict[str, Any] | None) -> dict[str, Any]:
             here = place
             prepare(body, compliance, number)
         _count(found, outcome(body, compliance, number))
-        if found["done"] % SAVED_EVERY == 0 or found["done"] == count:
+        if found["done"] % SAVED_EVERY == 0:
             file(body).write_text(json.dumps(found, indent=1) + "\n")
+    file(body).write_text(json.dumps(found, indent=1) + "\n")
     return found
 
 
