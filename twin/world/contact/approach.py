@@ -115,15 +115,15 @@ def approach_of(press: Press, body: Body) -> Approach:
     place = surface_place(body, press.at_mm)
     inward = body.piece_normals(place[None])[0, 0]
     along = inward if press.direction == "normal" else np.array(press.direction or (0.0, 0.0, 1.0), float)
-    along = along / np.abs(along).max()  # of any length, also one whose square is no number
-    along = along / np.linalg.norm(along)
+    axes = frame_of(tuple(along))
+    along = axes[2]
     if along @ inward <= 0.05:
         raise InputError(
             f"press.direction = ({', '.join(f'{c:.3g}' for c in along)}) at ({', '.join(f'{c:.3g}' for c in place)}) "
             f"mm comes from inside the body, or along its surface (its inward normal is "
             f"({', '.join(f'{c:.3g}' for c in inward)})): turn it inwards, or use 'normal'"
         )
-    return approach(press.probe, body, place, frame_of(tuple(along)), press.tilt_deg)
+    return approach(press.probe, body, place, axes, press.tilt_deg)
 
 
 def approach(
