@@ -34,7 +34,7 @@ _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 _IMPORTS = re.compile(r"^\s*(?:from|import) +twin([\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
 
-def njit(**options: Any) -> Any:
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return ``numba.njit(**options)`` whose kept code is made anew when any module that it may have used has changed.
 
     Parameters

@@ -109,7 +109,7 @@ def first_along(tree: BoxTree, points: Points, along: Floats) -> tuple[Ints, Flo
     return np.where(triangle >= 0, tree.original[triangle], -1), times
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _enters(point: Floats, along: Floats, low: Floats, high: Floats) -> float:
     """Return where a line enters a box, inf where it misses it."""
     start, end = -np.inf, np.inf
@@ -124,12 +124,12 @@ def _enters(point: Floats, along: Floats, low: Floats, high: Floats) -> float:
     return start if start <= end else np.inf
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _cross(a: Floats, b: Floats) -> Floats:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _pierce(
     points: Points, along: Floats, corners: Floats, low: Floats, high: Floats, first: Ints, second: Ints,
     triangle: Ints, times: Floats,
@@ -163,7 +163,7 @@ def _pierce(
                     times[q], triangle[q] = time, t
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _to_box(point: Floats, low: Floats, high: Floats) -> float:
     squared = 0.0
     for i in range(3):
@@ -172,7 +172,7 @@ def _to_box(point: Floats, low: Floats, high: Floats) -> float:
     return squared
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _search(
     points: Floats, corners: Floats, low: Floats, high: Floats, first: Ints, second: Ints, triangle: Ints, foot: Floats,
     feature: Ints,
@@ -201,7 +201,7 @@ def _search(
             depth += 2
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _onto_triangle(point: Floats, corners: Floats, place: Floats) -> int:
     """Set ``place`` to the nearest place of a triangle and return its feature (by regions of barycentric sign)."""
     a, b, c = corners[0], corners[1], corners[2]
@@ -236,7 +236,7 @@ def _onto_triangle(point: Floats, corners: Floats, place: Floats) -> int:
     return 0
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _climb(
     xy: Floats, corners: Floats, low: Floats, high: Floats, first: Ints, second: Ints, wanted: np.ndarray,
     triangle: Ints, z: Floats,

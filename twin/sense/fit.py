@@ -55,7 +55,7 @@ SETTLED_LEAD_PX = 0.3
 """A marker whose last step was larger leads no other."""
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit(cache=True, fastmath=True)
 def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, narrow, total):  # type: ignore[no-untyped-def]
     """Add up over the pixels at ``place`` (2, m) what one step needs; float32, no branches: for the vector unit.
 

@@ -75,7 +75,7 @@ def _pairs(points: Points, load: Rectangles) -> tuple[Floats, Floats, Floats, Fl
     return _c(points), _c(load.centre_mm), _c(load.frames), _c(load.half_mm)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _local(point: Floats, centre: Floats, frame: Floats) -> tuple[float, float, float]:
     """Return the point in the rectangle's frame; round-off and hair's breadths above its plane count as on it."""
     dx, dy, dz = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
@@ -85,7 +85,7 @@ def _local(point: Floats, centre: Floats, frame: Floats) -> tuple[float, float, 
     return x, y, max(z, 0.0)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _displacement(
     points: Floats, centre: Floats, frames: Floats, half: Floats, force: Floats, k: float, out: Floats
 ) -> None:
@@ -106,7 +106,7 @@ def _displacement(
                 out[q, i] += frame[0, i] * ux + frame[1, i] * uy + frame[2, i] * uz
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath={"reassoc", "contract"})
 def _of_point_forces(points: Floats, centre: Floats, force: Floats, k: float, out: Floats) -> None:
     """Add to ``out`` (3, n) at ``points`` (3, n) the sums over forces (3, t) at ``centre`` (3, t), all in one frame.
 
@@ -137,7 +137,7 @@ def _of_point_forces(points: Floats, centre: Floats, force: Floats, k: float, ou
                     raise ZeroDivisionError("a point force moves its own place infinitely far")
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _compliance(points: Floats, centre: Floats, frames: Floats, half: Floats, k: float, out: Floats) -> None:
     u, n, v = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for q in range(len(points)):
@@ -160,7 +160,7 @@ def _compliance(points: Floats, centre: Floats, frames: Floats, half: Floats, k:
                     )  # fmt: skip
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _local_gradient(
     x: float, y: float, z: float, half: Floats, frame: Floats, force: Floats, k: float, d: Floats, n: Floats, g: Floats
 ) -> None:
@@ -174,7 +174,7 @@ def _local_gradient(
                 g[i, m] += d[i, j, m] * f
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _add_turned(g: Floats, frame: Floats, out: Floats) -> None:
     """Add a tensor given in the rectangle's frame to ``out`` in global axes."""
     for i in range(3):
@@ -186,7 +186,7 @@ def _add_turned(g: Floats, frame: Floats, out: Floats) -> None:
             out[i, m] += total
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _gradient(
     points: Floats, centre: Floats, frames: Floats, half: Floats, force: Floats, k: float, out: Floats
 ) -> None:
@@ -198,7 +198,7 @@ def _gradient(
             _add_turned(g, frames[t], out[q])
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _stress(
     points: Floats, centre: Floats, frames: Floats, half: Floats, force: Floats, nu: float, out: Floats
 ) -> None:

@@ -38,7 +38,7 @@ def _gauss(order: int) -> Floats:
 _ONE, _FOUR, _NINE = _gauss(1), _gauss(2), _gauss(3)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath={"reassoc", "contract"})
 def _point_terms(
     x: float, y: float, z: float, a: float, b: float, k: float, nodes: Floats, u: Floats, n: Floats
 ) -> None:
@@ -85,7 +85,7 @@ def _point_terms(
     n[0], n[1], n[2] = nx, ny, nz
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def point_slopes(x: float, y: float, z: float, k: float, weight: float, d: Floats, n: Floats) -> None:
     """Add ``weight`` times d[i, j, m] = du_i/dx_m per unit force j, (3, 3, 3), and n_j = x_j / r^3 to (3,)."""
     p = (x, y, z)
@@ -116,7 +116,7 @@ def point_slopes(x: float, y: float, z: float, k: float, weight: float, d: Float
     add_slopes(d, hxxx, hxxy, hxyy, hyyy, hxxz, hyyz, hxyz, -x * w3, -y * w3, -z * w3)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def rectangle_terms(x: float, y: float, z: float, a: float, b: float, k: float, u: Floats, n: Floats) -> None:
     """Set u (3, 3) and n (3,) to the mean over the rectangle |x| <= a, |y| <= b; a = b = 0 is a point force."""
     distance, size = x * x + y * y + z * z, a * a + b * b
@@ -132,7 +132,7 @@ def rectangle_terms(x: float, y: float, z: float, a: float, b: float, k: float, 
         closed_terms(x, y, z, a, b, k, u, n)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def rectangle_slopes(x: float, y: float, z: float, a: float, b: float, k: float, d: Floats, n: Floats) -> None:
     """Set d (3, 3, 3), du_i/dx_m per unit force j, and n (3,) to the mean over the rectangle |x| <= a, |y| <= b."""
     d[:] = 0.0

@@ -34,7 +34,7 @@ def normal_compliance(rectangles: Rectangles, youngs_modulus_mpa: float, poisson
     return out if _fill(rectangles.centre_mm, rectangles.frames, rectangles.half_mm, unit, out) else None
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _mean(x: float, y: float, a: float, b: float) -> float:
     """Return the mean of 1 / r, seen from (x, y), over the rectangle |x| <= a, |y| <= b, by the same rules as there."""
     distance, size, total = x * x + y * y, a * a + b * b, 0.0
@@ -57,7 +57,7 @@ def _mean(x: float, y: float, a: float, b: float) -> float:
     return float((along_x + along_y) * 0.25 / (a * b))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _fill(centre: Floats, frames: Floats, half: Floats, unit: float, out: Floats) -> bool:
     """Set ``out`` (k, k) to ``unit`` means over each rectangle, seen from each; return whether all lie in one plane."""
     k, frame = len(centre), frames[0]
@@ -93,7 +93,7 @@ def _fill(centre: Floats, frames: Floats, half: Floats, unit: float, out: Floats
     return True
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _lattice(place: Floats, half: Floats) -> tuple[Ints, tuple[int, int]]:
     """Return (k, 2) cells of equal rectangles on a lattice, and how many there are a side; too many if it is none."""
     cell, shape, none = np.zeros(place.shape, np.int64), [0, 0], (len(place) + 1, len(place) + 1)

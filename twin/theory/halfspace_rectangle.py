@@ -22,13 +22,13 @@ from twin.compiled import njit
 _TINY = 1e-300
 
 
-@njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, inline="always")
 def _log(over: float, under: float) -> float:
     """Return ln(over / under), neither negative; one that is 0 counts as 1."""
     return math.log((over if over > 0.0 else 1.0) / (under if under > 0.0 else 1.0))
 
 
-@njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, inline="always")
 def _log_ratio(y1: float, r1: float, y2: float, r2: float, rest: float) -> float:
     """Return ln[(y1 + r1) / (y2 + r2)] with y1 > y2 and r^2 = y^2 + rest, without cancellation; 0 if infinite."""
     if y2 >= 0.0:
@@ -40,13 +40,13 @@ def _log_ratio(y1: float, r1: float, y2: float, r2: float, rest: float) -> float
     return math.log(over / under) if under > _TINY * over else 0.0
 
 
-@njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, inline="always")
 def _turn(s1: float, c1: float, s2: float, c2: float) -> float:
     """Return atan(s1 / c1) - atan(s2 / c2), c1 and c2 not negative."""
     return math.atan2(s1 * c2 - c1 * s2, c1 * c2 + s1 * s2)
 
 
-@njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, inline="always")
 def _over(y: float, r: float, rest: float) -> float:
     """Return 1 / [r (r + y)] without cancellation; 0 on the line where it is singular."""
     if r == 0.0 or rest == 0.0:
@@ -54,7 +54,7 @@ def _over(y: float, r: float, rest: float) -> float:
     return 1.0 / (r * (r + y)) if y >= 0.0 else (r - y) / (r * rest)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _quadrant(x: float, y: float) -> float:
     """Return the limit z -> 0 of atan(x y / (z r))."""
     product = x * y
@@ -63,7 +63,7 @@ def _quadrant(x: float, y: float) -> float:
     return -0.5 * math.pi if product < 0.0 else 0.0
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _solid_angle(
     x1: float, x2: float, y1: float, y2: float, z: float, r11: float, r12: float, r21: float, r22: float
 ) -> float:
@@ -80,7 +80,7 @@ def _solid_angle(
     return float(_quadrant(x1, y1) - _quadrant(x1, y2) - _quadrant(x2, y1) + _quadrant(x2, y2))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def closed_terms(x: float, y: float, z: float, a: float, b: float, k: float, u: Floats, n: Floats) -> None:
     """Set u (3, 3) and n (3,), as in `twin.theory.halfspace_kernels`, to the means over |x| <= a, |y| <= b."""
     x1, x2, y1, y2 = x + a, x - a, y + b, y - b
@@ -123,7 +123,7 @@ def closed_terms(x: float, y: float, z: float, a: float, b: float, k: float, u: 
     n[2] = w * angle
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def closed_slopes(x: float, y: float, z: float, a: float, b: float, k: float, d: Floats, n: Floats) -> None:
     """Add the means over the rectangle |x| <= a, |y| <= b of `twin.theory.halfspace_kernels.point_slopes`."""
     x1, x2, y1, y2 = x + a, x - a, y + b, y - b
@@ -193,7 +193,7 @@ def closed_slopes(x: float, y: float, z: float, a: float, b: float, k: float, d:
     )  # fmt: skip
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def add_slopes(
     d: Floats,
     hxxx: float,

@@ -23,10 +23,10 @@ def through(p: Any, thickness: Any, index: float) -> tuple[Any, Any]:
     return thickness * (p * inverse), thickness * (square * (inverse * inverse * inverse))
 
 
-_through = njit(error_model="numpy")(through)
+_through = njit()(through)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def tangents(reach: Floats, depth: Floats, index: float, stack: Floats, air: Floats, out: Floats) -> None:
     """Set ``out`` (n,) to `twin.theory.optics.air_tangents`; ``stack`` (k, 2) holds thicknesses and indices."""
     for i in range(len(reach)):
@@ -35,7 +35,7 @@ def tangents(reach: Floats, depth: Floats, index: float, stack: Floats, air: Flo
             out[i] = tangent(reach[i], max(depth[i], 0.0), index, stack, air[i])[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def tangent(reach: float, depth: float, index: float, stack: Floats, air: float) -> tuple[float, float]:
     """Return the tangent of the ray that moves ``reach`` sideways, NaN for none, and the slope of `sideways` there."""
     p = reach / _sideways(0.0, depth, index, stack, air)[1]
@@ -48,7 +48,7 @@ def tangent(reach: float, depth: float, index: float, stack: Floats, air: float)
     return (p if abs(missing) <= 1e-9 * (1 + reach) else np.nan), slope
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _sideways(p: float, depth: float, index: float, stack: Floats, air: float) -> tuple[float, float]:
     reach, slope = _through(p, depth, index)
     for layer in range(len(stack)):

@@ -65,7 +65,7 @@ def in_cells(
     return force, shares, slipping
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _add(
     middle: Floats, aside: Floats, first: Floats, second: Floats, count: Ints, values: Floats, sums: Floats
 ) -> float:
@@ -88,7 +88,7 @@ def _add(
     return beyond
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _read(sums: Floats, area: float, force: Floats, shares: Floats, slipping: Floats) -> None:
     """Set what `in_cells` returns from the (c, 5) ``sums`` over cells of an ``area``, mm2."""
     for cell in range(len(sums)):

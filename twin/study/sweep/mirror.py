@@ -168,7 +168,7 @@ def _sizes(counts: tuple[int, int], signs: Signs) -> tuple[int, int]:
     return _size(counts[0], signs[0]), _size(counts[1], signs[1])
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _into_blocks(
     compliance: Floats, jacobian: Floats, counts: Ints, grid: tuple[int, int], mirrored: tuple[bool, bool],
     signs: Ints, rows: Ints, columns: Ints, out: Floats,
@@ -215,7 +215,7 @@ def _into_blocks(
         begin += shape[0] * shape[1]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _sums(
     three: Floats, j0: float, j1: float, j2: float, nx: int, ny: int, mirrored: tuple[bool, bool], out: Floats
 ) -> None:

@@ -37,7 +37,7 @@ UNMODELLED = 0.01
 """What the tracker's disc lacks of a marker in even light, root mean square over its brightness (measured: 0.011)."""
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def pulls(
     layer: Ints, points: Floats, radius: Floats, radius_px: Floats, rounded: Bools, across: Floats, towards: Floats,
     way: Floats, shine: Floats, even: float, first: Ints, members: Ints, noise: Floats, blur: float,
@@ -94,7 +94,7 @@ def pulls(
     return told, marker[:count].copy(), neighbour[:count].copy(), pull[:count].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _lit(  # type: ignore[no-untyped-def]
     points, radius, radius_px, rounded, across, towards, way, shine, even, first, members, blur, i, noise, inside
 ):  # fmt: skip
@@ -137,7 +137,7 @@ def _lit(  # type: ignore[no-untyped-def]
     return rows, changes
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _disc(
     radius: float, radius_px: float, rounded: bool, across: Floats, towards: Floats, blur: float
 ) -> tuple[Floats, Floats, Ints]:
@@ -169,7 +169,7 @@ def _disc(
     return rows[:, :m].copy(), place[:, :m].copy(), where[:m].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _shade(apart, radius, wx, wy, wz, place, steep, dark, change):  # type: ignore[no-untyped-def]
     """Write the (m,) share of a lamp's light that a neighbour takes from pixels, and (3, m) how the share that is left
     changes with its place, 1/mm; ``apart`` is from the marker to the neighbour, ``steep`` 1/mm of the edge."""
@@ -186,7 +186,7 @@ def _shade(apart, radius, wx, wy, wz, place, steep, dark, change):  # type: igno
         change[0, p], change[1, p], change[2, p] = slope * x, slope * y, slope * z
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _settled(rows: Floats, noise: Floats, inside: float) -> tuple[Floats, Floats]:
     """Return `SPREAD` and `MISFIT` of a fit at rest, and (2, m) by how many px brightness of each pixel moves it.
 
@@ -229,7 +229,7 @@ def _settled(rows: Floats, noise: Floats, inside: float) -> tuple[Floats, Floats
     return told, answer
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, inline="always")
 def _levels(sums, picture):  # type: ignore[no-untyped-def]
     """Return level and bulge of the picture in a row."""
     determinant = max(sums[COVER, COVER] * sums[RISE, RISE] - sums[COVER, RISE] ** 2, 1e-12)
@@ -238,7 +238,7 @@ def _levels(sums, picture):  # type: ignore[no-untyped-def]
     return max(level, 1e-3), bulge
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, inline="always")
 def _moments(sums, level, bulge):  # type: ignore[no-untyped-def]
     """Return the sums of J J^T: xx, xy, yy."""
     flat, both, round_ = level * level, level * bulge, bulge * bulge
@@ -248,7 +248,7 @@ def _moments(sums, level, bulge):  # type: ignore[no-untyped-def]
     return xx, flat * sums[ALONG, ACROSS] + both * mixed + round_ * sums[ALONG_RISE, ACROSS_RISE], yy
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, inline="always")
 def _edge(inside):  # type: ignore[no-untyped-def]
     """Return the integral of a biweight, which stands for a blurred edge, and its slope."""
     v = min(max(inside, -1.0), 1.0)

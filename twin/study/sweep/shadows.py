@@ -109,7 +109,7 @@ def _across(jacobian: Floats) -> Floats:
     return np.asarray(np.einsum("nik,ijn->nkj", jacobian, inverse))
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _pulled(marker: Ints, neighbour: Ints, pull: Floats, moved: Floats, out: Floats) -> None:
     for m in range(len(marker)):
         i, j = marker[m], neighbour[m]

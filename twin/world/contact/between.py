@@ -191,7 +191,7 @@ class Dense:
         return np.asarray(self._normal[np.ix_(rows, columns)])
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _add_rows(matrix: Floats, rows: Ints, weights: Floats, out: Floats) -> None:
     """Add some rows of a matrix to ``out``, each times its weight; others are not read."""
     for row in rows:

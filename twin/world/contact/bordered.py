@@ -104,7 +104,7 @@ def _gmres(
     return None
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _orthogonal(basis: Floats, done: int, column: Floats) -> float:
     """Take off ``basis[done]`` what lies along those before, add how much to ``column``; return the length left.
 
@@ -120,7 +120,7 @@ def _orthogonal(basis: Floats, done: int, column: Floats) -> float:
     return math.sqrt(_inner(image, image))
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath={"reassoc", "contract"})
 def _inner(one: Floats, other: Floats) -> float:
     found = one[0] * other[0]
     for j in range(1, len(one)):
@@ -128,7 +128,7 @@ def _inner(one: Floats, other: Floats) -> float:
     return float(found)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _turn(column: Floats, under: float, turns: Floats, goal: Floats, done: int) -> None:
     """Make a column of the Hessenberg matrix one of a triangle by plane rotations, and turn the right-hand side too."""
     for i in range(done - 1):

@@ -94,7 +94,7 @@ def _even_cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, 
     return middle, half
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _crossed(u: Floats, v: Floats, half_u: float, half_v: float, radius: float) -> tuple[Floats, Floats]:
     """Return (n, 2) crossings of columns and rows that lie within a disc, row by row, and (n, 2) the same halves."""
     middle, n = np.empty((len(u) * len(v), 2)), 0

@@ -43,7 +43,7 @@ def contact_area(setting: Setting, patches: Patches, equilibrium: Equilibrium) -
                        smooth, cone))  # fmt: skip
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _area(
     middle: Floats, cell: Floats, half: Floats, force: Floats, active: Bools, smooth: bool, fourth: bool
 ) -> float:
@@ -66,7 +66,7 @@ def _area(
     return fitted if abs(fitted / counted - 1.0) < _APART else counted
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _fitted(place: Floats, pressure: Floats, used: Ints, fourth: bool) -> tuple[Floats, float]:
     """Return (6,) or (7,) coefficients of the polynomial nearest to squared pressures, and the size it is scaled by.
 
@@ -102,7 +102,7 @@ def _fitted(place: Floats, pressure: Floats, used: Ints, fourth: bool) -> tuple[
     return found, size
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _squared_radius(found: Floats, size: float) -> float:
     """Return the mean square of how far from the middle a polynomial of `_fitted` vanishes, mm2; inf if it doesn't."""
     total, step = 0.0, (_FAR - _NEAR) / (_ALONG - 1)

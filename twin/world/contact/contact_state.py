@@ -167,7 +167,7 @@ class ContactState:
             frozen(array)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _longest(slope: Floats, active: Ints) -> float:
     """Return the largest square of 1 / cosine of the angle between probe and surface, where they touch.
 
@@ -179,7 +179,7 @@ def _longest(slope: Floats, active: Ints) -> float:
     return longest
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _added_up(
     frames: Floats, half: Floats, own_force: Floats, moved: Floats, active: Ints, rubs: bool
 ) -> tuple[Floats, Floats, Floats, Floats, float, float]:

@@ -121,7 +121,7 @@ def _summing(n: int, odd: bool) -> Floats:
     return frozen(whole)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _partners(n: int) -> tuple[Ints, Ints, Floats]:
     """Return (2 n - 1,) each wave's frequency, the wave that an odd kernel makes it of, and with which sign."""
     size = 2 * n - 1
@@ -132,7 +132,7 @@ def _partners(n: int) -> tuple[Ints, Ints, Floats]:
     return frequency, partner, sign
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _mix(m: Floats, rest: Floats, f: Floats, out: Floats) -> None:
     """Set ``out`` (b, 3, Lu, Lv) to what the spectra and the rest make of fields of waves and polynomials."""
     of_u, other_u, sign_u = _partners(m.shape[1])
@@ -150,7 +150,7 @@ def _mix(m: Floats, rest: Floats, f: Floats, out: Floats) -> None:
     _add_rest(rest, len(of_u), len(of_v), f, out)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _scale(m: Floats, rest: Floats, f: Floats, out: Floats) -> None:
     """Do as `_mix` for the normal part alone, (b, 1, Lu, Lv)."""
     of_u, of_v = _partners(m.shape[1])[0], _partners(m.shape[2])[0]
@@ -161,7 +161,7 @@ def _scale(m: Floats, rest: Floats, f: Floats, out: Floats) -> None:
     _add_rest(rest, len(of_u), len(of_v), f, out)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _add_rest(rest: Floats, lu: int, lv: int, f: Floats, out: Floats) -> None:
     """Set what lies beyond the waves: products of polynomials to what the rest makes of them, those with waves to 0."""
     out[:, :, lu:] = 0.0

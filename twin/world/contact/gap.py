@@ -91,7 +91,7 @@ class Approach:
         return gap, _slopes(own, along, gap, normal, turned, turning_of(place[ABOUT_X:]))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _turned(vectors: Floats, axes: Floats) -> Floats:
     """Return the product of (k, 3) vectors with (3, 3) axes; for so few numbers faster than NumPy's."""
     out = np.empty((len(vectors), 3))
@@ -101,7 +101,7 @@ def _turned(vectors: Floats, axes: Floats) -> Floats:
     return out
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _seen_from(points: Floats, axis_mm: Floats, axes: Floats, place: Floats) -> Floats:
     """Return points (k, 3) from where a probe is at a place, along the axes that it had at first touch."""
     out = np.empty((len(points), 3))
@@ -112,7 +112,7 @@ def _seen_from(points: Floats, axis_mm: Floats, axes: Floats, place: Floats) -> 
     return out
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _slopes(own: Floats, along: Floats, gap: Floats, normal: Floats, turned: Floats, turning: Floats) -> Floats:
     """Return (k, 6) the gap's derivatives where a line meets the probe.
 

@@ -143,7 +143,7 @@ def _packed(patches: int) -> int:
     return 3 * patches * (3 * patches + 1) // 2
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _pack(whole: Floats, rows: Ints, known: int, share: float, out: SinglesArray) -> None:
     """Set ``out`` to the columns of some patches, down to the diagonal, but for those of the first ``known``."""
     at = 0

@@ -202,7 +202,7 @@ class Lattice:
         return np.asarray((u[:, :, None] * v[:, None, :]).reshape(len(rows), u.shape[1] * v.shape[1]))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _gather(kernel: Floats, place: Ints, rest: Floats, out: Floats) -> None:
     """Set ``out`` (n, 3, n, 3) to the kernel at the offsets between n places, and add the rest (n, 3, 3, n), if any.
 

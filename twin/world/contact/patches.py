@@ -84,7 +84,7 @@ class Patches:
         return Box(*_around(self.middle_mm, self.cell_mm, chosen))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _around(middle: Floats, cell: Floats, chosen: Bools) -> tuple[float, float, float, float]:
     """Return the least and largest u, the least and largest v of chosen cells."""
     u0, u1, v0, v1 = math.inf, -math.inf, math.inf, -math.inf
@@ -132,7 +132,7 @@ def _tangent_rectangles(plane: Plane, cell: Floats, normals: Floats) -> tuple[Fl
     return np.stack([first, np.cross(normals, first), normals], axis=1), half
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _touching(middle: Floats, cell: Floats, others: Bools) -> Bools:
     """Return (n,) whether each cell is one of the others, or has one for a neighbour, corners included."""
     rows, found = np.flatnonzero(others), others.copy()
@@ -209,7 +209,7 @@ def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tu
     )  # fmt: skip
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _bordering(
     middle: Floats, cell: Floats, low: tuple[float, float], high: tuple[float, float], limit: tuple[float, float]
 ) -> tuple[Bools, Bools]:

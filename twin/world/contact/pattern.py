@@ -101,7 +101,7 @@ class Pattern:
         return np.concatenate([normal + self.mu[many] * along, across, along[self.stuck]])
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _forces(unknowns: Floats, drag: Floats, mu: Floats, third: Ints, out: Floats) -> None:
     n = len(mu)
     for i in range(n):
@@ -116,7 +116,7 @@ def _forces(unknowns: Floats, drag: Floats, mu: Floats, third: Ints, out: Floats
             out[2, i, c] = normal
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _seen(vectors: Floats, drag: Floats, third: Ints, out: Floats) -> None:
     n = len(third)
     for i in range(n):

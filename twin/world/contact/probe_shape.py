@@ -55,7 +55,7 @@ class Ball:
         return distance, normal
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _meet_ball(points: Floats, along: Floats, radius: float) -> tuple[Floats, Floats]:
     """See `Shape.met`."""
     distance, normal = np.full(len(points), np.inf), along.copy()

@@ -87,7 +87,7 @@ def _total(contacts: Contacts, place: Floats, force: Floats) -> Floats:
     return total
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _add_up(centre: Floats, push: Floats, axis_mm: Floats, axes: Floats, place: Floats, total: Floats) -> None:
     whole, x, y, z = 0.0, 0.0, 0.0, 0.0
     for i in range(len(push)):
@@ -100,7 +100,7 @@ def _add_up(centre: Floats, push: Floats, axis_mm: Floats, axes: Floats, place: 
     total[4] = whole * place[0] - (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _overlapping(gap: Floats, owner: Ints, reach: Floats) -> tuple[Bools, Floats]:
     """Return (k,) which gaps are smaller than how far their probe (p,) reaches, and forces like a sphere's there."""
     active, force = np.zeros(len(gap), np.bool_), np.zeros(len(gap))
@@ -111,7 +111,7 @@ def _overlapping(gap: Floats, owner: Ints, reach: Floats) -> tuple[Bools, Floats
     return active, force
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _residual(
     gap: Floats, depth: Floats, owner: Ints, by_force: Bools, given: Floats, active: Bools, force: Floats,
     sunk: Floats,
@@ -135,7 +135,7 @@ def _residual(
     return max(off / deep, pull / push, unbalanced / load)
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath={"reassoc", "contract"})
 def settle(
     normal: Floats, gap: Floats, owner: Ints, by_force: Bools, given: Floats, active: Bools, force: Floats,
     depth: Floats, sunk: Floats,
@@ -198,7 +198,7 @@ def settle(
     return 0
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath={"reassoc", "contract"})
 def _along(one: Floats, other: Floats) -> float:
     total = 0.0
     for i in range(len(one)):
@@ -206,7 +206,7 @@ def _along(one: Floats, other: Floats) -> float:
     return total
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _touch_somewhere(gap: Floats, owner: Ints, by_force: Bools, active: Bools) -> None:
     """Let every probe that is pushed touch the nearest patch, if it touches none; leave out what can't be met."""
     touched, nearest = np.zeros(len(by_force), np.bool_), np.full(len(by_force), -1)
@@ -221,7 +221,7 @@ def _touch_somewhere(gap: Floats, owner: Ints, by_force: Bools, active: Bools) -
             active[nearest[p]] = True
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath={"reassoc", "contract"})
 def _solve(
     part: Floats, gap: Floats, owner: Ints, by_force: Bools, given: Floats, f: Floats, depth: Floats,
     moved: Floats, share: float,

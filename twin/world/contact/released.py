@@ -199,7 +199,7 @@ def _given(system: LinearSystem, right: Floats) -> Floats:
     return pattern.unseen(known)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _gather(whole: SinglesArray, rows: Ints, out: SinglesArray) -> None:
     """Set ``out`` (3 n, 3 n) to the compliance between some of the patches of (k, 3, k, 3), axis by axis."""
     n = len(rows)
@@ -211,14 +211,14 @@ def _gather(whole: SinglesArray, rows: Ints, out: SinglesArray) -> None:
                     out[a * n + i, b * n + j] = line[rows[j], b]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _add(displacement: SinglesArray, at: Ints, along: SinglesArray, motion: Floats) -> None:
     for i in range(len(at)):
         for a in range(3):
             displacement[a, at[i]] += along[i, a] * motion[i]
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _laws(
     stiffness: SinglesArray, slipping: int, at: Ints, along: SinglesArray, felt: SinglesArray, out: SinglesArray
 ) -> None:
@@ -246,7 +246,7 @@ def _laws(
             out[i, j] = along[j, 0] * row[at[j]] + along[j, 1] * row[n + at[j]] + along[j, 2] * row[2 * n + at[j]]
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _felt(stiffness: SinglesArray, at: int, felt: SinglesArray, out: SinglesArray) -> None:
     """Set ``out`` to a combination of the rows of one patch's three axes."""
     n = stiffness.shape[0] // 3

@@ -50,7 +50,7 @@ class Rounded:
         return distance, normal
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _enter(
     points: Floats, along: Floats, sharp: int, sizes: tuple[float, float, float], radius: float
 ) -> tuple[Floats, Floats]:
@@ -79,7 +79,7 @@ def _enter(
     return distance, normal
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _distance(
     x: float, y: float, z: float, sharp: int, sizes: tuple[float, float, float]
 ) -> tuple[float, float, float, float]:

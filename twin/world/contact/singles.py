@@ -47,7 +47,7 @@ _TILE = 64
 """Rows and columns at a time: two tiles stay in the fast memory."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _mirror(matrix: SinglesArray) -> None:
     """Make a matrix (n, n) symmetric by what is below its diagonal."""
     n = len(matrix)

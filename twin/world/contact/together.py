@@ -271,7 +271,7 @@ class Contacts:
         return {}
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _all_along(frames: Floats, axes: Floats) -> bool:
     """Return whether the normals of frames (k, 3, 3) are all the last of the axes (3, 3)."""
     for i in range(len(frames)):
@@ -281,7 +281,7 @@ def _all_along(frames: Floats, axes: Floats) -> bool:
     return True
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _carry(axes: Floats, arm: Floats, frames: Floats, out: Floats) -> None:
     """Set ``out`` (k, 3, 6) to how points at arms (k, 3) move in their frames along and about axes (rows of (3, 3))."""
     for i in range(len(arm)):

@@ -92,7 +92,7 @@ def _pieces(mesh: Mesh, elements: Ints, load: Rectangles) -> tuple[Ints, Floats]
     return np.concatenate([e for e, _ in done]), np.concatenate([s for _, s in done])
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _tension(
     points: Floats, centre: Floats, frames: Floats, half: Floats, columns: Floats, nu: float, out: Floats
 ) -> None:

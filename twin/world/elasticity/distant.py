@@ -26,7 +26,7 @@ def distant_rows(centre: Floats, frames: Floats, half: Floats, force: Floats) ->
     return np.ascontiguousarray(np.vstack([centre.T, limit, force.T, normal.T, flat.T]))
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath={"reassoc", "contract", "nsz"})
 def distant(
     px: float, py: float, pz: float, ax: float, ay: float, az: float, rows: Floats, k: float
 ) -> tuple[float, float, float]:

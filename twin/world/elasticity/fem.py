@@ -311,7 +311,7 @@ def _pattern(rows: Ints, columns: Ints, shape: tuple[int, int]) -> tuple[Ints, I
     return pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _find(indptr: Ints, indices: Ints, row: int, column: int) -> int:
     low, high = indptr[row], indptr[row + 1]
     while high - low > 1:
@@ -323,7 +323,7 @@ def _find(indptr: Ints, indices: Ints, row: int, column: int) -> int:
     return int(low)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _integrate(
     points: Floats,
     tets: Ints,
@@ -384,7 +384,7 @@ def _integrate(
                 m[_find(pp_ptr, pp_ind, pressure[t, p], pressure[t, s]), 0, 0] += me[p, s]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _invert(jac: Floats, inv: Floats) -> float:
     """Set ``inv`` to the inverse of the 3 x 3 matrix ``jac`` and return the determinant."""
     for i in range(3):

@@ -94,7 +94,7 @@ def _means(middle: Floats, half: Floats, places: Floats, weights: Floats, count:
     return out
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _add_means(middle: Floats, half: Floats, places: Floats, weights: Floats, out: Floats) -> None:
     for k in range(len(middle)):
         for g in range(len(places)):
@@ -105,7 +105,7 @@ def _add_means(middle: Floats, half: Floats, places: Floats, weights: Floats, ou
                 before, here = here, 2.0 * at * here - before
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _shared(first: Floats, second: Floats, forces: Floats, out: Floats) -> None:
     """Set ``out`` (a, b, 3) to the forces (k, 3) shared out by what nodes carry of each, (k, a) and (k, b)."""
     out[:] = 0.0

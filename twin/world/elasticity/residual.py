@@ -228,7 +228,7 @@ def _add(
     _add_rows(points, areas, values, nodes, centre, frames, half, columns, rows, nu, out)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _add_rows(
     points: Floats,
     areas: Floats,
@@ -272,7 +272,7 @@ def _add_rows(
                     out[nodes[q, a], i, case] += values[q, a] * total[i, case]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _far(away: Floats, area: Floats, frame: Floats, half: Floats, nu: float, t: Floats) -> None:
     """Set t[i, j] to sigma n dA per unit force j, four point forces standing for the rectangle.
 
@@ -300,7 +300,7 @@ def _far(away: Floats, area: Floats, frame: Floats, half: Floats, nu: float, t: 
             _add_plane_part(away, area, frame, first, second, 0.25 * (1.0 - 2.0 * nu), t)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _add_plane_part(
     away: Floats, area: Floats, frame: Floats, first: float, second: float, weight: float, t: Floats
 ) -> None:
@@ -329,7 +329,7 @@ def _add_plane_part(
             t[i, j] += frame[0, i] * on_x + frame[1, i] * on_y
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _near(
     away: Floats,
     area: Floats,
@@ -364,7 +364,7 @@ def _near(
     _turn(g, frame, u, t)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _turn(g: Floats, frame: Floats, u: Floats, t: Floats) -> None:
     """Set ``t`` to the tensor ``g`` of the rectangle's frame in global axes; ``u`` is scratch."""
     for i in range(3):

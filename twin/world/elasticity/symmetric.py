@@ -13,7 +13,7 @@ TILE = 64
 """Rows and columns at a time: two tiles stay in the fast memory."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def make_symmetric(matrix: Floats) -> float:
     """Replace a (n, n) matrix by the mean of it and its transpose.
 

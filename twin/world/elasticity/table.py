@@ -202,7 +202,7 @@ class TableAtNu:
         return out.reshape(len(load), -1)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _means(
     centre: Floats, frames: Floats, half: Floats, window: tuple[float, float], nodes: tuple[Floats, Floats], out: Floats
 ) -> None:

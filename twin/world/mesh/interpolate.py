@@ -146,7 +146,7 @@ class Locator:
         return Places(nodes=nodes, weights=values, slopes=slopes)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _search(points: Floats, near: Ints, nodes: Floats, tets: Ints, best: Ints, where: Floats, inside: Floats) -> None:
     """Keep for every point the element in which its smallest barycentric coordinate is largest, first hit wins."""
     place = np.empty(3)
@@ -161,7 +161,7 @@ def _search(points: Floats, near: Ints, nodes: Floats, tets: Ints, best: Ints, w
                     where[q] = place
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _outside_ball(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> bool:
     """Tell whether a point is farther from the element's centroid, left in ``place``, than 1.2 times any corner."""
     reach, distance = 0.0, 0.0
@@ -176,7 +176,7 @@ def _outside_ball(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> boo
     return bool(distance > 1.44 * reach)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _invert_map(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> float:
     """Set ``place`` to where ``point`` is in the reference element (Newton); return its least barycentric share."""
     place[:] = 0.25
@@ -216,7 +216,7 @@ def _invert_map(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> float
     return float(min(1.0 - place[0] - place[1] - place[2], place[0], place[1], place[2]))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _add_solution(jac: Floats, residual: Floats, place: Floats) -> float:
     """Add the solution of three equations to ``place`` (Cramer's rule); return its largest component."""
     largest, det = 0.0, 0.0

@@ -41,27 +41,27 @@ Six = tuple[Number, Number, Number, Number, Number, Number]
 Met = tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number, Number, Number]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def matrix_of(metric: Floats, marker: int) -> Six:
     """Return a marker's metric as m00, m11, m22, m01, m02, m12."""
     return (metric[marker, 0, 0], metric[marker, 1, 1], metric[marker, 2, 2],
             metric[marker, 0, 1], metric[marker, 0, 2], metric[marker, 1, 2])  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def relative(ray: Four, drop: Number, centre: Three) -> Four:
     """Return a ray that begins at the base, ``drop`` above a centre, as it passes the height of that centre."""
     return ray[0] + ray[2] * drop - centre[0], ray[1] + ray[3] * drop - centre[1], ray[2], ray[3]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def footprint(across: Four, down: Four, drop: Number) -> Four:
     """Return how far aside the rays one column and one row on go, ``drop`` below where rays are told."""
     return (across[0] + across[2] * drop, across[1] + across[3] * drop,
             down[0] + down[2] * drop, down[1] + down[3] * drop)  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def approach(ray: Four, m: Six, step: Four) -> Met:
     """Return how a ray passes an ellipsoid.
 
@@ -85,7 +85,7 @@ def approach(ray: Four, m: Six, step: Four) -> Met:
     return miss, one, two, x, y, z, ax, ay, az, square, np.sqrt(one * one + two * two)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def candidate(met: Met, m: Six, step: Four, k: Number) -> tuple[Number, Number]:
     """Return two numbers, positive if any of a pixel's k x k sub-pixels may show the ellipsoid, and if all of them do.
 
@@ -109,14 +109,14 @@ def candidate(met: Met, m: Six, step: Four, k: Number) -> tuple[Number, Number]:
     return ONE + (reach * (k - ONE) + HALF * steep) / k - miss, ONE - _INNER * most - miss
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def coverage(met: Met, k: Number) -> Number:
     """Return the share of a sub-pixel, 1/k px wide, around a ray that the ellipsoid covers."""
     share = min(max(HALF + k * (ONE - met[0]) / max(met[10], _TINY), ZERO), ONE)
     return ONE if met[0] < HALF else share
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def place_met(met: Met, ray: Four, m: Six, covers: Number, k: Number) -> Six:
     """Return where a sub-pixel is lit: the way from the centre to the surface, and the unit normal there."""
     m00, m11, m22, m01, m02, m12 = m
@@ -131,7 +131,7 @@ def place_met(met: Met, ray: Four, m: Six, covers: Number, k: Number) -> Six:
     return x, y, z, nx * norm, ny * norm, nz * norm
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def blocked(centre: Three, m: Six, place: Three, way: Three, normal: Three, dx: Number, dy: Number, step: Four,
             k: Number) -> Number:  # fmt: skip
     """Return the share of a sub-pixel around a ``place`` in which another ellipsoid blocks its ``way`` to a lamp.

@@ -22,7 +22,7 @@ from twin.world.picture.frame import OPAQUE, WEIGHT
 from twin.world.picture.nearby import Whole
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def shade_crowded(
     begin: int, end: int, pixels: Ints, first: Whole, members: Whole, corners: Floats, base: float, centres: Floats,
     metric: Floats, colour: Floats, lamps: Floats, dark_first: Whole, dark_members: Whole, nearest: Ints,
@@ -77,7 +77,7 @@ def shade_crowded(
         free[j] = clear_sum / (k * k)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def most_candidates(begin: int, end: int, first: Whole) -> int:
     """Return the length of the longest list of markers of pixels ``begin`` to ``end``."""
     room = 1
@@ -86,7 +86,7 @@ def most_candidates(begin: int, end: int, first: Whole) -> int:
     return room
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def tally_whole(count: int, k: int, columns: float, rows: float, tally: Floats) -> None:
     """Count pixels, the sums of whose places are given, that are covered wholly, as k x k sub-pixels would."""
     half = k * k * (k - 1) / 2 * count
@@ -96,7 +96,7 @@ def tally_whole(count: int, k: int, columns: float, rows: float, tally: Floats) 
     tally[3] += WEIGHT * (k * k * k * rows + half)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def pixel_rays(row: int, column: int, corners: Floats) -> tuple[Four, Four, Four]:
     """Return a pixel's middle ray, and how rays change along its column and row."""
     a, b = corners[:, row, column], corners[:, row, column + 1]
@@ -111,14 +111,14 @@ def pixel_rays(row: int, column: int, corners: Floats) -> tuple[Four, Four, Four
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def between(middle: Four, across: Four, down: Four, right: float, low: float) -> Four:
     """Return the ray through a place of a pixel, in shares of it from its middle."""
     return (middle[0] + across[0] * right + down[0] * low, middle[1] + across[1] * right + down[1] * low,
             middle[2] + across[2] * right + down[2] * low, middle[3] + across[3] * right + down[3] * low)  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def pixel_candidates(
     begin: int, end: int, members: Whole, base: float, centres: Floats, metric: Floats, k: int, near: Ints,
     ray: Four, across: Four, down: Four,
@@ -139,7 +139,7 @@ def pixel_candidates(
     return found, found == 1 and full
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def hits_of_sample(
     found: int, near: Ints, base: float, centres: Floats, metric: Floats, ray: Four, across: Four, down: Four,
     k: int, meet: Floats, order: Ints,
@@ -169,7 +169,7 @@ def hits_of_sample(
     return hits
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _bright(
     marker: int, meet: Floats, at: int, ray: Four, across: Four, down: Four, base: float, centres: Floats,
     metric: Floats, lamps: Floats, dark_first: Whole, dark_members: Whole, k: int,

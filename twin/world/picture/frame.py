@@ -174,7 +174,7 @@ def _behind(near: Near) -> float:
     return float(np.max(near.top_mm, initial=0.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _placed(
     centres: Floats, axes: Floats, here: Bools, behind: float, unit: float
 ) -> tuple[Floats, Floats, Floats, Floats]:

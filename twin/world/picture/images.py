@@ -16,7 +16,7 @@ from twin.parts.camera import Layer
 from twin.theory import optics
 from twin.theory.stack import tangent
 
-_reflection = njit(error_model="numpy")(optics.reflection)
+_reflection = njit()(optics.reflection)
 
 
 def images(
@@ -56,7 +56,7 @@ def images(
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _images(points: Points, lights: Points, stack: Floats, index: float, base: float) -> Any:
     n, m = len(points), len(lights)
     place, crossing = np.empty((n, m, 3)), np.empty((n, m, 3))
@@ -85,7 +85,7 @@ def _images(points: Points, lights: Points, stack: Floats, index: float, base: f
     return place, power, crossing, leaving
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _transmission(p: float, index: float, stack: Floats) -> float:
     share, one = 1.0, index
     for layer in range(len(stack) + 1):

@@ -63,7 +63,7 @@ _NEAR, _FULL = _X, _Y
 _ROWS = 44
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def shade_alone(
     begin: int, end: int, pixels: Ints, alone: Ints, corners: Floats, base: float, centres: Floats, metric: Floats,
     colour: Floats, lamps: Floats, dark_first: Whole, dark_members: Whole, nearest: Ints, edge_grid: int,
@@ -103,12 +103,12 @@ def shade_alone(
                     free[at] = 1 - w[_SUM + j] / (k * k)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _single(m: Six) -> Six:
     return (np.float32(m[0]), np.float32(m[1]), np.float32(m[2]), np.float32(m[3]), np.float32(m[4]), np.float32(m[5]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _look(
     pixels: Ints, start: int, count: int, corners: Floats, base: float, centre: Three, nearest: Ints, w: Singles
 ) -> None:
@@ -140,18 +140,18 @@ def _look(
         j += run
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _four(w: Singles, row: int, j: int) -> Four:
     return w[row + j], w[row + BATCH + j], w[row + 2 * BATCH + j], w[row + 3 * BATCH + j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _whole(count: int) -> int:
     """Return how many lanes hold so many pixels."""
     return (count + _STEP - 1) // _STEP * _STEP
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _part(count: int, m: Six, k: Number, w: Singles, inner: Ints, edge: Ints) -> tuple[int, int]:
     """Sort pixels into those inside the outline and those on its edge; return how many of each."""
     for j in range(_whole(count)):
@@ -166,7 +166,7 @@ def _part(count: int, m: Six, k: Number, w: Singles, inner: Ints, edge: Ints) ->
     return inners, edges
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _take(count: int, which: Ints, w: Singles) -> None:
     """Put some of the batch's pixels into the first rows; lanes without a pixel repeat the first."""
     lanes = _whole(count)
@@ -176,7 +176,7 @@ def _take(count: int, which: Ints, w: Singles) -> None:
             w[_RAY + c * BATCH + j] = w[c * BATCH + which[j]]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _sample(
     i: int, count: int, grid: int, full: bool, m: Six, centres: Floats, metric: Floats, lamps: Floats,
     dark_first: Whole, dark_members: Whole, ambient: float, bright: bool, w: Singles,
@@ -211,7 +211,7 @@ def _sample(
             w[_BELOW + j] += weight * row
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _tally(count: int, k: int, w: Singles, tally: Floats) -> None:
     """Add what ``count`` pixels show of their marker."""
     whole, columns, rows = 0.0, 0.0, 0.0
@@ -226,7 +226,7 @@ def _tally(count: int, k: int, w: Singles, tally: Floats) -> None:
     tally[3] += rows
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _light(
     i: int, lanes: int, k: Number, centres: Floats, metric: Floats, lamps: Floats, dark_first: Whole,
     dark_members: Whole, w: Singles,
@@ -255,7 +255,7 @@ def _light(
             w[_BRIGHT + j] += w[_CLEAR + j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=QUICK, forceinline=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=QUICK)
 def _from(centre: Floats, there: Floats) -> Four:
     """Return a place as seen from a centre, and the number that comes with it."""
     return (np.float32(there[0] - centre[0]), np.float32(there[1] - centre[1]), np.float32(there[2] - centre[2]),

@@ -81,7 +81,7 @@ def marker_map(frame: Frame, corners: Floats, base_z_mm: float) -> tuple[Whole, 
     return marker, z_mm
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _front(
     begin: int, end: int, pixels: Ints, first: Whole, members: Whole, corners: Floats, base: float,
     centres: Floats, metric: Floats, shown: Whole, heights: Singles,

@@ -57,7 +57,7 @@ def near_pixels(centres: Pixels, conjugate: Floats, room: float, there: Bools, w
     return Nearby(pixels=pixels, alone=alone, first=first, members=members)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def least_eigenvalue(a: float, b: float, c: float) -> float:
     """Return the smaller eigenvalue of the symmetric matrix [[a, b], [b, c]]."""
     larger = (a + c) / 2 + np.sqrt(((a - c) / 2) ** 2 + b * b)
@@ -65,7 +65,7 @@ def least_eigenvalue(a: float, b: float, c: float) -> float:
     return least
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _runs(centres: Pixels, conjugate: Floats, room: float, there: Bools, height: int, width: int) -> tuple[Ints, Ints]:
     """Return (n + 1,) where each ellipse's runs of pixels begin, and (runs, 3) row, first column, column after."""
     n = len(centres)
@@ -96,13 +96,13 @@ def _runs(centres: Pixels, conjugate: Floats, room: float, there: Bools, height:
     return begin, runs[:used]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _between(middle: float, half: float, size: int) -> tuple[int, int]:
     """Return the first pixel that is within ``half`` of ``middle`` and the one after the last, in a picture."""
     return int(min(max(np.ceil(middle - half), 0.0), size)), int(min(max(np.floor(middle + half) + 1, 0.0), size))
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _lists(begin: Ints, runs: Ints, wanted: Bools) -> tuple[Ints, Ints, Whole, Whole]:
     """Return the arrays of `Nearby`."""
     n, width = len(begin) - 1, wanted.shape[1]

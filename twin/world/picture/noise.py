@@ -35,7 +35,7 @@ def noise_key(rng: np.random.Generator) -> NDArray[np.uint64]:
     return key
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def normal_numbers(key: NDArray[np.uint64], first: np.uint64, deviates: Segments, out: Singles) -> None:
     """Write the normal numbers ``first``, ``first`` + 1, ..."""
     start, factor, half = key[0] + first, key[1], np.uint64(32)

@@ -62,7 +62,7 @@ def occluders(centres: Floats, radii: Floats, places: Floats, wanted: Bools) -> 
     return Occluders(first=first, members=members, flags=np.diff(first).reshape(n, lamps) > 0)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _grid(x: Floats, y: Floats, side: int) -> tuple[Ints, Ints, Floats, Floats]:
     """Return places in the order of side * side cells, where each begins, the cells' corner, and how many make a mm."""
     low = np.array([x.min(), y.min()])
@@ -80,7 +80,7 @@ def _grid(x: Floats, y: Floats, side: int) -> tuple[Ints, Ints, Floats, Floats]:
     return order, begin, low, a_mm
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _lists(
     centres: Floats, radii: Floats, here: Ints, places: Floats, wanted: Bools
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -126,7 +126,7 @@ def _lists(
     return first, members[:used].copy()
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _cells(one: float, other: float, room: float, origin: float, a_mm: float, side: int) -> tuple[int, int]:
     """Return the first and the last row or column of cells near a way from one place to another."""
     low, high = (min(one, other) - room - origin) * a_mm, (max(one, other) + room - origin) * a_mm

@@ -18,7 +18,7 @@ _QUICK = {"contract", "arcp", "reassoc", "nsz"}
 Weights = NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True, fastmath=_QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=_QUICK)
 def shares_rows(
     begin: int, end: int, light: Singles, before: Singles, weights: Weights, response: Weights, interlaced: bool,
     colours: Ints, gain: Singles, dark: Singles, key: NDArray[np.uint64], deviates: Segments, read_e: float,
@@ -89,14 +89,14 @@ def shares_rows(
             target[i] = min(share[i], one)
 
 
-@njit(cache=True, nogil=True, fastmath=_QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=_QUICK)
 def _add(line: Singles, weight: float, sums: Singles) -> None:
     flat, share = line.reshape(-1), np.float32(weight)
     for i in range(len(sums)):
         sums[i] += share * flat[i]
 
 
-@njit(cache=True, nogil=True, fastmath=_QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=_QUICK)
 def _mix(line: Singles, matrix: Weights, out: Singles) -> None:
     """Write (3 n,) colours times a (3, 3) matrix."""
     m00, m01, m02 = matrix[0, 0], matrix[0, 1], matrix[0, 2]
@@ -109,7 +109,7 @@ def _mix(line: Singles, matrix: Weights, out: Singles) -> None:
         out[3 * i + 2] = m20 * red + m21 * green + m22 * blue
 
 
-@njit(cache=True, nogil=True, fastmath=_QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=_QUICK)
 def demosaic_rows(begin: int, end: int, raw: Singles, colours: Ints, out: Singles) -> None:
     """Give each pixel its missing colours: the mean of the nearest that have them, edges reflected.
 
@@ -144,7 +144,7 @@ def demosaic_rows(begin: int, end: int, raw: Singles, colours: Ints, out: Single
                     out[row, i, 2 - own] = quarter * corners
 
 
-@njit(cache=True, nogil=True, fastmath=_QUICK)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=_QUICK)
 def composite_rows(
     begin: int, end: int, shares: Singles, curve: Segments, into: Weights, out_of: Weights,
     filters: tuple[Weights, Weights, Weights],
@@ -186,7 +186,7 @@ def composite_rows(
         _mix(mixed, out_of, line)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def counts_rows(begin: int, end: int, shares: Singles, curve: Segments, black_dn: float, out: Picture) -> None:
     """Round shares, corrected by a curve (or none, if it is empty), to 8 bits above ``black_dn``."""
     scale, offset = np.float32(255 - black_dn), np.float32(black_dn + 0.5)

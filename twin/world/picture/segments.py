@@ -32,7 +32,7 @@ def segments(function: Callable[[Floats], Floats], octaves: int) -> Segments:
     return np.column_stack([y[:-1] - slope * x[:-1], slope]).astype(np.float32)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def at_segments(pieces: Segments, line: Singles) -> None:
     """Put the function's values in the place of (n,) arguments, of the sign of each; those above 1 count as 1."""
     octaves = (len(pieces) - 1) // 64

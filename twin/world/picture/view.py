@@ -111,7 +111,7 @@ def _corner_rays(grid: Pixels, scene: Scene) -> tuple[Floats, Bools, Floats]:
     return np.nan_to_num(np.column_stack([origins[:, :2], tangents])), inside, np.nan_to_num(passed)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def compose(picture: Singles, pixels: Ints, light: Singles, free: Singles, vignette: Singles) -> None:
     """Put (m, 3) light from markers over what (m,) free shares of pixels leave of a picture of the cover, in place."""
     there, passed = picture.reshape(-1, 3), vignette.reshape(-1)
@@ -186,7 +186,7 @@ def near_markers(markers: Ellipsoids, scene: Scene, view: View, subpixels: int) 
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _outlines(
     centres: Pixels, jacobian: Floats, z: Floats, axes: Floats, seen: Bools, subpixels: int, base: float, width: int,
     height: int,
