@@ -10,7 +10,7 @@ import pytest
 
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Layer
-from twin.theory.lens import lens, lens_inverse
+from twin.theory.lens import lens, lens_inverse, lens_jacobian
 from twin.theory.optics import (
     Sight,
     air_tangents,
@@ -141,6 +141,16 @@ def test_places_without_a_ray_are_nan() -> None:
     origins, directions = rays(np.array([[past_horizon, 240.0]]), WIDE, RUBBER, 10.0)
     assert np.isnan(origins).all()
     assert np.isnan(directions).all()
+
+
+@pytest.mark.parametrize("camera", [FLAT, TURNED, WIDE])
+def test_straight_behind_the_camera_there_is_no_place_in_the_picture(camera: Camera) -> None:
+    ahead, behind, beside_behind = np.eye(3)[[2]] * -1, np.eye(3)[[2]], np.array([[1e-13, 0, 1.0]])
+    np.testing.assert_allclose(lens(ahead, camera), [camera.centre_px])
+    assert np.isfinite(lens_jacobian(ahead, camera)).all()
+    for direction in (behind, beside_behind):
+        assert np.isnan(lens(direction, camera)).all()
+        assert np.isnan(lens_jacobian(direction, camera)[:, :, :2]).all()
 
 
 def test_a_folding_distortion_shows_nothing_twice() -> None:

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from twin.parts.part import Part
-from twin.parts.ranges import LEAST_MM, Angle, Coefficient, Pixel, Place
+from twin.parts.ranges import Angle, Coefficient, Pixel, Place, Size
 
 Lens = Literal["pinhole", "equidistant"]
 """What each makes of an angle is in `twin.theory.lens`."""
@@ -28,7 +28,7 @@ class Layer(Part):
     """
 
     index: float = Field(ge=1, le=3)
-    thickness_mm: float = Field(ge=LEAST_MM, le=1000)
+    thickness_mm: Size
 
 
 class Camera(Part):

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from twin.geometry.closed import PROBE_SIZE_MM
 from twin.parts.part import Part
-from twin.parts.ranges import LEAST_MM
+from twin.parts.ranges import Size
 from twin.parts.stl_file import StlFile
 
 
@@ -21,7 +21,7 @@ class Sphere(Part):
     """A rigid sphere."""
 
     kind: Literal["sphere"] = "sphere"
-    diameter_mm: float = Field(ge=LEAST_MM, le=1000)
+    diameter_mm: Size
 
 
 class Cylinder(Part):
@@ -36,7 +36,7 @@ class Cylinder(Part):
     """
 
     kind: Literal["cylinder"] = "cylinder"
-    diameter_mm: float = Field(ge=LEAST_MM, le=1000)
+    diameter_mm: Size
     edge_mm: float = Field(default=0.0, ge=0, le=500)
 
     @model_validator(mode="after")
@@ -52,8 +52,8 @@ class Pillar(Part):
     """
 
     kind: Literal["pillar"] = "pillar"
-    width_mm: float = Field(ge=LEAST_MM, le=1000)
-    length_mm: float | None = Field(default=None, ge=LEAST_MM, le=1000)
+    width_mm: Size
+    length_mm: Size | None = None
     edge_mm: float = Field(default=0.0, ge=0, le=500)
 
     @property
@@ -82,7 +82,7 @@ class Cone(Part):
 
     kind: Literal["cone"] = "cone"
     apex_deg: float = Field(ge=20, le=178)
-    diameter_mm: float = Field(ge=LEAST_MM, le=1000)
+    diameter_mm: Size
     tip_mm: float = Field(default=0.0, ge=0, le=500)
 
     @model_validator(mode="after")

@@ -69,12 +69,11 @@ _NONE = 1e-30
 def lens(towards: Points, camera: Camera) -> Pixels:
     """Return (n, 2) px of (n, 3) directions in camera axes (right, up, backward); NaN where the lens shows nothing."""
     radius, across, ahead = _radius(towards, camera)
-    undistorted = np.where(across > 1e-12, radius / np.maximum(across, 1e-300), 1 / ahead)[:, None] * towards[:, :2]
+    undistorted = _around(radius, across, ahead)[:, None] * towards[:, :2]
     if not any(camera.distortion):
         return _to_pixels(undistorted, camera)
     image, growth = _radial(radius, camera)
-    around = np.where(across > 1e-12, image / np.maximum(across, 1e-300), 1 / ahead)
-    flat = around[:, None] * towards[:, :2]
+    flat = _around(image, across, ahead)[:, None] * towards[:, :2]
     more, slope = _decentring(undistorted, camera)
     one_to_one = growth > 0
     if slope is not None:
@@ -87,12 +86,10 @@ def lens_jacobian(towards: Points, camera: Camera) -> Floats:
     """Return (n, 2, 3) derivatives of `lens` with respect to the directions."""
     radius, across, ahead = _radius(towards, camera)
     by_across, by_ahead = RADIAL[camera.lens].slopes(across, ahead)
-    near = across <= 1e-12
-    unit = towards[:, :2] / np.where(near, 1.0, across)[:, None]
+    unit = towards[:, :2] / np.where(across > 1e-12, across, 1.0)[:, None]
     # First to the undistorted place in the picture, then through the distortion.
-    around = np.where(near, by_across, radius / np.where(near, 1.0, across))
     first = np.empty((len(towards), 2, 3))
-    first[:, :, :2] = stretches(unit, by_across, around)
+    first[:, :, :2] = stretches(unit, by_across, _around(radius, across, ahead))
     first[:, :, 2] = -unit * by_ahead[:, None]
     if any(camera.distortion):
         first = _distortion_jacobian(radius[:, None] * unit, radius, camera) @ first
@@ -136,6 +133,12 @@ def _radius(towards: Points, camera: Camera) -> tuple[Floats, Floats, Floats]:
     ahead = -towards[:, 2]
     across = np.linalg.norm(towards[:, :2], axis=1)
     return RADIAL[camera.lens].radius(across, ahead), across, ahead
+
+
+def _around(radius: Floats, across: Floats, ahead: Floats) -> Floats:
+    """Return radii over how far directions go across; on the axis their limit, and NaN there behind the camera."""
+    on_axis = across <= 1e-12
+    return np.where(on_axis, 1 / _ahead(ahead), radius / np.where(on_axis, 1.0, across))
 
 
 def _to_pixels(flat: Floats, camera: Camera) -> Pixels:
