@@ -18,7 +18,8 @@ from benchmarks.clock import Clock, empty_cache
 from twin.errors import ContactError
 from twin.study.batch.engine import one_thread
 from twin.study.live import QUICK, LivePress
-from twin.study.recipe import load_scene, parse_override
+from twin.study.recipe import load_scene
+from twin.study.recipe_tables import parse_override
 
 SCENES = ("kamiyama_pillar", "sato_press")
 HANDS = 24

@@ -36,7 +36,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["view", "kamiyama_pillar", "--out", "FILE/x.html"], "FILE: the output folder can't be made"),
         (["mesh", "sato_press", "--mend"], "See: twin mesh --help"),
         (["run", "kamiyama_pillar", "more"], "what is 'more'? The command takes no more"),
-        (["check", "PICTURE"], "PICTURE: is a picture (PNG), which twin reconstruct takes"),
+        (["check", "PICTURE"], "PICTURE: is a picture (PNG), and a scene or a sweep is a text file"),
         (["run"], "SCENE is missing: Path of a scene file"),
         (["run", "kamiyama_pillar", "--out"], "--out needs a value: Folder for the results"),
         (["run", "kamiyama_pillar", "--want", ","], "--want names nothing: give any of displacement"),

@@ -9,7 +9,7 @@ import pytest
 
 import twin
 from twin.study.live import QUICK
-from twin.study.recipe import parse_override
+from twin.study.recipe_tables import parse_override
 
 pytest.importorskip("gymnasium")
 

@@ -26,7 +26,7 @@ from twin.errors import InputError
 from twin.show.hand import hand_page
 from twin.study.live import QUICK, Hand, LivePress, run_live
 from twin.study.loopback import LARGEST_QUESTION, Loopback
-from twin.study.recipe import parse_override
+from twin.study.recipe_tables import parse_override
 
 PUSH = {"x_mm": 1.0, "y_mm": -0.5, "push_n": 2.0, "side_x": 0.2, "side_y": 0.0, "twist": 0.5, "friction": 1.2}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import pytest
 
 from twin.errors import InputError, RecipeError
 from twin.study.check import unsourced
-from twin.study.recipe import dump_scene, load_scene, parse_override, shipped_scenes, validate_scene
+from twin.study.recipe import dump_scene, load_scene, shipped_scenes, validate_scene
+from twin.study.recipe_tables import parse_override
 from twin.study.schema import SCHEMA_FILE, schema_text
 
 SCENES = sorted(shipped_scenes())
@@ -83,6 +85,20 @@ def test_all_problems_of_a_file_come_at_once() -> None:
     with pytest.raises(RecipeError) as caught:
         load_scene("kamiyama_pillar", {"material.poisson_ratio": 2, "markers.blue.pitch_mm": 0, "nonsense": 1})
     assert len(caught.value.problems) == 3
+
+
+def test_a_wrong_override_is_not_blamed_on_the_file(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('base = "kamiyama_pillar"\n')
+    with pytest.raises(RecipeError, match=r"^override of .*mine\.toml: material\.poisson_ratio = 2\b"):
+        load_scene(mine, {"material.poisson_ratio": 2, "seed": 3})
+    with pytest.raises(RecipeError, match=r"^override of .*mine\.toml: no body recipe 'nowhere'"):
+        load_scene(mine, {"body.recipe": "nowhere"})
+    mine.write_text('base = "kamiyama_pillar"\nseed = -1\n')
+    with pytest.raises(RecipeError, match=rf"^{re.escape(str(mine))}: seed = -1\b"):
+        load_scene(mine, {"material.poisson_ratio": 0.3})
+    with pytest.raises(RecipeError, match=r"mine\.toml and its overrides: material\.poisson_ratio = 2\b"):
+        load_scene(mine, {"material.poisson_ratio": 2})
 
 
 def test_overrides_win_and_lose_the_old_provenance() -> None:

@@ -36,7 +36,8 @@ Overrides = Annotated[
 
 def load(scene: str, overrides: Sequence[str]) -> Scene:
     """Return a scene with ``key.path=value`` overrides."""
-    from twin.study.recipe import load_scene, parse_override
+    from twin.study.recipe import load_scene
+    from twin.study.recipe_tables import parse_override
 
     return load_scene(scene, dict(parse_override(text) for text in overrides))
 

@@ -32,9 +32,11 @@ Forces = tuple[Force | None, Force | None, Force | None]
 Moves = tuple[Place | None, Place | None, Place | None]
 Turns = tuple[Angle | None, Angle | None, Angle | None]
 
+BY_AXIS = ("force_n", "move_mm", "torque_nmm", "turn_deg")
+"""Keys of a step whose values may be written by axis, such as {z = 1}."""
+
 LARGEST_TURN_DEG = 60.0
 """How far a probe may be tilted against its direction of approach."""
-
 
 FARTHEST = 1e6
 """How long a direction's vector may be, and its inverse how short."""
@@ -74,7 +76,7 @@ class Step(Part):
     torque_nmm: Force | Forces | None = None
     turn_deg: Angle | Turns | None = None
 
-    _tables = field_validator("force_n", "move_mm", "torque_nmm", "turn_deg", mode="before")(_triple)
+    _tables = field_validator(*BY_AXIS, mode="before")(_triple)
 
     @model_validator(mode="after")
     def _one_control_each(self) -> Step:

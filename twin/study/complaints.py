@@ -11,11 +11,8 @@ from pydantic import BaseModel, ValidationError
 
 from twin.errors import did_you_mean
 from twin.parts.part import in_words, unit_of
-from twin.parts.press import Step
+from twin.parts.press import BY_AXIS, Step
 from twin.parts.scene import Scene
-
-BY_AXIS = ("force_n", "move_mm", "torque_nmm", "turn_deg")
-"""Keys whose values are written by axis, such as {z = 1}, and kept as three numbers."""
 
 
 def complaints(problem: ValidationError, table: Mapping[str, Any]) -> list[str]:

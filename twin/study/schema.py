@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from twin.parts.press import BY_AXIS
 from twin.parts.scene import Scene
 from twin.places import SCENES
 
@@ -30,8 +31,7 @@ def scene_schema() -> dict[str, Any]:
     }
     schema["properties"]["body"] = {"anyOf": schema["properties"]["body"]["oneOf"]}
     axes = {"type": "object", "additionalProperties": False, "properties": {a: {"type": "number"} for a in "xyz"}}
-    steps = ("force_n", "move_mm", "torque_nmm", "turn_deg")
-    for name, keys in (("Step", steps), ("Press", ("force_n", "tilt_deg"))):
+    for name, keys in (("Step", BY_AXIS), ("Press", ("force_n", "tilt_deg"))):
         for key in keys:
             schema["$defs"][name]["properties"][key] = {"anyOf": [axes, schema["$defs"][name]["properties"][key]]}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "twin scene", **schema}

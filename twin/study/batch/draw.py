@@ -18,7 +18,8 @@ from twin.errors import RecipeError, did_you_mean
 from twin.parts.scene import Scene
 from twin.parts.vary import Distribution, Follows
 from twin.streams import Purpose, stream
-from twin.study.recipe import ALTERNATIVES, PROVENANCE, validate_scene
+from twin.study.recipe import validate_scene
+from twin.study.recipe_tables import ALTERNATIVES, PROVENANCE
 
 Sampling = Literal["stratified", "random"]
 Table = dict[str, Any]

@@ -13,7 +13,8 @@ from twin.parts.part import Part, in_words, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import Confirm, Cost, Limits, Loads, Range, Sweep
 from twin.places import SCENES
-from twin.study.recipe import SWEEP, load_scene, nothing_named, read_recipe
+from twin.study.recipe import SWEEP, load_scene, nothing_named
+from twin.study.recipe_tables import read_recipe
 from twin.study.sweep.designs import check_keys
 
 PARTS: dict[str, type[Part]] = {"axes": Range, "loads": Loads, "confirm": Confirm, "limits": Limits, "cost": Cost}
