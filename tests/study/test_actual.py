@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.random_recipes import bounds
 from twin.parts.load import Traction
+from twin.parts.tolerance import CUT, Tolerance
 from twin.study.actual import make
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
@@ -29,6 +31,17 @@ def test_prints_vary_as_told_and_change_no_other_draw() -> None:
     assert again is not None
     np.testing.assert_array_equal(again.missing, prints.missing)
     assert make(load_scene("kamiyama_pillar", {**DRAWN, "tolerance.preset": "none"})).prints is None
+
+
+@pytest.mark.parametrize("key", [key for key in Tolerance.model_fields if key.endswith("_pct")])
+def test_no_tolerance_takes_what_is_positive_below_zero(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of Young's modulus was allowed as its standard deviation: one made sensor in fifty had a negative one."""
+    worst = bounds(Tolerance.model_fields[key].metadata)[1]
+    monkeypatch.setattr("twin.study.actual._deviation", lambda _: -CUT)
+    made = make(load_scene("kamiyama_pillar", {f"tolerance.{key}": worst}))
+    assert made.scene.camera is not None
+    assert min(made.scene.material.youngs_modulus_mpa, made.scene.camera.focal_px) > 0
+    assert made.prints is None or min(made.prints.size.min(), made.prints.shade.min()) > 0
 
 
 def test_a_missing_marker_is_neither_shown_nor_told_visible(monkeypatch: pytest.MonkeyPatch) -> None:

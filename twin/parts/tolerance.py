@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -10,6 +10,9 @@ from twin.parts.part import Part
 
 CUT = 2.5
 """Standard deviations beyond which there are none: a maker rejects worse ones."""
+
+Percent = Annotated[float, Field(ge=0, le=30)]
+"""Of a number that is positive, and stays so: the largest, `CUT` times, leaves a quarter of it."""
 
 
 class Tolerance(Part):
@@ -42,12 +45,12 @@ class Tolerance(Part):
     """
 
     preset: Literal["standard", "none"] = "standard"
-    youngs_modulus_pct: float = Field(default=1.5, ge=0, le=50)
+    youngs_modulus_pct: Percent = 1.5
     poisson_ratio: float = Field(default=0.001, ge=0, le=0.2)
     depth_mm: float = Field(default=0.03, ge=0, le=5)
     print_mm: float = Field(default=0.03, ge=0, le=2)
-    print_diameter_pct: float = Field(default=0.0, ge=0, le=30)
-    print_shade_pct: float = Field(default=0.0, ge=0, le=30)
+    print_diameter_pct: Percent = 0.0
+    print_shade_pct: Percent = 0.0
     missing: float = Field(default=0.0, ge=0, le=1)
     pupil_mm: float = Field(default=0.1, ge=0, le=10)
     tilt_deg: float = Field(default=0.1, ge=0, le=10)
