@@ -91,23 +91,37 @@ def page_tables() -> str:
 
 
 def draw() -> None:
-    """Draw errors against patches across, and against CPU seconds."""
+    """Draw errors against patches across, and against CPU seconds.
+
+    What is compared has its colour, the case its mark; Poisson's ratios other than 0.5 are dashed.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter, ScalarFormatter
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.4), layout="constrained")
-    for one in series(stored_rows()):
-        last = one[-1]
-        if last["quantity"] in ("total force", "collinear residual"):
-            continue
-        name = f"{last['case']}: {last['quantity']}, nu {last['nu']}"
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.8), layout="constrained")
+    drawn = [one for one in series(stored_rows()) if one[-1]["quantity"] not in ("total force", "collinear residual")]
+    compared = list(dict.fromkeys((one[-1]["case"], one[-1]["quantity"]) for one in drawn))
+    cases = list(dict.fromkeys(case for case, _ in compared))
+    paired = plt.get_cmap("tab20").colors  # strong and pale by turns
+    colours = dict(zip(compared, [*paired[::2], *paired[1::2]], strict=False))
+    marks = dict(zip(cases, "osD^v<>P", strict=False))
+    for one in drawn:
+        case, quantity, nu = one[-1]["case"], one[-1]["quantity"], one[-1]["nu"]
+        style = {
+            "color": colours[case, quantity], "marker": marks[case], "ls": "-" if nu == 0.5 else "--",
+            "ms": 4, "lw": 1.2,
+        }  # fmt: skip
         errors = [max(abs(row["error"]), 1e-6) for row in one]
-        left.loglog([row["across"] for row in one], errors, "o-", ms=3, label=name)
-        right.loglog([row["cpu_s"] for row in one], errors, "o-", ms=3)
-    left.set(xlabel="patches across the contact", ylabel="error")
-    right.set(xlabel="CPU seconds of the whole path", ylabel="error")
+        left.loglog([row["across"] for row in one], errors, label=f"{case}: {quantity}, nu {nu}", **style)
+        right.loglog([row["cpu_s"] for row in one], errors, **style)
+    left.set(xlabel="patches across the contact", ylabel="error over the closed form's value")
+    left.set_xticks(sorted({row["across"] for one in drawn for row in one}))
+    left.xaxis.set_major_formatter(ScalarFormatter())
+    left.xaxis.set_minor_formatter(NullFormatter())
+    right.set(xlabel="CPU seconds of the whole path")
     figure.legend(loc="outside right center", fontsize=7)
     figure.savefig(PICTURE, dpi=100)
     plt.close(figure)
