@@ -138,6 +138,10 @@ class _Chain:
         sensor, scene = self.sensor, self.sensor.nominal
         with self.stage("design"):
             sensor.actual  # noqa: B018  a marker outside the body is said before anything is computed
+            if "picture" in self.needed:
+                from twin.world.picture.room import require_room
+
+                require_room(scene)
         with self.stage("contact"):
             state = None
             if scene.press is not None and not scene.tractions:

@@ -93,7 +93,9 @@ class Sensor:
         if self.nominal.camera is None:
             raise RecipeError("this scene has no [camera] table, so there is no picture of it")
         from twin.world.picture.render import Renderer
+        from twin.world.picture.room import require_room
 
+        require_room(self.actual.scene)
         return Renderer(self.actual.scene, self.ellipsoids(None))
 
     def rectangles(self, load: Load) -> Rectangles:

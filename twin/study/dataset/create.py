@@ -93,6 +93,10 @@ def create_dataset(
     """
     plan = Plan(scene, samples)
     plan.check()
+    if "picture" in plan.needs and scheduler is None:
+        from twin.world.picture.room import require_room
+
+        require_room(scene, at_once=workers)
     reach(scheduler)
     places = Places(folder)
     make_folder(folder)
