@@ -35,6 +35,17 @@ def test_normals_are_gradients_of_the_distances(body: Body) -> None:
 
 
 @pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
+def test_the_surface_is_level_where_the_pieces_say_so(body: Body) -> None:
+    """A shape that answers without asking its pieces says the same."""
+    said = [
+        (body.is_level_around(x, y, reach), Body.is_level_around(body, x, y, reach))
+        for x, y, reach in np.random.default_rng(6).uniform((-16, -11, 0), (16, 11, 8), (300, 3)).tolist()
+    ]
+    assert all(quick == by_pieces for quick, by_pieces in said)
+    assert {quick for quick, _ in said} == ({True, False} if body.is_flat else {False})
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
 def test_chart_depth_is_the_depth(body: Body) -> None:
     chart = np.random.default_rng(3).uniform(-6, 6, (50, 2))
     np.testing.assert_allclose(body.depth(body.chart_points(chart, 0.7)), 0.7, atol=1e-12)

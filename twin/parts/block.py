@@ -36,6 +36,9 @@ class Block(Body):
     def is_flat(self) -> bool:
         return True
 
+    def is_level_around(self, x_mm: float, y_mm: float, reach_mm: float) -> bool:
+        return abs(x_mm) + reach_mm < self.width_mm / 2 and abs(y_mm) + reach_mm < self.length_mm / 2
+
     def piece_distances(self, points: Points) -> Floats:
         x, y, z = np.asarray(points, float).T
         a, b = self.width_mm / 2, self.length_mm / 2

@@ -115,6 +115,9 @@ def _about_z(value: float | Triple | None) -> Triple:
     return value if isinstance(value, tuple) else (None, None, value)
 
 
+_step = lru_cache(maxsize=64)(Step)  # a press spells its path out when it is made, and whenever it is pressed
+
+
 @lru_cache(maxsize=64)
 def frame_of(direction: Vector) -> Floats:
     """Return the (3, 3) axes, as rows, of a probe that comes along a direction: its own x, y and z.
@@ -231,11 +234,11 @@ class Press(Part):
         if self.steps:
             return self.steps
         if self.indentation_mm is not None:
-            return (Step(move_mm=(None, None, self.indentation_mm)),)
+            return (_step(move_mm=(None, None, self.indentation_mm)),)
         fx, fy, fz = self.force_n or (None, None, None)
         if self.friction == 0.0:  # a frictionless probe can't be steered by forces: no side force means guided
             fx, fy = fx or None, fy or None
-        return (Step(force_n=(fx, fy, fz)),)
+        return (_step(force_n=(fx, fy, fz)),)
 
     def in_own_axes(self, frame: Floats) -> tuple[tuple[tuple[bool, ...], tuple[float, ...]], ...]:
         """Return (by_force, given) of every step along the probe's own axes (see `Step`).

@@ -69,6 +69,17 @@ class Body(Part):
         """Whether the body lies behind every tangent plane of its surface, as all the parametric ones do."""
         return True
 
+    def is_level_around(self, x_mm: float, y_mm: float, reach_mm: float) -> bool:
+        """Return whether the sensing surface is the plane z = 0 over a square, ``reach_mm`` from (x, y) to either side.
+
+        False where it isn't, or isn't known to be.
+        """
+        if not self.is_convex:
+            return False
+        corners = np.array([(0.0, 0.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)]) * reach_mm + (x_mm, y_mm)
+        distances = self.piece_distances(np.column_stack([corners, np.zeros(len(corners))]))
+        return bool(not distances[:, 0].any() and distances[:, 1:].min() > 0.0)
+
     def stands_out(self, points: Points, normals: Floats) -> Floats:
         """Return (n,) how far the body reaches over planes through ``points`` (n, 3) with inward ``normals``, mm."""
         return np.zeros(len(points))

@@ -9,7 +9,7 @@ from twin.parts.body import Block
 from twin.parts.material import Material
 from twin.world.contact import pushed, region
 from twin.world.contact.contact import ContactState, press
-from twin.world.contact.contact_area import _fitted
+from twin.world.contact.contact_area import _ALONG, _FAR, _NEAR, _RAYS, _fitted, _squared_radius
 from twin.world.contact.unilateral import TOLERANCE
 from twin.world.elasticity.compliance import Compliance
 
@@ -145,3 +145,25 @@ def test_a_term_that_others_make_up_is_left_out(fourth: bool) -> None:
     assert np.abs(found).max() < 1e3
     one_row = _fitted(place[::2], pressure[::2], np.arange(6), fourth)[0]
     assert np.isfinite(one_row).all()
+
+
+def test_a_contact_ends_where_its_polynomial_first_vanishes() -> None:
+    """Long strides pass over no place where it dips below 0, however briefly: as told by all places, one by one."""
+    rng, dips = np.random.default_rng(2), 0
+    radius, angle = np.linspace(_NEAR, _FAR, _ALONG), np.arange(_RAYS) * 2.0 * np.pi / _RAYS
+    for _ in range(300):
+        once = rng.uniform(0.4, 1.3)  # near to a double root there along every ray
+        found = np.array([once**4 - rng.uniform(-1e-3, 1e-3), 0.0, 0.0, -2 * once**2, 0.0, -2 * once**2, 1.0])
+        found[1:3] = rng.normal(0.0, 1e-4, 2)
+        u, v = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
+        height = found[0] + found[1] * u + found[2] * v + found[3] * (u * u + v * v) + (u * u + v * v) ** 2
+        below = height < 0.0
+        first, rays = below.argmax(axis=1), np.arange(_RAYS)
+        if not below.any(axis=1).all():
+            assert _squared_radius(found, 1.0) == np.inf
+            continue
+        here, before = height[rays, first], height[rays, first - 1]
+        ends = radius[first] - (_FAR - _NEAR) / (_ALONG - 1) * here / (here - before)
+        assert _squared_radius(found, 1.0) == pytest.approx(float((ends**2).mean()), rel=1e-9)
+        dips += int((height[:, -1] > 0.0).all())
+    assert dips > 50

@@ -17,7 +17,6 @@ from twin.world.contact.probe_shape import half_extent, rotation_of, shape_of
 
 _LEVELS, _ACROSS = 14, 25
 _STEPS = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, _ACROSS)]), axis=-1).reshape(-1, 2)
-_CORNERS = np.array([(0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)], float)
 _ON_SURFACE_MM = 1e-3
 
 
@@ -157,15 +156,14 @@ def approach(
     axes = np.eye(3) if axes is None else axes
     at = np.zeros(3)
     at[: len(at_mm)] = at_mm
-    turned, meets = rotation_of(np.zeros(3) if turn is None else turn), meeting(body, axes[2])
+    turned = np.eye(3) if turn is None else rotation_of(turn)
     a, b = half_extent(probe, tilt_deg)
-    half = np.full(2, math.hypot(a, b)) if isinstance(probe, Pillar) else np.array((a, b))
+    reach = math.hypot(a, b)
     upright = not isinstance(probe, Stl) and not any(tilt_deg) and turned[2, 2] == 1.0
-    if upright and body.is_convex:  # as high at a rectangle's corners as in its middle is so everywhere
-        surface, sensing = meets(at + _CORNERS * half @ axes[:2])
-        if sensing.all() and (surface == surface[0]).all():
-            first = at + surface[0] * axes[2]
-            return Approach(probe=probe, axis_mm=first, touch_mm=first, axes=axes, tilt_deg=tilt_deg, level=True)
+    if upright and axes[2, 2] == 1.0 and body.is_level_around(float(at[0]), float(at[1]), reach):
+        at[2] = 0.0
+        return Approach(probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg, level=True)
+    meets, half = meeting(body, axes[2]), np.full(2, reach) if isinstance(probe, Pillar) else np.array((a, b))
     centre, height, touch, on_sensing = np.zeros(2), np.inf, np.full(2, np.nan), True
     shape, along = shape_of(probe, tilt_deg), np.broadcast_to(turned[2], (_ACROSS**2, 3))
     for _ in range(_LEVELS):

@@ -9,8 +9,8 @@ well.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,7 @@ Face = Cylinder | Pillar | None
 """The probe whose flat face bounds the contact; None where nothing but the contact itself does."""
 
 
-@dataclass(frozen=True)
-class Box:
+class Box(NamedTuple):
     """The piece (u0, u1, v0, v1) of a plane in which contact is sought, mm."""
 
     u0: float
@@ -84,24 +83,23 @@ def is_even(face: Face, box: Box, across: tuple[int, int]) -> bool:
 
 def _even_cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
     """Return (n, 2) middles and (n, 2) half sizes of equal cells, those beyond a round face left out."""
-    sides = [size / (2 * count) for size, count in zip(box.size, across, strict=True)]
-    u, v = (
-        np.arange(1, 2 * count, 2) * side + low
-        for low, count, side in zip((box.u0, box.v0), across, sides, strict=True)
-    )
     radius = face.diameter_mm / 2 if isinstance(face, Cylinder) else math.inf
-    middle, half = _crossed(u, v, sides[0], sides[1], radius)
+    half_u, half_v = (size / (2 * count) for size, count in zip(box.size, across, strict=True))
+    middle, half = _crossed(box.u0, box.v0, half_u, half_v, across[0], across[1], radius)
     return middle, half
 
 
 @njit(cache=True)
-def _crossed(u: Floats, v: Floats, half_u: float, half_v: float, radius: float) -> tuple[Floats, Floats]:
+def _crossed(
+    u0: float, v0: float, half_u: float, half_v: float, columns: int, rows: int, radius: float
+) -> tuple[Floats, Floats]:
     """Return (n, 2) crossings of columns and rows that lie within a disc, row by row, and (n, 2) the same halves."""
-    middle, n = np.empty((len(u) * len(v), 2)), 0
-    for j in range(len(v)):
-        for i in range(len(u)):
-            if math.hypot(u[i], v[j]) < radius:
-                middle[n, 0], middle[n, 1] = u[i], v[j]
+    middle, n = np.empty((columns * rows, 2)), 0
+    for j in range(rows):
+        for i in range(columns):
+            u, v = (2 * i + 1) * half_u + u0, (2 * j + 1) * half_v + v0
+            if math.hypot(u, v) < radius:
+                middle[n, 0], middle[n, 1] = u, v
                 n += 1
     half = np.empty((n, 2))
     half[:, 0], half[:, 1] = half_u, half_v

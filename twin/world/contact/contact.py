@@ -144,7 +144,7 @@ def press(
 
 
 def _solved(job: Job, increments: int) -> tuple[list[ContactState], str]:
-    return _frictionless_path(job) if not job.friction.any() else rubbing_path(job, increments)
+    return _frictionless_path(job) if not any(job.friction.tolist()) else rubbing_path(job, increments)
 
 
 def _controls(presses: tuple[Press, ...], settings: tuple[Setting, ...]) -> tuple[Control, ...]:
@@ -257,7 +257,7 @@ def _frictionless(
     boxes, said = [], dict[int, Box]()
     for number, setting in enumerate(settings):
         own, start, z = controls[number], places[number], touch_z[number]
-        disc = known_contact(setting, own, start, z)
+        disc = known_contact(setting, own, start, planes[number], z)
         box, places[number] = disc or find_contact(setting, own, start, planes[number], z)
         boxes.append(box)
         if disc is not None:

@@ -13,8 +13,9 @@ from twin.world.contact.patches import Patches
 from twin.world.contact.together import Setting
 from twin.world.contact.unilateral import Equilibrium
 
-_RAYS, _ALONG, _NEAR, _FAR = 60, 240, 0.3, 1.5
-"""Rays from a contact's middle along which its end is sought, steps along each, and where over its size."""
+_RAYS, _ALONG, _STRIDE, _NEAR, _FAR = 60, 240, 8, 0.3, 1.5
+"""Rays from a contact's middle along which its end is sought, steps along each, how many are taken at once where the
+end is further on, and where over its size."""
 
 _EVEN = 1.0 + 1e-9
 """Pressures of patches that lie alike are equal up to this."""
@@ -103,6 +104,11 @@ def _fitted(place: Floats, pressure: Floats, used: Ints, fourth: bool) -> tuple[
 
 
 @njit(cache=True)
+def _at(radius: float, constant: float, first: float, second: float, fourth: float) -> float:
+    return constant + radius * (first + radius * (second + radius**2 * fourth))
+
+
+@njit(cache=True)
 def _squared_radius(found: Floats, size: float) -> float:
     """Return the mean square of how far from the middle a polynomial of `_fitted` vanishes, mm2; inf if it doesn't."""
     total, step = 0.0, (_FAR - _NEAR) / (_ALONG - 1)
@@ -112,13 +118,18 @@ def _squared_radius(found: Floats, size: float) -> float:
         cosine, sine = math.cos(angle), math.sin(angle)
         first = found[1] * cosine + found[2] * sine
         second = found[3] * cosine**2 + found[4] * cosine * sine + found[5] * sine**2
-        before, radius = -1.0, _NEAR
-        for _ in range(_ALONG):
-            here = found[0] + radius * (first + radius * (second + radius**2 * fourth))
-            if here < 0.0:
-                break
-            before, radius = here, radius + step
-        if here >= 0.0 or before < 0.0:
+        bend = (_STRIDE * step) ** 2 / 4.0 * (abs(second) + 6.0 * abs(fourth) * _FAR**2)
+        steps, here = 0, _at(_NEAR, found[0], first, second, fourth)
+        while here >= 0.0 and steps < _ALONG - 1:
+            ahead = _at(_NEAR + (steps + _STRIDE) * step, found[0], first, second, fourth)
+            if min(here, ahead) > bend:  # it can't bend below 0 in between
+                steps, here = steps + _STRIDE, ahead
+            else:
+                steps += 1
+                here = _at(_NEAR + steps * step, found[0], first, second, fourth)
+        if here >= 0.0 or steps == 0:
             return math.inf
+        radius = _NEAR + steps * step
+        before = _at(radius - step, found[0], first, second, fourth)
         total += (radius - step * here / (here - before)) ** 2
     return size**2 * total / _RAYS

@@ -182,15 +182,15 @@ def _longest(slope: Floats, active: Ints) -> float:
 @njit(cache=True)
 def _added_up(
     frames: Floats, half: Floats, own_force: Floats, moved: Floats, active: Ints, rubs: bool
-) -> tuple[Floats, Floats, Floats, Floats, float, float]:
+) -> tuple[Floats, Floats, Floats, Floats, float, float, float]:
     """Return what the n patches in contact carry: forces (n, 3), pressures (n,) and tractions (n, 3), global axes.
 
-    Then the whole force (3,), what pushes, and half of force times displacement; without friction of what pushes alone,
-    as the patches' motion sideways isn't known.
+    Then the whole force (3,), what pushes, the largest pressure, and half of force times displacement; without friction
+    of what pushes alone, as the patches' motion sideways isn't known.
     """
     n = len(active)
     force, pressure, traction, total = np.zeros((n, 3)), np.empty(n), np.empty((n, 3)), np.zeros(3)
-    push, elastic = 0.0, 0.0
+    push, peak, elastic = 0.0, 0.0, 0.0
     for row in range(n):
         i = active[row]
         area = 4.0 * half[i, 0] * half[i, 1]
@@ -202,8 +202,8 @@ def _added_up(
             if rubs or axis == 2:
                 elastic += 0.5 * own_force[i, axis] * moved[i, axis]
         pressure[row] = own_force[i, 2] / area
-        push += own_force[i, 2]
-    return force, pressure, traction, total, push, elastic
+        push, peak = push + own_force[i, 2], max(peak, pressure[row])
+    return force, pressure, traction, total, push, peak, elastic
 
 
 def _validity(
@@ -251,7 +251,7 @@ def touching_state(
     axes, place = setting.first.axes, equilibrium.place
     active = np.flatnonzero(equilibrium.active)
     touches = len(active) > 0
-    force, pressure, traction, total, push, elastic = _added_up(
+    force, pressure, traction, total, push, peak, elastic = _added_up(
         patches.frames, patches.half_mm, equilibrium.force_n, equilibrium.displacement_mm, active, friction > 0
     )
     contact = contact_area(setting, patches, equilibrium) if touches else 0.0
@@ -264,7 +264,7 @@ def touching_state(
         if slope is None:
             _, slope = setting.first.gap(patches.centre_mm, patches.frames[:, 2], place)
         steepest = math.sqrt(min(_longest(slope, active), _GRAZED) - 1.0)
-    own = np.array([place[: Z + 1], place[ABOUT_X:], equilibrium.total[ABOUT_X:]]) @ axes
+    own = np.concatenate((place, equilibrium.total[ABOUT_X:])).reshape(3, 3) @ axes
     return ContactState(
         load=Load((patches.rectangles(force, active),)) if touches else Load(),
         indentation_mm=depth,
@@ -276,7 +276,7 @@ def touching_state(
         torques_nmm=own[2],
         contact_radius_mm=radius,
         area_mm2=contact,
-        peak_pressure_mpa=float(pressure.max(initial=0.0)),
+        peak_pressure_mpa=peak,
         pressure_mpa=pressure,
         traction_mpa=traction,
         slip=equilibrium.slipping[active] if friction > 0 else np.ones(len(active), bool),

@@ -29,6 +29,8 @@ MOTIONS = 6
 FLAT_TILT_DEG = 20.0
 """A flat face that is tilted less touches with its face, one that is tilted more with its rim."""
 
+_NO_TURN = np.eye(3)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Approach:
@@ -82,13 +84,14 @@ class Approach:
         slope
             (k, 6) d gap / d place.
         """
-        turned = rotation_of(place[ABOUT_X:])
-        own, along = _seen_from(points, self.axis_mm, self.axes, place), _turned(normals, self.axes.T)
-        if place[ABOUT_X:].any():
-            gap, normal = self.shape.met(_turned(own, turned), _turned(along, turned))
-        else:
+        own, along = _seen_from(points, normals, self.axis_mm, self.axes, place)
+        turn = place[ABOUT_X:]
+        if not turn.any():
             gap, normal = self.shape.met(own, along)
-        return gap, _slopes(own, along, gap, normal, turned, turning_of(place[ABOUT_X:]))
+            return gap, _slopes(own, along, gap, normal, _NO_TURN, _NO_TURN)
+        turned = rotation_of(turn)
+        gap, normal = self.shape.met(_turned(own, turned), _turned(along, turned))
+        return gap, _slopes(own, along, gap, normal, turned, turning_of(turn))
 
 
 @njit(cache=True)
@@ -102,14 +105,16 @@ def _turned(vectors: Floats, axes: Floats) -> Floats:
 
 
 @njit(cache=True)
-def _seen_from(points: Floats, axis_mm: Floats, axes: Floats, place: Floats) -> Floats:
-    """Return points (k, 3) from where a probe is at a place, along the axes that it had at first touch."""
-    out = np.empty((len(points), 3))
+def _seen_from(points: Floats, normals: Floats, axis_mm: Floats, axes: Floats, place: Floats) -> tuple[Floats, Floats]:
+    """Return points and normals (k, 3) from where a probe is at a place, along the axes that it had at first touch."""
+    own, along = np.empty((len(points), 3)), np.empty((len(points), 3))
     for i in range(len(points)):
         x, y, z = points[i, 0] - axis_mm[0], points[i, 1] - axis_mm[1], points[i, 2] - axis_mm[2]
         for j in range(3):
-            out[i, j] = x * axes[j, 0] + y * axes[j, 1] + z * axes[j, 2] - place[j]
-    return out
+            a, b, c = axes[j]
+            own[i, j] = x * a + y * b + z * c - place[j]
+            along[i, j] = normals[i, 0] * a + normals[i, 1] * b + normals[i, 2] * c
+    return own, along
 
 
 @njit(cache=True)
@@ -137,8 +142,9 @@ def _slopes(own: Floats, along: Floats, gap: Floats, normal: Floats, turned: Flo
 
 def is_flat(probe: Probe, tilt_deg: tuple[float, float, float]) -> bool:
     """Return whether a probe touches with a flat face."""
-    upright = tilt_of(tilt_deg)[2, 2] >= math.cos(math.radians(FLAT_TILT_DEG))
-    return isinstance(probe, Cylinder | Pillar) and bool(upright)
+    if not isinstance(probe, Cylinder | Pillar):
+        return False
+    return not any(tilt_deg) or bool(tilt_of(tilt_deg)[2, 2] >= math.cos(math.radians(FLAT_TILT_DEG)))
 
 
 def outline(probe: Probe) -> Floats:

@@ -36,7 +36,7 @@ class Job:
 
 def counted_from(control: Control, place: Floats) -> Control:
     """Return a step's control with its motions counted from a place."""
-    return replace(control, given=np.where(control.by_force, control.given, place + control.given))
+    return Control(by_force=control.by_force, given=np.where(control.by_force, control.given, place + control.given))
 
 
 def of_probe(control: Control, number: int) -> Control:
@@ -112,7 +112,7 @@ def outgrown(boxes: list[Box], contacts: Contacts, reached: Bools) -> bool:
     grew = False
     for number, (_, rows, _) in enumerate(contacts.rows):
         grid, own = contacts.grids[number], reached[rows]
-        if np.any(own & grid.border):
+        if (own & grid.border).any():
             both = boxes[number].joined(grid.bounds(own))
             boxes[number], grew = both.grown(0.05 * both.size[0], 0.05 * both.size[1]), True
     return grew

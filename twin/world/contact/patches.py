@@ -19,6 +19,9 @@ from twin.parts.load import Rectangles
 from twin.world.contact.cells import Box, Face, cells
 from twin.world.contact.probe_shape import half_extent
 
+Corners = tuple[tuple[float, float], tuple[float, float]]
+"""The lowest and the highest corner of a box."""
+
 _STEEP = 0.15
 
 
@@ -146,15 +149,11 @@ def _touching(middle: Floats, cell: Floats, others: Bools) -> Bools:
     return found
 
 
-def _all_level(body: Body, plane: Plane, box: Box) -> bool:
-    """Return whether a box, with a hair's breadth around it, lies on a plane piece of a convex body's surface."""
-    if not body.is_convex:
-        return False
-    u, v = 1e-6 * (box.u1 - box.u0), 1e-6 * (box.v1 - box.v0)
-    (u0, u1), (v0, v1) = (box.u0 - u, box.u1 + u), (box.v0 - v, box.v1 + v)
-    places = np.array(((0.0, 0.0), (u0, v0), (u0, v1), (u1, v0), (u1, v1)))
-    distances = body.piece_distances(plane.origin_mm + places @ plane.axes[:2])
-    return bool(not distances[:, 0].any() and distances[:, 1:].min() > 0.0)
+def all_level(body: Body, plane: Plane, box: Box) -> bool:
+    """Return whether a box, with a hair's breadth around it, lies on a body's surface where that is level."""
+    x, y, z = plane.origin_mm.tolist()
+    reach = math.hypot(max(-box.u0, box.u1), max(-box.v0, box.v1))
+    return bool(z == 0.0 and plane.axes[2, 2] == 1.0 and body.is_level_around(x, y, (1.0 + 1e-6) * reach))
 
 
 def _on_body(body: Body, plane: Plane, middle: Floats, cell: Floats) -> tuple[Points, Floats, Floats, Bools]:
@@ -190,16 +189,14 @@ def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tu
     """
     middle, cell = cells(face, box, across)
     limit = half_extent(face) if face is not None else (math.inf, math.inf)
-    outside, outer = _bordering(middle, cell, (box.u0, box.v0), (box.u1, box.v1), limit)
-    if _all_level(body, plane, box):
-        kept = ~outside
-        middle, cell = middle[kept], cell[kept]
-        frames = np.empty((len(middle), 3, 3))
-        frames[:] = plane.axes
+    corners = (box.u0, box.v0), (box.u1, box.v1)
+    if all_level(body, plane, box):
+        centre, frames, middle, half, border = _in_plane(middle, cell, corners, limit, plane.origin_mm, plane.axes)
         return Patches(
-            centre_mm=plane.origin_mm + middle @ plane.axes[:2], frames=frames, half_mm=cell, middle_mm=middle,
-            cell_mm=cell, border=outer[kept], edge=np.zeros(len(middle), bool),
+            centre_mm=centre, frames=frames, half_mm=half, middle_mm=middle, cell_mm=half, border=border,
+            edge=np.zeros(len(middle), bool),
         )  # fmt: skip
+    outside, outer = _bordering(middle, cell, corners, limit)
     points, frames, half, off = _on_body(body, plane, middle, cell)
     kept = ~(off | outside)
     edge = _touching(middle, cell, off) if off.any() else off
@@ -210,14 +207,12 @@ def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tu
 
 
 @njit(cache=True)
-def _bordering(
-    middle: Floats, cell: Floats, low: tuple[float, float], high: tuple[float, float], limit: tuple[float, float]
-) -> tuple[Bools, Bools]:
+def _bordering(middle: Floats, cell: Floats, box: Corners, limit: tuple[float, float]) -> tuple[Bools, Bools]:
     """Return (n,) which cells lie outside the ellipse in a box, and which have a neighbour there, or outside the box.
 
     A box around a flat face, whose half widths are the ``limit``, has no ellipse, and beyond the face no neighbours.
     """
-    flat = math.isfinite(limit[0])
+    (low, high), flat = box, math.isfinite(limit[0])
     outside, outer = np.zeros(len(middle), np.bool_), np.zeros(len(middle), np.bool_)
     near = 1e-6 * max(limit[0], limit[1]) if flat else 0.0
     for i in range(len(middle)):
@@ -234,3 +229,21 @@ def _bordering(
     if not flat:
         outer |= _touching(middle, cell, outside)
     return outside, outer
+
+
+@njit(cache=True)
+def _in_plane(
+    middle: Floats, cell: Floats, box: Corners, limit: tuple[float, float], origin_mm: Floats, axes: Floats
+) -> tuple[Points, Floats, Floats, Floats, Bools]:
+    """Return centres, frames, middles, half sizes and borders of the cells that aren't outside, left where they are."""
+    outside, outer = _bordering(middle, cell, box, limit)
+    rows = np.flatnonzero(~outside)
+    k = len(rows)
+    centre, frames, kept, half, border = (
+        np.empty((k, 3)), np.empty((k, 3, 3)), np.empty((k, 2)), np.empty((k, 2)), np.empty(k, np.bool_),
+    )  # fmt: skip
+    for n, i in enumerate(rows):
+        for axis in range(3):
+            centre[n, axis] = origin_mm[axis] + (middle[i, 0] * axes[0, axis] + middle[i, 1] * axes[1, axis])
+        frames[n], kept[n], half[n], border[n] = axes, middle[i], cell[i], outer[i]
+    return centre, frames, kept, half, border

@@ -168,11 +168,10 @@ def tilt_of(tilt_deg: tuple[float, float, float]) -> Floats:
 
 def shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Shape:
     """Return the surface of a probe, tilted before it comes."""
-    tilt = tilt_of(tilt_deg)
     if isinstance(probe, Sphere):
         return Ball(probe.diameter_mm / 2)  # looks the same however it is turned
     if isinstance(probe, Stl):
-        return _triangles(probe.file, probe.sha256, tuple(map(tuple, tilt)))
+        return _triangles(probe.file, probe.sha256, tuple(map(tuple, tilt_of(tilt_deg))))
     shape: Shape
     if isinstance(probe, Cone):
         # the ball that rounds the tip touches the plane z = 0 with its lowest point
@@ -184,7 +183,7 @@ def shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0
         a, b = half_extent(probe)
         kind, edge = ROUND if isinstance(probe, Cylinder) else SQUARE, probe.edge_mm
         shape = Rounded(kind, (a - edge, b - edge, -edge), edge)
-    return shape if np.array_equal(tilt, np.eye(3)) else Tilted(shape, tilt)
+    return Tilted(shape, tilt_of(tilt_deg)) if any(tilt_deg) else shape
 
 
 @lru_cache(maxsize=8)

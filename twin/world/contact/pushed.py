@@ -23,7 +23,7 @@ from twin.compiled import njit
 from twin.parts.probe import Cone
 from twin.world.contact.gap import MOTIONS, Z
 from twin.world.contact.together import Contacts, Control
-from twin.world.contact.unilateral import TOLERANCE, Equilibrium, sunk_alone
+from twin.world.contact.unilateral import TOLERANCE, Equilibrium
 
 MOST = 800
 """Equal patches up to which a matrix is faster than transforms (`twin.world.contact.lattice`)."""
@@ -58,19 +58,33 @@ def pushed(contacts: Contacts, control: Control, place: Floats, touch_z: Floats)
     high = found.copy()
     high[z] = 0.0
     gap = contacts.gap(high)[0]
-    active, force = _overlapping(gap, owner, found[z] - ends_at(contacts) * (found[z] - touch_z))
-    depth, sunk = np.empty(len(touch_z)), np.empty(k)
-    steps = settle(normal, gap, owner, by_force, control.given[z], active, force, depth, sunk)
-    found[z] = depth
-    residual = _residual(gap, depth, owner, by_force, control.given[z], active, force, sunk) if steps else 1.0
+    reach = found[z] - ends_at(contacts) * (found[z] - touch_z)
+    steps, residual, active, force, moved, depth = _equilibrium(normal, gap, owner, by_force, control.given[z], reach)
     if not residual <= TOLERANCE:
         return None
-    pushes = np.zeros((k, 3))
-    pushes[:, 2] = force
+    found[z] = depth
     return Equilibrium(
-        force_n=pushes, displacement_mm=sunk_alone(sunk), place=found, active=active,
-        total=_total(contacts, found, force), slipping=np.zeros(k, bool), residual=residual, steps=steps,
+        force_n=force, displacement_mm=moved, place=found, active=active, total=_total(contacts, found, force),
+        slipping=np.zeros(k, bool), residual=residual, steps=steps,
     )  # fmt: skip
+
+
+@njit(cache=True)
+def _equilibrium(
+    normal: Floats, gap: Floats, owner: Ints, by_force: Bools, given: Floats, reach: Floats
+) -> tuple[int, float, Bools, Floats, Floats, Floats]:
+    """Return how many sets were tried, what is left, the set, forces and motions (k, 3) and the probes' depths (p,).
+
+    Parameters as of `settle`; from (p,) how far each probe reaches where it touches, at first.
+    """
+    k = len(gap)
+    active, push = _overlapping(gap, owner, reach)
+    depth, sunk = np.empty(len(given)), np.empty(k)
+    steps = settle(normal, gap, owner, by_force, given, active, push, depth, sunk)
+    left = _residual(gap, depth, owner, by_force, given, active, push, sunk) if steps else math.inf
+    force, moved = np.zeros((k, 3)), np.full((k, 3), np.nan)
+    force[:, 2], moved[:, 2] = push, sunk
+    return steps, left, active, force, moved, depth
 
 
 def ends_at(contacts: Contacts) -> Floats:
@@ -79,11 +93,11 @@ def ends_at(contacts: Contacts) -> Floats:
 
 
 def _total(contacts: Contacts, place: Floats, force: Floats) -> Floats:
-    """Return (6 p,) what normal forces (k,) add up to, about the probes' axes."""
+    """Return (6 p,) what normal forces (k, 3) add up to, about the probes' axes."""
     total = np.zeros(len(place))
     for (setting, rows, motions), grid in zip(contacts.rows, contacts.grids, strict=True):
         first = setting.first
-        _add_up(grid.centre_mm, force[rows], first.axis_mm, first.axes, place[motions], total[motions])
+        _add_up(grid.centre_mm, force[rows, 2], first.axis_mm, first.axes, place[motions], total[motions])
     return total
 
 

@@ -14,13 +14,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.arrays import Floats
+from twin.arrays import Bools, Floats
+from twin.compiled import njit
 from twin.errors import ContactError, NotSettled
 from twin.parts.probe import Cone, Sphere
 from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact.cells import Box, is_even
 from twin.world.contact.gap import ABOUT_X, TURN, X, Y, Z
-from twin.world.contact.patches import Patches, Plane, candidate_patches
+from twin.world.contact.patches import Patches, Plane, all_level, candidate_patches
 from twin.world.contact.probe_shape import half_extent
 from twin.world.contact.pushed import ends_at, pushed
 from twin.world.contact.together import Contacts, Control, Setting, every
@@ -116,30 +117,34 @@ def _disc(setting: Setting, force_z: float | None, depth: float) -> tuple[float,
     return min(like.contact_radius_mm, 0.7 * a), min(like.indentation_mm, 0.5 * a)
 
 
-def known_contact(setting: Setting, control: Control, start: Floats, touch_z: float) -> tuple[Box, Floats] | None:
+def known_contact(
+    setting: Setting, control: Control, start: Floats, plane: Plane, touch_z: float
+) -> tuple[Box, Floats] | None:
     """Return what `find_contact` does without a search, for an upright sphere, cone or flat face on a flat surface.
 
     Under a flat face it is the face, up to the middle of its rim; under a sphere or a cone a closed form says it.
     """
     axes, face = setting.first.axes, setting.face
-    place = np.where(control.by_force, start, control.given)
     if (face is None and not isinstance(setting.probe, Sphere | Cone)) or any(setting.first.tilt_deg):
         return None
-    if place[ABOUT_X:TURN].any() or control.by_force[:Z].any() or not setting.compliance.one_material:
+    place, by_force = np.where(control.by_force, start, control.given), control.by_force.tolist()
+    if any(place[ABOUT_X:TURN].tolist()) or any(by_force[:Z]) or not setting.compliance.one_material:
         return None  # it may slide away from there, or is as large as a cover makes it
-    force_z = float(control.given[Z]) if control.by_force[Z] else None
-    box, depth = guess_box(setting, force_z, float(control.given[Z]) - touch_z)
+    given = float(control.given[Z])
+    box, depth = guess_box(setting, given if by_force[Z] else None, given - touch_z)
     low, high = setting.body.bounds_mm
     if face is None:
         radius = box.u1 / _WIDER
         if radius <= 0.0 or radius > _THIN * (high[2] - low[2]):
             return None
         box = _square(_INNER * radius, _INNER * radius)
-    middle = setting.first.axis_mm + np.array([*place[:Z], touch_z]) @ axes
-    around = middle + _WIDER * np.array(_CORNERS) * (box.u1, box.v1) @ axes[:2]
-    if np.abs(setting.body.depth(around)).max() > 1e-12:
-        return None
-    if control.by_force[Z]:
+    wider = box.grown((_WIDER - 1.0) * box.u1, (_WIDER - 1.0) * box.v1)
+    if axes[2, 2] != 1.0 or not all_level(setting.body, plane, wider):
+        middle = setting.first.axis_mm + np.array([*place[:Z], touch_z]) @ axes
+        around = middle + np.array(_CORNERS) * (wider.u1, wider.v1) @ axes[:2]
+        if np.abs(setting.body.depth(around)).max() > 1e-12:
+            return None
+    if by_force[Z]:
         place[Z] = touch_z + depth
     return box if face is None else box.grown(-face.edge_mm / 2, -face.edge_mm / 2), place
 
@@ -325,12 +330,23 @@ def check_inside(setting: Setting, patches: Patches, found: Equilibrium, depth: 
             f"contact: the {probe.kind} sinks in by {depth:.3g} mm, allowed is up to {limit:.3g} mm ({what}): "
             "press with less force, or with a larger probe, or on a stiffer body"
         )
-    if isinstance(probe, Cone) and found.active.any():
+    if isinstance(probe, Cone):
         axes, pivot = setting.first.axes, setting.first.axis_mm
-        off = (patches.centre_mm[found.active] - pivot) @ axes[:2].T - found.place[:Z]
-        width = 2.0 * float(np.hypot(off[:, 0], off[:, 1]).max())
+        width = 2.0 * _farthest(patches.centre_mm, found.active, pivot, axes, found.place)
         if width > probe.diameter_mm:
             raise ContactError(
                 f"contact: it reaches {width:.3g} mm across, over the cone's base of {probe.diameter_mm:g} mm: press "
                 "with less force, or give a larger probe.diameter_mm"
             )
+
+
+@njit(cache=True)
+def _farthest(centre: Floats, active: Bools, pivot: Floats, axes: Floats, place: Floats) -> float:
+    """Return how far the chosen centres (k, 3) are at most from a probe's axis at its place, mm; 0 of none."""
+    farthest = 0.0
+    for i in np.flatnonzero(active):
+        x, y, z = centre[i, 0] - pivot[0], centre[i, 1] - pivot[1], centre[i, 2] - pivot[2]
+        u = x * axes[0, 0] + y * axes[0, 1] + z * axes[0, 2] - place[0]
+        v = x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2] - place[1]
+        farthest = max(farthest, math.hypot(u, v))
+    return farthest

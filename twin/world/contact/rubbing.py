@@ -59,7 +59,7 @@ def _largest_contact(job: Job, number: int, plane: Plane, touch_z: float) -> Box
         if is_lifted(still, touch_z):
             place = lifted_place(still, place, touch_z)
             continue
-        disc = known_contact(setting, still, place, touch_z)
+        disc = known_contact(setting, still, place, plane, touch_z)
         contact, place = disc or find_contact(setting, still, place, plane, touch_z)
         grip_mm = friction * (float(place[Z]) - touch_z)
         contact = contact.joined(_slid(setting, contact, sideways, grip_mm, plane))

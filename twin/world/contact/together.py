@@ -140,17 +140,23 @@ def touch_at(setting: Setting, place: Floats) -> tuple[Plane, float]:
         side = np.array([side[0], side[1], 0.0]) / np.hypot(side[0], side[1])
         own = np.stack([side, np.cross([0.0, 0.0, 1.0], side), [0.0, 0.0, 1.0]])
         plane = Plane(origin_mm=there.axis_mm, axes=own @ first.axes)
-    return plane, float((there.axis_mm - first.axis_mm) @ first.axes[2])
+    return plane, _height(setting, there)
 
 
 def touch_z_at(setting: Setting, place: Floats) -> float:
     """Return the second of what `touch_at` does."""
-    return float((_touching_there(setting, place).axis_mm - setting.first.axis_mm) @ setting.first.axes[2])
+    return _height(setting, _touching_there(setting, place))
+
+
+def _height(setting: Setting, there: Approach) -> float:
+    """Return the z from first touch of the path at which a probe just touches where it was brought."""
+    first = setting.first
+    return 0.0 if there is first else float((there.axis_mm - first.axis_mm) @ first.axes[2])
 
 
 def _touching_there(setting: Setting, place: Floats) -> Approach:
-    first = setting.first
-    if not place[:Z].any() and not place[ABOUT_X:].any():
+    first, (x, y, _, *turns) = setting.first, place.tolist()
+    if not (x or y or any(turns)):
         return first
     over = first.axis_mm + place[:Z] @ first.axes[:Z]
     return approach(setting.probe, setting.body, over, first.axes, first.tilt_deg, place[ABOUT_X:])
