@@ -1,6 +1,7 @@
 """Compliance against converged solutions of an independent program, and against its own symmetries."""
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -31,16 +32,13 @@ BOUND = {
 }
 TRUTH = {name: np.load(REFERENCE / f"{file}.npz") for name, file in FILES.items()}
 CASES = {name: json.loads(str(truth["cases"])) for name, truth in TRUTH.items()}
-_made: dict[tuple[str, str, float, str], Compliance] = {}
 
 
+@cache
 def compliance(name, level, nu, method="subtracted"):
     """Return one shared compliance each, so that the tests factor every matrix once; tables have their own tests."""
-    key = (name, level, nu, method)
-    if key not in _made:
-        material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
-        _made[key] = Compliance(BODIES[name], material, level=level, method=method, table=False)
-    return _made[key]
+    material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
+    return Compliance(BODIES[name], material, level=level, method=method, table=False)
 
 
 def reference_error(name, level, case, method="subtracted"):
