@@ -29,7 +29,7 @@ from twin.sense.fit_design import Fit, Presses, fit
 from twin.sense.reconstruct import reconstruct
 from twin.sense.single import single_contact
 from twin.sense.transfer import fill_between, from_presses
-from twin.study.calibrate import FOOTPRINT, hertz_radius
+from twin.study.calibration_presses import FOOTPRINT, hertz_radius
 from twin.study.fitted import FittedDesign
 from twin.study.sites import on_grid, on_surface
 

@@ -21,7 +21,7 @@ from twin.parts.load import Load, Rectangles, Traction
 from twin.parts.scene import Scene
 from twin.places import cache_folder
 from twin.study.actual import Actual, make
-from twin.study.calibrate import calibration_press
+from twin.study.calibration_presses import calibration_press
 from twin.study.recipe import load_scene
 from twin.study.reproduce.runner import source_hash
 from twin.study.sensor import Sensor

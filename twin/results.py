@@ -204,6 +204,10 @@ def make_folder(folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(
+            f"{folder}: the output folder can't be made, as there is a file of that name; give another"
+        ) from None
     except OSError as problem:
         raise InputError(f"{folder}: the output folder can't be made ({problem.strerror}); give another") from None
     if not os.access(folder, os.W_OK):

@@ -8,7 +8,8 @@ from PIL import Image
 
 from twin.sense.calibration import read_calibration
 from twin.sense.transfer import from_compliance
-from twin.study.calibrate import FOOTPRINT, calibrate_by_presses, calibration_of, calibration_press, hertz_radius
+from twin.study.calibrate import calibrate_by_presses, calibration_of
+from twin.study.calibration_presses import FOOTPRINT, calibration_press, hertz_radius
 from twin.study.recipe import load_scene
 from twin.study.recorded_presses import calibrate_from_folder
 from twin.study.sensor import Sensor

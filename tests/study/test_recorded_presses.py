@@ -7,7 +7,8 @@ from PIL import Image
 from benchmarks.discs import expose, scene
 from twin.errors import InputError
 from twin.sense.calibration import read_calibration
-from twin.study.calibrate import _nominal_compliance, _through_camera, hertz_radius
+from twin.study.calibrate import _nominal_compliance, _through_camera
+from twin.study.calibration_presses import hertz_radius
 from twin.study.recipe import load_scene
 from twin.study.recorded_presses import FOOTPRINT, calibrate_from_folder, read_presses
 from twin.study.sensor import Sensor

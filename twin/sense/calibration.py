@@ -206,7 +206,9 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
         names = [name for name in names if name not in LATER]
     missing = [name for name in ["version", *names] if name not in arrays]
     if missing:
-        raise InputError(f"{path} is no calibration file: it lacks {', '.join(missing)}")
+        raise InputError(
+            f"{path} is no calibration file: it lacks {', '.join(missing)}; make one with `twin calibrate`"
+        )
     for name in names:
         kinds, what = ("U", "text") if name in TEXTS else ("fi", "numbers")
         if arrays[name].dtype.kind not in kinds:

@@ -19,17 +19,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twin.arrays import Floats
-from twin.errors import ContactError, InputError, RecipeError
+from twin.errors import InputError, RecipeError
 from twin.parts.body import Block
 from twin.parts.part import without_later
-from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
 from twin.places import cache_folder
 from twin.results import make_folder
-from twin.streams import Purpose, stream
+from twin.study.calibration_presses import FOOTPRINT, hertz_radius, press_everywhere
 from twin.study.sensor import Sensor
 from twin.study.sites import on_surface
-from twin.theory.contact import hertz
 from twin.theory.optics import projection_jacobian
 
 if TYPE_CHECKING:
@@ -38,26 +36,17 @@ if TYPE_CHECKING:
     from twin.sense.calibration import Calibration
     from twin.sense.fit_design import Presses
 
-SHEAR_SHARE = 0.25
-"""Sideways motion of a calibration press over the contact radius: well inside what sticks."""
-
-FOOTPRINT = 0.8
-"""Half side of the square that stands for a calibration contact, over the contact radius."""
-
 BY_PRESSES = ("sato", "fitted")
 
 FIVE = ((0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5))
 """Where method ``fitted`` presses if nothing else is said, over the half extents of the sites."""
-
-FIRST_EXPOSURE = 1000
-"""Calibration pictures are exposures from here on, so that they share no noise with any press."""
 
 
 def calibration_of(sensor: Sensor) -> Calibration:
     """Return the calibration that the scene asks for; a file made earlier is used only while it matches."""
     scene = sensor.nominal
     if scene.calibration.method not in BY_PRESSES:
-        return _nominal(sensor)
+        return calibrate_by_design(sensor)
     from twin.sense.calibration import read_calibration, write_calibration
 
     digest = sensor_digest(scene)
@@ -82,12 +71,12 @@ def calibrate_to_file(scene: Scene, out: Path, progress: Any = None) -> str:
     from twin.sense.calibration import write_calibration
 
     if scene.reconstruction is None:
-        raise RecipeError("calibrating needs a [reconstruction] table with sites")
+        raise RecipeError("this scene has no [reconstruction] table, whose sites are calibrated: add one")
     if out.suffix != ".npz":
         raise InputError(f"--out {out}: a calibration file ends in .npz")
     make_folder(out.parent)
     sensor = Sensor(scene, progress)
-    made = calibrate_by_presses(sensor) if scene.calibration.method in BY_PRESSES else _nominal(sensor)
+    made = calibrate_by_presses(sensor) if scene.calibration.method in BY_PRESSES else calibrate_by_design(sensor)
     write_calibration(made, out)
     if progress is not None:
         progress("done", 1.0)
@@ -109,7 +98,7 @@ def _without_provenance(value: Any) -> Any:
     return [_without_provenance(v) for v in value] if isinstance(value, list) else value
 
 
-def _nominal(sensor: Sensor) -> Calibration:
+def calibrate_by_design(sensor: Sensor) -> Calibration:
     """Calibrate from the nominal design alone: its compliance, or the papers' half-space, through its camera."""
     return nominal_calibration(sensor, _nominal_compliance(sensor, sensor.sites))
 
@@ -169,7 +158,7 @@ def calibrate_by_presses(sensor: Sensor) -> Calibration:
     half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
     chart = grid.chart() if grid is not None else np.array(FIVE) * np.array(scene.reconstruction.sites.half_mm)
     places = on_surface(scene.body, chart, half_mm, "calibration.presses")
-    presses = _press_everywhere(sensor, places)
+    presses = press_everywhere(sensor, places)
     if scene.calibration.method == "fitted":
         return fitted_calibration(sensor, places, presses)
     assert grid is not None
@@ -232,69 +221,6 @@ def fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) -> 
         made, compliance=compliance.astype(np.float32), marker_mm=markers, camera=design.optics(found.scaled),
         layout_px=np.where(seen, presses.rest_px, made.layout_px), provenance=json.dumps(facts),
     )  # fmt: skip
-
-
-def _press_everywhere(sensor: Sensor, places: Rectangles) -> Presses:
-    """Press the made sensor in three directions at every place; return what was measured."""
-    from twin.sense.fit_design import Presses
-    from twin.sense.track import analyse_rest, track_frame
-
-    scene, count = sensor.nominal, len(places)
-    picture = sensor.picture(None, exposure=FIRST_EXPOSURE)
-    rest = analyse_rest(picture, sensor.layout_px, method=scene.tracking.method)
-    forces, shifts, spread, at_rest = [], [], [], []
-    for place in range(count):
-        pressed = sensor.press(calibration_press(scene, places, place))
-        if not pressed.complete:
-            raise ContactError(f"calibration: press {place + 1} of {count}: {pressed.reason}")
-        states = pressed.path
-        noise = scene.calibration.load_cell_n * stream(scene.seed, Purpose.LOAD_CELL, place).standard_normal((3, 3))
-        for number, state in enumerate(states):
-            picture = sensor.picture(sensor.motion(state.load), FIRST_EXPOSURE + 1 + 3 * place + number)
-            found = track_frame(rest, picture)
-            forces.append(state.force_n + noise[:, number])
-            shifts.append(found.shift_px)
-            spread.append(found.sd_px)
-            at_rest.append(found.rest_px)
-        if sensor.progress is not None:
-            sensor.progress(f"calibrating, press {place + 1} of {count}", 0.9 * (place + 1) / count)
-    return Presses(
-        place=np.repeat(np.arange(count), 3), force_n=np.stack(forces), shift_px=np.stack(shifts), rest_px=at_rest[0],
-        load_cell_n=scene.calibration.load_cell_n, noise_px=float(np.nanmedian(np.concatenate(spread))),
-    )  # fmt: skip
-
-
-def hertz_radius(scene: Scene, force_n: float) -> float:
-    """Return the nominal contact radius of the calibration sphere, mm."""
-    return hertz(
-        radius_mm=scene.calibration.press_probe_mm / 2,
-        youngs_modulus_mpa=scene.material.youngs_modulus_mpa,
-        poisson_ratio=scene.material.poisson_ratio,
-        force_n=force_n,
-    ).contact_radius_mm
-
-
-def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
-    """Return the path of one calibration press: down to the wanted force, then a small motion along x, then along y.
-
-    The sphere's axis is set off so that under load it stands over the place along the surface's normal there, whatever
-    the slope: its centre is then a radius less the expected indentation away.
-    """
-    wanted, normal = scene.calibration, places.frames[index, 2]
-    radius = wanted.press_probe_mm / 2
-    contact_radius = min(hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
-    x, y = places.centre_mm[index, :2] - (radius - contact_radius**2 / radius) * normal[:2]
-    shear = SHEAR_SHARE * contact_radius
-    return Press(
-        probe=Sphere(diameter_mm=wanted.press_probe_mm),
-        at_mm=(float(x), float(y)),
-        friction=np.inf,
-        steps=(
-            Step(force_n=(None, None, wanted.press_force_n)),
-            Step(move_mm=(shear, None, None)),
-            Step(move_mm=(-shear, shear, None)),
-        ),
-    )
 
 
 def _calibration(

@@ -47,10 +47,12 @@ def may_listen(port: int) -> None:
 
 
 def _listening(port: int) -> _Server:
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port {port}: allowed are whole numbers from 1 to 65535, and 0 for any that is free")
     try:
         return _Server((HOST, port), _Handler)
-    except (OSError, OverflowError) as problem:
-        raise InputError(f"--port {port}: can't be listened on ({problem}); allowed are 0 (any) to 65535") from None
+    except OSError as problem:
+        raise InputError(f"--port {port}: can't be listened on ({problem.strerror}); give another") from None
 
 
 class Loopback:

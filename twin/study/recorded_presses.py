@@ -17,14 +17,8 @@ from twin.arrays import Floats, Points
 from twin.errors import InputError, RecipeError
 from twin.parts.scene import Scene
 from twin.results import make_folder
-from twin.study.calibrate import (
-    BY_PRESSES,
-    FOOTPRINT,
-    _nominal,
-    fitted_calibration,
-    hertz_radius,
-    measured_calibration,
-)
+from twin.study.calibrate import BY_PRESSES, calibrate_by_design, fitted_calibration, measured_calibration
+from twin.study.calibration_presses import FOOTPRINT, hertz_radius
 from twin.study.frames import read_picture
 from twin.study.sensor import Sensor
 from twin.study.sites import on_surface
@@ -126,7 +120,7 @@ def calibrate_from_folder(scene: Scene, folder: Path, out: Path, progress: Any =
         )
     table = read_presses(folder) if method in BY_PRESSES else None
     if table is None:
-        made = _nominal(sensor)
+        made = calibrate_by_design(sensor)
     else:
         shifts, spread = [], []
         for number, name in enumerate(table.frames):

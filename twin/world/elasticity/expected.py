@@ -54,54 +54,19 @@ EXPECTED: dict[tuple[bool, Level], Expected] = {
     (True, "nominal"): Expected(inside=8e-4, at_fifth=0.059, power=3.0, most=0.14, trust=1.6, against="standard"),
     (True, "sketch"): Expected(inside=2e-3, at_fifth=0.1, power=3.0, most=0.2, trust=1.6, against="coarse"),
     (False, "fine"): Expected(
-        inside=1.5e-3,
-        at_fifth=0.012,
-        power=1.5,
-        most=0.04,
-        trust=0.25,
-        against="standard",
-        rough=0.9,
-        unseen=6e-4,
+        inside=1.5e-3, at_fifth=0.012, power=1.5, most=0.04, trust=0.25, against="standard", rough=0.9, unseen=6e-4
     ),
     (False, "standard"): Expected(
-        inside=4e-3,
-        at_fifth=0.02,
-        power=1.5,
-        most=0.06,
-        trust=0.4,
-        against="coarse",
-        rough=1.3,
-        unseen=6e-4,
+        inside=4e-3, at_fifth=0.02, power=1.5, most=0.06, trust=0.4, against="coarse", rough=1.3, unseen=6e-4
     ),
     (False, "coarse"): Expected(
-        inside=7e-3,
-        at_fifth=0.03,
-        power=1.5,
-        most=0.09,
-        trust=0.3,
-        against="sketch",
-        rough=1.1,
-        unseen=6e-4,
+        inside=7e-3, at_fifth=0.03, power=1.5, most=0.09, trust=0.3, against="sketch", rough=1.1, unseen=6e-4
     ),
     (False, "nominal"): Expected(
-        inside=6e-3,
-        at_fifth=0.03,
-        power=1.5,
-        most=0.09,
-        trust=0.8,
-        against="standard",
-        rough=1.2,
-        unseen=2.5e-4,
+        inside=6e-3, at_fifth=0.03, power=1.5, most=0.09, trust=0.8, against="standard", rough=1.2, unseen=2.5e-4
     ),
     (False, "sketch"): Expected(
-        inside=9e-3,
-        at_fifth=0.06,
-        power=1.5,
-        most=0.2,
-        trust=1.5,
-        against="standard",
-        rough=0.1,
-        unseen=4e-4,
+        inside=9e-3, at_fifth=0.06, power=1.5, most=0.2, trust=1.5, against="standard", rough=0.1, unseen=4e-4
     ),
 }
 """By whether the sensing surface is a plane, and by level."""
