@@ -7,7 +7,8 @@ from half_space_sensor import as_found, disk, finger_sensor, flat_sensor, shifts
 
 from twin.errors import InputError
 from twin.judge.score import into_cells
-from twin.sense.cone import Quadratic, project_onto_cone
+from twin.sense.cone import Quadratic
+from twin.sense.cone_newton import project_onto_cone
 from twin.sense.reconstruct import reconstruct
 
 FLAT, FINGER = flat_sensor(), finger_sensor()

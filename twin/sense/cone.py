@@ -5,10 +5,8 @@ With A = H^T H + (w/2) Q and b = H^T M in the sites' own frames, both minimise 1
 
 Why active sets: a probe touches few of the sites, so the systems to solve hold few unknowns, and the active set of one
 frame is nearly that of the next. Fz >= 0 has its tangential part eliminated beforehand (a Schur complement) and is
-solved by block principal pivoting (Portugal, Judice and Vicente, Math. Comp. 63 (1994) 625); the cone by a semismooth
-Newton method on F = P(F - D (A F - b)), P the projection onto the cones (Facchinei and Pang, Finite-Dimensional
-Variational Inequalities, sec. 9.1; the cone's derivative as in Fukushima, Luo and Tseng, SIAM J. Optim. 12 (2001) 436),
-whose steps are symmetric systems along the derivative's axes, without those that slipping sites can't move along.
+solved by block principal pivoting (Portugal, Judice and Vicente, Math. Comp. 63 (1994) 625); the cone on the sites that
+carry force by Newton's method (`twin.sense.cone_newton`).
 
 Validity: weights below `LEAST` times the largest curvature of H^T H have to be raised to it by the caller: H^T H holds
 no more in double precision.
@@ -21,10 +19,10 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg
-from scipy.linalg.lapack import dposv, sposv
+from scipy.linalg.lapack import dposv
 
-from twin.arrays import Bools, Floats, Ints
-from twin.compiled import njit
+from twin.arrays import Bools, Floats
+from twin.sense.cone_newton import SINGLE, newton, onto_cone, project_onto_cone, pull
 
 LEAST = 1e-12
 """Smallest weight over the largest curvature."""
@@ -35,19 +33,11 @@ GOAL = 1e-11
 LOOSE = 1e-6
 """The same while the sites that carry force are still being found."""
 
-SINGLE = 1e-4
-"""Above this residual Newton's steps are solved in single precision: what they point at is not the end yet."""
-
 CLEAR = 0.1
 """Share of the largest push above which a site of the solution without bounds is taken to carry force at first."""
 
 PATIENCE = 4
 """Block exchanges without progress before single ones, which cannot cycle."""
-
-LEAST_SHARE = 1e-12
-"""Eigenvalue of the projection's derivative below which it is none: at the cone's tip."""
-
-MOST_NEWTON, HALVINGS = 60, 6
 
 MOST_GROWTH, GROWTH, LEAST_GROWTH = 100, 0.6, 8
 """How often sites may be added to those that carry force, and how many at once: a share, and at least."""
@@ -170,45 +160,6 @@ def _block_pivoting(matrix: Floats, linear: Floats, start: Bools) -> tuple[Float
     return value, free, kkt
 
 
-def project_onto_cone(force: Floats, mu: float) -> Floats:
-    """Return the (k, 3) nearest forces with |F_t| <= mu F_n; local axes, the normal last."""
-    return _project(np.asarray(force, float), mu)[0]
-
-
-def _project(force: Floats, mu: float) -> tuple[Floats, Ints]:
-    """Return the projection and its kind by site: 0 no force, 1 slips, 2 sticks."""
-    tangent, normal = force[:, :2], force[:, 2]
-    length = np.sqrt((tangent**2).sum(axis=1))
-    kind = np.where(length <= mu * normal, 2, np.where(mu * length <= -normal, 0, 1))
-    carried = (normal + mu * length) / (1 + mu**2)
-    safe = np.where(length > 0, length, 1.0)
-    slipping = np.column_stack([(mu * carried / safe)[:, None] * tangent, carried])
-    out = np.where((kind == 2)[:, None], force, np.where((kind == 1)[:, None], slipping, 0.0))
-    return out, kind
-
-
-def _project_axes(force: Floats, kind: Ints, mu: float) -> tuple[Floats, Floats]:
-    """Return (k, 3, 3) orthonormal axes, the columns, and (k, 3) eigenvalues of the derivative of the projection.
-
-    Where a force sticks all are 1; where it slips they are 1 along the cone, a share across it, and 0 off it.
-    """
-    axes, share = np.tile(np.eye(3), (len(force), 1, 1)), np.ones((len(force), 3))
-    slips = kind == 1
-    if slips.any():
-        tangent, normal = force[slips, :2], force[slips, 2]
-        length = np.sqrt((tangent**2).sum(axis=1))
-        unit = tangent / length[:, None]
-        size = np.sqrt(1 + mu**2)
-        turned = np.zeros((len(unit), 3, 3))
-        turned[:, :2, 0], turned[:, 2, 0] = mu * unit / size, 1 / size
-        turned[:, 0, 1], turned[:, 1, 1] = -unit[:, 1], unit[:, 0]
-        turned[:, :2, 2], turned[:, 2, 2] = unit / size, -mu / size
-        axes[slips] = turned
-        share[slips, 1] = mu * (normal + mu * length) / (1 + mu**2) / length
-        share[slips, 2] = 0.0
-    return axes, share
-
-
 def _working_set(matrix: Floats, linear: Floats, mu: float, start: Floats) -> tuple[Floats, float]:
     """Solve on the sites that carry force and those that the optimality conditions add, until none is added."""
     scale = float(np.abs(linear).max(initial=0.0))
@@ -218,12 +169,12 @@ def _working_set(matrix: Floats, linear: Floats, mu: float, start: Floats) -> tu
     force, inside, goal = start.copy(), np.asarray(start.any(axis=1), np.bool_), LOOSE
     for _ in range(MOST_GROWTH):
         where = np.flatnonzero(inside)
-        gradient = _pull(matrix, where, force[where]) - linear.reshape(-1, 3)
+        gradient = pull(matrix, where, force[where]) - linear.reshape(-1, 3)
         if len(where):
-            force[where], gradient = _newton(
+            force[where], gradient = newton(
                 matrix, where, force[where], gradient, mu, rate[where], goal * scale, SINGLE * scale
             )
-        onto, _ = _project(force - rate[:, None] * gradient, mu)
+        onto, _ = onto_cone(force - rate[:, None] * gradient, mu)
         wrong = np.abs((force - onto) / rate[:, None]).max(axis=1) / scale
         missing = np.flatnonzero(~inside & (wrong > goal))
         if len(missing):
@@ -235,129 +186,3 @@ def _working_set(matrix: Floats, linear: Floats, mu: float, start: Floats) -> tu
         else:
             break
     return force, float(wrong.max())
-
-
-def _newton(
-    matrix: Floats, where: Ints, start: Floats, gradient: Floats, mu: float, rate: Floats, goal: float, single: float
-) -> tuple[Floats, Floats]:
-    """Semismooth Newton with a line search on the residual; sites that carry nothing drop out of the system.
-
-    From forces at the sites ``where`` and the (k, 3) gradient of all return the same at the solution.
-    """
-
-    def residual(force: Floats, slope: Floats) -> tuple[Floats, Floats, Ints, float]:
-        trial = force - rate[:, None] * slope
-        onto, kind = _project(trial, mu)
-        miss = force - onto
-        return miss, trial, kind, float(np.abs(miss / rate[:, None]).max())
-
-    force = start
-    miss, trial, kind, size = residual(force, gradient[where])
-    best, best_gradient, least = force, gradient, size
-    for _ in range(MOST_NEWTON):
-        if size <= goal:
-            break
-        step = _newton_step(matrix, where, rate, mu, miss, trial, kind, np.float32 if size > single else np.float64)
-        change = _pull(matrix, where, step)
-        length = 1.0
-        for _ in range(HALVINGS):
-            after = residual(force + length * step, gradient[where] + length * change[where])
-            if after[3] < size:
-                break
-            length *= 0.5
-        force, gradient = force + length * step, gradient + length * change
-        miss, trial, kind, size = after
-        if size < least:
-            best, best_gradient, least = force, gradient, size
-    inside = project_onto_cone(best, mu)
-    return inside, best_gradient + _pull(matrix, where, inside - best)
-
-
-@njit(cache=True, fastmath=True)
-def _pull(matrix, where, force):  # type: ignore[no-untyped-def]
-    """Return (k, 3) A F of forces at the sites ``where`` alone, without copying their rows."""
-    out = np.zeros(len(matrix))
-    for i in range(len(where)):
-        x, y, z = force[i, 0], force[i, 1], force[i, 2]
-        if x == 0.0 and y == 0.0 and z == 0.0:
-            continue
-        first, second, third = matrix[3 * where[i]], matrix[3 * where[i] + 1], matrix[3 * where[i] + 2]
-        for column in range(len(out)):
-            out[column] += x * first[column] + y * second[column] + z * third[column]
-    return out.reshape(-1, 3)
-
-
-@njit(cache=True, fastmath=True)
-def _turned(matrix, active, axes, sought, diagonal, system):  # type: ignore[no-untyped-def]
-    """Fill the lower triangle of ``system`` with v.(A w) of the sought axes v, w of the active sites.
-
-    ``diagonal`` is added to the diagonal. In one pass: as array expressions it took most of a solve.
-    """
-    half = np.empty((3, 3))
-    row = 0
-    for i in range(len(active)):
-        start, column = row, 0
-        for j in range(i + 1):
-            for a in range(3):
-                for d in range(3):
-                    half[a, d] = (
-                        axes[i, 0, a] * matrix[3 * active[i], 3 * active[j] + d]
-                        + axes[i, 1, a] * matrix[3 * active[i] + 1, 3 * active[j] + d]
-                        + axes[i, 2, a] * matrix[3 * active[i] + 2, 3 * active[j] + d]
-                    )
-            for e in range(3):
-                if not sought[j, e]:
-                    continue
-                row = start
-                for a in range(3):
-                    if sought[i, a]:
-                        system[row, column] = (
-                            half[a, 0] * axes[j, 0, e] + half[a, 1] * axes[j, 1, e] + half[a, 2] * axes[j, 2, e]
-                        )
-                        row += 1
-                column += 1
-        row = start
-        for a in range(3):
-            if sought[i, a]:
-                system[row, row] += diagonal[row]
-                row += 1
-
-
-def _newton_step(
-    matrix: Floats,
-    where: Ints,
-    rate: Floats,
-    mu: float,
-    miss: Floats,
-    trial: Floats,
-    kind: Ints,
-    precision: type[np.floating],
-) -> Floats:
-    """Return the (k, 3) step that makes the linearised residual vanish, solved in a precision.
-
-    With the projection's derivative P = sum a v v^T the step s solves (1 - a) v.s + a rate v.(A s) = -v.miss for every
-    v: at once where a is 0, and divided by a rate a symmetric positive definite system for the others.
-    """
-    step, active = -miss, np.flatnonzero(kind > 0)
-    if not len(active):
-        return step
-    axes, share = _project_axes(trial[active], kind[active], mu)
-    along = np.einsum("nij,ni->nj", axes, miss[active])
-    sought = (share > LEAST_SHARE).ravel()
-    known = np.where(share > LEAST_SHARE, 0.0, -along)
-    step[active] = np.einsum("nij,nj->ni", axes, known)
-    pull = np.einsum("nij,ni->nj", axes, _pull(matrix, where, step)[where[active]])
-    gain = (share * rate[active][:, None]).ravel()[sought]
-    size = int(sought.sum())
-    system = np.zeros((size, size), precision)
-    _turned(matrix, where[active], axes, sought.reshape(-1, 3), (1.0 - share.ravel()[sought]) / gain, system)
-    right = -along.ravel()[sought] / gain - pull.ravel()[sought]
-    solve = sposv if precision is np.float32 else dposv
-    _, part, failed = solve(
-        system.T, right.astype(precision), lower=0, overwrite_a=1
-    )  # its transpose as LAPACK has it: no copy
-    if failed:
-        return -miss if solve is dposv else _newton_step(matrix, where, rate, mu, miss, trial, kind, np.float64)
-    known.ravel()[sought] = part
-    step[active] = np.einsum("nij,nj->ni", axes, known)
-    return step

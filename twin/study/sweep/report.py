@@ -13,7 +13,8 @@ from twin.parts.part import unit_of
 from twin.parts.sweep import METRICS
 from twin.png import png_bytes
 from twin.results import write_whole
-from twin.show.sweep import Card, Front, Map, SweepPage, sweep_page
+from twin.show.sweep import Card, Front, SweepPage, sweep_page
+from twin.show.sweep_map import Map
 from twin.study.sweep.best import Best
 from twin.study.sweep.rank import metric, pareto
 from twin.study.sweep.run import Swept
