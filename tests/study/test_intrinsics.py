@@ -38,6 +38,14 @@ def test_what_is_written_is_read_back(name: str, lens: str, distortion: tuple[fl
     assert (keys["lens"], keys["width_px"], keys["height_px"]) == (lens, 320, 480)
 
 
+@pytest.mark.parametrize("name", ["camera.json", "camera.yml"])
+def test_a_file_that_an_editor_marked_as_utf8_is_read(name: str, tmp_path: Path) -> None:
+    write_intrinsics(Camera(focal_px=500, pupil_mm=(0, 0, 60)), tmp_path / name)
+    plain = read_intrinsics(tmp_path / name)
+    (tmp_path / name).write_bytes(b"\xef\xbb\xbf" + (tmp_path / name).read_bytes())
+    assert read_intrinsics(tmp_path / name) == plain
+
+
 def test_ros_files_are_read(tmp_path: Path) -> None:
     file = tmp_path / "ros.yaml"
     file.write_text(

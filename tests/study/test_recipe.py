@@ -20,6 +20,14 @@ from twin.study.schema import SCHEMA_FILE, schema_text
 SCENES = sorted(shipped_scenes())
 
 
+def test_a_file_that_an_editor_marked_as_utf8_is_read(tmp_path: Path) -> None:
+    (tmp_path / "marked.toml").write_bytes(b'\xef\xbb\xbfbase = "block_bare"\r\nseed = 3\r\n')
+    assert load_scene(tmp_path / "marked.toml").seed == 3
+    (tmp_path / "other.toml").write_text("seed = 3", encoding="utf-16")
+    with pytest.raises(RecipeError, match=r"no text in UTF-8; save the file in this encoding"):
+        load_scene(tmp_path / "other.toml")
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_resolved_scene_reads_back_the_same(name: str) -> None:
     scene = load_scene(name)

@@ -118,7 +118,7 @@ def _table(path: Path) -> dict[str, Any]:
     if len(data) > _LARGEST:
         raise InputError(f"{path}: {len(data)} bytes; a file of intrinsics is at most 1 MB")
     try:
-        text = data.decode()
+        text = data.decode("utf-8-sig")
         table = json.loads(text) if path.suffix.lower() == ".json" else _yaml(text)
     except (ValueError, RecursionError) as problem:
         raise InputError(f"{path}: not valid JSON or YAML: {str(problem).splitlines()[0]}") from None

@@ -49,9 +49,10 @@ def read_recipe(path: Path) -> Table:
     if len(data) > 1_000_000:
         raise RecipeError(f"{len(data)} bytes: a recipe is at most 1 MB", str(path))
     try:
-        return _by_key(tomllib.loads(data.decode()))
+        return _by_key(tomllib.loads(data.decode("utf-8-sig")))  # editors on Windows mark their files so
     except UnicodeDecodeError as problem:
-        raise RecipeError(f"not valid TOML: byte {problem.start + 1} is no text in UTF-8", str(path)) from None
+        told = f"not valid TOML: byte {problem.start + 1} is no text in UTF-8; save the file in this encoding"
+        raise RecipeError(told, str(path)) from None
     except (ValueError, RecursionError) as problem:  # a number of 4,300 digits is a ValueError of its own
         raise RecipeError(f"not valid TOML: {problem}", str(path)) from None
 

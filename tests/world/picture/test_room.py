@@ -47,7 +47,7 @@ def test_a_picture_without_room_is_refused_before_anything_is_computed(monkeypat
     monkeypatch.setattr(room, "free_bytes", lambda: 8_000_000_000)
     monkeypatch.setattr(Sensor, "press", lambda *_, **__: pytest.fail("pressed"))
     with pytest.raises(
-        MissingCapability, match=r"camera.width_px = 8192.* about 9.26 GB.* 8 GB are free .*fewer pixels"
+        MissingCapability, match=r"camera.width_px = 8192.* about 9.3 GB.* 8.0 GB are free .*fewer pixels"
     ):
         run(load_scene("kamiyama_pillar", LARGE))
     with pytest.raises(MissingCapability, match=r"aperture_mm = 0 "):
@@ -59,8 +59,11 @@ def test_a_scene_of_many_pixels_runs_where_no_picture_is_wanted(monkeypatch: pyt
     assert run(load_scene("kamiyama_pillar", {**LARGE, "press.friction": 0.0}), {"displacement"}).truth is not None
 
 
-def test_workers_of_a_dataset_need_room_beside_each_other(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_as_many_workers_of_a_dataset_as_have_work_need_room_beside_each_other(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(room, "free_bytes", lambda: 100_000_000)
-    with pytest.raises(MissingCapability, match=r"8 pictures at once .*fewer --workers"):
-        create_dataset(load_scene("dataset_kamiyama"), tmp_path / "set", samples=1, workers=8)
+    scene = load_scene("dataset_kamiyama", {"dataset.samples_per_shard": 5})
+    with pytest.raises(MissingCapability, match=r"4 pictures at once .*fewer --workers"):
+        create_dataset(scene, tmp_path / "set", samples=20, workers=8)
     assert not (tmp_path / "set").exists()

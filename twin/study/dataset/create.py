@@ -96,7 +96,7 @@ def create_dataset(
     if "picture" in plan.needs and scheduler is None:
         from twin.world.picture.room import require_room
 
-        require_room(scene, at_once=workers)
+        require_room(scene, at_once=min(workers, plan.shards))
     reach(scheduler)
     places = Places(folder)
     make_folder(folder)

@@ -70,6 +70,6 @@ def require_room(scene: Scene, at_once: int = 1) -> None:
     )
     raise MissingCapability(
         f"camera.width_px = {camera.width_px}, camera.height_px = {camera.height_px}: "
-        f"{f'{at_once} pictures at once take' if at_once > 1 else 'a picture takes'} about {needed / 1e9:.3g} GB of "
-        f"memory, of which {free / 1e9:.3g} GB are free here: take fewer pixels{others}, or a machine with more memory"
+        f"{f'{at_once} pictures at once take' if at_once > 1 else 'a picture takes'} about {needed / 1e9:,.1f} GB of "
+        f"memory, of which {free / 1e9:,.1f} GB are free here: take fewer pixels{others}, or a machine with more memory"
     )
