@@ -7,10 +7,10 @@ import re
 from typing import Any
 
 from benchmarks import ROOT
-from benchmarks.__main__ import RESULTS, table
+from benchmarks.__main__ import table
+from benchmarks.sweep import STORED
 
 PAGE = ROOT / "docs" / "sweeps.md"
-STORED = RESULTS / "sweep.json"
 MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"
 
 

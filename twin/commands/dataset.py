@@ -43,8 +43,8 @@ def dataset(
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # before numpy is loaded, so that workers inherit it
-    from twin.errors import InputError
-    from twin.study.dataset.create import SomeFailed, create_dataset
+    from twin.errors import InputError, SomeFailed
+    from twin.study.dataset.create import create_dataset
     from twin.study.recipe import find_scene
 
     names = [part.strip() for name in columns for part in name.split(",") if part.strip()]

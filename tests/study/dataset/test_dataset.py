@@ -11,7 +11,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -25,7 +27,9 @@ from twin.errors import InputError, RecipeError, TwinError
 from twin.results import write_whole
 from twin.study.batch.lock import only_writer
 from twin.study.check import check_path
+from twin.study.dataset import estimate
 from twin.study.dataset.plan import Plan
+from twin.study.dataset.work import ShardBytes
 
 
 @pytest.fixture(scope="module")
@@ -309,6 +313,38 @@ def test_the_command_line_makes_estimates_and_refuses(tmp_path: Path) -> None:
     assert (done.returncode, "allowed are 1 to" in done.stderr) == (2, True)
     done = subprocess.run([*twin_, "--samples", "3", "--columns", "forse_n"], capture_output=True, text=True)
     assert (done.returncode, "did you mean 'force_n'" in done.stderr) == (2, True)
+
+
+def test_samples_that_are_all_the_same_press_are_said(tmp_path: Path) -> None:
+    scene = small_scene(columns=("force_n",), vary={"material.youngs_modulus_mpa": {"low": 0.8, "high": 1.2}})
+    with pytest.warns(UserWarning, match=r"all 4 samples are the same one, on 2 made sensors.*press\.at_mm"):
+        make(tmp_path / "d", 4, scene)
+    assert twin.open_dataset(tmp_path / "d").column("force_n").std(axis=0).max() < 1e-12
+    assert "on one made sensor" in Plan(scene, 3).alike
+    assert Plan(scene, 1).alike == Plan(small_scene(), 4).alike == ""
+
+
+def test_time_is_estimated_from_cpu_seconds_of_samples_and_sensors(monkeypatch: pytest.MonkeyPatch) -> None:
+    cpu = [0.0]
+
+    def takes(*seconds: float) -> Callable[[Path, int], ShardBytes]:
+        def work(folder: Path, number: int) -> ShardBytes:
+            cpu[0] += seconds[number % len(seconds)]
+            return ShardBytes(b"", b"", 0, "")
+
+        return work
+
+    monkeypatch.setattr(estimate, "time", SimpleNamespace(process_time=lambda: cpu[0]))
+    monkeypatch.setattr(estimate, "make_shard", takes(10.0, 4.0, 7.0))  # begins, goes on, goes on with a new sensor
+    monkeypatch.setattr(estimate, "audit_sample", takes(2.0))
+    told = estimate.estimate(small_scene(columns=("force_n",)), 300, workers=2)
+    assert "300 on 100 sensors, in 150 files" in told[0]
+    assert "about 5 min with 2 workers" in told[-1]  # 6 + (300 x 1 + 99 x 3 + 3 x 2) / 2 s
+    assert "1 s of CPU a sample" in told[-1]
+    assert "6 s to begin, 3 s for each further sensor" in told[-1]
+    few = estimate.estimate(small_scene(columns=("force_n",), vary={}), 3)
+    assert "about 11 s with 1 worker" in few[-2]
+    assert "the same one" in few[-1]
 
 
 @pytest.mark.slow

@@ -70,7 +70,7 @@ def test_expected_fields_are_what_the_sensors_software_makes_of_noise_free_shift
     calibration = nominal_calibration(sensor, sensor.nominal_compliance.to_points(view.markers.points, sensor.sites))
     shadows = shadows_of(scene, view)
     assert shadows is not None
-    shift = under_test._shifts(scene, shadows, 0, bodies, pushes)[:, :, 0]
+    shift = np.add(*under_test._shifts(scene, shadows, 0, bodies, pushes))[:, :, 0]
     found = _found(view.pixels, shift, noise_of(scene, view, sweep) * shadows.doubt, calibration.layer)
     field = reconstruct(found, calibration, weight=figures["weight"])
     np.testing.assert_allclose(shown.force_n, field.force_n, atol=0.02 * np.abs(field.force_n).max())
@@ -85,7 +85,7 @@ def test_the_predicted_noise_of_the_total_is_that_of_many_noisy_pictures() -> No
     calibration = nominal_calibration(sensor, sensor.nominal_compliance.to_points(view.markers.points, sensor.sites))
     shadows = shadows_of(scene, view)
     assert shadows is not None
-    shift = under_test._shifts(scene, shadows, 0, bodies, pushes)[:, :, 0]
+    shift = np.add(*under_test._shifts(scene, shadows, 0, bodies, pushes))[:, :, 0]
     noise, rng = noise_of(scene, view, sweep) * shadows.doubt, np.random.default_rng(7)
     found = _found(view.pixels, shift, noise, calibration.layer)
     totals = []

@@ -9,6 +9,8 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -18,12 +20,14 @@ from small_sweep import TABLE, small
 
 import twin
 from benchmarks.sweep import ranked
+from twin.study.sweep import estimate
 from twin.study.sweep.best import write_best
 from twin.study.sweep.optimise import descend
 from twin.study.sweep.rank import agreement, best_first, pareto, scores
 from twin.study.sweep.report import write_report
 from twin.study.sweep.run import Swept, run_sweep
 from twin.study.sweep.table import Store
+from twin.study.sweep.work import Rows
 
 
 def table(folder: Path) -> dict[str, list[object]]:
@@ -63,38 +67,47 @@ def test_a_killed_sweep_resumes_to_the_same_table(finished: Path, tmp_path: Path
     assert not list(tmp_path.glob(".*.part"))
 
 
-@pytest.mark.slow
-def test_a_sweep_killed_at_any_time_resumes_to_the_same_table_on_any_number_of_workers(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    axes = {"markers.*.pitch_mm": {"low": 1.2, "high": 1.8, "steps": 40}, "camera.focal_px": [1700.0, 1814.8]}
-    path.write_text(tomli_w.dumps({**TABLE, "axes": axes, "derived": {}}))
+def command(sweep: Path, folder: Path, workers: str) -> subprocess.Popen[bytes]:
+    """Start a sweep in a session of its own, so that a kill takes its workers too."""
+    words = [sys.executable, "-m", "twin", "sweep", str(sweep), "--out", str(folder), "--workers", workers]
     environment = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parents[1])}
+    return subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, start_new_session=True)
 
-    def command(folder: str, workers: str) -> subprocess.Popen[bytes]:
-        words = [
-            sys.executable,
-            "-m",
-            "twin",
-            "sweep",
-            str(path),
-            "--out",
-            str(tmp_path / folder),
-            "--workers",
-            workers,
-        ]
-        return subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, start_new_session=True)
 
-    assert command("whole", "1").wait() == 0
-    rows = tmp_path / "killed" / "rows.jsonl"
-    for least in (1, 33):
-        running = command("killed", "2")
+FULL = {"fidelity": ["closed", "linear", "full"], "confirm": {"full": 3}, "sensors": 1}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fidelity", "steps", "kills"),
+    [({}, 40, (1, 33)), (FULL, 3, (6, 7, 8))],  # full: six linear rows, then pictures of one design after another
+    ids=["linear", "pictures"],
+)
+def test_a_sweep_killed_at_any_time_resumes_to_the_same_table_on_any_number_of_workers(
+    fidelity: dict[str, Any], steps: int, kills: tuple[int, ...], tmp_path: Path
+) -> None:
+    path, killed, whole = tmp_path / "mine.toml", tmp_path / "killed", tmp_path / "whole"
+    axes = {"markers.*.pitch_mm": {"low": 1.2, "high": 1.8, "steps": steps}, "camera.focal_px": [1700.0, 1814.8]}
+    path.write_text(tomli_w.dumps({**TABLE, "axes": axes, "derived": {}, **fidelity}))
+    assert command(path, whole, "1").wait() == 0
+    rows = killed / "rows.jsonl"
+    for least in kills:
+        running = command(path, killed, "2")
         while running.poll() is None and (not rows.is_file() or rows.read_bytes().count(b"\n") < least):
             time.sleep(0.05)
         os.killpg(running.pid, signal.SIGKILL)
         running.wait()
-        assert not (tmp_path / "killed" / "designs.parquet").is_file(), "it was killed too late to test anything"
-    assert command("killed", "2").wait() == 0
-    assert table(tmp_path / "killed") == table(tmp_path / "whole")
+        assert not (killed / "designs.parquet").is_file(), "it was killed too late to test anything"
+    assert command(path, killed, "2").wait() == 0
+    assert table(killed) == table(whole)
+    assert {row["status"] for row in pq.read_table(killed / "designs.parquet").to_pylist()} == {"ok"}
+    for folder in ("shown", "best"):
+        assert contents(killed / folder) == contents(whole / folder)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return the bytes of every file of a folder; none if it is not there."""
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*"))}
 
 
 def test_rows_are_computed_once_whatever_the_order(finished: Path, tmp_path: Path) -> None:
@@ -218,6 +231,22 @@ def test_one_axis_and_nothing_possible_still_make_a_page(tmp_path: Path) -> None
     assert write_best(done, tmp_path) == []
     write_report(done, [], tmp_path)
     assert "None of 1 designs is possible" in (tmp_path / "report.html").read_text()
+
+
+def test_time_is_estimated_from_cpu_seconds_of_several_designs(monkeypatch: pytest.MonkeyPatch) -> None:
+    cpu = [0.0]
+
+    def rows(folder: Path, task: int) -> Rows:
+        cpu[0] += 5.0 if task == 0 else 2.0  # the first begins
+        return Rows([{"status": "ok", "error": ""}], [None], 0, 0)
+
+    monkeypatch.setattr(estimate, "time", SimpleNamespace(process_time=lambda: cpu[0]))
+    monkeypatch.setattr(estimate, "make_rows", rows)
+    told = estimate.estimate(*small(), workers=2)[-1]
+    assert "6 designs, about 9 s with 2 workers" in told
+    assert "2 s of CPU a design (of 4 tried), 3 s to begin" in told
+    alone = estimate.estimate(*small(axes={"markers.*.pitch_mm": [1.5]}, derived={}))[-1]
+    assert "1 design, about 5 s with 1 worker," in alone
 
 
 def test_the_command_says_what_it_would_do_and_refuses_what_it_cant(tmp_path: Path) -> None:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import json
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from twin.errors import InputError, TwinError
+from twin.errors import InputError
 from twin.parts.scene import Scene
 from twin.progress import Progress
 from twin.results import make_folder, write_whole
@@ -54,12 +55,6 @@ class Outcome:
     made: int
 
 
-class SomeFailed(TwinError):
-    """The dataset is there, but some of its samples failed (exit code 3)."""
-
-    exit_code = 3
-
-
 def create_dataset(
     scene: Scene,
     folder: Path,
@@ -90,6 +85,11 @@ def create_dataset(
         The scene can't be sampled.
     InputError
         The folder holds something else, another process is writing there, or the scheduler doesn't answer.
+
+    Warns
+    -----
+    UserWarning
+        Nothing of the press varies, so that all samples are the same one.
     """
     plan = Plan(scene, samples)
     plan.check()
@@ -97,6 +97,8 @@ def create_dataset(
         from twin.world.picture.room import require_room
 
         require_room(scene, at_once=min(workers, plan.shards))
+    if plan.alike:
+        warnings.warn(plan.alike, stacklevel=2)
     reach(scheduler)
     places = Places(folder)
     make_folder(folder)

@@ -1,10 +1,15 @@
-"""How large a dataset will be and how long it takes, from a few samples made here and thrown away."""
+"""How large a dataset will be and how long it takes, from a few samples made here and thrown away.
+
+The time is told from CPU seconds: those of the clock would be of whatever else the machine was doing meanwhile.
+"""
 
 from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 from twin.parts.scene import Scene
 from twin.progress import Progress
@@ -16,6 +21,8 @@ from twin.study.dataset.work import make_shard
 
 TRIED = 4
 
+T = TypeVar("T")
+
 
 def estimate(scene: Scene, samples: int, *, workers: int = 1, progress: Progress | None = None) -> list[str]:
     """Return lines that say what a dataset would hold, its size and the time it takes.
@@ -25,37 +32,51 @@ def estimate(scene: Scene, samples: int, *, workers: int = 1, progress: Progress
     RecipeError
         The scene can't be sampled.
     """
-    tried = scene.model_copy(update={"dataset": scene.dataset.model_copy(update={"samples_per_shard": TRIED})})
     plan = Plan(scene, samples)
     plan.check()
+    sensors, audits = plan.sensor_of(samples - 1) + 1, len(audited(samples, ()))
+    cut = {"samples_per_shard": TRIED, "samples_per_sensor": 2 * TRIED}
+    tried = scene.model_copy(update={"dataset": scene.dataset.model_copy(update=cut)})
     with tempfile.TemporaryDirectory(prefix="twin-estimate-") as name, one_thread():
         places = Places(Path(name))
         places.meta.mkdir()
-        prepare(Plan(tried, 2 * TRIED), places, progress)
+        prepare(Plan(tried, 3 * TRIED), places, progress)
         with unpacked(job_of(places)) as folder:
-            first = make_shard(folder, 0)
-            started = time.perf_counter()
-            shard = make_shard(folder, 1)
-            made = time.perf_counter()
-            audit_sample(folder, TRIED)
-            seconds, again = (made - started) / TRIED, time.perf_counter() - made
+            first, begun = _timed(make_shard, folder, 0)
+            shard, made = _timed(make_shard, folder, 1)
+            _, again = _timed(audit_sample, folder, TRIED)
+            another = _timed(make_shard, folder, 2)[1] if sensors > 1 else made
         beside = sum(path.stat().st_size for path in places.meta.iterdir())
     if progress is not None:
         progress("done", 1.0)
-    sensors, audits = plan.sensor_of(samples - 1) + 1, len(audited(samples, ()))
+    each, start, sensor = made / TRIED, max(begun - made, 0.0), max(another - made, 0.0)
+    shared = samples * each + (sensors - 1) * sensor + audits * again
     size = len(shard.samples) / TRIED * samples + len(first.sensors or b"") * sensors + beside
-    with_workers = f"{workers} worker{'s' if workers > 1 else ''}"
     lines = [
-        f"samples     {samples} on {sensors} sensor{'s' if sensors > 1 else ''}, in {plan.shards} files",
+        f"samples     {samples} on {counted(sensors, 'sensor')}, in {counted(plan.shards, 'file')}",
         f"columns     {', '.join(c.name for c in plan.columns)}",
-        f"varies      {', '.join(sorted(scene.vary)) or 'nothing: every sample is the same press'}",
+        f"varies      {', '.join(sorted(scene.vary)) or 'nothing'}",
         f"size        about {_bytes(size)}",
-        f"time        about {_duration((samples * seconds + audits * again) / workers)} with {with_workers}, "
-        f"from {TRIED} samples at {seconds:.3g} s each; {audits} are computed again, {again:.2g} s each",
+        f"time        about {_duration(start + shared / workers)} with {counted(workers, 'worker')}, a free core each: "
+        f"{each:.3g} s of CPU a sample (of {TRIED} tried), {again:.2g} s for each of the {audits} computed again, "
+        f"{start:.2g} s to begin" + (f", {sensor:.2g} s for each further sensor" if sensors > 1 else ""),
     ]
+    if plan.alike:
+        lines.append(f"warning     {plan.alike}")
     if shard.failed:
         lines.append(f"failures    {shard.failed} of {TRIED} tried: {shard.reason}")
     return lines
+
+
+def _timed(work: Callable[..., T], *arguments: Any) -> tuple[T, float]:
+    """Return what work gives, and the CPU seconds that it takes."""
+    started = time.process_time()
+    return work(*arguments), time.process_time() - started
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number of things in words."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def _bytes(count: float) -> str:

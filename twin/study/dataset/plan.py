@@ -94,6 +94,19 @@ class Plan:
         return {k: v for k, v in self.scene.vary.items() if k not in self.press_axes}
 
     @property
+    def alike(self) -> str:
+        """Why all samples are of one press, and how to make them differ; empty where they do, or there is but one."""
+        if self.press_axes or self.samples == 1:
+            return ""
+        sensors = self.sensor_of(self.samples - 1) + 1
+        where = "one made sensor" if sensors == 1 else f"{sensors} made sensors"
+        example = "at_mm" if self.pushed_by == "press" else "0.centre_mm"
+        return (
+            f"vary: nothing of the {self.pushed_by} varies, so that all {self.samples} samples are the same one, on "
+            f'{where}; say what differs, such as [vary."{self.pushed_by}.{example}"] with low and high'
+        )
+
+    @property
     def drawn_columns(self) -> tuple[Column, ...]:
         """A column for every axis of the samples."""
         return drawn_columns(self.press_axes)

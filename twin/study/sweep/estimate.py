@@ -1,9 +1,11 @@
-"""What a sweep would do and how long it takes, from a few designs made here and thrown away."""
+"""What a sweep would do and how long it takes, from a few designs made here and thrown away.
+
+The time is told from CPU seconds: those of the clock would be of whatever else the machine was doing meanwhile.
+"""
 
 from __future__ import annotations
 
 import json
-import tempfile
 import time
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from twin.arrays import Ints
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.study.batch.job import Job, one_thread, unpacked
+from twin.study.dataset.estimate import counted
 from twin.study.recipe import dump_scene
 from twin.study.sweep.closed import closed
 from twin.study.sweep.designs import Designs, designs_of
@@ -39,18 +42,24 @@ def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[str]:
             continue
         most = sweep.confirm.linear if stage == "linear" else sweep.confirm.full
         left = min(left, most) if most and stage != sweep.ladder[0] else left
-        tried = good[:: max(1, len(good) // (TRIED[stage] + 1))][: TRIED[stage] + 1]
+        tried = good[:: max(1, len(good) // TRIED[stage])][: TRIED[stage]]
         told = {
             "sweep": sweep.model_dump(mode="json"), "stage": stage, "chunk": 1,
-            "designs": [designs.values(int(n)) for n in tried],
+            "designs": [designs.values(int(n)) for n in (tried[0], *tried)],  # the first twice: it begins
         }  # fmt: skip
         files = {"sweep.json": json.dumps(told).encode(), "scene.toml": dump_scene(scene).encode()}
-        with tempfile.TemporaryDirectory(), one_thread(), unpacked(Job(files=files, work=WORK)) as folder:
+        with one_thread(), unpacked(Job(files=files, work=WORK)) as folder:
+            began = time.process_time()
             make_rows(Path(folder), 0)
-            started = time.perf_counter()
-            rows = [make_rows(Path(folder), k).rows[0] for k in range(1, len(tried))]
-            each = (time.perf_counter() - started) / max(len(rows), 1)
-        lines.append(f"{stage:11s} {left} designs, about {left * each / workers:.3g} s at {each:.3g} s each")
+            started = time.process_time()
+            rows = [make_rows(Path(folder), k).rows[0] for k in range(1, 1 + len(tried))]
+            each, start = (time.process_time() - started) / len(rows), started - began
+        start = max(start - each, 0.0)
+        lines.append(
+            f"{stage:11s} {counted(left, 'design')}, about {start + left * each / workers:.3g} s with "
+            f"{counted(workers, 'worker')}, a free core each: {each:.3g} s of CPU a design (of {len(rows)} tried), "
+            f"{start:.2g} s to begin"
+        )
         lines += [f"            {row['status']}: {row['error']}" for row in rows if row["status"] != "ok"]
     return lines
 

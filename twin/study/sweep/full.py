@@ -61,7 +61,7 @@ def full(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> tuple[di
     InputError
         The pictures show too little to track.
     """
-    chosen = _loads(sweep, pushes)
+    chosen = pushes.asked(sweep.loads.pair_mm)
     made = [
         _Made(Sensor(seeded(scene, number)), sweep, bodies, pushes, chosen).seen(scene)
         for number in range(sweep.sensors)
@@ -74,7 +74,8 @@ def full(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> tuple[di
     profiles = [Profiles(scene, grid, field) for one in made for field in one.forces]
     widths = np.reshape([each.width(0) for each in profiles], off.shape[:2])
     pair = len(pushes.pair_mm) > 0
-    dips = [dip(*each.along(len(chosen) - 1, 0), _pair_mm(sweep, pushes)) if pair else np.nan for each in profiles]
+    apart = float(pushes.pair_mm[pushes.nearest(sweep.loads.pair_mm)]) if pair else float("nan")
+    dips = [dip(*each.along(len(chosen) - 1, 0), apart) if pair else np.nan for each in profiles]
     spread = [one.spread for one in made if one.spread is not None]
     figures = {
         "total_force_error": float(np.sqrt(np.mean(off**2))),
@@ -206,18 +207,6 @@ def _exposed(sensor: Sensor, light: Singles, number: int) -> Picture:
 
     noise = stream(sensor.nominal.seed, Purpose.EXPOSURE, number)
     return expose(light, sensor.nominal.ccd, noise, sensor.pattern)
-
-
-def _loads(sweep: Sweep, pushes: Pushes) -> list[int]:
-    """Return the loads that are shown: the middle, the presses, and the pair at the wanted distance."""
-    singles = list(range(1 + pushes.presses))
-    if not len(pushes.pair_mm):
-        return singles
-    return [*singles, 1 + pushes.presses + int(np.argmin(np.abs(pushes.pair_mm - sweep.loads.pair_mm)))]
-
-
-def _pair_mm(sweep: Sweep, pushes: Pushes) -> float:
-    return float(pushes.pair_mm[np.argmin(np.abs(pushes.pair_mm - sweep.loads.pair_mm))])
 
 
 def _motion(sensor: Sensor, bodies: Bodies, pushes: Pushes, load: int) -> Motion:

@@ -82,15 +82,16 @@ def linear(scene: Scene, view: View, sweep: Sweep, bodies: Bodies, pushes: Pushe
     sites = on_grid(scene.body, grid, grid.pitch_mm / 2, "reconstruction.sites")
     _require_cover(scene, pushes)
     shadows = shadows_of(scene, view) if sweep.noise_px is None else None
-    spread = noise_of(scene, view, sweep) * (1.0 if shadows is None else shadows.doubt)
-    used = view.usable & (spread > 0) & np.isfinite(spread)
+    even = noise_of(scene, view, sweep)
+    spread, told = (even, even) if shadows is None else (even * shadows.spread, even * shadows.doubt)
+    used = view.usable & (told > 0) & np.isfinite(told)
     if used.sum() < 2:
         raise RecipeError(f"only {int(used.sum())} of {len(used)} markers are usable in the picture")
     noise = np.zeros(len(used))
-    noise[used] = in_classes(spread[used])  # as the software weighs markers
+    noise[used] = in_classes(told[used])  # as the software weighs markers
     known = _problem(scene, view, noise, used, sites, bodies)
     sensors = [_shifts(scene, shadows, number, bodies, pushes) for number in range(sweep.sensors)]
-    loads = np.concatenate(sensors, axis=2)
+    loads = np.concatenate([shifts + pulled for shifts, pulled in sensors], axis=2)
     whitened = np.where(used[:, None, None], loads / np.where(used, noise, 1.0)[:, None, None], 0.0)
     reduced = known.info.reduced(known.folded(whitened))
     singles = 1 + pushes.presses
@@ -107,7 +108,8 @@ def linear(scene: Scene, view: View, sweep: Sweep, bodies: Bodies, pushes: Pushe
         "directions": float((singular**2 > max(weight, 1e-300)).sum()),
         "weight": weight * 2.0 * mean_noise**2,
         "markers_seen": float(used.sum()),
-        "sd_px": float(np.sqrt(np.mean(spread[used] ** 2))),
+        "sd_px": _off_px(spread[used], [pulled[used] for _, pulled in sensors], pushes.asked(sweep.loads.pair_mm)),
+        "told_sd_px": float(np.sqrt(np.mean(told[used] ** 2))),
         "noise_px": float(np.median(spread[used])),
         "range_n": _range(scene, view, sweep, loads[:, :, 0]),
         "frame_ms": MARKER_MS * len(used) + ENTRY_MS * 6 * len(used) * len(sites),
@@ -167,8 +169,16 @@ def _problem(scene: Scene, view: View, noise: Floats, used: Bools, sites: Rectan
     return _Problem(info=info, signs=signs, layers=quarters)
 
 
-def _shifts(scene: Scene, shadows: Shadows | None, number: int, bodies: Bodies, pushes: Pushes) -> Floats:
-    """Return (n, 2, loads) noise-free shifts of a made sensor's markers, px, with the pull of shadows."""
+def _off_px(spread: Floats, pulled: list[Floats], asked: list[int]) -> float:
+    """Return by how much shifts are off, per axis: by noise of (n,) standard deviations, and by the pull of shadows."""
+    pull = [np.mean(each[:, :, asked] ** 2) for each in pulled]
+    return float(np.sqrt(np.mean(spread**2) + np.mean(pull)))
+
+
+def _shifts(
+    scene: Scene, shadows: Shadows | None, number: int, bodies: Bodies, pushes: Pushes
+) -> tuple[Floats, Floats]:
+    """Return (n, 2, loads) noise-free shifts of a made sensor's markers, and how far shadows pull them besides, px."""
     actual = make(seeded(scene, number))
     points, camera = actual.markers.points, actual.scene.camera
     assert camera is not None
@@ -177,7 +187,7 @@ def _shifts(scene: Scene, shadows: Shadows | None, number: int, bodies: Bodies, 
     everywhere = points[:, :, None] + moved.reshape(len(points), 3, -1)
     seen = project(everywhere.transpose(0, 2, 1).reshape(-1, 3), *optics).reshape(len(points), -1, 2)
     shifts = np.nan_to_num(seen - project(points, *optics)[:, None]).transpose(0, 2, 1)
-    return shifts if shadows is None else shifts + shadows.pulled(moved.reshape(len(points), 3, -1))
+    return shifts, np.zeros_like(shifts) if shadows is None else shadows.pulled(moved.reshape(len(points), 3, -1))
 
 
 def seeded(scene: Scene, number: int) -> Scene:

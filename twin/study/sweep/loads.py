@@ -59,6 +59,15 @@ class Pushes:
     presses: int
     pair_mm: Floats
 
+    def asked(self, pair_mm: float) -> list[int]:
+        """Return the loads that the full chain takes: the middle, the presses, and the pair nearest to a distance."""
+        singles = list(range(1 + self.presses))
+        return [*singles, 1 + self.presses + self.nearest(pair_mm)] if len(self.pair_mm) else singles
+
+    def nearest(self, pair_mm: float) -> int:
+        """Return the number of the pair whose distance is nearest to one."""
+        return int(np.argmin(np.abs(self.pair_mm - pair_mm)))
+
     def rectangles(self, load: int) -> Rectangles:
         """Return the patches that push under a load."""
         force = self.loads[load]

@@ -35,12 +35,15 @@ class Shadows:
 
     Attributes
     ----------
+    spread
+        (n,) standard deviation of a marker's tracked centre, over that of one in full light.
     doubt
-        (n,) standard deviation that the tracker tells of a marker, over that of one in full light.
+        (n,) that which the tracker tells of it: more, where the fit at rest leaves more than noise explains.
     marker, neighbour, pull_px_per_mm
         (m,), (m,) and (m, 2, 3): a marker's seeming motion for a neighbour's motion relative to it.
     """
 
+    spread: Floats
     doubt: Floats
     marker: Ints
     neighbour: Ints
@@ -93,12 +96,13 @@ def shadows_of(scene: Scene, view: View) -> Shadows | None:
         layer, points, radius, view.diameter_px[seen] / 2, np.array([each.kind == "bead" for each in kinds])[layer],
         _across(jacobian), towards, way, share * shine, ambient, found.first, found.members, noise**2, blur,
     )  # fmt: skip
-    doubt = np.ones(len(view.markers))
+    spread, doubt = np.ones((2, len(view.markers)))
+    spread[seen] = np.sqrt(told[:, SPREAD])
     for number in np.unique(layer):
         part = layer == number
         bad = told[part, MISFIT] / max(np.quantile(told[part, MISFIT], 0.25), 1.0) - UNUSUAL
-        doubt[seen[part]] = np.sqrt(told[part, SPREAD] * (1.0 + DOUBT * np.maximum(bad, 0.0)))
-    return Shadows(doubt=doubt, marker=seen[marker], neighbour=seen[neighbour], pull_px_per_mm=pull)
+        doubt[seen[part]] = spread[seen[part]] * np.sqrt(1.0 + DOUBT * np.maximum(bad, 0.0))
+    return Shadows(spread=spread, doubt=doubt, marker=seen[marker], neighbour=seen[neighbour], pull_px_per_mm=pull)
 
 
 def _across(jacobian: Floats) -> Floats:
