@@ -2,9 +2,10 @@
 
 IN holds the height of a rigid profile over its lowest point at the middles of n by n cells, (n, n) mm; the side of the
 square they fill, mm; the half-space's plane-strain modulus, MPa; the total force, N; and the tolerance. OUT gets the
-(n, n) pressures, MPa, the indentation, mm, and CPU seconds, not of the imports: of model, solution and what the
-indentation is read off, and of the solution alone, its model, operator and solver at hand. Each is the median of up to
-nine runs, each with a model of its own.
+(n, n) pressures, MPa, the indentation, mm, the total force, N, and torques about x and y at the middle, N mm, and CPU
+seconds, not of the imports: of model, solution, what the indentation is read off and what the pressures add up to, and
+of the solution alone, its model, operator and solver at hand. Each is the median of up to 199 runs, each with a
+model of its own.
 
 tamaas (https://gitlab.com/tamaas/tamaas, AGPL-3.0) is periodic by default; its non-periodic Boussinesq operator (DCFFT)
 takes the profile as alone on a half-space.
@@ -16,13 +17,13 @@ import time
 import numpy as np
 import tamaas as tm
 
-RUNS, ENOUGH_S = 9, 1.0
+RUNS, ENOUGH_S = 199, 1.0
 
 
 def solved(
     height: np.ndarray, side: float, modulus: float, force: float, tolerance: float
-) -> tuple[np.ndarray, float, float, float]:
-    """Return pressures, indentation, and CPU seconds of all and of the solution alone."""
+) -> tuple[np.ndarray, float, np.ndarray, float, float]:
+    """Return pressures, indentation, force and torques about x and y, and CPU seconds of all and of the solution."""
     start = time.process_time()
     model = tm.ModelFactory.createModel(tm.model_type.basic_2d, [side, side], list(height.shape))
     model.E, model.nu = modulus, 0.0
@@ -37,7 +38,12 @@ def solved(
     moved = np.zeros_like(pressure)
     model.operators["dcfft"](pressure, moved)
     touching = pressure > 0
-    return pressure, float(np.mean((moved + height)[touching])), time.process_time() - start, solution
+    indentation = float(np.mean((moved + height)[touching]))
+    cell = side / len(pressure)
+    middles = (np.arange(len(pressure)) + 0.5) * cell - side / 2
+    along_x, along_y = pressure.sum(axis=1), pressure.sum(axis=0)
+    resultant = cell**2 * np.array([along_x.sum(), along_y @ middles, -along_x @ middles])
+    return pressure, indentation, resultant, time.process_time() - start, solution
 
 
 if __name__ == "__main__":
@@ -47,7 +53,10 @@ if __name__ == "__main__":
     small = np.add.outer(*[np.linspace(-1.0, 1.0, 16) ** 2] * 2)
     solved(small, 2.0, 1.0, 0.5, 1e-6)  # what the first run loads isn't counted
     runs = []
-    while len(runs) < RUNS and sum(run[2] for run in runs) < ENOUGH_S:
+    while len(runs) < RUNS and sum(run[3] for run in runs) < ENOUGH_S:
         runs.append(solved(np.ascontiguousarray(given["height"]), *scalars))
-    whole, solution = np.median([run[2:] for run in runs], axis=0)
-    np.savez(sys.argv[2], pressure=runs[0][0], indentation=runs[0][1], cpu_s=whole, solution_s=solution)
+    whole, solution = np.median([run[3:] for run in runs], axis=0)
+    pressure, indentation, resultant = runs[0][:3]
+    np.savez(
+        sys.argv[2], pressure=pressure, indentation=indentation, resultant=resultant, cpu_s=whole, solution_s=solution
+    )  # fmt: skip

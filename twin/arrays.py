@@ -60,5 +60,5 @@ AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 
 def frozen(array: AnyArray) -> AnyArray:
     """Mark an array read-only and return it: results are facts, not scratch space."""
-    array.flags.writeable = False
+    array.setflags(write=False)
     return array

@@ -85,7 +85,10 @@ def _fill(centre: Floats, frames: Floats, half: Floats, unit: float, out: Floats
     kernel, a, b = np.empty((shape[0], shape[1])), half[0, 0], half[0, 1]
     for u in range(shape[0]):
         for v in range(shape[1]):
-            kernel[u, v] = unit * _mean(2.0 * a * u, 2.0 * b * v, a, b)
+            if a == b and v < u < shape[1]:  # of squares as far the other way round
+                kernel[u, v] = kernel[v, u]
+            else:
+                kernel[u, v] = unit * _mean(2.0 * a * u, 2.0 * b * v, a, b)
     for i in range(k):
         u, v = cell[i]
         for j in range(k):

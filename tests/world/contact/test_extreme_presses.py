@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.contact import BLOCK, HalfSpace
+from benchmarks.flat import BLOCK, HalfSpace
 from twin.errors import TwinError
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step
 from twin.parts.probe import Probe

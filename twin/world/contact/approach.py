@@ -156,13 +156,14 @@ def approach(
     axes = np.eye(3) if axes is None else axes
     at = np.zeros(3)
     at[: len(at_mm)] = at_mm
-    turned = np.eye(3) if turn is None else rotation_of(turn)
+    turned = None if turn is None else rotation_of(turn)
     a, b = half_extent(probe, tilt_deg)
     reach = math.hypot(a, b)
-    upright = not isinstance(probe, Stl) and not any(tilt_deg) and turned[2, 2] == 1.0
+    upright = not isinstance(probe, Stl) and not any(tilt_deg) and (turned is None or turned[2, 2] == 1.0)
     if upright and axes[2, 2] == 1.0 and body.is_level_around(float(at[0]), float(at[1]), reach):
         at[2] = 0.0
         return Approach(probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg, level=True)
+    turned = np.eye(3) if turned is None else turned
     meets, half = meeting(body, axes[2]), np.full(2, reach) if isinstance(probe, Pillar) else np.array((a, b))
     centre, height, touch, on_sensing = np.zeros(2), np.inf, np.full(2, np.nan), True
     shape, along = shape_of(probe, tilt_deg), np.broadcast_to(turned[2], (_ACROSS**2, 3))

@@ -68,6 +68,14 @@ def _area(
 
 
 @njit(cache=True)
+def _inner(one: Floats, other: Floats) -> float:
+    total = 0.0
+    for i in range(len(one)):
+        total += one[i] * other[i]
+    return total
+
+
+@njit(cache=True)
 def _fitted(place: Floats, pressure: Floats, used: Ints, fourth: bool) -> tuple[Floats, float]:
     """Return (6,) or (7,) coefficients of the polynomial nearest to squared pressures, and the size it is scaled by.
 
@@ -89,14 +97,16 @@ def _fitted(place: Floats, pressure: Floats, used: Ints, fourth: bool) -> tuple[
         if fourth:
             terms[6, i] = (u * u + v * v) ** 2
         terms[count, i] = (pressure[used[i]] / most) ** 2
-    whole = np.sqrt((terms * terms).sum(axis=1))
+    whole = np.array([math.sqrt(_inner(term, term)) for term in terms])
     for a in range(count):
-        own = math.sqrt((terms[a] * terms[a]).sum())
+        own = math.sqrt(_inner(terms[a], terms[a]))
         triangle[a, a] = own if own > _OWN * whole[a] else math.inf
-        terms[a] /= triangle[a, a]
+        for i in range(len(used)):
+            terms[a, i] /= triangle[a, a]
         for b in range(a + 1, count + 1):
-            triangle[a, b] = (terms[a] * terms[b]).sum()
-            terms[b] -= triangle[a, b] * terms[a]
+            triangle[a, b] = _inner(terms[a], terms[b])
+            for i in range(len(used)):
+                terms[b, i] -= triangle[a, b] * terms[a, i]
     found = np.zeros(count)
     for a in range(count - 1, -1, -1):
         found[a] = (triangle[a, count] - (triangle[a, a + 1 : count] * found[a + 1 :]).sum()) / triangle[a, a]

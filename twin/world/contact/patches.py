@@ -216,16 +216,15 @@ def _bordering(middle: Floats, cell: Floats, box: Corners, limit: tuple[float, f
     outside, outer = np.zeros(len(middle), np.bool_), np.zeros(len(middle), np.bool_)
     near = 1e-6 * max(limit[0], limit[1]) if flat else 0.0
     for i in range(len(middle)):
-        across = np.empty(2)
+        squared = 0.0
         for axis in range(2):
             reach = cell[i, axis] * (1 + 1e-6)
             if not flat or low[axis] > near - limit[axis]:
                 outer[i] = outer[i] or middle[i, axis] - reach <= low[axis]
             if not flat or high[axis] < limit[axis] - near:
                 outer[i] = outer[i] or middle[i, axis] + reach >= high[axis]
-            half = (high[axis] - low[axis]) / 2
-            across[axis] = (middle[i, axis] - (low[axis] + high[axis]) / 2) / half
-        outside[i] = not flat and math.hypot(across[0], across[1]) > 1.0
+            squared += ((middle[i, axis] - (low[axis] + high[axis]) / 2) / ((high[axis] - low[axis]) / 2)) ** 2
+        outside[i] = not flat and squared > 1.0
     if not flat:
         outer |= _touching(middle, cell, outside)
     return outside, outer
@@ -245,5 +244,9 @@ def _in_plane(
     for n, i in enumerate(rows):
         for axis in range(3):
             centre[n, axis] = origin_mm[axis] + (middle[i, 0] * axes[0, axis] + middle[i, 1] * axes[1, axis])
-        frames[n], kept[n], half[n], border[n] = axes, middle[i], cell[i], outer[i]
+            for side in range(3):
+                frames[n, side, axis] = axes[side, axis]
+        for side in range(2):
+            kept[n, side], half[n, side] = middle[i, side], cell[i, side]
+        border[n] = outer[i]
     return centre, frames, kept, half, border

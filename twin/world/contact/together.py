@@ -6,9 +6,10 @@ probes are no case of their own anywhere: the solvers see more patches and more 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate, pairwise
 from typing import Protocol
 
 import numpy as np
@@ -93,7 +94,7 @@ class Setting:
         """The rigid probe."""
         return self.first.probe
 
-    @property
+    @cached_property
     def face(self) -> Face:
         """The probe, if its flat face bounds the contact."""
         return self.probe if self.first.is_flat and isinstance(self.probe, Cylinder | Pillar) else None
@@ -182,13 +183,14 @@ class Contacts:
         """The patches of all probes, k in all."""
         return joined(self.grids)
 
-    @property
-    def rows(self) -> Iterator[tuple[Setting, slice, slice]]:
+    @cached_property
+    def rows(self) -> tuple[tuple[Setting, slice, slice], ...]:
         """Every probe with its piece of the patches and of the place."""
-        start = 0
-        for number, (setting, grid) in enumerate(zip(self.settings, self.grids, strict=True)):
-            yield setting, slice(start, start + len(grid)), slice(MOTIONS * number, MOTIONS * (number + 1))
-            start += len(grid)
+        ends = list(accumulate(map(len, self.grids), initial=0))
+        return tuple(
+            (setting, slice(first, end), slice(MOTIONS * number, MOTIONS * (number + 1)))
+            for number, (setting, (first, end)) in enumerate(zip(self.settings, pairwise(ends), strict=True))
+        )
 
     @cached_property
     def owner(self) -> Ints:
