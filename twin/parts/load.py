@@ -65,6 +65,12 @@ class Traction:
         Total force, N; exact.
     torque_nmm
         Total torque of a twist about the inward normal at the centre, N mm, positive from x to y; exact.
+
+    Raises
+    ------
+    InputError
+        A number is not finite, a size is not positive, or the centre is neither two numbers nor three. Whether the
+        footprint lies on the sensing surface is asked when it meets a body.
     """
 
     kind: Literal["rectangle", "disk", "bump", "twist"]
@@ -107,7 +113,17 @@ class Traction:
 
 @dataclass(frozen=True)
 class Load:
-    """A sum of tractions on the sensing surface."""
+    """A sum of tractions on the sensing surface; loads add with ``+`` and ``sum``.
+
+    Attributes
+    ----------
+    terms
+        Footprints given by `Traction`, and the rectangles that a solved press left (`ContactState.load`).
+
+    Notes
+    -----
+    *Validity*: small strain, where the displacement under a sum is the sum of the displacements.
+    """
 
     terms: tuple[Traction | Rectangles, ...] = ()
 

@@ -18,7 +18,7 @@ from twin.parts.stl_file import StlFile
 
 
 class Sphere(Part):
-    """A rigid sphere."""
+    """A rigid sphere of ``diameter_mm``."""
 
     kind: Literal["sphere"] = "sphere"
     diameter_mm: Size

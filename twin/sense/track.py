@@ -124,6 +124,11 @@ class Tracker:
     ----------
     rest_image, layout, options
         As for `track`.
+
+    Raises
+    ------
+    InputError
+        Pictures, layout or options that can't be used; a later picture of another size than the rest picture's.
     """
 
     def __init__(
