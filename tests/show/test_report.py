@@ -411,3 +411,16 @@ def test_what_is_under_the_probe_is_drawn(full: RunResult, friction: float, word
     section = page[page.index("Under the probe") : page.index("<h2>Forces")]
     assert section.count("<rect") == 16
     assert section.count('class="dot blue"') == (4 if friction else 0)
+
+
+def test_long_numbers_beside_a_drawing_do_not_touch_the_axis_name() -> None:
+    def room(top: float) -> tuple[float, float]:
+        """Return where the drawing begins and where the axis's name stands, in view units."""
+        svg = plots.drawing(plots.Axes(left=0, right=1, bottom=0, top=top, height=100), "", "x", "y", "")
+        (begin,), (name,) = re.findall(r'viewBox="(-?\d+) ', svg), re.findall(r'x="(-?\d+)"[^>]*rotate', svg)
+        return float(begin), float(name)
+
+    assert room(1.0) == (0.0, 14.0)
+    begin, name = room(0.01)  # ticks such as 0.002
+    assert name - begin == 14.0
+    assert name < 14.0

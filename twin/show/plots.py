@@ -22,6 +22,9 @@ VIEW = 480
 LEFT, RIGHT, TOP, BOTTOM = 54, 10, 8, 44
 """Margins for tick labels and axis names; wide enough for the larger letters that a phone is given."""
 
+FIT, WIDE = 4, 8
+"""Letters of the vertical axis's ticks that fit the left margin beside the axis's name, and the width of each more."""
+
 SHORTEST = 0.3
 """Arrows below this many view units are not drawn: they can't be seen and their direction is noise."""
 
@@ -100,17 +103,19 @@ def drawing(axes: Axes, content: str, across: str, up: str, label: str) -> str:
         x, _ = axes.place(np.array([[value, axes.top]]))[0]
         marks.append(f"M{x:.1f} {floor:.1f}v4")
         text.append(f'<text x="{x:.1f}" y="{floor + 18:.1f}" text-anchor="middle">{value:g}</text>')
-    for value in ticks(axes.bottom, axes.top, 5):
+    upwards = ticks(axes.bottom, axes.top, 5)
+    more = WIDE * max(0, max((len(f"{value:g}") for value in upwards), default=0) - FIT)
+    for value in upwards:
         _, y = axes.place(np.array([[axes.left, value]]))[0]
         marks.append(f"M{LEFT} {y:.1f}h-4")
         text.append(f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>')
     middle = TOP + axes.height / 2
     text.append(f'<text x="{(LEFT + right) / 2}" y="{height - 5:.1f}" text-anchor="middle">{escape(across)}</text>')
-    turned = f'x="14" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 14 {middle:.1f})"'
+    turned = f'x="{14 - more}" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 {14 - more} {middle:.1f})"'
     text.append(f"<text {turned}>{escape(up)}</text>")
     frame = f"M{LEFT} {TOP}H{right}V{floor:.1f}H{LEFT}z{''.join(marks)}"
     return (
-        f'<svg viewBox="0 0 {VIEW} {height:.0f}" role="img" aria-label="{escape(label)}">{content}'
+        f'<svg viewBox="{-more} 0 {VIEW + more} {height:.0f}" role="img" aria-label="{escape(label)}">{content}'
         f'<path class="frame" d="{frame}"/>{"".join(text)}</svg>'
     )
 

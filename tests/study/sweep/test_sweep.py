@@ -26,6 +26,7 @@ from twin.study.sweep.optimise import descend
 from twin.study.sweep.rank import agreement, best_first, pareto, scores
 from twin.study.sweep.report import write_report
 from twin.study.sweep.run import Swept, run_sweep
+from twin.study.sweep.sites import advice
 from twin.study.sweep.table import Store
 from twin.study.sweep.work import Rows
 
@@ -219,6 +220,12 @@ def test_sites_that_hold_designs_back_are_said_and_rank_nothing(tmp_path: Path) 
     assert "set reconstruction.sites.pitch_mm = 0.75" in done.warnings[0]
     assert not any(note.startswith("two_point_mm") for note in done.notes)
     assert "reconstruction.sites.pitch_mm = 0.75" in _page(done, tmp_path)
+
+
+def test_sites_that_are_fine_enough_for_the_target_are_not_to_be_made_coarser() -> None:
+    assert "set reconstruction.sites.pitch_mm = 0.75 or less" in advice(2.6, 2.0)
+    assert "all that is asked (4 mm)" in advice(2.0, 4.0)
+    assert "set reconstruction" not in advice(2.0, 4.0)
 
 
 def _page(done: Swept, folder: Path) -> str:

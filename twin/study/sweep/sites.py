@@ -53,8 +53,11 @@ def limited(two_point_mm: Floats, sites_mm: Floats) -> Bools:
 
 
 def advice(sites_mm: float, wanted_mm: float) -> str:
-    """Return what to set so that sites tell what is wanted."""
+    """Return what the sites tell, and what to set where that is less than what is wanted."""
+    told = f"the sites' pitch tells two points from {sites_mm:.3g} mm on"
+    if sites_mm <= wanted_mm:
+        return f"{told}, which is all that is asked ({wanted_mm:.3g} mm); finer sites under [set] would rank them"
     return (
-        f"the sites' pitch tells two points from {sites_mm:.3g} mm on; set reconstruction.sites.pitch_mm = "
-        f"{FINE * wanted_mm:.2g} or less under [set], with more columns and rows to cover the presses"
+        f"{told}; set reconstruction.sites.pitch_mm = {FINE * wanted_mm:.2g} or less under [set], with more columns "
+        "and rows to cover the presses"
     )
