@@ -5,7 +5,7 @@ by motion. A component that is given in ``force_n`` or ``torque_nmm`` is held by
 ``turn_deg`` by motion, and one in neither stays where it is.
 
 Components count along the global axes; with ``axes = "probe"`` along the probe's own, whose z is its direction of
-approach (`Press.frame`). A probe that comes along a global axis can be controlled in either; one that comes obliquely
+approach (`frame_of`). A probe that comes along a global axis can be controlled in either; one that comes obliquely
 and is held by force in some directions and by motion in others needs its own axes.
 """
 
@@ -143,9 +143,10 @@ class Press(Part):
     direction
         Way of approach: None is +z; any vector in global axes; or ``normal``, the surface's inward normal at the place.
     tilt_deg
-        Turn of the probe against its direction of approach before it comes: about its own x, then y, then z.
+        Turn of the probe against its direction of approach before it comes: about its own x, then y, then z,
+        which stay as its direction of approach makes them (`frame_of`).
     axes
-        Axes of the components in the steps: ``global``, or the ``probe``'s own (`frame`).
+        Axes of the components in the steps: ``global``, or the ``probe``'s own (`frame_of`).
     steps
         The path. ``force_n`` (three numbers) or ``indentation_mm`` (a motion along the direction from first touch) are
         shorthand for a path of one step; without friction a side force of 0 there means that the probe is guided.

@@ -431,9 +431,9 @@ def test_under_a_cover_of_another_material_contacts_with_friction_are_searched(m
 
     searches, find = list[object](), rubbing.find_contact
 
-    def finding(*given: object) -> object:
+    def finding(*given: object, **named: object) -> object:
         searches.append(given)
-        return find(*given)  # type: ignore[arg-type]
+        return find(*given, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(rubbing, "find_contact", finding)
     rough = Press(probe=Sphere(diameter_mm=5), at_mm=(0, 0), force_n=(None, None, 0.05), friction=0.5)

@@ -23,6 +23,10 @@ Face = Cylinder | Pillar | None
 """The probe whose flat face bounds the contact; None where nothing but the contact itself does."""
 
 
+LONG = 3.0
+"""Length over width of a box from which on no ellipse is cut out of it."""
+
+
 class Box(NamedTuple):
     """The piece (u0, u1, v0, v1) of a plane in which contact is sought, mm."""
 
@@ -35,6 +39,11 @@ class Box(NamedTuple):
     def size(self) -> tuple[float, float]:
         """Extents along u and v, mm."""
         return self.u1 - self.u0, self.v1 - self.v0
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it is so long that a contact in it is taken for a line, which fills its corners."""
+        return max(self.size) > LONG * min(self.size)
 
     def clipped(self, face: Face) -> Box:
         """Return the part under a flat face; without one, everything."""

@@ -258,7 +258,9 @@ def _frictionless(
     for number, setting in enumerate(settings):
         own, start, z = controls[number], places[number], touch_z[number]
         disc = known_contact(setting, own, start, planes[number], z)
-        box, places[number] = disc or find_contact(setting, own, start, planes[number], z)
+        planes[number], box, places[number] = (
+            (planes[number], *disc) if disc else find_contact(setting, own, start, planes[number], z)
+        )
         boxes.append(box)
         if disc is not None:
             said[number] = box
@@ -276,7 +278,7 @@ def _frictionless(
         ]  # fmt: skip
         for number in missed:
             motions = slice(MOTIONS * number, MOTIONS * (number + 1))
-            boxes[number], place[motions] = find_contact(
+            planes[number], boxes[number], place[motions] = find_contact(
                 settings[number], controls[number], place[motions], planes[number], touch_z[number]
             )
             del said[number]

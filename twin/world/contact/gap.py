@@ -22,12 +22,10 @@ from twin.arrays import Floats, Points
 from twin.compiled import njit
 from twin.parts.press import Probe
 from twin.parts.probe import Cylinder, Pillar
-from twin.world.contact.probe_shape import Shape, half_extent, rotation_of, shape_of, tilt_of, turning_of
+from twin.world.contact.probe_shape import Shape, half_extent, is_flat, rotation_of, shape_of, turning_of
 
 X, Y, Z, ABOUT_X, ABOUT_Y, TURN = range(6)
 MOTIONS = 6
-FLAT_TILT_DEG = 20.0
-"""A flat face that is tilted less touches with its face, one that is tilted more with its rim."""
 
 _NO_TURN = np.eye(3)
 
@@ -138,13 +136,6 @@ def _slopes(own: Floats, along: Floats, gap: Floats, normal: Floats, turned: Flo
         for j in range(3):
             slope[i, 3 + j] = -(about[0] * turning[0, j] + about[1] * turning[1, j] + about[2] * turning[2, j]) / steep
     return slope
-
-
-def is_flat(probe: Probe, tilt_deg: tuple[float, float, float]) -> bool:
-    """Return whether a probe touches with a flat face."""
-    if not isinstance(probe, Cylinder | Pillar):
-        return False
-    return not any(tilt_deg) or bool(tilt_of(tilt_deg)[2, 2] >= math.cos(math.radians(FLAT_TILT_DEG)))
 
 
 def outline(probe: Probe) -> Floats:

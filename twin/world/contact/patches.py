@@ -179,7 +179,7 @@ def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tu
     plane
         Plane of the grid, at the place touched first, or of the face.
     box
-        The piece of the plane to fill; without a face only the ellipse inscribed in it.
+        The piece of the plane to fill; without a face only the ellipse inscribed in it, unless it is long.
     across
         Cells along u and v.
 
@@ -190,13 +190,16 @@ def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tu
     middle, cell = cells(face, box, across)
     limit = half_extent(face) if face is not None else (math.inf, math.inf)
     corners = (box.u0, box.v0), (box.u1, box.v1)
+    is_round = face is None and not box.is_long
     if all_level(body, plane, box):
-        centre, frames, middle, half, border = _in_plane(middle, cell, corners, limit, plane.origin_mm, plane.axes)
+        centre, frames, middle, half, border = _in_plane(
+            middle, cell, corners, limit, is_round, plane.origin_mm, plane.axes
+        )
         return Patches(
             centre_mm=centre, frames=frames, half_mm=half, middle_mm=middle, cell_mm=half, border=border,
             edge=np.zeros(len(middle), bool),
         )  # fmt: skip
-    outside, outer = _bordering(middle, cell, corners, limit)
+    outside, outer = _bordering(middle, cell, corners, limit, is_round)
     points, frames, half, off = _on_body(body, plane, middle, cell)
     kept = ~(off | outside)
     edge = _touching(middle, cell, off) if off.any() else off
@@ -207,10 +210,13 @@ def candidate_patches(body: Body, face: Face, plane: Plane, box: Box, across: tu
 
 
 @njit(cache=True)
-def _bordering(middle: Floats, cell: Floats, box: Corners, limit: tuple[float, float]) -> tuple[Bools, Bools]:
+def _bordering(
+    middle: Floats, cell: Floats, box: Corners, limit: tuple[float, float], is_round: bool
+) -> tuple[Bools, Bools]:
     """Return (n,) which cells lie outside the ellipse in a box, and which have a neighbour there, or outside the box.
 
-    A box around a flat face, whose half widths are the ``limit``, has no ellipse, and beyond the face no neighbours.
+    The ellipse counts where the grid ``is_round``. Beyond a flat face, whose half widths are the ``limit``, there are
+    no neighbours.
     """
     (low, high), flat = box, math.isfinite(limit[0])
     outside, outer = np.zeros(len(middle), np.bool_), np.zeros(len(middle), np.bool_)
@@ -224,18 +230,24 @@ def _bordering(middle: Floats, cell: Floats, box: Corners, limit: tuple[float, f
             if not flat or high[axis] < limit[axis] - near:
                 outer[i] = outer[i] or middle[i, axis] + reach >= high[axis]
             squared += ((middle[i, axis] - (low[axis] + high[axis]) / 2) / ((high[axis] - low[axis]) / 2)) ** 2
-        outside[i] = not flat and squared > 1.0
-    if not flat:
+        outside[i] = is_round and squared > 1.0
+    if is_round:
         outer |= _touching(middle, cell, outside)
     return outside, outer
 
 
 @njit(cache=True)
 def _in_plane(
-    middle: Floats, cell: Floats, box: Corners, limit: tuple[float, float], origin_mm: Floats, axes: Floats
+    middle: Floats,
+    cell: Floats,
+    box: Corners,
+    limit: tuple[float, float],
+    is_round: bool,
+    origin_mm: Floats,
+    axes: Floats,
 ) -> tuple[Points, Floats, Floats, Floats, Bools]:
     """Return centres, frames, middles, half sizes and borders of the cells that aren't outside, left where they are."""
-    outside, outer = _bordering(middle, cell, box, limit)
+    outside, outer = _bordering(middle, cell, box, limit, is_round)
     rows = np.flatnonzero(~outside)
     k = len(rows)
     centre, frames, kept, half, border = (

@@ -73,7 +73,7 @@ def _meet_ball(points: Floats, along: Floats, radius: float) -> tuple[Floats, Fl
 
 @dataclass(frozen=True)
 class Face:
-    """A flat face with a sharp rim."""
+    """A flat face with a sharp rim, which touches with its face."""
 
     probe: Cylinder | Pillar
 
@@ -132,6 +132,9 @@ class Tilted:
         return distance, normal @ self.rotation.T
 
 
+FLAT_TILT_DEG = 20.0
+"""A flat face that is tilted less touches with its face, one that is tilted more with its rim."""
+
 _NO_TURN = 1e-100
 """A turn so small, radians, turns nothing, and its square is 0."""
 
@@ -166,6 +169,13 @@ def tilt_of(tilt_deg: tuple[float, float, float]) -> Floats:
     return whole
 
 
+def is_flat(probe: Probe, tilt_deg: tuple[float, float, float]) -> bool:
+    """Return whether a probe touches with a flat face."""
+    if not isinstance(probe, Cylinder | Pillar):
+        return False
+    return not any(tilt_deg) or bool(tilt_of(tilt_deg)[2, 2] >= math.cos(math.radians(FLAT_TILT_DEG)))
+
+
 def shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Shape:
     """Return the surface of a probe, tilted before it comes."""
     if isinstance(probe, Sphere):
@@ -177,7 +187,7 @@ def shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0
         # the ball that rounds the tip touches the plane z = 0 with its lowest point
         half = math.radians(probe.apex_deg / 2)
         shape = Rounded(CONE, (math.sin(half), math.cos(half), -probe.tip_mm), probe.tip_mm)
-    elif probe.edge_mm == 0.0:
+    elif probe.edge_mm == 0.0 and is_flat(probe, tilt_deg):
         shape = Face(probe)
     else:
         a, b = half_extent(probe)

@@ -2,9 +2,9 @@
 
 Why coarse grids first: a curved body, a flat face over a barrel, or a large contact are far from Hertz's disc, and a
 fine grid over too large a region would waste patches. A frictionless solve on about a hundred patches tells the
-region; the grid grows while contact reaches its border and shrinks while contact fills too little of it. On a flat
-surface a sphere or a cone needs none of that: Hertz's or Sneddon's disc is right, or so wrong that it shows; nor does a
-flat face, most of which touches.
+region; the grid grows while contact reaches its border, shrinks while contact fills too little of it, and turns along a
+long contact (`twin.world.contact.alignment`). On a flat surface a sphere or a cone needs none of that: Hertz's or
+Sneddon's disc is right, or so wrong that it shows; nor does a flat face, most of which touches.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from twin.compiled import njit
 from twin.errors import ContactError, NotSettled
 from twin.parts.probe import Cone, Sphere
 from twin.theory.contact import cone_contact_radius, hertz
+from twin.world.contact.alignment import beside, turn_along, turned_box
 from twin.world.contact.cells import Box, is_even
 from twin.world.contact.gap import ABOUT_X, TURN, X, Y, Z
 from twin.world.contact.patches import Patches, Plane, all_level, candidate_patches
@@ -28,6 +29,13 @@ from twin.world.contact.together import Contacts, Control, Setting, every
 from twin.world.contact.unilateral import Equilibrium, Unilateral, solve
 
 _COARSE, _ROUNDS, _FILL = 10, 14, 0.4
+_PATIENCE = 10
+"""Tries after which a grid that holds the contact will do although the contact fills little of it: a corner's, whose
+ends reach the border of any grid that fits it more closely."""
+
+_TURNS = 3
+"""How often a grid is turned along the contact at most: a corner's has no direction of its own."""
+
 _MARGIN, _SPARE = 0.13, 1.6
 """Share of a contact by which its grid is larger on every side, and how many patches that is at least."""
 
@@ -258,8 +266,13 @@ def _on_one_lattice(
     )
 
 
-def find_contact(setting: Setting, control: Control, start: Floats, plane: Plane, touch_z: float) -> tuple[Box, Floats]:
-    """Return the box of the contact of one probe and its place, from frictionless solves on coarse grids."""
+def find_contact(
+    setting: Setting, control: Control, start: Floats, plane: Plane, touch_z: float, *, may_turn: bool = True
+) -> tuple[Plane, Box, Floats]:
+    """Find the contact of one probe by frictionless solves on coarse grids; return its plane, its box, and the place.
+
+    The plane is the one given, turned so that its axes lie along and across a long contact, if it ``may_turn``.
+    """
     force_z = float(control.given[Z]) if control.by_force[Z] else None
     upright = float(plane.axes[2] @ setting.first.axes[2])
     # on a slope the normal force is larger than its part along z, and the probe sinks further along z than along n
@@ -268,32 +281,47 @@ def find_contact(setting: Setting, control: Control, start: Floats, plane: Plane
     place = np.where(control.by_force, start, control.given)
     if control.by_force[Z]:
         place[Z] = touch_z + depth / upright
-    for _ in range(_ROUNDS):
+    turns = _TURNS if may_turn and setting.face is None else 0
+    for tried in range(_ROUNDS):
         whole = box.clipped(setting.face)
         patches = candidate_patches(setting.body, setting.face, plane, whole, _counts(_COARSE, whole, whole))
         check_somewhere(setting, patches)
-        found = solve_frictionless(Contacts((setting,), (patches,)), control, place, np.array([touch_z]))
+        contacts = Contacts((setting,), (patches,))
+        found = solve_frictionless(contacts, control, place, np.array([touch_z]))
         place = found.place
         if not found.active.any():
-            box = Box(u0=whole.u0 / 2, u1=whole.u1 / 2, v0=whole.v0 / 2, v1=whole.v1 / 2)
+            box = _about_nearest(contacts, whole, place)
             continue
         if setting.face is not None and found.active.all():
-            return whole, place
+            return plane, whole, place
         contact = patches.bounds(found.active)
-        if np.any(found.active & patches.border):
+        if turns and (turn := turn_along(patches, found.active)) is not None:
+            turns -= 1
+            plane = Plane(origin_mm=plane.origin_mm, axes=turn @ plane.axes)
+            box = turned_box(patches, found.active, turn)
+        elif np.any(found.active & patches.border):
             # It grows on all sides: a round grid that only moves after a contact on a slope never holds its corner.
             larger = whole.grown(0.1 * whole.size[0], 0.1 * whole.size[1])
-            box = contact.grown(0.3 * contact.size[0], 0.3 * contact.size[1]).joined(larger)
-        elif min(c / w for c, w in zip(contact.size, whole.size, strict=True)) < _FILL:
-            cells = patches.cell_mm[found.active].max(axis=0)
-            box = contact.grown(0.15 * contact.size[0] + cells[0], 0.15 * contact.size[1] + cells[1])
+            box = contact.grown(0.3 * contact.size[0], 0.3 * contact.size[1])
+            box = box if setting.face is None and box.is_long else box.joined(larger)
+        elif tried < _PATIENCE and min(c / w for c, w in zip(contact.size, whole.size, strict=True)) < _FILL:
+            box = beside(contact, *patches.cell_mm[found.active].max(axis=0))
         else:
-            return contact, place
+            return plane, contact, place
     check_inside(setting, patches, found, float(place[Z]) - touch_z)
     raise NotSettled(
         f"contact: no grid fits the contact of the {setting.probe.kind} after {_ROUNDS} tries (last: "
-        f"{whole.size[0]:.3g} by {whole.size[1]:.3g} mm): the press is too light to resolve, or not held in place"
+        f"{whole.size[0]:.3g} by {whole.size[1]:.3g} mm): press harder, hold x, y and the turns by motion, or "
+        "round the probe where it touches (edge_mm, tip_mm)"
     )
+
+
+def _about_nearest(contacts: Contacts, whole: Box, place: Floats) -> Box:
+    """Return a box half as large about the patches that are nearest to the probe: under a face on a slope, its rim."""
+    gap = contacts.gap(place)[0]
+    nearest = contacts.patches.middle_mm[gap <= gap.min() + 1e-12].mean(axis=0)
+    u, v = (size / 4 for size in whole.size)
+    return Box(u0=nearest[0] - u, u1=nearest[0] + u, v0=nearest[1] - v, v1=nearest[1] + v)
 
 
 def check_somewhere(setting: Setting, patches: Patches) -> None:

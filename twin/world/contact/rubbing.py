@@ -38,8 +38,10 @@ from twin.world.contact.unilateral import Equilibrium
 _SLIDE_WIDTHS = 1.0
 
 
-def _largest_contact(job: Job, number: int, plane: Plane, touch_z: float) -> Box:
-    """Return the box that holds one probe's contact of every step, pressed without friction, where it slides to.
+def _largest_contact(job: Job, number: int, plane: Plane, touch_z: float) -> tuple[Plane, Box]:
+    """Return the plane of one probe's grid, along its first contact, and the box that holds its contact of every step.
+
+    It is pressed without friction, where it slides to.
 
     A probe with friction on a slope carries part of a force along z by friction: its normal force is F n_z, for which a
     frictionless one that is held sideways needs F n_z^2 along z.
@@ -60,7 +62,9 @@ def _largest_contact(job: Job, number: int, plane: Plane, touch_z: float) -> Box
             place = lifted_place(still, place, touch_z)
             continue
         disc = known_contact(setting, still, place, plane, touch_z)
-        contact, place = disc or find_contact(setting, still, place, plane, touch_z)
+        plane, contact, place = (
+            (plane, *disc) if disc else find_contact(setting, still, place, plane, touch_z, may_turn=whole is None)
+        )
         grip_mm = friction * (float(place[Z]) - touch_z)
         contact = contact.joined(_slid(setting, contact, sideways, grip_mm, plane))
         whole = contact if whole is None else whole.joined(contact)
@@ -69,7 +73,7 @@ def _largest_contact(job: Job, number: int, plane: Plane, touch_z: float) -> Box
             "contact: the probe touches no patch, as its push is too small to be told from rounding; press further "
             "(press.indentation_mm, or force_n or move_mm of the steps)"
         )
-    return whole
+    return plane, whole
 
 
 def _outdone(step: Control, following: Control) -> bool:
@@ -105,8 +109,9 @@ def rubbing_path(job: Job, increments: int) -> tuple[list[ContactState], str]:
     planes, boxes = [], []
     for number, setting in enumerate(job.settings):
         plane, touch_z = touch_at(setting, np.zeros(MOTIONS))
+        plane, box = _largest_contact(job, number, plane, touch_z)
         planes.append(plane)
-        boxes.append(_largest_contact(job, number, plane, touch_z))
+        boxes.append(box)
     for _ in range(TRIES):
         contacts = Contacts(job.settings, fitted_grids(job.settings, planes, boxes))
         states, reached, reason = _rubbing_on(FrictionGrid(contacts, job.friction), job, increments)
