@@ -63,6 +63,9 @@ for _command in (
 FULL = {errno.ENOSPC, errno.EFBIG, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}
 """What a full or read-only disk says."""
 
+NARROWEST = 20
+"""Columns below which help can't be laid out: the library that does it fails, or never ends."""
+
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     """Print a warning as one line on stderr, without the place in the source."""
@@ -92,6 +95,15 @@ def _interrupted() -> int:
     return 130
 
 
+def _is_somewhere() -> bool:
+    """Return whether the current folder is still there."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return False
+    return True
+
+
 def _listen() -> list[int]:
     """Return a list that holds the signal once Ctrl-C was pressed; the interrupt itself goes its usual way."""
     heard: list[int] = []
@@ -111,11 +123,15 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):  # a terminal that lacks a letter is shown its number
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdecimal() and int(columns) < NARROWEST:
+        os.environ["COLUMNS"] = str(NARROWEST)
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
             app(list(arguments) if arguments is not None else None, exit_on_error=False, print_error=False)
-        sys.stdout.flush()
+        if sys.stdout is not None:  # it is None where the shell closed it
+            sys.stdout.flush()
         code = 0
     except CycloptsError as problem:
         print(f"twin: {_said(problem)}\nSee: {_help_for(problem)}", file=sys.stderr)
@@ -133,8 +149,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             raise
         if heard:  # a library that was interrupted while it loaded says something else
             sys.exit(_interrupted())
+        if not _is_somewhere():
+            print("twin: the folder that it was started in is gone: change to one that is there", file=sys.stderr)
+            sys.exit(2)
         if isinstance(problem, OSError) and problem.errno in FULL:  # of a temporary file, or of a library's own
-            where = problem.filename or tempfile.gettempdir()
+            where = problem.filename or f"standard output, or a file in {tempfile.gettempdir()}"
             print(f"twin: {where}: can't be written ({problem.strerror}); files written so far are whole. Make room or "
                   "name another folder (--out, TWIN_CACHE, TMPDIR), and run again.", file=sys.stderr)  # fmt: skip
         else:

@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 from twin.cli import app, main
+from twin.errors import InputError
+from twin.study.recipe import load_scene
+from twin.study.run import run
 
 TWIN = [sys.executable, "-m", "twin"]
 
@@ -212,3 +215,42 @@ def test_an_interrupt_is_told_as_one_even_where_a_library_hides_it(what: str) ->
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stderr.strip()) == (130, "twin: interrupted; files written so far are whole")
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "2"])
+def test_help_ends_however_narrow_the_terminal(columns: str) -> None:
+    assert "press.force_n" in twin("run", "--help", COLUMNS=columns).stdout
+
+
+def shell(line: str) -> subprocess.CompletedProcess[str]:
+    """Run a line in a shell, ``twin`` in it being the command."""
+    return subprocess.run(
+        ["sh", "-c", line.replace("twin", shlex.join(TWIN))], capture_output=True, text=True, timeout=300
+    )
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a POSIX shell's redirections")
+@pytest.mark.parametrize(
+    ("line", "code", "said"),
+    [
+        ("twin scenes >&-", 0, ""),
+        ("twin scenes >/dev/full", 1, "standard output"),
+        ("cd FOLDER && rmdir FOLDER && twin check x.toml", 2, "the folder that it was started in is gone"),
+    ],
+)
+def test_no_output_and_no_folder_are_no_internal_error(line: str, code: int, said: str, tmp_path: Path) -> None:
+    (tmp_path / "gone").mkdir()
+    ended = shell(line.replace("FOLDER", str(tmp_path / "gone")))
+    assert ended.returncode == code, ended.stderr
+    assert said in ended.stderr
+    assert "internal" not in ended.stderr
+
+
+def test_a_renderer_of_no_known_name_is_refused_before_the_press_is_solved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("TWIN_VARIANT", "nonsense")
+    told: list[str] = []
+    with pytest.raises(InputError, match="TWIN_VARIANT is 'nonsense'"):
+        run(load_scene("kamiyama_pillar"), {"picture"}, lambda stage, _: told.append(stage))
+    assert told == ["design"]

@@ -140,8 +140,10 @@ class _Chain:
             sensor.actual  # noqa: B018  a marker outside the body is said before anything is computed
             if "picture" in self.needed:
                 from twin.world.picture.room import require_room
+                from twin.world.picture.variant import forced_variant
 
                 require_room(scene)
+                forced_variant()  # a wrong name is said before the press is solved
         with self.stage("contact"):
             state = None
             if scene.press is not None and not scene.tractions:

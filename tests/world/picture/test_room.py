@@ -20,7 +20,7 @@ LARGE = {"camera.width_px": 8192, "camera.height_px": 8192}
 
 def test_a_picture_is_not_estimated_to_take_less_than_what_is_kept_of_its_rays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TWIN_VARIANT", "splat")
-    scene = load_scene("kamiyama_pillar", {"light.radius_mm": 0.5})
+    scene = load_scene("kamiyama_pillar", {"light.radius_mm": 0.5, "camera.width_px": 160, "camera.height_px": 120})
     view = Sensor(scene).renderer._view
     kept = sum(
         getattr(view, each.name).nbytes for each in fields(view) if isinstance(getattr(view, each.name), np.ndarray)

@@ -114,6 +114,20 @@ class Variant:
     reason: str
 
 
+def forced_variant() -> str:
+    """Return the variant that ``$TWIN_VARIANT`` names, "" where it is unset.
+
+    Raises
+    ------
+    InputError
+        It names none.
+    """
+    name = os.environ.get(FORCE) or ""
+    if name and name not in VARIANTS:
+        raise InputError(f"{FORCE} is {name!r}; it must be one of {', '.join(VARIANTS)}, or unset")
+    return name
+
+
 def choose_variant(force: str | None = None, candidates: Iterable[str] | None = None) -> Variant:
     """Choose how to render: Mitsuba on a GPU, else with LLVM, else ``splat``; prepare the environment for it.
 
@@ -131,9 +145,9 @@ def choose_variant(force: str | None = None, candidates: Iterable[str] | None = 
     MissingCapability
         ``llvm_ad_rgb`` is forced and no library for it works, or ``cuda_ad_rgb`` and there is no GPU that does.
     """
-    name = force or os.environ.get(FORCE) or ""
+    name = force or forced_variant()
     if name and name not in VARIANTS:
-        raise InputError(f"{FORCE} is {name!r}; it must be one of {', '.join(VARIANTS)}, or unset")
+        raise InputError(f"{name!r} is no way of rendering: it must be one of {', '.join(VARIANTS)}")
     if name in ("scalar_rgb", "splat"):
         return Variant(name=name, library=None, reason=f"{name} was asked for")
     if name != "llvm_ad_rgb" and (driver := _working_driver()):
