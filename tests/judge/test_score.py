@@ -103,6 +103,8 @@ def test_tracking_numbers_and_hidden_markers():
     assert result["false_positives"] == 3
     assert result["over_bound"] == pytest.approx(1.25, rel=0.03)
     assert "over_bound" not in result["reasons"]
+    without_contrast = tracking_score(shift, true, visible, bound_px=np.full(len(true), 1e200))
+    assert without_contrast["bound_px"] == pytest.approx(1e200), "its square is beyond counting"
 
 
 def test_score_gathers_reasons_and_is_plain_json():

@@ -6,6 +6,7 @@ Inputs are plain arrays, so that recorded data can be scored as well. A score th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -108,7 +109,7 @@ def tracking_score(
     least = np.asarray(bound_px, float)[front] if bound_px is not None else np.zeros(0)
     least = least[np.isfinite(least)]
     if len(least):
-        result["bound_px"] = float(np.sqrt(np.mean(least**2)))
+        result["bound_px"] = math.hypot(*least) / math.sqrt(len(least))  # markers without contrast: beyond squares
     if len(least) and result["sd_px"] is not None:
         result["over_bound"] = result["sd_px"] / result["bound_px"]
     else:
