@@ -15,6 +15,7 @@ import numpy as np
 
 from twin.arrays import Floats
 from twin.compiled import njit
+from twin.world.contact.inner import inner
 
 MOST = 60
 """Products at most."""
@@ -113,19 +114,11 @@ def _orthogonal(basis: Floats, done: int, column: Floats) -> float:
     image = basis[done]
     for _ in range(2):  # the second time for round-off
         for i in range(done):
-            part = _inner(basis[i], image)
+            part = inner(basis[i], image)
             for j in range(len(image)):
                 image[j] -= part * basis[i, j]
             column[i] += part
-    return math.sqrt(_inner(image, image))
-
-
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _inner(one: Floats, other: Floats) -> float:
-    found = one[0] * other[0]
-    for j in range(1, len(one)):
-        found += one[j] * other[j]
-    return float(found)
+    return math.sqrt(inner(image, image))
 
 
 @njit(cache=True)

@@ -9,6 +9,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints
 from twin.compiled import njit
 from twin.parts.probe import Cone, Sphere
+from twin.world.contact.inner import inner
 from twin.world.contact.patches import Patches
 from twin.world.contact.together import Setting
 from twin.world.contact.unilateral import Equilibrium
@@ -68,14 +69,6 @@ def _area(
 
 
 @njit(cache=True)
-def _inner(one: Floats, other: Floats) -> float:
-    total = 0.0
-    for i in range(len(one)):
-        total += one[i] * other[i]
-    return total
-
-
-@njit(cache=True)
 def _fitted(place: Floats, pressure: Floats, used: Ints, fourth: bool) -> tuple[Floats, float]:
     """Return (6,) or (7,) coefficients of the polynomial nearest to squared pressures, and the size it is scaled by.
 
@@ -97,14 +90,14 @@ def _fitted(place: Floats, pressure: Floats, used: Ints, fourth: bool) -> tuple[
         if fourth:
             terms[6, i] = (u * u + v * v) ** 2
         terms[count, i] = (pressure[used[i]] / most) ** 2
-    whole = np.array([math.sqrt(_inner(term, term)) for term in terms])
+    whole = np.array([math.sqrt(inner(term, term)) for term in terms])
     for a in range(count):
-        own = math.sqrt(_inner(terms[a], terms[a]))
+        own = math.sqrt(inner(terms[a], terms[a]))
         triangle[a, a] = own if own > _OWN * whole[a] else math.inf
         for i in range(len(used)):
             terms[a, i] /= triangle[a, a]
         for b in range(a + 1, count + 1):
-            triangle[a, b] = _inner(terms[a], terms[b])
+            triangle[a, b] = inner(terms[a], terms[b])
             for i in range(len(used)):
                 terms[b, i] -= triangle[a, b] * terms[a, i]
     found = np.zeros(count)

@@ -22,6 +22,7 @@ from twin.arrays import Bools, Floats, Ints
 from twin.compiled import njit
 from twin.parts.probe import Cone
 from twin.world.contact.gap import MOTIONS, Z
+from twin.world.contact.inner import inner
 from twin.world.contact.together import Contacts, Control
 from twin.world.contact.unilateral import TOLERANCE, Equilibrium
 
@@ -198,7 +199,7 @@ def settle(
             if active[i]:
                 follows = not force[i] * normal[i, i] < -share * largest
             else:
-                sunk[i] = _along(normal[i], force)
+                sunk[i] = inner(normal[i], force)
                 follows = sunk[i] + gap[i] - depth[owner[i]] < -share * largest
             changed = changed or follows != active[i]
             active[i] = follows
@@ -207,17 +208,9 @@ def settle(
         stage += 1
         if stage == len(_LEFT):
             for i in range(n):
-                sunk[rows[i]] = _along(normal[rows[i]], force)
+                sunk[rows[i]] = inner(normal[rows[i]], force)
             return int(tried)
     return 0
-
-
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _along(one: Floats, other: Floats) -> float:
-    total = 0.0
-    for i in range(len(one)):
-        total += one[i] * other[i]
-    return total
 
 
 @njit(cache=True)
@@ -257,7 +250,7 @@ def _solve(
                 if owner[i] == q:
                     f[i] = f[i] * given[q] / total if total > 0.0 else given[q] / part[i, i] / weight[q]
     for i in range(n):
-        right[i] = -gap[i] - _along(part[i], f)
+        right[i] = -gap[i] - inner(part[i], f)
     before = 0.0
     for step in range(_PRODUCTS):
         kept[:] = 0.0
@@ -282,8 +275,8 @@ def _solve(
             along[i] = here + (size / before * along[i] if step else 0.0)
         before = size
         for i in range(n):
-            made[i] = _along(part[i], along)
-        far = size / _along(along, made)
+            made[i] = inner(part[i], along)
+        far = size / inner(along, made)
         for i in range(n):
             f[i] += far * along[i]
             right[i] -= far * made[i]
