@@ -1,4 +1,5 @@
-"""Print the README's block that is marked ``<!-- block: NAME -->``, so that CI runs what newcomers type."""
+"""Print the README's block that is marked ``<!-- block: NAME -->``, so that CI runs what newcomers
+type."""
 
 from __future__ import annotations
 

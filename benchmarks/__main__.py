@@ -8,21 +8,19 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import os
-import platform
 import subprocess
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
+
+from benchmarks.clock import Clock
+from benchmarks.record import at_least, store, table
 
 STAGES = (
     "elasticity",
-    "calls",
     "contact",
     "peers",
-    "growth",
     "picture",
     "referee",
     "tracking",
@@ -34,7 +32,7 @@ STAGES = (
     "budget",
     "scaling",
 )
-SLOW = ("peers", "growth", "referee", "scaling")
+SLOW = ("peers", "referee", "scaling")
 """Stages that a quick run leaves out unless they are named: they need other programs, much memory, LLVM or
 time."""
 
@@ -45,10 +43,8 @@ accuracy knob."""
 ALONE = ("dataset", "sweep")
 """Stages of several workers, whose figures are of the wall clock."""
 
-LONGEST = ("peers", "budget", "growth", "picture", "elasticity", "stress")
+LONGEST = ("peers", "budget", "picture", "elasticity", "stress")
 """Stages that are begun first where several run at a time, so that all cores end at about the same moment."""
-
-RESULTS = Path(__file__).parent / "results"
 
 
 def main() -> int:
@@ -58,32 +54,29 @@ def main() -> int:
         "stage", nargs="*", help=f"one or more of {', '.join(STAGES)} (default all stages); or {', '.join(STUDIES)}"
     )
     parser.add_argument("--quick", action="store_true", help="small versions, in two minutes, written nowhere")
-    parser.add_argument("--jobs", type=int, help="full stages at a time (default 2, or 1 where a core is all there is)")
+    parser.add_argument("--jobs", type=at_least(1), help="full stages at a time (default: 2, or 1 on one core)")
     arguments = parser.parse_args()
     if unknown := sorted(set(arguments.stage) - {*STAGES, *STUDIES}):
         parser.error(f"unknown stages {', '.join(unknown)}: choose from {', '.join(STAGES + STUDIES)}")
-    jobs = arguments.jobs if arguments.jobs is not None else min(2, os.cpu_count() or 1)
-    if jobs < 1:
-        parser.error(f"--jobs {jobs}: give 1 or more")
+    jobs = arguments.jobs or min(2, os.cpu_count() or 1)
     wanted = arguments.stage or [stage for stage in STAGES if not (arguments.quick and stage in SLOW)]
     if arguments.quick or jobs == 1 or len(wanted) == 1:
         for stage in wanted:
-            run(stage, arguments.quick)
+            _run(stage, arguments.quick)
         return 0
     first = [*(s for s in LONGEST if s in wanted), *(s for s in wanted if s not in LONGEST)]
     ways = [(jobs, [s for s in first if s not in ALONE]), (1, [s for s in first if s in ALONE])]
     return max([together([[sys.executable, "-m", "benchmarks", s] for s in some], n) for n, some in ways if some])
 
 
-def run(stage: str, quick: bool) -> None:
+def _run(stage: str, quick: bool) -> None:
     """Run a stage here; print its table, and store it if it is not a quick one."""
     print(f"\n{stage}\n", flush=True)
-    started = sum(os.times()[:4])
+    clock = Clock()
     rows = importlib.import_module(f"benchmarks.{stage}").run(quick=quick)
-    print(f"{table(rows)}\n\n{sum(os.times()[:4]) - started:.3g} s of CPU", flush=True)
+    print(f"{table(rows)}\n\n{clock.lap().cpu:.3g} s of CPU", flush=True)
     if not quick:
-        RESULTS.mkdir(exist_ok=True)
-        (RESULTS / f"{stage}.json").write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
+        store(stage, rows)
 
 
 def together(commands: Sequence[Sequence[str]], jobs: int) -> int:
@@ -107,34 +100,6 @@ def together(commands: Sequence[Sequence[str]], jobs: int) -> int:
     finally:
         pool.shutdown(cancel_futures=True)
     return code
-
-
-def table(rows: list[dict[str, object]]) -> str:
-    """Return rows as a Markdown table."""
-    if not rows:
-        return "(no rows)"
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    lines = [columns, ["---"] * len(columns)]
-    lines += [[_cell(row.get(column, "")) for column in columns] for row in rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def machine() -> dict[str, object]:
-    """Return what the figures were measured on."""
-    names = [line.split(":", 1)[1].strip() for line in _cpu_lines() if line.startswith("model name")]
-    return {"processor": names[0] if names else platform.processor(), "cores": os.cpu_count(),
-            "system": platform.platform(), "python": platform.python_version()}  # fmt: skip
-
-
-def _cpu_lines() -> list[str]:
-    try:
-        return Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return []
-
-
-def _cell(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":

@@ -24,20 +24,20 @@ import numpy as np
 
 from benchmarks.clock import Clock
 from twin.arrays import Floats, Pixels, Singles
+from twin.blas_threads import one_thread
 from twin.errors import AccuracyWarning
+from twin.parts.load import Rectangles
 from twin.parts.scene import Scene
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found, track
 from twin.sense.transfer import from_compliance
 from twin.streams import Purpose, stream
-from twin.study.batch.job import one_thread
 from twin.study.calibrate import calibration_of
-from twin.study.motion import Motion
 from twin.study.recipe import load_scene
-from twin.study.sensor import Sensor
-from twin.theory.optics import project_with_jacobian
-from twin.world.picture.exposure import expose
+from twin.study.sensor import Motion, Sensor
+from twin.theory.optics import projection_jacobian
+from twin.world.picture.ccd import expose
 from twin.world.picture.render import Renderer
 
 SCENES = (
@@ -54,19 +54,7 @@ NOISE_PX = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Press:
-    """A press of a scene: what pushes, how markers move, and both pictures' light.
-
-    Attributes
-    ----------
-    sensor
-        Whose press it is.
-    force
-        (3,) true total force, N.
-    motion
-        Of the markers.
-    light
-        At rest and pressed.
-    """
+    """A press of a scene: (3,) true total force, N, motion of the markers, and light at rest and pressed."""
 
     sensor: Sensor
     force: Floats
@@ -91,7 +79,8 @@ def budget(name: str, exposures: int) -> list[dict[str, Any]]:
     press, calibration, found, seconds = _chain(scene)
     sensor = press.sensor
     exact = _exact(press, found)
-    perfect = _error(scene, exact, _own(sensor, calibration), press.force)
+    own = replace(calibration, transfer=own_transfer(sensor, sensor.sites))
+    perfect = _error(scene, exact, own, press.force)
     told = _error(scene, exact, calibration, press.force)
     seen = _error(scene, _tracked(press, scene), calibration, press.force)
     noisy = np.array([
@@ -217,18 +206,18 @@ def _exact(press: Press, found: Found) -> Found:
     return replace(found, shift_px=np.where(seen, shift, np.nan), sd_px=np.full(len(shift), NOISE_PX))
 
 
-def _own(sensor: Sensor, calibration: Calibration) -> Calibration:
-    """Return a calibration by the made sensor's own body, markers and camera."""
+def own_transfer(sensor: Sensor, sites: Rectangles) -> Floats:
+    """Return (2n, 3k) the transfer matrix at some sites by the made sensor's own body, markers and camera, px/N."""
     scene, points = sensor.actual.scene, sensor.actual.markers.points
     assert scene.camera is not None
-    _, jacobian = project_with_jacobian(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
-    return replace(calibration, transfer=from_compliance(sensor.compliance.to_points(points, sensor.sites), jacobian))
+    slope = projection_jacobian(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
+    return from_compliance(sensor.compliance.to_points(points, sites), slope)
 
 
 def _error(scene: Scene, found: Found, calibration: Calibration, force: Floats) -> Floats:
     """Return (3,) the error of the total force over the force."""
     assert scene.reconstruction is not None
-    options = scene.reconstruction.model_dump(exclude={"sites", "source", "assumed"})
+    options = scene.reconstruction.options()
     total = reconstruct(found, calibration, **options).total_force_n
     return np.asarray((total - force) / np.linalg.norm(force))
 

@@ -4,36 +4,205 @@ Noise: .05 px in every component of a shift, .02 px at rest, 5 mN in every compo
 transfer matrix of a square site, |H^ - H| / |H|; of the force and the place of a 3 mm sphere's press (1 N), at a known
 place and where the place is sought; of the total of a distributed load, from the field on the scene's sites.
 
-``python -m benchmarks.calibrations`` writes the stored results into docs/calibrations.md.
+``python -m benchmarks.pages calibrations`` writes the stored results into docs/calibrations.md.
+
+The truth: presses on twenty made fingers, as shifts of their markers. They differ in stiffness, depths, print, camera
+and lens, none of which changes the contact but for the scale of the forces: at equal indentation displacements stay and
+forces grow with Young's modulus. So every press is solved once, for all of them, and its field is read at all their
+markers. They share Poisson's ratio, 0.499. With a cover (1.5 times the body's modulus) the tractions of the same press
+without one are put on the covered body.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.__main__ import RESULTS, table
 from benchmarks.inverse import NOISE_PX, as_found
-from benchmarks.inverse_truth import BETWEEN, EDGE, LAWN, SENSORS, Truth, design, sensors
+from benchmarks.single_contact import single_contact
 from twin.arrays import Floats
-from twin.parts.load import Rectangles
+from twin.files import cache_folder
+from twin.parts.load import Load, Rectangles, Traction
 from twin.parts.pipeline import Sites
 from twin.parts.scene import Scene
 from twin.sense.calibration import Calibration
 from twin.sense.fit_design import Fit, Presses, fit
 from twin.sense.reconstruct import reconstruct
-from twin.sense.single import single_contact
 from twin.sense.transfer import fill_between, from_presses
-from twin.study.calibration_presses import FOOTPRINT, hertz_radius
-from twin.study.fitted import FittedDesign
-from twin.study.sites import on_grid, on_surface
+from twin.study.calibrate import FOOTPRINT, calibration_press, hertz_radius, optics
+from twin.study.fitted_design import FittedDesign
+from twin.study.recipe import load_scene
+from twin.study.reproduce.reproduction_run import source_hash
+from twin.study.sensor import Actual, Sensor, make, on_surface
+from twin.theory.optics import project, projection_jacobian
+from twin.world.elasticity.coated import CoveredCompliance
+from twin.world.elasticity.fem import Layer
 
-PAGE = Path(__file__).parent.parent / "docs" / "calibrations.md"
+SENSORS = 20
+NU = 0.499
+COVER = 1.5
+HALF_MM = 0.5
+LAWN = [(a, b) for a in (-5.0, -2.5, 0.0, 2.5, 5.0) for b in (-5.0, -2.5, 0.0, 2.5, 5.0)]
+"""Sato's 25 places (surface coordinates, mm)."""
+
+BETWEEN = [(1.25, 1.25), (-1.25, 1.25), (1.25, -3.75)]
+"""Places at half a pitch."""
+
+EDGE = [(5.0, 1.25), (-5.0, -1.25), (1.25, 5.0)]
+"""Places on the edge, between Sato's."""
+
+
+def design() -> Scene:
+    """Return the nominal finger: the shipped scene's, with room for lens distortion."""
+    return load_scene("sato_press", overrides={"tolerance.distortion": 0.01, "calibration.method": "compliance"})
+
+
+def sensors(scene: Scene, count: int = SENSORS) -> list[Actual]:
+    """Return made sensors."""
+    return [make(scene.model_copy(update={"seed": 100 + number})) for number in range(count)]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One load: (s, 3) total forces on all sensors, and (s, n, 2) motion of their markers, px, without noise."""
+
+    force_n: Floats
+    shift_px: Floats
+
+
+class Truth:
+    """Loads on all sensors, each solved once and kept on disk, until the program's sources change."""
+
+    def __init__(self, scene: Scene, made: list[Actual], covered: bool) -> None:
+        self.scene, self.made, self.covered = scene, made, covered
+        material = scene.material.model_copy(update={"poisson_ratio": NU})
+        plain = scene.model_copy(
+            update={"material": material, "tolerance": scene.tolerance.model_copy(update={"preset": "none"})}
+        )
+        self.sensor = Sensor(plain)
+        self._last: tuple[tuple[float, float], CoveredCompliance] | None = None
+        self.points = np.concatenate([one.markers.points for one in made])
+        self.folder = cache_folder() / f"inverse-{source_hash()[:16]}"
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def rest_px(self) -> Floats:
+        """Return (s, n, 2) markers at rest."""
+        return np.stack([self._project(one, one.markers.points) for one in self.made])
+
+    def press(self, chart: tuple[float, float], steps: int) -> list[Measured]:
+        """Return a calibration press's steps: along z, then with shear along x, then along y."""
+        return [self._measured(*self._press_step(chart, step)) for step in range(steps)]
+
+    def square(self, chart: tuple[float, float], half_mm: float) -> Floats:
+        """Return (s, 2n, 3) px/N of a uniform square, exact and linear."""
+        place = self._square(chart, half_mm)
+        compliance = self._kept("square", (*chart, half_mm), lambda: self._body(chart).to_points(self.points, place))
+        columns = compliance.reshape(len(self.points), 3, 3)
+        return np.stack([self._through(one, part) for one, part in zip(self.made, self._split(columns), strict=True)])
+
+    def sites(self) -> Floats:
+        """Return (s, 2n, 3k) px/N at the scene's sites, exact and linear."""
+        moved = self._kept("sites", (), lambda: self.sensor.compliance.to_points(self.points, self.sensor.sites))
+        columns = moved.reshape(len(self.points), 3, -1)
+        return np.stack([self._through(one, part) for one, part in zip(self.made, self._split(columns), strict=True)])
+
+    def _split(self, columns: Floats) -> Floats:
+        return columns.reshape(len(self.made), -1, *columns.shape[1:])
+
+    def _through(self, one: Actual, compliance: Floats) -> Floats:
+        """Return (2n, q) px/N of a sensor's (n, 3, q) mm/N at the nominal modulus."""
+        scene = one.scene
+        assert scene.camera is not None
+        slope = projection_jacobian(
+            one.markers.points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
+        )
+        return np.asarray((slope @ compliance).reshape(2 * len(slope), -1) / self._stiffer(one))
+
+    def bumps(self, seed: int) -> tuple[list[Measured], Load]:
+        """Return a load of several bumps, drawn anew for every seed, and the load itself."""
+        load = drawn_bumps(seed)
+        rectangles = self.sensor.rectangles(load)
+        moved = self._kept("bumps", (seed,), lambda: self.sensor.compliance.displacement(self.points, rectangles))
+        return [self._measured(rectangles.force_n.sum(axis=0), moved)], load
+
+    def _press_step(self, chart: tuple[float, float], step: int) -> tuple[Floats, Floats]:
+        path = self.folder / f"press-{chart[0]:g}-{chart[1]:g}-{step}.npz"
+        if not path.is_file():
+            self._solve(chart)
+        with np.load(path) as stored:
+            load = Rectangles(**{f: stored[f] for f in ("centre_mm", "frames", "half_mm", "force_n")})
+        moved = self._kept("moved", (*chart, step), lambda: self._body(chart).displacement(self.points, load))
+        return load.force_n.sum(axis=0), moved
+
+    def _solve(self, chart: tuple[float, float]) -> None:
+        places = self._square(chart, HALF_MM)
+        path = self.sensor.press(calibration_press(self.sensor.nominal, places, 0)).path
+        for step, state in enumerate(path):
+            load = self.sensor.rectangles(state.load)
+            parts: dict[str, Any] = {f: getattr(load, f) for f in ("centre_mm", "frames", "half_mm", "force_n")}
+            np.savez(self.folder / f"press-{chart[0]:g}-{chart[1]:g}-{step}.npz", **parts)
+        print(f"pressed {chart}", file=sys.stderr, flush=True)
+
+    def _square(self, chart: tuple[float, float], half_mm: float) -> Rectangles:
+        points = self.scene.body.chart_points(np.array([chart]))
+        half = np.full((1, 2), half_mm)
+        return Rectangles(
+            centre_mm=points, frames=self.scene.body.frames(points), half_mm=half, force_n=np.zeros((1, 3))
+        )  # fmt: skip
+
+    def _body(self, chart: tuple[float, float]) -> Any:
+        """Return the body's compliance; a covered one has a mesh for every place, of which the last is kept."""
+        if not self.covered:
+            return self.sensor.compliance
+        if self._last is None or self._last[0] != chart:
+            scene, layer = self.sensor.nominal, Layer(modulus_ratio=COVER, poisson_ratio=NU)
+            self._last = chart, CoveredCompliance(scene.body, scene.material, 0.2, layer, level="coarse")
+        return self._last[1]
+
+    def _kept(self, what: str, key: tuple[float, ...], make_it: Any) -> Floats:
+        kind = "covered" if self.covered else "bare"
+        name = "-".join(f"{v:g}" for v in key)
+        path: Path = self.folder / f"{what}-{kind}-{len(self.made)}-{name}.npy"
+        if not path.is_file():
+            np.save(path, make_it())
+            print(f"{what} {kind} {key}", file=sys.stderr, flush=True)
+        return np.asarray(np.load(path))
+
+    def _stiffer(self, one: Actual) -> float:
+        return one.scene.material.youngs_modulus_mpa / self.scene.material.youngs_modulus_mpa
+
+    def _measured(self, force: Floats, moved: Floats) -> Measured:
+        forces = np.stack([force * self._stiffer(one) for one in self.made])
+        parts = moved.reshape(len(self.made), -1, 3)
+        shifts = [
+            self._project(one, one.markers.points + part) - self._project(one, one.markers.points)
+            for one, part in zip(self.made, parts, strict=True)
+        ]
+        return Measured(forces, np.stack(shifts))
+
+    def _project(self, one: Actual, points: Floats) -> Floats:
+        scene = one.scene
+        return project(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)  # type: ignore[arg-type]
+
+
+def drawn_bumps(seed: int) -> Load:
+    """Return three bumps of 1.5 to 3 mm radius, a newton each, with some shear."""
+    random = np.random.default_rng(seed)
+    load = Load()
+    for _ in range(3):
+        x, y = random.uniform(-3, 3, 2)
+        shear = random.normal(0, 0.15, 2)
+        load = load + Traction.bump(
+            (float(x), float(y)), float(random.uniform(1.5, 3)), (float(shear[0]), float(shear[1]), 1.0)
+        )
+    return load
+
+
 REST_PX, CELL_N = 0.02, 0.005
 PLACES: dict[int, list[tuple[float, float]]] = {
     0: [],
@@ -195,8 +364,8 @@ def known_errors(truth: Truth, number: int, transfer: Floats, fine: Calibration,
         told = as_found(fine, step.shift_px[number] + random.normal(0, NOISE_PX, fine.layout_px.shape))
         force = step.force_n[number]
         known = (place[0] / FINE.pitch_mm + 8, place[1] / FINE.pitch_mm + 8)
-        at_place = single_contact(told, fine, place=known, radius_mm=radius)
-        sought = single_contact(told, fine, radius_mm=radius)
+        at_place = single_contact(told, fine, radius, known)
+        sought = single_contact(told, fine, radius)
         centre = truth.scene.body.chart_points(np.array([place]))[0]
         out[f"known {place}"] = float(np.linalg.norm(at_place.force_n - force) / np.linalg.norm(force))
         out[f"sought {place}"] = float(np.linalg.norm(sought.force_n - force) / np.linalg.norm(force))
@@ -221,14 +390,14 @@ def totals(truth: Truth, number: int, own: Calibration) -> dict[str, float]:
 
 def calibration(scene: Scene, twin: FittedDesign, found: Fit, markers: Floats, grid: Sites) -> Calibration:
     """Return a calibration at any sites."""
-    sites = on_grid(scene.body, grid, grid.pitch_mm / 2, "sites")
-    compliance = twin.compliance(found.scaled, markers, sites)
+    sites = on_surface(scene.body, grid.chart(), grid.pitch_mm / 2, "sites")
+    compliance, camera = twin.compliance(found.scaled, markers, sites), twin.camera_of(found.scaled)
     return Calibration(
         layer=np.repeat(list(scene.markers), [v.columns * v.rows for v in scene.markers.values()]),
-        layout_px=twin.seen(found.scaled, markers), site_mm=sites.centre_mm, site_frames=sites.frames,
+        layout_px=twin.seen(markers, camera), site_mm=sites.centre_mm, site_frames=sites.frames,
         site_area_mm2=np.full(len(sites), grid.pitch_mm**2), grid=(grid.columns, grid.rows),
         transfer=twin.transfer(found.scaled, markers, compliance), noise_px=NOISE_PX,
-        compliance=compliance.astype(np.float32), marker_mm=markers, camera=twin.optics(found.scaled),
+        compliance=compliance.astype(np.float32), marker_mm=markers, camera=optics(twin.scene, camera),
     )  # fmt: skip
 
 
@@ -258,57 +427,3 @@ def summary(cases: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 row[f"{name} %"] = 100 * float(np.sqrt(np.mean([c[name] ** 2 for c in mine])))
         rows.append(row)
     return rows
-
-
-def main() -> None:
-    """Write docs/calibrations.md from the stored results."""
-    stored = json.loads((RESULTS / "calibrations.json").read_text())
-    told = [
-        {
-            "truth": row["truth"], "calibration": row["calibration"], "presses": row["presses"],
-            "sensors": row["sensors"],
-            "transfer, between %": row["transfer %"], "transfer, edge %": row["transfer %, edge"],
-            "transfer, worst %": max(row["transfer %, worst"], row["transfer %, edge, worst"]),
-            "force at a known place %": row["known %"], "edge %": row["known %, edge"],
-            "force, place sought %": row["sought %"],
-            "place mm": row["place_mm"], "place, edge mm": row["place_mm, edge"],
-        }
-        for row in stored["rows"]
-    ]  # fmt: skip
-    PAGE.write_text(
-        f"# How many presses a calibration needs\n\n{(__doc__ or '').split('``python')[0].strip()}\n\n"
-        "A place is three presses: along z, then with shear along x, then along y. `fitted, n places` is the nominal "
-        "design with its stiffness, depths, print, camera and footprint fitted to n places and the rest picture.\n\n"
-        f"{table(told)}\n\n"
-        "**One place is enough** on a bare finger: what the fit leaves hardly depends on how many places were pressed, "
-        "and is a fraction of what the drawing alone is wrong by. The likely reason is that the rest picture tells "
-        "depths, print and camera, and any place the stiffness. With a cover that the fit knows nothing of, about "
-        "twice as much is left.\n\n"
-        f"{against_sato(stored['rows'])}\n\n"
-        "Rows with few sensors say little about the worst case. Shifts here are projected, with noise drawn. Through "
-        "rendered pictures, tracked, `tests/study/test_fitted_pictures.py` leaves .37 % of the transfer matrix on the "
-        "sites of a flat sensor (as drawn: .57 %) and .88 % of a finger's (1.12 %) after five places, and .48 % of "
-        "another flat one's after two, from a folder of pictures with a table of forces. The truth is "
-        "solved on another mesh, by contact, with lens distortion and another Poisson's ratio.\n\n"
-        "Run again with `python -m benchmarks calibrations`, then `python -m benchmarks.calibrations`.\n"
-    )
-
-
-def against_sato(rows: list[dict[str, Any]]) -> str:
-    """Say what 75 presses as a free matrix leave, against fits to fewer."""
-    by_name = {row["calibration"]: row for row in rows if row["truth"] == "bare"}
-    plain, helped = (by_name[name] for name in MEASURED)
-    few = by_name["fitted, 5 places"]
-    return (
-        f"**Sato's way**, the {plain['presses']} presses of the finger paper's 25 places as a free matrix, leaves "
-        f"{plain['transfer %']:.1f} % of the transfer matrix between the places where it is interpolated linearly, and "
-        f"{helped['transfer %']:.1f} % where the design as drawn carries the shape and only its error is interpolated; "
-        f"{few['presses']} presses with the fit leave {few['transfer %']:.2f} %, "
-        f"{plain['transfer %'] / few['transfer %']:.0f} and {helped['transfer %'] / few['transfer %']:.1f} times less. "
-        "The press's footprint is part of a measured matrix: it is that of a 3 mm sphere, not of the square it is "
-        "compared with."
-    )
-
-
-if __name__ == "__main__":
-    main()

@@ -5,16 +5,18 @@ CPU seconds are what methods are compared by: they hold on a busy machine, and t
 
 from __future__ import annotations
 
+import math
 import os
 import resource
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
-from twin.places import cache_folder
+from twin.files import cache_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +38,20 @@ class Clock:
         now, last = _now(), self._last
         self._last = _now()
         return Cost(wall=now[0] - last[0], cpu=now[1] - last[1])
+
+
+def repeated(work: Callable[[], object], times: int, most_s: float = math.inf) -> list[Cost]:
+    """Return the costs of so many runs, of fewer once they have taken ``most_s`` of CPU time."""
+    clock, costs = Clock(), list[Cost]()
+    while len(costs) < times and sum(cost.cpu for cost in costs) < most_s:
+        work()
+        costs.append(clock.lap())
+    return costs
+
+
+def median_cpu_s(work: Callable[[], object], times: int, most_s: float = math.inf) -> float:
+    """Return the median CPU seconds of some runs."""
+    return median(cost.cpu for cost in repeated(work, times, most_s))
 
 
 def _now() -> tuple[float, float]:

@@ -1,17 +1,13 @@
 """Presses that aren't Hertz's, against tamaas, an independent code of contact on a half-space.
 
-tamaas (2.9, from PyPI, AGPL-3.0) is no part of this program and of its tests: it runs in a process of its own
-(`benchmarks/contact_tamaas.py`) with the interpreter named in the environment variable TAMAAS_PYTHON, of a virtual
-environment that whoever runs this has made: ``python -m venv V && V/bin/pip install tamaas``. Profiles and answers go
-through files. Its non-periodic operator takes the profile as alone on a half-space, as this program's does.
+tamaas (2.9, from PyPI, AGPL-3.0) runs in a process of its own (`benchmarks/contact_tamaas.py`), by the interpreter
+that the environment variable TAMAAS_PYTHON names: ``python -m venv V && V/bin/pip install tamaas``. Both are given the
+same rigid profile and total force. The truth is tamaas on a grid of 512 x 512.
 
-Both are given the same rigid profile and total force. The truth is tamaas on a grid of 512 x 512. Seconds are medians
-of a warm process's runs, each from a probe to its answer: of tamaas the heights of the profile, its model with its
-influences, the solution, what the indentation is read off and the force and torques that the pressures add up to, of
-twin the same, and besides what tamaas has no part for: finding where the contact is and how large (tamaas is told a
-square that fits it), and what the press tells beyond pressures (area, energy, validity). ``equilibrium_s`` are of the
-solution alone, influences at hand: of tamaas its solver's, of twin the equilibrium's, with the forces' sums and what is
-left of the conditions. Why so many runs: of nine that take a fifth of a millisecond each, most are still warming up.
+Seconds are medians of a warm process's runs, each from a probe to its pressures, indentation, force and torques; twin
+also finds where the contact is and how large (tamaas is given a square that fits it), and area, energy and validity.
+``equilibrium_s`` are of the solution alone, influences at hand. Why so many runs: of nine that take a fifth of a
+millisecond each, most are still warming up.
 """
 
 from __future__ import annotations
@@ -19,7 +15,6 @@ from __future__ import annotations
 import os
 import subprocess
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,25 +22,21 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.clock import recorded
+from benchmarks.clock import median_cpu_s, recorded
 from benchmarks.flat import BLOCK, HalfSpace
-from benchmarks.fronts import seconds_to
+from benchmarks.pages import PEER, SAID
 from twin.arrays import Floats
 from twin.parts.load import Rectangles
+from twin.parts.material import plane_strain_modulus
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere
-from twin.theory.contact import plane_strain_modulus
-from twin.world.contact import contact
-from twin.world.contact.contact import ContactState, press
-from twin.world.contact.region import solve_frictionless
+from twin.world.contact import pressing
+from twin.world.contact.contact_search import solve_frictionless
+from twin.world.contact.pressing import ContactState, press
 
 SCRIPT = Path(__file__).with_name("contact_tamaas.py")
-PEER, SAID = "Against tamaas, seconds beside errors", "tamaas wasn't run"
 NU, FAR_MM = 0.5, 5.0
 GRIDS, TRUTH, ACROSS = (8, 12, 16, 24, 32, 64, 128), 512, (6, 8, 10, 14, 20, 28, 40)
 QUICK_GRIDS, QUICK_TRUTH, QUICK_ACROSS = (32, 64), 128, (10, 14)
-BOUNDS = (0.005, 0.001, 0.0003)
-"""Errors of the indentation at which the programs' seconds are compared."""
-
 RUNS, ENOUGH_S = 199, 1.0
 """Runs at most whose median is taken, and seconds after which there are enough."""
 
@@ -131,24 +122,6 @@ def peer_rows(quick: bool) -> list[dict[str, Any]]:
     return rows
 
 
-def to_bounds(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the seconds of both programs to every bound in every case, by each one's own best runs."""
-    return [
-        {"case": case, "off by at most": bound}
-        | {
-            f"{program}, {words}": seconds_to(
-                [(row[part], row["indentation error"]) for row in rows
-                 if row["case"] == case and row["program"] == program],
-                bound,
-            )
-            for part, words in (("cpu_s", "all"), ("equilibrium_s", "equilibrium alone"))
-            for program in ("tamaas", "twin")
-        }
-        for case in dict.fromkeys(row["case"] for row in rows)
-        for bound in BOUNDS
-    ]  # fmt: skip
-
-
 def tamaas(python: str, case: Case, cells: int) -> Found:
     """Return tamaas's answer on a grid of cells x cells."""
 
@@ -156,7 +129,7 @@ def tamaas(python: str, case: Case, cells: int) -> Found:
         middles = (np.arange(cells) + 0.5) / cells * case.side_mm - case.side_mm / 2
         return case.height(*np.meshgrid(middles, middles, indexing="ij"))
 
-    height, profile_s = profile(), _median(profile)
+    height, profile_s = profile(), median_cpu_s(profile, RUNS, ENOUGH_S)
     with tempfile.TemporaryDirectory() as folder:
         given, got = Path(folder, "given.npz"), Path(folder, "got.npz")
         np.savez(
@@ -173,25 +146,16 @@ def tamaas(python: str, case: Case, cells: int) -> Found:
         )  # fmt: skip
 
 
-def _median(work: Callable[[], Any]) -> float:
-    """Return the median CPU seconds of some runs."""
-    spent = list[float]()
-    while len(spent) < RUNS and sum(spent) < ENOUGH_S:
-        start = time.process_time()
-        work()
-        spent.append(time.process_time() - start)
-    return float(np.median(spent))
-
-
 def ours(case: Case, across: int) -> Found:
     """Return this program's answer."""
 
     def pressed() -> ContactState:
         return press(case.press, BLOCK, HalfSpace(NU), patches_across=across, youngs_modulus_mpa=1.0, poisson_ratio=NU)
 
-    with recorded(contact, "solve_frictionless") as calls:
+    with recorded(pressing, "solve_frictionless") as calls:
         state = pressed()
-    seconds, equilibrium = _median(pressed), _median(lambda: solve_frictionless(*calls[-1]))
+    seconds = median_cpu_s(pressed, RUNS, ENOUGH_S)
+    equilibrium = median_cpu_s(lambda: solve_frictionless(*calls[-1]), RUNS, ENOUGH_S)
     terms = [term for term in state.load.terms if isinstance(term, Rectangles)]
     force = np.concatenate([term.force_n[:, 2] for term in terms])
     area = np.concatenate([4.0 * np.prod(term.half_mm, axis=1) for term in terms])

@@ -1,34 +1,99 @@
-"""Datasets: where a sample's time goes, stage by stage, and what many workers add.
+"""Datasets: where a sample's time goes, stage by stage, and what dask's workers add.
 
-CPU milliseconds a sample of one process, after a shard that warms everything up. A machine with n idle cores makes n
-times 1000 / total samples a second; the last rows say what one process and dask with 1 and 2 workers take of the CPU
-of all processes, and which share is not the samples' own (`benchmarks.dataset_workers`). ``python -m
-benchmarks.dataset`` puts the stored rows into docs/dataset.md.
+CPU milliseconds a sample of one process, after a shard that warms everything up. The last rows are of one process and
+of dask with 1 and 2 workers: every shard says how many CPU seconds its samples took; whatever else all processes spend
+until the last shard is there (messages, the way of the bytes, heartbeats) is the overhead. Heartbeats go by the clock,
+tasks or none, so what idle processes spend is measured, too, and from that what the overhead is where workers have the
+cores for themselves.
 """
 
 from __future__ import annotations
 
-import json
-import re
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from benchmarks import ROOT
-from benchmarks.__main__ import RESULTS, table
-from benchmarks.dataset_workers import rows as workers_rows
+from twin.blas_threads import one_thread
 from twin.study import sensor
-from twin.study.batch.job import one_thread, unpacked
-from twin.study.dataset import cells, work
+from twin.study.batch.pool import Done, Job, run_tasks, unpacked
+from twin.study.dataset import sample
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import job_of, prepare
+from twin.study.dataset.sample import ShardBytes, make_shard
 from twin.study.recipe import load_scene
 
-PAGE = ROOT / "docs" / "dataset.md"
-MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"
+WARM = 3
+"""Shards of every worker before the clock is started."""
+
+IDLE_S = 5.0
+"""How long idle processes are watched."""
+
+
+def timed(folder: Path, shard: int) -> tuple[ShardBytes, float]:
+    """Make a shard; return it with the CPU seconds that it took."""
+    started = time.process_time()
+    made = make_shard(folder, shard)
+    return made, time.process_time() - started
+
+
+def _by_workers(name: str, scene: str, overrides: dict[str, Any], samples: int) -> list[dict[str, Any]]:
+    """Return a row for one process without dask, and for one and two workers of it."""
+    loaded = load_scene(scene, overrides)
+    each = loaded.dataset.samples_per_shard
+    shards = samples // each
+    found = []
+    for workers in (0, 1, 2):
+        with tempfile.TemporaryDirectory(prefix="twin-benchmark-") as folder, one_thread():
+            places = Places(Path(folder))
+            places.meta.mkdir()
+            prepare(Plan(loaded, (WARM * 2 + shards) * each), places, None)
+            job = Job(files=job_of(places).files, work=f"{__name__}:timed")
+            with _runner(workers) as run:
+                warm = WARM * max(1, workers)
+                for _ in run(job, range(warm)):
+                    pass
+                clock, before = time.perf_counter(), _cpu()
+                spent = sum(done.result[1] for done in run(job, range(warm, warm + shards)))
+                wall, cpu = time.perf_counter() - clock, _cpu() - before
+                idle = _idle() if workers else 0.0
+        count = shards * each
+        how = f"dask, {workers} worker{'s' if workers > 1 else ''}" if workers else "one process"
+        own_cores = (cpu - idle * wall) / spent - 1 + idle / max(1, workers)
+        found.append({"what": f"{name}, {how}", "samples": count, "total": 1000 * cpu / count,
+                      "overhead_percent": 100 * (cpu / spent - 1), "on_own_cores_percent": 100 * own_cores,
+                      "idle_ms_per_s": 1000 * idle, "per_s_wall": count / wall})  # fmt: skip
+    return found
+
+
+@contextmanager
+def _runner(workers: int) -> Iterator[Callable[[Job, Iterable[int]], Iterator[Done]]]:
+    """Give what does tasks: so many of dask's workers, also a single one; this process without any."""
+    if not workers:
+        yield run_tasks
+        return
+    from twin.study.batch.pool import tasks_on_cluster, workers_here
+
+    with workers_here(workers) as cluster:
+        yield lambda job, numbers: tasks_on_cluster(job, numbers, cluster)
+
+
+def _idle() -> float:
+    """Return the CPU seconds that idle processes spend in a second."""
+    clock, before = time.perf_counter(), _cpu()
+    time.sleep(IDLE_S)
+    return (_cpu() - before) / (time.perf_counter() - clock)
+
+
+def _cpu() -> float:
+    """Return the CPU seconds of this process and of all that it started and that still run."""
+    import psutil
+
+    this = psutil.Process()
+    return float(sum(sum(p.cpu_times()[:2]) for p in (this, *this.children(recursive=True))))
+
 
 TRUTH = ["force_n", "surface_force_n", "site_force_n", "site_contact", "marker_displacement_mm", "marker_pressed_px"]
 FRICTIONLESS = {
@@ -71,12 +136,14 @@ MANY = 96
 
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return one row a case and one a number of workers; the quick form tries four samples of two cases."""
-    rows = [_case(*case, FEW if quick else _count(case[0])) for case in (CASES[1:3] if quick else CASES)]
-    return rows if quick else [*rows, *_workers()]
-
-
-def _count(name: str) -> int:
-    return MANY if "no pictures" in name else COUNT
+    if quick:
+        return [_case(*case, FEW) for case in CASES[1:3]]
+    usual, quickest = {"dataset.columns": TRUTH}, {"dataset.columns": TRUTH, **RECTANGLE}
+    return [
+        *(_case(*case, MANY if "no pictures" in case[0] else COUNT) for case in CASES),
+        *_by_workers("flat, no pictures, friction", "dataset_kamiyama", usual, 200),
+        *_by_workers("flat, no pictures, a rectangle given", "dataset_tractions", quickest, 3000),
+    ]
 
 
 def _case(name: str, scene: str, overrides: dict[str, Any], count: int) -> dict[str, Any]:
@@ -86,10 +153,10 @@ def _case(name: str, scene: str, overrides: dict[str, Any], count: int) -> dict[
         places.meta.mkdir()
         prepare(Plan(loaded, 2 * count), places, None)
         with unpacked(job_of(places)) as job:
-            work.make_shard(job, 0)
+            sample.make_shard(job, 0)
             with _stages() as spent:
                 started = time.process_time()
-                shard = work.make_shard(job, 1)
+                shard = sample.make_shard(job, 1)
                 total = time.process_time() - started
     each = {stage: 1000 * seconds / count for stage, seconds in spent.items()}
     each["picture"] = each["picture"] - each["ccd"]  # exposing is a part of taking the picture
@@ -101,17 +168,16 @@ def _case(name: str, scene: str, overrides: dict[str, Any], count: int) -> dict[
 @contextmanager
 def _stages() -> Iterator[dict[str, float]]:
     """Count the CPU seconds that are spent in each stage while the block runs."""
-    from twin import png
-    from twin.world.picture import exposure
+    from twin.world.picture import ccd as exposure
 
     where: dict[str, tuple[Any, str]] = {
         "contact": (sensor.Sensor, "press"),
         "displacement": (sensor.Sensor, "motion_of_patches"),
-        "sites": (cells, "in_cells"),
+        "sites": (sample, "in_cells"),
         "picture": (sensor.Sensor, "seen"),
         "ccd": (exposure, "expose"),
-        "png": (png, "png_bytes"),
-        "parquet": (work, "parquet"),
+        "png": (sample, "png_bytes"),
+        "parquet": (sample, "parquet"),
     }
     spent = dict.fromkeys(where, 0.0)
     before = {stage: getattr(owner, name) for stage, (owner, name) in where.items()}
@@ -133,41 +199,3 @@ def _stages() -> Iterator[dict[str, float]]:
     finally:
         for stage, (owner, name) in where.items():
             setattr(owner, name, before[stage])
-
-
-def _workers() -> list[dict[str, Any]]:
-    """Return what dask adds to samples of a usual price, and to the quickest ones, in the scenes' own shards."""
-    usual, quick = {"dataset.columns": TRUTH}, {"dataset.columns": TRUTH, **RECTANGLE}
-    return [
-        *workers_rows("flat, no pictures, friction", "dataset_kamiyama", usual, 200),
-        *workers_rows("flat, no pictures, a rectangle given", "dataset_tractions", quick, 3000),
-    ]
-
-
-def page_tables() -> str:
-    """Return the stored rows as the page shows them."""
-    path = RESULTS / "dataset.json"
-    if not path.is_file():
-        return "(not measured yet)\n"
-    told = json.loads(path.read_text())
-    cores = told["machine"]["cores"]
-    rows = [_with_rate(row, cores) for row in told["rows"]]
-    return f"On {told['machine']['processor']}, {cores} cores.\n\n{table(rows)}\n"
-
-
-def _with_rate(row: dict[str, Any], cores: int) -> dict[str, Any]:
-    """Return a row with the samples a second that all cores make, after what one takes; of rows by stage only."""
-    if "contact" not in row:
-        return row
-    before = list(row)[: list(row).index("total") + 1]
-    return {key: row[key] for key in before} | {"per_s": 1000.0 * cores / row["total"]} | row
-
-
-def write_page(page: Path = PAGE) -> None:
-    """Put the stored rows into the page."""
-    text = page.read_text()
-    page.write_text(re.sub(MARKS, lambda m: m[1] + page_tables() + m[2], text, flags=re.DOTALL))
-
-
-if __name__ == "__main__":
-    write_page()

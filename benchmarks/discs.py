@@ -71,15 +71,14 @@ def expose(picture, seed):
     return np.clip(np.rint(counts + random.normal(0, READ_NOISE_DN, picture.shape)), 0, 255).astype(np.uint8)
 
 
-def bound_px(diameter, psf=0.7, contrast=130.0):
+def bound_px(diameter, contrast=130.0):
     """Cramer-Rao bound of one centre coordinate, px, all else known, all three channels used; mean over the phases."""
     size, step = (int(diameter) + 22,) * 2, 0.1
     found = []
     for phase in (0.0, 0.25, 0.5):
         middle = np.array([[size[0] // 2 + phase, size[1] // 2 + 0.3]])
-        right, left = (
-            contrast * cover(size, middle + np.array([[d, 0.0]]), diameter, psf) for d in (step / 2, -step / 2)
-        )
+        ends = (middle + np.array([[d, 0.0]]) for d in (step / 2, -step / 2))
+        right, left = (contrast * cover(size, end, diameter, 0.7) for end in ends)
         slope, mean = (right - left) / step, GROUND_DN + (right + left) / 2
         found.append((slope**2 / (mean / ELECTRONS_PER_DN + READ_NOISE_DN**2 + 1 / 12)).sum())
     return 1 / np.sqrt(np.mean(found))

@@ -35,7 +35,7 @@ def run(quick: bool) -> list[dict[str, Any]]:
         if not quick:
             ways += [(f"direct, {level}", "direct", level, False) for level in LEVELS]
         for way in ways:
-            warm_up(body, *way[1:])
+            warm_up(body, way[1], way[3])
             with empty_cache():
                 rows += way_rows(body, *way, quick)
             gc.collect()
@@ -67,7 +67,7 @@ def way_rows(body: str, way: str, method: Method, level: Level, table: bool, qui
             "marker_error": at_markers,
         }
         if method == "subtracted":
-            row["estimate"] = stiff.error_estimate(truth.points, load)
+            row["estimate"] = stiff.answer(truth.points, load)[1]
         rows.append(row)
     return rows
 
@@ -81,13 +81,10 @@ def compliance(body: str, nu: float, method: Method, level: Level, table: bool) 
     return made
 
 
-def warm_up(body: str, method: Method, level: Level, table: bool) -> None:
-    """Answer once and forget it: compiled code and libraries are loaded afterwards."""
-    _warm(body, method, level if table else "sketch", table)
-
-
 @cache
-def _warm(body: str, method: Method, level: Level, table: bool) -> None:
+def warm_up(body: str, method: Method, table: bool) -> None:
+    """Answer once and forget it: compiled code and libraries are loaded afterwards."""
     case: Case = reference(body).cases[-1]
     with empty_cache():
-        compliance(body, case.nu, method, level, table).displacement(reference(body).points, case.load(BODIES[body]))
+        stiff = compliance(body, case.nu, method, "standard" if table else "sketch", table)
+        stiff.displacement(reference(body).points, case.load(BODIES[body]))

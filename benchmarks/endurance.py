@@ -7,8 +7,6 @@ all must stay flat. The result is stored in benchmarks/results/endurance.json; e
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import sys
 import tempfile
@@ -17,16 +15,13 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from benchmarks.__main__ import RESULTS, machine, table
-from benchmarks.arguments import minutes
-from benchmarks.fuzz_whole import SMALL
+from benchmarks.fuzz_files import SMALL
 from benchmarks.random_scenes import said
+from benchmarks.record import Row, at_least, parser_of, store, table
 
-STORED = RESULTS / "endurance.json"
 WARM = 0.3
 """Share of the rounds that may still grow."""
 
@@ -121,13 +116,13 @@ def problems(states: list[dict[str, float]]) -> list[str]:
 
 def main() -> int:
     """Work, print what became of the process and store it; exit code 1 if something grew."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.endurance", description=__doc__)
-    parser.add_argument("--minutes", type=minutes, default=60.0, help="how long (default 60; shorter is not stored)")
+    parser = parser_of("endurance", __doc__)
+    parser.add_argument("--minutes", type=at_least(0, float), default=60.0, help="default 60; shorter is not stored")
     arguments = parser.parse_args()
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         states = list(rounds(Path(folder), arguments.minutes))
-    rows: list[dict[str, Any]] = [
+    rows: list[Row] = [
         {"what": name, "after warming up": first, "at the end": last, "largest": max(s[name] for s in states)}
         for name, (first, last) in grown(states).items()
     ]
@@ -137,9 +132,7 @@ def main() -> int:
     for line in found:
         print(line, file=sys.stderr)
     if not found and took >= 60:
-        STORED.write_text(
-            json.dumps({"machine": machine(), "minutes": took, "rounds": len(states), "rows": rows}, indent=1) + "\n"
-        )
+        store("endurance", rows, minutes=took, rounds=len(states))
     return int(bool(found))
 
 

@@ -5,8 +5,8 @@ with finer quadrature under the load: at given places, axis by axis, and of rand
 cut as the program cuts them. The finger's finest mesh is itself up to 6e-4 off. The block's standard table is tried on
 squares, disks and twists at random against `benchmarks.truth`, where NGSolve is installed.
 
-The shares in `twin.world.elasticity.expected` were chosen with the given loads in view, and on the finger with 60 other
-random ones; the random loads here set nothing.
+The shares in `twin.world.elasticity.error_law` were chosen with the given loads in view, and on the finger with 60
+other random ones; the random loads here set nothing.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from itertools import product
 
 import numpy as np
 
-from benchmarks.__main__ import table
 from benchmarks.clock import empty_cache
 from benchmarks.elasticity import compliance
+from benchmarks.record import Row, table
 from benchmarks.reference import BODIES, Case, reference
 from benchmarks.truth import COARSE, Quarter, Words, half_space
 from twin.arrays import Points
 from twin.errors import InputError
 from twin.parts.load import Rectangles, Traction
-from twin.world.elasticity import residual
+from twin.world.elasticity import correction_loads
 from twin.world.elasticity.compliance import Compliance
-from twin.world.elasticity.tile import tile
+from twin.world.elasticity.discretise import tile
 from twin.world.mesh.sizing import Level
 
 LEVELS: tuple[Level, ...] = ("nominal", "sketch", "coarse", "standard")
@@ -116,12 +116,12 @@ def cases(body: str, loads: str = "given") -> Iterator[tuple[float, Points, Rect
 @contextmanager
 def finer() -> Iterator[None]:
     """Halve the pieces of face under a load, and the cells that it is merged into far from it."""
-    before = residual.FINEST, residual.CELLS
-    residual.FINEST, residual.CELLS = before[0] / 2.0, before[1] * 2.0
+    before = correction_loads.FINEST, correction_loads.CELLS
+    correction_loads.FINEST, correction_loads.CELLS = before[0] / 2.0, before[1] * 2.0
     try:
         yield
     finally:
-        residual.FINEST, residual.CELLS = before
+        correction_loads.FINEST, correction_loads.CELLS = before
 
 
 def ratios(body: str) -> dict[tuple[str, Level], list[float]]:
@@ -170,21 +170,18 @@ def of_table(nu: float) -> list[float]:
     return found
 
 
+def _row(body: str, loads: str, level: str, found: list[float]) -> Row:
+    ratio = np.array(found)
+    sizes = {"number": len(ratio), "least": ratio.min(), "median": np.median(ratio), "most": ratio.max()}
+    shares = {"below 1": np.mean(ratio < 1.0), "above 3": np.mean(ratio > 3.0)}
+    return {"body": body, "loads": loads, "level": level, **sizes, **shares}
+
+
 if __name__ == "__main__":
-    rows = []
-    for nu in NUS if find_spec("ngsolve") else ():
-        told = np.array(of_table(nu))
-        rows.append(
-            {"body": "block", "loads": f"random, nu {nu:g}", "level": "table, truth", "number": len(told),
-             "least": told.min(), "median": np.median(told), "most": told.max(), "below 1": np.mean(told < 1.0),
-             "above 3": np.mean(told > 3.0)}
-        )  # fmt: skip
+    rows = [
+        _row("block", f"random, nu {nu:g}", "table, truth", of_table(nu))
+        for nu in (NUS if find_spec("ngsolve") else ())
+    ]
     for name in BODIES:
-        for (loads, level), each in ratios(name).items():
-            all_of = np.array(each)
-            rows.append(
-                {"body": name, "loads": loads, "level": level, "number": len(each), "least": all_of.min(),
-                 "median": np.median(all_of), "most": all_of.max(), "below 1": np.mean(all_of < 1.0),
-                 "above 3": np.mean(all_of > 3.0)}
-            )  # fmt: skip
+        rows += [_row(name, loads, level, found) for (loads, level), found in ratios(name).items()]
     print(table(rows))

@@ -9,7 +9,6 @@ which they draw changes with every version. Exit code 1 if any fails.
 
 from __future__ import annotations
 
-import argparse
 import copy
 import math
 import sys
@@ -23,6 +22,7 @@ from typing import Any
 
 from benchmarks.random_recipes import Table, bounds, nested_rules, put, slots
 from benchmarks.random_scenes import Tally, assert_sound
+from benchmarks.record import names_of, parser_of
 from twin.errors import TwinError
 from twin.parts.scene import Scene
 from twin.study.recipe import dump_scene, load_scene, validate_scene
@@ -169,21 +169,14 @@ def outcome(recipe: Table, most_cpu_s: float = MOST_CPU_S) -> str:
 
 def main() -> int:
     """Try every case of the scenes asked for, print what became of them; exit code 1 if any failed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.extremes", description=__doc__)
-    parser.add_argument(
-        "scenes", nargs="*", default=sorted(SCENES), help=f"of {', '.join(sorted(SCENES))}; default all"
-    )
-    parser.add_argument("--key", default="", help="only keys that begin so")
-    arguments = parser.parse_args()
     failed = 0
-    for name in arguments.scenes:
+    for name in names_of(parser_of("extremes", __doc__), SCENES).names or SCENES:
         became: Counter[str] = Counter()
         for key, value, recipe in cases(name):
-            if key.startswith(arguments.key):
-                what = outcome(recipe)
-                became[what.split(":")[0]] += 1
-                if what.startswith("failed"):
-                    print(f"{name}: {key} = {value!r}: {what}", file=sys.stderr)
+            what = outcome(recipe)
+            became[what.split(":")[0]] += 1
+            if what.startswith("failed"):
+                print(f"{name}: {key} = {value!r}: {what}", file=sys.stderr)
         print(f"{name}: {', '.join(f'{count} {what}' for what, count in became.most_common())}")
         failed += became["failed"]
     return int(bool(failed))

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.reference import BODIES
 from twin.arrays import Floats, Points
-from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
-from twin.theory.halfspace_normal import normal_compliance
-from twin.world.elasticity.symmetric import make_symmetric
+from twin.world.elasticity.compliance import make_symmetric
 
-BLOCK = Block(width_mm=100, length_mm=90, thickness_mm=40)
+BLOCK = BODIES["block"]
 """Only its flat surface counts where a half-space stands for it."""
 
 
@@ -33,10 +32,6 @@ class HalfSpace:
             parts = whole.reshape(len(points), 3, len(rectangles), 3)
             parts[:, 2, :, :2] = parts[:, :2, :, 2] = 0.0
         return whole
-
-    def normal(self, rectangles: Rectangles) -> Floats | None:
-        """Return the symmetric (k, k) normal compliance, mm/N."""
-        return normal_compliance(rectangles, 1.0, self._poisson_ratio)
 
     def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
         """Return (3 n, 3): all there is on a half-space."""

@@ -1,12 +1,12 @@
 """Damaged and hostile files, given to every reader: ``python -m benchmarks.fuzz [--rounds N] [--reader NAME]``.
 
 A reader is a command that takes a file of a kind. Each gets a whole file (which must be taken), the same file damaged
-in ways that suit any file (`benchmarks.fuzz_damage`), and files that are hostile for its kind: lying headers, bombs,
+in ways that suit any file (`benchmarks.fuzz_files`), and files that are hostile for its kind: lying headers, bombs,
 NaN, pickles, paths out of the folder, links. Every attempt is a child process of its own in an empty folder, with
 bounded memory and time. What must hold:
 
 * exit code 0 to 4, no traceback, no internal error, no signal;
-* at most 10 s of CPU and 1 GB more memory than the program itself;
+* at most 10 s of CPU to refuse (60 s to accept: a body may be meshed) and 1 GB more memory than the program itself;
 * nothing written, changed or removed outside the child's folder, and nothing executed.
 
 The table is stored in benchmarks/results/fuzz.json; exit code 1 if anything failed.
@@ -14,7 +14,6 @@ The table is stored in benchmarks/results/fuzz.json; exit code 1 if anything fai
 
 from __future__ import annotations
 
-import argparse
 import faulthandler
 import json
 import os
@@ -28,25 +27,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.__main__ import RESULTS, machine, table
-from benchmarks.arguments import at_least
-from benchmarks.fuzz_damage import damaged
-from benchmarks.fuzz_files import READERS, Reader
-from benchmarks.fuzz_whole import make_whole_files
+from benchmarks.fuzz_files import READERS, Reader, damaged, make_whole_files
+from benchmarks.record import RESULTS, at_least, machine, parser_of, table
 
 STORED = RESULTS / "fuzz.json"
-CPU_S, WALL_S = 10, 120
+REFUSE_CPU_S, ACCEPT_CPU_S, WALL_S = 10, 60, 120
 MEMORY_BYTES = 1_000_000_000
 MISSING = 4
 """The exit code of a command whose extra package is not installed: not the reader's fault."""
 WARM = (
     "numpy", "scipy.optimize", "scipy.sparse.linalg", "scipy.ndimage", "pyarrow.parquet", "PIL.Image", "yaml",
     "twin.cli", "twin.sense.reconstruct", "twin.sense.track", "twin.study.check", "twin.study.recorded",
-    "twin.study.dataset.check", "twin.study.dataset.export", "twin.study.dataset.create", "twin.study.dataset.view",
-    "twin.study.sweep.estimate",
-    "twin.study.sweep.run", "twin.study.frames", "twin.study.meshes", "twin.show.live", "twin.study.table_files",
-    "twin.study.recorded_presses", "twin.world.elasticity.compliance", "twin.world.contact.contact",
-    "twin.study.reproduce.runner",
+    "twin.study.dataset.audit", "twin.study.dataset.export", "twin.study.dataset.create", "twin.study.dataset.reader",
+    "twin.study.sweep.sweep_run", "twin.show.terminal",
+    "twin.study.calibrate", "twin.world.elasticity.compliance", "twin.world.contact.pressing",
+    "twin.study.reproduce.reproduction_run",
 )  # fmt: skip
 """Loaded once, before children are forked, so that none of them counts it."""
 
@@ -100,7 +95,7 @@ def attempt(reader: Reader, box: Path) -> Attempt:
     one = Attempt(code=code, cpu_s=usage.ru_utime + usage.ru_stime, memory_mb=usage.ru_maxrss / 1024,
                   told=told.read_text(errors="replace") if told.is_file() else "")  # fmt: skip
     strange = sorted(path.name for path in box.iterdir() if path.name not in ("inside", "outside", "told"))
-    if hung or one.cpu_s > CPU_S:
+    if hung or one.cpu_s > (REFUSE_CPU_S if code else ACCEPT_CPU_S):
         one.wrong = f"took {one.cpu_s:.1f} s of CPU"
     elif code < 0 or code > 4:
         one.wrong = f"ended with code {code}"
@@ -145,7 +140,7 @@ def _as_child(reader: Reader, inside: Path, told: Path) -> None:
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         most = pages * resource.getpagesize() + MEMORY_BYTES
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
-        resource.setrlimit(resource.RLIMIT_CPU, (2 * CPU_S, 2 * CPU_S + 1))
+        resource.setrlimit(resource.RLIMIT_CPU, (2 * ACCEPT_CPU_S, 2 * ACCEPT_CPU_S + 1))
         main(list(reader.command))
     except SystemExit as done:
         code = int(done.code or 0)
@@ -222,7 +217,7 @@ def rows(found: dict[str, Found]) -> list[dict[str, Any]]:
 
 def main() -> int:
     """Attack the readers, print and store what became of them; exit code 1 if anything failed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description=__doc__)
+    parser = parser_of("fuzz", __doc__)
     parser.add_argument("--rounds", type=at_least(0), default=40, help="random damages of every file (default 40)")
     parser.add_argument("--reader", choices=sorted(READERS), help="one reader only; nothing is stored")
     parser.add_argument("--out", type=Path, default=STORED, help=f"where the table is stored (default {STORED.name})")

@@ -5,25 +5,28 @@ next to the load, as rigid bodies, in the whole block; closed forms (`twin.theor
 then all 636 of them, which no mesh of reasonable size could resolve. With beads and without them the mesh is the
 same, so that the mesh's own error cancels in the change, and unknowns of a bead are tied to its six motions, so that a
 bead is exactly rigid. The load is even over the disc below the 5 mm pillar; two mirror planes leave a quarter.
-Further rows say where the option of stiff markers (`twin.world.elasticity.stiff`) ends, and what it costs.
+Further rows say where the option of stiff markers (`twin.world.elasticity.rigid_beads`) ends, and what it costs.
+
+The elements are Taylor-Hood, with curved bead surfaces. "With" is P^T K P: the columns of P are the nodes outside the
+beads and the motions of every bead that the mirror planes allow. K is factored with a little taken off the pressure
+block, and refined against the true matrix until the residual is small. E = 1 MPa there: displacements scale with 1/E.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import re
 import resource
 import sys
-import time
-from pathlib import Path
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
-from benchmarks import ROOT
-from benchmarks.__main__ import RESULTS, machine, table
-from benchmarks.inclusions_mesh import bead_solutions
+from benchmarks.bead_motion import BeadMotion, bead_motion
+from benchmarks.clock import Clock, repeated
+from benchmarks.pages import write
+from benchmarks.record import parser_of, store, table
 from twin.arrays import Floats, Points
 from twin.parts.load import Rectangles, Traction
 from twin.sense.reconstruct import reconstruct
@@ -31,12 +34,184 @@ from twin.sense.track import Found
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
-from twin.theory.inclusions import BeadMotion, bead_motion, dipole_displacement, stresslet
+from twin.theory.inclusions import dipole_displacement, stresslet
 from twin.world.elasticity.compliance import Compliance
 
-PAGE = ROOT / "docs" / "inclusions.md"
-STORED = RESULTS / "inclusions.json"
-MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"
+QUARTER_MM = (50.0, 45.0, 40.0)
+SOFT = 1e-5
+"""Share of the pressure's mass matrix that makes the factored matrix quasi-definite."""
+
+RESIDUAL = 1e-10
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeadSolutions:
+    """Displacement in mm of resolved beads (n, 3) and of the passive points at their centres, for 1 N and 1 MPa."""
+
+    centres: Points
+    beads: Points
+    passive: Points
+    elements: int
+    unknowns: int
+
+
+def bead_solutions(
+    centres: Points,
+    radius_mm: float,
+    disc_mm: float,
+    reach_mm: float,
+    order: int,
+    fineness: float,
+    poisson_ratio: float = 0.5,
+) -> BeadSolutions:
+    """Solve a quarter of the block with and without the beads (n, 3), mm, at 0 <= x, y < ``reach_mm``.
+
+    ``disc_mm`` is the radius of the pushed disc; ``order`` is the displacement's, the pressure has one less. A
+    ``fineness`` of 1 gives 4 % of missing volume in a bead, 2 gives .2 %.
+    """
+    import ngsolve as ng
+
+    ng.SetNumThreads(1)
+    centres = np.array([c for c in centres if -1e-9 <= c[0] < reach_mm and -1e-9 <= c[1] < reach_mm])
+    mesh = _mesh(centres, radius_mm, disc_mm, reach_mm, fineness)
+    mesh.Curve(order)
+    held = {"dirichletx": "mirror_x|held", "dirichlety": "mirror_y|held", "dirichletz": "held"}
+    moves, presses = ng.VectorH1(mesh, order=order, **held), ng.H1(mesh, order=order - 1)
+    both = moves * presses
+    matrix, load, soft = _system(mesh, both, presses, disc_mm, poisson_ratio, ".*")
+    free = np.flatnonzero(np.array(list(both.FreeDofs()), bool))
+    plain = sparse.csr_matrix((np.ones(len(free)), (free, np.arange(len(free)))), shape=(both.ndof, len(free)))
+    without = plain @ _solve(matrix, load, soft, plain)
+    tied, column = _tie(mesh, moves, presses, both, centres)
+    matrix, load, soft = _system(mesh, both, presses, disc_mm, poisson_ratio, "rubber")
+    with_beads = _solve(matrix, load, soft, tied)
+    field = ng.GridFunction(both)
+    field.vec.FV().NumPy()[:] = without
+    inside = centres + 1e-9 * (centres[:, :] < 1e-9)
+    passive = np.array([field.components[0](mesh(*point)) for point in inside])
+    beads = np.array([[with_beads[c] if c >= 0 else 0.0 for c in motion[:3]] for motion in column])
+    return BeadSolutions(
+        centres=centres, beads=beads, passive=passive, elements=mesh.ne, unknowns=plain.shape[1]
+    )  # fmt: skip
+
+
+def _mesh(centres: Points, radius_mm: float, disc_mm: float, reach_mm: float, fineness: float) -> Any:
+    import ngsolve as ng
+    from netgen.occ import Axes, Box, Glue, HalfSpace, OCCGeometry, Pnt, Sphere, Vec, WorkPlane, X, Y, Z
+
+    block = Box(Pnt(0, 0, 0), Pnt(*QUARTER_MM))
+    near = Box(Pnt(0, 0, 0), Pnt(reach_mm + 0.75, reach_mm + 0.75, 8))
+    for solid in (block, near):
+        solid.faces.Min(X).name, solid.faces.Min(Y).name = "mirror_x", "mirror_y"
+        solid.solids.name = "rubber"
+    block.faces.Max(Z).name = "held"
+    near.maxh = 1.0
+    flat = Axes((0, 0, 0), n=Z, h=X)
+    disc = WorkPlane(flat).Circle(disc_mm).Face() * WorkPlane(flat).Rectangle(QUARTER_MM[0], QUARTER_MM[1]).Face()
+    disc.faces.name, disc.faces.maxh = "load", 0.6
+    beads = []
+    for number, centre in enumerate(centres):
+        bead = Sphere(Pnt(*centre), radius_mm)
+        for axis, (way, name) in enumerate(((X, "mirror_x"), (Y, "mirror_y"))):
+            if abs(centre[axis]) < 1e-9:
+                bead = bead * HalfSpace(Pnt(0, 0, 0), Vec(*(-np.eye(3)[axis])))
+                bead.faces.Min(way).name = name
+        bead.solids.name, bead.maxh = f"bead{number}", radius_mm
+        beads.append(bead)
+    return ng.Mesh(
+        OCCGeometry(Glue([block, near, disc, *beads])).GenerateMesh(
+            maxh=12, grading=0.3, curvaturesafety=fineness, segmentsperedge=1, optsteps3d=2
+        )
+    )
+
+
+def _system(
+    mesh: Any, both: Any, presses: Any, disc_mm: float, poisson_ratio: float, squeezed: str
+) -> tuple[Any, Any, Any]:
+    """Return matrix, load (1 N over the whole disc) and what is taken off the pressure block.
+
+    ``squeezed`` names the solids whose volume gives way to pressure: a rigid bead's doesn't.
+    """
+    import ngsolve as ng
+
+    (u, p), (v, q) = both.TnT()
+    form = ng.BilinearForm(both, symmetric=False)
+    strain, virtual = ng.Sym(ng.Grad(u)), ng.Sym(ng.Grad(v))
+    twice_shear = 1 / (1 + poisson_ratio)
+    give = (1 - 2 * poisson_ratio) / (poisson_ratio * twice_shear)
+    form += (twice_shear * ng.InnerProduct(strain, virtual) - p * ng.div(v) - q * ng.div(u)) * ng.dx
+    form += -give * p * q * ng.dx(definedon=mesh.Materials(squeezed))
+    load = ng.LinearForm(both)
+    load += v[2] / (np.pi * disc_mm**2) * ng.ds("load")
+    mass = ng.BilinearForm(presses)
+    p, q = presses.TnT()
+    mass += p * q * ng.dx
+    for part in (form, load, mass):
+        part.Assemble()
+    softness = np.zeros(both.ndof)
+    softness[both.ndof - presses.ndof :] = SOFT * _csr(mass.mat).diagonal()
+    return _csr(form.mat), load.vec.FV().NumPy().copy(), sparse.diags(softness)
+
+
+def _csr(matrix: Any) -> Any:
+    rows, columns, values = (np.array(part) for part in matrix.COO())
+    return sparse.csr_matrix((values, (rows, columns)), shape=(matrix.height, matrix.width))
+
+
+def _tie(mesh: Any, moves: Any, presses: Any, both: Any, centres: Points) -> tuple[Any, np.ndarray]:
+    """Return P (unknowns of ``both`` by reduced unknowns) and (beads, 6) its columns of every bead, -1 where held."""
+    import ngsolve as ng
+
+    free = np.array(list(both.FreeDofs()), bool)
+    live = free.copy()
+    live[moves.ndof :] &= np.array(list(presses.GetDofs(mesh.Materials("rubber"))), bool)
+    x, y, z = ng.x, ng.y, ng.z
+    function, motions = ng.GridFunction(moves), []
+    for motion in [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, -z, y), (z, 0, -x), (-y, x, 0)]:
+        function.Set(ng.CF(motion))
+        motions.append(function.vec.FV().NumPy().copy())
+    rigid = np.array(motions).T
+    column, blocks, used = np.full((len(centres), 6), -1), [], 0
+    for number, centre in enumerate(centres):
+        mine = np.flatnonzero(np.array(list(moves.GetDofs(mesh.Materials(f"bead{number}"))), bool))
+        own = rigid[mine]
+        own[:, 3:] -= own[:, :3] @ np.cross(np.eye(3), centre).T
+        live[mine] = False
+        for motion in range(6):
+            if np.abs(own[~free[mine], motion]).max(initial=0.0) < 1e-9:
+                blocks.append((mine, np.full(len(mine), used), own[:, motion]))
+                column[number, motion] = used
+                used += 1
+    kept = np.flatnonzero(live)
+    blocks.append((kept, used + np.arange(len(kept)), np.ones(len(kept))))
+    rows, columns, values = (np.concatenate(part) for part in zip(*blocks, strict=True))
+    tied = sparse.csr_matrix((values, (rows, columns)), shape=(both.ndof, used + len(kept)))
+    tied.data[np.abs(tied.data) < 1e-13] = 0.0
+    tied.eliminate_zeros()
+    return tied, column
+
+
+def _solve(matrix: Any, load: np.ndarray, soft: Any, tied: Any) -> np.ndarray:
+    """Return the reduced unknowns of P^T K P q = P^T f; RuntimeError if the residual stays above its bound."""
+    from ngsolve import la
+
+    true, force = (tied.T @ matrix @ tied).tocsr(), tied.T @ load
+    softened = (true - tied.T @ soft @ tied).tocoo()
+    size = len(force)
+    given = la.SparseMatrixd.CreateFromCOO(
+        softened.row.astype(np.int32), softened.col.astype(np.int32), softened.data, size, size
+    )
+    inverse = given.Inverse(inverse="sparsecholesky")
+    step, wrong, answer = given.CreateColVector(), given.CreateColVector(), np.zeros(size)
+    for _ in range(20):
+        residual = force - true @ answer
+        if np.abs(residual).max() < RESIDUAL * np.abs(force).max():
+            return answer
+        wrong.FV().NumPy()[:] = residual
+        step.data = inverse * wrong
+        answer = answer + step.FV().NumPy()
+    raise RuntimeError(f"residual {np.abs(residual).max():.1e} N after 20 refinements: the factorisation failed")
+
 
 RADIUS_MM = 0.25
 PILLAR_MM = 2.5
@@ -74,25 +249,10 @@ def run(quick: bool) -> list[dict[str, Any]]:
     return rows + _face_rows(sensor) + [_pitch_row(pitch) for pitch in PITCHES_MM] + [_option_row()]
 
 
-def page_tables() -> str:
-    """Return the Markdown between the page's two result marks."""
-    stored = json.loads(STORED.read_text())
-    where = f"On {stored['machine']['processor']}, {stored['machine']['cores']} cores.\n"
-    return "\n".join(["", *_tables(stored["rows"]), where])
-
-
-def _tables(rows: list[dict[str, Any]]) -> list[str]:
-    """Return a titled Markdown table for every kind of row."""
-    kinds: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        kinds.setdefault(row["what"], []).append({k: v for k, v in row.items() if k != "what"})
-    return [f"**{what}**\n\n{table(same)}\n" for what, same in kinds.items()]
-
-
 def _resolved_row(sensor: Sensor, reach_mm: float, order: int, fineness: float) -> dict[str, Any]:
-    start = time.process_time()
+    clock = Clock()
     solved = bead_solutions(_centres(sensor), RADIUS_MM, PILLAR_MM, reach_mm, order, fineness)
-    seconds = time.process_time() - start
+    seconds = clock.lap().cpu
     whole, found = _mirrored(solved.centres)
     motion = _closed(sensor, whole, (0, 0, 1), rounds=2)
     modulus = sensor.actual.scene.material.youngs_modulus_mpa
@@ -114,10 +274,10 @@ def _resolved_row(sensor: Sensor, reach_mm: float, order: int, fineness: float) 
 
 
 def _all_beads_row(sensor: Sensor, direction: str, force: tuple[float, float, float]) -> dict[str, Any]:
-    start = time.process_time()
+    clock = Clock()
     centres = _centres(sensor)
     first, second = (_closed(sensor, centres, force, rounds) for rounds in (1, 2))
-    seconds = time.process_time() - start
+    seconds = clock.lap().cpu
     largest, moved = _largest(first.passive), first.passive
     layers = {name: sensor.nominal_markers.of(name) for name in ("red", "blue")}
     with_beads, without = (_reconstructed(sensor, moved + c) for c in (second.change, 0 * moved))
@@ -203,11 +363,7 @@ def _option_row() -> dict[str, Any]:
         sensor = Sensor(load_scene("kamiyama_pillar", overrides={**SCENE, **more}))
         load = sensor.press().load
         sensor.displacement(_centres(sensor)[:1], load)
-        seconds[name] = []
-        for _ in range(4):
-            start = time.process_time()
-            sensor.motion(load)
-            seconds[name].append(time.process_time() - start)
+        seconds[name] = [cost.cpu for cost in repeated(partial(sensor.motion, load), 4)]
     return {
         "what": "The option's price: motion of 636 markers under a press of the pillar, processor seconds",
         **{f"{name}, first": times[0] for name, times in seconds.items()},
@@ -272,21 +428,12 @@ def _largest(vectors: Floats) -> float:
 
 def main() -> int:
     """Run, print, store and write the page."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.inclusions", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="4 beads on a coarse mesh, written nowhere")
-    quick = parser.parse_args().quick
-    rows = run(quick)
-    print("\n".join(_tables(rows)))
-    if not quick:
-        STORED.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
-        write_page(PAGE)
+    parser_of("inclusions", __doc__).parse_args()
+    rows = run(quick=False)
+    print(table(rows))
+    store("inclusions", rows)
+    write("inclusions")
     return 0
-
-
-def write_page(page: Path) -> None:
-    """Put the stored rows between the page's marks."""
-    text = page.read_text()
-    page.write_text(re.sub(MARKS, lambda m: m.group(1) + page_tables() + m.group(2), text, flags=re.DOTALL))
 
 
 if __name__ == "__main__":

@@ -7,25 +7,21 @@ times are of one thread, the best of several.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from benchmarks.clock import repeated
 from twin.arrays import Floats
+from twin.blas_threads import one_thread
 from twin.judge.resolution import dip, field_errors, two_point_distance, widths
 from twin.judge.score import into_cells
 from twin.parts.load import Traction
 from twin.sense.calibration import Calibration
-from twin.sense.cone import Quadratic
-from twin.sense.force_map import force_map, in_units
-from twin.sense.problem import problem_of
+from twin.sense.inverse import problem_of
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
-from twin.sense.weigh import automatic_weight, filtered
-from twin.study.batch.job import one_thread
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
@@ -65,7 +61,7 @@ def run(quick: bool) -> list[dict[str, Any]]:
         *by_fitted_twin(len(some)),
         weights(calibration, loads),
         *width(sensor, *((APART[2::4], 1) if quick else (APART, 5))),
-        *speed(calibration, loads[0], against=not quick),
+        *speed(calibration, loads[0][0]),
     ]
 
 
@@ -140,15 +136,12 @@ def weights(calibration: Calibration, loads: list[Any]) -> dict[str, Any]:
     for found, cells, _, _ in loads:
         problem = problem_of(found, calibration, "smooth")
         factors, data = problem.factors, problem.whiten(found.shift_px)
-        seen = factors.left.T @ data
 
-        def error(weight: float, factors: Any = factors, seen: Floats = seen, cells: Floats = cells) -> float:
-            return float(np.linalg.norm((factors.back @ (filtered(factors, weight) * seen)).reshape(-1, 3) - cells))
+        def error(weight: float, factors: Any = factors, data: Floats = data, cells: Floats = cells) -> float:
+            return float(np.linalg.norm(factors.forces(data, weight) - cells))
 
         top = float(factors.singular.max()) ** 2
-        ratios.append(
-            error(automatic_weight(factors, data)) / min(error(top * 10.0**d) for d in np.arange(-12, 2, 0.1))
-        )
+        ratios.append(error(factors.weight("auto", data)) / min(error(top * 10.0**d) for d in np.arange(-12, 2, 0.1)))
     share = 100 * float(np.mean(np.array(ratios) <= 1.15))
     what = f"automatic weight: {share:.1f} % of loads within 15 % of the best, worst {max(ratios):.3f}"
     return {"what": what, "loads": len(loads)}
@@ -193,107 +186,10 @@ def width(sensor: Sensor, apart: Floats, times: int) -> list[dict[str, Any]]:
     return [*rows, {"what": "point push, design limit", **told_limit}]
 
 
-def speed(calibration: Calibration, one: Any, against: bool) -> list[dict[str, Any]]:
-    """Return CPU times of single solves, if wanted ``against`` general solvers, where they are installed."""
-    found = one[0]
-    weight = reconstruct(found, calibration).weight
-    fast = force_map(calibration, weight)
-    rows = [
-        {"what": "linear map, flat, 540 x 1272", "CPU ms": _cpu(lambda: fast.forces(found.shift_px), 300)},
-        {
-            "what": "local, flat, 180 sites",
-            "CPU ms": _cpu(lambda: reconstruct(found, calibration, method="local"), 2),
-        },
-    ]
-    random = np.random.default_rng(1)
-    for what, rows_count, markers in (("flat", 960, 636), ("finger", 75, 61)):
-        drawn = in_units(random.normal(0, 1, (rows_count, 2 * markers)), np.zeros((0, 0)))
-        shift = random.normal(0, 1, (markers, 2))
-        name = f"linear map, {what}, {rows_count} x {2 * markers}"
-        rows.append({"what": name, "CPU ms": _cpu(partial(drawn.forces, shift), 300 if markers > 100 else 3000)})
-    for columns, high, pitch in ((15, 12, 2.0), (20, 16, 1.5)):
-        rows += constrained(columns, high, pitch, one, against)
-    return rows
-
-
-def constrained(columns: int, rows: int, pitch: float, one: Any, against: bool) -> list[dict[str, Any]]:
-    """Return CPU times under constraints at a number of sites."""
-    overrides = {
-        f"reconstruction.sites.{key}": value
-        for key, value in (("columns", columns), ("rows", rows), ("pitch_mm", pitch))
-    }
-    calibration = calibration_of(Sensor(load_scene("kamiyama_pillar", overrides=overrides)))
-    found = as_found(calibration, one[0].shift_px)
-    problem = problem_of(found, calibration, "smooth")
-    data = problem.whiten(found.shift_px)
-    quadratic, linear = problem.quadratic(automatic_weight(problem.factors, data)), problem.linear_term(data)
-    force, free, kkt = quadratic.pushes(linear)
-    sites = f"{columns * rows} sites"
-    out = [
-        {"what": f"pushes, {sites}", "CPU ms": _cpu(lambda: quadratic.pushes(linear), 5), "KKT": kkt},
-        {"what": f"pushes, {sites}, warm", "CPU ms": _cpu(lambda: quadratic.pushes(linear, free), 5), "KKT": kkt},
-    ]
-    out += peers(quadratic, linear, force, sites) if against else []
-    cone, kkt = quadratic.cone(linear, FRICTION)
-    out += [
-        {"what": f"cone, {sites}", "CPU ms": _cpu(lambda: quadratic.cone(linear, FRICTION), 3), "KKT": kkt},
-        {
-            "what": f"cone, {sites}, warm",
-            "CPU ms": _cpu(lambda: quadratic.cone(linear, FRICTION, 1.02 * cone), 3),
-            "KKT": kkt,
-        },
-    ]
-    return out
-
-
-def peers(quadratic: Quadratic, linear: Floats, ours: Floats, sites: str) -> list[dict[str, Any]]:
-    """Return the same problem with pushes only by general solvers (the extra ``peers``); ``off`` against ours."""
-    try:
-        import clarabel
-        import osqp
-    except ImportError:
-        return [{"what": f"osqp, clarabel, {sites}: not installed (pip install 'tactile-twin[peers]')"}]
-    from scipy import sparse
-
-    count = len(linear)
-    upper = sparse.csc_matrix(np.triu(quadratic.curvature))
-    pick = sparse.csc_matrix(np.eye(count)[2::3])
-    solver = osqp.OSQP()
-    solver.setup(upper, -linear, pick, np.zeros(count // 3), np.full(count // 3, np.inf), verbose=False,
-                 eps_abs=1e-7, eps_rel=1e-7, max_iter=20000, polishing=True)  # fmt: skip
-    rows = []
-
-    def by_osqp() -> Floats:
-        solver.update(q=-linear)
-        return np.asarray(solver.solve().x)
-
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-
-    def by_clarabel() -> Floats:
-        cones = [clarabel.NonnegativeConeT(count // 3)]
-        other = clarabel.DefaultSolver(upper, -linear, -pick, np.zeros(count // 3), cones, settings)
-        return np.asarray(other.solve().x)
-
-    for name, solve in (("osqp (factor kept)", by_osqp), ("clarabel", by_clarabel)):
-        value = solve().reshape(-1, 3)
-        gradient = (quadratic.curvature @ value.ravel() - linear).reshape(-1, 3)
-        kkt = (
-            max(np.abs(gradient[:, :2]).max(), np.abs(np.minimum(gradient[:, 2], value[:, 2])).max())
-            / np.abs(linear).max()
-        )
-        off = float(np.linalg.norm(value - ours) / np.linalg.norm(ours))
-        rows.append({"what": f"{name}, pushes, {sites}", "CPU ms": _cpu(solve, 2), "KKT": float(kkt), "off": off})
-    return rows
-
-
-def _cpu(what: Callable[[], Any], times: int) -> float:
-    """Return the least CPU milliseconds of a call; short ones are timed in blocks."""
-    block = max(times // 5, 1)
-    best = np.inf
-    for _ in range(5):
-        start = time.process_time()
-        for _ in range(block):
-            what()
-        best = min(best, (time.process_time() - start) / block)
-    return 1e3 * float(best)
+def speed(calibration: Calibration, found: Found) -> list[dict[str, Any]]:
+    """Return CPU times of the first field after a picture, without a first guess."""
+    return [
+        {"what": f"{name}, {len(calibration.site_mm)} sites, {len(found.shift_px)} markers",
+         "CPU ms": 1e3 * min(cost.cpu for cost in repeated(partial(reconstruct, found, calibration, **WAYS[name]), 5))}
+        for name in ("smooth", "smooth, pushes", "smooth, cone", "local")
+    ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Killed at any moment: ``python -m benchmarks.kills [--count 50] [--anew]``.
+"""Killed at any moment: ``python -m benchmarks.kills [--count 50]``.
 
 Run, dataset, sweep and reproduce are started as processes of their own, killed (SIGKILL, all of their group) after a
 random time, and looked at: every file that is there must be whole. Then the same command is given again until it ends,
@@ -9,7 +9,6 @@ Done in rounds, a dozen kills each, that are stored in benchmarks/results/kills.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import os
@@ -26,11 +25,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import ROOT
-from benchmarks.__main__ import RESULTS, machine, table
-from benchmarks.arguments import at_least
-from benchmarks.fuzz_whole import SMALL, SWEEP, VARY
+from benchmarks.fuzz_files import SMALL, SWEEP, VARY
+from benchmarks.record import at_least, machine, parser_of, read, table, write
 
-STORED = RESULTS / "kills.json"
 WALL_S, ROUND = 600, 12
 
 
@@ -111,13 +108,7 @@ def torn(folder: Path) -> list[str]:
 
 
 def killed(names: list[str], count: int, seed: int = 1) -> list[dict[str, Any]]:
-    """Kill each job in turn, ``count`` times in all; return a row a job.
-
-    Raises
-    ------
-    AssertionError
-        Something was torn, lost, or came out otherwise.
-    """
+    """Kill each job in turn, ``count`` times in all; return a row a job. AssertionError: something was torn or lost."""
     chance = random.Random(seed)
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as place:
@@ -173,23 +164,18 @@ def added(before: list[dict[str, Any]], rows: list[dict[str, Any]]) -> list[dict
 
 def main() -> int:
     """Kill, print the rows and store them; exit code 1 if anything was lost or torn."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.kills", description=__doc__)
+    parser = parser_of("kills", __doc__)
     parser.add_argument("--count", type=at_least(1), default=50, help="kills in all (default 50)")
-    parser.add_argument("--anew", action="store_true", help="forget what was killed before")
-    parser.add_argument("--job", choices=sorted(JOBS), help="one command only; nothing is stored")
-    arguments = parser.parse_args()
-    found: dict[str, Any] = {"rounds": 0, "rows": []}
-    if STORED.is_file() and not (arguments.anew or arguments.job):
-        found |= json.loads(STORED.read_text())
-    while sum(row.get("killed", 0) for row in found["rows"]) < arguments.count:
+    count = parser.parse_args().count
+    found: dict[str, Any] = {"rounds": 0, "rows": [], **read("kills")}
+    while sum(row.get("killed", 0) for row in found["rows"]) < count:
         try:
-            rows = killed([arguments.job] if arguments.job else list(JOBS), ROUND, seed=found["rounds"] + 1)
+            rows = killed(list(JOBS), ROUND, seed=found["rounds"] + 1)
         except AssertionError as problem:
             print(problem, file=sys.stderr)
             return 1
         found = {"rounds": found["rounds"] + 1, "machine": machine(), "rows": added(found["rows"], rows)}
-        if not arguments.job:
-            STORED.write_text(json.dumps(found, indent=1) + "\n")
+        write("kills", found)
     print(table(found["rows"]))
     return 0
 

@@ -9,22 +9,22 @@ table of its surface.
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
 
 from benchmarks.clock import Clock, empty_cache
+from twin.blas_threads import one_thread
 from twin.errors import ContactError
-from twin.study.batch.engine import one_thread
 from twin.study.live import QUICK, LivePress
-from twin.study.recipe import load_scene
-from twin.study.recipe_tables import parse_override
+from twin.study.recipe import load_scene, parse_override
 
 SCENES = ("kamiyama_pillar", "sato_press")
 HANDS = 24
 REACH = 0.5
 """Of the sliders' ranges."""
+FRICTION = 1.2
+"""What Sato's shear presses need."""
 
 
 @one_thread()
@@ -46,9 +46,9 @@ def _row(name: str, count: int) -> dict[str, Any]:
         except ContactError:
             refused += 1
             continue
-        started = time.process_time()
+        clock.lap()
         live.answer(hand)
-        spent.append(1e3 * (time.process_time() - started))
+        spent.append(1e3 * clock.lap().cpu)
     middle = float(np.median(spent))
     return {"scene": name, "updates": len(spent), "refused": refused, "median_cpu_ms": middle,
             "worst_cpu_ms": max(spent), "updates_per_s": 1e3 / middle, "open_cpu_s": opening}  # fmt: skip
@@ -56,17 +56,17 @@ def _row(name: str, count: int) -> dict[str, Any]:
 
 def _opened(name: str) -> LivePress:
     live = LivePress(load_scene(name, dict(parse_override(text) for text in QUICK)))
-    live.answer(live.start().told())
+    live.answer(live.start().question())
     return live
 
 
 def _hands(live: LivePress, count: int) -> list[dict[str, Any]]:
     """Draw questions."""
-    rng, start, sliders = np.random.default_rng(3), live.start().told(), live.facts()["range"]
+    rng, start, sliders = np.random.default_rng(3), live.start().question(), live.facts()["range"]
     both = ("x_mm", "y_mm", "side_x", "side_y", "twist")
     return [
         start
         | {key: float(rng.uniform(-REACH, REACH) * sliders[key][1]) for key in both}
-        | {"push_n": float(rng.uniform(0.2, 1.0) * start["push_n"])}
+        | {"push_n": float(rng.uniform(0.2, 1.0) * start["push_n"]), "friction": FRICTION}
         for _ in range(count)
     ]

@@ -14,22 +14,22 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from typing import Any
 
 import numpy as np
 
-from twin.parts.ccd import PRESETS as CCD_PRESETS
-from twin.parts.ccd import Ccd
+from benchmarks.clock import repeated
+from twin.parts.camera import PRESETS as CCD_PRESETS
+from twin.parts.camera import Ccd
 from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
 from twin.theory.optics import project
-from twin.world.picture.exposure import expose, fixed_pattern
-from twin.world.picture.lighting import lamps_at
-from twin.world.picture.markers import Ellipsoids, ellipsoids
-from twin.world.picture.render import Renderer, subpixels_for
-from twin.world.picture.variant import Variant, choose_variant
+from twin.world.picture.backend import Variant, choose_variant
+from twin.world.picture.ccd import expose, fixed_pattern
+from twin.world.picture.ellipsoids import Ellipsoids, ellipsoids
+from twin.world.picture.lamps import lamps_at
+from twin.world.picture.render import Renderer
 
 SCENES = ("kamiyama_pillar", "sato_press")
 PRESETS = ("industrial", *sorted(set(CCD_PRESETS) - {"industrial"}))
@@ -40,7 +40,6 @@ AT_LEAST_S = 0.25
 PICTURES = 10_000
 """Made by one process, to see whether its memory grows."""
 FINEST = 12
-GOAL_PX = 0.01
 
 
 def run(quick: bool) -> list[dict[str, Any]]:
@@ -53,7 +52,6 @@ def run(quick: bool) -> list[dict[str, Any]]:
         if choose_variant().name != "splat" and scene.camera is not None and scene.camera.lens == "pinhole":
             rows += _stock(name, scene, markers, (16,) if quick else (4, 16, 64), 64 if quick else 1024)
         rows += _exposures(name, scene, markers, PRESETS[:2] if quick else PRESETS)
-        rows += _parts(name, scene, markers)
     for way in [SPLAT] if choose_variant().name == "splat" else [SPLAT, choose_variant()]:
         rows += _processes(way, 20 if quick else PICTURES)
     return rows
@@ -79,24 +77,6 @@ def _ours(name: str, scene: Scene, markers: Ellipsoids, grids: tuple[int, ...]) 
     return rows
 
 
-def _parts(name: str, scene: Scene, markers: Ellipsoids) -> list[dict[str, Any]]:
-    """Return rows for what a new place of all markers costs before rays are traced."""
-    rows = []
-    for variant in [SPLAT] if choose_variant().name == "splat" else [SPLAT, choose_variant()]:
-        renderer = Renderer(scene, markers, variant)
-        cost, frame = _timed(lambda: renderer._frame(markers, 3))  # noqa: B023
-        rows.append(_plain(name, f"all new places prepared, {variant.name}", cost))
-        if variant.name == "splat":
-            renderer.subpixels = subpixels_for(GOAL_PX)
-            cost, _ = _timed(lambda: renderer.seen(markers))  # noqa: B023
-            rows.append(_plain(name, f"picture and outlines to {GOAL_PX} px, splat", cost))
-        else:
-            tracer: Any = renderer._tracer
-            cost, _ = _timed(lambda: (tracer._padded.hold(frame.padded), tracer._exact.hold(frame.exact)))  # noqa: B023
-            rows.append(_plain(name, "of it, markers moved in Mitsuba's scene", cost))
-    return rows
-
-
 def _processes(variant: Variant, pictures: int) -> list[dict[str, Any]]:
     """Return rows for the first picture of a fresh process, and for the memory of one that makes many."""
     told = subprocess.run(
@@ -114,7 +94,12 @@ def _processes(variant: Variant, pictures: int) -> list[dict[str, Any]]:
 
 
 def _stock(name: str, scene: Scene, markers: Ellipsoids, samples: tuple[int, ...], many: int) -> list[dict[str, Any]]:
-    """Time Mitsuba's direct integrator on the folded scene: camera and LEDs at their paraxial images."""
+    """Time Mitsuba's direct integrator on the folded scene: camera and LEDs at their paraxial images.
+
+    Set up with care: samples are spread evenly over each pixel (multi-jittered; independent ones err 3 to 5 times as
+    much), none are spent on reflected directions, which meet no point LED, and all LEDs light every sample, or each LED
+    has a rendering of its own, so that none is drawn at random.
+    """
     import mitsuba as mi
 
     mi.set_variant(choose_variant().name)
@@ -130,30 +115,40 @@ def _stock(name: str, scene: Scene, markers: Ellipsoids, samples: tuple[int, ...
     data = np.column_stack([markers.centres, np.full((len(markers), 3), unit)]) / unit
     data = np.column_stack([data, np.tile([0, 0, 0, 1], (len(markers), 1))]).astype(np.float32)
     lamps = lamps_at(markers.centres.mean(axis=0)[None], scene)
-    literal = {
+    scenery = {
         "type": "scene",
-        "integrator": {"type": "direct"},
         "sensor": {
             "type": "perspective", "fov": float(view), "to_world": up, "near_clip": 10.0,
             "film": {"type": "hdrfilm", "width": camera.width_px, "height": camera.height_px,
                      "rfilter": {"type": "box"}, "pixel_format": "rgb", "component_format": "float32"},
-            "sampler": {"type": "independent"},
+            "sampler": {"type": "multijitter"},
         },
         "markers": {"type": "ellipsoids", "data": mi.TensorXf(data), "extent": 1.0, "bsdf": {"type": "diffuse"}},
-        **{f"led{i}": {"type": "point", "position": list(map(float, p / unit)), "intensity": 1e5}
-           for i, p in enumerate(lamps.place[0])},
     }  # fmt: skip
-    made = mi.load_dict(literal)
+    leds = {
+        f"led{i}": {"type": "point", "position": list(map(float, place / unit)), "intensity": 1e5}
+        for i, place in enumerate(lamps.place[0])
+    }
+    direct = {"type": "direct", "bsdf_samples": 0}
+    together = [mi.load_dict({**scenery, **leds, "integrator": {**direct, "emitter_samples": len(leds)}})]
+    apart = [mi.load_dict({**scenery, name: led, "integrator": {**direct, "emitter_samples": 1}})
+             for name, led in leds.items()]  # fmt: skip
+
+    def light(made: list[Any], spp: int, seed: int) -> np.ndarray:
+        return np.asarray(sum(np.array(mi.render(one, spp=spp, seed=seed)) for one in made))
+
     white = Ellipsoids(centres=markers.centres, axes=markers.axes, colour=np.ones((len(markers), 3)))
     ahead = (eye - markers.centres[:, 2]) / (camera.focal_px * index)
     pixels = np.column_stack([markers.centres[:, 0] / ahead, -markers.centres[:, 1] / ahead]) + camera.centre_px
     # mi.render mirrors neither axis here; its first pixel is the top left one as well.
-    truth = _centroids(sum(np.array(mi.render(made, spp=64, seed=i)) for i in range(many // 64)), pixels, white)
+    at_once = min(many, 256)
+    truth = _centroids(np.asarray(sum(light(apart, at_once, i) for i in range(many // at_once))), pixels, white)
     rows = []
-    for spp in samples:
-        cost, light = _timed(lambda: np.array(mi.render(made, spp=spp, seed=99)))  # noqa: B023
-        error = _centroids(light, pixels, white) - truth
-        rows.append(_row(name, f"mi.render direct, {spp} samples", round(spp**0.5), True, cost, error))
+    for method, made in (("mi.render direct", together), ("mi.render direct by LED", apart)):
+        for spp in samples:
+            cost, found = _timed(lambda: light(made, spp, 99))  # noqa: B023
+            error = _centroids(found, pixels, white) - truth
+            rows.append(_row(name, f"{method}, {spp} samples", round(spp**0.5), True, cost, error))
     return rows
 
 
@@ -164,12 +159,8 @@ def _exposures(name: str, scene: Scene, markers: Ellipsoids, presets: tuple[str,
         ccd = Ccd.model_validate({"preset": preset})
         pattern = fixed_pattern(ccd, (light.shape[0], light.shape[1]), np.random.default_rng(1))
         cost, _ = _timed(lambda: expose(light, ccd, np.random.default_rng(0), pattern))  # noqa: B023
-        rows.append(_plain(name, f"ccd, {preset}", cost))
+        rows.append({"scene": name, "method": f"ccd, {preset}", "milliseconds": cost[0], "cpu_ms": cost[1]})
     return rows
-
-
-def _plain(name: str, method: str, cost: tuple[float, float]) -> dict[str, Any]:
-    return {"scene": name, "method": method, "milliseconds": cost[0], "cpu_ms": cost[1]}
 
 
 def _row(name: str, method: str, k: int, shadows: bool, cost: tuple[float, float], error: np.ndarray) -> dict[str, Any]:
@@ -212,9 +203,7 @@ def _centroids(light: np.ndarray, pixels: np.ndarray, markers: Ellipsoids, half:
 def _timed(work: Any) -> tuple[tuple[float, float], Any]:
     """Return the least wall and CPU time of some runs after one that compiles, ms, and the result."""
     result = work()
-    times: list[tuple[float, float]] = []
-    while len(times) < REPEATS or sum(cpu for _, cpu in times) < 1000 * AT_LEAST_S:
-        wall, cpu = time.perf_counter(), time.process_time()
-        result = work()
-        times.append((1000 * (time.perf_counter() - wall), 1000 * (time.process_time() - cpu)))
-    return (min(wall for wall, _ in times), min(cpu for _, cpu in times)), result
+    costs = repeated(work, REPEATS)
+    while sum(cost.cpu for cost in costs) < AT_LEAST_S:
+        costs += repeated(work, 1)
+    return (1000 * min(cost.wall for cost in costs), 1000 * min(cost.cpu for cost in costs)), result

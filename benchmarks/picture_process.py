@@ -23,10 +23,10 @@ def main() -> int:
 
     from twin.parts.markers import place
     from twin.study.recipe import load_scene
-    from twin.world.picture.exposure import expose
-    from twin.world.picture.markers import ellipsoids
+    from twin.world.picture.backend import choose_variant
+    from twin.world.picture.ccd import expose
+    from twin.world.picture.ellipsoids import ellipsoids
     from twin.world.picture.render import Renderer
-    from twin.world.picture.variant import choose_variant
 
     variant, count = choose_variant(sys.argv[1]), int(sys.argv[2])
     scene = load_scene("kamiyama_pillar")

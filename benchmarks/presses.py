@@ -5,40 +5,109 @@ failed before; what it has found is in benchmarks/results/presses_BODY.json. Eve
 place, probe, size, force, friction and path. A press may be refused, where no answer exists (contact that runs over the
 edge, a side force that friction can't carry), with the cause named; anything else is a failure, printed with its
 number. So is a path that stops before its end, and a refusal for want of friction of a force that friction can carry
-(`benchmarks.balance` tells).
+(`rightly_refused`).
 
 On the block places lie in the window of its table. On the finger they lie in random regions of 5 mm, whose compliance
 is solved once each, on the coarse mesh: what is tested is the contact, not the elasticity.
+
+A refusal for want of friction is right where the force lies well outside the cone about the body's normal at the point
+that the probe meets first. Near the cone's edge that normal doesn't say, as contact is wide and the body curved: there
+the probe is dragged, held sideways by motion, along the part of the force that friction has to carry. Of all forces
+that friction can carry the one of a slide along v gains most along v (the inequality of limit analysis, as in
+`twin.world.contact.load_step`): what is asked beyond the largest force along v can't be balanced.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from benchmarks.__main__ import RESULTS, machine, table
-from benchmarks.arguments import at_least
-from benchmarks.balance import rightly_refused
+from benchmarks.record import at_least, machine, parser_of, read, table, write
+from benchmarks.reference import BODIES
+from twin.arrays import Floats
 from twin.errors import ContactError, InputError, NotSettled, TwinError
-from twin.parts.body import Block, Body, Finger
+from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
-from twin.parts.press import Cone, Cylinder, Pillar, Press, Probe, Sphere, Step
-from twin.world.contact.contact import ContactState, press
+from twin.parts.press import Cone, Cylinder, Pillar, Press, Probe, Sphere, Step, Stl
+from twin.world.contact.pressing import ContactState, press
 from twin.world.elasticity.compliance import Compliance
 
-BODIES: dict[str, Body] = {
-    "block": Block(width_mm=100, length_mm=90, thickness_mm=40),
-    "finger": Finger(radius_mm=8, barrel_mm=8, skirt_mm=2),
-}
+NEAR = 0.15
+"""How far off the edge of the cone, over its size, the normal at first touch is not relied on."""
+
+_ACROSS, _DRAGS = 81, 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """``share``: the force's tangential part over what friction carries of its normal one; ``ahead``: (2,) its way."""
+
+    share: float
+    ahead: Floats
+
+
+def asked(press: Press, body: Body) -> Asked | None:
+    """Return what the last step of a press asks of friction; None where it gives no force sideways."""
+    last = press.steps[-1].force_n
+    if last is None or not 0.0 < press.friction < math.inf or any(given is None for given in last):
+        return None
+    force, normal = np.array(last, float), _normal(press, body)
+    push = float(force @ normal)
+    rest = force - push * normal
+    size = float(np.linalg.norm(rest))
+    return Asked(share=size / (press.friction * push), ahead=rest[:2] / max(float(np.hypot(*rest[:2])), 1e-300))
+
+
+def _normal(press: Press, body: Body) -> Floats:
+    """Return the body's normal where an upright probe meets it first."""
+    offset, height = _underside(press.probe)
+    points = body.surface_from_above(np.array(press.at_mm) + offset)
+    first = int(np.nanargmin(points[:, 2] + height))
+    return np.asarray(body.frames(points[first : first + 1])[0, 2])
+
+
+def _underside(probe: Probe) -> tuple[Floats, Floats]:
+    """Return points (n, 2) under a probe, and its heights there over its lowest point."""
+    assert not isinstance(probe, Stl)
+    x, y = (probe.width_mm, probe.length_mm) if isinstance(probe, Pillar) else (probe.diameter_mm, probe.diameter_mm)
+    steps = np.linspace(-0.5, 0.5, _ACROSS)
+    offset = np.stack(np.meshgrid(x * steps, y * steps), axis=-1).reshape(-1, 2)
+    away = np.hypot(*offset.T)
+    if not isinstance(probe, Pillar):
+        offset, away = offset[away <= x / 2], away[away <= x / 2]
+    if isinstance(probe, Sphere):
+        return offset, x / 2 - np.sqrt((x / 2) ** 2 - away**2)
+    return offset, away / math.tan(math.radians(probe.apex_deg / 2)) if isinstance(probe, Cone) else 0.0 * away
+
+
+def rightly_refused(press: Press, body: Body, solve: Callable[[Press], ContactState]) -> bool:
+    """Return whether no equilibrium exists under the forces of a press's last step; ``solve`` solves another press."""
+    if (wanted := asked(press, body)) is None or wanted.share < 1.0 - NEAR:
+        return False
+    if wanted.share > 1.0 + NEAR:
+        return True
+    force = press.steps[-1].force_n
+    assert force is not None
+    before = solve(press.model_copy(update={"steps": press.steps[:-1]}))
+    x, y = 4.0 * press.friction * before.indentation_mm / _DRAGS * wanted.ahead
+    drag = (Step(force_n=(None, None, force[2]), move_mm=(float(x), float(y), None)),) * _DRAGS
+    try:
+        path = solve(press.model_copy(update={"steps": (*press.steps[:-1], *drag)})).path
+    except ContactError as stopped:  # dragged out of its patches: what came before counts
+        path = stopped.last_state.path if stopped.last_state else ()
+    reached = [float(state.force_n[:2] @ wanted.ahead) for state in path[len(press.steps) - 1 :]]
+    slid = bool(path) and bool(path[-1].slip.all())
+    return slid and float(np.array(force[:2], float) @ wanted.ahead) > max(reached)
+
+
 RUBBER = Material(youngs_modulus_mpa=0.5, poisson_ratio=0.5)
 SITES, SITE_MM = 25, 2.5
 """Regions of the finger, and half their size."""
@@ -51,16 +120,8 @@ UNBALANCED = ("can't be balanced", "can carry", "every patch slips")
 """Those for want of friction, which are checked."""
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """A press by its number."""
-
-    press: Press
-    across: int
-
-
-def drawn(body: str, number: int) -> Drawn:
-    """Return the press of a number."""
+def drawn(body: str, number: int) -> tuple[Press, int]:
+    """Return the press of a number, and its patches across the contact."""
     rng = np.random.default_rng([number, len(body)])
     largest = 6.0 if body == "block" else 2.0
     push = float(10 ** rng.uniform(-1.7, 0.3 if body == "block" else -0.3))
@@ -72,17 +133,13 @@ def drawn(body: str, number: int) -> Drawn:
         Cone(apex_deg=float(rng.uniform(100, 160)), diameter_mm=2 * size),
     )[rng.integers(4)]
     friction = (0.0, math.inf, *[float(10 ** rng.uniform(-1.3, 0.3))] * 3)[rng.integers(5)]
-    return Drawn(
-        press=Press(probe=probe, at_mm=_place(body, number, rng), friction=friction, steps=_path(rng, push, friction)),
-        across=int(rng.integers(8, 13)),
-    )
-
-
-def _place(body: str, number: int, rng: np.random.Generator) -> tuple[float, float]:
     if body == "block":
-        return float(rng.uniform(-15, 15)), float(rng.uniform(-12, 12))
-    x, y = site(number * SITES // COUNT)
-    return float(x + rng.uniform(-1, 1)), float(y + rng.uniform(-1, 1))
+        at = float(rng.uniform(-15, 15)), float(rng.uniform(-12, 12))
+    else:
+        x, y = site(number * SITES // COUNT)
+        at = float(x + rng.uniform(-1, 1)), float(y + rng.uniform(-1, 1))
+    press = Press(probe=probe, at_mm=at, friction=friction, steps=_path(rng, push, friction))
+    return press, int(rng.integers(8, 13))
 
 
 def site(index: int) -> tuple[float, float]:
@@ -134,23 +191,28 @@ def outcome(body: str, compliance: Compliance, number: int) -> dict[str, Any]:
 
 
 def _outcome(body: str, compliance: Compliance, number: int) -> dict[str, Any]:
-    one = drawn(body, number)
+    one, across = drawn(body, number)
 
     def solved(wanted: Press) -> ContactState:
         return press(
-            wanted, BODIES[body], compliance, patches_across=one.across,
-            youngs_modulus_mpa=RUBBER.youngs_modulus_mpa, poisson_ratio=RUBBER.poisson_ratio,
-        )  # fmt: skip
+            wanted,
+            BODIES[body],
+            compliance,
+            patches_across=across,
+            youngs_modulus_mpa=RUBBER.youngs_modulus_mpa,
+            poisson_ratio=RUBBER.poisson_ratio,
+        )
 
     start = time.process_time()
-    said = {"number": number, "probe": one.press.probe.kind, "friction": _law(one.press.friction)}
+    law = "none" if one.friction == 0 else "sticking" if math.isinf(one.friction) else "Coulomb"
+    said = {"number": number, "group": f"{one.probe.kind}, {law}"}
     try:
-        state = solved(one.press)
+        state = solved(one)
     except NotSettled as failed:
         return said | {"failed": str(failed)[:200]}
     except (ContactError, InputError) as refused:
         words = next((words for words in REFUSALS if words in str(refused)), None)
-        if words in UNBALANCED and not rightly_refused(one.press, BODIES[body], solved):
+        if words in UNBALANCED and not rightly_refused(one, BODIES[body], solved):
             return said | {"failed": f"refused, though friction can carry it: {refused}"[:200]}
         return said | ({"refused": words} if words else {"failed": str(refused)[:200]})
     except (TwinError, ArithmeticError, ValueError, np.linalg.LinAlgError) as failed:
@@ -163,16 +225,7 @@ def _outcome(body: str, compliance: Compliance, number: int) -> dict[str, Any]:
     return said if finite else said | {"failed": "a value is not finite"}
 
 
-def _law(friction: float) -> str:
-    return "none" if friction == 0 else "sticking" if math.isinf(friction) else "Coulomb"
-
-
-def summary(found: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the table of a body's results, one row a probe and law of friction."""
-    return [{"probe and friction": name, **group} for name, group in sorted(found["groups"].items())]
-
-
-def run(body: str, count: int, stored: dict[str, Any] | None) -> dict[str, Any]:
+def run(body: str, count: int, stored: dict[str, Any]) -> dict[str, Any]:
     """Take presses up to a count; return the results so far, which are also stored on the way."""
     found = stored or {"machine": machine(), "done": 0, "groups": {}, "refused": {}, "failed": [], "slowest": []}
     compliance, here = compliance_of(body), -1
@@ -184,8 +237,8 @@ def run(body: str, count: int, stored: dict[str, Any] | None) -> dict[str, Any]:
             prepare(body, compliance, number)
         _count(found, outcome(body, compliance, number))
         if found["done"] % SAVED_EVERY == 0:
-            file(body).write_text(json.dumps(found, indent=1) + "\n")
-    file(body).write_text(json.dumps(found, indent=1) + "\n")
+            write(f"presses_{body}", found)
+    write(f"presses_{body}", found)
     return found
 
 
@@ -193,21 +246,16 @@ def _taken_back(found: dict[str, Any]) -> list[dict[str, Any]]:
     """Take what failed out of the results, to be pressed again by today's program."""
     failed, found["failed"] = found["failed"], []
     for one in failed:
-        group = found["groups"][_group(one)]
+        group = found["groups"][one["group"]]
         group["presses"] -= 1
         group["failed"] -= 1
     return list(failed)
 
 
-def _group(one: dict[str, Any]) -> str:
-    return f"{one['probe']}, {one['friction']}"
-
-
 def _count(found: dict[str, Any], one: dict[str, Any]) -> None:
     found["done"] = max(found["done"], one["number"] + 1)
-    name = _group(one)
     group = found["groups"].setdefault(
-        name, {"presses": 0, "solved": 0, "failed": 0, "mean_s": 0.0, "slowest_s": 0.0, "largest_residual": 0.0}
+        one["group"], {"presses": 0, "solved": 0, "failed": 0, "mean_s": 0.0, "slowest_s": 0.0, "largest_residual": 0.0}
     )
     group["presses"] += 1
     if "failed" in one:
@@ -224,25 +272,17 @@ def _count(found: dict[str, Any], one: dict[str, Any]) -> None:
         found["slowest"] = sorted([*found["slowest"], one], key=lambda o: -o["cpu_s"])[:SLOWEST]
 
 
-def file(body: str) -> Any:
-    """Return where a body's results are stored."""
-    return RESULTS / f"presses_{body}.json"
-
-
 def main() -> int:
     """Run or take up the presses, print what was found; exit code 1 if any failed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.presses", description=__doc__)
+    parser = parser_of("presses", __doc__)
     parser.add_argument("--count", type=at_least(1), default=COUNT, help=f"presses on each body (default {COUNT})")
     parser.add_argument("--body", choices=sorted(BODIES), help="one body only")
-    parser.add_argument("--anew", action="store_true", help="forget what was found before")
     arguments = parser.parse_args()
     bad = 0
     for body in [arguments.body] if arguments.body else sorted(BODIES):
-        kept = file(body)
-        stored = json.loads(kept.read_text()) if kept.is_file() and not arguments.anew else None
-        found = run(body, arguments.count, stored)
+        found = run(body, arguments.count, read(f"presses_{body}"))
         print(f"\n{body}: {found['done']} presses, {len(found['failed'])} failed, refused: {found['refused']}\n")
-        print(table(summary(found)))
+        print(table([{"probe and friction": name, **group} for name, group in sorted(found["groups"].items())]))
         print(f"\nslowest: {found['slowest'][:1]}")
         bad += len(found["failed"])
     return int(bad > 0)

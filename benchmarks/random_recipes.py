@@ -20,16 +20,13 @@ from typing import Any, Literal
 from hypothesis import strategies as st
 from pydantic.fields import FieldInfo
 
-from twin.parts.accuracy import Accuracy
-from twin.parts.camera import Camera
-from twin.parts.ccd import Ccd
-from twin.parts.light import Light
+from twin.parts.accuracy import Accuracy, Tolerance
+from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.markers import MarkerLayer
 from twin.parts.material import Cover, Material
 from twin.parts.part import Part
 from twin.parts.pipeline import Reconstruction, Tracking
 from twin.parts.scene import Scene
-from twin.parts.tolerance import Tolerance
 from twin.study.recipe import dump_scene
 
 Table = dict[str, Any]
@@ -102,11 +99,8 @@ def part(kind: type[Part], *, without: tuple[str, ...] = ()) -> Strategy:
             continue
         drawn = NARROW.get((kind.__name__, key), of_type(field.annotation, field.metadata))
         (needed if field.is_required() else free)[key] = drawn
-    return st.fixed_dictionaries(needed, optional=free).map(_given)
-
-
-def _given(table: Table) -> Table:
-    return {key: value for key, value in table.items() if value is not None}
+    given = st.fixed_dictionaries(needed, optional=free)
+    return given.map(lambda table: {key: value for key, value in table.items() if value is not None})
 
 
 def of_type(annotation: Any, rules: typing.Sequence[Any] = ()) -> Strategy:
@@ -257,7 +251,7 @@ def spoilt_values(slot: Slot) -> list[Any]:
     assert slot.field is not None
     kinds = _plain_kinds(slot.field.annotation)
     wrong: list[Any] = []
-    if not kinds & {str, dict, Part, object} or _literals(slot.field.annotation):
+    if not kinds & {str, dict, Part, object} or typing.get_origin(slot.field.annotation) is Literal:
         wrong.append(WORD)
     if not kinds & {dict, Part, object}:
         wrong.append({"unheard_of": 1})
@@ -289,10 +283,6 @@ def _plain_kinds(annotation: Any) -> set[type]:
     return {Part} if isinstance(annotation, type) and issubclass(annotation, Part) else {annotation}
 
 
-def _literals(annotation: Any) -> bool:
-    return typing.get_origin(annotation) is Literal
-
-
 def nested_rules(annotation: Any) -> list[Any]:
     if typing.get_origin(annotation) is typing.Annotated:
         return _rules(typing.get_args(annotation)[1:])
@@ -322,7 +312,7 @@ def spoilt(draw: Callable[[Strategy], Any], valid: Strategy) -> Spoilt:
         put(table, (*slot.path, name), 1)
         return Spoilt(table, name, "unknown key")
     if slot.field.is_required() and chance.random() < 0.3:
-        _drop(table, slot.path)
+        _at(table, slot.path[:-1]).pop(slot.path[-1], None)
         return Spoilt(table, str(slot.path[-1]), "missing key")
     values = spoilt_values(slot)
     how = chance.choice(sorted({_how(v) for v in values}))
@@ -340,10 +330,6 @@ def _how(value: Any) -> str:
 
 def put(table: Table, path: tuple[Any, ...], value: Any) -> None:
     _at(table, path[:-1])[path[-1]] = value
-
-
-def _drop(table: Table, path: tuple[Any, ...]) -> None:
-    _at(table, path[:-1]).pop(path[-1], None)
 
 
 def _at(table: Any, path: tuple[Any, ...]) -> Any:

@@ -15,12 +15,12 @@ Of a spoilt one: exit code 2, and a message with the file and the key.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import copy
 import io
 import json
 import math
+import re
 import sys
 import tempfile
 import time
@@ -39,9 +39,8 @@ from hypothesis import seed as seeded
 from hypothesis import strategies as st
 from hypothesis.internal.conjecture.providers import AVAILABLE_PROVIDERS, HypothesisProvider
 
-from benchmarks.__main__ import RESULTS, machine, table
-from benchmarks.arguments import at_least
 from benchmarks.random_recipes import Spoilt, Table, recipes, spoilt
+from benchmarks.record import at_least, machine, parser_of, read, table, write
 from twin.errors import ContactError, InputError, MeshError, RecipeError, TwinError
 from twin.parts.load import Traction
 from twin.parts.markers import place
@@ -51,10 +50,9 @@ from twin.study.recipe import load_scene, shipped_scenes, validate_scene
 from twin.study.run import run as run_scene
 from twin.study.sensor import Sensor
 from twin.theory.optics import rays
-from twin.world.elasticity.tile import tile
+from twin.world.elasticity.discretise import tile
 
 COUNT, CHUNK = 2000, 50
-STORED = RESULTS / "random_scenes.json"
 
 BALANCE, ASKED, THROUGH_MM, SUPERPOSED, MIRRORED = 1e-6, 1e-6, 1e-5, 1e-9, 3.0
 """Forces over the total; the same; a ray's distance from its marker; what motions may be off beside the estimated
@@ -238,8 +236,16 @@ def assert_mirrored(recipe: Table, scene: Scene, result: RunResult, tally: Tally
     there = Sensor(
         validate_scene({**mirrored(recipe), "tolerance": {"preset": "none"}, "material": material}, "drawn, mirrored")
     )
-    _assert_same_places(place(scene.body, scene.markers).points, there.nominal_markers.points * flip)
-    state = there.press()
+    apart = np.linalg.norm(
+        place(scene.body, scene.markers).points[:, None] - (there.nominal_markers.points * flip)[None], axis=2
+    )
+    assert max(apart.min(axis=0).max(), apart.min(axis=1).max()) < 1e-9, "mirrored markers lie elsewhere"
+    try:
+        state = there.press()
+    except ContactError as refused:
+        if just_over_base(refused, scene.displacement_error):
+            return
+        raise
     if not state.complete:
         return
     answer = there.ladder.displacement(truth.marker_rest_mm * flip, there.rectangles(state.load))
@@ -251,9 +257,10 @@ def assert_mirrored(recipe: Table, scene: Scene, result: RunResult, tally: Tally
     assert off <= most, f"the mirrored scene's answer is {off:.1e} off, estimated are {told:.1e}"
 
 
-def _assert_same_places(here: np.ndarray, there: np.ndarray) -> None:
-    apart = np.linalg.norm(here[:, None] - there[None], axis=2)
-    assert max(apart.min(axis=0).max(), apart.min(axis=1).max()) < 1e-9, "mirrored markers lie elsewhere"
+def just_over_base(refused: ContactError, error: float) -> bool:
+    """Return whether a contact is refused at a cone's base by less than the error that the mesh is asked for."""
+    sizes = re.search(r"reaches (\S+) mm across, over the cone's base of (\S+) mm", str(refused))
+    return sizes is not None and float(sizes[1]) <= (1.0 + error) * float(sizes[2])
 
 
 def mirrored(recipe: Table) -> Table:
@@ -331,10 +338,9 @@ def add(stored: dict[str, Any], tally: Tally, cpu_s: float) -> dict[str, Any]:
 
 def main() -> int:
     """Draw the scenes, print and store what became of them; exit code 1 if any failed."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.random_scenes", description=__doc__)
+    parser = parser_of("random_scenes", __doc__)
     parser.add_argument("--count", type=at_least(1), default=COUNT, help=f"scenes of each kind (default {COUNT})")
     parser.add_argument("--kind", choices=sorted(KINDS), help="one kind only")
-    parser.add_argument("--anew", action="store_true", help="forget what was drawn before")
     parser.add_argument("--again", type=Path, metavar="FILE", help="check this recipe alone, as one that had failed")
     arguments = parser.parse_args()
     if arguments.again:
@@ -343,7 +349,7 @@ def main() -> int:
     bad = False
     for kind in [arguments.kind] if arguments.kind else sorted(KINDS):
         strategy, check = KINDS[kind]
-        found = {} if arguments.anew else stored().get(kind, {})
+        found = read("random_scenes").get(kind, {})
         while found.get("drawn", 0) < arguments.count and not bad:
             started = time.process_time()
             tally = survey(strategy(), check, CHUNK, seed=found.get("chunks", 0) + 1)
@@ -351,16 +357,11 @@ def main() -> int:
                 print(f"\nsmallest failure: {tally.smallest_failure}", file=sys.stderr)
                 break
             found = add(found, tally, time.process_time() - started)
-            STORED.write_text(json.dumps({**stored(), kind: found}, indent=1) + "\n")
+            write("random_scenes", {**read("random_scenes"), kind: found})
         rows: list[dict[str, object]] = [{kind: what, "count": n} for what, n in found.get("outcomes", {}).items()]
         print(f"\n{table(rows)}")
         print(f"\nworst: {found.get('worst')}, {found.get('cpu_s', 0):.4g} CPU s")
     return int(bad)
-
-
-def stored() -> dict[str, Any]:
-    """Return what was found so far, by kind."""
-    return json.loads(STORED.read_text()) if STORED.is_file() else {}
 
 
 if __name__ == "__main__":

@@ -4,26 +4,23 @@ Nothing is folded there: rays are refracted, reflected and lost at every interfa
 from the interfaces, and LEDs are found by chance only, which takes many thousand paths a pixel. Places come from
 markers that glow, brightness from the middles of markers of the scene's colours under discs of light, each in its own
 channel. What our pictures leave out (light between markers, reflections to and fro) is in the difference.
-
-``python -m benchmarks.referee SCENE`` does one scene of it and prints every marker's.
 """
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import numpy as np
 
+from benchmarks.picture import SPLAT
 from twin.arrays import Floats, Ints, Pixels
 from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
-from twin.world.picture.markers import Ellipsoids, ellipsoids
+from twin.world.picture.backend import choose_variant
+from twin.world.picture.ellipsoids import Ellipsoids, ellipsoids
 from twin.world.picture.render import Renderer
-from twin.world.picture.variant import Variant, choose_variant
 
-SPLAT = Variant(name="splat", library=None, reason="compared with the referee")
 CORE = 3
 """Half width, px, of the window in the middle of a marker that tells its brightness."""
 
@@ -50,28 +47,18 @@ SAMPLES_A_PASS = 4096
 
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return one row a scene: differences of places, px, and of brightness after one scale; needs Mitsuba's LLVM."""
-    return [one(name, *((3, 4096) if quick else (8, 32768))) for name in list(SCENES)[: 1 if quick else None]]
+    rows = []
+    for name in list(SCENES)[: 1 if quick else None]:
+        base, keys = SCENES[name]
+        scene = load_scene(base, {**keys, "tolerance.preset": "none"})
+        rows.append({"scene": name, **_compared(scene, *((3, 4096) if quick else (8, 32768)))})
+    return rows
 
 
-def one(name: str, count: int, samples: int, tell: Any = None) -> dict[str, Any]:
-    """Return the row of one scene; parameters as of `compare`."""
-    base, keys = SCENES[name]
-    return {"scene": name, **compare(load_scene(base, {**keys, "tolerance.preset": "none"}), count, samples, tell)}
+def _compared(scene: Scene, count: int, samples: int) -> dict[str, Any]:
+    """Return how far places and brightness of ``count`` markers, from the middle outwards, are from the referee's.
 
-
-def compare(scene: Scene, count: int, samples: int, tell: Any = None) -> dict[str, Any]:
-    """Return how far places and brightness of some markers are from the referee's.
-
-    Parameters
-    ----------
-    scene
-        A block's scene with a pinhole camera.
-    count
-        How many markers, from the middle outwards.
-    samples
-        Paths a pixel for brightness; places take 4096.
-    tell
-        Called with the markers, and the differences of each in place and brightness.
+    Brightness takes so many samples a pixel, places take `SAMPLES_A_PASS`.
     """
     markers = ellipsoids(place(scene.body, scene.markers), scene.markers)
     bare = scene.model_copy(update={"cover": None})
@@ -92,8 +79,6 @@ def compare(scene: Scene, count: int, samples: int, tell: Any = None) -> dict[st
         noise.append(np.sqrt((error**2).sum()) / seen.sum())
     scale = np.sum(ours) / np.sum(theirs)
     brightness = np.array(theirs) * scale / np.array(ours) - 1
-    if tell is not None:
-        tell(chosen, off, brightness, noise)
     return {
         "markers": len(chosen),
         "samples": samples,
@@ -110,8 +95,8 @@ def path_traced(
 ) -> tuple[Floats, Floats]:
     """Return a square of 2 ``half`` + 1 px of the referee's picture around a pixel, and its standard errors.
 
-    With ``glowing`` that marker shines and the rest is black, else all are lit by the scene's LEDs. Paths are
-    spread evenly within each pass of 4096; standard errors come from the passes' differences.
+    With ``glowing`` that marker shines and the rest is black, else all are lit by the scene's LEDs. Standard errors
+    come from the differences of passes.
     """
     import mitsuba as mi
 
@@ -190,15 +175,3 @@ def _centroid(picture: Floats) -> Floats:
     """Return column and row of a square's centroid."""
     steps = np.arange(picture.shape[0])
     return np.array([picture.sum(axis=0) @ steps, picture.sum(axis=1) @ steps]) / picture.sum()
-
-
-def _print(chosen: Any, off: Any, brightness: Any, noise: Any) -> None:
-    for row in zip(chosen, np.abs(off).max(axis=1).round(4), brightness.round(4), np.round(noise, 4), strict=True):
-        print(*row, flush=True)
-
-
-if __name__ == "__main__":
-    if len(sys.argv) not in (2, 3):
-        print("give a scene: python -m benchmarks.referee kamiyama_pillar [SAMPLES]", file=sys.stderr)
-        sys.exit(2)
-    print(one(sys.argv[1], 8, int(sys.argv[2]) if len(sys.argv) > 2 else 32768, _print))

@@ -17,7 +17,7 @@ from benchmarks import ROOT
 from twin.arrays import Points
 from twin.parts.body import Block, Body, Finger
 from twin.parts.load import Rectangles, Traction
-from twin.world.elasticity.tile import tile
+from twin.world.elasticity.discretise import tile
 
 YOUNGS_MODULUS_MPA = 0.5
 

@@ -1,9 +1,8 @@
 """How the chain grows: CPU seconds over markers, sites, pixels, samples and workers, and what more nodes add.
 
 One process and thread each, warmed up; the scene is the flat sensor's. ``exponent`` is the power of the size, by least
-squares in log-log axes over all rows of one stage. Unknowns of the mesh have a stage of their own (``growth``), whose
-stored rows are fitted here. Nodes are dask workers with caches and folders of their own that share nothing but the
-network; their CPU seconds are counted by process, as two cores can't show what ten machines do.
+squares in log-log axes over all rows of one stage. Nodes are dask workers with caches and folders of their own that
+share nothing but the network; their CPU seconds are counted by process, as two cores can't show what ten machines do.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,13 +21,13 @@ from typing import Any
 import numpy as np
 
 import twin
-from benchmarks.__main__ import RESULTS
+from benchmarks.clock import median_cpu_s
 from benchmarks.dataset import FRICTIONLESS, TRUTH
-from benchmarks.growth_law import exponent
+from twin.blas_threads import one_thread
 from twin.parts.scene import Scene
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import track
-from twin.study.batch.job import one_thread
+from twin.study.batch.pool import Scheduler
 from twin.study.calibrate import nominal_calibration
 from twin.study.dataset.create import create_dataset
 from twin.study.recipe import load_scene
@@ -60,44 +59,35 @@ def run(quick: bool) -> list[Row]:
     with one_thread():
         rows = [
             *_markers(PITCHES[:2] if quick else PITCHES), *_sites(SITES[:2] if quick else SITES),
-            *_pixels(WIDTHS[:2] if quick else WIDTHS), *_unknowns(), *_samples(SAMPLES[:2] if quick else SAMPLES),
+            *_pixels(WIDTHS[:2] if quick else WIDTHS), *_samples(SAMPLES[:2] if quick else SAMPLES),
         ]  # fmt: skip
     nodes = [] if quick else cluster()
     rows += [row for row in nodes if "stage" in row]
     fitted = [
         {"axis": axis, "stage": stage, "exponent": exponent(mine, "cpu_ms")}
         for axis, stage in dict.fromkeys((row["axis"], row["stage"]) for row in rows)
-        if len(mine := [{**r, "unknowns": r["size"]} for r in rows if (r["axis"], r["stage"]) == (axis, stage)]) > 1
+        if len(mine := [r for r in rows if (r["axis"], r["stage"]) == (axis, stage)]) > 1
         and min(row["cpu_ms"] for row in mine) > 0
     ]
     return [*rows, *fitted, *(row for row in nodes if "stage" not in row)]
 
 
-def _timed(axis: str, size: int, stages: dict[str, Callable[[], object]], tries: int = 3) -> list[Row]:
+def _timed(axis: str, size: int, stages: dict[str, Callable[[], object]]) -> list[Row]:
     rows = []
     for stage, work in stages.items():
         work()
-        spent = []
-        for _ in range(tries):
-            started = time.process_time()
-            work()
-            spent.append(time.process_time() - started)
-        rows.append({"axis": axis, "size": size, "stage": stage, "cpu_ms": 1e3 * float(np.median(spent))})
+        rows.append({"axis": axis, "size": size, "stage": stage, "cpu_ms": 1e3 * median_cpu_s(work, 3)})
     return rows
-
-
-def _scene(**overrides: Any) -> Scene:
-    return load_scene("kamiyama_pillar", {key.replace("__", "."): value for key, value in overrides.items()})
 
 
 def _markers(pitches: tuple[float, ...]) -> Iterator[Row]:
     for pitch in pitches:
         changes: dict[str, Any] = {}
         for name, columns, rows in (("red", 21, 16), ("blue", 20, 15)):
-            changes |= {f"markers__{name}__pitch_mm": pitch, f"markers__{name}__diameter_mm": 0.3,
-                        f"markers__{name}__columns": 1 + round((columns - 1) * 1.5 / pitch),
-                        f"markers__{name}__rows": 1 + round((rows - 1) * 1.5 / pitch)}  # fmt: skip
-        sensor = Sensor(_scene(**changes))
+            counts = {key: 1 + round((n - 1) * 1.5 / pitch) for key, n in (("columns", columns), ("rows", rows))}
+            layer = {"pitch_mm": pitch, "diameter_mm": 0.3, **counts}
+            changes |= {f"markers.{name}.{key}": value for key, value in layer.items()}
+        sensor = Sensor(load_scene("kamiyama_pillar", changes))
         load = sensor.press().load
         motion, rest = sensor.motion(load), sensor.picture(None)
         pressed = sensor.picture(motion)
@@ -111,9 +101,9 @@ def _markers(pitches: tuple[float, ...]) -> Iterator[Row]:
 
 def _sites(counts: tuple[int, ...]) -> Iterator[Row]:
     for count in counts:
-        pitch = 24.0 / count
-        sensor = Sensor(_scene(reconstruction__sites__columns=count, reconstruction__sites__rows=count,
-                               reconstruction__sites__pitch_mm=pitch))  # fmt: skip
+        sites = {"columns": count, "rows": count, "pitch_mm": 24.0 / count}
+        changes = {f"reconstruction.sites.{key}": value for key, value in sites.items()}
+        sensor = Sensor(load_scene("kamiyama_pillar", changes))
         found = track(sensor.picture(None), sensor.picture(sensor.press().load), sensor.layout_px)
         kept = _calibration(sensor)
         again = reconstruct(found, kept)
@@ -130,12 +120,12 @@ def _calibration(sensor: Sensor) -> Any:
 
 
 def _pixels(widths: tuple[int, ...]) -> Iterator[Row]:
-    from twin.world.picture.exposure import expose
+    from twin.world.picture.ccd import expose
 
     for width in widths:
         height = width * 3 // 4
-        sensor = Sensor(_scene(camera__width_px=width, camera__height_px=height,
-                               camera__focal_px=1814.8 * width / 640))  # fmt: skip
+        camera = {"width_px": width, "height_px": height, "focal_px": 1814.8 * width / 640}
+        sensor = Sensor(load_scene("kamiyama_pillar", {f"camera.{key}": value for key, value in camera.items()}))
         motion = sensor.motion(sensor.press().load)
         light = sensor.renderer.radiance(sensor.ellipsoids(motion))
         rest, pressed = sensor.picture(None), sensor.picture(motion)
@@ -146,14 +136,10 @@ def _pixels(widths: tuple[int, ...]) -> Iterator[Row]:
         })  # fmt: skip
 
 
-def _unknowns() -> list[Row]:
-    path = RESULTS / "growth.json"
-    stored = json.loads(path.read_text())["rows"] if path.is_file() else []
-    return [
-        {"axis": "unknowns", "size": row["unknowns"], "stage": f"{stage}, {row['body']}",
-         "cpu_ms": 1e3 * row[f"{stage}_cpu_s"]}
-        for stage in ("factor", "solve") for row in stored if f"{stage}_cpu_s" in row
-    ]  # fmt: skip
+def exponent(rows: Sequence[Row], of: str) -> float:
+    """Return the power of the size that a column grows with, by least squares in log-log axes."""
+    sizes, values = np.log([[row["size"], row[of]] for row in rows]).T
+    return float(np.polyfit(sizes, values, 1)[0])
 
 
 def _dataset(samples_per_shard: int) -> Scene:
@@ -180,11 +166,11 @@ def cluster() -> list[Row]:
     A node spends a start and so much a sample, the head (client and scheduler) so much a sample for handing out and
     collecting: n nodes make ``samples_per_s`` n times one node's, as long as the head keeps up.
     """
-    _on_nodes(1, 4)  # what the head does once: imports, the body's files
+    on_nodes(1, 4)  # what the head does once: imports, the body's files
     rows, starts, heads, alls = list[Row](), list[float](), list[float](), list[float]()
     few, many = ON_NODES
     for nodes in NODES:
-        head, each = zip(*(_on_nodes(nodes, samples) for samples in ON_NODES), strict=True)
+        head, each = zip(*(on_nodes(nodes, samples) for samples in ON_NODES), strict=True)
         for k, samples in enumerate(ON_NODES):
             rows.append({"axis": "nodes", "size": nodes, "samples": samples, "head_cpu_s": head[k],
                          "nodes_cpu_s": [round(one, 2) for one in each[k]]})  # fmt: skip
@@ -208,7 +194,7 @@ def cluster() -> list[Row]:
     return rows
 
 
-def _on_nodes(nodes: int, samples: int) -> tuple[float, list[float]]:
+def on_nodes(nodes: int, samples: int) -> tuple[float, list[float]]:
     """Return CPU seconds of the head (this process and the scheduler) and of each node for a dataset."""
     import psutil
 
@@ -218,7 +204,7 @@ def _on_nodes(nodes: int, samples: int) -> tuple[float, list[float]]:
         _cluster(nodes, Path(folder)) as (address, at),
     ):
         before, mine = [_spent(psutil.Process(pid)) for pid in at], time.process_time()
-        create_dataset(scene, Path(folder) / "d", samples, scheduler=address)
+        create_dataset(scene, Path(folder) / "d", samples, scheduler=Scheduler(address=address))
         mine = time.process_time() - mine
         after = [_spent(psutil.Process(pid)) for pid in at]
     spent = [b - a for a, b in zip(before, after, strict=True)]
@@ -233,6 +219,8 @@ def _spent(process: Any) -> float:
 @contextmanager
 def _cluster(nodes: int, folder: Path) -> Iterator[tuple[str, list[int]]]:
     """Start a scheduler and nodes, each with a cache of its own; give its address and their process ids."""
+    from distributed import Client
+
     told = folder / "scheduler.json"
     root = str(Path(twin.__file__).parents[1])
     environment = {**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
@@ -251,16 +239,10 @@ def _cluster(nodes: int, folder: Path) -> Iterator[tuple[str, list[int]]]:
             own = {**environment, "TWIN_CACHE": str(folder / f"cache{number}")}
             running.append(subprocess.Popen([*module, *worker], env=own, **quiet))  # type: ignore[call-overload]
         address = json.loads(told.read_text())["address"]
-        _wait_for(address, nodes)
+        with Client(address, timeout=120) as client:  # type: ignore[no-untyped-call]
+            client.wait_for_workers(nodes, timeout=240)  # type: ignore[no-untyped-call]
         yield address, [process.pid for process in running]
     finally:
         for process in running[::-1]:
             process.kill()
             process.wait()
-
-
-def _wait_for(address: str, nodes: int) -> None:
-    from distributed import Client
-
-    with Client(address, timeout=120) as client:  # type: ignore[no-untyped-call]
-        client.wait_for_workers(nodes, timeout=240)  # type: ignore[no-untyped-call]

@@ -10,97 +10,59 @@ measures the rows of some stages anew before that.
 
 from __future__ import annotations
 
-import importlib
-import json
-import os
 import re
-import sys
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-from benchmarks import ROOT
-from benchmarks.__main__ import RESULTS, table
-from benchmarks.arguments import command_line
-from benchmarks.stress_axes import Axis, Measured, system_axes, unsolvable
-from benchmarks.stress_loads import load_axes
-from benchmarks.stress_picture import unfit_libraries
+from benchmarks import ROOT, record
+from benchmarks.clock import Clock, empty_cache
+from benchmarks.pages import write
+from benchmarks.stress_elastic import Axis, Measured, elastic_axes
+from benchmarks.stress_press import contact_axes
+from benchmarks.stress_software import inverse_axes, picture_axes, tracking_axes
 from twin.errors import TwinError
-from twin.places import cache_folder
 
-PAGE = ROOT / "docs" / "stress.md"
-MARKS = r"(<!-- results -->\n).*?(<!-- end of results -->)"
 TOLD = 0.01
 """Estimated error above which the accuracy of every shipped scene is missed, so that a run warns."""
 
-ELASTICITY = "elasticity"
-STAGES = {
-    ELASTICITY: "",
-    "contact": "stress_contact.contact_axes",
-    "picture": "stress_picture.picture_axes",
-    "tracking": "stress_sense.tracking_axes",
-    "inverse": "stress_sense.inverse_axes",
-    "dataset": "stress_dataset.dataset_axes",
+STAGES: dict[str, Callable[[], list[Axis]]] = {
+    "elasticity": elastic_axes,
+    "contact": contact_axes,
+    "picture": picture_axes,
+    "tracking": tracking_axes,
+    "inverse": inverse_axes,
 }
-"""Stages, with the function that returns their axes; elasticity has two here."""
-
-REFUSALS: dict[str, Callable[[], dict[str, Callable[[], Measured]]]] = {
-    ELASTICITY: unsolvable,
-    "picture": unfit_libraries,
-}
-"""What has no answer, or no good one, by stage."""
-
-BREAKING, REFUSED = "Breaking points", "What can't be solved"
+"""Stages with the function that returns their axes."""
 
 
 def run(quick: bool) -> list[dict[str, Any]]:
-    """Return one row an axis, then one for every kind of system that can't be solved.
+    """Return one row an axis.
 
     The quick form walks every fourth step, of elasticity alone, and leaves out axes that have no fourth.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        _forget(folder)
-        return [row for stage in (STAGES if not quick else [ELASTICITY]) for row in _walked(stage, quick)]
+    with empty_cache():
+        return [row for stage in (["elasticity"] if quick else STAGES) for row in _walked(stage, quick)]
 
 
 def _walked(stage: str, quick: bool = False) -> list[dict[str, Any]]:
     rows = []
-    for axis in _axes(stage):
+    for axis in STAGES[stage]():
         steps = axis.steps[:: 4 if quick else 1]
         if len(steps) == 1:
             continue
-        start = sum(os.times()[:4])
+        clock = Clock()
         row = survey(axis, steps)
-        rows.append({"what": BREAKING, "stage": stage, **row, "cpu_s": sum(os.times()[:4]) - start})
-    attempts = REFUSALS.get(stage, dict)()
-    return rows + [{"what": REFUSED, "stage": stage, **refusal(name, attempt)} for name, attempt in attempts.items()]
-
-
-def _axes(stage: str) -> list[Axis]:
-    if stage == ELASTICITY:
-        return [*system_axes(), *load_axes()]
-    module, name = STAGES[stage].split(".")
-    found: list[Axis] = getattr(importlib.import_module(f"benchmarks.{module}"), name)()
-    return found
+        rows.append({"what": "Breaking points", "stage": stage, **row, "cpu_s": clock.lap().cpu})
+    return rows
 
 
 def anew(stages: list[str]) -> None:
     """Measure the rows of some stages and put them in the place of those that are stored."""
-    with tempfile.TemporaryDirectory() as folder:
-        _forget(folder)
+    with empty_cache():
         fresh = {stage: _walked(stage) for stage in stages}
-    file = RESULTS / "stress.json"
-    stored = json.loads(file.read_text())
-    kept = [{"stage": ELASTICITY, **row} for row in stored["rows"]]
+    kept = record.stored("stress")
     rows = [row for stage in STAGES for row in fresh.get(stage) or [r for r in kept if r["stage"] == stage]]
-    file.write_text(json.dumps({**stored, "rows": rows}, indent=1) + "\n")
-
-
-def _forget(folder: str) -> None:
-    """Keep solved fields in an empty folder, so that none of an earlier run is read instead of solving."""
-    os.environ["TWIN_CACHE"] = folder
-    cache_folder.cache_clear()
+    record.write("stress", {**record.read("stress"), "rows": rows})
 
 
 def survey(axis: Axis, steps: tuple[float, ...]) -> dict[str, Any]:
@@ -115,10 +77,8 @@ def survey(axis: Axis, steps: tuple[float, ...]) -> dict[str, Any]:
             break
         wrong = measured.beyond(axis.bounds)
         if wrong:
-            told = (
-                f"the program estimates {measured.told:.2g}" if measured.told > TOLD else "the program doesn't say so"
-            )
-            first_bad = first_bad or f"at {step:g} degraded, {told}: {wrong}"
+            told = f"estimates {measured.told:.2g}" if measured.told > TOLD else "doesn't say so"
+            first_bad = first_bad or f"at {step:g} degraded, the program {told}: {wrong}"
         elif not first_bad:
             held.append(step)
             worst = worst.or_worse(measured)
@@ -131,43 +91,12 @@ def survey(axis: Axis, steps: tuple[float, ...]) -> dict[str, Any]:
     }
 
 
-def refusal(name: str, attempt: Callable[[], Measured]) -> dict[str, str]:
-    """Return what the program says of a system that can't be solved."""
-    try:
-        measured = attempt()
-    except TwinError as problem:
-        return {"system": name, "error": type(problem).__name__, "says": _short(problem, 400)}
-    return {"system": name, "error": "none", "says": f"solved, to a residual of {measured.residual:.1e}"}
-
-
-def _short(problem: TwinError, most: int = 110) -> str:
+def _short(problem: TwinError) -> str:
     text = re.sub(r"\s+", " ", str(problem)).replace("|", "/").replace(f"{ROOT}/", "")
-    return text if len(text) <= most else text[: most - 3].rsplit(" ", 1)[0] + " ..."
-
-
-def page_tables() -> str:
-    """Return the Markdown between the page's two result marks."""
-    stored = json.loads((RESULTS / "stress.json").read_text())
-    parts = [""]
-    for what in (BREAKING, REFUSED):
-        rows = [_cells(row, what) for row in stored["rows"] if row["what"] == what]
-        parts.append(f"**{what}**\n\n{table(rows)}\n")
-    return "\n".join([*parts, f"On {stored['machine']['processor']}, {stored['machine']['cores']} cores.\n"])
-
-
-def _cells(row: dict[str, Any], what: str) -> dict[str, Any]:
-    hidden = ("what",) if what == BREAKING else ("what", "stage")
-    return {k: v for k, v in row.items() if k not in hidden}
-
-
-def write_page(page: Path = PAGE) -> None:
-    """Put the stored rows between the page's marks."""
-    text = page.read_text()
-    page.write_text(re.sub(MARKS, lambda m: m.group(1) + page_tables() + m.group(2), text, flags=re.DOTALL))
+    return text if len(text) <= 110 else text[:107].rsplit(" ", 1)[0] + " ..."
 
 
 if __name__ == "__main__":
-    if wanted := command_line("stress", __doc__, STAGES).names:
+    if wanted := record.names_of(record.parser_of("stress", __doc__), STAGES).names:
         anew(wanted)
-    write_page()
-    sys.exit(0)
+    write("stress")

@@ -7,7 +7,6 @@ a machine with nothing else on it.
 
 from __future__ import annotations
 
-import json
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -15,19 +14,17 @@ from typing import Any
 import numpy as np
 
 import twin
-from benchmarks.__main__ import RESULTS
 from benchmarks.clock import Clock
+from benchmarks.record import read, write
 from twin.arrays import Floats
+from twin.blas_threads import one_thread
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
-from twin.study.batch.job import one_thread
-from twin.study.sweep.best import write_best
-from twin.study.sweep.closed import closed
+from twin.study.sweep.closed_form_design import closed
 from twin.study.sweep.designs import designs_of
-from twin.study.sweep.report import write_report
-from twin.study.sweep.run import Swept, run_sweep
+from twin.study.sweep.sweep_report import write_report
+from twin.study.sweep.sweep_run import Swept, run_sweep
 
-STORED = RESULTS / "sweep.json"
 CORES = 2
 FLAT: dict[str, Any] = {
     "scene": "kamiyama_pillar",
@@ -72,7 +69,11 @@ NOISE_SE = {"fwhm_mm": "fwhm_noise_se_mm", "total_force_error": "total_force_err
 
 def run(quick: bool) -> list[dict[str, Any]]:
     """Return the rows of the stage; the quick form has few designs, made sensors and no processes of its own."""
-    rows = [_closed(2_000 if quick else 200_000), _linear(8 if quick else 100), _full(2 if quick else 8)]
+    rows = [
+        _closed(2_000 if quick else 200_000),
+        _one_by_one("linear information, 636 markers of the scene and more", "linear", 8 if quick else 100),
+        _one_by_one("full chain, 5 presses", "full", 2 if quick else 8),
+    ]
     if quick:
         return rows + agreement("flat", 2, made=2, exposures=2, workers=1)
     return [*rows, _whole(1000), *comparisons()]
@@ -82,7 +83,7 @@ def comparisons() -> list[dict[str, Any]]:
     """Return the rows that compare fidelities: they are the same whatever else the machine does."""
     rows: list[dict[str, Any]] = []
     for name in SENSORS:
-        rows += [row for even in (False, True) for row in ranked(name, 60, even, CORES).values()]
+        rows += ranked(name, 60, CORES).values()
         rows += agreement(name, 25)
     return rows
 
@@ -109,22 +110,16 @@ def _closed(count: int) -> dict[str, Any]:
     return _rate("closed form", count, cost.cpu, cost.wall)
 
 
-def _linear(count: int) -> dict[str, Any]:
-    table = {**FLAT, "set": {}, "loads": {**FLAT["loads"], "presses": 5, "size_mm": 2.0}}
-    return _one_by_one("linear information, 636 markers of the scene and more", table, "linear", count)
+PRESSED: dict[str, Any] = {**FLAT, "set": {}, "loads": {**FLAT["loads"], "presses": 5, "size_mm": 2.0}}
+"""The flat sensor as it is shipped, under five presses."""
 
 
-def _full(count: int) -> dict[str, Any]:
-    table = {**FLAT, "set": {}, "loads": {**FLAT["loads"], "presses": 5, "size_mm": 2.0}}
-    return _one_by_one("full chain, 5 presses", table, "full", count)
-
-
-def _one_by_one(what: str, table: dict[str, Any], stage: str, count: int) -> dict[str, Any]:
+def _one_by_one(what: str, stage: str, count: int) -> dict[str, Any]:
     """Time rows in this process, the first apart: it reads tables and compiles."""
     with tempfile.TemporaryDirectory() as name:
-        run_sweep(*_sweep(table, count=1, seed=2, fidelity=[stage], confirm={"full": 1}), Path(name))
+        run_sweep(*_sweep(PRESSED, count=1, seed=2, fidelity=[stage], confirm={"full": 1}), Path(name))
         clock = Clock()
-        done = run_sweep(*_sweep(table, count=count, fidelity=[stage], confirm={"full": count}), Path(name))
+        done = run_sweep(*_sweep(PRESSED, count=count, fidelity=[stage], confirm={"full": count}), Path(name))
         cost = clock.lap()
     ok = max(int((done.status == "ok").sum()), 1)
     return _rate(what, ok, cost.cpu, cost.wall)
@@ -132,49 +127,36 @@ def _one_by_one(what: str, table: dict[str, Any], stage: str, count: int) -> dic
 
 def _whole(count: int) -> dict[str, Any]:
     """A thousand designs from the file to the page, on two processes that begin with nothing."""
-    table = {**FLAT, "set": {}, "loads": {**FLAT["loads"], "presses": 5, "size_mm": 2.0}}
     with tempfile.TemporaryDirectory() as name:
         clock = Clock()
-        done = run_sweep(*_sweep(table, count=count, fidelity=["closed", "linear"]), Path(name), workers=CORES)
-        write_report(done, write_best(done, Path(name)), Path(name))
+        done = run_sweep(*_sweep(PRESSED, count=count, fidelity=["closed", "linear"]), Path(name), workers=CORES)
+        write_report(done, Path(name))
         cost = clock.lap()
     return _rate("closed form, linear information and page, two processes", count, cost.cpu, cost.wall)
 
 
-def ranked(name: str, count: int, even: bool = False, workers: int = 1) -> dict[str, dict[str, Any]]:
-    """Return by metric how the closed form ranks designs, at sites that are fine enough not to hold any back.
-
-    In ``even`` light nothing shadows anything, as the closed form has it.
-    """
+def ranked(name: str, count: int, workers: int = 1) -> dict[str, dict[str, Any]]:
+    """Return by metric how the closed form ranks designs, at sites that are fine enough not to limit any."""
     sites = {"columns": 17, "rows": 13} if name == "flat" else {"columns": 11, "rows": 11}
     fine = {f"reconstruction.sites.{key}": value for key, value in {**sites, "pitch_mm": 0.75}.items()}
-    light = {"light.ambient": 1.0} if even else {}
-    table = {**SENSORS[name], "set": {**SENSORS[name]["set"], **fine, **light}}
+    table = {**SENSORS[name], "set": {**SENSORS[name]["set"], **fine}}
     table["loads"] = {**table["loads"], "size_mm": 1.0, "pair_mm": 2.0, "region_mm": [2.0, 2.0], "presses": PRESSES}
     with tempfile.TemporaryDirectory() as place:
         done = run_sweep(*_sweep(table, count=count), Path(place), workers=workers)
     metrics = ("fwhm_mm", "two_point_mm", "resolution_gf")
-    told = f"{name} in even light" if even else name
-    return {metric: compared(done, "closed", "linear", metric, told) for metric in metrics}
+    return {metric: compared(done, "closed", "linear", metric, name) for metric in metrics}
 
 
 def agreement(
-    name: str, count: int, folder: Path | None = None, made: int = MADE, exposures: int = EXPOSURES,
-    workers: int = CORES, seed: int = 1,
-) -> list[dict[str, Any]]:  # fmt: skip
-    """Return how far the linear information is from the full chain, by metric; ``folder`` keeps the designs' rows."""
+    name: str, count: int, made: int = MADE, exposures: int = EXPOSURES, workers: int = CORES
+) -> list[dict[str, Any]]:
+    """Return how far the linear information is from the full chain, by metric."""
     loads = {**SENSORS[name]["loads"], "presses": PRESSES, "exposures": exposures}
-    table = {**SENSORS[name], "loads": loads, "sensors": made, "seed": seed}
+    table = {**SENSORS[name], "loads": loads, "sensors": made}
     with tempfile.TemporaryDirectory() as place:
         settings = {"count": count, "fidelity": ["closed", "linear", "full"], "confirm": {"full": count}}
-        done = run_sweep(*_sweep(table, **settings), folder or Path(place), workers=workers)
-    rows = [
-        compared(done, one, other, metric, name)
-        for one, other, metric in (
-            ("linear", "full", "fwhm_mm"), ("linear", "full", "total_force_error"), ("linear", "full", "dip"),
-            ("linear", "full", "sd_px"),
-        )
-    ]  # fmt: skip
+        done = run_sweep(*_sweep(table, **settings), Path(place), workers=workers)
+    rows = (compared(done, "linear", "full", metric, name) for metric in ("fwhm_mm", "total_force_error", "dip"))
     return [row for row in rows if row]
 
 
@@ -204,9 +186,9 @@ def compared(done: Swept, one: str, other: str, metric: str, name: str) -> dict[
 
 def main() -> None:
     """Make the stored rows that compare fidelities anew."""
-    stored = json.loads(STORED.read_text())
-    rates = [row for row in stored["rows"] if "designs_per_s" in row]
-    STORED.write_text(json.dumps({**stored, "rows": [*rates, *comparisons()]}, indent=1) + "\n")
+    found = read("sweep")
+    rates = [row for row in found["rows"] if "designs_per_s" in row]
+    write("sweep", {**found, "rows": [*rates, *comparisons()]})
 
 
 if __name__ == "__main__":

@@ -7,39 +7,25 @@ find spots in each layer's own channel, and the nearest to the place before is t
 marker). Errors are of the shift from rest to picture, per axis; the bound is Cramer and Rao's for the shift, all else
 known.
 
-``python -m benchmarks.tracking`` writes the stored results into docs/tracking.md.
+``python -m benchmarks.pages tracking`` writes the stored results into docs/tracking.md.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.__main__ import RESULTS, table
 from benchmarks.discs import bound_px, expose, scene
-from twin.sense.force_map import in_units
-from twin.sense.rest import Method
+from twin.blas_threads import one_thread
+from twin.sense.reference import METHODS
 from twin.sense.track import Tracker, analyse_rest, track_frame
-from twin.study.batch.job import one_thread
 
-PAGE = Path(__file__).parent.parent / "docs" / "tracking.md"
-SHADOWED = """## What the stated deviations miss
-
-They hold where markers lie free. In the finger, near its lamps, the shadows of one layer cross the other and move
-with it. One press of `sato_press`, rendered: errors of blue markers are 1.07 times their stated standard deviation
-(root mean square), those of red ones, on which blue's shadows fall, 1.93 times, most of it from two of 25: .05 px
-off at a stated .007. Their fits leave no unusual residuals. Forces don't rely on it: `reconstruct` takes the
-noise's size from what its fit leaves (`Field.noise_px`), and a marker that is far off is left out where `robust`
-is asked for.
-"""
 SIZE = (640, 480)
 Layout = dict[str, np.ndarray]
 
@@ -131,8 +117,7 @@ def ways(rest: np.ndarray, layout: Layout, diameter: float) -> Iterator[tuple[st
     """Yield every way of tracking as a function from a picture to (n, 2) shifts, px; None if it is not installed."""
     tracker = Tracker(rest, layout)
     yield "twin disc-fit, sequence", lambda picture: tracker.track(picture).shift_px
-    names: tuple[Method, ...] = ("disc-fit", "soft-window", "two-pass")
-    for method in names:
+    for method in METHODS:
         analysed = analyse_rest(rest, layout, method=method)
         yield f"twin {method}, cold", lambda picture, a=analysed: track_frame(a, picture).shift_px
     yield "OpenCV SimpleBlobDetector", _peer(rest, layout, _opencv_blobs(diameter)) if find_spec("cv2") else None
@@ -200,7 +185,7 @@ def _chains(design: Design, frames: int, repeats: int) -> Iterator[dict[str, Any
     layout = design.layout()
     count = 2 * sum(map(len, layout.values()))
     random = np.random.default_rng(0)
-    force = in_units(random.normal(0, 1e-3, (3 * design.sites, count)), np.zeros((count, count)))
+    force = random.normal(0, 1e-3, (3 * design.sites, count)).astype(np.float32)
     there_and_back = [*pictures, *reversed(pictures)]
     for sensors in (1, 4) if design is FINGER else (1,):
         trackers = [Tracker(pictures[0], layout) for _ in range(sensors)]
@@ -211,7 +196,7 @@ def _chains(design: Design, frames: int, repeats: int) -> Iterator[dict[str, Any
             shifts = [tracker.track(picture).shift_px for tracker in trackers]
             middle = time.thread_time()
             for shift in shifts:
-                force.forces(shift)
+                force @ np.nan_to_num(shift, nan=0.0).ravel().astype(np.float32)
             end = time.thread_time()
             whole.append(1e3 * (end - start))
             field.append(1e3 * (end - middle))
@@ -220,21 +205,3 @@ def _chains(design: Design, frames: int, repeats: int) -> Iterator[dict[str, Any
         yield {"sensor": design.name, "way": name, "ms": float(median), "ms_p99": float(worst),
                "forces_ms": float(np.median(field[10:])), "frames_per_s": float(1e3 / median),
                "frames_per_s_p99": float(1e3 / worst)}  # fmt: skip
-
-
-def main() -> None:
-    """Write docs/tracking.md from the stored results."""
-    stored = json.loads((RESULTS / "tracking.json").read_text())
-    errors = [r for r in stored["rows"] if not r["way"].startswith("chain")]
-    chains = [r for r in stored["rows"] if r["way"].startswith("chain")]
-    machine = stored["machine"]
-    PAGE.write_text(
-        f"# Tracking: error and time\n\n{(__doc__ or '').partition(chr(10))[2].split('``python')[0].strip()}\n\n"
-        f"On {machine['processor']}. Run again with `python -m benchmarks tracking`, then "
-        f"`python -m benchmarks.tracking`.\n\n{table(errors)}\n\n## Whole chain\n\nFrom the picture in memory to every "
-        f"site's force, one thread.\n\n{table(chains)}\n\n{SHADOWED}"
-    )
-
-
-if __name__ == "__main__":
-    main()

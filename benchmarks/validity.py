@@ -1,16 +1,17 @@
 """What linearity costs: neo-Hookean rubber under the papers' presses against linear theory on the same elements.
 
 ``python -m benchmarks.validity [PART ...]`` presses every probe at an eighth, a quarter, half and all of its load and
-puts the rows into benchmarks/results/validity.json; `benchmarks.validity_page` prints docs/validity.md from it. Both
-answers carry the same total force. Their difference holds everything that linear theory leaves out: large strain, the
-turning of the surface, and the contact that is found on the undeformed surface.
+stores the rows. Both carry the same total force, so their difference holds everything that linear theory leaves out:
+large strain, the turning of the surface, and the contact that is found on the undeformed surface. Needs felupe, of the
+extra ``peers``.
 
-Needs felupe, of the extra ``peers``.
+The program's meshes carry the smooth rest that is left when the half-space is subtracted, so they are coarse where a
+load presses; plain elements need them fine there. Bisecting the longest edges (M. C. Rivara 1984) keeps the mesh
+conforming, needs no mesher, and gives the same mesh every time.
 """
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -20,26 +21,85 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.__main__ import RESULTS, machine, table
-from benchmarks.arguments import command_line
-from benchmarks.neohooke import Contact, DeadTraction, Rubber, press
-from benchmarks.refined import refined
-from twin.arrays import Floats, Points
+from benchmarks.neohooke import Contact, Rubber, press
+from benchmarks.record import names_of, parser_of, store, stored, table
+from twin.arrays import Floats, Ints, Points
+from twin.parts.body import Body
 from twin.parts.press import Cylinder, Probe, Sphere
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
-from twin.world.contact.approach import approach
+from twin.world.contact.probe_gap import approach
 from twin.world.mesh.body_mesh import body_mesh
+from twin.world.mesh.elements import TET_EDGES, signed_volumes
 from twin.world.mesh.interpolate import Locator, Places
-from twin.world.mesh.mesh import Mesh
+from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.snap import snapped_mesh
+
+MOST_PASSES = 200
+
+
+def refined(mesh: Mesh, body: Body, wanted: Callable[[Points], Floats]) -> Mesh:
+    """Return ``mesh``, its tetrahedra bisected until no edge is longer than ``wanted`` around its points, mm."""
+    points, tets = mesh.points[: mesh.corners].copy(), mesh.tets[:, :4].copy()
+    for _ in range(MOST_PASSES):
+        split = _terminal_edges(points, tets, wanted)
+        if split is None:
+            break
+        points, tets = _bisected(points, tets, *split)
+        points = snapped_mesh(body, points, tets).points[: len(points)]
+    else:
+        raise RuntimeError(f"bisection did not end after {MOST_PASSES} passes")
+    if np.min(signed_volumes(points, tets)) <= 0:
+        raise RuntimeError("bisection turned a tetrahedron inside out: start from a finer mesh")
+    return snapped_mesh(body, points, tets)
+
+
+def _terminal_edges(points: Points, tets: Ints, wanted: Callable[[Points], Floats]) -> tuple[Ints, Ints, Ints] | None:
+    """Return edges (e, 2), which of them each tetrahedron is cut at (-1: none), and its place in the tetrahedron.
+
+    Of the edges that have to be cut only those are returned that are the longest of all their tetrahedra: the cut is
+    then conforming, and the others follow in later passes.
+    """
+    pairs = np.sort(tets[:, TET_EDGES], axis=2)
+    edges, of = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
+    of = of.reshape(-1, 6)
+    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    rank = np.empty(len(edges), np.int64)
+    rank[np.argsort(length, kind="stable")] = np.arange(len(edges))
+    place = np.argmax(rank[of], axis=1)
+    longest = of[np.arange(len(tets)), place]
+    cut = np.zeros(len(edges), bool)
+    cut[longest[length[longest] > wanted(points[tets].mean(axis=1))]] = True
+    if not cut.any():
+        return None
+    while True:
+        touched = cut[of].any(axis=1)
+        if cut[longest[touched]].all():
+            break
+        cut[longest[touched]] = True
+    terminal = cut.copy()
+    terminal[of[np.arange(6) != place[:, None]]] = False
+    return edges, np.where(terminal[longest], longest, -1), place
+
+
+def _bisected(points: Points, tets: Ints, edges: Ints, edge: Ints, place: Ints) -> tuple[Points, Ints]:
+    """Cut every tetrahedron that has an ``edge`` at the middle of it."""
+    used, middle = np.unique(edge[edge >= 0], return_inverse=True)
+    new = len(points) + middle
+    whole, halves = tets[edge < 0], tets[edge >= 0]
+    first, second = halves.copy(), halves.copy()
+    ends = TET_EDGES[place[edge >= 0]]
+    row = np.arange(len(halves))
+    first[row, ends[:, 0]] = new
+    second[row, ends[:, 1]] = new
+    return np.concatenate([points, points[edges[used]].mean(axis=1)]), np.concatenate([whole, first, second])
+
 
 GRAM = 0.00980665
 """Newton per gram-force."""
 
 LEVELS = (0.125, 0.25, 0.5, 1.0)
 DEEP_MM = 0.3
-DEAD_STEP = 1 / 32
-"""Share of the load by which a dead traction grows."""
 
 X, Z = 0, 2
 
@@ -77,21 +137,13 @@ CASES = (
 )  # fmt: skip
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
-    """Return one row a case and level; the quick form takes the first case at half of its load."""
-    if quick:
-        return list(_pressed(CASES[0], LEVELS[2:3]))
-    return [row for study in studies().values() for row in study()]
-
-
 def studies() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
-    """Return the parts of the study by name: every case, the first one on a finer mesh, and under a dead traction."""
+    """Return the parts of the study by name: every case, and the first one on a finer mesh."""
     found: dict[str, Callable[[], Iterator[dict[str, Any]]]] = {}
     for case in CASES:
         found[case.name] = partial(_pressed, case, LEVELS)
     first = CASES[0]
     found[f"{first.name}, finer mesh"] = partial(_pressed, first, LEVELS[::3], finer=0.7)
-    found[f"{first.name}, dead traction"] = partial(_dead, first, LEVELS)
     return found
 
 
@@ -145,13 +197,16 @@ def _pressed(case: Case, levels: tuple[float, ...], finer: float = 1.0) -> Itera
         past = level
         (straight, touched), (bent, indented) = ends
         lin, real = (rubbers[True].displacement(unknowns) for unknowns in (straight, bent))
+        size = np.linalg.norm(at_markers.values(real), axis=1)
+        off = np.linalg.norm(at_markers.values(lin) - at_markers.values(real), axis=1)
         yield {
             "case": case.name if finer == 1.0 else f"{case.name}, finer mesh",
             "level": level,
             "push_n": case.push_n * level,
             "shear_n": case.shear_n * level,
             **_contact_figures(case, touched, lin),
-            **_errors(at_markers.values(lin), at_markers.values(real)),
+            "error_max": float(off.max() / size.max()),
+            "error_rms": float(np.sqrt((off**2).sum() / (size**2).sum())),
             "indentation_error": float(touched.moved_mm[Z] / indented.moved_mm[Z] - 1.0),
             **_strains(at_markers, locator, touched, lin, real),
             "unknowns": mesh.unknowns,
@@ -178,14 +233,6 @@ def _contact_figures(case: Case, contact: Contact, lin: Floats) -> dict[str, Any
     }
 
 
-def _errors(lin: Points, real: Points) -> dict[str, float]:
-    difference, size = np.linalg.norm(lin - real, axis=1), np.linalg.norm(real, axis=1)
-    return {
-        "error_max": float(difference.max() / size.max()),
-        "error_rms": float(np.sqrt((difference**2).sum() / (size**2).sum())),
-    }
-
-
 def _strains(at_markers: Places, locator: Locator, contact: Contact, lin: Floats, real: Floats) -> dict[str, float]:
     """Return largest strains: of linear theory and real, at the markers and below the contact; and the largest turn."""
     touching = np.linalg.norm(contact.springs(lin)[0], axis=1) > 0
@@ -203,53 +250,15 @@ def _strains(at_markers: Places, locator: Locator, contact: Contact, lin: Floats
     return out
 
 
-def _dead(case: Case, levels: tuple[float, ...]) -> Iterator[dict[str, Any]]:
-    """The same, the rubber being loaded by the linear contact's traction instead of by the probe."""
-    scene = load_scene(case.scene, {"tolerance.preset": "none"})
-    mesh, start = below(case), approach(case.probe, scene.body, np.array(case.at_mm))
-    at_markers = Locator(mesh).locate(Sensor(scene).actual.markers.points)
-    straight, rubber = Rubber(mesh, linear=True), Rubber(mesh)
-    unknowns, reached = rubber.rest, 0.0
-    for level in levels:
-        contact = Contact.on(mesh, scene.body, start, linear=True)
-        contact.moved_mm[Z] = _first_guess(case, level)
-        pushed = press(straight, contact, straight.rest, {Z: case.push_n * level / scene.material.youngs_modulus_mpa})
-        lin, push = straight.displacement(pushed), contact.springs(straight.displacement(pushed))[0]
-        nodal = np.zeros_like(lin)
-        np.add.at(nodal, contact.nodes, contact.weights[:, :, None] * push[:, None, :])
-        row: dict[str, Any] = {"case": f"{case.name}, dead traction", "level": level, "push_n": case.push_n * level}
-        steps = np.arange(reached + DEAD_STEP, level + 1e-9, DEAD_STEP)
-        for step in steps:  # the pattern is this level's; a state found under the last level's is the first guess
-            try:
-                unknowns = DeadTraction(nodal * step / level).on(rubber, unknowns)
-            except RuntimeError:
-                yield {
-                    **row,
-                    "remark": f"Newton's steps of {DEAD_STEP:g} of the load end at {step - DEAD_STEP:g} of it",
-                }
-                return
-        reached = level
-        real = rubber.displacement(unknowns)
-        yield {**row, **_errors(at_markers.values(lin), at_markers.values(real)), "unknowns": mesh.unknowns}
-
-
 def main() -> int:
     """Run the parts named on the command line (all if none), print their rows and put them into the stored file."""
     known = studies()
-    given = command_line("validity", __doc__, known, quick=True)
-    if given.quick:
-        print(table(run(quick=True)))
-        return 0
-    for name in given.names or known:
+    for name in names_of(parser_of("validity", __doc__), known).names or known:
         rows = list(known[name]())
         print(f"\n{table(rows)}", flush=True)
-        file = RESULTS / "validity.json"
-        stored = json.loads(file.read_text())["rows"] if file.is_file() else []
         order = list(known)
-        rows = sorted(
-            [r for r in stored if r["case"] != name] + rows, key=lambda r: (order.index(r["case"]), r["level"])
-        )
-        file.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
+        rows += [row for row in stored("validity") if row["case"] != name]
+        store("validity", sorted(rows, key=lambda row: (order.index(row["case"]), row["level"])))
     return 0
 
 

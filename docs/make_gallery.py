@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import twin
-from twin.results import write_whole
-from twin.show.body import body_page
+from twin.files import write_whole
+from twin.show.body_view import body_page
 from twin.study.view import body_view
 
 

@@ -15,14 +15,14 @@ import twin
 PACKAGE = Path(twin.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
 HOMES = {
-    "mitsuba": {"world/picture/render.py", "world/picture/variant.py"},
-    "drjit": {"world/picture/render.py", "world/picture/variant.py"},
+    "mitsuba": {"world/picture/mitsuba_tracer.py"},
+    "drjit": {"world/picture/mitsuba_tracer.py"},
     "pytetwild": {"world/mesh/tetrahedralise.py"},
-    "pypardiso": {"world/elasticity/solve.py"},
-    "scipy.sparse.linalg": {"world/elasticity/solve.py"},
-    "pyvista": {"world/mesh/export.py", "show/window.py"},
-    "trimesh": {"world/mesh/surface.py"},
-    "numba": {"compiled.py", "world/picture/threads.py"},
+    "pypardiso": {"world/elasticity/factor.py"},
+    "scipy.sparse.linalg": {"world/elasticity/factor.py"},
+    "pyvista": {"world/mesh/quadratic_mesh.py", "world/mesh/body_mesh.py", "show/body_view.py"},
+    "trimesh": {"world/mesh/body_mesh.py"},
+    "numba": {"compiled.py", "world/picture/backend.py"},
     "pickle": set(),
 }
 

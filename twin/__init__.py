@@ -1,6 +1,7 @@
 """Physics-based digital twin of camera-based tactile sensors.
 
-The public names are loaded when they are first used, so that ``import twin`` and ``twin --help`` stay light.
+The public names are loaded when they are first used, so that ``import twin`` and ``twin --help``
+stay light.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.errors import TwinError
+    from twin.errors import AccuracyWarning, TwinError
     from twin.parts.load import Load, Traction
     from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step, Stl
     from twin.parts.scene import Scene
@@ -25,39 +26,31 @@ if TYPE_CHECKING:
     from twin.study.sensor import Sensor
 
 if "NUMBA_CACHE_DIR" not in os.environ and not os.access(os.path.dirname(__file__), os.W_OK):
-    # numba keeps compiled code beside its source, else in the home folder, and refuses to work where it can do neither
-    from twin.places import cache_folder
+    # numba keeps compiled code next to its source, else in the home folder, and refuses to work
+    # where it can do neither
+    from twin.files import cache_folder
 
     os.environ["NUMBA_CACHE_DIR"] = str(cache_folder() / "numba")
 
-_HOMES = {
-    "Calibration": "twin.sense.calibration",
-    "Cone": "twin.parts.press",
-    "Cylinder": "twin.parts.press",
-    "Environment": "twin.study.environment",
-    "Load": "twin.parts.load",
-    "Observation": "twin.study.environment",
-    "Pillar": "twin.parts.press",
-    "Press": "twin.parts.press",
-    "Scene": "twin.parts.scene",
-    "Sensor": "twin.study.sensor",
-    "Sphere": "twin.parts.press",
-    "Step": "twin.parts.press",
-    "Stl": "twin.parts.press",
-    "Tracker": "twin.sense.track",
-    "Traction": "twin.parts.load",
-    "TwinError": "twin.errors",
-    "load_scene": "twin.study.recipe",
-    "open_dataset": "twin.study.dataset.reader",
-    "read_calibration": "twin.sense.calibration",
-    "read_intrinsics": "twin.study.intrinsics",
-    "reconstruct": "twin.sense.reconstruct",
-    "run": "twin.study.run",
-    "track": "twin.sense.track",
-    "write_intrinsics": "twin.study.intrinsics",
+_NAMES = {
+    "twin.errors": "AccuracyWarning TwinError",
+    "twin.parts.load": "Load Traction",
+    "twin.parts.press": "Cone Cylinder Pillar Press Sphere Step Stl",
+    "twin.parts.scene": "Scene",
+    "twin.sense.calibration": "Calibration read_calibration",
+    "twin.sense.reconstruct": "reconstruct",
+    "twin.sense.track": "Tracker track",
+    "twin.study.dataset.reader": "open_dataset",
+    "twin.study.environment": "Environment Observation",
+    "twin.study.intrinsics": "read_intrinsics write_intrinsics",
+    "twin.study.recipe": "load_scene",
+    "twin.study.run": "run",
+    "twin.study.sensor": "Sensor",
 }
+_HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
 __all__ = [
+    "AccuracyWarning",
     "Calibration",
     "Cone",
     "Cylinder",

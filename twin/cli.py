@@ -1,11 +1,12 @@
 """The command line: the commands put together, and exit codes out; every decision lives elsewhere.
 
-A command is a function in a file of `twin.commands`. Heavy packages are imported inside these functions, so that
-``twin --help`` answers at once.
+A command is a function in a file of `twin.commands`. Heavy packages are imported inside these
+functions, so that ``twin --help`` prints at once.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import importlib.metadata
 import inspect
@@ -22,46 +23,54 @@ from typing import Any, NoReturn
 
 from cyclopts import App, CycloptsError, MissingArgumentError, UnusedCliTokensError
 
-from twin.commands.calibrate import calibrate
-from twin.commands.check import check
-from twin.commands.dataset import dataset
-from twin.commands.doctor import doctor
-from twin.commands.export import export
-from twin.commands.mesh import mesh
-from twin.commands.reconstruct import reconstruct
-from twin.commands.reproduce import reproduce
-from twin.commands.run import run
-from twin.commands.scenes import scenes
-from twin.commands.sweep import sweep
-from twin.commands.view import view
-from twin.errors import TwinError
+from twin.blas_threads import THREADS, set_environment
+from twin.commands.batch_commands import dataset, export, reproduce, sweep
+from twin.commands.scene_commands import check, doctor, mesh, run, scenes, view
+from twin.commands.sensor_commands import calibrate, reconstruct
+from twin.errors import InputError, TwinError
 
 app = App(
     name="twin",
     version=lambda: importlib.metadata.version("tactile-twin"),
     help="Physics-based digital twin of camera-based tactile sensors.",
-    help_epilogue="Example: twin run kamiyama_pillar -s press.force_n='{z=5}' --out out/five",
+    help_epilogue="Example: twin run kamiyama_pillar -s press.force_n='{z=5}' --out out/five\n\n"
+    "Every command takes --threads N (or TWIN_THREADS): the threads of numeric libraries.",
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
     result_action="return_none",
 )
 
 
-def _told(command: Callable[..., None]) -> dict[str, str]:
-    """Return a command's help from its docstring: paragraphs for a terminal to wrap, and examples, a line each."""
+def _help_of(command: Callable[..., None]) -> dict[str, str]:
+    """Return a command's help from its docstring: paragraphs that a terminal can wrap, and
+    examples, a line each."""
     text, _, examples = (inspect.getdoc(command) or "").partition("\n\nExamples:\n")
     paragraphs = [" ".join(paragraph.split("\n")) for paragraph in text.split("\n\n")]
-    return {"help": "\n\n".join(paragraphs), "help_epilogue": f"Examples:\n{examples}" if examples else ""}
+    return {
+        "help": "\n\n".join(paragraphs),
+        "help_epilogue": f"Examples:\n{examples}" if examples else "",
+    }
 
 
 for _command in (
-    run, mesh, reproduce, calibrate, view, dataset, export, reconstruct, sweep, scenes, check, doctor
-):  # fmt: skip
-    app.command(_command, **_told(_command))
+    run,
+    mesh,
+    reproduce,
+    calibrate,
+    view,
+    dataset,
+    export,
+    reconstruct,
+    sweep,
+    scenes,
+    check,
+    doctor,
+):
+    app.command(_command, **_help_of(_command))
 
 
 FULL = {errno.ENOSPC, errno.EFBIG, errno.EROFS, getattr(errno, "EDQUOT", errno.ENOSPC)}
-"""What a full or read-only disk says."""
+"""Errors of a full or read-only disk."""
 
 NARROWEST = 20
 """Columns below which help can't be laid out: the library that does it fails, or never ends."""
@@ -72,15 +81,11 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"twin: warning: {message}", file=sys.stderr)
 
 
-def _help_for(problem: CycloptsError) -> str:
-    """Return the command whose help tells what is allowed."""
-    return " ".join(["twin", *(problem.command_chain or ()), "--help"])
-
-
-def _said(problem: CycloptsError) -> str:
-    """Return what is wrong with the command line, in words of ours where the library's are of its inside."""
+def _usage_error(problem: CycloptsError) -> str:
+    """Return a usage error in the user's terms where the library's message is about its own."""
     if isinstance(problem, UnusedCliTokensError):
-        return f"what is {' '.join(map(repr, problem.unused_tokens or ()))}? The command takes no more arguments"
+        tokens = " ".join(map(repr, problem.unused_tokens or ()))
+        return f"what is {tokens}? The command takes no more arguments"
     if isinstance(problem, MissingArgumentError) and problem.argument is not None:
         wanted = problem.argument
         if problem.keyword is not None:
@@ -90,13 +95,28 @@ def _said(problem: CycloptsError) -> str:
     return str(problem)
 
 
+def _without_threads(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments without ``--threads N``, which goes to ``TWIN_THREADS``."""
+    left: list[str] = []
+    given = iter(arguments)
+    for each in given:
+        name, equals, value = each.partition("=")
+        if name != "--threads":
+            left.append(each)
+            continue
+        os.environ[THREADS] = value if equals else next(given, "")
+        if not os.environ[THREADS]:
+            raise InputError("--threads needs a value: the threads of numeric libraries")
+    return left
+
+
 def _interrupted() -> int:
     print("twin: interrupted; files written so far are whole", file=sys.stderr)
     return 130
 
 
-def _is_somewhere() -> bool:
-    """Return whether the current folder is still there."""
+def _folder_exists() -> bool:
+    """Return whether the current folder still exists."""
     try:
         os.getcwd()
     except FileNotFoundError:
@@ -105,7 +125,7 @@ def _is_somewhere() -> bool:
 
 
 def _listen() -> list[int]:
-    """Return a list that holds the signal once Ctrl-C was pressed; the interrupt itself goes its usual way."""
+    """Return a list that holds the signal after Ctrl-C."""
     heard: list[int] = []
 
     def interrupt(number: int, _: FrameType | None) -> None:
@@ -117,24 +137,33 @@ def _listen() -> list[int]:
     return heard
 
 
+def _drop_output() -> None:
+    """Discard what standard output still holds: flushing it at exit would fail again."""
+    with contextlib.suppress(AttributeError, OSError):  # closed, or not a file at all
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with the code that `twin.errors` lists."""
     heard = _listen()
-    for stream in (sys.stdout, sys.stderr):  # a terminal that lacks a letter is shown its number
+    for stream in (sys.stdout, sys.stderr):  # a letter that the terminal lacks becomes its number
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     columns = os.environ.get("COLUMNS", "")
     if columns.isdecimal() and int(columns) < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)
     try:
+        given = _without_threads(sys.argv[1:] if arguments is None else arguments)
+        set_environment()
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
-            app(list(arguments) if arguments is not None else None, exit_on_error=False, print_error=False)
+            app(given, exit_on_error=False, print_error=False)
         if sys.stdout is not None:  # it is None where the shell closed it
             sys.stdout.flush()
         code = 0
     except CycloptsError as problem:
-        print(f"twin: {_said(problem)}\nSee: {_help_for(problem)}", file=sys.stderr)
+        command = " ".join(["twin", *(problem.command_chain or ()), "--help"])
+        print(f"twin: {_usage_error(problem)}\nSee: {command}", file=sys.stderr)
         code = 2
     except TwinError as problem:
         print(f"twin: {problem}", file=sys.stderr)
@@ -142,22 +171,35 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except KeyboardInterrupt:
         code = _interrupted()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         code = 1
-    except Exception as problem:  # the promise: never a traceback for users, always one for developers
+    except Exception as problem:  # never a traceback for users, always one for developers
         if os.environ.get("TWIN_DEBUG"):
             raise
-        if heard:  # a library that was interrupted while it loaded says something else
-            sys.exit(_interrupted())
-        if not _is_somewhere():
-            print("twin: the folder that it was started in is gone: change to one that is there", file=sys.stderr)
-            sys.exit(2)
-        if isinstance(problem, OSError) and problem.errno in FULL:  # of a temporary file, or of a library's own
-            where = problem.filename or f"standard output, or a file in {tempfile.gettempdir()}"
-            print(f"twin: {where}: can't be written ({problem.strerror}); files written so far are whole. Make room or "
-                  "name another folder (--out, TWIN_CACHE, TMPDIR), and run again.", file=sys.stderr)  # fmt: skip
-        else:
-            print(f"twin: internal error: {type(problem).__name__}: {problem}", file=sys.stderr)
-            print("Set TWIN_DEBUG=1 to see where, and please report it.", file=sys.stderr)
-        code = 1
+        code = _unexpected(problem, bool(heard))
     sys.exit(code)
+
+
+def _unexpected(problem: Exception, heard: bool) -> int:
+    """Print what is known of an exception that is none of this program's; return the exit code."""
+    if heard:  # a library that was interrupted while it loaded raises something else
+        return _interrupted()
+    if not _folder_exists():
+        print(
+            "twin: the folder that it was started in is gone: change to one that is there",
+            file=sys.stderr,
+        )
+        return 2
+    if isinstance(problem, OSError) and problem.errno in FULL:
+        # of standard output, a temporary file, or a library's own
+        _drop_output()
+        where = problem.filename or f"standard output, or a file in {tempfile.gettempdir()}"
+        print(
+            f"twin: {where}: can't be written ({problem.strerror}); files written so far are "
+            "whole. Make room or name another folder (--out, TWIN_CACHE, TMPDIR), and run again.",
+            file=sys.stderr,
+        )
+    else:
+        print(f"twin: internal error: {type(problem).__name__}: {problem}", file=sys.stderr)
+        print("Set TWIN_DEBUG=1 to see where, and please report it.", file=sys.stderr)
+    return 1

@@ -1,21 +1,30 @@
-"""numba's compiled code, kept only as long as all that it was made of.
+"""Compiled functions whose stored machine code is valid only for the source that it was made from.
 
-Why: numba freezes constants and helpers of other modules into a function's machine code, but looks only at the
-function's own file to tell whether the code that it kept is still good. Whoever updated the package went on computing
-with a helper as it was, without a word. Here kept code is good for the contents of a module and of every module of the
-package that it imports: nothing is compiled again for changes elsewhere, in a copy, or for a new date.
+numba compiles constants and helpers of other modules into a function, but checks only the
+function's own file before it reuses stored code: after an update of the package, a stale helper
+would be used silently. Here stored code is valid for the contents of a module and of every module
+of the package that it imports.
 
-Compiled code divides as NumPy does: by 0 it is inf or NaN, which every result is asked for. numba's own default raises
-a ZeroDivisionError as Python does, from inside a loop that can't say which of a recipe's numbers was too small.
+This replaces the source stamp of numba's cache file, a private attribute, because numba offers no
+public one. The public settings are ``cache=True``, which has the fault above, and the folder of the
+cache: one folder for each state of the package would be correct, but every changed line anywhere
+would compile all functions again, half a minute for each edit. If a later numba has no such
+attribute, nothing is stored.
 
-What may add up in any order (``fastmath``) becomes a part of whatever calls it. Left apart, the caller's own copy of it
-and the one compiled by itself are optimised differently, and which of the two answers depends on whether this process
-compiled them or found them kept: first runs and later ones differed in their last digits.
+A division by 0 gives inf or NaN as in NumPy, and every result is checked for these. numba's default
+raises ZeroDivisionError inside a loop, which can't report the recipe's number that was too small.
+
+Functions with ``fastmath`` are inlined into their callers. Otherwise the copy compiled inside the
+caller and the one compiled alone are optimised differently; which of them is used depends on
+whether this process compiled them or loaded them, so first and later runs differed in their last
+digits.
 """
 
 from __future__ import annotations
 
+import gc
 import hashlib
+import multiprocessing
 import os
 import re
 import sys
@@ -27,20 +36,23 @@ from typing import Any
 import numba
 from numba.core import event
 
-TOLD_AFTER_S = 1.0
-"""Seconds of compiling after which a terminal is told what takes so long."""
+SHOWN_AFTER_S = 1.0
+"""Seconds of compiling after which a line on stderr names what takes so long."""
 
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
-_IMPORTS = re.compile(r"^\s*(?:from|import) +twin([\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
+_IMPORTS = re.compile(
+    r"^\s*(?:from|import) +twin([\w.]*)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE
+)
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return ``numba.njit(**options)`` whose kept code is made anew when any module that it may have used has changed.
+    """Return ``numba.njit(**options)`` that compiles again when a module it may use has changed.
 
     Parameters
     ----------
     **options
-        numba's own; ``error_model`` is "numpy" where not said otherwise, ``forceinline`` on wherever ``fastmath`` is.
+        numba's own; ``error_model`` is "numpy" where not said otherwise, ``forceinline`` on
+        wherever ``fastmath`` is.
     """
     options = {"error_model": "numpy", "forceinline": bool(options.get("fastmath")), **options}
 
@@ -49,7 +61,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         try:
             kept = compiled._cache._cache_file
             kept._source_stamp = (kept._source_stamp, digest(function.__code__.co_filename))
-        except (AttributeError, OSError):  # another numba, or no source: rather keep nothing than what may be stale
+        except (AttributeError, OSError):  # another numba, or no source: store nothing
             compiled = numba.njit(**{**options, "cache": False})(function)
         return compiled
 
@@ -58,12 +70,14 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 @cache
 def digest(file: str) -> str:
-    """Return a digest of a module and of all modules of the package that it imports, directly or not."""
+    """Return a digest of a module and of all modules of the package that it imports, directly or
+    not."""
     return hashlib.sha256(b"".join(_read(each)[0] for each in sorted(sources(file)))).hexdigest()
 
 
 def sources(file: str) -> set[str]:
-    """Return the files of a module and of all modules of the package that it imports, directly or not."""
+    """Return the files of a module and of all modules of the package that it imports, directly or
+    not."""
     found, new = set[str](), {file}
     while new:
         found |= new
@@ -84,26 +98,52 @@ def _read(file: str) -> tuple[bytes, set[str]]:
     return hashlib.sha256(source).digest(), {each for each in named if os.path.isfile(each)}
 
 
-class Told(event.Listener):  # type: ignore[misc]
-    """Tells a terminal, once a process, that the package is being compiled."""
+class Compiling(event.Listener):  # type: ignore[misc]
+    """Watches numba compile: holds the garbage collector, and prints a line on stderr.
+
+    Why hold the collector: a compilation makes millions of objects that live until its end, and
+    walking them again and again takes a sixth of its time. The line is printed once a command or
+    program; workers print nothing.
+
+    Attributes
+    ----------
+    spent_s
+        Seconds that this process has compiled the program's own functions.
+    """
 
     def __init__(self) -> None:
-        self._spent_s, self._since, self._depth = 0.0, 0.0, 0
+        self._collects = False
+        self.spent_s = 0.0
+        self._since = 0.0
+        self._depth = 0
+        self._printed = False
 
     def on_start(self, event: event.Event) -> None:
         """Start the clock, unless it runs for the function that calls this one."""
         if self._depth == 0:
             self._since = time.perf_counter()
+            self._collects = gc.isenabled()
+            gc.disable()
         self._depth += 1
 
     def on_end(self, event: event.Event) -> None:
-        """Stop the clock, and tell when much has been spent."""
+        """Stop the clock, and print the line when much has been spent, also on a function that is
+        not done yet."""
         self._depth -= 1
-        if self._depth or not str(event.data["dispatcher"].py_func.__module__).startswith("twin."):
+        if self._depth == 0 and self._collects:
+            gc.enable()
+        if not str(event.data["dispatcher"].py_func.__module__).startswith("twin."):
             return
-        before, self._spent_s = self._spent_s, self._spent_s + time.perf_counter() - self._since
-        if before < TOLD_AFTER_S <= self._spent_s and sys.stderr.isatty():
-            print("twin: compiling, once after an install or an update: about a minute in all", file=sys.stderr)
+        spent = self.spent_s + time.perf_counter() - self._since
+        if self._depth == 0:
+            self.spent_s = spent
+        if self._printed or spent < SHOWN_AFTER_S:
+            return
+        self._printed = True
+        if sys.stderr is not None and multiprocessing.parent_process() is None:
+            line = "twin: compiling, once after an install or an update: about half a minute in all"
+            print(line, file=sys.stderr, flush=True)
 
 
-event.register("numba:compile", Told())
+COMPILING = Compiling()
+event.register("numba:compile", COMPILING)

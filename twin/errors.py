@@ -1,7 +1,8 @@
 """The errors this program raises, and the policy behind them, written once.
 
-Every error says what was wrong, the value with its unit, the allowed range and what to do. Each class carries the
-exit code that the command line returns for it, so that no command decides its own.
+Every error message gives the problem, the value with its unit, the allowed range and a remedy. Each
+class carries the exit code that the command line returns for it, so that no command decides its
+own.
 
 =====  ==========================================================
 code   meaning
@@ -21,7 +22,8 @@ from collections.abc import Iterable
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float = 0.6) -> str:
-    """Return the question after the nearest of the known names; ``otherwise`` where none is as near as ``cutoff``."""
+    """Return the question after the nearest of the known names; ``otherwise`` where none is as near
+    as ``cutoff``."""
     import difflib  # an error is rare, and the program starts without it
 
     spelt = {one.lower(): one for one in known}
@@ -62,14 +64,19 @@ class InputError(TwinError):
 
 
 def require(value: object, kind: type | tuple[type, ...], what: str, remedy: str) -> None:
-    """Raise an `InputError` unless an argument is of its kind; ``remedy`` says where one comes from."""
+    """Raise an `InputError` unless an argument is of its kind; ``remedy`` is where to get
+    one."""
     if not isinstance(value, kind):
-        kinds = " or ".join(f"a {one.__name__}" for one in (kind if isinstance(kind, tuple) else (kind,)))
-        raise InputError(f"{what} must be {kinds}, not {type(value).__name__!s} {value!r:.60}: {remedy}")
+        kinds = " or ".join(
+            f"a {one.__name__}" for one in (kind if isinstance(kind, tuple) else (kind,))
+        )
+        raise InputError(
+            f"{what} must be {kinds}, not {type(value).__name__!s} {value!r:.60}: {remedy}"
+        )
 
 
 class OutOfBodyError(InputError):
-    """Points were asked for where there is no body."""
+    """Points lie outside the body."""
 
 
 class MeshError(TwinError):
@@ -77,7 +84,7 @@ class MeshError(TwinError):
 
 
 class SolveError(TwinError):
-    """A linear system could not be solved to the residual that was asked for."""
+    """A linear system could not be solved to the requested residual."""
 
 
 class ContactError(TwinError):
@@ -100,10 +107,11 @@ class NotSettled(ContactError):
 
 
 class MissingCapability(TwinError):
-    """This machine lacks something the job needs (exit code 4); the message ends with how to install it."""
+    """This machine lacks something the job needs (exit code 4); the message ends with how to
+    install it."""
 
     exit_code = 4
 
 
 class AccuracyWarning(UserWarning):
-    """A result is less accurate than the scene asks for; the message says what was asked, what it is, and a remedy."""
+    """A result is less accurate than the scene requests; the message has both and a remedy."""

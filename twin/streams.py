@@ -1,6 +1,7 @@
 """Random streams: one root seed, and a stream of its own for every purpose and index.
 
-Why: adding a draw to one purpose never changes another, and a press draws the same noise whatever was computed before.
+Why: adding a draw to one purpose never changes another, and a press draws the same noise whatever
+was computed before.
 """
 
 from __future__ import annotations

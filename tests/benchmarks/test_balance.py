@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.balance import asked, rightly_refused
+from benchmarks.presses import asked, rightly_refused
 from twin.parts.body import Block, Finger
 from twin.parts.press import Cone, Pillar, Press, Probe, Sphere, Step
 

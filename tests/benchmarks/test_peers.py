@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import peers
-from benchmarks.peers_mesh import BUMP_MM, Edges, curved, netgen_mesh
-from benchmarks.peers_run import PLACES, WEIGHTS, Problem, nodal_shares
+from benchmarks.peers import BUMP_MM, PLACES, WEIGHTS, Edges, Problem, curved, netgen_mesh, nodal_shares
 from benchmarks.reference import BODIES, reference
 from twin.world.mesh.body_mesh import body_mesh
 
@@ -51,7 +50,7 @@ def test_problem_is_the_reference_where_the_reference_is(body, nu):
 @pytest.mark.parametrize("absent", ["ngsolve", "skfem", "ccx"])
 def test_an_absent_program_gets_a_row_that_says_so(monkeypatch, absent):
     monkeypatch.setattr(peers, "find_spec", lambda name: None if name == absent else True)
-    monkeypatch.setattr(peers.peers_calculix, "found", lambda: absent != "ccx")
+    monkeypatch.setattr(peers, "has_calculix", lambda: absent != "ccx")
     row = next(peers.peer_rows("block", quick=True))
     assert "absent" in row["remark"] or "not installed" in row["remark"]
     name = {"ngsolve": "NGSolve", "skfem": "scikit-fem", "ccx": "CalculiX"}[absent]

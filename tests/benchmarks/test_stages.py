@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import importlib.util
 import sys
 from pathlib import Path
 
 import pytest
 
+from benchmarks import ROOT
 from benchmarks.__main__ import ALONE, STAGES, main, together
 
 
@@ -39,6 +42,17 @@ def test_every_stage_is_run_once_those_alone_last(monkeypatch: pytest.MonkeyPatc
     assert [n for _, n in asked] == [3, 1]
     assert sorted(asked[0][0] + asked[1][0]) == sorted(STAGES)
     assert set(asked[1][0]) == set(ALONE)
+
+
+def test_what_benchmarks_import_where_they_need_it_exists() -> None:
+    """Imports within functions fail only when they run, which for damaged files and killed jobs is seldom."""
+    for file in (ROOT / "benchmarks").glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("twin"):
+                module = importlib.import_module(str(node.module))
+                missing = [a.name for a in node.names if not hasattr(module, a.name)]
+                missing = [name for name in missing if importlib.util.find_spec(f"{node.module}.{name}") is None]
+                assert not missing, f"{file}: {node.module} has no {missing}"
 
 
 @pytest.mark.parametrize("wrong", [["--jobs", "0"], ["nothing"]])

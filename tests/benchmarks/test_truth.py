@@ -11,7 +11,7 @@ from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.world.elasticity.compliance import Compliance
-from twin.world.elasticity.tile import tile
+from twin.world.elasticity.discretise import tile
 
 
 def away(one, other):

@@ -12,7 +12,7 @@ SENSING_BELOW = {"normal": (0, 0, -1), "within_deg": 5}
 
 
 def write_stl(path, corners, count=None):
-    """Write triangles (m, 3, 3) as a binary STL file that may declare another ``count`` than it has."""
+    """Write triangles (m, 3, 3) as a binary STL file that may declare another ``count``."""
     record = np.zeros(len(corners), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
     record["corners"] = corners
     path.write_bytes(b" " * 80 + struct.pack("<I", len(corners) if count is None else count) + record.tobytes())
@@ -31,7 +31,7 @@ def write_text_stl(path, corners):
 
 
 def prism(outline, triangles, height):
-    """Return the triangles of an outline (n, 2), counterclockwise seen from +z, extruded from z = 0 to ``height``."""
+    """Return an outline (n, 2), counterclockwise from +z, extruded from z = 0 to ``height``."""
     flat = np.array(outline, float)
     low, high = (np.column_stack([flat, np.full(len(flat), z)]) for z in (0.0, height))
     faces = [low[list(t)][::-1] for t in triangles] + [high[list(t)] for t in triangles]
@@ -48,7 +48,7 @@ def box(width, length, height):
 
 
 def bracket():
-    """Return an L: a pad z = 0..4 over x = -6..6, and a leg z = 4..12 over x = -6..0; 10 mm along y."""
+    """Return an L: a pad z = 0..4 over x = -6..6, a leg z = 4..12 over x = -6..0; 10 mm along y."""
     side = [(-6, 0), (6, 0), (6, 4), (0, 4), (0, 12), (-6, 12)]
     flat = prism(side, [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)], 10.0)
     turned = flat[:, :, [0, 2, 1]] - [0.0, 5.0, 0.0]  # (x, z of the outline, y), which mirrors: turn the triangles
@@ -69,10 +69,57 @@ def facetted_dome(dome, edge_mm):
     points[-6 * rings :, 2] = dome.height_mm
     hull = ConvexHull(points)
     corners = points[hull.simplices]
-    out = np.einsum("mi,mi->m", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]),
-                    hull.equations[:, :3])  # fmt: skip
+    out = np.einsum(
+        "mi,mi->m", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), hull.equations[:, :3]
+    )
     corners[out < 0] = corners[out < 0][:, ::-1]
     return corners
+
+
+def rounded_pad(edge_mm=None, width=24.0, length=16.0, height=7.0, fillet=2.0, segments=6):
+    """Return a pad with rounded upright and lower edges: long strips, or cut to ``edge_mm``."""
+    turn = np.radians(90 * np.arange(segments + 1) / segments)
+    middles = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (width / 2 - fillet, length / 2 - fillet)
+    rings = []
+    for radius, z in [*zip(fillet * np.sin(turn), fillet * (1 - np.cos(turn)), strict=True), (fillet, height)]:
+        angles = [turn + quarter * np.pi / 2 for quarter in range(4)]
+        arcs = [radius * np.column_stack([np.cos(angle), np.sin(angle)]) for angle in angles]
+        flat = np.concatenate([middle + arc for middle, arc in zip(middles, arcs, strict=True)])
+        rings.append(np.column_stack([flat, np.full(len(flat), z)]))
+    faces = []
+    for low, high in pairwise(rings):
+        after = np.roll(np.arange(len(low)), -1)
+        faces += [np.stack([low, high[after], low[after]], axis=1), np.stack([low, high, high[after]], axis=1)]
+    corner = rings[0][:: segments + 1]
+    faces.append(np.array([corner[[0, 2, 1]], corner[[0, 3, 2]]]))
+    top = rings[-1]
+    faces.append(np.array([top[[0, k, k + 1]] for k in range(1, len(top) - 1)]))
+    corners = np.concatenate(faces)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inwards = np.einsum("mi,mi->m", normal, corners.mean(axis=1) - [0, 0, height / 2]) < 0
+    corners[inwards] = corners[inwards][:, ::-1]
+    corners = corners[np.linalg.norm(normal, axis=1) > 1e-9]
+    if edge_mm is None:
+        return corners
+    from trimesh.remesh import subdivide_to_size
+
+    vertices, triangles = subdivide_to_size(
+        corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), max_edge=edge_mm, max_iter=20
+    )
+    return np.asarray(vertices[triangles])
+
+
+def solid_pad(folder, edge_mm=None):
+    """Return the solid of the rounded pad, whose fillets are pressed up to 60 degrees."""
+    file = write_stl(folder / "pad.stl", rounded_pad(edge_mm))
+    return Solid(file=str(file), held=HELD_ABOVE, sensing={"normal": (0, 0, -1), "within_deg": 60})
+
+
+def wedge():
+    """Return a wedge of 8 degrees, 30 mm long."""
+    height = 30 * np.tan(np.radians(8))
+    flat = prism([(0, 0), (30, height), (0, height)], [(0, 1, 2)], 10.0)
+    return (flat[:, :, [0, 2, 1]] - [10.0, 5.0, 10 * np.tan(np.radians(8))])[:, ::-1]
 
 
 def solid_box(folder, *size):

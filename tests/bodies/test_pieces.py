@@ -1,13 +1,12 @@
-"""Distances to triangulated pieces: exact by brute force, on the right side by counting, on edges and in dents."""
-
-from __future__ import annotations
+"""Distances to triangulated pieces: by brute force, by counting, on edges and in dents."""
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from stl_shapes import bracket, solid_box, solid_bracket, solid_dome
 
 from twin.geometry.closed import closed_surface
-from twin.geometry.nearest import box_tree, first_from_below, nearest
+from twin.geometry.pieces import TriangleTree
 from twin.parts.body import Block
 
 
@@ -28,19 +27,19 @@ def test_the_nearest_place_is_nearest_and_its_feature_is_where_it_lies():
     rng = np.random.default_rng(1)
     corners = rng.normal(size=(200, 1, 3)) + 0.4 * rng.normal(size=(200, 3, 3))
     points = 2 * rng.normal(size=(300, 3))
-    triangle, foot, feature = nearest(box_tree(corners), points)
+    triangle, foot, feature = TriangleTree(corners).nearest(points)
     distance = np.linalg.norm(points - foot, axis=1)
     brute = np.linalg.norm(points[:, None, None] - spread(corners, 20)[None], axis=3)
     assert (distance <= brute.min(axis=(1, 2)) + 1e-12).all()
-    np.testing.assert_allclose(distance, brute.min(axis=(1, 2)), atol=0.02)
+    assert_allclose(distance, brute.min(axis=(1, 2)), atol=0.02)
     a, b, c = (corners[triangle, k] for k in range(3))
     share = np.linalg.solve(np.stack([b - a, c - a, np.cross(b - a, c - a)], axis=2), (foot - a)[:, :, None])[:, :, 0]
     shares = np.column_stack([1 - share[:, 0] - share[:, 1], share[:, :2]])
-    np.testing.assert_allclose(share[:, 2], 0, atol=1e-10)
+    assert_allclose(share[:, 2], 0, atol=1e-10)
     assert (shares > -1e-10).all()
     zero = {0: [], 1: [1, 2], 2: [0, 2], 3: [0, 1], 4: [2], 5: [0], 6: [1]}
     for kind, which in zero.items():
-        np.testing.assert_allclose(shares[feature == kind][:, which], 0, atol=1e-10)
+        assert_allclose(shares[feature == kind][:, which], 0, atol=1e-10)
     assert set(feature) == set(range(7))
 
 
@@ -48,25 +47,28 @@ def test_the_first_triangle_from_below_is_the_lowest():
     rng = np.random.default_rng(2)
     corners = rng.uniform(-3, 3, size=(100, 1, 3)) + rng.normal(size=(100, 3, 3))
     xy = rng.uniform(-3, 3, (400, 2))
-    triangle, z = first_from_below(box_tree(corners), xy, np.zeros(100, bool))
+    triangle, z = TriangleTree(corners).first_along(
+        np.column_stack([xy, np.zeros(400)]), np.tile([0.0, 0.0, 1.0], (400, 1))
+    )
     for place, found, height in zip(xy, triangle, z, strict=True):
         a, b, c = (corners[:, k] for k in range(3))
         u, v = np.linalg.solve(np.stack([b - a, c - a], 2)[:, :2], (place - a[:, :2])[:, :, None])[:, :, 0].T
         heights = np.where((u >= 0) & (v >= 0) & (u + v <= 1), a[:, 2] + u * (b - a)[:, 2] + v * (c - a)[:, 2], np.inf)
         if np.isinf(heights.min()):
             assert found == -1
-            assert np.isnan(height)
+            assert np.isinf(height)
         else:
             assert found == np.argmin(heights)
             assert height == pytest.approx(heights.min(), abs=1e-9)
 
 
 def test_a_box_of_triangles_has_the_level_sets_of_the_block(tmp_path):
-    solid, block = solid_box(tmp_path, 30, 20, 10), Block(width_mm=30, length_mm=20, thickness_mm=10)
+    solid = solid_box(tmp_path, 30, 20, 10)
+    block = Block(width_mm=30, length_mm=20, thickness_mm=10)
     points = np.random.default_rng(3).uniform(-20, 20, (2000, 3))
     mine, theirs = solid.piece_distances(points), block.piece_distances(points)
-    np.testing.assert_allclose(mine[:, [0, -1]], theirs[:, [0, -1]], atol=1e-12)
-    np.testing.assert_allclose(np.sort(mine, axis=1), np.sort(theirs, axis=1), atol=1e-12)
+    assert_allclose(mine[:, [0, -1]], theirs[:, [0, -1]], atol=1e-12)
+    assert_allclose(np.sort(mine, axis=1), np.sort(theirs, axis=1), atol=1e-12)
     assert solid.is_convex
     assert solid.is_flat
     assert solid.volume_mm3 == pytest.approx(6000)
@@ -77,16 +79,23 @@ def test_inside_is_inside_and_distances_are_to_the_triangles_of_a_body_with_a_de
     solid = solid_bracket(tmp_path)
     assert not solid.is_convex
     points = np.random.default_rng(4).uniform([-8, -7, -2], [8, 7, 14], (3000, 3))
-    np.testing.assert_array_equal(solid.contains(points), in_bracket(points))
+    assert_array_equal(solid.contains(points), in_bracket(points))
     inside = points[in_bracket(points)]
     brute = np.linalg.norm(inside[:200, None, None] - spread(bracket(), 60)[None], axis=3).min(axis=(1, 2))
     nearest_face = solid.piece_distances(inside[:200]).min(axis=1)
-    np.testing.assert_allclose(nearest_face, brute, atol=0.1)
+    assert_allclose(nearest_face, brute, atol=0.1)
     assert (nearest_face <= brute + 1e-12).all()
+    corners = bracket()
+    middle = corners.mean(axis=1)
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward /= np.linalg.norm(outward, axis=1)[:, None]
+    facing = np.einsum("tki,ti->tk", solid.piece_normals(middle), outward) < -1 + 1e-9
+    of_piece = facing & (np.abs(solid.piece_distances(middle)) < 1e-9)
+    assert_array_equal(of_piece.sum(axis=1), 1)  # every triangle belongs to one piece
     for k in range(len(solid.pieces)):
-        own = spread(solid._pieces.surface.vertices[solid._pieces.surface.triangles[solid._pieces.piece == k]], 60)
+        own = spread(corners[of_piece[:, k]], 60)
         brute = np.linalg.norm(inside[:200, None, None] - own[None], axis=3).min(axis=(1, 2))
-        np.testing.assert_allclose(solid.piece_distances(inside[:200])[:, k], brute, atol=0.1)
+        assert_allclose(solid.piece_distances(inside[:200])[:, k], brute, atol=0.1)
 
 
 def test_a_piece_goes_on_in_its_last_plane_beyond_its_edge(tmp_path):
@@ -103,7 +112,7 @@ def test_points_on_every_face_of_a_body_with_a_dent_are_inside_and_on_their_piec
     solid = solid_bracket(tmp_path)
     on_faces = spread(bracket(), 7).reshape(-1, 3)
     distance = solid.piece_distances(on_faces)
-    np.testing.assert_allclose(distance.min(axis=1), 0, atol=1e-6)
+    assert_allclose(distance.min(axis=1), 0, atol=1e-6)
     assert distance.min() > -1e-6
 
 
@@ -112,8 +121,13 @@ def test_normals_are_gradients_of_the_distances(tmp_path, make):
     solid, step = make(tmp_path), 1e-6
     low, high = map(np.array, solid.bounds_mm)
     points = np.random.default_rng(5).uniform(low - 2, high + 2, (400, 3))
-    slope = np.stack([(solid.piece_distances(points + d) - solid.piece_distances(points - d)) / (2 * step)
-                      for d in step * np.eye(3)], axis=2)  # fmt: skip
+    slope = np.stack(
+        [
+            (solid.piece_distances(points + d) - solid.piece_distances(points - d)) / (2 * step)
+            for d in step * np.eye(3)
+        ],
+        axis=2,
+    )
     wrong = np.linalg.norm(slope - solid.piece_normals(points), axis=2) > 1e-5
     assert wrong.mean() < 0.01  # where two triangles are equally near, there is no gradient
 
@@ -126,12 +140,12 @@ def test_a_facetted_dome_is_as_far_from_the_true_one_as_the_chords_say(tmp_path)
         off.append(np.abs(solid.depth(points)).max())
         assert off[-1] < 1.7 * edge**2 / (6 * dome.radius_mm)
         inside = dome.chart_points(np.random.default_rng(7).uniform(-4, 4, (500, 2)), 2.0)
-        np.testing.assert_allclose(solid.depth(inside), 2.0, atol=off[-1] + 1e-9)
+        assert_allclose(solid.depth(inside), 2.0, atol=off[-1] + 1e-9)
     assert 3 < off[0] / off[1] < 5
 
 
 def test_a_surface_knows_its_dents(tmp_path):
     solid = solid_bracket(tmp_path)
     on = np.array([[0.0, 0, 0], [6, 0, 2], [3, 0, 4]])
-    np.testing.assert_allclose(solid.stands_out(on, np.array([[0.0, 0, 1], [-1, 0, 0], [0, 0, -1]])), [0, 0, 8])
+    assert_allclose(solid.stands_out(on, np.array([[0.0, 0, 1], [-1, 0, 0], [0, 0, -1]])), [0, 0, 8])
     assert closed_surface(bracket(), "it").volume_mm3 == pytest.approx(960)

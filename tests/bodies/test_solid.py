@@ -1,11 +1,10 @@
-"""Solids: regions, the origin, charts, keys that follow the content, and every refusal of a recipe."""
-
-from __future__ import annotations
+"""Solids: regions, origin, charts, keys that follow the content, and refusals of recipes."""
 
 import shutil
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from stl_shapes import HELD_ABOVE, SENSING_BELOW, box, bracket, solid_box, solid_bracket, solid_dome, write_stl
 
 from twin.errors import RecipeError
@@ -74,7 +73,7 @@ def test_a_region_is_picked_by_plane_box_or_normal(tmp_path, held):
     solid = Solid(file=str(file), held=held, sensing=SENSING_BELOW)
     assert solid.pieces == ("sensing", "side_1", "side_2", "side_3", "side_4", "held")
     assert solid.held_pieces == (5,)
-    np.testing.assert_allclose(solid.piece_distances(np.array([[1.0, 2, 3]]))[0, [0, 5]], [3, 7])
+    assert_allclose(solid.piece_distances(np.array([[1.0, 2, 3]]))[0, [0, 5]], [3, 7])
 
 
 def test_what_is_held_may_have_edges(tmp_path):
@@ -85,9 +84,9 @@ def test_what_is_held_may_have_edges(tmp_path):
     both = Solid(**solid.model_dump() | {"held": {"normal": (-1, 0, 1), "within_deg": 50}})
     assert [both.pieces[k] for k in both.held_pieces] == ["held_1", "held"]
     rim = rim_points(both, 0.5)
-    np.testing.assert_allclose(both.piece_distances(rim)[:, list(both.held_pieces)].min(axis=1), 0, atol=1e-9)
+    assert_allclose(both.piece_distances(rim)[:, list(both.held_pieces)].min(axis=1), 0, atol=1e-9)
     free = [k for k in range(len(both.pieces)) if k not in both.held_pieces]
-    np.testing.assert_allclose(both.piece_distances(rim)[:, free].min(axis=1), 0, atol=1e-9)
+    assert_allclose(both.piece_distances(rim)[:, free].min(axis=1), 0, atol=1e-9)
 
 
 FITS = {"held": HELD_ABOVE, "sensing": SENSING_BELOW}
@@ -129,7 +128,7 @@ def test_the_origin_moves_the_body(tmp_path):
     file = write_stl(tmp_path / "box.stl", box(30, 20, 10) + np.array([100.0, 50, 7]))
     solid = Solid(file=str(file), origin_mm=(95, 50, 7), **FITS)
     assert solid.bounds_mm == ((-10, -10, 0), (20, 10, 10))
-    np.testing.assert_allclose(solid.surface_from_above(np.array([[19.0, 9]])), [[19, 9, 0]], atol=1e-12)
+    assert_allclose(solid.surface_from_above(np.array([[19.0, 9]])), [[19, 9, 0]], atol=1e-12)
     assert np.isnan(solid.surface_from_above(np.array([[21.0, 9]]))[0, 2])
 
 
@@ -137,24 +136,24 @@ def test_the_chart_is_x_and_y_at_every_depth(tmp_path):
     solid, dome = solid_dome(tmp_path, 1.0)
     chart = np.random.default_rng(1).uniform(-5, 5, (200, 2))
     points = solid.chart_points(chart, 1.3)
-    np.testing.assert_allclose(solid.depth(points), 1.3, atol=1e-9)
-    np.testing.assert_allclose(solid.chart_of(points), chart, atol=1e-12)
+    assert_allclose(solid.depth(points), 1.3, atol=1e-9)
+    assert_allclose(solid.chart_of(points), chart, atol=1e-12)
     assert np.abs(dome.depth(points) - 1.3).max() < 0.03
     assert not solid.contains(solid.chart_points(np.array([[12.0, 0]]), 1.0)).any()
     frames = solid.frames(solid.chart_points(chart))
-    np.testing.assert_allclose(np.linalg.det(frames), 1)
+    assert_allclose(np.linalg.det(frames), 1)
     assert (frames[:, 2, 2] > 0).all()
 
 
 def test_only_the_sensing_surface_is_met_from_above(tmp_path):
     solid = solid_bracket(tmp_path)
-    np.testing.assert_allclose(solid.surface_from_above(np.array([[5.0, 0], [-5, 4]]))[:, 2], 0, atol=1e-12)
+    assert_allclose(solid.surface_from_above(np.array([[5.0, 0], [-5, 4]]))[:, 2], 0, atol=1e-12)
     leg = {"plane": {"point_mm": (0, 0, 12), "normal": (0, 0, 1)}}
     turned = bracket() * np.array([1.0, 1, -1])
     file = write_stl(tmp_path / "turned.stl", turned[:, ::-1] + np.array([0, 0, 12.0]))
     upside_down = Solid(file=str(file), origin_mm=(-3, 0, 0), held=leg, sensing=SENSING_BELOW)
     heights = upside_down.surface_from_above(np.array([[0.0, 0], [8, 0]]))[:, 2]
-    np.testing.assert_allclose(heights, [0, 8], atol=1e-12)
+    assert_allclose(heights, [0, 8], atol=1e-12)
 
 
 def test_a_camera_needs_something_held_at_the_largest_z(scene_file):

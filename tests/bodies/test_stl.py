@@ -1,25 +1,24 @@
-"""STL files are never trusted: every bad one ends with exit code 2 and a message that says what is wrong with it."""
-
-from __future__ import annotations
+"""STL files are never trusted: every bad one gives exit code 2 and says what is wrong."""
 
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from standard_bodies import DOME
 from stl_shapes import box, bracket, facetted_dome, write_stl, write_text_stl
 
 from twin.cli import main
 from twin.errors import InputError
-from twin.geometry.closed import closed_surface
-from twin.geometry.stl import read_triangles
-from twin.parts.body import Dome
+from twin.geometry.closed import closed_surface, read_triangles
 
 BOX = box(12, 10, 8)
 
 SCENE = """
 [body]
 shape = "solid"
-file = "{file}"
+file = "thing.stl"
 [body.held]
 normal = [0, 0, 1]
 [body.sensing]
@@ -29,137 +28,84 @@ youngs_modulus_mpa = 1.0
 """
 
 
-def truncated(path):
-    write_stl(path, BOX)
-    path.write_bytes(path.read_bytes()[:-60])
-
-
-def longer_than_declared(path):
-    write_stl(path, BOX, count=5)
-
-
-def four_thousand_million_triangles(path):
-    write_stl(path, BOX, count=4_000_000_000)
-
-
-def too_many_triangles(path):
-    count = 500_000
-    path.write_bytes(b" " * 80 + count.to_bytes(4, "little"))
-    with path.open("r+b") as file:
-        file.truncate(84 + 50 * count)
-
-
-def not_a_number(path):
+def changed(row, value):
+    """Return the box with one number, corner or triangle replaced."""
     corners = BOX.copy()
-    corners[3, 1, 2] = np.nan
-    write_stl(path, corners)
+    corners[row] = value
+    return corners
 
 
-def infinite(path):
-    corners = BOX.copy()
-    corners[0] = np.inf
-    write_stl(path, corners)
+def zeros_of_triangles(count):
+    return b" " * 80 + count.to_bytes(4, "little") + bytes(50 * count)
 
 
-def a_hole(path):
-    write_stl(path, BOX[1:])
-
-
-def two_bodies(path):
-    write_stl(path, np.concatenate([BOX, BOX + np.array([20, 0, 0])]))
-
-
-def a_hollow(path):
-    write_stl(path, np.concatenate([BOX, (box(6, 5, 4) + np.array([0, 0, 2]))[:, ::-1]]))
-
-
-def inside_out(path):
-    write_stl(path, BOX[:, ::-1])
-
-
-def one_triangle_turned(path):
-    corners = BOX.copy()
-    corners[5] = corners[5][::-1]
-    write_stl(path, corners)
-
-
-def a_sheet(path):
-    write_stl(path, box(12, 10, 0.1))
-
-
-def without_thickness(path):
-    write_stl(path, np.concatenate([BOX[:2], BOX[:2, ::-1]]))
-
-
-def one_mm(path):
-    write_stl(path, box(1, 1, 1))
-
-
-def ten_metres(path):
-    write_stl(path, box(10_000, 10, 8))
-
-
-def a_needle(path):
-    corners = BOX.copy()
-    a, b, c = corners[0]
+def with_a_needle():
+    a, b, c = BOX[0]
     split = [[a, b, (a + b) / 2], [a, (a + b) / 2, c], [(a + b) / 2, b, c]]
-    write_stl(path, np.concatenate([corners[1:], split]))
+    return np.concatenate([BOX[1:], split])
 
 
-def empty(path):
-    path.write_bytes(b"")
-
-
-def a_picture(path):
-    path.write_bytes(bytes(range(256)) * 40)
-
-
-def missing(path):
-    pass
-
-
-def truncated_text(path):
+def as_text(path, edit):
     write_text_stl(path, BOX)
-    path.write_text(path.read_text()[:-200])
+    path.write_text(edit(path.read_text()))
 
 
-def text_with_words_for_numbers(path):
-    write_text_stl(path, BOX)
-    path.write_text(path.read_text().replace("vertex 6", "vertex six", 1))
+OBJ = "# made by a program\no box\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+FACET = b"facet outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet\n"
+CORNERS_ONLY = b"solid thing\n" + b"vertex 0 0 0\n" * 1_500_000 + b"endsolid thing\n"
+MANY_FACETS = b"solid thing\n" + FACET * 450_000 + b"endsolid thing\n"
+HOLLOW = (box(6, 5, 4) + np.array([0, 0, 2]))[:, ::-1]
+SHAPES = {
+    "not a number": (
+        changed((3, 1, 2), np.nan),
+        "1 of 12 triangles have corners that are not finite, the first is number 3",
+    ),
+    "infinite": (changed(0, np.inf), "not finite"),
+    "hole": (BOX[1:], "not watertight: 3 edges"),
+    "two bodies": (np.concatenate([BOX, BOX + np.array([20, 0, 0])]), "2 separate surfaces"),
+    "hollow": (np.concatenate([BOX, HOLLOW]), "2 separate surfaces"),
+    "inside out": (BOX[:, ::-1], "wound inwards"),
+    "one turned": (changed(5, BOX[5][::-1]), "wound against each other"),
+    "sheet": (box(12, 10, 0.1), "mean thickness .* is 0.0982 mm .allowed: at least 0.5"),
+    "no thickness": (np.concatenate([BOX[:2], BOX[:2, ::-1]]), "not watertight|no area|thickness|separate"),
+    "one mm": (box(1, 1, 1), "longest side is 1 mm .allowed: 5 to 500 mm"),
+    "ten metres": (box(10_000, 10, 8), "longest side is 10000 mm"),
+    "needle": (with_a_needle(), "no area|not watertight"),
+}
+FILES = {
+    "truncated": (
+        lambda path: write_stl(path, BOX).write_bytes(path.read_bytes()[:-60]),
+        "declares 12 triangles, which take 684 bytes, but has 624",
+    ),
+    "longer": (lambda path: write_stl(path, BOX, count=5), "declares 5 triangles"),
+    "4e9 triangles": (lambda path: write_stl(path, BOX, count=4_000_000_000), "declares 4000000000 triangles"),
+    "too many": (lambda path: path.write_bytes(zeros_of_triangles(500_000)), "500000 triangles .allowed: 4 to 400000"),
+    "empty": (lambda path: path.write_bytes(b""), "0 bytes are no STL"),
+    "picture": (lambda path: path.write_bytes(bytes(range(256)) * 40), "declares .* truncated or no STL"),
+    "missing": (lambda _: None, "there is no such file"),
+    "obj": (
+        lambda path: path.write_text(OBJ),
+        r"is an OBJ file, but an STL .* trimesh.load.'thing.stl', force='mesh'.\.export",
+    ),
+    "truncated text": (lambda path: as_text(path, lambda text: text[:-200]), "truncated or no STL"),
+    "corners only": (lambda path: path.write_bytes(CORNERS_ONLY), "more than 0 corners for 0 whole triangles"),
+    "too many in text": (lambda path: path.write_bytes(MANY_FACETS), "450000 triangles .allowed: 4 to 400000"),
+    "words": (lambda path: as_text(path, lambda text: text.replace("vertex 6", "vertex six", 1)), "no number .*six"),
+}
 
 
-BAD = [
-    (truncated, "declares 12 triangles, which take 684 bytes, but has 624"),
-    (longer_than_declared, "declares 5 triangles"),
-    (four_thousand_million_triangles, "declares 4000000000 triangles"),
-    (too_many_triangles, "500000 triangles .allowed: 4 to 400000"),
-    (not_a_number, "1 of 12 triangles have corners that are not finite, the first is number 3"),
-    (infinite, "not finite"),
-    (a_hole, "not watertight: 3 edges"),
-    (two_bodies, "2 separate surfaces"),
-    (a_hollow, "2 separate surfaces"),
-    (inside_out, "wound inwards"),
-    (one_triangle_turned, "wound against each other"),
-    (a_sheet, "mean thickness .* is 0.0982 mm .allowed: at least 0.5"),
-    (without_thickness, "not watertight|no area|thickness|separate"),
-    (one_mm, "longest side is 1 mm .allowed: 5 to 500 mm"),
-    (ten_metres, "longest side is 10000 mm"),
-    (a_needle, "no area|not watertight"),
-    (empty, "0 bytes are no STL"),
-    (a_picture, "declares .* truncated or no STL"),
-    (missing, "there is no such file"),
-    (truncated_text, "truncated or no STL"),
-    (text_with_words_for_numbers, "no number .*six"),
-]
-
-
-@pytest.mark.parametrize(("make", "words"), BAD, ids=lambda value: getattr(value, "__name__", ""))
-def test_a_bad_file_ends_with_exit_code_2_and_says_what_is_wrong(tmp_path, capsys, make, words):
-    make(tmp_path / "thing.stl")
-    scene = tmp_path / "scene.toml"
-    scene.write_text(SCENE.format(file="thing.stl"))
+@pytest.mark.parametrize("name", [*SHAPES, *FILES])
+def test_a_bad_file_ends_with_exit_code_2_and_says_what_is_wrong(tmp_path, capsys, name):
+    path = tmp_path / "thing.stl"
+    if name in SHAPES:
+        corners, words = SHAPES[name]
+        write_stl(path, corners)
+    else:
+        make, words = FILES[name]
+        make(path)
+    (tmp_path / "scene.toml").write_text(SCENE)
     with pytest.raises(SystemExit) as ended:
-        main(["mesh", str(scene)])
+        main(["mesh", str(tmp_path / "scene.toml")])
     said = capsys.readouterr().err
     assert ended.value.code == 2
     assert "thing.stl" in said
@@ -168,17 +114,30 @@ def test_a_bad_file_ends_with_exit_code_2_and_says_what_is_wrong(tmp_path, capsy
 
 
 def test_binary_and_text_give_the_same_triangles(tmp_path):
-    corners = np.asarray(facetted_dome(Dome(radius_mm=10, height_mm=7), 3.0), np.float32).astype(float)
+    corners = np.asarray(facetted_dome(DOME, 3.0), np.float32).astype(float)
     binary = read_triangles(write_stl(tmp_path / "b.stl", corners))
     text = read_triangles(write_text_stl(tmp_path / "t.stl", corners))
-    np.testing.assert_array_equal(binary, corners)
-    np.testing.assert_allclose(text, corners, rtol=1e-8, atol=1e-8)
+    assert_array_equal(binary, corners)
+    assert_allclose(text, corners, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("content", [CORNERS_ONLY, MANY_FACETS], ids=["corners", "facets"])
+def test_a_text_file_is_counted_before_it_is_parsed(tmp_path, content):
+    (tmp_path / "thing.stl").write_bytes(content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError):
+            read_triangles(tmp_path / "thing.stl")
+        most = tracemalloc.get_traced_memory()[1]
+        assert most < len(content) + 1e6, "no more than the file itself"
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_binary_file_whose_header_says_solid_is_read(tmp_path):
     path = write_stl(tmp_path / "s.stl", BOX)
     path.write_bytes(b"solid made by a program" + path.read_bytes()[23:])
-    np.testing.assert_array_equal(read_triangles(path), BOX)
+    assert_array_equal(read_triangles(path), BOX)
 
 
 @pytest.mark.parametrize(("corners", "volume", "vertices"), [(BOX, 960, 8), (bracket(), 960, 12)])
@@ -190,7 +149,7 @@ def test_a_good_surface_is_welded_and_its_volume_is_exact(corners, volume, verti
 
 
 def test_corners_that_differ_by_rounding_are_welded():
-    dome = facetted_dome(Dome(radius_mm=10, height_mm=7), 1.0)
+    dome = facetted_dome(DOME, 1.0)
     noise = np.random.default_rng(1).uniform(-1e-6, 1e-6, dome.shape)
     exact = closed_surface(dome, "it")
     rounded = closed_surface(dome + noise, "it")

@@ -20,6 +20,16 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = Path(twin.__file__).parent
 PAGES = sorted((ROOT / "docs").glob("add_*.md"))
 BLOCK = re.compile(r"^```(diff|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+ADDED = {
+    "add_body": "puck",
+    "add_friction_law": "ShearStrength",
+    "add_lens": "stereographic",
+    "add_method": "curved",
+    "add_probe": "roller",
+    "add_tracker": "squared",
+}
+"""What each page adds."""
+
 ONE_PAGE = 120
 """Lines of a page, its code included."""
 
@@ -57,7 +67,7 @@ def follow(page: Path, root: Path) -> str:
 
 
 def test_there_is_a_page_for_each() -> None:
-    assert [page.stem for page in PAGES] == ["add_body", "add_lens", "add_method", "add_probe"]
+    assert {page.stem for page in PAGES} == set(ADDED)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -90,9 +100,7 @@ def test_following_a_page_adds_what_it_says(page: Path, tmp_path: Path) -> None:
 def test_the_check_of_a_page_fails_where_nothing_was_added() -> None:
     for page in PAGES:
         check = [text for kind, text in blocks(page) if kind == "python" and not text.startswith("# file: ")]
-        name = {"add_probe": "roller", "add_lens": "stereographic", "add_body": "puck", "add_method": "curved"}[
-            page.stem
-        ]
+        name = ADDED[page.stem]
         assert f'"{name}"' in check[0]
         used = "\n".join(file.read_text() for file in PACKAGE.rglob("*.py"))
         assert f'"{name}"' not in used, "the page adds what is there"

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from twin.errors import InputError
-from twin.judge.resolution import dip, error_parts, field_errors, full_width, linearity, two_point_distance, widths
+from twin.judge.resolution import dip, field_errors, full_width, two_point_distance, widths
 
 
 def test_field_errors_by_direction():
@@ -19,25 +19,6 @@ def test_field_errors_by_direction():
         field_errors(estimate[:1], truth)
 
 
-def test_error_parts_add_up():
-    """The parts' vectors sum to the error; noise as drawn many times."""
-    random = np.random.default_rng(1)
-    h, h0 = random.normal(0, 1, (2, 40, 12))
-    h0 = h + 0.05 * h0
-    r = np.linalg.solve(h.T @ h + 2 * np.eye(12), h.T)
-    force, shift = random.normal(0, 1, (4, 3)), random.normal(0, 0.1, (20, 2))
-    shift += (h0 @ force.ravel()).reshape(20, 2)
-    parts = error_parts(r, h, h0, force, shift, 0.05)
-    drawn = [np.linalg.norm(r @ (shift.ravel() + random.normal(0, 0.05, 40)) - force.ravel()) ** 2 for _ in range(4000)]
-    assert parts["all"] * np.linalg.norm(force) == pytest.approx(np.sqrt(np.mean(drawn)), rel=0.02)
-    assert error_parts(r, h, h, force, h @ force.ravel(), 0.0)["model"] == pytest.approx(0.0)
-    assert error_parts(r, h0, h0, force, h0 @ force.ravel(), 0.0)["discretisation"] == pytest.approx(0.0, abs=1e-14)
-    exact = np.linalg.pinv(h)
-    assert error_parts(exact, h, h, force, h @ force.ravel(), 0.0)["smoothing"] == pytest.approx(0.0, abs=1e-12)
-    with pytest.raises(InputError, match="zero"):
-        error_parts(r, h, h0, 0 * force, shift, 0.05)
-
-
 def test_width_of_a_known_bell():
     x = np.linspace(-5, 5, 401)
     assert full_width(x, np.exp(-(x**2) / 2)) == pytest.approx(2 * np.sqrt(2 * np.log(2)), rel=1e-3)
@@ -47,21 +28,6 @@ def test_width_of_a_known_bell():
     s, t = np.meshgrid(0.1 * np.arange(60), 0.1 * np.arange(40), indexing="ij")
     bell = np.exp(-((s - 3) ** 2) / 2 / 0.5**2 - (t - 2) ** 2 / 2 / 0.3**2)
     assert widths(bell.ravel(), (60, 40), 0.1) == pytest.approx((0.5 * 2.3548, 0.3 * 2.3548), rel=0.01)
-
-
-def test_linearity():
-    applied = np.linspace(0.2, 2.0, 10)
-    exact = linearity(applied, 0.1 + 0.9 * applied)
-    assert exact["slope"] == pytest.approx(0.9)
-    assert exact["offset_n"] == pytest.approx(0.1)
-    assert exact["nonlinearity"] == pytest.approx(0.0, abs=1e-12)
-    random = np.random.default_rng(3)
-    many = np.repeat(applied, 200)
-    noisy = linearity(many, 0.9 * many + random.normal(0, 0.045, len(many)))
-    assert noisy["resolution_n"] == pytest.approx(0.05, rel=0.06)
-    assert linearity(applied, applied + 0.05 * applied**2)["nonlinearity"] > 0.01
-    with pytest.raises(InputError):
-        linearity(applied[:2], applied[:2])
 
 
 def test_the_dip_of_two_gaussians() -> None:

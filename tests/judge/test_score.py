@@ -45,6 +45,16 @@ def test_errors_as_defined():
     assert force_score(**pushes(total_torque_nmm=torque))["torque_error"] == pytest.approx(0.5 / scale)
 
 
+def test_sums_of_bounded_sites_and_absolute_torque():
+    """Bounds change the sites' sum, not the total; without a torque to compare with there is its error in N mm."""
+    given = pushes()
+    result = force_score(**pushes(force_n=1.2 * given["force_n"]))
+    assert result["total_force_error"] == 0
+    assert result["sites_force_error"] == pytest.approx(0.2)
+    zero = {"true_torque_nmm": np.zeros(3), "total_torque_nmm": np.array([0.0, 0.0, 0.3])}
+    assert force_score(**pushes(**zero))["torque_error_nmm"] == pytest.approx(0.3)
+
+
 def test_force_nulls_have_reasons():
     nothing = np.zeros((3, 3))
     result = force_score(**pushes(surface_force_n=nothing, true_force_n=np.zeros(3), true_torque_nmm=np.zeros(3)))

@@ -1,9 +1,9 @@
-"""Shapes as level sets: distances, charts, frames and volumes agree with each other and with counting."""
-
-from __future__ import annotations
+"""Shapes as level sets: distances, charts, frames and volumes agree with one another."""
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from standard_bodies import FINGER
 
 from twin.errors import RecipeError
 from twin.parts.body import Block, Body, Dome, Finger
@@ -11,31 +11,33 @@ from twin.parts.markers import MarkerLayer, place
 
 BODIES = [
     Block(width_mm=30, length_mm=20, thickness_mm=10),
-    Finger(radius_mm=8, barrel_mm=8, skirt_mm=2),
+    FINGER,
     Dome(radius_mm=12, height_mm=9),
     Dome(radius_mm=10, height_mm=10),
 ]
 
 
-@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
-def test_volume_by_counting(body: Body) -> None:
+@pytest.fixture(params=BODIES, ids=lambda body: body.shape)
+def body(request):
+    return request.param
+
+
+def test_volume_by_counting(body):
     low, high = map(np.array, body.bounds_mm)
     points = low + np.random.default_rng(1).random((400_000, 3)) * (high - low)
     assert body.contains(points).mean() * np.prod(high - low) == pytest.approx(body.volume_mm3, rel=5e-3)
 
 
-@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
-def test_normals_are_gradients_of_the_distances(body: Body) -> None:
+def test_normals_are_gradients_of_the_distances(body):
     points = body.chart_points(np.random.default_rng(2).uniform(-6, 6, (50, 2)), 1.3)
     step = 1e-6
     for axis in range(3):
         shift = step * np.eye(3)[axis]
         slope = (body.piece_distances(points + shift) - body.piece_distances(points - shift)) / (2 * step)
-        np.testing.assert_allclose(slope, body.piece_normals(points)[:, :, axis], atol=1e-7)
+        assert_allclose(slope, body.piece_normals(points)[:, :, axis], atol=1e-7)
 
 
-@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
-def test_the_surface_is_level_where_the_pieces_say_so(body: Body) -> None:
+def test_the_surface_is_level_where_the_pieces_say_so(body):
     """A shape that answers without asking its pieces says the same."""
     said = [
         (body.is_level_around(x, y, reach), Body.is_level_around(body, x, y, reach))
@@ -45,35 +47,31 @@ def test_the_surface_is_level_where_the_pieces_say_so(body: Body) -> None:
     assert {quick for quick, _ in said} == ({True, False} if body.is_flat else {False})
 
 
-@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
-def test_chart_depth_is_the_depth(body: Body) -> None:
+def test_chart_depth_is_the_depth(body):
     chart = np.random.default_rng(3).uniform(-6, 6, (50, 2))
-    np.testing.assert_allclose(body.depth(body.chart_points(chart, 0.7)), 0.7, atol=1e-12)
+    assert_allclose(body.depth(body.chart_points(chart, 0.7)), 0.7, atol=1e-12)
 
 
-@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
-def test_chart_of_inverts_the_chart(body: Body) -> None:
+def test_chart_of_inverts_the_chart(body):
     chart = np.random.default_rng(5).uniform(-7, 7, (200, 2))
-    np.testing.assert_allclose(body.chart_of(body.chart_points(chart, 0.4)), chart, atol=1e-9)
+    assert_allclose(body.chart_of(body.chart_points(chart, 0.4)), chart, atol=1e-9)
 
 
-@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
-def test_chart_measures_arc_length_from_the_origin(body: Body) -> None:
+def test_chart_measures_arc_length_from_the_origin(body):
     line = np.linspace(0, 5, 2001)
     for direction in ([1, 0], [0, 1], [0.6, 0.8]):
         path = body.chart_points(line[:, None] * np.array(direction))
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(5, rel=1e-6)
 
 
-@pytest.mark.parametrize("body", BODIES, ids=lambda b: b.shape)
-def test_frames_are_right_handed_and_point_inwards(body: Body) -> None:
+def test_frames_are_right_handed_and_point_inwards(body):
     frames = body.frames(body.chart_points(np.random.default_rng(4).uniform(-6, 6, (50, 2))))
-    np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.det(frames), 1)
+    assert_allclose(frames @ frames.transpose(0, 2, 1), np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-12)
+    assert_allclose(np.linalg.det(frames), 1)
     assert (frames[:, 2, 2] > 0).all()
 
 
-def test_markers_keep_the_order_layer_s_t() -> None:
+def test_markers_keep_the_order_layer_s_t():
     grid = {"kind": "print", "pitch_mm": 2, "diameter_mm": 0.5, "columns": 2, "rows": 2, "colour": (1, 0, 0)}
     layers = {"red": MarkerLayer(depth_mm=1, **grid), "blue": MarkerLayer(depth_mm=3, **grid)}
     markers = place(BODIES[0], layers)
@@ -82,27 +80,27 @@ def test_markers_keep_the_order_layer_s_t() -> None:
     assert markers.points[4:, 2].tolist() == [3] * 4
 
 
-def test_a_marker_outside_the_body_is_refused() -> None:
+def test_a_marker_outside_the_body_is_refused():
     layer = MarkerLayer(depth_mm=1, pitch_mm=9, diameter_mm=0.5, columns=5, rows=1, colour=(1, 0, 0))
     with pytest.raises(RecipeError, match="2 of 5 markers lie outside"):
         place(BODIES[0], {"red": layer})
 
 
-def test_a_bead_that_sticks_out_is_refused() -> None:
+def test_a_bead_that_sticks_out_is_refused():
     layer = MarkerLayer(depth_mm=0.2, pitch_mm=1, diameter_mm=0.5, columns=1, rows=1, colour=(1, 0, 0))
     with pytest.raises(RecipeError, match="outside the body"):
         place(BODIES[0], {"red": layer})
 
 
-def test_the_fingers_back_is_free_unless_held() -> None:
-    finger = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
+def test_the_fingers_back_is_free_unless_held():
+    finger = FINGER
     assert [finger.pieces[k] for k in finger.held_pieces] == ["held"]
     assert [finger.pieces[k] for k in finger.model_copy(update={"back": "held"}).held_pieces] == ["back", "held"]
     with pytest.raises(RecipeError, match="back"):
         Finger(radius_mm=8, barrel_mm=8, skirt_mm=2, back="glued")
 
 
-def test_a_dome_is_round_its_depth_is_exact_and_its_base_is_where_it_is_cut() -> None:
+def test_a_dome_is_round_its_depth_is_exact_and_its_base_is_where_it_is_cut():
     dome = Dome(radius_mm=12, height_mm=9)
     rng = np.random.default_rng(6)
     points = rng.uniform([-11, -11, 0.3], [11, 11, 8.9], (300, 3))
@@ -111,15 +109,15 @@ def test_a_dome_is_round_its_depth_is_exact_and_its_base_is_where_it_is_cut() ->
     cap = 12 * turn / np.linalg.norm(turn, axis=1, keepdims=True) + [0, 0, 12]
     cap = cap[cap[:, 2] <= 9]
     nearest = [np.min(np.linalg.norm(cap - point, axis=1)) for point in points]
-    np.testing.assert_allclose(dome.depth(points), nearest, atol=0.02)  # the samples are about 0.1 mm apart
+    assert_allclose(dome.depth(points), nearest, atol=0.02)  # the samples are about 0.1 mm apart
     assert (dome.depth(points) <= np.array(nearest) + 1e-12).all()
     rim = dome.base_radius_mm * np.array([[1, 0], [0, -1], [0.6, 0.8]])
-    np.testing.assert_allclose(dome.surface_from_above(0.999999 * rim)[:, 2], 9, atol=1e-4)
+    assert_allclose(dome.surface_from_above(0.999999 * rim)[:, 2], 9, atol=1e-4)
     assert np.isnan(dome.surface_from_above(1.000001 * rim)[:, 2]).all()
-    np.testing.assert_allclose(dome.piece_distances(np.column_stack([rim, np.full(3, 9.0)])), 0, atol=1e-12)
+    assert_allclose(dome.piece_distances(np.column_stack([rim, np.full(3, 9.0)])), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize("height", [2.9, 10.01])
-def test_a_dome_too_flat_or_higher_than_its_radius_is_refused(height: float) -> None:
+def test_a_dome_too_flat_or_higher_than_its_radius_is_refused(height):
     with pytest.raises(RecipeError, match=r"height_mm = .* must be 0.3 to 1 radius"):
         Dome(radius_mm=10, height_mm=height)

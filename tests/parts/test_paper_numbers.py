@@ -1,17 +1,21 @@
 """The papers' numbers, typed a second time from the papers alone, against the shipped recipes."""
 
-from __future__ import annotations
-
 import pytest
+from scipy import constants
 
-from twin.parts.scene import Scene
+from twin.parts.sweep import GF
 from twin.study.recipe import load_scene
 
 GRAM_FORCE = 9.80665e-3
 
 
+def test_a_gram_force_is_a_gram_under_standard_gravity():
+    for stated in (GF, GRAM_FORCE):
+        assert stated == pytest.approx(constants.g * constants.gram, rel=1e-12)
+
+
 @pytest.mark.parametrize("name", ["kamiyama_pillar", "kamiyama_shear", "kamiyama_twist", "kamiyama_wide"])
-def test_kamiyama(name: str) -> None:
+def test_kamiyama(name):
     scene = load_scene(name)
     # "transparent elastic body of a height of 40mm, 90mm long, and 100mm wide"
     assert (scene.body.width_mm, scene.body.length_mm, scene.body.thickness_mm) == (100, 90, 40)
@@ -23,34 +27,34 @@ def test_kamiyama(name: str) -> None:
     assert all(abs(layer.pitch_mm - 1.5) < 0.06 for layer in scene.markers.values())
 
 
-def test_kamiyama_pixel_is_a_twentieth_of_a_millimetre() -> None:
+def test_kamiyama_pixel_is_a_twentieth_of_a_millimetre():
     # "One pixel corresponds to about 0.05mm"
     scene = load_scene("kamiyama_pillar")
     middle_depth = (scene.markers["blue"].depth_mm + scene.markers["red"].depth_mm) / 2
     assert apparent_mm_per_px(scene, middle_depth) == pytest.approx(0.05, rel=0.01)
 
 
-def apparent_mm_per_px(scene: Scene, depth_mm: float) -> float:
+def apparent_mm_per_px(scene, depth_mm):
     layers = [(scene.material.refractive_index, scene.body.base_z_mm - depth_mm)]
     layers += [(layer.index, layer.thickness_mm) for layer in scene.camera.layers]
     layers += [(1.0, scene.camera.pupil_mm[2] - scene.body.base_z_mm - sum(t for _, t in layers[1:]))]
     return sum(thickness / index for index, thickness in layers) / scene.camera.focal_px
 
 
-def test_kamiyama_probe() -> None:
+def test_kamiyama_probe():
     # "using pillar which diameter is 5mm"
     assert load_scene("kamiyama_pillar").press.probe.diameter_mm == 5
 
 
 @pytest.mark.parametrize("name", ["sato_press", "sato_shear"])
-def test_sato(name: str) -> None:
+def test_sato(name):
     scene = load_scene(name)
     low, high = scene.body.bounds_mm
     # "dimensions of the transparent elastic body of the prototype are 16 x 16 x 10 mm3"
     assert tuple(b - a for a, b in zip(low, high, strict=True)) == (16, 16, 10)
     # "The red and blue markers are placed at depth of 0.5 and 2.0 mm"
     assert (scene.markers["red"].depth_mm, scene.markers["blue"].depth_mm) == (0.5, 2.0)
-    # "their diameters are set to 0.5 mm (approximately 15 pixels)"; "separated by a distance of 2.5 mm"
+    # "their diameters are set to 0.5 mm"; "separated by a distance of 2.5 mm"
     assert {layer.diameter_mm for layer in scene.markers.values()} == {0.5}
     assert {layer.pitch_mm for layer in scene.markers.values()} == {2.5}
     # "The resolution of each image is 640 x 480 pixels"
@@ -65,6 +69,6 @@ def test_sato(name: str) -> None:
     assert scene.calibration.press_probe_mm == 3
 
 
-def test_sato_marker_is_about_fifteen_pixels() -> None:
+def test_sato_marker_is_about_fifteen_pixels():
     scene = load_scene("sato_press")
     assert 0.5 / apparent_mm_per_px(scene, 0.5) == pytest.approx(15, abs=2)

@@ -111,3 +111,9 @@ def as_found(shift, calibration, sd=0.03, seed=None):
         channels={},
         method="drawn",
     )
+
+
+def pressed(sensor, centre, diameter, force, noise=0.05, seed=1):
+    """What tracking would hand over under a uniform disk."""
+    markers, seen, calibration = sensor
+    return as_found(shifts(markers, seen, *disk(centre, diameter, force)), calibration, noise, seed)

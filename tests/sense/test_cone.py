@@ -5,10 +5,8 @@ import pytest
 import scipy.optimize
 from half_space_sensor import as_found, disk, finger_sensor, flat_sensor, shifts
 
-from twin.errors import InputError
 from twin.judge.score import into_cells
-from twin.sense.cone import Quadratic
-from twin.sense.cone_newton import project_onto_cone
+from twin.sense.constraints import Quadratic
 from twin.sense.reconstruct import reconstruct
 
 FLAT, FINGER = flat_sensor(), finger_sensor()
@@ -54,15 +52,16 @@ def test_cone_meets_its_optimality_conditions(mu):
         assert warm == pytest.approx(force, abs=1e-7)
 
 
-def test_projection_is_the_nearest_point_of_the_cone():
+def test_cone_of_a_unit_matrix_is_the_nearest_point():
     random = np.random.default_rng(3)
     force = random.normal(0, 1, (200, 3))
-    onto = project_onto_cone(force, 0.5)
+    unit = Quadratic(curvature=np.eye(600))
+    onto, _ = unit.cone(force.ravel(), 0.5)
     assert (np.hypot(*onto[:, :2].T) <= 0.5 * onto[:, 2] + 1e-12).all()
-    assert np.abs((onto * (force - onto)).sum(axis=1)).max() < 1e-12
-    others = project_onto_cone(random.normal(0, 2, (500, 3)), 0.5)
-    assert ((force - onto) @ others.T).max() < 1e-12
-    assert project_onto_cone(onto, 0.5) == pytest.approx(onto, abs=1e-14)
+    assert np.abs((onto * (force - onto)).sum(axis=1)).max() < 1e-10
+    others, _ = unit.cone(random.normal(0, 2, 600), 0.5)
+    assert ((force - onto) @ others.T).max() < 1e-10
+    assert unit.cone(onto.ravel(), 0.5)[0] == pytest.approx(onto, abs=1e-10)
 
 
 def field_error(field, points, forces):
@@ -120,14 +119,3 @@ def test_any_weight_is_survived():
                 assert field.kkt < 1e-8
                 assert np.isfinite(field.sd_force_n).all()
     assert np.linalg.norm(field.force_n) < 1e-4, "a weight beyond all data holds the forces at zero"
-
-
-def test_options_that_do_not_go_together():
-    _, _, calibration = FINGER
-    found = as_found(np.zeros((61, 2)), calibration)
-    for options, words in (
-        ({"friction": 0.0}, "friction"), ({"friction": np.inf}, "friction"), ({"camera": True}, "compliance"),
-        ({"method": "pinv", "push_only": True}, "pinv"), ({"weight": "best"}, "weight"),
-    ):  # fmt: skip
-        with pytest.raises(InputError, match=words):
-            reconstruct(found, calibration, **options)

@@ -77,16 +77,13 @@ def test_parameters_are_found_within_their_stated_deviations():
     assert 0.6 < np.std(off) < 1.5
 
 
-def test_no_noise_no_error():
+def test_no_noise_no_error_and_what_the_design_cannot_express_is_model_error():
     truth = np.array([1.0, -0.7, 0.4])
     quiet = dataclasses.replace(measured(truth, 3, noise=1e-4, cell=0.0), noise_px=1e-4)
     assert fit(Drawing(), quiet).scaled == pytest.approx(truth, abs=0.05)
-
-
-def test_what_the_design_cannot_say_is_told_as_model_error():
-    told = measured(np.zeros(3), 5)
-    bent = told.shift_px + 0.3 * np.sin(40 * np.arange(61 * 2)).reshape(61, 2)
-    found = fit(Drawing(), dataclasses.replace(told, shift_px=bent))
+    noisy = measured(np.zeros(3), 5)
+    bent = noisy.shift_px + 0.3 * np.sin(40 * np.arange(61 * 2)).reshape(61, 2)
+    found = fit(Drawing(), dataclasses.replace(noisy, shift_px=bent))
     assert found.model_px == pytest.approx(0.3 / np.sqrt(2), rel=0.15)
 
 

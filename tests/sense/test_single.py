@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
-from half_space_sensor import _sensor, as_found, finger_sensor, grid, jacobian, shifts
+from half_space_sensor import _sensor, as_found, grid, jacobian, shifts
 
-from twin.errors import InputError
-from twin.sense.single import RING, single_contact
+from benchmarks.single_contact import RING, single_contact
 
 MARKERS = np.vstack([grid(5, 5, 2.5, 0.5), grid(6, 6, 2.5, 2.0)])
 SENSOR = _sensor(MARKERS, np.repeat(["red", "blue"], [25, 36]), (17, 17), 0.625, jacobian(MARKERS, 14.0, 30.0))
@@ -26,7 +25,7 @@ def test_ring_rule():
 
 
 @pytest.mark.parametrize(("noise", "place", "force_share"), [(0.0, 0.03, 0.004), (0.05, 0.1, 0.03)])
-def test_place_size_and_force_of_one_contact(noise, place, force_share):
+def test_place_and_force_of_one_contact(noise, place, force_share):
     markers, seen, calibration = SENSOR
     random = np.random.default_rng(5)
     for seed in range(6):
@@ -35,32 +34,9 @@ def test_place_size_and_force_of_one_contact(noise, place, force_share):
         points, forces = hertz_disk(centre, radius, force)
         shift = shifts(markers, seen, points, forces)
         found = as_found(shift, calibration, 0.05, seed if noise else None)
-        contact = single_contact(found, calibration)
+        contact = single_contact(found, calibration, radius)
         assert np.linalg.norm(contact.place_mm[:2] - centre) < place
         assert np.linalg.norm(contact.force_n - force) < force_share * np.linalg.norm(force)
-        assert contact.radius_mm == pytest.approx(radius, abs=0.5 if noise else 0.08)
-        assert contact.torque_nmm == pytest.approx(np.cross([*centre, 0], force), abs=1.2 * place + force_share * 5)
         if noise:
-            assert contact.noise_px == pytest.approx(noise, rel=0.3)
-            assert 0.005 < contact.sd_place_mm < 0.05
-            known = single_contact(found, calibration, radius_mm=radius, place=tuple(centre / 0.625 + 8), robust=True)
+            known = single_contact(found, calibration, radius, tuple(centre / 0.625 + 8))
             assert np.linalg.norm(known.force_n - force) < 0.02 * np.linalg.norm(force)
-
-
-def test_wrong_vectors_do_not_move_the_contact():
-    markers, seen, calibration = SENSOR
-    points, forces = hertz_disk((1.1, -0.7), 1.0, (0, 0, 1.0))
-    found = as_found(shifts(markers, seen, points, forces), calibration, 0.05, 1)
-    found.shift_px[[4, 40]] += 10.0
-    contact = single_contact(found, calibration, robust=True)
-    assert np.linalg.norm(contact.place_mm[:2] - [1.1, -0.7]) < 0.1
-    assert contact.force_n == pytest.approx([0, 0, 1], abs=0.04)
-
-
-def test_wrong_options():
-    _, _, calibration = finger_sensor()
-    found = as_found(np.ones((61, 2)), calibration)
-    with pytest.raises(InputError, match="place"):
-        single_contact(found, calibration, place=(9.0, 1.0))
-    with pytest.raises(InputError, match="camera"):
-        single_contact(found, calibration, camera=True)

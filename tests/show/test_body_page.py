@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import twin
-from twin.show.body import BodyFrame, BodyView, body_page
+from twin.show.body_view import BodyFrame, BodyView, body_page
 from twin.study.sensor import Sensor
 from twin.study.view import body_view, view_scene
 
@@ -93,7 +93,7 @@ def test_the_page_holds_the_arrays_and_no_markup_of_the_title() -> None:
 @pytest.mark.skipif(not shutil.which("chromium"), reason="needs a browser: apt install chromium")
 def test_a_browser_paints_it(tmp_path: Path) -> None:
     page, picture = tmp_path / "view.html", tmp_path / "view.png"
-    view_scene(twin.load_scene("finger_bare"), page)
+    view_scene(Sensor(twin.load_scene("finger_bare")), page)
     browser = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--window-size=900,700"]
     said = subprocess.run([*browser, "--dump-dom", page.as_uri()], capture_output=True, text=True, check=True)
     assert int(re.search(r'data-painted="(\d+)"', said.stdout)[1]) > 300

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from twin.errors import MissingCapability
-from twin.show import window
-from twin.show.body import BodyFrame, BodyView
+from twin.show import body_view
+from twin.show.body_view import BodyFrame, BodyView
 
 
 def view_of(slip: list[bool]) -> BodyView:
@@ -43,22 +43,24 @@ def test_without_a_display_or_opengl_the_page_is_named_instead(monkeypatch: pyte
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(MissingCapability, match=r"DISPLAY is not set.*without --window a page is written"):
-        window.require_window()
+        body_view.require_window()
     monkeypatch.setenv("DISPLAY", ":99")
-    monkeypatch.setattr(window, "_TRY", "import os; os.abort()")
+    monkeypatch.setattr(body_view, "TRIAL", "import os; os.abort()")
     with pytest.raises(MissingCapability, match="OpenGL, which does not draw here"):
-        window.require_window()
-    monkeypatch.setattr(window, "_TRY", "")
-    window.require_window()
+        body_view.require_window()
+    monkeypatch.setattr(body_view, "TRIAL", "")
+    body_view.require_window()
 
 
 @pytest.mark.slow
 def test_it_draws_markers_and_what_sticks_and_slips(tmp_path: Path) -> None:
-    if subprocess.run([sys.executable, "-c", window._TRY], capture_output=True, timeout=window.TRYING_S).returncode:
+    if subprocess.run(
+        [sys.executable, "-c", body_view.TRIAL], capture_output=True, timeout=body_view.TRIAL_S
+    ).returncode:
         pytest.skip("OpenGL does not draw here")
     code = (
         "import sys\nfrom pathlib import Path\nfrom test_window import view_of\n"
-        "from twin.show.window import show_body\n"
+        "from twin.show.body_view import show_body\n"
         "show_body(view_of([False, True]), Path(sys.argv[1])); show_body(view_of([]), Path(sys.argv[2]))"
     )
     pictures = [tmp_path / "touched.png", tmp_path / "untouched.png"]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import endurance, kills
-from twin.results import make_folder
+from twin.files import make_folder
 
 
 @pytest.mark.slow

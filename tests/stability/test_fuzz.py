@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
@@ -13,20 +14,16 @@ import numpy as np
 import pytest
 
 from benchmarks import fuzz
-from benchmarks.fuzz_files import READERS, Reader
-from benchmarks.fuzz_hostile import LAUGHS
-from benchmarks.fuzz_spoil import npy_header, png, png_bomb
-from twin.archive import read_arrays
+from benchmarks.fuzz_files import LAUGHS, READERS, Reader, npy_header, png, png_bomb
 from twin.errors import InputError
-from twin.results import write_json
-from twin.study.batch import lock
-from twin.study.batch.lock import only_writer
+from twin.files import read_arrays, write_json
+from twin.study.batch.pool import only_writer
+from twin.study.calibrate import read_presses
 from twin.study.check import check_path
 from twin.study.dataset.plan import FORMAT
 from twin.study.dataset.reader import DatasetReader, decoded, open_dataset
-from twin.study.frames import read_picture
 from twin.study.intrinsics import read_intrinsics
-from twin.study.recorded_presses import read_presses
+from twin.study.recorded import read_picture
 
 
 @pytest.mark.slow
@@ -46,7 +43,7 @@ def test_the_guards_of_an_attempt_see_what_is_wrong(tmp_path: Path, monkeypatch:
         "ended with code -6": os.abort,
         "something outside": lambda: (tmp_path / "box" / "outside" / "new").write_text("") and None,
         "internal error": lambda: 1 / 0,
-        "and no word": lambda: os._exit(2),
+        "and no word": lambda: os.execl("/bin/sh", "sh", "-c", "exit 2"),
     }
     for words, deed in deeds.items():
         shutil.rmtree(tmp_path / "box", ignore_errors=True)
@@ -72,7 +69,7 @@ def test_an_archive_is_not_unpacked_beyond_a_limit(tmp_path: Path, monkeypatch: 
     np.savez_compressed(tmp_path / "a.npz", zeros=np.zeros(1000))
     assert read_arrays(tmp_path / "a.npz")["zeros"].shape == (1000,)
     assert read_arrays(tmp_path / "a.npz", ["none"]) == {}
-    monkeypatch.setattr("twin.archive.LARGEST_BYTES", 5000)
+    monkeypatch.setattr("twin.files.LARGEST_BYTES", 5000)
     with pytest.raises(ValueError, match="unpacks to"):
         read_arrays(tmp_path / "a.npz")
 
@@ -110,15 +107,15 @@ def test_a_lock_is_not_taken_through_a_link(tmp_path: Path) -> None:
 def test_a_lock_is_gone_with_its_holder_and_one_just_removed_is_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, taken, really = tmp_path / "writer.lock", [], lock._lock
+    path, taken, really = tmp_path / "writer.lock", [], fcntl.flock
 
-    def late(handle: int) -> None:
-        really(handle)
+    def late(handle: int, how: int) -> None:
+        really(handle, how)
         if not taken:
             path.unlink()  # as the holder before does, between this one's opening and locking
         taken.append(handle)
 
-    monkeypatch.setattr(lock, "_lock", late)
+    monkeypatch.setattr(fcntl, "flock", late)
     with only_writer(path), pytest.raises(InputError, match="another process"), only_writer(path):
         pass
     assert len(taken) == 2

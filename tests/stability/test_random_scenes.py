@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import json
+import importlib
+import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +14,22 @@ import pytest
 
 from benchmarks import random_scenes
 from benchmarks.random_recipes import Spoilt, recipes, slots, spoilt_values
-from benchmarks.random_scenes import LEFT_OUT, Tally, check_spoilt, check_valid, said, spoilt_recipes, survey
-from twin.errors import RecipeError
-from twin.study.actual import make
+from benchmarks.random_scenes import (
+    LEFT_OUT,
+    Tally,
+    check_spoilt,
+    check_valid,
+    just_over_base,
+    said,
+    spoilt_recipes,
+    survey,
+)
+from benchmarks.record import read
+from twin.errors import ContactError, RecipeError
+from twin.parts.press import Cone, Press
+from twin.study.doubts import shift_bound
 from twin.study.recipe import dump_scene, load_scene
-from twin.study.sensor import Sensor
-from twin.study.sweep.noise import shift_bound
+from twin.study.sensor import Sensor, make
 
 FOUND = Path(__file__).parent / "found"
 AGAIN = "save the recipe as FILE: python -m benchmarks.random_scenes --again FILE; once mended, keep it in found/"
@@ -30,7 +41,7 @@ def test_what_random_scenes_found_stays_mended(file: Path) -> None:
     assert check_valid(tomllib.loads(file.read_text()), Tally())
 
 
-def test_what_is_drawn_depends_on_the_seed_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_drawn_depends_on_the_seed_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Not on numbers in the sources of what is imported: every change of the program would draw other scenes."""
     drawn: list[str] = []
 
@@ -40,10 +51,11 @@ def test_what_is_drawn_depends_on_the_seed_alone(monkeypatch: pytest.MonkeyPatch
 
     survey(recipes(), keep, 20, seed=1)
 
-    def asked(*arguments: Any, **settings: Any) -> None:
-        raise AssertionError("numbers of the sources are drawn")
-
-    monkeypatch.setattr(random_scenes.HypothesisProvider, "_maybe_draw_constant", asked)
+    numbers = tmp_path / "numbers_of_a_source.py"
+    numbers.write_text("".join(f"N{n} = {n + 1000.5}\nT{n} = 'text {n}'\n" for n in range(100)))
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, numbers.stem, raising=False)
+    importlib.import_module(numbers.stem)
     assert survey(recipes(), keep, 20, seed=1).outcomes == {"kept": 20}
     assert len(drawn) == 40
     assert drawn[:20] == drawn[20:]
@@ -93,6 +105,16 @@ def test_a_wrong_answer_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
         check_valid({**blind, "press": {**blind["press"], "at_mm": [1.0, 2.0]}}, Tally())
 
 
+def test_a_mirrored_contact_may_be_refused_at_a_cones_base_within_the_error_of_the_mesh() -> None:
+    sensor = Sensor(load_scene("block_bare", {"accuracy.contact_patches": 6}))
+    cone = Cone(apex_deg=140, diameter_mm=1.0)
+    with pytest.raises(ContactError) as found:
+        sensor.press(Press(probe=cone, force_n=(0, 0, 0.2)))
+    assert just_over_base(found.value, 10.0)
+    assert not just_over_base(found.value, 0.01)
+    assert not just_over_base(ContactError("contact: runs over the edge of the sensing surface"), 10.0)
+
+
 def test_every_table_of_a_scene_is_spoilt() -> None:
     found = slots(load_scene("dataset_sato"))
     tables = {str(slot.path[0]) for slot in found if slot.field is not None and spoilt_values(slot)}
@@ -132,7 +154,7 @@ def test_a_number_of_many_digits_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_full_run_is_stored_and_nothing_failed() -> None:
-    stored = json.loads(random_scenes.STORED.read_text())
+    stored = read("random_scenes")
     assert stored["invalid"]["drawn"] >= random_scenes.COUNT
     assert not any("failed" in kind["outcomes"] for kind in stored.values())
 
@@ -146,7 +168,8 @@ def test_a_frictionless_press_held_by_motion_alone_is_solved() -> None:
     assert state.force_n[2] > 0
 
 
-def test_black_markers_have_no_bound_and_no_error() -> None:
+def test_black_markers_on_black_ground_have_no_bound_and_no_error() -> None:
     black = {f"markers.{name}.colour": [0.0, 0.0, 0.0] for name in ("red", "blue")}
+    black["cover.albedo"] = [0.0, 0.0, 0.0]
     scene = load_scene("kamiyama_pillar", black)
     assert np.isinf(shift_bound(scene, "red", np.array([5.0, 10.0]))).all()

@@ -8,8 +8,9 @@ import pytest
 from twin.errors import AccuracyWarning
 from twin.parts.load import Traction
 from twin.study.recipe import load_scene
+from twin.study.run import run
 from twin.study.sensor import Sensor
-from twin.world.elasticity.ladder import Ladder
+from twin.world.elasticity.coated import Ladder
 from twin.world.mesh.sizing import WORLD
 
 POINTS = np.array([[0.0, 0.0, 3.0]])
@@ -17,7 +18,9 @@ POINTS = np.array([[0.0, 0.0, 3.0]])
 
 @pytest.mark.parametrize("name", ["block_bare", "finger_bare"])
 def test_central_loads_meet_what_the_bare_scenes_ask(name):
-    Sensor(load_scene(name)).displacement(POINTS, Traction.bump((0, 0), 1.0, (0, 0, 1)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", AccuracyWarning)
+        Sensor(load_scene(name)).displacement(POINTS, Traction.bump((0, 0), 1.0, (0, 0, 1)))
 
 
 def test_an_edge_load_warns_once_with_asked_got_and_remedy():
@@ -30,13 +33,20 @@ def test_an_edge_load_warns_once_with_asked_got_and_remedy():
         sensor.displacement(points, load)
 
 
+def test_a_press_on_few_patches_warns_of_them():
+    few = {"accuracy.contact_patches": 8, "tolerance.preset": "none"}
+    sensor = Sensor(load_scene("kamiyama_pillar", few))
+    with pytest.warns(AccuracyWarning, match=r"0\.002 is asked.*raise accuracy\.contact_patches \(8\)"):
+        sensor.press().error  # noqa: B018
+
+
 class Rung:
     """A level whose estimated error is given."""
 
     def __init__(self, level, error):
         self.level, self._error = level, error
 
-    def answer(self, points, load, enough=0.0):
+    def answer(self, points, load):
         return np.full((1, 3), WORLD.index(self.level), float), self._error
 
 
@@ -50,14 +60,34 @@ ERRORS = {"coarse": 8e-3, "standard": 2e-3, "fine": 5e-4}
         (5e-3, ERRORS, "standard"),
         (1e-3, ERRORS, "fine"),
         (5e-3, {**ERRORS, "standard": 8e-3}, "fine"),  # worse than expected, but within reach of the next level
-        (5e-3, {**ERRORS, "standard": 3e-2}, "standard"),  # so bad that no level would do: said, not computed in vain
+        (5e-3, {**ERRORS, "standard": 3e-2}, "fine"),  # far worse than expected: climbing goes on until it is met
         (1e-5, ERRORS, "fine"),
+        (4e-3, {**ERRORS, "standard": 6e-3, "fine": 7e-3}, "standard"),  # none meets it: the best one
     ],
 )
-def test_an_accuracy_takes_the_cheapest_level_that_meets_it(asked, errors, level):
+def test_an_accuracy_takes_the_cheapest_level_that_meets_it(monkeypatch, asked, errors, level):
+    def rung(body, material, *, level, **_):
+        return Rung(level, errors[level])
+
+    monkeypatch.setattr("twin.world.elasticity.coated.Compliance", rung)
     scene = load_scene("finger_bare")
     ladder = Ladder(scene.body, scene.material, asked)
-    ladder._rungs = {name: Rung(name, error) for name, error in errors.items()}
     answer = ladder.displacement(POINTS, None)
     assert (answer.compliance.level, answer.error) == (level, errors[level])
     assert answer.displacement_mm[0, 0] == WORLD.index(level)
+
+
+def test_a_saturated_picture_warns_once_and_the_runs_facts_say_so():
+    small = {"camera.width_px": 160, "camera.height_px": 120, "camera.focal_px": 450, "ccd.exposure": 3.0,
+             "press": {"at_mm": [0, 0], "indentation_mm": 0.01, "probe": {"kind": "sphere", "diameter_mm": 3}},
+             "accuracy.centroid_px": 0.05}  # fmt: skip
+    scene = load_scene("kamiyama_pillar", small)
+    with pytest.warns(AccuracyWarning, match=r"% of the pixels are saturated.*lower ccd\.exposure \(3\)") as told:
+        result = run(scene, want={"picture"})
+    assert len(told) == 1
+    assert result.facts["picture_warnings"] == [str(told[0].message)]
+    sensor = Sensor(load_scene("kamiyama_pillar", small | {"ccd.exposure": 1.0}))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sensor.picture(None)
+    assert sensor.saturation is None

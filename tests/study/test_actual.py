@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from benchmarks.random_recipes import bounds
+from twin.parts.accuracy import CUT, Tolerance
 from twin.parts.load import Traction
-from twin.parts.tolerance import CUT, Tolerance
-from twin.study.actual import make
 from twin.study.recipe import load_scene
-from twin.study.sensor import Sensor
+from twin.study.sensor import Sensor, make
 
 DRAWN = {"tolerance.print_diameter_pct": 5.0, "tolerance.print_shade_pct": 8.0, "tolerance.missing": 0.1}
 
@@ -37,7 +38,8 @@ def test_prints_vary_as_told_and_change_no_other_draw() -> None:
 def test_no_tolerance_takes_what_is_positive_below_zero(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of Young's modulus was allowed as its standard deviation: one made sensor in fifty had a negative one."""
     worst = bounds(Tolerance.model_fields[key].metadata)[1]
-    monkeypatch.setattr("twin.study.actual._deviation", lambda _: -CUT)
+    lowest = SimpleNamespace(standard_normal=lambda size=(): np.full(size, -2 * CUT), random=np.zeros)
+    monkeypatch.setattr("twin.study.sensor.stream", lambda *_: lowest)
     made = make(load_scene("kamiyama_pillar", {f"tolerance.{key}": worst}))
     assert made.scene.camera is not None
     assert min(made.scene.material.youngs_modulus_mpa, made.scene.camera.focal_px) > 0

@@ -38,6 +38,7 @@ def bare() -> twin.Sensor:
         (lambda s: s.displacement([[0, 0], [1, 2, 3]], PUSH), "points_mm: must be numbers of shape"),
         (lambda s: s.press(PUSH), "the press must be a Press, not Load"),
         (lambda s: s.picture(3), "the load must be a Load, not int 3"),
+        (lambda s: s.project([[0, 0, 3.0]], "drawn"), "which = 'drawn': allowed are 'actual' and 'nominal'"),
         (lambda s: s.picture(None, exposure=-1), "exposure = -1: allowed are whole numbers from 0"),
         (lambda s: s.picture(None, exposure=1.5), "exposure = 1.5: allowed are whole numbers from 0"),
         (lambda _: twin.Traction.disk((0, 0), None, (0, 0, 1)), "radius_mm must be a Real"),
@@ -48,6 +49,11 @@ def bare() -> twin.Sensor:
         (lambda _: twin.track(PICTURE, PICTURE, LAYOUT, channels=3), "channels must be a Mapping"),
         (lambda _: twin.track(PICTURE, PICTURE, LAYOUT, diameter_px={"red": 3}), "diameter_px must be a Real"),
         (lambda _: twin.reconstruct(LAYOUT, None), "the motion must be a Found"),
+        (lambda _: twin.run(twin.load_scene("block_bare"), want="displacements"), "unknown displacements"),
+        (lambda _: twin.Sphere(diameter_mm=-3), "diameter_mm = -3 mm: must be greater than"),
+        (lambda _: twin.Press(probe=PRESS.probe, force_n=(0, 0, 1), friction=-0.5), "frictionless"),
+        (lambda _: twin.Traction.rectangle((0, 0), 4, (0, 0, 1)), "size_mm"),
+        (lambda _: twin.Traction.disk((0, 0), 4, (0, 1)), "force_n three"),
     ],
 )  # fmt: skip
 def test_what_was_meant_otherwise_is_told(mistake: Callable[[Any], object], words: str, bare: twin.Sensor) -> None:
@@ -69,8 +75,16 @@ def test_points_may_come_in_any_layout_of_memory(given: Callable[[Any], Any], ba
     np.testing.assert_array_equal(bare.displacement(given(points), PUSH), bare.displacement(points, PUSH))
 
 
+def test_the_state_of_a_press_is_a_load(bare: twin.Sensor) -> None:
+    state = bare.press(PRESS)
+    points = [[0.0, 0.0, 3.0], [1.0, 0.5, 4.0]]
+    moved = bare.displacement(points, state)
+    np.testing.assert_array_equal(moved, bare.displacement(points, state.load))
+    assert np.abs(moved[:, 2]).min() > 0.01
+
+
 def test_a_run_writes_over_its_own_files_only(tmp_path: Path) -> None:
-    from twin.study.run_folder import run_to_folder
+    from twin.study.run import run_to_folder
 
     scene = twin.load_scene("block_bare")
     for _ in range(2):

@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 
 from twin.sense.fit_design import fit
-from twin.study.actual import make
-from twin.study.fitted import FittedDesign, _hertz_shares
+from twin.study.fitted_design import FittedDesign, hertz_shares
 from twin.study.recipe import load_scene
-from twin.study.sites import on_surface
+from twin.study.sensor import make, on_surface
 from twin.theory.optics import project
 
 SCENE = load_scene("sato_press", overrides={"tolerance.distortion": 0.01})
@@ -55,7 +54,7 @@ def test_nothing_is_fitted_that_the_tolerances_give_no_room():
 
 
 def test_footprint_has_the_second_moment_of_hertz():
-    offsets, shares = _hertz_shares()
+    offsets, shares = hertz_shares()
     assert shares.sum() == pytest.approx(1.0)
     assert shares @ offsets**2 == pytest.approx([0.2, 0.2], abs=0.01)
 
@@ -63,9 +62,8 @@ def test_footprint_has_the_second_moment_of_hertz():
 @pytest.mark.slow
 def test_five_presses_beat_the_drawing():
     """Truth by contact on another mesh, with lens distortion and another Poisson's ratio."""
-    from benchmarks.calibrations import PLACES, drawn, measured
-    from benchmarks.inverse_truth import BETWEEN, Truth, sensors
-    from benchmarks.inverse_truth import design as bench
+    from benchmarks.calibrations import BETWEEN, PLACES, Truth, drawn, measured, sensors
+    from benchmarks.calibrations import design as bench
 
     scene = bench()
     truth = Truth(scene, sensors(scene, 2), covered=False)

@@ -9,7 +9,7 @@ import pytest
 
 import twin
 from twin.study.live import QUICK
-from twin.study.recipe_tables import parse_override
+from twin.study.recipe import parse_override
 
 pytest.importorskip("gymnasium")
 
@@ -20,7 +20,7 @@ def test_it_is_an_environment_that_feels_what_is_done() -> None:
 
     from twin.study.gym import TactileEnv
 
-    scene = twin.load_scene("kamiyama_pillar", dict(parse_override(text) for text in QUICK))
+    scene = twin.load_scene("kamiyama_pillar", dict(parse_override(text) for text in (*QUICK, "press.friction=1.2")))
     env = TactileEnv(scene, reward=lambda seen: float(seen.total_force_n[2]))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # its advice on unbounded spaces and on rendering
@@ -36,3 +36,15 @@ def test_it_is_an_environment_that_feels_what_is_done() -> None:
     _, reward, _, truncated, info = env.step(slipping)
     assert (reward, truncated) == (0.0, False)
     assert "sideways" in info["problem"] or "edge" in info["problem"] or "miss" in info["problem"], info["problem"]
+
+
+@pytest.mark.slow
+def test_a_frictionless_probe_is_not_pushed_sideways() -> None:
+    from twin.study.gym import TactileEnv
+
+    env = TactileEnv(twin.load_scene("kamiyama_pillar", dict(parse_override(text) for text in QUICK)))
+    assert not env.action_space.high[3:].any()
+    env.reset()
+    _, reward, _, _, info = env.step(np.array([0.0, 0.0, 2.0, 0.2, 0.0, 0.0]))
+    assert reward == 0.0
+    assert "frictionless" in info["problem"]

@@ -23,10 +23,9 @@ import pytest
 
 import twin
 from twin.errors import InputError
-from twin.show.hand import hand_page
-from twin.study.live import QUICK, Hand, LivePress, run_live
-from twin.study.loopback import LARGEST_QUESTION, Loopback
-from twin.study.recipe_tables import parse_override
+from twin.show.body_view import hand_page
+from twin.study.live import LARGEST_QUESTION, QUICK, Hand, LivePress, Loopback, run_live
+from twin.study.recipe import parse_override
 
 PUSH = {"x_mm": 1.0, "y_mm": -0.5, "push_n": 2.0, "side_x": 0.2, "side_y": 0.0, "twist": 0.5, "friction": 1.2}
 
@@ -96,7 +95,8 @@ def test_another_name_or_another_site_is_refused_even_with_the_token(page: Loopb
 
 def test_it_listens_on_loopback_alone(page: Loopback) -> None:
     assert page.address.startswith("http://127.0.0.1:")
-    assert page._server.socket.getsockname()[0] == "127.0.0.1"
+    with pytest.raises(OSError, match=r"refused|unreachable|timed out"):  # any other address of loopback
+        socket.create_connection(("127.0.0.2", page.port), timeout=2)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:  # our address towards the world: nothing is sent
         try:
             probe.connect(("192.0.2.1", 9))
@@ -146,10 +146,18 @@ def test_a_port_that_can_t_be_had_is_said_before_any_work(page: Loopback, monkey
         run_live(twin.load_scene("kamiyama_pillar"), 70000)
 
 
-def test_without_friction_the_probe_is_guided_and_on_a_slope_it_is_held_by_motion() -> None:
-    smooth = Hand.of({**PUSH, "friction": 0}, by_motion=False)
-    assert smooth.step().force_n == (None, None, 2.0)
-    assert smooth.step().torque_nmm is None
+def test_the_page_begins_with_the_scenes_friction(live: LivePress) -> None:
+    assert live.scene.press is not None
+    assert live.start().friction == live.scene.press.friction == 0
+    assert 0 in live.facts()["friction"]
+
+
+def test_without_friction_the_probe_is_only_pressed_and_on_a_slope_it_is_held_by_motion() -> None:
+    smooth = {**PUSH, "friction": 0, "side_x": 0, "side_y": 0, "twist": 0}
+    assert Hand.of(smooth, by_motion=False).step().force_n == (None, None, 2.0)
+    for sideways in ("side_x", "side_y", "twist"):
+        with pytest.raises(InputError, match="frictionless"):
+            Hand.of({**smooth, sideways: 0.1}, by_motion=False).step()
     slope = Hand.of(PUSH, by_motion=True).step()
     assert (slope.force_n, slope.move_mm, slope.turn_deg) == ((None, None, 2.0), (0.2, 0.0, None), 0.5)
 
@@ -205,7 +213,7 @@ def test_a_browser_shows_it_moving_and_ctrl_c_ends_it(
 
 @pytest.mark.slow
 def test_ten_updates_a_second_fit_in_the_time_of_one_core(live: LivePress) -> None:
-    from twin.study.batch.job import one_thread
+    from twin.blas_threads import one_thread
 
     with one_thread():
         spent = []

@@ -11,10 +11,9 @@ import jsonschema
 import numpy as np
 import pytest
 
-from twin.errors import InputError, RecipeError
+from twin.errors import RecipeError
 from twin.study.check import unsourced
-from twin.study.recipe import dump_scene, load_scene, shipped_scenes, validate_scene
-from twin.study.recipe_tables import parse_override
+from twin.study.recipe import dump_scene, load_scene, parse_override, shipped_scenes, validate_scene
 from twin.study.schema import SCHEMA_FILE, schema_text
 
 SCENES = sorted(shipped_scenes())
@@ -147,11 +146,6 @@ def test_broken_toml_is_a_recipe_error(tmp_path: Path, text: str) -> None:
         load_scene(mine)
 
 
-def test_a_misspelt_scene_is_suggested() -> None:
-    with pytest.raises(InputError, match="did you mean 'kamiyama_pillar'"):
-        load_scene("kamiyama_piller")
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -163,11 +157,6 @@ def test_a_misspelt_scene_is_suggested() -> None:
 )
 def test_overrides_are_toml_or_bare_strings(text: str, expected: tuple[str, object]) -> None:
     assert parse_override(text) == expected
-
-
-def test_an_override_without_a_value_is_an_input_error() -> None:
-    with pytest.raises(InputError, match=r"key\.path=value"):
-        parse_override("seed")
 
 
 def test_a_body_in_place_of_the_base_s_recipe_must_bring_its_material(tmp_path):

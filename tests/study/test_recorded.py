@@ -1,6 +1,7 @@
 """`twin reconstruct` on recorded files: kinds of input and output, failures that don't stop it, exit codes."""
 
 import csv
+import io
 import json
 import subprocess
 import sys
@@ -16,7 +17,9 @@ from half_space_sensor import _sensor, disk, grid, jacobian, shifts
 
 from benchmarks.discs import expose, scene
 from twin.sense.calibration import write_calibration
-from twin.study.frames import in_number
+from twin.sense.reconstruct import reconstruct
+from twin.sense.track import track
+from twin.study.recorded import Frame, frames, reconstruct_frames
 
 SIZE, OFFSET, FORCE = (320, 260), np.array([159.5, 129.5]), np.array([0.2, -0.1, 1.5])
 
@@ -60,6 +63,12 @@ def test_files_in_every_format_out(folder):
     Image.open(folder / "press2.png").save(folder / "two.jpg", quality=95)
     done = twin("rest.png", *frames, "two.bmp", "two.jpg", "--calibration", "flat.npz", "--out", "f.csv", cwd=folder)
     assert done.returncode == 0, done.stderr
+    said = done.stdout.decode()
+    assert f"Fz {float(rows(folder / 'f.csv')[3]['fz_n']):.4g}" in said, "the largest force"
+    assert [float(line.split("\t")[4]) for line in said.splitlines()[1:7]] == pytest.approx(
+        [0.375, 0.75, 1.125, 1.5, 0.75, 0.75], abs=0.15
+    )
+    assert b"83 markers, 30 sites" in done.stderr
     table = rows(folder / "f.csv")
     for share, row in zip((0.25, 0.5, 0.75, 1.0, 0.5, 0.5), table, strict=True):
         force = np.array([float(row[f"f{axis}_n"]) for axis in "xyz"])
@@ -75,6 +84,71 @@ def test_files_in_every_format_out(folder):
     field = np.array(parquet["force_n"].to_pylist()[3]).reshape(-1, 3)
     assert field.sum(axis=0) == pytest.approx([parquet[f"f{a}_n"][3].as_py() for a in "xyz"], abs=1e-4)
     assert arrays["force_n"][3] == pytest.approx(field, abs=1e-6)
+
+
+SHARES = (0, 0, 0, 0.1, 0.25, 0.5, 1.0, 0, 0.5, 1.0, 0.25, 0.05, 0)
+
+
+@pytest.fixture(scope="module")
+def long_recording():
+    """At rest, a ramp, lifted, pressed again, a ramp down: rest picture, calibration, frames, each exposed anew."""
+    markers, seen, calibration = sensor()
+    motion = shifts(markers, seen, *disk([0.5, 0.2], 4.0, FORCE))
+    rest, *frames = [
+        expose(scene(SIZE, [(moved[:48], 0), (moved[48:], 2)], 10.0), number)
+        for number, moved in enumerate(calibration.layout_px + share * motion for share in (0, *SHARES))
+    ]
+    return rest, calibration, frames
+
+
+def felt(rest, calibration, pictures, **options):
+    named = [Frame(name=str(number), picture=picture, problem="") for number, picture in enumerate(pictures)]
+    return list(reconstruct_frames(rest, calibration, named, **options))
+
+
+@pytest.mark.parametrize("options", [{}, {"weight": "likelihood"}, {"weight": "gcv"}, {"push_only": True}])
+def test_a_recording_that_starts_at_rest(long_recording, options):
+    """Noise alone in the first frames must not set how strongly the frames after them are smoothed."""
+    rest, calibration, frames = long_recording
+    rng = np.random.default_rng(3)
+    noisy = np.clip(np.rint(frames[-3] + rng.normal(0, 1, frames[-3].shape)), 0, 255).astype(np.uint8)
+    for share, one in zip((*SHARES, SHARES[-3]), felt(rest, calibration, [*frames, noisy], **options), strict=True):
+        off = one.field.total_force_n - share * FORCE
+        assert one.reason == ""
+        assert np.linalg.norm(off) < 0.05 * share * np.linalg.norm(FORCE) + 0.03
+        if share == 0:
+            assert (np.abs(off) < 4 * one.field.sd_total_n).all(), "zero within its stated error"
+            assert one.field.sd_total_n[2] > 5e-4, "a small force can't be excluded"
+
+
+def test_a_frame_does_not_depend_on_those_before_it(long_recording):
+    rest, calibration, frames = long_recording
+    at_rest, pressed = (track(rest, frames[at], calibration.layout) for at in (0, 6))
+    alone = reconstruct(pressed, calibration)
+    after = reconstruct(pressed, calibration, previous=reconstruct(at_rest, calibration))
+    assert after.force_n == pytest.approx(alone.force_n)
+    assert after.weight == alone.weight
+
+
+def test_another_sensors_calibration_is_doubted(long_recording):
+    """Another pitch, half of a layer's markers, another depth of one layer, another sensor of the same design."""
+    rest, calibration, frames = long_recording
+    layout, middle = calibration.layout_px, calibration.layout_px.mean(axis=0)
+    blue = (calibration.layer == "blue")[:, None]
+    rng = np.random.default_rng(4)
+    assert felt(rest, calibration, frames[6:7])[0].reason == ""
+    measured = replace(calibration, provenance='{"rest": "measured"}')
+    assert felt(rest, measured, frames[6:7])[0].reason == ""
+    others = [
+        replace(calibration, layout_px=middle + 1.05 * (layout - middle)),
+        replace(calibration, layout_px=np.where(blue, middle + 1.02 * (layout - middle), layout)),
+        replace(measured, layout_px=layout + rng.normal(0, 0.6, layout.shape)),
+    ]
+    for other in others:
+        for one in felt(rest, other, frames[5:7]):
+            assert "twin calibrate" in one.reason
+    half = replace(calibration, layout_px=layout + np.where(blue, [200.0, 0.0], 0.0))
+    assert "calibration's 83 markers" in felt(rest, half, frames[6:7])[0].reason
 
 
 def test_a_bad_frame_is_told_and_the_sequence_goes_on(folder):
@@ -155,13 +229,46 @@ def test_what_can_not_be_used_is_said(folder, arguments, code, words):
     assert "Traceback" not in done.stderr.decode()
 
 
+def of_files(*paths):
+    return list(frames([str(path) for path in paths], io.BytesIO(), None, None))
+
+
 def test_a_video_needs_the_extra_package(folder, monkeypatch):
     from twin.errors import MissingCapability
-    from twin.study.frames import video_frames
 
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(MissingCapability, match=r"pip install 'tactile-twin\[video\]'"):
-        next(video_frames(folder / "film.mp4"))
+    with pytest.raises(MissingCapability, match=r"pip install imageio-ffmpeg"):
+        of_files(folder / "film.mp4")
+
+
+@pytest.mark.parametrize("kind", ["EPS", "GIF", "TIFF", "PPM"])
+def test_only_pictures_of_the_allowed_formats_are_decoded_whatever_their_name(tmp_path, kind):
+    """Pillow chooses the decoder by content: an EPS file starts Ghostscript."""
+    from twin.errors import InputError
+    from twin.study.recorded import read_picture
+
+    Image.new("RGB", (8, 8)).save(tmp_path / "frame_001.png", kind)
+    with pytest.raises(InputError, match="allowed are PNG, BMP and JPEG"):
+        read_picture(tmp_path / "frame_001.png")
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")  # its pipes
+def test_a_list_of_films_under_the_name_of_a_film_reads_no_other_file(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    from twin.study.recorded import VIDEOS, VideoWriter
+
+    for kind in sorted({*VIDEOS} - {".webm"}):  # written by another codec; its container is Matroska
+        film = VideoWriter(tmp_path / f"other{kind}", (64, 48))
+        for _ in range(3):
+            film.add(np.zeros((48, 64, 3), np.uint8))
+        film.close()
+        assert all(frame.picture is not None for frame in of_files(tmp_path / f"other{kind}")), kind
+    (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile other.mp4\n")
+    (tmp_path / "hls.mp4").write_text("#EXTM3U\n#EXTINF:1,\nother.mpg\n#EXT-X-ENDLIST\n")
+    for name in ("list.mp4", "hls.mp4"):
+        (only,) = of_files(tmp_path / name)
+        assert only.picture is None
+        assert "can't be read as a video" in only.problem
 
 
 @pytest.mark.slow
@@ -169,7 +276,7 @@ def test_a_video_needs_the_extra_package(folder, monkeypatch):
 def test_a_film_in_and_a_film_out(folder):
     """A video file of the recording, written and read by the extra package."""
     pytest.importorskip("imageio_ffmpeg")
-    from twin.study.frames import VideoWriter, video_frames
+    from twin.study.recorded import VideoWriter
 
     film = VideoWriter(folder / "film.mp4", SIZE)
     for number in range(1, 5):
@@ -181,7 +288,7 @@ def test_a_film_in_and_a_film_out(folder):
     for share, row in zip((0.25, 0.5, 0.75, 1.0), rows(folder / "film.csv"), strict=True):
         force = np.array([float(row[f"f{axis}_n"]) for axis in "xyz"])
         assert force == pytest.approx(share * FORCE, abs=0.3)  # a lossy codec's noise
-    drawn = list(video_frames(folder / "drawn.mp4"))
+    drawn = of_files(folder / "drawn.mp4")
     assert [frame.problem for frame in drawn] == [""] * 4
     assert drawn[0].picture.shape == (SIZE[1], SIZE[0], 3)
     (folder / "cut.mp4").write_bytes((folder / "film.mp4").read_bytes()[:700])
@@ -190,6 +297,8 @@ def test_a_film_in_and_a_film_out(folder):
     assert b"can't be read as a video" in done.stderr
 
 
-def test_a_folder_is_read_as_it_was_counted():
+def test_a_folder_is_read_as_it_was_counted(tmp_path):
     names = ["f9.png", "f10.png", "f099.png", "f0100.png", "g1_2.png", "g1_10.png", "rest.png"]
-    assert [p.name for p in sorted(map(Path, reversed(names)), key=in_number)] == names
+    for name in reversed(names):
+        (tmp_path / name).touch()
+    assert [frame.name for frame in of_files(tmp_path)] == names

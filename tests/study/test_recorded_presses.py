@@ -7,12 +7,15 @@ from PIL import Image
 from benchmarks.discs import expose, scene
 from twin.errors import InputError
 from twin.sense.calibration import read_calibration
-from twin.study.calibrate import _nominal_compliance, _through_camera
-from twin.study.calibration_presses import hertz_radius
+from twin.study.calibrate import (
+    FOOTPRINT,
+    calibrate_to_file,
+    hertz_radius,
+    nominal_transfer,
+    read_presses,
+)
 from twin.study.recipe import load_scene
-from twin.study.recorded_presses import FOOTPRINT, calibrate_from_folder, read_presses
-from twin.study.sensor import Sensor
-from twin.study.sites import on_surface
+from twin.study.sensor import Sensor, on_surface
 
 HEAD = "frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\n"
 
@@ -39,10 +42,10 @@ def test_a_bad_table_is_told_by_line_and_column(tmp_path, text, words):
 
 def test_a_table_is_read(tmp_path):
     (tmp_path / "presses.csv").write_text(HEAD + "a.png, 1, 2, , 0.1, 0, 1\nb.png,1,2,0,0,0,2\n")
-    table = read_presses(tmp_path)
-    assert table.frames == ("a.png", "b.png")
-    assert np.isnan(table.place_mm[0, 2])
-    assert table.force_n.tolist() == [[0.1, 0, 1], [0, 0, 2]]
+    frames, place_mm, force_n = read_presses(tmp_path)
+    assert frames == ["a.png", "b.png"]
+    assert np.isnan(place_mm[0, 2])
+    assert force_n.tolist() == [[0.1, 0, 1], [0, 0, 2]]
 
 
 def test_the_recorded_rest_picture_gives_the_layout(tmp_path):
@@ -52,13 +55,13 @@ def test_the_recorded_rest_picture_gives_the_layout(tmp_path):
     made = {name: points + random.uniform(-1, 1, points.shape) for name, points in layout.items()}
     drawn = scene((640, 480), [(made["red"], 0), (made["blue"], 2)], 10.0)
     Image.fromarray(expose(drawn, 1)).save(tmp_path / "rest.png")
-    line = calibrate_from_folder(wanted, tmp_path, tmp_path / "c.npz")
+    line = calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
     assert "halfspace" in line
     calibration = read_calibration(tmp_path / "c.npz")
     assert np.abs(calibration.layout_px - np.concatenate(list(made.values()))).max() < 0.1
     Image.fromarray(np.full((480, 640, 3), 30, np.uint8)).save(tmp_path / "rest.png")
     with pytest.raises(InputError, match="0 of the design's"):
-        calibrate_from_folder(wanted, tmp_path, tmp_path / "c.npz")
+        calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
 
 
 @pytest.mark.slow
@@ -70,7 +73,7 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
     sensor = Sensor(wanted)
     half_mm = FOOTPRINT * hertz_radius(wanted, 3.0)
     places = on_surface(wanted.body, wanted.reconstruction.sites.chart(), half_mm, "places")
-    transfer = _through_camera(sensor, _nominal_compliance(sensor, places)) / stiffer
+    transfer = nominal_transfer(sensor, places) / stiffer
     layout, lines = sensor.layout_px, [HEAD.strip()]
     cut = len(layout["red"])
     rest = np.concatenate(list(layout.values()))
@@ -86,7 +89,7 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
             draw(name, rest + (transfer[:, 3 * place : 3 * place + 3] @ force).reshape(-1, 2), 1 + 3 * place + step)
             lines.append(",".join([name, *(f"{v:g}" for v in (*centre, *force))]))
     (tmp_path / "presses.csv").write_text("\n".join(lines) + "\n")
-    assert "sato" in calibrate_from_folder(wanted, tmp_path, tmp_path / "c.npz")
+    assert "sato" in calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
     made = read_calibration(tmp_path / "c.npz").transfer
     nominal = stiffer * transfer
     share = [float((made[:, k] @ nominal[:, k]) / (nominal[:, k] @ nominal[:, k])) for k in range(made.shape[1])]

@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -13,16 +14,23 @@ from threadpoolctl import threadpool_info
 
 from twin.errors import InputError, TwinError
 from twin.sense.track import track_frame
-from twin.show.reproduction import reproduction
-from twin.study.reproduce import runner
-from twin.study.reproduce.bench import MADE, OUR_TRACKER, Bench, sensor_hash
-from twin.study.reproduce.catalogue import ENTRIES, chosen
-from twin.study.reproduce.fields import half_space_motion
-from twin.study.reproduce.flat_picture import impulse, pillar_press
-from twin.study.reproduce.record import Outcome, Record, causes, over
-from twin.study.reproduce.runner import reproduce
+from twin.show.reproduction_page import reproduction
+from twin.study.reproduce.bench import (
+    MADE,
+    OUR_TRACKER,
+    Bench,
+    Chain,
+    Outcome,
+    Quantity,
+    Record,
+    Trial,
+    compared,
+    sensor_hash,
+)
+from twin.study.reproduce.design_limits import width_mm
+from twin.study.reproduce.flat_figures import impulse, pillar_press
+from twin.study.reproduce.reproduction_run import ENTRIES, chosen, reproduce
 from twin.study.reproduce.shifted import displaced
-from twin.study.reproduce.two_forces import trials, width_mm
 
 FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
 
@@ -37,24 +45,33 @@ FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
         (1.0, 2.0, None, {"noise": 1.1, "lens": 1.9}, "explained by: noise"),
         (1.0, 2.0, None, {"noise": 1.4, "lens": 1.9}, "partly explained by: noise"),
         (1.0, 2.0, None, {"noise": 3.0, "lens": 1.9}, "disagrees, and no modelled cause explains it"),
+        (1.0, 1.16, None, {"noise": 1.149}, "disagrees, and no modelled cause explains it"),
         (1.0, float("nan"), None, {}, "not defined in the twin"),
     ],
 )
-def test_a_record_says_whether_it_agrees(
+def test_a_records_verdict(
     paper: float | None, twin: float, spread: float | None, off: dict[str, float], said: str
 ) -> None:
-    record = Record(quantity="q", unit="px", paper=paper, twin=twin, spread=spread, explained_by=causes(off))
+    record = Record(quantity=Quantity("q", "px", paper=paper), twin=twin, spread=spread, explained_by=off)
     assert record.verdict == said
 
 
-def test_a_cause_that_was_never_far_explains_nothing() -> None:
-    record = Record(quantity="q", unit="px", paper=1.0, twin=1.16, explained_by=causes({"noise": 1.149}))
-    assert record.verdict.startswith("disagrees")
-
-
-def test_spread_is_that_of_the_runs() -> None:
-    assert over([1.0, 3.0]) == {"twin": 2.0, "spread": pytest.approx(2**0.5), "n": 2}
-    assert over([5.0])["spread"] is None
+def test_a_quantity_is_compared_over_trials_with_causes_off() -> None:
+    half = Quantity("q", "px", paper=2.0)
+    measured = {1: 2.0, 2: 6.0, 3: float("nan"), None: 3.0}
+    chain = Chain(paper="kamiyama")
+    (record,), runs, off = Bench(seed=1).compare(
+        lambda _, trial: measured[trial.seed],
+        lambda run: {half: run / 2},
+        chain,
+        {"noise": chain},
+        [Trial(seed=seed) for seed in (1, 2, 3)],
+    )
+    assert (runs[:2], off) == ([2.0, 6.0], {"noise": 3.0})
+    assert (record.twin, record.n) == (2.0, 2), "what is not defined is no run"
+    assert record.spread == pytest.approx(2**0.5)
+    assert record.row()["explained_by"] == [{"cause": "noise", "value": 1.5}]
+    assert compared([{half: 5.0}])[0].spread is None
 
 
 def test_a_displaced_picture_moves_right() -> None:
@@ -92,9 +109,9 @@ def test_the_same_seed_gives_the_same_records_and_one_sensor_each(tmp_path: Path
     assert all(wanted <= set(r) for r in records)
     assert {json.dumps(r["sensor_hash"]) for r in records} == {json.dumps({"kamiyama": sensor_hash("kamiyama")})}
     page = (tmp_path / "one" / "index.html").read_text()
-    assert page.count("data:image/png;base64,") == len(FAST)
+    assert page.count("data:image/svg+xml;base64,") == len(FAST)
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
-    assert (tmp_path / "one" / "kamiyama_fig-6.png").read_bytes().startswith(b"\x89PNG")
+    assert ElementTree.parse(tmp_path / "one" / "kamiyama_fig-6.svg").getroot().tag.endswith("svg")
 
 
 def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,7 +120,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
     def run(_: Bench) -> Outcome:
         runs.append(1)
         assert all(library["num_threads"] == 1 for library in threadpool_info()), "last digits would hang on cores"
-        return Outcome(records=(Record(quantity="q", unit="", twin=1.0),))
+        return Outcome(records=(Record(quantity=Quantity("q"), twin=1.0),))
 
     def fails(_: Bench) -> Outcome:
         raise TwinError("the probe fell off")
@@ -111,8 +128,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Monk
     entries = dict(ENTRIES)
     entries["kamiyama/fig-6"] = replace(ENTRIES["kamiyama/fig-6"], run=run)
     entries["kamiyama/fig-7"] = replace(ENTRIES["kamiyama/fig-7"], run=fails)
-    monkeypatch.setattr("twin.study.reproduce.catalogue.ENTRIES", entries)
-    monkeypatch.setattr(runner, "ENTRIES", entries)
+    monkeypatch.setattr("twin.study.reproduce.reproduction_run.ENTRIES", entries)
     done = reproduce(FAST, tmp_path)
     assert done.failed == {"kamiyama/fig-7": "the probe fell off"}
     assert "the probe fell off" in (tmp_path / "index.html").read_text()
@@ -129,11 +145,11 @@ ASKED = {
 
 
 def test_numbers_are_of_several_runs() -> None:
-    flat, finger = trials(Bench(), "kamiyama"), trials(Bench(), "sato")
+    flat, finger = Bench().trials("kamiyama"), Bench().trials("sato")
     assert len({trial.seed for trial in flat}) == MADE
     assert len({(trial.seed, trial.exposures) for trial in finger}) == MADE
     assert len({trial.seed for trial in finger}) == 1, "its calibration is of one made finger"
-    assert len(trials(Bench(quick=True), "sato")) == 1
+    assert len(Bench(quick=True).trials("sato")) == 1
 
 
 def test_an_entry_says_what_its_loads_cost_in_accuracy() -> None:
@@ -141,7 +157,7 @@ def test_an_entry_says_what_its_loads_cost_in_accuracy() -> None:
     bench.begin("kamiyama/fig-9", 0.0, 1.0)
     assert not bench.validity
     rig = bench.rig("kamiyama")
-    motion = rig.motion(rig.press(pillar_press()))
+    motion = rig.motion(rig.press(pillar_press()).load)
     assert f"up to {100 * motion.error:.2g} % of its largest off" in bench.validity
     assert "linear theory" in bench.validity
     bench.begin("kamiyama/fig-10", 0.0, 1.0)
@@ -208,7 +224,7 @@ def test_our_tracker_sees_every_marker_through_the_papers_capture_unit() -> None
 def test_a_block_that_is_a_half_space_moves_as_the_formula_says() -> None:
     rig = Bench().rig("kamiyama")
     at, load = rig.sensor.actual.markers.points, impulse(2)
-    got = half_space_motion(rig, load).displacement_mm
+    got = rig.half_space_motion(load).displacement_mm
     material, square = rig.sensor.actual.scene.material, np.arange(-1.475, 1.5, 0.05)
     spots = np.stack(np.meshgrid(square, square), axis=-1).reshape(-1, 2)
     spots = spots[np.hypot(*spots.T) < 1.5]
@@ -224,7 +240,7 @@ def test_a_block_that_is_a_half_space_moves_as_the_formula_says() -> None:
 
 
 def test_a_page_says_first_what_nothing_explains() -> None:
-    record = Record(quantity="share", unit="px", paper=1.0, twin=2.0, spread=0.1, n=3, explained_by=causes({"a": 3.0}))
+    record = Record(quantity=Quantity("share", "px", paper=1.0), twin=2.0, spread=0.1, n=3, explained_by={"a": 3.0})
     row = {"name": "kamiyama/fig-6", **record.row()}
     table = {"name": "kamiyama/fig-6", "title": "t", "source": "s", "protocol": "p", "notes": [], "records": [row]}
     page = reproduction([table], {}, {}, {}, seed=1, quick=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import MISSING, fields
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import twin
 from twin.errors import InputError
 from twin.parts.camera import Camera
-from twin.study.environment import Happened, Observation
+from twin.study.environment import Observation
 from twin.study.ros import camera_info, ros_messages
 
 CAMERA = Camera(width_px=4, height_px=3, focal_px=100, aspect=1.1, principal_px=(1.0, 2.0), pupil_mm=(0, 0, 100))
@@ -20,7 +21,7 @@ CAMERA = Camera(width_px=4, height_px=3, focal_px=100, aspect=1.1, principal_px=
 @pytest.fixture(scope="module")
 def seen() -> Observation:
     site = np.array([[1.0, 2.0, 0.0], [3.0, 4.0, 0.5]])
-    truth = Happened(
+    truth: Any = SimpleNamespace(
         marker_displacement_mm=np.zeros((1, 3)), marker_shift_px=np.zeros((1, 2)), displacement_error=0.0,
         force_n=np.zeros((2, 3)), total_force_n=np.array([0.0, 0.0, 2.0]), total_torque_nmm=np.zeros(3), state=None,
     )  # fmt: skip

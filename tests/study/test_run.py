@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import twin
 from twin.errors import RecipeError
-from twin.results import RESULT_FILES
-from twin.study.run_folder import run_to_folder
+from twin.results import RESULT_FILES, Estimate, RunResult, Truth
+from twin.study.run import run_to_folder, summary, tracking_doubt
 
 SMALL = {
     "camera.width_px": 160, "camera.height_px": 120, "camera.focal_px": 450,
@@ -47,8 +49,14 @@ def test_a_picture_without_markers_leaves_truth_and_says_why(tmp_path: Path) -> 
     assert '"force": null' in (tmp_path / "score.json").read_text()
 
 
-def test_truth_is_what_the_design_page_says() -> None:
-    truth = twin.run(twin.load_scene("kamiyama_pillar", SMALL), want={"displacement"}).truth
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    found = twin.run(twin.load_scene("kamiyama_pillar", SMALL), want={"displacement"}).truth
+    assert found is not None
+    return found
+
+
+def test_truth_is_what_the_design_page_says(truth: Truth) -> None:
     n, m = len(truth.marker_layer), len(truth.surface_mm)
     assert truth.marker_rest_mm.shape == truth.marker_displacement_mm.shape == (n, 3) == (59, 3)
     assert truth.marker_rest_px.shape == truth.marker_pressed_px.shape == (n, 2)
@@ -57,31 +65,13 @@ def test_truth_is_what_the_design_page_says() -> None:
     np.testing.assert_allclose(truth.total_force_n, [0, 0, 3], atol=1e-6)
 
 
-def test_a_push_moves_markers_outwards_and_a_shift_along_y_moves_them_up() -> None:
-    truth = twin.run(twin.load_scene("kamiyama_pillar", SMALL), want={"displacement"}).truth
+def test_a_push_moves_markers_outwards_and_a_shift_along_y_moves_them_up(truth: Truth) -> None:
     outward = np.einsum("ni,ni->n", truth.marker_rest_mm[:, :2], truth.marker_displacement_mm[:, :2])
     assert (outward[np.linalg.norm(truth.marker_rest_mm[:, :2], axis=1) > 1] > 0).all()
     sensor = twin.Sensor(twin.load_scene("kamiyama_pillar", SMALL))
     motion = sensor.motion(twin.Traction.disk((0, 0), 4, (0, 1, 0)))
     moved = sensor.project(sensor.actual.markers.points + motion.displacement_mm)
     assert (moved - sensor.project(sensor.actual.markers.points))[:, 1].max() < 0
-
-
-def test_unknown_wants_are_refused() -> None:
-    scene = twin.load_scene("block_bare")
-    with pytest.raises(RecipeError, match="unknown displacements"):
-        twin.run(scene, want="displacements")
-
-
-def test_python_mistakes_are_this_programs_errors() -> None:
-    with pytest.raises(twin.TwinError, match=r"diameter_mm = -3 mm: must be greater than"):
-        twin.Sphere(diameter_mm=-3)
-    with pytest.raises(twin.TwinError, match="frictionless"):
-        twin.Press(probe=twin.Sphere(diameter_mm=3), force_n=(0, 0, 1), friction=-0.5)
-    with pytest.raises(twin.TwinError, match="size_mm"):
-        twin.Traction.rectangle((0, 0), 4, (0, 0, 1))
-    with pytest.raises(twin.TwinError, match="force_n three"):
-        twin.Traction.disk((0, 0), 4, (0, 1))
 
 
 def test_loads_add() -> None:
@@ -106,25 +96,34 @@ def test_a_hard_press_is_told_what_linearity_costs_and_a_gentle_one_is_not(tmp_p
         scene = twin.load_scene("kamiyama_pillar", {**SMALL, "press.force_n.z": force})
         summary = run_to_folder(scene, tmp_path, {"score"})
         elastic = json.loads((tmp_path / "score.json").read_text())["elastic"]
-        assert summary.count("linear theory may be") == int(hard)
+        assert "contact error" in json.loads((tmp_path / "timings.json").read_text())
+        assert summary.count("note        linear theory may be") == int(hard)
+        assert "warning     linear" not in summary, "the study of linearity knows what this press costs"
+        assert re.search(r"^time        [\d.]+ s", summary, re.MULTILINE)
         assert (elastic["linearisation_error"] > 0.01) == hard
         assert elastic["largest_strain"] == pytest.approx(force / 3.0 * 0.05, rel=0.3)
         assert elastic["largest_turn_deg"] > 0
         assert elastic["contact_over_probe_radius"] is None
 
 
+def test_a_press_beyond_what_was_studied_is_warned_of(tmp_path: Path) -> None:
+    summary = run_to_folder(twin.load_scene("kamiyama_pillar", {**SMALL, "press.force_n.z": 6.0}), tmp_path, {"score"})
+    assert "warning     linear theory may be" in summary
+    assert "press with less force" in summary
+
+
 def test_a_press_that_stops_is_saved_and_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from twin.errors import NotSettled, SomeFailed
-    from twin.world.contact import contact
+    from twin.world.contact import pressing
 
-    real = contact.solve_frictionless
+    real = pressing.solve_frictionless
 
-    def stuck(contacts: object, control: contact.Control, *rest: object) -> object:
+    def stuck(contacts: object, control: pressing.Control, *rest: object) -> object:
         if control.given[2] > 0.6:
             raise NotSettled("contact: it does not settle")
         return real(contacts, control, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(contact, "solve_frictionless", stuck)
+    monkeypatch.setattr(pressing, "solve_frictionless", stuck)
     path = [{"force_n": {"z": 0.5}}, {"force_n": {"z": 1.0}}]
     scene = twin.load_scene("kamiyama_pillar", {**SMALL, "press.friction": 0.0, "press.steps": path})
     with pytest.raises(SomeFailed, match=r"step 2 of 2 did not converge.*does not settle"):
@@ -169,3 +168,47 @@ def test_shipped_calibrations_are_of_the_scenes_that_name_them(name: str) -> Non
     assert scene.calibration.file is not None
     with np.load(scene.calibration.file) as kept:
         assert json.loads(str(kept["provenance"]))["digest"] == sensor_digest(scene)
+
+
+TRACKING = {"sd_px": 0.01, "matched": 1.0, "markers": 200}
+FORCE = {"total_force_error": 0.055, "sites_force_error": 0.2, "centre_error_mm": 0.0315, "field_error": 0.44}
+
+
+def run_of(tracking: dict[str, Any], sites: list[float]) -> RunResult:
+    force = np.array([[0.0, 0.0, push] for push in sites])
+    estimate = Estimate(
+        marker_rest_px=np.zeros((0, 2)),
+        marker_shift_px=np.zeros((0, 2)),
+        site_mm=np.zeros((len(sites), 3)),
+        force_n=force,
+        total_force_n=np.array([0.0, 0.0, -0.045]),
+        total_torque_nmm=np.zeros(3),
+    )
+    doubt = tracking_doubt(tracking)
+    return RunResult(
+        scene_toml="",
+        estimate=estimate,
+        score={"tracking": tracking, "force": FORCE},
+        facts={"warnings": [doubt]} if doubt else {},
+        timings={"tracking": 1.0},
+    )
+
+
+def test_total_centre_and_field_are_printed() -> None:
+    text = summary(run_of(TRACKING, [0.005, -0.05]), Path("out"))
+    for figure in ("5.5 % off", "0.0315 mm off", "44 % off"):
+        assert figure in text
+    assert "sites' sum" not in text, "without bounds it is the total"
+    assert "warning" not in text
+
+
+def test_under_bounds_both_totals_are_printed() -> None:
+    text = summary(run_of(TRACKING, [0.5, 0.187]), Path("out"))
+    assert "0.687 N" in text
+    assert "-0.045 N" in text
+
+
+def test_few_markers_are_warned_of() -> None:
+    text = summary(run_of({"sd_px": None, "matched": 0.005, "markers": 200}, [-0.045]), Path("out"))
+    assert "only 1 of the 200 markers" in text
+    assert "tracking    no SD" in text

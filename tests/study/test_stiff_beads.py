@@ -9,7 +9,7 @@ import pytest
 
 import twin
 from twin.errors import RecipeError
-from twin.places import SCENES
+from twin.files import SCENES
 from twin.sense.calibration import read_calibration
 from twin.study.calibrate import sensor_digest
 from twin.study.recipe import load_scene

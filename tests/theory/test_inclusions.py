@@ -1,13 +1,12 @@
-"""Beads: Faxen and the stresslet against a rigid sphere of fundamental solutions; the point force by its laws."""
-
-from __future__ import annotations
+"""Beads: Faxen and the stresslet against a rigid sphere; the point force by its laws."""
 
 import numpy as np
 import pytest
+from standard_bodies import rectangles
 
-from twin.parts.load import Rectangles
+from benchmarks.bead_motion import bead_motion
 from twin.theory import halfspace
-from twin.theory.inclusions import bead_motion, dipole_displacement, mean_on_sphere, point_force, stiffening, stresslet
+from twin.theory.inclusions import dipole_displacement, mean_on_sphere, point_force, stresslet
 
 SHEAR = 0.4
 
@@ -33,7 +32,7 @@ def endless(points, sources, nu):
 
 
 def free_sphere(outside, radius, green, centre=(0, 0, 0)):
-    """Motion (3,) of a rigid sphere without force and torque in the field ``outside``, and its dipole (3, 3).
+    """Motion (3,) of a free rigid sphere in the field ``outside``, and its dipole (3, 3).
 
     Point forces on a smaller sphere, so that the whole field on the surface is a rigid motion.
     """
@@ -51,7 +50,7 @@ def free_sphere(outside, radius, green, centre=(0, 0, 0)):
 
 @pytest.mark.parametrize("nu", [0.2, 0.5])
 def test_sphere_moves_with_the_mean_over_its_surface(nu):
-    """u_x = z^2 + ..., bent so that it's in equilibrium: laplacian (2, 0, 0) at nu = 1/2; the sphere moves a^2/3."""
+    """u_x = z^2 + ... in equilibrium: laplacian (2, 0, 0) at nu = 1/2; it moves by a^2/3."""
 
     def bent(p):
         x, _, z = p.T
@@ -78,7 +77,7 @@ def under_surface(points, sources):
 
 
 def test_two_beads_under_a_free_surface():
-    """A bead 4 radii below the surface, another 6.6 radii from it: against the sphere solved in the other's field."""
+    """One 4 radii deep, 6.6 from the other: against the sphere solved in the other's field."""
     centres, radius = np.array([[0.0, 0.0, 1.0], [1.5, 0.6, 1.4]]), 0.25
     strain = np.array([[1.0, 0.4, 0.0], [0.4, -0.3, 0.0], [0.0, 0.0, -0.7]])
     motion = bead_motion(lambda p: p @ strain, lambda p: np.tile(strain, (len(p), 1, 1)), centres, radius, SHEAR)
@@ -91,7 +90,7 @@ def test_two_beads_under_a_free_surface():
 
 
 def test_point_force_meets_its_laws():
-    """Symmetric, no divergence, no traction on the surface, and the known half-space under a force on it."""
+    """Symmetric, no divergence, no traction on the surface; the half-space for a force on it."""
     points = np.array([[0.3, -0.8, 1.7], [2.0, 1.0, 0.4]])
     a, b = points[:1], points[1:]
     assert under_surface(a, b)[0, 0] == pytest.approx(under_surface(b, a)[0, 0].T, rel=1e-12)
@@ -104,15 +103,13 @@ def test_point_force_meets_its_laws():
     assert np.einsum("iji->j", inside) == pytest.approx(np.zeros(3), abs=1e-12)
     assert above[0, :, 2] + above[2, :, 0] == pytest.approx(np.zeros(3), abs=1e-12)
     assert above[1, :, 2] + above[2, :, 1] == pytest.approx(np.zeros(3), abs=1e-12)
-    force = Rectangles(
-        centre_mm=np.zeros((1, 3)), frames=np.eye(3)[None], half_mm=np.zeros((1, 2)), force_n=np.eye(3)[:1]
-    )
+    force = rectangles(np.zeros(3), 0.0, np.eye(3)[0])
     known = halfspace.compliance(points, force, 3 * SHEAR, 0.5).reshape(2, 3, 3)
     assert under_surface(points, np.zeros((1, 3)))[:, 0] == pytest.approx(known, rel=1e-10)
 
 
 def test_point_force_is_in_equilibrium():
-    """G laplacian(u) is the gradient of a pressure away from the force: its slopes are symmetric."""
+    """G laplacian(u) is a pressure's gradient away from the force: its slopes are symmetric."""
     source, at, step = np.array([0.2, 0.1, 1.0]), np.array([1.0, -0.4, 0.6]), 0.02
 
     def laplacian(p):
@@ -122,9 +119,3 @@ def test_point_force_is_in_equilibrium():
     sides = [(laplacian(at + step * k) - laplacian(at - step * k)) / (2 * step) for k in np.eye(3)]
     slopes = np.stack(sides, axis=-1)
     assert slopes == pytest.approx(slopes.transpose(2, 1, 0), abs=0.01 * np.abs(slopes).max())
-
-
-def test_layer_of_beads_is_stiffer():
-    phi, factor = stiffening(0.25, 1.5)
-    assert phi == pytest.approx(0.0582, abs=1e-4)
-    assert factor == pytest.approx(1.145, abs=1e-3)

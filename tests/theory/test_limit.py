@@ -1,72 +1,84 @@
-"""The design limit: rows against the half-space, determinant, scaling, and a sensor solved by brute force."""
+"""The design limit: rows against the half-space, scaling, a sensor solved by brute force.
 
-from __future__ import annotations
+The bound of a disc's centre against the Fisher information of a picture, pixel by pixel.
+"""
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import quad
-from scipy.special import j0, j1
+from scipy.special import j0, j1, ndtr
+from standard_bodies import rectangles
 
 from twin.errors import InputError
-from twin.parts.load import Rectangles
 from twin.theory import halfspace, limit
-from twin.theory.limit import Limit, design_limit, layer_rows
+from twin.theory.limit import Limit, centre_bound, design_limit, layer_rows, pixel_sd
 
 FLAT = dict(
-    depth_mm=[[3.0, 6.0]], pitch_mm=[[1.5, 1.5]], noise_mm=[[0.0025, 0.0025]], youngs_modulus_mpa=1.0,
-    poisson_ratio=0.5, force_n=3.0, radius_mm=2.5,
-)  # fmt: skip
+    depth_mm=[[3.0, 6.0]],
+    pitch_mm=[[1.5, 1.5]],
+    noise_mm=[[0.0025, 0.0025]],
+    youngs_modulus_mpa=1.0,
+    poisson_ratio=0.5,
+    force_n=3.0,
+    radius_mm=2.5,
+)
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.5])
-def test_rows_are_the_half_space(nu: float) -> None:
-    """The Hankel integral of the rows is Boussinesq's and Cerruti's point force, at a place of no symmetry."""
+def test_rows_are_the_half_space(nu):
+    """The Hankel integral of the rows is Boussinesq's and Cerruti's point force."""
     depth, r = 1.3, 0.9
     g = 1 / (2 * (1 + nu))
-    point = np.array([[r, 0.0, depth]])
-    frame = np.eye(3)[None]
+    point, across = np.array([[r, 0.0, depth]]), np.array([[0.0, r, depth]])
 
-    def moved(force: list[float], at: np.ndarray) -> np.ndarray:
-        load = Rectangles(centre_mm=np.zeros((1, 3)), frames=frame, half_mm=np.zeros((1, 2)), force_n=np.array([force]))
-        return halfspace.displacement(at, load, youngs_modulus_mpa=1.0, poisson_ratio=nu)[0]
+    def moved(force, at):
+        return halfspace.displacement(at, rectangles(np.zeros(3), 0.0, force), 1.0, nu)[0]
 
-    def hankel(f) -> float:  # type: ignore[no-untyped-def]
+    def hankel(f):
         return quad(lambda k: f(k) * k / (2 * np.pi), 1e-9, 40, limit=400)[0]
 
-    rows = lambda k: layer_rows(np.array(k), np.array(depth), np.array(g), np.array(nu))  # noqa: E731
+    def rows(k):
+        return layer_rows(*(np.array(each) for each in (k, depth, g, nu)))
+
+    def aside(k):
+        return np.exp(-k * depth) / (g * k)
+
+    def second(k):
+        return 2 * j1(k * r) / (k * r) - j0(k * r)
+
     radial = hankel(lambda k: rows(k)[1] * j1(k * r))
     assert radial == pytest.approx(moved([0, 0, 1], point)[0], rel=1e-6)
     # a shear's motion at r: half the sum of both parts with J0, half the difference with J2
-    both = hankel(lambda k: 0.5 * (rows(k)[0] + np.exp(-k * depth) / (g * k)) * j0(k * r))
-    other = hankel(lambda k: 0.5 * (rows(k)[0] - np.exp(-k * depth) / (g * k)) * (2 * j1(k * r) / (k * r) - j0(k * r)))
+    both = hankel(lambda k: 0.5 * (rows(k)[0] + aside(k)) * j0(k * r))
+    other = hankel(lambda k: 0.5 * (rows(k)[0] - aside(k)) * second(k))
     assert both - other == pytest.approx(moved([1, 0, 0], point)[0], rel=1e-6)
-    across = np.array([[0.0, r, depth]])
     assert both + other == pytest.approx(moved([1, 0, 0], across)[0], rel=1e-6)
 
 
-def test_one_layer_cannot_tell_push_from_shear() -> None:
+def test_one_layer_cannot_tell_push_from_shear():
     k, a, b, g = 0.7, 1.0, 2.5, 0.4
     (ta, na), (tb, nb) = (layer_rows(np.array(k), np.array(d), np.array(g), np.array(0.37)) for d in (a, b))
     assert ta * nb - tb * na == pytest.approx(k * (b - a) * np.exp(-k * (a + b)) / (2 * g * k) ** 2, rel=1e-12)
 
 
-def _flat(**changes: object) -> Limit:
-    return design_limit(**{**FLAT, **changes})  # type: ignore[arg-type]
+def _flat(**changes):
+    return design_limit(**{**FLAT, **changes})
 
 
-def test_lengths_scale_exactly_and_stiffness_acts_as_noise() -> None:
+def test_lengths_scale_exactly_and_stiffness_acts_as_noise():
     one = _flat()
     double = _flat(
         depth_mm=[[6.0, 12.0]], pitch_mm=[[3.0, 3.0]], noise_mm=[[0.005, 0.005]], radius_mm=5.0, force_n=12.0
     )
-    np.testing.assert_allclose(double.fwhm_normal_mm, 2 * one.fwhm_normal_mm, rtol=1e-12)
-    np.testing.assert_allclose(double.force_sd_n, 4 * one.force_sd_n, rtol=1e-12)
+    assert_allclose(double.fwhm_normal_mm, 2 * one.fwhm_normal_mm, rtol=1e-12)
+    assert_allclose(double.force_sd_n, 4 * one.force_sd_n, rtol=1e-12)
     stiff, noisy = _flat(youngs_modulus_mpa=2.0), _flat(noise_mm=[[0.005, 0.005]])
-    np.testing.assert_allclose(stiff.two_point_mm, noisy.two_point_mm, rtol=1e-12)
-    np.testing.assert_allclose(stiff.force_sd_n, 2 * one.force_sd_n, rtol=1e-12)
+    assert_allclose(stiff.two_point_mm, noisy.two_point_mm, rtol=1e-12)
+    assert_allclose(stiff.force_sd_n, 2 * one.force_sd_n, rtol=1e-12)
 
 
-def test_shallow_quiet_and_dense_is_sharper() -> None:
+def test_shallow_quiet_and_dense_is_sharper():
     noisy = {"noise_mm": [[0.03, 0.03]]}
     one = _flat(**noisy)
     for change in ({"depth_mm": [[1.5, 3.0]]}, {"noise_mm": [[0.01, 0.01]]}, {"pitch_mm": [[1.0, 1.0]]}):
@@ -75,19 +87,20 @@ def test_shallow_quiet_and_dense_is_sharper() -> None:
             assert getattr(better, name)[0] < getattr(one, name)[0], (change, name)
 
 
-def test_the_size_of_a_wide_push_is_told_better_by_deep_markers() -> None:
-    """In incompressible rubber a push moves markers sideways by z exp(-k z) / 2 G: near the surface hardly at all."""
+def test_the_size_of_a_wide_push_is_told_better_by_deep_markers():
+    """In incompressible rubber a push moves markers sideways by z exp(-k z) / 2 G."""
     assert _flat(depth_mm=[[0.3, 0.6]]).force_sd_n[0] > 2 * _flat().force_sd_n[0]
 
 
-def test_the_grid_of_waves_is_fine_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_grid_of_waves_is_fine_enough(monkeypatch):
     rng = np.random.default_rng(3)
     depth = rng.uniform(0.3, 4, 40)
     designs = {
         "depth_mm": np.column_stack([depth, depth + rng.uniform(0.5, 4, 40)]),
         "noise_mm": rng.uniform(0.005, 0.05, (40, 1)) * [1, 1],
-        "pitch_mm": np.full((40, 2), 1e-3), "youngs_modulus_mpa": rng.uniform(0.2, 2, 40),
-    }  # fmt: skip
+        "pitch_mm": np.full((40, 2), 1e-3),
+        "youngs_modulus_mpa": rng.uniform(0.2, 2, 40),
+    }
     coarse = _flat(**designs)
     k, r = np.geomspace(0.01, 90, 400), np.concatenate([[0.0], np.geomspace(0.01, 80, 400)])
     step = np.log(k[1] / k[0])
@@ -98,56 +111,44 @@ def test_the_grid_of_waves_is_fine_enough(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(limit, "_HALVES", np.array([np.interp(r / 2, r, row) for row in np.eye(len(r))]))
     fine = _flat(**designs)
     for name in Limit.__annotations__:
-        np.testing.assert_allclose(getattr(coarse, name), getattr(fine, name), rtol=0.03, err_msg=name)
+        assert_allclose(getattr(coarse, name), getattr(fine, name), rtol=0.03, err_msg=name)
 
 
-def test_pitch_sets_the_floor_of_a_shallow_design() -> None:
+def test_pitch_sets_the_floor_of_a_shallow_design():
     finger = _flat(depth_mm=[[0.5, 2.0]], pitch_mm=[[2.5, 2.5]], noise_mm=[[0.001, 0.001]])
     assert finger.fwhm_normal_mm[0] == pytest.approx(1.41 * 2.5)
 
 
-def test_a_grid_of_markers_solved_by_brute_force_has_this_width() -> None:
-    """Markers and sites on a wide grid, half-space rectangles, the same prior: an independent way to the same width."""
+def test_a_grid_of_markers_solved_by_brute_force_has_this_width():
+    """Markers and sites on a wide grid, half-space rectangles, the same prior."""
     pitch, depths, noise, force, radius = 1.0, (2.0, 4.0), 0.002, 3.0, 2.0
     across = np.arange(-12.0, 12.1, pitch)
     sites = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1).reshape(-1, 2)
-    markers = np.concatenate(
-        [np.column_stack([sites + o, np.full(len(sites), d)]) for d, o in ((2.0, 0.0), (4.0, 0.5))]
-    )
+    layers = zip(depths, (0.0, 0.5), strict=True)
+    markers = [np.column_stack([sites + off, np.full(len(sites), z)]) for z, off in layers]
+    markers = np.concatenate(markers)
     middle = int(np.argmin(np.linalg.norm(sites, axis=1)))
-    transfer = np.zeros((2 * len(markers), 3 * len(sites)))
-    for site, (x, y) in enumerate(sites):
-        load = Rectangles(
-            centre_mm=np.tile([[x, y, 0.0]], (3, 1)), frames=np.tile(np.eye(3), (3, 1, 1)),
-            half_mm=np.full((3, 2), pitch / 2), force_n=np.eye(3),
-        )  # fmt: skip
-        for axis in range(3):
-            one = Rectangles(
-                centre_mm=load.centre_mm[:1], frames=load.frames[:1], half_mm=load.half_mm[:1],
-                force_n=load.force_n[axis : axis + 1],
-            )  # fmt: skip
-            moved = halfspace.displacement(markers, one, youngs_modulus_mpa=1.0, poisson_ratio=0.5)
-            transfer[:, 3 * site + axis] = moved[:, :2].ravel()
+    on = rectangles(np.column_stack([sites, np.zeros(len(sites))]), pitch / 2, 0.0)
+    whole = halfspace.compliance(markers, on, 1.0, 0.5).reshape(len(markers), 3, -1)
+    transfer = whole[:, :2].reshape(2 * len(markers), -1)
     gram = transfer.T @ transfer / noise**2
     prior = np.eye(len(gram)) / (force**2 / (np.pi * radius**2) * pitch**2)
     known = np.linalg.solve(gram + prior, gram[:, 3 * middle + 2])[2::3]
     line = known.reshape(len(across), len(across))[:, len(across) // 2]
     fine = np.linspace(across[0], across[-1], 4001)
     above = fine[np.interp(fine, across, line) > line.max() / 2]
-    reached = design_limit(
-        depth_mm=[list(depths)], pitch_mm=[[pitch, pitch]], noise_mm=[[noise, noise]], youngs_modulus_mpa=1.0,
-        poisson_ratio=0.5, force_n=force, radius_mm=radius,
-    )  # fmt: skip
+    design = {"depth_mm": [depths], "pitch_mm": [[pitch] * 2], "noise_mm": [[noise] * 2]}
+    reached = _flat(**design, force_n=force, radius_mm=radius)
     assert np.ptp(above) == pytest.approx(reached.fwhm_normal_mm[0], rel=0.15)
 
 
-def test_bad_designs_are_refused() -> None:
+def test_bad_designs_are_refused():
     with pytest.raises(InputError, match="positive"):
         _flat(noise_mm=[[0.0, 0.001]])
 
 
-def test_pitch_and_noise_widen_together_and_alone_each_is_what_it_is() -> None:
-    """Far below the noise's width the pitch does not count; far above it the picture is a sinc's, and sinc(x) = 1/2."""
+def test_pitch_and_noise_widen_together_and_alone_each_is_what_it_is():
+    """Far below the noise's width pitch does not count; far above it the picture is a sinc's."""
     x = np.linspace(0, 1, 200_001)
     assert 2 * x[np.argmin(np.abs(np.sinc(x) - 0.5))] == pytest.approx(limit.SAMPLED, rel=1e-4)
     noise = {"sampling": "squares", "noise_mm": [[0.03, 0.03]]}
@@ -158,3 +159,39 @@ def test_pitch_and_noise_widen_together_and_alone_each_is_what_it_is() -> None:
     both = _flat(**noise).fwhm_normal_mm[0]
     alone = _flat(noise_mm=[[0.03, 0.03]], pitch_mm=[[1.5, 1.5]], sampling="floor").fwhm_normal_mm[0]
     assert alone < both < alone + 1.5 * limit.SAMPLED
+
+
+def fisher_sd(diameter, contrast, psf, noise):
+    """Return the bound from a picture of a disc: samples blurred, summed into pixels."""
+    fine, half = 8, int(diameter) + 4
+    place = (np.arange(2 * half * fine) + 0.5) / fine - half
+    disc = np.hypot(place[:, None], place[None]) <= diameter / 2
+    spread = np.arange(-6 * fine, 6 * fine + 1) / fine
+    kernel = ndtr((spread + 0.5 / fine) / psf) - ndtr((spread - 0.5 / fine) / psf)
+    blurred = np.apply_along_axis(np.convolve, 0, disc.astype(float), kernel, "same")
+    blurred = np.apply_along_axis(np.convolve, 1, blurred, kernel, "same")
+    total = 0.0
+    for phase in range(fine):  # the mean over where the disc lies on the pixels
+        slope = (np.roll(blurred, 1, axis=1) - np.roll(blurred, -1, axis=1)) * fine / 2
+        pixels = np.roll(slope, phase, axis=1).reshape(2 * half, fine, 2 * half, fine).mean(axis=(1, 3))
+        total += (contrast * pixels**2 * contrast).sum() / noise**2 / fine
+    return float(total**-0.5)
+
+
+@pytest.mark.parametrize(("diameter", "psf"), [(10.0, 0.7), (15.0, 0.7), (10.0, 1.2), (6.0, 0.6)])
+def test_the_bound_is_that_of_the_pictures_fisher_information(diameter, psf):
+    numeric = fisher_sd(diameter, 150.0, psf, 1.5)
+    assert float(centre_bound(np.array(diameter), 150.0, psf, 1.5)) == pytest.approx(numeric, rel=0.03)
+
+
+def test_more_light_less_blur_and_wider_markers_tell_more():
+    base = float(centre_bound(np.array(10.0), 100.0, 0.7, 1.0))
+    assert float(centre_bound(np.array(20.0), 100.0, 0.7, 1.0)) == pytest.approx(base / np.sqrt(2))
+    assert float(centre_bound(np.array(10.0), 200.0, 0.7, 1.0)) == pytest.approx(base / 2)
+    assert float(centre_bound(np.array(10.0), 100.0, 1.4, 1.0)) > 1.3 * base
+
+
+def test_a_pixels_noise_is_shot_read_and_rounding_noise():
+    electrons_per_count = 20000 / 255
+    wanted = np.sqrt((110 * electrons_per_count + 12**2) / electrons_per_count**2 + 1 / 12)
+    assert pixel_sd(110.0, 255.0, 20000.0, 12.0) == pytest.approx(wanted)

@@ -1,6 +1,4 @@
-"""Strain and turn of known gradients; the law of linearity's cost against a closed form and against the study."""
-
-from __future__ import annotations
+"""Strain and turn of known gradients; the law of linearity's cost against the study."""
 
 import math
 
@@ -8,35 +6,35 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from benchmarks.validity_page import expected, stored_rows
-from twin.theory.linearity import largest_strain_and_turn, law_of
+from benchmarks.pages import law_error, stored
+from twin.theory.linearity import KNOWN_RADIUS, largest_strain_and_turn, law_of
 
 PROBES = ("sphere", "cylinder", "pillar")
 
 
-def test_a_turn_strains_nothing_and_is_found_about_any_axis() -> None:
+def test_a_turn_strains_nothing_and_is_found_about_any_axis():
     axis = np.array([1.0, -2.0, 2.0]) / 3.0
     spin = 0.02 * np.cross(np.eye(3), axis)
     assert largest_strain_and_turn(spin[None]) == pytest.approx((0.0, math.degrees(0.02)), abs=1e-12)
 
 
-def test_largest_principal_strain_counts_whatever_its_sign_and_frame() -> None:
+def test_largest_principal_strain_counts_whatever_its_sign_and_frame():
     turned = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     squeezed = turned @ np.diag([0.05, 0.07, -0.12]) @ turned.T
     assert largest_strain_and_turn(np.stack([0.5 * squeezed, squeezed])) == pytest.approx((0.12, 0.0), abs=1e-6)
 
 
-def test_simple_shear_is_half_strain_and_half_turn() -> None:
+def test_simple_shear_is_half_strain_and_half_turn():
     shear = np.zeros((1, 3, 3))
     shear[0, 0, 2] = 0.1
     assert largest_strain_and_turn(shear) == pytest.approx((0.05, math.degrees(0.05)))
     assert largest_strain_and_turn(np.zeros((0, 3, 3))) == (0.0, 0.0)
 
 
-def test_a_press_costs_less_than_a_bar_that_is_strained_all_over() -> None:
-    """Neo-Hookean bar under dead compression s E: s = (1/l^2 - l)/3, of which linear theory makes 1 - l = s."""
+def test_a_press_costs_less_than_a_bar_that_is_strained_all_over():
+    """Neo-Hookean bar under dead compression s E: s = (1/l^2 - l)/3; linear theory: 1 - l = s."""
 
-    def error(s: float) -> float:
+    def error(s):
         stretch = brentq(lambda x: (1 / x**2 - x) / 3 - s, 0.5, 1.0)
         return abs(s - (1 - stretch)) / (1 - stretch)
 
@@ -45,11 +43,16 @@ def test_a_press_costs_less_than_a_bar_that_is_strained_all_over() -> None:
         assert all(0 < law_of(probe, sheared=sheared).factor < 1 for sheared in (True, False))
 
 
-def test_law_is_on_the_safe_side_of_every_press_of_the_study_and_not_far() -> None:
-    rows = [row for row in stored_rows() if "mean_strain" in row]
+def test_law_is_on_the_safe_side_of_every_press_of_the_study_and_not_far():
+    rows = [row for row in stored("validity") if "mean_strain" in row]
     assert {row["contact_over_probe_radius"] is None for row in rows} == {True, False}
     for row in rows:
-        assert row["error_max"] <= expected(row), (row["case"], row["level"])
+        assert row["error_max"] <= law_error(row), (row["case"], row["level"])
     for flat, sheared in ((True, False), (True, True), (False, False), (False, True)):
         same = [r for r in rows if (r["contact_over_probe_radius"] is None, r["shear_n"] > 0) == (flat, sheared)]
-        assert max(r["error_max"] / expected(r) for r in same) > 0.8, "the factor is larger than the study says"
+        assert max(r["error_max"] / law_error(r) for r in same) > 0.8, "the factor is larger than the study says"
+
+
+def test_the_largest_contact_of_a_sphere_that_is_called_known_is_in_the_study():
+    widest = max(row["contact_over_probe_radius"] or 0.0 for row in stored("validity") if "mean_strain" in row)
+    assert pytest.approx(widest, abs=0.005) == KNOWN_RADIUS

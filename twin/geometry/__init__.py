@@ -1,1 +1,3 @@
-"""Closed triangulated surfaces: reading, checking, and measuring distances. Knows nothing of sensors or elasticity."""
+"""Closed triangulated surfaces: reading, checking, and measuring distances. Knows nothing of
+sensors or elasticity.
+"""

@@ -1,21 +1,180 @@
-"""From loose triangles to one closed, outward wound surface, or a refusal that says what is wrong with it.
+"""Read STL files (binary or text), and make a closed, outward wound surface of one.
 
-Why refuse and not repair: a repaired surface encloses another body than the user drew, and nobody is told.
+Nothing in a file is trusted: the size is compared with the declared count before anything is read,
+text is counted before any number in it is parsed, and every number is checked. An open or wrongly
+wound surface raises an error that names the fault. It is not repaired, because a repaired surface
+may enclose another body than the user drew.
 
-Validity: a surface that passes may still cut through itself; the mesher's volume check catches what that spoils.
+Validity: a surface that passes may still intersect itself; the mesher's check of the volume finds
+that.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from twin.arrays import Floats, Ints, Points, frozen
 from twin.errors import InputError
-from twin.geometry.stl import read_triangles
+
+MOST_TRIANGLES = 400_000
+"""Triangles in a file at most: a body's smooth field sees no more detail than a few thousand."""
+
+_HEADER, _RECORD = 84, 50
+_MOST_TEXT_BYTES = 400 * MOST_TRIANGLES
+_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)")
+
+_STARTS = (
+    ("a PLY file", rb"ply\s"),
+    ("an OFF file", rb"C?OFF\s"),
+    ("a STEP file", rb"ISO-10303"),
+    ("a 3MF or another zip file", rb"PK\x03\x04"),
+    (
+        "an OBJ file",
+        rb"(#[^\n]*\n\s*)*(mtllib|o|g|v|vn|vt|s)\s[^\n]*\n\s*(#|mtllib|usemtl|o|g|v|vn|vt|f|s)\s",
+    ),
+)
+"""How files of other formats start."""
+
+_ENDINGS = {
+    ".obj": "an OBJ file",
+    ".ply": "a PLY file",
+    ".off": "an OFF file",
+    ".step": "a STEP file",
+    ".stp": "a STEP file",
+    ".iges": "an IGES file",
+    ".igs": "an IGES file",
+    ".3mf": "a 3MF or another zip file",
+}
+
+_CONVERTED = ("an OBJ file", "a PLY file", "an OFF file")
+"""Formats that trimesh, which this program brings along, converts."""
+
+
+def read_triangles(path: Path) -> Floats:
+    """Return the (m, 3, 3) corners of every triangle of an STL file, in the file's unit (mm for
+    this program).
+
+    Raises
+    ------
+    InputError
+        The file is missing, truncated, longer than its header states, too large, no STL, or its
+        numbers are not finite.
+    """
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, 2)
+            file.seek(0)
+            head = file.read(_HEADER)
+            file.seek(0)
+            count = int.from_bytes(head[80:84], "little") if len(head) == _HEADER else 0
+            text = _is_text(head, size, count)
+            _refuse_others(path, head)
+            if not text:
+                _refuse_wrong_size(path, head, size, count)
+            elif size > _MOST_TEXT_BYTES:
+                raise InputError(
+                    f"{path.name}: {size} bytes of text (allowed: {_MOST_TEXT_BYTES}); export it "
+                    "as binary, or coarser"
+                )
+            data = file.read(size)
+    except OSError as problem:
+        raise InputError(
+            f"{path.name}: can't be read ({problem.strerror}); check the path"
+        ) from None
+    corners = _from_text(path, data) if text else _from_binary(data, count)
+    _refuse_count(path, len(corners))
+    bad = ~np.isfinite(corners).all(axis=(1, 2))
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise InputError(
+            f"{path.name}: {int(bad.sum())} of {len(corners)} triangles have corners that are not "
+            f"finite, the first is number {first}; export the file again"
+        )
+    return corners
+
+
+def _is_text(head: bytes, size: int, count: int) -> bool:
+    """Tell a text file; binary ones may start with the word solid too, so a size that fits a binary
+    file decides."""
+    return (
+        size != _HEADER + _RECORD * count
+        and head.lstrip()[:5].lower() == b"solid"
+        and b"\0" not in head
+    )
+
+
+def _refuse_others(path: Path, head: bytes) -> None:
+    """Refuse what is known to be of another format, with the way to convert it."""
+    kind = next(
+        (name for name, start in _STARTS if re.match(start, head.lstrip(), re.IGNORECASE)), None
+    )
+    kind = kind or _ENDINGS.get(path.suffix.lower())
+    if kind is None:
+        return
+    way = "export an STL file, in mm, from the program that made it"
+    if kind in _CONVERTED:
+        made = path.with_suffix(".stl").name
+        way = (
+            'convert it once, in its folder: python -c "import trimesh; '
+            f"trimesh.load('{path.name}', force='mesh').export('{made}')\", and name {made}"
+        )
+    raise InputError(f"{path.name}: is {kind}, but an STL file is needed; {way}")
+
+
+def _refuse_wrong_size(path: Path, head: bytes, size: int, count: int) -> None:
+    if len(head) < _HEADER:
+        raise InputError(
+            f"{path.name}: {size} bytes are no STL file (allowed: at least {_HEADER}); export it "
+            "again"
+        )
+    wanted = _HEADER + _RECORD * count
+    if size != wanted:
+        raise InputError(
+            f"{path.name}: declares {count} triangles, which take {wanted} bytes, but has {size}; "
+            "the file is truncated or no STL: export it again"
+        )
+    _refuse_count(path, count)
+
+
+def _refuse_count(path: Path, count: int) -> None:
+    if not 4 <= count <= MOST_TRIANGLES:
+        raise InputError(
+            f"{path.name}: {count} triangles (allowed: 4 to {MOST_TRIANGLES}); export the whole "
+            "body" + (", coarser" if count > 4 else "")
+        )
+
+
+def _from_binary(data: bytes, count: int) -> Floats:
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    return np.frombuffer(data, record, count, _HEADER)["corners"].astype(np.float64)
+
+
+def _from_text(path: Path, data: bytes) -> Floats:
+    facets = data.count(b"endfacet")
+    if facets > MOST_TRIANGLES:
+        _refuse_count(path, facets)
+    corners = sum(1 for _ in islice(_VERTEX.finditer(data), 3 * facets + 1))
+    if corners != 3 * facets or b"endsolid" not in data:
+        many = "more than " * (corners > 3 * facets)
+        raise InputError(
+            f"{path.name}: {many}{min(corners, 3 * facets)} corners for {facets} whole "
+            f"triangles{'' if b'endsolid' in data else ' and no endsolid'}; the text is truncated "
+            "or no STL: export it again"
+        )
+    numbers = (float(number) for corner in _VERTEX.finditer(data) for number in corner.groups())
+    try:
+        return np.fromiter(numbers, np.float64, 9 * facets).reshape(-1, 3, 3)
+    except ValueError as problem:
+        raise InputError(
+            f"{path.name}: a corner is no number ({problem}); export it again"
+        ) from None
+
 
 SIZE_MM = (5.0, 500.0)
 """Allowed longest side of the box around a body, mm."""
@@ -24,10 +183,15 @@ PROBE_SIZE_MM = (0.1, 1000.0)
 """Allowed longest side of the box around a probe, mm."""
 
 THINNEST_MM = 0.5
-"""Least mean thickness of a body, twice the volume over the surface, mm; of a probe less by its smaller least size."""
+"""Least mean thickness of a body, twice the volume over the surface, mm; of a probe less by its
+smaller least size."""
+
+FLAT = 1e-6
+"""A piece is a plane if its corners are nearer to one than this share of the box's diagonal."""
 
 _WELD = 1e-6
-"""Corners nearer than this share of the box's diagonal are one, where exact equality leaves the surface open."""
+"""Corners nearer than this share of the box's diagonal are one, where exact equality leaves the
+surface open."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +225,9 @@ def read_surface(file: str, size_mm: tuple[float, float] = SIZE_MM) -> Surface:
     try:
         state = path.stat()
     except OSError as problem:
-        raise InputError(f"{path.name}: can't be read ({problem.strerror}); check the path") from None
+        raise InputError(
+            f"{path.name}: can't be read ({problem.strerror}); check the path"
+        ) from None
     return _read_once(file, size_mm, state.st_mtime_ns, state.st_size)
 
 
@@ -77,18 +243,20 @@ def closed_surface(corners: Floats, name: str, size_mm: tuple[float, float] = SI
     Raises
     ------
     InputError
-        The surface is too small, too large, open, wound both ways or inwards, in several parts, or too thin. ``name``
-        says in the message whose surface it is.
+        The surface is too small, too large, open, wound both ways or inwards, in several parts, or
+        too thin. ``name`` is the surface's name in the message.
     """
     size = float(np.max(np.ptp(corners.reshape(-1, 3), axis=0)))
     if not size_mm[0] <= size <= size_mm[1]:
         raise InputError(
-            f"{name}: the longest side is {size:.6g} mm (allowed: {size_mm[0]:g} to {size_mm[1]:g} mm); STL files "
-            "carry no unit: export it in millimetres"
+            f"{name}: the longest side is {size:.6g} mm (allowed: {size_mm[0]:g} to {size_mm[1]:g} "
+            "mm); STL files carry no unit: export it in millimetres"
         )
     vertices, triangles = _welded(corners, 0.0)
     if len(_open_edges(triangles)):
-        vertices, triangles = _welded(corners, _WELD * float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))))
+        vertices, triangles = _welded(
+            corners, _WELD * float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)))
+        )
     _refuse_open(vertices, triangles, name)
     _refuse_parts(vertices, triangles, name)
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
@@ -98,34 +266,37 @@ def closed_surface(corners: Floats, name: str, size_mm: tuple[float, float] = SI
     if flat.any():
         x, y, z = a[np.argmax(flat)]
         raise InputError(
-            f"{name}: {int(flat.sum())} triangles have no area, the first at ({x:.4g}, {y:.4g}, {z:.4g}) mm; clean the "
-            "surface (merge needles) and export it anew"
+            f"{name}: {int(flat.sum())} triangles have no area, the first at ({x:.4g}, {y:.4g}, "
+            f"{z:.4g}) mm; clean the surface (merge needles) and export it again"
         )
     volume = float(np.einsum("ij,ij->", np.cross(a, b), c)) / 6.0
     if volume < 0.0:
         raise InputError(
-            f"{name}: the triangles are wound inwards (volume {volume:.4g} mm3, allowed: above 0); flip the normals "
-            "and export it anew"
+            f"{name}: the triangles are wound inwards (volume {volume:.4g} mm3, allowed: above 0); "
+            "flip the normals and export it again"
         )
     thickness = 4.0 * volume / float(double_area.sum())
     thinnest = THINNEST_MM * size_mm[0] / SIZE_MM[0]
     if thickness < thinnest:
         raise InputError(
-            f"{name}: the mean thickness (twice the volume over the surface) is {thickness:.3g} mm (allowed: at least "
-            f"{thinnest:g} mm); a shell is no body: close it into a solid one"
+            f"{name}: the mean thickness (twice the volume over the surface) is {thickness:.3g} mm "
+            f"(allowed: at least {thinnest:g} mm); a shell is no body: close it into a solid one"
         )
     return Surface(vertices=frozen(vertices), triangles=frozen(triangles), volume_mm3=volume)
 
 
 def _welded(corners: Floats, distance_mm: float) -> tuple[Points, Ints]:
-    """Return vertices and triangles, corners nearer than a distance being one, collapsed triangles left out."""
+    """Return vertices and triangles, corners nearer than a distance being one, collapsed triangles
+    left out."""
     # + 0.0 makes -0.0 and 0.0 the same bits
     vertices, number = np.unique(corners.reshape(-1, 3) + 0.0, axis=0, return_inverse=True)
     if distance_mm:
         from scipy.sparse.csgraph import connected_components
         from scipy.spatial import cKDTree
 
-        near = cKDTree(vertices).sparse_distance_matrix(cKDTree(vertices), distance_mm, output_type="coo_matrix")
+        near = cKDTree(vertices).sparse_distance_matrix(
+            cKDTree(vertices), distance_mm, output_type="coo_matrix"
+        )
         near.data[:] = 1.0
         _, group = connected_components(near, directed=False)
         _, first = np.unique(group, return_index=True)
@@ -141,7 +312,9 @@ def _directed_edges(triangles: Ints) -> Ints:
 
 def _open_edges(triangles: Ints) -> Ints:
     """Return the (e, 2) edges that don't belong to exactly two triangles."""
-    edges, count = np.unique(np.sort(_directed_edges(triangles), axis=1), axis=0, return_counts=True)
+    edges, count = np.unique(
+        np.sort(_directed_edges(triangles), axis=1), axis=0, return_counts=True
+    )
     return np.asarray(edges[count != 2])
 
 
@@ -150,15 +323,17 @@ def _refuse_open(vertices: Points, triangles: Ints, name: str) -> None:
     if len(edges) or len(triangles) < 4:
         place = vertices[edges[0]].mean(axis=0) if len(edges) else np.zeros(3)
         raise InputError(
-            f"{name}: the surface is not watertight: {len(edges)} edges do not belong to exactly two triangles, the "
-            f"first at ({', '.join(f'{c:.4g}' for c in place)}) mm; mend the holes and export it anew"
+            f"{name}: the surface is not watertight: {len(edges)} edges do not belong to exactly "
+            f"two triangles, the first at ({', '.join(f'{c:.4g}' for c in place)}) mm; mend the "
+            "holes and export it again"
         )
     ways, count = np.unique(_directed_edges(triangles), axis=0, return_counts=True)
     if (count != 1).any():
         place = vertices[ways[np.argmax(count)]].mean(axis=0)
         raise InputError(
-            f"{name}: {int(np.sum(count - 1))} neighbouring triangles are wound against each other, the first at "
-            f"({', '.join(f'{c:.4g}' for c in place)}) mm; make the normals consistent and export it anew"
+            f"{name}: {int(np.sum(count - 1))} neighbouring triangles are wound against each "
+            f"other, the first at ({', '.join(f'{c:.4g}' for c in place)}) mm; make the normals "
+            "consistent and export it again"
         )
 
 
@@ -172,6 +347,6 @@ def _refuse_parts(vertices: Points, triangles: Ints, name: str) -> None:
     if parts != 1:
         smallest = np.bincount(of_vertex[triangles[:, 0]]).min()
         raise InputError(
-            f"{name}: {parts} separate surfaces, the smallest of {smallest} triangles (allowed: 1 body without "
-            "hollows); join the bodies, or export one"
+            f"{name}: {parts} separate surfaces, the smallest of {smallest} triangles (allowed: 1 "
+            "body without hollows); join the bodies, or export one"
         )

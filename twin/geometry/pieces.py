@@ -1,34 +1,154 @@
 """Level sets of a triangulated surface: signed distances to its pieces, and their gradients.
 
-Why pieces: meshes are snapped to one smooth piece at a time, and to the edges where two meet. Beyond its own border a
-piece goes on in the plane of its last triangle, as the plane or sphere of a parametric body does; without that, points
-near a sharp edge would be drawn along the edge's rounding instead of onto both pieces. In a body with dents such a
-plane may cut through the body's other parts, so inside it the plain distance is taken.
+Meshes are snapped to one smooth piece at a time, and to the edges where two meet. Beyond its own
+border a piece continues in the plane of its last triangle, as the plane or sphere of a parametric
+body does; otherwise points near a sharp edge would be drawn along the edge's rounding. In a body
+with dents such a plane may cut through other parts, so inside it the plain distance is taken.
 
-The side of the surface comes from normals averaged by angle over the nearest corner or edge (J. A. Baerentzen, H.
-Aanaes, 2005), which is right for every closed surface.
+The side of the surface follows from normals averaged by angle over the nearest corner or edge (J.
+A. Baerentzen, H. Aanaes, 2005), which is right for every closed surface.
 
-Validity: distances are those to the triangles, exactly. A curved surface cut into triangles of edge h lies up to
-h^2 / (8 R) beside the one that was drawn (R its radius of curvature), and its normals are off by up to h / (2 R).
+Validity: distances are those to the triangles, exactly. A curved surface cut into triangles of edge
+h lies up to h^2 / (8 R) from the drawn one (R its radius of curvature), and its normals are off by
+up to h / (2 R).
 """
 
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points, frozen
-from twin.geometry.closed import Surface
-from twin.geometry.nearest import FACE, BoxTree, box_tree, first_from_below, nearest
+from twin.geometry.closed import FLAT, Surface
 
-FLAT = 1e-6
-"""A piece is a plane if its corners are nearer to one than this share of the box's diagonal."""
-
-DENT = 1e-5
-"""A body is convex if its hull holds at most this share more than itself: corners in a file are rounded."""
+FACE = 0
+"""Feature of a triangle's nearest place that lies on its face."""
 
 _TOUCHING_MM = 1e-9
+_PARALLEL = 1e-12
+
+
+class TriangleTree:
+    """Searches among triangles (m, 3, 3), by VTK's static cell locator."""
+
+    def __init__(self, corners: Floats) -> None:
+        from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
+        from vtkmodules.vtkCommonCore import vtkPoints
+        from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData, vtkStaticCellLocator
+
+        self._corners = np.ascontiguousarray(corners, np.float64)
+        points = vtkPoints()
+        points.SetDataTypeToDouble()
+        points.SetData(numpy_to_vtk(self._corners.reshape(-1, 3)))  # type: ignore[no-untyped-call]
+        cells = vtkCellArray()
+        order = np.arange(3 * len(corners))
+        numbers = numpy_to_vtkIdTypeArray(order, deep=True)  # type: ignore[no-untyped-call]
+        cells.SetData(3, numbers)
+        mesh = vtkPolyData()
+        mesh.SetPoints(points)
+        mesh.SetPolys(cells)
+        self._middle = (self._corners.min(axis=(0, 1)) + self._corners.max(axis=(0, 1))) / 2.0
+        self._radius = 1.0 + float(np.linalg.norm(self._corners - self._middle, axis=2).max())
+        self._locator: Any = vtkStaticCellLocator()
+        self._locator.SetDataSet(mesh)
+        self._locator.BuildLocator()
+
+    def nearest(self, points: Points) -> tuple[Ints, Points, Ints]:
+        """Return for (n, 3) points the nearest triangle (n,), the nearest place (n, 3) and its
+        feature (n,): 0 the triangle's face, 1 to 3 its corners, 4 to 6 its edges 01, 12, 20."""
+        from vtkmodules.vtkCommonCore import reference
+        from vtkmodules.vtkCommonDataModel import vtkGenericCell
+
+        place = [0.0, 0.0, 0.0]
+        cell = vtkGenericCell()
+        found: Any = reference(0)
+        part, squared = reference(0), reference(0.0)
+        triangle = np.empty(len(points), np.int64)
+        for row, point in enumerate(np.asarray(points, float).tolist()):
+            self._locator.FindClosestPoint(point, place, cell, found, part, squared)
+            triangle[row] = found.get()
+        return triangle, *_onto_triangles(np.asarray(points, float), self._corners[triangle])
+
+    def first_along(self, points: Points, along: Floats) -> tuple[Ints, Floats]:
+        """Return the triangle (n,) that whole lines through (n, 3) points along (n, 3) meet first,
+        -1 for none, and how many times ``along`` from the point (n,), which may be negative; inf
+        for none."""
+        from vtkmodules.vtkCommonCore import reference, vtkIdList, vtkPoints
+
+        points, along = np.asarray(points, float), np.asarray(along, float)
+        length = np.linalg.norm(along, axis=1)
+        unit = along / length[:, None]
+        # The piece of each line within a ball around all triangles.
+        ahead = np.einsum("ni,ni->n", self._middle - points, unit)[:, None]
+        starts = points + (ahead - self._radius) * unit
+        ends = points + (ahead + self._radius) * unit
+        found: Any = reference(0)
+        share, part = reference(0.0), reference(0)
+        place, local = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+        triangle = np.full(len(points), -1)
+        room = _TOUCHING_MM * self._radius
+        for row, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+            if self._locator.IntersectWithLine(start, end, room, share, place, local, part, found):
+                triangle[row] = found.get()
+        times = self._times(triangle, points, along)
+        for row in np.flatnonzero((triangle >= 0) & np.isinf(times)).tolist():
+            # A triangle that the line lies in is no place to enter: take the first of the others.
+            others = vtkIdList()
+            self._locator.IntersectWithLine(starts[row], ends[row], room, vtkPoints(), others)
+            crossed = [others.GetId(k) for k in range(others.GetNumberOfIds())] + [-1]
+            entered = self._times(np.array(crossed), points[row], along[row])
+            first = int(np.argmin(entered))
+            triangle[row] = crossed[first] if np.isfinite(entered[first]) else -1
+            times[row] = entered[first]
+        return triangle, times
+
+    def _times(self, triangle: Ints, points: Points, along: Floats) -> Floats:
+        """Return how many times ``along`` lines lie from the planes of triangles; inf where
+        parallel, or of no triangle."""
+        a, b, c = (self._corners[triangle, k] for k in range(3))
+        normal = np.cross(b - a, c - a)
+        slope = np.sum(normal * along, axis=-1)
+        steep = np.linalg.norm(normal, axis=-1) * np.linalg.norm(along, axis=-1)
+        met = (triangle >= 0) & (np.abs(slope) > _PARALLEL * steep)
+        height = np.sum(normal * (a - points), axis=-1)
+        return np.where(met, height / np.where(met, slope, 1.0), np.inf)
+
+
+def _onto_triangles(points: Points, corners: Floats) -> tuple[Points, Ints]:
+    """Return the nearest places (n, 3) of triangles (n, 3, 3), and their features (n,), by the
+    signs of barycentric coordinates (C. Ericson, Real-Time Collision Detection (2005), 5.1.5)."""
+    a, b, c = corners.transpose(1, 0, 2)
+    ab, ac = b - a, c - a
+
+    def dots(origin: Points) -> tuple[Floats, Floats]:
+        away = points - origin
+        return np.einsum("ni,ni->n", ab, away), np.einsum("ni,ni->n", ac, away)
+
+    (d1, d2), (d3, d4), (d5, d6) = dots(a), dots(b), dots(c)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    conditions = [
+        (d1 <= 0.0) & (d2 <= 0.0),
+        (d3 >= 0.0) & (d4 <= d3),
+        (vc <= 0.0) & (d1 >= 0.0) & (d3 <= 0.0),
+        (d6 >= 0.0) & (d5 <= d6),
+        (vb <= 0.0) & (d2 >= 0.0) & (d6 <= 0.0),
+        (va <= 0.0) & (d4 >= d3) & (d5 >= d6),
+    ]
+    feature = np.select(conditions, [1, 2, 4, 3, 6, 5], FACE)
+    zero, one = np.zeros(len(points)), np.ones(len(points))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        on_ab, on_ac = d1 / (d1 - d3), d2 / (d2 - d6)
+        on_bc = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = np.select(conditions, [zero, one, on_ab, zero, zero, 1.0 - on_bc], vb / (va + vb + vc))
+        w = np.select(conditions, [zero, zero, zero, one, on_ac, on_bc], vc / (va + vb + vc))
+    return a + v[:, None] * ab + w[:, None] * ac, feature
+
+
+DENT = 1e-5
+"""A body is convex if its hull holds at most this share more than itself: corners in a file are
+rounded."""
 
 
 class Pieces:
@@ -47,7 +167,7 @@ class Pieces:
         self.piece = frozen(np.asarray(piece, np.int64))
         self.count = int(self.piece.max()) + 1
         self._corners = frozen(surface.vertices[surface.triangles])
-        self._outward, self._border = feature_normals(surface.triangles, self._corners, self.piece)
+        self._outward, self._border = _feature_normals(surface.triangles, self._corners, self.piece)
         self._asked: tuple[Points, Floats, Floats] | None = None
 
     @cached_property
@@ -72,7 +192,9 @@ class Pieces:
         room = FLAT * float(np.linalg.norm(np.ptp(self.surface.vertices, axis=0)))
         for k in range(self.count):
             corners = self._corners[self.piece == k]
-            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(
+                axis=0
+            )
             length = float(np.linalg.norm(normal))
             if length == 0.0:
                 continue
@@ -82,18 +204,18 @@ class Pieces:
         return found
 
     @cached_property
-    def _trees(self) -> list[tuple[Ints, BoxTree]]:
+    def _trees(self) -> list[tuple[Ints, TriangleTree]]:
         of_piece = [np.flatnonzero(self.piece == k) for k in range(self.count)]
-        return [(own, box_tree(self._corners[own])) for own in of_piece]
+        return [(own, TriangleTree(self._corners[own])) for own in of_piece]
 
     @cached_property
-    def _tree(self) -> BoxTree:
-        return box_tree(self._corners)
+    def _tree(self) -> TriangleTree:
+        return TriangleTree(self._corners)
 
     def distances_and_normals(self, points: Points) -> tuple[Floats, Floats]:
         """Return (n, pieces) distances in mm, positive inside, and their (n, pieces, 3) gradients.
 
-        The latest answer is kept, because distances and normals are mostly asked for in turn.
+        The latest result is kept, because distances and normals are mostly asked for in turn.
         """
         points = np.ascontiguousarray(points, np.float64)
         if self._asked is not None and np.array_equal(self._asked[0], points):
@@ -113,7 +235,7 @@ class Pieces:
                 distance[:, k], normal[:, k] = (points - origin) @ inward, inward
                 continue
             own, tree = self._trees[k]
-            triangle, foot, feature = nearest(tree, points)
+            triangle, foot, feature = tree.nearest(points)
             triangle = own[triangle]
             away = points - foot
             plain[:, k] = np.linalg.norm(away, axis=1)
@@ -133,25 +255,52 @@ class Pieces:
             depth = np.where(within[row, first], 1.0, -1.0) * plain[row, first]
             far_away = (depth[:, None] > _TOUCHING_MM) | (distance < depth[:, None] - _TOUCHING_MM)
             distance = np.where(far_away, plain, distance)
-            normal = np.where(far_away[:, :, None] & (plain > _TOUCHING_MM)[:, :, None], towards, normal)
+            normal = np.where(
+                far_away[:, :, None] & (plain > _TOUCHING_MM)[:, :, None], towards, normal
+            )
         return distance, normal
 
+    def nearest_triangles(self, points: Points, piece: Ints) -> Ints:
+        """Return (n,) the triangle of the piece (n,) that is nearest to each of (n, 3) points."""
+        found = np.zeros(len(points), np.int64)
+        for k in np.unique(piece):
+            own, tree = self._trees[k]
+            found[piece == k] = own[tree.nearest(points[piece == k])[0]]
+        return found
+
     def from_below(self, xy: Floats, preferred: int = 0) -> tuple[Ints, Points]:
-        """Return the piece (n,) met first by rays along +z at (n, 2) places, -1 for none, and the places (n, 3)."""
-        xy = np.asarray(xy, np.float64)
-        triangle, z = first_from_below(self._tree, xy, self.piece == preferred)
-        return np.where(triangle >= 0, self.piece[triangle], -1), np.column_stack([xy, z])
+        """Return the piece (n,) met first by rays along +z at (n, 2) places, -1 for none, and the
+        places (n, 3)."""
+        points = np.column_stack([xy, np.zeros(len(xy))])
+        up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+        triangle, z = self._tree.first_along(points, up)
+        met = triangle >= 0
+        # Where two pieces are met at one height, at their common edge, the preferred one counts.
+        ties = np.flatnonzero(met & (self.piece[triangle] != preferred))
+        if len(ties):
+            own, tree = self._trees[preferred]
+            found, height = tree.first_along(points[ties], up[ties])
+            same = (found >= 0) & (height <= z[ties] + _TOUCHING_MM)
+            triangle[ties[same]] = own[found[same]]
+        points[:, 2] = np.where(met, z, np.nan)
+        return np.where(met, self.piece[triangle], -1), points
 
     def edges(self, chosen: Bools) -> Points:
-        """Return the (e, 2, 3) ends of the edges between the ``chosen`` (pieces,) pieces and the others."""
+        """Return the (e, 2, 3) ends of the edges between the ``chosen`` (pieces,) pieces and the
+        others."""
         own = chosen[self.piece]
         others = {(int(b), int(a)) for a, b in _sides(self.surface.triangles[~own])}
-        shared = [(int(a), int(b)) for a, b in _sides(self.surface.triangles[own]) if (int(a), int(b)) in others]
+        shared = [
+            (int(a), int(b))
+            for a, b in _sides(self.surface.triangles[own])
+            if (int(a), int(b)) in others
+        ]
         return np.asarray(self.surface.vertices[np.array(shared, np.int64).reshape(-1, 2)])
 
     def dents(self, crease_deg: float) -> Points:
-        """Return the (e, 2, 3) ends of the edges at which the surface is folded inwards by more than ``crease_deg``."""
-        face, across = self._outward[:, FACE], neighbours(self.surface.triangles)
+        """Return the (e, 2, 3) ends of the edges at which the surface is folded inwards by more
+        than ``crease_deg``."""
+        face, across = self._outward[:, FACE], _neighbours(self.surface.triangles)
         own, side = np.meshgrid(np.arange(len(face)), np.arange(3), indexing="ij")
         other = across[own, side]
         ends = np.stack([self._corners[own, side], self._corners[own, (side + 1) % 3]], axis=2)
@@ -166,29 +315,47 @@ def _sides(triangles: Ints) -> Ints:
     return triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
 
 
-def face_normals(corners: Floats) -> Floats:
+def _face_normals(corners: Floats) -> Floats:
     """Return (m, 3) unit outward normals of triangles (m, 3, 3)."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
-def neighbours(triangles: Ints) -> Ints:
+def _neighbours(triangles: Ints) -> Ints:
     """Return (m, 3) the triangle across each edge 01, 12, 20 of a closed surface."""
     sides = _sides(triangles)
     number = {(int(a), int(b)): k // 3 for k, (a, b) in enumerate(sides)}
     return np.array([number[(int(b), int(a))] for a, b in sides], np.int64).reshape(-1, 3)
 
 
-def feature_normals(triangles: Ints, corners: Floats, piece: Ints) -> tuple[Floats, Bools]:
-    """Return (m, 7, 3) unit outward normals of every feature of every triangle, and (m, 7) which are on a border.
+def sharpest_edge(vertices: Points, triangles: Ints) -> tuple[float, Points]:
+    """Return the least angle inside a closed surface between triangles that share an edge, deg, and
+    its place (3,)."""
+    corners = vertices[triangles]
+    face, across = _face_normals(corners), _neighbours(triangles)
+    own, side = np.meshgrid(np.arange(len(face)), np.arange(3), indexing="ij")
+    start, end = corners[own, side], corners[own, (side + 1) % 3]
+    inwards = np.einsum("msi,mi->ms", corners[across].mean(axis=2) - start, face) <= 0.0
+    turned = np.degrees(np.arccos(np.clip(np.einsum("mi,msi->ms", face, face[across]), -1.0, 1.0)))
+    angle = np.where(inwards, 180.0 - turned, 180.0 + turned)
+    worst = np.unravel_index(np.argmin(angle), angle.shape)
+    return float(angle[worst]), np.asarray((start[worst] + end[worst]) / 2.0)
 
-    Features are numbered as in `twin.geometry.nearest`: face, three corners, three edges. A corner's normal is the
-    mean of its triangles' weighted by their angle there, an edge's the mean of its two.
+
+def _feature_normals(triangles: Ints, corners: Floats, piece: Ints) -> tuple[Floats, Bools]:
+    """Return (m, 7, 3) unit outward normals of every feature of every triangle, and (m, 7) which
+    are on a border.
+
+    Features are numbered as in `twin.geometry.pieces`: face, three corners, three edges. A
+    corner's normal is the mean of its triangles' weighted by their angle there, an edge's the mean
+    of its two.
     """
-    face, across = face_normals(corners), neighbours(triangles)
+    face, across = _face_normals(corners), _neighbours(triangles)
     sides = np.roll(corners, -1, axis=1) - corners
     sides /= np.linalg.norm(sides, axis=2, keepdims=True)
-    angle = np.arccos(np.clip(-np.einsum("mki,mki->mk", sides, np.roll(sides, 1, axis=1)), -1.0, 1.0))
+    angle = np.arccos(
+        np.clip(-np.einsum("mki,mki->mk", sides, np.roll(sides, 1, axis=1)), -1.0, 1.0)
+    )
     count = int(triangles.max()) + 1
     at_corner = np.zeros((count, 3))
     np.add.at(at_corner, triangles, angle[:, :, None] * face[:, None])
@@ -206,17 +373,20 @@ def feature_normals(triangles: Ints, corners: Floats, piece: Ints) -> tuple[Floa
 
 
 def smooth_parts(surface: Surface, chosen: Bools, crease_deg: float) -> Ints:
-    """Return (m,) numbers of the parts into which the ``chosen`` triangles fall at sharp edges, -1 for the others."""
+    """Return (m,) numbers of the parts into which the ``chosen`` triangles fall at sharp edges, -1
+    for the others."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
     corners = surface.vertices[surface.triangles]
-    face, across = face_normals(corners), neighbours(surface.triangles)
+    face, across = _face_normals(corners), _neighbours(surface.triangles)
     own = np.repeat(np.arange(len(face)), 3)
     other = across.ravel()
     joined = chosen[own] & chosen[other]
     joined &= np.einsum("ei,ei->e", face[own], face[other]) > np.cos(np.radians(crease_deg))
-    graph = coo_matrix((np.ones(int(joined.sum())), (own[joined], other[joined])), shape=(len(face), len(face)))
+    graph = coo_matrix(
+        (np.ones(int(joined.sum())), (own[joined], other[joined])), shape=(len(face), len(face))
+    )
     _, part = connected_components(graph, directed=False)
     part = np.where(chosen, part, -1)
     _, number = np.unique(part, return_inverse=True)

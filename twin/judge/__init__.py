@@ -1,1 +1,1 @@
-"""Sees both truth and estimate, and says how far apart they are."""
+"""Sees both truth and estimate, and computes how far apart they are."""

@@ -1,23 +1,25 @@
 """Truth against estimate, in the fields of score.json.
 
-Inputs are plain arrays, so that recorded data can be scored as well. A score that is not defined is None, and
-``reasons`` says why; nothing is ever NaN or infinite.
+Inputs are plain arrays, so that recorded data can be scored as well. A score that is not defined is
+None, and ``reasons`` holds the reason; nothing is ever NaN or infinite.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Pixels, Points
 from twin.errors import InputError
 from twin.judge.resolution import field_errors
+from twin.parts.load import Rectangles
 
 GROSS_PX = 1.0
-"""A shift wrong by more than this is a mistaken marker, not noise: counted apart, and left out of bias and sd."""
+"""A shift wrong by more than this is a mistaken marker, not noise: counted apart, and left out of
+bias and sd."""
 
 TIE_MM = 1e-6
 """Sites that differ by less in their distance to a surface piece share it."""
@@ -26,14 +28,17 @@ LEAST_PUSH = 0.1
 """The centre of pressure is defined where the push along z is at least this share of the force."""
 
 CENTRE_SHARE = 0.2
-"""Sites with less than this share of the largest push don't count for the estimate's centre: far away they hold noise
-alone, with long levers."""
+"""Sites with less than this share of the largest push don't count for the estimate's centre: far
+away they hold noise alone, with long levers."""
 
 Score = dict[str, Any]
 
 
 def score(
-    *, elastic: Mapping[str, Any] | None = None, tracking: Score | None = None, force: Score | None = None
+    *,
+    elastic: Mapping[str, Any] | None = None,
+    tracking: Score | None = None,
+    force: Score | None = None,
 ) -> Score:
     """Return score.json: the three stages, and all their reasons under full names in one table."""
     reasons: dict[str, str] = {}
@@ -41,7 +46,7 @@ def score(
     for name, part in (("elastic", elastic), ("tracking", tracking), ("force", force)):
         if part is None:
             result[name] = None
-            reasons[name] = "not asked for, or the scene has nothing to score"
+            reasons[name] = "not requested, or the scene has nothing to score"
             continue
         own = dict(part)
         for key, reason in own.pop("reasons", {}).items():
@@ -63,7 +68,11 @@ def _check_finite(value: Any, where: str) -> None:
 
 
 def tracking_score(
-    shift_px: Pixels, true_shift_px: Pixels, visible: Bools | None = None, *, bound_px: Floats | None = None
+    shift_px: Pixels,
+    true_shift_px: Pixels,
+    visible: Bools | None = None,
+    *,
+    bound_px: Floats | None = None,
 ) -> Score:
     """Score marker motion.
 
@@ -72,7 +81,8 @@ def tracking_score(
     shift_px
         (n, 2) measured shifts, px, NaN where not found.
     true_shift_px
-        (n, 2) true shifts of the same thing, px: of the visible outline's centroid where there is one.
+        (n, 2) true shifts of the same thing, px: of the visible outline's centroid where there is
+        one.
     visible
         (n,) whether the marker is fully visible in both pictures; all are if not given.
     bound_px
@@ -81,15 +91,18 @@ def tracking_score(
     Returns
     -------
     dict
-        Over the visible markers: ``bias_px`` (length of the mean error), ``bias_axes_px``, ``sd_px`` (of the two-frame
-        shift, per axis, about the mean), ``sd_axes_px``, ``matched`` (share found), ``gross`` (number of errors above
-        1 px; these are left out of bias and sd), ``markers``. The same for the others under ``occluded``. Over all:
-        ``false_positives`` (markers that were given a shift though nothing of them is in a picture); ``bound_px``
-        (root mean square over the visible markers) and ``over_bound`` (sd over it). ``reasons``.
+        Over the visible markers: ``bias_px`` (length of the mean error), ``bias_axes_px``,
+        ``sd_px`` (of the two-frame shift, per axis, about the mean), ``sd_axes_px``, ``matched``
+        (share found), ``gross`` (number of errors above 1 px; these are left out of bias and sd),
+        ``markers``. The same for the others under ``occluded``. Over all: ``false_positives``
+        (markers that were given a shift though nothing of them is in a picture); ``bound_px`` (root
+        mean square over the visible markers) and ``over_bound`` (sd over it). ``reasons``.
     """
     shift, true = np.asarray(shift_px, float), np.asarray(true_shift_px, float)
     if shift.shape != true.shape or shift.ndim != 2 or shift.shape[1] != 2:
-        raise InputError(f"shifts must be (n, 2) px in the same marker order, got {shift.shape} and {true.shape}")
+        raise InputError(
+            f"shifts must be (n, 2) px in the same marker order, got {shift.shape} and {true.shape}"
+        )
     seen: Bools = np.ones(len(shift), np.bool_)
     if visible is not None:
         seen = np.array(visible, np.bool_, ndmin=1)
@@ -109,14 +122,16 @@ def tracking_score(
     least = np.asarray(bound_px, float)[front] if bound_px is not None else np.zeros(0)
     least = least[np.isfinite(least)]
     if len(least):
-        result["bound_px"] = math.hypot(*least) / math.sqrt(len(least))  # markers without contrast: beyond squares
+        # of markers without contrast the squares overflow
+        result["bound_px"] = math.hypot(*least) / math.sqrt(len(least))
+    else:
+        reasons["bound_px"] = (
+            "no closed form of this camera's noise is known, or no marker is in full sight"
+        )
     if len(least) and result["sd_px"] is not None:
         result["over_bound"] = result["sd_px"] / result["bound_px"]
     else:
-        missing = "no closed form of this camera's noise is known, or no marker is in full sight"
-        reasons["over_bound"] = reasons.get("sd_px", missing)
-    if not len(least):
-        reasons["bound_px"] = "no closed form of this camera's noise is known, or no marker is in full sight"
+        reasons["over_bound"] = reasons.get("sd_px") or reasons["bound_px"]
     return {**result, "reasons": reasons}
 
 
@@ -127,10 +142,14 @@ def _tracking_part(shift: Pixels, true: Pixels) -> tuple[Score, dict[str, str]]:
     length = np.linalg.norm(np.where(usable[:, None], error, 0.0), axis=1)
     fine = error[usable & (length <= GROSS_PX)]
     result: Score = {
-        "bias_px": None, "bias_axes_px": None, "sd_px": None, "sd_axes_px": None,
+        "bias_px": None,
+        "bias_axes_px": None,
+        "sd_px": None,
+        "sd_axes_px": None,
         "matched": float(found.mean()) if len(shift) else None,
-        "gross": int((length > GROSS_PX).sum()), "markers": len(shift),
-    }  # fmt: skip
+        "gross": int((length > GROSS_PX).sum()),
+        "markers": len(shift),
+    }
     reasons = {}
     if not len(shift):
         reasons["matched"] = "there are no such markers"
@@ -173,16 +192,28 @@ def force_score(
     Returns
     -------
     dict
-        ``field_error`` |f^ - f|/|f| in the 2-norm, the truth being summed into the cell of its nearest site;
-        ``field_error_normal`` and ``field_error_tangential`` the same of these parts, each over its own size;
-        ``total_force_error`` |F^ - F|/|F| and ``total_force_error_axes``, (F^ - F)/|F|; ``torque_error``
-        |T^ - T|/max(|T|, |F| 1 mm); ``centre_error_mm``, the distance in (x, y) of the push's centres, sum fz (x, y)/
-        sum fz (of the estimate only the sites above a fifth of the largest push). ``reasons``.
+        ``field_error`` |f^ - f|/|f| in the 2-norm, the truth summed into the cell of its nearest
+        site; ``field_error_normal`` and ``field_error_tangential``, the same of these parts, each
+        over its own size; ``total_force_error`` |F^ - F|/|F| and ``total_force_error_axes``,
+        (F^ - F)/|F|; ``sites_force_error``, the same of the sum of the sites' forces, which is not
+        F^ where they are held to bounds; ``torque_error`` |T^ - T|/max(|T|, |F| 1 mm) and
+        ``torque_error_nmm`` |T^ - T|; ``centre_error_mm``, the distance in (x, y) of the push's
+        centres, sum fz (x, y)/sum fz (of the estimate only the sites above a fifth of the largest
+        push). ``reasons``.
     """
     result: Score = dict.fromkeys(
-        ("field_error", "field_error_normal", "field_error_tangential", "total_force_error", "total_force_error_axes",
-         "torque_error", "centre_error_mm")
-    )  # fmt: skip
+        (
+            "field_error",
+            "field_error_normal",
+            "field_error_tangential",
+            "total_force_error",
+            "total_force_error_axes",
+            "sites_force_error",
+            "torque_error",
+            "torque_error_nmm",
+            "centre_error_mm",
+        )
+    )
     reasons: dict[str, str] = {}
     truth, estimate = np.asarray(surface_force_n, float), np.asarray(force_n, float)
     _same_points(surface_mm, truth, "surface")
@@ -190,27 +221,37 @@ def force_score(
     force, torque = np.asarray(true_force_n, float), np.asarray(true_torque_nmm, float)
     numbers = (estimate, truth, total_force_n, total_torque_nmm, force, torque, site_mm, surface_mm)
     if not all(np.isfinite(v).all() for v in numbers):
-        return {**result, "reasons": dict.fromkeys(result, "truth or estimate hold numbers that are not finite")}
+        return {
+            **result,
+            "reasons": dict.fromkeys(result, "truth or estimate hold numbers that are not finite"),
+        }
     cells = into_cells(site_mm, surface_mm, truth)
     size = float(np.linalg.norm(force))
     for part, value in field_errors(estimate, cells, frames).items():
         key = "field_error" if part == "all" else f"field_error_{part}"
         result[key] = value
         if value is None:
-            reasons[key] = f"the true field is zero{'' if part == 'all' else f' in its {part} part'}"
+            reasons[key] = (
+                f"the true field is zero{'' if part == 'all' else f' in its {part} part'}"
+            )
     if size > 0:
         result["total_force_error"] = float(np.linalg.norm(total_force_n - force) / size)
         result["total_force_error_axes"] = [float(v) for v in (total_force_n - force) / size]
+        result["sites_force_error"] = float(np.linalg.norm(estimate.sum(axis=0) - force) / size)
     else:
-        reasons["total_force_error"] = reasons["total_force_error_axes"] = "the true total force is zero"
+        for key in ("total_force_error", "total_force_error_axes", "sites_force_error"):
+            reasons[key] = "the true total force is zero"
     scale = max(float(np.linalg.norm(torque)), size * 1.0)
+    result["torque_error_nmm"] = float(np.linalg.norm(total_torque_nmm - torque))
     if scale > 0:
-        result["torque_error"] = float(np.linalg.norm(total_torque_nmm - torque) / scale)
+        result["torque_error"] = result["torque_error_nmm"] / scale
     else:
         reasons["torque_error"] = "the true total force and torque are zero"
     true_push, push = truth[:, 2], np.clip(estimate[:, 2], 0.0, None)
     if size == 0 or true_push.sum() < LEAST_PUSH * size:
-        reasons["centre_error_mm"] = "the true force hardly pushes along z, so it has no centre of pressure"
+        reasons["centre_error_mm"] = (
+            "the true force hardly pushes along z, so it has no centre of pressure"
+        )
     elif push.max(initial=0.0) <= 0:
         reasons["centre_error_mm"] = "the estimate pushes nowhere along z"
     else:
@@ -218,6 +259,34 @@ def force_score(
         centres = [_centre(surface_mm, true_push), _centre(site_mm, push)]
         result["centre_error_mm"] = float(np.linalg.norm(centres[1] - centres[0]))
     return {**result, "reasons": reasons}
+
+
+class _Field(Protocol):
+    """A reconstructed field, or the estimate of a run."""
+
+    @property
+    def site_mm(self) -> Points: ...
+    @property
+    def force_n(self) -> Floats: ...
+    @property
+    def total_force_n(self) -> Floats: ...
+    @property
+    def total_torque_nmm(self) -> Floats: ...
+
+
+def field_score(field: _Field, patches: Rectangles, frames: Floats | None = None) -> Score:
+    """Return `force_score` of a field against the patches that really press."""
+    return force_score(
+        site_mm=field.site_mm,
+        force_n=field.force_n,
+        total_force_n=field.total_force_n,
+        total_torque_nmm=field.total_torque_nmm,
+        surface_mm=patches.centre_mm,
+        surface_force_n=patches.force_n,
+        true_force_n=patches.force_n.sum(axis=0),
+        true_torque_nmm=np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
+        frames=frames,
+    )
 
 
 def into_cells(site_mm: Points, surface_mm: Points, surface_force_n: Floats) -> Floats:
@@ -245,4 +314,7 @@ def _centre(points: Points, push: Floats) -> Floats:
 
 def _same_points(points: Points, forces: Floats, what: str) -> None:
     if np.shape(points) != forces.shape or forces.ndim != 2 or forces.shape[1] != 3:
-        raise InputError(f"{what} points and forces must both be (n, 3), got {np.shape(points)} and {forces.shape}")
+        raise InputError(
+            f"{what} points and forces must both be (n, 3), got {np.shape(points)} and "
+            f"{forces.shape}"
+        )

@@ -1,1 +1,3 @@
-"""What the sensor is: frozen, validated descriptions. Nothing here computes physics or imports a heavy package."""
+"""What the sensor is: frozen, validated descriptions. Nothing here computes physics or imports a
+heavy package.
+"""

@@ -1,13 +1,16 @@
-"""The camera behind the body: entrance pupil, lens, and the flat transparent layers it looks through."""
+"""The camera behind the body: entrance pupil, lens, flat layers in front of it, LEDs and CCD."""
 
 from __future__ import annotations
 
-from typing import Literal
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from twin.parts.part import Part
-from twin.parts.ranges import Angle, Coefficient, Pixel, Place, Size
+from twin.arrays import Floats, Points
+from twin.parts.part import Angle, Coefficient, Part, Pixel, Place, Size
 
 Lens = Literal["pinhole", "equidistant"]
 """What each makes of an angle is in `twin.theory.lens`."""
@@ -32,10 +35,11 @@ class Layer(Part):
 
 
 class Camera(Part):
-    """A camera in air that looks along -z through the base, the layers in front of it being flat and normal to z.
+    """A camera in air that looks along -z through the base, the layers in front of it being flat
+    and normal to z.
 
-    A recipe may name ``intrinsics``, a file of OpenCV's: its size, focal length, principal point and distortion stand
-    for those keys.
+    A recipe may name ``intrinsics``, a file of OpenCV's: its size, focal length, principal point
+    and distortion stand for those keys.
 
     Attributes
     ----------
@@ -50,14 +54,17 @@ class Camera(Part):
     principal_px
         (column, row) of the optical axis; the middle of the picture if not given.
     distortion
-        In OpenCV's order. Of a pinhole lens (Brown-Conrady) k1, k2; or k1, k2, p1, p2; or with k3; or with k3 to k6.
-        Of an equidistant lens (Kannala-Brandt) k1, k2; or k1 to k4.
+        In OpenCV's order. Of a pinhole lens (Brown-Conrady) k1, k2; or k1, k2, p1, p2; or with k3;
+        or with k3 to k6. Of an equidistant lens (Kannala-Brandt) k1, k2; or k1 to k4.
     vignetting
-        Light falls as the cosine of the angle to the optical axis to this power; 4 is the natural law of a plain lens.
+        Light falls as the cosine of the angle to the optical axis to this power; 4 is the natural
+        law of a plain lens.
     aperture_mm, focus_z_mm
-        Diameter of the entrance pupil, and the height z of what it shows sharply; a pupil of 0 shows everything so.
+        Diameter of the entrance pupil, and the height z of what it shows sharply; a pupil of 0
+        shows everything so.
     pupil_mm
-        Position of the entrance pupil; its z lies behind the base and the layers, the rest of the way being air.
+        Position of the entrance pupil; its z lies behind the base and the layers, the rest of the
+        way being air.
     tilt_deg
         Small rotations of the camera about x, y and z, applied in this order.
     layers
@@ -92,3 +99,262 @@ class Camera(Part):
     def centre_px(self) -> tuple[float, float]:
         """(column, row) of the optical axis."""
         return self.principal_px or ((self.width_px - 1) / 2, (self.height_px - 1) / 2)
+
+
+class Light(Part):
+    """LEDs that shine along -z, plus a weak even light.
+
+    Attributes
+    ----------
+    positions_mm
+        (x, y, z) of every LED: in air behind the base and its layers, or in the body.
+    exponent
+        Emission falls off as cos(angle to -z) to this power: 1 is Lambertian.
+    profile
+        Emission as a table instead, of (angle to -z in degrees, share of the largest), joined by
+        straight lines; 0 beyond the last.
+    radius_mm
+        Radius of each LED's disc, which lies across z and is seen where the window mirrors it; 0 is
+        a point, whose mirror image has no size.
+    ambient
+        Share of the brightness that comes from all sides (scattering in the body), 0 to 1.
+    """
+
+    positions_mm: tuple[tuple[Place, Place, Place], ...] = Field(min_length=1, max_length=64)
+    exponent: float = Field(default=1.0, ge=0, le=50)
+    profile: tuple[tuple[float, float], ...] | None = None
+    radius_mm: float = Field(default=0.0, ge=0, le=50)
+    ambient: float = Field(default=0.2, ge=0, le=1)
+
+    @model_validator(mode="after")
+    def _profile_is_a_table(self) -> Light:
+        if self.profile is None:
+            return self
+        angles, shares = [row[0] for row in self.profile], [row[1] for row in self.profile]
+        rising = all(a < b for a, b in pairwise(angles))
+        if not (len(angles) >= 2 and angles[0] == 0 and angles[-1] <= 180 and rising):
+            raise ValueError(
+                f"profile: angles {angles} deg must rise from 0 to at most 180, at least two of "
+                "them"
+            )
+        if min(shares) < 0 or max(shares) <= 0:
+            raise ValueError("profile: shares must be 0 or more, and one above 0")
+        return self
+
+    def emission(self, cosine: Floats) -> Floats:
+        """Return the intensity at cosines of the angle to -z, 1 along -z for a power of the
+        cosine."""
+        if self.profile is None:
+            falling: Floats = (
+                np.maximum(cosine, 0.0) ** self.exponent if self.exponent else np.ones_like(cosine)
+            )
+            return falling
+        angles, shares = np.array(self.profile).T
+        angle = np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
+        table: Floats = np.interp(angle, angles, shares / shares.max(), right=0.0)
+        return table
+
+    def points(self) -> tuple[Points, Floats]:
+        """Return (n, 3) points that stand for the LEDs, mm, and their (n,) shares of an LED's
+        light.
+
+        Notes
+        -----
+        A disc is seven points, its middle and a hexagon at sqrt(2/3) of the radius: exact for
+        polynomials of degree 5.
+        """
+        places = np.array(self.positions_mm, float)
+        if self.radius_mm == 0:
+            return places, np.ones(len(places))
+        around = np.arange(6) * np.pi / 3
+        ring = (
+            self.radius_mm
+            * np.sqrt(2 / 3)
+            * np.column_stack([np.cos(around), np.sin(around), np.zeros(6)])
+        )
+        disc = np.concatenate([np.zeros((1, 3)), ring])
+        return (places[:, None] + disc).reshape(-1, 3), np.tile([0.25, *[0.125] * 6], len(places))
+
+
+Triple = tuple[float, float, float]
+Mosaic = Literal["none", "rggb", "bggr", "grbg", "gbrg"]
+Off = Literal["off"]
+
+_CLEAN: dict[str, Any] = {
+    "psf_px": 0.0,
+    "read_noise_e": 0.0,
+    "full_well_e": 1e9,
+    "gamma": 1.0,
+    "noise": False,
+    "dark_current_e_s": 0.0,
+    "exposure_ms": 10.0,
+    "prnu_pct": 0.0,
+    "dsnu_e": 0.0,
+    "black_dn": 0.0,
+    "quantum_efficiency": (1.0, 1.0, 1.0),
+    "bayer": "none",
+    "interlace": False,
+    "bandwidth_mhz": "off",
+    "jpeg_quality": "off",
+}
+
+PRESETS = MappingProxyType(
+    {
+        "ideal": _CLEAN,
+        "industrial": {
+            **_CLEAN,
+            "psf_px": 0.7,
+            "read_noise_e": 32.0,
+            "full_well_e": 20000.0,
+            "noise": True,
+        },
+        "kamiyama_ntsc": {
+            **_CLEAN,
+            "psf_px": 0.6,
+            "read_noise_e": 25.0,
+            "full_well_e": 15000.0,
+            "noise": True,
+            "exposure_ms": 16.7,
+            "dark_current_e_s": 100.0,
+            "prnu_pct": 1.0,
+            "dsnu_e": 5.0,
+            "gamma": 2.2,
+            "interlace": True,
+            "bandwidth_mhz": (4.2, 1.3, 0.4),
+            "bayer": "none",
+        },
+        "sato_60fps": {
+            **_CLEAN,
+            "psf_px": 0.7,
+            "read_noise_e": 20.0,
+            "full_well_e": 10000.0,
+            "noise": True,
+            "exposure_ms": 15.0,
+            "dark_current_e_s": 50.0,
+            "prnu_pct": 1.0,
+            "dsnu_e": 3.0,
+            "quantum_efficiency": (0.9, 1.0, 0.8),
+            "bayer": "rggb",
+            "jpeg_quality": 85,
+        },
+    }
+)
+
+
+class Ccd(Part):
+    """An 8-bit colour CCD and what lies between it and the computer.
+
+    Attributes
+    ----------
+    preset
+        ``ideal`` (no blur, no noise); ``industrial`` (a machine-vision camera: half a count of
+        noise in the dark, and the shot noise of a 20 000 electron well); ``kamiyama_ntsc``
+        (composite video through a capture unit); ``sato_60fps`` (one chip under a colour mosaic,
+        compressed).
+    psf_px
+        Standard deviation of the lens's Gaussian point-spread function; the mean over a pixel's
+        square comes on top.
+    quantum_efficiency
+        Electrons per photon of the red, green and blue pixels. Only their ratios count, as the
+        exposure follows from ``white_dn``.
+    crosstalk
+        Share of each colour that leaks into each other channel; or the whole 3 x 3 matrix, a row
+        for each channel of the camera.
+    full_well_e
+        Electrons at the largest count.
+    read_noise_e
+        Read noise, electrons rms.
+    dark_current_e_s, exposure_ms
+        Electrons that gather without light, per second, and for how long.
+    prnu_pct, dsnu_e
+        Standard deviations over the pixels of their gain, percent, and of their dark signal,
+        electrons: the same in every picture of a sensor.
+    noise
+        False leaves all noise and both fixed patterns out.
+    white_dn
+        Count that the brightest of the rest picture is exposed to, be it a marker or the ground
+        behind the markers, of which one pixel in a hundred may be brighter.
+    exposure
+        Factor on that exposure: 2 is a stop over, 0.5 a stop under.
+    black_dn
+        Count of no light.
+    gamma
+        Count = largest (light share)^(1/gamma).
+    bayer
+        Colours of the first two rows' first two pixels under a mosaic (interpolated bilinearly), or
+        ``none``: each pixel sees three colours, as with three chips.
+    interlace
+        A field is every other line, each the mean of two lines of pixels; the second field is
+        exposed a field later.
+    bandwidth_mhz
+        Where composite video loses half the power of luminance and of the colour signals I and Q,
+        for an active line of 52.66 us (NTSC: 4.2, 1.3 and 0.4); ``off`` for no video, whatever the
+        preset.
+    jpeg_quality
+        Pictures are compressed at this quality, 1 to 100; ``off`` for no compression, whatever the
+        preset.
+
+    Notes
+    -----
+    Read noise of the presets, in counts, without and with the 0.29 of rounding to 8 bits:
+    ``industrial`` 0.41 and 0.50, ``kamiyama_ntsc`` 0.43 and 0.51 before gamma, ``sato_60fps`` 0.51
+    and 0.59. EMVA 1288 (release 3.1, section 6.6) takes a variance in the dark of 0.24 count^2, a
+    standard deviation of 0.49, for the least that can be measured: below it rounding dominates, and
+    dark pictures become constant.
+    """
+
+    preset: Literal["ideal", "industrial", "kamiyama_ntsc", "sato_60fps"] = "industrial"
+    psf_px: float | None = Field(default=None, ge=0, le=20)
+    read_noise_e: float | None = Field(default=None, ge=0, le=1e6)
+    full_well_e: float | None = Field(default=None, ge=1, le=1e12)
+    gamma: float | None = Field(default=None, ge=0.2, le=5)
+    noise: bool | None = None
+    white_dn: float = Field(default=200.0, gt=0, le=255)
+    crosstalk: float | tuple[Triple, Triple, Triple] = 0.05
+    quantum_efficiency: Triple | None = None
+    dark_current_e_s: float | None = Field(default=None, ge=0, le=1e9)
+    exposure_ms: float | None = Field(default=None, gt=0, le=1e5)
+    prnu_pct: float | None = Field(default=None, ge=0, le=50)
+    dsnu_e: float | None = Field(default=None, ge=0, le=1e6)
+    exposure: float = Field(default=1.0, gt=0, le=1000)
+    black_dn: float | None = Field(default=None, ge=0, le=100)
+    bayer: Mosaic | None = None
+    interlace: bool | None = None
+    bandwidth_mhz: Triple | Off | None = None
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] | Off | None = None
+
+    @model_validator(mode="after")
+    def _colours_are_shares(self) -> Ccd:
+        crosstalk = self.crosstalk
+        if isinstance(crosstalk, float) and not 0 <= crosstalk <= 0.3:
+            raise ValueError(
+                f"crosstalk = {crosstalk:g}: must be 0 to 0.3, or a matrix of three rows of three "
+                "shares"
+            )
+        if not isinstance(crosstalk, float) and not all(
+            0 <= share <= 1 for row in crosstalk for share in row
+        ):
+            raise ValueError("crosstalk: every share of the matrix must be 0 to 1")
+        if not isinstance(crosstalk, float) and not all(sum(row) > 0 for row in crosstalk):
+            raise ValueError(
+                "crosstalk: a row of the matrix is all 0, so that channel sees nothing: give it "
+                "a share"
+            )
+        if self.quantum_efficiency is not None and not all(
+            0 < share <= 1 for share in self.quantum_efficiency
+        ):
+            raise ValueError(
+                f"quantum_efficiency = {self.quantum_efficiency}: each must be above 0 and at most "
+                "1"
+            )
+        band = self.bandwidth_mhz
+        if isinstance(band, tuple) and not all(0.05 <= f <= 100 for f in band):
+            raise ValueError(
+                f"bandwidth_mhz = {band}: each must be 0.05 to 100 MHz, or all of it 'off'"
+            )
+        return self
+
+    def spelt_out(self) -> Ccd:
+        """Return the same CCD with the preset's numbers filled in."""
+        preset = PRESETS[self.preset]
+        return self.model_copy(update={k: v for k, v in preset.items() if getattr(self, k) is None})

@@ -1,7 +1,8 @@
-"""Loads: what pushes on the sensing surface, before anyone has cut it into pieces for a solver.
+"""Loads: what pushes on the sensing surface, and footprints of tractions in recipes.
 
-A `Load` is a sum of terms. A term is either a `Traction` (an analytic footprint) or `Rectangles` (the pieces that a
-contact solution consists of). ``twin.Traction.rectangle(...)`` and its siblings return a `Load`; loads add with ``+``.
+A `Load` is a sum of terms. A term is a `Traction` (an analytic footprint) or `Rectangles` (the
+pieces of a contact solution). ``twin.Traction.rectangle(...)`` and its siblings return a `Load`;
+loads add with ``+``.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from numbers import Real
 from typing import Literal
 
 import numpy as np
+from pydantic import model_validator
 
 from twin.arrays import Floats, Points, frozen
 from twin.errors import InputError, require
+from twin.parts.part import Force, Part, Place, Size
 
 Vector = tuple[float, float, float]
 
@@ -46,6 +49,9 @@ class Rectangles:
     def __len__(self) -> int:
         return len(self.centre_mm)
 
+    def __getitem__(self, part: slice) -> Rectangles:
+        return Rectangles(**{name: array[part] for name, array in vars(self).items()})
+
 
 @dataclass(frozen=True, kw_only=True)
 class Traction:
@@ -54,23 +60,25 @@ class Traction:
     Attributes
     ----------
     kind
-        ``rectangle`` and ``disk`` are uniform; ``bump`` is max(0, 1 - r^2/a^2)^2 with the straight distance r to the
-        centre; ``twist`` is tangential and proportional to r. Directions are constant but for the twist.
+        ``rectangle`` and ``disk`` are uniform; ``bump`` is max(0, 1 - r^2/a^2)^2 with the straight
+        distance r to the centre; ``twist`` is tangential and proportional to r. Directions are
+        constant but for the twist.
     centre_mm
-        (x, y): the outer surface met from -z; or a 3-D surface point. On curved bodies the footprint is cut along the
-        normal at the centre.
+        (x, y): the outer surface met from -z; or a 3-D surface point. On curved bodies the
+        footprint is cut along the normal at the centre.
     size_mm
         (along s, along t) of a rectangle; (2 a, 2 a) of the others.
     force_n
         Total force, N; exact.
     torque_nmm
-        Total torque of a twist about the inward normal at the centre, N mm, positive from x to y; exact.
+        Total torque of a twist about the inward normal at the centre, N mm, positive from x to y;
+        exact.
 
     Raises
     ------
     InputError
-        A number is not finite, a size is not positive, or the centre is neither two numbers nor three. Whether the
-        footprint lies on the sensing surface is asked when it meets a body.
+        A number is not finite, a size is not positive, or the centre is neither two numbers nor
+        three. Whether the footprint lies on the sensing surface is asked when it meets a body.
     """
 
     kind: Literal["rectangle", "disk", "bump", "twist"]
@@ -84,15 +92,25 @@ class Traction:
         if not np.isfinite(numbers).all():
             raise InputError(f"{self.kind} traction: every number must be finite, got {self}")
         if len(self.centre_mm) not in (2, 3):
-            raise InputError(f"{self.kind} traction: centre_mm must be (x, y) or (x, y, z), got {self.centre_mm}")
+            raise InputError(
+                f"{self.kind} traction: centre_mm must be (x, y) or (x, y, z), got {self.centre_mm}"
+            )
         if min(self.size_mm) <= 0:
-            raise InputError(f"{self.kind} traction: the size must be positive, got {self.size_mm} mm")
+            raise InputError(
+                f"{self.kind} traction: the size must be positive, got {self.size_mm} mm"
+            )
 
     @staticmethod
-    def rectangle(centre_mm: tuple[float, ...], size_mm: tuple[float, float], force_n: Vector) -> Load:
-        """Return a uniform traction on a rectangle of ``size_mm`` (along x, along y) with total ``force_n``."""
+    def rectangle(
+        centre_mm: tuple[float, ...], size_mm: tuple[float, float], force_n: Vector
+    ) -> Load:
+        """Return a uniform traction on a rectangle of ``size_mm`` (along x, along y) with total
+        ``force_n``."""
         if np.shape(size_mm) != (2,):
-            raise InputError(f"rectangle traction: size_mm must be two numbers (along x, along y), got {size_mm!r}")
+            raise InputError(
+                "rectangle traction: size_mm must be two numbers (along x, along y), got "
+                f"{size_mm!r}"
+            )
         return _single("rectangle", centre_mm, (float(size_mm[0]), float(size_mm[1])), force_n)
 
     @staticmethod
@@ -102,12 +120,14 @@ class Traction:
 
     @staticmethod
     def bump(centre_mm: tuple[float, ...], radius_mm: float, force_n: Vector) -> Load:
-        """Return a smooth traction max(0, 1 - r^2/a^2)^2 in the constant direction of ``force_n``, its total."""
+        """Return a smooth traction max(0, 1 - r^2/a^2)^2 in the constant direction of ``force_n``,
+        its total."""
         return _single("bump", centre_mm, _across(radius_mm), force_n)
 
     @staticmethod
     def twist(centre_mm: tuple[float, ...], radius_mm: float, torque_nmm: float) -> Load:
-        """Return a tangential traction proportional to r with total ``torque_nmm``, turning x towards y."""
+        """Return a tangential traction proportional to r with total ``torque_nmm``, turning x
+        towards y."""
         return _single("twist", centre_mm, _across(radius_mm), (0.0, 0.0, 0.0), torque_nmm)
 
 
@@ -118,7 +138,8 @@ class Load:
     Attributes
     ----------
     terms
-        Footprints given by `Traction`, and the rectangles that a solved press left (`ContactState.load`).
+        Footprints given by `Traction`, and the rectangles that a solved press left
+        (`ContactState.load`).
 
     Notes
     -----
@@ -157,8 +178,66 @@ def _single(
         torque = float(torque_nmm)
     except (TypeError, ValueError):
         raise InputError(
-            f"{kind} traction: centre_mm must be two or three numbers, force_n three, torque_nmm one, got "
-            f"{centre_mm!r}, {force_n!r} and {torque_nmm!r}"
+            f"{kind} traction: centre_mm must be two or three numbers, force_n three, torque_nmm "
+            f"one, got {centre_mm!r}, {force_n!r} and {torque_nmm!r}"
         ) from None
-    term = Traction(kind=kind, centre_mm=centre, size_mm=size_mm, force_n=(fx, fy, fz), torque_nmm=torque)
+    term = Traction(
+        kind=kind, centre_mm=centre, size_mm=size_mm, force_n=(fx, fy, fz), torque_nmm=torque
+    )
     return Load((term,))
+
+
+Spot = tuple[Place, Place] | tuple[Place, Place, Place]
+
+
+class Footprint(Part):
+    """One footprint under a traction of constant form; see `twin.parts.load.Traction`.
+
+    Attributes
+    ----------
+    kind
+        ``rectangle`` and ``disk`` are uniform, ``bump`` falls smoothly to nothing at its rim;
+        ``twist`` is tangential and proportional to the distance from its centre.
+    centre_mm
+        (x, y), the sensing surface met there from -z; or (x, y, z), a place on it.
+    size_mm
+        Sides of a rectangle along x and y.
+    radius_mm
+        Of the others.
+    force_n
+        Total force on the body; not of a twist.
+    torque_nmm
+        Total torque of a twist about the surface's inward normal, positive from x to y.
+    """
+
+    kind: Literal["rectangle", "disk", "bump", "twist"] = "disk"
+    centre_mm: Spot = (0.0, 0.0)
+    size_mm: tuple[Size, Size] | None = None
+    radius_mm: Size | None = None
+    force_n: tuple[Force, Force, Force] | None = None
+    torque_nmm: Force | None = None
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> Footprint:
+        flat, turns = self.kind == "rectangle", self.kind == "twist"
+        if (self.size_mm is None) == flat or (self.radius_mm is not None) == flat:
+            raise ValueError(
+                f"a {self.kind} needs "
+                f"{'size_mm and no radius_mm' if flat else 'radius_mm and no size_mm'}"
+            )
+        if self.size_mm is not None and not min(self.size_mm) > 0:
+            raise ValueError(f"size_mm = {self.size_mm} mm: both sides must be greater than 0")
+        if (self.force_n is None) != turns or (self.torque_nmm is None) == turns:
+            wanted = "torque_nmm and no force_n" if turns else "force_n and no torque_nmm"
+            raise ValueError(f"a {self.kind} needs {wanted}")
+        return self
+
+    def load(self) -> Load:
+        """Return it as a load."""
+        if self.size_mm is not None:
+            return Traction.rectangle(self.centre_mm, self.size_mm, self.force_n or (0.0, 0.0, 0.0))
+        assert self.radius_mm is not None
+        if self.kind == "twist":
+            return Traction.twist(self.centre_mm, self.radius_mm, self.torque_nmm or 0.0)
+        make = Traction.disk if self.kind == "disk" else Traction.bump
+        return make(self.centre_mm, self.radius_mm, self.force_n or (0.0, 0.0, 0.0))

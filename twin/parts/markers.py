@@ -1,7 +1,16 @@
-"""Marker layers and their one order: layer by layer as in the scene, s (along x) outer, t (along y) inner."""
+"""Marker layers: where the markers are, in which order, and which stiff beads are allowed.
+
+`MarkerLayer` describes a layer and `place` computes the markers. Their order is the same
+everywhere: layer by layer as in the scene, then along s (about x), then along t (about y).
+
+`stiff_problems` tests whether the correction for stiff beads (`twin.theory.inclusions`) is valid. A
+scene outside its bounds is refused, because a scene with stiff beads needs the per cent that the
+correction is accurate to. The bounds are from docs/inclusions.md.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -9,12 +18,20 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from twin.arrays import Bools, Chart, Floats, Points, frozen
+from twin.arrays import Bools, Chart, Floats, Points, frozen, grid_points
 from twin.errors import RecipeError
-from twin.parts.body import Body
-from twin.parts.grid import grid_axes, grid_chart
-from twin.parts.part import Part
-from twin.parts.ranges import LEAST_MM, Place, Share
+from twin.parts.body import Block, Body
+from twin.parts.material import Cover, Material
+from twin.parts.part import LEAST_MM, Part, Place, Share
+
+
+def grid_axes(columns: int, rows: int, pitch_mm: float) -> tuple[Floats, Floats]:
+    """Return the s and the t of a centred grid, mm."""
+    s, t = (
+        pitch_mm * (np.arange(count, dtype=np.float64) - (count - 1) / 2)
+        for count in (columns, rows)
+    )
+    return s, t
 
 
 class MarkerLayer(Part):
@@ -23,7 +40,8 @@ class MarkerLayer(Part):
     Attributes
     ----------
     kind
-        ``bead``: a rigid sphere that moves and turns; ``print``: a thin disc in its level set that strains with it.
+        ``bead``: a rigid sphere that moves and turns; ``print``: a thin disc in its level set that
+        strains with it.
     depth_mm
         Depth of the marker centres below the outer surface.
     pitch_mm
@@ -37,10 +55,10 @@ class MarkerLayer(Part):
     colour
         Diffuse reflectance in the camera's red, green and blue channels.
     stiff
-        Whether the truth takes the beads as rigid against the rubber: each moves with the mean of the field over its
-        surface and pushes back on the rubber, which moves all markers, to first order in the beads' share of volume.
-        Otherwise they are points that the rubber carries. For beads in an incompressible block (`twin.parts.stiff`);
-        the sensor's software is not told.
+        Whether the truth takes the beads as rigid against the rubber: each moves with the mean of
+        the field over its surface and pushes back on the rubber, which moves all markers, to first
+        order in the beads' share of volume. Otherwise they are points that the rubber carries. For
+        beads in an incompressible block (`twin.parts.markers`); the sensor's software is not told.
     """
 
     kind: Literal["bead", "print"] = "bead"
@@ -57,14 +75,15 @@ class MarkerLayer(Part):
     def _prints_are_soft(self) -> MarkerLayer:
         if self.stiff and self.kind != "bead":
             raise ValueError(
-                f"stiff = true: a {self.kind} strains with its level set; only kind = 'bead' can be stiff, or leave "
-                "stiff out"
+                f"stiff = true: a {self.kind} strains with its level set; only kind = 'bead' can "
+                "be stiff, or leave stiff out"
             )
         return self
 
     def chart(self) -> Chart:
-        """Return the (columns * rows, 2) surface coordinates of the markers, mm, s outer and t inner."""
-        return grid_chart(*grid_axes(self.columns, self.rows, self.pitch_mm)) + self.offset_mm
+        """Return the (columns * rows, 2) surface coordinates of the markers, mm, s outer and t
+        inner."""
+        return grid_points(*grid_axes(self.columns, self.rows, self.pitch_mm)) + self.offset_mm
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +133,9 @@ class Prints:
     missing: Bools
 
 
-def place(body: Body, layers: Mapping[str, MarkerLayer], jitter_mm: Floats | None = None) -> MarkerSet:
+def place(
+    body: Body, layers: Mapping[str, MarkerLayer], jitter_mm: Floats | None = None
+) -> MarkerSet:
     """Place every marker of ``layers`` in ``body``.
 
     Parameters
@@ -125,8 +146,9 @@ def place(body: Body, layers: Mapping[str, MarkerLayer], jitter_mm: Floats | Non
     Raises
     ------
     RecipeError
-        A marker sticks out of the body.
+        A marker sticks out of the body, or beads are wider than their pitch.
     """
+    _refuse_overlapping_beads(layers)
     charts = [layer.chart() for layer in layers.values()]
     chart = np.concatenate(charts) if charts else np.zeros((0, 2))
     if jitter_mm is not None:
@@ -134,7 +156,11 @@ def place(body: Body, layers: Mapping[str, MarkerLayer], jitter_mm: Floats | Non
     sizes = [len(c) for c in charts]
     values = list(layers.values())
     depth = np.repeat([v.depth_mm for v in values], sizes) if values else np.zeros(0)
-    radius = np.repeat([v.diameter_mm / 2 if v.kind == "bead" else 0.0 for v in values], sizes) if values else depth
+    radius = (
+        np.repeat([v.diameter_mm / 2 if v.kind == "bead" else 0.0 for v in values], sizes)
+        if values
+        else depth
+    )
     names = np.repeat(list(layers), sizes) if values else np.zeros(0, "U1")
     points = body.chart_points(chart, depth)
     room = body.piece_distances(points).min(axis=1) - radius if len(points) else np.zeros(0)
@@ -144,8 +170,131 @@ def place(body: Body, layers: Mapping[str, MarkerLayer], jitter_mm: Floats | Non
         first = int(np.flatnonzero(bad)[0])
         x, y, z = points[first]
         raise RecipeError(
-            f"markers.{names[first]}: {int(bad.sum())} of {len(points)} markers lie outside the body, the first at "
-            f"({x:.3g}, {y:.3g}, {z:.3g}) mm: reduce depth_mm, pitch_mm, columns, rows or diameter_mm"
+            f"markers.{names[first]}: {int(bad.sum())} of {len(points)} markers lie outside the "
+            f"body, the first at ({x:.3g}, {y:.3g}, {z:.3g}) mm: reduce depth_mm, pitch_mm, "
+            "columns, rows or diameter_mm"
         )
     normals = body.piece_normals(points)[:, 0] if len(points) else np.zeros((0, 3))
-    return MarkerSet(layer=frozen(names), chart=frozen(chart), points=frozen(points), normals=frozen(np.array(normals)))
+    return MarkerSet(
+        layer=frozen(names),
+        chart=frozen(chart),
+        points=frozen(points),
+        normals=frozen(np.array(normals)),
+    )
+
+
+def _refuse_overlapping_beads(layers: Mapping[str, MarkerLayer]) -> None:
+    for name, layer in layers.items():
+        many = max(layer.columns, layer.rows) > 1
+        if layer.kind == "bead" and many and layer.diameter_mm > layer.pitch_mm:
+            raise RecipeError(
+                f"markers.{name}.diameter_mm = {layer.diameter_mm:g} mm: beads can't be wider than "
+                f"their pitch, pitch_mm = {layer.pitch_mm:g} mm (allowed: up to that): reduce "
+                "diameter_mm, or set them farther apart"
+            )
+
+
+LEAST_GAP = 4.0
+"""Distance of a bead's centre to the surface and to other markers, over its radius."""
+
+LEAST_ROOM = 3.0
+"""Distance of a bead from the body's other faces over its depth."""
+
+LEAST_POISSON_RATIO = 0.49
+
+
+def stiff_problems(
+    body: Body,
+    layers: Mapping[str, MarkerLayer],
+    material: Material,
+    cover: Cover | None,
+    shortfall: float,
+) -> list[str]:
+    """Return what keeps the layers that are stiff from being corrected, one line each; none if none
+    is stiff.
+
+    Parameters
+    ----------
+    body, layers, material, cover
+        The sensor as designed.
+    shortfall
+        By how much the made rubber's Poisson's ratio may fall below the designed one.
+    """
+    stiff = {name: layer for name, layer in layers.items() if layer.stiff}
+    if not stiff:
+        return []
+    key = f"markers.{next(iter(stiff))}.stiff"
+    if not isinstance(body, Block):
+        shape = type(body).__name__.lower()
+        return [
+            f"{key} = true: how stiff beads push is known in a block only, this body is a {shape}; "
+            "leave it out"
+        ]
+    problems = []
+    if cover is not None and (
+        cover.youngs_modulus_mpa not in (None, material.youngs_modulus_mpa)
+        or cover.poisson_ratio not in (None, material.poisson_ratio)
+    ):
+        problems.append(
+            f"{key} = true: a cover of another material than the body's reflects the beads' "
+            "push-back in a way that is not known here: leave out cover.youngs_modulus_mpa and "
+            "cover.poisson_ratio, or stiff"
+        )
+    poisson_ratio = material.poisson_ratio - shortfall
+    if poisson_ratio < LEAST_POISSON_RATIO:
+        problems.append(
+            f"{key} = true: material.poisson_ratio may be as low as {poisson_ratio:.4g} with its "
+            f"tolerance, but must be {LEAST_POISSON_RATIO} to 0.5: the beads' push-back is that of "
+            "incompressible rubber"
+        )
+    for name, layer in stiff.items():
+        least = LEAST_GAP * layer.diameter_mm / 2
+        for what, gap in _gaps(name, layers):
+            if gap < least:
+                problems.append(
+                    f"markers.{name}.stiff = true: its beads' centres are {gap:.3g} mm from "
+                    f"{what}, but must be at least {least:.3g} mm (two diameters): increase "
+                    "depth_mm or pitch_mm, or reduce diameter_mm"
+                )
+        room, wanted = _room(body, layer), LEAST_ROOM * layer.depth_mm
+        if room < wanted:
+            problems.append(
+                f"markers.{name}.stiff = true: its beads are {room:.3g} mm from a side or the base "
+                f"of the body, but must be at least {wanted:.3g} mm (three depths): only the "
+                "sensing surface reflects the push-back"
+            )
+    return problems
+
+
+def _gaps(name: str, layers: Mapping[str, MarkerLayer]) -> list[tuple[str, float]]:
+    """Return the smallest distance (mm) of a layer's centres to the surface, to each other and to
+    each other layer."""
+    layer = layers[name]
+    gaps = [("the sensing surface", layer.depth_mm)]
+    if layer.columns * layer.rows > 1:
+        gaps.append(("each other", layer.pitch_mm))
+    for other, neighbour in layers.items():
+        if other != name:
+            sideways = [
+                float(np.abs(one[:, None] - two).min())
+                for one, two in zip(_axes(layer), _axes(neighbour), strict=True)
+            ]
+            gaps.append(
+                (
+                    f"those of markers.{other}",
+                    math.hypot(*sideways, layer.depth_mm - neighbour.depth_mm),
+                )
+            )
+    return gaps
+
+
+def _room(body: Block, layer: MarkerLayer) -> float:
+    """Return the smallest distance of a layer's centres to the sides and the base of a block,
+    mm."""
+    x, y = (float(np.abs(axis).max()) for axis in _axes(layer))
+    return min(body.width_mm / 2 - x, body.length_mm / 2 - y, body.thickness_mm - layer.depth_mm)
+
+
+def _axes(layer: MarkerLayer) -> tuple[Floats, Floats]:
+    s, t = grid_axes(layer.columns, layer.rows, layer.pitch_mm)
+    return s + layer.offset_mm[0], t + layer.offset_mm[1]

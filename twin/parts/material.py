@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 from pydantic import Field
 
-from twin.parts.part import Part
-from twin.parts.ranges import LEAST_MM, LEAST_MPA, Share
+from twin.arrays import Floats
+from twin.parts.part import LEAST_MM, LEAST_MPA, Part, Share
+
+Modulus = TypeVar("Modulus", float, Floats)
 
 
 class Material(Part):
@@ -36,8 +40,9 @@ class Cover(Part):
     albedo
         Diffuse reflectance, red, green, blue.
     deforms
-        Whether pictures show how a press tilts and lifts it. At the papers' albedo that is less than a count, and it
-        costs a field at some thousand places; so it is left out unless asked for.
+        Whether pictures show how a press tilts and lifts it. At the papers' albedo that is less
+        than a count, and it costs a field at some thousand places; so it is left out unless asked
+        for.
     youngs_modulus_mpa, poisson_ratio
         Its own modulus, MPa, and Poisson's ratio; those of the body if not given.
     """
@@ -47,3 +52,19 @@ class Cover(Part):
     deforms: bool = False
     youngs_modulus_mpa: float | None = Field(default=None, ge=LEAST_MPA, le=1e6)
     poisson_ratio: float | None = Field(default=None, ge=-0.5, le=0.5)
+
+
+def shear_modulus(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulus:
+    """Return G = E / (2 (1 + nu)), in the unit of E."""
+    return youngs_modulus_mpa / (2.0 * (1.0 + poisson_ratio))
+
+
+def plane_strain_modulus(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulus:
+    """Return E* = E / (1 - nu^2), in the unit of E: of contact with a rigid body (Johnson 1985,
+    section 4.2)."""
+    return youngs_modulus_mpa / (1.0 - poisson_ratio**2)
+
+
+def compressibility(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulus:
+    """Return 1 / kappa = 3 (1 - 2 nu) / E, kappa the bulk modulus; 0 at nu = 1/2."""
+    return 3.0 * (1.0 - 2.0 * poisson_ratio) / youngs_modulus_mpa

@@ -1,6 +1,15 @@
-"""Names of the ways to solve the inverse problem, in one place for recipes, the command line and `twin.sense`."""
+"""Names of methods, in a file that loads no numpy: the command line reads it first."""
+
+from __future__ import annotations
 
 from typing import Literal
 
 Method = Literal["smooth", "norm", "pinv", "local"]
-"""What each keeps small: `twin.sense.problem`. ``pinv`` nothing, ``local`` what ``smooth`` does, where forces are."""
+"""What each keeps small: `twin.sense.inverse`. ``pinv`` nothing, ``local`` what ``smooth`` does,
+where forces are."""
+
+CentreMethod = Literal["disc-fit", "soft-window", "two-pass"]
+"""How markers' centres are measured: `twin.sense.reference.METHODS`."""
+
+WeightRule = Literal["auto", "likelihood", "gcv"]
+"""How the weight of the regularisation is chosen: `twin.sense.regularisation.RULES`."""

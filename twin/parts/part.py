@@ -1,30 +1,56 @@
-"""The base of every description: frozen, no unknown keys, no NaN, and every number with its provenance."""
+"""The base class of every description in a recipe, and of those that name an STL file.
+
+A `Part` is frozen, and refuses unknown keys and NaN. Every number has a provenance (``source`` or
+``assumed``). `in_words` turns errors of validation into sentences. An `StlFile` stores the digest
+of its file and checks it. Ranges that many keys share are here too.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Callable, Collection, Mapping
 from functools import cache
-from typing import Any, get_args
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from twin.errors import RecipeError
+from twin.errors import InputError, RecipeError
 
 UNITS = {
-    "mm": "mm", "n": "N", "nmm": "N mm", "mpa": "MPa", "deg": "deg", "px": "px", "pct": "%", "mm3": "mm3",
-    "dn": "DN", "e": "electrons",
-}  # fmt: skip
+    "mm": "mm",
+    "n": "N",
+    "nmm": "N mm",
+    "mpa": "MPa",
+    "deg": "deg",
+    "px": "px",
+    "pct": "%",
+    "mm3": "mm3",
+    "dn": "DN",
+    "e": "electrons",
+}
 
 
-LATER = (("back", "free"), ("youngs_modulus_mpa", None), ("poisson_ratio", None), ("stiff", False),
-         ("distortion", 0.0), ("deforms", False))  # fmt: skip
-"""Keys that came later, with the value that stands for what was before: hashes leave them out, so that files stored
-under a hash of all keys stay valid."""
+LATER = (
+    ("back", "free"),
+    ("youngs_modulus_mpa", None),
+    ("poisson_ratio", None),
+    ("stiff", False),
+    ("distortion", 0.0),
+    ("deforms", False),
+)
+"""Keys that came later, with the value that stands for what was before: hashes leave them out, so
+that files stored under a hash of all keys stay valid."""
 
 
 def without_later(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a description's plain keys and values without those that say nothing new (see `LATER`)."""
-    return {key: value for key, value in table.items() if not any(key == k and value == v for k, v in LATER)}
+    """Return a description's plain keys and values without those that say nothing new (see
+    `LATER`)."""
+    return {
+        key: value
+        for key, value in table.items()
+        if not any(key == k and value == v for k, v in LATER)
+    }
 
 
 def unit_of(key: str) -> str:
@@ -38,11 +64,14 @@ class Part(BaseModel):
     Attributes
     ----------
     source, assumed
-        Where the numbers come from: a text for all numbers of the table, or a table of texts by key. ``source`` names
-        a paper and its section, ``assumed`` gives the reason for a value that no paper states.
+        Where the numbers come from: a text for all numbers of the table, or a table of texts by
+        key. ``source`` names a paper and its section, ``assumed`` gives the reason for a value that
+        no paper states.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True
+    )
 
     source: str | dict[str, str] = Field(default_factory=dict, repr=False)
     assumed: str | dict[str, str] = Field(default_factory=dict, repr=False)
@@ -55,16 +84,20 @@ class Part(BaseModel):
             lines = [_complaint(dict(error)) for error in problem.errors(include_url=False)]
             raise RecipeError(lines, type(self).__name__) from None
 
-    # Whole files are validated without a call of this constructor, so that their complaints can name the file's keys.
+    # Whole files are validated without a call of this constructor, so that their complaints can
+    # name the file's keys.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     @model_validator(mode="before")
     @classmethod
     def _true_is_no_number(cls, table: Any) -> Any:
-        """Make ``true`` a word where only a number fits, so that it is refused there: it would be taken as 1."""
+        """Make ``true`` a word where only a number fits, so that it is refused there: it would be
+        taken as 1."""
         if not isinstance(table, Mapping):
             return table
-        return {key: _spelt(value) if key in _numbers(cls) else value for key, value in table.items()}
+        return {
+            key: _spelt(value) if key in _numbers(cls) else value for key, value in table.items()
+        }
 
     @model_validator(mode="after")
     def _provenance_names_keys(self) -> Part:
@@ -73,16 +106,22 @@ class Part(BaseModel):
                 unknown = sorted(set(table) - set(type(self).model_fields))
                 if unknown:
                     raise ValueError(
-                        f"source or assumed names keys that this table does not have: {', '.join(unknown)}"
+                        "source or assumed names keys that this table does not have: "
+                        f"{', '.join(unknown)}"
                     )
         return self
 
     def unsourced(self) -> list[str]:
-        """Return the keys that hold numbers given in the recipe and have neither ``source`` nor ``assumed``."""
+        """Return the keys that hold numbers given in the recipe and have neither ``source`` nor
+        ``assumed``."""
         if isinstance(self.source, str) or isinstance(self.assumed, str):
             return []
-        told = set(self.source) | set(self.assumed)
-        return [k for k in sorted(self.model_fields_set) if k not in told and _holds_number(getattr(self, k))]
+        sourced = set(self.source) | set(self.assumed)
+        return [
+            k
+            for k in sorted(self.model_fields_set)
+            if k not in sourced and _holds_number(getattr(self, k))
+        ]
 
 
 @cache
@@ -109,30 +148,57 @@ def _spelt(value: Any) -> Any:
 
 
 WORDS = {
-    "missing": "missing; give a value", "extra_forbidden": "unknown key", "string_type": "must be a text",
-    "tuple_type": "must be a list, such as [0, 0]", "dict_type": "must be a table", "model_type": "must be a table",
-    "float_type": "must be a number", "float_parsing": "must be a number", "int_type": "must be a whole number",
-    "int_parsing": "must be a whole number", "int_from_float": "must be a whole number",
-    "bool_type": "must be true or false", "bool_parsing": "must be true or false",
-}  # fmt: skip
+    "missing": "missing; give a value",
+    "extra_forbidden": "unknown key",
+    "string_type": "must be a text",
+    "tuple_type": "must be a list, such as [0, 0]",
+    "dict_type": "must be a table",
+    "model_type": "must be a table",
+    "float_type": "must be a number",
+    "float_parsing": "must be a number",
+    "int_type": "must be a whole number",
+    "int_parsing": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "bool_type": "must be true or false",
+    "bool_parsing": "must be true or false",
+}
 """What the validation library's errors say, in the words of a recipe."""
+
+
+def keys_of(value: Any) -> Collection[str]:
+    """Return the keys of a plain table or of a description; none of anything else."""
+    if isinstance(value, Mapping):
+        return value.keys()
+    return type(value).model_fields if isinstance(value, Part) else ()
 
 
 def in_words(error: Mapping[str, Any]) -> str:
     """Return what an error of the validation library says, in the words of a recipe."""
     kind, facts = str(error["type"]), error.get("ctx") or {}
     if kind in ("too_short", "too_long") and "field_type" in facts:
-        bound = f"at least {facts['min_length']}" if kind == "too_short" else f"at most {facts['max_length']}"
-        return f"must be a list of {bound} values" if facts["field_type"] == "Tuple" else f"must have {bound} entries"
-    return WORDS.get(kind) or str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
+        bound = (
+            f"at least {facts['min_length']}"
+            if kind == "too_short"
+            else f"at most {facts['max_length']}"
+        )
+        return (
+            f"must be a list of {bound} values"
+            if facts["field_type"] == "Tuple"
+            else f"must have {bound} entries"
+        )
+    return WORDS.get(kind) or str(error["msg"]).removeprefix("Value error, ").replace(
+        "Input should be", "must be"
+    )
 
 
 def _complaint(error: dict[str, Any]) -> str:
-    key = ".".join(str(k) for k in error["loc"] if k != "constrained-float")  # no key: a union's number
+    key = ".".join(
+        str(k) for k in error["loc"] if k != "constrained-float"
+    )  # no key: a union's number
     unit = unit_of(str(error["loc"][-1])) if error["loc"] else ""
     message = in_words(error)
-    told = isinstance(error["input"], dict) or error["type"] in ("missing", "extra_forbidden")
-    given = "" if told or not key else f" = {error['input']!r}{' ' + unit if unit else ''}"
+    in_message = isinstance(error["input"], dict) or error["type"] in ("missing", "extra_forbidden")
+    given = "" if in_message or not key else f" = {error['input']!r}{' ' + unit if unit else ''}"
     return f"{key}{given}: {message}" if key else message
 
 
@@ -142,3 +208,99 @@ def _holds_number(value: Any) -> bool:
     if isinstance(value, int | float):
         return True
     return isinstance(value, tuple | list) and any(_holds_number(v) for v in value)
+
+
+LEAST_MM, LEAST_MPA = 1e-6, 1e-6
+"""The least length and the least stiffness: a nanometre, one pascal."""
+
+Place = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
+"""A coordinate or a motion, mm: ten metres either way."""
+
+Force = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+"""A component of a force or of a torque, N or N mm."""
+
+Angle = Annotated[float, Field(ge=-3600, le=3600, allow_inf_nan=False)]
+"""Degrees: ten turns either way."""
+
+Share = Annotated[float, Field(ge=0, le=1)]
+"""Of light: reflectances and shares of a colour."""
+
+Size = Annotated[float, Field(ge=LEAST_MM, le=1000)]
+"""How wide, long or thick something is, mm: from a nanometre to a metre."""
+
+Pixel = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+"""A coordinate in a picture, px."""
+
+Coefficient = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+"""Of a lens's distortion, whatever its power."""
+
+
+def each_file(value: Any, changed: Callable[[str], str]) -> Any:
+    """Return a plain value in which every probe's own file (``kind = "stl"``), however deep, has
+    another name."""
+    if isinstance(value, Mapping):
+        table = {key: each_file(inner, changed) for key, inner in value.items()}
+        own = table.get("kind") == "stl" and isinstance(table.get("file"), str)
+        return {**table, "file": changed(table["file"])} if own else table
+    return (
+        [each_file(inner, changed) for inner in value] if isinstance(value, list | tuple) else value
+    )
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:  # of any size, so never whole in memory
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+class StlFile(Part):
+    """The inside of a closed STL surface.
+
+    Attributes
+    ----------
+    file
+        STL file in mm, relative to the recipe.
+    sha256
+        Digest of the file; filled in when it is read, checked when it is given.
+    """
+
+    largest_mm: ClassVar[tuple[float, float]]
+    """Allowed longest side of the box around the surface, mm."""
+
+    file: str
+    sha256: str = Field(default="", pattern="^([0-9a-f]{64})?$")
+
+    @field_validator("file")
+    @classmethod
+    def _is_a_closed_surface(cls, file: str) -> str:
+        from twin.geometry.closed import read_surface
+
+        try:
+            read_surface(file, cls.largest_mm)
+        except InputError as problem:
+            raise ValueError(str(problem)) from None
+        return file
+
+    @model_validator(mode="before")
+    @classmethod
+    def _carries_a_digest(cls, table: Any) -> Any:
+        """Fill in the digest of the file, so that hashes and copies of the description stand for
+        its content."""
+        if (
+            isinstance(table, dict)
+            and isinstance(table.get("file"), str)
+            and not table.get("sha256")
+        ):
+            path = Path(table["file"])
+            if path.is_file():
+                return {**table, "sha256": _digest(path)}
+        return table
+
+    @model_validator(mode="after")
+    def _file_is_the_one(self) -> StlFile:
+        found = _digest(Path(self.file))
+        if self.sha256 != found:
+            raise ValueError(
+                f"sha256 = {self.sha256[:12]}... but {Path(self.file).name} has {found[:12]}...: "
+                "the file was changed; leave sha256 out to take the new one"
+            )
+        return self

@@ -1,16 +1,15 @@
-"""What the sensor's software is told to do: how it is calibrated and how it turns motion into forces."""
+"""The sensor's software: calibration, tracking and the inverse problem."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from twin.arrays import Chart, Floats
-from twin.parts.grid import grid_axes, grid_chart
-from twin.parts.methods import Method
-from twin.parts.part import Part
-from twin.parts.ranges import LEAST_MM
+from twin.arrays import Chart, Floats, grid_points
+from twin.parts.markers import grid_axes
+from twin.parts.methods import CentreMethod, Method, WeightRule
+from twin.parts.part import LEAST_MM, Part
 
 
 class Sites(Part):
@@ -37,7 +36,7 @@ class Sites(Part):
 
     def chart(self) -> Chart:
         """Return the (columns * rows, 2) surface coordinates, mm, s outer and t inner."""
-        return grid_chart(*self.axes())
+        return grid_points(*self.axes())
 
 
 class Tracking(Part):
@@ -46,12 +45,13 @@ class Tracking(Part):
     Attributes
     ----------
     method
-        ``disc-fit``: the marker's picture at rest is fitted, near the Cramer-Rao bound; ``soft-window``: centroid in a
-        window with soft edges, on a levelled signal; ``two-pass``: the flat paper's mesh centroid of its red-blue
-        difference (sections 2.1 and 4.1), its cell as wide as the pitch.
+        ``disc-fit``: the marker's picture at rest is fitted, near the Cramer-Rao bound;
+        ``soft-window``: centroid in a window with soft edges, on a levelled signal; ``two-pass``:
+        the flat paper's mesh centroid of its red-blue difference (sections 2.1 and 4.1), its cell
+        as wide as the pitch.
     """
 
-    method: Literal["disc-fit", "soft-window", "two-pass"] = "disc-fit"
+    method: CentreMethod = "disc-fit"
 
 
 class Calibration(Part):
@@ -60,16 +60,18 @@ class Calibration(Part):
     Attributes
     ----------
     method
-        ``compliance``: the nominal body's compliance seen through the nominal camera; ``halfspace``: the papers'
-        half-space formula; ``sato``: measured presses at every site in three directions; ``fitted``: the nominal
-        design with stiffness, depths, print, camera and footprint fitted to a few presses and the rest picture.
+        ``compliance``: the nominal body's compliance seen through the nominal camera;
+        ``halfspace``: the papers' half-space formula; ``sato``: measured presses at every site in
+        three directions; ``fitted``: the nominal design with stiffness, depths, print, camera and
+        footprint fitted to a few presses and the rest picture.
     file
-        A calibration file made earlier (``twin calibrate``), relative to the recipe; used only while it matches the
-        scene.
+        A calibration file made earlier (``twin calibrate``), relative to the recipe; used only
+        while it matches the scene.
     presses
-        Where presses are made. If not given, method ``sato`` presses the reconstruction's sites, and ``fitted`` their
-        middle and four places halfway to their corners. Under ``sato`` sites between the presses are filled by the
-        nominal body's response plus the interpolated difference of measurement and nominal response.
+        Where presses are made. If not given, method ``sato`` presses the reconstruction's sites,
+        and ``fitted`` their middle and four places halfway to their corners. Under ``sato`` sites
+        between the presses are filled by the nominal body's response plus the interpolated
+        difference of measurement and nominal response.
     press_force_n
         Force along z of the calibration presses.
     press_probe_mm
@@ -94,12 +96,13 @@ class Reconstruction(Part):
     sites
         Where forces are reconstructed.
     method
-        ``smooth``: differences of neighbouring forces are kept small (the flat paper's eq. 11 and 12, corrected);
-        ``norm``: the forces themselves (eq. 14 and 15); ``pinv``: the plain pseudo-inverse; ``local``: as ``smooth``,
-        with forces expected only where a first solution has some: sharper, better totals, slower.
+        ``smooth``: differences of neighbouring forces are kept small (the flat paper's eq. 11 and
+        12, corrected); ``norm``: the forces themselves (eq. 14 and 15); ``pinv``: the plain
+        pseudo-inverse; ``local``: as ``smooth``, with forces expected only where a first solution
+        has some: sharper, better totals, slower.
     weight
-        The papers' omega; ``auto`` chooses it by marginal likelihood and robust cross-validation, ``likelihood`` and
-        ``gcv`` by one of them.
+        The papers' omega; ``auto`` chooses it by marginal likelihood and robust cross-validation,
+        ``likelihood`` and ``gcv`` by one of them.
     push_only
         No site pulls: the force along the inward normal is at least 0 (eq. 13).
     friction
@@ -112,8 +115,12 @@ class Reconstruction(Part):
 
     sites: Sites
     method: Method = "smooth"
-    weight: Annotated[float, Field(ge=0)] | Literal["auto", "likelihood", "gcv"] = "auto"
+    weight: Annotated[float, Field(ge=0)] | WeightRule = "auto"
     push_only: bool = False
     friction: float | None = Field(default=None, gt=0, le=100)
     robust: bool = False
     camera: bool = False
+
+    def options(self) -> dict[str, Any]:
+        """Return the options of `twin.sense.reconstruct.reconstruct`, by name."""
+        return self.model_dump(exclude={"sites", "source", "assumed"})

@@ -1,12 +1,13 @@
 """Presses: a rigid probe and the path it takes, held by force or by motion.
 
-Each of the six degrees of freedom, along and about x, y and z, is controlled in every step either by force (torque) or
-by motion. A component that is given in ``force_n`` or ``torque_nmm`` is held by force, one in ``move_mm`` or
-``turn_deg`` by motion, and one in neither stays where it is.
+Each of the six degrees of freedom, along and about x, y and z, is controlled in every step either
+by force (torque) or by motion. A component that is given in ``force_n`` or ``torque_nmm`` is held
+by force, one in ``move_mm`` or ``turn_deg`` by motion, and one in neither stays where it is.
 
-Components count along the global axes; with ``axes = "probe"`` along the probe's own, whose z is its direction of
-approach (`frame_of`). A probe that comes along a global axis can be controlled in either; one that comes obliquely
-and is held by force in some directions and by motion in others needs its own axes.
+Components count along the global axes; with ``axes = "probe"`` along the probe's own, whose z is
+its direction of approach (`frame_of`). A probe that comes along a global axis can be controlled in
+either; one that comes obliquely and is held by force in some directions and by motion in others
+needs its own axes.
 """
 
 from __future__ import annotations
@@ -19,9 +20,8 @@ import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from twin.arrays import Floats, frozen
-from twin.parts.part import Part
+from twin.parts.part import Angle, Force, Part, Place
 from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere, Stl
-from twin.parts.ranges import Angle, Force, Place
 
 __all__ = ["Cone", "Cylinder", "Pillar", "Press", "Probe", "Sphere", "Step", "Stl"]
 
@@ -59,16 +59,16 @@ class Step(Part):
     Attributes
     ----------
     force_n
-        Total force of the probe on the body at the end of the step, N: a table ``{z = 1.0}`` or (x, y, z) with None
-        for components that are held by motion.
+        Total force of the probe on the body at the end of the step, N: a table ``{z = 1.0}`` or (x,
+        y, z) with None for components that are held by motion.
     move_mm
         Motion of the probe during this step, mm, same form.
     torque_nmm
-        Total torque about the probe's place, N mm, positive from x to y: one number is about z, or a table or three
-        numbers as above.
+        Total torque about the probe's place, N mm, positive from x to y: one number is about z, or
+        a table or three numbers as above.
     turn_deg
-        Turn about that place during this step, degrees, same form. Turns about x and y are small ones
-        (`twin.world.contact.gap`).
+        Turn about that place during this step, degrees, same form. Turns about x and y are small
+        ones (`twin.world.contact.probe_gap`).
     """
 
     force_n: Forces = (None, None, None)
@@ -82,10 +82,15 @@ class Step(Part):
     def _one_control_each(self) -> Step:
         for axis, force, move in zip("xyz", self.force_n, self.move_mm, strict=True):
             if force is not None and move is not None:
-                raise ValueError(f"{axis} is given both as force_n and as move_mm: hold it by one of them")
+                raise ValueError(
+                    f"{axis} is given both as force_n and as move_mm: hold it by one of them"
+                )
         for axis, torque, turn in zip("xyz", self.torques_nmm, self.turns_deg, strict=True):
             if torque is not None and turn is not None:
-                raise ValueError(f"torque_nmm and turn_deg are both given about {axis}: hold the turn by one of them")
+                raise ValueError(
+                    f"torque_nmm and turn_deg are both given about {axis}: hold the turn by one of "
+                    "them"
+                )
         return self
 
     @property
@@ -105,7 +110,8 @@ class Step(Part):
 
     @property
     def given(self) -> tuple[float, ...]:
-        """The same six: the force (torque) where it holds, else the motion in mm (the turn in radians)."""
+        """The same six: the force (torque) where it holds, else the motion in mm (the turn in
+        radians)."""
         forces = (*self.force_n, *self.torques_nmm)
         moves = [m or 0.0 for m in self.move_mm] + [math.radians(t or 0.0) for t in self.turns_deg]
         return tuple(m if f is None else f for f, m in zip(forces, moves, strict=True))
@@ -115,14 +121,17 @@ def _about_z(value: float | Triple | None) -> Triple:
     return value if isinstance(value, tuple) else (None, None, value)
 
 
-_step = lru_cache(maxsize=64)(Step)  # a press spells its path out when it is made, and whenever it is pressed
+_step = lru_cache(maxsize=64)(
+    Step
+)  # a press spells its path out when it is made, and whenever it is pressed
 
 
 @lru_cache(maxsize=64)
 def frame_of(direction: Vector) -> Floats:
     """Return the (3, 3) axes, as rows, of a probe that comes along a direction: its own x, y and z.
 
-    x is the global x made perpendicular to z; where the probe comes along the global x, it is the global y.
+    x is the global x made perpendicular to z; where the probe comes along the global x, it is the
+    global y.
     """
     along = np.array(direction, float) / np.linalg.norm(direction)
     first = np.array([1.0, 0.0, 0.0]) if abs(along[0]) < 0.999 else np.array([0.0, 1.0, 0.0])
@@ -139,25 +148,32 @@ class Press(Part):
     probe
         The rigid probe.
     at_mm
-        (x, y), the sensing surface met there from -z, or (x, y, z), a place on it: where the probe's axis passes.
+        (x, y), the sensing surface met there from -z, or (x, y, z), a place on it: where the
+        probe's axis passes.
     direction
-        Way of approach: None is +z; any vector in global axes; or ``normal``, the surface's inward normal at the place.
+        Way of approach: None is +z; any vector in global axes; or ``normal``, the surface's inward
+        normal at the place.
     tilt_deg
-        Turn of the probe against its direction of approach before it comes: about its own x, then y, then z,
-        which stay as its direction of approach makes them (`frame_of`).
+        Turn of the probe against its direction of approach before it comes: about its own x, then
+        y, then z, which stay as its direction of approach makes them (`frame_of`).
     axes
         Axes of the components in the steps: ``global``, or the ``probe``'s own (`frame_of`).
     steps
-        The path. ``force_n`` (three numbers) or ``indentation_mm`` (a motion along the direction from first touch) are
-        shorthand for a path of one step; without friction a side force of 0 there means that the probe is guided.
+        The path. ``force_n`` (three numbers) or ``indentation_mm`` (a motion along the direction
+        from first touch) are shorthand for a path of one step; without friction a side force of 0
+        there means that the probe is guided.
     friction
-        Coulomb's coefficient mu, the same at rest and in motion: a patch carries at most mu times its normal force
-        sideways, and slips when it would need more. 0 is frictionless, inf sticks whatever the force.
+        Coulomb's coefficient mu, the same at rest and in motion: a patch carries at most mu times
+        its normal force sideways, and slips when it would need more. 0 is frictionless, inf sticks
+        whatever the force. Values from 1e3 on are solved as inf, whose forces they have.
     also
-        Further presses at the same time, with probes, places and paths of their own, of as many steps as this one.
+        Further presses at the same time, with probes, places and paths of their own, of as many
+        steps as this one.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True, validate_default=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=True, validate_default=True
+    )
 
     probe: Probe
     at_mm: tuple[Place, Place] | tuple[Place, Place, Place] = (0.0, 0.0)
@@ -185,8 +201,8 @@ class Press(Part):
             finite = all(math.isfinite(c) for c in value)
             if not (finite and 1 / FARTHEST <= max(map(abs, value)) <= FARTHEST):
                 raise ValueError(
-                    f"must be three finite numbers, not all 0 (the largest {1 / FARTHEST:g} to {FARTHEST:g}), or "
-                    "'normal'"
+                    f"must be three finite numbers, not all 0 (the largest {1 / FARTHEST:g} to "
+                    f"{FARTHEST:g}), or 'normal'"
                 )
         return value
 
@@ -194,7 +210,9 @@ class Press(Part):
     @classmethod
     def _known_law(cls, value: float) -> float:
         if not (0.0 <= value <= LARGEST_FRICTION or value == math.inf):
-            raise ValueError(f"allowed are 0 (frictionless) to {LARGEST_FRICTION:g}, or inf (sticking)")
+            raise ValueError(
+                f"allowed are 0 (frictionless) to {LARGEST_FRICTION:g}, or inf (sticking)"
+            )
         return value
 
     @model_validator(mode="after")
@@ -202,14 +220,22 @@ class Press(Part):
         given = [bool(self.steps), self.force_n is not None, self.indentation_mm is not None]
         if sum(given) != 1:
             raise ValueError("give exactly one of steps, force_n and indentation_mm")
-        numbers = [*self.at_mm, *self.tilt_deg, self.indentation_mm or 0.0, *(f or 0.0 for f in self.force_n or ())]
+        numbers = [
+            *self.at_mm,
+            *self.tilt_deg,
+            self.indentation_mm or 0.0,
+            *(f or 0.0 for f in self.force_n or ()),
+        ]
         numbers += [number for step in self.steps for number in step.given]
         if not all(math.isfinite(n) for n in numbers):
-            raise ValueError("at_mm, tilt_deg, force_n, indentation_mm and the numbers of the steps must be finite")
+            raise ValueError(
+                "at_mm, tilt_deg, force_n, indentation_mm and the numbers of the steps must be "
+                "finite"
+            )
         if max(map(abs, self.tilt_deg[:2])) > LARGEST_TURN_DEG:
             raise ValueError(
-                f"tilt_deg = {self.tilt_deg} deg: allowed are up to {LARGEST_TURN_DEG:g} about x and y; change "
-                "direction instead"
+                f"tilt_deg = {self.tilt_deg} deg: allowed are up to {LARGEST_TURN_DEG:g} about x "
+                "and y; change direction instead"
             )
         if self.indentation_mm is not None and self.indentation_mm <= 0:
             raise ValueError("indentation_mm must be greater than 0: a push is +z")
@@ -221,11 +247,14 @@ class Press(Part):
     def _others_fit(self) -> Press:
         for number, other in enumerate(self.also, start=1):
             if other.also:
-                raise ValueError(f"also {number} has further presses itself: list them all in the first one")
+                raise ValueError(
+                    f"also {number} has further presses itself: list them all in the first one"
+                )
             if len(other.path) != len(self.path):
                 raise ValueError(
-                    f"also {number} has {len(other.path)} steps, the first press {len(self.path)}: they are taken at "
-                    "the same time, so give each as many (an empty step holds the probe where it is)"
+                    f"also {number} has {len(other.path)} steps, the first press {len(self.path)}: "
+                    "they are taken at the same time, so give each as many (an empty step holds "
+                    "the probe where it is)"
                 )
         return self
 
@@ -237,7 +266,8 @@ class Press(Part):
         if self.indentation_mm is not None:
             return (_step(move_mm=(None, None, self.indentation_mm)),)
         fx, fy, fz = self.force_n or (None, None, None)
-        if self.friction == 0.0:  # a frictionless probe can't be steered by forces: no side force means guided
+        if self.friction == 0.0:
+            # a frictionless probe can't be steered by forces: no side force means guided
             fx, fy = fx or None, fy or None
         return (_step(force_n=(fx, fy, fz)),)
 
@@ -268,8 +298,12 @@ class Press(Part):
             if number == 1 and not pushed > 0.0:
                 push = "a push is +z" if frame[2, 2] == 1.0 else "along the direction of approach"
                 if by_force[2]:
-                    raise ValueError(f"the first step's force along z must be greater than 0: {push}")
-                raise ValueError(f"the first step must push: force_n.z > 0 or move_mm.z > 0; {push}")
+                    raise ValueError(
+                        f"the first step's force along z must be greater than 0: {push}"
+                    )
+                raise ValueError(
+                    f"the first step must push: force_n.z > 0 or move_mm.z > 0; {push}"
+                )
             found.append((by_force, given))
         return tuple(found)
 
@@ -279,7 +313,10 @@ def _turned(
 ) -> tuple[tuple[bool, ...], tuple[float, ...]]:
     """Return a step's controls along other axes."""
     forced, values = np.array(by_force), np.array(given)
-    for part, words in ((slice(0, 3), "force_n and move_mm"), (slice(3, 6), "torque_nmm and turn_deg")):
+    for part, words in (
+        (slice(0, 3), "force_n and move_mm"),
+        (slice(3, 6), "torque_nmm and turn_deg"),
+    ):
         held, numbers = np.array(by_force[part]), np.array(given[part])
         for axis, row in enumerate(frame):
             used = np.abs(row) > 1e-12
@@ -289,8 +326,10 @@ def _turned(
                 continue
             force, motion = row @ np.where(held, numbers, 0.0), row @ np.where(held, 0.0, numbers)
             raise ValueError(
-                f"{what}: the probe comes obliquely, and {words} hold some of x, y and z by force and others by motion "
-                f"(along its own axis {axis + 1}: {force:g} and {motion:g}); give all three by one of them, or set "
+                f"{what}: the probe comes obliquely, and {words} hold some of x, y and z by "
+                f"force and others by motion "
+                f"(along its own axis {axis + 1}: {force:g} and {motion:g}); give all three by "
+                f"one of them, or set "
                 'axes = "probe"'
             )
     return tuple(forced.tolist()), tuple(values.tolist())

@@ -1,7 +1,8 @@
 """Rigid probes: what is pressed on a body.
 
-Every shape is given as it stands before it is turned: it comes along its own z, its lowest point (the middle of a flat
-face, the tip of a cone, the lowest point of a sphere) is the place from which its motion and its torque count.
+Every shape is given as it stands before it is turned: it comes along its own z, its lowest point
+(the middle of a flat face, the tip of a cone, the lowest point of a sphere) is the place from which
+its motion and its torque count.
 """
 
 from __future__ import annotations
@@ -12,9 +13,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twin.geometry.closed import PROBE_SIZE_MM
-from twin.parts.part import Part
-from twin.parts.ranges import Size
-from twin.parts.stl_file import StlFile
+from twin.parts.part import Part, Size, StlFile
 
 
 class Sphere(Part):
@@ -46,9 +45,11 @@ class Cylinder(Part):
 
 
 class Pillar(Part):
-    """A rigid flat-ended pillar of ``width_mm`` along x and ``length_mm`` along y (a square one if not given).
+    """A rigid flat-ended pillar of ``width_mm`` along x and ``length_mm`` along y (a square one if
+    not given).
 
-    ``edge_mm`` is the radius by which the rim of its face, corners included, is rounded; 0 is sharp.
+    ``edge_mm`` is the radius by which the rim of its face, corners included, is rounded; 0 is
+    sharp.
     """
 
     kind: Literal["pillar"] = "pillar"
@@ -90,8 +91,8 @@ class Cone(Part):
         most = self.diameter_mm / 2 / math.cos(math.radians(self.apex_deg / 2))
         if self.tip_mm >= most:
             raise ValueError(
-                f"tip_mm = {self.tip_mm:g} mm: the rounded tip is as wide as the base (allowed: less than {most:.4g} "
-                "mm); take a smaller one, or a sphere"
+                f"tip_mm = {self.tip_mm:g} mm: the rounded tip is as wide as the base (allowed: "
+                f"less than {most:.4g} mm); take a smaller one, or a sphere"
             )
         return self
 
@@ -102,8 +103,8 @@ class Stl(StlFile):
     Attributes
     ----------
     file
-        STL file in mm, relative to the recipe; its z points into the body, its (0, 0) comes where ``at_mm`` says, and
-        its highest z touches first on a flat body.
+        STL file in mm, relative to the recipe; its z points into the body, its (0, 0) comes where
+        ``at_mm`` is, and its highest z touches first on a flat body.
     sha256
         Digest of the file; filled in when it is read, checked when it is given.
     """
@@ -117,7 +118,8 @@ Probe = Annotated[Sphere | Cylinder | Pillar | Cone | Stl, Field(discriminator="
 
 
 def width_mm(probe: Probe) -> float:
-    """Return how wide a probe is at most, mm; infinite for a surface of the user's own, whose file is not read here."""
+    """Return how wide a probe is at most, mm; infinite for a surface of the user's own, whose file
+    is not read here."""
     if isinstance(probe, Pillar):
         return max(probe.size_mm)
     return math.inf if isinstance(probe, Stl) else probe.diameter_mm
@@ -126,5 +128,6 @@ def width_mm(probe: Probe) -> float:
 def _refuse_edge(edge_mm: float, width_mm: float) -> None:
     if edge_mm > width_mm / 2:
         raise ValueError(
-            f"edge_mm = {edge_mm:g} mm: allowed is up to half the width, {width_mm / 2:g} mm; take a smaller one"
+            f"edge_mm = {edge_mm:g} mm: allowed is up to half the width, {width_mm / 2:g} mm; take "
+            "a smaller one"
         )

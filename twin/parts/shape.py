@@ -1,7 +1,9 @@
-"""What every body is: its shape as level sets, so that surface, cover, marker layers and meshes all read one formula.
+"""What every body is: its shape as level sets, so that surface, cover, marker layers and meshes all
+read one formula.
 
-Why level sets: depth below the outer sensing surface is an exact distance for both sensors, so the marker layers, the
-cover and the snapping of mesh nodes need no triangles, and a new body is one class with three formulas.
+Why level sets: depth below the outer sensing surface is an exact distance for both sensors, so the
+marker layers, the cover and the snapping of mesh nodes need no triangles, and a new body is one
+class with three formulas.
 """
 
 from __future__ import annotations
@@ -21,12 +23,13 @@ class Body(Part):
     @property
     @abstractmethod
     def pieces(self) -> tuple[str, ...]:
-        """Names of the smooth pieces of the boundary, in the order of `piece_distances`: ``sensing`` comes first,
-        ``held``, the base, last."""
+        """Names of the smooth pieces of the boundary, in the order of `piece_distances`:
+        ``sensing`` comes first, ``held``, the base, last."""
 
     @abstractmethod
     def piece_distances(self, points: Points) -> Floats:
-        """Return (n, pieces) distances in mm to every boundary piece, positive on the inner side."""
+        """Return (n, pieces) distances in mm to every boundary piece, positive on the inner
+        side."""
 
     @abstractmethod
     def piece_normals(self, points: Points) -> Floats:
@@ -34,15 +37,18 @@ class Body(Part):
 
     @abstractmethod
     def chart_points(self, chart: Chart, depth_mm: Floats | float = 0.0) -> Points:
-        """Return the (n, 3) points at arc lengths (s, t) on the outer surface, ``depth_mm`` below it."""
+        """Return the (n, 3) points at arc lengths (s, t) on the outer surface, ``depth_mm`` below
+        it."""
 
     @abstractmethod
     def chart_of(self, points: Points) -> Chart:
-        """Return the (n, 2) arc lengths (s, t) of the surface points above ``points``: inverse of `chart_points`."""
+        """Return the (n, 2) arc lengths (s, t) of the surface points above ``points``: inverse of
+        `chart_points`."""
 
     @abstractmethod
     def surface_from_above(self, xy: Floats) -> Points:
-        """Return the (n, 3) points of the sensing surface met from -z at (x, y); NaN where there is none."""
+        """Return the (n, 3) points of the sensing surface met from -z at (x, y); NaN where there is
+        none."""
 
     @property
     @abstractmethod
@@ -55,8 +61,42 @@ class Body(Part):
         """Exact volume."""
 
     @property
+    def sensing_sheets(self) -> Bools:
+        """(sheets,) whether each smooth sheet of the boundary is pressed, in the order of
+        `sheet_distances`.
+
+        Sheets are what mesh nodes are moved onto: they meet at sharp edges only, while the border
+        between two pieces may cross a rounding. Of a body given by formulas they are the pieces.
+        """
+        return np.asarray(np.arange(len(self.pieces)) == 0)
+
+    @property
+    def has_smooth_border(self) -> bool:
+        """Whether the sensing surface goes on smoothly, as a rounding, where it is not pressed any
+        more."""
+        return False
+
+    def sheet_distances(self, points: Points) -> Floats:
+        """Return (n, sheets) distances in mm to every sheet, positive on the inner side."""
+        return self.piece_distances(points)
+
+    def sheet_normals(self, points: Points) -> Floats:
+        """Return (n, sheets, 3) unit inward normals: the gradients of `sheet_distances`."""
+        return self.piece_normals(points)
+
+    def pieces_on(self, points: Points, sheet: Ints) -> Ints:
+        """Return (n,) the piece at points (n, 3) of the sheets (n,)."""
+        return sheet
+
+    def sheets_of(self, corners: Floats, piece: Ints) -> Ints:
+        """Return (f,) the sheet of boundary faces whose nodes (f, k, 3) lie on it, of which the
+        piece is known."""
+        return piece
+
+    @property
     def held_pieces(self) -> tuple[int, ...]:
-        """Indices into `pieces` of the pieces that are bonded to something rigid; all others are free."""
+        """Indices into `pieces` of the pieces that are bonded to something rigid; all others are
+        free."""
         return (len(self.pieces) - 1,)
 
     @property
@@ -65,38 +105,53 @@ class Body(Part):
         return False
 
     @property
+    def layer_mm(self) -> float | None:
+        """Thickness H, mm, of the layer 0 <= z <= H that the body is a piece of; None for others.
+
+        It is held wherever it meets z = H and nowhere else, over no less than is pressed of z = 0.
+        """
+        return None
+
+    @property
     def is_convex(self) -> bool:
-        """Whether the body lies behind every tangent plane of its surface, as all the parametric ones do."""
+        """Whether the body lies behind every tangent plane of its surface, as all the parametric
+        ones do."""
         return True
 
     def is_level_around(self, x_mm: float, y_mm: float, reach_mm: float) -> bool:
-        """Return whether the sensing surface is the plane z = 0 over a square, ``reach_mm`` from (x, y) to either side.
+        """Return whether the sensing surface is the plane z = 0 over a square, ``reach_mm`` from
+        (x, y) to either side.
 
         False where it isn't, or isn't known to be.
         """
         if not self.is_convex:
             return False
-        corners = np.array([(0.0, 0.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)]) * reach_mm + (x_mm, y_mm)
+        corners = np.array(
+            [(0.0, 0.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)]
+        ) * reach_mm + (x_mm, y_mm)
         distances = self.piece_distances(np.column_stack([corners, np.zeros(len(corners))]))
         return bool(not distances[:, 0].any() and distances[:, 1:].min() > 0.0)
 
     def stands_out(self, points: Points, normals: Floats) -> Floats:
-        """Return (n,) how far the body reaches over planes through ``points`` (n, 3) with inward ``normals``, mm."""
+        """Return (n,) how far the body reaches over planes through ``points`` (n, 3) with inward
+        ``normals``, mm."""
         return np.zeros(len(points))
 
     @property
     def own_surface(self) -> tuple[Points, Ints] | None:
-        """Vertices (n, 3) and outward triangles (m, 3) of a body given by them; None where formulas give it."""
+        """Vertices (n, 3) and outward triangles (m, 3) of a body given by them; None where formulas
+        give it."""
         return None
 
     @property
     def own_rim(self) -> Floats | None:
-        """Ends (e, 2, 3) of the edges where stress is singular, of a body given by triangles: where what is held meets
-        what is free, and where the surface is folded inwards."""
+        """Ends (e, 2, 3) of the edges where stress is singular, of a body given by triangles: where
+        what is held meets what is free, and where the surface is folded inwards."""
         return None
 
     def geometry(self) -> dict[str, Any]:
-        """Return what the shape depends on, as plain values: all numbers without where they come from."""
+        """Return what the shape depends on, as plain values: all numbers without where they come
+        from."""
         return self.model_dump(exclude={"source", "assumed"})
 
     @property
@@ -114,11 +169,13 @@ class Body(Part):
         return self.piece_distances(points)[:, 0]
 
     def contains(self, points: Points, margin_mm: float = 0.0) -> Bools:
-        """Return (n,) whether each point is at least ``margin_mm`` inside (a negative margin forgives round-off)."""
+        """Return (n,) whether each point is at least ``margin_mm`` inside (a negative margin
+        forgives round-off)."""
         return np.asarray(np.all(self.piece_distances(points) >= margin_mm, axis=1))
 
     def frames(self, points: Points) -> Floats:
-        """Return (n, 3, 3) right-handed frames at surface points: rows are tangent s, tangent t, inward normal."""
+        """Return (n, 3, 3) right-handed frames at surface points: rows are tangent s, tangent t,
+        inward normal."""
         normal = self.piece_normals(points)[:, 0]
         along_s = np.array([1.0, 0.0, 0.0]) - normal[:, :1] * normal
         length = np.linalg.norm(along_s, axis=1, keepdims=True)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from twin.arrays import Floats
-from twin.parts.part import Part
+from twin.parts.part import Part, keys_of
 from twin.parts.vary import Follows
 
 Fidelity = Literal["closed", "linear", "full"]
@@ -86,27 +86,38 @@ class Range(Part):
 
     def at(self, u: Floats) -> list[Any]:
         """Return the values of (m,) numbers in [0, 1]."""
-        value = self.low * (self.high / self.low) ** u if self.log else self.low + (self.high - self.low) * u
+        value = (
+            self.low * (self.high / self.low) ** u
+            if self.log
+            else self.low + (self.high - self.low) * u
+        )
         value = np.clip(value, self.low, self.high)
         # a grid's values are round numbers in files, not 1.7000000000000002
-        return [int(v) for v in np.rint(value)] if self.whole else [float(f"{v:.12g}") for v in value]
+        return (
+            [int(v) for v in np.rint(value)] if self.whole else [float(f"{v:.12g}") for v in value]
+        )
 
 
 def _kind(value: Any) -> str | None:
-    keys = value if isinstance(value, Mapping) else type(value).model_fields if isinstance(value, Part) else ()
-    return "[values]" if "values" in keys else "[range]" if "low" in keys or "high" in keys else None
+    keys = keys_of(value)
+    if "values" in keys:
+        return "[values]"
+    return "[range]" if "low" in keys or "high" in keys else None
 
 
 Axis = Annotated[
     Annotated[Values, Tag("[values]")] | Annotated[Range, Tag("[range]")],
     Discriminator(
-        _kind, custom_error_type="no_axis", custom_error_message="must be a list, or {low, high, steps, log}"
+        _kind,
+        custom_error_type="no_axis",
+        custom_error_message="must be a list, or {low, high, steps, log}",
     ),
 ]
 
 
 class Loads(Part):
-    """What pushes on every design: square patches under even traction, the same for all designs of a sweep.
+    """What pushes on every design: square patches under even traction, the same for all designs of
+    a sweep.
 
     Attributes
     ----------
@@ -117,7 +128,8 @@ class Loads(Part):
     shear
         Tangential force over the normal one, in a direction of its own for every press.
     presses
-        Presses at quasi-random places; one more, at the middle and without shear, is for the widths.
+        Presses at quasi-random places; one more, at the middle and without shear, is for the
+        widths.
     region_mm
         Half sides of the region of the presses; six tenths of the scene's sites if not given.
     pair_mm
@@ -210,15 +222,17 @@ class Sweep(Part):
     count
         Number of designs of those.
     keep_extent
-        Whether a layer keeps its extent where its pitch is changed: columns and rows follow (by even numbers, so that
-        layers at half a pitch from each other stay so).
+        Whether a layer keeps its extent where its pitch is changed: columns and rows follow (by
+        even numbers, so that layers at half a pitch from each other stay so).
     loads, confirm, limits, cost
         See their classes.
     noise_px
-        Standard deviation of a marker's shift, per axis; computed from the CCD (`twin.theory.centroid`) if not given.
-        For closed form and linear information: the full chain measures its own.
+        Standard deviation of a marker's shift, per axis; computed from the CCD
+        (`twin.theory.limit`) if not given. For closed form and linear information: the full
+        chain measures its own.
     sensors
-        Made sensors a design, drawn from its tolerances, in the linear information and in the full chain.
+        Made sensors a design, drawn from its tolerances, in the linear information and in the full
+        chain.
     targets, weights
         What is asked, by metric, and how much each counts; see `METRICS`.
     """
@@ -239,7 +253,9 @@ class Sweep(Part):
     cost: Cost = Cost()
     noise_px: float | None = Field(default=None, gt=0, le=10)
     sensors: int = Field(default=1, ge=1, le=100)
-    targets: dict[str, float] = Field(default_factory=lambda: {"two_point_mm": 2.0, "total_force_error": 0.05})
+    targets: dict[str, float] = Field(
+        default_factory=lambda: {"two_point_mm": 2.0, "total_force_error": 0.05}
+    )
     weights: dict[str, float] = Field(default_factory=dict)
 
     @field_validator("axes", "derived", mode="before")
@@ -255,19 +271,25 @@ class Sweep(Part):
     @model_validator(mode="after")
     def _fits_together(self) -> Sweep:
         if twice := sorted(set(self.axes) & set(self.derived)):
-            raise ValueError(f"derived: {', '.join(twice)} is an axis already; leave one of them out")
+            raise ValueError(
+                f"derived: {', '.join(twice)} is an axis already; leave one of them out"
+            )
         for name in ("targets", "weights"):
-            told: dict[str, float] = getattr(self, name)
-            if unknown := sorted(set(told) - set(METRICS)):
-                raise ValueError(f"{name}: unknown metric {', '.join(unknown)}; known are {', '.join(METRICS)}")
-            if any(not v > 0 for v in told.values()):
+            numbers: dict[str, float] = getattr(self, name)
+            if unknown := sorted(set(numbers) - set(METRICS)):
+                raise ValueError(
+                    f"{name}: unknown metric {', '.join(unknown)}; known are {', '.join(METRICS)}"
+                )
+            if any(not v > 0 for v in numbers.values()):
                 raise ValueError(f"{name}: every number must be greater than 0")
         if not self.targets:
             raise ValueError(f"targets: give at least one of {', '.join(METRICS)}")
         if len(set(self.fidelity)) < len(self.fidelity):
             raise ValueError("fidelity: each at most once")
         if self.sampling == "grid" and self.size > 10_000_000:
-            raise ValueError(f"axes: a grid of {self.size} designs; at most 10000000, or use sampling = 'sobol'")
+            raise ValueError(
+                f"axes: a grid of {self.size} designs; at most 10000000, or use sampling = 'sobol'"
+            )
         return self
 
     @property
@@ -280,7 +302,10 @@ class Sweep(Part):
         """Number of designs."""
         if self.sampling != "grid":
             return self.count
-        sizes = [axis.steps if isinstance(axis, Range) else len(axis.values) for axis in self.axes.values()]
+        sizes = [
+            axis.steps if isinstance(axis, Range) else len(axis.values)
+            for axis in self.axes.values()
+        ]
         return int(np.prod(sizes, dtype=object))
 
 
@@ -293,7 +318,9 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
             continue
         if isinstance(value, list | tuple):
             found[name] = {"values": value}
-        elif isinstance(value, Mapping) and not any(k in value for k in ("values", "low", "high", "follows")):
+        elif isinstance(value, Mapping) and not any(
+            k in value for k in ("values", "low", "high", "follows")
+        ):
             found |= _flat(value, f"{name}.")
         else:
             found[name] = value

@@ -1,10 +1,7 @@
-"""What varies between samples, and how: distributions over the keys of a scene.
+"""The tables [vary] and [dataset]: what differs between samples, and how a dataset is made.
 
-A distribution turns numbers u in [0, 1) into a value by its inverse, and says how many it takes. So random and
-stratified sampling differ only in where the u come from, and a design grid can use the same descriptions.
-
-Which kind a table is follows from its keys: ``low`` and ``high``; ``mean`` and ``sd``; ``choice``; ``normal_n``;
-``follows``.
+A distribution maps a fixed number of numbers u in [0, 1) to a value by its inverse, so random and
+stratified sampling differ only in where the u come from. Its kind follows from its keys (`_MARKS`).
 """
 
 from __future__ import annotations
@@ -12,19 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
 from twin.arrays import Floats
-from twin.parts.part import Part, in_words
-from twin.parts.tolerance import CUT
+from twin.parts.accuracy import CUT
+from twin.parts.part import Part, in_words, keys_of
+from twin.parts.pipeline import Sites
 
 Number = float | tuple[float, ...]
-
-KEYS = ("low", "high", "mean", "sd", "choice", "normal_n", "follows")
-"""A table with one of these keys is a distribution."""
 
 
 class Uniform(Part):
@@ -119,8 +114,12 @@ class Choice(Part):
 
     @model_validator(mode="after")
     def _fits(self) -> Choice:
-        if self.weights is not None and (len(self.weights) != len(self.choice) or min(self.weights) < 0):
-            raise ValueError(f"weights: give one of 0 or more for each of the {len(self.choice)} choices")
+        if self.weights is not None and (
+            len(self.weights) != len(self.choice) or min(self.weights) < 0
+        ):
+            raise ValueError(
+                f"weights: give one of 0 or more for each of the {len(self.choice)} choices"
+            )
         if self.weights is not None and sum(self.weights) <= 0:
             raise ValueError("weights: one must be greater than 0")
         for value in self.choice:
@@ -146,15 +145,16 @@ class Choice(Part):
 
 
 class ForceCone(Part):
-    """A force vector (x, y, z) in N in a cone about z: for ``press.force_n`` and ``steps.N.force_n``.
+    """A force vector (x, y, z) in N in a cone about z: for ``press.force_n`` and
+    ``steps.N.force_n``.
 
     Attributes
     ----------
     normal_n
         Its part along z: a number or a distribution.
     ratio
-        Its part sideways over that along z: a number or a distribution. With friction mu on a flat face it must stay
-        below mu.
+        Its part sideways over that along z: a number or a distribution. With friction mu on a flat
+        face it must stay below mu.
     """
 
     normal_n: Any
@@ -171,7 +171,9 @@ class ForceCone(Part):
             except ValueError as problem:
                 raise ValueError(f"{key}: {problem}") from None
             if not all(isinstance(end, int | float) and end >= 0 for end in ends):
-                raise ValueError(f"{key} = {value!r}: must be a number of 0 or more, or a distribution of such")
+                raise ValueError(
+                    f"{key} = {value!r}: must be a number of 0 or more, or a distribution of such"
+                )
         return self
 
     @cached_property
@@ -184,7 +186,8 @@ class ForceCone(Part):
         return _made(self.normal_n), _made(self.ratio)
 
     def at(self, u: Floats) -> Any:
-        """Return (x, y, z) in N of (takes,) numbers u; every direction sideways is equally likely."""
+        """Return (x, y, z) in N of (takes,) numbers u; every direction sideways is equally
+        likely."""
         normal_n, ratio = self._made
         normal = float(_inside(normal_n, u[1:]))
         sideways = normal * float(_inside(ratio, u[1 + _takes(normal_n) :]))
@@ -214,17 +217,17 @@ class Follows(Part):
 
 
 def _kind(value: Any) -> str | None:
-    keys = value if isinstance(value, Mapping) else type(value).model_fields if isinstance(value, Part) else ()
-    for kind, marks in _MARKS.items():
-        if any(mark in keys for mark in marks):
-            return kind
-    return None
+    keys = keys_of(value)
+    return next((kind for kind, marks in _MARKS.items() if any(m in keys for m in marks)), None)
 
 
 _MARKS = {
-    "[uniform]": ("low", "high"), "[normal]": ("mean", "sd"), "[choice]": ("choice",), "[cone]": ("normal_n",),
+    "[uniform]": ("low", "high"),
+    "[normal]": ("mean", "sd"),
+    "[choice]": ("choice",),
+    "[cone]": ("normal_n",),
     "[follows]": ("follows",),
-}  # fmt: skip
+}
 
 Distribution = Annotated[
     Annotated[Uniform, Tag("[uniform]")]
@@ -235,11 +238,17 @@ Distribution = Annotated[
     Discriminator(
         _kind,
         custom_error_type="no_distribution",
-        custom_error_message="must be {low, high}, {mean, sd}, {choice}, {normal_n, ratio} or {follows}",
+        custom_error_message="must be {low, high}, {mean, sd}, {choice}, {normal_n, ratio} or "
+        "{follows}",
     ),
 ]
 
-_CLASSES: dict[str, type[Part]] = {"[uniform]": Uniform, "[normal]": Normal, "[choice]": Choice, "[cone]": ForceCone}
+_CLASSES: dict[str, type[Part]] = {
+    "[uniform]": Uniform,
+    "[normal]": Normal,
+    "[choice]": Choice,
+    "[cone]": ForceCone,
+}
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -249,7 +258,8 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         if key in ("source", "assumed"):  # of a table that only holds others
             continue
         holds = isinstance(value, Mapping) and _kind(value) is None
-        # one that holds nothing is kept, so that it is refused: it can only be a distribution without its keys
+        # one that holds nothing is kept, so that it is refused: it can only be a distribution
+        # without its keys
         inner = (flat(value, f"{prefix}{key}.") if holds else {}) or {f"{prefix}{key}": value}
         for name, what in inner.items():
             both = isinstance(found.get(name), Mapping) and isinstance(what, Mapping)
@@ -257,7 +267,7 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def is_distribution(value: Any) -> bool:
+def _is_distribution(value: Any) -> bool:
     """Return whether a plain table is a distribution."""
     return isinstance(value, Mapping) and _kind(value) is not None
 
@@ -282,9 +292,11 @@ def _nested(value: Any) -> None:
 
 def _made(value: Any) -> Any:
     """Return a plain value with the distributions inside it made."""
-    if is_distribution(value):
+    if _is_distribution(value):
         return _CLASSES[_kind(value) or ""].model_validate(value)
-    return {key: _made(inner) for key, inner in value.items()} if isinstance(value, Mapping) else value
+    return (
+        {key: _made(inner) for key, inner in value.items()} if isinstance(value, Mapping) else value
+    )
 
 
 def _takes(value: Any) -> int:
@@ -308,3 +320,35 @@ def _inside(value: Any, u: Floats) -> Any:
 
 def _plain(value: Floats, like: Number) -> float | list[float]:
     return [float(v) for v in value] if isinstance(like, tuple) else float(value[0])
+
+
+class Dataset(Part):
+    """How ``twin dataset`` draws and stores samples of a scene.
+
+    Attributes
+    ----------
+    sampling
+        ``stratified``: a scrambled Sobol' sequence, which fills the space of what varies more
+        evenly; ``random``: independent draws. Either way a sample is known from the scene's seed
+        and its number alone.
+    samples_per_sensor
+        After how many samples the next sensor is made: keys in ``[vary]`` that do not begin with
+        ``press.``, and the tolerances, are drawn once for each sensor. Every sensor has one rest
+        picture.
+    samples_per_shard
+        Samples in one file; what is lost at most when a worker is killed.
+    every_step
+        Keep the state after every step of a press's path, not just the last.
+    sites
+        Grid over the surface into whose cells tractions are summed; every contact must lie inside
+        it.
+    columns
+        Which columns are kept (all if empty); what none of them needs is not computed.
+    """
+
+    sampling: Literal["stratified", "random"] = "stratified"
+    samples_per_sensor: int = Field(default=1000, ge=1, le=10**9)
+    samples_per_shard: int = Field(default=64, ge=1, le=100_000)
+    every_step: bool = False
+    sites: Sites | None = None
+    columns: tuple[str, ...] = ()

@@ -1,1 +1,3 @@
-"""The sensor's software: pictures in, forces out. Blind to the truth: imports nothing of twin.world."""
+"""The sensor's software: pictures in, forces out. Blind to the truth: imports nothing of
+twin.world.
+"""

@@ -1,4 +1,6 @@
-"""The calibration: what the sensor's software knows about its sensor, and the file that holds it."""
+"""The calibration: what the sensor's software knows about its sensor, and the file that holds
+it.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.archive import read_arrays
 from twin.arrays import Bools, Floats, Pixels, Points, frozen
 from twin.errors import InputError, TwinError
+from twin.files import read_arrays, write_whole
 from twin.parts.camera import Camera
-from twin.results import write_whole
 from twin.theory.optics import project
 
 VERSION = 2
@@ -39,7 +40,8 @@ class Calibration:
     layout_px
         (n, 2) nominal rest positions, px.
     site_mm
-        (k, 3) places on the sensing surface where forces are reconstructed, mm; s (along x) outer, t (along y) inner.
+        (k, 3) places on the sensing surface where forces are reconstructed, mm; s (along x) outer,
+        t (along y) inner.
     site_frames
         (k, 3, 3) frames there; rows are tangent s, tangent t and the inward normal.
     site_area_mm2
@@ -47,8 +49,9 @@ class Calibration:
     grid
         (columns, rows) of the sites; columns * rows = k.
     transfer
-        (2n, 3k) px/N. Rows: marker by marker, column then row; columns: site by site, force along global x, y, z.
-        A marker whose rows hold NaN could not be calibrated and is left out of every reconstruction.
+        (2n, 3k) px/N. Rows: marker by marker, column then row; columns: site by site, force along
+        global x, y, z. A marker whose rows hold NaN could not be calibrated and is left out of
+        every reconstruction.
     noise_px
         Standard deviation of a shift's component where tracking states none, px.
     diameter_px
@@ -58,17 +61,18 @@ class Calibration:
     provenance
         JSON text: how it was made, with a digest of the nominal scene.
     compliance
-        (3n, 3k) mm/N, marker motion per site force, where the camera's bend is to be followed; else (0, 0).
+        (3n, 3k) mm/N, marker motion per site force, where the camera's bend is to be followed; else
+        (0, 0).
     marker_mm
         (n, 3) markers at rest that go with it, mm; else (0, 3).
     camera
-        JSON text that goes with it: ``camera`` (`twin.parts.camera.Camera`), ``body_index`` and ``base_z_mm``; ``{}``
-        without.
+        JSON text that goes with it: ``camera`` (`twin.parts.camera.Camera`), ``body_index`` and
+        ``base_z_mm``; ``{}`` without.
     condition
         Largest over smallest singular value of the transfer matrix; NaN if not known.
     left_out
-        (q,) error of every calibrated place's transfer as predicted from the other places, over its size; empty where
-        nothing was measured.
+        (q,) error of every calibrated place's transfer as predicted from the other places, over its
+        size; empty where nothing was measured.
     """
 
     layer: NDArray[np.str_]
@@ -91,11 +95,16 @@ class Calibration:
     def __post_init__(self) -> None:
         markers, sites = len(self.layer), len(self.site_mm)
         shapes = {
-            "layer": (markers,), "layout_px": (markers, 2), "site_mm": (sites, 3), "site_frames": (sites, 3, 3),
-            "site_area_mm2": (sites,), "transfer": (2 * markers, 3 * sites), "left_out": (np.size(self.left_out),),
+            "layer": (markers,),
+            "layout_px": (markers, 2),
+            "site_mm": (sites, 3),
+            "site_frames": (sites, 3, 3),
+            "site_area_mm2": (sites,),
+            "transfer": (2 * markers, 3 * sites),
+            "left_out": (np.size(self.left_out),),
             "compliance": (3 * markers, 3 * sites) if np.size(self.compliance) else (0, 0),
             "marker_mm": (markers, 3) if np.size(self.compliance) else (0, 3),
-        }  # fmt: skip
+        }
         kinds = {"layer": np.str_, "compliance": np.float32}
         for name, shape in shapes.items():
             array: NDArray[Any] = np.array(getattr(self, name), kinds.get(name, np.float64))
@@ -107,20 +116,31 @@ class Calibration:
         if not markers or not sites:
             raise InputError(f"calibration: needs markers and sites, got {markers} and {sites}")
         if np.isinf(self.transfer).any() or not np.isfinite(self.transfer).any():
-            raise InputError("calibration: transfer must hold finite numbers (NaN only for markers not calibrated)")
+            raise InputError(
+                "calibration: transfer must hold finite numbers (NaN only for markers not "
+                "calibrated)"
+            )
         columns, rows = (int(v) for v in self.grid)
         if columns * rows != sites or columns < 1:
             raise InputError(f"calibration: grid {self.grid} does not make {sites} sites")
         object.__setattr__(self, "grid", (columns, rows))
         if not 0 < self.noise_px < 100:
-            raise InputError(f"calibration: noise_px = {self.noise_px} px must lie between 0 and 100 px")
+            raise InputError(
+                f"calibration: noise_px = {self.noise_px} px must lie between 0 and 100 px"
+            )
         for name in ("provenance", "camera"):
             try:
                 json.loads(getattr(self, name))
             except (ValueError, RecursionError) as problem:
                 raise InputError(f"calibration: {name} must be JSON text ({problem})") from None
         if self.has_camera:
-            self._optics  # noqa: B018  a bad camera is said now
+            self._optics  # noqa: B018  a bad camera is refused here
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """What `provenance` holds; empty where that is no table."""
+        stored = json.loads(self.provenance)
+        return stored if isinstance(stored, dict) else {}
 
     @cached_property
     def calibrated(self) -> Bools:
@@ -144,19 +164,26 @@ class Calibration:
     @cached_property
     def _optics(self) -> tuple[Camera, float, float]:
         try:
-            told = json.loads(self.camera)
-            return Camera.model_validate(told["camera"]), float(told["body_index"]), float(told["base_z_mm"])
+            stored = json.loads(self.camera)
+            return (
+                Camera.model_validate(stored["camera"]),
+                float(stored["body_index"]),
+                float(stored["base_z_mm"]),
+            )
         except (ValueError, KeyError, TypeError, TwinError) as problem:
             raise InputError(f"calibration: camera can't be read ({problem})") from None
 
     def shift_px(self, force_n: Floats) -> Pixels:
-        """Return (n, 2) shifts under (k, 3) site forces as the camera sees them, not linear in the forces, px.
+        """Return (n, 2) shifts under (k, 3) site forces as the camera sees them, not linear in the
+        forces, px.
 
         Markers that would leave the camera's range move linearly.
         """
         linear = (self.transfer @ force_n.ravel()).reshape(-1, 2)
         motion = (self.compliance @ force_n.ravel()).reshape(-1, 3)
-        seen = project(self.marker_mm + motion, *self._optics) - project(self.marker_mm, *self._optics)
+        seen = project(self.marker_mm + motion, *self._optics) - project(
+            self.marker_mm, *self._optics
+        )
         return np.where(np.isfinite(seen), seen, linear)
 
     def bend_px(self, force_n: Floats) -> Pixels:
@@ -195,29 +222,42 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
     try:
         arrays: dict[str, NDArray[Any]] = {**read_arrays(path)}
     except FileNotFoundError:
-        raise InputError(f"calibration file {path} does not exist: make one with `twin calibrate`") from None
+        raise InputError(
+            f"calibration file {path} does not exist: make one with `twin calibrate`"
+        ) from None
     except (OSError, ValueError) as problem:
-        raise InputError(f"calibration file {path} can't be read ({problem}): make it again") from None
+        raise InputError(
+            f"calibration file {path} can't be read ({problem}): make it again"
+        ) from None
     version = arrays.get("version", np.array(0))
     if "version" in arrays and (version.shape != () or version not in READABLE):
-        raise InputError(f"{path} has format version {version}, this program reads {READABLE}: make it again")
+        raise InputError(
+            f"{path} has format version {version}, this program reads {READABLE}: make it again"
+        )
     names = [f.name for f in fields(Calibration)]
     if version == 1:
         names = [name for name in names if name not in LATER]
     missing = [name for name in ["version", *names] if name not in arrays]
     if missing:
         raise InputError(
-            f"{path} is no calibration file: it lacks {', '.join(missing)}; make one with `twin calibrate`"
+            f"{path} is no calibration file: it lacks {', '.join(missing)}; make one with `twin "
+            f"calibrate`"
         )
     for name in names:
         kinds, what = ("U", "text") if name in TEXTS else ("fi", "numbers")
         if arrays[name].dtype.kind not in kinds:
             raise InputError(f"{path}: {name} must be {what}, got {arrays[name].dtype}")
-    if arrays["grid"].shape != (2,) or any(arrays[name].shape != () for name in names if name in SCALARS):
-        raise InputError(f"{path}: grid must be two numbers, and {', '.join(SCALARS)} single values")
-    told: dict[str, Any] = {name: arrays[name] for name in names}
-    told |= {name: (str if name in TEXTS else float)(told[name]) for name in names if name in SCALARS}
+    if arrays["grid"].shape != (2,) or any(
+        arrays[name].shape != () for name in names if name in SCALARS
+    ):
+        raise InputError(
+            f"{path}: grid must be two numbers, and {', '.join(SCALARS)} single values"
+        )
+    stored: dict[str, Any] = {name: arrays[name] for name in names}
+    stored |= {
+        name: (str if name in TEXTS else float)(stored[name]) for name in names if name in SCALARS
+    }
     try:
-        return Calibration(**told | {"grid": (int(told["grid"][0]), int(told["grid"][1]))})
+        return Calibration(**stored | {"grid": (int(stored["grid"][0]), int(stored["grid"][1]))})
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None

@@ -1,4 +1,15 @@
-"""Find the marker-like spots of a layer's signal; `twin.sense.centre` measures them."""
+"""The marker-like spots of a layer's signal, and their centres by the soft-window centroid.
+
+The soft window cuts each marker out by a threshold at its own level, levels its brightness by a
+plane fitted to its inner pixels, takes its ground from a ring around it, and the centroid under a
+window that follows the marker's ellipse and fades out a few pixels outside its edge. Why not the
+plain centroid of a cell: LEDs near the lens light a marker from one side, which pulls an intensity
+centroid up to a pixel away from the centre of the outline, and pixels far from the marker only add
+noise. Measured (8 bit, 1.5 counts of read noise, 20 000 electron well), standard deviation of the
+two-frame shift per axis: .027 / .014 / .010 px at 6 / 10 / 15 px diameter; the Cramer-Rao bound is
+.010 / .0075 / .006. Valid for markers at least about 4 px wide, sharp to about 2 px, and 2 px or
+more from others of their layer.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +17,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.arrays import Floats, Pixels
+from twin.arrays import Bools, Floats, Pixels
 from twin.compiled import njit
-from twin.sense.centre import COLUMNS, measure
-from twin.sense.split import Signal
+from twin.sense.colour import Signal
+
+CROWD = 0.8
+"""Share of the counts at which a signal is cut off, below which a pixel shows another colour."""
 
 SD_FLOOR_PX = 0.002
-"""No centre is taken to be better than this: what a lens and a finite pixel leave even without noise."""
+"""No centre is taken to be better than this: what a lens and a finite pixel leave even without
+noise."""
+
+THRESHOLD = 0.4
+"""Share of a marker's middle brightness above which a pixel belongs to it."""
+
+CEILING = 0.8
+"""Levelled brightness above which a pixel counts in full, so that shadows and sheen inside a marker
+weigh little."""
+
+CORE_PX = 0.35
+"""The plane is fitted inside the edge by this much, px."""
+
+EDGE_START, EDGE_END = 1.2, 3.0
+"""Distances outside the edge between which the window fades out, px."""
+
+CUT = 0.92
+"""A spot at the picture's border is whole if its centroid is farther from it than this share of its
+mean radius: of a disc with a twelfth of its width beyond the border that is .9."""
+
+TURNS = 5
+"""Times the window is moved to the centroid at most; the plane is fitted again every second
+time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +75,7 @@ class Blobs:
     level_dn: Floats
     area_px: Floats
     crowding: Floats
-    whole: np.ndarray
+    whole: Bools
 
     def __len__(self) -> int:
         return len(self.area_px)
@@ -52,7 +87,254 @@ class Blobs:
 
 
 @njit(cache=True)
-def _box(signal, half):  # type: ignore[no-untyped-def]
+def _ring(signal, column, row, inner, outer, top):
+    """Mean and variance of the ground: of a ring, then its pixels nearer to that than to ``top``,
+    then within 3 sd."""
+    height, width = signal.shape
+    low, high = -1e30, 1e30
+    mean, variance = 0.0, 0.0
+    for turn in range(3):
+        count, total, squares = 0, 0.0, 0.0
+        for y in range(max(row - outer, 0), min(row + outer, height - 1) + 1):
+            for x in range(max(column - outer, 0), min(column + outer, width - 1) + 1):
+                distance = (x - column) ** 2 + (y - row) ** 2
+                if inner * inner <= distance <= outer * outer:
+                    value = np.float64(signal[y, x])
+                    if low <= value <= high:
+                        count += 1
+                        total += value
+                        squares += value * value
+        if count < 4:
+            break
+        mean = total / count
+        variance = max(squares / count - mean * mean, 0.0)
+        reach = 3.0 * np.sqrt(variance) + 1.0
+        low, high = (-1e30, 0.5 * (mean + top)) if turn == 0 else (mean - reach, mean + reach)
+    return mean, variance
+
+
+@njit(cache=True)
+def _cut_out(signal, column, row, level, reach, mark, stamp, stack):
+    """Flood from a peak: area, centroid, second moments (xx, xy, yy) of the pixels above ``level``;
+    whether whole."""
+    height, width = signal.shape
+    top, area = 1, 0
+    stack[0, 0], stack[0, 1] = column, row
+    mark[row, column] = stamp
+    sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0
+    whole, at_border = True, False
+    while top > 0:
+        top -= 1
+        x, y = stack[top, 0], stack[top, 1]
+        dx, dy = np.float64(x - column), np.float64(y - row)
+        area += 1
+        sx += dx
+        sy += dy
+        sxx += dx * dx
+        sxy += dx * dy
+        syy += dy * dy
+        if abs(dx) >= reach or abs(dy) >= reach:
+            whole = False
+            continue
+        if x == 0 or y == 0 or x == width - 1 or y == height - 1:
+            at_border = True
+            continue
+        for nx, ny in ((x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)):
+            if mark[ny, nx] != stamp and signal[ny, nx] > level and top < stack.shape[0]:
+                mark[ny, nx] = stamp
+                stack[top, 0], stack[top, 1] = nx, ny
+                top += 1
+    mx, my = sx / area, sy / area
+    if at_border:
+        gap = (
+            min(min(column + mx, width - 1 - column - mx), min(row + my, height - 1 - row - my))
+            + 0.5
+        )
+        whole = whole and gap > CUT * np.sqrt(area / np.pi)
+    return (
+        area,
+        column + mx,
+        row + my,
+        sxx / area - mx * mx,
+        sxy / area - mx * my,
+        syy / area - my * my,
+        whole,
+    )
+
+
+@njit(cache=True)
+def _levelling(signal, cx, cy, ixx, ixy, iyy, core, box, ground, level):
+    """Plane a + b x + c y about (cx, cy) through a marker's inner pixels, the noise's variance, and
+    a slope's.
+
+    The weights fall smoothly to zero at the share ``core`` of the semi-axes: a sharp limit would
+    let single pixels of a bead's darker rim in and out as it moves, and tilt the plane. The noise
+    is read off 2 x 2 differences, which neither a slope nor a round marker's shading feels.
+    """
+    n, sx, sy, sxx, sxy, syy, nn = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    t0, tx, ty, rough = 0.0, 0.0, 0.0, 0.0
+    for y in range(box[2], box[3]):
+        for x in range(box[0], box[1]):
+            dx, dy = x - cx, y - cy
+            inside = core * core - (ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy)
+            if inside > 0.0:
+                w = (inside / (core * core)) ** 2
+                value = w * (signal[y, x] - ground)
+                n += w
+                nn += w * w
+                sx += w * dx
+                sy += w * dy
+                sxx += w * dx * dx
+                sxy += w * dx * dy
+                syy += w * dy * dy
+                t0 += value
+                tx += value * dx
+                ty += value * dy
+                twist = signal[y, x] - signal[y + 1, x] - signal[y, x + 1] + signal[y + 1, x + 1]
+                rough += w * w * twist * twist
+    if n < 4.0:
+        return level, 0.0, 0.0, 0.0, 0.0
+    mx, my, mean = sx / n, sy / n, t0 / n
+    vxx, vxy, vyy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
+    wx, wy = tx / n - mean * mx, ty / n - mean * my
+    determinant = vxx * vyy - vxy * vxy
+    if determinant < 1e-6:
+        return mean, 0.0, 0.0, 0.0, 0.0
+    b = (vyy * wx - vxy * wy) / determinant
+    c = (vxx * wy - vxy * wx) / determinant
+    variance = 0.25 * rough / nn
+    slope_variance = variance * max(vxx, vyy) / determinant * nn / (n * n)
+    return mean - b * mx - c * my, b, c, variance, slope_variance
+
+
+@njit(cache=True)
+def _ellipse(xx, xy, yy):
+    """Inverse form (xx, xy, yy), equal to 1 on the edge, and semi-axes of the ellipse with these
+    second moments."""
+    xx, yy = xx + 1 / 12, yy + 1 / 12
+    determinant = max(xx * yy - xy * xy, 1e-6)
+    middle, gap = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    major, minor = 2 * np.sqrt(middle + gap), 2 * np.sqrt(max(middle - gap, 0.01))
+    return yy / determinant / 4, -xy / determinant / 4, xx / determinant / 4, major, minor
+
+
+@njit(cache=True)
+def _window(form, limits):
+    """Weight of a pixel: 1 up to a little outside the edge, then fading to 0; ``form`` is the
+    squared radius."""
+    if form <= limits[0] * limits[0]:
+        return 1.0
+    share = (np.sqrt(form) - limits[0]) / (limits[1] - limits[0])
+    return 0.5 + 0.5 * np.cos(np.pi * share)
+
+
+@njit(cache=True)
+def _centroid(signal, cx, cy, ixx, ixy, iyy, limits, box, plane, ground):
+    """One pass: mass, and mean offset from (cx, cy), of the levelled signal under the window."""
+    a, b, c, px, py = plane
+    mass, sx, sy = 0.0, 0.0, 0.0
+    last = limits[1] * limits[1]
+    for y in range(box[2], box[3] + 1):
+        dy = y - cy
+        for x in range(box[0], box[1] + 1):
+            dx = x - cx
+            form = ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy
+            if form < last:
+                full = CEILING * max(a + b * (x - px) + c * (y - py), 0.3 * a)
+                value = _window(form, limits) * min((signal[y, x] - ground) / full, 1.0)
+                mass += value
+                sx += value * dx
+                sy += value * dy
+    return mass, sx / max(mass, 1e-9), sy / max(mass, 1e-9)
+
+
+@njit(cache=True)
+def _spread(signal, ellipse, limits, box, plane, ground, noise, mass, crowd_level):
+    """Variances (x, y) of a centre from ``noise`` (inside, outside, slope), and the crowding of the
+    ring outside."""
+    cx, cy, ixx, ixy, iyy = ellipse
+    a, b, c, px, py = plane
+    sxx, syy, vx, vy, ring, crowded = 0.0, 0.0, 0.0, 0.0, 0, 0
+    last = limits[1] * limits[1]
+    for y in range(box[2], box[3] + 1):
+        for x in range(box[0], box[1] + 1):
+            dx, dy = x - cx, y - cy
+            form = ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy
+            if form >= last:
+                continue
+            full = CEILING * max(a + b * (x - px) + c * (y - py), 0.3 * a)
+            weight, value = _window(form, limits), (signal[y, x] - ground) / full
+            if value < 1.0:
+                sxx += weight * value * dx * dx
+                syy += weight * value * dy * dy
+                share = weight * weight * (noise[0] if form < 1.0 else noise[1]) / (full * full)
+                vx += share * dx * dx
+                vy += share * dy * dy
+            if form > 1.0:
+                ring += 1
+                crowded += 1 if signal[y, x] <= crowd_level else 0
+    tilt = noise[2] / (a * a) if a > 0 else 0.0
+    vx = vx / (mass * mass) + tilt * (sxx / mass) ** 2
+    vy = vy / (mass * mass) + tilt * (syy / mass) ** 2
+    return vx, vy, crowded / max(ring, 1)
+
+
+@njit(cache=True)
+def _measure(signal, smooth, peaks, diameter, crowd_level, out):
+    """Fill ``out`` (n, 8): column, row, variance x, variance y, level, area, crowding, whole; area
+    0 for no spot."""
+    height, width = signal.shape
+    reach = int(np.ceil(1.5 * diameter)) + 2
+    mark = np.zeros((height, width), np.int32)
+    stack = np.empty(((2 * reach + 3) ** 2 * 4, 2), np.int64)
+    box = np.empty(4, np.int64)
+    inner, outer = int(np.ceil(0.5 * diameter)) + 3, int(np.ceil(0.5 * diameter)) + 7
+    for k in range(len(peaks)):
+        column, row = peaks[k, 0], peaks[k, 1]
+        top = np.float64(smooth[row, column])
+        ground, outside = _ring(signal, column, row, inner, outer, top)
+        level = top - ground
+        out[k, 4], out[k, 5] = level, 0.0
+        if level <= 0:
+            continue
+        area, cx, cy, xx, xy, yy, whole = _cut_out(
+            signal, column, row, ground + THRESHOLD * level, reach, mark, k + 1, stack
+        )
+        ixx, ixy, iyy, major, minor = _ellipse(xx, xy, yy)
+        mean_radius = np.sqrt(major * minor)
+        limits = (1.0 + EDGE_START / mean_radius, 1.0 + EDGE_END / mean_radius)
+        span = int(np.ceil(min(major, 2.0 * reach) * limits[1])) + 1
+        box[0], box[1] = max(int(cx) - span, 0), min(int(cx) + span, width - 1)
+        box[2], box[3] = max(int(cy) - span, 0), min(int(cy) + span, height - 1)
+        core = max(1.0 - CORE_PX / minor, 0.2)
+        plane, inside, slope = (level, 0.0, 0.0, cx, cy), 0.0, 0.0
+        mass = 0.0
+        for turn in range(TURNS):
+            if turn % 2 == 0:
+                a, b, c, inside, slope = _levelling(
+                    signal, cx, cy, ixx, ixy, iyy, core, box, ground, level
+                )
+                plane = (a, b, c, cx, cy)
+            mass, step_x, step_y = _centroid(
+                signal, cx, cy, ixx, ixy, iyy, limits, box, plane, ground
+            )
+            if mass <= 0.0:
+                whole = False
+                break
+            cx += min(max(step_x, -2.0), 2.0)
+            cy += min(max(step_y, -2.0), 2.0)
+            if turn >= 2 and step_x * step_x + step_y * step_y < 1e-6:
+                break
+        noise = (inside, outside, slope)
+        ellipse, mass = (cx, cy, ixx, ixy, iyy), max(mass, 1e-9)
+        out[k, 2], out[k, 3], out[k, 6] = _spread(
+            signal, ellipse, limits, box, plane, ground, noise, mass, crowd_level
+        )
+        out[k, 0], out[k, 1], out[k, 5], out[k, 7] = cx, cy, area, 1.0 if whole else 0.0
+
+
+@njit(cache=True)
+def _box(signal, half):
     """Running mean over (2 half + 1)^2 pixels, edges repeated."""
     height, width = signal.shape
     across = np.empty((height, width), np.float32)
@@ -63,7 +345,9 @@ def _box(signal, half):  # type: ignore[no-untyped-def]
             total += signal[row, min(max(offset, 0), width - 1)]
         for column in range(width):
             across[row, column] = total * share
-            total += signal[row, min(column + half + 1, width - 1)] - signal[row, max(column - half, 0)]
+            total += (
+                signal[row, min(column + half + 1, width - 1)] - signal[row, max(column - half, 0)]
+            )
     down = np.empty((height, width), np.float32)
     totals = np.zeros(width, np.float64)
     for offset in range(-half, half + 1):
@@ -79,8 +363,9 @@ def _box(signal, half):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _peaks(smooth, broad, radius, contrast, most):  # type: ignore[no-untyped-def]
-    """Local maxima of smooth - broad within a square of ``radius``, above ``contrast``: (column, row) each."""
+def _peaks(smooth, broad, radius, contrast, most):
+    """Local maxima of smooth - broad within a square of ``radius``, above ``contrast``: (column,
+    row) each."""
     height, width = smooth.shape
     found = np.empty((most, 2), np.int64)
     count = 0
@@ -95,9 +380,9 @@ def _peaks(smooth, broad, radius, contrast, most):  # type: ignore[no-untyped-de
                 continue
             highest = True
             for other in range(max(row - radius, 0), min(row + radius, height - 1) + 1):
-                for beside in range(max(column - radius, 0), min(column + radius, width - 1) + 1):
-                    value = smooth[other, beside]
-                    later = other > row or (other == row and beside > column)
+                for along in range(max(column - radius, 0), min(column + radius, width - 1) + 1):
+                    value = smooth[other, along]
+                    later = other > row or (other == row and along > column)
                     if value > here or (value == here and later):
                         highest = False
                         break
@@ -110,7 +395,9 @@ def _peaks(smooth, broad, radius, contrast, most):  # type: ignore[no-untyped-de
     return found[:count]
 
 
-def find_blobs(signal: Signal, diameter_px: float, contrast_dn: float, crowd_dn: float = -np.inf) -> Blobs:
+def find_blobs(
+    signal: Signal, diameter_px: float, contrast_dn: float, floor_dn: float = -np.inf
+) -> Blobs:
     """Find and measure the marker-like spots of a signal.
 
     Parameters
@@ -121,18 +408,21 @@ def find_blobs(signal: Signal, diameter_px: float, contrast_dn: float, crowd_dn:
         About how wide the markers are, px; a factor of two either way does no harm.
     contrast_dn
         Least contrast of a spot above its surroundings.
-    crowd_dn
-        A pixel at or below this count shows another layer's colour.
+    floor_dn
+        Where the signal is cut off: a pixel near it shows another layer's colour.
     """
-    diameter_px = min(diameter_px, float(max(signal.shape)))  # windows are as large: none is larger than the picture
+    # windows are as large: none is larger than the picture
+    diameter_px = min(diameter_px, float(max(signal.shape)))
     half = max(1, round(0.3 * diameter_px))
     smooth = _box(signal, half)
     broad = _box(signal, max(2 * half + 2, round(1.5 * diameter_px)))
     peaks = _peaks(smooth, broad, max(2, round(0.5 * diameter_px)), np.float32(contrast_dn), 20_000)
-    out = np.zeros((len(peaks), COLUMNS))
-    measure(signal, smooth, peaks, float(diameter_px), float(crowd_dn), out)
+    out = np.zeros((len(peaks), 8))
+    _measure(signal, smooth, peaks, float(diameter_px), CROWD * float(floor_dn), out)
     out = out[(out[:, 5] >= 4) & (out[:, 4] >= contrast_dn)]
-    out = out[_distinct(out)]
+    # of peaks that flooded into one spot (equal centres) only the first
+    _, first = np.unique(np.rint(out[:, :2] * 4).astype(np.int64), axis=0, return_index=True)
+    out = out[np.sort(first)]
     return Blobs(
         centre_px=np.ascontiguousarray(out[:, :2]),
         sd_px=np.sqrt(np.mean(out[:, 2:4], axis=1) + SD_FLOOR_PX**2),
@@ -141,9 +431,3 @@ def find_blobs(signal: Signal, diameter_px: float, contrast_dn: float, crowd_dn:
         crowding=out[:, 6].copy(),
         whole=out[:, 7] > 0,
     )
-
-
-def _distinct(out: Floats) -> np.ndarray:
-    """Return which rows to keep: of peaks that flooded into one spot (equal centres) only the first."""
-    _, first = np.unique(np.rint(out[:, :2] * 4).astype(np.int64), axis=0, return_index=True)
-    return np.asarray(np.sort(first))

@@ -1,13 +1,15 @@
 """The fitted twin: physical parameters of a design, fitted to a few presses and the rest picture.
 
-The unknowns are a handful of numbers that a maker doesn't control (stiffness, depths, camera, footprint), each with the
-standard deviation that its drawing allows. Where every marker was printed follows from the rest picture and them, so it
-is no unknown of its own: it only has to be as likely as the print's tolerance says. The load cell's errors are unknown
-as well, but linear, so they are eliminated press by press. What is left is whitened least squares by Gauss-Newton.
+The unknowns are a handful of numbers that a maker doesn't control (stiffness, depths, camera,
+footprint), each with the standard deviation that its drawing allows. Where every marker was printed
+follows from the rest picture and them, so it is no unknown of its own: it only has to be as likely
+as the print's tolerance states. The load cell's errors are unknown as well, but linear, so they are
+eliminated press by press. What is left is whitened least squares by Gauss-Newton.
 
 The design comes in as something to ask (`Design`): this module knows neither body nor mesh.
 
-Validity: what the design can't express (cover, contact, mesh) ends up in the residual and is told as ``model_px``.
+Validity: what the design can't express (cover, contact, mesh) ends up in the residual and is stated
+as ``model_px``.
 """
 
 from __future__ import annotations
@@ -72,7 +74,9 @@ class Design(Protocol):
         """Standard deviation of a marker's place along the surface, mm."""
         ...
 
-    def predict(self, scaled: Floats, rest_px: Pixels, place: Ints, force_n: Floats) -> tuple[Floats, Floats, Floats]:
+    def predict(
+        self, scaled: Floats, rest_px: Pixels, place: Ints, force_n: Floats
+    ) -> tuple[Floats, Floats, Floats]:
         """Return what parameters predict.
 
         Parameters
@@ -87,7 +91,8 @@ class Design(Protocol):
         Returns
         -------
         print_mm
-            (n, 2) print errors that put the markers where they are seen, mm; 0 for markers not seen.
+            (n, 2) print errors that put the markers where they are seen, mm; 0 for markers not
+            seen.
         shift_px
             (q, n, 2) motion, px.
         slope
@@ -111,7 +116,8 @@ class Fit:
     model_px
         The share of it that the noise doesn't explain, px.
     left_out
-        (places,) error of a place's shifts when predicted without its presses, noise included, over their size.
+        (places,) error of a place's shifts when predicted without its presses, noise included, over
+        their size.
     """
 
     names: tuple[str, ...]
@@ -128,7 +134,8 @@ def fit(design: Design, presses: Presses) -> Fit:
     Raises
     ------
     InputError
-        There are no presses, shapes don't agree, or no marker was seen both at rest and under a press.
+        There are no presses, shapes don't agree, or no marker was seen both at rest and under a
+        press.
     """
     _check(presses)
     scaled, model = np.zeros(len(design.names)), FIRST_MODEL_PX
@@ -137,7 +144,10 @@ def fit(design: Design, presses: Presses) -> Fit:
         scaled, slope = _gauss_newton(residuals, scaled)
         left = residuals.press_residual_px(scaled)
         size = float(np.sqrt(np.nanmean(left**2)))
-        before, model = model, float(np.sqrt(max(size**2 - presses.noise_px**2, (0.2 * presses.noise_px) ** 2)))
+        before, model = (
+            model,
+            float(np.sqrt(max(size**2 - presses.noise_px**2, (0.2 * presses.noise_px) ** 2))),
+        )
         if abs(model - before) < 0.1 * before:
             break
     return Fit(
@@ -152,10 +162,16 @@ def fit(design: Design, presses: Presses) -> Fit:
 
 def _check(presses: Presses) -> None:
     count, markers = len(presses.force_n), len(presses.rest_px)
-    shapes = (presses.force_n.shape, presses.shift_px.shape, presses.place.shape, presses.rest_px.shape)
+    shapes = (
+        presses.force_n.shape,
+        presses.shift_px.shape,
+        presses.place.shape,
+        presses.rest_px.shape,
+    )
     if shapes != ((count, 3), (count, markers, 2), (count,), (markers, 2)):
         raise InputError(
-            f"presses: force_n, shift_px, place and rest_px must be (q, 3), (q, n, 2), (q,) and (n, 2), got {shapes}"
+            f"presses: force_n, shift_px, place and rest_px must be (q, 3), (q, n, 2), (q,) and "
+            f"(n, 2), got {shapes}"
         )
     if not count or not np.isfinite(presses.force_n).all():
         raise InputError("presses: at least one is needed, with finite forces")
@@ -178,16 +194,19 @@ class _Residuals:
         return np.asarray(np.isfinite(self.presses.shift_px).all(axis=2) & at_rest)
 
     def _predicted(self, scaled: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return print errors, (q, n, 2) what is left of the shifts, 0 where lost, and (q, 3) load cell errors."""
-        told = self.presses
-        prints, shift, slope = self.design.predict(scaled, told.rest_px, told.place, told.force_n)
+        """Return print errors, (q, n, 2) what is left of the shifts, 0 where lost, and (q, 3) load
+        cell errors."""
+        presses = self.presses
+        prints, shift, slope = self.design.predict(
+            scaled, presses.rest_px, presses.place, presses.force_n
+        )
         seen = self.seen
-        left = np.where(seen[:, :, None], told.shift_px - shift, 0.0)
+        left = np.where(seen[:, :, None], presses.shift_px - shift, 0.0)
         slope = np.where(seen[:, :, None, None], slope, 0.0)
         cell: Floats = np.zeros((len(left), 3))
-        if told.load_cell_n > 0:
+        if presses.load_cell_n > 0:
             rows = slope.reshape(len(left), -1, 3) / self.noise_px
-            gram = rows.transpose(0, 2, 1) @ rows + np.eye(3) / told.load_cell_n**2
+            gram = rows.transpose(0, 2, 1) @ rows + np.eye(3) / presses.load_cell_n**2
             pull = rows.transpose(0, 2, 1) @ (left.reshape(len(left), -1, 1) / self.noise_px)
             cell = np.asarray(np.linalg.solve(gram, pull)[:, :, 0], float)
             left = left - np.einsum("qnij,qj->qni", slope, cell)
@@ -205,10 +224,10 @@ class _Residuals:
 
     def rows_of(self, place: int) -> Bools:
         """Return which residuals belong to the presses of a place."""
-        told = self.presses
-        mine = told.place == place
-        shifts = np.repeat(mine, told.shift_px[0].size)
-        before = np.zeros(len(self.design.names) + told.rest_px.size, np.bool_)
+        presses = self.presses
+        mine = presses.place == place
+        shifts = np.repeat(mine, presses.shift_px[0].size)
+        before = np.zeros(len(self.design.names) + presses.rest_px.size, np.bool_)
         return np.concatenate([before, shifts, np.repeat(mine, 3)])
 
 
@@ -238,15 +257,19 @@ def _slope(residuals: _Residuals, scaled: Floats, value: Floats) -> Floats:
 
 
 def _left_out(residuals: _Residuals, scaled: Floats, slope: Floats) -> Floats:
-    """Return every place's error when predicted from the others: one Gauss-Newton step without its rows."""
-    told, value = residuals.presses, residuals(scaled)
+    """Return every place's error when predicted from the others: one Gauss-Newton step without its
+    rows."""
+    presses, value = residuals.presses, residuals(scaled)
     errors = []
-    for place in np.unique(told.place):
+    for place in np.unique(presses.place):
         keep = ~residuals.rows_of(int(place))
         other = scaled - np.linalg.lstsq(slope[keep], value[keep], rcond=None)[0]
-        mine = told.place == place
+        mine = presses.place == place
         left = residuals.press_residual_px(other)[mine]
         errors.append(
-            np.sqrt(np.nansum(left**2) / np.nansum(np.where(np.isfinite(left), told.shift_px[mine], 0.0) ** 2))
+            np.sqrt(
+                np.nansum(left**2)
+                / np.nansum(np.where(np.isfinite(left), presses.shift_px[mine], 0.0) ** 2)
+            )
         )
     return np.array(errors)

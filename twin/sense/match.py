@@ -1,9 +1,11 @@
-"""Say which spot is which marker: in the rest picture by the layout, in every other picture by the rest state.
+"""Match spots to markers: in the rest picture by the layout, in every other picture by the
+rest state.
 
-A marker's motion can exceed half the pitch, where its nearest spot is another marker. So predictions come first: in the
-rest picture from one affine map found by voting, later from the motion of the neighbours already matched (a local
-affine fit). A pair counts when each is the other's nearest, near the prediction, and alike in size and brightness.
-What has no such partner is missing and stays so.
+A marker's motion can exceed half the pitch, where its nearest spot is another marker. So
+predictions come first: in the rest picture from one affine map found by voting, later from the
+motion of the neighbours already matched (a local affine fit). A pair counts when each is the
+other's nearest, near the prediction, and alike in size and brightness. What has no such partner is
+missing and stays so.
 
 Validity: motion that is smooth over a few pitches (strain between neighbours below about 0.4).
 """
@@ -13,11 +15,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Ints, Pixels
 from twin.compiled import njit
-from twin.sense.fit import LEADS
+from twin.sense.template import LEADS
 
 NEIGHBOURS = 10
 LEAST_NEIGHBOURS = 3
@@ -26,13 +30,28 @@ GATE = 0.35
 """Largest distance between prediction and spot, in spacings."""
 
 ROUNDS = 40
+LATTICE, LATTICE_REACH = 0.4, 0.3
+"""A step that leads from this share of the markers to another one belongs to the layout's lattice;
+met within so many spacings."""
+
+PRIOR, RIVAL = 4.0, 1.2
+"""From a cold start, motion by one spacing more must be borne out by so many standard deviations;
+shifts that differ by less in all can't be distinguished. With these a lattice without a border is
+matched up to .3 spacings."""
+
+STILL = 0.25
+"""With more motion than this, in spacings, the shift must also be the one that leaves over the
+least: hidden markers are common, but so are they where nothing has moved."""
+
 TRUST = 0.25
-"""Share of the markers that may be lost before the previous picture's motion is given up as a start: a grid moved by a
-whole pitch looks like one that hasn't moved, so a cold start must not overrule a good one."""
+"""Share of the markers that may be lost before the previous picture's motion is given up as a
+start: a grid moved by a whole pitch looks like one that hasn't moved, so a cold start must not
+overrule a good one."""
 
 
 def spacing(points_px: Pixels) -> float:
-    """Return the typical distance from a marker to its nearest neighbour, px; 30 for a lone marker."""
+    """Return the typical distance from a marker to its nearest neighbour, px; 30 for a lone
+    marker."""
     points = np.asarray(points_px, float)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 2:
@@ -41,8 +60,10 @@ def spacing(points_px: Pixels) -> float:
     return float(max(np.median(distance[:, 1]), 1.0))
 
 
-def nominal_to_rest(nominal: list[Pixels], spots: list[Pixels], spacing_px: float) -> list[Pixels]:
-    """Return where the markers of a drawing are expected in the rest picture: the drawing under one affine map.
+def match_layout(nominal: list[Pixels], spots: list[Pixels], spacing_px: float) -> list[Ints]:
+    """Return which spot of the rest picture every marker of a drawing is, -1 where none is.
+
+    The drawing is mapped onto the picture by one affine map; then its local misfit is taken off.
 
     Parameters
     ----------
@@ -51,14 +72,28 @@ def nominal_to_rest(nominal: list[Pixels], spots: list[Pixels], spacing_px: floa
     spacing_px
         Distance of neighbouring markers, px; the drawing may be off by most of it.
     """
-    steps = [_steps(n, s, 0.9 * spacing_px) for n, s in zip(nominal, spots, strict=True)]
-    votes = np.concatenate(steps) if steps else np.zeros((0, 2))
+    found = []
+    for expected, seen in zip(_onto_picture(nominal, spots, spacing_px), spots, strict=True):
+        size = spacing(expected)
+        pair = _mutual_nearest(expected, seen, 0.4 * size)
+        if (pair >= 0).sum() >= 4:
+            alike = np.linalg.norm(expected[:, None] - seen[None], axis=2) < 0.6 * size
+            start = np.where((pair >= 0)[:, None], seen[pair] - expected, np.nan)
+            pair, _ = Neighbourhood.of(expected, size).follow(seen, alike, start)
+        found.append(pair)
+    return found
+
+
+def _onto_picture(nominal: list[Pixels], spots: list[Pixels], spacing_px: float) -> list[Pixels]:
+    """Return where the markers of a drawing are expected: the drawing under one affine map."""
+    votes = np.concatenate(
+        [_steps(n, s, 0.9 * spacing_px) for n, s in zip(nominal, spots, strict=True)]
+    )
     if not len(votes):
-        return [np.array(n, float) for n in nominal]
+        return nominal
     width = max(0.12 * spacing_px, 1.0)
     sample = votes[:: max(1, len(votes) // 2000)]
-    tree = cKDTree(votes)
-    support = tree.query_ball_point(sample, width, return_length=True) * (
+    support = cKDTree(votes).query_ball_point(sample, width, return_length=True) * (
         1.0 - 0.1 * np.linalg.norm(sample, axis=1) / spacing_px
     )
     peak = sample[np.argmax(support)]
@@ -67,7 +102,7 @@ def nominal_to_rest(nominal: list[Pixels], spots: list[Pixels], spacing_px: floa
     drawn = np.concatenate(nominal)
     for gate in (0.4, 0.35, 0.3, 0.25, 0.2, 0.2):
         pairs = [
-            mutual_nearest(_apply(affine, n), s, gate * spacing_px, np.ones((len(n), len(s)), bool))
+            _mutual_nearest(n @ affine[:2] + affine[2], s, gate * spacing_px)
             for n, s in zip(nominal, spots, strict=True)
         ]
         seen = np.concatenate(pairs) >= 0
@@ -75,23 +110,22 @@ def nominal_to_rest(nominal: list[Pixels], spots: list[Pixels], spacing_px: floa
             break
         seen_at = np.concatenate([s[p[p >= 0]] for s, p in zip(spots, pairs, strict=True)])
         affine = _fit_affine(drawn[seen], seen_at)
-    return [_apply(affine, n) for n in nominal]
+    return [np.asarray(n @ affine[:2] + affine[2]) for n in nominal]
 
 
 def _steps(start: Pixels, spots: Pixels, reach: float) -> Pixels:
     if not len(start) or not len(spots):
         return np.zeros((0, 2))
-    distance, index = cKDTree(spots).query(start, k=min(CANDIDATES, len(spots)), distance_upper_bound=reach)
+    distance, index = cKDTree(spots).query(
+        start, k=min(CANDIDATES, len(spots)), distance_upper_bound=reach
+    )
     of, which = np.nonzero(np.isfinite(distance.reshape(len(start), -1)))
     return np.asarray(spots[index.reshape(len(start), -1)[of, which]] - start[of])
 
 
-def _apply(affine: Floats, points: Pixels) -> Pixels:
-    return np.asarray(points @ affine[:2] + affine[2])
-
-
 def _fit_affine(start: Pixels, end: Pixels) -> Floats:
-    """Least squares with a stiff prior towards a pure shift, so that few or collinear points are no trouble."""
+    """Least squares with a stiff prior towards a pure shift, so that few or collinear points are no
+    trouble."""
     middle = start.mean(axis=0)
     away = start - middle
     motion = end - start
@@ -101,16 +135,14 @@ def _fit_affine(start: Pixels, end: Pixels) -> Floats:
     return np.vstack([np.eye(2) + slope, mean - middle @ slope])
 
 
-def mutual_nearest(expected: Pixels, spots: Pixels, gate: float, allowed: Bools) -> Ints:
-    """Return (n,) the spot of every marker, -1 for none: each the other's nearest, closer than ``gate``."""
-    if not len(expected) or not len(spots):
+def _mutual_nearest(expected: Pixels, spots: Pixels, gate: float) -> Ints:
+    """Return (n,) the spot of every marker, -1 for none: each the other's nearest, closer than
+    ``gate``."""
+    if not len(spots):
         return np.full(len(expected), -1, np.int64)
-    squared = ((expected[:, None] - spots[None]) ** 2).sum(axis=2)
-    squared[~allowed] = np.inf
-    spot = np.argmin(squared, axis=1)
-    marker = np.argmin(squared, axis=0)
-    index = np.arange(len(expected))
-    good = (marker[spot] == index) & (squared[index, spot] < gate * gate)
+    distance, spot = cKDTree(spots).query(expected)
+    _, marker = cKDTree(expected).query(spots)
+    good = (marker[spot] == np.arange(len(expected))) & (distance < gate)
     return np.asarray(np.where(good, spot, -1))
 
 
@@ -127,9 +159,12 @@ class Neighbourhood:
     fit_weight
         (n, NEIGHBOURS) fitting weights, 0 for padding.
     lead
-        (n, `twin.sense.fit.LEADS`) the nearest neighbours of a lower row, -1 for padding.
+        (n, `twin.sense.template.LEADS`) the nearest neighbours of a lower row, -1 for padding.
     spacing_px
         Distance of neighbouring markers, px.
+    partner
+        (l, n) the marker that lies a step of the lattice away, for each of its l shortest steps; -1
+        where none does, and l = 0 where there is no lattice.
     """
 
     rest_px: Pixels
@@ -137,123 +172,295 @@ class Neighbourhood:
     fit_weight: Floats
     lead: Ints
     spacing_px: float
+    partner: Ints
+
+    @classmethod
+    def of(cls, rest_px: Pixels, spacing_px: float) -> Neighbourhood:
+        """Find the nearest neighbours of every marker at rest."""
+        known = np.flatnonzero(np.isfinite(rest_px).all(axis=1))
+        near = np.zeros((len(rest_px), NEIGHBOURS), np.int64)
+        weight = np.zeros((len(rest_px), NEIGHBOURS))
+        if len(known) > 1:
+            count = min(NEIGHBOURS, len(known) - 1)
+            distance, index = cKDTree(rest_px[known]).query(rest_px[known], k=count + 1)
+            near[known, :count] = known[index[:, 1:]]
+            weight[known, :count] = 1.0 / (1.0 + (distance[:, 1:] / (1.5 * spacing_px)) ** 2)
+        earlier = (near < np.arange(len(near))[:, None]) & (weight > 0.0)
+        first = np.argsort(~earlier, axis=1, kind="stable")[:, :LEADS]
+        lead = np.where(
+            np.take_along_axis(earlier, first, axis=1), np.take_along_axis(near, first, axis=1), -1
+        )
+        return cls(
+            rest_px=rest_px,
+            near=near,
+            fit_weight=weight,
+            lead=np.ascontiguousarray(lead),
+            spacing_px=spacing_px,
+            partner=_partners(rest_px, near, weight > 0.0, spacing_px),
+        )
+
+    def predict(self, motion: Pixels) -> tuple[Pixels, Bools]:
+        """Return every marker's motion as its matched neighbours have it (local affine), and where
+        enough of them do."""
+        predicted, certain = np.empty_like(motion), np.empty(len(motion), np.bool_)
+        _local_affine(
+            self.rest_px,
+            self.near,
+            self.fit_weight,
+            self.spacing_px,
+            motion,
+            predicted,
+            certain,
+        )
+        return predicted, certain
+
+    def follow(
+        self,
+        spots: Pixels,
+        alike: Bools,
+        start_px: Pixels | None = None,
+        size_px: tuple[int, int] | None = None,
+    ) -> tuple[Ints, bool]:
+        """Return (n,) which spot every marker has become, -1 where none has; whether another
+        lattice shift fits as well.
+
+        Parameters
+        ----------
+        spots
+            (b, 2) spots of the picture, px.
+        alike
+            (n, b) whether a spot could be the marker by its size and brightness.
+        start_px
+            (n, 2) motion in the previous picture, px, NaN where unknown; None starts cold.
+        size_px
+            (height, width) of the picture, whose markers may leave it; None if none can.
+
+        Notes
+        -----
+        A lattice that has moved by one of its own steps shows the same spots but for its border:
+        where its first row was none is, and one shows beyond its last. So pairings are compared by
+        the markers and spots that they leave over: by 2 sqrt(number), whose standard deviation is 1
+        if these are lost by chance (Anscombe 1948).
+        """
+        count = len(self.rest_px)
+        if not count or not len(spots):
+            return np.full(count, -1, np.int64), False
+        search = _Search(self, spots, alike, size_px)
+        if start_px is not None:
+            warm = search.grow(start_px, whole=True)
+            allowed = TRUST * float(np.isfinite(self.rest_px).all(axis=1).sum())
+            if search.lost(warm) < allowed:
+                return warm.spot, False
+        best = min(map(search.grow, search.cold_starts()), key=lambda p: p.cost)
+        if start_px is not None and search.lost(warm) - allowed < search.lost(best):
+            return warm.spot, False
+        tried = [best]
+        for _ in range(ROUNDS):
+            rivals = search.rivals(tried[-1])
+            if not rivals:
+                break
+            better = search.grow(min(rivals, key=lambda p: p.left_over).motion)
+            if better.left_over >= tried[-1].left_over:
+                break
+            tried.append(better)
+        best = min(tried, key=lambda p: p.cost)
+        others = [*search.rivals(best), *(p for p in tried if p is not best)]
+        least = min((rival.left_over for rival in others), default=best.left_over)
+        close = any(rival.cost < best.cost + RIVAL for rival in others)
+        return best.spot, close or (best.length > STILL and least < best.left_over)
 
 
-def neighbourhood(rest_px: Pixels, spacing_px: float) -> Neighbourhood:
-    """Return the nearest neighbours of every marker at rest."""
+def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> Ints:
+    """Return `Neighbourhood.partner`; ``real`` marks neighbours that are no padding."""
     known = np.flatnonzero(np.isfinite(rest_px).all(axis=1))
-    near = np.zeros((len(rest_px), NEIGHBOURS), np.int64)
-    weight = np.zeros((len(rest_px), NEIGHBOURS))
+    found: list[Ints] = []
     if len(known) > 1:
-        count = min(NEIGHBOURS, len(known) - 1)
-        distance, index = cKDTree(rest_px[known]).query(rest_px[known], k=count + 1)
-        near[known, :count] = known[index[:, 1:]]
-        weight[known, :count] = 1.0 / (1.0 + (distance[:, 1:] / (1.5 * spacing_px)) ** 2)
-    earlier = (near < np.arange(len(near))[:, None]) & (weight > 0.0)
-    first = np.argsort(~earlier, axis=1, kind="stable")[:, :LEADS]
-    lead = np.where(np.take_along_axis(earlier, first, axis=1), np.take_along_axis(near, first, axis=1), -1)
-    return Neighbourhood(
-        rest_px=rest_px, near=near, fit_weight=weight, lead=np.ascontiguousarray(lead), spacing_px=spacing_px
-    )
+        tree = cKDTree(rest_px[known])
+        steps = (rest_px[near] - rest_px[:, None])[real]
+        support = cKDTree(steps).query_ball_point(
+            steps, LATTICE_REACH * spacing_px, return_length=True
+        )
+        while len(steps) and support.max() >= LATTICE * len(known):
+            peak = steps[np.argmax(support)]
+            close = np.linalg.norm(steps - peak, axis=1) < LATTICE_REACH * spacing_px
+            step = steps[close].mean(axis=0)
+            steps, support = steps[~close], support[~close]
+            off, index = tree.query(rest_px[known] + step)
+            partner = np.full(len(rest_px), -1, np.int64)
+            partner[known] = np.where(off < LATTICE_REACH * spacing_px, known[index], -1)
+            found.append(partner)
+    return np.array(found, np.int64).reshape(-1, len(rest_px))
 
 
-def follow(around: Neighbourhood, spots: Pixels, alike: Bools, start_px: Pixels | None = None) -> Ints:
-    """Return (n,) which spot every marker has become, -1 where none has.
+@dataclass(frozen=True, kw_only=True)
+class _Pairing:
+    """Which spot every marker is taken for: (n,) spots, -1 for none, (n, 2) motion; its mean length
+    in spacings; how much that leaves over, and what speaks against it in all."""
 
-    Parameters
-    ----------
-    spots
-        (b, 2) spots of the picture, px.
-    alike
-        (n, b) whether a spot could be the marker by its size and brightness.
-    start_px
-        (n, 2) motion in the previous picture, px, NaN where unknown; None starts cold.
-    """
-    count = len(around.rest_px)
-    if not count or not len(spots):
-        return np.full(count, -1, np.int64)
-    best, best_cost = np.full(count, -1, np.int64), np.inf
-    if start_px is not None:
-        best, best_cost = _grow(around, spots, alike, start_px, GATE)
-        best_cost -= TRUST * float(np.isfinite(around.rest_px).all(axis=1).sum())
-        if best_cost < 0:
-            return best
-    for guess, gate in _cold_starts(around, spots):
-        spot, cost = _grow(around, spots, alike, guess, gate)
-        if cost < best_cost - 1e-9:
-            best, best_cost = spot, cost
-    return best
+    spot: Ints
+    motion: Pixels
+    length: float
+    left_over: int
+    cost: float
 
 
-def _cold_starts(around: Neighbourhood, spots: Pixels) -> list[tuple[Pixels, float]]:
-    """Return guesses of the motion: none at all (only near pairs count), and the motion most pairs agree on."""
-    size = around.spacing_px
-    known = np.isfinite(around.rest_px).all(axis=1)
-    still = np.zeros_like(around.rest_px)
-    starts = [(still, 0.2)]
-    steps = _steps(around.rest_px[known], spots, 0.95 * size)
-    if len(steps):
-        support = cKDTree(steps).query_ball_point(steps, 0.12 * size, return_length=True)
-        peak = steps[np.argmax(support * (1.0 - 0.05 * np.linalg.norm(steps, axis=1) / size))]
-        if np.linalg.norm(peak) > 0.1 * size:
-            starts.append((still + peak, 0.2))
-    return starts
+class _Search:
+    """Pairings of the markers of a neighbourhood with the spots of a picture."""
 
+    def __init__(
+        self, around: Neighbourhood, spots: Pixels, alike: Bools, size_px: tuple[int, int] | None
+    ) -> None:
+        self.around, self.spots, self.alike = around, spots, alike
+        self.known: Bools = np.asarray(np.isfinite(around.rest_px).all(axis=1))
+        self.usable = alike.any(axis=0)
+        self.tree = cKDTree(spots)
+        height, width = (np.inf, np.inf) if size_px is None else size_px
+        self.border = np.array([width, height]) - 1.0
 
-def _grow(around: Neighbourhood, spots: Pixels, alike: Bools, guess: Pixels, gate: float) -> tuple[Ints, float]:
-    """Spread from pairs near ``guess`` over the neighbours; return the pairs and how bad they are as a whole."""
-    rest, size = around.rest_px, around.spacing_px
-    reach = cKDTree(spots)
-    spot = _nearest_pairs(np.where(np.isfinite(rest + guess), rest + guess, -1e9), reach, alike, gate * size)
-    motion = np.where((spot >= 0)[:, None], spots[spot] - rest, np.nan)
-    misfit = np.zeros(len(rest))
-    alone = np.count_nonzero(around.fit_weight, axis=1) < LEAST_NEIGHBOURS
-    for turn in range(ROUNDS):
-        expected, certain = predict(around, motion)
-        seed = certain | alone | (turn == 0)
-        target = np.where(certain[:, None], rest + expected, rest + np.where(np.isfinite(motion), motion, guess))
-        target = np.where(np.isfinite(target) & seed[:, None], target, -1e9)
-        new = _nearest_pairs(target, reach, alike, GATE * size)
-        before, spot = spot, new
-        motion = np.where((spot >= 0)[:, None], spots[spot] - rest, np.nan)
-        misfit = np.where(certain & (spot >= 0), np.linalg.norm(motion - expected, axis=1), 0.0)
-        if np.array_equal(before, spot) and turn > 0:
-            break
-    known = np.isfinite(rest).all(axis=1)
-    lost = float((known & (spot < 0)).sum())
-    length = np.linalg.norm(np.nan_to_num(motion), axis=1)
-    return spot, lost + float(np.nansum(misfit)) / size + 1e-3 * float(length.sum()) / size
+    def _motion(self, spot: Ints) -> Pixels:
+        """Return (n, 2) motion of the markers to their spots, px; NaN where there is none."""
+        return np.where((spot >= 0)[:, None], self.spots[spot] - self.around.rest_px, np.nan)
 
+    def paired(self, spot: Ints) -> _Pairing:
+        """Return a pairing with what it leaves over: markers that should be there, spots, motion
+        unlike neighbours'."""
+        size = self.around.spacing_px
+        motion = self._motion(spot)
+        expected, certain = self.around.predict(motion)
+        place = self.around.rest_px + expected
+        with np.errstate(invalid="ignore"):
+            margin = GATE * size if np.isfinite(self.border).all() else -np.inf
+            inside = ((place > margin) & (place < self.border - margin)).all(axis=1)
+        lost = int((self.known & (spot < 0) & (inside | ~certain)).sum())
+        strange = self._strange(spot, motion, margin)
+        found = certain & (spot >= 0)
+        astray = int(
+            (np.linalg.norm(motion[found] - expected[found], axis=1) > 0.5 * GATE * size).sum()
+        )
+        length = np.linalg.norm(motion[spot >= 0], axis=1)
+        mean = float(length.mean()) / size if len(length) else 0.0
+        left_over = lost + strange + astray
+        cost = 2.0 * np.sqrt(left_over) + PRIOR * mean
+        return _Pairing(spot=spot, motion=motion, length=mean, left_over=left_over, cost=cost)
 
-def _nearest_pairs(target: Pixels, spots: cKDTree, alike: Bools, gate: float) -> Ints:
-    """Mutual nearest pairs among ``alike`` ones; on a tie between markers the closer one wins."""
-    count = min(CANDIDATES, spots.n)
-    distance, index = spots.query(target, k=count, distance_upper_bound=max(gate, 1e-9))
-    distance, index = distance.reshape(len(target), -1), index.reshape(len(target), -1)
-    fits = np.isfinite(distance)
-    fits &= alike[np.arange(len(target))[:, None], np.minimum(index, spots.n - 1)]
-    distance = np.where(fits, distance, np.inf)
-    first = np.argmin(distance, axis=1)
-    rows = np.arange(len(target))
-    chosen, length = index[rows, first], distance[rows, first]
-    found = np.isfinite(length)
-    nearest = np.full(spots.n, np.inf)
-    np.minimum.at(nearest, chosen[found], length[found])
-    wins = found.copy()
-    wins[found] = length[found] <= nearest[chosen[found]]
-    return np.asarray(np.where(wins, chosen, -1))
+    def _strange(self, spot: Ints, motion: Pixels, margin: float) -> int:
+        """Return how many spots are no marker's, though at rest they would have been well inside
+        the picture."""
+        taken = spot >= 0
+        free = np.setdiff1d(np.flatnonzero(self.usable), spot)
+        if not taken.any() or not len(free):
+            return len(free)
+        _, near = cKDTree(self.spots[spot[taken]]).query(self.spots[free])
+        place = self.spots[free] - motion[taken][near]
+        return int(((place > margin) & (place < self.border - margin)).all(axis=1).sum())
 
+    def lost(self, pairing: _Pairing) -> float:
+        """Return how many markers have no spot."""
+        return float((self.known & (pairing.spot < 0)).sum())
 
-def predict(around: Neighbourhood, motion: Pixels) -> tuple[Pixels, Bools]:
-    """Return every marker's motion as its matched neighbours have it (local affine), and where enough of them do."""
-    predicted, certain = np.empty_like(motion), np.empty(len(motion), np.bool_)
-    _local_affine(around.rest_px, around.near, around.fit_weight, around.spacing_px, motion, predicted, certain)
-    return predicted, certain
+    def cold_starts(self) -> list[Pixels]:
+        """Return guesses of the motion: none at all, and the motion most pairs agree on."""
+        size = self.around.spacing_px
+        still = np.zeros_like(self.around.rest_px)
+        starts = [still]
+        steps = _steps(self.around.rest_px[self.known], self.spots, 0.95 * size)
+        if len(steps):
+            support = cKDTree(steps).query_ball_point(steps, 0.12 * size, return_length=True)
+            peak = steps[np.argmax(support * (1.0 - 0.05 * np.linalg.norm(steps, axis=1) / size))]
+            if np.linalg.norm(peak) > 0.1 * size:
+                starts.append(still + peak)
+        return starts
+
+    def rivals(self, pairing: _Pairing) -> list[_Pairing]:
+        """Return the pairings where every marker takes the spot of its partner a step of the
+        lattice away."""
+        around, spot = self.around, pairing.spot
+        expected, _ = around.predict(pairing.motion)
+        beyond = np.setdiff1d(np.flatnonzero(self.usable), spot)
+        found = []
+        for partner in around.partner:
+            has = (partner >= 0) & self.known & self.known[partner]
+            if not has.any():
+                continue
+            taken = np.where(has, spot[partner], -1)
+            step = np.median((around.rest_px[partner] - around.rest_px)[has], axis=0)
+            lone = np.flatnonzero(self.known & ~has)
+            if len(beyond) and len(lone):
+                target = np.full_like(around.rest_px, -1e9)
+                target[lone] = around.rest_px[lone] + expected[lone] + step
+                free = np.zeros_like(self.alike)
+                free[:, beyond] = self.alike[:, beyond]
+                taken[lone] = self._nearest(target, free)[lone]
+            allowed = self.alike[np.arange(len(taken)), taken] & (taken >= 0)
+            found.append(self.paired(np.where(allowed, taken, -1)))
+        return found
+
+    def grow(self, guess: Pixels, whole: bool = False) -> _Pairing:
+        """Spread from pairs near ``guess`` over the neighbours: from the largest patch of them, or
+        the ``whole``.
+
+        Why one patch: where markers have moved by about a step of the lattice, others' spots are
+        near as well.
+        """
+        around, rest = self.around, self.around.rest_px
+        start = np.where(np.isfinite(rest + guess), rest + guess, -1e9)
+        spot = self._nearest(start, self.alike)
+        if not whole:
+            spot = np.where(self._largest_patch(spot), spot, -1)
+        motion = self._motion(spot)
+        alone = np.count_nonzero(around.fit_weight, axis=1) < LEAST_NEIGHBOURS
+        first = np.ones(len(rest), np.bool_) if whole else spot >= 0
+        for turn in range(ROUNDS):
+            expected, certain = around.predict(motion)
+            seed = certain | alone | first if turn == 0 else certain | alone
+            unsure = rest + np.where(np.isfinite(motion), motion, guess)
+            target = np.where(certain[:, None], rest + expected, unsure)
+            target = np.where(np.isfinite(target) & seed[:, None], target, -1e9)
+            before, spot = spot, self._nearest(target, self.alike)
+            motion = self._motion(spot)
+            if np.array_equal(before, spot) and turn > 0:
+                break
+        return self.paired(spot)
+
+    def _nearest(self, target: Pixels, alike: Bools) -> Ints:
+        """Mutual nearest pairs among ``alike`` ones; on a tie between markers the closer one
+        wins."""
+        count, rows = min(CANDIDATES, len(self.spots)), np.arange(len(target))
+        gate = max(GATE * self.around.spacing_px, 1e-9)
+        distance, index = self.tree.query(target, k=count, distance_upper_bound=gate)
+        distance, index = distance.reshape(len(target), -1), index.reshape(len(target), -1)
+        fits = alike[rows[:, None], np.minimum(index, len(self.spots) - 1)]
+        distance = np.where(fits, distance, np.inf)
+        first = np.argmin(distance, axis=1)
+        chosen, length = index[rows, first], distance[rows, first]
+        found = np.isfinite(length)
+        nearest = np.full(len(self.spots), np.inf)
+        np.minimum.at(nearest, chosen[found], length[found])
+        wins = found.copy()
+        wins[found] = length[found] <= nearest[chosen[found]]
+        return np.asarray(np.where(wins, chosen, -1))
+
+    def _largest_patch(self, spot: Ints) -> Bools:
+        """Return which markers with a spot hang together by neighbours that have moved alike."""
+        around = self.around
+        motion = self._motion(spot)
+        with np.errstate(invalid="ignore"):
+            apart = np.linalg.norm(motion[around.near] - motion[:, None], axis=2)
+            joined = (apart < GATE * around.spacing_px) & (around.fit_weight > 0.0)
+        row, column = np.nonzero(joined)
+        count = len(spot)
+        links = coo_array(
+            (np.ones(len(row)), (row, around.near[row, column])), shape=(count, count)
+        )
+        _, patch = connected_components(links, directed=False)
+        largest = np.argmax(np.bincount(patch[spot >= 0], minlength=1)) if (spot >= 0).any() else -1
+        return np.asarray((patch == largest) & (spot >= 0))
 
 
 @njit(cache=True)
-def _local_affine(rest, near, fit_weight, size, motion, predicted, certain):  # type: ignore[no-untyped-def]
-    """Fit motion = mean + slope (place - middle) to every marker's neighbours, with a weak pull to no slope."""
+def _local_affine(rest, near, fit_weight, size, motion, predicted, certain):
+    """Fit motion = mean + slope (place - middle) to every marker's neighbours, with a weak pull to
+    no slope."""
     for n in range(len(rest)):
         total, count = 0.0, 0
         mx, my, ux, uy = 0.0, 0.0, 0.0, 0.0
@@ -286,5 +493,9 @@ def _local_affine(rest, near, fit_weight, size, motion, predicted, certain):  # 
                 bx += w * dx * dv
                 by += w * dy * dv
         determinant = sxx * syy - sxy * sxy
-        predicted[n, 0] = ux - ((syy * ax - sxy * ay) * mx + (sxx * ay - sxy * ax) * my) / determinant
-        predicted[n, 1] = uy - ((syy * bx - sxy * by) * mx + (sxx * by - sxy * bx) * my) / determinant
+        predicted[n, 0] = (
+            ux - ((syy * ax - sxy * ay) * mx + (sxx * ay - sxy * ax) * my) / determinant
+        )
+        predicted[n, 1] = (
+            uy - ((syy * bx - sxy * by) * mx + (sxx * by - sxy * bx) * my) / determinant
+        )

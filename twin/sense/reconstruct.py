@@ -1,37 +1,59 @@
-"""From marker motion to the force field: `reconstruct`.
+"""From marker motion to the force field: `reconstruct`; and the motion of a bumped camera:
+`camera_bump`.
 
-Why the totals come from the linear solve, also where the field is held to pushes or to friction cones: sums of such a
-field are biased, those of the linear estimate hardly are. Why the differences go on past the edge of the grid, to sites
-without force: those inside it don't see a force that is the same everywhere, and as that hardly moves a marker in
-incompressible rubber, nothing else would hold it. With them the penalty is a proper prior. Measured on the flat design
-(636 markers, 15 x 12 sites, .04 px noise, 12 exposures, 5 mm pillar, mean and standard deviation of the total push's
-error): centre -1.0 +- 1.6 % (differences inside only: -1.2 +- 1.8 %), corner 2.4 +- 2.1 % (5.8 +- 2.0 %).
+Why the totals come from the linear solve, also where the field is held to pushes or to friction
+cones: sums of such a field are biased, those of the linear estimate hardly are. Why the differences
+go on past the edge of the grid, to sites without force: those inside it don't see a force that is
+the same everywhere, and as that hardly moves a marker in incompressible rubber, nothing else would
+hold it. With them the penalty is a proper prior. Measured on the flat design (636 markers, 15 x 12
+sites, .04 px noise, 12 exposures, 5 mm pillar, mean and standard deviation of the total push's
+error): centre -1.0 +- 1.6 % (differences inside only: -1.2 +- 1.8 %), corner 2.4 +- 2.1 % (5.8 +-
+2.0 %).
 
-Wrong vectors, the camera's bend, and markers that this picture weighs otherwise than the rest picture all come in as
-corrections of the data, so that one factorisation serves a whole sequence.
+Wrong vectors, the camera's bend, and markers that this picture weighs otherwise than the rest
+picture all come in as corrections of the data, so that one factorisation serves a whole sequence.
+
+**Wrong vectors.** Huber's loss is quadratic up to a threshold and linear beyond. If the part of a
+residual vector above the threshold is subtracted from the data, the linear solution is the loss's
+minimum (Huber, Robust Statistics, 1981, sec. 7.8), so one factorisation serves all iterations.
+Vectors far out are then left out. Valid up to a few per cent of wrong vectors spread over the
+picture.
+
+**Local prior.** Forces are expected where a first solution has some. With a_k their size around
+site k over the largest and A = diag(a_k), the penalty is F^T A^-1 Q A^-1 F, and a site with a_k
+below `FAINTEST` has no force. The average over neighbours keeps a load together: without it the
+method is FOCUSS (I. F. Gorodnitsky and B. D. Rao, IEEE Trans. Signal Process. 45 (1997) 600), which
+concentrates a load in single sites. The weight is the most likely one, because the prior has the
+shape of the load. Forces are no longer linear in the shifts; standard deviations are those for this
+prior.
+
+**Bumped camera.** A shift of the camera adds the same two numbers to every marker. Generalised
+least squares under the smooth prior estimates them. A load much wider than the view has the same
+effect and can't be distinguished. Turns and zooms of the camera are not estimated.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from numbers import Real
 from types import NoneType
-from typing import get_args
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from twin.arrays import Bools, Floats, Points, frozen
+from twin.blas_threads import one_blas_thread
 from twin.errors import InputError, require
-from twin.parts.methods import Method
+from twin.parts.methods import Method, WeightRule
 from twin.sense.calibration import Calibration
-from twin.sense.linear import MOST, SETTLED, Linear, bend_of, solved
-from twin.sense.local import solved_locally
-from twin.sense.problem import Problem, problem_of
+from twin.sense.inverse import METHODS, Problem, problem_of
+from twin.sense.regularisation import RULES, Factors
 from twin.sense.track import Found
-from twin.sense.weigh import RULES, Rule
 
 DECADE = 0.1
-"""Under constraints an automatic weight is rounded to this in its logarithm, so that what was solved serves again."""
+"""Under constraints an automatic weight is rounded to this in its logarithm, so that what was
+solved serves again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +67,8 @@ class Field:
     force_n
         (k, 3) force at every site, N, global axes; a push is +z.
     total_force_n, total_torque_nmm
-        (3,) sum of the forces, and of their moments about the origin (positive about z from x to y); of the linear
-        estimate.
+        (3,) sum of the forces, and of their moments about the origin (positive about z from x to
+        y); of the linear estimate.
     weight
         The papers' omega that was used, px^2/N^2; 0 for the pseudo-inverse.
     noise_px
@@ -54,7 +76,8 @@ class Field:
     sd_force_n
         (k, 3) standard deviation of the linear estimate's forces, given the prior, N.
     sd_total_n, sd_torque_nmm
-        (3,) standard deviations of the totals, N and N mm.
+        (3,) standard deviations of the totals, N and N mm, by the noise alone: what the calibration
+        is off comes on top (1.5 % of the force where the modulus is 1.5 % off).
     used
         (n,) which markers took part.
     wrong
@@ -62,7 +85,8 @@ class Field:
     method
         How it was solved.
     kkt
-        Violation of the optimality conditions of a constrained solve, relative; 0 without constraints.
+        Violation of the optimality conditions of a constrained solve, relative; 0 without
+        constraints.
     """
 
     site_mm: Points
@@ -80,16 +104,17 @@ class Field:
     kkt: float = 0.0
 
     def __post_init__(self) -> None:
-        for array in (self.force_n, self.total_force_n, self.total_torque_nmm, self.sd_force_n, self.sd_total_n,
-                      self.sd_torque_nmm, self.used, self.wrong):  # fmt: skip
-            frozen(array)
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                frozen(value)
 
 
+@one_blas_thread()
 def reconstruct(
     found: Found,
     calibration: Calibration,
     method: Method = "smooth",
-    weight: float | Rule = "auto",
+    weight: float | WeightRule = "auto",
     *,
     push_only: bool = False,
     friction: float | None = None,
@@ -106,69 +131,92 @@ def reconstruct(
     calibration
         Sites and transfer matrix.
     method
-        ``smooth``: small differences between neighbouring sites (flat paper, eq. 11, in two dimensions and per
-        component); ``norm``: small forces (eq. 14); ``pinv``: plain pseudo-inverse, which diverges with noise;
-        ``local``: as ``smooth``, with forces expected only where a first solution has some (`twin.sense.local`).
-        Where loads cover a part of the surface it is sharper and has better totals, at ten to twenty times the time.
+        ``smooth``: small differences between neighbouring sites (flat paper, eq. 11, in two
+        dimensions and per component); ``norm``: small forces (eq. 14); ``pinv``: plain
+        pseudo-inverse, which diverges with noise; ``local``: as ``smooth``, with forces expected
+        only where a first solution has some (see the module). Where loads cover a part of the
+        surface it is sharper and has better totals, at ten to twenty times the time.
     weight
-        The papers' omega, px^2/N^2, or how to choose it: ``likelihood`` (marginal likelihood), ``gcv`` (robust
-        generalised cross-validation), ``auto`` (see `weigh.automatic_weight`; for ``local`` marginal likelihood).
+        The papers' omega, px^2/N^2, or how to choose it: ``likelihood`` (marginal likelihood),
+        ``gcv`` (robust generalised cross-validation), ``auto`` (the larger of twice the likely one
+        and ``gcv``; for ``local`` marginal likelihood).
     push_only
         No site pulls: F_n >= 0 along the inward normal (eq. 13).
     friction
-        Coulomb's coefficient mu: ``|F_t| <= mu F_n`` at every site, which holds F_n >= 0 as well. None for no bound.
+        Coulomb's coefficient mu: ``|F_t| <= mu F_n`` at every site, which holds F_n >= 0 as well.
+        None for no bound.
     robust
-        Leave wrong vectors out, see `twin.sense.robust`.
+        Leave wrong vectors out.
     camera
-        Take the camera's bend into account: shifts are not linear in the forces where markers move far or the lens is
-        wide. Needs a calibration with a compliance and a camera.
+        Take the camera's bend into account: shifts are not linear in the forces where markers move
+        far or the lens is wide. Needs a calibration with a compliance and a camera.
     previous
-        The last frame's field under the same options: its weight is used again where ``weight`` names a rule (not by
-        ``local``), and its contact is where a constrained solve starts.
+        The last frame's field: its contact is where a constrained solve starts. It changes the time
+        of a solve, not its result; the weight is chosen for every frame, as the last one may hold
+        noise alone.
 
     Raises
     ------
     InputError
-        Motion and calibration don't belong together, fewer than 2 markers are left, or options don't go together.
+        Motion and calibration don't belong together, fewer than 2 markers are left, or options
+        don't go together.
 
     Notes
     -----
-    With Q the method's matrix, F = (H^T H + (w/2) Q)^-1 H^T M (eqs. 12 and 15, corrected); under constraints the same
-    objective is minimised (`twin.sense.cone`). The camera's bend g(F) - H F is taken off the data and the solve
-    repeated until nothing changes: Gauss-Newton with the derivative kept from the rest state.
+    With Q the method's matrix, F = (H^T H + (w/2) Q)^-1 H^T M (eqs. 12 and 15, corrected); under
+    constraints the same objective is minimised (`twin.sense.constraints`). The camera's bend
+    g(F) - H F is taken off the data and the solve repeated until nothing changes: Gauss-Newton with
+    the derivative kept from the rest state.
     """
     require(found, Found, "the motion", "make it with twin.track")
     require(calibration, Calibration, "the calibration", "read one with twin.read_calibration")
     check_options(method, weight, push_only, friction, camera, calibration)
-    problem = problem_of(found, calibration, "smooth" if method == "local" else method)
-    rule = weight
-    if previous is not None and isinstance(weight, str) and method != "local":
-        rule = previous.weight
+    problem = problem_of(found, calibration, method)
     whole = problem.whiten(found.shift_px)
-    if method == "local":
-        linear, sd_force = solved_locally(problem, whole, rule, robust=robust, camera=camera)
+    if METHODS[method].local:
+        linear, sd_force = _solved_locally(problem, whole, weight, robust, camera)
     else:
-        linear = solved(problem, whole, 0.0 if method == "pinv" else rule, robust=robust, camera=camera)
+        given = weight if METHODS[method].weighted else 0.0
+        linear = _solved(problem, whole, given, robust, camera)
         sd_force = linear.sd_force_n
     problem, force = linear.problem, linear.force_n
     totals = calibration.total_rows @ force.ravel()
-    sd_total = linear.scale * np.sqrt(np.diag(problem.reweighed.covariance(linear.weight, calibration.total_rows)))
+    sd_total = linear.scale * np.sqrt(
+        np.diag(problem.factors.covariance(linear.weight, calibration.total_rows))
+    )
     kkt = 0.0
     if push_only or friction is not None:
-        at = linear.weight if not isinstance(rule, str) else _rounded(linear.weight)
-        force, kkt = _held(linear, at, friction, camera, None if previous is None else previous.force_n)
+        at = linear.weight
+        if isinstance(weight, str):
+            at = float(10.0 ** (DECADE * np.round(np.log10(at) / DECADE)))
+        start = None if previous is None else previous.force_n
+        force, kkt = _held(linear, at, friction, camera, start)
     everywhere = np.zeros(len(problem.used), np.bool_)
     everywhere[problem.known] = linear.wrong
     return Field(
-        site_mm=calibration.site_mm, force_n=force, total_force_n=totals[:3], total_torque_nmm=totals[3:],
-        weight=problem.omega * linear.weight, noise_px=linear.scale * (problem.omega / 2) ** 0.5,
-        sd_force_n=sd_force, sd_total_n=sd_total[:3], sd_torque_nmm=sd_total[3:],
-        used=problem.used.copy(), wrong=everywhere, method=method, kkt=kkt,
-    )  # fmt: skip
+        site_mm=calibration.site_mm,
+        force_n=force,
+        total_force_n=totals[:3],
+        total_torque_nmm=totals[3:],
+        weight=problem.omega * linear.weight,
+        noise_px=linear.scale * (problem.omega / 2) ** 0.5,
+        sd_force_n=sd_force,
+        sd_total_n=sd_total[:3],
+        sd_torque_nmm=sd_total[3:],
+        used=problem.used.copy(),
+        wrong=everywhere,
+        method=method,
+        kkt=kkt,
+    )
 
 
 def check_options(
-    method: str, weight: float | str, push_only: bool, friction: float | None, camera: bool, calibration: Calibration
+    method: str,
+    weight: float | WeightRule,
+    push_only: bool,
+    friction: float | None,
+    camera: bool,
+    calibration: Calibration,
 ) -> None:
     """Check the options of `reconstruct`.
 
@@ -177,56 +225,284 @@ def check_options(
     InputError
         One is outside its range, or the calibration has not what it needs.
     """
-    if method not in get_args(Method):
-        raise InputError(f"method = {method!r}: allowed are {', '.join(map(repr, get_args(Method)))}")
+    if method not in METHODS:
+        raise InputError(f"method = {method!r}: allowed are {', '.join(map(repr, METHODS))}")
     require(weight, (Real, str), "weight", "a number of px^2/N^2, or 'auto', 'likelihood', 'gcv'")
     require(friction, (Real, NoneType), "friction", "a coefficient, or None for no bound")
     if isinstance(weight, str):
         if weight not in RULES:
-            raise InputError(f"weight = {weight!r}: allowed are numbers, 'auto', 'likelihood' and 'gcv'")
+            raise InputError(
+                f"weight = {weight!r}: allowed are numbers, 'auto', 'likelihood' and 'gcv'"
+            )
     elif not (np.isfinite(weight) and weight >= 0):
         raise InputError(f"weight = {weight} px^2/N^2: allowed are finite numbers >= 0, or 'auto'")
     if friction is not None and not (np.isfinite(friction) and 0 < friction <= 100):
-        raise InputError(f"friction = {friction}: allowed are numbers above 0 and up to 100, or none for no bound")
-    if method == "pinv" and (push_only or friction is not None):
-        raise InputError("method = 'pinv' has no weight, so it can't be held to pushes or friction: use 'norm'")
+        raise InputError(
+            f"friction = {friction}: allowed are numbers above 0 and up to 100, or none for no "
+            "bound"
+        )
+    if not METHODS[method].weighted and (push_only or friction is not None):
+        raise InputError(
+            f"method = {method!r} has no weight, so it can't be held to pushes or friction: "
+            "use 'norm'"
+        )
     if camera and not calibration.has_camera:
         raise InputError(
-            f"camera: this calibration ({calibration.method}) holds no compliance and camera, only the linear map; use "
-            "method compliance or fitted"
+            f"camera: this calibration ({calibration.method}) holds no compliance and camera, "
+            "only the linear map; use method compliance or fitted"
         )
 
 
 def _held(
-    linear: Linear, weight: float, friction: float | None, camera: bool, start: Floats | None
+    linear: _Linear, weight: float, friction: float | None, camera: bool, start: Floats | None
 ) -> tuple[Floats, float]:
-    """Return the (k, 3) forces held to pushes or friction cones, and how far from optimal they are."""
+    """Return the (k, 3) forces held to pushes or friction cones, and how far from optimal they
+    are."""
     problem, bend = linear.problem, linear.bend
-    told = problem.reweighed.filled(linear.data, weight)
+    data = problem.factors.filled(linear.data, weight)
     for _ in range(MOST):
-        force, kkt = _constrained(problem, told, weight, friction, start)
-        if not camera and not len(problem.reweighed.rows):
+        force, kkt = problem.constrained(data, weight, friction, start)
+        if not camera and not len(problem.factors.rows):
             break
-        start, before = force, told
-        bend = bend_of(problem, force) if camera else bend
-        told = problem.reweighed.towards(linear.whole - linear.off - bend, problem.shifts_of(force))
-        if np.abs(told - before).max() < SETTLED:
+        start, before = force, data
+        bend = _bend_of(problem, force) if camera else bend
+        seen = np.asarray(problem.base.transfer @ force.ravel()) / problem.size_px
+        data = problem.factors.towards(linear.whole - linear.off - bend, seen)
+        if np.abs(data - before).max() < SETTLED:
             break
     return force, kkt
 
 
-def _rounded(weight: float) -> float:
-    return float(10.0 ** (DECADE * np.round(np.log10(weight) / DECADE)))
+THRESHOLD = 4.0
+"""Residual length, over its scale, beyond which the loss is linear and, in the end, a vector is
+left out."""
+
+RAYLEIGH_MEDIAN = 1.1774
+"""Median length of a vector of two normal components, over their standard deviation."""
 
 
-def _constrained(
-    problem: Problem, data: Floats, weight: float, friction: float | None, start: Floats | None
-) -> tuple[Floats, float]:
-    """Return (k, 3) forces held to pushes or to friction cones, N, and the violation of the optimality conditions."""
-    quadratic, linear = problem.quadratic(weight), problem.linear_term(data)
-    begin = None if start is None else np.einsum("kij,kj->ki", problem.calibration.site_frames, start)
-    if friction is None:
-        local, _, kkt = quadratic.pushes(linear, None if begin is None else begin[:, 2] > 0)
-    else:
-        local, kkt = quadratic.cone(linear, friction, begin)
-    return problem.globally(local), kkt
+def excess(
+    residual: Floats, share: Floats, freedom: float, *, leave_out: bool
+) -> tuple[Floats, Bools]:
+    """Return what to take off the data, and which vectors it concerns.
+
+    Parameters
+    ----------
+    residual
+        (m,) whitened residuals of the data as measured.
+    share
+        (m,) information of the data over that by whitening, 0 for lost ones (see
+        `twin.sense.regularisation`).
+    freedom
+        Degrees of freedom of the residual over m: residuals are shorter than the noise by its root.
+    leave_out
+        Take off the whole residual of a wrong vector rather than what is beyond the threshold.
+
+    Returns
+    -------
+    excess
+        (m,) whitened.
+    wrong
+        (m/2,) vectors beyond the threshold.
+    """
+    vectors, known = residual.reshape(-1, 2), share[::2] > 0
+    length = np.sqrt(share[::2] * (vectors**2).sum(axis=1))
+    scale = np.median(length[known]) / RAYLEIGH_MEDIAN / np.sqrt(max(freedom, 0.05))
+    limit = THRESHOLD * scale
+    wrong = np.asarray(length > limit)
+    beyond = np.where(wrong, 1.0 if leave_out else 1.0 - limit / np.where(wrong, length, 1.0), 0.0)
+    return (beyond[:, None] * vectors).ravel(), wrong
+
+
+SOFT, MOST = 6, 40
+"""Iterations with Huber's loss before wrong vectors are left out, and iterations at most."""
+
+SETTLED = 1e-4
+"""Change of the whitened data that ends the iterations, in units of the noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Linear:
+    """A solution of ``problem`` without bounds, for a whitened weight.
+
+    ``whole``, ``off`` and ``bend`` are (m,) whitened data, and what wrong vectors and the camera's
+    bend add to them; ``wrong`` (m/2,) the vectors that were found to be wrong.
+    """
+
+    problem: Problem
+    whole: Floats
+    off: Floats
+    bend: Floats
+    weight: float
+    wrong: Bools
+
+    @property
+    def data(self) -> Floats:
+        """(m,) whitened data that were solved for."""
+        return np.asarray(self.whole - self.off - self.bend)
+
+    @cached_property
+    def force_n(self) -> Floats:
+        """(k, 3) forces, N."""
+        return self.problem.factors.forces(self.data, self.weight)
+
+    @cached_property
+    def scale(self) -> float:
+        """Noise as the fit has it, over the stated one."""
+        if self.weight <= 0:
+            return 1.0
+        return self.problem.factors.noise_scale(self.data, self.weight)
+
+    @property
+    def sd_force_n(self) -> Floats:
+        """(k, 3) standard deviations given the prior, N."""
+        variance = self.problem.factors.site_variance(self.weight)
+        return np.asarray(self.scale * np.sqrt(variance).reshape(-1, 3))
+
+
+def _solved(
+    problem: Problem, whole: Floats, weight: float | WeightRule, robust: bool, camera: bool
+) -> _Linear:
+    """Solve without bounds, for a weight in px^2/N^2 or by a rule."""
+    factors = problem.factors
+    off, bend = np.zeros_like(whole), np.zeros_like(whole)
+    wrong: Bools = np.zeros(len(whole) // 2, np.bool_)
+    whitened = 0.0 if isinstance(weight, str) else float(weight) / problem.omega
+    for count in range(MOST):
+        data, before = whole - off - bend, off + bend
+        if isinstance(weight, str) and count < 2 * SOFT:  # later it stays, so that this settles
+            whitened = factors.weight(weight, data)
+        if not robust and not camera:
+            break
+        if camera:
+            bend = _bend_of(problem, factors.forces(data, whitened))
+        if robust:
+            residual = whole - bend - factors.predicted(data, whitened)
+            freedom = factors.freedom(whitened)
+            off, wrong = excess(residual, factors.share, freedom, leave_out=count >= SOFT)
+        if count > (SOFT if robust else 0) and np.abs(off + bend - before).max() < SETTLED:
+            break
+    return _Linear(problem=problem, whole=whole, off=off, bend=bend, weight=whitened, wrong=wrong)
+
+
+def _bend_of(problem: Problem, force: Floats) -> Floats:
+    """Return (m,) whitened difference of the shifts through the camera to the linear ones."""
+    return problem.whiten(problem.calibration.bend_px(force))
+
+
+TURNS = 2
+"""Solutions after the first; from one that is known beforehand, such as the last frame's, one is
+enough."""
+
+AROUND = 1.0
+"""Standard deviation of the average over neighbours, sites."""
+
+FAINTEST = 0.03
+"""Expected size of a force, over the largest, below which a site carries none: the smooth
+solution's noise is about half of it. A press this much weaker than the strongest goes unseen, so it
+is not raised for the sake of time."""
+
+
+def _localised(problem: Problem, force_n: Floats) -> Problem:
+    """Return the problem with forces expected where ``force_n`` (k, 3) has some; it must not be
+    zero everywhere."""
+    squared = gaussian_filter(
+        ((force_n / np.abs(force_n).max()) ** 2).sum(axis=1).reshape(problem.calibration.grid),
+        AROUND,
+        mode="constant",
+    ).ravel()
+    size = np.sqrt(squared / squared.max())
+    carries = np.repeat(size > FAINTEST, 3)
+    scale = np.repeat(size, 3)[carries]
+    whole = problem.base
+    penalty = whole.penalty[np.ix_(carries, carries)] / np.outer(scale, scale)
+    if "reduced" not in whole.gram:
+        whole.gram["reduced"] = whole.factors.left.T @ whole.transfer
+    factors = Factors.of(whole.gram["reduced"][:, carries], penalty)
+    everywhere = np.eye(len(carries))
+    everywhere[np.ix_(carries, carries)] = penalty
+    back, null = (np.zeros((len(carries), part.shape[1])) for part in (factors.back, factors.null))
+    back[carries], null[carries] = factors.back, factors.null
+    base = replace(
+        whole,
+        transfer=np.where(carries, whole.transfer, 0.0),
+        penalty=everywhere,
+        gram={},
+        quadratics={},
+    )
+    factors = Factors(
+        left=whole.factors.left @ factors.left,
+        singular=factors.singular / problem.size_px,
+        back=back,
+        null=null,
+        share=problem.factors.share,
+    )
+    return replace(problem, base=base, factors=factors)
+
+
+def _solved_locally(
+    problem: Problem, whole: Floats, weight: float | WeightRule, robust: bool, camera: bool
+) -> tuple[_Linear, Floats]:
+    """Solve with forces expected where the smooth solution, then the local one, has some; and (k,
+    3) deviations, N."""
+    found = smooth = _solved(problem, whole, "auto", robust, camera)
+    rule = "likelihood" if weight == "auto" else weight
+    for _ in range(TURNS):
+        if not found.force_n.any():
+            return smooth, smooth.sd_force_n
+        found = _solved(_localised(problem, found.force_n), whole, rule, robust, camera)
+    carries = found.problem.factors.back.any(axis=1).reshape(-1, 3)
+    return found, np.where(carries, found.sd_force_n, smooth.sd_force_n)
+
+
+LEAST_PX = 0.5
+"""Bumps below this are not distinguished from forces."""
+
+EXPLAINS = 6.0
+"""A bump must be this many of its own standard deviations long."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bump:
+    """A shift of the whole picture.
+
+    Attributes
+    ----------
+    shift_px
+        (2,) what all markers share, px (column, row).
+    sd_px
+        Its standard deviation, px.
+    """
+
+    shift_px: Floats
+    sd_px: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is too long to be noise or forces."""
+        length = float(np.hypot(*self.shift_px))
+        return length > LEAST_PX and length > EXPLAINS * self.sd_px
+
+
+def camera_bump(found: Found, calibration: Calibration) -> Bump:
+    """Estimate the shift that all markers share in addition to the forces.
+
+    Raises
+    ------
+    InputError
+        Motion and calibration don't belong together, or fewer than 2 markers are left.
+    """
+    problem = problem_of(found, calibration, "smooth")
+    data, factors = problem.whiten(found.shift_px), problem.factors
+    shared = np.column_stack(
+        [problem.whiten(np.tile(axis, (len(found.shift_px), 1))) for axis in np.eye(2)]
+    )
+    usual = np.median(found.shift_px[problem.used], axis=0)
+    weight = factors.weight("auto", data - shared @ usual)
+    left = shared - factors.predicted(shared, weight)
+    weighed = factors.share[:, None] * left
+    normal = weighed.T @ shared
+    estimate = np.asarray(np.linalg.solve(normal, weighed.T @ data), np.float64)
+    scale = factors.noise_scale(data - shared @ estimate, weight)
+    sd = scale * float(np.sqrt(np.linalg.inv(normal).diagonal().max()))
+    return Bump(shift_px=estimate, sd_px=sd)

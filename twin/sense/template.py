@@ -1,88 +1,501 @@
-"""What every marker looks like at rest: made once from the rest picture, then fitted to every other picture.
+"""A marker's template, and the fit of its centre to a picture.
 
-A layer's own projection of the colours takes the other layers' colours to zero and otherwise has the least noise: for
-pure dyes it is the one channel that shows the marker. (The paper's difference of red and blue carries the noise of a
-second channel, which says nothing about this marker; spots are found with it, centres are not measured with it.)
+A marker's signal is ground + level (1 + slope . d + bulge f) E(t / blur) with d the offset from the
+centre, f the squared distance in the marker's own ellipse (at most 1), t the distance inside its
+edge and E the integral of a biweight, which stands for the point-spread function and the pixel.
+Gauss-Newton steps move the centre along the slope of the edge, where all of a disc's information
+about its place is (Cramer and Rao).
 
-The slope of brightness across a marker has two parts: what all markers share, as the lamps give it (a quadratic in the
-picture), and a marker's own, if it is large. The first changes as a marker moves, the second goes along with it.
-"""
+Where another layer's marker shows, a pixel is left out. Pixels that fit badly, such as those in
+another marker's shadow, get Geman and McClure's weights.
+
+Why compiled: these loops run for every marker of every picture.
+
+Validity: markers at least about 4 px wide and blurred by less than their radius; a start within
+about half the radius. A covered strip is found from a tenth of the width on if the blur's standard
+deviation is about 0.7 px; with 1.6 px a covered marker of 8 px looks like a smaller one."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from twin.arrays import Floats, Ints, Picture, Pixels
-from twin.sense.fit import (
-    CENTRE_X,
-    COLUMNS,
-    LEADS,
-    MARGIN_PX,
-    MISFIT,
-    SHAPE,
-    fit_centres,
-)
-from twin.sense.fit_rest import fit_shapes, noise_variances
+from twin.arrays import Floats, Ints, Picture, Pixels, Singles
+from twin.compiled import njit
 
-Narrow: TypeAlias = NDArray[np.float32]
+LANES = 16
+"""So many pixels of a row are worked on at once."""
 
-USUAL_BLUR_PX = 2.0
-"""Half width of a sharp lens' blur with the pixel's, px (.75 px standard deviation): where the search starts."""
 
-SHOWS = 0.3
-"""Another layer shows where it has this share of its usual level."""
+def disc(radius: float) -> tuple[Ints, Ints]:
+    """Return the pixels within ``radius``, px.
 
-OWN_SLOPE = 0.3
-"""A marker's own slope, over its radius, counts above this: smaller ones cost little where they are real (a tenth of
-the precision), and much where a neighbour's shadow feigns them and then moves."""
+    Returns
+    -------
+    offset
+        (2, m) offsets, row by row, filled up to a multiple of 8 by far ones.
+    runs
+        (rows, 3) row, first column and number of its pixels.
+    """
+    reach = int(np.ceil(radius))
+    row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    inside = column**2 + row**2 <= radius**2
+    offset = np.stack([column[inside], row[inside]])
+    rows, first, count = np.unique(offset[1], return_index=True, return_counts=True)
+    runs = np.stack([rows, offset[0, first], count], axis=1)
+    padding = ((0, 0), (0, -offset.shape[1] % 8))
+    return np.pad(offset, padding, constant_values=1 << 30), runs
 
-SAMPLE = 40
-"""About how many markers tell the layer's blur and bulge."""
 
-TURNS = 12
-"""Most steps of a shape's fit at rest."""
+@njit(cache=True, fastmath=True)
+def gather(image, own, others, column, row, offset, runs, signal, use):
+    """Project the pixels at ``offset`` (2, m); those outside, or where one of ``others`` shows,
+    don't count.
+
+    Where all are in the picture, every one of the ``runs`` is worked on in whole `LANES`; what is
+    too much is written over by the next row. So ``signal`` and ``use`` have room for `LANES` more
+    than m, unless ``runs`` is empty: then the pixels are taken one by one.
+    """
+    height, width = image.shape[0], image.shape[1]
+    red, green, blue, ground = own
+    reach, whole = len(runs) // 2, False
+    if len(runs):
+        longest = (runs[reach, 2] + LANES - 1) // LANES * LANES
+        whole = row >= reach and column >= reach and row + reach < height and column + reach < width
+        whole = whole and (row + reach) * width + column + longest <= height * width
+    if not whole:
+        for p in range(offset.shape[1]):
+            x, y = column + offset[0, p], row + offset[1, p]
+            if x < 0 or y < 0 or x >= width or y >= height:
+                signal[p], use[p] = np.float32(0.0), np.float32(0.0)
+                continue
+            r = np.float32(image[y, x, 0])
+            g = np.float32(image[y, x, 1])
+            b = np.float32(image[y, x, 2])
+            signal[p] = red * r + green * g + blue * b - ground
+            seen = np.float32(1.0)
+            for k in range(others.shape[0]):
+                if others[k, 0] * r + others[k, 1] * g + others[k, 2] * b > others[k, 3]:
+                    seen = np.float32(0.0)
+            use[p] = seen
+        return
+    flat = image.reshape(-1)
+    other_red, other_green, other_blue = np.float32(0), np.float32(0), np.float32(0)
+    limit = np.float32(1)
+    if len(others):
+        other_red, other_green, other_blue, limit = others[0]
+    done = 0
+    for y, first, count in runs:
+        for block in range(0, count, LANES):
+            start = 3 * ((row + y) * width + column + first + block)
+            pixels = flat[start : start + 3 * LANES]
+            value = signal[done + block : done + block + LANES]
+            seen = use[done + block : done + block + LANES]
+            for x in range(LANES):
+                r = np.float32(pixels[3 * x])
+                g = np.float32(pixels[3 * x + 1])
+                b = np.float32(pixels[3 * x + 2])
+                value[x] = red * r + green * g + blue * b - ground
+                hidden = other_red * r + other_green * g + other_blue * b > limit
+                seen[x] = np.float32(0.0) if hidden else np.float32(1.0)
+        done += count
+    for p in range(done, offset.shape[1]):
+        signal[p], use[p] = np.float32(0.0), np.float32(0.0)
+    for k in range(1, len(others)):
+        for p in range(done):
+            x, y = column + offset[0, p], row + offset[1, p]
+            r = np.float32(image[y, x, 0])
+            g = np.float32(image[y, x, 1])
+            b = np.float32(image[y, x, 2])
+            if others[k, 0] * r + others[k, 1] * g + others[k, 2] * b > others[k, 3]:
+                use[p] = np.float32(0.0)
+
+
+SHAPE = 8
+"""Numbers of a template: semi-axes xx, xy, yy in px; slope x, y in 1/px; bulge; half width of the
+blur in px; level."""
+
+CENTRE_X, CENTRE_Y, LEVEL, GROUND, SCALE, VAR_X, VAR_Y, EDGE, SQUARES = range(9)
+PIXELS, STEP, MISFIT, FITTING, THIRD_X, THIRD_Y, SHORTFALL, ONE_SIDED = range(9, 17)
+DIRECTIONS = 8
+COLUMNS = ONE_SIDED + DIRECTIONS
+"""What `Templates.fit` gives for a marker: centre, level, ground, scale against the template;
+variances of the centre; share of the edge in sight; sum of squared residuals over how many pixels;
+last step in px; squared residuals over their expected size; share of the edge in sight that fits;
+for some markers, how far the edge lies outside the model's as the cosine and sine of three times
+the angle, px; the most light that a pixel on the marker lacks, as a share of the marker's; along
+`DIRECTIONS` from 0 to 180 degrees, how far the centre moves if the edge on that side is left out,
+less how far it moves back if the other side is, px. The last three are NaN, 0 and NaN where the
+edge is not looked at."""
+
+FITS = 0.9
+"""A marker of whose edge less fits may be partly hidden."""
+
+UNUSUAL = 1.5
+"""A marker whose squared residuals exceed the usual ones by this factor is doubted: its edge is
+looked at, and its variance grows."""
+
+SECTORS, LEFT_OUT = 2 * DIRECTIONS, 5
+"""Parts that an edge is cut into, and how many of them are left out at a time: 112 degrees, what a
+strip of a fifth of the width covers (106)."""
+
+ON_MARKER = 0.3
+"""Share of a pixel that a marker covers, from which on light is missed there."""
+
+MARGIN_PX = 1.0
+"""Pixels of ground beyond the blurred edge that are looked at."""
+
+SETTLED_PX, SETTLED_GROWTH = 0.02, 0.02
+"""A marker is done when a step is below the first, of which a twentieth is then left, and its size
+grows by less than the second: one that starts at its very place may still have to grow."""
 
 SETTLED_TURNS = 24
-"""Steps after which a centre no longer moves, wherever it started: a rest position that has not settled shifts every
-picture after it (a marker in another's shadow by up to .15 px after 4)."""
+"""Steps after which a centre no longer moves, wherever it started: a rest position that has not
+settled shifts every picture after it (a marker in another's shadow by up to .15 px after 4)."""
 
-QUADRATIC, LINEAR = 30, 12
-"""From how many markers on their shared slope is a quadratic, or linear, function of the place."""
+OUTLIER_SD = 6.0
+"""A pixel that misses by this many standard deviations counts a quarter."""
+
+OVERSHOT, LEAST_SHARE = 0.2, 0.2
+"""A step that goes back by more than this share of the last one went too far, as with blurred
+markers that are darker at their edge, whose middle helps to hold them: from then on steps are
+shortened to what would have gone right."""
+
+IMPERFECT, SHARE = 0.02, 0.25
+"""What the model is trusted to: as a share of the brightness, and of the mean squared residual that
+it has (a marker that has changed its shape misses at its edge, where its place is to be read)."""
+
+LEADS = 3
+"""Earlier markers by whose motion a start may be moved."""
+
+SETTLED_LEAD_PX = 0.3
+"""A marker whose last step was larger leads no other."""
+
+
+@njit(cache=True, fastmath=True)
+def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, narrow, total):
+    """Add up over the pixels at ``place`` (2, m) what one step needs; float32, no branches: for the
+    vector unit.
+
+    (cx, cy) is the centre in the same frame, ``form`` the inverse squared axes, ``slope`` the
+    brightness' slope.
+    """
+    xx, xy, yy = form
+    slope_x, slope_y = slope
+    one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
+    edge0, edge1, edge2 = np.float32(15 / 16), np.float32(10 / 16), np.float32(3 / 16)
+    per_blur = one / blur
+    n, sm, smm, si, sim = zero, zero, zero, zero, zero
+    jxx, jxy, jyy, jxr, jyr = zero, zero, zero, zero, zero
+    jrr, jr, jxxm, jyym, rr, edge = zero, zero, zero, zero, zero, zero
+    for p in range(len(signal)):
+        dx, dy = place[0, p] - cx, place[1, p] - cy
+        ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
+        squared = ax * dx + ay * dy + np.float32(1e-6)
+        flat = one / np.sqrt(ax * ax + ay * ay + np.float32(1e-8))
+        v = min(max((np.sqrt(squared) - squared) * flat * per_blur, -one), one)
+        v2 = v * v
+        cover = half + v * (edge0 - v2 * (edge1 - v2 * edge2))
+        fall = one - v2
+        light = one + slope_x * dx + slope_y * dy + bulge * min(squared, one)
+        tilt = level * light * fall * fall * edge0 * per_blur
+        jx, jy = tilt * ax * flat, tilt * ay * flat
+        model = cover * light
+        value = signal[p]
+        residual = value - ground - level * model
+        trust = one / (one + narrow * residual * residual)
+        w = use[p] * trust * trust
+        wm, wx, wy, wt = w * model, w * jx, w * jy, w * tilt
+        n += w
+        sm += wm
+        smm += wm * model
+        si += w * value
+        sim += wm * value
+        jxx += wx * jx
+        jxy += wx * jy
+        jyy += wy * jy
+        jxr += wx * residual
+        jyr += wy * residual
+        jrr += wt * tilt
+        jr += wt * residual
+        jxxm += wx * jx * model
+        jyym += wy * jy * model
+        rr += w * residual * residual
+        edge += use[p] * tilt * tilt
+    total[0], total[1], total[2], total[3], total[4] = n, sm, smm, si, sim
+    total[5], total[6], total[7], total[8], total[9] = jxx, jxy, jyy, jxr, jyr
+    total[10], total[11], total[12], total[13], total[14], total[15] = jrr, jr, jxxm, jyym, rr, edge
+
+
+@njit(cache=True)
+def doubtful(noise, level, step):
+    """Return the squared residual at which a pixel counts a quarter; wide while the centre still
+    moves by ``step``."""
+    return OUTLIER_SD**2 * (noise + (IMPERFECT * level) ** 2) + (0.5 * level * min(step, 2.0)) ** 2
+
+
+@njit(cache=True)
+def inverse_form(xx, xy, yy, scale):
+    """Return the inverse square of a symmetric matrix of semi-axes (times ``scale``): xx, xy,
+    yy."""
+    a = scale * scale * (xx * xx + xy * xy)
+    b = scale * scale * xy * (xx + yy)
+    c = scale * scale * (yy * yy + xy * xy)
+    determinant = max(a * c - b * b, 1e-6)
+    return c / determinant, -b / determinant, a / determinant
+
+
+@njit(cache=True)
+def _led(out, start, lead, axis):
+    """Return how far the markers of ``lead`` have moved along an axis from their starts: the
+    median; 0 if none has."""
+    count, a, b, c = 0, 0.0, 0.0, 0.0
+    for m in lead:
+        if m >= 0 and out[m, STEP] < SETTLED_LEAD_PX:
+            a, b, c, count = out[m, axis] - start[m, axis], a, b, count + 1
+    if count == 0:
+        return 0.0
+    if count < 3:
+        return (a + b) / count
+    return max(min(a, b), min(max(a, b), c))
+
+
+@njit(cache=True)
+def _fit_centres(
+    image,
+    own,
+    others,
+    start,
+    lead,
+    shape,
+    ground,
+    noise,
+    usual_misfit,
+    slopes,
+    offset,
+    runs,
+    every,
+    out,
+):
+    """Fill ``out`` (n, `COLUMNS`), see `Templates.fit`; NaN where a fit failed.
+
+    ``lead`` is (0, `LEADS`) where starts are taken as they are; rows of ``start`` that are NaN are
+    left out.
+    """
+    rows, columns = image.shape[0], image.shape[1]
+    place = np.minimum(np.abs(offset), 1000).astype(np.float32) * np.sign(offset).astype(np.float32)
+    room = np.empty((2, offset.shape[1] + LANES), np.float32)
+    signal, use = room[0, : offset.shape[1]], room[1, : offset.shape[1]]
+    colour = (own[0], own[1], own[2], own[3])
+    total = np.empty(16, np.float64)
+    for k in range(len(start)):
+        out[k, :] = np.nan
+        cx, cy = start[k, 0], start[k, 1]
+        if len(lead) and np.isfinite(cx + cy):
+            cx += _led(out, start, lead[k], CENTRE_X)
+            cy += _led(out, start, lead[k], CENTRE_Y)
+        if not (np.isfinite(cx) and np.isfinite(cy) and np.isfinite(shape[k, 0])):
+            continue
+        xx, xy, yy, blur, level = shape[k, 0], shape[k, 1], shape[k, 2], shape[k, 6], shape[k, 7]
+        here = ground[k]
+        mean_radius = np.sqrt(max(xx * yy - xy * xy, 0.25))
+        scale, step, column, row = 1.0, 1e9, 0, 0
+        share, last_x, last_y = 1.0, 0.0, 0.0
+        for turn in range(SETTLED_TURNS):
+            middle_x, middle_y = int(np.rint(cx)), int(np.rint(cy))
+            if middle_x < 0 or middle_y < 0 or middle_x >= columns or middle_y >= rows:
+                step = 1e9
+                break
+            if turn == 0 or abs(cx - column) > 1.0 or abs(cy - row) > 1.0:
+                column, row = middle_x, middle_y
+                gather(image, colour, others, column, row, offset, runs, room[0], room[1])
+            u, v = cx / columns - 0.5, cy / rows - 0.5
+            slope_x = shape[k, 3] + slopes[0, 0] + slopes[0, 1] * u + slopes[0, 2] * v
+            slope_x += slopes[0, 3] * u * u + slopes[0, 4] * u * v + slopes[0, 5] * v * v
+            slope_y = shape[k, 4] + slopes[1, 0] + slopes[1, 1] * u + slopes[1, 2] * v
+            slope_y += slopes[1, 3] * u * u + slopes[1, 4] * u * v + slopes[1, 5] * v * v
+            fxx, fxy, fyy = inverse_form(xx, xy, yy, scale)
+            left = SHARE * total[14] / total[0] if turn > 0 else 0.0
+            narrow = 1.0 / doubtful(max(noise[1], left), level, np.sqrt(step) if turn > 0 else 1.0)
+            _sums(
+                signal,
+                use,
+                place,
+                np.float32(cx - column),
+                np.float32(cy - row),
+                (np.float32(fxx), np.float32(fxy), np.float32(fyy)),
+                (np.float32(slope_x), np.float32(slope_y)),
+                np.float32(shape[k, 5]),
+                np.float32(blur),
+                np.float32(level),
+                np.float32(here),
+                np.float32(narrow),
+                total,
+            )
+            n, sm, smm, si, sim = total[0], total[1], total[2], total[3], total[4]
+            determinant = n * smm - sm * sm
+            jxx, jxy, jyy = total[5], total[6], total[7]
+            information = jxx * jyy - jxy * jxy
+            step = 1e12
+            if n < 9 or determinant < 1e-5 * n * n or information < 1e-3 * jxx * jyy + 1e-9:
+                break
+            level = (n * sim - sm * si) / determinant
+            here = (si - level * sm) / n
+            if level <= 0.05 * shape[k, 7]:
+                break
+            step_x = (jyy * total[8] - jxy * total[9]) / information
+            step_y = (jxx * total[9] - jxy * total[8]) / information
+            swing = -(step_x * last_x + step_y * last_y) / max(
+                last_x * last_x + last_y * last_y, 1e-9
+            )
+            if swing > OVERSHOT:
+                share = max(share / (1.0 + swing), LEAST_SHARE)
+            last_x, last_y = step_x, step_y
+            limit = 0.5 * mean_radius
+            step_x = min(max(share * step_x, -limit), limit)
+            step_y = min(max(share * step_y, -limit), limit)
+            cx, cy = cx + step_x, cy + step_y
+            step = step_x * step_x + step_y * step_y
+            growth = 1.0
+            if turn > 0 or step < 0.25:
+                growth = total[11] / max(total[10], 1e-9) / mean_radius
+                scale = min(max(scale * (1.0 + min(max(growth, -0.1), 0.1)), 0.7), 1.3)
+            if step < SETTLED_PX * SETTLED_PX and abs(growth) < SETTLED_GROWTH:
+                break
+        if step > 1e8:
+            continue
+        jxx, jxy, jyy, n = total[5], total[6], total[7], total[0]
+        determinant = max(jxx * jyy - jxy * jxy, 1e-9)
+        more = noise[1] - noise[0]
+        across, along = noise[0] * jxx + more * total[12], noise[0] * jyy + more * total[13]
+        # the middle matrix of the sandwich, taken as diagonal: exact on whole discs
+        out[k, CENTRE_X], out[k, CENTRE_Y], out[k, LEVEL], out[k, GROUND] = cx, cy, level, here
+        out[k, SCALE] = scale
+        out[k, VAR_X] = (jyy * jyy * across + jxy * jxy * along) / (determinant * determinant)
+        out[k, VAR_Y] = (jxx * jxx * along + jxy * jxy * across) / (determinant * determinant)
+        # a whole ellipse's sum of squared slopes: its length times 5/7 over the blur's half width
+        mean, gap = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+        length = 2.0 * np.pi * scale * np.sqrt(mean * mean + gap * gap)
+        whole = length * (level * (1.0 + shape[k, 5])) ** 2 * 5.0 / 7.0 / blur
+        out[k, EDGE] = total[15] / max(whole, 1e-9)
+        out[k, SQUARES], out[k, PIXELS], out[k, STEP] = total[14], n, np.sqrt(step)
+        out[k, MISFIT] = total[14] / max(noise[0] * n + more * total[1], 1e-9)
+        out[k, FITTING] = total[10] / max(total[15], 1e-9)
+        out[k, SHORTFALL] = 0.0
+        doubted = out[k, FITTING] < FITS or out[k, MISFIT] > UNUSUAL * usual_misfit
+        if doubted or (every > 0 and k % every == 0):
+            form = inverse_form(xx, xy, yy, scale)
+            light = (slope_x, slope_y, shape[k, 5])
+            centre = (cx - column, cy - row)
+            _edge(signal, use, place, centre, form, light, blur, level, here, narrow, out[k])
+            if every == 0 or k % every > 0:
+                out[k, THIRD_X], out[k, THIRD_Y] = np.nan, np.nan
+            if out[k, SHORTFALL] * level <= OUTLIER_SD * np.sqrt(noise[1]):
+                out[k, SHORTFALL] = 0.0
+
+
+@njit(cache=True)
+def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, out):
+    """Fill the columns of ``out`` that describe how the edge differs from the model's.
+
+    What hides a part of one side pulls the fit off it: the fit without that side's edge moves back
+    (a jackknife, with the size free). Strain moves it by as much towards the other side, and
+    cancels in the difference of the two.
+    """
+    xx, xy, yy = form
+    slope_x, slope_y, bulge = light
+    cosine, sine, norm, missed = 0.0, 0.0, 1e-9, 0.0
+    sums = np.zeros((SECTORS, 9))
+    for p in range(len(signal)):
+        dx, dy = place[0, p] - centre[0], place[1, p] - centre[1]
+        ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
+        squared = ax * dx + ay * dy + 1e-6
+        flat = 1.0 / np.sqrt(ax * ax + ay * ay + 1e-8)
+        v = (np.sqrt(squared) - squared) * flat / blur
+        if v <= -1.0 or use[p] == 0.0:
+            continue
+        v = min(v, 1.0)
+        v2 = v * v
+        cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
+        bright = level * (1.0 + slope_x * dx + slope_y * dy + bulge * min(squared, 1.0))
+        tilt = bright * (1.0 - v2) ** 2 * 15 / 16 / blur
+        residual = signal[p] - ground - bright * cover
+        if cover > ON_MARKER:
+            missed = max(missed, -residual / level)
+        nx, ny = ax * flat, ay * flat
+        cosine += tilt * nx * (4.0 * nx * nx - 3.0) * residual
+        sine += tilt * ny * (3.0 - 4.0 * ny * ny) * residual
+        norm += 0.5 * tilt * tilt
+        # weighted sums of the normal equations for x, y and the size, sector by sector
+        angle = np.arctan2(ny, nx) / (2.0 * np.pi) + 1.0
+        sector = sums[int(angle * SECTORS) % SECTORS]
+        trust = tilt / (1.0 + narrow * residual * residual) ** 2
+        for i, weight in enumerate((trust * tilt, trust * residual)):
+            sector[3 * i] += weight
+            sector[3 * i + 1] += weight * nx
+            sector[3 * i + 2] += weight * ny
+        sector[6] += trust * tilt * nx * nx
+        sector[7] += trust * tilt * nx * ny
+        sector[8] += trust * tilt * ny * ny
+    out[THIRD_X], out[THIRD_Y], out[SHORTFALL] = cosine / norm, sine / norm, missed
+    step, total, kept = np.empty(SECTORS), np.zeros(9), np.empty(9)
+    for s in range(SECTORS):
+        total += sums[s]
+    for s in range(SECTORS):
+        kept[:] = total
+        for k in range(s, s + LEFT_OUT):
+            kept -= sums[k % SECTORS]
+        angle = 2.0 * np.pi * (s + 0.5 * LEFT_OUT) / SECTORS
+        ux, uy = np.cos(angle), np.sin(angle)
+        along = ux * ux * kept[6] + 2.0 * ux * uy * kept[7] + uy * uy * kept[8]
+        cross = ux * kept[1] + uy * kept[2]
+        right = ux * kept[4] + uy * kept[5]
+        step[s] = (kept[0] * right - cross * kept[3]) / max(kept[0] * along - cross**2, 1e-9)
+    for s in range(DIRECTIONS):
+        out[ONE_SIDED + s] = step[s] - step[s + DIRECTIONS]
+
 
 NOBODY = np.zeros((0, LEADS), np.int64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Templates:
-    """A group's templates.
+    """The templates of the markers that share a signal.
 
     Attributes
     ----------
     own, others
-        (4,) projection (r, g, b) and ground; (m, 4) the other groups' and the counts above which they show.
+        (4,) projection (r, g, b) and ground; (m, 4) the other signals' and the counts above which
+        they show; float32.
     shape
-        (n, `fit.SHAPE`) every marker's template; NaN for markers not found at rest.
+        (n, `SHAPE`) every marker's template; NaN for markers not found at rest.
     ground
         (n,) ground around every marker at rest, counts.
     noise
         (2,) variance of the ground's noise and of a full marker's, counts squared.
     slopes
-        (2, 6) shared slope of brightness, see `fit.fit_centres`.
+        (2, 6) relative slope of brightness along x and y that markers share, by the terms 1, u, v,
+        u^2, u v, v^2 of the place in the picture; u, v from -1/2 to 1/2 across it. A template's
+        own slope comes on top.
     usual_misfit
-        Squared residuals of a good fit at rest over what the noise explains: what the model lacks for every marker.
+        Squared residuals of a good fit at rest over what the noise explains: what the model lacks
+        for every marker.
     level
         (n,) brightness at rest, counts.
     reach_px
         Radius of what is looked at around a marker, px.
+    every
+        The edge of one marker in so many is looked at for a third harmonic, which shows how the
+        noise hangs together; 0 where residuals are those of noise that does not.
+    third, fitting, one_sided
+        (n, 2) third harmonic of the edge at rest, px; (n,) share of the edge that fits; (n,
+        `DIRECTIONS`) how far the centre moves without one side of the edge, px.
     """
 
-    own: Narrow
-    others: Narrow
+    own: Singles
+    others: Singles
     shape: Floats
     ground: Floats
     noise: Floats
@@ -90,131 +503,51 @@ class Templates:
     usual_misfit: float
     level: Floats
     reach_px: float
+    every: int
+    third: Floats
+    fitting: Floats
+    one_sided: Floats
 
-    def fit(self, picture: Picture, start_px: Pixels, turns: int = 4, lead: Ints | None = None) -> Floats:
-        """Return (n, `fit.COLUMNS`) what `fit.fit_centres` finds from ``start_px``, with ``lead`` if given."""
+    @cached_property
+    def _pixels(self) -> tuple[Ints, Ints]:
+        return disc(self.reach_px)
+
+    def fit(
+        self,
+        picture: Picture,
+        start_px: Pixels,
+        lead: Ints | None = None,
+    ) -> Floats:
+        """Fit every marker's centre, level, ground and scale.
+
+        Parameters
+        ----------
+        picture
+            (h, w, 3) counts.
+        start_px
+            (n, 2) px; NaN rows are left out.
+        lead
+            (n, `LEADS`) earlier rows, -1 for none: a start is moved by the median of how far these
+            moved from theirs.
+
+        Returns
+        -------
+        (n, `COLUMNS`)
+        """
         out = np.empty((len(start_px), COLUMNS))
-        fit_centres(
-            picture, self.own, self.others, np.ascontiguousarray(start_px), NOBODY if lead is None else lead,
-            self.shape, self.ground, self.noise, self.slopes, self.reach_px, turns, out,
-        )  # fmt: skip
-        return out
-
-
-def colour_of(picture: Picture, centres: Pixels, diameter: float) -> Floats:
-    """Return (3,) how markers differ from their ground, counts: the median over them; zeros if there are none."""
-    middle = np.rint(centres[np.isfinite(centres).all(axis=1)]).astype(int)
-    far = int(np.ceil(0.5 * diameter)) + 4
-    height, width = picture.shape[:2]
-    inside = ((middle >= far) & (middle < [width - far, height - far])).all(axis=1)
-    if not inside.any():
-        return np.zeros(3)
-    column, row = middle[inside].T
-    near = range(-max(int(0.2 * diameter), 0), max(int(0.2 * diameter), 0) + 1)
-    spot = np.mean([picture[row + j, column + i] for j in near for i in near], axis=0)
-    ring = [picture[row + j, column + i] for i, j in ((far, 0), (-far, 0), (0, far), (0, -far))]
-    return np.asarray(np.median(spot - np.median(ring, axis=0), axis=0), float)
-
-
-def projections(colours: Sequence[Floats]) -> list[Floats]:
-    """Return for every colour the (3,) projection that takes the others to zero with the least noise, largest 1."""
-    matrix = np.array(colours)
-    inverse = np.linalg.pinv(matrix, rcond=0.05).T
-    return [row / max(float(np.abs(row).max()), 1e-12) for row in inverse]
-
-
-def make_templates(
-    picture: Picture, own: Sequence[Floats], centres: Sequence[Pixels], diameter: Sequence[float]
-) -> list[tuple[Templates, Floats]]:
-    """Return every group's templates, and its markers' first fit with them.
-
-    Parameters
-    ----------
-    own
-        (3,) projection of each group.
-    centres
-        (n, 2) about where its markers are, px; NaN for those not found.
-    diameter
-        Their usual width, px.
-    """
-    sample = picture[::4, ::4].reshape(-1, 3).astype(float)
-    limits = []
-    for weights, points, width in zip(own, centres, diameter, strict=True):
-        level = float(weights @ colour_of(picture, points, width))
-        limits.append([*weights, float(np.median(sample @ weights)) + max(SHOWS * level, 4.0)])
-    made = []
-    for number, (weights, points, width) in enumerate(zip(own, centres, diameter, strict=True)):
-        mine = np.array([*weights, np.median(sample @ weights)], np.float32)
-        others = np.array([row for i, row in enumerate(limits) if i != number], np.float32).reshape(-1, 4)
-        made.append(_of_group(picture, mine, others, np.ascontiguousarray(points, float), width))
-    return made
-
-
-def _of_group(
-    picture: Picture, own: Narrow, others: Narrow, centres: Pixels, diameter: float
-) -> tuple[Templates, Floats]:
-    count = len(centres)
-    radius = np.where(np.isfinite(centres).all(axis=1), 0.5 * diameter, np.nan)
-    circles = np.zeros((count, SHAPE))
-    circles[:, 0], circles[:, 2], circles[:, 6] = radius, radius, USUAL_BLUR_PX
-    variances = np.full((count, 2), np.nan)
-    noise_variances(picture, own, centres, circles, variances)
-    with np.errstate(all="ignore"):
-        ground = float(np.nanmedian(variances[:, 0])) if np.isfinite(variances[:, 0]).any() else 1.0
-        marker = float(np.nanmedian(variances[:, 1])) if np.isfinite(variances[:, 1]).any() else ground
-    noise = np.maximum([ground, max(marker, ground)], 1 / 12)
-    first, shape = np.full((count, SHAPE + 2), np.nan), np.full((count, SHAPE + 2), np.nan)
-    if np.isfinite(radius).any():
-        few = np.where(
-            np.cumsum(np.isfinite(radius)) % max(1, int(np.isfinite(radius).sum()) // SAMPLE) == 0, radius, np.nan
+        _fit_centres(
+            picture,
+            self.own,
+            self.others,
+            np.ascontiguousarray(start_px),
+            NOBODY if lead is None else lead,
+            self.shape,
+            self.ground,
+            self.noise,
+            self.usual_misfit,
+            self.slopes,
+            *self._pixels,
+            self.every,
+            out,
         )
-        fit_shapes(picture, own, others, centres, few, USUAL_BLUR_PX, 0.0, True, noise, TURNS, first)
-        good = np.isfinite(first[:, 0])
-        blur, bulge = (float(np.median(first[good, i])) if good.any() else v for i, v in ((6, USUAL_BLUR_PX), (5, 0.0)))
-        fit_shapes(picture, own, others, centres, radius, blur, bulge, False, noise, TURNS, shape)
-    good, wanted = np.isfinite(shape[:, 0]), np.isfinite(radius)
-    if good.any():
-        shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
-    places = np.where(good[:, None], shape[:, SHAPE:], centres)
-    slopes = _share_slopes(shape, places, good, picture.shape)
-    axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1) + shape[:, 6]
-    reach = float(np.nanmax(axes, initial=3.0)) + MARGIN_PX
-    templates = Templates(
-        own=own, others=others, shape=np.ascontiguousarray(shape[:, :SHAPE]), ground=np.zeros(count), noise=noise,
-        slopes=slopes, usual_misfit=1.0, level=shape[:, 7].copy(), reach_px=reach,
-    )  # fmt: skip
-    fitted = templates.fit(picture, places, turns=SETTLED_TURNS)
-    misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
-    usual = float(np.quantile(misfit, 0.25)) if len(misfit) else 1.0
-    settled = replace(templates, ground=np.nan_to_num(fitted[:, 3]), usual_misfit=max(usual, 1.0), level=fitted[:, 2])
-    return settled, settled.fit(picture, used_centres(fitted), turns=SETTLED_TURNS)
-
-
-def slope_terms(places: Pixels, size: Sequence[int]) -> Floats:
-    """Return (n, 6) 1, u, v, u^2, u v, v^2 of picture positions; u, v from -1/2 to 1/2 across the (h, w) picture."""
-    u, v = places[:, 0] / size[1] - 0.5, places[:, 1] / size[0] - 0.5
-    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
-
-
-def _share_slopes(shape: Floats, places: Pixels, good: NDArray[np.bool_], size: Sequence[int]) -> Floats:
-    """Split the fitted slopes: return the shared part (2, 6), and leave in ``shape`` what is clearly a marker's own."""
-    shared = np.zeros((2, 6))
-    count = int(good.sum())
-    terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
-    basis = slope_terms(places[good], size)[:, :terms]
-    for axis in range(2):
-        slope = shape[good, 3 + axis]
-        weight = np.ones(count)
-        for _ in range(5 if terms else 0):
-            shared[axis, :terms] = np.linalg.lstsq(basis * weight[:, None], slope * weight, rcond=None)[0]
-            rest = np.abs(slope - basis @ shared[axis, :terms])
-            weight = np.sqrt(np.minimum(1.0, 1.5 * max(float(np.median(rest)), 1e-9) / np.maximum(rest, 1e-9)))
-        shape[good, 3 + axis] = slope - basis @ shared[axis, :terms]
-    own = np.hypot(shape[:, 3], shape[:, 4]) * np.hypot(shape[:, 0], shape[:, 2]) / np.sqrt(2.0)
-    shape[~(good & (own > OWN_SLOPE)), 3:5] = 0.0
-    return shared
-
-
-def used_centres(fitted: Floats) -> Pixels:
-    """Return the (n, 2) centres of a fit, px."""
-    return np.ascontiguousarray(fitted[:, CENTRE_X : CENTRE_X + 2])
+        return out

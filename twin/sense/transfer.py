@@ -1,6 +1,8 @@
-"""The transfer matrix, px/N: from a nominal body's compliance seen through the camera, or from measured presses.
+"""The transfer matrix, px/N: from a nominal body's compliance seen through the camera, or from
+measured presses.
 
-Both give (2n, 3k): rows marker by marker (column, row), columns site by site (force along global x, y, z).
+Both give (2n, 3k): rows marker by marker (column, row), columns site by site (force along global x,
+y, z).
 """
 
 from __future__ import annotations
@@ -11,7 +13,8 @@ from twin.arrays import Floats
 from twin.errors import InputError
 
 LARGEST_CONDITION = 1e3
-"""Of a site's matrix of measured forces, each press scaled to 1 N: beyond it the three directions aren't told apart."""
+"""Of a site's matrix of measured forces, each press scaled to 1 N: beyond it the three directions
+aren't distinguished."""
 
 
 def from_compliance(compliance: Floats, jacobian: Floats) -> Floats:
@@ -20,10 +23,11 @@ def from_compliance(compliance: Floats, jacobian: Floats) -> Floats:
     Parameters
     ----------
     compliance
-        (3n, 3k) marker displacement per site force, mm/N, marker by marker and site by site, axes x, y, z.
+        (3n, 3k) marker displacement per site force, mm/N, marker by marker and site by site, axes
+        x, y, z.
     jacobian
-        (n, 2, 3) derivative of every marker's place in the picture, px/mm: the projection of all three axes, z
-        included (the flat paper's section 2.5).
+        (n, 2, 3) derivative of every marker's place in the picture, px/mm: the projection of all
+        three axes, z included (the flat paper's section 2.5).
 
     Returns
     -------
@@ -31,27 +35,38 @@ def from_compliance(compliance: Floats, jacobian: Floats) -> Floats:
     """
     compliance, jacobian = np.asarray(compliance, float), np.asarray(jacobian, float)
     markers = len(jacobian)
-    good = jacobian.shape == (markers, 2, 3) and compliance.ndim == 2 and compliance.shape[0] == 3 * markers
+    good = (
+        jacobian.shape == (markers, 2, 3)
+        and compliance.ndim == 2
+        and compliance.shape[0] == 3 * markers
+    )
     if not good or compliance.shape[1] % 3:
         raise InputError(
-            f"compliance must be (3n, 3k) and jacobian (n, 2, 3), got {compliance.shape} and {jacobian.shape}"
+            f"compliance must be (3n, 3k) and jacobian (n, 2, 3), got {compliance.shape} and "
+            f"{jacobian.shape}"
         )
-    return np.asarray(np.matmul(jacobian, compliance.reshape(markers, 3, -1)).reshape(2 * markers, -1))
+    return np.asarray(
+        np.matmul(jacobian, compliance.reshape(markers, 3, -1)).reshape(2 * markers, -1)
+    )
 
 
 def from_presses(forces_n: Floats, shifts_px: Floats, site: np.ndarray | None = None) -> Floats:
-    """Return the transfer matrix from measured presses: h_n = u_n f_n^-1 by least squares (finger paper, eqs. 3-5).
+    """Return the transfer matrix from measured presses: h_n = u_n f_n^-1 by least squares (finger
+    paper, eqs. 3-5).
 
-    The measured forces are used as they are: a press along x or y follows one along z and still carries it.
+    The measured forces are used as they are: a press along x or y follows one along z and still
+    carries it.
 
     Parameters
     ----------
     forces_n
-        (p, 3, 3) f_n of every calibrated place: ``[:, m, n]`` is the force along m under the n-th press, N (eq. 3).
+        (p, 3, 3) f_n of every calibrated place: ``[:, m, n]`` is the force along m under the n-th
+        press, N (eq. 3).
     shifts_px
         (p, 3, 2N) movement of the markers under the n-th press, px; NaN where a marker was lost.
     site
-        (p,) which site each triple was taken at, so that a site may have several; by default triple p is site p.
+        (p,) which site each triple was taken at, so that a site may have several; by default triple
+        p is site p.
 
     Returns
     -------
@@ -64,8 +79,15 @@ def from_presses(forces_n: Floats, shifts_px: Floats, site: np.ndarray | None = 
     """
     forces, shifts = np.asarray(forces_n, float), np.asarray(shifts_px, float)
     triples = len(forces)
-    if forces.shape != (triples, 3, 3) or shifts.ndim != 3 or shifts.shape[:2] != (triples, 3) or shifts.shape[2] % 2:
-        raise InputError(f"forces must be (p, 3, 3) and shifts (p, 3, 2N), got {forces.shape} and {shifts.shape}")
+    if (
+        forces.shape != (triples, 3, 3)
+        or shifts.ndim != 3
+        or shifts.shape[:2] != (triples, 3)
+        or shifts.shape[2] % 2
+    ):
+        raise InputError(
+            f"forces must be (p, 3, 3) and shifts (p, 3, 2N), got {forces.shape} and {shifts.shape}"
+        )
     if not np.isfinite(forces).all():
         raise InputError("the measured forces of calibration presses must be finite, N")
     where = np.arange(triples) if site is None else np.asarray(site, int)
@@ -73,7 +95,9 @@ def from_presses(forces_n: Floats, shifts_px: Floats, site: np.ndarray | None = 
     for number in range(int(where.max()) + 1 if triples else 0):
         mine = where == number
         if not mine.any():
-            raise InputError(f"site {number} has no calibration press: press every site in three directions")
+            raise InputError(
+                f"site {number} has no calibration press: press every site in three directions"
+            )
         presses = forces[mine].transpose(0, 2, 1).reshape(-1, 3)
         columns.append(_site_columns(presses, shifts[mine].reshape(len(presses), -1), number))
     if not columns:
@@ -82,12 +106,14 @@ def from_presses(forces_n: Floats, shifts_px: Floats, site: np.ndarray | None = 
 
 
 def _site_columns(presses: Floats, shifts: Floats, number: int) -> Floats:
-    """Return (2N, 3) from (q, 3) forces and (q, 2N) shifts; a marker counts only the presses that saw it."""
+    """Return (2N, 3) from (q, 3) forces and (q, 2N) shifts; a marker counts only the presses that
+    saw it."""
     length = np.linalg.norm(presses, axis=1, keepdims=True)
     spread = np.linalg.cond(presses / length) if np.all(length > 0) else np.inf
     if spread > LARGEST_CONDITION:
         raise InputError(
-            f"site {number}: the measured forces of its presses have condition number {spread:.3g} (allowed up to "
+            f"site {number}: the measured forces of its presses have condition number "
+            f"{spread:.3g} (allowed up to "
             f"{LARGEST_CONDITION:.0f}): press along z, then also along x and along y"
         )
     seen = np.isfinite(shifts.reshape(len(presses), -1, 2)).all(axis=2).repeat(2, axis=1)
@@ -97,7 +123,9 @@ def _site_columns(presses: Floats, shifts: Floats, number: int) -> Floats:
         if pattern.sum() < 3 or np.linalg.cond((presses / length)[pattern]) > LARGEST_CONDITION:
             continue
         mine = which.ravel() == index
-        columns[mine] = np.linalg.lstsq(presses[pattern], shifts[np.ix_(pattern, mine)], rcond=None)[0].T
+        columns[mine] = np.linalg.lstsq(
+            presses[pattern], shifts[np.ix_(pattern, mine)], rcond=None
+        )[0].T
     return columns
 
 
@@ -108,11 +136,12 @@ def fill_between(
     press_axes_mm: tuple[Floats, Floats],
     site_chart_mm: Floats,
 ) -> Floats:
-    """Return the transfer matrix at any sites, from one measured on a coarser grid and the nominal body's at both.
+    """Return the transfer matrix at any sites, from one measured on a coarser grid and the nominal
+    body's at both.
 
-    What the nominal design gets wrong (stiffness, depths, camera pose) changes slowly from place to place, unlike the
-    response itself; so the difference is interpolated linearly and the nominal response carries the shape. Beyond the
-    pressed grid the difference of its border is used.
+    What the nominal design gets wrong (stiffness, depths, camera pose) changes slowly from place to
+    place, unlike the response itself; so the difference is interpolated linearly and the nominal
+    response carries the shape. Beyond the pressed grid the difference of its border is used.
 
     Parameters
     ----------
@@ -133,22 +162,29 @@ def fill_between(
 
     rows = len(measured)
     columns = [len(axis) for axis in press_axes_mm]
-    if measured.shape != nominal_at_presses.shape or measured.shape[1] != 3 * columns[0] * columns[1]:
+    if (
+        measured.shape != nominal_at_presses.shape
+        or measured.shape[1] != 3 * columns[0] * columns[1]
+    ):
         raise InputError(
-            f"measured and nominal transfer at {columns[0]} x {columns[1]} presses must have the same shape, got "
+            f"measured and nominal transfer at {columns[0]} x {columns[1]} presses must have the "
+            f"same shape, got "
             f"{measured.shape} and {nominal_at_presses.shape}"
         )
     difference = (measured - nominal_at_presses).reshape(rows, *columns, 3).transpose(1, 2, 0, 3)
-    inside = np.clip(site_chart_mm, [axis[0] for axis in press_axes_mm], [axis[-1] for axis in press_axes_mm])
+    inside = np.clip(
+        site_chart_mm, [axis[0] for axis in press_axes_mm], [axis[-1] for axis in press_axes_mm]
+    )
     between = RegularGridInterpolator(press_axes_mm, difference, method="linear")(inside)
     return np.asarray(nominal_at_sites + between.transpose(1, 0, 2).reshape(rows, -1))
 
 
 def left_out(measured: Floats, nominal: Floats, chart_mm: Floats) -> Floats:
-    """Return (p,) errors of every pressed place's transfer as predicted from the others, over its size.
+    """Return (p,) errors of every pressed place's transfer as predicted from the others, over its
+    size.
 
-    The prediction is the nominal response plus the others' differences to it, interpolated (linear radial functions).
-    Empty for fewer than four places.
+    The prediction is the nominal response plus the others' differences to it, interpolated (linear
+    radial functions). Empty for fewer than four places.
 
     Parameters
     ----------
@@ -171,6 +207,8 @@ def left_out(measured: Floats, nominal: Floats, chart_mm: Floats) -> Floats:
         flat = bool((np.ptp(chart_mm[others], axis=0) > 0).all())
         between = RBFInterpolator(
             chart_mm[others], (truth - drawn)[others], kernel="linear", degree=0 if flat else -1
-        )(chart_mm[place : place + 1])[0]  # fmt: skip
-        out[place] = np.linalg.norm(drawn[place] + between - truth[place]) / np.linalg.norm(truth[place])
+        )(chart_mm[place : place + 1])[0]
+        out[place] = np.linalg.norm(drawn[place] + between - truth[place]) / np.linalg.norm(
+            truth[place]
+        )
     return out

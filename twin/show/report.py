@@ -1,34 +1,116 @@
-"""The report of a run: one page for people, from the results alone.
+"""The page of a run: `report` writes it from the results alone.
 
-Parts that a run didn't compute are left out: a report never fails for lack of something, and never makes up for it.
+A part that the run didn't compute is left out, so that every run has a report.
 """
 
 from __future__ import annotations
 
-import base64
-import io
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
 
-from twin.arrays import Picture
 from twin.results import RunResult
-from twin.show.motion import motion
-from twin.show.page import page
-from twin.show.pushes import pushes
-from twin.show.touch import touch
-from twin.show.words import amount, digits, finite, name_of, split_unit, told
+from twin.show.html_page import cleaned, data_uri, digits, figure, finite, page, two_columns
+from twin.show.run_figures import motion, pushes, touch
 
-PICTURE_BYTES = 1_000_000
-"""Largest PNG put into the page: two of them, spelt in base64, and the drawings stay below 3 MB together."""
-
-WIDEST_PX = 1280
-"""Wider pictures are shown smaller at once: none is shown wider than half of a page."""
-
-STAGES = ("elastic", "tracking", "force")
+_STAGES = ("elastic", "tracking", "force")
 """Order of the stages in the table of errors; others follow."""
+
+_UNITS = {
+    "mm": "mm",
+    "n": "N",
+    "nmm": "N mm",
+    "mpa": "MPa",
+    "deg": "°",
+    "px": "px",
+    "s": "s",
+    "pct": "%",
+    "mm2": "mm²",
+    "mm3": "mm³",
+}
+"""Unit of a key by its suffix. `show` reads results only, so it doesn't ask the parts for
+theirs."""
+
+_NAMES = {
+    "elastic.displacement_error": (
+        "displacement error",
+        "estimated, over the largest displacement",
+    ),
+    "elastic.largest_displacement_mm": ("largest displacement", "of a marker, for comparison"),
+    "elastic.largest_strain": ("largest strain", "principal, by linear theory, at a marker"),
+    "elastic.largest_turn_deg": ("largest turn", "of the rubber at a marker"),
+    "elastic.contact_over_probe_radius": (
+        "contact radius / probe radius",
+        "of a sphere; linear contact wants 0.3",
+    ),
+    "elastic.linearisation_error": (
+        "cost of linearity",
+        "expected at most at the markers, over the largest displacement",
+    ),
+    "elastic.contact_residual": (
+        "contact residual",
+        "what is left of the contact's equations, as a share",
+    ),
+    "tracking.bias_px": ("bias", "length of the mean of tracked minus true shift"),
+    "tracking.bias_axes_px": ("bias by axis", "mean of tracked minus true shift, column and row"),
+    "tracking.sd_px": (
+        "standard deviation",
+        "of the two-frame shift, per axis, markers in full view",
+    ),
+    "tracking.sd_axes_px": ("standard deviation by axis", "column and row"),
+    "tracking.false_positives": (
+        "false positives",
+        "markers given a shift though nothing of them is to be seen",
+    ),
+    "tracking.bound_px": (
+        "bound",
+        "least standard deviation that the pictures' noise allows (Cramer and Rao)",
+    ),
+    "tracking.over_bound": ("over the bound", "standard deviation over the bound"),
+    "tracking.matched": ("matched", "visible markers found again in the pressed picture"),
+    "tracking.gross": ("gross errors", "markers found at a wrong place; left out above"),
+    "tracking.markers": ("markers", "that this stage counts"),
+    "force.field_error": (
+        "field error",
+        "length of the difference over length of the truth, by site cell",
+    ),
+    "force.field_error_normal": (
+        "field error, normal",
+        "the same of the forces along the inward normals",
+    ),
+    "force.field_error_tangential": (
+        "field error, tangential",
+        "the same of the forces along the surface",
+    ),
+    "force.total_force_error_axes": (
+        "total force error by axis",
+        "x, y and z, over the size of the resultant",
+    ),
+    "force.total_force_error": ("total force error", "of the resultant, over its size"),
+    "force.sites_force_error": (
+        "error of the sites' sum",
+        "of the sum of the sites' forces; it is not the resultant where they may only push or "
+        "obey friction",
+    ),
+    "force.torque_error": (
+        "torque error",
+        "of the torque about the origin, over its size or the force times 1 mm, whichever is "
+        "larger",
+    ),
+    "force.torque_error_nmm": ("torque error", "of the torque about the origin"),
+    "force.centre_error_mm": (
+        "centre error",
+        "distance between true and estimated centre of force",
+    ),
+}
+"""Names and meanings of the figures of ``score.json``; others are named by their key."""
+
+_SHARES = ("_error", "matched", "share", "ratio")
+"""Endings of keys that hold a ratio, in percent."""
 
 
 def report(result: RunResult) -> str:
@@ -48,10 +130,16 @@ def report(result: RunResult) -> str:
         ("Time", _times(result.timings)),
         ("Facts", _facts(result.facts)),
     ]
-    return page(_title(result.scene_toml), verdict(result), _alarms(result.facts), sections, result.scene_toml)
+    return page(
+        _title(result.scene_toml),
+        _verdict(result),
+        _alarms(result.facts),
+        sections,
+        result.scene_toml,
+    )
 
 
-def verdict(result: RunResult) -> str:
+def _verdict(result: RunResult) -> str:
     """Return what the run came to, in one sentence."""
     score = result.score or {}
     said = []
@@ -59,9 +147,11 @@ def verdict(result: RunResult) -> str:
     if sd is not None:
         said.append(f"the sensor follows its markers to {digits(sd)} px (standard deviation)")
     if (total := _figure(score, "force", "total_force_error")) is not None:
-        said.append(f"its total force is off by {amount('_error', total)}")
+        said.append(f"its total force is off by {_amount('_error', total)}")
     if centre is not None:
         said.append(f"it places the centre of the contact {digits(centre)} mm from the truth")
+    if (field := _figure(score, "force", "field_error")) is not None:
+        said.append(f"its force field is off by {_amount('_error', field)}")
     if not said:
         said = [_without_score(result)]
     text = said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
@@ -71,11 +161,19 @@ def verdict(result: RunResult) -> str:
 def _without_score(result: RunResult) -> str:
     truth = result.truth
     if truth is None or not len(truth.marker_displacement_mm):
-        return "the sensor is shown as it was seen" if result.rest is not None else "this run computed no motion"
+        return (
+            "the sensor is shown as it was seen"
+            if result.rest is not None
+            else "this run computed no motion"
+        )
     size = float(np.linalg.norm(truth.marker_displacement_mm, axis=1).max())
     if size == 0:
         return "nothing presses on the sensor, and no marker moves"
-    force = f" under {digits(float(np.linalg.norm(truth.total_force_n)))} N" if len(truth.total_force_n) == 3 else ""
+    force = (
+        f" under {digits(float(np.linalg.norm(truth.total_force_n)))} N"
+        if len(truth.total_force_n) == 3
+        else ""
+    )
     return f"the markers move by up to {digits(size)} mm{force}"
 
 
@@ -102,26 +200,9 @@ def _pictures(result: RunResult) -> str:
             uri, shown = data_uri(picture)
             height, width = picture.shape[:2]
             smaller = f", shown at {digits(100 * shown)} % of its size" if shown < 1 else ""
-            figures.append(
-                f'<figure><img src="{uri}" width="{width}" height="{height}" alt="{alt}">'
-                f"<figcaption>{name}, {width} × {height} px{smaller}</figcaption></figure>"
-            )
-    return f'<div class="two">{"".join(figures)}</div>' if figures else ""
-
-
-def data_uri(picture: Picture) -> tuple[str, float]:
-    """Return a picture as a data URI, and the share of its width and height that was kept to bound the page's size."""
-    from PIL import Image
-
-    image = Image.fromarray(picture)
-    step = -(-image.width // WIDEST_PX)
-    while True:
-        file = io.BytesIO()
-        # level 1: noisy pictures compress no better above it, and take five times as long
-        (image.reduce(step) if step > 1 else image).save(file, "PNG", compress_level=1)
-        if file.tell() <= PICTURE_BYTES or step >= min(image.size):
-            return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}", 1 / step
-        step += 1
+            image = f'<img src="{uri}" width="{width}" height="{height}" alt="{alt}">'
+            figures.append(figure(image, f"{name}, {width} × {height} px{smaller}"))
+    return two_columns(figures)
 
 
 def _errors(score: Mapping[str, Any] | None) -> str:
@@ -129,25 +210,31 @@ def _errors(score: Mapping[str, Any] | None) -> str:
         return ""
     given = score.get("reasons")
     reasons: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
-    stages = [s for s in STAGES if s in score] + [s for s in score if s not in (*STAGES, "reasons", "facts")]
+    stages = [s for s in _STAGES if s in score] + [
+        s for s in score if s not in (*_STAGES, "reasons", "facts")
+    ]
     bodies = []
     for stage in stages:
         figures = list(_flat(stage, score[stage]))
         rows = []
         for key, value in figures:
-            name, meaning = name_of(key)
-            shown = "—" if value is None else told(key, value)
+            name, meaning = _name_of(key)
+            shown = "—" if value is None else _as_html(key, value)
             meaning = meaning if value is not None else _reason(reasons, key)
-            small = f"<small>{told('', meaning)}</small>" if meaning else ""
-            rows.append(f'<tr><th scope="row">{told("", name)}{small}</th><td class="figure">{shown}</td></tr>')
+            small = f"<small>{_as_html('', meaning)}</small>" if meaning else ""
+            rows.append(
+                f'<tr><th scope="row">{_as_html("", name)}{small}</th><td '
+                f'class="figure">{shown}</td></tr>'
+            )
         if rows:
-            head = f'<tr><th scope="rowgroup" colspan="2">{told("", stage)}</th></tr>'
+            head = f'<tr><th scope="rowgroup" colspan="2">{_as_html("", stage)}</th></tr>'
             bodies.append(f'<tbody class="stage">{head}{"".join(rows)}</tbody>')
     return f'<table class="errors">{"".join(bodies)}</table>' if bodies else ""
 
 
 def _flat(key: str, value: Any) -> list[tuple[str, Any]]:
-    """Return every figure of a nested table under its dotted key; numbers that are not finite as None."""
+    """Return every figure of a nested table under its dotted key; numbers that are not finite as
+    None."""
     if isinstance(value, Mapping):
         return [row for k, v in value.items() for row in _flat(f"{key}.{k}", v)]
     if isinstance(value, list | tuple | np.ndarray):
@@ -172,13 +259,17 @@ def _times(timings: Mapping[str, float]) -> str:
         return ""
     longest = max(times.values()) or 1.0
     rows = [
-        f'<tr><th scope="row">{told("", stage.replace("_", " "))}</th><td class="figure">{_seconds(seconds)}</td>'
-        f'<td><span class="bar" style="width:{100 * max(seconds, 0) / longest:.1f}%"></span></td></tr>'
+        f'<tr><th scope="row">{_as_html("", stage.replace("_", " "))}</th><td '
+        f'class="figure">{_seconds(seconds)}</td><td><span class="bar" '
+        f'style="width:{100 * max(seconds, 0) / longest:.1f}%"></span></td></tr>'
         for stage, seconds in times.items()
     ]
     if "total" not in times and len(times) > 1:
         total = sum(times.values())
-        rows.append(f'<tr><th scope="row">together</th><td class="figure">{_seconds(total)}</td><td></td></tr>')
+        rows.append(
+            f'<tr><th scope="row">together</th><td '
+            f'class="figure">{_seconds(total)}</td><td></td></tr>'
+        )
     return f'<table class="times"><tbody>{"".join(rows)}</tbody></table>'
 
 
@@ -203,15 +294,79 @@ def _alarms(facts: Mapping[str, Any]) -> list[str]:
 
 def _facts(facts: Mapping[str, Any]) -> str:
     rows = [
-        f"<dt>{told('', split_unit(key)[0])}</dt><dd>{told(key, value)}</dd>" for key, value in _calm(facts).items()
+        f"<dt>{_as_html('', _split_unit(key)[0])}</dt><dd>{_as_html(key, value)}</dd>"
+        for key, value in _calm(facts).items()
     ]
     return f"<dl>{''.join(rows)}</dl>" if rows else ""
 
 
 def _calm(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the facts without the warnings, which are told at the top."""
+    """Return the facts without the warnings, which stand at the top."""
     return {
         key: _calm(value) if isinstance(value, Mapping) else value
         for key, value in facts.items()
         if not _is_alarm(key, value)
     }
+
+
+def _split_unit(key: str) -> tuple[str, str]:
+    """Return a key's words and its unit: ``contact_radius_mm`` -> ``("contact radius", "mm")``."""
+    stem, _, suffix = key.rpartition("_")
+    if stem and suffix in _UNITS:
+        return stem.replace("_", " "), _UNITS[suffix]
+    return key.replace("_", " "), ""
+
+
+def _name_of(key: str) -> tuple[str, str]:
+    """Return name and meaning of a figure given as ``stage.key``; ``stage.group.key`` means what
+    ``stage.key`` does."""
+    if key in _NAMES:
+        return _NAMES[key]
+    stage, *groups = key.split(".")
+    if not groups:
+        return "all figures", ""
+    *groups, last = groups
+    name, meaning = _NAMES.get(f"{stage}.{last}", (_split_unit(last)[0], ""))
+    return " ".join([*(g.replace("_", " ") + ":" for g in groups), name]), meaning
+
+
+def _amount(key: str, value: float) -> str:
+    """Return a number in the unit of its key: ``1.2 %``, ``0.05 mm``, ``3``."""
+    if not isinstance(value, int) and key.endswith(_SHARES):
+        return f"{digits(100 * value)} %"
+    unit = _split_unit(key)[1]
+    return digits(value) + (f" {unit}" if unit else "")
+
+
+def _as_html(key: str, value: Any) -> str:
+    """Return any value of a result as HTML: numbers in their unit, lists and tables spelt out,
+    texts escaped."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int | float):
+        return f'<data value="{value!r}">{_amount(key, value)}</data>'
+    if isinstance(value, Mapping):
+        return (
+            "<br>".join(
+                f"{escape(_split_unit(str(k))[0])}: {_as_html(str(k), v)}" for k, v in value.items()
+            )
+            or "none"
+        )
+    if isinstance(value, list | tuple):
+        return _list(key, value) if len(value) else "none"
+    return escape(str(value))
+
+
+def _list(key: str, values: Sequence[Any]) -> str:
+    """Return a vector as ``(1, 2) mm``, any other list as bullets."""
+    if all(
+        isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values
+    ):
+        unit = _split_unit(key)[1]
+        numbers = ", ".join(f'<data value="{v!r}">{digits(v)}</data>' for v in cleaned(values))
+        return f"({numbers})" + (f" {unit}" if unit else "")
+    return "<ul>" + "".join(f"<li>{_as_html(key, v)}</li>" for v in values) + "</ul>"

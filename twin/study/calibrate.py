@@ -1,15 +1,24 @@
-"""Calibrate a sensor: from the nominal design, or from presses on the made one.
+"""Calibrate a sensor: from the nominal design, or from presses on the made or a real one.
 
-The sensor's software never sees the truth: the nominal methods use the nominal design on a mesh of its own; ``sato``
-and ``fitted`` use pictures of the made sensor and the forces that a noisy load cell read, the first as they are, place
-by place, the second to fit the nominal design's parameters (`twin.study.fitted`), for which five places do.
+The sensor's software never sees the truth: the nominal methods use the nominal design on a mesh of
+its own; ``sato`` and ``fitted`` use pictures of the made sensor and the forces that a noisy load
+cell read, the first as they are, place by place, the second to fit the nominal design's parameters
+(`twin.study.fitted_design`), for which five places do.
+
+A simulated press (Sato, II C) is a sphere that sticks, along z, then x, then y: held by force along
+z and by small motions sideways. A real sensor's folder holds rest.png, pictures of presses, and
+presses.csv with a row a press: frame (the picture's file name), x_mm, y_mm, z_mm (the pressed place
+on the outer surface; z_mm may be empty for the surface met from above), fx_n, fy_n, fz_n (load
+cell).
 """
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -18,16 +27,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats
-from twin.errors import InputError, RecipeError
+from twin.arrays import Floats, Ints, Points, Progress
+from twin.blas_threads import one_blas_thread
+from twin.errors import ContactError, InputError, RecipeError
+from twin.files import cache_folder, make_folder
 from twin.parts.body import Block
+from twin.parts.camera import Camera
 from twin.parts.part import without_later
+from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
-from twin.places import cache_folder
-from twin.results import make_folder
-from twin.study.calibration_presses import FOOTPRINT, hertz_radius, press_everywhere
-from twin.study.sensor import Sensor
-from twin.study.sites import on_surface
+from twin.streams import Purpose, stream
+from twin.study.sensor import Sensor, on_surface
+from twin.theory.contact import hertz
 from twin.theory.optics import projection_jacobian
 
 if TYPE_CHECKING:
@@ -35,18 +46,45 @@ if TYPE_CHECKING:
     from twin.parts.pipeline import Sites
     from twin.sense.calibration import Calibration
     from twin.sense.fit_design import Presses
+    from twin.sense.track import Found
 
 BY_PRESSES = ("sato", "fitted")
 
 FIVE = ((0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5))
-"""Where method ``fitted`` presses if nothing else is said, over the half extents of the sites."""
+"""Default places of method ``fitted``, over the half extents of the sites."""
+
+SHEAR_SHARE = 0.25
+"""Sideways motion of a calibration press over the contact radius: well inside what sticks."""
+
+FOOTPRINT = 0.8
+"""Half side of the square that stands for a calibration contact, over the contact radius."""
+
+FIRST_EXPOSURE = 1000
+"""Calibration pictures are exposures from here on, so that they share no noise with any press."""
+
+DESIGN_NOISE_PX = 0.03
+"""Tracking noise that a calibration from the design alone assumes."""
+
+TABLE = "presses.csv"
+PLACES = ("x_mm", "y_mm", "z_mm")
+FORCES = ("fx_n", "fy_n", "fz_n")
+LARGEST = 1e6
+"""Of a place, mm, and of a force, N."""
+
+SAME_PLACE_MM = 0.01
+OFF_GRID = 0.25
+"""Share of the pitch by which a press may miss its place of the grid (method sato)."""
+
+SMALLEST_SHARE = 0.5
+"""Share of the markers that the rest picture must show."""
 
 
+@one_blas_thread()
 def calibration_of(sensor: Sensor) -> Calibration:
-    """Return the calibration that the scene asks for; a file made earlier is used only while it matches."""
+    """Return the calibration by the scene's method; a file is used only while it matches."""
     scene = sensor.nominal
     if scene.calibration.method not in BY_PRESSES:
-        return calibrate_by_design(sensor)
+        return _calibrate_by_design(sensor)
     from twin.sense.calibration import read_calibration, write_calibration
 
     digest = sensor_digest(scene)
@@ -58,54 +96,98 @@ def calibration_of(sensor: Sensor) -> Calibration:
             if json.loads(found.provenance).get("digest") == digest:
                 return found
     if given and sensor.progress is None:
-        print(f"twin: {given[0].name} was made for another sensor than this scene's; calibrating anew, which takes "
-              "minutes", file=sys.stderr)  # fmt: skip
+        print(
+            f"twin: {given[0].name} was made for another sensor than this scene's; calibrating "
+            "again, which takes minutes",
+            file=sys.stderr,
+        )
     made = calibrate_by_presses(sensor)
     with suppress(InputError):  # a full disk costs the time to calibrate again
         write_calibration(made, cached)
     return made
 
 
-def calibrate_to_file(scene: Scene, out: Path, progress: Any = None) -> str:
-    """Calibrate the scene's sensor anew, write the file and return a line about it."""
+def calibrate_to_file(
+    scene: Scene, out: Path, progress: Progress | None = None, folder: Path | None = None
+) -> str:
+    """Calibrate a sensor by the scene's method, write the file and return a line about it.
+
+    Parameters
+    ----------
+    scene
+        The nominal design, with ``[reconstruction]``.
+    out
+        The calibration file, .npz.
+    progress
+        Called during the work.
+    folder
+        Recording of a real sensor; the scene's made sensor without.
+
+    Raises
+    ------
+    RecipeError
+        The scene lacks a table.
+    InputError
+        Files that can't be used; fewer than half of the design's markers at rest.
+    """
     from twin.sense.calibration import write_calibration
 
-    if scene.reconstruction is None:
-        raise RecipeError("this scene has no [reconstruction] table, whose sites are calibrated: add one")
+    if scene.reconstruction is None or scene.camera is None:
+        table = "reconstruction" if scene.reconstruction is None else "camera"
+        raise RecipeError(
+            f"this scene has no [{table}] table: calibrating needs [camera], and [reconstruction] "
+            "with its sites"
+        )
     if out.suffix != ".npz":
         raise InputError(f"--out {out}: a calibration file ends in .npz")
     make_folder(out.parent)
     sensor = Sensor(scene, progress)
-    made = calibrate_by_presses(sensor) if scene.calibration.method in BY_PRESSES else calibrate_by_design(sensor)
+    if folder is not None:
+        made, text = _calibrate_from_folder(sensor, folder)
+    else:
+        by_presses = scene.calibration.method in BY_PRESSES
+        made = calibrate_by_presses(sensor) if by_presses else _calibrate_by_design(sensor)
+        text = f"{len(made.transfer) // 2} markers"
     write_calibration(made, out)
     if progress is not None:
         progress("done", 1.0)
-    return f"{out}: {scene.calibration.method}, {len(made.site_mm)} sites, {len(made.transfer) // 2} markers"
+    return f"{out}: {scene.calibration.method}, {len(made.site_mm)} sites, {text}"
 
 
 def sensor_digest(scene: Scene) -> str:
-    """Return a hash of everything that a calibration by presses depends on: the sensor, not the press."""
-    table = scene.model_dump(mode="json", exclude={"title", "press", "tractions", "accuracy", "dataset", "vary"})
+    """Return a hash of what a calibration by presses depends on: the sensor, not the press."""
+    table = scene.model_dump(
+        mode="json", exclude={"title", "press", "tractions", "accuracy", "dataset", "vary"}
+    )
     table["calibration"].pop("file")
     table["reconstruction"] = table["reconstruction"]["sites"]
-    return hashlib.sha256(json.dumps(_without_provenance(table), sort_keys=True).encode()).hexdigest()
+    plain = json.dumps(_without_provenance(table), sort_keys=True)
+    return hashlib.sha256(plain.encode()).hexdigest()
 
 
 def _without_provenance(value: Any) -> Any:
     if isinstance(value, dict):
-        told = without_later(value)
-        return {k: _without_provenance(v) for k, v in told.items() if k not in {"source", "assumed"}}
+        kept = {k: v for k, v in without_later(value).items() if k not in {"source", "assumed"}}
+        return {k: _without_provenance(v) for k, v in kept.items()}
     return [_without_provenance(v) for v in value] if isinstance(value, list) else value
 
 
-def calibrate_by_design(sensor: Sensor) -> Calibration:
-    """Calibrate from the nominal design alone: its compliance, or the papers' half-space, through its camera."""
+def _calibrate_by_design(sensor: Sensor) -> Calibration:
     return nominal_calibration(sensor, _nominal_compliance(sensor, sensor.sites))
 
 
 def nominal_calibration(sensor: Sensor, compliance: Floats) -> Calibration:
-    """Return the calibration by a known (3n, 3k) nominal compliance, mm/N, through the nominal camera."""
-    return _calibration(sensor, _through_camera(sensor, compliance), noise_px=0.03, compliance=compliance)
+    """Return the calibration by a (3n, 3k) nominal compliance, mm/N, through the nominal camera."""
+    scene = sensor.nominal
+    made = _calibration(sensor, _through_camera(sensor, compliance), DESIGN_NOISE_PX)
+    assert scene.camera is not None
+    seen: dict[str, Any] = {"compliance": compliance, "camera": optics(scene, scene.camera)}
+    return replace(made, marker_mm=sensor.nominal_markers.points, **seen)
+
+
+def nominal_transfer(sensor: Sensor, sites: Rectangles) -> Floats:
+    """Return (2n, 3k) px/N: the nominal design's compliance through its camera."""
+    return _through_camera(sensor, _nominal_compliance(sensor, sites))
 
 
 def _nominal_compliance(sensor: Sensor, sites: Rectangles) -> Floats:
@@ -117,135 +199,190 @@ def _nominal_compliance(sensor: Sensor, sites: Rectangles) -> Floats:
 
 
 def _through_camera(sensor: Sensor, compliance: Floats) -> Floats:
-    """Return (2n, 3k) px/N of a compliance seen by the nominal camera."""
+    """Return (2n, 3k) px/N of a compliance in the nominal camera's picture."""
     from twin.sense.transfer import from_compliance
 
     scene, markers = sensor.nominal, sensor.nominal_markers.points
     assert scene.camera is not None
-    jacobian = projection_jacobian(markers, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
+    jacobian = projection_jacobian(
+        markers, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
+    )
     return from_compliance(compliance, jacobian)
 
 
 def half_space_compliance(scene: Scene, markers: Floats, sites: Rectangles) -> Floats:
-    """Return (3n, 3k) mm/N by the papers' half-space formula (eqs. 1 and 2 with u_z, corrected), uniform rectangles.
-
-    Raises
-    ------
-    RecipeError
-        The sensing surface is not flat.
+    """Return (3n, 3k) mm/N by the papers' half-space formula (eqs. 1 and 2 with u_z, corrected),
+    uniform rectangles; `RecipeError` where the sensing surface is not flat.
     """
     from twin.theory.halfspace import compliance
 
     if not isinstance(scene.body, Block):
         raise RecipeError(
-            "calibration.method = 'halfspace': the formula holds on flat bodies only; use compliance or sato"
+            "calibration.method = 'halfspace': the formula holds on flat bodies only; use "
+            "compliance or sato"
         )
     material = scene.material
     return compliance(markers, sites, material.youngs_modulus_mpa, material.poisson_ratio)
 
 
 def calibrate_by_presses(sensor: Sensor) -> Calibration:
-    """Press the made sensor at every place along z, then x, then y, and read pictures and load cell (Sato, II C).
+    """Calibrate the made sensor by its pictures and the load cell under presses at every place.
 
-    The probe moves along global axes, held by motion sideways; what enters is the measured 3-D force. Where forces are
-    reconstructed at more sites than were pressed, the nominal design fills in between.
+    They go along z, then x, then y (Sato, II C); the nominal design fills in between places.
     """
     scene = sensor.nominal
     assert scene.reconstruction is not None
-    grid = scene.calibration.presses
+    sites, grid = scene.reconstruction.sites, scene.calibration.presses
     if grid is None and scene.calibration.method == "sato":
-        grid = scene.reconstruction.sites
+        grid = sites
     half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
-    chart = grid.chart() if grid is not None else np.array(FIVE) * np.array(scene.reconstruction.sites.half_mm)
+    chart = grid.chart() if grid is not None else np.array(FIVE) * np.array(sites.half_mm)
     places = on_surface(scene.body, chart, half_mm, "calibration.presses")
-    presses = press_everywhere(sensor, places)
+    presses = _press_everywhere(sensor, places)
     if scene.calibration.method == "fitted":
-        return fitted_calibration(sensor, places, presses)
+        return _fitted_calibration(sensor, places, presses)
     assert grid is not None
-    return measured_calibration(sensor, places, grid, presses)
+    return _measured_calibration(sensor, places, grid, presses)
 
 
-def measured_calibration(sensor: Sensor, places: Rectangles, grid: Sites, presses: Presses) -> Calibration:
-    """Return Sato's calibration: what was measured, place by place, and the nominal design in between.
+def _press_everywhere(sensor: Sensor, places: Rectangles) -> Presses:
+    """Press the made sensor in three directions at every place; return what was measured."""
+    from twin.sense.track import analyse_rest, track_frame
 
-    Parameters
-    ----------
-    sensor
-        Of which the nominal side is used only.
-    places, grid
-        Squares where presses were made, on this grid.
-    presses
-        Three at every place, place by place.
+    scene, count = sensor.nominal, len(places)
+    picture = sensor.picture(None, exposure=FIRST_EXPOSURE)
+    rest = analyse_rest(picture, sensor.layout_px, method=scene.tracking.method)
+    forces, found = [], []
+    for place in range(count):
+        pressed = sensor.press(calibration_press(scene, places, place))
+        if not pressed.complete:
+            raise ContactError(f"calibration: press {place + 1} of {count}: {pressed.reason}")
+        rng = stream(scene.seed, Purpose.LOAD_CELL, place)
+        noise = scene.calibration.load_cell_n * rng.standard_normal((3, 3))
+        for number, state in enumerate(pressed.path):
+            exposure = FIRST_EXPOSURE + 1 + 3 * place + number
+            found.append(track_frame(rest, sensor.picture(sensor.motion(state.load), exposure)))
+            forces.append(state.force_n + noise[:, number])
+        if sensor.progress is not None:
+            sensor.progress(f"calibrating, press {place + 1} of {count}", 0.9 * (place + 1) / count)
+    return _measured(scene, np.repeat(np.arange(count), 3), np.stack(forces), found)
+
+
+def _measured(scene: Scene, place: Ints, force_n: Floats, found: Sequence[Found]) -> Presses:
+    """Return presses with the motion that the tracker found under each."""
+    from twin.sense.fit_design import Presses
+
+    return Presses(
+        place=place,
+        force_n=force_n,
+        shift_px=np.stack([each.shift_px for each in found]),
+        rest_px=found[0].rest_px,
+        load_cell_n=scene.calibration.load_cell_n,
+        noise_px=float(np.nanmedian(np.concatenate([each.sd_px for each in found]))),
+    )
+
+
+def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
+    """Return the path of one calibration press: to the wanted force, then along x, then along y.
+
+    The sphere's axis is set off so that under load it stands over the place along the surface's
+    normal: its centre is then a radius less the expected indentation away.
     """
+    wanted, normal = scene.calibration, places.frames[index, 2]
+    radius = wanted.press_probe_mm / 2
+    contact_radius = min(hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
+    x, y = places.centre_mm[index, :2] - (radius - contact_radius**2 / radius) * normal[:2]
+    shear = SHEAR_SHARE * contact_radius
+    return Press(
+        probe=Sphere(diameter_mm=wanted.press_probe_mm),
+        at_mm=(float(x), float(y)),
+        friction=np.inf,
+        steps=(
+            Step(force_n=(None, None, wanted.press_force_n)),
+            Step(move_mm=(shear, None, None)),
+            Step(move_mm=(-shear, shear, None)),
+        ),
+    )
+
+
+def hertz_radius(scene: Scene, force_n: float) -> float:
+    """Return the nominal contact radius of the calibration sphere, mm."""
+    return hertz(
+        radius_mm=scene.calibration.press_probe_mm / 2,
+        youngs_modulus_mpa=scene.material.youngs_modulus_mpa,
+        poisson_ratio=scene.material.poisson_ratio,
+        force_n=force_n,
+    ).contact_radius_mm
+
+
+def _measured_calibration(
+    sensor: Sensor, places: Rectangles, grid: Sites, presses: Presses
+) -> Calibration:
+    """Return Sato's calibration: three presses at every place, the nominal design in between."""
     from twin.sense.transfer import fill_between, from_presses, left_out
 
     scene, count = sensor.nominal, len(places)
     assert scene.reconstruction is not None
     forces = presses.force_n.reshape(count, 3, 3).transpose(0, 2, 1)
     transfer = from_presses(forces, presses.shift_px.reshape(count, 3, -1))
-    there = _through_camera(sensor, _nominal_compliance(sensor, places))
+    there = nominal_transfer(sensor, places)
     errors = left_out(transfer, there, grid.chart())
-    if grid.chart().tolist() != scene.reconstruction.sites.chart().tolist():
-        here = _through_camera(sensor, _nominal_compliance(sensor, sensor.sites))
-        transfer = fill_between(transfer, there, here, grid.axes(), scene.reconstruction.sites.chart())
-    return _calibration(sensor, transfer, presses.noise_px, left_out=errors)
+    sites = scene.reconstruction.sites.chart()
+    if grid.chart().tolist() != sites.tolist():
+        here = nominal_transfer(sensor, sensor.sites)
+        transfer = fill_between(transfer, there, here, grid.axes(), sites)
+    made = _calibration(sensor, transfer, presses.noise_px)
+    return _with_facts(replace(made, left_out=errors), presses, {})
 
 
-def fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) -> Calibration:
-    """Return the calibration by the nominal design with its parameters fitted to presses and the rest picture.
-
-    Parameters
-    ----------
-    sensor
-        Of which the nominal side is used only.
-    places
-        Squares where presses were made.
-    presses
-        Any number at any of the places.
-    """
+def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) -> Calibration:
+    """Return the calibration by the nominal design fitted to presses and to the rest picture."""
     from twin.sense.fit_design import fit
-    from twin.study.fitted import FittedDesign
+    from twin.study.fitted_design import FittedDesign
 
     scene = sensor.nominal
     force = scene.calibration.press_force_n * places.frames[:, 2, 2]
-    radius = [min(hertz_radius(scene, float(f)), scene.calibration.press_probe_mm / 2) for f in force]
-    design = FittedDesign(scene, places, np.array(radius), progress=sensor.progress)
+    most = scene.calibration.press_probe_mm / 2
+    radius = np.array([min(hertz_radius(scene, float(f)), most) for f in force])
+    design = FittedDesign(scene, places, radius, progress=sensor.progress)
     found = fit(design, presses)
     markers, _ = design.markers_of(found.scaled, presses.rest_px)
     compliance = design.compliance(found.scaled, markers, sensor.sites)
     transfer = design.transfer(found.scaled, markers, compliance)
-    made = _calibration(sensor, transfer, float(np.hypot(presses.noise_px, found.model_px)), left_out=found.left_out)
-    facts = json.loads(made.provenance) | {"fitted": design.told(found), "model_px": found.model_px}
-    seen = np.isfinite(presses.rest_px)
-    return replace(
-        made, compliance=compliance.astype(np.float32), marker_mm=markers, camera=design.optics(found.scaled),
-        layout_px=np.where(seen, presses.rest_px, made.layout_px), provenance=json.dumps(facts),
-    )  # fmt: skip
+    made = replace(
+        _calibration(sensor, transfer, float(np.hypot(presses.noise_px, found.model_px))),
+        left_out=found.left_out,
+        compliance=compliance.astype(np.float32),
+        marker_mm=markers,
+        camera=optics(scene, design.camera_of(found.scaled)),
+    )
+    facts = {"fitted": design.deviations(found), "model_px": found.model_px}
+    return _with_facts(made, presses, facts)
 
 
-def _calibration(
-    sensor: Sensor, transfer: Floats, noise_px: float, compliance: Floats | None = None, left_out: Floats | None = None
-) -> Calibration:
+def _with_facts(made: Calibration, presses: Presses, facts: dict[str, Any]) -> Calibration:
+    """Add facts, and the rest places in the presses' rest picture, to a calibration."""
+    facts = json.loads(made.provenance) | facts | {"rest": "measured"}
+    layout = np.where(np.isfinite(presses.rest_px), presses.rest_px, made.layout_px)
+    return replace(made, layout_px=layout, provenance=json.dumps(facts))
+
+
+def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibration:
     from twin.sense.calibration import Calibration
 
-    optics: dict[str, Any] = {}
-    if compliance is not None:
-        optics = {
-            "compliance": compliance,
-            "marker_mm": sensor.nominal_markers.points,
-            "camera": _optics(sensor.nominal),
-        }
-    scene, sites = sensor.nominal, sensor.sites
+    scene, sites, layout = sensor.nominal, sensor.sites, sensor.layout_px
     assert scene.reconstruction is not None
     grid = scene.reconstruction.sites
-    layout = sensor.layout_px
     facts = {
         "digest": sensor_digest(scene),
         "method": scene.calibration.method,
         "scene": scene.title,
+        "youngs_modulus_mpa": scene.material.youngs_modulus_mpa,
         "seed": scene.seed,
         "versions": _versions(),
     }
+    # the condition of the rows that were calibrated
+    singular = np.linalg.svd(transfer[np.isfinite(transfer).all(axis=1)], compute_uv=False)
     return Calibration(
         layer=np.repeat(list(layout), [len(p) for p in layout.values()]),
         layout_px=np.concatenate(list(layout.values())),
@@ -257,24 +394,19 @@ def _calibration(
         noise_px=noise_px,
         method=scene.calibration.method,
         provenance=json.dumps(facts),
-        condition=_condition(transfer),
-        left_out=np.zeros(0) if left_out is None else left_out,
-        **optics,
+        condition=float(singular[0] / max(singular[-1], singular[0] * np.finfo(float).eps)),
+        left_out=np.zeros(0),
     )
 
 
-def _optics(scene: Scene) -> str:
-    """Return the camera as a calibration file holds it."""
-    assert scene.camera is not None
-    camera = scene.camera.model_dump(mode="json")
-    told = {"camera": camera, "body_index": scene.material.refractive_index, "base_z_mm": scene.body.base_z_mm}
-    return json.dumps(told)
-
-
-def _condition(transfer: Floats) -> float:
-    """Return the largest over the smallest singular value of the rows that were calibrated."""
-    singular = np.linalg.svd(transfer[np.isfinite(transfer).all(axis=1)], compute_uv=False)
-    return float(singular[0] / max(singular[-1], singular[0] * np.finfo(float).eps))
+def optics(scene: Scene, camera: Camera) -> str:
+    """Return a camera as a calibration file holds it."""
+    facts = {
+        "camera": camera.model_dump(mode="json"),
+        "body_index": scene.material.refractive_index,
+        "base_z_mm": scene.body.base_z_mm,
+    }
+    return json.dumps(facts)
 
 
 @cache
@@ -282,3 +414,131 @@ def _versions() -> dict[str, str]:
     from importlib.metadata import version
 
     return {name: version(name) for name in ("tactile-twin", "numpy", "scipy", "mitsuba")}
+
+
+def read_presses(folder: Path) -> tuple[list[str], Points, Floats]:
+    """Read presses.csv: (q,) file names, (q, 3) places, mm (z NaN where left out), forces, N.
+
+    An `InputError` names the line that holds what is no number.
+    """
+    path = folder / TABLE
+    wanted = ("frame", *PLACES, *FORCES)
+    if not path.is_file():
+        raise InputError(f"{path}: there is none; it has the columns {', '.join(wanted)}")
+    names, numbers = [], []
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            lacking = [name for name in wanted if name not in (reader.fieldnames or ())]
+            if lacking:
+                raise InputError(f"{path}: lacks the columns {', '.join(lacking)}")
+            for row in reader:
+                line = reader.line_num
+                names.append((row["frame"] or "").strip())
+                numbers.append([_number(path, line, key, row[key]) for key in (*PLACES, *FORCES)])
+                if not names[-1]:
+                    raise InputError(
+                        f"{path}, line {line}: frame is empty; give the picture's file name"
+                    )
+    except (OSError, UnicodeDecodeError, csv.Error) as problem:
+        raise InputError(f"{path}: can't be read ({problem})") from None
+    if not names:
+        raise InputError(f"{path}: holds no presses")
+    table = np.array(numbers)
+    return names, table[:, :3], table[:, 3:]
+
+
+def _number(path: Path, line: int, key: str, text: str | None) -> float:
+    if key == "z_mm" and not (text or "").strip():
+        return float("nan")
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = float("nan")
+    if not abs(value) <= LARGEST:
+        unit = key.rsplit("_", 1)[1].replace("n", "N")
+        raise InputError(
+            f"{path}, line {line}: {key} = {text!r} must be a finite number, {unit}, from "
+            f"{-LARGEST:g} to {LARGEST:g}"
+        )
+    return value
+
+
+def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, str]:
+    """Return the calibration of the sensor in a folder's pictures, and its markers in words."""
+    from twin.sense.track import Tracker
+    from twin.study.recorded import read_picture
+
+    scene, progress = sensor.nominal, sensor.progress
+    rest = folder / "rest.png"
+    tracker = Tracker(read_picture(rest), sensor.layout_px, method=scene.tracking.method)
+    rest_px = tracker.rest.rest_px
+    known = np.asarray(np.isfinite(rest_px).all(axis=1))
+    text = f"{int(known.sum())} of {len(known)} markers"
+    if known.mean() < SMALLEST_SHARE:
+        raise InputError(
+            f"{rest}: shows {int(known.sum())} of the design's {len(known)} markers; is it this "
+            "scene's sensor, upright and of its camera's size?"
+        )
+    if scene.calibration.method not in BY_PRESSES:
+        made = _calibrate_by_design(sensor)
+    else:
+        names, places_mm, force_n = read_presses(folder)
+        count = len(names)
+        found = []
+        for number, name in enumerate(names, start=1):
+            tracker.forget()
+            found.append(tracker.track(read_picture(folder / name)))
+            if progress is not None:
+                progress(f"tracking, press {number} of {count}", 0.3 * number / count)
+        presses = _measured(scene, np.zeros(count, np.int64), force_n, found)
+        made = _by_presses(sensor, _charts(sensor, places_mm), presses)
+        text += f", {count} presses"
+    if scene.calibration.method != "fitted":
+        made = replace(made, layout_px=np.where(known[:, None], rest_px, made.layout_px))
+    return made, text
+
+
+def _charts(sensor: Sensor, places_mm: Points) -> Floats:
+    """Return the (q, 2) surface coordinates of the presses, mm."""
+    body = sensor.nominal.body
+    given = np.isfinite(places_mm[:, 2:])
+    points = np.where(given, places_mm, body.surface_from_above(places_mm[:, :2]))
+    if not np.isfinite(points).all():
+        raise InputError(f"{TABLE}: some presses miss the body")
+    return np.asarray(body.chart_of(points))
+
+
+def _by_presses(sensor: Sensor, charts: Floats, presses: Presses) -> Calibration:
+    scene = sensor.nominal
+    assert scene.reconstruction is not None
+    half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
+    if scene.calibration.method == "fitted":
+        rounded = np.rint(charts / SAME_PLACE_MM).astype(np.int64)
+        _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        places = on_surface(scene.body, charts[first], half_mm, TABLE)
+        presses = replace(presses, place=which.ravel().astype(np.int64))
+        return _fitted_calibration(sensor, places, presses)
+    grid = scene.calibration.presses or scene.reconstruction.sites
+    wanted = grid.chart()
+    distance = np.linalg.norm(charts[:, None] - wanted[None], axis=2)
+    nearest = distance.argmin(axis=1)
+    if (far := distance.min(axis=1)).max() > OFF_GRID * grid.pitch_mm:
+        raise InputError(
+            f"{TABLE}: press {int(far.argmax()) + 1} is {far.max():.2f} mm from the nearest place "
+            f"of the scene's grid of presses (up to {OFF_GRID * grid.pitch_mm:.2f} mm): mend "
+            "[calibration.presses] or use --method fitted"
+        )
+    counts = np.bincount(nearest, minlength=len(wanted))
+    if (counts != 3).any():
+        bad = int(np.flatnonzero(counts != 3)[0])
+        raise InputError(
+            f"{TABLE}: the place at {wanted[bad].tolist()} mm has {counts[bad]} presses; method "
+            f"sato needs 3 at each of the grid's {len(wanted)} places (along z, x and y). Fewer "
+            "or others: --method fitted"
+        )
+    order = np.argsort(nearest, kind="stable")
+    force, shift = presses.force_n[order], presses.shift_px[order]
+    presses = replace(presses, place=nearest[order], force_n=force, shift_px=shift)
+    places = on_surface(scene.body, wanted, half_mm, TABLE)
+    return _measured_calibration(sensor, places, grid, presses)

@@ -1,55 +1,38 @@
-"""A sensor that is pressed again and again: a load in, what the sensor feels out, with the truth beside it.
+"""A sensor that is pressed again and again: a load in, what the sensor feels out, with the truth.
 
-What control, learning and the live page stand on. A step costs the contact, one product, a picture, tracking and one
-product; what belongs to the sensor (body, calibration, rest picture) is made once.
+Control, learning (`twin.study.gym`) and the live page (`twin.study.live`) use it. Body, calibration
+and rest picture are made once for the sensor. A step then costs the contact, two products, a
+picture and its tracking.
 
-Why every step starts from the rest state: the body is elastic and a `Press` holds its own path, so that a step's
-answer depends on its load and the number of its exposure alone, whatever came before. A path with friction is one
-press of several steps.
+Why every step starts from the rest state: the body is elastic and a `Press` holds its own path. So
+the result of a step depends only on its load and on the number of its exposure. A path with
+friction is one press of several steps.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.arrays import Floats, Picture, Pixels, Points
+from twin.arrays import Floats, Picture, Pixels, Points, Progress
+from twin.blas_threads import one_blas_thread
 from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.load import Load
 from twin.parts.press import Press
 from twin.parts.scene import Scene
-from twin.progress import Progress
-from twin.study.motion import Motion
-from twin.study.sensor import Sensor
+from twin.study.sensor import Motion, Sensor
 
 if TYPE_CHECKING:
     from twin.sense.calibration import Calibration
-    from twin.sense.reconstruct import Field
-    from twin.sense.track import Found, Tracker
+    from twin.sense.track import Tracker
     from twin.world.contact.contact_state import ContactState
 
 
 @dataclass(frozen=True, kw_only=True)
-class Happened:
-    """What really happened in a step: n markers, k sites.
-
-    Attributes
-    ----------
-    marker_displacement_mm
-        (n, 3) displacements, mm.
-    marker_shift_px
-        (n, 2) motion of the projected centres, px.
-    displacement_error
-        Estimated largest error of the displacements over the largest displacement.
-    force_n
-        (k, 3) forces summed into the cells of the sites, N.
-    total_force_n, total_torque_nmm
-        (3,) resultants, N and N mm about the origin.
-    state
-        The contact, after a press; None after a load.
-    """
+class _Happened:
+    """What really happened in a step: see `Observation`."""
 
     marker_displacement_mm: Points
     marker_shift_px: Pixels
@@ -62,7 +45,7 @@ class Happened:
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """What the sensor feels after a step, and the truth beside it: n markers in their one order, k sites.
+    """What the sensor feels after a step, and the truth: n markers in their order, k sites.
 
     Attributes
     ----------
@@ -75,10 +58,15 @@ class Observation:
     total_force_n, total_torque_nmm
         (3,) recovered resultants, N and N mm about the origin.
     truth
-        What really happened.
+        What really happened: ``marker_displacement_mm`` (n, 3), mm, with its estimated
+        ``displacement_error`` (the largest over the largest displacement); ``marker_shift_px`` (n,
+        2) of the projected centres, px; ``force_n`` (k, 3) summed into the cells of the sites, N;
+        ``total_force_n`` and ``total_torque_nmm`` (3,), N and N mm about the origin; and after a
+        press ``state``, its contact.
     error
-        ``field_error``, ``total_force_error``, ``torque_error``, ``centre_error_mm``: recovered against true, as in
-        score.json; None where one is not defined.
+        ``field_error``, ``total_force_error``, ``torque_error``, ``centre_error_mm`` and the other
+        keys of `twin.judge.score.force_score`: recovered against true; None where one is not
+        defined.
     exposure
         Number of the picture's noise.
     """
@@ -89,7 +77,7 @@ class Observation:
     force_n: Floats
     total_force_n: Floats
     total_torque_nmm: Floats
-    truth: Happened
+    truth: _Happened
     error: dict[str, float | None]
     exposure: int
 
@@ -112,7 +100,8 @@ class Environment:
     Examples
     --------
     >>> environment = twin.Environment(twin.load_scene("kamiyama_pillar"))
-    >>> observation = environment.step(twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0, 0, 1)))
+    >>> load = twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0, 0, 1))
+    >>> observation = environment.step(load)
     >>> observation.total_force_n, observation.truth.total_force_n
 
     Notes
@@ -135,6 +124,7 @@ class Environment:
             self._made[1].forget()
         return self.step(None)
 
+    @one_blas_thread()
     def step(self, load: Load | Press | None) -> Observation:
         """Return what the sensor feels under a load, a press, or nothing.
 
@@ -154,7 +144,7 @@ class Environment:
         return self._feel(load if load is not None else Load(), state)
 
     def _feel(self, load: Load, state: ContactState | None) -> Observation:
-        from twin.judge.score import force_score, into_cells
+        from twin.judge.score import field_score, into_cells
         from twin.sense.reconstruct import reconstruct
 
         sensor, options = self.sensor, self.sensor.nominal.reconstruction
@@ -166,33 +156,43 @@ class Environment:
         picture = sensor.picture(motion, self._exposure)
         found = tracker.track(picture)
         if not found.seen.any():
-            raise InputError("no marker was found in the picture: is the press far beyond what the sensor can follow?")
-        field = reconstruct(found, calibration, **options.model_dump(exclude=_NOT_OPTIONS))
+            raise InputError(
+                "no marker was found in the picture: is the press far beyond what the sensor can "
+                "follow?"
+            )
+        field = reconstruct(found, calibration, **options.options())
         rest = sensor.actual.markers.points
-        total, torque = patches.force_n.sum(axis=0), np.cross(patches.centre_mm, patches.force_n).sum(axis=0)
-        truth = Happened(
+        truth = _Happened(
             marker_displacement_mm=motion.displacement_mm,
             marker_shift_px=sensor.project(rest + motion.displacement_mm) - sensor.project(rest),
             displacement_error=motion.error,
             force_n=into_cells(field.site_mm, patches.centre_mm, patches.force_n),
-            total_force_n=total,
-            total_torque_nmm=torque,
+            total_force_n=patches.force_n.sum(axis=0),
+            total_torque_nmm=np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
             state=state,
         )
-        error = force_score(
-            site_mm=field.site_mm, force_n=field.force_n, total_force_n=field.total_force_n,
-            total_torque_nmm=field.total_torque_nmm, surface_mm=patches.centre_mm, surface_force_n=patches.force_n,
-            true_force_n=total, true_torque_nmm=torque,
-        )  # fmt: skip
+        error = field_score(field, patches)
         error.pop("reasons")
-        return _observation(picture, found, field, truth, error, self._exposure)
+        return Observation(
+            picture=picture,
+            marker_shift_px=found.shift_px,
+            site_mm=field.site_mm,
+            force_n=field.force_n,
+            total_force_n=field.total_force_n,
+            total_torque_nmm=field.total_torque_nmm,
+            truth=truth,
+            error=error,
+            exposure=self._exposure,
+        )
 
     def _motion(self, load: Load) -> Motion:
         """Return how the markers move; with gradients only where a picture shows them."""
         cover = self.sensor.nominal.cover
         if cover is not None and cover.deforms:
             return self.sensor.motion(load)
-        return self.sensor.motion_of_patches(self.sensor.rectangles(load), strained=self.sensor.markers_strain)
+        return self.sensor.motion_of_patches(
+            self.sensor.rectangles(load), strained=self.sensor.markers_strain
+        )
 
     def _software(self) -> tuple[Calibration, Tracker]:
         """Return the sensor's software, made at the first step."""
@@ -205,18 +205,7 @@ class Environment:
             calibration = calibration_of(sensor)
             if isinstance(sensor.compliance, Compliance):
                 sensor.compliance.keep(sensor.actual.markers.points)
-            self._made = calibration, Tracker(sensor.picture(None), sensor.layout_px, method=scene.tracking.method)
+            rest = sensor.picture(None)
+            tracker = Tracker(rest, sensor.layout_px, method=scene.tracking.method)
+            self._made = calibration, tracker
         return self._made
-
-
-_NOT_OPTIONS = {"sites", "source", "assumed"}
-
-
-def _observation(
-    picture: Picture, found: Found, field: Field, truth: Happened, error: dict[str, Any], exposure: int
-) -> Observation:
-    return Observation(
-        picture=picture, marker_shift_px=found.shift_px, site_mm=field.site_mm, force_n=field.force_n,
-        total_force_n=field.total_force_n, total_torque_nmm=field.total_torque_nmm, truth=truth, error=error,
-        exposure=exposure,
-    )  # fmt: skip

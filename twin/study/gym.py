@@ -1,6 +1,7 @@
-"""The sensor as a Gymnasium environment (`pip install 'tactile-twin[gym]'`): the hand of the live page as actions.
+"""The sensor as a Gymnasium environment (`pip install gymnasium`).
 
-The one module that imports gymnasium; `twin.Environment` needs it not.
+An action moves the probe as the hand does on the live page (`twin.study.live`). Only this module
+imports gymnasium; `twin.Environment` works without it.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from twin.study.live import Hand, LivePress
 try:
     import gymnasium
 except ImportError:
-    raise MissingCapability("gymnasium is not installed: pip install 'tactile-twin[gym]'") from None
+    raise MissingCapability("gymnasium is not installed: pip install gymnasium") from None
 
 ACTION = ("x_mm", "y_mm", "push_n", "side_x", "side_y", "twist")
-"""What an action holds, in order; the last three are forces on a flat body, motions on a curved one."""
+"""What an action holds, in order; the last three are forces on a flat body, motions on a curved
+one."""
 
 
 class TactileEnv(gymnasium.Env[dict[str, np.ndarray], Floats]):  # type: ignore[misc]
@@ -37,11 +39,13 @@ class TactileEnv(gymnasium.Env[dict[str, np.ndarray], Floats]):  # type: ignore[
 
     Notes
     -----
-    An action is `ACTION`, within the ranges of the live page's sliders. Observations are the ``picture``, the
-    ``marker_shift_px`` (0 where lost), the recovered ``force_n`` at the sites and the ``total_force_n``;
-    ``info`` holds the truth of both forces and the ``error``. A press without equilibrium (one whose side
-    force slips) changes nothing and is worth 0; ``info["problem"]`` says why. Noise follows the scene's seed and the
-    number of the step since the reset, whatever the seed of `reset`.
+    An action is `ACTION`, within the ranges of the live page's sliders; on a scene whose press has
+    no friction the last three can only be 0. Observations are the
+    ``picture``, the ``marker_shift_px`` (0 where lost), the recovered ``force_n`` at the sites and
+    the ``total_force_n``; ``info`` holds the truth of both forces and the ``error``. A press
+    without equilibrium (one whose side force slips) changes nothing and is worth 0;
+    ``info["problem"]`` has the reason. Noise follows the scene's seed and the number of the step
+    since the reset, whatever the seed of `reset`.
     """
 
     def __init__(self, scene: Scene, reward: Callable[[Observation], float] | None = None) -> None:
@@ -50,6 +54,9 @@ class TactileEnv(gymnasium.Env[dict[str, np.ndarray], Floats]):  # type: ignore[
         self._last = self._live.rest
         ranges = self._live.facts()["range"]
         low, high = np.array([ranges[key] for key in ACTION]).T
+        if self._live.moved.friction == 0.0:
+            low[3:] = 0.0
+            high[3:] = 0.0
         spaces = gymnasium.spaces
         self.action_space = spaces.Box(low, high, dtype=np.float64)
         seen = _arrays(self._last)
@@ -70,18 +77,29 @@ class TactileEnv(gymnasium.Env[dict[str, np.ndarray], Floats]):  # type: ignore[
         self._last = self._live.environment.reset()
         return _arrays(self._last), _told(self._last)
 
-    def step(self, action: Floats) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: Floats
+    ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Press; see `gymnasium.Env.step`."""
         given = np.asarray(action)
         if given.shape != (len(ACTION),) or given.dtype.kind not in "fiu":
-            raise InputError(f"the action must be {len(ACTION)} numbers ({', '.join(ACTION)}), got {action!r:.60}")
+            raise InputError(
+                f"the action must be {len(ACTION)} numbers ({', '.join(ACTION)}), got "
+                f"{action!r:.60}"
+            )
         begin = self._live.start()
-        question = {**begin.told(), **dict(zip(ACTION, map(float, given), strict=True))}
+        question = {**begin.question(), **dict(zip(ACTION, map(float, given), strict=True))}
         try:
             press = Hand.of(question, by_motion=begin.by_motion).press(self._live.moved)
             self._last = self._live.environment.step(press)
         except TwinError as problem:
-            return _arrays(self._last), 0.0, False, False, {**_told(self._last), "problem": str(problem)}
+            return (
+                _arrays(self._last),
+                0.0,
+                False,
+                False,
+                {**_told(self._last), "problem": str(problem)},
+            )
         worth = 0.0 if self._reward is None else float(self._reward(self._last))
         return _arrays(self._last), worth, False, False, _told(self._last)
 
@@ -99,6 +117,7 @@ def _told(seen: Observation) -> dict[str, Any]:
     """Return what a learner must not see."""
     truth = seen.truth
     return {
-        "true_force_n": np.array(truth.force_n), "true_total_force_n": np.array(truth.total_force_n),
+        "true_force_n": np.array(truth.force_n),
+        "true_total_force_n": np.array(truth.total_force_n),
         "error": dict(seen.error),
-    }  # fmt: skip
+    }

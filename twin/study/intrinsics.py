@@ -1,11 +1,12 @@
-"""A camera's inner numbers in OpenCV's files: size, focal lengths, principal point and distortion, YAML or JSON.
+"""OpenCV's files of a camera's intrinsics (YAML or JSON): read and written.
 
-Both ways of writing a matrix are read, OpenCV's (``!!opencv-matrix``, or ``type_id`` in JSON) and ROS's (a plain table
-of rows, cols, data). What is written is OpenCV's. The fisheye model is told by ``distortion_model`` or
-``fisheye_model``,
-as its four coefficients look like a pinhole's.
+They hold the size of the picture, focal lengths, principal point and distortion. Matrices are read
+in OpenCV's form (``!!opencv-matrix``, or ``type_id`` in JSON) and in ROS's (a plain table of rows,
+cols, data), and written in OpenCV's. A fisheye lens needs ``distortion_model`` or
+``fisheye_model``, because its four coefficients look like a pinhole's.
 
-Why PyYAML: its loader for plain data builds nothing but numbers, text, lists and tables, whatever the file says.
+Why PyYAML: its loader for plain data creates nothing but numbers, text, lists and tables, whatever
+the file contains.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ def read_intrinsics(file: str | Path) -> dict[str, Any]:
 
     Returns
     -------
-    The keys of `twin.parts.camera.Camera` that the file tells: ``lens``, ``focal_px``, ``aspect``, ``principal_px``,
-    ``distortion`` and, if told, ``width_px`` and ``height_px``.
+    The keys of `twin.parts.camera.Camera` in the file: ``lens``, ``focal_px``, ``aspect``,
+    ``principal_px``, ``distortion`` and, if there, ``width_px`` and ``height_px``.
 
     Raises
     ------
@@ -49,13 +50,26 @@ def read_intrinsics(file: str | Path) -> dict[str, Any]:
     if matrix.size != 9:
         raise InputError(f"{path}: camera_matrix has {matrix.size} numbers; it must be 3 x 3")
     (fx, skew, cx), (below, fy, cy), last = matrix.reshape(3, 3)
-    if not (fx > 0 and fy > 0) or abs(skew) > 1e-9 * fx or below != 0 or not np.array_equal(last, [0, 0, 1]):
-        raise InputError(f"{path}: camera_matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx and fy above 0")
-    distortion = _numbers(_first(table, _DISTORTION, path), "distortion_coefficients", path).tolist()
-    told = str(table.get("distortion_model", "")).lower()
-    fisheye = told in FISHEYE or bool(table.get("fisheye_model", 0))
+    if (
+        not (fx > 0 and fy > 0)
+        or abs(skew) > 1e-9 * fx
+        or below != 0
+        or not np.array_equal(last, [0, 0, 1])
+    ):
+        raise InputError(
+            f"{path}: camera_matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx and fy "
+            f"above 0"
+        )
+    distortion = _numbers(
+        _first(table, _DISTORTION, path), "distortion_coefficients", path
+    ).tolist()
+    model = str(table.get("distortion_model", "")).lower()
+    fisheye = model in FISHEYE or bool(table.get("fisheye_model", 0))
     if any(distortion[8:]):
-        raise InputError(f"{path}: more than 8 distortion coefficients (thin prism, tilt): calibrate without them")
+        raise InputError(
+            f"{path}: more than 8 distortion coefficients (thin prism, tilt): calibrate without "
+            f"them"
+        )
     if fisheye and len(distortion) > 4:
         raise InputError(f"{path}: {len(distortion)} distortion coefficients; a fisheye lens has 4")
     keys: dict[str, Any] = {
@@ -80,26 +94,47 @@ def write_intrinsics(camera: Camera, file: str | Path) -> None:
         The file can't be written, or the lens is none of OpenCV's.
     """
     if camera.lens not in ("pinhole", "equidistant"):
-        raise InputError(f"camera.lens = {camera.lens!r}: OpenCV's files know 'pinhole' and 'equidistant' alone")
+        raise InputError(
+            f"camera.lens = {camera.lens!r}: OpenCV's files know 'pinhole' and 'equidistant' alone"
+        )
     path = Path(file)
     column, row = camera.centre_px
     fx, fy = camera.focal_px, camera.focal_px * camera.aspect
     fisheye = camera.lens == "equidistant"
-    told = [*camera.distortion, *[0.0] * 4]
+    padded = [*camera.distortion, *[0.0] * 4]
     length = 4 if len(camera.distortion) <= 4 else len(camera.distortion)
-    matrices = {"camera_matrix": (3, 3, [fx, 0.0, column, 0.0, fy, row, 0.0, 0.0, 1.0]),
-                "distortion_coefficients": (1, length, told[:length])}  # fmt: skip
-    plain = {"image_width": camera.width_px, "image_height": camera.height_px, "fisheye_model": int(fisheye),
-             "distortion_model": "fisheye" if fisheye else "brown_conrady"}  # fmt: skip
+    matrices = {
+        "camera_matrix": (3, 3, [fx, 0.0, column, 0.0, fy, row, 0.0, 0.0, 1.0]),
+        "distortion_coefficients": (1, length, padded[:length]),
+    }
+    plain = {
+        "image_width": camera.width_px,
+        "image_height": camera.height_px,
+        "fisheye_model": int(fisheye),
+        "distortion_model": "fisheye" if fisheye else "brown_conrady",
+    }
     if path.suffix.lower() == ".json":
-        tables = {name: {"type_id": "opencv-matrix", "rows": rows, "cols": columns, "dt": "d", "data": data}
-                  for name, (rows, columns, data) in matrices.items()}  # fmt: skip
+        tables = {
+            name: {
+                "type_id": "opencv-matrix",
+                "rows": rows,
+                "cols": columns,
+                "dt": "d",
+                "data": data,
+            }
+            for name, (rows, columns, data) in matrices.items()
+        }
         text = json.dumps({**plain, **tables}, indent=4)
     else:
         lines = ["%YAML:1.0", "---", *(f"{key}: {value}" for key, value in plain.items())]
         for name, (rows, columns, data) in matrices.items():
             values = ", ".join(repr(float(value)) for value in data)
-            lines += [f"{name}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {columns}", "   dt: d"]
+            lines += [
+                f"{name}: !!opencv-matrix",
+                f"   rows: {rows}",
+                f"   cols: {columns}",
+                "   dt: d",
+            ]
             lines += [f"   data: [ {values} ]"]
         text = "\n".join(lines)
     try:
@@ -121,9 +156,13 @@ def _table(path: Path) -> dict[str, Any]:
         text = data.decode("utf-8-sig")
         table = json.loads(text) if path.suffix.lower() == ".json" else _yaml(text)
     except (ValueError, RecursionError) as problem:
-        raise InputError(f"{path}: not valid JSON or YAML: {str(problem).splitlines()[0]}") from None
+        raise InputError(
+            f"{path}: not valid JSON or YAML: {str(problem).splitlines()[0]}"
+        ) from None
     if not isinstance(table, dict):
-        raise InputError(f"{path}: must hold a table with camera_matrix and distortion_coefficients")
+        raise InputError(
+            f"{path}: must hold a table with camera_matrix and distortion_coefficients"
+        )
     return table
 
 
@@ -133,12 +172,15 @@ def _yaml(text: str) -> Any:
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]
         def compose_node(self, parent: Any, index: Any) -> Any:
-            if self.check_event(yaml.events.AliasEvent):  # a few lines of them stand for a billion numbers
+            if self.check_event(
+                yaml.events.AliasEvent
+            ):  # a few lines of them stand for a billion numbers
                 raise yaml.YAMLError("it refers to itself (*name): write the numbers out")
             return super().compose_node(parent, index)
 
     Loader.add_constructor(
-        "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
+        "tag:yaml.org,2002:opencv-matrix",
+        lambda loader, node: loader.construct_mapping(node, deep=True),
     )
     lines = text.splitlines()
     if lines and lines[0].startswith("%YAML"):
@@ -153,7 +195,9 @@ def _first(table: dict[str, Any], names: tuple[str, ...], path: Path) -> Any:
     for name in names:
         if name in table:
             return table[name]
-    raise InputError(f"{path}: has no {names[0]}; it holds {', '.join(map(str, table)) or 'nothing'}")
+    raise InputError(
+        f"{path}: has no {names[0]}; it holds {', '.join(map(str, table)) or 'nothing'}"
+    )
 
 
 def _numbers(value: Any, name: str, path: Path) -> np.ndarray:

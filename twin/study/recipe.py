@@ -1,28 +1,253 @@
-"""Scenes: found by path or name, put together from their files and overrides, validated, and written back.
+"""Scenes: found by path or name, put together from their files and overrides, validated, written.
 
-A scene is built from up to three files, later ones winning: the body recipe named by ``body.recipe``, the scene named
-by ``base`` (one level deep) and the scene itself; then come the overrides. How tables are laid over each other is in
-`twin.study.recipe_tables`, what becomes of the files that they name in `twin.study.recipe_files`.
+A scene is built from up to three files, later ones winning: the body recipe named by
+``body.recipe``, the scene named by ``base`` (one level deep) and the scene itself; then come the
+overrides. Every value has a provenance of its own (``source`` or ``assumed``), also where a recipe
+gives one for a whole table: a replaced value loses its own, and its neighbours keep theirs.
+
+Files that a recipe names (calibration, a body's and probes' surfaces, a camera's intrinsics) are
+relative to it; a resolved scene holds whole paths, so that it can be read from anywhere, and the
+numbers of the intrinsics themselves.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from twin.errors import InputError, RecipeError, did_you_mean, require
+from twin.files import MESHES, SCENES
+from twin.parts.part import each_file
+from twin.parts.press import BY_AXIS
 from twin.parts.scene import Scene
-from twin.places import MESHES, SCENES
-from twin.study.complaints import complaints
-from twin.study.recipe_files import find_files
-from twin.study.recipe_tables import PROVENANCE, Table, merged, override, read_recipe
+from twin.parts.vary import flat
+
+Table = dict[str, Any]
+
+PROVENANCE = ("source", "assumed")
+ALTERNATIVES = ("steps", "force_n", "indentation_mm")
+"""Ways to give a press its path: one of them replaces the others."""
+
+_FRAMES = "twin reconstruct takes pictures as frames, twin view the folder of a run or of a dataset"
+_FOLDERS = "twin check and twin view take the folder of a run or of a dataset"
+
+_OTHERS = {
+    b"\x89PNG": ("a picture (PNG)", _FRAMES),
+    b"\xff\xd8\xff": ("a picture (JPEG)", _FRAMES),
+    b"GIF8": ("a picture (GIF)", _FRAMES),
+    b"PK\x03\x04": ("an archive", f"twin check takes a calibration (.npz); {_FOLDERS}"),
+    b"PAR1": ("a table (Parquet)", _FOLDERS),
+    b"{": ("JSON", _FOLDERS),
+    b"<": ("a page", "open it in a browser"),
+}
+"""Other files that people name, by their first bytes, with what takes them."""
+
+_SURFACE = (
+    "a surface (STL)",
+    "name it in a scene, as file of a [body] with shape = 'solid' (docs/add_body.md)",
+)
+"""A binary STL file may begin with anything, so it is known by its ending."""
+
+
+def read_recipe(path: Path) -> Table:
+    """Return a recipe file's table, its provenance spelt out by key; `RecipeError` or `InputError`
+    where it is not valid TOML, or can't be read.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as problem:
+        raise InputError(f"{path}: can't be read ({problem.strerror})") from None
+    kinds = [kind for begins, kind in _OTHERS.items() if data.startswith(begins)]
+    if path.suffix.lower() == ".stl":
+        kinds = [_SURFACE]
+    for what, remedy in kinds:
+        raise RecipeError(
+            f"is {what}, and a scene or a sweep is a text file (TOML); {remedy}", str(path)
+        )
+    if len(data) > 1_000_000:
+        raise RecipeError(f"{len(data)} bytes: a recipe is at most 1 MB", str(path))
+    try:
+        # editors on Windows write a byte order mark
+        return _by_key(tomllib.loads(data.decode("utf-8-sig")))
+    except UnicodeDecodeError as problem:
+        text = f"byte {problem.start + 1} is no text in UTF-8; save the file in this encoding"
+        raise RecipeError(f"not valid TOML: {text}", str(path)) from None
+    except (ValueError, RecursionError) as problem:  # a number of 4,300 digits: a ValueError
+        raise RecipeError(f"not valid TOML: {problem}", str(path)) from None
+
+
+def _by_key(table: Table) -> Table:
+    """Spell a table-wide provenance text out by key, so that merging can follow single values."""
+    spelt = {
+        k: _by_key(v) if isinstance(v, dict) and k not in PROVENANCE else v
+        for k, v in table.items()
+    }
+    for kind in PROVENANCE:
+        if isinstance(spelt.get(kind), str):
+            spelt[kind] = {
+                k: spelt[kind]
+                for k, v in table.items()
+                if k not in PROVENANCE and not isinstance(v, dict)
+            }
+    return spelt
+
+
+def _merged(below: Table, above: Table) -> Table:
+    """Return a table with another laid over it; neither is changed."""
+    table = dict(below)
+    if set(ALTERNATIVES) & set(above):
+        table = {k: v for k, v in table.items() if k not in ALTERNATIVES}
+    for key, value in above.items():
+        if key in PROVENANCE:
+            continue
+        old = table.get(key)
+        if isinstance(value, dict) and isinstance(old, dict) and _same_kind(old, value):
+            table[key] = _merged(old, value)
+        else:
+            table[key] = value
+            _forget_provenance(table, key)
+    for kind in PROVENANCE:
+        if above.get(kind):
+            given = above[kind]
+            table[kind] = {**table.get(kind, {}), **given} if isinstance(given, dict) else given
+    return table
+
+
+def _same_kind(below: Table, above: Table) -> bool:
+    """Another kind of probe, or another shape of body, shares no number with the one below it."""
+    return all(above.get(tag, below.get(tag)) == below.get(tag) for tag in ("kind", "shape"))
+
+
+def _forget_provenance(table: Table, key: str) -> None:
+    """Drop the provenance of the value of ``key``."""
+    for kind in PROVENANCE:
+        if isinstance(table.get(kind), dict):
+            table[kind] = {k: v for k, v in table[kind].items() if k != key}
+
+
+def _override(table: Table, dotted: str, value: Any) -> None:
+    """Put a value at a dotted key of ``table``, and note there that it is assumed; `RecipeError`
+    where a part of the key names a value, not a table.
+    """
+    *parents, last = dotted.split(".")
+    if parents and parents[-1] in BY_AXIS:  # press.force_n.z: the vector is one value of its table
+        *parents, vector = parents
+        here = _table_at(table, parents, dotted)
+        old = here.get(vector)
+        last, value = vector, {**(old if isinstance(old, dict) else {}), last: value}
+    here = _table_at(table, parents, dotted)
+    if parents == ["press"] and last in ALTERNATIVES:
+        for other in ALTERNATIVES:
+            here.pop(other, None)
+    here[last] = value
+    _forget_provenance(here, last)
+    one_value = not isinstance(value, dict) or last in BY_AXIS
+    if last not in PROVENANCE and one_value and parents != ["markers"]:
+        here["assumed"] = {**(here.get("assumed") or {}), last: "override"}
+
+
+def _table_at(table: Table, names: list[str], dotted: str) -> Table:
+    """Return the table at ``names``, made or copied on the way."""
+    here = table
+    for name in names:
+        if not isinstance(here.setdefault(name, {}), dict):
+            raise RecipeError(f"{dotted}: '{name}' is not a table", "override")
+        here[name] = dict(here[name])
+        here = here[name]
+    return here
+
+
+def parse_override(text: str) -> tuple[str, Any]:
+    """Split ``key.path=value``, or raise `InputError`; the value is TOML, or a bare string."""
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise InputError(
+            f"-s {text}: write key.path=value, for example -s material.poisson_ratio=0.49"
+        )
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return key.strip(), value.strip()
+    except ValueError as problem:
+        raise InputError(f"-s {key}: {problem}") from None
+
+
+def _find_files(table: Table, path: Path, folders: list[Path]) -> None:
+    """Replace the names of the files of scene ``path`` by whole paths, and a camera's file by its
+    numbers; a body's own file may lie in any of ``folders``."""
+
+    def found(holder: Any, where: str, places: Sequence[Path], remedy: str) -> Any:
+        """Return a table with the whole path of its file, if it names one."""
+        if not isinstance(holder, dict) or not isinstance(holder.get("file"), str):
+            return holder
+        for folder in places:
+            if (folder / holder["file"]).is_file():
+                return {**holder, "file": str((folder / holder["file"]).resolve())}
+        raise RecipeError(
+            f"{where}.file = '{holder['file']}': there is no such file next to the recipe{remedy}",
+            str(path),
+        )
+
+    def probe_found(press: Any, where: str) -> Any:
+        probe = press.get("probe") if isinstance(press, dict) else None
+        if not isinstance(probe, dict) or probe.get("kind") != "stl":
+            return press
+        return {**press, "probe": found(probe, f"{where}probe", [path.parent], _CHECK)}
+
+    if "calibration" in table:
+        remedy = " or the shipped scenes; make it with twin calibrate, or leave the key out"
+        places = [path.parent, SCENES]
+        table["calibration"] = found(table["calibration"], "calibration", places, remedy)
+    if isinstance(table.get("body"), dict) and table["body"].get("shape") == "solid":
+        table["body"] = found(table["body"], "body", folders, _CHECK)
+    press = table.get("press")
+    if isinstance(press, dict):
+        if isinstance(press.get("also"), list):
+            press = {**press, "also": [probe_found(p, "press.also.") for p in press["also"]]}
+        table["press"] = probe_found(press, "press.")
+    _read_intrinsics(table, path)
+    if isinstance(table.get("vary"), dict):
+        key, here = "vary.press.probe", [path.parent]
+        table["vary"] = each_file(
+            flat(table["vary"]), lambda file: found({"file": file}, key, here, _CHECK)["file"]
+        )
+
+
+_CHECK = "; check the path"
+
+
+def _read_intrinsics(table: Table, path: Path) -> None:
+    """Put the numbers of the camera's file of intrinsics, relative to the scene, in the place of
+    its name."""
+    camera = table.get("camera")
+    if not isinstance(camera, dict) or not isinstance(camera.get("intrinsics"), str):
+        return
+    from twin.study.intrinsics import read_intrinsics
+
+    given = Path(camera["intrinsics"]).expanduser()
+    numbers = read_intrinsics(given if given.is_absolute() else path.parent / given)
+    camera = {key: value for key, value in camera.items() if key != "intrinsics"}
+    for key, value in numbers.items():
+        camera[key] = list(value) if isinstance(value, tuple) else value
+        _forget_provenance(camera, key)
+    for kind in PROVENANCE:
+        if isinstance(camera.get(kind), dict):
+            camera[kind].pop("intrinsics", None)
+    if not isinstance(camera.get("source"), str):
+        camera["source"] = {
+            **(camera.get("source") or {}),
+            **dict.fromkeys(numbers, f"file {given.name}"),
+        }
+    table["camera"] = camera
+
 
 SWEEP = "sweep_"
-"""What names of shipped sweeps begin with, which lie beside the scenes."""
+"""What names of shipped sweeps begin with, which lie among the scenes."""
 
 
 def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
@@ -43,7 +268,12 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
         There is no such file, or an argument is of another kind.
     """
     require(scene, (str, Path), "the scene", "give a shipped scene's name (twin scenes) or a path")
-    require(overrides or {}, Mapping, "overrides", 'give values by key, such as {"material.poisson_ratio": 0.3}')
+    require(
+        overrides or {},
+        Mapping,
+        "overrides",
+        'give values by key, such as {"material.poisson_ratio": 0.3}',
+    )
     for key in overrides or {}:
         require(key, str, "an override's key", "write it with dots, such as material.poisson_ratio")
     path = find_scene(scene)
@@ -72,9 +302,11 @@ def _own_problems(path: Path) -> list[str]:
 def _resolved(path: Path, overrides: Mapping[str, Any]) -> Scene:
     table = _read_with_base(path)
     if {"scene", "axes"} <= table.keys():
-        raise RecipeError("is a sweep over many designs, not a scene: give it to twin sweep", str(path))
+        raise RecipeError(
+            "is a sweep over many designs, not a scene: give it to twin sweep", str(path)
+        )
     for key, value in overrides.items():
-        override(table, key, value)
+        _override(table, key, value)
     folders = [path.parent]
     body = table.get("body")
     if isinstance(body, dict) and "recipe" in body:
@@ -82,10 +314,12 @@ def _resolved(path: Path, overrides: Mapping[str, Any]) -> Scene:
         below = read_recipe(recipe)
         folders.append(recipe.parent)
         if extra := sorted(set(below) - {"body", "material", "title"}):
-            raise RecipeError(f"unknown tables {', '.join(extra)}: a body recipe has body, material", str(recipe))
+            raise RecipeError(
+                f"unknown tables {', '.join(extra)}: a body recipe has body, material", str(recipe)
+            )
         below.pop("title", None)
-        table = merged(below, {**table, "body": {k: v for k, v in body.items() if k != "recipe"}})
-    find_files(table, path, folders)
+        table = _merged(below, {**table, "body": {k: v for k, v in body.items() if k != "recipe"}})
+    _find_files(table, path, folders)
     return validate_scene(table, str(path))
 
 
@@ -94,35 +328,41 @@ def validate_scene(table: Table, where: str) -> Scene:
     try:
         return Scene.model_validate(table)
     except ValidationError as problem:
+        from twin.study.schema import complaints
+
         raise RecipeError(complaints(problem, table), where) from None
 
 
 def shipped_scenes() -> dict[str, Path]:
-    """Return the shipped scenes by name; sweeps lie beside them."""
-    return {path.stem: path for path in sorted(SCENES.glob("*.toml")) if not path.stem.startswith(SWEEP)}
+    """Return the shipped scenes by name; sweeps lie among them."""
+    return {
+        path.stem: path for path in sorted(SCENES.glob("*.toml")) if not path.stem.startswith(SWEEP)
+    }
 
 
 def find_scene(scene: str | Path) -> Path:
     """Return the file of a scene given by path or by the name of a shipped one."""
     if scene and os.path.isdir(scene):
-        raise InputError(f"{scene}: is a folder; give a scene file, such as {Path(scene) / 'scene.toml'}")
+        raise InputError(
+            f"{scene}: is a folder; give a scene file, such as {Path(scene) / 'scene.toml'}"
+        )
     return _find(str(scene), SCENES, Path.cwd(), "scene")
 
 
-def _find(name: str, shipped: Path, beside: Path, what: str, where: Path | None = None) -> Path:
-    given = beside / os.path.expanduser(name)
+def _find(name: str, shipped: Path, near: Path, what: str, where: Path | None = None) -> Path:
+    given = near / os.path.expanduser(name)
     for candidate in (given, shipped / f"{name}.toml"):
         if os.path.isfile(candidate):  # Path.is_file raises where a name is too long
             return candidate
     known = [p.stem for p in sorted(shipped.glob("*.toml")) if not p.stem.startswith(SWEEP)]
-    told = nothing_named(name, known, what)
+    text = nothing_named(name, known, what)
     if name and os.path.lexists(given):
-        told = f"{what} '{name}': is no file to read, but a folder, a device, or a link to nowhere"
-    raise InputError(told) if where is None else RecipeError(told, str(where))
+        text = f"{what} '{name}': is no file to read, but a folder, a device, or a link to nowhere"
+    raise InputError(text) if where is None else RecipeError(text, str(where))
 
 
 def nothing_named(name: str, known: list[str], what: str) -> str:
-    """Return what is said of a name that is neither a file nor one of the shipped recipes."""
+    """Return the message about a name that is neither a file nor one of the shipped recipes."""
     otherwise = f"there is no such file, and shipped ones are: {', '.join(known)}"
     return f"no {what} '{name}': {did_you_mean(Path(name).stem, known, otherwise)}"
 
@@ -137,21 +377,23 @@ def _read_with_base(path: Path) -> Table:
     base_path = _find(base, SCENES, path.parent, "base scene", path)
     below = read_recipe(base_path)
     if "base" in below:
-        raise RecipeError(f"base = '{base}' has a base itself: inheritance is one level deep", str(path))
+        raise RecipeError(
+            f"base = '{base}' has a base itself: inheritance is one level deep", str(path)
+        )
     _require_material(below, table, base, path)
-    return merged(below, table)
+    return _merged(below, table)
 
 
 def _require_material(below: Table, above: Table, base: str, path: Path) -> None:
-    """Refuse a body of its own in place of the base's body recipe, whose material would go with it unsaid."""
+    """Refuse to replace the base's body recipe by a shape alone: its material would be lost."""
     old, new = below.get("body"), above.get("body")
-    if not isinstance(old, dict) or not isinstance(new, dict) or "recipe" not in old or "material" in above:
+    if not isinstance(old, dict) or not isinstance(new, dict):
         return
-    if "shape" in new and "recipe" not in new:
+    if "recipe" in old and "material" not in above and "shape" in new and "recipe" not in new:
         raise RecipeError(
-            f"body.shape = '{new['shape']}' replaces the body of base '{base}', and with it the recipe "
-            f"'{old['recipe']}', which also holds [material]: add a [material] table to this scene, or name a body by "
-            "body.recipe",
+            f"body.shape = '{new['shape']}' replaces the body of base '{base}', and with it the "
+            f"recipe '{old['recipe']}', which also holds [material]: add a [material] table to "
+            "this scene, or name a body by body.recipe",
             str(path),
         )
 
@@ -167,7 +409,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items() if not (k in PROVENANCE and not v)}
     if isinstance(value, tuple | list):
-        if any(v is None for v in value):  # a step's (None, None, 1.0): TOML has no null, the table form has
+        # a step's (None, None, 1.0): TOML has no null, the table form leaves components out
+        if any(v is None for v in value):
             return {axis: v for axis, v in zip("xyz", value, strict=True) if v is not None}
         return [_plain(v) for v in value]
     return value

@@ -1,53 +1,276 @@
-"""The sensor's software on recorded frames: rest picture and calibration in, a row of forces for every frame out.
+"""Recorded frames: read from files, videos or a pipe, reconstructed, and written as a table.
 
-One frame's failure is a row with its reason. Nothing grows with the number of frames but the output.
+A frame that can't be read or reconstructed is a row with its reason, so that a sequence goes on.
+Nothing grows with the number of frames but the output. Output grows under a temporary name and gets
+its own when closed, also after an interrupt; a killed program leaves the temporary file.
+
+Why imageio-ffmpeg for videos: it carries a whole ffmpeg (all codecs) that runs in a process of its
+own, both to read and to write, behind two generators.
 """
 
 from __future__ import annotations
 
+import csv
+import json
+import os
+import re
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Picture
-from twin.errors import InputError
-from twin.sense.bump import Bump, camera_bump
+from twin.arrays import Bools, Floats, Picture, Pixels, Points
+from twin.errors import InputError, MissingCapability, TwinError
+from twin.files import LARGEST_PX, make_folder, png_bytes, write_whole
 from twin.sense.calibration import Calibration
-from twin.sense.reconstruct import Field, reconstruct
+from twin.sense.reconstruct import Bump, Field, camera_bump, reconstruct
 from twin.sense.track import Found, Tracker
-from twin.study.frames import Frame
 
-MISFIT = 5.0
-"""A frame whose motion fits the calibration worse than the tracker's noise by this factor, and by more than
-`MISFIT_PX`, is doubted."""
+PICTURES = (".png", ".bmp", ".jpg", ".jpeg")
+VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
 
-MISFIT_PX = 0.3
-FEW = 0.5
+_DECODERS = ("PNG", "BMP", "JPEG")
+"""Pillow's decoders that may open a picture. A file's content chooses the decoder, not its name,
+and others start programs (EPS: Ghostscript) or are seldom tested."""
+
+_CONTAINERS = "mov,avi,matroska,mpeg,mpegts,mpegvideo,m4v"
+"""ffmpeg's demuxers that may open a video: those of `VIDEOS`. Others read lists of further
+files."""
+
+_RAW_FORMATS = {"rgb24": 3, "gray8": 1}
+"""Raw formats and their bytes per pixel."""
+
+_MISFIT, _MISFIT_PX = 5.0, 0.3
+"""A frame is doubted whose motion fits the calibration worse than the tracker's noise by this
+factor, and by more than this, px."""
+
+_FEW = 0.5
 """Share of the rest picture's markers below which a frame is doubted."""
 
-WEIGHED_ANEW = 0.1
-"""Share of markers that must be lost or come back before the weight is chosen anew."""
+_FEW_AT_REST = 0.9
+"""Share of the calibration's markers in the rest picture below which all frames are doubted."""
+
+_STRETCH, _APART, _SCATTER = 0.03, 0.015, 0.05
+"""Largest relative stretch, turn or shear of a layer in the rest picture against a calibration of
+the nominal design, largest difference of it between two layers, which another depth of one layer
+causes, and root mean square distance that is left, over the layer's pitch. Sensors made within the
+tolerances of the shipped scenes stay below .023, .011 and .021 (60 of the flat, 60 of the finger
+sensor); another pitch or focal length does not."""
+
+_SCATTER_MEASURED = 0.005
+"""The same distance for a calibration with measured rest places: its sensor repeats them to a few
+hundredths of a pixel, another one made from the same design is .016 (finger) to .028 (flat) off."""
+
+_LEAST_TO_COMPARE = 6
+"""Markers of a layer that are compared: three determine the affine change."""
+
+TABLES = (".parquet", ".csv", ".npz")
+_GROUP = 256
+"""Rows of a Parquet group, which are held in memory."""
+
+_FIELD = "force_n"
+"""The column of every site's force; in Parquet and npz only."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
-    """One frame's result.
+class Frame:
+    """A frame, its file name (with the number in a video or a pipe), or the problem with it."""
 
-    Attributes
-    ----------
-    name, picture
-        The frame.
-    found, field
-        Motion and forces; None where it failed.
-    reason
-        Why it failed, or why it is to be doubted; empty if neither.
-    bump
-        Shift that all markers share; None where it failed.
-    seconds
-        What it took, without reading.
+    name: str
+    picture: Picture | None = None
+    problem: str = ""
+
+
+def read_picture(path: str | os.PathLike[str]) -> Picture:
+    """Read a PNG, BMP or JPEG file of 8 bits a channel as (h, w, 3) or, if grey, (h, w) uint8.
+
+    An `InputError` says that it is damaged, or that its pixels are of another kind.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe would wait
+        raise InputError(f"{path}: is no file")
+    try:
+        with Image.open(path, formats=_DECODERS) as image:
+            mode, (width, height) = image.mode, image.size
+            if width * height > LARGEST_PX:
+                raise InputError(
+                    f"{path}: {width}x{height} px are more than {LARGEST_PX:,}: crop it"
+                )
+            if mode.startswith(("I", "F")):
+                raise InputError(
+                    f"{path}: has more than 8 bits a channel ({mode}): convert it to 8 bits first"
+                )
+            if mode in ("CMYK", "YCbCr", "LAB", "HSV"):
+                raise InputError(
+                    f"{path}: its colours are {mode}, must be RGB or grey: convert it first"
+                )
+            return np.array(image.convert("L" if mode in ("L", "1", "LA") else "RGB"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such picture") from None
+    except UnidentifiedImageError:
+        raise InputError(
+            f"{path}: is no picture that can be read; allowed are PNG, BMP and JPEG"
+        ) from None
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as problem:
+        raise InputError(f"{path}: can't be read ({problem})") from None
+
+
+def check_sources(
+    sources: Sequence[str], overlay: Path | None, size: str | None, layout: str | None
+) -> None:
+    """Refuse, before any work, what `frames` or `OverlayFile` would refuse later.
+
+    Raises
+    ------
+    InputError
+        Raw frames without size and format, or these without raw frames.
+    MissingCapability
+        A video, and the extra package is not installed.
+    """
+    if any(Path(source).suffix.lower() in VIDEOS for source in (*sources, str(overlay or ""))):
+        _ffmpeg()
+    if "-" in sources:
+        _raw_layout(size, layout)
+    elif size is not None or layout is not None:
+        raise InputError(
+            "--size and --format belong to raw frames: give - in place of the pictures"
+        )
+
+
+def frames(
+    sources: Sequence[str], stream: IO[bytes], size: str | None, layout: str | None
+) -> Iterator[Frame]:
+    """Yield the frames of files, folders and videos, in order; ``-`` is raw frames from ``stream``.
+
+    Raises `InputError` without frames, or for ``-`` without its size and format, and
+    `MissingCapability` for a video where the extra package is not installed.
+    """
+    if not sources:
+        raise InputError(
+            "no frames: give pictures, folders of pictures, videos, or - for raw frames from a pipe"
+        )
+    if "-" in sources:
+        if len(sources) > 1:
+            raise InputError("- (frames from a pipe) can't be mixed with files")
+        yield from _raw_frames(stream, *_raw_layout(size, layout))
+        return
+    for source in sources:
+        path = Path(source)
+        if not path.is_dir():
+            yield from _of_file(path)
+            continue
+        inside = [each for each in path.iterdir() if each.suffix.lower() in (*PICTURES, *VIDEOS)]
+        if not inside:
+            problem = f"the folder holds no pictures ({', '.join(PICTURES)})"
+            yield Frame(name=source, problem=problem)
+        for file in sorted(inside, key=_in_number):
+            yield from _of_file(file)
+
+
+def _in_number(path: Path) -> tuple[tuple[str, int], ...]:
+    """Return a key that sorts frame_9.png before frame_10.png."""
+    return tuple((text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", path.name))
+
+
+def _of_file(path: Path) -> Iterator[Frame]:
+    if path.suffix.lower() in VIDEOS:
+        yield from _video_frames(path)
+        return
+    try:
+        yield Frame(name=path.name, picture=read_picture(path))
+    except InputError as problem:
+        yield Frame(name=path.name, problem=str(problem).removeprefix(f"{path}: "))
+
+
+def _raw_layout(size: str | None, layout: str | None) -> tuple[int, int, int]:
+    """Return (width, height, bytes per pixel) of ``WxH`` and a format's name."""
+    if size is None or layout is None:
+        raise InputError(
+            "frames from a pipe need --size WxH and --format rgb24 or gray8, such as --size 640x480"
+        )
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)
+    width, height = (int(v) for v in match.groups()) if match else (0, 0)
+    if not width or not height or width * height > LARGEST_PX:
+        raise InputError(f"--size {size}: must be WIDTHxHEIGHT in px, such as 640x480")
+    if layout not in _RAW_FORMATS:
+        raise InputError(f"--format {layout}: allowed are {', '.join(_RAW_FORMATS)}")
+    return width, height, _RAW_FORMATS[layout]
+
+
+def _raw_frames(stream: IO[bytes], width: int, height: int, depth: int) -> Iterator[Frame]:
+    """Yield frames of raw bytes; a last one that is cut short is a problem."""
+    count = width * height * depth
+    shape = (height, width, 3) if depth == 3 else (height, width)
+    number = 0
+    while data := stream.read(count):
+        if len(data) < count:
+            problem = f"the pipe ended after {len(data)} of {count} bytes of a frame"
+            yield Frame(name=str(number), problem=problem)
+            return
+        yield Frame(name=str(number), picture=np.frombuffer(data, np.uint8).reshape(shape))
+        number += 1
+
+
+def _ffmpeg() -> Any:
+    """Return the package that reads and writes videos, or raise `MissingCapability`."""
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise MissingCapability(
+            "videos need an extra package: pip install imageio-ffmpeg"
+        ) from None
+    return imageio_ffmpeg
+
+
+def _video_frames(path: Path) -> Iterator[Frame]:
+    """Yield the frames of a video file; ffmpeg may open this file alone, and only as a film."""
+    package = _ffmpeg()
+    if not path.is_file():
+        yield Frame(name=path.name, problem="there is no such video")
+        return
+    try:
+        only = ["-protocol_whitelist", "file", "-format_whitelist", _CONTAINERS]
+        film = package.read_frames(f"file:{path}", pix_fmt="rgb24", input_params=only)
+        with closing(film) as reader:
+            width, height = next(reader)["size"]
+            for number, data in enumerate(reader):
+                picture = np.frombuffer(data, np.uint8).reshape(height, width, 3)
+                yield Frame(name=f"{path.name}:{number}", picture=picture)
+    except (OSError, RuntimeError, StopIteration, ValueError, KeyError) as problem:
+        yield Frame(name=path.name, problem=f"can't be read as a video ({type(problem).__name__})")
+
+
+class VideoWriter:
+    """Writes pictures to a video file at 60 frames a second; whole only after `close`."""
+
+    def __init__(self, path: Path, size: tuple[int, int]) -> None:
+        self._sink = _ffmpeg().write_frames(str(path), size, fps=60, macro_block_size=1, quality=8)
+        self._sink.send(None)
+
+    def add(self, picture: Picture) -> None:
+        """Append a picture, or raise `TwinError`."""
+        try:
+            self._sink.send(np.ascontiguousarray(picture))
+        except (OSError, StopIteration) as problem:
+            raise TwinError(f"the overlay video can't be written ({problem})") from None
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._sink.close()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FrameResult:
+    """The motion and the forces of one frame; None where it failed.
+
+    ``reason`` is why it failed, or why it is doubted; else empty. ``bump`` is the shift that all
+    markers share, ``seconds`` the computing time without reading.
     """
 
     name: str
@@ -59,29 +282,41 @@ class Answer:
     seconds: float
 
     def row(self, sites: int) -> dict[str, Any]:
-        """Return the table's row: names carry units; NaN where it failed."""
+        """Return the table's row: names carry units; NaN where it failed.
+
+        ``fx_n`` and so on are the total of the linear estimate, ``sum_fx_n`` the sum of the sites'
+        forces, which differs from it where these are held to pushes or to friction cones.
+        """
         nothing = np.full(3, np.nan)
         field = self.field
-        force, torque, sd = (field.total_force_n, field.total_torque_nmm, field.sd_total_n) if field else (nothing,) * 3
-        centre = _centre(field) if field else nothing
-        bump = self.bump.shift_px if self.bump else nothing
-        values = {
-            "fx_n": force[0], "fy_n": force[1], "fz_n": force[2],
-            "tx_nmm": torque[0], "ty_nmm": torque[1], "tz_nmm": torque[2],
-            "sd_fx_n": sd[0], "sd_fy_n": sd[1], "sd_fz_n": sd[2], "centre_x_mm": centre[0], "centre_y_mm": centre[1],
-            "shared_x_px": bump[0], "shared_y_px": bump[1], "noise_px": field.noise_px if field else np.nan,
-            "milliseconds": 1e3 * self.seconds,
-        }  # fmt: skip
+        vectors = {
+            "f{}_n": field.total_force_n if field else nothing,
+            "t{}_nmm": field.total_torque_nmm if field else nothing,
+            "sum_f{}_n": field.force_n.sum(axis=0) if field else nothing,
+            "sd_f{}_n": field.sd_total_n if field else nothing,
+            "centre_{}_mm": _centre(field) if field else nothing[:2],
+            "shared_{}_px": self.bump.shift_px if self.bump else nothing[:2],
+        }
         return {
-            "frame": self.name, "ok": field is not None, "reason": self.reason,
+            "frame": self.name,
+            "ok": field is not None,
+            "reason": self.reason,
             "markers": int(self.found.seen.sum()) if self.found else 0,
-            **{key: float(value) for key, value in values.items()},
-            "force_n": field.force_n if field else np.full((sites, 3), np.nan),
-        }  # fmt: skip
+            **{
+                name.format(axis): float(value)
+                for name, vector in vectors.items()
+                for axis, value in zip("xyz", vector, strict=False)
+            },
+            "noise_px": float(field.noise_px) if field else np.nan,
+            "milliseconds": 1e3 * self.seconds,
+            _FIELD: field.force_n if field else np.full((sites, 3), np.nan),
+        }
 
 
-def answers(rest: Picture, calibration: Calibration, sequence: Iterable[Frame], **options: Any) -> Iterator[Answer]:
-    """Yield every frame's answer.
+def reconstruct_frames(
+    rest: Picture, calibration: Calibration, sequence: Iterable[Frame], **options: Any
+) -> Iterator[_FrameResult]:
+    """Yield the result of every frame.
 
     Parameters
     ----------
@@ -89,6 +324,8 @@ def answers(rest: Picture, calibration: Calibration, sequence: Iterable[Frame], 
         The picture without load.
     calibration
         Of this sensor.
+    sequence
+        Frames in order.
     options
         Of `twin.sense.reconstruct.reconstruct`.
 
@@ -102,54 +339,232 @@ def answers(rest: Picture, calibration: Calibration, sequence: Iterable[Frame], 
     known: Bools = np.asarray(np.isfinite(tracker.rest.rest_px).all(axis=1))
     if known.sum() < 2:
         raise InputError(
-            f"the rest picture shows {int(known.sum())} of the calibration's {len(known)} markers: is it this sensor's,"
-            " upright, of the calibration's size, and exposed?"
+            f"the rest picture shows {int(known.sum())} of the calibration's {len(known)} "
+            "markers: is it this sensor's, upright, of the calibration's size, and exposed?"
         )
+    doubt = _other_sensor(tracker.rest.rest_px, calibration)
     before: Field | None = None
-    bump: Bump | None = None
     for frame in sequence:
         started = time.perf_counter()
-        found, field, reason = None, None, frame.problem
+        found, field, bump, reason = None, None, None, frame.problem
         if frame.picture is not None:
             try:
                 found = tracker.track(frame.picture)
-                if before is not None and (before.used != found.seen).mean() > WEIGHED_ANEW:
-                    before, bump = None, None
                 field = before = reconstruct(found, calibration, previous=before, **options)
-                bump = camera_bump(found, calibration, bump.weight if bump else None)
-                reason = _doubt(found, field, bump, int(known.sum()))
+                bump = camera_bump(found, calibration)
+                doubts = [doubt, *_doubts(found, field, bump, int(known.sum()))]
+                reason = "; ".join(filter(None, doubts))
             except InputError as problem:
-                reason, before, bump, field = str(problem), None, None, None
+                reason, before, field = str(problem), None, None
                 tracker.forget()
-        yield Answer(
-            name=frame.name, picture=frame.picture, found=found if field else None, field=field, reason=reason,
-            bump=bump if field else None, seconds=time.perf_counter() - started,
-        )  # fmt: skip
+        yield _FrameResult(
+            name=frame.name,
+            picture=frame.picture,
+            found=found if field else None,
+            field=field,
+            reason=reason,
+            bump=bump if field else None,
+            seconds=time.perf_counter() - started,
+        )
 
 
-def _doubt(found: Found, field: Field, bump: Bump, known: int) -> str:
-    """Say what speaks against a frame's forces."""
+def _other_sensor(rest_px: Pixels, calibration: Calibration) -> str:
+    """Return why the (n, 2) markers of a rest picture, px, are another sensor's than the
+    calibration's, or nothing.
+
+    Every layer is compared up to a shift, which a remounted camera causes, and a small affine
+    change, which other depths and a turned camera cause. Measured rest places also tell apart
+    sensors of one design. Stiffness does not show in a rest picture.
+    """
+    remedy = (
+        "is the calibration this sensor's, and the rest picture upright and of the calibration's "
+        "camera mode? Make one for this sensor with twin calibrate"
+    )
+    seen: Bools = np.asarray(np.isfinite(rest_px).all(axis=1))
+    if seen.mean() < _FEW_AT_REST:
+        return (
+            f"the rest picture shows only {int(seen.sum())} of the calibration's {len(seen)} "
+            f"markers: {remedy}"
+        )
+    allowed = _SCATTER_MEASURED if calibration.facts.get("rest") == "measured" else _SCATTER
+    stretches: list[Floats] = []
+    for name in calibration.layout:
+        rows = np.flatnonzero((calibration.layer == name) & seen)
+        if len(rows) < _LEAST_TO_COMPARE:
+            continue
+        layout = calibration.layout_px[rows]
+        pitch = float(np.median(cKDTree(layout).query(layout, k=2)[0][:, 1]))
+        place = np.column_stack([layout - layout.mean(axis=0), np.ones(len(rows))])
+        affine, *_ = np.linalg.lstsq(place, rest_px[rows], rcond=None)
+        stretches.append(affine[:2] - np.eye(2))
+        stretch = float(np.linalg.norm(stretches[-1], 2))
+        apart = max(float(np.linalg.norm(stretches[-1] - other, 2)) for other in stretches)
+        away = rest_px[rows] - place @ affine
+        scatter = float(np.sqrt(np.mean((away**2).sum(axis=1)))) / pitch
+        if stretch > _STRETCH or apart > _APART or scatter > allowed:
+            return (
+                f"the rest picture's {name} markers are not where the calibration has them "
+                f"(stretched or turned by {100 * stretch:.2g} %, {100 * apart:.2g} % unlike "
+                f"another layer, {scatter * pitch:.2g} px scattered): {remedy}"
+            )
+    return ""
+
+
+def _doubts(found: Found, field: Field, bump: Bump, known: int) -> list[str]:
+    """Return the evidence against a frame's forces."""
     doubts = []
     if bump.certain:
         column, row = bump.shift_px
         doubts.append(
-            f"the whole picture moved by {column:.1f}, {row:.1f} px: was the camera bumped? Take a new rest picture"
+            f"the whole picture moved by {column:.1f}, {row:.1f} px: was the camera bumped? Take "
+            "a new rest picture"
         )
     usual = float(np.nanmedian(found.sd_px))
-    if field.noise_px > max(MISFIT * usual, MISFIT_PX):
+    if field.noise_px > max(_MISFIT * usual, _MISFIT_PX):
         doubts.append(
-            f"the motion fits no forces (misfit {field.noise_px:.2f} px, tracking {usual:.3f} px): is it this sensor's "
-            "calibration, and the picture upright?"
+            f"the motion fits no forces (misfit {field.noise_px:.2f} px, tracking {usual:.3f} "
+            "px): is it this sensor's calibration, and the picture upright?"
         )
-    if found.seen.sum() < FEW * known:
+    if found.seen.sum() < _FEW * known:
         doubts.append(f"only {int(found.seen.sum())} of {known} markers were found")
-    return "; ".join(doubts)
+    return doubts
 
 
 def _centre(field: Field) -> np.ndarray:
-    """Return the (x, y) centre of pressure from the total force and torque, mm; NaN without a push along z."""
+    """Return the (x, y) centre of pressure, mm; NaN without a significant push along z."""
     force, torque = field.total_force_n, field.total_torque_nmm
     if not force[2] > 3.0 * field.sd_total_n[2]:
         return np.full(2, np.nan)
     height = float(field.site_mm[:, 2].mean())
-    return np.array([(height * force[0] - torque[1]) / force[2], (torque[0] + height * force[1]) / force[2]])
+    return np.array(
+        [(height * force[0] - torque[1]) / force[2], (torque[0] + height * force[1]) / force[2]]
+    )
+
+
+class TableFile:
+    """A table written row by row, with the (k, 3) ``sites``, mm; its suffix is its format."""
+
+    def __init__(self, path: Path, sites: Points) -> None:
+        self._kind = path.suffix.lower()
+        if self._kind not in TABLES:
+            raise InputError(f"--out {path}: the table's suffix must be one of {', '.join(TABLES)}")
+        make_folder(path.parent)
+        self.path, self._sites = path, sites
+        self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        self._rows: list[dict[str, Any]] = []
+        self._writer: Any = None
+        self._file: Any = None
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Append a row; every row has the same keys."""
+        try:
+            if self._kind == ".csv":
+                self._add_csv(row)
+                return
+            self._rows.append(dict(row))
+            if self._kind == ".parquet" and len(self._rows) >= _GROUP:
+                self._flush_parquet()
+        except OSError as problem:
+            raise TwinError(f"{self.path}: can't be written ({problem.strerror})") from None
+
+    def close(self) -> None:
+        """Finish the file and give it its name; without rows there is none."""
+        try:
+            if self._kind == ".parquet" and self._rows:
+                self._flush_parquet()
+            if self._kind == ".npz" and self._rows:
+                columns = {
+                    key: np.array(
+                        [row[key] for row in self._rows], np.float32 if key == _FIELD else None
+                    )
+                    for key in self._rows[0]
+                }
+                with open(self._part, "wb") as file:
+                    np.savez_compressed(file, allow_pickle=False, site_mm=self._sites, **columns)
+            for sink in (self._writer if self._kind == ".parquet" else None, self._file):
+                if sink is not None:
+                    sink.close()
+            if self._part.exists():
+                os.replace(self._part, self.path)
+        except OSError as problem:
+            raise TwinError(f"{self.path}: can't be written ({problem.strerror})") from None
+        finally:
+            self._part.unlink(missing_ok=True)
+
+    def _add_csv(self, row: Mapping[str, Any]) -> None:
+        plain = {key: value for key, value in row.items() if key != _FIELD}
+        if self._writer is None:
+            # closed by close()
+            self._file = open(self._part, "w", newline="", encoding="utf-8")  # noqa: SIM115
+            self._writer = csv.DictWriter(self._file, list(plain))
+            self._writer.writeheader()
+        self._writer.writerow(
+            {k: "" if isinstance(v, float) and v != v else v for k, v in plain.items()}
+        )
+        self._file.flush()
+
+    def _flush_parquet(self) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        arrays = {}
+        for key in self._rows[0]:
+            values = [row[key] for row in self._rows]
+            if key == _FIELD:
+                flat = [np.asarray(value, np.float32).ravel() for value in values]
+                arrays[key] = pa.array(flat, pa.list_(pa.float32()))
+            else:
+                arrays[key] = pa.array(values)
+        table = pa.table(arrays)
+        if self._writer is None:
+            facts = {
+                "site_mm": json.dumps(np.asarray(self._sites).tolist()),
+                "units": "N, mm, px; force_n: site by site x, y, z",
+            }
+            self._writer = pq.ParquetWriter(self._part, table.schema.with_metadata(facts))
+        self._writer.write_table(table.cast(self._writer.schema))
+        self._rows = []
+
+
+class OverlayFile:
+    """Frames with the motion drawn in: a .png, a folder of them, or a video."""
+
+    def __init__(self, target: Path) -> None:
+        suffix = target.suffix.lower()
+        self._target, self._film, self._one = target, suffix in VIDEOS, suffix == ".png"
+        if suffix in PICTURES and not self._one:
+            raise InputError(
+                f"--overlay {target}: pictures are drawn as .png; give that, a folder, or a video "
+                "(.mp4)"
+            )
+        make_folder(target.parent if self._film or self._one else target)
+        self._writer: VideoWriter | None = None
+
+    def add(self, number: int, result: _FrameResult) -> None:
+        """Draw frame ``number``, counted from 1; one that can't be read is left out."""
+        from twin.show.picture_overlays import overlay
+
+        if result.picture is None:
+            return
+        found, field = result.found, result.field
+        text = result.reason or "no result"
+        if field is not None:
+            x, y, z = field.total_force_n
+            text = f"{result.name}  Fx {x:.3f}  Fy {y:.3f}  Fz {z:.3f} N   {result.reason}"
+        drawn = overlay(result.picture, found, text)
+        if self._film:
+            height, width = drawn.shape[:2]
+            self._writer = self._writer or VideoWriter(self._target, (width, height))
+            self._writer.add(drawn)
+            return
+        path = self._target
+        if not self._one:
+            path = path / f"{number:06d}_{Path(result.name.replace(':', '_')).stem}.png"
+        elif number > 1:
+            path = path.with_stem(f"{path.stem}_{number:06d}")
+        write_whole(path, png_bytes(drawn))
+
+    def close(self) -> None:
+        """Finish a video."""
+        if self._writer is not None:
+            self._writer.close()

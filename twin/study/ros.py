@@ -1,4 +1,5 @@
-"""What a sensor feels, as ROS 2 messages: plain tables under the messages' own field names, without ROS.
+"""What a sensor feels, as ROS 2 messages: plain tables under the messages' own field names, without
+ROS.
 
 =============  ===============================  =================================================
 topic          type                             holds
@@ -10,9 +11,10 @@ wrench_true    geometry_msgs/msg/WrenchStamped  the true ones; no real sensor ha
 force_field    sensor_msgs/msg/PointCloud2      recovered, by site: x, y, z (m), fx, fy, fz (N)
 =============  ===============================  =================================================
 
-Units are ROS's (REP 103): metres, newtons, newton metres. The frame is the sensor's own, right-handed: origin on the
-sensing surface, z into the body; forces are the world's on the body. Pictures are in ``FRAME_optical``, whose z looks
-out of the camera (towards -z of the sensor), x to the right and y down in the picture.
+Units are ROS's (REP 103): metres, newtons, newton metres. The frame is the sensor's own,
+right-handed: origin on the sensing surface, z into the body; forces are the world's on the body.
+Pictures are in ``FRAME_optical``, whose z looks out of the camera (towards -z of the sensor), x to
+the right and y down in the picture.
 """
 
 from __future__ import annotations
@@ -57,7 +59,10 @@ def ros_messages(
         The time is negative, or the lens is none of ROS's.
     """
     if stamp_ns < 0 or stamp_ns >= 2**31 * 10**9:
-        raise InputError(f"stamp_ns = {stamp_ns}: allowed are 0 to {2**31 * 10**9 - 1} ns, as ROS 2 counts seconds")
+        raise InputError(
+            f"stamp_ns = {stamp_ns}: allowed are 0 to {2**31 * 10**9 - 1} ns, as ROS 2 counts "
+            f"seconds"
+        )
     here, there = _header(stamp_ns, frame_id), _header(stamp_ns, f"{frame_id}_optical")
     truth = observation.truth
     return {
@@ -65,7 +70,10 @@ def ros_messages(
         "camera_info": ("sensor_msgs/msg/CameraInfo", camera_info(camera, there)),
         "wrench": _wrench(here, observation.total_force_n, observation.total_torque_nmm),
         "wrench_true": _wrench(here, truth.total_force_n, truth.total_torque_nmm),
-        "force_field": ("sensor_msgs/msg/PointCloud2", _cloud(here, observation.site_mm, observation.force_n)),
+        "force_field": (
+            "sensor_msgs/msg/PointCloud2",
+            _cloud(here, observation.site_mm, observation.force_n),
+        ),
     }
 
 
@@ -80,16 +88,25 @@ def camera_info(camera: Camera, header: Table) -> Table:
     known = {"pinhole": _MODELS.get(len(camera.distortion)), "equidistant": "equidistant"}
     model = known.get(camera.lens)
     if model is None:
-        raise InputError(f"camera.lens = {camera.lens!r}: ROS knows 'pinhole' and 'equidistant' alone")
+        raise InputError(
+            f"camera.lens = {camera.lens!r}: ROS knows 'pinhole' and 'equidistant' alone"
+        )
     count = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}[model]
     fx, fy, (cx, cy) = camera.focal_px, camera.focal_px * camera.aspect, camera.centre_px
-    told = np.array([*camera.distortion, *[0.0] * count][:count])
+    coefficients = np.array([*camera.distortion, *[0.0] * count][:count])
     return {
-        "header": header, "height": camera.height_px, "width": camera.width_px, "distortion_model": model, "d": told,
-        "k": np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]), "r": np.eye(3).ravel(),
-        "p": np.array([fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1.0, 0]), "binning_x": 0, "binning_y": 0,
+        "header": header,
+        "height": camera.height_px,
+        "width": camera.width_px,
+        "distortion_model": model,
+        "d": coefficients,
+        "k": np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]),
+        "r": np.eye(3).ravel(),
+        "p": np.array([fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1.0, 0]),
+        "binning_x": 0,
+        "binning_y": 0,
         "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
-    }  # fmt: skip
+    }
 
 
 def _header(stamp_ns: int, frame_id: str) -> Table:
@@ -100,9 +117,14 @@ def _header(stamp_ns: int, frame_id: str) -> Table:
 def _image(header: Table, picture: np.ndarray) -> Table:
     height, width, _ = picture.shape
     return {
-        "header": header, "height": height, "width": width, "encoding": "rgb8", "is_bigendian": 0, "step": 3 * width,
+        "header": header,
+        "height": height,
+        "width": width,
+        "encoding": "rgb8",
+        "is_bigendian": 0,
+        "step": 3 * width,
         "data": np.ascontiguousarray(picture).reshape(-1),
-    }  # fmt: skip
+    }
 
 
 def _wrench(header: Table, force_n: np.ndarray, torque_nmm: np.ndarray) -> tuple[str, Table]:
@@ -116,8 +138,18 @@ def _wrench(header: Table, force_n: np.ndarray, torque_nmm: np.ndarray) -> tuple
 def _cloud(header: Table, site_mm: np.ndarray, force_n: np.ndarray) -> Table:
     rows = np.column_stack([M_PER_MM * np.asarray(site_mm), force_n]).astype("<f4")
     names = ("x", "y", "z", "fx", "fy", "fz")
-    fields = [{"name": name, "offset": 4 * k, "datatype": _FLOAT32, "count": 1} for k, name in enumerate(names)]
+    fields = [
+        {"name": name, "offset": 4 * k, "datatype": _FLOAT32, "count": 1}
+        for k, name in enumerate(names)
+    ]
     return {
-        "header": header, "height": 1, "width": len(rows), "fields": fields, "is_bigendian": False, "point_step": 24,
-        "row_step": 24 * len(rows), "data": np.frombuffer(rows.tobytes(), np.uint8), "is_dense": True,
-    }  # fmt: skip
+        "header": header,
+        "height": 1,
+        "width": len(rows),
+        "fields": fields,
+        "is_bigendian": False,
+        "point_step": 24,
+        "row_step": 24 * len(rows),
+        "data": np.frombuffer(rows.tobytes(), np.uint8),
+        "is_dense": True,
+    }

@@ -1,42 +1,172 @@
-"""A made sensor: its body, its markers, its camera, each computed when first asked for and then kept.
+"""A made sensor: its body, its markers, its camera, each computed at first use and then kept.
 
-`Sensor` is where the two wings meet. The *world* side works on the actual sensor, drawn from the tolerances; the
-*sense* side is told the nominal design only, on a mesh of its own.
+`Sensor` connects `twin.world` and `twin.sense`. The truth is computed from the actual sensor, drawn
+from the tolerances (`make`). The sensor's software gets the nominal design only, on a mesh of its
+own.
 """
 
 from __future__ import annotations
 
+import math
 import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from twin.arrays import Picture, Pixels, Points, Singles, as_points
+from twin.arrays import Chart, Floats, Picture, Pixels, Points, Progress, Singles, frozen
+from twin.blas_threads import one_blas_thread
 from twin.errors import AccuracyWarning, InputError, RecipeError, require
+from twin.parts.accuracy import CUT
+from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles
-from twin.parts.markers import MarkerSet, place
+from twin.parts.markers import MarkerSet, Prints, place
 from twin.parts.press import Press
 from twin.parts.scene import Scene
-from twin.progress import Progress
 from twin.streams import Purpose, stream
-from twin.study.actual import Actual, make
-from twin.study.elastic import actual_ladder, nominal_compliance
-from twin.study.motion import Motion, cover_motion, with_stiff_beads
-from twin.study.sites import on_grid
 from twin.theory.optics import project
 
 if TYPE_CHECKING:
-    from twin.world.contact.contact import ContactState
+    from twin.world.contact.contact_state import PressError
+    from twin.world.contact.pressing import ContactState
+    from twin.world.elasticity.coated import CoveredCompliance, Ladder
     from twin.world.elasticity.compliance import Compliance
-    from twin.world.elasticity.covered import Covered
-    from twin.world.elasticity.ladder import CoveredLadder, Ladder
-    from twin.world.elasticity.stiff import StiffBeads
+    from twin.world.elasticity.rigid_beads import StiffBeads
+    from twin.world.picture.ccd import Pattern
     from twin.world.picture.cover import CoverMotion
-    from twin.world.picture.exposure import Pattern
-    from twin.world.picture.maps import PictureTruth
-    from twin.world.picture.markers import Ellipsoids
-    from twin.world.picture.render import Outlines, Renderer
+    from twin.world.picture.ellipsoids import Ellipsoids
+    from twin.world.picture.render import Outlines, PictureTruth, Renderer
+
+SATURATED = 0.01
+"""Share of saturated pixels above which a picture causes a warning."""
+
+ABOVE = 1.1
+"""Estimated error over the requested one above which a warning is given."""
+
+_AWAY = "move the load away from the edges of the sensing surface"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Actual:
+    """One made sensor: the scene with the actual numbers in place of the nominal ones, (n, 2) print
+    errors of the markers along the surface, mm, all markers at their actual rest places, and the
+    deviations of single markers (None without any).
+    """
+
+    scene: Scene
+    jitter_mm: Chart
+    markers: MarkerSet
+    prints: Prints | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """The motion of n markers under a load.
+
+    Attributes
+    ----------
+    displacement_mm
+        (n, 3) displacements of the marker centres, mm.
+    gradient
+        (n, 3, 3) displacement gradients du_i/dx_j there.
+    error
+        Estimated largest error of the displacements over the largest displacement.
+    cover
+        Motion of the cover where the camera sees it; None where pictures don't show it.
+    """
+
+    displacement_mm: Points
+    gradient: Floats
+    error: float
+    cover: CoverMotion | None = None
+
+
+def make(nominal: Scene) -> Actual:
+    """Draw the actual sensor of ``nominal`` from its tolerances and seed."""
+    tolerance = nominal.tolerance
+    count = sum(layer.columns * layer.rows for layer in nominal.markers.values())
+    if tolerance.preset == "none":
+        markers = place(nominal.body, nominal.markers)
+        return Actual(scene=nominal, jitter_mm=frozen(np.zeros((count, 2))), markers=markers)
+    rng = stream(nominal.seed, Purpose.TOLERANCE)
+
+    def deviation() -> float:
+        return float(np.clip(rng.standard_normal(), -CUT, CUT))
+
+    stiffer = 1 + tolerance.youngs_modulus_pct / 100 * deviation()
+    shortfall = tolerance.poisson_ratio * abs(deviation())
+    material = nominal.material.model_copy(
+        update={
+            "youngs_modulus_mpa": nominal.material.youngs_modulus_mpa * stiffer,
+            "poisson_ratio": max(-0.5, nominal.material.poisson_ratio - shortfall),
+        }
+    )
+    cover = nominal.cover
+    if cover is not None and cover.youngs_modulus_mpa is not None:
+        ratio = material.youngs_modulus_mpa / nominal.material.youngs_modulus_mpa
+        cover = cover.model_copy(update={"youngs_modulus_mpa": cover.youngs_modulus_mpa * ratio})
+    layers = {
+        name: layer.model_copy(
+            update={"depth_mm": layer.depth_mm + tolerance.depth_mm * deviation()}
+        )
+        for name, layer in nominal.markers.items()
+    }
+    camera = nominal.camera
+    if camera is not None:
+        x, y, z = (c + tolerance.pupil_mm * deviation() for c in camera.pupil_mm)
+        front = nominal.body.base_z_mm + sum(layer.thickness_mm for layer in camera.layers)
+        a, b, c = (t + tolerance.tilt_deg * deviation() for t in camera.tilt_deg)
+        focal = camera.focal_px * (1 + tolerance.focal_pct / 100 * deviation())
+        k1, k2, *others = camera.distortion or (0.0, 0.0)
+        k1 += tolerance.distortion * deviation() if tolerance.distortion else 0.0
+        pose = {"pupil_mm": (x, y, max(z, front)), "tilt_deg": (a, b, c), "focal_px": focal}
+        camera = camera.model_copy(update={**pose, "distortion": (k1, k2, *others)})
+    changes = {"material": material, "cover": cover, "markers": layers, "camera": camera}
+    noise = stream(nominal.seed, Purpose.PRINT).standard_normal((count, 2))
+    jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)
+    return Actual(
+        scene=nominal.model_copy(update=changes),
+        jitter_mm=frozen(jitter),
+        markers=place(nominal.body, layers, jitter),
+        prints=_prints(nominal, count),
+    )
+
+
+def _prints(nominal: Scene, count: int) -> Prints | None:
+    """Draw sizes, shades and losses of the markers, from a stream of their own."""
+    tolerance = nominal.tolerance
+    if tolerance.print_diameter_pct == tolerance.print_shade_pct == tolerance.missing == 0:
+        return None
+    rng = stream(nominal.seed, Purpose.PRINT, 1)
+    size, shade = (
+        1 + pct / 100 * np.clip(rng.standard_normal(count), -CUT, CUT)
+        for pct in (tolerance.print_diameter_pct, tolerance.print_shade_pct)
+    )
+    missing = rng.random(count) < tolerance.missing
+    return Prints(size=frozen(size), shade=frozen(shade), missing=frozen(missing))
+
+
+def on_surface(body: Body, chart: Chart, half_mm: float, key: str) -> Rectangles:
+    """Return squares of a half side at (k, 2) surface coordinates, under no force.
+
+    Raises
+    ------
+    RecipeError
+        A place lies outside the sensing surface; the message begins with ``key``.
+    """
+    points = body.chart_points(chart)
+    if not body.contains(points, -1e-6).all():
+        raise RecipeError(
+            f"{key}: some lie outside the sensing surface; reduce columns, rows or pitch_mm"
+        )
+    return Rectangles(
+        centre_mm=points,
+        frames=body.frames(points),
+        half_mm=np.full((len(points), 2), half_mm),
+        force_n=np.zeros((len(points), 3)),
+    )
 
 
 class Sensor:
@@ -47,7 +177,12 @@ class Sensor:
     scene
         The nominal design, with tolerances, seed and accuracy.
     progress
-        Told about work that takes longer.
+        Called during longer work.
+
+    Attributes
+    ----------
+    saturation
+        Warning of the first picture with more than 1 % of saturated pixels; None without.
 
     Raises
     ------
@@ -59,6 +194,7 @@ class Sensor:
         require(scene, Scene, "the scene", "load one with twin.load_scene")
         self.nominal = scene
         self.progress = progress
+        self.saturation: str | None = None
         self._warned = False
         self._cut: tuple[Load, Rectangles] | None = None
 
@@ -68,19 +204,35 @@ class Sensor:
         return make(self.nominal)
 
     @cached_property
-    def ladder(self) -> Ladder | CoveredLadder:
-        """The actual body on as many levels of mesh as the asked accuracy takes."""
-        return actual_ladder(self.actual.scene, self.progress)
+    def ladder(self) -> Ladder:
+        """The actual body on as many levels of mesh as the requested accuracy takes."""
+        from twin.world.elasticity.coated import Ladder
+
+        actual = self.actual.scene
+        return Ladder(
+            actual.body,
+            actual.material,
+            actual.displacement_error,
+            covered=_covered(actual, "coarse", self.progress),
+            surface_table=actual.accuracy.surface_table,
+            progress=self.progress,
+        )
 
     @property
-    def compliance(self) -> Compliance | Covered:
-        """Compliance of the actual body, on the level that the asked accuracy takes."""
+    def compliance(self) -> Compliance | CoveredCompliance:
+        """Compliance of the actual body, on the level that the requested accuracy takes."""
         return self.ladder.base
 
     @cached_property
-    def nominal_compliance(self) -> Compliance | Covered:
-        """Compliance of the nominal body, on a mesh of its own: what the sensor's software may be told."""
-        return nominal_compliance(self.nominal, self.progress)
+    def nominal_compliance(self) -> Compliance | CoveredCompliance:
+        """Compliance of the nominal body, on a mesh of its own: the sensor's software may use
+        it."""
+        from twin.world.elasticity.compliance import Compliance
+
+        nominal, progress = self.nominal, self.progress
+        return _covered(nominal, "nominal", progress) or Compliance(
+            nominal.body, nominal.material, level="nominal", progress=progress
+        )
 
     @cached_property
     def nominal_markers(self) -> MarkerSet:
@@ -92,23 +244,38 @@ class Sensor:
         """The camera's view of the actual sensor."""
         if self.nominal.camera is None:
             raise RecipeError("this scene has no [camera] table, so there is no picture of it")
+        from twin.world.picture.backend import require_memory
         from twin.world.picture.render import Renderer
-        from twin.world.picture.room import require_room
 
-        require_room(self.actual.scene)
+        require_memory(self.actual.scene)
         return Renderer(self.actual.scene, self.ellipsoids(None))
 
-    def rectangles(self, load: Load) -> Rectangles:
+    def rectangles(self, load: Load | ContactState) -> Rectangles:
         """Cut a load into the rectangles that the solvers work on; the last load's are kept."""
+        load = _load_of(load)
         if self._cut is None or self._cut[0] is not load:
-            require(load, Load, "the load", "make one with twin.Traction, or of a press: sensor.press(press).load")
-            from twin.world.elasticity.tile import tile
+            require(
+                load,
+                Load,
+                "the load",
+                "make one with twin.Traction, or give the state that sensor.press returns",
+            )
+            from twin.world.elasticity.discretise import tile
 
             self._cut = load, tile(load, self.actual.scene.body)
         return self._cut[1]
 
-    def displacement(self, points_mm: Points, load: Load) -> Points:
-        """Return the (n, 3) displacement in mm of points inside the body under ``load``.
+    @one_blas_thread()
+    def displacement(self, points_mm: Points, load: Load | ContactState) -> Points:
+        """Return the (n, 3) displacement in mm of (n, 3) points inside the body.
+
+        Parameters
+        ----------
+        points_mm
+            (n, 3) points, mm.
+        load
+            A load, or the state of a press, whose forces are applied. The state may be that of
+            another sensor, if its forces lie on this one's sensing surface.
 
         Raises
         ------
@@ -117,134 +284,200 @@ class Sensor:
         InputError
             The load misses the sensing surface.
         """
-        points = as_points(points_mm, "points_mm")
-        answer = self.ladder.displacement(points, self.rectangles(load), always=False)
-        self._warn_if_inaccurate(answer.error)
-        return answer.displacement_mm
+        points = _as_points(points_mm, "points_mm")
+        found = self.ladder.displacement(points, self.rectangles(load))
+        self._warn_if_inaccurate(found.error)
+        return found.displacement_mm
 
+    @one_blas_thread()
     def motion(self, load: Load) -> Motion:
-        """Return how the actual markers move and turn under ``load``."""
-        rectangles, points = self.rectangles(load), self.actual.markers.points
-        answer = self.ladder.displacement(points, rectangles)
-        self._warn_if_inaccurate(answer.error)
-        compliance = answer.compliance
+        """Return the motion of the actual markers under a load."""
+        rectangles = self.rectangles(load)
+        points = self.actual.markers.points
+        found = self.ladder.displacement(points, rectangles)
+        self._warn_if_inaccurate(found.error)
+        compliance = found.compliance
         passive = Motion(
-            displacement_mm=answer.displacement_mm, gradient=compliance.gradient(points, rectangles),
-            error=answer.error, cover=self._cover_motion(compliance, rectangles),
-        )  # fmt: skip
-        return with_stiff_beads(passive, self.stiff_beads, lambda p: compliance.displacement(p, rectangles))
+            displacement_mm=found.displacement_mm,
+            gradient=compliance.gradient(points, rectangles),
+            error=found.error,
+            cover=self._cover_motion(compliance, rectangles),
+        )
+        return self._with_stiff_beads(passive, lambda p: compliance.displacement(p, rectangles))
 
-    def _cover_motion(self, compliance: Compliance | Covered, rectangles: Rectangles) -> CoverMotion | None:
-        """Return how the cover moves where the camera sees it; None if the scene doesn't ask for that."""
+    def _cover_motion(
+        self, compliance: Compliance | CoveredCompliance, rectangles: Rectangles
+    ) -> CoverMotion | None:
+        """Return the motion of the cover where the camera sees it."""
         cover = self.nominal.cover
         if cover is None or not cover.deforms or self.nominal.camera is None:
             return None
+        from twin.world.picture.cover import CoverMotion
+
         assert self.renderer.background is not None
-        return cover_motion(compliance, self.renderer.background.points, rectangles)
+        points = self.renderer.background.points
+        return CoverMotion(
+            displacement_mm=compliance.displacement(points, rectangles),
+            gradient=compliance.gradient(points, rectangles),
+        )
 
-    def motion_of_patches(self, *patches: Rectangles, strained: bool = True, gather: bool = True) -> Motion:
-        """Return how the actual markers move, on the level of mesh that the asked accuracy takes and no other.
+    @one_blas_thread()
+    def motion_of_patches(
+        self, *patches: Rectangles, strained: bool = True, gather: bool = True
+    ) -> Motion:
+        """Return the motion of the actual markers, on the first level of mesh only.
 
-        What `motion` answers, for many loads: patches far above all markers are gathered into a few point forces
-        (`twin.world.elasticity.gather`), and the answer, with its estimated error, is never taken from a finer mesh.
+        For many loads: `motion`, but patches far above all markers are gathered into a few point
+        forces (`twin.world.elasticity.discretise`), and no finer mesh is used.
 
         Parameters
         ----------
         patches
-            What pushes; what lies apart is given apart, and gathered each by itself.
+            Patches with forces; separate contacts separately, as each is gathered by itself.
         strained
-            Whether gradients are wanted too: without them prints are not strained and beads not turned (of which no
-            picture shows anything), and the gradients are zero.
+            Whether gradients are computed, too: without them prints are not strained and beads not
+            turned (no picture shows a bead's turn), and the gradients are zero.
         gather
-            Whether patches may be gathered; else each pushes as it is, which the audit of datasets compares with.
+            Whether patches may be gathered.
         """
-        from twin.world.elasticity.gather import gathered
-        from twin.world.elasticity.tile import join
+        from twin.world.elasticity.discretise import gathered, join
 
         points = self.actual.markers.points
         whole = join(patches)
         few = join([gathered(points, group) for group in patches]) if gather else whole
         moved, error = self.compliance.answer(points, few)
-        strained = strained or self.stiff_beads is not None
-        gradient = self.compliance.gradient(points, whole) if strained else np.zeros((len(points), 3, 3))
-        passive = Motion(displacement_mm=moved, gradient=gradient, error=error)
-        return with_stiff_beads(
-            passive, self.stiff_beads, lambda p: self.compliance.displacement(p, gathered(p, whole))
+        gradient = np.zeros((len(points), 3, 3))
+        if strained or self.stiff_beads is not None:
+            gradient = self.compliance.gradient(points, whole)
+        return self._with_stiff_beads(
+            Motion(displacement_mm=moved, gradient=gradient, error=error),
+            lambda p: self.compliance.displacement(p, gathered(p, whole)),
         )
 
     @cached_property
     def stiff_beads(self) -> StiffBeads | None:
-        """The actual rigid beads and how they push each other; None where no layer is ``stiff``."""
+        """The actual rigid beads and their interaction; None where no layer is ``stiff``."""
         if not any(layer.stiff for layer in self.actual.scene.markers.values()):
             return None
-        from twin.world.elasticity.stiff import stiff_beads
+        from twin.world.elasticity.rigid_beads import stiff_beads
 
         return stiff_beads(self.actual.markers, self.actual.scene.markers)
 
+    def _with_stiff_beads(self, passive: Motion, field: Callable[[Points], Points]) -> Motion:
+        """Add the interaction of rigid beads to the motion that the rubber's ``field`` causes."""
+        beads = self.stiff_beads
+        if beads is None or not passive.displacement_mm.any():
+            return passive
+        change = beads.change(field, passive.gradient)
+        return replace(
+            passive,
+            displacement_mm=passive.displacement_mm + change,
+            error=passive.error + beads.error(change, passive.displacement_mm),
+        )
+
     @cached_property
     def markers_strain(self) -> bool:
-        """Whether a layer strains with the body (or is stiff), so that pictures need the field's gradient."""
-        return any(layer.kind == "print" or layer.stiff for layer in self.actual.scene.markers.values())
+        """Whether a layer strains with the body (or is stiff), so that pictures need the field's
+        gradient."""
+        layers = self.actual.scene.markers.values()
+        return any(layer.kind == "print" or layer.stiff for layer in layers)
 
-    def _warn_if_inaccurate(self, got: float) -> None:
-        """Warn, once per sensor, of a load under which the asked accuracy is not reached."""
+    def _warn_if_inaccurate(
+        self, got: float, what: str = "displacements", remedy: str = _AWAY
+    ) -> None:
+        """Warn, once per sensor, of a load under which the requested accuracy is not reached."""
         asked = self.nominal.displacement_error
-        if got > 1.1 * asked and not self._warned:
+        if got > ABOVE * asked and not self._warned:
             self._warned = True
             warnings.warn(
-                f"accuracy.displacement = {asked:g} is asked, but displacements may be {got:.2g} of the largest off: "
-                "move the load away from the edges of the sensing surface, or allow more",
+                f"accuracy.displacement = {asked:g} is asked, but {what} may be {got:.2g} of the "
+                f"largest off: {remedy}, or allow more",
                 AccuracyWarning,
-                stacklevel=3,
+                stacklevel=4,  # past the decorator that limits BLAS to one thread
             )
 
-    def press(self, press: Press | None = None, *, with_error: bool = False) -> ContactState:
-        """Solve a press; the scene's own if none is given.
+    def _may_be_inaccurate(self, load: Load) -> bool:
+        """Return whether the body's expected error, before a solve for it, is above the request."""
+        expected = getattr(self.compliance, "expected_error", None)
+        if expected is None or not load.terms or self._warned:
+            return False
+        return bool(expected(self.rectangles(load)) > ABOVE * self.nominal.displacement_error)
 
-        Parameters
-        ----------
-        press
-            Probes, places, paths and friction.
-        with_error
-            Whether to tell how far the patches may be off (``error``): a tenth more work.
+    def _warn_if_press_inaccurate(self, error: PressError) -> None:
+        """Warn, once per sensor, of a press with inaccurate markers, force or indentation.
+
+        The number of patches is the scene's choice: their share counts for the markers only.
+        """
+        every = (error.markers, error.body.markers, error.body.force, error.body.indentation)
+        worst = max(filter(math.isfinite, every))
+        remedy = _AWAY
+        if worst / 2.0 < error.patches.markers <= worst:
+            remedy = f"raise accuracy.contact_patches ({self.nominal.contact_patches})"
+        elif worst / 2.0 < error.increments.markers <= worst:
+            increments = self.nominal.accuracy.contact_increments
+            remedy = f"raise accuracy.contact_increments ({increments})"
+        self._warn_if_inaccurate(worst, "force, indentation and displacements", remedy)
+
+    @one_blas_thread()
+    def press(self, press: Press | None = None) -> ContactState:
+        """Solve a press; the scene's own if none is given.
 
         Returns
         -------
         The last state that converged; if that is not the end of the path, ``complete`` is false.
+        Its ``error``, computed at first use, is the estimated error of its numbers; an
+        `AccuracyWarning` is given where that is above the request.
 
         Raises
         ------
         ContactError
             There is no equilibrium, or the contact leaves the sensing surface.
         """
-        from twin.world.contact.contact import press as solve
+        from twin.world.contact.contact_state import Watched
+        from twin.world.contact.pressing import press as solve
 
         wanted = press if press is not None else self.nominal.press
         if wanted is None:
             raise RecipeError("this scene has no [press] table: give Sensor.press a Press")
-        require(wanted, Press, "the press", "make one with twin.Press; loads go to Sensor.displacement and .picture")
-        material = self.actual.scene.material
-        return solve(
+        require(
             wanted,
-            self.actual.scene.body,
+            Press,
+            "the press",
+            "make one with twin.Press; loads go to Sensor.displacement and .picture",
+        )
+        actual = self.actual
+        points = actual.markers.points
+        state = solve(
+            wanted,
+            actual.scene.body,
             self.compliance,
             patches_across=self.nominal.contact_patches,
-            youngs_modulus_mpa=material.youngs_modulus_mpa,
-            poisson_ratio=material.poisson_ratio,
+            youngs_modulus_mpa=actual.scene.material.youngs_modulus_mpa,
+            poisson_ratio=actual.scene.material.poisson_ratio,
             increments=self.nominal.accuracy.contact_increments,
-            with_error=with_error,
+            watched=Watched(
+                points=points,
+                error=lambda load: self.ladder.displacement(points, self.rectangles(load)).error,
+                judge=self._warn_if_press_inaccurate,
+            ),
         )
+        if self._may_be_inaccurate(state.load):
+            state.error  # noqa: B018  warns if it is
+        return state
 
-    def picture(self, load: Load | Motion | None, exposure: int | None = None) -> Picture:
-        """Return the CCD picture (height, width, 3) under ``load``, or at rest.
+    @one_blas_thread()
+    def picture(
+        self, load: Load | ContactState | Motion | None, exposure: int | None = None
+    ) -> Picture:
+        """Return the CCD picture (height, width, 3) under a load, or at rest.
 
         Parameters
         ----------
         load
-            A load, a motion of the markers computed before, or None for the rest state.
+            A load, the state of a press, a motion computed before, or None for the rest state.
         exposure
-            Number of the exposure: pictures of the same number have the same noise. The rest state is exposure 0, a
-            loaded one 1 if not given.
+            Number of the exposure: pictures of the same number have the same noise. Default: 0 at
+            rest, 1 under load.
 
         Raises
         ------
@@ -252,27 +485,44 @@ class Sensor:
             The scene has no camera.
         InputError
             ``load`` or ``exposure`` is of another kind.
+
+        Warns
+        -----
+        AccuracyWarning
+            More than 1 % of the pixels are saturated; once per sensor.
         """
         number = exposure if exposure is not None else int(load is not None)
         if not isinstance(number, int | np.integer) or number < 0:
             raise InputError(f"exposure = {number!r}: allowed are whole numbers from 0")
         motion = self._moved(load)
-        radiance = self.renderer.radiance(self.ellipsoids(motion), motion.cover if motion is not None else None)
-        return self._exposed(radiance, number)
+        cover = motion.cover if motion is not None else None
+        return self._exposed(self.renderer.radiance(self.ellipsoids(motion), cover), number)
 
     def seen(self, motion: Motion | None, exposure: int) -> tuple[Picture, Outlines]:
-        """Return `picture` and the markers' visible outlines, for little more than the price of the first."""
+        """Return `picture` and the markers' visible outlines, for little more than the picture's
+        time."""
         cover = motion.cover if motion is not None else None
         radiance, outlines = self.renderer.seen(self.ellipsoids(motion), cover)
         return self._exposed(radiance, exposure), outlines
 
     def _exposed(self, radiance: Singles, exposure: int) -> Picture:
-        from twin.world.picture.exposure import expose
+        from twin.world.picture.ccd import expose, saturated_share
 
-        return expose(radiance, self.nominal.ccd, stream(self.nominal.seed, Purpose.EXPOSURE, exposure), self.pattern)
+        noise = stream(self.nominal.seed, Purpose.EXPOSURE, exposure)
+        picture = expose(radiance, self.nominal.ccd, noise, self.pattern)
+        share = saturated_share(picture)
+        if share > SATURATED and self.saturation is None:
+            self.saturation = (
+                f"{100 * share:.2g} % of the pixels are saturated, where markers are lost or "
+                f"moved: lower ccd.exposure ({self.nominal.ccd.exposure:g}) or ccd.white_dn "
+                f"({self.nominal.ccd.white_dn:g})"
+            )
+            warnings.warn(self.saturation, AccuracyWarning, stacklevel=4)
+        return picture
 
-    def picture_truth(self, load: Load | Motion | None) -> PictureTruth:
-        """Return the truth beside `picture`: which marker each pixel shows, how deep, how far each has moved.
+    @one_blas_thread()
+    def picture_truth(self, load: Load | ContactState | Motion | None) -> PictureTruth:
+        """Return the truth of `picture`: by pixel the marker, its depth and its motion.
 
         Raises
         ------
@@ -280,13 +530,15 @@ class Sensor:
             The scene has no camera.
         """
         names = list(self.nominal.markers)
-        layer = np.array([names.index(name) for name in self.actual.markers.layer.tolist()], np.int64)
-        return self.renderer.truth(self.ellipsoids(load), self.ellipsoids(None), layer)
+        layers = [names.index(name) for name in self.actual.markers.layer.tolist()]
+        return self.renderer.truth(
+            self.ellipsoids(load), self.ellipsoids(None), np.array(layers, np.int64)
+        )
 
     @cached_property
     def pattern(self) -> Pattern | None:
-        """What the CCD's pixels do alike in every picture, None for an even CCD."""
-        from twin.world.picture.exposure import fixed_pattern
+        """The fixed pattern of the CCD's pixels; None for an even CCD."""
+        from twin.world.picture.ccd import fixed_pattern
 
         camera = self.nominal.camera
         if camera is None:
@@ -294,37 +546,83 @@ class Sensor:
         own = stream(self.nominal.seed, Purpose.SENSOR_PATTERN)
         return fixed_pattern(self.nominal.ccd, (camera.height_px, camera.width_px), own)
 
-    def _moved(self, load: Load | Motion | None) -> Motion | None:
-        return load if load is None or isinstance(load, Motion) else self.motion(load)
+    def _moved(self, load: Load | ContactState | Motion | None) -> Motion | None:
+        return load if load is None or isinstance(load, Motion) else self.motion(_load_of(load))
 
-    def ellipsoids(self, load: Load | Motion | None) -> Ellipsoids:
-        """Return the actual markers as they stand under ``load``."""
-        from twin.world.picture.markers import ellipsoids
+    def ellipsoids(self, load: Load | ContactState | Motion | None) -> Ellipsoids:
+        """Return the actual markers' shapes under a load."""
+        from twin.world.picture.ellipsoids import ellipsoids
 
         markers, layers = self.actual.markers, self.actual.scene.markers
         motion = self._moved(load)
         if motion is None:
             return ellipsoids(markers, layers, prints=self.actual.prints)
-        return ellipsoids(markers, layers, motion.displacement_mm, motion.gradient, self.actual.prints)
+        return ellipsoids(
+            markers, layers, motion.displacement_mm, motion.gradient, self.actual.prints
+        )
 
     def project(self, points_mm: Points, which: Literal["actual", "nominal"] = "actual") -> Pixels:
-        """Return the (n, 2) picture places of points, seen by the actual or the nominal camera."""
+        """Return the (n, 2) pixels of (n, 3) points, mm, in the actual or the nominal camera.
+
+        A scene without a camera has no pixels: the result is (0, 2).
+
+        Raises
+        ------
+        InputError
+            ``which`` is neither "actual" nor "nominal".
+        """
+        if which not in ("actual", "nominal"):
+            raise InputError(f"which = {which!r:.60}: allowed are 'actual' and 'nominal'")
         scene = self.actual.scene if which == "actual" else self.nominal
         if scene.camera is None:
             return np.zeros((0, 2))
-        points = as_points(points_mm, "points_mm")
+        points = _as_points(points_mm, "points_mm")
         return project(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
 
     @cached_property
     def layout_px(self) -> dict[str, Pixels]:
-        """Nominal rest places of the markers by layer, px: what the tracker is told."""
+        """Nominal rest places of the markers by layer, px: input of the tracker."""
         pixels = self.project(self.nominal_markers.points, "nominal")
         return {name: pixels[self.nominal_markers.of(name)] for name in self.nominal.markers}
 
     @cached_property
     def sites(self) -> Rectangles:
-        """The sites where forces are reconstructed, as squares of the sites' pitch under no force yet."""
+        """The sites where forces are reconstructed, as squares of the sites' pitch."""
         if self.nominal.reconstruction is None:
             raise RecipeError("this scene has no [reconstruction] table, so there are no sites")
         grid = self.nominal.reconstruction.sites
-        return on_grid(self.nominal.body, grid, grid.pitch_mm / 2, "reconstruction.sites")
+        return on_surface(
+            self.nominal.body, grid.chart(), grid.pitch_mm / 2, "reconstruction.sites"
+        )
+
+
+def _load_of(load: Load | ContactState) -> Load:
+    """Return the load in the state of a press; a load stays itself."""
+    return getattr(load, "load", load)  # type: ignore[arg-type]
+
+
+def _covered(
+    scene: Scene, level: Literal["coarse", "nominal"], progress: Progress | None
+) -> CoveredCompliance | None:
+    """Return the compliance of a body whose cover is of another material; None without one."""
+    cover = scene.cover
+    if cover is None or (cover.youngs_modulus_mpa is None and cover.poisson_ratio is None):
+        return None
+    from twin.world.elasticity.coated import CoveredCompliance, own_layer
+
+    layer = own_layer(scene.material, cover)
+    if layer is None:
+        return None
+    return CoveredCompliance(
+        scene.body, scene.material, cover.thickness_mm, layer, level=level, progress=progress
+    )
+
+
+def _as_points(given: object, what: str) -> Points:
+    try:
+        points = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{what}: must be numbers of shape (n, 3), got {given!r:.60}") from None
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"{what}: must have shape (n, 3), got {points.shape}")
+    return points

@@ -1,34 +1,42 @@
-"""What `twin view` shows of a scene or of a run's folder: the deformed body with markers, tractions, stick and slip."""
+"""`twin view`: a deformed body with its markers, as a page (`view_scene`) or a film (`write_film`).
+
+Both show on which patches the probe sticks or slips.
+"""
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Points
+from twin.arrays import Floats, Ints, Picture, Points
+from twin.errors import ContactError, InputError, RecipeError
+from twin.files import write_whole
 from twin.parts.load import Rectangles
-from twin.parts.scene import Scene
-from twin.show.body import BodyFrame, BodyView
-from twin.show.words import cleaned
+from twin.parts.press import Press, Step, Triple
+from twin.show.body_view import BodyFrame, BodyView
+from twin.show.html_page import cleaned
 from twin.study.sensor import Sensor
 
 if TYPE_CHECKING:
     from twin.world.contact.contact_state import ContactState
+    from twin.world.elasticity.coated import CoveredCompliance
     from twin.world.elasticity.compliance import Compliance
-    from twin.world.elasticity.covered import Covered
 
 _FINE, _ROUNDS = 0.35, 6
-"""Triangles near the contact are quartered until their edges are below this share of its radius, in so many rounds."""
+"""Triangles near the contact are quartered until their edges are below this share of its radius, in
+so many rounds."""
 
 
 def body_view(sensor: Sensor) -> BodyView:
     """Return a sensor's body under its scene's press, a frame for every step of the path.
 
-    The surface and its motion are those of the coarsest mesh (half a per cent, which no eye sees), with smaller
-    triangles where it is pressed; markers move with the asked accuracy.
+    The surface and its motion are those of the coarsest mesh (half a per cent, which no eye sees),
+    with smaller triangles where it is pressed; markers move with the asked accuracy.
     """
     scene = sensor.nominal
     states = _states(sensor)
@@ -59,7 +67,9 @@ def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points,
     body = sensor.actual.scene.body
     mesh = body_mesh(body, "sketch", progress=sensor.progress)
     faces = mesh.faces
-    triangles = np.concatenate([faces[:, [0, 3, 5]], faces[:, [3, 1, 4]], faces[:, [5, 4, 2]], faces[:, [3, 4, 5]]])
+    triangles = np.concatenate(
+        [faces[:, [0, 3, 5]], faces[:, [3, 1, 4]], faces[:, [5, 4, 2]], faces[:, [3, 4, 5]]]
+    )
     used, numbers = np.unique(triangles, return_inverse=True)
     points, triangles = np.array(mesh.points[used]), numbers.reshape(-1, 3)
     pressed = [
@@ -82,12 +92,16 @@ def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points,
 def _quartered(points: Points, triangles: Ints, chosen: np.ndarray) -> tuple[Points, Ints]:
     """Cut triangles in four; their neighbours stay whole, which a picture doesn't show."""
     a, b, c = triangles[chosen].T
-    ends = np.sort(np.concatenate([np.stack(pair, axis=1) for pair in ((a, b), (b, c), (c, a))]), axis=1)
+    ends = np.sort(
+        np.concatenate([np.stack(pair, axis=1) for pair in ((a, b), (b, c), (c, a))]), axis=1
+    )
     ends, numbers = np.unique(ends, axis=0, return_inverse=True)
     ab, bc, ca = len(points) + numbers.reshape(3, -1)
     cut = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     added = points[ends].mean(axis=1)
-    return np.concatenate([points, added]), np.concatenate([triangles[~chosen], *(np.stack(t, axis=1) for t in cut)])
+    return np.concatenate([points, added]), np.concatenate(
+        [triangles[~chosen], *(np.stack(t, axis=1) for t in cut)]
+    )
 
 
 def _under_each(state: ContactState) -> list[tuple[Rectangles, ContactState]]:
@@ -109,8 +123,10 @@ def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | N
         traction_mpa=np.zeros((0, 3)),
         slip=np.zeros(0, bool),
     )
-    if state is None or not state.load.terms:
-        return rest if state is None else replace(rest, name=str(number), said="The probe has left the body.")
+    if state is None:
+        return rest
+    if not state.load.terms:
+        return replace(rest, name=str(number), said="The probe has left the body.")
     patches, touching = sensor.rectangles(state.load), [one for _, one in _under_each(state)]
     points = np.concatenate([_inside(sensor, corners), patches.centre_mm])
     surface = _drawn(sensor).displacement(points, patches)
@@ -129,22 +145,27 @@ def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | N
 
 def _said(state: ContactState) -> str:
     """Return what is under one probe."""
-    force = ", ".join(f"{f:.3g}" for f in cleaned([float(f) for f in state.force_n]))
-    slips = f"{100 * np.mean(state.slip):.0f} % of the contact slips" if state.friction else "no friction"
+    force = ", ".join(f"{f:.3g}" for f in cleaned(state.force_n.tolist()))
+    slips = "no friction"
+    if state.friction:
+        slips = f"{100 * np.mean(state.slip):.0f} % of the contact slips"
     return (
-        f"force ({force}) N, indentation {state.indentation_mm:.3g} mm, contact radius {state.contact_radius_mm:.3g} "
-        f"mm, largest pressure {state.peak_pressure_mpa:.3g} MPa, {slips}"
+        f"force ({force}) N, indentation {state.indentation_mm:.3g} mm, contact radius "
+        f"{state.contact_radius_mm:.3g} mm, largest pressure {state.peak_pressure_mpa:.3g} MPa, "
+        f"{slips}"
     )
 
 
-def _drawn(sensor: Sensor) -> Compliance | Covered:
+def _drawn(sensor: Sensor) -> Compliance | CoveredCompliance:
     """Return the compliance that moves the surface."""
     from twin.world.elasticity.compliance import Compliance
 
     scene = sensor.actual.scene
     if not isinstance(sensor.compliance, Compliance):
         return sensor.compliance
-    return Compliance(scene.body, scene.material, level="sketch", table=False, progress=sensor.progress)
+    return Compliance(
+        scene.body, scene.material, level="sketch", table=False, progress=sensor.progress
+    )
 
 
 def _inside(sensor: Sensor, points: Points) -> Points:
@@ -162,14 +183,106 @@ def _corners(patches: Rectangles) -> Floats:
     """Return the (k, 4, 3) corners of rectangles."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     across = patches.half_mm[:, None, :] * signs
-    return np.asarray(patches.centre_mm[:, None] + np.einsum("kca,kai->kci", across, patches.frames[:, :2]))
+    return np.asarray(
+        patches.centre_mm[:, None] + np.einsum("kca,kai->kci", across, patches.frames[:, :2])
+    )
 
 
-def view_scene(scene: Scene, out: Path, sensor: Sensor | None = None) -> str:
-    """Write the page of a scene and return a line about it."""
-    from twin.results import write_whole
-    from twin.show.body import body_page
+def view_scene(sensor: Sensor, out: Path) -> str:
+    """Write the page of a sensor's scene and return a line about it."""
+    from twin.show.body_view import body_page
 
-    page = body_page(body_view(sensor or Sensor(scene)))
-    write_whole(out, lambda f: f.write(page.encode()))
+    write_whole(out, body_page(body_view(sensor)).encode())
     return f"written to {out}; open it in a browser"
+
+
+PARTS = 8
+"""Frames of a step."""
+
+_FRAME_MS, _LAST_MS = 120, 1200
+FILMS = {".gif": "GIF", ".png": "PNG"}
+"""GIF, or animated PNG, which keeps every colour."""
+
+
+def in_parts(press: Press, parts: int = PARTS) -> Press:
+    """Return the press with every step of its path, and of further probes', in equal parts.
+
+    Forces and torques grow from those of the step before, motions and turns are shared out; what
+    was held by motion before takes its force at once. An oblique press is left as it is, as its
+    forces and motions mix.
+    """
+    if press.direction is not None:
+        return press
+    before, steps = Step(force_n=(0.0, 0.0, 0.0), torque_nmm=(0.0, 0.0, 0.0)), []
+    for last, step in pairwise((before, *press.path)):
+        for share in ((part + 1) / parts for part in range(parts)):
+            steps.append(
+                Step(
+                    force_n=_grown(last.force_n, step.force_n, share),
+                    torque_nmm=_grown(last.torques_nmm, step.torques_nmm, share),
+                    move_mm=_shared(step.move_mm, parts),
+                    turn_deg=_shared(step.turns_deg, parts),
+                )
+            )
+    also = tuple(in_parts(other, parts) for other in press.also)
+    changes = {"steps": tuple(steps), "force_n": None, "indentation_mm": None, "also": also}
+    return Press.model_validate(press.model_copy(update=changes).model_dump())
+
+
+def _grown(last: Triple, now: Triple, share: float) -> Triple:
+    x, y, z = (
+        b if a is None or b is None else a + share * (b - a) for a, b in zip(last, now, strict=True)
+    )
+    return x, y, z
+
+
+def _shared(now: Triple, parts: int) -> Triple:
+    x, y, z = (None if value is None else value / parts for value in now)
+    return x, y, z
+
+
+def _film_of(sensor: Sensor) -> list[Picture]:
+    """Return the pictures from rest along the press's path, each with noise of its own."""
+    scene = sensor.nominal
+    for table, there in (("camera", scene.camera), ("press", scene.press)):
+        if there is None:
+            raise RecipeError(
+                f"this scene has no [{table}] table, so there is no film of its press"
+            )
+    assert scene.press is not None
+    if sensor.progress is not None:
+        sensor.progress("contact", 0.1)
+    state = sensor.press(in_parts(scene.press))
+    if not state.complete:
+        raise ContactError(f"press: {state.reason}")
+    pictures = [sensor.picture(None)]
+    for number, one in enumerate(state.path, start=1):
+        if sensor.progress is not None:
+            sensor.progress("pictures", 0.3 + 0.7 * number / len(state.path))
+        pictures.append(sensor.picture(sensor.motion(one.load), number))
+    return pictures
+
+
+def write_film(sensor: Sensor, out: Path) -> str:
+    """Write a scene's film as one animated picture and return a line about it.
+
+    Raises
+    ------
+    InputError
+        The file's name ends in neither .gif nor .png.
+    RecipeError
+        The scene has no camera or no press.
+    ContactError
+        The path can't be taken to its end.
+    """
+    from PIL import Image
+
+    kind = FILMS.get(out.suffix.lower())
+    if kind is None:
+        raise InputError(f"--out {out}: a film ends in {' or '.join(FILMS)}")
+    frames = [Image.fromarray(picture) for picture in _film_of(sensor)]
+    times = [_FRAME_MS] * (len(frames) - 1) + [_LAST_MS]
+    file = io.BytesIO()
+    frames[0].save(file, kind, save_all=True, append_images=frames[1:], duration=times, loop=0)
+    write_whole(out, file.getvalue())
+    return f"written to {out}: {len(frames)} pictures"

@@ -1,12 +1,31 @@
 """The elastic half-space under point forces and uniform rectangles: displacement, gradient, stress.
 
-Each rectangle (`twin.parts.load.Rectangles`) lies on the surface of its own half-space: the plane through its centre,
-normal to the third row of its frame. Rectangles of no size are point forces. The closed forms, their sources and
-their sign are in `twin.theory.halfspace_kernels`.
+Each rectangle (`twin.parts.load.Rectangles`) lies on the surface of its own half-space: the plane
+through its centre, normal to the third row of its frame. Rectangles of no size are point forces.
 
-Validity: small strain, linear isotropic rubber, points on or below every rectangle's plane. A real body is not a
-half-space: on the 40 mm block these formulas alone are 9 to 17 % wrong, so they are the first half of the answer
-(`twin.world.elasticity.compliance` adds the rest), or the model that a sensor believes in.
+Everything derives from three harmonic functions of the distance r from the load, z into the body
+(A. E. H. Love 1929, Phil. Trans. A 228; K. L. Johnson, Contact Mechanics, ch. 3): with
+H = z ln(r + z) - r the displacement of a force f on the surface is
+
+    u_i = c [delta_ij / r + x_i x_j / r^3 + (1 - 2 nu) V_ij] f_j,     c = (1 + nu) / (2 pi E),
+    V_xx = -H_xx, V_xy = -H_xy, V_yy = -H_yy,
+    V_xz = -V_zx = -H_xz, V_yz = -V_zy = -H_yz, V_zz = H_zz = 1/r.
+
+A uniform rectangle is the same, integrated twice: sums over the corners (x -+ a, y -+ b) with
+alternating sign of a coordinate times a logarithm or an arctangent. Those with the same factor are
+brought together in pairs first: fewer are left to compute, and nothing cancels that needn't. For
+nu < 1/2 the three arctangents of a corner are two, since
+
+    atan[xy / (zr)] = atan[xy (r - z) / (x^2 r + y^2 z)] + atan[xy (r - z) / (y^2 r + x^2 z)].
+
+The kernels work in the frame of the load and return everything divided by c, per unit force. k is
+1 - 2 nu; -nu/pi n . f with n_j = x_j / r^3 is lambda div u, which stays finite at nu = 1/2.
+
+Validity: small strain, linear isotropic rubber, points on or below every rectangle's plane, sides
+of 1e-30 to 1e30 mm. Infinite values on a rectangle's edges at the surface are given as finite. A
+real body is not a half-space: on the 40 mm block these formulas alone are 9 to 17 % wrong, so they
+are the first half of the answer (`twin.world.elasticity.compliance` adds the rest), or the model
+that a sensor believes in.
 """
 
 from __future__ import annotations
@@ -18,53 +37,97 @@ import numpy as np
 from twin.arrays import Floats, Points
 from twin.compiled import njit
 from twin.parts.load import Rectangles
-from twin.theory.halfspace_kernels import rectangle_slopes, rectangle_terms
+
+GAUSS_2 = (-0.5773502691896257, 0.5773502691896257)
+"""Gauss points of order 2 on (-1, 1)."""
+
+_FAR_3, _FAR_2 = 8.0, 40.0
+"""Beyond these distances, in half diagonals, 3 x 3 and 2 x 2 Gauss points replace the corners
+(error below 1e-7)."""
+
+_TINY = 1e-300
+_CHUNK = 4_000_000
+"""Entries of a compliance matrix that are held at once."""
 
 
-def displacement(points: Points, load: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float) -> Points:
+def displacement(
+    points: Points, load: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float
+) -> Points:
     """Return the (n, 3) displacement in mm of ``points`` (n, 3) under all rectangles together."""
     if len(load) > 1 and not load.half_mm.any() and (load.frames == load.frames[0]).all():
         turn = load.frames[0]
-        parts = (np.ascontiguousarray((each @ turn.T).T) for each in (points, load.centre_mm, load.force_n))
+        parts = (
+            np.ascontiguousarray((each @ turn.T).T)
+            for each in (points, load.centre_mm, load.force_n)
+        )
         moved = np.zeros((3, len(points)))
         _of_point_forces(*parts, 1.0 - 2.0 * poisson_ratio, moved)
-        out = np.asarray(moved.T @ turn)
-    else:
-        out = np.zeros((len(points), 3))
-        _displacement(*_pairs(points, load), _c(load.force_n), 1.0 - 2.0 * poisson_ratio, out)
-    return out * scale(youngs_modulus_mpa, poisson_ratio)
-
-
-def compliance(points: Points, rectangles: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float) -> Floats:
-    """Return the (3 n, 3 k) displacement in mm/N of ``points`` under a unit force in x, y, z on each rectangle."""
-    out = np.empty((3 * len(points), 3 * len(rectangles)))
-    _compliance(*_pairs(points, rectangles), 1.0 - 2.0 * poisson_ratio, out)
-    out *= scale(youngs_modulus_mpa, poisson_ratio)
+        return np.asarray(moved.T @ turn) * _scale(youngs_modulus_mpa, poisson_ratio)
+    out = np.empty((len(points), 3))
+    step = max(1, _CHUNK // (9 * max(len(load), 1)))
+    for start in range(0, len(points), step):
+        some = slice(start, start + step)
+        moved = compliance(points[some], load, youngs_modulus_mpa, poisson_ratio)
+        out[some] = (moved @ load.force_n.ravel()).reshape(-1, 3)
     return out
 
 
-def gradient(points: Points, load: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float) -> Floats:
-    """Return (n, 3, 3) du_i/dx_j (no unit) at ``points``; infinite edge values at the surface are given as finite."""
-    out = np.zeros((len(points), 3, 3))
-    _gradient(*_pairs(points, load), _c(load.force_n), 1.0 - 2.0 * poisson_ratio, out)
-    return out * scale(youngs_modulus_mpa, poisson_ratio)
+def compliance(
+    points: Points, rectangles: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float
+) -> Floats:
+    """Return the (3 n, 3 k) displacement in mm/N of ``points`` under a unit force in x, y, z on
+    each rectangle."""
+    out = np.empty((3 * len(points), 3 * len(rectangles)))
+    _compliance(*_pairs(points, rectangles), 1.0 - 2.0 * poisson_ratio, out)
+    out *= _scale(youngs_modulus_mpa, poisson_ratio)
+    return out
+
+
+def normal_compliance(
+    rectangles: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float
+) -> Floats:
+    """Return the (k, k) normal displacement in mm/N of the centres of rectangles in one plane, with
+    frames along the axes, per unit normal force on each: the mean of 1 / r (Boussinesq; A. E. H.
+    Love, Phil. Trans. A 228 (1929))."""
+    out = np.empty((len(rectangles), len(rectangles)))
+    _normal(_c(rectangles.centre_mm), _c(rectangles.half_mm), out)
+    out *= (1.0 - poisson_ratio**2) / (math.pi * youngs_modulus_mpa)
+    return out
+
+
+def gradient(
+    points: Points, load: Rectangles, youngs_modulus_mpa: float, poisson_ratio: float
+) -> Floats:
+    """Return (n, 3, 3) du_i/dx_j (no unit) at ``points``."""
+    slope, _ = _slopes(points, load, poisson_ratio)
+    return slope * _scale(youngs_modulus_mpa, poisson_ratio)
 
 
 def stress(points: Points, load: Rectangles, poisson_ratio: float) -> Floats:
-    """Return the (n, 3, 3) stress in MPa at ``points``; E does not enter, and nu = 1/2 is no exception.
+    """Return the (n, 3, 3) stress in MPa at ``points``; E does not enter, and nu = 1/2 is no
+    exception.
 
     Notes
     -----
-    sigma = G (grad u + grad u^T) + lambda div u, where lambda div u = -(nu / pi) integral of f . x / r^3 stays finite.
+    sigma = G (grad u + grad u^T) + lambda div u, where lambda div u = -(nu / pi) integral of f . x
+    / r^3 stays finite.
     """
-    out = np.empty((len(points), 3, 3))
-    _stress(*_pairs(points, load), _c(load.force_n), poisson_ratio, out)
-    return out
+    slope, pull = _slopes(points, load, poisson_ratio)
+    out = 0.25 / math.pi * (slope + slope.transpose(0, 2, 1))
+    out[:, range(3), range(3)] -= poisson_ratio / math.pi * pull[:, None]
+    return np.asarray(out)
 
 
-def scale(youngs_modulus_mpa: float, poisson_ratio: float) -> float:
+def _scale(youngs_modulus_mpa: float, poisson_ratio: float) -> float:
     """Return c = (1 + nu) / (2 pi E), mm2/N: what the kernels leave out."""
     return (1.0 + poisson_ratio) / (2.0 * math.pi * youngs_modulus_mpa)
+
+
+def _slopes(points: Points, load: Rectangles, poisson_ratio: float) -> tuple[Floats, Floats]:
+    """Return du_i/dx_j over c (n, 3, 3), and the sums of n . f (n,)."""
+    slope, pull = np.zeros((len(points), 3, 3)), np.zeros(len(points))
+    _gradient(*_pairs(points, load), _c(load.force_n), 1.0 - 2.0 * poisson_ratio, slope, pull)
+    return slope, pull
 
 
 def _c(array: Floats) -> Floats:
@@ -77,7 +140,8 @@ def _pairs(points: Points, load: Rectangles) -> tuple[Floats, Floats, Floats, Fl
 
 @njit(cache=True)
 def _local(point: Floats, centre: Floats, frame: Floats) -> tuple[float, float, float]:
-    """Return the point in the rectangle's frame; round-off and hair's breadths above its plane count as on it."""
+    """Return the point in the rectangle's frame; round-off and hair's breadths above its plane
+    count as on it."""
     dx, dy, dz = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     x = frame[0, 0] * dx + frame[0, 1] * dy + frame[0, 2] * dz
     y = frame[1, 0] * dx + frame[1, 1] * dy + frame[1, 2] * dz
@@ -85,33 +149,12 @@ def _local(point: Floats, centre: Floats, frame: Floats) -> tuple[float, float, 
     return x, y, max(z, 0.0)
 
 
-@njit(cache=True)
-def _displacement(
-    points: Floats, centre: Floats, frames: Floats, half: Floats, force: Floats, k: float, out: Floats
-) -> None:
-    u, n = np.empty((3, 3)), np.empty(3)
-    local = np.empty_like(force)
-    for t in range(len(centre)):
-        local[t] = frames[t] @ force[t]
-    for q in range(len(points)):
-        for t in range(len(centre)):
-            frame = frames[t]
-            x, y, z = _local(points[q], centre[t], frame)
-            rectangle_terms(x, y, z, half[t, 0], half[t, 1], k, u, n)
-            fx, fy, fz = local[t]
-            ux = u[0, 0] * fx + u[0, 1] * fy + u[0, 2] * fz
-            uy = u[1, 0] * fx + u[1, 1] * fy + u[1, 2] * fz
-            uz = u[2, 0] * fx + u[2, 1] * fy + u[2, 2] * fz
-            for i in range(3):
-                out[q, i] += frame[0, i] * ux + frame[1, i] * uy + frame[2, i] * uz
-
-
 @njit(cache=True, fastmath={"reassoc", "contract"})
 def _of_point_forces(points: Floats, centre: Floats, force: Floats, k: float, out: Floats) -> None:
-    """Add to ``out`` (3, n) at ``points`` (3, n) the sums over forces (3, t) at ``centre`` (3, t), all in one frame.
+    """Add to ``out`` (3, n) at ``points`` (3, n) the sums over forces (3, t) at ``centre`` (3, t),
+    all in one frame.
 
-    `_displacement` of points only. Points run innermost, so that several are done at once without a sum among them: a
-    pair takes a thirtieth of the time.
+    Points run innermost, so that several are done at once: a pair takes a thirtieth of the time.
     """
     for t in range(centre.shape[1]):
         x, y, z = centre[0, t], centre[1, t], centre[2, t]
@@ -138,7 +181,9 @@ def _of_point_forces(points: Floats, centre: Floats, force: Floats, k: float, ou
 
 
 @njit(cache=True)
-def _compliance(points: Floats, centre: Floats, frames: Floats, half: Floats, k: float, out: Floats) -> None:
+def _compliance(
+    points: Floats, centre: Floats, frames: Floats, half: Floats, k: float, out: Floats
+) -> None:
     u, n, v = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for q in range(len(points)):
         for t in range(len(centre)):
@@ -157,65 +202,439 @@ def _compliance(points: Floats, centre: Floats, frames: Floats, half: Floats, k:
                 for j in range(3):
                     out[3 * q + i, 3 * t + j] = (
                         frame[0, i] * v[0, j] + frame[1, i] * v[1, j] + frame[2, i] * v[2, j]
-                    )  # fmt: skip
+                    )
 
 
-@njit(cache=True)
-def _local_gradient(
-    x: float, y: float, z: float, half: Floats, frame: Floats, force: Floats, k: float, d: Floats, n: Floats, g: Floats
-) -> None:
-    """Set g (3, 3) to du_i/dx_m of one rectangle in its own frame, over c, and n to the mean of x_j / r^3."""
-    rectangle_slopes(x, y, z, half[0], half[1], k, d, n)
-    g[:] = 0.0
-    for j in range(3):
-        f = frame[j, 0] * force[0] + frame[j, 1] * force[1] + frame[j, 2] * force[2]
-        for i in range(3):
-            for m in range(3):
-                g[i, m] += d[i, j, m] * f
-
-
-@njit(cache=True)
-def _add_turned(g: Floats, frame: Floats, out: Floats) -> None:
-    """Add a tensor given in the rectangle's frame to ``out`` in global axes."""
-    for i in range(3):
-        for m in range(3):
-            total = 0.0
-            for p in range(3):
-                for s in range(3):
-                    total += frame[p, i] * g[p, s] * frame[s, m]
-            out[i, m] += total
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _normal(centre: Floats, half: Floats, out: Floats) -> None:
+    """Set ``out`` (k, k) to the means of 1 / r over each rectangle, from each centre, by the same
+    rules as `rectangle_terms`."""
+    for t in range(len(centre)):
+        a, b = half[t]
+        size = a * a + b * b
+        for q in range(len(centre)):
+            x, y = centre[q, 0] - centre[t, 0], centre[q, 1] - centre[t, 1]
+            squared = x * x + y * y
+            if squared > _FAR_3 * _FAR_3 * size:
+                nodes = _FOUR if squared > _FAR_2 * _FAR_2 * size else _NINE
+                mean = 0.0
+                for i in range(len(nodes)):
+                    px, py = x - a * nodes[i, 0], y - b * nodes[i, 1]
+                    mean += nodes[i, 2] / math.sqrt(px * px + py * py)
+                out[q, t] = mean
+                continue
+            x1, x2, y1, y2 = x + a, x - a, y + b, y - b
+            xx1, xx2, yy1, yy2 = x1 * x1, x2 * x2, y1 * y1, y2 * y2
+            r11, r12 = math.sqrt(xx1 + yy1), math.sqrt(xx1 + yy2)
+            r21, r22 = math.sqrt(xx2 + yy1), math.sqrt(xx2 + yy2)
+            x_log_y = x1 * _log_ratio(y1, r11, y2, r12, xx1)
+            x_log_y -= x2 * _log_ratio(y1, r21, y2, r22, xx2)
+            y_log_x = y1 * _log_ratio(x1, r11, x2, r21, yy1)
+            y_log_x -= y2 * _log_ratio(x1, r12, x2, r22, yy2)
+            out[q, t] = (x_log_y + y_log_x) * 0.25 / (a * b)
 
 
 @njit(cache=True)
 def _gradient(
-    points: Floats, centre: Floats, frames: Floats, half: Floats, force: Floats, k: float, out: Floats
+    points: Floats,
+    centre: Floats,
+    frames: Floats,
+    half: Floats,
+    force: Floats,
+    k: float,
+    out: Floats,
+    pull: Floats,
 ) -> None:
+    """Add du_i/dx_m over c to ``out`` (n, 3, 3) and n . f to ``pull`` (n,), of all rectangles."""
     d, n, g = np.empty((3, 3, 3)), np.empty(3), np.empty((3, 3))
     for q in range(len(points)):
         for t in range(len(centre)):
-            x, y, z = _local(points[q], centre[t], frames[t])
-            _local_gradient(x, y, z, half[t], frames[t], force[t], k, d, n, g)
-            _add_turned(g, frames[t], out[q])
+            frame = frames[t]
+            x, y, z = _local(points[q], centre[t], frame)
+            rectangle_slopes(x, y, z, half[t, 0], half[t, 1], k, d, n)
+            g[:] = 0.0
+            for j in range(3):
+                f = (
+                    frame[j, 0] * force[t, 0]
+                    + frame[j, 1] * force[t, 1]
+                    + frame[j, 2] * force[t, 2]
+                )
+                pull[q] += n[j] * f
+                for i in range(3):
+                    for m in range(3):
+                        g[i, m] += d[i, j, m] * f
+            # back to global axes
+            for i in range(3):
+                for m in range(3):
+                    total = 0.0
+                    for p in range(3):
+                        for s in range(3):
+                            total += frame[p, i] * g[p, s] * frame[s, m]
+                    out[q, i, m] += total
 
 
 @njit(cache=True)
-def _stress(
-    points: Floats, centre: Floats, frames: Floats, half: Floats, force: Floats, nu: float, out: Floats
+def rectangle_terms(
+    x: float, y: float, z: float, a: float, b: float, k: float, u: Floats, n: Floats
 ) -> None:
-    k = 1.0 - 2.0 * nu
-    d, n, g, s = np.empty((3, 3, 3)), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    for q in range(len(points)):
-        out[q] = 0.0
-        for t in range(len(centre)):
-            frame = frames[t]
-            x, y, z = _local(points[q], centre[t], frame)
-            _local_gradient(x, y, z, half[t], frame, force[t], k, d, n, g)
-            mean = 0.0
-            for j in range(3):
-                f = frame[j, 0] * force[t, 0] + frame[j, 1] * force[t, 1] + frame[j, 2] * force[t, 2]
-                mean -= nu / math.pi * n[j] * f
-            for i in range(3):
-                for m in range(3):
-                    s[i, m] = 0.25 / math.pi * (g[i, m] + g[m, i])
-                s[i, i] += mean
-            _add_turned(s, frame, out[q])
+    """Set u (3, 3) and n (3,) to the mean over the rectangle -a..a by -b..b; a = b = 0 is a
+    point force."""
+    distance, size = x * x + y * y + z * z, a * a + b * b
+    if size == 0.0:
+        if distance == 0.0:
+            raise ZeroDivisionError("a point force moves its own place infinitely far")
+        _point_terms(x, y, z, a, b, k, _ONE, u, n)
+    elif distance > _FAR_2 * _FAR_2 * size:
+        _point_terms(x, y, z, a, b, k, _FOUR, u, n)
+    elif distance > _FAR_3 * _FAR_3 * size:
+        _point_terms(x, y, z, a, b, k, _NINE, u, n)
+    else:
+        _closed_terms(x, y, z, a, b, k, u, n)
+
+
+@njit(cache=True)
+def rectangle_slopes(
+    x: float, y: float, z: float, a: float, b: float, k: float, d: Floats, n: Floats
+) -> None:
+    """Set d (3, 3, 3), du_i/dx_m per unit force j, and n (3,) to the mean over the rectangle -a..a
+    by -b..b."""
+    d[:] = 0.0
+    n[:] = 0.0
+    distance, size = x * x + y * y + z * z, a * a + b * b
+    if size > 0.0 and distance <= _FAR_3 * _FAR_3 * size:
+        _closed_slopes(x, y, z, a, b, k, d, n)
+        return
+    nodes = _ONE if size == 0.0 else (_FOUR if distance > _FAR_2 * _FAR_2 * size else _NINE)
+    for q in range(len(nodes)):
+        _point_slopes(x - a * nodes[q, 0], y - b * nodes[q, 1], z, k, nodes[q, 2], d, n)
+
+
+def _gauss(order: int) -> Floats:
+    """Return (order^2, 3) Gauss points of a square, and weights that sum to one."""
+    at, weight = np.polynomial.legendre.leggauss(order)
+    x, y = np.meshgrid(at, at, indexing="ij")
+    return np.column_stack([x.ravel(), y.ravel(), np.outer(weight, weight).ravel() / 4.0])
+
+
+_ONE, _FOUR, _NINE = _gauss(1), _gauss(2), _gauss(3)
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _point_terms(
+    x: float, y: float, z: float, a: float, b: float, k: float, nodes: Floats, u: Floats, n: Floats
+) -> None:
+    """Set u (3, 3), indexed [displacement, force], and n_j = x_j / r^3 (3,) to the weighted sums
+    over point forces.
+
+    ``nodes`` are (q, 3) places, as shares of a and b, and weights. ``k`` is 1 - 2 nu. -nu/pi n . f
+    is lambda div u, which stays finite at nu = 1/2. The sums may be taken in any order, so that
+    several points are done at once.
+    """
+    one, xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    nx, ny, nz = 0.0, 0.0, 0.0
+    for q in range(len(nodes)):
+        px, py, weight = x - a * nodes[q, 0], y - b * nodes[q, 1], nodes[q, 2]
+        r2 = px * px + py * py + z * z
+        wr = weight / math.sqrt(r2)
+        w3 = wr / r2
+        tx, ty, tz = px * w3, py * w3, z * w3
+        one += wr
+        xx += px * tx
+        yy += py * ty
+        zz += z * tz
+        xy += px * ty
+        xz += px * tz
+        yz += py * tz
+        nx += tx
+        ny += ty
+        nz += tz
+    v00, v11, v01, v02, v12 = 0.0, 0.0, 0.0, 0.0, 0.0
+    if k != 0.0:
+        for q in range(len(nodes)):
+            px, py, weight = x - a * nodes[q, 0], y - b * nodes[q, 1], nodes[q, 2]
+            r = math.sqrt(px * px + py * py + z * z)
+            ws = weight / (r + z)
+            wrs = ws / r
+            wrss = wrs / (r + z)
+            v00 += ws - px * px * wrss
+            v11 += ws - py * py * wrss
+            v01 -= px * py * wrss
+            v02 -= px * wrs
+            v12 -= py * wrs
+    u[0, 0], u[1, 1], u[2, 2] = one + xx + k * v00, one + yy + k * v11, one * (1.0 + k) + zz
+    u[0, 1] = u[1, 0] = xy + k * v01
+    u[0, 2], u[2, 0] = xz + k * v02, xz - k * v02
+    u[1, 2], u[2, 1] = yz + k * v12, yz - k * v12
+    n[0], n[1], n[2] = nx, ny, nz
+
+
+@njit(cache=True)
+def _point_slopes(
+    x: float, y: float, z: float, k: float, weight: float, d: Floats, n: Floats
+) -> None:
+    """Add ``weight`` times d[i, j, m] = du_i/dx_m per unit force j, (3, 3, 3), and n_j = x_j / r^3
+    to (3,)."""
+    p = (x, y, z)
+    over_r = 1.0 / math.sqrt(x * x + y * y + z * z)
+    w3 = weight * over_r * over_r * over_r
+    w5 = 3.0 * w3 * over_r * over_r
+    for i in range(3):
+        for j in range(3):
+            for m in range(3):
+                d[i, j, m] -= p[i] * p[j] * p[m] * w5
+        for m in range(3):
+            d[i, i, m] -= p[m] * w3
+            d[i, m, i] += p[m] * w3
+            d[i, m, m] += p[i] * w3
+        n[i] += p[i] * w3
+    if k == 0.0:
+        return
+    s = 1.0 / (1.0 / over_r + z)
+    t = over_r * s * s
+    q = k * weight * t * over_r * (over_r + 2.0 * s)
+    t *= k * weight
+    v = k * weight * over_r * s * over_r * (over_r + s)
+    hxxx, hxxy = x * (3.0 * t - x * x * q), y * (t - x * x * q)
+    hxyy, hyyy = x * (t - y * y * q), y * (3.0 * t - y * y * q)
+    hz = k * weight * over_r * s
+    hxxz, hyyz, hxyz = hz - x * x * v, hz - y * y * v, -x * y * v
+    w3 *= k
+    _add_slopes(d, hxxx, hxxy, hxyy, hyyy, hxxz, hyyz, hxyz, -x * w3, -y * w3, -z * w3)
+
+
+@njit(cache=True, inline="always")
+def _log(over: float, under: float) -> float:
+    """Return ln(over / under), neither negative; one that is 0 counts as 1."""
+    return math.log((over if over > 0.0 else 1.0) / (under if under > 0.0 else 1.0))
+
+
+@njit(cache=True, inline="always")
+def _log_ratio(y1: float, r1: float, y2: float, r2: float, rest: float) -> float:
+    """Return ln[(y1 + r1) / (y2 + r2)] with y1 > y2 and r^2 = y^2 + rest, without cancellation; 0
+    if infinite."""
+    if y2 >= 0.0:
+        over, under = y1 + r1, y2 + r2
+    elif y1 < 0.0:
+        over, under = r2 - y2, r1 - y1
+    else:
+        over, under = (y1 + r1) * (r2 - y2), rest
+    return math.log(over / under) if under > _TINY * over else 0.0
+
+
+@njit(cache=True, inline="always")
+def _turn(s1: float, c1: float, s2: float, c2: float) -> float:
+    """Return atan(s1 / c1) - atan(s2 / c2), c1 and c2 not negative."""
+    return math.atan2(s1 * c2 - c1 * s2, c1 * c2 + s1 * s2)
+
+
+@njit(cache=True, inline="always")
+def _over(y: float, r: float, rest: float) -> float:
+    """Return 1 / [r (r + y)] without cancellation; 0 on the line where it is singular."""
+    if r == 0.0 or rest == 0.0:
+        return 0.0 if y <= 0.0 or r == 0.0 else 0.5 / (r * r)
+    return 1.0 / (r * (r + y)) if y >= 0.0 else (r - y) / (r * rest)
+
+
+@njit(cache=True)
+def _solid_angle(
+    x1: float,
+    x2: float,
+    y1: float,
+    y2: float,
+    z: float,
+    r11: float,
+    r12: float,
+    r21: float,
+    r22: float,
+) -> float:
+    """Return the sum of atan(x y / (z r)) over the corners, signs alternating: the solid angle of
+    the rectangle.
+
+    It is the argument of a product of four complex numbers, up to a turn: more than pi is seen from
+    above the rectangle only, and seen past its edges never less than 0 but by round-off.
+    """
+    if z > 0.0:
+        a, b = x1 * z * (y1 * r12 - y2 * r11), z * z * r11 * r12 + x1 * x1 * y1 * y2
+        c, d = x2 * z * (y2 * r21 - y1 * r22), z * z * r21 * r22 + x2 * x2 * y1 * y2
+        angle = math.atan2(a * d + b * c, b * d - a * c)
+        return angle + 2.0 * math.pi if angle < 0.0 and x1 > 0.0 > x2 and y1 > 0.0 > y2 else angle
+    # the limit z -> 0 of atan(x y / (z r)) is a quarter turn of the sign of x y
+    one, two = math.atan2(x1 * y1, 0.0), math.atan2(x1 * y2, 0.0)
+    return one - two - math.atan2(x2 * y1, 0.0) + math.atan2(x2 * y2, 0.0)
+
+
+@njit(cache=True)
+def _closed_terms(
+    x: float, y: float, z: float, a: float, b: float, k: float, u: Floats, n: Floats
+) -> None:
+    """Set u (3, 3) and n (3,), to the means over -a..a by -b..b."""
+    x1, x2, y1, y2 = x + a, x - a, y + b, y - b
+    xx1, xx2, yy1, yy2, zz = x1 * x1, x2 * x2, y1 * y1, y2 * y2, z * z
+    r11, r12 = math.sqrt(xx1 + yy1 + zz), math.sqrt(xx1 + yy2 + zz)
+    r21, r22 = math.sqrt(xx2 + yy1 + zz), math.sqrt(xx2 + yy2 + zz)
+    log_y1, log_y2 = _log_ratio(y1, r11, y2, r12, xx1 + zz), _log_ratio(y1, r21, y2, r22, xx2 + zz)
+    log_x1, log_x2 = _log_ratio(x1, r11, x2, r21, yy1 + zz), _log_ratio(x1, r12, x2, r22, yy2 + zz)
+    x_log_y, y_log_x = x1 * log_y1 - x2 * log_y2, y1 * log_x1 - y2 * log_x2
+    log_y, log_x, r = log_y1 - log_y2, log_x1 - log_x2, r11 - r12 - r21 + r22
+    xy, xz, yz, w = -r, -z * log_y, -z * log_x, 0.25 / (a * b)
+    v00, v11, s1, s2 = 0.0, 0.0, 0.0, 0.0
+    if k == 0.0:
+        angle = _solid_angle(x1, x2, y1, y2, z, r11, r12, r21, r22)
+    else:
+        s11, s12 = x1 * y1 * (r11 - z), x1 * y2 * (r12 - z)
+        s21, s22 = x2 * y1 * (r21 - z), x2 * y2 * (r22 - z)
+        turn_y1 = _turn(s11, xx1 * r11 + yy1 * z, s12, xx1 * r12 + yy2 * z)
+        turn_y2 = _turn(s21, xx2 * r21 + yy1 * z, s22, xx2 * r22 + yy2 * z)
+        turn_x1 = _turn(s11, yy1 * r11 + xx1 * z, s21, yy1 * r21 + xx2 * z)
+        turn_x2 = _turn(s12, yy2 * r12 + xx1 * z, s22, yy2 * r22 + xx2 * z)
+        angle = turn_y1 - turn_y2 + turn_x1 - turn_x2
+        log_1, log_2, across = (
+            _log(r11 + z, r12 + z),
+            _log(r21 + z, r22 + z),
+            _log(r12 + z, r22 + z),
+        )
+        s1 = k * (
+            y1 * (log_1 - log_2 + across) - y2 * across + z * log_y + x1 * turn_y1 - x2 * turn_y2
+        )
+        s2 = k * (x1 * log_1 - x2 * log_2 + z * log_x + y1 * turn_x1 - y2 * turn_x2)
+        v00, v11 = k * (x_log_y - z * (turn_y1 - turn_y2)), k * (y_log_x - z * (turn_x1 - turn_x2))
+        xy -= k * (z * (log_1 - log_2) - r)
+    potential = x_log_y + y_log_x - z * angle
+    u[0, 0] = w * (2.0 * potential - x_log_y + v00)
+    u[1, 1] = w * (2.0 * potential - y_log_x + v11)
+    u[2, 2] = w * ((1.0 + k) * potential + z * angle)
+    u[0, 1] = w * xy
+    u[1, 0] = w * xy
+    u[0, 2] = w * (xz - s1)
+    u[2, 0] = w * (xz + s1)
+    u[1, 2] = w * (yz - s2)
+    u[2, 1] = w * (yz + s2)
+    n[0] = -w * log_y
+    n[1] = -w * log_x
+    n[2] = w * angle
+
+
+@njit(cache=True)
+def _closed_slopes(
+    x: float, y: float, z: float, a: float, b: float, k: float, d: Floats, n: Floats
+) -> None:
+    """Add the means of `_point_slopes` over the rectangle -a..a by -b..b."""
+    x1, x2, y1, y2 = x + a, x - a, y + b, y - b
+    xx1, xx2, yy1, yy2, zz = x1 * x1, x2 * x2, y1 * y1, y2 * y2, z * z
+    r11, r12 = math.sqrt(xx1 + yy1 + zz), math.sqrt(xx1 + yy2 + zz)
+    r21, r22 = math.sqrt(xx2 + yy1 + zz), math.sqrt(xx2 + yy2 + zz)
+    w = 0.25 / (a * b)
+    log_y = w * (_log_ratio(y1, r11, y2, r12, xx1 + zz) - _log_ratio(y1, r21, y2, r22, xx2 + zz))
+    log_x = w * (_log_ratio(x1, r11, x2, r21, yy1 + zz) - _log_ratio(x1, r12, x2, r22, yy2 + zz))
+    angle = w * _solid_angle(x1, x2, y1, y2, z, r11, r12, r21, r22)
+    a_sum, xa, xxa, b_sum, yb, yyb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    over, xr, yr, xs, ys = 0.0, 0.0, 0.0, 0.0, 0.0
+    for p, q, r, sign in ((x1, y1, r11, w), (x2, y2, r22, w), (x2, y1, r21, -w), (x1, y2, r12, -w)):
+        first, second = sign * _over(q, r, p * p + zz), sign * _over(p, r, q * q + zz)
+        a_sum += first
+        xa += p * first
+        xxa += p * p * first
+        b_sum += second
+        yb += q * second
+        yyb += q * q * second
+        over_r = sign / r if r > 0.0 else 0.0
+        over += over_r
+        xr += p * over_r
+        yr += q * over_r
+        if k != 0.0:
+            s = sign / (r + z) if r + z > 0.0 else 0.0
+            xs += p * s
+            ys += q * s
+    for i in range(2):
+        d[i, i, 0] += 2.0 * log_y
+        d[i, i, 1] += 2.0 * log_x
+        d[i, i, 2] -= 2.0 * angle
+    d[2, 2, 0] += log_y - zz * a_sum
+    d[2, 2, 1] += log_x - zz * b_sum
+    d[2, 2, 2] += z * (xa + yb)
+    d[0, 0, 0] -= log_y + xxa
+    d[0, 0, 1] -= xr
+    d[0, 0, 2] -= z * xa
+    d[1, 1, 0] -= yr
+    d[1, 1, 1] -= log_x + yyb
+    d[1, 1, 2] -= z * yb
+    for i, j in ((0, 1), (1, 0)):
+        d[i, j, 0] -= xr
+        d[i, j, 1] -= yr
+        d[i, j, 2] -= z * over
+    for i, j in ((0, 2), (2, 0)):
+        d[i, j, 0] -= z * xa
+        d[i, j, 1] -= z * over
+        d[i, j, 2] -= log_y + zz * a_sum
+    for i, j in ((1, 2), (2, 1)):
+        d[i, j, 0] -= z * over
+        d[i, j, 1] -= z * yb
+        d[i, j, 2] -= log_x + zz * b_sum
+    n[0] -= log_y
+    n[1] -= log_x
+    n[2] += angle
+    if k == 0.0:
+        return
+    log_z = w * (_log(r11 + z, r12 + z) - _log(r21 + z, r22 + z))
+    turn = _turn(x1 * y1 * (r11 - z), xx1 * r11 + yy1 * z, x1 * y2 * (r12 - z), xx1 * r12 + yy2 * z)
+    turn -= _turn(
+        x2 * y1 * (r21 - z), xx2 * r21 + yy1 * z, x2 * y2 * (r22 - z), xx2 * r22 + yy2 * z
+    )
+    turn *= w
+    _add_slopes(
+        d,
+        k * (ys - log_y),
+        -k * xs,
+        -k * ys,
+        k * (xs - log_x),
+        k * turn,
+        k * (angle - turn),
+        k * log_z,
+        k * log_y,
+        k * log_x,
+        -k * angle,
+    )
+
+
+@njit(cache=True)
+def _add_slopes(
+    d: Floats,
+    hxxx: float,
+    hxxy: float,
+    hxyy: float,
+    hyyy: float,
+    hxxz: float,
+    hyyz: float,
+    hxyz: float,
+    hxzz: float,
+    hyzz: float,
+    hzzz: float,
+) -> None:
+    """Add the slopes of V from the third derivatives of H (or of its twofold integral)."""
+    d[0, 0, 0] -= hxxx
+    d[0, 0, 1] -= hxxy
+    d[0, 0, 2] -= hxxz
+    d[1, 1, 0] -= hxyy
+    d[1, 1, 1] -= hyyy
+    d[1, 1, 2] -= hyyz
+    d[0, 1, 0] -= hxxy
+    d[0, 1, 1] -= hxyy
+    d[0, 1, 2] -= hxyz
+    d[1, 0, 0] -= hxxy
+    d[1, 0, 1] -= hxyy
+    d[1, 0, 2] -= hxyz
+    d[0, 2, 0] -= hxxz
+    d[0, 2, 1] -= hxyz
+    d[0, 2, 2] -= hxzz
+    d[2, 0, 0] += hxxz
+    d[2, 0, 1] += hxyz
+    d[2, 0, 2] += hxzz
+    d[1, 2, 0] -= hxyz
+    d[1, 2, 1] -= hyyz
+    d[1, 2, 2] -= hyzz
+    d[2, 1, 0] += hxyz
+    d[2, 1, 1] += hyyz
+    d[2, 1, 2] += hyzz
+    d[2, 2, 0] += hxzz
+    d[2, 2, 1] += hyzz
+    d[2, 2, 2] += hzzz

@@ -1,114 +1,55 @@
-"""Rigid beads in incompressible rubber under a free flat surface: how they move and what they do to their neighbours.
+"""Rigid beads in incompressible rubber under a free flat surface: how they move and what they do to
+their neighbours.
 
-Markers that nobody says are stiff are passive points. A hard bead differs in two ways. It can't strain, so it moves
-with the mean of the field over its surface, and it pushes back on the rubber around it, which moves the other beads.
+Markers are passive points unless declared stiff. A hard bead differs in two ways. It can't
+strain, so it moves with the mean of the field over its surface, and it pushes back on the rubber
+around it, which moves the other beads.
 
-Why the mean over the surface: a rigid sphere that is pushed through an endless elastic body has the same traction all
-over its surface, F / (4 pi a^2), because the field of an even shell of point forces, (1 + a^2/6 laplacian) G F, is the
-same everywhere on the shell: on r = a the parts along the radius cancel. The reciprocal theorem with a bead that
-carries no force then gives the mean over the surface, u + a^2/6 laplacian(u), exactly, as displacements are biharmonic.
-This is Faxen's first law for slow flow, and holds at every Poisson's ratio. The factor 1/10 belongs to the mean over
-the volume and to the strain that the bead feels (his law of the stresslet), not to the motion of the bead.
+Why the mean over the surface: a rigid sphere that is pushed through an endless elastic body has the
+same traction all over its surface, F / (4 pi a^2), because the field of an even shell of point
+forces, (1 + a^2/6 laplacian) G F, is the same everywhere on the shell: on r = a the parts along the
+radius cancel. The reciprocal theorem with a bead that carries no force then gives the mean over the
+surface, u + a^2/6 laplacian(u), exactly, as displacements are biharmonic. This is Faxen's first law
+for slow flow, and holds at every Poisson's ratio. The factor 1/10 belongs to the mean over the
+volume and to the strain that the bead feels (his law of the stresslet), not to the motion of the
+bead.
 
-References: Faxen 1922 (Annalen der Physik 68, 89); Batchelor 1970 (Journal of Fluid Mechanics 41, 545, the stresslet);
-Mindlin 1936 (Physics 7, 195, point force below a free surface).
+References: Faxen 1922 (Annalen der Physik 68, 89); Batchelor 1970 (Journal of Fluid Mechanics 41,
+545, the stresslet); Mindlin 1936 (Physics 7, 195, point force below a free surface).
 
-*Validity*: Poisson's ratio 1/2, small strain, bonded beads some hundred times stiffer than the rubber, no closer than
-about four radii to each other and to the surface (there terms of order (a / distance)^2 next to the stated ones, left
-out here, are 5 % of the change). The body's far faces are left out of the response of a bead, not of the load's field.
+*Validity*: Poisson's ratio 1/2, small strain, bonded beads some hundred times stiffer than the
+rubber, no closer than about four radii to each other and to the surface (there terms of order (a /
+distance)^2 next to the stated ones, left out here, are 5 % of the change). The body's far faces are
+left out of the response of a bead, not of the load's field.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Floats, Points, frozen
+from twin.arrays import Floats, Points
 
-CHUNK = 32
+_CHUNK = 32
 """Points at a time in `dipole_displacement`: keeps its memory near 20 MB for 636 beads."""
 
-COMPONENT = ((0, 5, 4), (5, 1, 3), (4, 3, 2))
+_COMPONENT = ((0, 5, 4), (5, 1, 3), (4, 3, 2))
 """Where a symmetric tensor's entry stands among xx, yy, zz, yz, xz, xy."""
 
-TINY = 1e-30
-"""Imaginary step, mm: derivatives of an analytic formula to the last digit, as nothing is subtracted."""
+_TINY = 1e-30
+"""Imaginary step, mm: derivatives of an analytic formula to the last digit, as nothing is
+subtracted."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class BeadMotion:
-    """How beads move. Arrays (n, 3) in mm.
-
-    Attributes
-    ----------
-    passive
-        Displacement of the points at the beads' centres in a body without beads.
-    alone
-        What is added where the bead were the only one.
-    together
-        What the push-back of all beads adds (of the bead itself: its reflection at the free surface).
-    """
-
-    passive: Points
-    alone: Points
-    together: Points
-
-    @property
-    def change(self) -> Points:
-        """(n, 3) motion of the beads less that of the passive points, mm."""
-        return self.alone + self.together
-
-
-def bead_motion(
-    field: Callable[[Points], Points],
-    gradient: Callable[[Points], Floats],
-    centres: Points,
-    radius_mm: float,
-    shear_modulus_mpa: float,
-    rounds: int = 1,
-) -> BeadMotion:
-    """Return how rigid beads move in a field.
-
-    Parameters
-    ----------
-    field, gradient
-        Points (n, 3) in mm to displacement (n, 3) in mm and to (n, 3, 3) du_i/dx_j, in the body without beads.
-    centres
-        (n, 3) centres, mm; the free surface is z = 0.
-    radius_mm
-        Their radius.
-    shear_modulus_mpa
-        Of the rubber.
-    rounds
-        1: each bead feels the strain of the field alone (first order in the share of volume); 2: also that of the
-        other beads' push-back; and so on.
-    """
-    strain = outer = _symmetric(gradient(centres))
-    passive = field(centres)
-    alone = mean_on_sphere(field, centres, radius_mm) - passive
-    own = np.arange(len(centres))
-    step = 0.01 * radius_mm
-    for left in reversed(range(rounds)):
-        dipole = stresslet(strain, radius_mm, shear_modulus_mpa)
-        if left:
-            sides = [
-                dipole_displacement(centres + sign * step * axis, centres, dipole, shear_modulus_mpa, own)
-                for axis in np.eye(3)
-                for sign in (1, -1)
-            ]
-            slopes = [(sides[2 * k] - sides[2 * k + 1]) / (2 * step) for k in range(3)]
-            strain = outer + _symmetric(np.stack(slopes, axis=-1))
-    together = dipole_displacement(centres, centres, dipole, shear_modulus_mpa, own)
-    return BeadMotion(passive=frozen(passive), alone=frozen(alone), together=frozen(together))
-
-
-def mean_on_sphere(field: Callable[[Points], Points], centres: Points, radius_mm: float | Floats) -> Points:
-    """Return the (n, 3) mean of ``field`` over spheres of one radius or of (n,): Faxen's law, u + a^2/6 laplacian(u).
+def mean_on_sphere(
+    field: Callable[[Points], Points], centres: Points, radius_mm: float | Floats
+) -> Points:
+    """Return the (n, 3) mean of ``field`` over spheres of one radius or of (n,): Faxen's law, u +
+    a^2/6 laplacian(u).
 
     Six points do: their mean is that of the sphere up to fourth derivatives of the field.
     """
@@ -117,30 +58,29 @@ def mean_on_sphere(field: Callable[[Points], Points], centres: Points, radius_mm
 
 
 def stresslet(strain: Floats, radius_mm: float | Floats, shear_modulus_mpa: float) -> Floats:
-    """Return the (n, 3, 3) force dipole, N mm, by which rigid beads push back on rubber of strain (n, 3, 3).
+    """Return the (n, 3, 3) force dipole, N mm, by which rigid beads push back on rubber of strain
+    (n, 3, 3).
 
-    Force along j at an arm along k; the beads have one radius or (n,). -(20/3) pi G a^3 e at Poisson's ratio 1/2; its
-    sum over a share of volume phi is the stress of a material 1 + 5/2 phi times as stiff (Einstein, Smallwood).
+    Force along j at an arm along k; the beads have one radius or (n,). -(20/3) pi G a^3 e at
+    Poisson's ratio 1/2; its sum over a share of volume phi is the stress of a material 1 + 5/2 phi
+    times as stiff (Einstein, Smallwood).
     """
     volumes = np.reshape(np.asarray(radius_mm, float) ** 3, (-1, 1, 1))
     return np.asarray(-20.0 / 3.0 * math.pi * shear_modulus_mpa * volumes * strain)
 
 
-def stiffening(radius_mm: float, pitch_mm: float) -> tuple[float, float]:
-    """Return (phi, E / E0) of a square layer of beads, one diameter thick: 1 + 5/2 phi, for small phi."""
-    phi = 4.0 / 3.0 * math.pi * radius_mm**3 / (pitch_mm**2 * 2 * radius_mm)
-    return phi, 1.0 + 2.5 * phi
-
-
 def point_force(points: Any, sources: Any, shear_modulus_mpa: float, direct: Any = True) -> Any:
-    """Return (..., 3, 3) u_i at ``points`` under a unit force along j at ``sources``, mm/N: Mindlin at nu = 1/2.
+    """Return (..., 3, 3) u_i at ``points`` under a unit force along j at ``sources``, mm/N: Mindlin
+    at nu = 1/2.
 
     Parameters
     ----------
     points, sources
-        (..., 3) mm, z >= 0; complex numbers are taken, so that derivatives may be found by an imaginary step.
+        (..., 3) mm, z >= 0; complex numbers are taken, so that derivatives may be found by an
+        imaginary step.
     direct
-        (...) whether the part of an endless body is wanted; without it only the free surface's reflection is left.
+        (...) whether the part of an endless body is wanted; without it only the free surface's
+        reflection is left.
     """
     away = points - sources
     x, y, less = away[..., 0], away[..., 1], away[..., 2]
@@ -152,24 +92,32 @@ def point_force(points: Any, sources: Any, shear_modulus_mpa: float, direct: Any
     far = np.sqrt(x * x + y * y + more * more)
     a2, b2, bend = 1.0 / far, far**-3, 6.0 * deep * high / far**5
     both = b1 + b2
-    beside, even = both - bend, a1 + a2 + 2.0 * deep * high * b2
+    both_less, even = both - bend, a1 + a2 + 2.0 * deep * high * b2
     out = np.empty((*x.shape, 3, 3), np.result_type(x, float))
-    out[..., 0, 0] = even + x * x * beside
-    out[..., 1, 1] = even + y * y * beside
-    out[..., 0, 1] = out[..., 1, 0] = x * y * beside
+    out[..., 0, 0] = even + x * x * both_less
+    out[..., 1, 1] = even + y * y * both_less
+    out[..., 0, 1] = out[..., 1, 0] = x * y * both_less
     for i, along in enumerate((x, y)):
         out[..., 2, i] = along * (less * both - bend * more)
         out[..., i, 2] = along * (less * both + bend * more)
-    out[..., 2, 2] = a1 + a2 + less * less * b1 + (more * more - 2.0 * deep * high) * b2 + bend * more * more
+    out[..., 2, 2] = (
+        a1 + a2 + less * less * b1 + (more * more - 2.0 * deep * high) * b2 + bend * more * more
+    )
     return out / (8.0 * math.pi * shear_modulus_mpa)
 
 
 def dipole_displacement(
-    points: Points, centres: Points, dipoles: Floats, shear_modulus_mpa: float, own: np.ndarray | None = None
+    points: Points,
+    centres: Points,
+    dipoles: Floats,
+    shear_modulus_mpa: float,
+    own: np.ndarray | None = None,
 ) -> Points:
-    """Return the (n, 3) displacement in mm of ``points`` under force dipoles (m, 3, 3), N mm, at ``centres`` (m, 3).
+    """Return the (n, 3) displacement in mm of ``points`` under force dipoles (m, 3, 3), N mm, at
+    ``centres`` (m, 3).
 
-    ``own`` (n,) names for every point the centre of which only the reflection at the free surface counts, -1 for none.
+    ``own`` (n,) names for every point the centre of which only the reflection at the free surface
+    counts, -1 for none.
     """
     out = np.zeros((len(points), 3))
     for some, k, slope in _slopes(points, centres, shear_modulus_mpa, own):
@@ -178,34 +126,33 @@ def dipole_displacement(
 
 
 def shift_per_strain(points: Points, centres: Points, own: np.ndarray) -> NDArray[np.float32]:
-    """Return (3 n, 6 m) by how many mm ``points`` move per unit strain at beads of radius 1 mm at ``centres`` (m, 3).
+    """Return (3 n, 6 m) by how many mm ``points`` move per unit strain at beads of radius 1 mm at
+    ``centres`` (m, 3).
 
-    The strain's components are xx, yy, zz, yz, xz, xy; the rubber's modulus cancels. Single precision: seven digits of
-    what is itself a correction. ``own`` as in `dipole_displacement`.
+    The strain's components are xx, yy, zz, yz, xz, xy; the rubber's modulus cancels. Single
+    precision: seven digits of what is itself a correction. ``own`` as in `dipole_displacement`.
     """
     out = np.zeros((len(points), 3, len(centres), 6), np.float32)
     size = float(stresslet(np.ones((1, 1, 1)), 1.0, 1.0)[0, 0, 0])
     for some, k, slope in _slopes(points, centres, 1.0, own):
         for j in range(3):
-            out[some, :, :, COMPONENT[j][k]] += size * slope[:, :, :, j].swapaxes(1, 2)
+            out[some, :, :, _COMPONENT[j][k]] += size * slope[:, :, :, j].swapaxes(1, 2)
     return out.reshape(3 * len(points), -1)
 
 
 def _slopes(
     points: Points, centres: Points, shear_modulus_mpa: float, own: np.ndarray | None
 ) -> Iterator[tuple[slice, int, Floats]]:
-    """Yield some points and an axis k at a time, and (some, m, 3, 3) d/dk of `point_force` as its source moves."""
-    for start in range(0, len(points), CHUNK):
-        some = slice(start, start + CHUNK)
+    """Yield some points and an axis k at a time, and (some, m, 3, 3) d/dk of `point_force` as its
+    source moves."""
+    for start in range(0, len(points), _CHUNK):
+        some = slice(start, start + _CHUNK)
         direct = np.ones((len(points[some]), len(centres)), bool)
         if own is not None:
             inside = np.flatnonzero(own[some] >= 0)
             direct[inside, own[some][inside]] = False
         here = np.broadcast_to(points[some, None], (*direct.shape, 3))
         for k in range(3):
-            there = centres + 1j * TINY * np.eye(3)[k]
-            yield some, k, point_force(here, np.broadcast_to(there, here.shape), shear_modulus_mpa, direct).imag / TINY
-
-
-def _symmetric(gradient: Floats) -> Floats:
-    return np.asarray(0.5 * (gradient + gradient.swapaxes(1, 2)))
+            there = np.broadcast_to(centres + 1j * _TINY * np.eye(3)[k], here.shape)
+            moved = point_force(here, there, shear_modulus_mpa, direct)
+            yield some, k, moved.imag / _TINY

@@ -1,12 +1,14 @@
 """The lens in closed form: directions in the camera's axes to pixels and back, with derivatives.
 
-A lens maps the angle of a direction to a radius in the picture: its tangent for a pinhole, itself for an equidistant
-fisheye (`RADIAL`). Two families bend that map, in OpenCV's terms and order of coefficients:
+A lens maps the angle of a direction to a radius in the picture: its tangent for a pinhole, itself
+for an equidistant fisheye (`RADIAL`). Two families bend that map, in OpenCV's terms and order of
+coefficients:
 
-- pinhole, Brown-Conrady: r (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), plus the decentring
-  2 p1 x y + p2 (r^2 + 2 x^2) in x and p1 (r^2 + 2 y^2) + 2 p2 x y in y, x to the right and y *down* (Brown,
-  Photogrammetric Eng. 32, 1966);
-- equidistant, Kannala-Brandt: a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8) (IEEE Trans. PAMI 28, 2006).
+- pinhole, Brown-Conrady: r (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), plus
+  the decentring 2 p1 x y + p2 (r^2 + 2 x^2) in x and p1 (r^2 + 2 y^2) + 2 p2 x y in y, x to the
+  right and y *down* (Brown, Photogrammetric Eng. 32, 1966);
+- equidistant, Kannala-Brandt: a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8) (IEEE Trans. PAMI 28,
+  2006).
 
 Validity: up to the first fold of the radial map, where it stops growing: nothing is shown twice.
 """
@@ -29,7 +31,8 @@ class Radial:
     Attributes
     ----------
     radius
-        From how far directions go across and ahead, (n,) each, to the radius in the picture over the focal length.
+        From how far directions go across and ahead, (n,) each, to the radius in the picture over
+        the focal length.
     slopes
         Its derivatives with respect to both.
     angle
@@ -54,7 +57,10 @@ RADIAL: dict[str, Radial] = {
     ),
     "equidistant": Radial(
         radius=np.arctan2,
-        slopes=lambda across, ahead: (ahead / (across**2 + ahead**2), -across / (across**2 + ahead**2)),
+        slopes=lambda across, ahead: (
+            ahead / (across**2 + ahead**2),
+            -across / (across**2 + ahead**2),
+        ),
         angle=lambda radius: np.where(radius < np.pi, radius, np.nan),
     ),
 }
@@ -67,7 +73,8 @@ _NONE = 1e-30
 
 
 def lens(towards: Points, camera: Camera) -> Pixels:
-    """Return (n, 2) px of (n, 3) directions in camera axes (right, up, backward); NaN where the lens shows nothing."""
+    """Return (n, 2) px of (n, 3) directions in camera axes (right, up, backward); NaN where the
+    lens shows nothing."""
     radius, across, ahead = _radius(towards, camera)
     undistorted = _around(radius, across, ahead)[:, None] * towards[:, :2]
     if not any(camera.distortion):
@@ -97,7 +104,8 @@ def lens_jacobian(towards: Points, camera: Camera) -> Floats:
 
 
 def _distortion_jacobian(place: Floats, radius: Floats, camera: Camera) -> Floats:
-    """Return (n, 2, 2) derivatives of distorted places with respect to undistorted ones, ``radius`` from the axis."""
+    """Return (n, 2, 2) derivatives of distorted places with respect to undistorted ones, ``radius``
+    from the axis."""
     image, growth = _radial(radius, camera)
     stretch = np.where(radius > 1e-12, image / np.maximum(radius, 1e-300), 1.0)
     _, slope = _decentring(place, camera)
@@ -108,7 +116,10 @@ def _distortion_jacobian(place: Floats, radius: Floats, camera: Camera) -> Float
 def lens_inverse(pixels: Pixels, camera: Camera) -> Points:
     """Return (n, 3) unit directions in camera axes that reach (n, 2) px; NaN where none does."""
     column, row = camera.centre_px
-    flat = (np.asarray(pixels, float) - [column, row]) / [camera.focal_px, -camera.focal_px * camera.aspect]
+    flat = (np.asarray(pixels, float) - [column, row]) / [
+        camera.focal_px,
+        -camera.focal_px * camera.aspect,
+    ]
     flat = _without_decentring(flat, camera)
     image = np.linalg.norm(flat, axis=1)
     radius = _undistort(image, camera)
@@ -117,14 +128,19 @@ def lens_inverse(pixels: Pixels, camera: Camera) -> Points:
     return np.column_stack([unit * np.sin(angle)[:, None], -np.cos(angle)])
 
 
-def fold(camera: Camera) -> float:
-    """Return the radius (tan of the angle, or the angle) where the lens's radial map stops growing; inf if nowhere."""
+def _fold(camera: Camera) -> float:
+    """Return the radius (tan of the angle, or the angle) where the lens's radial map stops growing;
+    inf if nowhere."""
     up, down = _polynomials(camera)
     # g = r U(s) / D(s) with s = r^2: g' D^2 = U D + 2 s (U' D - U D').
     s = np.polynomial.Polynomial([0.0, 1.0])
     slope = up * down + 2 * s * (up.deriv() * down - up * down.deriv())
     places = np.concatenate([slope.trim().roots(), down.trim().roots()])
-    real = [float(root.real) for root in places if abs(root.imag) < 1e-9 * max(abs(root), 1) and root.real > 0]
+    real = [
+        float(root.real)
+        for root in places
+        if abs(root.imag) < 1e-9 * max(abs(root), 1) and root.real > 0
+    ]
     return float(np.sqrt(min(real))) if real else np.inf
 
 
@@ -136,7 +152,8 @@ def _radius(towards: Points, camera: Camera) -> tuple[Floats, Floats, Floats]:
 
 
 def _around(radius: Floats, across: Floats, ahead: Floats) -> Floats:
-    """Return radii over how far directions go across; on the axis their limit, and NaN there behind the camera."""
+    """Return radii over how far directions go across; on the axis their limit, and NaN there behind
+    the camera."""
     on_axis = across <= 1e-12
     return np.where(on_axis, 1 / _ahead(ahead), radius / np.where(on_axis, 1.0, across))
 
@@ -152,10 +169,10 @@ def _to_pixels(flat: Floats, camera: Camera) -> Pixels:
 
 def _polynomials(camera: Camera) -> tuple[np.polynomial.Polynomial, np.polynomial.Polynomial]:
     """Return numerator and denominator of the radial stretch in the squared radius."""
-    told = [k if abs(k) > _NONE else 0.0 for k in [*camera.distortion, *[0.0] * 8][:8]]
+    coefficients = [k if abs(k) > _NONE else 0.0 for k in [*camera.distortion, *[0.0] * 8][:8]]
     if camera.lens == "equidistant":
-        return np.polynomial.Polynomial([1.0, *told[:4]]), np.polynomial.Polynomial([1.0])
-    k1, k2, _, _, k3, k4, k5, k6 = told
+        return np.polynomial.Polynomial([1.0, *coefficients[:4]]), np.polynomial.Polynomial([1.0])
+    k1, k2, _, _, k3, k4, k5, k6 = coefficients
     return np.polynomial.Polynomial([1.0, k1, k2, k3]), np.polynomial.Polynomial([1.0, k4, k5, k6])
 
 
@@ -164,17 +181,20 @@ def _radial(radius: Floats, camera: Camera) -> tuple[Floats, Floats]:
     if not any(camera.distortion):
         return radius, np.ones_like(radius)
     up, down = _polynomials(camera)
-    square = np.where(radius <= fold(camera), radius**2, np.nan)
+    square = np.where(radius <= _fold(camera), radius**2, np.nan)
     top, bottom = up(square), down(square)
-    growth = (top * bottom + 2 * square * (up.deriv()(square) * bottom - top * down.deriv()(square))) / bottom**2
+    growth = (
+        top * bottom + 2 * square * (up.deriv()(square) * bottom - top * down.deriv()(square))
+    ) / bottom**2
     return radius * top / bottom, growth
 
 
 def _undistort(distorted: Floats, camera: Camera) -> Floats:
-    """Return the radius whose distorted value is given: Newton held inside a shrinking bracket; NaN past the fold."""
+    """Return the radius whose distorted value is given: Newton held inside a shrinking bracket; NaN
+    past the fold."""
     if not any(camera.distortion):
         return distorted
-    top = min(fold(camera), 1e3)
+    top = min(_fold(camera), 1e3)
     low, high = np.zeros_like(distorted), np.full_like(distorted, top)
     radius = np.minimum(distorted, top)
     excess = np.full_like(distorted, np.nan)
@@ -190,13 +210,15 @@ def _undistort(distorted: Floats, camera: Camera) -> Floats:
 
 
 def _turned(place: Floats, radius: Floats, around: Floats, growth: Floats) -> Floats:
-    """Return (n, 2, 2) derivatives of a radial map: ``growth`` along the radius, ``around`` across it."""
+    """Return (n, 2, 2) derivatives of a radial map: ``growth`` along the radius, ``around`` across
+    it."""
     unit = place / np.where(radius > 1e-12, radius, 1.0)[:, None]
     return stretches(unit, growth, around)
 
 
 def stretches(unit: Floats, along: Floats, across: Floats) -> Floats:
-    """Return (n, 2, 2) symmetric matrices that stretch by (n,) factors along (n, 2) unit vectors and across them."""
+    """Return (n, 2, 2) symmetric matrices that stretch by (n,) factors along (n, 2) unit vectors
+    and across them."""
     matrices: Floats = (along - across)[:, None, None] * (unit[:, :, None] * unit[:, None, :])
     matrices[:, 0, 0] += across
     matrices[:, 1, 1] += across
@@ -204,13 +226,20 @@ def stretches(unit: Floats, along: Floats, across: Floats) -> Floats:
 
 
 def _decentring(place: Floats, camera: Camera) -> tuple[Floats, Floats | None]:
-    """Return (n, 2) decentring of undistorted places (x right, y up) and its (n, 2, 2) derivatives; None for none."""
-    p1, p2 = camera.distortion[2:4] if len(camera.distortion) > 2 and camera.lens == "pinhole" else (0.0, 0.0)
+    """Return (n, 2) decentring of undistorted places (x right, y up) and its (n, 2, 2) derivatives;
+    None for none."""
+    p1, p2 = (
+        camera.distortion[2:4]
+        if len(camera.distortion) > 2 and camera.lens == "pinhole"
+        else (0.0, 0.0)
+    )
     if p1 == 0 and p2 == 0:
         return np.zeros_like(place), None
     x, y = place[:, 0], place[:, 1]
     # OpenCV's y points down: p1 changes its sign here.
-    more = np.column_stack([-2 * p1 * x * y + p2 * (3 * x**2 + y**2), 2 * p2 * x * y - p1 * (x**2 + 3 * y**2)])
+    more = np.column_stack(
+        [-2 * p1 * x * y + p2 * (3 * x**2 + y**2), 2 * p2 * x * y - p1 * (x**2 + 3 * y**2)]
+    )
     slope = np.empty((len(place), 2, 2))
     slope[:, 0, 0], slope[:, 0, 1] = -2 * p1 * y + 6 * p2 * x, -2 * p1 * x + 2 * p2 * y
     slope[:, 1, 0], slope[:, 1, 1] = 2 * p2 * y - 2 * p1 * x, 2 * p2 * x - 6 * p1 * y
@@ -218,7 +247,8 @@ def _decentring(place: Floats, camera: Camera) -> tuple[Floats, Floats | None]:
 
 
 def _without_decentring(flat: Floats, camera: Camera) -> Floats:
-    """Return (n, 2) places, distorted radially only, for wholly distorted ones: Newton from the undecentred guess."""
+    """Return (n, 2) places, distorted radially only, for wholly distorted ones: Newton from the
+    undecentred guess."""
     if _decentring(np.zeros((1, 2)), camera)[1] is None:
         return flat
     place = _undistorted(flat, camera)

@@ -1,27 +1,34 @@
-"""The design limit: what two layers of markers can tell of the force field, whatever the software, in closed form.
+"""The design limit: what two layers of markers can resolve of the force field, with any software,
+in closed form.
 
-A force field on an elastic half-space is a sum of waves exp(i k x). Each wave moves the markers of a layer at depth d
-by a known amount, the markers sample that motion with noise, and what is left to learn of the wave is a small least
-squares problem of its own. With the traction's part along k and its normal part, t and n, a layer's motion along k is
+A force field on an elastic half-space is a sum of waves exp(i k x). Each wave moves the markers of
+a layer at depth d by a known amount, the markers sample that motion with noise, and what is left to
+learn of the wave is a small least squares problem of its own. With the traction's part along k and
+its normal part, t and n, a layer's motion along k is
 
     [ (2 (1 - nu) - k d) t  +  (k d - (1 - 2 nu)) n ] exp(-k d) / (2 G k)
 
-(n a quarter of a wave ahead; the part across k is exp(-k d) / (G k) alone), from the half-space's closed forms. The
-noise of a layer of pitch p and a standard deviation of s of its markers' motion has the spectral density (s p)^2. With
-the rows A of all layers, M = A^T N^-1 A and a prior of spectral density P = F^2 / (pi r^2) for a load of F over a disc
-of radius r, the best linear estimate of a wave is W = (M + 1/P)^-1 M of it (N. Wiener 1949). W against k is the
-sensor's transfer function, and its Hankel transform the picture of a point force.
+(n a quarter of a wave ahead; the part across k is exp(-k d) / (G k) alone), from the half-space's
+closed forms. The noise of a layer of pitch p and a standard deviation of s of its markers' motion
+has the spectral density (s p)^2. With the rows A of all layers, M = A^T N^-1 A and a prior of
+spectral density P = F^2 / (pi r^2) for a load of F over a disc of radius r, the best linear
+estimate of a wave is W = (M + 1/P)^-1 M of it (N. Wiener 1949). W against k is the sensor's
+transfer function, and its Hankel transform the picture of a point force.
 
-Sampling: markers p apart tell waves up to pi / p, and the picture of a point that is made of these is
-sin(pi x / p) / (pi x / p), `SAMPLED` p wide. Where noise and sampling both matter their widths add like those of one
-picture smeared by the other: in squares. For a bound that no sensor beats there is a floor instead.
+Sampling: markers p apart sample waves up to pi / p, and the picture of a point that is made of
+these is sin(pi x / p) / (pi x / p), `SAMPLED` p wide. Where noise and sampling both matter their
+widths add like those of one picture smeared by the other: in squares. For a bound that no sensor
+beats there is a floor instead.
 
-Why two layers: for depths a < b the determinant of A is k (b - a) exp(-k (a + b)) / (2 G k)^2, so one layer alone can't
-tell a push from a shear.
+Why two layers: for depths a < b the determinant of A is k (b - a) exp(-k (a + b)) / (2 G k)^2, so
+one layer alone can't separate a push from a shear.
 
-Validity: a half-space seen straight on, layers wider than what is resolved; markers no wider than their pitch. The
-floor of 1.41 pitches is put in by hand. Real bodies and lenses: the linear information of a sweep.
-"""
+Validity: a half-space seen straight on, layers wider than what is resolved; markers no wider than
+their pitch. The floor of 1.41 pitches is put in by hand. Real bodies and lenses: the linear
+information of a sweep.
+
+`centre_bound` is the limit of a single marker's centre in a picture: the Cramer-Rao bound of a
+blurred disc."""
 
 from __future__ import annotations
 
@@ -33,6 +40,7 @@ from scipy.special import j0, j1
 
 from twin.arrays import Floats
 from twin.errors import InputError
+from twin.parts.material import shear_modulus
 
 FLOOR = 1.41
 """Least width of a point force's picture, in pitches."""
@@ -47,8 +55,8 @@ _K = np.geomspace(0.02, 30.0, 88)
 _R = np.concatenate([[0.0], np.geomspace(0.05, 40.0, 63)])
 _STEP = np.log(_K[1] / _K[0])
 _HANKEL = (_K**2 * _STEP / (2 * np.pi))[:, None] * j0(np.outer(_K, _R))
-"""Weights of the transform from k to r, both in units of the least depth: trapezoids in log k. Five times
-as many of each move no result by more than 3 %."""
+"""Weights of the transform from k to r, both in units of the least depth: trapezoids in log k. Five
+times as many of each move no result by more than 3 %."""
 
 _HALVES = np.array([np.interp(_R / 2, _R, row) for row in np.eye(len(_R))])
 """Turns profiles at r into profiles at r / 2."""
@@ -68,8 +76,8 @@ class Limit:
     two_point_mm
         (m,) least distance of two equal pushes between which the estimate dips by `DIP`.
     force_sd_n
-        (m,) standard deviation of the size of one push over the prior's disc at a known place. (A shear moves markers
-        everywhere, so that its size depends on how far the layers reach.)
+        (m,) standard deviation of the size of one push over the prior's disc at a known place. (A
+        shear moves markers everywhere, so that its size depends on how far the layers reach.)
     """
 
     fwhm_normal_mm: Floats
@@ -78,8 +86,11 @@ class Limit:
     force_sd_n: Floats
 
 
-def layer_rows(k: Floats, depth_mm: Floats, shear_modulus_mpa: Floats, poisson_ratio: Floats) -> tuple[Floats, Floats]:
-    """Return motion of a layer along k per traction along k, and per normal traction a quarter of a wave ahead, mm/MPa.
+def layer_rows(
+    k: Floats, depth_mm: Floats, shear_modulus_mpa: Floats, poisson_ratio: Floats
+) -> tuple[Floats, Floats]:
+    """Return motion of a layer along k per traction along k, and per normal traction a quarter of a
+    wave ahead, mm/MPa.
 
     Parameters
     ----------
@@ -89,7 +100,9 @@ def layer_rows(k: Floats, depth_mm: Floats, shear_modulus_mpa: Floats, poisson_r
         Of the layer and of the rubber.
     """
     falls = np.exp(-k * depth_mm) / (2 * shear_modulus_mpa * k)
-    return (2 * (1 - poisson_ratio) - k * depth_mm) * falls, (k * depth_mm - (1 - 2 * poisson_ratio)) * falls
+    return (2 * (1 - poisson_ratio) - k * depth_mm) * falls, (
+        k * depth_mm - (1 - 2 * poisson_ratio)
+    ) * falls
 
 
 def design_limit(
@@ -108,42 +121,57 @@ def design_limit(
     Parameters
     ----------
     depth_mm, pitch_mm, noise_mm
-        (m, layers) depth of each layer, pitch of its markers along the surface, and standard deviation of a component
-        of their motion, mm.
+        (m, layers) depth of each layer, pitch of its markers along the surface, and standard
+        deviation of a component of their motion, mm.
     youngs_modulus_mpa, poisson_ratio
         (m,) of the rubber.
     force_n, radius_mm
         (m,) size of the loads that are expected: the prior.
     sampling
-        How the markers' pitch counts: as a floor (a bound), or by the sum of squares (what to expect).
+        How the markers' pitch counts: as a floor (a bound), or by the sum of squares (what to
+        expect).
 
     Raises
     ------
     InputError
         A length, modulus or force is not positive.
     """
-    depth, pitch, noise = (np.atleast_2d(np.asarray(a, float)) for a in (depth_mm, pitch_mm, noise_mm))
+    depth, pitch, noise = (
+        np.atleast_2d(np.asarray(a, float)) for a in (depth_mm, pitch_mm, noise_mm)
+    )
     modulus, nu, force, radius = (
         np.broadcast_to(np.asarray(a, float), len(depth))
         for a in (youngs_modulus_mpa, poisson_ratio, force_n, radius_mm)
     )
     if min(a.min() for a in (depth, pitch, noise, modulus, force, radius)) <= 0:
-        raise InputError("design limit: depths, pitches, noise, modulus, force and radius must be positive")
+        raise InputError(
+            "design limit: depths, pitches, noise, modulus, force and radius must be positive"
+        )
     chunks = [
-        _limits(*(a[i : i + _CHUNK] for a in (depth, pitch, noise, modulus, nu, force, radius)), sampling=sampling)
+        _limits(
+            *(a[i : i + _CHUNK] for a in (depth, pitch, noise, modulus, nu, force, radius)),
+            sampling=sampling,
+        )
         for i in range(0, len(depth), _CHUNK)
     ]
     return Limit(**dict(zip(Limit.__annotations__, np.concatenate(chunks, axis=1), strict=True)))
 
 
 def _limits(
-    depth: Floats, pitch: Floats, noise: Floats, modulus: Floats, nu: Floats, force: Floats, radius: Floats,
-    *, sampling: str,
-) -> Floats:  # fmt: skip
+    depth: Floats,
+    pitch: Floats,
+    noise: Floats,
+    modulus: Floats,
+    nu: Floats,
+    force: Floats,
+    radius: Floats,
+    *,
+    sampling: str,
+) -> Floats:
     """Return the rows of a `Limit`."""
     scale = depth.min(axis=1)
     k = _K / scale[:, None]
-    g = modulus / (2 * (1 + nu))
+    g = shear_modulus(modulus, nu)
     tt, tn, nn, across = np.zeros((4, *k.shape))
     for layer in range(depth.shape[1]):
         along, normal = layer_rows(k, depth[:, layer, None], g[:, None], nu[:, None])
@@ -156,33 +184,22 @@ def _limits(
     prior = (np.pi * radius**2 / force**2)[:, None]
     determinant = (tt + prior) * (nn + prior) - tn**2
     push = (1 - prior * (tt + prior) / determinant) @ _HANKEL
-    shear = (0.5 * (1 - prior * (nn + prior) / determinant) + 0.5 * across / (across + prior)) @ _HANKEL
-    disc = k**2 * _STEP / (2 * np.pi) * _disc(k * radius[:, None]) ** 2
-    widths = np.array([_width(push), _width(shear), _two_points(push)]) * scale
+    shear = (
+        0.5 * (1 - prior * (nn + prior) / determinant) + 0.5 * across / (across + prior)
+    ) @ _HANKEL
+    kr = k * radius[:, None]
+    disc = k**2 * _STEP / (2 * np.pi) * (2 * j1(kr) / kr) ** 2  # the transform of an even disc
+    half_widths = [_crossing(each / each[:, :1] - 0.5) for each in (push, shear)]
+    # two pushes count as two at the least distance s where 2 p(s/2) is `DIP` below p(0) + p(s)
+    two_points = _crossing(2 * (push @ _HALVES) - (1 - DIP) * (push[:, :1] + push))
+    widths = np.array([2 * half_widths[0], 2 * half_widths[1], two_points]) * scale
     widest = pitch.max(axis=1)
-    sampled = np.maximum(widths, FLOOR * widest) if sampling == "floor" else np.hypot(widths, SAMPLED * widest)
+    sampled = (
+        np.maximum(widths, FLOOR * widest)
+        if sampling == "floor"
+        else np.hypot(widths, SAMPLED * widest)
+    )
     return np.concatenate([sampled, np.sum(disc * nn, axis=1)[None] ** -0.5])
-
-
-def _disc(kr: Floats) -> Floats:
-    """Return the transform of an even disc of area 1."""
-    return np.asarray(2 * j1(kr) / kr)
-
-
-def _width(profile: Floats) -> Floats:
-    """Return the full width at half maximum of radial profiles, in units of r."""
-    return 2 * _crossing(profile / profile[:, :1] - 0.5)
-
-
-def _two_points(profile: Floats) -> Floats:
-    """Return the least distance s at which 2 p(s/2) is `DIP` below p(0) + p(s)."""
-    half = _at_half(profile)
-    return _crossing(2 * half - (1 - DIP) * (profile[:, :1] + profile))
-
-
-def _at_half(profile: Floats) -> Floats:
-    """Return the profiles at half of every r."""
-    return np.asarray(profile @ _HALVES)
 
 
 def _crossing(falling: Floats) -> Floats:
@@ -194,3 +211,55 @@ def _crossing(falling: Floats) -> Floats:
     share = high / np.where(high == low, 1.0, high - low)
     found = _R[at - 1] + share * (_R[at] - _R[at - 1])
     return np.where(below.any(axis=1), found, np.inf)
+
+
+PIXEL_VARIANCE = 1.0 / 12.0
+"""Of a square pixel, px^2."""
+
+
+def centre_bound(diameter_px: Floats, contrast: float, psf_px: float, noise: float) -> Floats:
+    """Return the least standard deviation of a disc's centre, per axis, px: the Cramer-Rao bound.
+
+    Parameters
+    ----------
+    diameter_px
+        Of the discs.
+    contrast
+        Its brightness over the ground's, in any unit.
+    psf_px
+        Standard deviation of the blur.
+    noise
+        Standard deviation of a pixel at the disc's rim, in the contrast's unit.
+
+    Notes
+    -----
+    A disc of radius R and contrast A, blurred by a Gaussian g of standard deviation s small against
+    R, changes only at its rim: df/dx = A cos(angle) g(r - R). With noise of standard deviation n
+    there, the Fisher information of x is
+
+        I = int (df/dx)^2 / n^2 = A^2 / n^2  pi R  int g^2 dr = A^2 R sqrt(pi) / (2 s n^2),
+
+    and no unbiased estimate of x has a smaller standard deviation than I^(-1/2) (H. Cramer 1946). A
+    square pixel adds 1/12 to s^2. Validity: R well above s (at R = 2 s it is 3 % off), one channel,
+    markers apart, a disc of even brightness; `twin.study.doubts` has what real ones add.
+    """
+    radius = np.asarray(diameter_px, float) / 2
+    blur = np.sqrt(np.asarray(psf_px, float) ** 2 + PIXEL_VARIANCE)
+    information = (np.asarray(contrast) / noise) ** 2 * radius * np.sqrt(np.pi) / (2 * blur)
+    return np.asarray(information**-0.5)
+
+
+def pixel_sd(counts: float, full_scale: float, full_well_e: float, read_noise_e: float) -> float:
+    """Return the standard deviation of a pixel, counts: shot, read and rounding noise.
+
+    Parameters
+    ----------
+    counts
+        Of the pixel; halfway up a marker's rim the mean of its own and the ground's.
+    full_scale
+        Counts of a full well.
+    full_well_e, read_noise_e
+        Electrons.
+    """
+    gain = full_well_e / full_scale
+    return float(np.sqrt((counts * gain + read_noise_e**2) / gain**2 + 1 / 12))

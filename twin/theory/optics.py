@@ -1,19 +1,24 @@
 """The camera in closed form: points to pixels and pixels to rays, through flat layers and a lens.
 
-A chief ray leaves a point in the body, crosses the base, the camera's layers and air, and ends in the entrance pupil.
-All interfaces are normal to z, so the ray stays in one vertical plane and Snell's invariant n sin(angle) fixes it by
-one number. Taking p, the tangent of the angle in air, a layer of index n and thickness t moves the ray sideways by
+A chief ray leaves a point in the body, crosses the base, the camera's layers and air, and ends in
+the entrance pupil. All interfaces are normal to z, so the ray stays in one vertical plane and
+Snell's invariant n sin(angle) fixes it by one number. Taking p, the tangent of the angle in air, a
+layer of index n and thickness t moves the ray sideways by
 
-    t p / sqrt(n^2 + (n^2 - 1) p^2)        (Snell's law, Born & Wolf, Principles of Optics, sec. 1.5)
+    t p / sqrt(n^2 + (n^2 - 1) p^2)      (Snell's law, Born & Wolf, Principles of Optics, sec. 1.5)
 
-Why p and not the sine: the sum over the layers is concave and increasing in p, so Newton's iteration from the paraxial
-value climbs to the root without ever passing it, at grazing angles too.
+Why p and not the sine: the sum over the layers is concave and increasing in p, so Newton's
+iteration from the paraxial value climbs to the root without ever passing it, at grazing angles too.
 
-The camera's axes are right = +x, up = +y, backward = +z before its small tilts, so column grows with x and row with -y:
-a camera that looks along -z sees the body without a mirror.
+The camera's axes are right = +x, up = +y, backward = +z before its small tilts, so column grows
+with x and row with -y: a camera that looks along -z sees the body without a mirror.
 
-Validity: geometric optics of a thin pupil; no polarisation; the base and the layers stay flat. Inside the body rays
-lean to z by less than the critical angle, where total reflection begins: no camera behind flat layers sees more.
+Validity: geometric optics of a thin pupil; no polarisation; the base and the layers stay flat.
+Inside the body rays lean to z by less than the critical angle, where total reflection begins: no
+camera behind flat layers sees more.
+
+Rays are traced one at a time by compiled code: a few hundred points take Newton's iteration some
+hundred whole-array steps, each of which costs more than the arithmetic in it.
 """
 
 from __future__ import annotations
@@ -26,10 +31,61 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Floats, Ints, Pixels, Points, frozen
+from twin.compiled import njit
 from twin.errors import RecipeError
 from twin.parts.camera import Camera, Layer
 from twin.theory.lens import lens, lens_inverse, lens_jacobian, stretches
-from twin.theory.stack import tangents, through
+
+_ITERATIONS = 60
+
+
+def _through(p: Any, thickness: Any, index: float) -> tuple[Any, Any]:
+    """Return how far a ray of tangent ``p`` in air moves sideways in one layer, and the derivative;
+    or many rays."""
+    square = index * index
+    inverse = 1 / np.sqrt(square + (square - 1) * (p * p))
+    return thickness * (p * inverse), thickness * (square * (inverse * inverse * inverse))
+
+
+_through_one = njit()(_through)
+
+
+@njit(cache=True, nogil=True)
+def _tangents(
+    reach: Floats, depth: Floats, index: float, stack: Floats, air: Floats, out: Floats
+) -> None:
+    """Set ``out`` (n,) to `air_tangents`; ``stack`` (k, 2) holds thicknesses and indices."""
+    for i in range(len(reach)):
+        out[i] = np.nan
+        if depth[i] >= -1e-9:
+            out[i] = _tangent(reach[i], max(depth[i], 0.0), index, stack, air[i])[0]
+
+
+@njit(cache=True, nogil=True)
+def _tangent(
+    reach: float, depth: float, index: float, stack: Floats, air: float
+) -> tuple[float, float]:
+    """Return the tangent of the ray that moves ``reach`` sideways, NaN for none, and the slope of
+    `sideways` there."""
+    p = reach / _sideways(0.0, depth, index, stack, air)[1]
+    for _ in range(_ITERATIONS):
+        so_far, slope = _sideways(p, depth, index, stack, air)
+        missing = reach - so_far
+        if abs(missing) <= 1e-13 * (1 + reach):
+            break
+        p += missing / slope
+    return (p if abs(missing) <= 1e-9 * (1 + reach) else np.nan), slope
+
+
+@njit(cache=True, nogil=True)
+def _sideways(
+    p: float, depth: float, index: float, stack: Floats, air: float
+) -> tuple[float, float]:
+    reach, slope = _through_one(p, depth, index)
+    for layer in range(len(stack)):
+        further, steeper = _through_one(p, stack[layer, 0], stack[layer, 1])
+        reach, slope = reach + further, slope + steeper
+    return reach + air * p, slope + air
 
 
 def project(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> Pixels:
@@ -48,8 +104,8 @@ def project(points: Points, camera: Camera, body_index: float, base_z_mm: float)
 
     Returns
     -------
-    (n, 2) column and row, px, also outside the picture; NaN for points behind the base, outside the lens's range or
-    without a ray to the pupil: `sight` says which.
+    (n, 2) column and row, px, also outside the picture; NaN for points behind the base, outside the
+    lens's range or without a ray to the pupil: see `sight`.
 
     Raises
     ------
@@ -60,8 +116,11 @@ def project(points: Points, camera: Camera, body_index: float, base_z_mm: float)
     return lens(towards @ tilt_matrix(camera), camera)
 
 
-def projection_jacobian(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> Floats:
-    """Return (n, 2, 3) derivatives of `project` with respect to the points, px/mm; NaN where `project` is NaN.
+def projection_jacobian(
+    points: Points, camera: Camera, body_index: float, base_z_mm: float
+) -> Floats:
+    """Return (n, 2, 3) derivatives of `project` with respect to the points, px/mm; NaN where
+    `project` is NaN.
 
     Notes
     -----
@@ -70,7 +129,9 @@ def projection_jacobian(points: Points, camera: Camera, body_index: float, base_
     return project_with_jacobian(points, camera, body_index, base_z_mm)[1]
 
 
-def project_with_jacobian(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Pixels, Floats]:
+def project_with_jacobian(
+    points: Points, camera: Camera, body_index: float, base_z_mm: float
+) -> tuple[Pixels, Floats]:
     """Return `project` and `projection_jacobian` for the price of one."""
     towards, p, aside = _leave(points, camera, body_index, base_z_mm)
     slope = _leaving_slopes(points, p, aside, camera, body_index, base_z_mm)
@@ -81,8 +142,11 @@ def project_with_jacobian(points: Points, camera: Camera, body_index: float, bas
     return lens(seen, camera), jacobian
 
 
-def rays(pixels: Pixels, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Points, Points]:
-    """Return the rays inside the body that end in the given places of the picture: the exact inverse of `project`.
+def rays(
+    pixels: Pixels, camera: Camera, body_index: float, base_z_mm: float
+) -> tuple[Points, Points]:
+    """Return the rays inside the body that end in the given places of the picture: the exact
+    inverse of `project`.
 
     Parameters
     ----------
@@ -96,8 +160,8 @@ def rays(pixels: Pixels, camera: Camera, body_index: float, base_z_mm: float) ->
     origins
         (n, 3) points on the base plane, mm.
     directions
-        (n, 3) unit vectors from there into the body (z < 0). Both are NaN where no ray reaches the pixel: `ray_sight`
-        says why.
+        (n, 3) unit vectors from there into the body (z < 0). Both are NaN where no ray reaches the
+        pixel: see `ray_sight`.
     """
     into = lens_inverse(pixels, camera) @ tilt_matrix(camera).T
     down = np.where(into[:, 2] < -1e-12, -into[:, 2], np.nan)
@@ -109,7 +173,9 @@ def rays(pixels: Pixels, camera: Camera, body_index: float, base_z_mm: float) ->
     safe = np.maximum(p, 1e-300)
     slope0 = air + sum(layer.thickness_mm / layer.index for layer in camera.layers)
     share = np.where(p > 1e-12, reach / safe, slope0)
-    origins = np.column_stack([np.asarray(camera.pupil_mm[:2]) + share[:, None] * tangent, np.full(len(p), base_z_mm)])
+    origins = np.column_stack(
+        [np.asarray(camera.pupil_mm[:2]) + share[:, None] * tangent, np.full(len(p), base_z_mm)]
+    )
     inside = tangent / (body_index * np.sqrt(1 + p**2))[:, None]
     directions = np.column_stack([inside, -np.sqrt(1 - np.sum(inside**2, axis=1))])
     origins[np.isnan(directions[:, 0])] = np.nan
@@ -123,11 +189,13 @@ class Sight(IntEnum):
     BEHIND_BASE = 1
     """The point lies behind the base, on the camera's side."""
     TOTAL_REFLECTION = 2
-    """All light towards the pupil would leave beyond the critical angle: the point lies too far aside."""
+    """All light towards the pupil would leave beyond the critical angle: the point lies too far
+    aside."""
     OUTSIDE_LENS = 3
     """The lens has no picture of that direction, or no direction for that pixel."""
     AWAY = 4
-    """The pixel looks along the layers or away from them, where no light of the body can come from."""
+    """The pixel looks along the layers or away from them, where no light of the body can come
+    from."""
     LOST = 5
     """The point is not a number."""
 
@@ -143,23 +211,33 @@ def sight(points: Points, camera: Camera, body_index: float, base_z_mm: float) -
         ~np.isfinite(towards).all(axis=1),
         ~found,
     ]
-    return np.select(tests, [Sight.LOST, Sight.BEHIND_BASE, Sight.TOTAL_REFLECTION, Sight.OUTSIDE_LENS], Sight.SEEN)
+    return np.select(
+        tests,
+        [Sight.LOST, Sight.BEHIND_BASE, Sight.TOTAL_REFLECTION, Sight.OUTSIDE_LENS],
+        Sight.SEEN,
+    )
 
 
 def ray_sight(pixels: Pixels, camera: Camera) -> Ints:
     """Return (n,) `Sight`: why `rays` has no ray for pixels; ``pixels`` and ``camera`` as there."""
     into = lens_inverse(pixels, camera) @ tilt_matrix(camera).T
-    return np.select([np.isnan(into).any(axis=1), into[:, 2] >= -1e-12], [Sight.OUTSIDE_LENS, Sight.AWAY], Sight.SEEN)
+    return np.select(
+        [np.isnan(into).any(axis=1), into[:, 2] >= -1e-12],
+        [Sight.OUTSIDE_LENS, Sight.AWAY],
+        Sight.SEEN,
+    )
 
 
 def axis_cosine(pixels: Pixels, camera: Camera) -> Floats:
-    """Return (n,) cosines of the angles between pixels' directions and the optical axis; NaN where there is none."""
+    """Return (n,) cosines of the angles between pixels' directions and the optical axis; NaN where
+    there is none."""
     cosine: Floats = -lens_inverse(pixels, camera)[:, 2]
     return cosine
 
 
 def critical_angle_deg(body_index: float) -> float:
-    """Return the angle to z, degrees, that no ray between the body and air behind flat layers reaches: asin(1/n)."""
+    """Return the angle to z, degrees, that no ray between the body and air behind flat layers
+    reaches: asin(1/n)."""
     return float(np.rad2deg(np.arcsin(1 / body_index)))
 
 
@@ -175,16 +253,21 @@ def air_gap(camera: Camera, base_z_mm: float) -> float:
     gap = camera.pupil_mm[2] - back
     if gap < -1e-9:
         raise RecipeError(
-            f"camera.pupil_mm: z = {camera.pupil_mm[2]:.6g} mm must be at least {back:.6g} mm, behind the base and "
-            "the layers: move the pupil back or thin the layers"
+            f"camera.pupil_mm: z = {camera.pupil_mm[2]:.6g} mm must be at least {back:.6g} mm, "
+            "behind the base and the layers: move the pupil back or thin the layers"
         )
     return max(gap, 0.0)
 
 
 def sideways(
-    p: Floats, depth_mm: Floats, body_index: float, layers: tuple[Layer, ...], air_mm: Floats | float
+    p: Floats,
+    depth_mm: Floats,
+    body_index: float,
+    layers: tuple[Layer, ...],
+    air_mm: Floats | float,
 ) -> tuple[Floats, Floats]:
-    """Return how far rays move sideways between a depth in the body and the pupil, and the derivative.
+    """Return how far rays move sideways between a depth in the body and the pupil, and the
+    derivative.
 
     Parameters
     ----------
@@ -206,28 +289,38 @@ def sideways(
     stack: list[tuple[Floats | float, float]] = [(depth_mm, body_index)]
     stack += [(layer.thickness_mm, layer.index) for layer in layers]
     for thickness, index in stack:
-        further, steeper = through(p, thickness, index)
+        further, steeper = _through(p, thickness, index)
         reach, slope = reach + further, slope + steeper
     return reach, slope
 
 
 def air_tangents(
-    reach_mm: Floats, depth_mm: Floats, body_index: float, layers: tuple[Layer, ...], air_mm: Floats | float
+    reach_mm: Floats,
+    depth_mm: Floats,
+    body_index: float,
+    layers: tuple[Layer, ...],
+    air_mm: Floats | float,
 ) -> Floats:
-    """Return (n,) tangents in air of the rays that move ``reach_mm`` sideways: the inverse of `sideways`.
+    """Return (n,) tangents in air of the rays that move ``reach_mm`` sideways: the inverse of
+    `sideways`.
 
-    NaN where there is no such ray: negative depth, or too far aside when the pupil touches the layers.
+    NaN where there is no such ray: negative depth, or too far aside when the pupil touches the
+    layers.
     """
     reach = np.array(reach_mm, float)
-    depth, air = (np.array(np.broadcast_to(np.asarray(each, float), reach.shape)) for each in (depth_mm, air_mm))
+    depth, air = (
+        np.array(np.broadcast_to(np.asarray(each, float), reach.shape))
+        for each in (depth_mm, air_mm)
+    )
     stack = np.array([(layer.thickness_mm, layer.index) for layer in layers], float).reshape(-1, 2)
     out = np.empty(len(reach))
-    tangents(reach, depth, float(body_index), stack, air, out)
+    _tangents(reach, depth, float(body_index), stack, air, out)
     return out
 
 
 def transmission(p: Floats, body_index: float, layers: tuple[Layer, ...]) -> Floats:
-    """Return (n,) shares of unpolarised light that pass all interfaces between air and body, 1 = straight through.
+    """Return (n,) shares of unpolarised light that pass all interfaces between air and body, 1 =
+    straight through.
 
     Parameters
     ----------
@@ -236,8 +329,8 @@ def transmission(p: Floats, body_index: float, layers: tuple[Layer, ...]) -> Flo
 
     Notes
     -----
-    `reflection` at each interface in turn, relative to normal incidence, which the exposure takes up. Reflections to
-    and fro between interfaces are left out.
+    `reflection` at each interface in turn, relative to normal incidence, which the exposure takes
+    up. Reflections to and fro between interfaces are left out.
     """
     indices = [body_index, *(layer.index for layer in layers), 1.0]
     share = np.ones_like(p)
@@ -247,7 +340,8 @@ def transmission(p: Floats, body_index: float, layers: tuple[Layer, ...]) -> Flo
 
 
 def reflection(p: Any, one: float, two: float) -> Any:
-    """Return the shares of unpolarised light that an interface of refractive indices ``one`` and ``two`` sends back.
+    """Return the shares of unpolarised light that an interface of refractive indices ``one`` and
+    ``two`` sends back.
 
     Parameters
     ----------
@@ -267,7 +361,8 @@ def reflection(p: Any, one: float, two: float) -> Any:
 
 
 def tilt_matrix(camera: Camera) -> Floats:
-    """Return the (3, 3) rotation from camera to body axes: turns about x, y and z, applied in this order."""
+    """Return the (3, 3) rotation from camera to body axes: turns about x, y and z, applied in this
+    order."""
     return _tilted(tuple(camera.tilt_deg))
 
 
@@ -284,12 +379,17 @@ def _tilted(tilt_deg: tuple[float, float, float]) -> Floats:
     return frozen(turn)
 
 
-def _leave(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> tuple[Points, Floats, Floats]:
-    """Return (n, 3) air directions (p e, -1) from pupil to points, (n,) p, and how far aside (n, 2) the points are."""
+def _leave(
+    points: Points, camera: Camera, body_index: float, base_z_mm: float
+) -> tuple[Points, Floats, Floats]:
+    """Return (n, 3) air directions (p e, -1) from pupil to points, (n,) p, and how far aside (n, 2)
+    the points are."""
     points = np.asarray(points, float)
     aside = points[:, :2] - np.asarray(camera.pupil_mm[:2])
     reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)
-    p = air_tangents(reach, base_z_mm - points[:, 2], body_index, camera.layers, air_gap(camera, base_z_mm))
+    p = air_tangents(
+        reach, base_z_mm - points[:, 2], body_index, camera.layers, air_gap(camera, base_z_mm)
+    )
     towards = np.empty((len(points), 3))
     towards[:, :2] = (p / np.maximum(reach, 1e-300))[:, None] * aside
     towards[:, 2] = np.where(np.isnan(p), np.nan, -1.0)

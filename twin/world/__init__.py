@@ -1,1 +1,3 @@
-"""What happens: mesh, elasticity, contact, picture. Holds the truth; never imported by twin.sense."""
+"""What happens: mesh, elasticity, contact, picture. Holds the truth; never imported by
+twin.sense.
+"""

@@ -24,12 +24,12 @@ from small_dataset import NO_PICTURE, contents, make, small_scene
 
 import twin
 from twin.errors import InputError, RecipeError, TwinError
-from twin.results import write_whole
-from twin.study.batch.lock import only_writer
+from twin.files import write_whole
+from twin.study.batch.pool import only_writer
 from twin.study.check import check_path
-from twin.study.dataset import estimate
+from twin.study.dataset import create
 from twin.study.dataset.plan import Plan
-from twin.study.dataset.work import ShardBytes
+from twin.study.dataset.sample import ShardBytes
 
 
 @pytest.fixture(scope="module")
@@ -76,15 +76,19 @@ def test_an_interrupted_dataset_ends_with_the_same_bytes(made: Path, tmp_path: P
     assert contents(folder) == contents(made)
 
 
-def test_what_was_damaged_later_is_made_again_and_never_taken_for_whole(made: Path, tmp_path: Path) -> None:
-    """Files that still open, so that only their checksums tell; and those that no checksum of a shard covers."""
-    folder = tmp_path / "d"
-    shutil.copytree(made, folder)
-    path = folder / "data" / "part-00001.parquet"
+def flip_a_bit(path: Path) -> None:
+    """Damage a Parquet file so that it still opens, and only its checksum tells."""
     whole = bytearray(path.read_bytes())
     whole[len(whole) // 3] ^= 1
     path.write_bytes(whole)
     pq.read_schema(path)
+
+
+def test_what_was_damaged_later_is_made_again_and_never_taken_for_whole(made: Path, tmp_path: Path) -> None:
+    """Files that still open, so that only their checksums tell; and those that no checksum of a shard covers."""
+    folder = tmp_path / "d"
+    shutil.copytree(made, folder)
+    flip_a_bit(folder / "data" / "part-00001.parquet")
     (folder / "sensors" / "part-00000.parquet").unlink()
     scene = folder / "meta" / "scene.toml"
     scene.write_text(scene.read_text().replace("poisson_ratio = 0.5", "poisson_ratio = 0.4"))
@@ -96,6 +100,23 @@ def test_what_was_damaged_later_is_made_again_and_never_taken_for_whole(made: Pa
     with pytest.raises(InputError, match=f"{mesh.name}: changed since the dataset was begun"):
         make(folder)
     assert make(made).made == 0
+
+
+@pytest.mark.parametrize("kind", ["data", "sensors"])
+def test_what_was_damaged_before_the_end_is_made_again_too(kind: str, made: Path, tmp_path: Path) -> None:
+    """A run that ends early leaves shards without SHA256SUMS; one changed bit leaves Parquet files that open."""
+    folder = tmp_path / "d"
+
+    def stop(what: str, share: float) -> None:
+        if "samples," in what and share > 0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make(folder, progress=stop)
+    assert not (folder / "meta" / "SHA256SUMS").exists()
+    flip_a_bit(folder / kind / "part-00000.parquet")
+    assert make(folder).made == 4
+    assert contents(folder) == contents(made)
 
 
 def test_a_body_without_markers_is_no_trouble_and_columns_that_are_always_there_may_be_named(tmp_path: Path) -> None:
@@ -186,27 +207,23 @@ def test_two_writers_are_refused(tmp_path: Path) -> None:
         make(tmp_path / "d")
 
 
-def test_another_scene_columns_or_versions_are_refused(made: Path) -> None:
+def test_another_scene_columns_or_versions_are_refused(made: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="another scene"):
         make(made, scene=small_scene(material__poisson_ratio=0.49))
     with pytest.raises(InputError, match="other columns"):
         make(made, scene=small_scene(columns=("force_n",)))
     assert not (made / "meta" / "writer.lock").exists()
-    told = (made / "meta" / "info.json").read_text()
-    try:
-        (made / "meta" / "info.json").write_text(told.replace('"numpy": "', '"numpy": "9.'))
-        with pytest.raises(InputError, match=r"other versions \(numpy 9\."):
-            make(made)
-    finally:
-        (made / "meta" / "info.json").write_text(told)
+    shutil.copytree(made, tmp_path / "d")
+    told = tmp_path / "d" / "meta" / "info.json"
+    told.write_text(told.read_text().replace('"numpy": "', '"numpy": "9.'))
+    with pytest.raises(InputError, match=r"other versions \(numpy 9\."):
+        make(tmp_path / "d")
 
 
 def test_check_finds_a_changed_byte_and_an_unfinished_dataset(tmp_path: Path) -> None:
     folder = tmp_path / "d"
     make(folder, 2)
-    path = folder / "data" / "part-00000.parquet"
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-20] + bytes([whole[-20] ^ 1]) + whole[-19:])
+    flip_a_bit(folder / "data" / "part-00000.parquet")
     with pytest.raises(RecipeError, match=r"part-00000\.parquet: changed"):
         check_path(str(folder))
     (folder / "meta" / "SHA256SUMS").unlink()
@@ -217,8 +234,6 @@ def test_check_finds_a_changed_byte_and_an_unfinished_dataset(tmp_path: Path) ->
 def test_a_full_disk_leaves_whole_files_and_the_same_command_goes_on(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from twin.study.dataset import create
-
     def full(path: Path, write: object) -> None:
         if path.name == "part-00001.parquet" and path.parent.name == "data":
             raise TwinError(f"{path}: can't be written (No space left on device)")
@@ -334,15 +349,15 @@ def test_time_is_estimated_from_cpu_seconds_of_samples_and_sensors(monkeypatch: 
 
         return work
 
-    monkeypatch.setattr(estimate, "time", SimpleNamespace(process_time=lambda: cpu[0]))
-    monkeypatch.setattr(estimate, "make_shard", takes(10.0, 4.0, 7.0))  # begins, goes on, goes on with a new sensor
-    monkeypatch.setattr(estimate, "audit_sample", takes(2.0))
-    told = estimate.estimate(small_scene(columns=("force_n",)), 300, workers=2)
+    monkeypatch.setattr(create, "time", SimpleNamespace(process_time=lambda: cpu[0]))
+    monkeypatch.setattr(create, "make_shard", takes(10.0, 4.0, 7.0))  # begins, goes on, goes on with a new sensor
+    monkeypatch.setattr(create, "audit_sample", takes(2.0))
+    told = create.estimate(small_scene(columns=("force_n",)), 300, workers=2)
     assert "300 on 100 sensors, in 150 files" in told[0]
     assert "about 5 min with 2 workers" in told[-1]  # 6 + (300 x 1 + 99 x 3 + 3 x 2) / 2 s
     assert "1 s of CPU a sample" in told[-1]
     assert "6 s to begin, 3 s for each further sensor" in told[-1]
-    few = estimate.estimate(small_scene(columns=("force_n",), vary={}), 3)
+    few = create.estimate(small_scene(columns=("force_n",), vary={}), 3)
     assert "about 11 s with 1 worker" in few[-2]
     assert "the same one" in few[-1]
 

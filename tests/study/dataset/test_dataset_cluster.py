@@ -2,38 +2,101 @@
 
 from __future__ import annotations
 
+import http.client
 import os
 import pickle
 import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from pathlib import Path
 
 import pytest
+from distributed.security import Security
 from small_dataset import contents, make
 
 import twin
 from twin.errors import InputError, MissingCapability
-from twin.study.dataset.work import ShardBytes
+from twin.study.batch import pool
+from twin.study.batch.pool import Scheduler, connected, workers_here
+from twin.study.dataset.sample import ShardBytes
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parent.parent)}
 
 
 def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from twin.study.batch import cluster
-
-    monkeypatch.setattr(cluster, "PATIENCE_S", 0.5)
-    with pytest.raises(InputError, match="no dask scheduler answers there"):
-        make(tmp_path / "d", 2, scheduler="tcp://127.0.0.1:1")
+    monkeypatch.setattr(pool, "PATIENCE_S", 0.5)
+    with pytest.raises(InputError, match="no dask scheduler replies there"):
+        make(tmp_path / "d", 2, scheduler=Scheduler(address="tcp://127.0.0.1:1"))
     assert not (tmp_path / "d").exists(), "nothing is left of what was never begun"
 
 
-def test_several_workers_need_a_loopback(monkeypatch: pytest.MonkeyPatch) -> None:
-    from twin.study.batch import cluster
+def test_tls_files_are_given_together_and_exist(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from twin.cli import main
 
-    monkeypatch.setattr(cluster, "HERE", "192.0.2.1")  # an address for documentation: no machine's own
-    with pytest.raises(MissingCapability, match="--workers 1"), cluster.workers_here(2):
+    there = tmp_path / "there.pem"
+    there.write_text("")
+    for options, said in (
+        (["--scheduler", "tls://here:1"], "needs --tls-ca, --tls-cert, --tls-key"),
+        (["--scheduler", "tls://here:1", "--tls-ca", str(there)], "needs --tls-cert, --tls-key"),
+        (["--scheduler", "tcp://here:1", "--tls-ca", str(there)], "must start with tls://"),
+        (["--scheduler", "tls://here:1", "--tls-key", "none.pem"], "--tls-key none.pem: there is no such file"),
+        (["--tls-ca", str(there)], "belong to --scheduler"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(["dataset", "dataset_kamiyama", "--samples", "2", "--out", str(tmp_path / "d"), *options])
+        assert ended.value.code == 2
+        assert said in capsys.readouterr().err
+
+
+STRANGER = """
+import os, sys
+from distributed import Client
+from distributed.security import Security
+
+if os.getuid() == 0:  # another account of this machine
+    os.setgroups([])
+    os.setgid(65534)
+    os.setuid(65534)
+host = sys.argv[1].split("://")[1]
+for address, security in ((f"tcp://{host}", None), (f"tls://{host}", Security.temporary())):
+    try:
+        with Client(address, timeout=1.5, security=security) as client:
+            print("ran as", client.submit(os.getuid).result(5))
+    except (OSError, TimeoutError):
+        print("refused")
+"""
+
+
+@pytest.mark.slow
+def test_no_other_account_runs_code_by_the_workers_of_this_machine() -> None:
+    """A stranger without this cluster's key is refused, every port is this machine's own, and none serves a page."""
+    import psutil
+
+    with workers_here(1) as cluster:
+        told = subprocess.run(
+            [sys.executable, "-c", STRANGER, cluster.scheduler_address], capture_output=True, text=True, timeout=60
+        )
+        assert told.stdout.split() == ["refused", "refused"], told.stdout + told.stderr
+        ours = psutil.Process()
+        listening = {
+            place.laddr
+            for process in (ours, *ours.children(recursive=True))
+            for place in process.net_connections("inet")
+            if place.status == psutil.CONN_LISTEN
+        }
+        assert {place.ip for place in listening} == {"127.0.0.1"}
+        with connected(cluster) as client:
+            assert client.submit(os.getuid).result(30) == os.getuid()
+        for place in listening:
+            with pytest.raises((OSError, http.client.HTTPException)):
+                urllib.request.urlopen(f"http://127.0.0.1:{place.port}/info/main/workers.html", timeout=2)
+
+
+def test_several_workers_need_a_loopback(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "LOOPBACK", "192.0.2.1")  # an address for documentation: no machine's own
+    with pytest.raises(MissingCapability, match="--workers 1"), workers_here(2):
         pass
 
 
@@ -46,29 +109,50 @@ def test_workers_that_can_not_be_started_are_told_with_the_cause(
 ) -> None:
     import distributed
 
-    from twin.study.batch import cluster
-
     def failing(**options: object) -> None:
         raise RuntimeError("Nanny failed to start.") from problem
 
     monkeypatch.setattr(distributed, "LocalCluster", failing)
-    with pytest.raises(MissingCapability, match=f"2 worker processes .*{said}.*--workers 1"), cluster.workers_here(2):
+    with pytest.raises(MissingCapability, match=f"2 worker processes .*{said}.*--workers 1"), workers_here(2):
         pass
 
 
+def test_workers_start_only_where_the_job_takes_longer_than_their_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[int] = []
+
+    def refused(count: int) -> None:
+        started.append(count)
+        raise MissingCapability("started")
+
+    monkeypatch.setattr(pool, "workers_here", refused)
+    assert make(tmp_path / "small", 4, workers=2).made == 4
+    monkeypatch.setattr(pool, "START_S", 0.0)
+    with pytest.raises(MissingCapability, match="started"):
+        make(tmp_path / "large", 4, workers=2)
+    assert started == [2]
+
+
 @pytest.mark.slow
-def test_two_local_workers_make_the_same_bytes_as_one(tmp_path: Path) -> None:
+def test_two_local_workers_make_the_same_bytes_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make(tmp_path / "one", 8)
+    monkeypatch.setattr(pool, "START_S", 0.0)
     make(tmp_path / "two", 8, workers=2)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
 @pytest.mark.slow
 def test_a_cluster_without_common_files_survives_a_killed_worker(tmp_path: Path) -> None:
-    """Two workers with caches of their own, of which one is killed after the first shard."""
+    """Two workers with caches of their own, of which one is killed after the first shard; all talk over TLS."""
     make(tmp_path / "one", 16)
     address = tmp_path / "scheduler.json"
-    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    secret = Security.temporary()
+    cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    cert.write_text(secret.tls_client_cert)
+    key.write_text(secret.tls_client_key)
+    tls = ["--tls-ca-file", str(cert), "--tls-cert", str(cert), "--tls-key", str(key)]
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "tls://127.0.0.1", "--port", "0", *tls]
     running = [subprocess.Popen([*dask, "--no-dashboard", "--scheduler-file", str(address)], env=ENVIRONMENT)]
     try:
         for _ in range(600):
@@ -76,7 +160,7 @@ def test_a_cluster_without_common_files_survives_a_killed_worker(tmp_path: Path)
                 break
             time.sleep(0.1)
         for name in ("a", "b"):
-            worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(address)]
+            worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(address), *tls]
             own = {**ENVIRONMENT, "TWIN_CACHE": str(tmp_path / f"cache_{name}")}
             options = ["--no-nanny", "--nthreads", "1", "--no-dashboard", "--local-directory", str(tmp_path / name)]
             running.append(subprocess.Popen([*worker, *options], env=own))
@@ -90,7 +174,8 @@ def test_a_cluster_without_common_files_survives_a_killed_worker(tmp_path: Path)
         import json
 
         wanted = json.loads(address.read_text())["address"]
-        done = make(tmp_path / "many", 16, scheduler=wanted, progress=kill)
+        scheduler = Scheduler(address=wanted, ca=cert, cert=cert, key=key)
+        done = make(tmp_path / "many", 16, scheduler=scheduler, progress=kill)
     finally:
         for process in running[::-1]:
             process.kill()

@@ -6,6 +6,7 @@ import io
 import json
 import tarfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ import twin
 from twin.errors import InputError
 from twin.study.dataset.audit import audited
 from twin.study.dataset.export import export_dataset
-from twin.study.dataset.view import view_dataset
+from twin.study.dataset.reader import view_dataset
 
 SEEN = ("force_n", "torque_nmm", "surface_mm", "marker_displacement_mm", "marker_pressed_px", "picture")
 
@@ -31,10 +32,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_coco_keypoints_are_the_markers(made: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def good(made: Path) -> list[dict[str, Any]]:
+    return [row for row in twin.open_dataset(made) if row["status"] == "ok"]
+
+
+def test_coco_keypoints_are_the_markers(made: Path, good: list[dict[str, Any]], tmp_path: Path) -> None:
     export_dataset(made, "coco", tmp_path)
     told = json.loads((tmp_path / "keypoints.json").read_text())
-    good = [row for row in twin.open_dataset(made) if row["status"] == "ok"]
     assert len(told["images"]) == len(told["annotations"]) == len(good)
     points = np.array(told["annotations"][1]["keypoints"]).reshape(-1, 3)
     inside = points[:, 2] > 0
@@ -44,9 +49,8 @@ def test_coco_keypoints_are_the_markers(made: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.array(image), good[1]["picture"])
 
 
-def test_webdataset_members_share_a_name(made: Path, tmp_path: Path) -> None:
+def test_webdataset_members_share_a_name(made: Path, good: list[dict[str, Any]], tmp_path: Path) -> None:
     (path,) = export_dataset(made, "webdataset", tmp_path)
-    good = [row for row in twin.open_dataset(made) if row["status"] == "ok"]
     with tarfile.open(path) as tar:
         names = tar.getnames()
         assert sorted(names)[:3] == ["00000000.json", "00000000.npz", "00000000.png"]
@@ -57,10 +61,9 @@ def test_webdataset_members_share_a_name(made: Path, tmp_path: Path) -> None:
             np.testing.assert_array_equal(arrays["force_n"], good[1]["force_n"])
 
 
-def test_hdf5_has_pictures_markers_and_wrench(made: Path, tmp_path: Path) -> None:
+def test_hdf5_has_pictures_markers_and_wrench(made: Path, good: list[dict[str, Any]], tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     (path,) = export_dataset(made, "hdf5", tmp_path)
-    good = [row for row in twin.open_dataset(made) if row["status"] == "ok"]
     with h5py.File(path) as file:
         assert file["tactile/rgb"].shape == (len(good), 120, 160, 3)
         assert file["tactile/marker"].shape == (len(good), 2, 59, 2)

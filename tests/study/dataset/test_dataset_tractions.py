@@ -12,13 +12,12 @@ from small_dataset import NO_PICTURE, contents, make, small_scene
 
 import twin
 from twin.errors import RecipeError
-from twin.parts.footprint import Footprint
-from twin.parts.load import Load, Traction
+from twin.parts.load import Footprint, Load, Traction
 from twin.parts.pipeline import Sites
-from twin.study.dataset.cells import in_cells
-from twin.study.dataset.check import check_dataset
-from twin.study.dataset.view import view_dataset
-from twin.world.elasticity.tile import tile
+from twin.study.dataset.audit import check_dataset
+from twin.study.dataset.columns import in_cells
+from twin.study.dataset.reader import view_dataset
+from twin.world.elasticity.discretise import tile
 
 TWO: dict[str, Any] = {
     "tractions": [

@@ -12,11 +12,10 @@ from small_sweep import TABLE, small
 from twin.errors import InputError, RecipeError
 from twin.parts.sweep import Sweep
 from twin.study.recipe import shipped_scenes
-from twin.study.sweep.closed import closed
-from twin.study.sweep.designs import designs_of, kept_count
+from twin.study.sweep.closed_form_design import closed
+from twin.study.sweep.designs import designs_of, kept_count, load_sweep, shipped_sweeps, sweep_of
 from twin.study.sweep.loads import thickness_range
-from twin.study.sweep.recipe import load_sweep, shipped_sweeps, sweep_of
-from twin.study.sweep.run import check
+from twin.study.sweep.sweep_run import check
 
 
 def test_a_grid_is_every_combination_with_what_follows() -> None:
@@ -60,7 +59,7 @@ def test_sampling_fills_the_axes_and_is_known_from_the_seed(sampling: str) -> No
 def test_impossible_designs_are_dropped_with_their_reason() -> None:
     axes = {"markers.*.diameter_mm": [0.5, 1.6], "markers.blue.depth_mm": [0.2, 3.0, 39.9]}
     sweep, scene = small(axes=axes, derived={})
-    reason = closed(designs_of(sweep, scene)).reason.tolist()
+    reason = closed(designs_of(sweep, scene))[1].tolist()
     assert [bool(r) for r in reason] == [True, False, True, True, True, True]
     assert "sticks out" in reason[0]
     assert "thick" in reason[2]
@@ -137,7 +136,7 @@ def test_shipped_sweeps_are_sound_and_are_not_scenes(tmp_path: Path) -> None:
         sweep, scene = load_sweep(name)
         check(sweep, scene)
         designs = designs_of(sweep, scene)
-        assert (closed(designs).reason == "").any()
+        assert (closed(designs)[1] == "").any()
         designs.scene_of(0)
         assert isinstance(sweep, Sweep)
     with pytest.raises(InputError, match="did you mean 'sweep_lens'"):

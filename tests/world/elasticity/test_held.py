@@ -1,18 +1,19 @@
-"""The finger's back, free or held: its mesh stays the shipped one, its nodes stay put, and nearby presses feel it."""
+"""The finger's back, free or held: its mesh stays, its nodes rest, near presses feel it."""
 
 import numpy as np
 import pytest
+from standard_bodies import FINGER
 
 from twin.parts.body import Finger
 from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.world.elasticity.compliance import Compliance
+from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.fem import TaylorHood
-from twin.world.elasticity.tile import tile
 from twin.world.mesh.body_mesh import body_mesh, mesh_key
 from twin.world.mesh.sizing import default_sizing, rim_points
 
-FREE = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
+FREE = FINGER
 HELD = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2, back="held")
 
 

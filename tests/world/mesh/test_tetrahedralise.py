@@ -1,42 +1,43 @@
-"""The way to the mesher: surface and sizes that go in, the guard around the child, and what is refused."""
-
-from __future__ import annotations
+"""The way to the mesher: what goes in, the guard around the child, and what is refused."""
 
 import os
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from standard_bodies import FINGER
 
 from twin.errors import InputError, MeshError
-from twin.parts.body import Block, Finger
-from twin.world.mesh import tetrahedralise as guarded
+from twin.parts.body import Block
+from twin.world.mesh.body_mesh import outer_surface
+from twin.world.mesh.elements import signed_volumes
 from twin.world.mesh.sizing import WantedEdge, background, default_sizing, rim_points
-from twin.world.mesh.snap import onto_pieces, signed_volumes
-from twin.world.mesh.surface import outer_surface
+from twin.world.mesh.snap import onto_sheets
 from twin.world.mesh.tetrahedralise import Request, tetrahedralise
 
 BLOCK = Block(width_mm=10, length_mm=8, thickness_mm=6)
-FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
 
 
-def request_for(body: Block, edge_mm: float = 3.0) -> Request:
-    vertices, triangles = outer_surface(body, 1.0)
-    points, tets, edge = background(body, default_sizing(body, "nominal"))
+@pytest.fixture(scope="module")
+def request_of_block():
+    vertices, triangles = outer_surface(BLOCK, 1.0)
+    points, tets, edge = background(BLOCK, default_sizing(BLOCK, "nominal"))
     return Request(
         vertices=vertices,
         triangles=triangles,
         background_points=points,
         background_tets=tets,
-        background_edge_mm=np.full_like(edge, edge_mm),
-        coarse_mm=edge_mm,
+        background_edge_mm=np.full_like(edge, 3.0),
+        coarse_mm=3.0,
     )
 
 
-def enclosed(vertices: np.ndarray, triangles: np.ndarray) -> float:
+def enclosed(vertices, triangles):
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", np.cross(a, b), c) / 6)
 
@@ -49,31 +50,33 @@ def test_the_block_s_surface_is_its_eight_corners():
 
 
 def test_the_finger_s_surface_converges_with_the_square_of_the_spacing():
-    error = [1 - enclosed(*outer_surface(FINGER, spacing)) / FINGER.volume_mm3 for spacing in (1.6, 0.8)]
-    assert 0 < error[1] < error[0] < 0.02
-    assert error[0] / error[1] == pytest.approx(4, rel=0.35)
+    volumes = [enclosed(*outer_surface(FINGER, spacing)) for spacing in (1.6, 0.8)]
+    coarse, fine = (1 - volume / FINGER.volume_mm3 for volume in volumes)
+    assert 0 < fine < coarse < 0.02
+    assert coarse / fine == pytest.approx(4, rel=0.35)
 
 
 def test_a_body_that_is_not_convex_is_refused():
     class Hollow(Block):
         @property
-        def volume_mm3(self) -> float:
+        def volume_mm3(self):
             return 0.9 * super().volume_mm3
 
     with pytest.raises(MeshError, match="only convex bodies"):
-        outer_surface(Hollow(width_mm=10, length_mm=8, thickness_mm=6), 1.0)
+        outer_surface(Hollow(**BLOCK.model_dump()), 1.0)
 
 
 def test_projection_reaches_surface_edge_and_corner_of_the_finger():
     on = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [0, 0, 0]], dtype=bool)
     start = np.array([(3, 2, 1.5), (-7.6, 3, 1.0), (-7.8, 7.7, 9.6), (1, 2, 3)], dtype=float)
-    found = onto_pieces(FINGER, start, on)
+    found = onto_sheets(FINGER, start, on)
     distance = FINGER.piece_distances(found)
     assert np.max(np.abs(distance[on])) < 1e-13
-    np.testing.assert_allclose(found[2], (-8, 8, 10), atol=1e-12)
-    np.testing.assert_array_equal(found[3], start[3])
+    assert_allclose(found[2], (-8, 8, 10), atol=1e-12)
+    assert_array_equal(found[3], start[3])
     away = start[0] - [0, 0, 8]
-    np.testing.assert_allclose(found[0], np.array([0, 0, 8]) + 8 * away / np.linalg.norm(away), atol=1e-12)
+    on_sphere = np.array([0, 0, 8]) + 8 * away / np.linalg.norm(away)
+    assert_allclose(found[0], on_sphere, atol=1e-12)
 
 
 def test_wanted_edges_at_rim_and_window_and_their_growth():
@@ -92,7 +95,7 @@ def test_wanted_edges_at_rim_and_window_and_their_growth():
     assert np.max(np.abs(np.diff(edge)) / step) <= sizing.growth + 1e-9
 
 
-@pytest.mark.parametrize("body", [BLOCK, FINGER], ids=["block", "finger"])
+@pytest.mark.parametrize("body", [BLOCK, FINGER])
 def test_the_background_grid_pads_the_body_and_fills_its_box(body):
     points, tets, edge = background(body, default_sizing(body, "nominal"))
     low, high = np.array(body.bounds_mm)
@@ -104,64 +107,72 @@ def test_the_background_grid_pads_the_body_and_fills_its_box(body):
     assert np.all(edge > 0)
 
 
-def without_a_face(request: Request) -> dict[str, object]:
-    return {"triangles": request.triangles[1:]}
+BAD = {
+    "hole": lambda r: {"triangles": r.triangles[1:]},
+    "turned": lambda r: {"triangles": np.concatenate([r.triangles[:1, ::-1], r.triangles[1:]])},
+    "nan": lambda r: {"vertices": np.where(r.vertices > 4, np.nan, r.vertices)},
+    "bad index": lambda r: {"triangles": r.triangles + 1},
+    "quads": lambda _: {"triangles": np.zeros((6, 4), dtype=np.int64)},
+    "nothing": lambda r: {"triangles": r.triangles[:0]},
+    "zero edges": lambda r: {"background_edge_mm": 0 * r.background_edge_mm},
+}
 
 
-def with_a_turned_face(request: Request) -> dict[str, object]:
-    return {"triangles": np.concatenate([request.triangles[:1, ::-1], request.triangles[1:]])}
-
-
-def with_nan(request: Request) -> dict[str, object]:
-    return {"vertices": np.where(request.vertices > 4, np.nan, request.vertices)}
-
-
-def with_a_bad_index(request: Request) -> dict[str, object]:
-    return {"triangles": request.triangles + 1}
-
-
-def with_quads(request: Request) -> dict[str, object]:
-    return {"triangles": np.zeros((6, 4), dtype=np.int64)}
-
-
-def with_nothing(request: Request) -> dict[str, object]:
-    return {"triangles": request.triangles[:0]}
-
-
-def with_zero_edges(request: Request) -> dict[str, object]:
-    return {"background_edge_mm": 0 * request.background_edge_mm}
-
-
-@pytest.mark.parametrize(
-    "change",
-    [without_a_face, with_a_turned_face, with_nan, with_a_bad_index, with_quads, with_nothing, with_zero_edges],
-)
-def test_what_the_mesher_can_t_survive_never_reaches_it(monkeypatch, change):
-    def child(*_: object) -> None:
+@pytest.mark.parametrize("name", BAD)
+def test_what_the_mesher_can_t_survive_never_reaches_it(request_of_block, monkeypatch, name):
+    def child(*_, **__):
         raise AssertionError("the child was started")
 
-    monkeypatch.setattr(guarded, "_run_child", child)
-    request = request_for(BLOCK)
+    monkeypatch.setattr(subprocess, "Popen", child)
     with pytest.raises(InputError):
-        tetrahedralise(Request(**{**vars(request), **change(request)}))
+        tetrahedralise(replace(request_of_block, **BAD[name](request_of_block)))
 
 
-def test_a_child_over_its_time_limit_is_killed(tmp_path):
-    began = time.monotonic()
-    pid = tmp_path / "pid"
-    code = f"import os, time; open({str(pid)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
-    with pytest.raises(MeshError, match=r"time limit of 1 s"):
-        guarded._run_child([sys.executable, "-S", "-c", code], str(tmp_path), 1.0)
-    assert time.monotonic() - began < 20
+# --- the child ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stand_in(tmp_path):
+    """Return what makes an executable that runs some code in place of the mesher's Python."""
+
+    def made(code):
+        (tmp_path / "code.py").write_text(code)
+        script = tmp_path / "python"
+        script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -S "{tmp_path / "code.py"}" "$@"\n')
+        script.chmod(0o700)
+        return str(script)
+
+    return made
+
+
+def sleeper(pid):
+    words = f"open({str(pid)!r}, 'w').write(str(os.getpid()))"
+    return f"import os, time; {words}; time.sleep(60)"
+
+
+def assert_gone(pid):
     with pytest.raises(ProcessLookupError):
         os.kill(int(pid.read_text()), 0)
 
 
-def test_a_real_request_over_its_time_limit_is_an_error_and_leaves_no_folder(tmp_path, monkeypatch):
+def test_a_child_over_its_time_limit_is_killed(tmp_path, stand_in, request_of_block, monkeypatch):
+    began, pid = time.monotonic(), tmp_path / "pid"
+    monkeypatch.setattr(sys, "executable", stand_in(sleeper(pid)))
+    with pytest.raises(MeshError, match=r"time limit of 1 s"):
+        tetrahedralise(request_of_block, limit_s=1.0)
+    assert time.monotonic() - began < 20
+    assert_gone(pid)
+
+
+def test_a_real_request_over_its_time_limit_leaves_no_folder(tmp_path, request_of_block, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with pytest.raises(MeshError, match="time limit"):
-        tetrahedralise(request_for(BLOCK), limit_s=0.05)
+        tetrahedralise(request_of_block, limit_s=0.05)
     assert list(tmp_path.iterdir()) == []
+
+
+def copier(result):
+    return f"import shutil, sys; shutil.copy({str(result)!r}, sys.argv[-1])"
 
 
 @pytest.mark.parametrize(
@@ -171,41 +182,52 @@ def test_a_real_request_over_its_time_limit_is_an_error_and_leaves_no_folder(tmp
         ("import sys; sys.exit('out of luck')", "exit code 1: out of luck"),
     ],
 )
-def test_a_child_that_dies_is_reported_in_words(tmp_path, code, message):
+def test_a_child_that_dies_is_reported_in_words(stand_in, request_of_block, monkeypatch, code, message):
+    monkeypatch.setattr(sys, "executable", stand_in(code))
     with pytest.raises(MeshError, match=message):
-        guarded._run_child([sys.executable, "-S", "-c", code], str(tmp_path), 30.0)
+        tetrahedralise(request_of_block, limit_s=30.0)
 
 
-def test_an_interrupt_of_the_parent_kills_the_child(tmp_path):
-    pid = tmp_path / "pid"
-    child = f"import os, time; open({str(pid)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
-    parent = (
-        "import sys\nfrom twin.world.mesh.tetrahedralise import _run_child\n"
-        f"_run_child([sys.executable, '-S', '-c', {child!r}], {str(tmp_path)!r}, 60.0)\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", parent], stderr=subprocess.DEVNULL) as running:
+PARENT = """
+import sys
+import numpy as np
+from twin.world.mesh.tetrahedralise import Request, tetrahedralise
+sys.executable, request = sys.argv[1:]
+tetrahedralise(Request(**np.load(request)), limit_s=60.0)
+"""
+
+
+def test_an_interrupt_of_the_parent_kills_the_child(tmp_path, stand_in, request_of_block):
+    pid, file = tmp_path / "pid", tmp_path / "request.npz"
+    np.savez(file, **vars(request_of_block))
+    command = [sys.executable, "-c", PARENT, stand_in(sleeper(pid)), str(file)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as running:
         deadline = time.monotonic() + 30
         while not (pid.exists() and pid.read_text()) and time.monotonic() < deadline:
             time.sleep(0.02)
         running.send_signal(signal.SIGINT)
         running.wait(timeout=20)
     assert running.returncode != 0
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(pid.read_text()), 0)
+    assert_gone(pid)
 
 
-def test_a_result_that_lost_part_of_the_body_is_refused():
-    request = request_for(BLOCK)
-    points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float)
-    with pytest.raises(MeshError, match=r"fill 0\.1666.* mm3 of the surface's 480"):
-        guarded._checked_result(request, points, np.array([[0, 1, 2, 3]]))
-    with pytest.raises(MeshError, match="0 tetrahedra"):
-        guarded._checked_result(request, points, np.zeros((0, 4), dtype=np.int64))
+@pytest.mark.parametrize(
+    ("tets", "message"),
+    [([[0, 1, 2, 3]], r"fill 0\.1666.* mm3 of the surface's 480"), (np.zeros((0, 4)), "0 tetrahedra")],
+)
+def test_a_result_that_lost_part_of_the_body_is_refused(
+    tmp_path, stand_in, request_of_block, monkeypatch, tets, message
+):
+    result = tmp_path / "result.npz"
+    np.savez(result, points=np.eye(4)[:, 1:], tets=np.array(tets, np.int64))
+    monkeypatch.setattr(sys, "executable", stand_in(copier(result)))
+    with pytest.raises(MeshError, match=message):
+        tetrahedralise(request_of_block)
 
 
 @pytest.mark.slow
-def test_the_real_mesher_fills_a_small_block_with_positive_tetrahedra():
-    points, tets = tetrahedralise(request_for(BLOCK))
+def test_the_real_mesher_fills_a_small_block_with_positive_tetrahedra(request_of_block):
+    points, tets = tetrahedralise(request_of_block)
     volumes = signed_volumes(points, tets)
     assert np.min(volumes) > 0
     assert volumes.sum() == pytest.approx(BLOCK.volume_mm3, rel=0.01)

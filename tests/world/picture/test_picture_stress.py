@@ -1,35 +1,20 @@
-"""Pictures at the ends of what a scene can ask for: fields, sizes, places, lights, exposures, crowds."""
-
-from __future__ import annotations
-
-from typing import Any
+"""Pictures at the ends of what a scene can ask for: fields, sizes, places, lights, crowds."""
 
 import numpy as np
 import pytest
-from test_render import BLUE, RED, SPLAT, beads, block, finger, rest_of, seen_at
+from small_scenes import BLUE, RED, SPLAT, beads, block, changed, finger, rest_of, seen_at
 
 from twin.errors import RecipeError
-from twin.parts.ccd import Ccd
+from twin.parts.camera import Ccd
 from twin.parts.markers import place
-from twin.parts.scene import Scene
-from twin.world.picture.exposure import expose
-from twin.world.picture.markers import Ellipsoids, ellipsoids
+from twin.world.picture.ccd import expose
+from twin.world.picture.ellipsoids import Ellipsoids, ellipsoids
 from twin.world.picture.render import Renderer
 
 
-def with_camera(scene: Scene, **keys: Any) -> Scene:
-    assert scene.camera is not None
-    return scene.model_copy(update={"camera": scene.camera.model_copy(update=keys)})
-
-
-def with_light(scene: Scene, **keys: Any) -> Scene:
-    assert scene.light is not None
-    return scene.model_copy(update={"light": scene.light.model_copy(update=keys)})
-
-
 @pytest.mark.parametrize("field_deg", [10, 90, 180])
-def test_any_field_of_view_shows_markers_where_they_are_projected(field_deg: float) -> None:
-    scene = with_camera(finger(), width_px=200, height_px=150, focal_px=100 / np.deg2rad(field_deg / 2))
+def test_any_field_of_view_shows_markers_where_they_are_projected(field_deg):
+    scene = changed(finger(), camera={"width_px": 200, "height_px": 150, "focal_px": 100 / np.deg2rad(field_deg / 2)})
     markers = rest_of(scene)
     renderer = Renderer(scene, markers, SPLAT)
     light, outlines = renderer.radiance(markers), renderer.outlines(markers)
@@ -38,12 +23,12 @@ def test_any_field_of_view_shows_markers_where_they_are_projected(field_deg: flo
     places = seen_at(markers.centres, scene)
     whole = (outlines.visible > 0.999) & (outlines.area_px > 20)
     assert whole.any()
-    # The centroid of an outline and the projected centre differ by the lens's own bend over a marker.
+    # Outline centroid and projected centre differ by the lens's bend over a marker.
     assert np.abs(outlines.centroid_px - places)[whole].max() < 0.02 * np.sqrt(outlines.area_px[whole].max()) + 0.02
 
 
 @pytest.mark.parametrize("diameter_px", [2, 5, 15, 60])
-def test_markers_of_any_size_keep_their_centre_and_area(diameter_px: float) -> None:
+def test_markers_of_any_size_keep_their_centre_and_area(diameter_px):
     scene = block()
     scale = 20.35
     rng = np.random.default_rng(1)
@@ -59,7 +44,7 @@ def test_markers_of_any_size_keep_their_centre_and_area(diameter_px: float) -> N
         )
 
 
-def test_markers_behind_the_base_at_the_window_and_beyond_the_edge() -> None:
+def test_markers_behind_the_base_at_the_window_and_beyond_the_edge():
     scene = finger()
     markers = beads([(0, 0, 11), (0, 0, 9.7), (0.4, 0.1, 9.9), (7.5, 0, 5), (0, 0, 4)])
     renderer = Renderer(scene, rest_of(scene), SPLAT)
@@ -74,7 +59,7 @@ def test_markers_behind_the_base_at_the_window_and_beyond_the_edge() -> None:
     assert not (truth.marker == 0).any()
 
 
-def test_markers_in_one_place_and_within_each_other() -> None:
+def test_markers_in_one_place_and_within_each_other():
     scene = block()
     twins = beads([(0, 0, 6), (0, 0, 6), (0.1, 0, 6), (0, 0, 6.05)], [0.25, 0.25, 0.25, 0.1])
     renderer = Renderer(scene, rest_of(scene), SPLAT)
@@ -90,8 +75,8 @@ def test_markers_in_one_place_and_within_each_other() -> None:
     assert outlines.area_px[3] == 0  # inside the others
 
 
-def test_a_crowd_of_thousands_and_nobody() -> None:
-    scene = with_camera(block(), width_px=320, height_px=240)
+def test_a_crowd_of_thousands_and_nobody():
+    scene = changed(block(), camera={"width_px": 320, "height_px": 240})
     rng = np.random.default_rng(3)
     n = 5000
     crowd = Ellipsoids(
@@ -110,7 +95,7 @@ def test_a_crowd_of_thousands_and_nobody() -> None:
     assert len(renderer.outlines(nobody).visible) == 0
 
 
-def test_a_print_strained_by_half_is_half_as_long_again() -> None:
+def test_a_print_strained_by_half_is_half_as_long_again():
     layers = {"kind": "print", "depth_mm": 0.5, "pitch_mm": 2.5, "diameter_mm": 0.5, "columns": 1, "rows": 1}
     scene = finger(markers={"blue": {**layers, "colour": BLUE}})
     markers = place(scene.body, scene.markers)
@@ -124,8 +109,8 @@ def test_a_print_strained_by_half_is_half_as_long_again() -> None:
     assert areas[1] / areas[0] == pytest.approx(1.2, abs=0.02)
 
 
-def test_leds_in_the_body_behind_a_marker_and_within_one() -> None:
-    scene = with_light(block(), positions_mm=((0.0, 0.0, 20.0),), ambient=0.0)
+def test_leds_in_the_body_behind_a_marker_and_within_one():
+    scene = changed(block(), light={"positions_mm": ((0.0, 0.0, 20.0),), "ambient": 0.0})
     inside, shaded = beads([(0, 0, 3)]), beads([(0, 0, 3), (0, 0, 10)])
     renderer = Renderer(scene, inside, SPLAT)
     assert renderer.outlines(inside).visible[0] == 1
@@ -136,15 +121,15 @@ def test_leds_in_the_body_behind_a_marker_and_within_one() -> None:
     spot = np.rint(renderer.outlines(aside).centroid_px[0]).astype(int)
     assert renderer.radiance(aside)[spot[1], spot[0], 0] > 0.5 * free
     assert renderer.outlines(shaded).visible[0] == 0
-    swallowed = with_light(block(), positions_mm=((0.0, 0.0, 6.0), (0.0, 0.0, 20.0)))
+    swallowed = changed(block(), light={"positions_mm": ((0.0, 0.0, 6.0), (0.0, 0.0, 20.0))})
     assert np.isfinite(Renderer(swallowed, inside, SPLAT).radiance(beads([(0, 0, 6)]))).all()
-    in_the_plate = with_light(block(), positions_mm=((0.0, 0.0, 45.0),))
+    in_the_plate = changed(block(), light={"positions_mm": ((0.0, 0.0, 45.0),)})
     with pytest.raises(RecipeError, match="positions_mm"):
         Renderer(in_the_plate, inside, SPLAT)
 
 
 @pytest.mark.parametrize(("exposure", "least", "most"), [(1e-3, 0, 3), (1.0, 190, 210), (1000.0, 255, 255)])
-def test_over_and_under_exposure(exposure: float, least: int, most: int) -> None:
+def test_over_and_under_exposure(exposure, least, most):
     scene = block()
     scene = scene.model_copy(update={"ccd": Ccd(preset="ideal", exposure=exposure, crosstalk=0.0)})
     markers = rest_of(scene)
@@ -153,8 +138,8 @@ def test_over_and_under_exposure(exposure: float, least: int, most: int) -> None
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 40), (3, 2)])
-def test_tiny_pictures(width: int, height: int) -> None:
-    scene = with_camera(block(), width_px=width, height_px=height)
+def test_tiny_pictures(width, height):
+    scene = changed(block(), camera={"width_px": width, "height_px": height})
     markers = beads([(0, 0, 6)])
     renderer = Renderer(scene, markers, SPLAT)
     light = renderer.radiance(markers)
@@ -165,8 +150,8 @@ def test_tiny_pictures(width: int, height: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_picture_of_16_million_pixels() -> None:
-    scene = with_camera(block(), width_px=4096, height_px=4096, focal_px=1814.8 * 4096 / 640)
+def test_a_picture_of_16_million_pixels():
+    scene = changed(block(), camera={"width_px": 4096, "height_px": 4096, "focal_px": 1814.8 * 4096 / 640})
     markers = rest_of(scene)
     renderer = Renderer(scene, markers, SPLAT, subpixels=1)
     np.testing.assert_allclose(renderer.outlines(markers).centroid_px, seen_at(markers.centres, scene), atol=0.05)

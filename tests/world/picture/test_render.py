@@ -1,105 +1,59 @@
 """Rendered pictures against the closed-form camera: places, motion, occlusion, shadows, exposure.
 
-The quick tests run Mitsuba's scalar variant and the splat on small pictures, so that they need no LLVM.
+Tests run on small pictures with the splat, and with Mitsuba where a libLLVM of this machine works.
 """
-
-from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from small_scenes import SPLAT, beads, block, changed, finger, mitsuba, rest_of, seen_at
 
 from twin.errors import RecipeError
 from twin.parts.accuracy import Accuracy
 from twin.parts.markers import place
-from twin.parts.scene import Scene
-from twin.theory.optics import Sight, project
-from twin.world.picture import threads as pool
-from twin.world.picture.crowded import shade_crowded
-from twin.world.picture.defocus import through_the_pupil
-from twin.world.picture.markers import Ellipsoids, ellipsoids
+from twin.theory.optics import Sight
+from twin.world.picture import backend
+from twin.world.picture.camera_rays import look, through_the_pupil
+from twin.world.picture.ccd import response_matrix
+from twin.world.picture.ellipsoids import ellipsoids
+from twin.world.picture.lamps import brightest, lamps_at
+from twin.world.picture.mitsuba_tracer import MitsubaTracer
+from twin.world.picture.picture_job import make_job
 from twin.world.picture.render import Renderer, subpixels_for
-from twin.world.picture.variant import Variant, choose_variant
-from twin.world.picture.view import near_markers
-
-SCALAR = Variant(name="scalar_rgb", library=None, reason="runs everywhere")
-SPLAT = Variant(name="splat", library=None, reason="runs everywhere")
-RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.15, 0.9)
+from twin.world.picture.splat import Splat
 
 
-def layer(**keys: Any) -> dict[str, Any]:
-    return {"depth_mm": 6, "pitch_mm": 1.5, "diameter_mm": 0.5, "columns": 3, "rows": 2, "colour": RED, **keys}
-
-
-def block(**keys: Any) -> Scene:
-    """The flat sensor around its middle: 120 x 90 px of it."""
-    scene = {
-        "body": {"shape": "block", "width_mm": 100, "length_mm": 90, "thickness_mm": 40},
-        "material": {},
-        "markers": {"red": layer(), "blue": layer(depth_mm=3, columns=2, rows=2, colour=BLUE, offset_mm=(0.0, 0.75))},
-        "camera": {"width_px": 120, "height_px": 90, "focal_px": 1814.8, "pupil_mm": (0, 0, 108.85),
-                   "layers": [{"index": 1.49, "thickness_mm": 10}]},
-        "light": {"positions_mm": [(x, y, 105) for x in (-25, 25) for y in (-20, 20)]},
-        "cover": {},
-    }  # fmt: skip
-    return Scene.model_validate({**scene, **keys})
-
-
-def finger(**keys: Any) -> Scene:
-    scene = {
-        "body": {"shape": "finger", "radius_mm": 8, "barrel_mm": 8, "skirt_mm": 2},
-        "material": {},
-        "markers": {
-            "red": layer(kind="print", depth_mm=0.5, pitch_mm=2.5, columns=5, rows=5),
-            "blue": layer(kind="print", depth_mm=2, pitch_mm=2.5, columns=6, rows=6, colour=BLUE),
-        },
-        "camera": {"lens": "equidistant", "focal_px": 230, "pupil_mm": (0, 0, 12),
-                   "layers": [{"index": 1.49, "thickness_mm": 1}]},
-        "light": {"positions_mm": [(x, y, 11.5) for x in (-4, 4) for y in (-4, 4)]},
-        "cover": {},
-    }  # fmt: skip
-    return Scene.model_validate({**scene, **keys})
-
-
-def rest_of(scene: Scene) -> Ellipsoids:
-    return ellipsoids(place(scene.body, scene.markers), scene.markers)
-
-
-def seen_at(points: np.ndarray, scene: Scene) -> np.ndarray:
-    assert scene.camera is not None
-    return project(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
-
-
-def beads(
-    centres: list[tuple[float, float, float]], radius_mm: float | list[float] = 0.25, colour: Any = RED
-) -> Ellipsoids:
-    n = len(centres)
-    return Ellipsoids(
-        centres=np.array(centres, float),
-        axes=np.broadcast_to(radius_mm, n)[:, None, None] * np.eye(3),
-        colour=np.broadcast_to(np.array(colour, float), (n, 3)).copy(),
-    )
+def job_of(scene, markers, k):
+    """Return the job of a picture, and the arguments of a renderer for it."""
+    top, _ = brightest(markers, scene)
+    view = look(scene, top)
+    job = make_job(markers, scene, view, unit_mm=0.25, full_power=top, subpixels=k)
+    return job, (view, 0.25, scene.light.ambient)
 
 
 @pytest.fixture(name="scene", scope="module")
-def _scene() -> Scene:
+def _scene():
     return block()
 
 
-@pytest.fixture(name="renderer", scope="module", params=[SCALAR, SPLAT], ids=lambda variant: variant.name)
-def _renderer(scene: Scene, request: pytest.FixtureRequest) -> Renderer:
-    return Renderer(scene, rest_of(scene), request.param)
+@pytest.fixture(name="variant", scope="module", params=["splat", "mitsuba"])
+def _variant(request):
+    return SPLAT if request.param == "splat" else mitsuba()
 
 
-def test_coverage_centroids_are_the_projected_centres(scene: Scene, renderer: Renderer) -> None:
+@pytest.fixture(name="renderer", scope="module")
+def _renderer(scene, variant):
+    return Renderer(scene, rest_of(scene), variant)
+
+
+def test_coverage_centroids_are_the_projected_centres(scene, renderer):
     markers = rest_of(scene)
     outlines = renderer.outlines(markers)
     assert (outlines.visible > 0.999).all()
-    np.testing.assert_allclose(outlines.centroid_px, seen_at(markers.centres, scene), atol=0.006)
+    assert_allclose(outlines.centroid_px, seen_at(markers.centres, scene), atol=0.006)
 
 
-def test_the_picture_shows_what_the_outlines_say(scene: Scene, renderer: Renderer) -> None:
+def test_the_picture_shows_what_the_outlines_say(scene, renderer):
     markers = rest_of(scene)
     light = renderer.radiance(markers)
     assert light.shape == (90, 120, 3)
@@ -113,40 +67,36 @@ def test_the_picture_shows_what_the_outlines_say(scene: Scene, renderer: Rendere
     assert light[2, 2].min() > 0
 
 
-def test_motion_in_millimetres_is_motion_in_pixels_without_mirror(scene: Scene, renderer: Renderer) -> None:
+def test_motion_in_millimetres_is_motion_in_pixels_without_mirror(scene, renderer):
     rest = beads([(0, 0, 6)])
     start = renderer.outlines(rest)
     for move in ((0.31, 0, 0), (0, 0.17, 0), (-0.2, 0.1, 0.9)):
         there = beads([tuple(np.add((0, 0, 6), move))])
         shift = renderer.outlines(there).centroid_px - start.centroid_px
         expected = seen_at(there.centres, scene) - seen_at(rest.centres, scene)
-        np.testing.assert_allclose(shift, expected, atol=0.01)
+        assert_allclose(shift, expected, atol=0.01)
     up = renderer.radiance(beads([(0, 0.5, 6)]))[:, :, 0].sum(axis=1).argmax()
     right = renderer.radiance(beads([(0.5, 0, 6)]))[:, :, 0].sum(axis=0).argmax()
     assert up < 40
     assert right > 65
 
 
-def test_moving_markers_keeps_the_mitsuba_scene(scene: Scene) -> None:
-    renderer = Renderer(scene, rest_of(scene), SCALAR, subpixels=1)
+def test_moved_markers_leave_nothing_of_the_picture_before(scene, renderer):
     renderer.radiance(rest_of(scene))
-    before = renderer._tracer._padded._scene
     moved = ellipsoids(place(scene.body, scene.markers), scene.markers, np.full((10, 3), 0.2))
-    light = renderer.radiance(moved)
-    assert renderer._tracer._padded._scene is before
-    fresh = Renderer(scene, rest_of(scene), SCALAR, subpixels=1).radiance(moved)
-    np.testing.assert_array_equal(light, fresh)
+    fresh = Renderer(scene, rest_of(scene), renderer.variant).radiance(moved)
+    assert_array_equal(renderer.radiance(moved), fresh)
 
 
-def test_the_nearer_marker_hides_the_farther(renderer: Renderer) -> None:
+def test_the_nearer_marker_hides_the_farther(renderer):
     # The camera is at large z: what lies deeper below the sensing surface is nearer to it.
     outlines = renderer.outlines(beads([(0, 0, 3), (0, 0, 6), (1, 0, 3)]))
-    np.testing.assert_allclose(outlines.visible, [0, 1, 1])
+    assert_allclose(outlines.visible, [0, 1, 1])
     assert np.isnan(outlines.centroid_px[0]).all()
     assert outlines.area_px[0] == 0
 
 
-def test_half_hidden_markers_tell_share_and_centroid_of_what_is_seen(scene: Scene, renderer: Renderer) -> None:
+def test_half_hidden_markers_tell_share_and_centroid_of_what_is_seen(scene, renderer):
     outlines = renderer.outlines(beads([(0, 0, 3), (0.25, 0, 6)]), subpixels=6)
     places = seen_at(np.array([[0.0, 0, 3], [0.25, 0, 6]]), scene)
     radii = np.sqrt(outlines.area_px[1] / np.pi) * np.array([renderer_ratio(scene), 1.0])
@@ -154,33 +104,38 @@ def test_half_hidden_markers_tell_share_and_centroid_of_what_is_seen(scene: Scen
     far, near = (np.linalg.norm(grid - p, axis=-1) < r for p, r in zip(places, radii, strict=True))
     left = far & ~near
     assert outlines.visible[0] == pytest.approx(left.sum() / far.sum(), abs=0.02)
-    np.testing.assert_allclose(outlines.centroid_px[0], grid[left].mean(axis=0), atol=0.05)
+    assert_allclose(outlines.centroid_px[0], grid[left].mean(axis=0), atol=0.05)
 
 
-def renderer_ratio(scene: Scene) -> float:
+def renderer_ratio(scene):
     """How much smaller a marker looks at depth 3 than at depth 6."""
-    assert scene.camera is not None
     at = seen_at(np.array([[0.0, 0, 3], [0.25, 0, 3], [0, 0, 6], [0.25, 0, 6]]), scene)[:, 0]
     return float((at[1] - at[0]) / (at[3] - at[2]))
 
 
-def test_the_rest_picture_peaks_at_white(scene: Scene) -> None:
+def test_the_rest_picture_peaks_at_white(scene):
     for gamma in (1.0, 2.2):
-        ccd = scene.ccd.model_copy(update={"gamma": gamma, "white_dn": 150.0, "crosstalk": 0.0})
-        lit = scene.model_copy(update={"ccd": ccd})
-        peak = Renderer(lit, rest_of(lit), SCALAR).radiance(rest_of(lit)).max()
+        lit = changed(scene, ccd={"gamma": gamma, "white_dn": 150.0, "crosstalk": 0.0})
+        peak = Renderer(lit, rest_of(lit), SPLAT).radiance(rest_of(lit)).max()
         assert 255 * peak ** (1 / gamma) == pytest.approx(150, rel=0.02)
 
 
-@pytest.mark.parametrize("variant", [SCALAR, SPLAT], ids=lambda variant: variant.name)
-def test_a_marker_shadows_the_one_behind_it(scene: Scene, variant: Variant) -> None:
-    led = np.array([20.0, 0, 105])
-    lit = scene.model_copy(
-        update={"light": scene.light.model_copy(update={"positions_mm": (tuple(led),), "ambient": 0.1})}
-    )  # type: ignore[union-attr]
-    renderer = Renderer(lit, rest_of(lit), variant)
-    from twin.world.picture.lighting import lamps_at
+def test_dark_markers_on_a_bright_ground_are_exposed_by_the_ground(scene):
+    dark = {name: layer.model_copy(update={"colour": (0.05, 0.05, 0.05)}) for name, layer in scene.markers.items()}
+    lit = changed(scene, cover={"albedo": (0.8, 0.7, 0.6)}).model_copy(update={"markers": dark})
+    renderer = Renderer(lit, rest_of(lit), SPLAT)
+    radiance = renderer.radiance(rest_of(lit))
+    channels = 255 * (radiance @ response_matrix(lit.ccd).T)
+    assert (channels > lit.ccd.white_dn + 0.5).any(axis=2).mean() <= 0.01
+    assert channels.max() > 0.95 * lit.ccd.white_dn
+    row, column = np.rint(renderer.outlines(rest_of(lit)).centroid_px[0, ::-1]).astype(int)
+    assert channels[row, column].max() < 0.2 * lit.ccd.white_dn
 
+
+def test_a_marker_shadows_the_one_behind_it(scene, variant):
+    led = np.array([20.0, 0, 105])
+    lit = changed(scene, light={"positions_mm": (tuple(led),), "ambient": 0.1})
+    renderer = Renderer(lit, rest_of(lit), variant)
     image = lamps_at(np.array([[0.0, 0, 3]]), lit).place[0, 0]
     on_the_way = np.array([0, 0, 3]) + 3 * (image - [0, 0, 3]) / (image[2] - 3)
     row, column = 45, 59
@@ -189,52 +144,42 @@ def test_a_marker_shadows_the_one_behind_it(scene: Scene, variant: Variant) -> N
     beside = renderer.radiance(beads([(0, 0, 3), tuple(on_the_way * [-1, 1, 1])]))[row, column, 0]
     assert beside == pytest.approx(alone, rel=1e-4)
     assert behind == pytest.approx(0.1 * alone / (0.1 + 0.9 * 0.97), rel=0.1)
+    without = Renderer(lit, rest_of(lit), variant, shadows=False)
+    unshaded = without.radiance(beads([(0, 0, 3), tuple(on_the_way)]))[row, column, 0]
+    assert unshaded == pytest.approx(alone, rel=1e-3)
 
 
-def test_lost_markers_and_empty_pictures_are_no_trouble(scene: Scene, renderer: Renderer) -> None:
+def test_lost_markers_and_empty_pictures_are_no_trouble(scene, renderer):
     lost = beads([(0, 0, 6), (np.nan, 0, 6)])
     outlines = renderer.outlines(lost)
-    np.testing.assert_allclose(outlines.visible, [1, 0])
+    assert_allclose(outlines.visible, [1, 0])
     one = renderer.radiance(beads([(0, 0, 6)]))
-    np.testing.assert_array_equal(renderer.radiance(lost), one)
+    assert_array_equal(renderer.radiance(lost), one)
     away = renderer.radiance(beads([(40, 0, 6)]))
     assert away.max() < 0.06
-    np.testing.assert_array_equal(renderer.outlines(beads([(40, 0, 6)])).visible, [0])
+    assert_array_equal(renderer.outlines(beads([(40, 0, 6)])).visible, [0])
 
 
-def test_a_marker_on_the_edge_of_the_picture_is_seen_in_part(renderer: Renderer) -> None:
+def test_a_marker_on_the_edge_of_the_picture_is_seen_in_part(renderer):
     outlines = renderer.outlines(beads([(-60 / 20.35, 0, 6)]))
     assert 0.35 < outlines.visible[0] < 0.65
 
 
-@pytest.mark.parametrize("variant", [SCALAR, SPLAT], ids=lambda variant: variant.name)
-def test_thin_prints_far_from_the_camera_keep_their_outline(variant: Variant) -> None:
-    # Float32 rays that start at the base lose up to a third of such a print; these start just behind it.
+def test_thin_prints_far_from_the_camera_keep_their_outline(variant):
+    # Float32 rays that start at the base lose up to a third of such a print.
     scene = finger()
     markers = rest_of(scene)
     renderer = Renderer(scene, markers, variant, subpixels=3)
     outlines = renderer.outlines(markers)
     assert (outlines.visible > 0.995).all()
-    conjugate = near_markers(markers, scene, renderer._view, 3).conjugate
-    np.testing.assert_allclose(outlines.area_px / (np.pi * np.sqrt(np.linalg.det(conjugate))), 1, atol=0.02)
+    conjugate = job_of(scene, markers, 3)[0].conjugate
+    assert_allclose(outlines.area_px / (np.pi * np.sqrt(np.linalg.det(conjugate))), 1, atol=0.02)
     assert (outlines.area_px > 100).all()
-    np.testing.assert_allclose(outlines.centroid_px, seen_at(markers.centres, scene), atol=0.2)
+    assert_allclose(outlines.centroid_px, seen_at(markers.centres, scene), atol=0.2)
 
 
-def test_a_stretched_print_looks_stretched() -> None:
-    scene = finger(markers={"red": layer(kind="print", depth_mm=0.5, columns=1, rows=1)})
-    gradient = np.zeros((1, 3, 3))
-    gradient[:, 0, 0] = 0.3
-    markers = ellipsoids(place(scene.body, scene.markers), scene.markers, None, gradient)
-    renderer = Renderer(scene, rest_of(scene), SCALAR)
-    ratio = renderer.outlines(markers).area_px / renderer.outlines(rest_of(scene)).area_px
-    assert ratio[0] == pytest.approx(1.3, abs=0.02)
-
-
-def test_a_wide_pupil_blurs_what_is_out_of_focus_by_its_disc(scene: Scene) -> None:
-    camera = scene.camera
-    assert camera is not None
-    lit = scene.model_copy(update={"camera": camera.model_copy(update={"aperture_mm": 4.0, "focus_z_mm": 6.0})})
+def test_a_wide_pupil_blurs_what_is_out_of_focus_by_its_disc(scene):
+    lit = changed(scene, camera={"aperture_mm": 4.0, "focus_z_mm": 6.0})
     sharp, wide = (Renderer(s, beads([(0, 0, 6), (1.5, 0, 0.5)]), SPLAT, subpixels=4) for s in (scene, lit))
     for z, blurred in ((6.0, 0.0), (0.5, 1.0)):
         markers = beads([(0, 0, z)])
@@ -246,7 +191,7 @@ def test_a_wide_pupil_blurs_what_is_out_of_focus_by_its_disc(scene: Scene) -> No
             middle = (light.sum(axis=0) @ columns) / light.sum()
             assert abs(middle) < 0.02
             moments.append((light.sum(axis=0) @ (columns - middle) ** 2) / light.sum())
-        # A disc of diameter d has variance d^2 / 16 along an axis; depths appear divided by the index.
+        # A disc of diameter d has variance d^2 / 16 along an axis.
         apparent = (40 - z) / 1.41 + 10 / 1.49 + 58.85
         focus = (40 - 6) / 1.41 + 10 / 1.49 + 58.85
         disc = 1814.8 * 4.0 * abs(1 / apparent - 1 / focus)
@@ -258,15 +203,13 @@ def test_a_wide_pupil_blurs_what_is_out_of_focus_by_its_disc(scene: Scene) -> No
     ("key", "value", "words"),
     [("focus_z_mm", 200.0, "camera.focus_z_mm = 200 mm"), ("tilt_deg", (170.0, 0.0, 0.0), "camera.tilt_deg")],
 )
-def test_a_lens_focused_on_what_it_cant_see_is_refused(scene: Scene, key: str, value: Any, words: str) -> None:
-    assert scene.camera is not None
-    turned = scene.camera.model_copy(update={"aperture_mm": 1.0, key: value})
+def test_a_lens_focused_on_what_it_cant_see_is_refused(scene, key, value, words):
     with pytest.raises(RecipeError, match=words):
-        through_the_pupil(scene.model_copy(update={"camera": turned}))
+        through_the_pupil(changed(scene, camera={"aperture_mm": 1.0, key: value}))
 
 
 @pytest.mark.parametrize("make", [block, finger])
-def test_the_truth_beside_the_picture_is_what_the_picture_shows(make: Any) -> None:
+def test_the_truth_beside_the_picture_is_what_the_picture_shows(make):
     scene = make()
     rest = rest_of(scene)
     n = len(rest)
@@ -292,31 +235,29 @@ def test_the_truth_beside_the_picture_is_what_the_picture_shows(make: Any) -> No
         mine = truth.marker == i
         assert mine.sum() == pytest.approx(truth.area_px[i], abs=3 + 0.06 * truth.area_px[i])
         middle = [columns[mine].mean(), rows[mine].mean()]
-        np.testing.assert_allclose(middle, truth.outline_px[i], atol=0.25)
-    np.testing.assert_allclose(truth.flow_px, seen_at(moved.centres, scene) - seen_at(rest.centres, scene))
+        assert_allclose(middle, truth.outline_px[i], atol=0.25)
+    assert_allclose(truth.flow_px, seen_at(moved.centres, scene) - seen_at(rest.centres, scene))
     whole = (truth.visible > 0.999) & (renderer.outlines(rest).visible > 0.999)
-    np.testing.assert_allclose(truth.outline_flow_px[whole], truth.flow_px[whole], atol=0.2)
-    np.testing.assert_allclose(truth.depth_mm, scene.body.base_z_mm - moved.centres[:, 2])
+    assert_allclose(truth.outline_flow_px[whole], truth.flow_px[whole], atol=0.2)
+    assert_allclose(truth.depth_mm, scene.body.base_z_mm - moved.centres[:, 2])
     assert (truth.sight == Sight.SEEN).all()
 
 
-def test_vignetting_dims_by_the_cosine_to_its_power(scene: Scene) -> None:
-    camera = scene.camera
-    assert camera is not None
-    dim = scene.model_copy(update={"camera": camera.model_copy(update={"vignetting": 4.0, "focal_px": 200.0})})
-    plain = scene.model_copy(update={"camera": camera.model_copy(update={"focal_px": 200.0})})
+def test_vignetting_dims_by_the_cosine_to_its_power(scene):
+    plain = changed(scene, camera={"focal_px": 200.0})
+    dim = changed(plain, camera={"vignetting": 4.0})
     ratio = (Renderer(s, rest_of(s), SPLAT).radiance(beads([(40, 0, 6)]))[:, :, 0] for s in (dim, plain))
     found = np.divide(*ratio)[0, 0]
     assert found == pytest.approx(np.cos(np.arctan(np.hypot(59.5, 44.5) / 200)) ** 4, rel=1e-3)
 
 
-def test_without_camera_there_is_no_renderer(scene: Scene) -> None:
+def test_without_camera_there_is_no_renderer(scene):
     bare = scene.model_copy(update={"camera": None})
     with pytest.raises(RecipeError, match="camera"):
-        Renderer(bare, rest_of(scene), SCALAR)
+        Renderer(bare, rest_of(scene), SPLAT)
 
 
-def test_accuracy_chooses_the_grid() -> None:
+def test_accuracy_chooses_the_grid():
     assert subpixels_for("auto") == 3
     wanted = [subpixels_for(e) for e in (0.1, 0.02, 0.006, 0.004, 1e-9)]
     assert wanted == sorted(wanted)
@@ -324,7 +265,7 @@ def test_accuracy_chooses_the_grid() -> None:
     assert wanted[-1] == 16
 
 
-def test_a_number_takes_the_cheapest_way_that_meets_it(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_number_takes_the_cheapest_way_that_meets_it(scene, monkeypatch):
     monkeypatch.delenv("TWIN_VARIANT", raising=False)
     for asked in (0.3, 0.05, 0.01):
         wanted = scene.model_copy(update={"accuracy": Accuracy(centroid_px=asked)})
@@ -335,151 +276,105 @@ def test_a_number_takes_the_cheapest_way_that_meets_it(scene: Scene, monkeypatch
 
 
 @pytest.mark.parametrize("make", [block, finger])
-def test_splat_and_scalar_make_one_picture(make: Any) -> None:
+def test_splat_and_mitsuba_make_one_picture(make):
     scene = make()
-    if scene.camera.lens == "equidistant":
-        scene = scene.model_copy(update={"camera": scene.camera.model_copy(
-            update={"width_px": 160, "height_px": 120, "focal_px": 60})})  # fmt: skip
     markers = rest_of(scene)
-    one, two = (Renderer(scene, markers, variant) for variant in (SCALAR, SPLAT))
+    one, two = (Renderer(scene, markers, variant) for variant in (mitsuba(), SPLAT))
     a, b = one.radiance(markers), two.radiance(markers)
     # Edges of shadows are hard in one and smooth in the other.
     assert np.quantile(np.abs(a - b), 0.999) < 0.06
-    # One ray inside an outline of 5 px misses a 300th of a bead's light: its curvature within a pixel.
+    # One ray inside an outline of 5 px misses a 300th of a bead's light.
     assert abs(a.mean() / b.mean() - 1) < 3e-3
 
 
 @pytest.mark.parametrize("make", [block, finger])
 @pytest.mark.parametrize("k", [1, 2, 7])
-def test_pixels_of_one_marker_and_of_several_go_by_the_same_sums(make: Any, k: int) -> None:
-    """All pixels of a picture one by one, as if each could show several markers, against many at once."""
+def test_pixels_of_one_marker_and_of_several_go_by_the_same_sums(make, k):
+    """All pixels one by one, as if each could show several markers, against many at once."""
     scene = make()
-    renderer = Renderer(scene, rest_of(scene), SPLAT, subpixels=k)
-    frame = renderer._frame(rest_of(scene), k)
-    seen, near, lists = renderer._splat.look(frame), frame.near, frame.occluders
-    assert 0.5 * len(near.pixels) < near.alone[-1]
-    light, free = np.full((len(near.pixels), 3), np.nan, np.float32), np.full(len(near.pixels), np.nan, np.float32)
-    tallies = np.zeros((len(frame), 4))
-    shade_crowded(
-        0, len(near.pixels), near.pixels, near.first, near.members, renderer._splat.corners, frame.base, frame.centres,
-        frame.metric, frame.colour, frame.lamps, lists.first, lists.members, np.rint(near.centres_px).astype(np.int64),
-        k, max(k // 3, 1), scene.light.ambient, True, light, free, tallies)  # fmt: skip
-    # Lanes are singles: a thin print's metric, a hundred of them across it, costs two of their digits.
-    np.testing.assert_allclose(seen.light, light, atol=5e-5)
-    np.testing.assert_allclose(seen.free, free, atol=2e-5)
+    job, view = job_of(scene, rest_of(scene), k)
+    splat = Splat(*view)
+    fast = splat.look(job)
+    slow = splat.look(job, separate=False)
+    dark = splat.look(job, bright=False)
+    assert 0.5 * len(job.pixels) < job.isolated[-1]
+    # Vectors are singles: a thin print's metric costs two of their digits.
+    assert_allclose(fast.light, slow.light, atol=5e-5)
+    assert_allclose(fast.free, slow.free, atol=2e-5)
     # A sub-pixel's coverage may be rounded to the next of 4096 steps.
-    np.testing.assert_allclose(np.column_stack([seen.whole, seen.seen]), tallies[:, :2], rtol=1e-5, atol=2)
-    assert free.min() == 0
-    only = renderer._splat.look(frame, bright=False)
-    np.testing.assert_array_equal(only.moments, seen.moments)
-    np.testing.assert_array_equal(only.seen, seen.seen)
+    for name in ("whole", "seen"):
+        assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-5, atol=2)
+    assert fast.free.min() == 0
+    assert_array_equal(dark.moments, fast.moments)
+    assert_array_equal(dark.seen, fast.seen)
 
 
-@pytest.mark.parametrize("make", [block, finger])
-def test_picture_and_outlines_in_one_pass_are_those_of_two(make: Any) -> None:
-    scene = make()
-    renderer = Renderer(scene, rest_of(scene), SPLAT)
-    light, outlines = renderer.seen(rest_of(scene))
-    np.testing.assert_array_equal(light, renderer.radiance(rest_of(scene)))
-    for name in ("centroid_px", "visible", "area_px"):
-        np.testing.assert_array_equal(getattr(outlines, name), getattr(renderer.outlines(rest_of(scene)), name))
-
-
-def test_traced_pictures_share_their_preparation_with_outlines(scene: Scene, renderer: Renderer) -> None:
+def test_picture_and_outlines_in_one_pass_are_those_of_two(scene, renderer):
     markers = rest_of(scene)
     for moved in (markers, markers.rows(slice(0, 0))):
         light, outlines = renderer.seen(moved)
-        np.testing.assert_array_equal(light, renderer.radiance(moved))
-        np.testing.assert_array_equal(outlines.centroid_px, renderer.outlines(moved).centroid_px)
+        assert_array_equal(light, renderer.radiance(moved))
+        for name in ("centroid_px", "visible", "area_px"):
+            assert_array_equal(getattr(outlines, name), getattr(renderer.outlines(moved), name))
 
 
-def test_outlines_are_what_traced_markers_cover(scene: Scene) -> None:
-    """Outlines come in closed form; Mitsuba's rays say what markers leave free of each pixel, hit by hit."""
+def test_outlines_are_what_traced_markers_cover(scene):
+    """Outlines come in closed form; Mitsuba's rays give what markers leave free of pixels."""
     markers = beads([(0, 0, 6), (1.3, 0.9, 3), (-1.2, 0.7, 6)])
-    renderer = Renderer(scene, markers, SCALAR, subpixels=4)
-    frame = renderer._frame(markers, 4)
-    _, free = renderer._tracer.shade(frame)
+    variant = mitsuba()
+    job, view = job_of(scene, markers, 4)
+    _, free = MitsubaTracer(variant.name, *view).shade(job)
     covered = np.zeros(90 * 120)
-    covered[frame.near.pixels] = 1 - free
+    covered[job.pixels] = 1 - free
     covered = covered.reshape(90, 120)
     rows, columns = np.indices(covered.shape)
-    outlines = renderer.outlines(markers)
+    outlines = Renderer(scene, markers, SPLAT, subpixels=4).outlines(markers)
     for centre, area in zip(outlines.centroid_px, outlines.area_px, strict=True):
         own = np.hypot(columns - centre[0], rows - centre[1]) < 10
         assert covered[own].sum() == pytest.approx(area, rel=1e-3)
         middle = [(covered * own * axis).sum() / covered[own].sum() for axis in (columns, rows)]
-        np.testing.assert_allclose(middle, centre, atol=0.004)
+        assert_allclose(middle, centre, atol=0.004)
 
 
-def test_splat_has_the_same_bytes_on_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = finger()
-    markers = rest_of(scene)
-    renderer = Renderer(scene, markers, SPLAT)
-    found = []
-    for threads in (1, 2, 3):
-        monkeypatch.setattr(pool.config, "NUMBA_NUM_THREADS", threads)
-        found.append((renderer.radiance(markers), renderer.outlines(markers).centroid_px))
-    for light, centroids in found[1:]:
-        np.testing.assert_array_equal(light, found[0][0])
-        np.testing.assert_array_equal(centroids, found[0][1])
-
-
-def fast() -> Variant:
-    variant = choose_variant()
-    if variant.name != "llvm_ad_rgb":
-        pytest.skip(variant.reason)
-    return variant
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("make", [block, finger])
-def test_variants_agree(make: Any) -> None:
-    scene = make()
-    markers = rest_of(scene)
-    one, two = Renderer(scene, markers, SCALAR), Renderer(scene, markers, fast())
-    a, b = one.radiance(markers), two.radiance(markers)
-    assert np.quantile(np.abs(a - b), 0.9999) < 0.02
-    assert np.abs(a - b).mean() < 1e-5
-
-
-@pytest.mark.slow
-def test_finer_grids_converge() -> None:
+def test_finer_grids_converge():
     scene = block()
     markers = rest_of(scene)
-    renderer = Renderer(scene, markers, fast())
+    renderer = Renderer(scene, markers, SPLAT)
     best = renderer.outlines(markers, subpixels=16).centroid_px
     errors = [np.abs(renderer.outlines(markers, subpixels=k).centroid_px - best).max() for k in (1, 2, 4)]
     assert (np.array(errors) < [0.025, 0.008, 0.0035]).all()
 
 
-@pytest.mark.slow
-def test_threads_do_not_change_a_byte() -> None:
-    scene = finger()
-    markers = rest_of(scene)
-    renderer = Renderer(scene, markers, fast())
+@pytest.mark.parametrize("name", ["splat", pytest.param("mitsuba", marks=pytest.mark.slow)])
+def test_threads_do_not_change_a_byte(name, monkeypatch):
     import drjit
 
+    scene = finger()
+    markers = rest_of(scene)
+    renderer = Renderer(scene, markers, SPLAT if name == "splat" else mitsuba())
     before = drjit.thread_count()
     found = []
-    for threads in (1, 2, 4):
-        drjit.set_thread_count(threads)
+    for threads in (1, 2, 3, 4):
+        monkeypatch.setattr(backend.config, "NUMBA_NUM_THREADS", threads)
+        if name == "mitsuba":
+            drjit.set_thread_count(threads)
         found.append((renderer.radiance(markers), renderer.outlines(markers).centroid_px))
     drjit.set_thread_count(before)
     for light, centroids in found[1:]:
-        np.testing.assert_array_equal(light, found[0][0])
-        np.testing.assert_array_equal(centroids, found[0][1])
+        assert_array_equal(light, found[0][0])
+        assert_array_equal(centroids, found[0][1])
 
 
 @pytest.mark.slow
-def test_moving_markers_compiles_nothing_again() -> None:
+def test_moving_markers_compiles_nothing_again():
     scene = block()
     points = place(scene.body, scene.markers)
-    renderer = Renderer(scene, rest_of(scene), fast(), subpixels=1)
+    renderer = Renderer(scene, rest_of(scene), mitsuba(), subpixels=1)
     import drjit
 
     rng = np.random.default_rng(0)
 
-    def picture() -> None:
+    def picture():
         renderer.radiance(ellipsoids(points, scene.markers, rng.uniform(-0.2, 0.2, (len(points), 3))))
 
     for _ in range(3):

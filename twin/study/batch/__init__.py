@@ -1,1 +1,3 @@
-"""What datasets and sweeps share: drawing values, running tasks on one machine or many, files that survive."""
+"""What datasets and sweeps share: drawing values, running tasks on one machine or many, files that
+survive.
+"""

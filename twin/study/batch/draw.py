@@ -1,14 +1,16 @@
 """Values drawn for a sample from (root seed, number) alone, and scenes with drawn values in place.
 
-Random sampling takes the numbers u from a stream of the sample's own. Stratified sampling takes them from one scrambled
-Sobol' sequence (`scipy.stats.qmc`), whose point number i depends on nothing but the seed and i: so a dataset is the
-beginning of every larger one, and any worker can draw any sample.
+Random sampling takes the numbers u from a stream of the sample's own. Stratified sampling takes
+them from one scrambled Sobol' sequence (`scipy.stats.qmc`), whose point number i depends on nothing
+but the seed and i: so a dataset is the beginning of every larger one, and any worker can draw any
+sample.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from typing import Any, Literal
 
 import numpy as np
@@ -18,8 +20,7 @@ from twin.errors import RecipeError, did_you_mean
 from twin.parts.scene import Scene
 from twin.parts.vary import Distribution, Follows
 from twin.streams import Purpose, stream
-from twin.study.recipe import validate_scene
-from twin.study.recipe_tables import ALTERNATIVES, PROVENANCE
+from twin.study.recipe import ALTERNATIVES, PROVENANCE, validate_scene
 
 Sampling = Literal["stratified", "random"]
 Table = dict[str, Any]
@@ -27,41 +28,59 @@ Table = dict[str, Any]
 _HOLDERS = (*PROVENANCE, "vary", "dataset")
 
 
-def unit_numbers(seed: int, purpose: Purpose, sampling: Sampling, numbers: Sequence[int], width: int) -> Floats:
-    """Return (len(numbers), width) numbers in [0, 1), a row for every sample number."""
+def draws(
+    axes: Mapping[str, Distribution],
+    seed: int,
+    purpose: Purpose,
+    sampling: Sampling,
+    numbers: Sequence[int],
+    apart_from: Mapping[str, Distribution] | None = None,
+) -> list[Table]:
+    """Return the values of all axes by dotted key, a table for every sample number; keys that
+    follow others are left out.
+
+    Axes that are drawn for another purpose are named in ``apart_from``: the same dimension of two
+    scrambled sequences is correlated (-0.6 over 64 points), so these take later dimensions.
+    """
+    width = sum(axis.takes for axis in axes.values())
+    taken = sum(axis.takes for axis in (apart_from or {}).values())
+    rows = _unit_numbers(seed, purpose, sampling, numbers, width, taken)
+    found = []
+    for u in rows:
+        values, start = {}, 0
+        for key in sorted(axes):
+            axis = axes[key]
+            if not isinstance(axis, Follows):
+                values[key] = axis.at(u[start : start + axis.takes])
+                start += axis.takes
+        found.append(values)
+    return found
+
+
+def _unit_numbers(
+    seed: int, purpose: Purpose, sampling: Sampling, numbers: Sequence[int], width: int, taken: int
+) -> Floats:
+    """Return (len(numbers), width) numbers in [0, 1), a row for every sample number: of a sequence
+    the dimensions after the first ``taken``."""
     if width == 0 or not numbers:
         return np.zeros((len(numbers), width))
     if sampling == "random":
         return np.array([stream(seed, purpose, number).random(width) for number in numbers])
     from scipy.stats import qmc
 
-    sequence = qmc.Sobol(width, scramble=True, rng=stream(seed, purpose))
+    sequence = qmc.Sobol(taken + width, scramble=True, rng=stream(seed, purpose))
     first, last = min(numbers), max(numbers)
     with warnings.catch_warnings():  # a part of the sequence need not be a power of two
         warnings.simplefilter("ignore", UserWarning)
         if first:
             sequence.fast_forward(first)
         points = sequence.random(last - first + 1)
-    return np.asarray(points[np.asarray(numbers) - first])
+    return np.asarray(points[np.asarray(numbers) - first, taken:])
 
 
-def drawn(axes: Mapping[str, Distribution], u: Floats) -> Table:
-    """Return the value of every axis, by dotted key, from one row of numbers; keys that follow others are left out."""
-    values, start = {}, 0
-    for key in sorted(axes):
-        axis = axes[key]
-        if not isinstance(axis, Follows):
-            values[key] = axis.at(u[start : start + axis.takes])
-            start += axis.takes
-    return values
-
-
-def width(axes: Mapping[str, Distribution]) -> int:
-    """Return how many numbers a draw of all axes takes."""
-    return sum(axis.takes for axis in axes.values())
-
-
-def with_values(scene: Scene, values: Mapping[str, Any], follows: Mapping[str, Distribution] | None = None) -> Scene:
+def with_values(
+    scene: Scene, values: Mapping[str, Any], follows: Mapping[str, Distribution] | None = None
+) -> Scene:
     """Return the scene with other values at dotted keys, validated whole.
 
     Parameters
@@ -96,10 +115,12 @@ def put_all(table: Table, values: Mapping[str, Any], follows: Mapping[str, Distr
         put(table, key, value)
     for key, axis in follows.items():
         if isinstance(axis, Follows):
-            told = look_up(table, axis.follows)
-            if isinstance(told, bool) or not isinstance(told, int | float):
-                raise RecipeError(f"vary.{key}: follows '{axis.follows}', which is not a number but {told!r}")
-            put(table, key, axis.times * told + axis.plus)
+            value_of = look_up(table, axis.follows)
+            if isinstance(value_of, bool) or not isinstance(value_of, int | float):
+                raise RecipeError(
+                    f"vary.{key}: follows '{axis.follows}', which is not a number but {value_of!r}"
+                )
+            put(table, key, axis.times * value_of + axis.plus)
 
 
 def put(table: Table, dotted: str, value: Any) -> None:
@@ -112,19 +133,13 @@ def put(table: Table, dotted: str, value: Any) -> None:
         if parents == ["press"] and last in ALTERNATIVES:
             for other in ALTERNATIVES:
                 here.pop(other, None)
-        here[last] = copied(value)
+        here[last] = deepcopy(value)
     else:
-        here[_place(here, last, dotted)] = copied(value)
+        here[_place(here, last, dotted)] = deepcopy(value)
 
 
 def look_up(table: Table, dotted: str) -> Any:
-    """Return the value at a dotted key.
-
-    Raises
-    ------
-    RecipeError
-        There is none.
-    """
+    """Return the value at a dotted key, or raise `RecipeError`."""
     here: Any = table
     for name in dotted.split("."):
         here = _step(here, name, dotted)
@@ -145,17 +160,10 @@ def _step(here: Any, name: str, dotted: str) -> Any:
 def _place(here: Any, name: str, dotted: str) -> int:
     if not isinstance(here, list) or not name.isdigit() or int(name) >= len(here):
         count = len(here) if isinstance(here, list) else 0
-        raise RecipeError(f"vary.{dotted}: '{name}' is no place in a list of {count} (the first is 0)")
+        raise RecipeError(
+            f"vary.{dotted}: '{name}' is no place in a list of {count} (the first is 0)"
+        )
     return int(name)
-
-
-def copied(value: Any) -> Any:
-    """Return a copy of plain values, whose tables and lists are its own."""
-    if isinstance(value, dict):
-        return {k: copied(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return type(value)(copied(v) for v in value)
-    return value
 
 
 def _bare(value: Any) -> Any:

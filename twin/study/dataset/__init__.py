@@ -1,1 +1,3 @@
-"""Datasets: presses with their truth, in files that other programs read, reproducible sample by sample."""
+"""Datasets: presses with their truth, in files that other programs read, reproducible sample by
+sample.
+"""

@@ -1,49 +1,24 @@
-"""How far off the truth is: some samples computed again at the highest accuracy, and the differences.
-
-Highest means twice as many contact patches across and, in path, twice as many parts of every step; the finest shipped
-mesh of the body where there is one (a standard block's table was made on it); patches that are not gathered into
-point forces; and 12 x 12 rays per pixel.
-"""
+"""Checks of a dataset: samples computed again at the highest accuracy, and checks of its files."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats
-from twin.errors import ContactError, TwinError
-from twin.places import pinned
-from twin.progress import Progress
-from twin.study.batch.draw import Table
-from twin.study.batch.engine import Pool
-from twin.study.batch.job import Job
-from twin.study.dataset.plan import Plan, load_of, press_of
-from twin.study.dataset.prepare import finest_mesh_file
-from twin.study.dataset.sample import INTERNAL, MadeSensor, slips_of, truth_of
-from twin.study.dataset.work import working
+from twin.arrays import Progress
+from twin.errors import InputError, RecipeError
+from twin.study.batch.pool import Job, Pool
+from twin.study.dataset.plan import Places, Plan
+from twin.study.dataset.prepare import listed, read_info, sums
+from twin.study.dataset.reader import DatasetReader, readable
 
-if TYPE_CHECKING:
-    from twin.parts.press import Press
-    from twin.world.contact.contact_state import ContactState
-
-WORK = "twin.study.dataset.audit:audit_sample"
+WORK = "twin.study.dataset.sample:audit_sample"
 MOST, EVERY = 100, 100
 """One sample in a hundred is computed again, a hundred at most, one at least."""
-
-MOST_PATCHES, MOST_INCREMENTS = 40, 64
-BEST = 1e-4
-"""Accuracy of displacements that takes the finest mesh."""
-
-WHOLE = 0.98
-"""Share of an outline that must be seen for its centroid to be compared."""
-
-FINEST = 12
-"""Rays per pixel and direction of the outlines that others are compared with."""
 
 FIGURES = {
     "displacement": "marker displacement, over the largest of the sample",
@@ -64,8 +39,11 @@ def audited(samples: int, failed: Collection[int]) -> list[int]:
     return [int(number) for number in good]
 
 
-def audit(plan: Plan, job: Job, failed: Collection[int], pool: Pool, progress: Progress | None) -> dict[str, Any]:
-    """Return the differences: for every figure median and largest, and how many samples they are of."""
+def audit(
+    plan: Plan, job: Job, failed: Collection[int], pool: Pool, progress: Progress | None
+) -> dict[str, Any]:
+    """Return the differences: for every figure median and largest, and how many samples they are
+    of."""
     numbers = audited(plan.samples, failed)
     found: dict[int, dict[str, float]] = {}
     again = replace(job, work=WORK)
@@ -73,81 +51,141 @@ def audit(plan: Plan, job: Job, failed: Collection[int], pool: Pool, progress: P
         if done.result is not None:
             found[done.number] = done.result
         if progress is not None:
-            progress(f"{len(found)}/{len(numbers)} samples computed again", min(0.999, len(found) / len(numbers)))
-    told: dict[str, Any] = {"samples": sum(bool(f) for f in found.values())}
+            progress(
+                f"{len(found)}/{len(numbers)} samples computed again",
+                min(0.999, len(found) / len(numbers)),
+            )
+    figures: dict[str, Any] = {"samples": sum(bool(f) for f in found.values())}
     for name in FIGURES:
         values = [found[n][name] for n in sorted(found) if name in found[n]]
         if values:
-            told[name] = {"median": float(np.median(values)), "largest": float(np.max(values))}
-    return told
+            figures[name] = {"median": float(np.median(values)), "largest": float(np.max(values))}
+    return figures
 
 
-def audit_sample(folder: Path, sample: int) -> dict[str, float]:
-    """Return the differences of one sample; nothing if it fails."""
-    with working(folder) as shop:
-        plan = shop.plan
-        values = plan.press_values(range(sample, sample + 1))[0]
-        made = shop.sensor(plan.sensor_of(sample))
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                return _differences(made, values)
-        except (TwinError, *INTERNAL):  # the sample is there; that it could not be made more finely ends no run
-            return {}
+ROWS = 50
+BALANCE_N = 1e-6
+PROJECTION_PX = 1e-6
 
 
-def _differences(made: MadeSensor, values: Table) -> dict[str, float]:
-    plan, finer = made.plan, _finer(made)
-    for each in (made, finer):
-        each.compliance.forget()
-    table, out = plan.press_table(values), {}
-    if plan.scene.tractions:
-        load = load_of(table)
-        usual, best = truth_of(made, load), truth_of(finer, load)
-    else:
-        press = press_of(table)
-        states = _pressed(made, press), _pressed(finer, press)
-        load = states[0].load
-        usual, best = (
-            truth_of(one, state.load, slips_of(state)) for one, state in zip((made, finer), states, strict=True)
+def check_dataset(folder: Path) -> list[str]:
+    """Check a finished dataset and return what was checked.
+
+    Raises
+    ------
+    RecipeError
+        With everything that is wrong.
+    InputError
+        It is no dataset, or it was never finished.
+    """
+    places = Places(folder)
+    info = read_info(places)
+    if not places.sums.is_file():
+        raise InputError(
+            f"{folder}: has no meta/SHA256SUMS, so it was not finished; give the same command again"
         )
-        out["indentation"] = _relative(states[0].indentation_mm, states[1].indentation_mm)
-    if "site_force_n" in usual and not plan.scene.tractions:
-        out["site_force"] = _relative(usual["site_force_n"], best["site_force_n"])
-    if "marker_displacement_mm" in usual and np.any(usual["marker_displacement_mm"]):
-        ours, true = usual["marker_displacement_mm"], best["marker_displacement_mm"]
-        largest = float(np.linalg.norm(true, axis=1).max())
-        out["displacement"] = float(np.linalg.norm(ours - true, axis=1).max()) / largest
-        out["estimate"] = float(usual["displacement_error"])
-    if "outlines" in plan.needs:
-        shapes = made.sensor.ellipsoids(made.sensor.motion_of_patches(made.sensor.rectangles(load)))
-        one, other = made.renderer.outlines(shapes), made.renderer.outlines(shapes, FINEST)
-        seen = (one.visible > WHOLE) & (other.visible > WHOLE)
-        if seen.any():
-            out["outline_px"] = float(np.abs(one.centroid_px - other.centroid_px)[seen].max())
-    return out
+    problems = _checksums(places)
+    if problems:
+        raise RecipeError(problems, str(folder))
+    reader = DatasetReader(folder)
+    problems = _schema(reader, info)
+    if problems:
+        raise RecipeError(problems, str(folder))
+    rows = np.unique(np.linspace(0, len(reader) - 1, min(ROWS, len(reader))).astype(int))
+    lines, failed = [f"{folder}: {len(reader)} rows, checksums and schema ok"], 0
+    balances: list[float] = []
+    misses: list[float] = []
+    for row in rows:
+        sample = reader[int(row)]
+        if sample["status"] != "ok":
+            failed += 1
+            continue
+        problems += _finite(sample, int(row))
+        balances += _imbalances(sample)
+        misses += _misprojections(sample, reader)
+    if (balance := max(balances, default=0.0)) > BALANCE_N:
+        problems.append(
+            f"forces: patches or sites sum to {balance:.2g} N away from force_n (allowed "
+            f"{BALANCE_N:g} N)"
+        )
+    if (miss := max(misses, default=0.0)) > PROJECTION_PX:
+        problems.append(
+            f"pixels: {miss:.2g} px away from the projected places (allowed {PROJECTION_PX:g} px)"
+        )
+    if problems:
+        raise RecipeError(problems, str(folder))
+    forces = (
+        f"forces balance to {balance:.1e} N"
+        if balances
+        else "no columns whose forces should balance"
+    )
+    pixels = f"projection to {miss:.1e} px" if misses else "no columns to project"
+    return [*lines, f"{len(rows)} rows read: {forces}, {pixels}, {failed} failed"]
 
 
-def _pressed(made: MadeSensor, press: Press) -> ContactState:
-    state = made.sensor.press(press)
-    if not state.complete:
-        raise ContactError(f"press: {state.reason}")
-    return state
+def _checksums(places: Places) -> list[str]:
+    wanted, found = listed(places.sums), sums(places.folder)
+    problems = [f"{name}: missing" for name in sorted(set(wanted) - set(found))]
+    problems += [f"{name}: not in SHA256SUMS" for name in sorted(set(found) - set(wanted))]
+    changed = [name for name in sorted(set(found) & set(wanted)) if found[name] != wanted[name]]
+    return problems + [
+        f"{name}: changed since it was written (its checksum differs)" for name in changed
+    ]
 
 
-def _relative(one: Floats | float, other: Floats | float) -> float:
-    return float(np.linalg.norm(np.subtract(one, other)) / max(float(np.linalg.norm(other)), 1e-300))
+def _schema(reader: DatasetReader, info: dict[str, object]) -> list[str]:
+    import pyarrow.parquet as pq
+
+    from twin.study.dataset.columns import arrow_type
+
+    problems = []
+    columns = info["columns"]
+    wanted = {c["name"]: arrow_type(c["kind"]) for c in columns}  # type: ignore[attr-defined]
+    for file in sorted(reader.places.data.glob("part-*.parquet")):
+        with readable(file):
+            found = pq.read_schema(file)
+        if found.names != list(wanted):
+            problems.append(f"{file.name}: has other columns than in info.json")
+        problems += [
+            f"{file.name}: {field.name} is {field.type}, not {wanted[field.name]}"
+            for field in found
+            if field.name in wanted and field.type != wanted[field.name]
+        ]
+    if problems:
+        return problems
+    index = set(reader.table(["index"])["index"].to_pylist())
+    samples = int(info["samples"])  # type: ignore[call-overload]
+    if len(index) != samples or (index and not (min(index) == 0 and max(index) == samples - 1)):
+        problems.append(f"index: does not run from 0 to {info['samples']}")
+    return problems
 
 
-def _finer(made: MadeSensor) -> MadeSensor:
-    """Return the same sensor at the highest accuracy."""
-    scene = made.plan.scene
-    changes: dict[str, Any] = {
-        "contact_patches": min(MOST_PATCHES, 2 * scene.contact_patches),
-        "contact_increments": min(MOST_INCREMENTS, 2 * scene.accuracy.contact_increments),
-        "surface_table": False,
-    }
-    if pinned(finest_mesh_file(scene.body)):
-        changes["displacement"] = BEST
-    finest = scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update=changes)})
-    return MadeSensor(Plan(finest, made.plan.samples), made.number, made.values, gather=False)
+def _finite(sample: dict[str, object], row: int) -> list[str]:
+    may_be_nan = ("marker_outline_pressed_px",)
+    return [
+        f"row {row}: {name} is not finite"
+        for name, value in sample.items()
+        if isinstance(value, np.ndarray | float)
+        and name not in may_be_nan
+        and not np.all(np.isfinite(value))
+    ]
+
+
+def _imbalances(sample: dict[str, np.ndarray]) -> list[float]:
+    """Return how far patches and sites, where they are kept, are from summing to the total
+    force."""
+    if sample.get("force_n") is None:
+        return []
+    names = [name for name in ("surface_force_n", "site_force_n") if sample.get(name) is not None]
+    return [float(np.abs(sample[name].sum(axis=0) - sample["force_n"]).max()) for name in names]
+
+
+def _misprojections(sample: dict[str, np.ndarray], reader: DatasetReader) -> list[float]:
+    """Project the displaced markers, where they are kept, through the sensor's own camera."""
+    if not {"marker_pressed_px", "marker_displacement_mm"} <= sample.keys():
+        return []
+    sensor = int(sample["sensor"])
+    points = reader.sensor(sensor)["marker_rest_mm"] + sample["marker_displacement_mm"]
+    if not len(points):
+        return []
+    return [float(np.abs(reader.project(points, sensor) - sample["marker_pressed_px"]).max())]

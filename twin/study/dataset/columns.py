@@ -1,44 +1,43 @@
-"""The columns of a dataset: what each holds, in which unit, and what has to be computed for it.
+"""The columns of a dataset: content, unit, and what has to be computed for each.
 
-Two tables: ``samples`` (DIR/data) has a row for every sample, or for every step of it; ``sensors`` (DIR/sensors) one
-for every made sensor, with what all its samples share.
+Two tables: ``samples`` (DIR/data) has a row for every sample, or for every step of it; ``sensors``
+(DIR/sensors) one for every made sensor, with what all its samples share.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from twin.errors import RecipeError, did_you_mean
-from twin.parts.scene import Scene
-from twin.parts.vary import Choice, Distribution, ForceCone, Normal, Uniform
-from twin.study.dataset.portable import bare
+import numpy as np
+
+from twin.arrays import Bools, Floats
+from twin.errors import ContactError
+from twin.parts.body import Body
+from twin.parts.load import Rectangles
+from twin.parts.part import each_file, unit_of
+from twin.parts.pipeline import Sites
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 Need = Literal["load", "contact", "motion", "picture", "outlines", "sites"]
 Kind = Literal["integer", "number", "text", "flag", "png", "numbers", "vectors", "pixels", "flags"]
+"""``numbers``, ``flags``: a list; ``vectors``: lists of (x, y, z); ``pixels``: of (column, row)."""
+
+_SPLIT = 6
+"""Pieces per direction of a patch: of its longer side, or of a cell where that is smaller."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column.
+    """A column: name with its unit as suffix, kind, a line for people, and what it needs.
 
-    Attributes
-    ----------
-    name
-        With its unit as suffix, where it has one.
-    kind
-        ``numbers``, ``flags``: a list; ``vectors``: a list of (x, y, z); ``pixels``: a list of (column, row).
-    what
-        One line for people.
-    needs
-        What has to be computed for it.
-    by_name
-        Whether it is kept only if it is asked for by name, as it costs much.
+    With ``by_name`` it is kept only if it is named, as it costs much.
     """
 
     name: str
@@ -47,160 +46,88 @@ class Column:
     needs: frozenset[Need] = frozenset()
     by_name: bool = False
 
+    def described(self) -> dict[str, str]:
+        """Return its entry in info.json."""
+        name, unit = self.name, unit_of(self.name)
+        return {"name": name, "kind": self.kind, "unit": unit, "what": self.what}
 
-def _column(name: str, kind: Kind, what: str, *needs: Need) -> Column:
-    return Column(name, kind, what, frozenset(needs))
+
+def _columns(*rows: tuple[str, Kind, str, str]) -> tuple[Column, ...]:
+    """Return columns of (name, kind, needs, what)."""
+    return tuple(
+        Column(
+            name=name,
+            kind=kind,
+            what=what,
+            needs=frozenset(needs.split()),  # type: ignore[arg-type]
+            by_name=name == "traction_error",
+        )
+        for name, kind, needs, what in rows
+    )
 
 
-ALWAYS = (
-    _column("index", "integer", "number of the sample"),
-    _column("step", "integer", "step of the press's path that this row is the end of, from 0"),
-    _column("sensor", "integer", "row of the sensors table"),
-    _column("status", "text", "ok or failed"),
-    _column("error", "text", "why it failed"),
-    _column("press", "text", "the whole press as JSON: probe, place, path, friction; or the tractions given instead"),
+_PRESS = "the whole press as JSON: probe, place, path, friction; or the tractions given instead"
+_INDENTED = "indentation of the probe, from first touch at its present place"
+_RESIDUAL = "largest relative error of gap, sign, friction and balance"
+_LINEARISED = "expected error of linear theory, over the largest displacement"
+_SITES = "tractions summed over the cells of the sites; sums to force_n"
+_MOTION_ERROR = "estimated largest error over the largest displacement, tractions given"
+_ACTUAL = "its actual material, layers and camera as JSON (the nominal ones are in meta)"
+_LAYERS = "marker layers in order, as JSON: [[name, count], ...]"
+_OUTLINES = "coverage centroids of the visible outlines"
+
+ALWAYS = _columns(
+    ("index", "integer", "", "number of the sample"),
+    ("step", "integer", "", "step of the press's path that this row is the end of, from 0"),
+    ("sensor", "integer", "", "row of the sensors table"),
+    ("status", "text", "", "ok or failed"),
+    ("error", "text", "", "why it failed"),
+    ("press", "text", "", _PRESS),
 )
 
-SAMPLE = (
-    _column("force_n", "numbers", "total force on the body, x, y, z", "load"),
-    _column("torque_nmm", "numbers", "total torque about the origin", "load"),
-    _column("probe_move_mm", "numbers", "motion of the probe since first touch", "contact"),
-    _column("probe_turn_deg", "number", "turn of the probe about its axis", "contact"),
-    _column("indentation_mm", "number", "how far the probe is in, from first touch at its present place", "contact"),
-    _column("contact_area_mm2", "number", "area of the contact", "contact"),
-    _column("peak_pressure_mpa", "number", "largest pressure of a patch", "contact"),
-    _column("contact_residual", "number", "largest relative error of gap, sign, friction and balance", "contact"),
-    replace(
-        _column("traction_error", "number", "change of tractions with patches twice as wide, rms over rms", "contact"),
-        by_name=True,  # half as much again as the contact itself
-    ),
-    _column("linearisation_error", "number", "what linear theory may cost, over the largest displacement", "contact"),
-    _column("site_force_n", "vectors", "tractions summed over the cells of the sites; sums to force_n", "sites"),
-    _column("site_contact", "numbers", "share of each cell that is in contact", "sites"),
-    _column("site_slip", "numbers", "share of each cell's contact that slips", "sites", "contact"),
-    _column("surface_mm", "vectors", "centres of the contact's patches", "load"),
-    _column("surface_force_n", "vectors", "force on each patch", "load"),
-    _column("surface_slip", "flags", "whether each patch slips", "contact"),
-    _column("marker_displacement_mm", "vectors", "displacement of the marker centres", "motion"),
-    _column(
-        "displacement_error",
-        "number",
-        "estimated largest error over the largest displacement, tractions given",
-        "motion",
-    ),
-    _column("marker_pressed_px", "pixels", "projected marker centres under the press", "motion"),
-    _column("marker_outline_pressed_px", "pixels", "coverage centroids of the visible outlines", "outlines"),
-    _column("marker_visible", "numbers", "share of each outline that is seen, 0 to 1", "outlines"),
-    _column("picture", "png", "CCD picture under the press", "picture"),
+SAMPLE = _columns(
+    ("force_n", "numbers", "load", "total force on the body, x, y, z"),
+    ("torque_nmm", "numbers", "load", "total torque about the origin"),
+    ("probe_move_mm", "numbers", "contact", "motion of the probe since first touch"),
+    ("probe_turn_deg", "number", "contact", "turn of the probe about its axis"),
+    ("indentation_mm", "number", "contact", _INDENTED),
+    ("contact_area_mm2", "number", "contact", "area of the contact"),
+    ("peak_pressure_mpa", "number", "contact", "largest pressure of a patch"),
+    ("contact_residual", "number", "contact", _RESIDUAL),
+    ("traction_error", "number", "contact", "estimated error of the tractions, rms over rms"),
+    ("linearisation_error", "number", "contact", _LINEARISED),
+    ("site_force_n", "vectors", "sites", _SITES),
+    ("site_contact", "numbers", "sites", "share of each cell that is in contact"),
+    ("site_slip", "numbers", "sites contact", "share of each cell's contact that slips"),
+    ("surface_mm", "vectors", "load", "centres of the contact's patches"),
+    ("surface_force_n", "vectors", "load", "force on each patch"),
+    ("surface_slip", "flags", "contact", "whether each patch slips"),
+    ("marker_displacement_mm", "vectors", "motion", "displacement of the marker centres"),
+    ("displacement_error", "number", "motion", _MOTION_ERROR),
+    ("marker_pressed_px", "pixels", "motion", "projected marker centres under the press"),
+    ("marker_outline_pressed_px", "pixels", "outlines", _OUTLINES),
+    ("marker_visible", "numbers", "outlines", "visible share of each outline, 0 to 1"),
+    ("picture", "png", "picture", "CCD picture under the press"),
 )
 
-SENSOR = (
-    _column("sensor", "integer", "number of the sensor"),
-    _column("seed", "integer", "seed of its tolerances, print and noise"),
-    _column("actual", "text", "its actual material, layers and camera as JSON (the nominal ones are in meta)"),
-    _column("marker_layer", "text", "marker layers in order, as JSON: [[name, count], ...]"),
-    _column("marker_rest_mm", "vectors", "marker centres at rest"),
-    _column("marker_rest_px", "pixels", "projected marker centres at rest", "motion"),
-    _column("marker_outline_rest_px", "pixels", "coverage centroids of the visible outlines at rest", "outlines"),
-    _column("marker_visible", "numbers", "share of each outline that is seen at rest", "outlines"),
-    _column("camera_matrix", "numbers", "pinhole matrix in air, row by row: f 0 cx 0 f cy 0 0 1", "picture"),
-    _column("site_mm", "vectors", "sites of site_force_n", "sites"),
-    _column("picture", "png", "CCD picture at rest", "picture"),
+SENSOR = _columns(
+    ("sensor", "integer", "", "number of the sensor"),
+    ("seed", "integer", "", "seed of its tolerances, print and noise"),
+    ("actual", "text", "", _ACTUAL),
+    ("marker_layer", "text", "", _LAYERS),
+    ("marker_rest_mm", "vectors", "", "marker centres at rest"),
+    ("marker_rest_px", "pixels", "motion", "projected marker centres at rest"),
+    ("marker_outline_rest_px", "pixels", "outlines", f"{_OUTLINES} at rest"),
+    ("marker_visible", "numbers", "outlines", "visible share of each outline at rest"),
+    ("camera_matrix", "numbers", "picture", "pinhole matrix in air by row: f 0 cx 0 f cy 0 0 1"),
+    ("site_mm", "vectors", "sites", "sites of site_force_n"),
+    ("picture", "png", "picture", "CCD picture at rest"),
 )
 
 
-def chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
-    """Return the sample columns of these names, in their one order; if none is named all that the scene has.
-
-    Those that are always there may be named too.
-
-    Raises
-    ------
-    RecipeError
-        A name is unknown, or the scene lacks what it needs.
-    """
-    asked = list(dict.fromkeys(names))
-    always = {column.name for column in ALWAYS}
-    wanted = [name for name in asked if name not in always]
-    has: set[Need] = {"load", "motion"}
-    if not scene.tractions:
-        has.add("contact")
-    if scene.camera is not None:
-        has |= {"picture", "outlines"}
-    if scene.dataset.sites is not None or scene.reconstruction is not None:
-        has.add("sites")
-    known = {column.name: column for column in SAMPLE}
-    problems = []
-    for name in wanted:
-        if name not in known:
-            hint = did_you_mean(name, known, f"known are {', '.join(known)}")
-            problems.append(f"columns: no '{name}'; {hint}")
-        elif not _available(known[name], scene, has):
-            lacking = known[name].needs - has
-            if "contact" in lacking:
-                problems.append(f"columns: '{name}' is known of a press only, and this scene gives [[tractions]]")
-                continue
-            table = "[dataset.sites]" if "sites" in lacking else "[camera]"
-            problems.append(f"columns: '{name}' needs a {table} table, which this scene lacks")
-    if problems:
-        raise RecipeError(problems)
-    return tuple(c for c in SAMPLE if (c.name in wanted if asked else _available(c, scene, has) and not c.by_name))
-
-
-def _available(column: Column, scene: Scene, has: set[Need]) -> bool:
-    return column.needs <= has and (scene.camera is not None or column.kind != "pixels")
-
-
-def sensor_columns(samples: Iterable[Column], scene: Scene) -> tuple[Column, ...]:
-    """Return the columns of the sensors table that go with these sample columns."""
-    needs = {need for column in samples for need in column.needs}
-    return tuple(c for c in SENSOR if c.needs <= needs and (scene.camera is not None or c.kind != "pixels"))
-
-
-def drawn_columns(axes: Mapping[str, Distribution]) -> tuple[Column, ...]:
-    """Return a column for every key that varies: a number, numbers, or JSON for anything else."""
-    return tuple(Column(_name(key), _kind(axes[key]), f"drawn {key}") for key in sorted(axes))
-
-
-def drawn_values(axes: Mapping[str, Distribution], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return drawn values under the names of their columns."""
-    import numpy as np
-
-    row: dict[str, Any] = {}
-    for key, value in values.items():
-        kind = _kind(axes[key])
-        text = json.dumps(bare(value), sort_keys=True) if kind == "text" else None
-        row[_name(key)] = text or (np.array(value, float) if kind == "numbers" else float(value))
-    return row
-
-
-def _name(key: str) -> str:
-    return f"vary_{key.replace('.', '_')}"
-
-
-def _kind(axis: Distribution) -> Literal["number", "numbers", "text"]:
-    if isinstance(axis, ForceCone):
-        return "numbers"
-    if isinstance(axis, Uniform | Normal):
-        return "numbers" if isinstance(axis.low if isinstance(axis, Uniform) else axis.mean, tuple) else "number"
-    if not isinstance(axis, Choice):
-        return "number"
-    if all(_is_number(value) for value in axis.choice):
-        return "number"
-    lists = all(isinstance(v, list | tuple) and all(_is_number(n) for n in v) for v in axis.choice)
-    return "numbers" if lists else "text"
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def schema(columns: Iterable[Column], metadata: Mapping[str, str]) -> pa.Schema:
-    """Return the Arrow schema of columns, each with a line that says what it is."""
-    import pyarrow as pa
-
-    fields = [pa.field(c.name, arrow_type(c.kind), metadata={"what": c.what}) for c in columns]
-    return pa.schema(fields, metadata=dict(metadata))
+def bare(value: Any) -> Any:
+    """Return a plain value with the files of probes by their names alone, wherever they lie."""
+    return each_file(value, lambda file: Path(file).name)
 
 
 def arrow_type(kind: Kind) -> pa.DataType:
@@ -208,24 +135,58 @@ def arrow_type(kind: Kind) -> pa.DataType:
     import pyarrow as pa
 
     types = {
-        "integer": pa.int64(), "number": pa.float64(), "text": pa.string(), "flag": pa.bool_(), "png": pa.binary(),
-        "numbers": pa.list_(pa.float64()), "flags": pa.list_(pa.bool_()),
-        "vectors": pa.list_(pa.list_(pa.float64(), 3)), "pixels": pa.list_(pa.list_(pa.float64(), 2)),
-    }  # fmt: skip
+        "integer": pa.int64(),
+        "number": pa.float64(),
+        "text": pa.string(),
+        "flag": pa.bool_(),
+        "png": pa.binary(),
+        "numbers": pa.list_(pa.float64()),
+        "flags": pa.list_(pa.bool_()),
+        "vectors": pa.list_(pa.list_(pa.float64(), 3)),
+        "pixels": pa.list_(pa.list_(pa.float64(), 2)),
+    }
     return types[kind]
 
 
-def to_arrow(rows: list[dict[str, Any]], table_schema: pa.Schema) -> pa.Table:
-    """Return rows as an Arrow table; a value that a row lacks is null."""
+def parquet(
+    rows: list[dict[str, Any]], columns: Sequence[Column], words: Mapping[str, str]
+) -> bytes:
+    """Return rows as a Parquet file; pictures are stored as they are, a few to a row group."""
+    import pyarrow.parquet as pq
+
+    # names of a column's leaves: of itself, of a list, of a list of vectors
+    leaves = {
+        f"{column.name}{tail}": "NONE" if column.kind == "png" else "ZSTD"
+        for column in columns
+        for tail in ("", ".list.element", ".list.element.list.element")
+    }
+    file = io.BytesIO()
+    pq.write_table(
+        _to_arrow(rows, columns, words),
+        file,
+        compression=leaves,
+        use_dictionary=False,
+        write_statistics=False,
+        row_group_size=8 if any(c.kind == "png" for c in columns) else 1024,
+        version="2.6",
+    )
+    return file.getvalue()
+
+
+def _to_arrow(
+    rows: list[dict[str, Any]], columns: Iterable[Column], metadata: Mapping[str, str]
+) -> pa.Table:
+    """Return rows as an Arrow table with a line about every column; missing values are null."""
     import pyarrow as pa
 
-    arrays = [_array([row.get(field.name) for row in rows], field.type) for field in table_schema]
-    return pa.Table.from_arrays(arrays, schema=table_schema)
+    fields = [pa.field(c.name, arrow_type(c.kind), metadata={"what": c.what}) for c in columns]
+    schema = pa.schema(fields, metadata=dict(metadata))
+    arrays = [_array([row.get(field.name) for row in rows], field.type) for field in schema]
+    return pa.Table.from_arrays(arrays, schema=schema)
 
 
 def _array(values: list[Any], kind: pa.DataType) -> pa.Array:
-    """Return one column, lists without a Python object per number."""
-    import numpy as np
+    """Return one column; lists are made without a Python object per number."""
     import pyarrow as pa
 
     if not pa.types.is_list(kind):
@@ -235,10 +196,63 @@ def _array(values: list[Any], kind: pa.DataType) -> pa.Array:
     offsets = pa.array(np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32))
     inner = kind.value_type
     size = inner.list_size if pa.types.is_fixed_size_list(inner) else 1
-    plain = inner.value_type if size > 1 else inner
     numbers = np.concatenate([v.reshape(-1) for v in present]) if present else np.zeros(0)
-    flat: Any = pa.array(numbers, plain)
+    flat: Any = pa.array(numbers, inner.value_type if size > 1 else inner)
     if size > 1:
         flat = pa.FixedSizeListArray.from_arrays(flat, type=inner)
     mask = pa.array([v is None for v in values])
     return pa.ListArray.from_arrays(offsets, flat, type=kind, mask=mask)
+
+
+def in_cells(
+    grid: Sites, body: Body, groups: Sequence[Rectangles], slips: Sequence[Bools] | None
+) -> tuple[Floats, Floats, Floats]:
+    """Return (c, 3) forces, (c,) shares of cells in contact and (c,) shares of contact that slip.
+
+    Parameters
+    ----------
+    grid, body
+        The cells, over the body's surface.
+    groups, slips
+        Patches, those of similar sizes together, and which of each group slip (None: none).
+
+    Raises
+    ------
+    ContactError
+        The contact reaches beyond the sites.
+    """
+    count = np.array([grid.columns, grid.rows])
+    sums = np.zeros((5, grid.columns * grid.rows))
+    for number, group in enumerate(groups):
+        if not len(group):
+            continue
+        sides = 2.0 * group.half_mm.max(axis=0)
+        longest = min(grid.pitch_mm, sides.max())
+        first, second = (
+            (np.arange(n) + 0.5) / n * 2.0 - 1.0
+            for n in (math.ceil(_SPLIT * side / longest - 1e-9) for side in sides)
+        )
+        square = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
+        half = group.half_mm[:, :, None] * group.frames[:, :2]
+        area = 4.0 * group.half_mm.prod(axis=1)
+        slip = area * slips[number] if slips is not None else np.zeros(len(area))
+        values = np.column_stack([group.force_n, area, slip]) / len(square)
+        if body.is_flat:
+            places = body.chart_of(group.centre_mm)[:, None] + square @ half[:, :, :2]
+        else:  # the pieces of a plane patch are places of their own on the surface
+            points = group.centre_mm[:, None] + square @ half
+            places = body.chart_of(points.reshape(-1, 3))
+        cells = places.reshape(-1, 2) / grid.pitch_mm + count / 2.0
+        over = float(np.maximum(-cells, cells - count).max()) * grid.pitch_mm
+        if over > 1e-6:
+            raise ContactError(
+                f"contact: it reaches {over:.3g} mm beyond the sites; enlarge [dataset.sites] or "
+                "press further inside"
+            )
+        column, row = np.clip(np.floor(cells).astype(np.int64), 0, count - 1).T
+        for total, value in zip(sums, values.T, strict=True):
+            weights = np.repeat(value, len(square))
+            total += np.bincount(column * grid.rows + row, weights, sums.shape[1])
+    touched = sums[3]
+    slipping = np.divide(sums[4], touched, out=np.zeros_like(touched), where=touched > 0.0)
+    return sums[:3].T.copy(), np.minimum(touched / grid.pitch_mm**2, 1.0), slipping

@@ -1,49 +1,46 @@
-"""Making a dataset: what must be there before the first sample, the samples, and what is said about them at the end.
+"""Make a dataset: what must precede the first sample, the samples, and the facts at the end.
 
-Only this process writes into the folder, under an operating system's lock. ``meta/`` with scene, meshes and info is
-written before the first sample; every file appears whole under its name. So whatever stops a run, the same command
-goes on with the shards that are missing, and ends with the same bytes.
+Only this process writes into the folder, under a lock of the operating system. ``meta/`` with
+scene, meshes and facts is written before the first sample, and every file appears complete under
+its name. So whatever stops a run, the same command continues with the missing shards and ends with
+the same bytes.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+import tempfile
 import time
 import warnings
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from twin.arrays import Progress
+from twin.blas_threads import one_thread
 from twin.errors import InputError
+from twin.files import make_folder, write_json, write_whole
 from twin.parts.scene import Scene
-from twin.progress import Progress
-from twin.results import make_folder, write_whole
-from twin.study.batch.engine import Pool, reach
-from twin.study.batch.job import Done, Job
-from twin.study.batch.lock import only_writer
-from twin.study.dataset.finish import drop_changed, finish
+from twin.study.batch.pool import Done, Job, Pool, Scheduler, counted, only_writer, reach, unpacked
+from twin.study.dataset.audit import audit, audited
+from twin.study.dataset.export import write_card
 from twin.study.dataset.plan import Places, Plan
-from twin.study.dataset.prepare import job_of, prepare, resumed
+from twin.study.dataset.prepare import job_of, listed, prepare, resumed, sha256, sums
+from twin.study.dataset.reader import readable
+from twin.study.dataset.sample import audit_sample, make_shard
+
+TRIED = 4
+"""Samples of an estimate."""
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a run.
-
-    Attributes
-    ----------
-    folder
-        Where the dataset is.
-    samples, failed
-        How many it has, and how many of them failed.
-    missing
-        Shards that could not be made.
-    reason
-        The first failure.
-    seconds
-        Of this run.
-    made
-        Samples made by this run.
+    """The outcome of a run: the dataset's samples and how many failed, with the first reason; the
+    shards that could not be made; and the seconds of this run and the samples it made.
     """
 
     folder: Path
@@ -61,7 +58,7 @@ def create_dataset(
     samples: int,
     *,
     workers: int = 1,
-    scheduler: str | None = None,
+    scheduler: Scheduler | None = None,
     progress: Progress | None = None,
 ) -> Outcome:
     """Make a dataset, or what is missing of it.
@@ -70,21 +67,20 @@ def create_dataset(
     ----------
     scene
         With ``[vary]``, and ``[dataset]`` if its defaults don't fit.
-    folder
-        Where to; it may hold the beginning of the same dataset.
-    samples
-        How many; a dataset can grow, but not shrink.
+    folder, samples
+        Where to, and how many; it may hold the beginning of the same dataset, which can grow.
     workers, scheduler
-        See `twin.study.batch.engine.Pool`.
+        See `twin.study.batch.pool.Pool`.
     progress
-        Told what is being done and the share that is done.
+        Called with the current work and the share that is done.
 
     Raises
     ------
     RecipeError
         The scene can't be sampled.
     InputError
-        The folder holds something else, another process is writing there, or the scheduler doesn't answer.
+        The folder holds something else, another process is writing there, or the scheduler can't
+        be reached.
 
     Warns
     -----
@@ -94,9 +90,9 @@ def create_dataset(
     plan = Plan(scene, samples)
     plan.check()
     if "picture" in plan.needs and scheduler is None:
-        from twin.world.picture.room import require_room
+        from twin.world.picture.backend import require_memory
 
-        require_room(scene, at_once=min(workers, plan.shards))
+        require_memory(scene, at_once=min(workers, plan.shards))
     if plan.alike:
         warnings.warn(plan.alike, stacklevel=2)
     reach(scheduler)
@@ -106,76 +102,98 @@ def create_dataset(
     with only_writer(places.meta / "writer.lock"):
         for stale in folder.rglob(".*.part"):
             stale.unlink(missing_ok=True)
+        whole: dict[str, str] = {}
         if places.info.is_file():
             plan = resumed(plan, places)
-            drop_changed(places)
+            whole = _resume(places)
         else:
             prepare(plan, places, progress)
         for wanted in (places.data, places.sensors):
             make_folder(wanted)
-        job = job_of(places)
-        content = json.loads(places.info.read_text())["content"]
         with Pool(workers, scheduler) as pool:
-            return _work(plan, places, job, content, pool, progress)
+            return _made(plan, places, whole, pool, progress)
 
 
-def _work(plan: Plan, places: Places, job: Job, content: str, pool: Pool, progress: Progress | None) -> Outcome:
+def _made(
+    plan: Plan, places: Places, whole: dict[str, str], pool: Pool, progress: Progress | None
+) -> Outcome:
+    """Make the missing shards, and finish the dataset if none is missing."""
+    job = job_of(places)
+    content = json.loads(places.info.read_text())["content"]
     started = time.perf_counter()
-    waiting = [number for number in range(plan.shards) if not is_whole(plan, places, number, content)]
-    if waiting:
+    waiting = [n for n in range(plan.shards) if not _is_whole(plan, places, n, content, whole)]
+    if waiting:  # from a finished dataset to one that is being written
+        _write_list(places.written, whole)
         places.sums.unlink(missing_ok=True)
-    total = sum(len(plan.of_shard(n)) for n in waiting)
+    there = plan.samples - sum(len(plan.of_shard(n)) for n in waiting)
     made, failed, reason = 0, 0, ""
     missing: list[int] = []
-    _tell(progress, plan, plan.samples - total, 0, 0, started)
+
+    def show() -> None:
+        if progress is not None:
+            rate = made / max(time.perf_counter() - started, 1e-9)
+            failures = f", {failed} failed" if failed else ""
+            done = there + made
+            progress(
+                f"{done}/{plan.samples} samples, {rate:.3g}/s{failures}",
+                min(0.999, done / plan.samples),
+            )
+
+    show()
     for done in pool.run(job, waiting):
         if done.problem is not None:
             missing.append(done.number)
             reason = reason or f"shard {done.number}: {done.problem}"
             continue
-        _write(places, done)
+        whole |= _write(places, done)
         made += len(plan.of_shard(done.number))
         failed += done.result.failed
         reason = reason or done.result.reason
-        _tell(progress, plan, plan.samples - total + made, made, failed, started)
+        show()
     seconds = time.perf_counter() - started
     if not missing:
-        told = finish(plan, places, job, pool, progress)
-        failed, reason = len(told.numbers), reason or told.reason
+        bad, first = _failures(plan, places)
+        failed, reason = len(bad), reason or first
+        _finish(plan, places, job, bad, pool, whole, progress)
     if progress is not None:
         progress("done", 1.0)
     return Outcome(
-        folder=places.folder, samples=plan.samples, failed=failed, missing=tuple(missing), reason=reason,
-        seconds=seconds, made=made,
-    )  # fmt: skip
+        folder=places.folder,
+        samples=plan.samples,
+        failed=failed,
+        missing=tuple(missing),
+        reason=reason,
+        seconds=seconds,
+        made=made,
+    )
 
 
-def _write(places: Places, done: Done) -> None:
+def _write(places: Places, done: Done) -> dict[str, str]:
+    """Write a shard's files, add their checksums to the list, and return them."""
     shard: Any = done.result
+    files = {places.shard(done.number): shard.samples}
     if shard.sensors is not None:
-        write_whole(places.sensor_shard(done.number), lambda file: file.write(shard.sensors))
-    write_whole(places.shard(done.number), lambda file: file.write(shard.samples))
+        files = {places.sensor_shard(done.number): shard.sensors, **files}
+    for path, data in files.items():
+        write_whole(path, data)
+    new = {
+        path.relative_to(places.folder).as_posix(): hashlib.sha256(data).hexdigest()
+        for path, data in files.items()
+    }
+    with places.written.open("a") as file:
+        file.writelines(_lines(new))
+    return new
 
 
-def _tell(progress: Progress | None, plan: Plan, there: int, made: int, failed: int, started: float) -> None:
-    if progress is None:
-        return
-    rate = made / max(time.perf_counter() - started, 1e-9)
-    failures = f", {failed} failed" if failed else ""
-    progress(f"{there}/{plan.samples} samples, {rate:.3g}/s{failures}", min(0.999, there / plan.samples))
-
-
-def is_whole(plan: Plan, places: Places, number: int, content: str) -> bool:
-    """Return whether a shard is there, with all of its samples and sensors and of this dataset.
-
-    Raises
-    ------
-    InputError
-        A file in its place belongs to another dataset.
-    """
+def _is_whole(
+    plan: Plan, places: Places, number: int, content: str, whole: Collection[str]
+) -> bool:
+    """Return whether a shard is there, with all of its samples and sensors and of this dataset;
+    ``whole`` are the undamaged files (`_resume`)."""
     paths = [places.shard(number)] + [places.sensor_shard(number)] * bool(plan.sensors_of(number))
     numbers = plan.of_shard(number)
-    return all(_holds(path, content, f"{numbers.start}-{numbers.stop}") for path in paths)
+    there = [_holds(path, content, f"{numbers.start}-{numbers.stop}") for path in paths]
+    return all(there) and all(path.relative_to(places.folder).as_posix() in whole for path in paths)
 
 
 def _holds(path: Path, content: str, samples: str) -> bool:
@@ -191,3 +209,142 @@ def _holds(path: Path, content: str, samples: str) -> bool:
     if words.get(b"twin.content", b"") != content.encode():
         raise InputError(f"{path}: belongs to another dataset; give another --out, or remove it")
     return bool(words.get(b"twin.samples", b"") == samples.encode())
+
+
+def _resume(places: Places) -> dict[str, str]:
+    """Remove damaged shards and audits; return the checksums of the undamaged shards.
+
+    Why: a damaged file may still open, and its new checksum would then hide the damage.
+    """
+    known = {**listed(places.sums), **listed(places.written)}
+    whole = {}
+    for name, digest in known.items():
+        path = places.folder / name
+        shard = path.parent in (places.data, places.sensors)
+        if not (shard or path == places.meta / "audit.json") or not path.is_file():
+            continue
+        if sha256(path) != digest:
+            path.unlink()
+        elif shard:
+            whole[name] = digest
+    return whole
+
+
+def _failures(plan: Plan, places: Places) -> tuple[set[int], str]:
+    """Return the numbers of the failed samples, and why the first failed."""
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    failed: set[int] = set()
+    reason = ""
+    for number in range(plan.shards):
+        with readable(places.shard(number)):
+            table = pq.read_table(places.shard(number), columns=["index", "status", "error"])
+            table.select(["index", "status", "error"])
+        bad = table.filter(pc.equal(table["status"], "failed"))
+        failed |= set(bad["index"].to_pylist())
+        if bad.num_rows and not reason:
+            reason = f"sample {bad['index'][0]}: {bad['error'][0]}"
+    return failed, reason
+
+
+def _finish(
+    plan: Plan,
+    places: Places,
+    job: Job,
+    failed: set[int],
+    pool: Pool,
+    written: Mapping[str, str],
+    progress: Progress | None,
+) -> None:
+    """Compute some samples again, and write the card, the Croissant metadata and the checksums.
+
+    ``written`` are the shards' checksums as they were written, which later damage does not change.
+    """
+    kept = places.meta / "audit.json"
+    found: dict[str, Any] = json.loads(kept.read_text()) if kept.is_file() else {}
+    if found.get("of") != plan.samples:
+        found = {"of": plan.samples, **audit(plan, job, failed, pool, progress)}
+        write_json(kept, found)
+    write_card(plan, places, found, len(failed))
+    _write_list(places.sums, sums(places.folder, written))
+    places.written.unlink(missing_ok=True)
+
+
+def _write_list(path: Path, digests: Mapping[str, str]) -> None:
+    """Write checksums; ``sha256sum -c`` reads them from the dataset's folder."""
+    write_whole(path, "".join(_lines(digests)).encode())
+
+
+def _lines(digests: Mapping[str, str]) -> list[str]:
+    return [f"{digest}  {name}\n" for name, digest in digests.items()]
+
+
+def estimate(
+    scene: Scene, samples: int, *, workers: int = 1, progress: Progress | None = None
+) -> list[str]:
+    """Return lines about a dataset's content, its size and its time, from a few samples made here.
+
+    Times are estimated from CPU seconds, as the clock counts other work on the machine, too.
+
+    Raises
+    ------
+    RecipeError
+        The scene can't be sampled.
+    """
+    plan = Plan(scene, samples)
+    plan.check()
+    sensors, audits = plan.sensor_of(samples - 1) + 1, len(audited(samples, ()))
+    cut = {"samples_per_shard": TRIED, "samples_per_sensor": 2 * TRIED}
+    tried = scene.model_copy(update={"dataset": scene.dataset.model_copy(update=cut)})
+    with tempfile.TemporaryDirectory(prefix="twin-estimate-") as name, one_thread():
+        places = Places(Path(name))
+        places.meta.mkdir()
+        prepare(Plan(tried, 3 * TRIED), places, progress)
+        with unpacked(job_of(places)) as folder:
+            first, begun = _timed(make_shard, folder, 0)
+            shard, made = _timed(make_shard, folder, 1)
+            _, again = _timed(audit_sample, folder, TRIED)
+            another = _timed(make_shard, folder, 2)[1] if sensors > 1 else made
+        size = float(sum(path.stat().st_size for path in places.meta.iterdir()))
+    if progress is not None:
+        progress("done", 1.0)
+    each, start, sensor = made / TRIED, max(begun - made, 0.0), max(another - made, 0.0)
+    shared = samples * each + (sensors - 1) * sensor + audits * again
+    size += len(shard.samples) / TRIED * samples + len(first.sensors or b"") * sensors
+    further = f", {sensor:.2g} s for each further sensor" if sensors > 1 else ""
+    lines = [
+        f"samples     {samples} on {counted(sensors, 'sensor')}, in {counted(plan.shards, 'file')}",
+        f"columns     {', '.join(c.name for c in plan.columns)}",
+        f"varies      {', '.join(sorted(scene.vary)) or 'nothing'}",
+        f"size        about {_bytes(size)}",
+        f"time        about {_duration(start + shared / workers)} with "
+        f"{counted(workers, 'worker')}, a free core each: {each:.3g} s of CPU a sample (of {TRIED} "
+        f"tried), {again:.2g} s for each of the {audits} computed again, {start:.2g} s to begin"
+        f"{further}",
+    ]
+    if plan.alike:
+        lines.append(f"warning     {plan.alike}")
+    if shard.failed:
+        lines.append(f"failures    {shard.failed} of {TRIED} tried: {shard.reason}")
+    return lines
+
+
+def _timed(work: Callable[..., T], *arguments: Any) -> tuple[T, float]:
+    """Return the result of ``work``, and its CPU seconds."""
+    started = time.process_time()
+    return work(*arguments), time.process_time() - started
+
+
+def _bytes(count: float) -> str:
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} TB"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

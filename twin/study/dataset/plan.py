@@ -1,50 +1,57 @@
-"""What a dataset is: the scene, how it is cut, and where everything lies."""
+"""What a dataset is: the scene, its shards and draws, and the places of its files."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
+import numpy as np
 from pydantic import ValidationError
 
 from twin.errors import RecipeError, did_you_mean
-from twin.parts.footprint import Footprint
-from twin.parts.load import Load
+from twin.parts.load import Footprint, Load
 from twin.parts.part import Part, in_words
 from twin.parts.press import Press
 from twin.parts.scene import Scene
-from twin.parts.vary import Distribution
+from twin.parts.vary import Choice, Distribution, ForceCone, Normal, Uniform
 from twin.streams import Purpose
-from twin.study.batch.draw import Table, copied, drawn, plain_table, put_all, unit_numbers, width, with_values
-from twin.study.dataset.columns import Column, chosen_columns, drawn_columns, sensor_columns
+from twin.study.batch.draw import Table, draws, plain_table, put_all, with_values
+from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR, Column, Need, bare
 
 FORMAT = 1
-"""Version of the folder's layout and of what columns mean."""
+"""Version of the folder's layout and of the columns' meaning."""
 
-FIXED = ("body", "seed", "cover", "accuracy", "dataset", "vary", "tracking", "calibration", "reconstruction")
-"""Tables that can't vary inside a dataset: its mesh, and what its truth's accuracy and format rest on, are one."""
+_FIXED = (
+    "body",
+    "seed",
+    "cover",
+    "accuracy",
+    "dataset",
+    "vary",
+    "tracking",
+    "calibration",
+    "reconstruction",
+)
+"""Tables that can't vary inside a dataset: it has one mesh, one accuracy and one format."""
 
 MOST_STEPS = 1024
 
 P = TypeVar("P", bound=Part)
 
 
+class _UnknownKey(RecipeError):
+    """A key that varies is none of a press's."""
+
+
 @dataclass(frozen=True)
 class Plan:
-    """A dataset to be made.
-
-    Attributes
-    ----------
-    scene
-        The nominal scene, with ``vary`` and ``dataset``.
-    samples
-        How many.
-    """
+    """A dataset to be made: the nominal scene, with ``vary`` and ``dataset``, and the number of
+    samples."""
 
     scene: Scene
     samples: int
@@ -60,7 +67,7 @@ class Plan:
         return range(shard * size, min((shard + 1) * size, self.samples))
 
     def sensor_of(self, sample: int) -> int:
-        """Return which sensor a sample is pressed on."""
+        """Return the sensor that a sample is pressed on."""
         return sample // self.scene.dataset.samples_per_sensor
 
     def sensors_of(self, shard: int) -> range:
@@ -70,51 +77,54 @@ class Plan:
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:
-        """The sample columns, without those that are always there."""
-        return chosen_columns(self.scene, self.scene.dataset.columns)
+        """The sample columns, without `twin.study.dataset.columns.ALWAYS`."""
+        return _chosen_columns(self.scene, self.scene.dataset.columns)
 
     @cached_property
     def needs(self) -> frozenset[str]:
         """What has to be computed."""
         return frozenset(need for column in self.columns for need in column.needs)
 
+    @property
+    def load_table(self) -> str:
+        """The scene's table of the load: ``press`` or ``tractions``."""
+        return "tractions" if self.scene.tractions else "press"
+
     @cached_property
     def press_axes(self) -> dict[str, Distribution]:
         """What is drawn for every sample."""
-        return {k: v for k, v in self.scene.vary.items() if k.split(".")[0] == self.pushed_by}
-
-    @property
-    def pushed_by(self) -> str:
-        """The table of the scene that says what pushes: ``press`` or ``tractions``."""
-        return "tractions" if self.scene.tractions else "press"
+        return {k: v for k, v in self.scene.vary.items() if k.split(".")[0] == self.load_table}
 
     @cached_property
     def sensor_axes(self) -> dict[str, Distribution]:
         """What is drawn for every sensor."""
         return {k: v for k, v in self.scene.vary.items() if k not in self.press_axes}
 
+    @cached_property
+    def row_columns(self) -> tuple[Column, ...]:
+        """All columns of the samples table."""
+        return (*ALWAYS, *_drawn_columns(self.press_axes), *self.columns)
+
+    @cached_property
+    def sensor_columns(self) -> tuple[Column, ...]:
+        """The columns of the sensors table."""
+        needs = {need for column in self.columns for need in column.needs}
+        found = (column for column in SENSOR if _available(column, self.scene, needs))
+        return (*found, *_drawn_columns(self.sensor_axes))
+
     @property
     def alike(self) -> str:
-        """Why all samples are of one press, and how to make them differ; empty where they do, or there is but one."""
+        """Warning that all samples are of one press; empty where they differ, or there is one."""
         if self.press_axes or self.samples == 1:
             return ""
         sensors = self.sensor_of(self.samples - 1) + 1
         where = "one made sensor" if sensors == 1 else f"{sensors} made sensors"
-        example = "at_mm" if self.pushed_by == "press" else "0.centre_mm"
+        example = "at_mm" if self.load_table == "press" else "0.centre_mm"
         return (
-            f"vary: nothing of the {self.pushed_by} varies, so that all {self.samples} samples are the same one, on "
-            f'{where}; say what differs, such as [vary."{self.pushed_by}.{example}"] with low and high'
+            f"vary: nothing of the {self.load_table} varies, so that all {self.samples} samples "
+            f"are the same one, on {where}; name what differs, such as "
+            f'[vary."{self.load_table}.{example}"] with low and high'
         )
-
-    @property
-    def drawn_columns(self) -> tuple[Column, ...]:
-        """A column for every axis of the samples."""
-        return drawn_columns(self.press_axes)
-
-    @property
-    def sensor_columns(self) -> tuple[Column, ...]:
-        """The columns of the sensors table."""
-        return (*sensor_columns(self.columns, self.scene), *drawn_columns(self.sensor_axes))
 
     @cached_property
     def _plain(self) -> Table:
@@ -122,21 +132,27 @@ class Plan:
 
     def press_values(self, samples: range) -> list[Table]:
         """Return what is drawn for the samples, by dotted key."""
-        return self._values(self.press_axes, Purpose.SAMPLING, samples)
+        sampling, seed = self.scene.dataset.sampling, self.scene.seed
+        return draws(self.press_axes, seed, Purpose.SAMPLING, sampling, samples)
 
     def sensor_values(self, sensors: range) -> list[Table]:
         """Return what is drawn for the sensors, by dotted key."""
-        return self._values(self.sensor_axes, Purpose.SENSOR, sensors)
-
-    def _values(self, axes: Mapping[str, Distribution], purpose: Purpose, numbers: range) -> list[Table]:
-        u = unit_numbers(self.scene.seed, purpose, self.scene.dataset.sampling, numbers, width(axes))
-        return [drawn(axes, row) for row in u]
+        sampling, seed = self.scene.dataset.sampling, self.scene.seed
+        axes, others = self.sensor_axes, self.press_axes
+        return draws(axes, seed, Purpose.SENSOR, sampling, sensors, apart_from=others)
 
     def press_table(self, values: Table) -> Any:
-        """Return the plain table of a press, or the tables of tractions, with their drawn values."""
-        table = {self.pushed_by: copied(self._plain.get(self.pushed_by, {}))}
+        """Return the plain table of a press, or the tables of tractions, with drawn values."""
+        table = {self.load_table: deepcopy(self._plain.get(self.load_table, {}))}
         put_all(table, values, self.press_axes)
-        return table[self.pushed_by]
+        return table[self.load_table]
+
+    def press_of(self, table: Any) -> Press | Load:
+        """Return the press, or the load of tractions, of `press_table`; or raise `RecipeError`."""
+        if not self.scene.tractions:
+            return _valid(Press, table, "press")
+        loads = [_valid(Footprint, one, f"tractions.{i}").load() for i, one in enumerate(table)]
+        return sum(loads, Load())
 
     def check(self) -> None:
         """Refuse what can't vary, and keys that the scene does not have.
@@ -146,86 +162,66 @@ class Plan:
         RecipeError
             With all problems at once.
         """
-        problems = []
+        scene, problems = self.scene, []
         if self.samples < 1:
             problems.append(f"samples = {self.samples}: give at least 1")
-        if self.scene.press is None and not self.scene.tractions:
-            problems.append("press: the scene has no [press] table, and no [[tractions]], to draw samples of")
-        if self.scene.cover is not None and (self.scene.cover.youngs_modulus_mpa or self.scene.cover.poisson_ratio):
+        if scene.press is None and not scene.tractions:
             problems.append(
-                "cover: one of its own modulus needs a new mesh for every press, and meshes are not reproducible; "
-                "leave youngs_modulus_mpa and poisson_ratio out of [cover]"
+                "press: the scene has no [press] table, and no [[tractions]], to draw samples of"
             )
-        for key in self.scene.vary:
-            if key.split(".")[0] in FIXED:
-                problems.append(f"vary.{key}: {key.split('.')[0]} can't vary inside a dataset; make several datasets")
-            if self.scene.tractions and key.split(".")[0] == "press":
-                problems.append(f"vary.{key}: no press is done where [[tractions]] are given; take it out of [vary]")
+        if scene.cover is not None and (
+            scene.cover.youngs_modulus_mpa or scene.cover.poisson_ratio
+        ):
+            problems.append(
+                "cover: one of its own modulus needs a new mesh for every press, and meshes are "
+                "not reproducible; leave youngs_modulus_mpa and poisson_ratio out of [cover]"
+            )
+        for key in scene.vary:
+            table = key.split(".")[0]
+            if table in _FIXED:
+                problems.append(
+                    f"vary.{key}: {table} can't vary inside a dataset; make several datasets"
+                )
+            if scene.tractions and table == "press":
+                problems.append(
+                    f"vary.{key}: no press is done where [[tractions]] are given; take it out of "
+                    "[vary]"
+                )
         if problems:
             raise RecipeError(problems)
         try:
-            table = self.press_table(self.press_values(range(1))[0])
-            _ = load_of(table) if self.scene.tractions else press_of(table)
-        except UnknownKey:
+            plain = self.press_table(self.press_values(range(1))[0])
+            _ = self.press_of(plain)
+        except _UnknownKey:
             raise
-        except RecipeError as problem:  # a value that is not allowed is the sample's failure, not the dataset's
-            if not all(line.startswith(f"{self.pushed_by}.") for line in problem.problems):
+        except RecipeError as problem:
+            # a value that is not allowed is the sample's failure, not the dataset's
+            if not all(line.startswith(f"{self.load_table}.") for line in problem.problems):
                 raise
-        with_values(self.scene, self.sensor_values(range(1))[0], self.sensor_axes)
+        with_values(scene, self.sensor_values(range(1))[0], self.sensor_axes)
         _ = self.columns
-
-
-class UnknownKey(RecipeError):
-    """A key that varies is none of a press's."""
-
-
-def press_of(table: Table) -> Press:
-    """Return the press of a plain table.
-
-    Raises
-    ------
-    RecipeError
-        It is not allowed; `UnknownKey` if it has a key that no press has.
-    """
-    return _valid(Press, table, "press")
-
-
-def load_of(tables: list[Table]) -> Load:
-    """Return the load of plain tables of tractions.
-
-    Raises
-    ------
-    RecipeError
-        One is not allowed; `UnknownKey` if it has a key that none has.
-    """
-    return sum((_valid(Footprint, table, f"tractions.{i}").load() for i, table in enumerate(tables)), Load())
 
 
 def _valid(part: type[P], table: Table, where: str) -> P:
     try:
         return part.model_validate(table)
     except ValidationError as problem:
-        lines, unknown = [], False
+        lines, kind = [], RecipeError
         for error in problem.errors():
             key = ".".join(str(k) for k in (where, *error["loc"]))
             if error["type"] == "extra_forbidden":
-                unknown = True
+                kind = _UnknownKey
                 otherwise = f"known are {', '.join(part.model_fields)}"
                 hint = did_you_mean(str(error["loc"][-1]), part.model_fields, otherwise)
                 lines.append(f"vary.{key}: unknown key; {hint}")
             else:
                 lines.append(f"{key}: {in_words(error)}")
-        raise (UnknownKey if unknown else RecipeError)(lines) from None
-
-
-def content_hash(facts: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of plain values."""
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+        raise kind(lines) from None
 
 
 @dataclass(frozen=True)
 class Places:
-    """Where the files of a dataset are."""
+    """The places of a dataset's files."""
 
     folder: Path
 
@@ -246,13 +242,18 @@ class Places:
 
     @property
     def info(self) -> Path:
-        """What the dataset is; written last of what must be there before the first sample."""
+        """Facts about the dataset; written last of what must precede the first sample."""
         return self.meta / "info.json"
 
     @property
     def sums(self) -> Path:
-        """Checksums of all files; there only while the dataset is finished."""
+        """Checksums of all files; exists only while the dataset is finished."""
         return self.meta / "SHA256SUMS"
+
+    @property
+    def written(self) -> Path:
+        """Checksums of the shards written so far; exists only while the dataset is unfinished."""
+        return self.meta / "written.sha256"
 
     def shard(self, number: int) -> Path:
         """File of a shard's samples."""
@@ -261,3 +262,82 @@ class Places:
     def sensor_shard(self, number: int) -> Path:
         """File of a shard's sensors."""
         return self.sensors / f"part-{number:05d}.parquet"
+
+
+def _chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
+    """Return the sample columns of these names, in their one order; without names all that the
+    scene has. `ALWAYS` may be named, too.
+
+    Raises
+    ------
+    RecipeError
+        A name is unknown, or the scene lacks what it needs.
+    """
+    asked = list(dict.fromkeys(names))
+    wanted = [name for name in asked if name not in {column.name for column in ALWAYS}]
+    has: set[Need] = {"load", "motion"}
+    if not scene.tractions:
+        has.add("contact")
+    if scene.camera is not None:
+        has |= {"picture", "outlines"}
+    if scene.dataset.sites is not None or scene.reconstruction is not None:
+        has.add("sites")
+    known = {column.name: column for column in SAMPLE}
+    problems = []
+    for name in wanted:
+        if name not in known:
+            hint = did_you_mean(name, known, f"known are {', '.join(known)}")
+            problems.append(f"columns: no '{name}'; {hint}")
+        elif not _available(known[name], scene, has):
+            lacking = known[name].needs - has
+            table = "[dataset.sites]" if "sites" in lacking else "[camera]"
+            why = f"needs a {table} table, which this scene lacks"
+            if "contact" in lacking:
+                why = "is known of a press only, and this scene gives [[tractions]]"
+            problems.append(f"columns: '{name}' {why}")
+    if problems:
+        raise RecipeError(problems)
+    if asked:
+        return tuple(column for column in SAMPLE if column.name in wanted)
+    return tuple(c for c in SAMPLE if _available(c, scene, has) and not c.by_name)
+
+
+def _available(column: Column, scene: Scene, has: set[Need]) -> bool:
+    return column.needs <= has and (scene.camera is not None or column.kind != "pixels")
+
+
+def _drawn_columns(axes: Mapping[str, Distribution]) -> tuple[Column, ...]:
+    """Return a column for every key that varies: a number, numbers, or JSON for anything else."""
+    return tuple(Column(_name(key), _kind(axes[key]), f"drawn {key}") for key in sorted(axes))
+
+
+def drawn_values(axes: Mapping[str, Distribution], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return drawn values under the names of their columns."""
+    row: dict[str, Any] = {}
+    for key, value in values.items():
+        kind = _kind(axes[key])
+        if kind == "text":
+            row[_name(key)] = json.dumps(bare(value), sort_keys=True)
+        else:
+            row[_name(key)] = np.array(value, float) if kind == "numbers" else float(value)
+    return row
+
+
+def _name(key: str) -> str:
+    return f"vary_{key.replace('.', '_')}"
+
+
+def _kind(axis: Distribution) -> Literal["number", "numbers", "text"]:
+    if isinstance(axis, ForceCone):
+        return "numbers"
+    if isinstance(axis, Uniform | Normal):
+        value = axis.low if isinstance(axis, Uniform) else axis.mean
+        return "numbers" if isinstance(value, tuple) else "number"
+    if not isinstance(axis, Choice) or all(_is_number(value) for value in axis.choice):
+        return "number"
+    lists = all(isinstance(v, list | tuple) and all(map(_is_number, v)) for v in axis.choice)
+    return "numbers" if lists else "text"
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,65 +1,62 @@
-"""Before the first sample: scene, meshes and facts, on which every worker and every later run rests."""
+"""Before the first sample: scene, meshes and facts, on which every worker and every later run
+rests.
+"""
 
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import json
-import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
+from twin.arrays import Progress
 from twin.errors import InputError
-from twin.parts.body import Block, Body
+from twin.files import write_json, write_whole
+from twin.parts.body import Block, Solid
+from twin.parts.part import each_file
+from twin.parts.probe import Stl
 from twin.parts.scene import Scene
-from twin.progress import Progress
-from twin.results import write_json, write_whole
-from twin.study.batch.job import Job
-from twin.study.dataset.columns import ALWAYS, Kind
-from twin.study.dataset.plan import FORMAT, Places, Plan, content_hash
-from twin.study.dataset.portable import portable
+from twin.parts.vary import Choice
+from twin.study.batch.pool import Job, versions
+from twin.study.dataset.columns import Kind
+from twin.study.dataset.plan import FORMAT, Places, Plan
 from twin.study.recipe import dump_scene
 
-WORK = "twin.study.dataset.work:make_shard"
-PACKAGES = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pyarrow", "deflate")
-PACKAGE = Path(__file__).resolve().parents[2]
-COUNTED = ("arrays.py", "png.py", "streams.py", "geometry", "parts", "theory", "world", "study")
-"""Sources on which the numbers depend."""
+_WORK = "twin.study.dataset.sample:make_shard"
 
 
 def prepare(plan: Plan, places: Places, progress: Progress | None) -> None:
     """Write ``meta/``: the resolved scene, the meshes, and last of all info.json."""
     if any(places.folder.glob("data/*")):
-        raise InputError(f"{places.folder}: has data but no meta/info.json, so it is no dataset; give another --out")
-    scene, files = portable(plan.scene)
+        raise InputError(
+            f"{places.folder}: has data but no meta/info.json, so it is no dataset; give another "
+            f"--out"
+        )
+    scene, files = _portable(plan.scene)
     _put_down(scene, files, places.meta)
-    pin_meshes(scene, places.meta, progress)
+    _pin_meshes(places.meta, progress)
     meshes = {p.name: sha256(p) for p in sorted(places.meta.glob("*.npz"))}
-    write_json(places.info, info(Plan(scene, plan.samples), meshes))
+    write_json(places.info, _info(Plan(scene, plan.samples), meshes))
 
 
 def _put_down(scene: Scene, files: Mapping[str, Path], meta: Path) -> None:
-    """Write the scene and the files that lie beside it, where they are not there as they should be."""
+    """Write the scene and the its files, where they are missing or changed."""
     contents = {name: path.read_bytes() for name, path in files.items()}
     for name, data in {**contents, "scene.toml": dump_scene(scene).encode()}.items():
         if not (meta / name).is_file() or (meta / name).read_bytes() != data:
-            write_whole(meta / name, lambda file, data=data: file.write(data))  # type: ignore[misc]
+            write_whole(meta / name, data)
 
 
-def _copied(path: Path, to: Path) -> None:
-    data = path.read_bytes()
-    write_whole(to, lambda file: file.write(data))
-
-
-def pin_meshes(scene: Scene, meta: Path, progress: Progress | None) -> None:
-    """Write the meshes, and a block's tables, that the scene's accuracy takes and by which its error is estimated."""
+def _pin_meshes(meta: Path, progress: Progress | None) -> None:
+    """Write the meshes, and a block's tables, that the scene's accuracy takes and by which its
+    error is estimated."""
     from twin.study.recipe import load_scene
     from twin.study.sensor import Sensor
+    from twin.world.elasticity.block_table import find_table, table_path
     from twin.world.elasticity.compliance import Compliance
-    from twin.world.elasticity.tabulate import cached_path, find_table, shipped_path
     from twin.world.mesh.body_mesh import body_mesh, mesh_file, mesh_key, shipped_mesh
-    from twin.world.mesh.mesh import write_mesh
+    from twin.world.mesh.quadratic_mesh import write_mesh
     from twin.world.mesh.sizing import WORLD, default_sizing
 
     there = load_scene(meta / "scene.toml")
@@ -69,80 +66,52 @@ def pin_meshes(scene: Scene, meta: Path, progress: Progress | None) -> None:
     rank = WORLD.index(level)
     levels = {*WORLD[max(rank - 1, 0) : rank + 1]}
     if not isinstance(body, Block) and shipped_mesh(body, WORLD[-1]) is not None:
-        levels |= {*WORLD[-2:]}  # for the audit: the finest, and the one that tells its error
+        levels |= {*WORLD[-2:]}  # for the audit: the finest, and the one for its error
     for each in sorted(levels, key=WORLD.index):
         mesh = body_mesh(body, each, progress=progress)
         key = mesh_key(body, default_sizing(body, each))
-        write_mesh(mesh, meta / mesh_file(key), {"key": key, "level": each, "body": body.geometry()})
+        write_mesh(
+            mesh, meta / mesh_file(key), {"key": key, "level": each, "body": body.geometry()}
+        )
     if isinstance(body, Block):
         for role in ("truth", "check"):
             if find_table(body, role, make=True, progress=progress) is not None:
-                shipped, cached = shipped_path(role), cached_path(body, role)
-                path = cached if cached.is_file() else shipped
-                _copied(path, meta / path.name)
+                path = table_path(body, role)
+                write_whole(meta / path.name, path.read_bytes())
 
 
-def finest_mesh_file(body: Body) -> str:
-    """Return the name of the file of the body's finest mesh, which is there for bodies that ship with one."""
-    from twin.world.mesh.body_mesh import mesh_file, mesh_key
-    from twin.world.mesh.sizing import WORLD, default_sizing
-
-    return mesh_file(mesh_key(body, default_sizing(body, WORLD[-1])))
-
-
-def info(plan: Plan, meshes: Mapping[str, str]) -> dict[str, Any]:
+def _info(plan: Plan, meshes: Mapping[str, str]) -> dict[str, Any]:
     """Return what info.json holds; ``meshes`` are the checksums of their files."""
     scene = plan.scene
-    columns = (*ALWAYS, *plan.drawn_columns, *plan.columns)
     identity = {
         "scene": dump_scene(scene),
-        "columns": [c.name for c in columns],
+        "columns": [c.name for c in plan.row_columns],
         "meshes": dict(meshes),
         "format": FORMAT,
     }
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "format": FORMAT,
         "title": scene.title,
         "samples": plan.samples,
-        "content": content_hash(identity),
+        "content": hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest(),
         "seed": scene.seed,
         "sampling": scene.dataset.sampling,
         "samples_per_shard": scene.dataset.samples_per_shard,
         "samples_per_sensor": scene.dataset.samples_per_sensor,
-        "columns": [described(c) for c in columns],
-        "sensor_columns": [described(c) for c in plan.sensor_columns],
-        "units": "mm, N, N mm, MPa, degrees, px; x right and y up in the picture, z into the body; pixel (0, 0) is the "
-        "centre of the top left one",
+        "columns": [c.described() for c in plan.row_columns],
+        "sensor_columns": [c.described() for c in plan.sensor_columns],
+        "units": "mm, N, N mm, MPa, degrees, px; x right and y up in the picture, z into the "
+        "body; pixel (0, 0) is the centre of the top left one",
         "meshes": identity["meshes"],
         "versions": versions(),
-        "renderer": renderer(scene, plan.needs),
+        "renderer": _renderer(scene, plan.needs),
     }
     if scene.camera is not None:
-        told["camera"] = scene.camera.model_dump(mode="json", exclude={"source", "assumed"})
-    return told
+        facts["camera"] = scene.camera.model_dump(mode="json", exclude={"source", "assumed"})
+    return facts
 
 
-def described(column: Any) -> dict[str, str]:
-    """Return a column in plain words."""
-    from twin.parts.part import unit_of
-
-    return {"name": column.name, "kind": column.kind, "unit": unit_of(column.name), "what": column.what}
-
-
-def versions() -> dict[str, str]:
-    """Return what the bytes depend on: packages, Python, and a hash of this program's own sources."""
-    found = {name: importlib.metadata.version(name) for name in PACKAGES}
-    sha = hashlib.sha256()
-    for name in COUNTED:
-        path = PACKAGE / name
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            sha.update(file.relative_to(PACKAGE).as_posix().encode())
-            sha.update(file.read_bytes())
-    python = ".".join(platform.python_version_tuple()[:2])
-    return {**found, "python": python, "twin": sha.hexdigest()[:16], "machine": platform.machine()}
-
-
-def renderer(scene: Scene, needs: frozenset[str]) -> str:
+def _renderer(scene: Scene, needs: frozenset[str]) -> str:
     """Return the variant that renders, with its library; nothing if no picture is wanted."""
     if scene.camera is None or not needs & {"picture", "outlines"}:
         return ""
@@ -153,45 +122,41 @@ def renderer(scene: Scene, needs: frozenset[str]) -> str:
 
 
 def resumed(plan: Plan, places: Places) -> Plan:
-    """Return the plan of a dataset that was begun, checked to be the same.
-
-    Raises
-    ------
-    InputError
-        Another scene, other columns, other versions, another renderer, fewer samples, or a mesh that is not the one
-        with which the dataset was begun.
-    """
+    """Return the plan of a dataset that was begun; `InputError` if it is not the same one."""
     from twin.study.recipe import load_scene
 
-    told = read_info(places)
-    if not (isinstance(told.get("meshes"), dict) and {"versions", "renderer"} <= told.keys()):
-        raise InputError(f"{places.info}: meshes, versions or renderer are missing or damaged; copy it anew")
-    scene, files = portable(plan.scene)
-    fresh = info(Plan(scene, plan.samples), told["meshes"])
+    facts = read_info(places)
+    if not (isinstance(facts.get("meshes"), dict) and {"versions", "renderer"} <= facts.keys()):
+        raise InputError(
+            f"{places.info}: meshes, versions or renderer are missing or damaged; copy it again"
+        )
+    scene, files = _portable(plan.scene)
+    fresh = _info(Plan(scene, plan.samples), facts["meshes"])
     where = f"{places.folder}: a dataset was begun here"
-    if told["content"] != fresh["content"]:
-        what = "other columns" if told["columns"] != fresh["columns"] else "another scene"
+    if facts["content"] != fresh["content"]:
+        what = "other columns" if facts["columns"] != fresh["columns"] else "another scene"
         raise InputError(f"{where} with {what}; give another --out, or the same command as before")
     for key, name in (("versions", "versions"), ("renderer", "renderer")):
-        if told[key] != fresh[key]:
+        if facts[key] != fresh[key]:
             raise InputError(
-                f"{where} with other {name} ({_difference(told[key], fresh[key])}), so its bytes could not be "
-                "continued; use those, or give another --out"
+                f"{where} with other {name} ({_difference(facts[key], fresh[key])}), so its bytes "
+                "could not be continued; use those, or give another --out"
             )
-    if plan.samples < told["samples"]:
+    if plan.samples < facts["samples"]:
         raise InputError(
-            f"{where} with {told['samples']} samples; give --samples {told['samples']} or more, or another --out"
+            f"{where} with {facts['samples']} samples; give --samples {facts['samples']} or more, "
+            f"or another --out"
         )
-    for name, digest in told["meshes"].items():
+    for name, digest in facts["meshes"].items():
         path = places.meta / name
         if not path.is_file() or sha256(path) != digest:
             what = "changed since" if path.is_file() else "missing, with which"
             raise InputError(
-                f"{path}: {what} the dataset was begun, and no other mesh makes the same bytes; copy it anew, or give "
-                "another --out"
+                f"{path}: {what} the dataset was begun, and no other mesh makes the same bytes; "
+                "copy it again, or give another --out"
             )
     _put_down(scene, files, places.meta)
-    if fresh != told:
+    if fresh != facts:
         write_json(places.info, fresh)
     return Plan(load_scene(places.meta / "scene.toml"), plan.samples)
 
@@ -204,40 +169,110 @@ def _difference(old: Any, new: Any) -> str:
 
 
 def read_info(places: Places) -> dict[str, Any]:
-    """Return info.json.
-
-    Raises
-    ------
-    InputError
-        There is none, or it can't be read.
-    """
+    """Return info.json, or raise `InputError` if there is none or it can't be read."""
     try:
-        told: dict[str, Any] = json.loads(places.info.read_text())
+        facts: dict[str, Any] = json.loads(places.info.read_text())
     except FileNotFoundError:
         raise InputError(f"{places.folder}: has no meta/info.json, so it is no dataset") from None
     except (OSError, ValueError, RecursionError) as problem:
         raise InputError(f"{places.info}: can't be read ({problem})") from None
-    if not isinstance(told, dict) or told.get("format") != FORMAT:
-        found = told.get("format") if isinstance(told, dict) else None
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+        found = facts.get("format") if isinstance(facts, dict) else None
         raise InputError(f"{places.info}: format {found}; this program reads {FORMAT}")
-    lists = [told.get(name) for name in ("columns", "sensor_columns")]
+    lists = [facts.get(name) for name in ("columns", "sensor_columns")]
     whole = all(isinstance(each, list) and all(map(_is_column, each)) for each in lists)
-    if not (whole and isinstance(told.get("samples"), int) and isinstance(told.get("content"), str)):
-        raise InputError(f"{places.info}: columns, sensor_columns, samples or content are missing or damaged")
-    return told
+    if not (
+        whole and isinstance(facts.get("samples"), int) and isinstance(facts.get("content"), str)
+    ):
+        raise InputError(
+            f"{places.info}: columns, sensor_columns, samples or content are missing or damaged"
+        )
+    return facts
 
 
 def _is_column(entry: Any) -> bool:
-    return isinstance(entry, dict) and isinstance(entry.get("name"), str) and entry.get("kind") in get_args(Kind)
+    return (
+        isinstance(entry, dict)
+        and isinstance(entry.get("name"), str)
+        and entry.get("kind") in get_args(Kind)
+    )
 
 
 def job_of(places: Places) -> Job:
     """Return the job: everything a worker needs to know."""
-    kept = [p for p in sorted(places.meta.iterdir()) if p.suffix in {".npz", ".toml", ".stl"} or p == places.info]
-    return Job(files={p.name: p.read_bytes() for p in kept}, work=WORK)
+    kept = [
+        p
+        for p in sorted(places.meta.iterdir())
+        if p.suffix in {".npz", ".toml", ".stl"} or p == places.info
+    ]
+    return Job(files={p.name: p.read_bytes() for p in kept}, work=_WORK)
 
 
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file's contents."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sums(folder: Path, known: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the SHA-256 of every file of a dataset, by relative path; ``known`` ones are not
+    computed again."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name not in (
+            "meta/SHA256SUMS",
+            "meta/writer.lock",
+            "meta/written.sha256",
+        ):
+            found[name] = (known or {}).get(name) or sha256(path)
+    return found
+
+
+def listed(file: Path) -> dict[str, str]:
+    """Return the checksums in a file that ``sha256sum`` reads, by path; none if there is no such
+    file."""
+    if not file.is_file():
+        return {}
+    lines = [
+        line.split("  ", 1)
+        for line in file.read_text(errors="replace").splitlines()
+        if "  " in line
+    ]
+    return {name: digest for digest, name in lines}
+
+
+def _portable(scene: Scene) -> tuple[Scene, dict[str, Path]]:
+    """Return the scene with bare names in place of paths, and the files by these names.
+
+    Names are hashes of the contents: a probe's file may be one of several that vary, and a changed
+    one must get another name.
+    """
+    files: dict[str, Path] = {}
+
+    def named(path: str) -> str:
+        name = f"probe-{hashlib.sha256(Path(path).read_bytes()).hexdigest()[:12]}.stl"
+        files[name] = Path(path)
+        return name
+
+    changes: dict[str, Any] = {"calibration": scene.calibration.model_copy(update={"file": None})}
+    if isinstance(scene.body, Solid):
+        files["body.stl"] = Path(scene.body.file)
+        changes["body"] = scene.body.model_copy(update={"file": "body.stl"})
+    if scene.press is not None:
+        also = tuple(_renamed(each, named) for each in scene.press.also)
+        changes["press"] = _renamed(scene.press, named).model_copy(update={"also": also})
+    changes["vary"] = {
+        key: Choice(**{**axis.model_dump(), "choice": each_file(axis.choice, named)})
+        if isinstance(axis, Choice)
+        else axis
+        for key, axis in scene.vary.items()
+    }
+    return scene.model_copy(update=changes), files
+
+
+def _renamed(press: Any, named: Callable[[str], str]) -> Any:
+    if not isinstance(press.probe, Stl):
+        return press
+    probe = press.probe.model_copy(update={"file": named(press.probe.file)})
+    return press.model_copy(update={"probe": probe})

@@ -1,22 +1,29 @@
-"""Reading a dataset: samples by number, columns as arrays; only what is asked for is read."""
+"""Reading a dataset: samples by number, columns as arrays, and a sheet of samples as a page."""
 
 from __future__ import annotations
 
 import bisect
 import io
+import json
 import operator
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Picture
+from twin.arrays import Picture, Pixels, Points
 from twin.errors import InputError, did_you_mean
+from twin.files import LARGEST_PX, write_whole
+from twin.parts.camera import Camera
+from twin.show import html_page
+from twin.show.html_page import two_columns
+from twin.show.picture_overlays import GAIN, sample_figure
 from twin.study.dataset.plan import Places
 from twin.study.dataset.prepare import read_info
-from twin.study.frames import LARGEST_PX
+from twin.theory.optics import project
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -27,8 +34,8 @@ _SHAPES = {"vectors": 3, "pixels": 2}
 class DatasetReader:
     """A dataset on disk; ``len()`` rows, each a dictionary of numpy arrays, texts and numbers.
 
-    It is a map-style dataset in the sense of torch (``__len__``, ``__getitem__``), can be sent to other processes, and
-    keeps no file open.
+    It is a map-style dataset in the sense of torch (``__len__``, ``__getitem__``), can be sent to
+    other processes, and keeps no file open.
 
     Parameters
     ----------
@@ -45,7 +52,9 @@ class DatasetReader:
         It is no dataset, or has no such column.
     """
 
-    def __init__(self, folder: Path | str, columns: Sequence[str] | None = None, *, decode: bool = True) -> None:
+    def __init__(
+        self, folder: Path | str, columns: Sequence[str] | None = None, *, decode: bool = True
+    ) -> None:
         import pyarrow.parquet as pq
 
         self._decode = decode
@@ -62,12 +71,13 @@ class DatasetReader:
         self._starts = [int(start) for start in np.concatenate([[0], np.cumsum(counts)])]
         self._group: tuple[tuple[int, int], Any] | None = None
         self._sensors: dict[int, dict[str, Any]] | None = None
+        self._base_z_mm: float | None = None
 
     def __len__(self) -> int:
         return self._starts[-1]
 
     def __getitem__(self, row: int) -> dict[str, Any]:
-        row = operator.index(row)  # a TypeError that says what it was, as for a list
+        row = operator.index(row)  # a TypeError, as for a list
         number = row + len(self) if row < 0 else row
         if not 0 <= number < len(self):
             raise IndexError(f"row {row}: the dataset has {len(self)}")
@@ -75,7 +85,10 @@ class DatasetReader:
         with readable(self._files[file]):
             table, first = self._rows_near(file, number - self._starts[file])
             place = number - self._starts[file] - first
-            return {name: _value(table[name][place], self._kinds[name], self._decode) for name in self.columns}
+            return {
+                name: _value(table[name][place], self._kinds[name], self._decode)
+                for name in self.columns
+            }
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return (self[row] for row in range(len(self)))
@@ -116,11 +129,13 @@ class DatasetReader:
     def _known(self, names: Sequence[str]) -> None:
         """Refuse columns that the samples don't have, each with the nearest that they have."""
         every = f"known are {', '.join(self._kinds)}"
-        told = [
-            f"no column {name}; {did_you_mean(name, self._kinds, every)}" for name in names if name not in self._kinds
+        text = [
+            f"no column {name}; {did_you_mean(name, self._kinds, every)}"
+            for name in names
+            if name not in self._kinds
         ]
-        if told:
-            raise InputError(f"{self.places.folder}: {', '.join(told)}")
+        if text:
+            raise InputError(f"{self.places.folder}: {', '.join(text)}")
 
     def sensor(self, number: int) -> dict[str, Any]:
         """Return a row of the sensors table: rest picture, rest places, camera, what was drawn."""
@@ -128,6 +143,17 @@ class DatasetReader:
         if number not in rows:
             raise IndexError(f"sensor {number}: known are {sorted(rows)}")
         return rows[number]
+
+    def project(self, points_mm: Points, sensor: int) -> Pixels:
+        """Return the (n, 2) pixels of (n, 3) points, mm, in a sensor's own camera."""
+        from twin.study.recipe import load_scene
+
+        if self._base_z_mm is None:
+            self._base_z_mm = load_scene(self.places.meta / "scene.toml").body.base_z_mm
+        actual = json.loads(self.sensor(sensor)["actual"])
+        camera = Camera.model_validate(actual["camera"])
+        index = actual["material"]["refractive_index"]
+        return project(points_mm, camera, index, self._base_z_mm)
 
     @property
     def sensor_numbers(self) -> list[int]:
@@ -143,7 +169,10 @@ class DatasetReader:
                 with readable(file):
                     table = pq.read_table(file)
                     for place, found in enumerate(table["sensor"].to_pylist()):
-                        row = {name: _value(table[name][place], kind) for name, kind in self._sensor_kinds.items()}
+                        row = {
+                            name: _value(table[name][place], kind)
+                            for name, kind in self._sensor_kinds.items()
+                        }
                         rows[found] = row
             self._sensors = rows
         return self._sensors
@@ -158,20 +187,34 @@ class DatasetReader:
             while row >= first + (size := opened.metadata.row_group(group).num_rows):
                 first, group = first + size, group + 1
             if self._group is None or self._group[0] != (file, group):
-                self._group = ((file, group), opened.read_row_group(group, columns=list(self.columns)))
+                self._group = (
+                    (file, group),
+                    opened.read_row_group(group, columns=list(self.columns)),
+                )
         return self._group[1], first
 
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Say of a file that it can't be read, whatever the libraries that read it say of a damaged one."""
+    """Say of a file that it can't be read, whatever the libraries that read it say of a damaged
+    one."""
     import pyarrow as pa
 
     try:
         yield
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError, SyntaxError) as problem:
-        told = str(problem).splitlines()[0][:200] if str(problem) else type(problem).__name__
-        raise InputError(f"{path}: can't be read ({told}); copy it anew, or remove it and make it again") from None
+    except (
+        pa.ArrowException,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        SyntaxError,
+    ) as problem:
+        text = str(problem).splitlines()[0][:200] if str(problem) else type(problem).__name__
+        raise InputError(
+            f"{path}: can't be read ({text}); copy it again, or remove it and make it again"
+        ) from None
 
 
 def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> DatasetReader:
@@ -214,7 +257,71 @@ def _value(scalar: Any, kind: str, decode: bool = True) -> Any:
     if kind == "png":
         return decoded(scalar.as_py()) if decode else scalar.as_py()
     if kind in _SHAPES:
-        return scalar.values.flatten().to_numpy(zero_copy_only=False, writable=True).reshape(-1, _SHAPES[kind])
+        flat = scalar.values.flatten().to_numpy(zero_copy_only=False, writable=True)
+        return flat.reshape(-1, _SHAPES[kind])
     if kind in ("numbers", "flags"):
         return scalar.values.to_numpy(zero_copy_only=False, writable=True)
     return scalar.as_py()
+
+
+SHOWN = 24
+
+
+def view_dataset(folder: Path, page: Path) -> str:
+    """Write the contact sheet of a dataset and return a line about it.
+
+    Raises
+    ------
+    InputError
+        It is no dataset, or holds no samples yet, or no pixels to draw.
+    """
+    reader = DatasetReader(folder, decode=False)
+    if len(reader) == 0:
+        raise InputError(f"{folder}: holds no samples yet")
+    if "marker_pressed_px" not in reader.columns:
+        raise InputError(f"{folder}: the sheet needs the column marker_pressed_px")
+    rows = np.unique(np.linspace(0, len(reader) - 1, min(SHOWN, len(reader))).astype(int))
+    samples = two_columns([_figure(reader, reader[int(row)]) for row in rows])
+    facts = [f"{len(reader)} rows, {len(rows)} shown", f"columns: {', '.join(reader.columns)}"]
+    items = "".join(f"<li>{escape(fact)}</li>" for fact in facts)
+    note = (
+        f"Lines: shift of each marker, {GAIN:g} times as long as it is. Yellow: where the body is "
+        "touched."
+    )
+    sections = [("The set", f"<ul>{items}</ul>"), ("Samples", samples)]
+    text = html_page.page(reader.info["title"] or "Dataset", note, [], sections)
+    write_whole(page, text.encode())
+    return f"{page}: {len(rows)} of {len(reader)} samples"
+
+
+def _figure(reader: DatasetReader, sample: dict[str, Any]) -> str:
+    """Return a sample as a figure of the sheet: its picture and markers, or why it failed."""
+    if sample["status"] != "ok":
+        alarm = f'<p class="alarm">{escape(sample["error"])}</p>'
+        return html_page.figure(alarm, f"sample {sample['index']}: failed")
+    camera = reader.info["camera"]
+    rest = reader.sensor(sample["sensor"])["marker_rest_px"]
+    contact = np.zeros((0, 2))
+    if sample.get("surface_mm") is not None:
+        contact = reader.project(sample["surface_mm"], sample["sensor"])
+    return sample_figure(
+        _title(sample),
+        sample.get("picture"),
+        (camera["width_px"], camera["height_px"]),
+        np.column_stack([rest, sample["marker_pressed_px"]]),
+        contact,
+    )
+
+
+def _title(sample: dict[str, Any]) -> str:
+    press = json.loads(sample["press"])
+    if isinstance(press, list):
+        words = ", ".join(each["kind"] for each in press)
+    else:
+        probe = press["probe"]
+        size = probe.get("diameter_mm", probe.get("width_mm"))
+        words = probe["kind"] + (f" {size:.3g} mm" if size else "")
+        words += " at ({:.2g}, {:.2g}) mm".format(*press["at_mm"])
+    if sample.get("force_n") is not None:
+        words += ", force ({:.2g}, {:.2g}, {:.2g}) N".format(*sample["force_n"])
+    return f"sample {sample['index']}: {words}"

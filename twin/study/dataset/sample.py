@@ -1,100 +1,119 @@
-"""One sample: from its number to a row of truth, doing only what its columns need.
+"""One sample, a worker's shard of them, and a sample computed again at the highest accuracy.
 
-Every sample starts from the same state, whatever was computed before it: which solved fields a contact finds in memory,
-or how often points were asked about, may change last digits, so that is put aside between samples.
+Every sample starts from the same state, whatever was computed before it: the solved fields that a
+contact finds in memory, or how often points were used, may change last digits, so they are put
+aside between samples. A worker knows the dataset by the job's files only (resolved scene, meshes,
+info); it keeps the last sensor, with its factor and its renderer, for the shards that follow.
+
+Highest accuracy means twice as many contact patches across and, in path, twice as many parts of
+every step; the finest shipped mesh of the body where there is one (a standard block's table was
+made on it); patches that are not gathered into point forces; and 12 x 12 rays per pixel.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Bools
+from twin.arrays import Bools, Floats
 from twin.errors import ContactError, RecipeError, TwinError
+from twin.files import cache_folder, pin, pinned, png_bytes
+from twin.parts.body import Body
 from twin.parts.load import Load
 from twin.parts.part import Part
 from twin.parts.pipeline import Sites
 from twin.parts.scene import Scene
 from twin.streams import Purpose
 from twin.study.batch.draw import Table, with_values
-from twin.study.dataset.columns import drawn_values
-from twin.study.dataset.plan import MOST_STEPS, Plan, load_of, press_of
-from twin.study.dataset.portable import bare
-from twin.study.motion import Motion
-from twin.study.sensor import Sensor
-from twin.study.sites import on_grid
+from twin.study.batch.pool import end_if_too_long
+from twin.study.dataset.columns import bare, in_cells, parquet
+from twin.study.dataset.plan import MOST_STEPS, Plan, drawn_values
+from twin.study.recipe import load_scene
+from twin.study.sensor import Motion, Sensor, on_surface
 
 if TYPE_CHECKING:
-    from twin.parts.load import Rectangles
     from twin.parts.press import Press
     from twin.world.contact.contact_state import ContactState
     from twin.world.elasticity.compliance import Compliance
     from twin.world.picture.render import Outlines, Renderer
 
-Row = dict[str, Any]
+_Row = dict[str, Any]
+_Bytes = bytes | bytearray | memoryview
+"""A file's contents; those from another process are not copied into one type."""
 
-INTERNAL = (ArithmeticError, ValueError, LookupError, AssertionError, RuntimeError)
-"""What a mistake of this program's raises: it fails a sample, not the run."""
+_INTERNAL = (ArithmeticError, ValueError, LookupError, AssertionError, RuntimeError)
+"""What a mistake of this program raises: it fails a sample, not the run."""
+
+_MOST_PATCHES, _MOST_INCREMENTS = 40, 64
+
+_BEST = 1e-4
+"""Accuracy of displacements that takes the finest mesh."""
+
+_WHOLE = 0.98
+"""Share of an outline that must be seen for its centroid to be compared."""
+
+_FINEST = 12
+"""Rays per pixel and direction of the outlines that others are compared with."""
 
 
-class MadeSensor:
-    """One sensor of a dataset, ready to be pressed.
+class _MadeSensor:
+    """One sensor of a dataset, ready to be pressed, with the ``values`` drawn for it by dotted key.
 
-    Parameters
-    ----------
-    plan
-        The dataset.
-    number
-        Of the sensor.
-    values
-        What is drawn for it, by dotted key.
-    gather
-        Whether patches may be gathered into point forces: see `Sensor.motion_of_patches`.
+    ``gather``: whether patches may be gathered into point forces (`Sensor.motion_of_patches`).
     """
 
     def __init__(self, plan: Plan, number: int, values: Table, *, gather: bool = True) -> None:
         self.plan, self.number, self.values, self.gather = plan, number, values, gather
-        self.seed = sensor_seed(plan.scene.seed, number)
-        drawn = with_values(plan.scene, values, plan.sensor_axes) if values or plan.sensor_axes else plan.scene
+        self.seed = _sensor_seed(plan.scene.seed, number)
+        drawn = plan.scene
+        if values or plan.sensor_axes:
+            drawn = with_values(plan.scene, values, plan.sensor_axes)
         self.sensor = Sensor(drawn.model_copy(update={"seed": self.seed}))
 
     @cached_property
-    def row(self) -> Row:
+    def row(self) -> _Row:
         """Its row of the sensors table."""
         sensor, needs = self.sensor, self.plan.needs
         scene, markers = sensor.actual.scene, sensor.actual.markers
-        told: Row = {
+        layers = [[name, int((markers.layer == name).sum())] for name in scene.markers]
+        row: _Row = {
             "sensor": self.number,
             "seed": self.seed,
             "actual": json.dumps(_actual(scene), sort_keys=True),
-            "marker_layer": json.dumps([[name, int((markers.layer == name).sum())] for name in scene.markers]),
+            "marker_layer": json.dumps(layers),
             "marker_rest_mm": markers.points,
             **drawn_values(self.plan.sensor_axes, self.values),
         }
         if scene.camera is not None and "motion" in needs:
-            told["marker_rest_px"] = sensor.project(markers.points)
+            row["marker_rest_px"] = sensor.project(markers.points)
         if "outlines" in needs:
             outlines = self.renderer.outlines(sensor.ellipsoids(None))
-            told |= {"marker_outline_rest_px": outlines.centroid_px, "marker_visible": outlines.visible}
+            row["marker_outline_rest_px"] = outlines.centroid_px
+            row["marker_visible"] = outlines.visible
         if "picture" in needs:
-            from twin.png import png_bytes
-
             _ = self.renderer
-            told["picture"] = png_bytes(sensor.picture(None))
+            row["picture"] = png_bytes(sensor.picture(None))
             assert scene.camera is not None
             f, (cx, cy) = scene.camera.focal_px, scene.camera.centre_px
-            told["camera_matrix"] = np.array([f, 0, cx, 0, f, cy, 0, 0, 1.0])
+            row["camera_matrix"] = np.array([f, 0, cx, 0, f, cy, 0, 0, 1.0])
         if "sites" in needs:
-            told["site_mm"] = self.cells.centre_mm
-        return told
+            body, half_mm = sensor.nominal.body, self.grid.pitch_mm / 2
+            cells = on_surface(body, self.grid.chart(), half_mm, "dataset.sites")
+            row["site_mm"] = cells.centre_mm
+        return row
 
     @cached_property
     def compliance(self) -> Compliance:
-        """Of its body, which knows its markers."""
+        """Of its body, prepared for its markers."""
         from twin.world.elasticity.compliance import Compliance
 
         found = self.sensor.compliance
@@ -112,148 +131,325 @@ class MadeSensor:
         return scene.reconstruction.sites
 
     @cached_property
-    def cells(self) -> Rectangles:
-        """The cells of the sites."""
-        return on_grid(self.sensor.nominal.body, self.grid, self.grid.pitch_mm / 2, "dataset.sites")
-
-    @cached_property
     def renderer(self) -> Renderer:
         """The camera's view, traced by one thread."""
-        from twin.world.picture.render import one_thread
+        from twin.world.picture.mitsuba_tracer import one_thread
 
         renderer = self.sensor.renderer
         one_thread()
         return renderer
 
 
-def sensor_seed(root: int, number: int) -> int:
+def _sensor_seed(root: int, number: int) -> int:
     """Return the seed of a sensor, from the scene's seed and the sensor's number alone."""
-    words = np.random.SeedSequence(root, spawn_key=(int(Purpose.SENSOR), number)).generate_state(1, np.uint64)
-    return int(words[0] >> np.uint64(1))
+    sequence = np.random.SeedSequence(root, spawn_key=(int(Purpose.SENSOR), number))
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
-def rows_of_sample(made: MadeSensor, sample: int, values: Table) -> list[Row]:
-    """Return the rows of a sample: one, or one for every step; a failed sample is one row that says why."""
+def _rows_of_sample(made: _MadeSensor, sample: int, values: Table) -> list[_Row]:
+    """Return the rows of a sample: one, or one per step."""
     plan = made.plan
-    base: Row = {"index": sample, "step": 0, "sensor": made.number, "status": "ok"}
+    base: _Row = {"index": sample, "step": 0, "sensor": made.number, "status": "ok"}
     base |= drawn_values(plan.press_axes, values)
     try:
         table = plan.press_table(values)
         base["press"] = json.dumps(bare(table), sort_keys=True)
         made.compliance.forget()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what warnings say is in the row's error estimates
-            if plan.scene.tractions:
-                return [base | truth_of(made, load_of(table), exposure=1 + sample * MOST_STEPS)]
-            return [base | row for row in _rows(made, sample, press_of(table))]
+            warnings.simplefilter("ignore")  # the row's error estimates hold the same
+            press = plan.press_of(table)
+            if isinstance(press, Load):
+                return [base | _truth_of(made, press, exposure=1 + sample * MOST_STEPS)]
+            return [base | row for row in _rows(made, sample, press)]
     except TwinError as problem:
-        told = str(problem)
-    except INTERNAL as problem:
-        told = f"internal error: {type(problem).__name__}: {problem}"
-    return [base | {"status": "failed", "error": told}]
+        error = str(problem)
+    except _INTERNAL as problem:
+        error = f"internal error: {type(problem).__name__}: {problem}"
+    return [base | {"status": "failed", "error": error}]
 
 
-def failed_row(plan: Plan, sample: int, values: Table, why: str) -> Row:
-    """Return the row of a sample that could not be made."""
-    base: Row = {"index": sample, "step": 0, "sensor": plan.sensor_of(sample), "status": "failed", "error": why}
-    return base | drawn_values(plan.press_axes, values)
-
-
-def _rows(made: MadeSensor, sample: int, press: Press) -> list[Row]:
-    plan, sensor = made.plan, made.sensor
-    state = sensor.press(press, with_error="traction_error" in {c.name for c in plan.columns})
+def _rows(made: _MadeSensor, sample: int, press: Press) -> list[_Row]:
+    plan = made.plan
+    state = made.sensor.press(press)
     if not state.complete:
         raise ContactError(f"press: {state.reason}")
     every = plan.scene.dataset.every_step
     states = state.path if every and state.path else (state,)
     if len(states) > MOST_STEPS:
         raise RecipeError(f"press.steps: {len(states)} steps; allowed are {MOST_STEPS}")
-    last = len(press.path) - 1
     rows = []
     for step, one in enumerate(states):
-        number = step if every else last
+        number = step if every else len(press.path) - 1
+        row: _Row = {
+            "step": number,
+            "probe_move_mm": one.move_mm,
+            "probe_turn_deg": one.turn_deg,
+            "indentation_mm": one.indentation_mm,
+            "contact_area_mm2": one.area_mm2,
+            "peak_pressure_mpa": one.peak_pressure_mpa,
+            "contact_residual": one.residual,
+            "linearisation_error": one.validity.linearisation_error,
+            "surface_slip": np.concatenate([np.zeros(0, bool), *_slips_of(one)]),
+        }
+        # the error of tractions costs half as much again as the contact
+        if any(column.name == "traction_error" for column in plan.columns) and one.error:
+            row["traction_error"] = one.error.traction
         exposure = 1 + sample * MOST_STEPS + number
-        rows.append({"step": number} | _contact(one) | truth_of(made, one.load, slips_of(one), exposure))
+        rows.append(row | _truth_of(made, one.load, _slips_of(one), exposure))
     return rows
 
 
-def slips_of(state: ContactState) -> list[Bools]:
+def _slips_of(state: ContactState) -> list[Bools]:
     """Return whether each patch of every term of a load slips on its probe."""
     return [one.slip for one in (state, *state.also) if len(one.slip)]
 
 
-def _contact(state: ContactState) -> Row:
-    """Return what is known of a press only."""
-    return {
-        "probe_move_mm": state.move_mm,
-        "probe_turn_deg": state.turn_deg,
-        "indentation_mm": state.indentation_mm,
-        "contact_area_mm2": state.area_mm2,
-        "peak_pressure_mpa": state.peak_pressure_mpa,
-        "contact_residual": state.residual,
-        "traction_error": state.error.traction if state.error is not None else None,
-        "linearisation_error": state.validity.linearisation_error,
-        "surface_slip": np.concatenate([np.zeros(0, bool), *slips_of(state)]),
-    }
+def _truth_of(
+    made: _MadeSensor, load: Load, slips: list[Bools] | None = None, exposure: int | None = None
+) -> _Row:
+    """Return the columns' values under a load; pictures and outlines only with an exposure.
 
-
-def truth_of(made: MadeSensor, load: Load, slips: list[Bools] | None = None, exposure: int | None = None) -> Row:
-    """Return what columns are made of under a load; without an exposure what is seen is left out.
-
-    ``slips`` says which patches of each of the load's terms slip; None for tractions without a probe.
+    ``slips`` are the slipping patches of each of the load's terms; None without a probe.
     """
-    from twin.world.elasticity.tile import join
+    from twin.world.elasticity.discretise import join
 
     sensor, needs = made.sensor, made.plan.needs
     groups = [sensor.rectangles(Load((term,))) for term in load.terms] or [sensor.rectangles(load)]
     patches = join(groups)
-    moment = patches.centre_mm.T @ patches.force_n
-    row: Row = {
+    row: _Row = {
         "force_n": patches.force_n.sum(axis=0),
-        "torque_nmm": np.array([moment[1, 2] - moment[2, 1], moment[2, 0] - moment[0, 2], moment[0, 1] - moment[1, 0]]),
+        "torque_nmm": np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
         "surface_mm": patches.centre_mm,
         "surface_force_n": patches.force_n,
     }
     if "sites" in needs:
-        from twin.study.dataset.cells import in_cells
-
         found = in_cells(made.grid, sensor.actual.scene.body, groups, slips)
         row |= dict(zip(("site_force_n", "site_contact", "site_slip"), found, strict=True))
-    if not needs & {"motion", "picture", "outlines"}:
+    pictured = bool(needs & {"picture", "outlines"})
+    if not pictured and "motion" not in needs:
         return row
-    looked_at = bool(needs & {"picture", "outlines"})
-    strained = looked_at and sensor.markers_strain
+    strained = pictured and sensor.markers_strain
     motion = sensor.motion_of_patches(*groups, strained=strained, gather=made.gather)
     row |= {"marker_displacement_mm": motion.displacement_mm, "displacement_error": motion.error}
     if sensor.nominal.camera is not None:
-        row["marker_pressed_px"] = sensor.project(sensor.actual.markers.points + motion.displacement_mm)
-    if looked_at and exposure is not None:
-        row |= _seen(made, motion, exposure)
-    return row
+        moved = sensor.actual.markers.points + motion.displacement_mm
+        row["marker_pressed_px"] = sensor.project(moved)
+    return row | _seen(made, motion, exposure) if pictured and exposure is not None else row
 
 
-def _seen(made: MadeSensor, motion: Motion, exposure: int) -> Row:
-    from twin.png import png_bytes
-
-    sensor, renderer = made.sensor, made.renderer
-    if "picture" not in made.plan.needs:
-        return _told_by(renderer.outlines(sensor.ellipsoids(motion)))
-    if "outlines" not in made.plan.needs:
+def _seen(made: _MadeSensor, motion: Motion, exposure: int) -> _Row:
+    sensor, renderer, needs = made.sensor, made.renderer, made.plan.needs
+    if "picture" not in needs:
+        return _outlined(renderer.outlines(sensor.ellipsoids(motion)))
+    if "outlines" not in needs:
         return {"picture": png_bytes(sensor.picture(motion, exposure=exposure))}
     picture, outlines = sensor.seen(motion, exposure)
-    return {"picture": png_bytes(picture), **_told_by(outlines)}
+    return {"picture": png_bytes(picture), **_outlined(outlines)}
 
 
-def _told_by(outlines: Outlines) -> Row:
+def _outlined(outlines: Outlines) -> _Row:
     return {"marker_outline_pressed_px": outlines.centroid_px, "marker_visible": outlines.visible}
 
 
 def _actual(scene: Scene) -> Table:
     """Return the plain numbers of a sensor as it was made."""
     parts: dict[str, Part | None] = {
-        "material": scene.material, "camera": scene.camera, "light": scene.light, "ccd": scene.ccd.spelt_out(),
-    }  # fmt: skip
+        "material": scene.material,
+        "camera": scene.camera,
+        "light": scene.light,
+        "ccd": scene.ccd.spelt_out(),
+    }
     bare = {"source", "assumed"}
-    table: Table = {k: p.model_dump(mode="json", exclude=bare) for k, p in parts.items() if p is not None}
-    table["markers"] = {k: layer.model_dump(mode="json", exclude=bare) for k, layer in scene.markers.items()}
+    table: Table = {
+        k: p.model_dump(mode="json", exclude=bare) for k, p in parts.items() if p is not None
+    }
+    table["markers"] = {
+        k: layer.model_dump(mode="json", exclude=bare) for k, layer in scene.markers.items()
+    }
     return table
+
+
+@dataclass(frozen=True)
+class ShardBytes:
+    """A finished shard: its files' contents, how many samples failed, and the first reason.
+
+    There are no sensors if all of its samples are pressed on those of earlier shards.
+    """
+
+    samples: _Bytes
+    sensors: _Bytes | None
+    failed: int
+    reason: str
+
+    def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
+        """Pickle the files as NumPy arrays, which travel between processes without a copy."""
+        files = [
+            each if each is None else np.frombuffer(each, np.uint8)
+            for each in (self.samples, self.sensors)
+        ]
+        return _arrived, (*files, self.failed, self.reason)
+
+
+def _arrived(samples: Any, sensors: Any, failed: int, reason: str) -> ShardBytes:
+    return ShardBytes(samples.data, sensors if sensors is None else sensors.data, failed, reason)
+
+
+class _Workshop:
+    """What a process keeps of one dataset."""
+
+    def __init__(self, folder: Path) -> None:
+        info = json.loads((folder / "info.json").read_text())
+        self.content: str = info["content"]
+        self.plan = Plan(load_scene(folder / "scene.toml"), info["samples"])
+        self._made: _MadeSensor | None = None
+
+    def sensor(self, number: int) -> _MadeSensor:
+        """Return a made sensor; the last one is kept."""
+        if self._made is None or self._made.number != number:
+            values = self.plan.sensor_values(range(number, number + 1))[0]
+            self._made = _MadeSensor(self.plan, number, values)
+        return self._made
+
+
+_workshops: dict[Path, _Workshop] = {}
+
+
+@contextmanager
+def _working(folder: Path) -> Iterator[_Workshop]:
+    """Work on the dataset of a job's folder: with its meshes only, and with fields of its own.
+
+    Fields in the cache of other runs may have been summed by several threads.
+    """
+    if folder not in _workshops:
+        _workshops.clear()
+        _workshops[folder] = _Workshop(folder)
+    before, base = os.environ.get("TWIN_CACHE"), cache_folder()
+    os.environ["TWIN_CACHE"] = str(base if base.name == "one-thread" else base / "one-thread")
+    cache_folder.cache_clear()
+    try:
+        with pin(folder):
+            yield _workshops[folder]
+    finally:
+        if before is None:
+            os.environ.pop("TWIN_CACHE", None)
+        else:
+            os.environ["TWIN_CACHE"] = before
+        cache_folder.cache_clear()
+
+
+def make_shard(folder: Path, shard: int) -> ShardBytes:
+    """Return a shard's files."""
+    with _working(folder) as shop:
+        plan = shop.plan
+        numbers, firsts = plan.of_shard(shard), plan.sensors_of(shard)
+        rows: list[_Row] = []
+        sensors: dict[int, _Row] = {}
+        failed, reason = 0, ""
+        for sample, values in zip(numbers, plan.press_values(numbers), strict=True):
+            end_if_too_long()
+            number = plan.sensor_of(sample)
+            try:
+                made = shop.sensor(number)
+                if number in firsts and number not in sensors:
+                    sensors[number] = made.row
+                new = _rows_of_sample(made, sample, values)
+            except TwinError as problem:  # the drawn sensor itself can't be made
+                seed = _sensor_seed(plan.scene.seed, number)
+                sensors.setdefault(number, {"sensor": number, "seed": seed})
+                row: _Row = {"index": sample, "step": 0, "sensor": number, "status": "failed"}
+                row["error"] = f"sensor {number}: {problem}"
+                new = [row | drawn_values(plan.press_axes, values)]
+            if new[0]["status"] == "failed":
+                failed, reason = failed + 1, reason or f"sample {sample}: {new[0]['error']}"
+            rows += new
+        words = {"twin.content": shop.content, "twin.samples": f"{numbers.start}-{numbers.stop}"}
+        ours = [row for number, row in sensors.items() if number in firsts]
+        return ShardBytes(
+            samples=parquet(rows, plan.row_columns, words),
+            sensors=parquet(ours, plan.sensor_columns, words) if ours else None,
+            failed=failed,
+            reason=reason,
+        )
+
+
+def audit_sample(folder: Path, sample: int) -> dict[str, float]:
+    """Return the differences of one sample; nothing if it fails."""
+    with _working(folder) as shop:
+        plan = shop.plan
+        values = plan.press_values(range(sample, sample + 1))[0]
+        made = shop.sensor(plan.sensor_of(sample))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                return _differences(made, values)
+        except (TwinError, *_INTERNAL):  # that it could not be made more finely ends no run
+            return {}
+
+
+def _differences(made: _MadeSensor, values: Table) -> dict[str, float]:
+    plan, finer = made.plan, _finer(made)
+    for each in (made, finer):
+        each.compliance.forget()
+    press = plan.press_of(plan.press_table(values))
+    out: dict[str, float] = {}
+    if isinstance(press, Load):
+        load = press
+        usual, best = _truth_of(made, load), _truth_of(finer, load)
+    else:
+        states = _pressed(made, press), _pressed(finer, press)
+        load = states[0].load
+        usual, best = (
+            _truth_of(one, state.load, _slips_of(state))
+            for one, state in zip((made, finer), states, strict=True)
+        )
+        out["indentation"] = _relative(states[0].indentation_mm, states[1].indentation_mm)
+    if "site_force_n" in usual and not plan.scene.tractions:
+        out["site_force"] = _relative(usual["site_force_n"], best["site_force_n"])
+    if "marker_displacement_mm" in usual and np.any(usual["marker_displacement_mm"]):
+        ours, true = usual["marker_displacement_mm"], best["marker_displacement_mm"]
+        largest = float(np.linalg.norm(true, axis=1).max())
+        out["displacement"] = float(np.linalg.norm(ours - true, axis=1).max()) / largest
+        out["estimate"] = float(usual["displacement_error"])
+    if "outlines" in plan.needs:
+        shapes = made.sensor.ellipsoids(made.sensor.motion_of_patches(made.sensor.rectangles(load)))
+        one, other = made.renderer.outlines(shapes), made.renderer.outlines(shapes, _FINEST)
+        seen = (one.visible > _WHOLE) & (other.visible > _WHOLE)
+        if seen.any():
+            out["outline_px"] = float(np.abs(one.centroid_px - other.centroid_px)[seen].max())
+    return out
+
+
+def _pressed(made: _MadeSensor, press: Press) -> ContactState:
+    state = made.sensor.press(press)
+    if not state.complete:
+        raise ContactError(f"press: {state.reason}")
+    return state
+
+
+def _relative(one: Floats | float, other: Floats | float) -> float:
+    return float(
+        np.linalg.norm(np.subtract(one, other)) / max(float(np.linalg.norm(other)), 1e-300)
+    )
+
+
+def _finer(made: _MadeSensor) -> _MadeSensor:
+    """Return the same sensor at the highest accuracy."""
+    scene = made.plan.scene
+    changes: dict[str, Any] = {
+        "contact_patches": min(_MOST_PATCHES, 2 * scene.contact_patches),
+        "contact_increments": min(_MOST_INCREMENTS, 2 * scene.accuracy.contact_increments),
+        "surface_table": False,
+    }
+    if pinned(_finest_mesh_file(scene.body)):
+        changes["displacement"] = _BEST
+    finest = scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update=changes)})
+    return _MadeSensor(Plan(finest, made.plan.samples), made.number, made.values, gather=False)
+
+
+def _finest_mesh_file(body: Body) -> str:
+    """Return the name of the file of the body's finest mesh, which is there for bodies that ship
+    with one."""
+    from twin.world.mesh.body_mesh import mesh_file, mesh_key
+    from twin.world.mesh.sizing import WORLD, default_sizing
+
+    return mesh_file(mesh_key(body, default_sizing(body, WORLD[-1])))

@@ -1,1 +1,1 @@
-"""The papers' tables and figures, each made again through the whole chain, paper beside twin."""
+"""The papers' tables and figures, each computed through the whole chain, paper next to twin."""

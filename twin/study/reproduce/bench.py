@@ -1,45 +1,66 @@
-"""The bench that every experiment is set up on: the made sensors, their pictures, and what is kept between entries.
+"""The experimental bench of the papers' entries: sensors, presses, pictures, force fields, records.
 
-An experiment asks for a sensor by its paper and seed. Without overrides that is *the* sensor of the paper, the same in
-every table and figure; overrides make a variant, in which one modelled cause is switched off or one design number is
-another. Rest pictures, presses and calibrations are kept, so that two entries on one press solve it once.
+An experiment asks for a sensor by its paper and seed. Without overrides that is *the* sensor of
+the paper, the same in every table and figure. Overrides make a variant in which one modelled cause
+is switched off or one design number differs. A `Chain` is a sensor with its software.
+
+Rest pictures, presses and calibrations are kept. Variants that differ in camera or software alone
+share the presses of one body, because the press is most of the work on the finger.
+
+A record holds a printed number, the twin's number with its spread, and the number with one cause
+switched off. An entry declares what it measures, the numbers that it takes from that, and its
+causes; `Bench.compare` makes the runs and their records.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from twin.arrays import Floats, Picture
-from twin.parts.load import Load
+from twin.arrays import Floats, Picture, Progress
+from twin.judge.score import field_score, into_cells
+from twin.parts.load import Load, Traction
+from twin.parts.methods import CentreMethod, Method
 from twin.parts.part import without_later
 from twin.parts.press import Press
 from twin.parts.scene import Scene
-from twin.progress import Progress
-from twin.sense.rest import Method
-from twin.study.calibrate import calibration_of
-from twin.study.motion import Motion
+from twin.sense.calibration import Calibration
+from twin.sense.reconstruct import Field, reconstruct
+from twin.sense.track import Found
+from twin.show.figure_panels import ArrowPanel, FieldPanel
+from twin.study.calibrate import calibrate_by_presses, calibration_of, half_space_compliance
 from twin.study.recipe import load_scene
-from twin.study.reproduce.kept import KeptSensor, Mechanics
+from twin.study.sensor import Motion, Sensor
 from twin.theory.optics import projection_jacobian
+from twin.world.contact.pressing import ContactState
 
 if TYPE_CHECKING:
-    from twin.sense.calibration import Calibration
-    from twin.sense.rest import Rest
-    from twin.sense.track import Found
-    from twin.world.contact.contact import ContactState
+    from twin.sense.reference import Rest
 
 T = TypeVar("T")
+
+CLOSE = 0.15
+"""Share of the paper's number within which twin and paper agree whatever the spread: the papers
+round and read off plots."""
+
+MOST = 0.5
+"""Share of the paper's number beyond which nothing agrees, however wide the runs are spread."""
+
+DIGITS, ROUND_OFF = 6, 1e-9
+"""Significant digits kept of every number, and the size below which it is round-off: the last
+digits depend on the processor."""
 
 SCENES = {"kamiyama": "kamiyama_paper", "sato": "sato_paper"}
 """The scene of each paper's sensor."""
 
-OUR_TRACKER: Method = "disc-fit"
+OUR_TRACKER: CentreMethod = "disc-fit"
 """This project's own tracker: the default of a scene."""
 
 SENSOR_KEYS = ("body", "material", "cover", "markers", "camera", "light", "ccd", "tolerance")
@@ -48,116 +69,377 @@ SENSOR_KEYS = ("body", "material", "cover", "markers", "camera", "light", "ccd",
 DRAWING = ("body", "material", "cover", "markers", "camera", "calibration", "reconstruction")
 """What a calibration from the nominal design depends on."""
 
+MECHANICAL = ("body", "material", "cover", "accuracy")
+"""What of an actual scene decides how its body moves."""
+
 TABLE = "accuracy.surface_table"
 TABLED = ("sato",)
-"""Papers on whose own made sensor loads are read off a table of the surface (`twin.world.elasticity.surface_table`).
+"""Papers on whose own made sensor loads are read from a table of the surface
+(`twin.world.elasticity.interpolated`).
 
-Why: 75 calibration presses alone cost twice what the table does, which then serves every other press for next to
-nothing. Measured at the 25 points, the errors of H differ by 2 % of themselves from those of presses solved one by one.
-The quick form presses so little that it is cheaper without."""
+Why: 75 calibration presses alone cost twice what the table does, which then serves every other
+press for next to nothing. Measured at the 25 points, the errors of H differ by 2 % of themselves
+from those of presses solved one by one. The quick form presses so little that it is cheaper
+without."""
 
 MADE = 3
-"""Made sensors, over which a number's spread is told. Where fingers are pressed it is one: its calibration alone is 75
-presses, and the spread is of as many runs of exposures and load cell."""
+"""Made sensors over which a number's spread is taken. Where fingers are pressed it is one: its
+calibration alone is 75 presses, and the spread is of as many runs of exposures and load cell."""
 
 FITTED: dict[str, tuple[str, ...]] = {
     "kamiyama": (
-        "ccd.read_noise_e = 112, to the mean of the four standard deviations of Table 1 (0.21 px) when the markers "
+        "ccd.read_noise_e = 112, to the mean of the four standard deviations of Table 1 (0.21 "
+        "px) when the markers "
         "are moved and filmed again: the noise of the capture unit is in no paper",
     ),
     "sato": ("nothing is fitted: every number is the paper's or an assumption of the scene",),
 }
 """What was fitted to each paper, once, and is used everywhere."""
 
+NO_NOISE = "noise off"
+PAPERS_TRACKER = "tracker: the paper's instead of this project's"
+OUR_TRACKER_INSTEAD = "tracker: this project's instead of the paper's"
+SMOOTH = "inverse: smooth instead of the pseudo-inverse"
+NO_LENS = "lens: seen from far away"
+NO_BLOCK = "finite block: a half-space is filmed instead"
+KNOWN_BLOCK = "finite block: the sensor is told of the real block instead of a half-space"
+"""Causes, in the words of the page."""
+
+QUIET: dict[str, Any] = {"ccd.noise": False}
+
+FAR = 50.0
+"""Times the distance at which a lens sees almost in parallel."""
+
+SPOT_MM = 0.5
+"""Radius of the disc that stands for a narrow force."""
+
+APART = 20_000
+"""Exposures from one trial to the next on the same made sensor."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that an entry takes from each of its runs.
+
+    Attributes
+    ----------
+    name, unit
+        What it is; "" is a plain number.
+    paper
+        The paper's number; None where it prints none.
+    near
+        Absolute difference from the paper within which the two agree; by default `CLOSE` of the
+        paper's number.
+    timed
+        Whether it is a time or a rate, which no two runs share.
+    ours
+        Whether it is this project's software on the paper's hardware: the paper's number is shown,
+        and isn't what should come out.
+    """
+
+    name: str
+    unit: str = ""
+    paper: float | None = None
+    near: float | None = None
+    timed: bool = False
+    ours: bool = False
+
+
+Numbers = Mapping[Quantity, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """One quantity of one table or figure.
+
+    Attributes
+    ----------
+    twin
+        The twin's number, the mean over ``n`` runs.
+    spread
+        Standard deviation over these runs; None for one run.
+    n
+        Number of runs; they differ in seed (made sensor and noise) or, where the quantity names it,
+        in noise alone.
+    explained_by
+        The number by cause: with one modelled cause switched off, or something else in its place.
+    """
+
+    quantity: Quantity
+    twin: float
+    spread: float | None = None
+    n: int = 1
+    explained_by: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def tolerance(self) -> float:
+        """Difference from the paper within which the two agree."""
+        size = abs(self.quantity.paper or 0.0)
+        least = self.quantity.near if self.quantity.near is not None else CLOSE * size
+        return max(least, min(2.0 * (self.spread or 0.0), MOST * size))
+
+    @property
+    def verdict(self) -> str:
+        """Agreement with the paper: agrees, explained by the cause that closes the gap best, or not
+        explained."""
+        paper = self.quantity.paper
+        if paper is None:
+            return "the paper gives no number"
+        if self.quantity.timed:
+            return "a time of another machine"
+        if self.quantity.ours:
+            return "this project's software on the paper's hardware"
+        if not np.isfinite(self.twin):
+            return "not defined in the twin"
+        gap = abs(self.twin - paper)
+        if gap <= self.tolerance:
+            return "agrees"
+        left = {c: abs(v - paper) for c, v in self.explained_by.items() if np.isfinite(v)}
+        best = min(left, key=left.__getitem__, default="")
+        if best and left[best] <= min(self.tolerance, 0.5 * gap):
+            return f"explained by: {best}"
+        if best and left[best] < 0.5 * gap:
+            return f"partly explained by: {best}"
+        return "disagrees, and no modelled cause explains it"
+
+    def row(self) -> dict[str, Any]:
+        """Return the record as it stands in results.json."""
+        what = self.quantity
+        return {
+            "quantity": what.name,
+            "unit": what.unit,
+            "twin": _rounded(self.twin),
+            "paper": _rounded(what.paper),
+            "spread": _rounded(self.spread),
+            "n": self.n,
+            "explained_by": [
+                {"cause": cause, "value": _rounded(value)}
+                for cause, value in self.explained_by.items()
+            ],
+            "timed": what.timed,
+            "ours": what.ours,
+            "difference": None if what.paper is None else _rounded(self.twin - what.paper),
+            "verdict": self.verdict,
+        }
+
+
+def _rounded(value: float | None) -> float | None:
+    """Return a number with `DIGITS` significant digits; None for what is not finite."""
+    if value is None or not np.isfinite(value):
+        return None
+    return 0.0 if abs(value) < ROUND_OFF else float(f"{value:.{DIGITS}g}")
+
+
+def once_each(numbers: Numbers) -> list[Record]:
+    """Return the records of numbers of one run."""
+    return [Record(quantity=quantity, twin=value) for quantity, value in numbers.items()]
+
+
+def compared(runs: Sequence[Numbers], off: Mapping[str, Numbers] | None = None) -> list[Record]:
+    """Return the records of the numbers of several runs, with the numbers of a run in which one
+    cause is switched off by name; runs in which a quantity is not defined don't count."""
+    records = []
+    for quantity in runs[0]:
+        values = np.array([run[quantity] for run in runs], float)
+        known = values[np.isfinite(values)]
+        records.append(
+            Record(
+                quantity=quantity,
+                twin=float(known.mean()) if len(known) else float("nan"),
+                spread=float(known.std(ddof=1)) if len(known) > 1 else None,
+                n=len(known),
+                explained_by={name: float(run[quantity]) for name, run in (off or {}).items()},
+            )
+        )
+    return records
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """The results of an entry: its records, the drawings of its picture
+    (`twin.show.figure_panels`), and notes for the page."""
+
+    records: Sequence[Record]
+    panels: Sequence[Any] = ()
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One table or figure.
+
+    Attributes
+    ----------
+    name
+        ``paper/table-1``.
+    title, source
+        What it shows, and where in the paper.
+    protocol
+        What is done, in the paper's order, with what is assumed.
+    run
+        Does it.
+    long
+        Whether the quick form leaves it out unless it is named.
+    """
+
+    name: str
+    title: str
+    source: str
+    protocol: str
+    run: Callable[[Bench], Outcome]
+    long: bool = False
+
+
+class _KeptSensor(Sensor):
+    """A sensor whose levels of mesh, presses and motions are kept for all that share its body."""
+
+    def __init__(self, scene: Scene, bench: Bench) -> None:
+        super().__init__(scene, lambda what, _share: bench.progress(what))
+        self._bench = bench
+
+    @cached_property
+    def _body(self) -> str:
+        actual = self.actual.scene
+        key = "".join(repr(getattr(actual, name)) for name in MECHANICAL)
+        return hashlib.sha256(key.encode()).hexdigest()
+
+    def _once(self, what: str, key: Any, work: Callable[[], T]) -> T:
+        """Return ``work()``, done once for this body."""
+
+        def quietly() -> T:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                return work()
+
+        return self._bench.once((what, self._body, key), quietly)
+
+    @cached_property
+    def ladder(self) -> Any:
+        """The actual body's levels of mesh."""
+        return self._bench.once(("ladder", self._body), lambda: super(_KeptSensor, self).ladder)
+
+    def press(self, press: Press | None = None) -> ContactState:
+        """Solve a press once."""
+        assert press is not None
+        solve = super().press
+        return self._once("press", press.model_dump_json(), lambda: solve(press))
+
+    def motion(self, load: Load) -> Motion:
+        """Return how the actual markers move under a load, which is kept so that its id is."""
+        markers = hashlib.sha256(self.actual.markers.points.tobytes()).hexdigest()
+        move = super().motion
+        return self._once("motion", (markers, id(load)), lambda: (load, move(load)))[1]
+
 
 class Rig:
     """One made sensor on the bench, with what was measured on it."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        sensor: KeptSensor,
-        drawn: dict[str, Calibration],
-        pressed: Callable[[ContactState], None],
-        moved: Callable[[Motion], None],
-    ) -> None:
+    def __init__(self, scene: Scene, bench: Bench) -> None:
         self.scene = scene
-        self.sensor = sensor
-        self._drawn = drawn
-        self._pressed = pressed
-        self._moved = moved
-        self._rests: dict[tuple[str, int], Rest] = {}
+        self.sensor = _KeptSensor(scene, bench)
+        self._bench = bench
+        self._rests: dict[str, Rest] = {}
 
     def press(self, press: Press) -> ContactState:
-        """Solve a press, or return it again; what it strains is noted."""
+        """Solve a press, or return it again; its strain is noted."""
         state = self.sensor.press(press)
-        self._pressed(state)
+        self._bench.note(state=state)
         return state
 
-    def motion(self, state: ContactState) -> Motion:
-        """Return how a press moves the markers."""
-        return self.moved_by(state.load)
-
-    def moved_by(self, load: Load) -> Motion:
-        """Return how a load moves the markers; how far off that may be is noted."""
+    def motion(self, load: Load) -> Motion:
+        """Return how a load moves the markers; its error is noted."""
         motion = self.sensor.motion(load)
-        self._moved(motion)
+        self._bench.note(error=motion.error)
         return motion
+
+    def half_space_motion(self, load: Load) -> Motion:
+        """Return how a load would move the actual markers, were the block a half-space: the papers'
+        formula as the world.
+
+        The markers are beads, so that their strain isn't needed.
+        """
+        points, pieces = self.sensor.actual.markers.points, self.sensor.rectangles(load)
+        compliance = half_space_compliance(self.sensor.actual.scene, points, pieces)
+        return _unstrained((compliance @ pieces.force_n.ravel()).reshape(-1, 3))
+
+    def shifted(self, shift_px: tuple[float, float]) -> Motion:
+        """Return the motion along x and y that moves every marker's centre by ``shift_px`` in the
+        picture."""
+        points = self.sensor.actual.markers.points
+        wanted = self.sensor.project(points) + np.array(shift_px)
+        moved, scale = np.zeros_like(points), self.image_scale[:, :, :2]
+        for _ in range(3):
+            missing = wanted - self.sensor.project(points + moved)
+            moved[:, :2] += np.linalg.solve(scale, missing[:, :, None])[:, :, 0]
+        return _unstrained(moved)
 
     def picture(self, motion: Motion | None, exposure: int) -> Picture:
         """Expose the markers at rest or moved."""
         return self.sensor.picture(motion, exposure)
 
-    def rest(self, method: Method, exposure: int = 0) -> Rest:
-        """Analyse a rest picture once."""
+    def rest(self, method: CentreMethod | None = None) -> Rest:
+        """Analyse a rest picture once, by default for the paper's tracker."""
         from twin.sense.track import analyse_rest
 
-        key = (method, exposure)
-        if key not in self._rests:
-            picture = self.picture(None, exposure)
-            self._rests[key] = analyse_rest(picture, self.sensor.layout_px, method=method)
-        return self._rests[key]
+        tracker = method or self.scene.tracking.method
+        if tracker not in self._rests:
+            picture = self.picture(None, 0)
+            self._rests[tracker] = analyse_rest(picture, self.sensor.layout_px, method=tracker)
+        return self._rests[tracker]
 
-    def track(self, picture: Picture, method: Method | None = None) -> Found:
-        """Track the markers from rest to a picture, with the paper's tracker if not told otherwise."""
+    def track(self, picture: Picture, method: CentreMethod | None = None) -> Found:
+        """Track the markers from rest to a picture, by default with the paper's tracker."""
         from twin.sense.track import track_frame
 
-        return track_frame(self.rest(method or self.scene.tracking.method), picture)
-
-    def seen(self, state: ContactState, exposure: int = 1, method: Method | None = None) -> Found:
-        """Take a press through picture and tracker."""
-        return self.track(self.picture(self.motion(state), exposure), method)
+        return track_frame(self.rest(method), picture)
 
     @cached_property
     def calibration(self) -> Calibration:
-        """The calibration that the scene asks for; one for all sensors of one drawing, if it is made from that."""
+        """The calibration of the scene; one for all sensors of one drawing, if it is made from
+        that."""
         if self.scene.calibration.method == "sato":
             return calibration_of(self.sensor)
         drawing = self.scene.model_dump(mode="json", include=set(DRAWING))
         drawing["reconstruction"] = drawing["reconstruction"]["sites"]
-        key = json.dumps(drawing, sort_keys=True)
-        if key not in self._drawn:
-            self._drawn[key] = calibration_of(self.sensor)
-        return self._drawn[key]
+        key = ("drawn", json.dumps(drawing, sort_keys=True))
+        return self._bench.once(key, lambda: calibration_of(self.sensor))
 
     @cached_property
     def image_scale(self) -> Floats:
         """(n, 2, 3) px/mm at the actual markers."""
         made = self.sensor.actual
-        camera = made.scene.camera
-        assert camera is not None
-        scene = made.scene
-        return projection_jacobian(made.markers.points, camera, scene.material.refractive_index, scene.body.base_z_mm)
+        return _image_scale(made.scene, made.markers.points)
 
-    def shifted(self, shift_px: tuple[float, float]) -> Motion:
-        """Return the motion along x and y that moves every marker's centre by ``shift_px`` in the picture."""
-        points = self.sensor.actual.markers.points
-        wanted = self.sensor.project(points) + np.array(shift_px)
-        moved = np.zeros_like(points)
-        for _ in range(3):
-            missing = wanted - self.sensor.project(points + moved)
-            moved[:, :2] += np.linalg.solve(self.image_scale[:, :, :2], missing[:, :, None])[:, :, 0]
-        return Motion(displacement_mm=moved, gradient=np.zeros((len(points), 3, 3)), error=0.0)
+    def above(self, chart_mm: tuple[float, float]) -> tuple[float, float]:
+        """Return (x, y) of the surface point with these arc lengths s and t, mm."""
+        x, y, _ = self.scene.body.chart_points(np.array([chart_mm]))[0]
+        return float(x), float(y)
+
+    def far_away(self) -> dict[str, Any]:
+        """Return overrides of a camera that sees almost in parallel, at the same scale; its tilt
+        moves the view as much."""
+        camera, body = self.scene.camera, self.scene.body
+        assert camera is not None
+        x, y, z = camera.pupil_mm
+        away = FAR * (z - body.base_z_mm)
+        return {
+            "camera.pupil_mm": [x, y, body.base_z_mm + away],
+            "tolerance.tilt_deg": self.scene.tolerance.tilt_deg / FAR,
+            "camera.focal_px": camera.focal_px * (away + body.base_z_mm) / z,
+        }
+
+
+def _unstrained(moved_mm: Floats) -> Motion:
+    """Return the motion of (n, 3) displacements without strain."""
+    gradient = np.zeros((len(moved_mm), 3, 3))
+    return Motion(displacement_mm=moved_mm, gradient=gradient, error=0.0)
+
+
+def _image_scale(scene: Scene, points: Floats) -> Floats:
+    assert scene.camera is not None
+    return projection_jacobian(
+        points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
+    )
 
 
 class Bench:
@@ -170,67 +452,118 @@ class Bench:
     quick
         One made sensor a paper, and less of everything.
     progress
-        Told about every piece of work.
+        Called with every piece of work.
     """
 
-    def __init__(self, *, seed: int = 1, quick: bool = False, progress: Progress | None = None) -> None:
+    def __init__(
+        self, *, seed: int = 1, quick: bool = False, progress: Progress | None = None
+    ) -> None:
         self.seed = seed
         self.quick = quick
-        self._told = progress
+        self.used: set[str] = set()
+        self._progress = progress
         self._share = (0.0, 1.0)
+        self._done = 0.0
         self._entry = ""
         self._rigs: dict[str, Rig] = {}
-        self._bodies: dict[str, Mechanics] = {}
-        self._drawn: dict[str, Calibration] = {}
-        self.kept: dict[Any, Any] = {}
-        self.used: set[str] = set()
+        self._kept: dict[Any, Any] = {}
         self._worst: ContactState | None = None
         self._least_exact = 0.0
 
     def begin(self, entry: str, share: float, width: float) -> None:
-        """Say which entry runs, and which part of the whole it is."""
+        """Begin an entry, which is a part of the whole."""
         self._entry, self._share = entry, (share, width)
         self.used.clear()
         self._worst, self._least_exact = None, 0.0
         self.progress("", 0.0)
 
-    @property
-    def validity(self) -> str:
-        """What the mesh, and linear theory in the hardest press, cost in the present entry; empty without a load."""
-        mesh = (
-            f"Marker motion is up to {100 * self._least_exact:.2g} % of its largest off, by the mesh's own estimate. "
-            if self._least_exact
-            else ""
-        )
-        if self._worst is None:
-            return mesh.strip()
-        doubt = self._worst.validity
-        ratio = doubt.contact_over_probe_radius
-        radius = f"contact radius / probe radius {ratio:.2f}, " if ratio is not None else ""
-        return (
-            f"{mesh}Hardest press: {radius}mean pressure / Young's modulus {doubt.mean_strain:.2g}; linear theory "
-            f"may be up to {100 * doubt.linearisation_error:.2g} % of the largest displacement off."
-        )
-
-    def _pressed(self, state: ContactState) -> None:
-        if self._worst is None or state.validity.linearisation_error > self._worst.validity.linearisation_error:
+    def note(self, *, state: ContactState | None = None, error: float = 0.0) -> None:
+        """Remember the hardest press and the largest error of the motion of the present entry."""
+        self._least_exact = max(self._least_exact, error)
+        if state is not None and (
+            self._worst is None
+            or state.validity.linearisation_error > self._worst.validity.linearisation_error
+        ):
             self._worst = state
 
-    def _moved(self, motion: Motion) -> None:
-        self._least_exact = max(self._least_exact, motion.error)
+    @property
+    def validity(self) -> str:
+        """What the mesh, and linear theory in the hardest press, cost in the present entry; empty
+        without a load."""
+        words = []
+        if self._least_exact:
+            words.append(
+                f"Marker motion is up to {100 * self._least_exact:.2g} % of its largest off, by "
+                "the mesh's own estimate."
+            )
+        if self._worst is not None:
+            doubt = self._worst.validity
+            ratio = doubt.contact_over_probe_radius
+            radius = f"contact radius / probe radius {ratio:.2f}, " if ratio is not None else ""
+            words.append(
+                f"Hardest press: {radius}mean pressure / Young's modulus {doubt.mean_strain:.2g}; "
+                f"linear theory may be up to {100 * doubt.linearisation_error:.2g} % of the "
+                "largest displacement off."
+            )
+        return " ".join(words)
 
-    def progress(self, what: str, share: float) -> None:
-        """Tell how far the present entry is."""
-        if self._told is not None:
+    def progress(self, what: str, share: float | None = None) -> None:
+        """Report what is done and how far the present entry is; as far as before by default."""
+        if share is not None:
             start, width = self._share
-            self._told(f"{self._entry} {what}".strip(), min(0.999, start + width * min(share, 1.0)))
+            self._done = min(0.999, start + width * min(share, 1.0))
+        if self._progress is not None:
+            self._progress(f"{self._entry} {what}".strip(), self._done)
 
-    def seeds(self, paper: str, *, pressed: bool = True) -> tuple[int, ...]:
-        """Return the seeds of the made sensors; ``pressed`` says whether a probe touches them."""
-        count = 1 if self.quick or (paper == "sato" and pressed) else MADE
-        return tuple(self.seed + k for k in range(count))
+    def trials(self, paper: str, *, pressed: bool = True) -> tuple[Trial, ...]:
+        """Return the runs over which a number's spread is taken: made sensors, or exposures of one
+        where a probe touches the finger (``pressed``)."""
+        if self.quick:
+            return (Trial(seed=self.seed),)
+        if paper == "sato" and pressed:
+            return tuple(Trial(exposures=APART * number) for number in range(MADE))
+        return tuple(Trial(seed=self.seed + number) for number in range(MADE))
 
-    def rig(self, paper: str, seed: int | None = None, overrides: Mapping[str, Any] | None = None) -> Rig:
+    def compare(
+        self,
+        measure: Callable[[Chain, Trial], T],
+        numbers: Callable[[T], Numbers],
+        chain: Chain,
+        causes: Mapping[str, Chain],
+        trials: Sequence[Trial] | None = None,
+    ) -> tuple[list[Record], list[T], dict[str, T]]:
+        """Measure a chain in several trials, and once with every cause switched off.
+
+        Parameters
+        ----------
+        measure
+            Makes a run of a chain.
+        numbers
+            The numbers of a run.
+        chain, causes
+            The chain, and the chains in which one cause is switched off, by its name.
+        trials
+            By default those of the paper.
+
+        Returns
+        -------
+        The records, the runs, and the runs with causes off by name.
+        """
+        trials = trials or self.trials(chain.paper)
+        runs: list[T] = []
+        for trial in trials:
+            self.progress(f"run {len(runs) + 1} of {len(trials)}")
+            runs.append(measure(chain, trial))
+        off: dict[str, T] = {}
+        for name, way in causes.items():
+            self.progress(name)
+            off[name] = measure(way, ONCE)
+        without = {name: numbers(run) for name, run in off.items()}
+        return compared([numbers(run) for run in runs], without), runs, off
+
+    def rig(
+        self, paper: str, seed: int | None = None, overrides: Mapping[str, Any] | None = None
+    ) -> Rig:
         """Return a made sensor: the paper's own, or a variant of it."""
         given = {"seed": self.seed if seed is None else seed, **(overrides or {})}
         if self._tabled(paper, given):
@@ -240,27 +573,38 @@ class Bench:
             self.used.add(paper)
         key = json.dumps([paper, given], sort_keys=True, default=str)
         if key not in self._rigs:
-            sensor = KeptSensor(scene, self._bodies, lambda what, _share: self.progress(what, 0.0))
-            self._rigs[key] = Rig(scene, sensor, self._drawn, self._pressed, self._moved)
+            self._rigs[key] = Rig(scene, self)
         return self._rigs[key]
 
     def _tabled(self, paper: str, given: Mapping[str, Any]) -> bool:
-        """Return whether loads on this sensor are products with a table of its body, which all entries share."""
-        return paper in TABLED and not self.quick and given["seed"] == self.seed and not any(
-            key.split(".")[0] in ("tolerance", "body", "material") for key in given
-        )  # fmt: skip
+        """Return whether loads on this sensor are products with a table of its body, which all
+        entries share."""
+        changed = {key.split(".")[0] for key in given} & {"tolerance", "body", "material"}
+        own = given["seed"] == self.seed and not changed
+        return paper in TABLED and not self.quick and own
 
     def once(self, key: Any, work: Callable[[], T]) -> T:
         """Return ``work()``, done at the first call with this key."""
-        if key not in self.kept:
-            self.kept[key] = work()
-        found: T = self.kept[key]
+        if key not in self._kept:
+            self._kept[key] = work()
+        found: T = self._kept[key]
         return found
+
+    def pressing(self, press: Press, exposure: int = 1) -> Callable[[Chain, Trial], Shot]:
+        """Return the measurement that is the shot of a press."""
+        return lambda chain, trial: chain.shot(self, press, trial, exposure)
+
+    def by_presses(self, overrides: Mapping[str, Any]) -> Calibration:
+        """Return a variant of the finger's calibration by presses; every variant is made once."""
+        rig = self.rig("sato", overrides=overrides)
+        key = ("by presses", repr(sorted(overrides.items())))
+        return self.once(key, lambda: calibrate_by_presses(rig.sensor))
 
 
 @cache
 def sensor_hash(paper: str) -> str:
-    """Return the hash of a paper's resolved sensor: what is built, without press, software and seed."""
+    """Return the hash of a paper's resolved sensor: what is built, without press, software and
+    seed."""
     return _hash(load_scene(SCENES[paper]))
 
 
@@ -270,7 +614,178 @@ def _hash(scene: Scene) -> str:
 
 
 def _bare(value: Any) -> Any:
-    """Drop sources and assumptions: they say where a number comes from, not what is built."""
+    """Drop sources and assumptions: they are about where a number comes from, not what is built."""
     if isinstance(value, dict):
-        return {k: _bare(v) for k, v in without_later(value).items() if k not in {"source", "assumed"}}
+        kept = without_later(value).items()
+        return {k: _bare(v) for k, v in kept if k not in {"source", "assumed"}}
     return [_bare(v) for v in value] if isinstance(value, list) else value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """One of several runs of the same thing: a made sensor, and the number of its first
+    exposure."""
+
+    seed: int | None = None
+    exposures: int = 0
+
+
+ONCE = Trial()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """A press, what the tracker found in its picture, and the reconstructed field."""
+
+    rig: Rig
+    state: ContactState
+    found: Found
+    field: Field
+
+    @property
+    def truth(self) -> Field:
+        """The press's forces summed into the cells of the sites."""
+        pieces = self.rig.sensor.rectangles(self.state.load)
+        force = into_cells(self.field.site_mm, pieces.centre_mm, pieces.force_n)
+        return replace(self.field, force_n=force)
+
+    def score(self, name: str) -> float:
+        """Return one number of the judge's score of the field; NaN where it is not defined."""
+        score = field_score(self.field, self.rig.sensor.rectangles(self.state.load))
+        return float("nan") if score[name] is None else float(score[name])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chain:
+    """A sensor with its software.
+
+    Attributes
+    ----------
+    paper, overrides
+        The sensor: a paper's scene with other values.
+    tracker, method, options
+        How pictures are tracked and the inverse is solved; without a tracker by the scene's. The
+        weight is automatic, as the papers give none.
+    calibrated_by
+        Calibration by another method than the scene's, where ``no camera`` leaves the motion along
+        z out; or made by presses on a variant of the sensor, given by its overrides.
+    half_space
+        Whether a half-space is filmed in the block's place.
+    """
+
+    paper: str
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    tracker: CentreMethod | None = None
+    method: Method = "norm"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    calibrated_by: str | Mapping[str, Any] | None = None
+    half_space: bool = False
+
+    def rig(self, bench: Bench, trial: Trial = ONCE) -> Rig:
+        """Return the sensor."""
+        return bench.rig(self.paper, trial.seed, self.overrides)
+
+    def calibration(self, bench: Bench, rig: Rig) -> Calibration:
+        """Return the calibration; the quick form makes none by presses but the paper's own."""
+        wanted, own = self.calibrated_by, rig.scene.calibration.method
+        if wanted is None or wanted == own:
+            return rig.calibration
+        if wanted == "no camera":
+            return bench.once(("no camera", id(rig.calibration)), lambda: _without_depth(rig))
+        if isinstance(wanted, str):
+            return bench.rig(self.paper, rig.scene.seed, {"calibration.method": wanted}).calibration
+        return bench.rig(self.paper).calibration if bench.quick else bench.by_presses(wanted)
+
+    def solved(self, bench: Bench, rig: Rig, found: Found) -> Field:
+        """Reconstruct what was tracked."""
+        how = self.calibration(bench, rig)
+        return reconstruct(found, how, method=self.method, **self.options)
+
+    def film(self, rig: Rig, load: Load, exposure: int) -> Found:
+        """Expose the markers under a load, and track them; the error of their motion is not
+        noted."""
+        move = rig.half_space_motion if self.half_space else rig.sensor.motion
+        return rig.track(rig.picture(move(load), exposure), self.tracker)
+
+    def shot(self, bench: Bench, press: Press, trial: Trial = ONCE, exposure: int = 1) -> Shot:
+        """Press, film, track and solve; what is tracked is kept."""
+        rig = self.rig(bench, trial)
+        state = rig.press(press)
+        rig.motion(state.load)  # kept; its error is noted for this entry too
+        number = exposure + trial.exposures
+        key = ("shot", id(rig), id(state), number, self.tracker, self.half_space)
+        found = bench.once(key, lambda: self.film(rig, state.load, number))
+        return Shot(rig=rig, state=state, found=found, field=self.solved(bench, rig, found))
+
+    def narrow(
+        self,
+        bench: Bench,
+        at_mm: tuple[float, ...],
+        force_n: float,
+        exposure: int,
+        trial: Trial = ONCE,
+    ) -> Field:
+        """Push narrow forces at places along x and return the reconstructed field."""
+        rig = self.rig(bench, trial)
+
+        def work() -> Motion:
+            spots = [Traction.disk((x, 0.0), SPOT_MM, (0.0, 0.0, force_n)) for x in at_mm]
+            return rig.motion(sum(spots[1:], start=spots[0]))
+
+        motion = bench.once(("narrow", id(rig), at_mm, force_n), work)
+        found = rig.track(rig.picture(motion, exposure + trial.exposures), self.tracker)
+        return self.solved(bench, rig, found)
+
+
+def _without_depth(rig: Rig) -> Calibration:
+    """Return the half-space calibration whose camera doesn't see motion along z (before Kamiyama's
+    section 2.5)."""
+    from twin.sense.transfer import from_compliance
+
+    scene, points = rig.scene, rig.sensor.nominal_markers.points
+    flat = _image_scale(scene, points) * (1.0, 1.0, 0.0)
+    compliance = half_space_compliance(scene, points, rig.sensor.sites)
+    return replace(rig.calibration, transfer=from_compliance(compliance, flat))
+
+
+def rest_numbers(rig: Rig, paper_px: float | None = None, near: float | None = None) -> Numbers:
+    """Return the width of markers in the picture at rest, which a paper may print, and the share of
+    them that is found."""
+    rest = rig.rest(OUR_TRACKER)
+    width = Quantity("width of a marker in the picture", "px", paper=paper_px, near=near)
+    return {
+        width: float(np.mean([group.look.diameter_px for group in rest.groups])),
+        Quantity("share of markers found"): float(np.isfinite(rest.rest_px).all(axis=1).mean()),
+    }
+
+
+def arrow_panel(title: str, found: Found, magnified: float, layer: str = "") -> ArrowPanel:
+    """Return the drawing of a layer's tracked shifts; of all layers' by default."""
+    rows = (found.layer == layer) | (layer == "")
+    return ArrowPanel(
+        title=title,
+        tails_px=found.rest_px[rows],
+        shifts_px=found.shift_px[rows],
+        colours=["#c22f26" if name == "red" else "#2161c2" for name in found.layer[rows]],
+        magnified=magnified,
+    )
+
+
+def field_panel(
+    title: str,
+    found: Field,
+    side_mm: float,
+    radius_mm: float,
+    at_mm: tuple[float, float] = (0.0, 0.0),
+) -> FieldPanel:
+    """Return the drawing of a field in squares of ``side_mm``, with the circle that is the true
+    contact's border."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 60)
+    x, y = at_mm
+    return FieldPanel(
+        title=title,
+        site_mm=found.site_mm,
+        force_n=found.force_n,
+        side_mm=side_mm,
+        outline_mm=np.column_stack([x + radius_mm * np.cos(turn), y + radius_mm * np.sin(turn)]),
+    )

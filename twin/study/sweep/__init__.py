@@ -1,1 +1,3 @@
-"""Sweeps: many designs of a sensor, each judged by a closed form, by its linear information, or by the full chain."""
+"""Sweeps: many designs of a sensor, each judged by a closed form, by its linear information, or by
+the full chain.
+"""

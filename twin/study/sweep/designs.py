@@ -1,25 +1,31 @@
-"""The designs of a sweep: columns of values by axis, and the scene of each.
+"""The designs of a sweep: the recipe file, columns of values by axis, and the scene of each design.
 
-Design number i is known from the sweep alone, so any worker can make it. Columns stay arrays, because the closed form
-judges a hundred thousand designs a second and a scene takes milliseconds to validate.
+Design number i follows from the recipe alone, so any worker can make it. Columns stay arrays,
+because the closed form evaluates a hundred thousand designs a second and a scene takes
+milliseconds to validate.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from twin.arrays import Floats
-from twin.errors import RecipeError
+from twin.errors import InputError, RecipeError, did_you_mean
+from twin.files import SCENES
+from twin.parts.part import Part, in_words, unit_of
 from twin.parts.scene import Scene
-from twin.parts.sweep import Sweep, Values
+from twin.parts.sweep import Confirm, Cost, Limits, Loads, Range, Sweep, Values
 from twin.streams import Purpose, stream
 from twin.study.batch.draw import Table, look_up, plain_table, put
-from twin.study.recipe import validate_scene
+from twin.study.recipe import SWEEP, load_scene, nothing_named, read_recipe, validate_scene
 
 
 @dataclass(frozen=True)
@@ -45,16 +51,17 @@ class Designs:
         """Return a design's values by axis key and by key that follows."""
         return {key: column[number] for key, column in self.columns.items()}
 
-    def numbers(self, key: str, otherwise: float) -> Floats:
-        """Return (m,) a number of every design; ``key`` is a scene's, without ``*``."""
-        for name in (*self.sweep.derived, *self.sweep.axes):
-            if matches(name, key):
-                return np.asarray(self.columns[name], float)
-        return np.full(len(self), float(otherwise))
+    def swept(self, key: str) -> str | None:
+        """Return the axis or derived key by which a scene's key, without ``*``, differs between
+        designs; None without."""
+        named = (*self.sweep.derived, *self.sweep.axes)
+        return next((name for name in named if _matches(name, key)), None)
 
-    def swept(self, key: str) -> bool:
-        """Return whether a scene's key differs between designs."""
-        return any(matches(name, key) for name in (*self.sweep.axes, *self.sweep.derived))
+    def numbers(self, key: str, otherwise: float) -> Floats:
+        """Return (m,) a number of every design by a scene's key."""
+        if (name := self.swept(key)) is not None:
+            return np.asarray(self.columns[name], float)
+        return np.full(len(self), float(otherwise))
 
     def scene_of(self, number: int, base: Table | None = None) -> Scene:
         """Return a design's scene.
@@ -67,13 +74,15 @@ class Designs:
         return scene_of(self.sweep, base or plain_table(self.scene), self.values(number))
 
 
-def matches(name: str, key: str) -> bool:
+def _matches(name: str, key: str) -> bool:
     """Return whether an axis's name, perhaps with ``*``, means a scene's key."""
     ours, theirs = name.split("."), key.split(".")
-    return len(ours) == len(theirs) and all(a in ("*", b) for a, b in zip(ours, theirs, strict=True))
+    if len(ours) != len(theirs):
+        return False
+    return all(a in ("*", b) for a, b in zip(ours, theirs, strict=True))
 
 
-def spelt_out(name: str, table: Table) -> list[str]:
+def _spelt_out(name: str, table: Table) -> list[str]:
     """Return the scene's keys that an axis's name means."""
     keys = [""]
     for part in name.split("."):
@@ -93,32 +102,35 @@ def designs_of(sweep: Sweep, scene: Scene) -> Designs:
     RecipeError
         An axis names a key that the scene does not have, or a key follows what is not a number.
     """
-    check_keys(sweep, scene)
+    _check_keys(sweep, scene)
     return designs_at(sweep, scene, _unit(sweep) if sweep.sampling != "grid" else None)
 
 
 def designs_at(sweep: Sweep, scene: Scene, u: Floats | None) -> Designs:
-    """Return the designs at (m, axes) numbers in [0, 1), axes in their order; the grid's if None."""
-    columns: dict[str, list[Any]] = {}
+    """Return the designs at (m, axes) numbers in [0, 1), axes in their order; the grid's if
+    None."""
     if u is None:
-        lists = [axis.grid(sweep.count) for axis in sweep.axes.values()]
-        places = np.indices([len(values) for values in lists]).reshape(len(lists), -1)
-        for (key, _), values, place in zip(sweep.axes.items(), lists, places, strict=True):
-            columns[key] = [values[k] for k in place.tolist()]
+        grids = [axis.grid(sweep.count) for axis in sweep.axes.values()]
+        places = np.indices([len(grid) for grid in grids]).reshape(len(grids), -1).tolist()
+        lists = [[grid[k] for k in place] for grid, place in zip(grids, places, strict=True)]
     else:
-        for number, (key, axis) in enumerate(sweep.axes.items()):
-            columns[key] = axis.at(u[:, number])
+        lists = [axis.at(u[:, number]) for number, axis in enumerate(sweep.axes.values())]
+    columns = dict(zip(sweep.axes, lists, strict=True))
     table = plain_table(scene)
     for key, rule in sweep.derived.items():
-        told = columns.get(rule.follows)
-        if told is None:
-            told = next((columns[name] for name in columns if matches(name, rule.follows)), None)
-        if told is None:
-            told = [look_up(table, rule.follows)] * len(next(iter(columns.values())))
+        followed: list[Any] | None = columns.get(rule.follows)
+        if followed is None:
+            followed = next(
+                (columns[name] for name in columns if _matches(name, rule.follows)), None
+            )
+        if followed is None:
+            followed = [look_up(table, rule.follows)] * len(next(iter(columns.values())))
         try:
-            columns[key] = [float(f"{rule.times * float(v) + rule.plus:.12g}") for v in told]
+            columns[key] = [float(f"{rule.times * float(v) + rule.plus:.12g}") for v in followed]
         except (TypeError, ValueError):
-            raise RecipeError(f"derived.{key}: follows '{rule.follows}', which is not a number") from None
+            raise RecipeError(
+                f"derived.{key}: follows '{rule.follows}', which is not a number"
+            ) from None
     return Designs(sweep, scene, columns)
 
 
@@ -134,25 +146,23 @@ def _unit(sweep: Sweep) -> Floats:
     return np.asarray(qmc.Sobol(width, scramble=True, rng=rng).random_base2(whole)[: sweep.count])
 
 
-def check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
-    """Refuse axes, and keys that follow, that the scene does not have; ``where`` is the sweep's file.
+def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
+    """Refuse, all at once, axes and derived keys that the scene does not have; ``where`` is the
+    sweep's file.
 
-    A number that is not allowed is its design's failure, not the sweep's; what is no number in its place is.
-
-    Raises
-    ------
-    RecipeError
-        With every such key at once.
+    A number that is not allowed is its design's failure; what is no number is the sweep's.
     """
     table = plain_table(scene)
     filled, problems = copy.deepcopy(table), []
     for part in ("axes", "derived"):
         for name in getattr(sweep, part):
             if name.split(".")[0] in ("title", "seed", "press", "vary", "dataset"):
-                problems.append(f"{part}.{name}: {name.split('.')[0]} is no part of a sensor's design")
+                problems.append(
+                    f"{part}.{name}: {name.split('.')[0]} is no part of a sensor's design"
+                )
                 continue
             try:
-                for key in spelt_out(name, table):
+                for key in _spelt_out(name, table):
                     look_up(table, key.rpartition(".")[0] or key)
                     put(filled, key, sweep.axes[name].at(np.zeros(1))[0] if part == "axes" else 1.0)
                     problems += _wrong_words(sweep, table, name, key)
@@ -160,13 +170,14 @@ def check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
                 problems.append(f"{part}.{name}: {str(problem).split(': ', 1)[-1]}")
     try:
         validate_scene(filled, "design")
-    except RecipeError as problem:  # optional keys are not in the table: only the scene's validation knows them
+    except RecipeError as problem:
+        # optional keys are not in the table: only the scene's validation knows them
         for line in problem.problems:
             if "unknown key" in line:
-                follows = any(matches(name, line.split(":")[0]) for name in sweep.derived)
+                follows = any(_matches(name, line.split(":")[0]) for name in sweep.derived)
                 problems.append(f"{'derived' if follows else 'axes'}.{line}")
     for key, rule in sweep.derived.items():
-        if not any(matches(name, rule.follows) or name == rule.follows for name in sweep.axes):
+        if not any(_matches(name, rule.follows) for name in sweep.axes):
             try:
                 look_up(table, rule.follows)
             except RecipeError as problem:
@@ -176,8 +187,9 @@ def check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
 
 
 def _wrong_words(sweep: Sweep, table: Table, name: str, key: str) -> list[str]:
-    """Return what the scene says about an axis's words and lists, which may stand where it takes a number."""
-    axis, told = sweep.axes.get(name), []
+    """Return the scene's problems with an axis's texts and lists, which may stand where it takes a
+    number."""
+    axis, found = sweep.axes.get(name), []
     for value in axis.values if isinstance(axis, Values) else ():
         if not isinstance(value, int | float):
             changed = copy.deepcopy(table)
@@ -185,39 +197,108 @@ def _wrong_words(sweep: Sweep, table: Table, name: str, key: str) -> list[str]:
             try:
                 validate_scene(changed, "design")
             except RecipeError as problem:
-                told += [f"axes.{line}" for line in problem.problems if line.startswith(key)]
-    return told
+                found += [f"axes.{line}" for line in problem.problems if line.startswith(key)]
+    return found
 
 
 def scene_of(sweep: Sweep, base: Table, values: Mapping[str, Any]) -> Scene:
-    """Return the scene of a design: the base's plain table with the design's values, layers keeping their extent."""
-    table = copy.deepcopy(base)
-    for name in (*sweep.axes, *sweep.derived):
-        for key in spelt_out(name, table):
+    """Return the scene of a design: the base's plain table with the design's values, layers keeping
+    their extent."""
+    table, named = copy.deepcopy(base), (*sweep.axes, *sweep.derived)
+    for name in named:
+        for key in _spelt_out(name, table):
             put(table, key, values[name])
-    if sweep.keep_extent:
-        _keep_extent(sweep, base, table)
+    for name, layer in table.get("markers", {}).items() if sweep.keep_extent else ():
+        was, pitch = base["markers"][name], float(layer["pitch_mm"])
+        for count in ("columns", "rows"):
+            swept = any(_matches(axis, f"markers.{name}.{count}") for axis in named)
+            if pitch > 0 and not swept:
+                layer[count] = int(kept_count(was[count], was["pitch_mm"], np.array(pitch)))
     return validate_scene(table, "design")
 
 
-def _keep_extent(sweep: Sweep, base: Table, table: Table) -> None:
-    """Change the numbers of columns and rows by even numbers, so that each layer stays about as wide as it was."""
-    named = (*sweep.axes, *sweep.derived)
-    for name, layer in table.get("markers", {}).items():
-        was = base["markers"][name]
-        for count in ("columns", "rows"):
-            if layer["pitch_mm"] > 0 and not any(matches(axis, f"markers.{name}.{count}") for axis in named):
-                layer[count] = int(kept_count(was[count], was["pitch_mm"], np.array(float(layer["pitch_mm"]))))
-
-
 def kept_count(count: int, pitch_mm: float, new_pitch_mm: Floats) -> Floats:
-    """Return how many markers at another pitch are about as wide as ``count`` were: of the same parity, at least 1."""
+    """Return how many markers at another pitch are about as wide as ``count`` were: of the same
+    parity, at least 1."""
     more = np.rint(((count - 1) * pitch_mm / new_pitch_mm - (count - 1)) / 2)
     return np.asarray(np.maximum(count + 2 * more, 1 + (count - 1) % 2))
 
 
-def short(values: Mapping[str, Any], keys: Sequence[str] | None = None) -> str:
-    """Return a design's values in a few words."""
-    shown = keys if keys is not None else list(values)
-    return ", ".join(f"{key} = {values[key]:.4g}" if isinstance(values[key], float) else f"{key} = {values[key]}"
-                     for key in shown)  # fmt: skip
+def shipped_sweeps() -> dict[str, Path]:
+    """Return the shipped sweeps by name."""
+    return {path.stem: path for path in sorted(SCENES.glob(f"{SWEEP}*.toml"))}
+
+
+def load_sweep(name: str | Path) -> tuple[Sweep, Scene]:
+    """Return a sweep, given by path or shipped name, and its scene with ``set`` in place.
+
+    Raises
+    ------
+    RecipeError
+        With every problem of the sweep at once, or of its scene.
+    InputError
+        There is no such file.
+    """
+    path = _find(str(name))
+    sweep = sweep_of(read_recipe(path), str(path))
+    near = path.parent / sweep.scene
+    base = near if near.is_file() else sweep.scene
+    try:
+        scene = load_scene(base, sweep.set)
+    except RecipeError as problem:
+        load_scene(base)  # if the scene alone is wrong, it is named
+        raise RecipeError([f"set.{line}" for line in problem.problems], str(path)) from None
+    except InputError as problem:
+        raise InputError(f"{path}: scene: {problem}") from None
+    _check_keys(sweep, scene, str(path))
+    return sweep, scene
+
+
+def is_sweep(path: Path) -> bool:
+    """Return whether a recipe is a sweep's: it has axes."""
+    return path.suffix == ".toml" and "axes" in read_recipe(path)
+
+
+def sweep_of(table: dict[str, Any], where: str) -> Sweep:
+    """Return the sweep of a table read from ``where``."""
+    if "axes" not in table and table.keys() & Scene.model_fields.keys() - Sweep.model_fields.keys():
+        raise RecipeError("is a scene, not a sweep over designs: give it to twin run", where)
+    try:
+        return Sweep.model_validate(table)
+    except ValidationError as problem:
+        errors: list[dict[str, Any]] = [dict(error) for error in problem.errors(include_url=False)]
+        # a wrong item shortens its list
+        inside = {error["loc"][0] for error in errors if len(error["loc"]) > 1}
+        kept = [e for e in errors if not (e["type"] == "too_short" and e["loc"][0] in inside)]
+        raise RecipeError([_line(e) for e in kept], where) from None
+
+
+def _line(error: dict[str, Any]) -> str:
+    keys = [str(k) for k in error["loc"] if not str(k).startswith("[")]
+    dotted, last = ".".join(keys) or "sweep", keys[-1] if keys else ""
+    if error["type"] == "extra_forbidden":
+        tables: dict[str, type[Part]] = {
+            "axes": Range,
+            "loads": Loads,
+            "confirm": Confirm,
+            "limits": Limits,
+            "cost": Cost,
+        }
+        known = tables.get(keys[0], Sweep).model_fields
+        every = f"known are {', '.join(known)}"
+        return f"{dotted}: unknown key; {did_you_mean(last, known, every)}"
+    if error["type"] == "missing":
+        return f"{dotted}: missing; give a value"
+    value, unit, shown = error.get("input"), unit_of(last), ""
+    if keys and not isinstance(value, dict | Sweep):
+        shown = f" = {value!r}{' ' + unit if unit else ''}"
+    return f"{dotted}{shown}: {in_words(error)}"
+
+
+def _find(name: str) -> Path:
+    """Return the file of a path, a shipped name, or such a name without its first part."""
+    shipped = (SCENES / f"{name}.toml", SCENES / f"{SWEEP}{name}.toml")
+    for candidate in (Path(os.path.expanduser(name)), *shipped):
+        if os.path.isfile(candidate):
+            return candidate
+    raise InputError(nothing_named(name, list(shipped_sweeps()), "sweep"))

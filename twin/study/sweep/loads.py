@@ -1,7 +1,8 @@
-"""What pushes on every design of a sweep, and the bodies that answer: the same patches for all.
+"""What pushes on every design of a sweep, and the compliances: the same patches for all designs.
 
-Only markers, camera, noise and inverse differ between most designs. So the compliance of a body is made once for
-Young's modulus 1 MPa (it only scales) by body, Poisson's ratio and what it is asked for, and a design costs products.
+Only markers, camera, noise and inverse differ between most designs. So the compliance of a body is
+made once for Young's modulus 1 MPa (it only scales) by body, Poisson's ratio, role and patches, and
+a design costs products.
 """
 
 from __future__ import annotations
@@ -15,24 +16,23 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Points
 from twin.errors import RecipeError
-from twin.parts.block import Block
-from twin.parts.body import Body
+from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.scene import Scene
 from twin.parts.sweep import Loads, Range, Sweep, Values
-from twin.progress import Progress
 from twin.streams import Purpose, stream
-from twin.study.sweep.sites import PAIRS
 
 if TYPE_CHECKING:
+    from twin.world.elasticity.block_table import Table
     from twin.world.elasticity.compliance import Compliance
-    from twin.world.elasticity.table import Table
     from twin.world.mesh.sizing import Level
+
+PAIRS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
+"""Distances of two pushes over the sweep's ``pair_mm``."""
 
 REGION = 0.6
 """Half sides of the presses' region over those of the sites."""
-
 
 MANY_BODIES = 12
 """Thicknesses of a block from which on they are interpolated."""
@@ -47,7 +47,8 @@ class Pushes:
     patches
         k squares: the middle first, then the presses, then the pairs.
     loads
-        (loads, k, 3) force of every patch under each load, N: the middle alone, each press, each pair.
+        (loads, k, 3) force of every patch under each load, N: the middle alone, each press, each
+        pair.
     presses
         Number of presses; load 0 is the middle, 1 to ``presses`` follow, the rest are pairs.
     pair_mm
@@ -59,10 +60,11 @@ class Pushes:
     presses: int
     pair_mm: Floats
 
-    def asked(self, pair_mm: float) -> list[int]:
-        """Return the loads that the full chain takes: the middle, the presses, and the pair nearest to a distance."""
-        singles = list(range(1 + self.presses))
-        return [*singles, 1 + self.presses + self.nearest(pair_mm)] if len(self.pair_mm) else singles
+    def chosen(self, pair_mm: float) -> list[int]:
+        """Return the loads that the full chain takes: the middle, the presses, and the pair nearest
+        to a distance."""
+        pair = [1 + self.presses + self.nearest(pair_mm)] if len(self.pair_mm) else []
+        return [*range(1 + self.presses), *pair]
 
     def nearest(self, pair_mm: float) -> int:
         """Return the number of the pair whose distance is nearest to one."""
@@ -73,9 +75,11 @@ class Pushes:
         force = self.loads[load]
         used = np.flatnonzero(np.any(force != 0, axis=1))
         return Rectangles(
-            centre_mm=self.patches.centre_mm[used], frames=self.patches.frames[used],
-            half_mm=self.patches.half_mm[used], force_n=force[used],
-        )  # fmt: skip
+            centre_mm=self.patches.centre_mm[used],
+            frames=self.patches.frames[used],
+            half_mm=self.patches.half_mm[used],
+            force_n=force[used],
+        )
 
 
 def pushes_of(body: Body, loads: Loads, half_mm: tuple[float, float], seed: int) -> Pushes:
@@ -100,21 +104,26 @@ def pushes_of(body: Body, loads: Loads, half_mm: tuple[float, float], seed: int)
     rng = stream(seed, Purpose.SAMPLING, 1)
     u = qmc.Halton(3, scramble=True, rng=rng).random(loads.presses)
     pair = np.array(PAIRS) * loads.pair_mm
-    ends = np.column_stack([np.repeat(pair, 2) / 2 * np.tile([-1.0, 1.0], len(pair)), np.zeros(2 * len(pair))])
+    ends = np.column_stack(
+        [np.repeat(pair, 2) / 2 * np.tile([-1.0, 1.0], len(pair)), np.zeros(2 * len(pair))]
+    )
     chart = np.concatenate([np.zeros((1, 2)), (2 * u[:, :2] - 1) * half_mm, ends])
     points = body.chart_points(chart)
     fits = _fits(body, points, loads.size_mm / 2)
     if not fits[: 1 + loads.presses].all():
         raise RecipeError(
-            f"loads.region_mm = {half_mm[0]:.3g}, {half_mm[1]:.3g} mm: some presses of loads.size_mm = "
-            f"{loads.size_mm:g} mm hang over the end of the sensing surface; make region or size smaller"
+            f"loads.region_mm = {half_mm[0]:.3g}, {half_mm[1]:.3g} mm: some presses of "
+            f"loads.size_mm = {loads.size_mm:g} mm hang over the end of the sensing surface; make "
+            "region or size smaller"
         )
     pairs = fits[1 + loads.presses :].reshape(-1, 2).all(axis=1)
     keep = np.concatenate([np.ones(1 + loads.presses, bool), np.repeat(pairs, 2)])
     points, pair = points[keep], pair[pairs]
     frames = body.frames(points)
     half = np.full((len(points), 2), loads.size_mm / 2)
-    patches = Rectangles(centre_mm=points, frames=frames, half_mm=half, force_n=np.zeros((len(points), 3)))
+    patches = Rectangles(
+        centre_mm=points, frames=frames, half_mm=half, force_n=np.zeros((len(points), 3))
+    )
     forces = np.zeros((1 + loads.presses + len(pair), len(points), 3))
     forces[0, 0] = frames[0, 2]
     turn = 2 * np.pi * u[:, 2]
@@ -124,7 +133,9 @@ def pushes_of(body: Body, loads: Loads, half_mm: tuple[float, float], seed: int)
     for number in range(len(pair)):
         first = 1 + loads.presses + 2 * number
         forces[1 + loads.presses + number, first : first + 2] = frames[first : first + 2, 2]
-    return Pushes(patches=patches, loads=loads.force_n * forces, presses=loads.presses, pair_mm=pair)
+    return Pushes(
+        patches=patches, loads=loads.force_n * forces, presses=loads.presses, pair_mm=pair
+    )
 
 
 def _fits(body: Body, points: Points, half_mm: float) -> Bools:
@@ -133,49 +144,52 @@ def _fits(body: Body, points: Points, half_mm: float) -> Bools:
     there: Bools = np.asarray(np.isfinite(points).all(axis=1), np.bool_)
     safe = np.where(there[:, None], points, body.chart_points(np.zeros((1, 2))))
     ends = safe[:, None] + corners @ body.frames(safe)[:, :2]
-    inside = (body.piece_distances(ends.reshape(-1, 3))[:, 1:] > -1e-9).all(axis=1).reshape(len(points), 4).all(axis=1)
+    on_surface = (body.piece_distances(ends.reshape(-1, 3))[:, 1:] > -1e-9).all(axis=1)
+    inside = on_surface.reshape(len(points), 4).all(axis=1)
     return np.asarray(there & inside & body.contains(safe, -1e-6))
 
 
 @dataclass
 class Bodies:
-    """Compliances by what they are asked for; each answers one set of patches only, so that order changes nothing.
+    """Compliances; each serves one set of patches only, so that order changes nothing.
 
     Attributes
     ----------
-    progress
-        Told when a mesh has to be made.
     thickness_mm
-        Ends of the range between which a block's thickness is interpolated, see `thickness_range`; None: each is
-        prepared.
+        Ends of the range between which a block's thickness is interpolated, see `thickness_range`;
+        None: each is prepared.
+    asked, made
+        How often a compliance was needed, and how many were prepared; the others were reused or
+        interpolated.
     """
 
-    progress: Progress | None = None
     thickness_mm: tuple[float, float] | None = None
+    asked: int = 0
+    made: int = 0
 
     def __post_init__(self) -> None:
         self._kept: dict[str, Compliance] = {}
-        self.asked = 0
-        self.made = 0
-        """How many bodies were prepared; the other requests reused one or were interpolated between several."""
 
     def unit(self, scene: Scene, role: str, patches: Rectangles) -> Compliance:
         """Return the compliance for E = 1 MPa of a scene's body: ``truth`` or ``nominal``."""
+        from twin.world.elasticity.coated import Ladder
         from twin.world.elasticity.compliance import Compliance
-        from twin.world.elasticity.ladder import Ladder
 
         refuse(scene)
         nu = scene.material.poisson_ratio
         where = hashlib.sha256(patches.centre_mm.tobytes() + patches.half_mm.tobytes()).hexdigest()
-        told = [scene.body.geometry(), nu, role, scene.displacement_error if role == "truth" else 0, where]
-        key = json.dumps(told, sort_keys=True, default=str)
+        accuracy = scene.displacement_error if role == "truth" else 0
+        facts = [scene.body.geometry(), nu, role, accuracy, where]
+        key = json.dumps(facts, sort_keys=True, default=str)
         self.asked += 1
         if key not in self._kept:
             rubber = Material(youngs_modulus_mpa=1.0, poisson_ratio=nu)
-            if role == "truth":
-                made = Ladder(scene.body, rubber, scene.displacement_error, progress=self.progress).base
-            else:
-                made = Compliance(scene.body, rubber, level="nominal", progress=self.progress)
+            made = (
+                Ladder(scene.body, rubber, scene.displacement_error).base
+                if role == "truth"
+                else Compliance(scene.body, rubber, level="nominal")
+            )
+            assert isinstance(made, Compliance), "a cover of its own modulus was refused"
             table = self._between(scene.body, made.level)
             if table is not None:
                 made = Compliance(scene.body, rubber, level=made.level, table=table)
@@ -187,8 +201,7 @@ class Bodies:
 
     def _between(self, body: Body, level: Level) -> Table | None:
         """Return the interpolated table of a block, where one is as accurate as a level of mesh."""
-        from twin.world.elasticity.tabulate import MADE
-        from twin.world.elasticity.thickness import table_between
+        from twin.world.elasticity.block_table import MADE, table_between
 
         if self.thickness_mm is None or not isinstance(body, Block):
             return None
@@ -196,16 +209,19 @@ class Bodies:
         return table_between(body, role, *self.thickness_mm) if role is not None else None
 
     def moved(self, scene: Scene, role: str, points: Points, patches: Rectangles) -> Floats:
-        """Return (3 n, 3 k) mm/N of points under unit forces on patches, for the scene's own modulus."""
+        """Return (3 n, 3 k) mm/N of points under unit forces on patches, for the scene's own
+        modulus."""
         made = self.unit(scene, role, patches).to_points(points, patches)
         made /= scene.material.youngs_modulus_mpa
         return made
 
 
 def thickness_range(sweep: Sweep) -> tuple[float, float] | None:
-    """Return between which thicknesses those of a sweep's blocks are interpolated; None if they are few or don't vary.
+    """Return between which thicknesses those of a sweep's blocks are interpolated; None if they are
+    few or don't vary.
 
-    Why not always: the tables of a range take as long as some ten bodies, and a body of its own is 2e-4 more accurate.
+    Why not always: the tables of a range take as long as some ten bodies, and a body of its own is
+    2e-4 more accurate.
     """
     key = "body.thickness_mm"
     rule = sweep.derived.get(key)
@@ -229,9 +245,14 @@ def refuse(scene: Scene) -> None:
         Stiff beads, or a cover of its own modulus.
     """
     if any(layer.stiff for layer in scene.markers.values()):
-        raise RecipeError("markers.stiff: sweeps take beads as points that the rubber carries; set it to false")
-    cover = scene.cover
-    if cover is not None and (cover.youngs_modulus_mpa is not None or cover.poisson_ratio is not None):
         raise RecipeError(
-            "cover: sweeps have no cover of its own modulus; leave youngs_modulus_mpa and poisson_ratio out"
+            "markers.stiff: sweeps take beads as points that the rubber carries; set it to false"
+        )
+    cover = scene.cover
+    if cover is not None and (
+        cover.youngs_modulus_mpa is not None or cover.poisson_ratio is not None
+    ):
+        raise RecipeError(
+            "cover: sweeps have no cover of its own modulus; leave youngs_modulus_mpa and "
+            "poisson_ratio out"
         )

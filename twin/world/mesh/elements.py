@@ -1,36 +1,58 @@
-"""Quadratic tetrahedra and triangles: shape functions and quadrature, once for all who need them.
+"""Quadratic tetrahedra and triangles: numbering, shape functions and quadrature.
 
-Node order is VTK's: corners, then the middles of the edges 01, 12, 02, 03, 13, 23 (triangle: 01, 12, 20).
+Nodes are in VTK's order: corners, then the middles of the edges `TET_EDGES` or `TRIANGLE_EDGES`.
+The reference element has its corners at the origin and at the ends of the axes.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from twin.arrays import Floats
+from twin.arrays import Floats, Ints, Points
 
-TET_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
-TRIANGLE_EDGES = ((0, 1), (1, 2), (2, 0))
+TET_EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)])
+TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
+
+TET_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
+"""Corners of a positive tetrahedron's faces; right-hand normals point out of it."""
+
+
+def signed_volumes(points: Points, tets: Ints) -> Floats:
+    """Return the (m,) signed volumes, mm3, of straight tetrahedra (m, 4 or more; the first four
+    nodes count)."""
+    a, b, c, d = (points[tets[:, k]] for k in range(4))
+    return np.asarray(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6)
+
+
+def inverses(matrices: Floats) -> tuple[Floats, Floats]:
+    """Return the inverses (..., 3, 3) of matrices by cofactors, and their determinants (...).
+
+    Unlike LAPACK's, they scale exactly with powers of two; inf or NaN where singular.
+    """
+    a, b, c = np.moveaxis(matrices, -1, 0)
+    rows = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-2)
+    determinant = np.einsum("...i,...i->...", a, rows[..., 0, :])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return rows / determinant[..., None, None], determinant
 
 
 def tet_shapes(places: Floats) -> tuple[Floats, Floats]:
-    """Return the values (q, 10) and slopes (q, 10, 3) of the quadratic shape functions at reference ``places`` (q, 3).
-
-    The reference tetrahedron has its corners at the origin and at the ends of the three axes.
-    """
+    """Return the values (q, 10) and gradients (q, 10, 3) of a tetrahedron's shape functions at
+    reference ``places`` (q, 3)."""
     return _shapes(places, TET_EDGES)
 
 
 def triangle_shapes(places: Floats) -> tuple[Floats, Floats]:
-    """Return the values (q, 6) and slopes (q, 6, 2) of the quadratic shape functions at reference ``places`` (q, 2)."""
+    """Return the values (q, 6) and gradients (q, 6, 2) of a triangle's shape functions at reference
+    ``places`` (q, 2)."""
     return _shapes(places, TRIANGLE_EDGES)
 
 
-def _shapes(places: Floats, edges: tuple[tuple[int, int], ...]) -> tuple[Floats, Floats]:
+def _shapes(places: Floats, edges: Ints) -> tuple[Floats, Floats]:
     axes = places.shape[1]
     share = np.column_stack([1.0 - places.sum(axis=1), places])
     slope = np.vstack([-np.ones(axes), np.eye(axes)])
-    a, b = np.array(edges).T
+    a, b = edges.T
     values = np.hstack([share * (2.0 * share - 1.0), 4.0 * share[:, a] * share[:, b]])
     corner = (4.0 * share - 1.0)[:, :, None] * slope
     middle = 4.0 * (share[:, a, None] * slope[b] + share[:, b, None] * slope[a])
@@ -38,7 +60,8 @@ def _shapes(places: Floats, edges: tuple[tuple[int, int], ...]) -> tuple[Floats,
 
 
 def tet_quadrature() -> tuple[Floats, Floats]:
-    """Return places (14, 3) and weights (14,), exact to degree 5 (N. J. Walkington 2000); weights sum to 1/6."""
+    """Return places (14, 3) and weights (14,), exact to degree 5 (N. J. Walkington 2000); weights
+    sum to 1/6."""
     places, weights = [], []
     for a, weight in (
         (0.31088591926330060980, 0.11268792571801585080),
@@ -59,7 +82,8 @@ def tet_quadrature() -> tuple[Floats, Floats]:
 
 
 def triangle_quadrature() -> tuple[Floats, Floats]:
-    """Return places (7, 2) and weights (7,), exact to degree 5 (J. Radon 1948); weights sum to 1/2."""
+    """Return places (7, 2) and weights (7,), exact to degree 5 (J. Radon 1948); weights sum to
+    1/2."""
     root = np.sqrt(15.0)
     places, weights = [[1 / 3, 1 / 3]], [0.225 / 2]
     for sign in (-1.0, 1.0):

@@ -1,32 +1,63 @@
-"""Reading nodal fields at any point of a body: which element holds it, and where in the element."""
+"""Values of nodal fields at any point of a body, and a smoother recovery of them.
+
+`Locator` finds the element that holds a point. `Recovery` fits a cubic polynomial to the nodal
+values around a point by weighted least squares and evaluates it there: patch recovery (O. C.
+Zienkiewicz and J. Z. Zhu 1992), of values as in Z. Zhang and A. Naga (2005). Quadratic elements are
+wrong by a cubic, so the difference of the two estimates the elements' own error at that place,
+without another mesh or solve.
+
+Validity of that estimate: it sees what single elements miss of a field, not what all of them have
+wrong together (the singularity of a clamped rim moves whole regions alike), and nothing narrower
+than a few elements.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Points, frozen
-from twin.compiled import njit
+from twin.arrays import Floats, Ints, Points, coordinates, frozen
 from twin.errors import MeshError, OutOfBodyError
 from twin.parts.body import Body
-from twin.world.mesh.elements import TET_EDGES, tet_shapes
-from twin.world.mesh.mesh import Mesh
+from twin.world.mesh.elements import TET_EDGES, inverses, tet_shapes
+from twin.world.mesh.quadratic_mesh import Mesh
 
-CANDIDATES = (24, 400)
-"""How many of the nearest elements are tried, first for all points, then for those not yet found."""
+_CANDIDATES = (4, 24, 400)
+"""How many of the nearest elements are tried: first for all points, then for those not yet
+found."""
 
-HAIR, WITHIN = 5e-3, 1e-9
-"""How far outside its element, over the element's size, a point may be read from it: beyond the body's own surface, as
-the true surface is that far from the mesh's, and beyond any other face, where a neighbour holds it."""
+_HAIR, _WITHIN = 5e-3, 1e-9
+"""How far outside its element, over the element's size, a point may be read from it: beyond the
+body's own surface, as the true surface is that far from the mesh's, and beyond any other face,
+where a neighbour holds it."""
 
-FAR = -0.7
-"""A point whose smallest barycentric coordinate in an element would be less than this, were the element's edges
-straight, is not looked for in it any further."""
+_FAR = -0.7
+"""An element is not tried where a point's smallest barycentric coordinate would be less than this,
+were the element's edges straight."""
 
-FORGIVEN = 1e-6
+_FLAT = 1e-13
+"""An element whose map bends by no more than this over its size is straight: its map is inverted by
+one product, wrong by rounding only."""
+
+_FORGIVEN = 1e-6
 """How far outside the body, in mm, a point still counts as on its surface."""
+
+_NEIGHBOURS, _NARROW = 90, 2.0
+"""Nodes that a cubic is fitted to, and how fast their weight falls: exp(-(NARROW r)^2), r = 1 at
+the farthest."""
+
+_POWERS = np.array([p for p in product(range(4), repeat=3) if sum(p) <= 3])
+"""(20, 3) powers of x, y and z in a cubic; the first is 1."""
+
+_SINGULAR = 1e-10
+"""Directions of the fit that weigh less than this share of the heaviest are left out: in thin walls
+the nodes lie in few planes and determine no cubic across them."""
+
+_CHUNK = 512
+"""Points that are worked on at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +85,9 @@ class Weighted:
         from scipy.sparse import csr_matrix
 
         rows = np.arange(len(self.nodes) + 1) * self.nodes.shape[1]
-        return csr_matrix((self.weights.ravel(), self.nodes.ravel(), rows), shape=(len(self.nodes), nodes))
+        return csr_matrix(
+            (self.weights.ravel(), self.nodes.ravel(), rows), shape=(len(self.nodes), nodes)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,44 +109,64 @@ class Places(Weighted):
 
 
 def require_inside(body: Body, points: Points) -> None:
-    """Raise `OutOfBodyError`, naming the first offender, unless ``points`` (n, 3) are all in the body or on it."""
+    """Raise `OutOfBodyError`, naming the first offender, unless ``points`` (n, 3) are all in the
+    body or on it."""
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != 3:
         raise OutOfBodyError(f"points must have the shape (n, 3), got {points.shape}")
     distances = body.piece_distances(points)
-    outside = ~(np.min(distances, axis=1) >= -FORGIVEN)
+    outside = ~(np.min(distances, axis=1) >= -_FORGIVEN)
     if not np.any(outside):
         return
     first = int(np.argmax(outside))
     piece = int(np.argmin(distances[first]))
-    place = ", ".join(f"{c:.4g}" for c in points[first])
+    place = coordinates(points[first])
     low, high = body.bounds_mm
     raise OutOfBodyError(
-        f"point {first} at ({place}) mm is {-distances[first, piece]:.3g} mm outside the body, beyond its "
-        f"{body.pieces[piece]} face ({int(outside.sum())} of {len(points)} points are); the body lies between "
-        f"{low} and {high} mm"
+        f"point {first} at ({place}) mm is {-distances[first, piece]:.3g} mm outside the body, "
+        f"beyond its {body.pieces[piece]} face ({int(outside.sum())} of {len(points)} points are); "
+        f"the body lies between {low} and {high} mm"
     )
 
 
 class Locator:
-    """Finds points in a mesh; built once per mesh.
-
-    A large element among small ones is far from the nearest by its centroid: a point that none of the first candidates
-    holds is looked for among more of them, unless it is a hair beyond the body's own surface.
-    """
+    """Finds points in a mesh; built once per mesh."""
 
     def __init__(self, mesh: Mesh) -> None:
         from scipy.spatial import cKDTree
 
         self._mesh = mesh
-        self._tree = cKDTree(mesh.points[mesh.tets[:, :4]].mean(axis=1))
+        corners = mesh.points[mesh.tets[:, :4]]
+        centre = corners.mean(axis=1)
+        self._tree = cKDTree(centre)
+        self._reach = 1.2 * np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+        self._straight = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
+        self._first = corners[:, 0]
+        nodes = mesh.points[mesh.tets]
+        slopes = tet_shapes(np.vstack([np.zeros(3), np.eye(3)]))[1]
+        self._linear = np.einsum("mai,aj->mij", nodes, slopes[0])
+        self._bend = np.einsum("mai,kaj->mijk", nodes, slopes[1:] - slopes[0])
+        size = np.abs(self._linear).max(axis=(1, 2))
+        self._curved = np.abs(self._bend).max(axis=(1, 2, 3)) > _FLAT * size
         outer = np.zeros(len(mesh.points), bool)
         outer[mesh.faces] = True
         opposite = [[4 + e for e, edge in enumerate(TET_EDGES) if a not in edge] for a in range(4)]
-        self._outer = np.stack([outer[mesh.tets[:, middles]].all(axis=1) for middles in opposite], axis=1)
+        self._outer = np.stack(
+            [outer[mesh.tets[:, middles]].all(axis=1) for middles in opposite], axis=1
+        )
+
+    def edges(self, points: Points) -> Floats:
+        """Return (n,) the edge, mm, of a regular tetrahedron as large as the element nearest to
+        each of ``points``."""
+        corners = self._mesh.points[self._mesh.tets[self._tree.query(points)[1], :4]]
+        volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
+        return np.asarray(np.cbrt(6.0 * np.sqrt(2.0) * volume))
 
     def locate(self, points: Points) -> Places:
-        """Return where ``points`` (n, 3) are; points a hair outside the mesh are read from the nearest element.
+        """Return where ``points`` (n, 3) are.
+
+        A point in no element (a hair outside the mesh) belongs to the element in which its smallest
+        barycentric coordinate is largest.
 
         Raises
         ------
@@ -122,117 +175,148 @@ class Locator:
         """
         mesh, points = self._mesh, np.ascontiguousarray(points, float)
         best = np.zeros(len(points), np.int64)
-        where, inside = np.zeros((len(points), 3)), np.full(len(points), -np.inf)
+        local = np.zeros((len(points), 3))
+        inside = np.full(len(points), -np.inf)
         left = np.arange(len(points))
-        for number in CANDIDATES:
-            number = min(number, len(mesh.tets))
-            near = self._tree.query(points[left], number)[1].reshape(len(left), number)
-            found = (best[left], where[left], inside[left])
-            _search(points[left], near.astype(np.int64), mesh.points, mesh.tets, *found)
-            best[left], where[left], inside[left] = found
-            share = np.column_stack([1.0 - where.sum(axis=1), where])
-            beyond_body = self._outer[best, share.argmin(axis=1)]
-            left = np.flatnonzero(inside < np.where(beyond_body, -HAIR, -WITHIN))
+        for number in _CANDIDATES:
+            step = max(1, 24 * _CHUNK // number)
+            for part in (left[k : k + step] for k in range(0, len(left), step)):
+                best[part], local[part], inside[part] = self._nearest_best(points[part], number)
+            share = np.column_stack([1.0 - local.sum(axis=1), local])
+            hair = self._outer[best, share.argmin(axis=1)] & (number > _CANDIDATES[0])
+            left = np.flatnonzero(inside < np.where(hair, -_HAIR, -_WITHIN))
             if len(left) == 0:
                 break
         if np.any(inside < -0.1):
             first = int(np.argmin(inside))
-            raise MeshError(f"no element of the mesh holds the point {points[first]} mm: rebuild the mesh")
-        values, slopes = tet_shapes(where)
+            raise MeshError(
+                f"no element of the mesh holds the point {points[first]} mm: rebuild the mesh"
+            )
+        values, slopes = tet_shapes(local)
         nodes = mesh.tets[best]
         jacobian = np.einsum("qai,qaj->qij", mesh.points[nodes], slopes)
-        slopes = np.einsum("qaj,qjm->qam", slopes, np.linalg.inv(jacobian))
-        frozen(values), frozen(slopes)
-        return Places(nodes=nodes, weights=values, slopes=slopes)
+        slopes = slopes @ inverses(jacobian)[0]
+        return Places(nodes=nodes, weights=frozen(values), slopes=frozen(slopes))
+
+    def _nearest_best(self, points: Points, number: int) -> tuple[Ints, Floats, Floats]:
+        """Return the first of the ``number`` nearest elements that holds each point, else the least
+        wrong one; the local coordinates (n, 3); the smallest barycentric coordinate (n,)."""
+        number = min(number, len(self._mesh.tets))
+        away, near = self._tree.query(points, np.arange(1, number + 1))
+        row, rank = np.nonzero(away <= self._reach[near])
+        tets = near[row, rank]
+        away_mm = points[row] - self._first[tets]
+        start = np.einsum("pij,pj->pi", self._straight[tets], away_mm)
+        hopeful = _least_barycentric(start) >= _FAR
+        row, rank, tets, start = row[hopeful], rank[hopeful], tets[hopeful], start[hopeful]
+        away_mm = away_mm[hopeful]
+        local = np.zeros((*near.shape, 3))
+        inside = np.full(near.shape, -np.inf)
+        found, least = start, _least_barycentric(start)
+        bent = np.flatnonzero(self._curved[tets])
+        of = tets[bent]
+        found[bent], least[bent] = _invert_maps(
+            away_mm[bent], self._linear[of], self._bend[of], start[bent]
+        )
+        local[row, rank], inside[row, rank] = found, least
+        holds = inside >= -_WITHIN
+        chosen = np.where(holds.any(axis=1), holds.argmax(axis=1), inside.argmax(axis=1))
+        every = np.arange(len(points))
+        return near[every, chosen], local[every, chosen], inside[every, chosen]
 
 
-@njit(cache=True)
-def _search(points: Floats, near: Ints, nodes: Floats, tets: Ints, best: Ints, where: Floats, inside: Floats) -> None:
-    """Keep for every point the element in which its smallest barycentric coordinate is largest, first hit wins."""
-    place = np.empty(3)
-    for q in range(len(points)):
-        for t in near[q]:
-            if inside[q] >= -WITHIN:
-                break
-            if not _outside_ball(points[q], nodes, tets[t], place):
-                smallest = _invert_map(points[q], nodes, tets[t], place)
-                if smallest > inside[q]:
-                    inside[q], best[q] = smallest, t
-                    where[q] = place
+def _least_barycentric(local: Floats) -> Floats:
+    """Return (p,) the smallest barycentric coordinates at local coordinates (p, 3)."""
+    return np.asarray(np.minimum(local.min(axis=1), 1.0 - local.sum(axis=1)))
 
 
-@njit(cache=True)
-def _outside_ball(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> bool:
-    """Tell whether a point is farther from the element's centroid, left in ``place``, than 1.2 times any corner."""
-    reach, distance = 0.0, 0.0
-    for i in range(3):
-        place[i] = (nodes[tet[0], i] + nodes[tet[1], i] + nodes[tet[2], i] + nodes[tet[3], i]) / 4.0
-        distance += (point[i] - place[i]) ** 2
-    for a in range(4):
-        square = 0.0
-        for i in range(3):
-            square += (nodes[tet[a], i] - place[i]) ** 2
-        reach = max(reach, square)
-    return bool(distance > 1.44 * reach)
+def _invert_maps(
+    points: Points, linear: Floats, bend: Floats, start: Floats
+) -> tuple[Floats, Floats]:
+    """Return local coordinates (p, 3) of points in quadratic elements by Newton's method, and the
+    smallest barycentric coordinates (p,), -inf where it runs away.
 
-
-@njit(cache=True)
-def _invert_map(point: Floats, nodes: Floats, tet: Ints, place: Floats) -> float:
-    """Set ``place`` to where ``point`` is in the reference element (Newton); return its least barycentric share."""
-    place[:] = 0.25
-    residual, jac = np.empty(3), np.empty((3, 3))
-    for turn in range(12):
-        rest = 1.0 - place[0] - place[1] - place[2]
-        residual[:], jac[:] = point, 0.0
-        for a in range(4):
-            share = place[a - 1] if a else rest
-            value, slope = share * (2.0 * share - 1.0), 4.0 * share - 1.0
-            for i in range(3):
-                x = nodes[tet[a], i]
-                residual[i] -= value * x
-                if a:
-                    jac[i, a - 1] += slope * x
-                else:
-                    for m in range(3):
-                        jac[i, m] -= slope * x
-        for e in range(6):
-            one, two = TET_EDGES[e]
-            first, second = place[one - 1] if one else rest, place[two - 1]
-            for i in range(3):
-                x = 4.0 * nodes[tet[4 + e], i]
-                residual[i] -= first * second * x
-                jac[i, two - 1] += first * x
-                if one:
-                    jac[i, one - 1] += second * x
-                else:
-                    for m in range(3):
-                        jac[i, m] -= second * x
-        largest = _add_solution(jac, residual, place)
-        if largest < 1e-12:
+    Parameters
+    ----------
+    points
+        (p, 3) places less the element's first corner, mm.
+    linear, bend
+        (p, 3, 3) and (p, 3, 3, 3): local coordinates r lie at ``linear`` r + ``bend`` r r / 2.
+    start
+        (p, 3) first guess.
+    """
+    local = start.copy()
+    inside = np.full(len(points), -np.inf)
+    left = np.arange(len(points))
+    # points are last here: a sum over axes is then a few operations on long rows
+    to, at = np.ascontiguousarray(points.T), np.ascontiguousarray(start.T)
+    straight = np.ascontiguousarray(linear.transpose(2, 1, 0))
+    curved = np.ascontiguousarray(bend.transpose(3, 2, 1, 0))
+    for _ in range(12):
+        turn = curved[0] * at[0]
+        turn += curved[1] * at[1]
+        turn += curved[2] * at[2]
+        slope = straight + turn
+        turn *= 0.5
+        turn += straight
+        away = to - turn[0] * at[0] - turn[1] * at[1] - turn[2] * at[2]
+        step = _solved(slope, away)
+        at = at + step
+        local[left] = at.T
+        least = np.minimum(at.min(axis=0), 1.0 - at.sum(axis=0))
+        done = np.abs(step).max(axis=0) < 1e-12
+        inside[left[done]] = least[done]
+        going = ~done & (least >= -5.0)
+        if not going.any():
             break
-        smallest = min(1.0 - place[0] - place[1] - place[2], place[0], place[1], place[2])
-        if not smallest >= -5.0 or (turn == 0 and smallest < FAR):
-            return -np.inf
-    return float(min(1.0 - place[0] - place[1] - place[2], place[0], place[1], place[2]))
+        left, least, at, to = left[going], least[going], at[:, going], to[:, going]
+        straight, curved = straight[..., going], curved[..., going]
+    else:
+        inside[left] = least
+    return local, inside
 
 
-@njit(cache=True)
-def _add_solution(jac: Floats, residual: Floats, place: Floats) -> float:
-    """Add the solution of three equations to ``place`` (Cramer's rule); return its largest component."""
-    largest, det = 0.0, 0.0
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        det += jac[0, i] * (jac[1, j] * jac[2, k] - jac[1, k] * jac[2, j])
-    if det == 0.0:
-        place[:] = np.inf
-        return np.inf
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        step = (
-            residual[0] * (jac[1, j] * jac[2, k] - jac[1, k] * jac[2, j])
-            + residual[1] * (jac[2, j] * jac[0, k] - jac[2, k] * jac[0, j])
-            + residual[2] * (jac[0, j] * jac[1, k] - jac[0, k] * jac[1, j])
-        ) / det
-        place[i] += step
-        largest = max(largest, abs(step))
-    return largest
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+
+
+def _solved(columns: Floats, right: Floats) -> Floats:
+    """Return the solutions (3, p) of 3 x 3 systems with ``columns`` (3, 3, p), columns first, by
+    cofactors; inf or NaN where singular."""
+    after, before = columns[_NEXT], columns[_LAST]
+    cofactor = after[:, _NEXT] * before[:, _LAST]
+    cofactor -= after[:, _LAST] * before[:, _NEXT]
+    determinant = (columns[0] * cofactor[0]).sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):  # such an element is given up
+        return np.asarray((cofactor * right).sum(axis=1) / determinant)
+
+
+class Recovery:
+    """Smoother readings of fields on one mesh; built once per mesh."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        from scipy.spatial import cKDTree
+
+        self._nodes = mesh.points
+        self._tree = cKDTree(mesh.points)
+
+    def at(self, points: Points) -> Weighted:
+        """Return what reads the cubics at ``points`` (n, 3) mm."""
+        away, nodes = self._tree.query(points, min(_NEIGHBOURS, len(self._nodes)))
+        weights = np.empty(nodes.shape)
+        for start in range(0, len(points), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            reach = away[part, -1:]
+            weights[part] = _read(
+                (self._nodes[nodes[part]] - points[part, None]) / reach[..., None],
+                away[part] / reach,
+            )
+        return Weighted(nodes=nodes, weights=weights)
+
+
+def _read(places: Floats, away: Floats) -> Floats:
+    """Return (n, k) weights of the nodes at ``places`` (n, k, 3), so far ``away`` (n, k), in the
+    cubic's value at 0."""
+    terms = np.prod(places[:, :, None] ** _POWERS, axis=3)
+    weighted = terms * np.exp(-2.0 * (_NARROW * away) ** 2)[..., None]
+    normal = np.linalg.pinv(terms.transpose(0, 2, 1) @ weighted, rcond=_SINGULAR, hermitian=True)
+    return np.asarray(np.einsum("nkp,np->nk", weighted, normal[:, 0]))

@@ -1,26 +1,28 @@
-"""Which edge length is wanted where in a body's mesh, and the background grid that tells the mesher.
+"""Which edge length is wanted where in a body's mesh, and the background grid for the
+mesher.
 
-Why graded so: the mesh carries the smooth rest that is left of the elastic field once the load's closed-form half-space
-field is subtracted. That rest is rough in two places only: at the clamped rim, where the held piece meets the free
-sides and stress is singular, and (on curved bodies) below the surface that is pressed. Everything else may be coarse,
-and must be, for a direct solver's cost climbs steeply with the number of unknowns.
+Why graded so: the mesh carries the smooth correction that is left of the elastic field once the
+load's closed-form half-space field is subtracted. It is rough in two places only: at the clamped
+rim, where the held piece meets the free sides and stress is singular, and (on curved bodies) below
+the surface that is pressed. Everything else may be coarse, and must be, for a direct solver's cost
+climbs steeply with the number of unknowns.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Points
+from twin.arrays import Floats, Ints, Points, grid_points
 from twin.parts.body import Body
-from twin.world.mesh.snap import onto_pieces
-from twin.world.mesh.surface import surface_samples
+from twin.world.mesh.snap import onto_sheets
 
 Level = Literal["nominal", "sketch", "coarse", "standard", "fine"]
-"""``nominal`` is the sensor's own model; the others are the world's, each about three times the last."""
+"""``nominal`` is the sensor's own model; the others are the world's, each about three times the
+last."""
 
 WORLD: tuple[Level, ...] = ("sketch", "coarse", "standard", "fine")
 """The world's levels, coarsest first."""
@@ -49,8 +51,8 @@ class Sizing:
     window_mm
         Half sizes (s, t) of the working window in the body's chart, centred on the origin, mm.
     unknowns
-        Unknowns (three displacements at every node, one pressure at every corner) to aim at: all lengths are scaled
-        together until the mesh has about that many.
+        Unknowns (three displacements at every node, one pressure at every corner) to aim at: all
+        lengths are scaled together until the mesh has about that many.
     """
 
     coarse_mm: float
@@ -62,16 +64,8 @@ class Sizing:
 
     def scaled(self, factor: float) -> Sizing:
         """Return the sizing with every edge length times ``factor``; growth and window stay."""
-        return replace(
-            self,
-            coarse_mm=self.coarse_mm * factor,
-            fine_mm=self.fine_mm * factor,
-            rim_mm=self.rim_mm * factor,
-        )
-
-    def described(self) -> dict[str, object]:
-        """Return the plain numbers, for the cache key and the file's provenance."""
-        return asdict(self)
+        edges = ("coarse_mm", "fine_mm", "rim_mm")
+        return replace(self, **{edge: getattr(self, edge) * factor for edge in edges})
 
 
 @dataclass(frozen=True)
@@ -104,18 +98,12 @@ _CURVED: dict[Level, _Shares] = {
 def default_sizing(body: Body, level: Level) -> Sizing:
     """Return the sizing of a body's mesh.
 
-    Parameters
-    ----------
-    body
-        The body.
-    level
-        Which of the meshes: the sensor's own model and the world never share one.
-
     Notes
     -----
-    Lengths are proportions of the body; `Sizing.unknowns` sets their scale. On the block a mesh's error is mostly one
-    shift of the whole sensing face, the slab's shear stiffness: under 4 mm patches the red layer is 0.1 % off
-    at 28 000 unknowns and 0.25 % at 9 500. A finer window under the load doesn't help there, so there is none.
+    Lengths are proportions of the body; `Sizing.unknowns` sets their scale. On the block a mesh's
+    error is mostly one shift of the whole sensing face, the slab's shear stiffness: under 4 mm
+    patches the red layer is 0.1 % off at 28 000 unknowns and 0.25 % at 9 500. A finer window under
+    the load doesn't help there, so there is none.
     """
     low, high = np.array(body.bounds_mm)
     if body.is_flat:
@@ -134,7 +122,25 @@ def default_sizing(body: Body, level: Level) -> Sizing:
     )
 
 
-def along(edges: Floats, spacing_mm: float) -> Points:
+def surface_samples(body: Body, spacing_mm: float) -> Points:
+    """Return (n, 3) points on the body's surface, mm, about ``spacing_mm`` apart, by casting rays
+    from its middle."""
+    low, high = np.array(body.bounds_mm)
+    middle, reach = (low + high) / 2, float(np.linalg.norm(high - low))
+    count = int(4 * np.pi * (reach / 2 / spacing_mm) ** 2) + 200
+    height = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.pi * (1 + 5**0.5) * np.arange(count)
+    ring = np.sqrt(1 - height**2)
+    direction = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), height])
+    inside, outside = np.zeros(count), np.full(count, reach)
+    for _ in range(60):
+        trial = (inside + outside) / 2
+        within = body.contains(middle + trial[:, None] * direction)
+        inside, outside = np.where(within, trial, inside), np.where(within, outside, trial)
+    return np.asarray(middle + inside[:, None] * direction)
+
+
+def _along(edges: Floats, spacing_mm: float) -> Points:
     """Return points (n, 3) on straight edges (e, 2, 3), at most ``spacing_mm`` apart."""
     length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
     parts = np.ceil(length / spacing_mm).astype(int) + 1
@@ -144,9 +150,10 @@ def along(edges: Floats, spacing_mm: float) -> Points:
 
 
 def rim_points(body: Body, spacing_mm: float) -> Points:
-    """Return points (n, 3), mm, on the clamped rim: the curves where held pieces meet the others."""
+    """Return points (n, 3), mm, on the clamped rim: the curves where held pieces meet the
+    others."""
     if body.own_rim is not None:
-        return along(body.own_rim, spacing_mm)
+        return _along(body.own_rim, spacing_mm)
     samples = surface_samples(body, spacing_mm)
     near = np.abs(body.piece_distances(samples)) < 2 * spacing_mm
     found = []
@@ -155,7 +162,7 @@ def rim_points(body: Body, spacing_mm: float) -> Points:
         candidates = samples[near[:, pair].all(axis=1)]
         on = np.zeros((len(candidates), len(body.pieces)), dtype=bool)
         on[:, pair] = True
-        rim = onto_pieces(body, candidates, on)
+        rim = onto_sheets(body, candidates, on)
         found.append(rim[body.contains(rim, -1e-6)])
     return np.concatenate(found)
 
@@ -169,7 +176,7 @@ class WantedEdge:
         low, high = np.array(body.bounds_mm)
         spacing = float(np.max(high - low)) / 100
         s, t = (np.linspace(-half, half, 41) for half in sizing.window_mm)
-        window = body.chart_points(np.stack(np.meshgrid(s, t, indexing="ij"), axis=-1).reshape(-1, 2))
+        window = body.chart_points(grid_points(s, t))
         window = window[body.contains(window, -1e-6)]
         self._sizing = sizing
         self._window = cKDTree(window)
@@ -188,22 +195,13 @@ class WantedEdge:
 
 
 def background(body: Body, sizing: Sizing) -> tuple[Points, Ints, Floats]:
-    """Return a background mesh that pads the body by a cell, and the edge wanted at its points.
-
-    Returns
-    -------
-    points
-        (n, 3), mm.
-    tets
-        (m, 4) indices.
-    edge_mm
-        (n,) wanted edge lengths, mm.
-    """
+    """Return points (n, 3) and tetrahedra (m, 4) of a background mesh that pads the body by a cell,
+    and the (n,) wanted edge lengths there, mm."""
     low, high = np.array(body.bounds_mm)
     step = float(np.max(high - low)) / _GRID_CELLS
     counts = np.ceil((high - low) / step).astype(int) + 3
     axes = [low[axis] + step * (np.arange(counts[axis]) - 1) for axis in range(3)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = grid_points(*axes)
     number = np.arange(len(points)).reshape(counts)
     cube = np.stack(
         [

@@ -1,151 +1,153 @@
 """From raw linear tetrahedra to quadratic ones whose boundary lies on the body's true surface.
 
-Why snap: the mesher keeps the surface only within an envelope (sharp edges come out rounded, flat faces may tilt),
-while the level sets are exact. Boundary nodes move onto the piece their faces belong to, nodes of faces of two or three
-pieces onto the edge or corner where those meet, and the mid-side nodes of boundary faces follow, which turns a chord
-error of h^2 / (8 R) into one of fourth order.
+The mesher keeps the surface only within an envelope (sharp edges come out rounded), while the level
+sets are exact. Boundary nodes move onto the smooth sheet of their faces, nodes between sheets onto
+the edge or corner where those meet, and the mid-side nodes follow, which turns a chord error of
+h^2 / (8 R) into one of fourth order. A border between two pieces that crosses a rounding is no
+edge of the surface: it runs along the faces' own edges, and every face belongs to the piece at its
+middle. (Nodes drawn onto such a border left elements without volume.)
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints, Points, frozen
+from twin.arrays import Bools, Ints, Points, frozen
 from twin.parts.body import Body
+from twin.world.mesh.elements import TET_EDGES, TET_FACES, TRIANGLE_EDGES
+from twin.world.mesh.quadratic_mesh import Mesh
 
-FACE_CORNERS = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
-"""Corners of a positive tetrahedron's faces, right-hand normals pointing out of it."""
-
-EDGE_CORNERS = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)])
-"""Corners of a tetrahedron's edges, in the order of VTK's quadratic tetrahedron."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Quadratic:
-    """Quadratic tetrahedra with a classified boundary; see `twin.world.mesh.mesh.Mesh` for the arrays."""
-
-    points: Points
-    tets: Ints
-    corners: int
-    faces: Ints
-    piece: Ints
+RIM_SHARE = 0.3
+"""Where the middle node of an edge from the rim stands, as a share of the edge."""
 
 
-def signed_volumes(points: Points, tets: Ints) -> Floats:
-    """Return the (m,) signed volumes, mm3, of straight tetrahedra (m, 4 or more; the first four nodes count)."""
-    a, b, c, d = (points[tets[:, k]] for k in range(4))
-    return np.asarray(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6)
-
-
-def onto_pieces(body: Body, points: Points, on: Bools, *, depth_mm: float = 0.0) -> Points:
-    """Project points onto the pieces asked for, by Newton steps of least length.
-
-    Parameters
-    ----------
-    body
-        The body.
-    points
-        (n, 3), mm.
-    on
-        (n, pieces): the pieces that each point shall lie on; none leaves the point where it is.
-    depth_mm
-        Depth of the level set that takes the sensing piece's place.
-
-    Returns
-    -------
-    ndarray
-        (n, 3), mm: nearest points on the surfaces, edges (two pieces) or corners (three).
-    """
-    points = np.array(points, dtype=np.float64)
-    if len(points) == 0:
-        return points
-    for _ in range(30):
-        away = body.piece_distances(points) - depth_mm * (np.arange(on.shape[1]) == 0)
-        distance = np.where(on, away, 0.0)
-        if np.max(np.abs(distance)) < 1e-14:
-            break
-        normals = np.where(on[:, :, None], body.piece_normals(points), 0.0)
-        step = np.linalg.pinv(normals, rcond=1e-6) @ distance[:, :, None]
-        points -= step[:, :, 0]
-    return points
-
-
-def boundary_triangles(tets: Ints) -> Ints:
-    """Return the (f, 3) faces that belong to one tetrahedron only, right-hand normals pointing out."""
-    faces = tets[:, FACE_CORNERS].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return np.asarray(faces[np.sort(first[count == 1])])
-
-
-def classify(body: Body, points: Points, triangles: Ints) -> Ints:
-    """Return (f,) indices into ``body.pieces``: the piece each boundary triangle lies on.
-
-    Distance alone can't tell the pieces of a small triangle on a rounded edge, so the normal has a say: a piece costs
-    its largest distance at the corners in units of the triangle's longest edge, plus 1 - cosine of the normals' angle.
-    """
-    corner = points[triangles]
-    distance = np.abs(body.piece_distances(corner.reshape(-1, 3))).reshape(len(triangles), 3, -1).max(axis=1)
-    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
-    outward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    turned = 1 + np.einsum("fpk,fk->fp", body.piece_normals(corner.mean(axis=1)), outward)
-    return np.asarray(np.argmin(distance / longest[:, None] + turned, axis=1), np.int64)
-
-
-def pieces_at(nodes: Ints, piece: Ints, count: int, pieces: int) -> Bools:
-    """Return (count, pieces): which pieces meet at each node, from faces (f, k) of nodes and their piece (f,)."""
-    on = np.zeros((count, pieces), dtype=bool)
-    on[nodes.ravel(), np.repeat(piece, nodes.shape[1])] = True
-    return on
-
-
-def snapped(body: Body, points: Points, tets: Ints) -> tuple[Points, Ints, Ints]:
-    """Move the boundary nodes of linear tetrahedra (m, 4) onto the body's surface.
-
-    Returns
-    -------
-    points
-        (n, 3), mm.
-    triangles
-        (f, 3) boundary faces, normals out.
-    piece
-        (f,) indices into ``body.pieces``.
-    """
+def snapped_mesh(body: Body, points: Points, tets: Ints) -> Mesh:
+    """Return the quadratic mesh of positive linear tetrahedra, ``points`` (n, 3) and ``tets`` (m,
+    4), whose boundary is near the body's surface: it is moved onto it."""
     triangles = boundary_triangles(tets)
-    piece = classify(body, points, triangles)
-    on = pieces_at(triangles, piece, len(points), len(body.pieces))
-    return onto_pieces(body, points, on), triangles, piece
-
-
-def quadratic(body: Body, points: Points, tets: Ints, triangles: Ints, piece: Ints) -> Quadratic:
-    """Add mid-side nodes; those of boundary faces lie on the true surface.
-
-    Parameters
-    ----------
-    body
-        The body.
-    points
-        (n, 3) snapped corner nodes, mm.
-    tets
-        (m, 4) positive tetrahedra.
-    triangles, piece
-        Boundary faces (f, 3) and the piece of each (f,).
-    """
+    sheet = _classify(body, points, triangles)
+    points = onto_sheets(body, points, _sheets_at(body, triangles, sheet, len(points)))
+    piece = body.pieces_on(points[triangles].mean(axis=1), sheet)
     corners = len(points)
-    pairs = np.sort(tets[:, EDGE_CORNERS].reshape(-1, 2), axis=1)
+    pairs = np.sort(tets[:, TET_EDGES].reshape(-1, 2), axis=1)
     edges, of_pair = np.unique(pairs, axis=0, return_inverse=True)
     number = {(int(a), int(b)): k for k, (a, b) in enumerate(edges)}
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
-    face_mid = np.array([[number[(int(a), int(b))] for a, b in face] for face in sides], dtype=np.int64)
+    sides = np.sort(triangles[:, TRIANGLE_EDGES], axis=2)
+    face_mid = np.array(
+        [[number[(int(a), int(b))] for a, b in face] for face in sides], dtype=np.int64
+    )
     middle = points[edges].mean(axis=1)
-    on = pieces_at(face_mid, piece, len(edges), len(body.pieces))
-    middle = onto_pieces(body, middle, on)
-    return Quadratic(
+    sheet = body.sheets_of(points[triangles], piece)
+    middle = onto_sheets(body, middle, _sheets_at(body, face_mid, sheet, len(edges)))
+    return Mesh(
         points=frozen(np.concatenate([points, middle])),
         tets=frozen(np.hstack([tets, corners + of_pair.reshape(-1, 6)])),
         corners=corners,
         faces=frozen(np.hstack([triangles, corners + face_mid])),
         piece=frozen(piece),
     )
+
+
+def drawn_to_rim(mesh: Mesh, body: Body) -> Mesh:
+    """Return the mesh with the middle nodes of edges that leave the clamped rim closer to the rim.
+
+    The rim is where the body's held pieces meet others.
+
+    Notes
+    -----
+    Where a held face meets a free one at a right angle, the displacement goes like r^l, l between
+    0.59 (nu = 1/2) and 1 (nu = 0): M. L. Williams 1952, J. Appl. Mech. 19, 526. Ordinary quadratic
+    elements miss it and make the whole body too stiff. An edge from the rim whose middle node
+    stands at a quarter of its length holds r^(1/2) exactly (R. S. Barsoum 1976, Int. J. Numer.
+    Meth. Eng. 10, 25); at `RIM_SHARE` it holds nearly the same, and its map is still invertible at
+    the rim. Measured against the reference fields at equal unknowns: the finger's largest error
+    falls from 0.56 to 0.26 % (6 072 unknowns), the block's from 0.28 to 0.10 % (3 771).
+    """
+    others = [piece for piece in np.unique(mesh.piece) if piece not in body.held_pieces]
+    rim = mesh.nodes_on(body.held_pieces) & mesh.nodes_on(others)
+    points = mesh.points.copy()
+    for edge, (a, b) in enumerate(TET_EDGES):
+        middle = mesh.tets[:, 4 + edge]
+        for one, other in ((mesh.tets[:, a], mesh.tets[:, b]), (mesh.tets[:, b], mesh.tets[:, a])):
+            leaves = rim[one] & ~rim[other]
+            start, end, between = (mesh.points[nodes[leaves]] for nodes in (one, other, middle))
+            # the edge's own parabola at RIM_SHARE, so that curved edges keep their curve
+            points[middle[leaves]] = (
+                (1.0 - RIM_SHARE) * (1.0 - 2.0 * RIM_SHARE) * start
+                + RIM_SHARE * (2.0 * RIM_SHARE - 1.0) * end
+                + 4.0 * RIM_SHARE * (1.0 - RIM_SHARE) * between
+            )
+    on = node_sheets(mesh, body)
+    moved = np.any(points != mesh.points, axis=1)
+    points[moved] = onto_sheets(body, points[moved], on[moved])
+    return replace(mesh, points=frozen(points))
+
+
+def onto_sheets(body: Body, points: Points, on: Bools, *, depth_mm: float = 0.0) -> Points:
+    """Return the (n, 3) nearest points on sheets, edges (two sheets) or corners (three) of the
+    surface, by Newton steps of least length.
+
+    Parameters
+    ----------
+    on
+        (n, sheets): the sheets that each point shall lie on; none leaves the point where it is.
+    depth_mm
+        Depth of the level set that takes the sensing sheets' place.
+    """
+    points = np.array(points, dtype=np.float64)
+    if len(points) == 0:
+        return points
+    for _ in range(30):
+        away = body.sheet_distances(points) - depth_mm * body.sensing_sheets
+        distance = np.where(on, away, 0.0)
+        if np.max(np.abs(distance)) < 1e-14:
+            break
+        normals = np.where(on[:, :, None], body.sheet_normals(points), 0.0)
+        step = np.linalg.pinv(normals, rcond=1e-6) @ distance[:, :, None]
+        points -= step[:, :, 0]
+    return points
+
+
+def boundary_triangles(tets: Ints) -> Ints:
+    """Return the (f, 3) faces that belong to one tetrahedron only, right-hand normals pointing
+    out."""
+    faces = tets[:, TET_FACES].reshape(-1, 3)
+    _, first, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    return np.asarray(faces[np.sort(first[count == 1])])
+
+
+def _classify(body: Body, points: Points, triangles: Ints) -> Ints:
+    """Return (f,) the sheet each boundary triangle lies on.
+
+    Distance alone can't separate the sheets of a small triangle on a rounded edge. So the cost of a
+    sheet is its largest distance at the corners in units of the longest edge, plus 1 - cosine of
+    the angle between the normals.
+    """
+    corner = points[triangles]
+    distance = (
+        np.abs(body.sheet_distances(corner.reshape(-1, 3)))
+        .reshape(len(triangles), 3, -1)
+        .max(axis=1)
+    )
+    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    outward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    turned = 1 + np.einsum("fpk,fk->fp", body.sheet_normals(corner.mean(axis=1)), outward)
+    return np.asarray(np.argmin(distance / longest[:, None] + turned, axis=1), np.int64)
+
+
+def node_sheets(mesh: Mesh, body: Body) -> Bools:
+    """Return (n, sheets): which of the body's sheets meet at each node."""
+    sheet = body.sheets_of(mesh.points[mesh.faces], mesh.piece)
+    return _sheets_at(body, mesh.faces, sheet, len(mesh.points))
+
+
+def _sheets_at(body: Body, nodes: Ints, sheet: Ints, count: int) -> Bools:
+    """Return (count, sheets): which sheets (f,) of faces (f, k) meet at each of ``count`` nodes."""
+    on = np.zeros((count, len(body.sensing_sheets)), dtype=bool)
+    on[nodes.ravel(), np.repeat(sheet, nodes.shape[1])] = True
+    return on

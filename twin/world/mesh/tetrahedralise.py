@@ -1,8 +1,9 @@
 """Tetrahedra inside a closed surface, by pytetwild in a guarded child process.
 
-Why a child: the mesher holds the interpreter's lock and ignores signals until it is done, writes into the current
-folder, and ends the process on bad input. A child with a folder of its own, one thread and a time limit can be killed
-at any moment, and nothing it does reaches the caller but two arrays, which are checked before and after.
+Why a child: the mesher holds the interpreter's lock and ignores signals until it is done, writes
+into the current folder, and ends the process on bad input. A child with a folder of its own, one
+thread and a time limit can be killed at any moment, and nothing it does reaches the caller but two
+arrays, which are checked before and after.
 
 Run as ``python -m twin.world.mesh.tetrahedralise IN.npz OUT.npz`` this module *is* the child.
 """
@@ -10,21 +11,24 @@ Run as ``python -m twin.world.mesh.tetrahedralise IN.npz OUT.npz`` this module *
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from twin.arrays import Floats, Ints, Points, frozen
 from twin.errors import InputError, MeshError
-from twin.places import ROOT
-from twin.world.mesh.snap import signed_volumes
+from twin.files import ROOT
+from twin.world.mesh.elements import signed_volumes
+from twin.world.mesh.quality import open_edges
 
 _PR_SET_PDEATHSIG = 1
 
@@ -34,7 +38,7 @@ _STOP_ENERGY = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What the mesher is asked for.
+    """The input of the mesher.
 
     Attributes
     ----------
@@ -45,7 +49,8 @@ class Request:
     coarse_mm
         Longest edge, mm.
     envelope
-        How far the result's surface may be from the input's, as a part of the bounding box's diagonal.
+        How far the result's surface may be from the input's, as a part of the bounding box's
+        diagonal.
     """
 
     vertices: Points
@@ -57,22 +62,14 @@ class Request:
     envelope: float = 1e-3
 
 
-def tetrahedralise(request: Request, *, limit_s: float = 600.0) -> tuple[Points, Ints]:
-    """Fill a closed surface with tetrahedra.
+def tetrahedralise(
+    request: Request, *, limit_s: float = 600.0, processor_s: float | None = None
+) -> tuple[Points, Ints]:
+    """Fill a closed surface: return points (n, 3), mm, every one used, and (m, 4) positive
+    tetrahedra. Not deterministic: the mesher isn't.
 
-    Parameters
-    ----------
-    request
-        The surface and the wanted edges.
-    limit_s
-        Time limit of the child, s.
-
-    Returns
-    -------
-    points
-        (n, 3), mm, every one used.
-    tets
-        (m, 4) positive tetrahedra. Not deterministic: the mesher isn't.
+    ``limit_s`` limits the child's time, s, and ``processor_s`` its processor time, which another
+    program's work does not use up (Unix only).
 
     Raises
     ------
@@ -85,8 +82,14 @@ def tetrahedralise(request: Request, *, limit_s: float = 600.0) -> tuple[Points,
     with tempfile.TemporaryDirectory(prefix="twin-mesh-") as folder:
         given, made = Path(folder, "in.npz"), Path(folder, "out.npz")
         with given.open("wb") as file:
-            _write(file, {"limit_s": limit_s, **vars(request)})
-        _run_child([sys.executable, "-m", "twin.world.mesh.tetrahedralise", str(given), str(made)], folder, limit_s)
+            limits = {"limit_s": limit_s, "processor_s": processor_s or limit_s}
+            values: dict[str, Any] = {**limits, **vars(request)}
+            np.savez(file, **values)
+        _run_child(
+            [sys.executable, "-m", "twin.world.mesh.tetrahedralise", str(given), str(made)],
+            folder,
+            limit_s,
+        )
         if not made.exists():
             raise MeshError("the mesher ended without a result; build the mesh again")
         with np.load(made, allow_pickle=False) as result:
@@ -97,19 +100,31 @@ def tetrahedralise(request: Request, *, limit_s: float = 600.0) -> tuple[Points,
 def _check_request(request: Request) -> None:
     """Refuse what would end the child's process or be 'repaired' in silence."""
     vertices, triangles = request.vertices, request.triangles
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 4 or not np.all(np.isfinite(vertices)):
-        raise InputError(f"surface vertices must be (n >= 4, 3) finite numbers in mm, not {vertices.shape}; check them")
+    if (
+        vertices.ndim != 2
+        or vertices.shape[1] != 3
+        or len(vertices) < 4
+        or not np.all(np.isfinite(vertices))
+    ):
+        raise InputError(
+            f"surface vertices must be (n >= 4, 3) finite numbers in mm, not {vertices.shape}; "
+            "check them"
+        )
     if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) < 4:
-        raise InputError(f"surface triangles must be (m >= 4, 3) indices, not {triangles.shape}; split other polygons")
+        raise InputError(
+            f"surface triangles must be (m >= 4, 3) indices, not {triangles.shape}; split other "
+            "polygons"
+        )
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise InputError(
-            f"surface triangles name vertices {triangles.min()} to {triangles.max()}; allowed: 0 to {len(vertices) - 1}"
+            f"surface triangles name vertices {triangles.min()} to {triangles.max()}; allowed: 0 "
+            f"to {len(vertices) - 1}"
         )
-    one_way = {(int(a), int(b)) for a, b in triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)}
-    if len(one_way) != 3 * len(triangles) or any((b, a) not in one_way for a, b in one_way):
+    if open_edges(triangles):
         raise InputError(
-            f"the surface of {len(triangles)} triangles is not closed and wound one way (every edge must belong to "
-            "two triangles that run along it in opposite directions); mend it first"
+            f"the surface of {len(triangles)} triangles is not closed and wound one way (every "
+            "edge must belong to two triangles that run along it in opposite directions); mend it "
+            "first"
         )
     edge = request.background_edge_mm
     if not (np.all(np.isfinite(edge)) and np.all(edge > 0) and request.coarse_mm > 0):
@@ -117,7 +132,8 @@ def _check_request(request: Request) -> None:
 
 
 def _run_child(command: list[str], folder: str, limit_s: float) -> None:
-    """Run the child in its own folder with one thread; kill it after ``limit_s`` or when the caller is interrupted."""
+    """Run the child in its own folder with one thread; kill it after ``limit_s`` or when the caller
+    is interrupted."""
     environment = {
         **os.environ,
         "OMP_NUM_THREADS": "1",
@@ -136,13 +152,21 @@ def _run_child(command: list[str], folder: str, limit_s: float) -> None:
         except subprocess.TimeoutExpired:
             child.kill()
             raise MeshError(
-                f"the mesher was stopped after its time limit of {limit_s:g} s; ask for longer edges or more time"
+                f"the mesher was stopped after its time limit of {limit_s:g} s; ask for longer "
+                "edges or more time"
             ) from None
         except BaseException:
             child.kill()
             raise
+    if hasattr(signal, "SIGXCPU") and child.returncode == -signal.SIGXCPU:
+        raise MeshError(
+            "the mesher was stopped after its processor time; ask for longer edges or more time"
+        )
     if child.returncode:
-        raise MeshError(f"the mesher {_ending(child.returncode)}: {_last_line(said)}; check the surface, or try again")
+        raise MeshError(
+            f"the mesher {_ending(child.returncode)}: {_last_line(said)}; check the surface, or "
+            "try again"
+        )
 
 
 def _ending(code: int) -> str:
@@ -161,10 +185,20 @@ def _last_line(said: bytes) -> str:
 
 def _checked_result(request: Request, points: Points, tets: Ints) -> tuple[Points, Ints]:
     """Drop unused points, turn tetrahedra positive, and compare the volume with the surface's."""
-    if len(tets) == 0 or not np.all(np.isfinite(points)) or tets.min() < 0 or tets.max() >= len(points):
-        raise MeshError(f"the mesher returned {len(tets)} tetrahedra that make no body; ask for shorter edges")
+    if (
+        len(tets) == 0
+        or not np.all(np.isfinite(points))
+        or tets.min() < 0
+        or tets.max() >= len(points)
+    ):
+        raise MeshError(
+            f"the mesher returned {len(tets)} tetrahedra that make no body; ask for shorter edges"
+        )
     used, new = np.unique(tets, return_inverse=True)
-    points, tets = np.ascontiguousarray(points[used], np.float64), new.reshape(-1, 4).astype(np.int64)
+    points, tets = (
+        np.ascontiguousarray(points[used], np.float64),
+        new.reshape(-1, 4).astype(np.int64),
+    )
     flipped = signed_volumes(points, tets) < 0
     tets[flipped] = tets[flipped][:, [0, 2, 1, 3]]
     a, b, c = (request.vertices[request.triangles[:, k]] for k in range(3))
@@ -172,8 +206,8 @@ def _checked_result(request: Request, points: Points, tets: Ints) -> tuple[Point
     volume = float(np.sum(signed_volumes(points, tets)))
     if abs(volume / wanted - 1) > 0.02:
         raise MeshError(
-            f"the tetrahedra fill {volume:.6g} mm3 of the surface's {wanted:.6g} mm3 (allowed: 2 % apart); "
-            "ask for shorter edges near thin parts"
+            f"the tetrahedra fill {volume:.6g} mm3 of the surface's {wanted:.6g} mm3 (allowed: 2 % "
+            "apart); ask for shorter edges near thin parts"
         )
     return frozen(points), frozen(tets)
 
@@ -181,12 +215,14 @@ def _checked_result(request: Request, points: Points, tets: Ints) -> tuple[Point
 def _child(given: str, made: str) -> None:
     """Mesh what IN.npz asks for and write OUT.npz.
 
-    The alarm's default action ends the process even inside native code, so that an orphan doesn't run on for ever.
+    The alarm's default action ends the process even inside native code, so that an orphan doesn't
+    run on for ever.
     """
     with np.load(given, allow_pickle=False) as request:
         _end_with_parent()
         if hasattr(signal, "alarm"):
             signal.alarm(int(float(request["limit_s"])) + 60)
+        _limit_processor(math.ceil(float(request["processor_s"])))
         import pytetwild
 
         points, tets = pytetwild.tetrahedralize(
@@ -202,7 +238,7 @@ def _child(given: str, made: str) -> None:
             bg_values=request["background_edge_mm"],
         )
     with Path(made).open("wb") as file:
-        _write(file, {"points": points, "tets": np.asarray(tets, np.int64)})
+        np.savez(file, points=points, tets=np.asarray(tets, np.int64))
 
 
 def _end_with_parent() -> None:
@@ -211,9 +247,14 @@ def _end_with_parent() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def _write(file: BinaryIO, values: dict[str, Any]) -> None:
-    """Write arrays and numbers to an open ``.npz`` file."""
-    np.savez(file, **values)
+def _limit_processor(seconds: int) -> None:
+    """Ask the system to end this process when it has used so much processor time."""
+    with suppress(ImportError):
+        import resource
+
+        hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
+        own = seconds if hard == resource.RLIM_INFINITY else min(seconds, hard)
+        resource.setrlimit(resource.RLIMIT_CPU, (own, hard))
 
 
 if __name__ == "__main__":

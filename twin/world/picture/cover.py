@@ -1,11 +1,12 @@
-"""The deformed cover as background: how much brighter or darker its bulge makes it.
+"""The cover behind the markers: its light at rest, and how a press changes it.
 
-A press tilts the black cover and moves it towards the camera, so that it takes other light. Both are smooth, so they
-are computed on a coarse grid of rays and laid over the picture of the cover at rest. LEDs all around the lens, as in
-the shipped scenes, make up for each other: there a bulge changes even a grey cover by a count or less.
+A press tilts the black cover and moves it towards the camera, so that it takes other light. Both
+are smooth, so they are computed on a coarse grid of rays and multiply the picture of the cover at
+rest. LEDs all around the lens, as in the shipped scenes, make up for each other: there a bulge
+changes even a grey cover by a count or less.
 
-Validity: first order in the displacement; detail finer than the grid, at the rim of a contact, is smoothed; the cover
-takes no shadows.
+Validity: the change is first order in the displacement; detail finer than the grid, at the rim of a
+contact, is smoothed; the cover takes no shadows, as it is nearly black.
 """
 
 from __future__ import annotations
@@ -17,11 +18,10 @@ import numpy as np
 from twin.arrays import Floats, Points, Singles
 from twin.parts.scene import Scene
 from twin.theory.optics import rays
-from twin.world.picture.lighting import cover_brightness, cover_places
-from twin.world.picture.view import stretch
+from twin.world.picture.lamps import irradiance, lamps_at
 
-STEP_PX = 16
-"""Between the rays of the grid."""
+_STEP_PX = 16
+"""Distance between the rays of the grid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,15 +53,18 @@ class Background:
 
     def __init__(self, scene: Scene, top: float) -> None:
         assert scene.camera is not None
-        camera, self._scene, self._top = scene.camera, scene, top
+        camera = scene.camera
+        self._scene, self._top = scene, top
         self._size = (camera.height_px, camera.width_px)
         self._columns, self._rows = (
-            np.linspace(0, size - 1, max(size // STEP_PX, 1) + 1) if size > 1 else np.zeros(1)
+            np.linspace(0, size - 1, max(size // _STEP_PX, 1) + 1) if size > 1 else np.zeros(1)
             for size in (camera.width_px, camera.height_px)
         )
         nodes = np.stack(np.meshgrid(self._columns, self._rows), axis=-1).reshape(-1, 2)
-        origins, directions = rays(nodes, camera, scene.material.refractive_index, scene.body.base_z_mm)
-        points, normals = cover_places(origins, directions, scene)
+        origins, directions = rays(
+            nodes, camera, scene.material.refractive_index, scene.body.base_z_mm
+        )
+        points, normals = _cover_places(origins, directions, scene)
         self._met = np.isfinite(points[:, 0])
         self._along, self._normals = directions[self._met], normals[self._met]
         self.points: Points = points[self._met]
@@ -72,19 +75,86 @@ class Background:
 
         Notes
         -----
-        A ray meets the moved surface where it has come (u . n) / (d . n) farther along its direction d. The normal of
-        a deformed surface is F^-T n, F = I + du/dx.
+        A ray meets the moved surface where it has come (u . n) / (d . n) farther along its
+        direction d. The normal of a deformed surface is F^-T n, F = I + du/dx.
         """
         ahead = np.einsum("ni,ni->n", motion.displacement_mm, self._normals)
         ahead = ahead / np.einsum("ni,ni->n", self._along, self._normals)
         moved = self.points + self._along * ahead[:, None]
         deformed = np.swapaxes(np.eye(3) + motion.gradient, 1, 2)
-        turned = np.asarray(np.linalg.solve(deformed, self._normals[:, :, None])[:, :, 0], np.float64)
+        turned = np.asarray(
+            np.linalg.solve(deformed, self._normals[:, :, None])[:, :, 0], np.float64
+        )
         normals = turned / np.linalg.norm(turned, axis=1, keepdims=True)
-        before = cover_brightness(self.points, self._normals, self._scene, self._top)
-        after = cover_brightness(moved, normals, self._scene, self._top)
+        before = _brightness(self.points, self._normals, self._scene, self._top)
+        after = _brightness(moved, normals, self._scene, self._top)
         factor = np.ones(len(self._met))
         factor[self._met] = after / np.maximum(before, 1e-12)
         grid = factor.reshape(len(self._rows), len(self._columns))
         smooth = stretch(self._rows, self._size[0]) @ grid @ stretch(self._columns, self._size[1]).T
         return smooth.astype(np.float32)
+
+
+def cover_light(origins: Points, directions: Floats, scene: Scene, top: float) -> Floats:
+    """Return (n, 3) light from the cover along rays inside the body; 0 where a ray leaves the body
+    or there is none.
+
+    Parameters
+    ----------
+    origins, directions
+        (n, 3) rays from the base plane, mm; NaN rays see nothing.
+    scene
+        With camera and light.
+    top
+        The irradiance that counts as 1, of `twin.world.picture.lamps.brightest`.
+    """
+    light = np.zeros((len(origins), 3))
+    if scene.cover is not None:
+        points, normals = _cover_places(origins, directions, scene)
+        seen = np.isfinite(points[:, 0])
+        bright = _brightness(points[seen], normals[seen], scene, top)
+        light[seen] = bright[:, None] * np.asarray(scene.cover.albedo)
+    return light
+
+
+def stretch(nodes: Floats, size: int) -> Floats:
+    """Return the (size, nodes) matrix of linear interpolation from nodes to pixels."""
+    return np.stack(
+        [np.interp(np.arange(size), nodes, column) for column in np.eye(len(nodes))], axis=1
+    )
+
+
+def _cover_places(origins: Points, directions: Floats, scene: Scene) -> tuple[Points, Floats]:
+    """Return (n, 3) places where rays inside the body meet the cover at rest, mm, and its inward
+    normals; NaN for none.
+
+    The cover's inner side is a level set of the depth, an exact distance: rays march by it.
+    """
+    assert scene.cover is not None
+    points, normals = np.full((len(origins), 3), np.nan), np.full((len(origins), 3), np.nan)
+    seen = np.flatnonzero(
+        np.isfinite(origins).all(axis=1) & scene.body.contains(np.nan_to_num(origins), -1e-6)
+    )
+    start, along = origins[seen], directions[seen]
+    distance = np.zeros(len(start))
+    gap = np.zeros(len(start))
+    for _ in range(80):
+        gap = scene.body.depth(start + along * distance[:, None]) - scene.cover.thickness_mm
+        distance += gap
+        if not np.any(np.abs(gap) > 1e-4):
+            break
+    places = start + along * distance[:, None]
+    hits = (scene.body.piece_distances(places)[:, 1:] > -1e-3).all(axis=1) & (np.abs(gap) < 1e-2)
+    points[seen[hits]] = places[hits]
+    normals[seen[hits]] = scene.body.piece_normals(places[hits])[:, 0]
+    return points, normals
+
+
+def _brightness(points: Points, normals: Floats, scene: Scene, top: float) -> Floats:
+    """Return (n,) light that white places of the cover send back, a share of even light
+    included."""
+    assert scene.light is not None
+    ambient = scene.light.ambient
+    direct = irradiance(points, normals, lamps_at(points, scene)) / top
+    bright: Floats = (1 - ambient) * direct + ambient
+    return bright

@@ -1,0 +1,870 @@
+"""The one writer of measured pages: ``python -m benchmarks.pages [PAGE ...]`` puts stored results into docs and README.
+
+A page is Markdown with marks; what stands between two marks is the output of a function of the rows stored in
+benchmarks/results. A test compares every page with this output, so nothing here needs the programs that measured.
+``python -m benchmarks.pages reproduction --from DIR`` first stores what ``twin reproduce all --out DIR`` wrote.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from benchmarks import ROOT
+from benchmarks.record import RESULTS, Row, names_of, parser_of, read, store, stored, table
+
+Run = tuple[float, float]
+"""Seconds and error."""
+
+
+def front(runs: Sequence[Run]) -> list[Run]:
+    """Return the runs that no other run beats in both time and error, fastest first."""
+    best: list[Run] = []
+    for seconds, error in sorted(runs):
+        if not best or error < best[-1][1]:
+            best.append((seconds, error))
+    return best
+
+
+def seconds_to(runs: Sequence[Run], error: float) -> float | None:
+    """Return the seconds that a program takes to an error, from its front by straight lines in log-log axes.
+
+    A program whose fastest run is better already takes the time of that run, an upper bound. None: never so good.
+    """
+    best = front(runs)
+    if not best or best[-1][1] > error:
+        return None
+    if best[0][1] <= error:
+        return best[0][0]
+    seconds, errors = np.log(np.array(best)).T
+    return float(np.exp(np.interp(-np.log(error), -errors, seconds)))
+
+
+DOCS = ROOT / "docs"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """A page: its file, its Markdown by mark (the whole page under ""), and what draws its pictures."""
+
+    file: Path
+    parts: Callable[[], Mapping[str, str]]
+    draw: Callable[[], None] | None = None
+
+    def text(self) -> str:
+        """Return the page with the stored results in place."""
+        text = self.file.read_text()
+        for mark, part in self.parts().items():
+            marks = rf"(<!-- {mark} -->\n).*?(<!-- end of {mark} -->)"
+            text = re.sub(marks, lambda m, part=part: m[1] + part + m[2], text, flags=re.DOTALL) if mark else part  # type: ignore[misc]
+        return text
+
+
+def measured_on(stage: str, cores: bool = False) -> str:
+    """Return the machine of a stage's last run, as a sentence."""
+    told = read(stage)["machine"]
+    return f"On {told['processor']}, {told['cores']} cores." if cores else f"On {told['processor']}."
+
+
+def titled(tables: Mapping[str, list[Row]]) -> str:
+    """Return tables under bold titles; those without rows are left out."""
+    return "\n\n".join(f"**{title}**\n\n{table(rows)}" for title, rows in tables.items() if rows)
+
+
+def chart(name: str, **kind: Any) -> tuple[Any, Any, Callable[[], None]]:
+    """Return a figure, its panels, and what saves it as docs/NAME."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, panels = plt.subplots(**{"layout": "constrained", **kind})
+
+    def save() -> None:
+        figure.savefig(DOCS / name, dpi=100)
+        plt.close(figure)
+
+    return figure, panels, save
+
+
+# elasticity: stages elasticity and peers
+
+GOAL, COMPARED = 0.003, ("0.5", "0.49")
+"""Error at which programs are compared, and Poisson's ratios."""
+
+COLOURS = {
+    "twin": "#c0392b",
+    "twin, table": "#e67e22",
+    "NGSolve": "#2457c5",
+    "scikit-fem": "#0a8a4a",
+    "CalculiX": "#8e44ad",
+    "NGSolve, P1": "#999999",
+    "NGSolve, P2": "#555555",
+}
+
+
+def worst(row: Row) -> float:
+    """Return a row's error: the larger one of its two loads, over all points."""
+    return max(row["error_z"], row["error_x"])
+
+
+def programs(rows: list[Row], body: str, nu: str) -> dict[str, list[Row]]:
+    """Return the rows of each program on a body at one Poisson's ratio; linear and quadratic elements apart."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        if row["body"] == body and row.get("nu") == nu and "remark" not in row:
+            apart = f", {row['element']}" if row["program"] == "NGSolve" and row["element"] in ("P1", "P2") else ""
+            found.setdefault(row["program"] + apart, []).append(row)
+    return found
+
+
+def to_the_goal(rows: list[Row]) -> list[Row]:
+    """Return one row for every body, Poisson's ratio and program: seconds to the goal, also over twin's own."""
+    out = []
+    for body, nu in ((body, nu) for body in ("block", "finger") for nu in COMPARED):
+        groups = programs(rows, body, nu)
+        needed = {name: seconds_to([(r["cpu_s"], worst(r)) for r in group], GOAL) for name, group in groups.items()}
+        for name, group in groups.items():
+            best, seconds, own = min(group, key=worst), needed[name], needed.get("twin")
+            out.append(
+                {
+                    "body": body,
+                    "nu": nu,
+                    "program": name,
+                    "CPU s": "not reached" if seconds is None else seconds,
+                    "over twin's": seconds / own if seconds and own else "",
+                    "wall s": seconds_to([(r["wall_s"], worst(r)) for r in group], GOAL) or "",
+                    "best error, %": 100 * worst(best),
+                    "its CPU s": best["cpu_s"],
+                }
+            )
+    return out
+
+
+def ways_in_short(rows: list[Row]) -> list[Row]:
+    """Return one row for every body and way: CPU seconds of first and next loads, errors, and their estimates."""
+    from benchmarks.reference import reference
+
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["body"], row["way"]), []).append(row)
+    short = []
+    for (body, way), cases in groups.items():
+        first, later = ([case["cpu_s"] for case in cases if case["load"] == which] for which in ("first", "next"))
+        told = [case["estimate"] / case["error"] for case in cases if "estimate" in case]
+        fair = [
+            case["estimate"] / (case["error"] + reference(body).case(case["case"]).own_error)
+            for case in cases
+            if "estimate" in case
+        ]
+        short.append(
+            {
+                "body": body,
+                "way": way,
+                "unknowns": cases[0]["unknowns"],
+                "first load, CPU s": median(first) if first else "",
+                "next load, CPU s": median(later) if later else "",
+                "cases": len(cases),
+                "worst error, %": 100 * max(case["error"] for case in cases),
+                "at markers, %": 100 * max(case["marker_error"] for case in cases),
+                "estimate over error": f"{min(told):.2g} to {max(told):.2g}" if told else "",
+                "over error plus reference's own": f"{min(fair):.2g} to {max(fair):.2g}" if fair else "",
+            }
+        )
+    return short
+
+
+def _all_runs(rows: list[Row]) -> list[Row]:
+    """Return the rows of all programs as they are shown."""
+    return [
+        {
+            "body": row["body"],
+            "nu": row.get("nu", ""),
+            "program": row["program"],
+            "element": row.get("element", ""),
+            "mesh": row.get("mesh", ""),
+            "unknowns": row.get("unknowns", ""),
+            "CPU s": row.get("cpu_s", row.get("remark", "")),
+            "wall s": row.get("wall_s", ""),
+            "next load, CPU s": row.get("next_cpu_s", ""),
+            "error z, %": 100 * row["error_z"] if "error_z" in row else "",
+            "error x, %": 100 * row["error_x"] if "error_x" in row else "",
+            "at markers, %": 100 * max(row["marker_error_z"], row["marker_error_x"]) if "error_z" in row else "",
+        }
+        for row in rows
+    ]
+
+
+def _elasticity() -> dict[str, str]:
+    peers = stored("peers")
+    tables = {
+        f"Seconds to {100 * GOAL:g} %, from each program's best runs (straight lines between them)": to_the_goal(peers),
+        "Every way of the program, over all reference cases": ways_in_short(stored("elasticity")),
+        "All runs of all programs": _all_runs(peers),
+    }
+    return {"results": f"\n{titled(tables)}\n\n{measured_on('elasticity')}\n"}
+
+
+def _draw_elasticity() -> None:
+    """Draw error against time, a panel for each body and Poisson's ratio, with the front that no run is below."""
+    rows, handles = stored("peers"), {}
+    figure, panels, save = chart("elasticity.png", nrows=2, ncols=2, figsize=(11, 8), sharex=True, sharey=True)
+    for across, nu in zip(panels.T, COMPARED, strict=True):
+        for panel, body in zip(across, ("block", "finger"), strict=True):
+            groups = {name: group for name, group in programs(rows, body, nu).items() if name in COLOURS}
+            runs = [(row["cpu_s"], worst(row)) for group in groups.values() for row in group]
+            if runs:
+                panel.plot(*zip(*front(runs), strict=True), "o-", color="black", linewidth=6, markersize=13, alpha=0.15)
+            for name, group in groups.items():
+                dots = [(row["cpu_s"], worst(row)) for row in group]
+                panel.plot(*zip(*front(dots), strict=True), color=COLOURS[name], linewidth=0.8)
+                handles[name] = panel.scatter(*zip(*dots, strict=True), color=COLOURS[name], s=22, zorder=3)
+            panel.axhline(GOAL, color="black", linewidth=0.6, linestyle=":")
+            panel.set(xscale="log", yscale="log", title=f"{body}, Poisson's ratio {nu}")
+            panel.grid(alpha=0.3)
+    for panel in panels[-1]:
+        panel.set_xlabel("CPU seconds from the ready mesh")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("largest error over largest displacement")
+    shown = [name for name in COLOURS if name in handles]
+    figure.legend([handles[name] for name in shown], shown, loc="outside lower center", ncols=len(shown))
+    save()
+
+
+# contact: stage contact, and presses
+
+CLOSED, HELD = "Against closed forms, on a half-space", "What must hold, on the sensors' own bodies"
+PEER, SAID = "Against tamaas, seconds beside errors", "tamaas wasn't run"
+"""Tables of the stage: a row's ``what``."""
+
+BOUNDS = (0.005, 0.001, 0.0003)
+"""Errors of the indentation at which the programs' seconds are compared."""
+
+NO_ORDER = ("total force", "collinear residual")
+
+
+def of(rows: list[Row], what: str) -> list[Row]:
+    """Return the rows of one table, without its name."""
+    return [{k: v for k, v in row.items() if k != "what"} for row in rows if row["what"] == what]
+
+
+def series(rows: list[Row]) -> list[list[Row]]:
+    """Return the rows of closed forms by case, Poisson's ratio and quantity."""
+    groups: dict[tuple[str, float, str], list[Row]] = {}
+    for row in of(rows, CLOSED):
+        groups.setdefault((row["case"], row["nu"], row["quantity"]), []).append(row)
+    return list(groups.values())
+
+
+def order(rows: list[Row]) -> float:
+    """Return the slope of log error over log patch size of one quantity's rows, by least squares."""
+    size = np.log([1.0 / row["across"] for row in rows])
+    return float(np.polyfit(size, np.log([max(abs(row["error"]), 1e-12) for row in rows]), 1)[0])
+
+
+def extrapolated(rows: list[Row]) -> float:
+    """Return the error of the value that the last three grids lead to (Aitken), sizes in equal ratios or nearly so."""
+    one, two, three = (row["error"] for row in rows[-3:])
+    bend = (three - two) - (two - one)
+    return float(three - (three - two) ** 2 / bend) if bend else float(three)
+
+
+def _closed_table(rows: list[Row]) -> list[Row]:
+    """Return one row a quantity: the error on every grid, the order, and what three grids lead to."""
+    shown, sizes = [], sorted({row["across"] for row in of(rows, CLOSED)})
+    for one in series(rows):
+        last, errors = one[-1], {row["across"]: 100 * row["error"] for row in one}
+        row = {"case": last["case"], "nu": last["nu"], "quantity": last["quantity"]}
+        row |= {f"{across} across, %": errors.get(across, "") for across in sizes}
+        if last["quantity"] not in NO_ORDER:
+            row["order"] = order(one)
+        if last["case"].startswith(("flat", "stuck")):
+            row["extrapolated, %"] = 100 * extrapolated(one)
+        shown.append(row | {"finest, CPU s": last["cpu_s"]})
+    return shown
+
+
+def _to_bounds(rows: list[Row]) -> list[Row]:
+    """Return the seconds of both programs to every bound in every case, by each one's own best runs."""
+    shown = []
+    for case, bound in ((c, b) for c in dict.fromkeys(row["case"] for row in rows) for b in BOUNDS):
+        row = {"case": case, "off by at most": bound}
+        for part, words in (("cpu_s", "all"), ("equilibrium_s", "equilibrium alone")):
+            for program in ("tamaas", "twin"):
+                mine = [r for r in rows if r["case"] == case and r["program"] == program]
+                seconds = seconds_to([(r[part], r["indentation error"]) for r in mine], bound)
+                row[f"{program}, {words}"] = "not reached" if seconds is None else seconds
+        shown.append(row)
+    return shown
+
+
+def _contact() -> dict[str, str]:
+    rows = stored("contact")
+    peers = of(rows, PEER)
+    parts = [f"**{CLOSED}** (error over the closed form's value)", table(_closed_table(rows))]
+    parts += [f"**{HELD}** (over the weight or the peak pressure)", table(of(rows, HELD))]
+    if peers:
+        parts += [
+            f"**{PEER}** (tamaas on 512 x 512 cells is the truth)",
+            table(peers),
+            "CPU seconds to an indentation as good or better, by each program's own best runs",
+            table(_to_bounds(peers)),
+        ]
+    parts += [row["remark"] for row in of(rows, SAID)]
+    for kept in sorted(RESULTS.glob("presses_*.json")):
+        found, body = read(kept.stem), kept.stem.removeprefix("presses_")
+        refused = ", ".join(f"{words} {count}" for words, count in sorted(found["refused"].items())) or "none"
+        groups = [{"probe and friction": name, **group} for name, group in sorted(found["groups"].items())]
+        parts += [
+            f"**{found['done']} random presses on the {body}: {len(found['failed'])} failed** (refused: {refused})",
+            table(groups),
+        ]
+    return {"results": "\n" + "\n\n".join([*parts, measured_on("contact")]) + "\n\n"}
+
+
+def _draw_contact() -> None:
+    """Draw errors against patches across, and against CPU seconds.
+
+    What is compared has its colour, the case its mark; Poisson's ratios other than 0.5 are dashed.
+    """
+    figure, (left, right), save = chart("contact.png", nrows=1, ncols=2, figsize=(11, 4.8))
+    import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter, ScalarFormatter
+
+    drawn = [one for one in series(stored("contact")) if one[-1]["quantity"] not in NO_ORDER]
+    compared = list(dict.fromkeys((one[-1]["case"], one[-1]["quantity"]) for one in drawn))
+    cases = list(dict.fromkeys(case for case, _ in compared))
+    paired = plt.get_cmap("tab20").colors  # strong and pale by turns
+    colours = dict(zip(compared, [*paired[::2], *paired[1::2]], strict=False))
+    marks = dict(zip(cases, "osD^v<>P", strict=False))
+    for one in drawn:
+        case, quantity, nu = one[-1]["case"], one[-1]["quantity"], one[-1]["nu"]
+        line = "-" if nu == 0.5 else "--"
+        style = {"color": colours[case, quantity], "marker": marks[case], "ls": line, "ms": 4, "lw": 1.2}
+        errors = [max(abs(row["error"]), 1e-6) for row in one]
+        left.loglog([row["across"] for row in one], errors, label=f"{case}: {quantity}, nu {nu}", **style)
+        right.loglog([row["cpu_s"] for row in one], errors, **style)
+    left.set(xlabel="patches across the contact", ylabel="error over the closed form's value")
+    left.set_xticks(sorted({row["across"] for one in drawn for row in one}))
+    left.xaxis.set_major_formatter(ScalarFormatter())
+    left.xaxis.set_minor_formatter(NullFormatter())
+    right.set(xlabel="CPU seconds of the whole path")
+    figure.legend(loc="outside right center", fontsize=7)
+    save()
+
+
+# pictures: stages picture and referee; tracking
+
+GOAL_PX = 0.003
+"""Centroid error, rms, at which methods are compared."""
+
+
+def _method(row: Row) -> str:
+    """Return a row's method without its number of samples."""
+    return str(row["method"]).split(",")[0] if row["method"].startswith("mi.render") else str(row["method"])
+
+
+def pictures_to_the_goal(rows: list[Row]) -> list[Row]:
+    """Return one row for every scene and method with shadows: CPU time to the goal, and over the splat's.
+
+    Samples drawn at random err by the inverse root of their number: stock Mitsuba's time is continued so.
+    """
+    out = []
+    for scene in dict.fromkeys(row["scene"] for row in rows if "centroid_rms_px" in row):
+        mine = [row for row in rows if row["scene"] == scene and row.get("shadows") is True]
+        needed = {}
+        for method in dict.fromkeys(map(_method, mine)):
+            runs = [(row["cpu_ms"], row["centroid_rms_px"]) for row in mine if _method(row) == method]
+            needed[method] = seconds_to(runs, GOAL_PX)
+            if needed[method] is None:
+                cost, error = min(runs, key=lambda run: run[1])
+                needed[method] = cost * (error / GOAL_PX) ** 2
+        best = needed.get("twin, splat")
+        for method, cost in needed.items():
+            over = cost / best if best else ""
+            out.append({"scene": scene, "method": method, "CPU ms": cost, "over the splat": over})
+    return out
+
+
+def _picture() -> dict[str, str]:
+    rows = stored("picture")
+    goal = {f"CPU time to a centroid error of {GOAL_PX} px rms, with shadows": pictures_to_the_goal(rows)}
+    tables = {
+        "Every method and grid": [row for row in rows if "centroid_rms_px" in row],
+        "CCD, first pictures, memory": [r for r in rows if "centroid_rms_px" not in r],
+        "Against a path integrator with real plates of glass and rubber": stored("referee"),
+    }
+    plot = "![Centroid error against CPU time](picture.png)"
+    return {"results": f"\n{titled(goal)}\n\n{plot}\n\n{titled(tables)}\n"}
+
+
+def _draw_picture() -> None:
+    """Draw error against CPU time, one line for every method."""
+    rows = [row for row in stored("picture") if row.get("shadows") is True]
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    _, panels, save = chart("picture.png", nrows=1, ncols=len(scenes), figsize=(10, 4), sharey=True)
+    for panel, scene in zip(np.atleast_1d(panels), scenes, strict=True):
+        mine = [row for row in rows if row["scene"] == scene]
+        for method in dict.fromkeys(map(_method, mine)):
+            runs = sorted((row["cpu_ms"], row["centroid_rms_px"]) for row in mine if _method(row) == method)
+            panel.loglog(*zip(*runs, strict=True), "o-", label=method)
+        panel.axhline(GOAL_PX, color="grey", lw=0.8)
+        panel.set(title=scene, xlabel="CPU time of a picture, ms")
+        shown = [t for t in (5, 10, 20, 50, 100, 200, 500) if panel.get_xlim()[0] <= t <= panel.get_xlim()[1]]
+        panel.set_xticks(shown, [str(t) for t in shown])
+        panel.set_xticks([], minor=True)
+        panel.legend()
+    np.atleast_1d(panels)[0].set_ylabel("centroid error, px rms")
+    save()
+
+
+def _tracking() -> dict[str, str]:
+    rows = stored("tracking")
+    chains = [row for row in rows if row["way"].startswith("chain")]
+    errors = [row for row in rows if row not in chains]
+    return {"results": f"{table(errors)}\n\n{measured_on('tracking')}\n", "chain": f"{table(chains)}\n"}
+
+
+# the inverse problem: stages inverse and calibrations
+
+
+def _inverse() -> dict[str, str]:
+    rows = stored("inverse")
+    wide = [row for row in rows if row["what"].startswith("point push")]
+    speed = [row for row in rows if "CPU ms" in row]
+    ways = [row for row in rows if "field error" in row and row not in wide and row not in speed]
+    others = [f"* {row['what']}" for row in rows if row not in [*ways, *speed, *wide]]
+    return {
+        "results": f"{table(ways)}\n\n{measured_on('inverse')}\n",
+        "width": f"{table(wide)}\n",
+        "remarks": "\n".join(others) + "\n",
+        "time": f"{table(speed)}\n",
+    }
+
+
+def _calibrations() -> dict[str, str]:
+    rows = [
+        {
+            "truth": row["truth"],
+            "calibration": row["calibration"],
+            "presses": row["presses"],
+            "sensors": row["sensors"],
+            "transfer, between %": row["transfer %"],
+            "transfer, edge %": row["transfer %, edge"],
+            "transfer, worst %": max(row["transfer %, worst"], row["transfer %, edge, worst"]),
+            "force at a known place %": row["known %"],
+            "edge %": row["known %, edge"],
+            "force, place sought %": row["sought %"],
+            "place mm": row["place_mm"],
+            "place, edge mm": row["place_mm, edge"],
+        }
+        for row in stored("calibrations")
+    ]
+    return {"results": f"{table(rows)}\n"}
+
+
+# linearity: benchmarks.validity
+
+
+def law_error(row: Row) -> float:
+    """Return the error that the law of linearity gives for a row of the study."""
+    from twin.theory.linearity import law_of
+
+    flat = row["contact_over_probe_radius"] is None
+    return law_of("cylinder" if flat else "sphere", sheared=row["shear_n"] > 0).error(row["mean_strain"])
+
+
+def _validity() -> dict[str, str]:
+    presses = stored("validity")
+    tables = {
+        "Neo-Hookean rubber against linear theory, same elements, same force": [
+            {
+                "press": row["case"],
+                "push, N": row["push_n"],
+                "shear, N": row["shear_n"] or "",
+                "a/R": "" if (ratio := row["contact_over_probe_radius"]) is None else ratio,
+                "p/E": row["mean_strain"],
+                "strain at a marker": row["strain_markers"],
+                "0.3 mm deep": row["strain_deep"],
+                "stretch - 1 there": row["stretch_deep"],
+                "turn at a marker, deg": row["turn_markers_deg"],
+                "largest error, %": 100 * row["error_max"],
+                "rms, %": 100 * row["error_rms"],
+                "law, %": 100 * law_error(row),
+                "indentation, %": 100 * row["indentation_error"],
+                "unknowns": row["unknowns"],
+            }
+            for row in presses
+        ],
+        "Largest error per strain, for three strains that a law could use: from least to most over all rows": [
+            _range(name, [row for row in presses if (row["contact_over_probe_radius"] is None) == flat])
+            for flat, name in ((False, "sphere"), (True, "flat"))
+        ],
+    }
+    last = f"Contact counted on the study's own meshes. {measured_on('validity')}"
+    return {"results": f"\n{titled(tables)}\n\n{last}\n"}
+
+
+def _range(name: str, rows: list[Row]) -> Row:
+    """Return the least and largest error per strain: what a law of one factor has to span."""
+    line: Row = {"probe": name, "rows": len(rows)}
+    for what, key in (("p/E", "mean_strain"), ("at a marker", "strain_markers"), ("0.3 mm deep", "strain_deep")):
+        ratio = [row["error_max"] / row[key] for row in rows]
+        line[what] = f"{min(ratio):.2g} to {max(ratio):.2g}"
+    return line
+
+
+# error budget and growth: stages budget and scaling
+
+STAGES = ("contact", "elasticity", "optics", "CCD noise", "tracking", "inverse model", "regularisation")
+
+
+def by_scene(rows: list[Row]) -> dict[str, dict[str, Row]]:
+    """Return the rows of each stage of each scene, stages in the chain's order."""
+    scenes: dict[str, dict[str, Row]] = {}
+    for row in (row for row in rows if "stage" in row):
+        scenes.setdefault(row["scene"], {})[row["stage"]] = row
+    return {scene: {s: mine[s] for s in STAGES if s in mine} for scene, mine in scenes.items()}
+
+
+def part_of_error(row: Row) -> float:
+    """Return a stage's part of the error: its bias and its noise together."""
+    return float(np.hypot(row["share"], row["sd"]))
+
+
+def _budget() -> dict[str, str]:
+    rows, grown = stored("budget"), stored("scaling")
+    scenes = by_scene(rows)
+    limits, shares = [], []
+    for scene, mine in scenes.items():
+        worst, slowest = max(mine, key=lambda s: part_of_error(mine[s])), max(mine, key=lambda s: mine[s]["cpu_s"])
+        limits.append(
+            {
+                "scene": scene,
+                "force error, %": 100 * next(iter(mine.values()))["total_force_error"],
+                "most of it by": worst,
+                "without that, %": 100 * mine[worst]["error_without"],
+                "CPU s": sum(row["cpu_s"] for row in mine.values()),
+                "most of them in": f"{slowest} ({mine[slowest]['cpu_s']:.2f} s)",
+            }
+        )
+        shares.append({"scene": scene, **{stage: 100 * part_of_error(row) for stage, row in mine.items()}})
+    powers = []
+    for row in (row for row in grown if "exponent" in row):
+        axis, stage = row["axis"], row["stage"]
+        sizes = [r["size"] for r in grown if (r["axis"], r.get("stage")) == (axis, stage) and "size" in r]
+        if sizes:
+            ends = {"from": min(sizes), "to": max(sizes)}
+            powers.append({"axis": axis, **ends, "stage": stage, "exponent": row["exponent"]})
+    nodes = [
+        {"nodes": r["size"], "samples": r["samples"], "head, CPU s": r["head_cpu_s"], "nodes, CPU s": r["nodes_cpu_s"]}
+        for r in grown
+        if r["axis"] == "nodes"
+    ]
+    paper = [{k: v for k, v in row.items() if k != "axis"} for row in grown if row["axis"] == "on paper"]
+    tables = {
+        "budget": [limits, shares],
+        "auto": [[row for row in rows if "stage" not in row]],
+        "scaling": [powers],
+        "nodes": [nodes, paper[:1], paper[1:]],
+    }
+    return {mark: "\n" + "".join(f"{table(each)}\n\n" for each in parts) for mark, parts in tables.items()}
+
+
+def _draw_budget() -> None:
+    """Draw every scene's error and time by stage."""
+    import matplotlib as mpl
+
+    scenes = by_scene(stored("budget"))
+    size = (11, 0.6 + 0.62 * len(scenes))
+    figure, (left, right), save = chart("budget.png", nrows=1, ncols=2, figsize=size, sharey=True, layout=None)
+    colours = [mpl.colormaps["tab10"](k) for k in range(len(STAGES))]
+    places = np.arange(len(scenes))[::-1]
+    for axes, value, name in (
+        (left, lambda row: 100 * part_of_error(row), "part of the total force's error, % of the force"),
+        (right, lambda row: row["cpu_s"], "CPU seconds of a first press"),
+    ):
+        edge = np.zeros(len(scenes))
+        for stage, colour in zip(STAGES, colours, strict=True):
+            width = np.array([value(mine[stage]) if stage in mine else 0.0 for mine in scenes.values()])
+            axes.barh(places, width, left=edge, color=colour, label=stage, height=0.7)
+            edge += width
+        axes.set_xlabel(name)
+        axes.spines[["top", "right"]].set_visible(False)
+    errors = [100 * next(iter(mine.values()))["total_force_error"] for mine in scenes.values()]
+    left.plot(errors, places, "k|", markersize=16, label="the whole")
+    left.set_yticks(places, list(scenes))
+    left.legend(fontsize=7, loc="best")
+    figure.tight_layout()
+    save()
+
+
+# what is shown as it is stored
+
+
+def _sweeps() -> dict[str, str]:
+    rows = stored("sweep")
+    rates = [row for row in rows if "designs_per_s" in row]
+    others = [row for row in rows if "designs_per_s" not in row]
+    return {"results": f"\n{table(rates)}\n\n{table(others)}\n\n{measured_on('sweep')}\n"}
+
+
+def _dataset() -> dict[str, str]:
+    cores = read("dataset")["machine"]["cores"]
+    rows = []
+    for row in stored("dataset"):
+        before = list(row)[: list(row).index("total") + 1] if "contact" in row else []
+        # samples a second that all cores make, after what one takes; of rows by stage only
+        rate = {"per_s": 1000.0 * cores / row["total"]} if before else {}
+        rows.append({key: row[key] for key in before} | rate | row)
+    return {"results": f"{measured_on('dataset', cores=True)}\n\n{table(rows)}\n"}
+
+
+def _by_kind(stage: str) -> dict[str, str]:
+    """Return a titled table for every kind of row, and the machine."""
+    rows = stored(stage)
+    kinds = {what: of(rows, what) for what in dict.fromkeys(row["what"] for row in rows)}
+    return {"results": f"\n{titled(kinds)}\n\n{measured_on(stage, cores=True)}\n"}
+
+
+def _stability() -> dict[str, str]:
+    names = ("random_scenes", "fuzz", "kills", "endurance")
+    return {"results": "\n".join(["", *(_long_run(name, read(name)) for name in names)])}
+
+
+def _long_run(name: str, found: Row) -> str:
+    """Return the heading and tables of a long run."""
+    if name == "random_scenes":
+        parts = []
+        for kind, words in (("valid", "Random valid scenes"), ("invalid", "Random spoilt recipes")):
+            mine = found[kind]
+            rows: list[Row] = [{"what became of it": what, "scenes": n} for what, n in mine["outcomes"].items()]
+            parts.append(
+                f"**{words}: {mine['drawn']} drawn, {mine['outcomes'].get('failed', 0)} failed, "
+                f"{mine['cpu_s']:.0f} CPU s, the slowest {mine['slowest_s']:.3g} s.**\n\n{table(rows)}\n"
+            )
+            if mine["worst"]:
+                parts.append(f"{table([{'what': w, 'largest': size} for w, size in mine['worst'].items()])}\n")
+        return "\n".join(parts)
+    rows = found["rows"]
+
+    def total(key: str) -> int:
+        return sum(row.get(key, 0) for row in rows)
+
+    heading = {
+        "fuzz": lambda: (
+            f"Damaged and hostile files: {total('attempts')} attempts on {len(rows)} readers, {total('failed')} failed."
+        ),
+        "kills": lambda: f"Killed at {total('killed')} random moments: {total('lost or torn')} files lost or torn.",
+        "endurance": lambda: f"{found['minutes']:.0f} minutes of mixed work in one process, {found['rounds']} rounds.",
+    }[name]()
+    return f"**{heading}**\n\n{table(rows)}\n"
+
+
+# the papers: twin reproduce
+
+PICTURES = {"beyond_limits.svg": "reproduction_limits.svg", "beyond_half-space.svg": "reproduction_half_space.svg"}
+
+
+def store_reproduction(folder: Path) -> None:
+    """Keep a reproduction's numbers, and seconds by entry, in benchmarks/results; its pictures in docs."""
+    from twin.study.reproduce.reproduction_run import ENTRIES
+
+    entries = {e["name"]: e for e in (json.loads(f.read_text()) for f in (folder / "entries").glob("*.json"))}
+    if missing := sorted(set(ENTRIES) - set(entries)):
+        raise SystemExit(f"{folder} lacks {', '.join(missing)}: run twin reproduce all --out {folder}")
+    rows: list[Row] = [{"record": record} for record in json.loads((folder / "results.json").read_text())]
+    rows += [{"entry": n, "wall": entries[n]["seconds"], "CPU": entries[n]["cpu_seconds"]} for n in ENTRIES]
+    store("reproduction", rows)
+    for name, copy in PICTURES.items():
+        shutil.copyfile(folder / name, DOCS / copy)
+
+
+def _reproduction() -> dict[str, str]:
+    from twin.study.reproduce.bench import FITTED
+
+    rows = stored("reproduction")
+    records = [row["record"] for row in rows if "record" in row]
+    said = Counter(_short(r["verdict"]) for r in records if r["paper"] is not None and not r["timed"] and not r["ours"])
+    counts = "; ".join(f"{count} {what}" for what, count in said.most_common())
+    parts = {"counts": f"Of {sum(said.values())} numbers that the papers print: {counts}.\n"}
+    for paper in ("kamiyama", "sato"):
+        mine = [_printed(r) for r in records if r["name"].startswith(paper) and r["paper"] is not None]
+        parts[paper] = f"Fitted: {'; '.join(FITTED[paper])}.\n\n{table(mine)}\n"
+    half_space = [
+        {"load and layer": r["quantity"].split(":")[0], "off by, over the largest motion": r["twin"]}
+        for r in records
+        if r["name"] == "beyond/half-space"
+    ]
+    same_hardware = [_beside(r) for r in records if r["name"].startswith("beyond/same-hardware")]
+    seconds = [row for row in rows if "entry" in row]
+    tables = {"same hardware": same_hardware, "half-space": half_space, "seconds": seconds}
+    return parts | {mark: f"{table(shown)}\n" for mark, shown in tables.items()}
+
+
+def _short(verdict: str) -> str:
+    kinds = {"agrees": "agree", "explained by": "explained", "partly explained": "partly explained"}
+    return next((kind for start, kind in kinds.items() if verdict.startswith(start)), "not explained")
+
+
+def _printed(record: Row) -> Row:
+    spread = f" ± {record['spread']:.2g}" if record["spread"] is not None else ""
+    return {
+        "entry": record["name"].split("/")[1],
+        "number": record["quantity"],
+        "unit": record["unit"],
+        "paper": f"{record['paper']:g}",
+        "twin": "not defined" if record["twin"] is None else f"{record['twin']:.3g}{spread}",
+        "n": record["n"],
+        "agreement": record["verdict"],
+    }
+
+
+def _beside(record: Row) -> Row:
+    from twin.study.reproduce.design_limits import CAMERA, DEFAULT, PAPERS
+
+    def value(number: float | None) -> str:
+        return "" if number is None else f"{number:.3g}"
+
+    others = {cause["cause"]: cause["value"] for cause in record["explained_by"]}
+    spread = f" ± {record['spread']:.2g}" if record["spread"] else ""
+    return {
+        "number": record["quantity"],
+        "unit": record["unit"],
+        "paper prints": value(record["paper"]),
+        "with the paper's software": value(others.get(PAPERS)),
+        "with the default inverse": value(others.get(DEFAULT)),
+        "with this project's": f"{value(record['twin'])}{spread}",
+        "and an industrial camera": value(others.get(CAMERA)),
+        "n": record["n"],
+    }
+
+
+# the README and docs/speed.md: stages elasticity, picture and chain
+
+
+def _speed() -> dict[str, str]:
+    """Return the long tables, without what no one would choose: plain elements but for the standard mesh, pictures
+    without shadows."""
+    ways = ways_in_short(stored("elasticity"))
+    columns = ("scene", "method", "k", "cpu_ms", "centroid_rms_px", "centroid_max_px")
+    pictures = [row for row in stored("picture") if row.get("shadows") is True and row["k"] in (2, 3, 4, 8)]
+    tables = {
+        "elasticity": [row for row in ways if not row["way"].startswith("direct") or "standard" in row["way"]],
+        "picture": [{c: row.get(c, "") for c in columns} for row in pictures],
+        "chain": stored("chain"),
+    }
+    return {stage: f"{measured_on(stage, cores=True)}\n\n{table(rows)}\n" for stage, rows in tables.items()}
+
+
+def _readme() -> dict[str, str]:
+    """Return the README's table: what a user waits for, its time and its error."""
+
+    def only(rows: list[Row], **wanted: Any) -> Row:
+        (row,) = (row for row in rows if all(row.get(key) == value for key, value in wanted.items()))
+        return row
+
+    ways, lines = ways_in_short(stored("elasticity")), []
+    for body, way in (("block", "table, nominal"), ("finger", "subtracted, nominal")):
+        row = only(ways, body=body, way=way)
+        milliseconds = f"{1e3 * row['next load, CPU s']:.3g} ms"
+        error = f"{row['worst error, %']:.2g} % of the largest displacement"
+        lines.append({"job": f"displacement under one more load, {body}", "time": milliseconds, "error": error})
+    for method, name in (("twin, splat", "closed form"), ("twin, llvm_ad_rgb", "Mitsuba")):
+        row = only(stored("picture"), scene="kamiyama_pillar", method=method, k=2, shadows=True)
+        error = f"{row['centroid_rms_px']:.1g} px (rms of centroids)"
+        lines.append({"job": f"picture of 640x480, {name}", "time": f"{row['cpu_ms']:.2g} ms", "error": error})
+    for row in stored("chain"):
+        if row["scene"] in ("kamiyama_pillar", "sato_press"):
+            seconds = sum(value for key, value in row.items() if key.endswith("_s"))
+            error = f"force {100 * row['total_force_error']:.2g} %, its centre {row['centre_error_mm']:.2g} mm"
+            lines.append({"job": f"the whole chain, `{row['scene']}`", "time": f"{seconds:.2g} s", "error": error})
+    return {"results": f"\n{table(lines)}\n"}
+
+
+def _draw_chain() -> None:
+    """Draw the README's picture from a run: CCD picture, marker motion, force field; both sensors."""
+    from twin.study.recipe import load_scene
+    from twin.study.run import run
+
+    _, panels, save = chart("chain.png", nrows=2, ncols=3, figsize=(12, 6.2))
+    said = {"kamiyama_shear": "flat sensor, pressed and sheared", "sato_press": "finger, pressed by a 3 mm sphere"}
+    for row, name in zip(panels, said, strict=True):
+        result = run(load_scene(name))
+        truth, estimate = result.truth, result.estimate
+        assert truth is not None
+        assert estimate is not None
+        assert result.pressed is not None
+        row[0].imshow(np.minimum(result.pressed.astype(int) * 3 // 2, 255))
+        row[0].set(title="what the CCD sees (brightened)", ylabel=said[name])
+        rest, shift = estimate.marker_rest_px, estimate.marker_shift_px
+        for layer, colour in (("red", "#c0392b"), ("blue", "#2457c5")):
+            mine = truth.marker_layer == layer
+            row[1].quiver(*rest[mine].T, *shift[mine].T, color=colour, angles="xy", width=0.003)
+        row[1].set(xlim=(0, 640), ylim=(480, 0), aspect="equal", title="how the markers moved")
+        x, y = estimate.site_mm[:, :2].T
+        fx, fy, fz = estimate.force_n.T
+        row[2].scatter(x, y, c=fz, cmap="magma_r", marker="s", s=60)
+        pitch, largest = load_scene(name).reconstruction.sites.pitch_mm, np.hypot(fx, fy).max()
+        scale = largest / (1.5 * pitch)
+        row[2].quiver(x, y, fx, fy, color="#0b6", angles="xy", scale_units="xy", scale=scale, width=0.004)
+        row[2].set(aspect="equal", title="the forces that the sensor reports")
+        for panel in row:
+            panel.set_xticks([])
+            panel.set_yticks([])
+    save()
+
+
+PAGES = {
+    "readme": Page(file=ROOT / "README.md", parts=_readme, draw=_draw_chain),
+    "speed": Page(file=DOCS / "speed.md", parts=_speed),
+    "elasticity": Page(file=DOCS / "elasticity.md", parts=_elasticity, draw=_draw_elasticity),
+    "contact": Page(file=DOCS / "contact.md", parts=_contact, draw=_draw_contact),
+    "picture": Page(file=DOCS / "picture.md", parts=_picture, draw=_draw_picture),
+    "tracking": Page(file=DOCS / "tracking.md", parts=_tracking),
+    "inverse": Page(file=DOCS / "inverse.md", parts=_inverse),
+    "calibrations": Page(file=DOCS / "calibrations.md", parts=_calibrations),
+    "validity": Page(file=DOCS / "validity.md", parts=_validity),
+    "budget": Page(file=DOCS / "budget.md", parts=_budget, draw=_draw_budget),
+    "inclusions": Page(file=DOCS / "inclusions.md", parts=partial(_by_kind, "inclusions")),
+    "stress": Page(file=DOCS / "stress.md", parts=partial(_by_kind, "stress")),
+    "dataset": Page(file=DOCS / "dataset.md", parts=_dataset),
+    "sweeps": Page(file=DOCS / "sweeps.md", parts=_sweeps),
+    "stability": Page(file=DOCS / "stability.md", parts=_stability),
+    "reproduction": Page(file=DOCS / "reproduction.md", parts=_reproduction),
+}
+
+
+def write(name: str) -> None:
+    """Put the stored results into a page, and draw its pictures."""
+    page = PAGES[name]
+    if page.draw is not None:
+        page.draw()
+    page.file.write_text(page.text())
+
+
+def main() -> None:
+    """Write the wanted pages, all by default."""
+    parser = parser_of("pages", __doc__)
+    parser.add_argument("--from", dest="folder", type=Path, help="what twin reproduce wrote, to be stored first")
+    given = names_of(parser, PAGES)
+    if given.folder is not None:
+        if not (given.folder / "results.json").is_file():
+            parser.error(f"{given.folder}: holds no results.json; give the folder that twin reproduce wrote")
+        store_reproduction(given.folder)
+    for name in given.names or PAGES:
+        write(name)
+
+
+if __name__ == "__main__":
+    main()

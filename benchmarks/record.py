@@ -1,0 +1,96 @@
+"""Results as rows: stored in benchmarks/results, printed as tables; and what command lines take."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import platform
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+RESULTS = Path(__file__).parent / "results"
+
+
+def read(name: str) -> dict[str, Any]:
+    """Return all that is stored under a name, nothing if it never ran."""
+    path = RESULTS / f"{name}.json"
+    return json.loads(path.read_text()) if path.is_file() else {}
+
+
+def write(name: str, found: dict[str, Any]) -> None:
+    """Store results under a name."""
+    RESULTS.mkdir(exist_ok=True)
+    (RESULTS / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n")
+
+
+def stored(name: str) -> list[Row]:
+    """Return the rows that are stored under a name."""
+    return list(read(name).get("rows", []))
+
+
+def store(name: str, rows: list[Row], **more: Any) -> None:
+    """Store rows with the machine that they were measured on."""
+    write(name, {"machine": machine(), **more, "rows": rows})
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return rows as a Markdown table."""
+    if not rows:
+        return "(no rows)"
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    lines = [columns, ["---"] * len(columns)]
+    lines += [[_cell(row.get(column, "")) for column in columns] for row in rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _cell(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def machine() -> dict[str, Any]:
+    """Return what the figures were measured on."""
+    facts = Path("/proc/cpuinfo")
+    lines = facts.read_text().splitlines() if facts.is_file() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return {
+        "processor": names[0] if names else platform.processor(),
+        "cores": os.cpu_count(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+    }
+
+
+def at_least(low: float, kind: type[int] | type[float] = int) -> Callable[[str], float]:
+    """Return a reader of finite numbers from ``low``, for `argparse`."""
+
+    def number(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value < math.inf:
+            raise argparse.ArgumentTypeError(f"{text}: allowed are {'whole ' * (kind is int)}numbers from {low:g}")
+        return value
+
+    return number
+
+
+def parser_of(module: str, text: str | None) -> argparse.ArgumentParser:
+    """Return the parser of ``python -m benchmarks.MODULE``."""
+    return argparse.ArgumentParser(
+        prog=f"python -m benchmarks.{module}", description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def names_of(parser: argparse.ArgumentParser, known: Iterable[str]) -> argparse.Namespace:
+    """Return the parsed command line with ``names``, all of them known; exit with 2 if one isn't."""
+    known = list(known)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"any of {', '.join(known)} (default all)")
+    given = parser.parse_args()
+    if unknown := sorted(set(given.names) - set(known)):
+        parser.error(f"unknown {', '.join(unknown)}: choose from {', '.join(known)}")
+    return given

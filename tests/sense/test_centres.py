@@ -1,0 +1,98 @@
+"""How centres are measured: spots, the paper's cells, and the compiled fit; each against the same done plainly."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from drawn import flat_layout
+
+from benchmarks.discs import expose, scene
+from twin.sense.centre import Look
+from twin.sense.detect import find_blobs
+from twin.sense.paper_centroid import PaperCentroid
+from twin.sense.template import LANES, disc, gather
+from twin.sense.track import Tracker
+
+
+def test_markers_wider_than_the_picture_take_no_memory() -> None:
+    """Windows as wide as the markers are made: at 1e6 px they were larger than any machine's memory."""
+    signal = np.zeros((60, 80), np.float32)
+    signal[25:36, 35:46] = 100
+    assert len(find_blobs(signal, 1e6, 10.0)) == len(find_blobs(signal, 80.0, 10.0))
+
+
+def cells(picture, starts, cell_px, weights, ground, least):
+    """Centroids of the paper's cells around ``starts``, px."""
+    shown = {"weights": weights, "floor_dn": 0.0, "ground_dn": ground, "contrast_dn": least, "diameter_px": 10.0}
+    spots, nominal = find_blobs(picture[..., 0] * 1.0, 10.0, 1e9), np.array(starts, float)
+    look = Look(rows=np.arange(len(nominal)), nominal_px=nominal, picture_px=(1, 1), blobs=spots, **shown)
+    (found,) = PaperCentroid.at_rest(picture, [look], cell_px, True)
+    return found.around.rest_px
+
+
+@pytest.mark.parametrize("half", [1, 7, 8, 30])
+def test_centroids_are_those_of_plain_sums_up_to_every_border(half: int) -> None:
+    rng = np.random.default_rng(half)
+    picture = rng.integers(0, 256, (70, 83, 3), dtype=np.uint8)
+    starts = np.concatenate([rng.uniform(0, (82, 69), (40, 2)), [[0, 0], [82, 69], [0, 69], [82, 0], [75, 68]]])
+    found = cells(picture, starts, 2.0 * half, (1.0, 0.1, -0.9), 20.0, 1.0)
+    signal = np.maximum(picture @ np.array([1.0, 0.1, -0.9]) - 20.0, 0.0)
+    for at, centroid in zip(starts, found, strict=True):
+        for _ in range(2):
+            column, row = np.rint(at).astype(int)
+            rows = np.arange(max(row - half, 0), min(row + half, 69) + 1)
+            columns = np.arange(max(column - half, 0), min(column + half, 82) + 1)
+            cell = signal[np.ix_(rows, columns)]
+            at = np.array([(cell.sum(axis=0) * columns).sum(), (cell.sum(axis=1) * rows).sum()]) / cell.sum()
+        np.testing.assert_allclose(centroid, at, atol=1e-3 if half == 1 else 1e-4)
+
+
+def test_an_empty_cell_and_an_unknown_place_show_nothing() -> None:
+    picture = np.full((40, 40, 3), 100, np.uint8)
+    picture[5, 5] = 180, 100, 20
+    found = cells(picture, [[6.0, 4.0], [30.0, 30.0], [np.nan, 5.0]], 8, (1.0, 0.0, -1.0), 0.0, 50.0)
+    np.testing.assert_allclose(found[0], [5.0, 5.0])
+    assert np.isnan(found[1:]).all()
+
+
+@pytest.mark.parametrize("others", [0, 1, 2])
+@pytest.mark.parametrize("radius", [2.3, 7.86, 8.0, 17.2])
+def test_pixels_row_by_row_are_those_one_by_one(radius, others):
+    random = np.random.default_rng(3)
+    image = random.integers(0, 256, (60, 70, 3), dtype=np.uint8)
+    limits = np.array([[0.5, 0.25, 0.0, 100.0], [0.0, -1.0, 1.0, 30.0]], np.float32)[:others]
+    offset, runs = disc(radius)
+    plain, fast = np.zeros((2, 2, offset.shape[1] + LANES), np.float32)
+    own = tuple(np.array([1.0, -0.25, 0.5, 3.0], np.float32))
+    for column in range(0, 70, 3):
+        for row in range(0, 60, 3):
+            for way, (signal, use) in ((runs[:0], plain), (runs, fast)):
+                gather(image, own, limits, column, row, offset, way, signal, use)
+            seen = plain[1, :-LANES] > 0
+            np.testing.assert_array_equal(fast[1, :-LANES] > 0, seen)
+            np.testing.assert_allclose(fast[0, :-LANES][seen], plain[0, :-LANES][seen], rtol=1e-6, atol=1e-4)
+
+
+def test_markers_lead_those_after_them():
+    """A step of half a marker's width is followed from the last places alone, also next to lost markers, the very first
+    one included; and starts moved by the markers before save a third of the time."""
+    layout, step = flat_layout(), np.array([4.8, -3.6])
+
+    def picture(shift, seed, lost=()):
+        red, blue = np.delete(layout["red"], lost, axis=0) + shift, layout["blue"] + shift
+        return expose(scene((340, 300), [(red, 0), (blue, 2)], 10.0), seed)
+
+    tracker, image = Tracker(picture(np.zeros(2), 0), layout), picture(step, 2, lost=[0, 33])
+    tracker.track(picture(np.zeros(2), 1))
+    found = tracker.track(image)
+    assert found.spurious_px is None
+    assert np.flatnonzero(~found.seen).tolist() == [0, 33]
+    np.testing.assert_allclose(found.shift_px[found.seen], np.tile(step, (len(found.seen) - 2, 1)), atol=0.06)
+    group, spent = tracker.rest.groups[0], {}
+    for lead in (None, group.around.lead) * 5:
+        before = time.thread_time()
+        group.templates.fit(image, group.start_px, lead)
+        spent.setdefault(lead is None, []).append(time.thread_time() - before)
+    assert min(spent[False]) < 0.67 * min(spent[True])

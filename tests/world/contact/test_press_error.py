@@ -1,0 +1,149 @@
+"""What a press says of its own error: against the same press on a body that is known better."""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+from presses import STUCK, HalfSpace, ball, down, pressed, punch
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipk, j0, j1
+
+from twin.errors import AccuracyWarning
+from twin.parts.press import Step
+from twin.study.recipe import load_scene
+from twin.study.sensor import Sensor
+
+MORE = np.diag([2e-3, 2e-3, 1e-2])
+"""What the better body gives way more, everywhere, mm/N: a base less stiff than was computed."""
+
+
+class Known(HalfSpace):
+    """A half-space that knows what it lacks of the better one."""
+
+    def displacement_errors(self, points, load):
+        moved = (self.to_points(points, load) @ load.force_n.ravel()).reshape(-1, 3)
+        return moved, np.broadcast_to(MORE @ load.force_n.sum(axis=0), (1, *moved.shape))
+
+
+class Better(HalfSpace):
+    """A half-space on a base that gives way."""
+
+    def to_points(self, points, rectangles):
+        more = np.tile(MORE, (len(points), len(rectangles)))
+        return super().to_points(points, rectangles) + more
+
+    def surface(self, rectangles):
+        return super().surface(rectangles) + np.tile(MORE, (len(rectangles), len(rectangles)))
+
+
+def relative(better, state):
+    """Return how far force and indentation of the better state are off a state's."""
+    force = np.linalg.norm(better.force_n - state.force_n) / np.linalg.norm(state.force_n)
+    return force, abs(better.indentation_mm / state.indentation_mm - 1.0)
+
+
+STEPS = (down(0.1), Step(move_mm=(0.02, 0.0, 0.0)))
+PRESSES = {
+    "sphere at a depth": ball(10, indentation_mm=0.1),
+    "sphere under a force": ball(10, force_n=(0, 0, 0.2)),
+    "punch at a depth": punch(3, indentation_mm=0.1),
+    "stuck sphere": ball(10, friction=STUCK, steps=STEPS),
+    "sphere that slips": ball(10, friction=0.5, steps=STEPS),
+}
+
+
+@pytest.mark.parametrize("name", PRESSES)
+def test_an_error_of_the_body_becomes_one_of_the_press(name):
+    state, better = (pressed(PRESSES[name], on=body()) for body in (Known, Better))
+    force, depth = relative(better, state)
+    assert state.error.body.force == pytest.approx(force, rel=0.06, abs=1e-9)
+    assert state.error.body.indentation == pytest.approx(depth, rel=0.06, abs=1e-9)
+    assert max(force, depth) > 5e-3
+
+
+def test_two_probes_tell_the_larger_error():
+    far = ball(10, at_mm=(20, 0), indentation_mm=0.1)
+    both = ball(10, at_mm=(-20, 0), force_n=(0, 0, 0.2), also=(far,))
+    state, better = (pressed(both, on=body()) for body in (Known, Better))
+    force, _ = relative(better.also[0], state.also[0])
+    _, depth = relative(better, state)
+    assert state.error.body.force == pytest.approx(force, rel=0.06)
+    assert state.error.body.indentation == pytest.approx(depth, rel=0.06)
+
+
+# --- a sphere on a bonded layer, by rings of pressure and a Hankel kernel -------------------------
+
+
+def discs_on_layer(radii, places, thickness, nu):
+    """Return (n, m) how far places sink under discs of unit pressure, times E / (2 (1 - nu^2)), mm.
+
+    A half-space's part in closed form, plus the integral of (M - 1) J0(k r) a J1(k a) / k.
+    """
+    r = places[:, None]
+    near = np.where(r <= radii, r / np.maximum(radii, 1e-300), radii / r) ** 2
+    outside = r * (ellipe(near) - (1.0 - near) * ellipk(near))
+    sunk = 2.0 / math.pi * np.where(r <= radii, radii * ellipe(near), outside)
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    ends = np.linspace(0.0, 40.0 / thickness, 60)
+    half = np.diff(ends)[:, None] / 2.0
+    k, weight = (ends[:-1, None] + half * (1.0 + nodes)).ravel(), (half * weights).ravel()
+    a, c, fade = k * thickness, 3.0 - 4.0 * nu, np.exp(-2.0 * k * thickness)
+    above = c * (1.0 - fade**2) - 4.0 * a * fade
+    bonded = above / (c * (1.0 + fade**2) + (4.0 * a**2 + 1.0 + c**2) * fade)
+    lacking = weight * (bonded - 1.0) * radii[:, None] * j1(np.outer(radii, k)) / k
+    return sunk + j0(np.outer(places, k)) @ lacking.T
+
+
+def sphere_on_layer(radius, depth, thickness, nu):
+    """Return the force on a sphere pressed into a layer of E = 1 MPa: its contact makes it largest.
+
+    A sphere: its paraboloid's force is 0.4 % larger at a radius of 5 mm and a depth of 0.1 mm.
+    """
+    corners = np.sin(np.linspace(0.0, math.pi / 2, 61))
+    middles = np.sqrt((corners[:-1] ** 2 + corners[1:] ** 2) / 2.0)
+
+    def forces(a):
+        discs = discs_on_layer(a * corners[1:], a * middles, thickness, nu)
+        sunk = 2.0 * (1.0 - nu**2) * np.diff(discs, axis=1, prepend=0.0)
+        bowl = radius - np.sqrt(radius**2 - (a * middles) ** 2)
+        pressure = np.linalg.solve(sunk, np.column_stack([np.ones(60), bowl]))
+        return math.pi * a**2 * np.diff(corners**2) @ pressure
+
+    def off(a):
+        stamp, bowl = forces(1.001 * a) - forces(0.999 * a)
+        return float(bowl / stamp - depth)
+
+    hertz = math.sqrt(radius * depth)
+    stamp, bowl = forces(brentq(off, 0.5 * hertz, 2.0 * hertz))
+    return float(depth * stamp - bowl)
+
+
+def test_the_truth_is_hertz_on_a_deep_layer():
+    depth = 1e-3  # of a sphere Hertz' paraboloid is a limit: at 0.1 mm it is 0.2 % too stiff
+    hertz = 16 / 9 * 5**0.5 * depth**1.5
+    assert sphere_on_layer(5.0, depth, 20000.0, 0.5) == pytest.approx(hertz, rel=2e-4)
+
+
+LAYERS = [(2.0, 5.0, 0.5), (4.0, 5.0, 0.5), (2.0, 2.0, 0.5), (2.0, 5.0, 0.3), (2.0, 2.0, 0.3)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("thickness", "radius", "nu"), LAYERS)
+def test_a_press_on_a_thin_layer_knows_how_far_it_is_off(thickness, radius, nu):
+    sizes = {"width_mm": 40, "length_mm": 40, "thickness_mm": thickness}
+    rubber = {"material.youngs_modulus_mpa": 1.0, "material.poisson_ratio": nu}
+    body = {f"body.{key}": value for key, value in sizes.items()}
+    sensor = Sensor(load_scene("block_bare", body | rubber))
+    true = sphere_on_layer(radius, 0.1, thickness, nu)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        deep = sensor.press(ball(2 * radius, indentation_mm=0.1))
+        loaded = sensor.press(ball(2 * radius, force_n=(0, 0, true)))
+        errors = deep.error, loaded.error
+    off = abs(deep.force_n[2] / true - 1.0), abs(loaded.indentation_mm / 0.1 - 1.0)
+    for have, said in zip(off, (errors[0].force, errors[1].indentation), strict=True):
+        assert have < 3e-3
+        assert have / 3.0 <= said <= 4.0 * have + 1e-3
+    assert max(errors[0].body.force, errors[1].body.indentation) < 1e-4
+    assert not any(one.category is AccuracyWarning for one in warned)

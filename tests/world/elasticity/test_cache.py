@@ -1,0 +1,128 @@
+"""Solved fields on disk: equal to a solve, never outliving what made them, and never in the way."""
+
+import importlib.util
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from standard_bodies import FINGER, assert_near
+
+from twin.files import MESHES
+from twin.parts.load import Traction
+from twin.parts.material import Material
+from twin.world.elasticity import cache
+from twin.world.elasticity.compliance import Compliance
+from twin.world.elasticity.discretise import tile
+from twin.world.elasticity.factor import factorisations
+from twin.world.mesh import elements
+from twin.world.mesh.quadratic_mesh import read_mesh
+
+POINTS = np.array([[0.0, 0.0, 1.0], [1.0, -1.0, 2.0]])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr("twin.world.elasticity.cache.cache_folder", lambda: tmp_path)
+    return tmp_path
+
+
+def stiff(nu=0.5):
+    mesh = read_mesh(MESHES / "sato_finger.sketch.npz")
+    return Compliance(FINGER, Material(poisson_ratio=nu), mesh, level="sketch")
+
+
+def load(x=0.0):
+    return tile(Traction.bump((x, 0), 1.0, (0.1, 0, 1)), FINGER, 0.4)
+
+
+def patches():
+    return tile(Traction.rectangle((0.5, 0.5), (2.0, 2.0), (0, 0, 1)), FINGER, 0.2)
+
+
+def solves(action):
+    before = factorisations()
+    result = action()
+    return result, factorisations() - before
+
+
+def test_a_second_process_reads_what_the_first_solved(folder):
+    first, count = solves(lambda: (stiff().displacement(POINTS, load()), stiff().to_points(POINTS, patches())))
+    assert count == 2
+    again, count = solves(lambda: (stiff().displacement(POINTS, load()), stiff().to_points(POINTS, patches())))
+    assert count == 0
+    assert_array_equal(again[0], first[0])
+    assert_array_equal(again[1], first[1])
+
+
+def test_moved_markers_read_the_kept_fields_of_separate_patches(folder, monkeypatch):
+    apart = tile(Traction.rectangle((0, 0), (6.0, 6.0), (0, 0, 1)), FINGER, 2.0)
+    points = np.vstack([POINTS, POINTS + 0.5, POINTS + 1.0])
+    first, count = solves(lambda: stiff().to_points(points, apart))
+    assert count == 1
+    assert solves(lambda: stiff().to_points(points + 0.1, apart))[1] == 0
+    monkeypatch.setattr("twin.world.elasticity.interpolated.KEPT_BYTES", 0)
+    again, count = solves(lambda: stiff().to_points(points, apart))
+    assert count == 1
+    assert_near(again, first, 1e-6)
+
+
+def test_another_load_or_material_is_another_field(folder):
+    stiff().displacement(POINTS, load())
+    assert solves(lambda: stiff().displacement(POINTS, load(0.1)))[1] == 1
+    assert solves(lambda: stiff(0.49).displacement(POINTS, load()))[1] == 1
+
+
+def test_changed_code_makes_other_fields(folder, monkeypatch, tmp_path_factory):
+    """The sources of meshes are read from a copy, by the module as a new process would load it."""
+    copy = tmp_path_factory.mktemp("sources") / "mesh"
+    shutil.copytree(Path(elements.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def in_a_new_process():
+        loaded = importlib.util.spec_from_file_location("loaded_again", cache.__file__)
+        module = importlib.util.module_from_spec(loaded)
+        monkeypatch.setitem(sys.modules, "loaded_again", module)
+        loaded.loader.exec_module(module)
+        monkeypatch.setattr("twin.world.elasticity.compliance.field_key", module.field_key)
+        return solves(lambda: stiff().displacement(POINTS, load()))[1]
+
+    stiff().displacement(POINTS, load())
+    monkeypatch.setattr(elements, "__file__", str(copy / Path(elements.__file__).name))
+    assert in_a_new_process() == 0
+    with (copy / "snap.py").open("a") as source:
+        source.write("CHANGED = 1\n")
+    assert in_a_new_process() == 1
+
+
+@pytest.mark.parametrize("damage", [b"", b"no", None])
+def test_a_damaged_field_is_solved_anew(folder, damage):
+    first = stiff().displacement(POINTS, load())
+    (path,) = folder.glob("field-*.npy")
+    path.write_bytes(path.read_bytes()[:-8] if damage is None else damage)
+    again, count = solves(lambda: stiff().displacement(POINTS, load()))
+    assert_allclose(again, first, rtol=1e-12)
+    assert count == 1
+
+
+def test_single_precision_is_as_good_as_said(folder):
+    exact = np.random.default_rng(1).normal(size=(50, 3))
+    assert_near(cache.cached_field("a" * 64, lambda: exact, single=True), exact, 6e-8)
+
+
+def test_a_cache_that_cannot_be_written_costs_time_only(folder, monkeypatch):
+    monkeypatch.setattr("twin.world.elasticity.cache.cache_folder", lambda: folder / "missing")
+    assert solves(lambda: stiff().displacement(POINTS, load()))[1] == 1
+
+
+def test_the_oldest_fields_make_room(folder, monkeypatch):
+    monkeypatch.setattr("twin.world.elasticity.cache.LIMIT_BYTES", 2500)
+    monkeypatch.setattr("twin.world.elasticity.cache.EVERY", 1)
+    for i, name in enumerate("abc"):
+        cache.cached_field(name * 64, lambda: np.zeros(125))
+        os.utime(folder / f"field-{name * 40}.npy", (i, i))
+    cache.cached_field("a" * 64, lambda: np.zeros(125))  # used again, so it stays
+    cache.cached_field("d" * 64, lambda: np.zeros(125))
+    assert sorted(path.name[6] for path in folder.glob("field-*.npy")) == ["a", "d"]

@@ -1,0 +1,143 @@
+"""Covers and refined meshes: exact thickness and volume, whole boundary, fine as asked."""
+
+import numpy as np
+import pytest
+from slabs import slab
+from standard_bodies import BLOCK, BODIES, DOME, FINGER, on_boundary
+
+from twin.errors import MeshError
+from twin.parts.body import Block, Finger
+from twin.world.elasticity.fem import Layer, TaylorHood
+from twin.world.mesh.body_mesh import body_mesh
+from twin.world.mesh.cover_mesh import refined, with_cover
+from twin.world.mesh.elements import TET_EDGES, signed_volumes, tet_quadrature, tet_shapes
+from twin.world.mesh.quadratic_mesh import read_mesh, write_mesh
+from twin.world.mesh.quality import dihedral_angles, enclosed_volume, jacobian_ratios, offsets, open_edges, quality
+from twin.world.mesh.snap import boundary_triangles
+
+
+@pytest.fixture(scope="module", params=list(BODIES))
+def body(request):
+    return BODIES[request.param]
+
+
+@pytest.fixture(scope="module")
+def mesh(body):
+    return body_mesh(body, "nominal")
+
+
+def volume(mesh, region):
+    """Return the volume of a region's curved elements."""
+    places, weights = tet_quadrature()
+    slopes = tet_shapes(places)[1]
+    nodes = mesh.points[mesh.tets[mesh.region == region]]
+    determinants = np.linalg.det(np.einsum("mai,qaj->mqij", nodes, slopes))
+    return float(np.einsum("q,mq->", weights, determinants))
+
+
+def assert_conforms(mesh, body):
+    """Each face of an element is shared by two or on the closed boundary, which is on the body."""
+    faces, outer = (
+        {tuple(sorted(face)) for face in each.tolist()}
+        for each in (mesh.faces[:, :3], boundary_triangles(mesh.tets[:, :4]))
+    )
+    assert faces == outer
+    assert open_edges(mesh.faces) == 0
+    assert np.min(signed_volumes(mesh.points, mesh.tets)) > 0
+    total = sum(volume(mesh, region) for region in (0, 1, 2))
+    assert enclosed_volume(mesh.points, mesh.faces) == pytest.approx(total, rel=1e-9)
+    edges = np.sort(mesh.tets[:, TET_EDGES].reshape(-1, 2), axis=1)
+    pairs = np.unique(np.column_stack([edges, mesh.tets[:, 4:].reshape(-1)]), axis=0)
+    ends = np.unique(pairs[:, :2], axis=0)
+    assert len(pairs) == len(ends) == len(mesh.points) - mesh.corners
+    assert offsets(mesh, body).max() < 1e-9
+
+
+@pytest.mark.parametrize("thickness", [0.02, 0.2, 0.8])
+def test_cover_is_exact(body, mesh, thickness):
+    covered = with_cover(mesh, body, thickness)
+    assert_conforms(covered, body)
+    within = np.unique(covered.tets[covered.region == 1][:, :4])
+    assert set(np.round(body.depth(covered.points[within]) / thickness, 9)) == {0.0, 1.0}
+    inner = np.unique(covered.tets[covered.region == 0])
+    assert body.depth(covered.points[inner]).min() > thickness - 0.02
+    assert jacobian_ratios(covered.points, covered.tets).min() > 0.2
+    if body is BLOCK:
+        exact, near = body.width_mm * body.length_mm * thickness, 1e-9
+    else:
+        core = Finger(radius_mm=8 - thickness, barrel_mm=8, skirt_mm=2)
+        exact, near = body.volume_mm3 - core.volume_mm3, 3e-3
+    assert volume(covered, 1) == pytest.approx(exact, rel=near)
+
+
+def test_a_cover_takes_over_the_faces_of_the_sensing_piece_and_of_those_around_it():
+    body = Block(width_mm=6, length_mm=5, thickness_mm=4)
+    axes = np.linspace(-3, 3, 3), np.linspace(-2.5, 2.5, 3), np.linspace(0, 4, 3)
+    covered = with_cover(slab(body, *axes), body, 0.5)
+    a, b, c = (covered.points[covered.faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a) / 2
+    area = {}
+    for k, inward in enumerate(body.piece_normals(np.zeros((1, 3)))[0]):
+        total = normal[covered.piece == k].sum(axis=0)
+        area[k] = float(-total @ inward)
+        np.testing.assert_allclose(total, -area[k] * inward, atol=1e-12)
+    assert area == pytest.approx({0: 30, 1: 20, 2: 20, 3: 24, 4: 24, 5: 30})
+
+
+def test_a_domes_cover_ends_at_its_sharp_rim_on_the_base():
+    assert_conforms(with_cover(body_mesh(DOME, "nominal"), DOME, 0.2), DOME)
+
+
+@pytest.mark.parametrize("nu", [0.5, 0.3])
+def test_equal_materials_make_a_covered_body_a_bare_one(body, mesh, nu):
+    covered = with_cover(mesh, body, 0.2)
+    gradient = np.random.default_rng(3).normal(size=(3, 3))
+    gradient -= np.trace(gradient) / 3 * np.eye(3)
+    linear = (covered.points @ gradient.T)[:, :, None]
+    layer = Layer(modulus_ratio=(1 + 0.3) / (1 + nu), poisson_ratio=0.3)
+    system = TaylorHood(covered, nu, held=on_boundary(covered), layers=[layer])
+    solved = system.solve(np.zeros_like(linear), linear)
+    np.testing.assert_allclose(solved, linear, atol=1e-9 * np.abs(linear).max())
+
+
+def test_regions_are_stored_and_read_back(tmp_path, body, mesh):
+    covered = with_cover(mesh, body, 0.2)
+    write_mesh(covered, tmp_path / "covered.npz", {})
+    again = read_mesh(tmp_path / "covered.npz")
+    assert np.array_equal(again.region, covered.region)
+    assert again.digest() == covered.digest() != mesh.digest()
+
+
+@pytest.mark.parametrize("thickness", [0.0, -1.0, 30.0])
+def test_covers_that_do_not_fit_are_refused(body, mesh, thickness):
+    with pytest.raises(MeshError, match="does not fit"):
+        with_cover(mesh, body, thickness)
+
+
+@pytest.mark.parametrize(("body", "edge"), [(BLOCK, 3.0), (FINGER, 0.5)])
+def test_refined_mesh_is_fine_whole_and_on_the_surface(body, edge):
+    coarse = body_mesh(body, "sketch")
+
+    def wanted(points):
+        return edge + 1.5 * np.maximum(np.linalg.norm(points, axis=1) - edge, 0.0)
+
+    mesh = refined(coarse, body, wanted)
+    corner = mesh.points[mesh.tets[:, :4]]
+    edges = corner[:, TET_EDGES[:, 0]] - corner[:, TET_EDGES[:, 1]]
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    # moving onto the surface may stretch an edge
+    assert np.all(longest <= 1.1 * wanted(corner.mean(axis=1)))
+    got = quality(mesh, body)
+    assert got.open_edges == got.unclassified == 0
+    assert got.largest_offset_mm < 1e-9
+    assert got.least_volume_mm3 > 0
+    assert abs(got.volume_error) <= max(1.2 * abs(quality(coarse, body).volume_error), 1e-12)
+    least, before = (dihedral_angles(m.points, m.tets).min() for m in (mesh, coarse))
+    assert least > 0.3 * before
+    assert refined(coarse, body, wanted).digest() == mesh.digest()
+
+
+def test_nothing_to_do_changes_nothing():
+    coarse = body_mesh(BLOCK, "sketch")
+    same = refined(coarse, BLOCK, lambda points: np.full(len(points), 1e3))
+    assert same.digest() == coarse.digest()

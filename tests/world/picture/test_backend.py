@@ -1,0 +1,192 @@
+"""Bad libraries are refused without ending the process; memory is estimated."""
+
+import glob
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from twin.errors import InputError, MissingCapability
+from twin.study.check import examine
+from twin.study.dataset.create import create_dataset
+from twin.study.recipe import load_scene
+from twin.study.run import run
+from twin.study.sensor import Sensor
+from twin.world.picture import backend
+from twin.world.picture.backend import REMEDY, choose_variant
+
+LARGE = {"camera.width_px": 8192, "camera.height_px": 8192}
+
+
+@pytest.fixture(autouse=True)
+def _own_surroundings(tmp_path, monkeypatch):
+    monkeypatch.setattr(backend, "cache_folder", lambda: tmp_path)
+    monkeypatch.delenv(backend.FORCE, raising=False)
+    monkeypatch.setenv(backend.LIBRARY, "")
+    monkeypatch.delenv(backend.DRIVER, raising=False)
+    monkeypatch.setattr(backend, "DRIVERS", ())
+
+
+def library(tmp_path, version=99):
+    file = tmp_path / f"libLLVM.so.{version}"
+    file.write_bytes(b"\x7fELF but no more")
+    return str(file)
+
+
+@pytest.fixture(name="verdicts")
+def _verdicts(monkeypatch):
+    """Exit codes and lines of the processes in which variants are tried."""
+    lines = {"llvm_ad_rgb": (0, "good 19"), "cuda_ad_rgb": (0, "good 0")}
+
+    def child(command, **_):
+        code, line = lines[command[-1]]
+        if line == "hangs":
+            raise subprocess.TimeoutExpired(command, 120)
+        return SimpleNamespace(returncode=code, stdout=line)
+
+    run = SimpleNamespace(run=child, TimeoutExpired=subprocess.TimeoutExpired)
+    monkeypatch.setattr(backend, "subprocess", run)
+    return lines
+
+
+def test_no_library_means_splat_with_a_remedy():
+    chosen = choose_variant(candidates=[])
+    assert chosen.name == "splat"
+    assert REMEDY in chosen.reason
+    assert "\n" not in chosen.reason
+
+
+def test_a_file_that_is_no_library_is_refused_and_remembered(tmp_path, monkeypatch):
+    fake = library(tmp_path)
+    assert choose_variant(candidates=[fake]).name == "splat"
+    assert list(json.loads((tmp_path / "llvm.json").read_text()).values()) == ["not a library of LLVM 16 or later"]
+    monkeypatch.setattr(backend.subprocess, "run", lambda *_, **__: pytest.fail("tried twice"))
+    assert choose_variant(candidates=[fake]).name == "splat"
+    Path(fake).write_bytes(b"another file of the same name")
+    with pytest.raises(pytest.fail.Exception, match="tried twice"):
+        choose_variant(candidates=[fake])
+
+
+def test_a_library_that_kills_its_process_leaves_ours_alive(tmp_path, monkeypatch):
+    monkeypatch.setattr(backend, "PROBE", "import os; print('good', 19, flush=True); os.abort()")
+    chosen = choose_variant(candidates=[library(tmp_path)])
+    assert chosen.name == "splat"
+    assert "ends with code" in chosen.reason
+
+
+@pytest.mark.parametrize(
+    ("line", "why", "stored"),
+    [("hangs", "could not be tried", False), ("old 18", "older than 19", True), ("wrong 19", "computes wrongly", True)],
+)
+def test_verdicts_are_stored_but_not_of_a_library_that_hangs(line, why, stored, tmp_path, verdicts):
+    verdicts["llvm_ad_rgb"] = (0, line)
+    chosen = choose_variant(candidates=[library(tmp_path)])
+    assert chosen.name == "splat"
+    assert why in chosen.reason
+    assert (tmp_path / "llvm.json").exists() == stored
+
+
+def test_old_and_missing_libraries_are_refused_without_a_try(verdicts):
+    for file, why in (("/nowhere/libLLVM-15.so.1", "older than 19"), ("/nowhere/libLLVM.so", "No such file")):
+        assert why in choose_variant(candidates=[file]).reason
+
+
+def test_a_good_library_is_handed_to_drjit(tmp_path, verdicts):
+    good = library(tmp_path, 19)
+    (tmp_path / "llvm.json").write_text("{not json")  # a broken store is no obstacle
+    assert choose_variant(candidates=["/nowhere/libLLVM.so", good]).name == "llvm_ad_rgb"
+    assert os.environ[backend.LIBRARY] == good
+
+
+def test_a_gpu_on_which_mitsuba_works_goes_first_and_another_is_passed_by(tmp_path, monkeypatch, verdicts):
+    (tmp_path / "libcuda.so.1").write_bytes(b"")
+    monkeypatch.setattr(backend, "DRIVERS", (str(tmp_path / "libcuda*"),))
+    for code, name in ((-6, "splat"), (0, "cuda_ad_rgb")):
+        (tmp_path / "llvm.json").unlink(missing_ok=True)
+        verdicts["cuda_ad_rgb"] = (code, "good 0")
+        assert choose_variant(candidates=[]).name == name
+    assert choose_variant("splat", candidates=[]).name == "splat"
+    with pytest.raises(MissingCapability, match="libllvm19"):
+        choose_variant("llvm_ad_rgb", candidates=[])
+
+
+def test_a_gpu_that_is_wanted_must_be_there(monkeypatch, verdicts):
+    verdicts["cuda_ad_rgb"] = (1, "")
+    monkeypatch.setenv(backend.FORCE, "cuda_ad_rgb")
+    with pytest.raises(MissingCapability, match=r"ends with code 1.*unset TWIN_VARIANT"):
+        choose_variant()
+    assert any("unset TWIN_VARIANT" in line for line in examine()[1])
+    verdicts["cuda_ad_rgb"] = (0, "good 0")
+    assert choose_variant().name == "cuda_ad_rgb"
+
+
+def test_the_driver_that_the_user_names_is_tried(tmp_path, monkeypatch, verdicts):
+    driver = tmp_path / "libcuda.so.1"
+    driver.write_bytes(b"")
+    monkeypatch.setenv(backend.DRIVER, str(driver))
+    chosen = choose_variant(candidates=[])
+    assert chosen.name == "cuda_ad_rgb"
+    assert str(driver) in chosen.reason
+
+
+def test_the_environment_forces_a_variant(monkeypatch):
+    monkeypatch.setenv(backend.FORCE, "splat")
+    assert choose_variant(candidates=[]).reason == "splat was chosen by name"
+    monkeypatch.setenv(backend.FORCE, "vulkan")
+    with pytest.raises(InputError, match="llvm_ad_rgb, cuda_ad_rgb, splat"):
+        choose_variant()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", sorted({os.path.realpath(p) for p in glob.glob("/usr/lib/*/libLLVM*.so*")}))
+def test_every_library_of_this_machine_is_survived(file):
+    called = f"backend.choose_variant(candidates=[{file!r}]).name"
+    command = f"from twin.world.picture import backend; print({called})"
+    child = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, timeout=120)
+    assert child.returncode == 0, child.stderr
+    assert child.stdout.strip() == choose_variant(candidates=[file]).name
+
+
+def test_no_camera_takes_nothing_and_a_pupil_takes_a_view_for_every_point(monkeypatch):
+    monkeypatch.setattr(backend, "free_bytes", lambda: 0)
+    backend.require_memory(load_scene("block_bare"))
+    needed = []
+    for aperture in (0, 0.5):
+        with pytest.raises(MissingCapability) as refused:
+            backend.require_memory(load_scene("kamiyama_pillar", {**LARGE, "camera.aperture_mm": aperture}))
+        needed.append(float(str(refused.value).split(" GB")[0].split()[-1]))
+    assert 3.5 < needed[1] / needed[0] < 5
+
+
+def test_free_memory_is_the_least_of_the_systems_figures(monkeypatch, tmp_path):
+    (tmp_path / "meminfo").write_text("MemTotal: 9000 kB\nMemAvailable: 5000 kB\n")
+    (tmp_path / "max").write_text("max\n")
+    monkeypatch.setattr(backend, "MEMORY_FILES", (tmp_path / "meminfo", tmp_path / "max"))
+    assert backend.free_bytes() == 5000 * 1024
+    (tmp_path / "max").write_text("1000000\n")
+    assert backend.free_bytes() == 1_000_000
+
+
+def test_a_picture_without_memory_is_refused_before_anything_is_computed(monkeypatch, tmp_path):
+    monkeypatch.setattr(backend, "free_bytes", lambda: 8_000_000_000)
+    monkeypatch.setattr(Sensor, "press", lambda *_, **__: pytest.fail("pressed"))
+    with pytest.raises(
+        MissingCapability, match=r"camera.width_px = 8192.* about 9.3 GB.* 8.0 GB are free .*fewer pixels"
+    ):
+        run(load_scene("kamiyama_pillar", LARGE))
+    with pytest.raises(MissingCapability, match=r"aperture_mm = 0 "):
+        Sensor(load_scene("kamiyama_pillar", {**LARGE, "camera.aperture_mm": 0.5})).picture(None)
+    monkeypatch.setattr(backend, "free_bytes", lambda: 100_000_000)
+    scene = load_scene("dataset_kamiyama", {"dataset.samples_per_shard": 5})
+    with pytest.raises(MissingCapability, match=r"4 pictures at once .*fewer --workers"):
+        create_dataset(scene, tmp_path / "set", samples=20, workers=8)
+    assert not (tmp_path / "set").exists()
+
+
+def test_a_scene_of_many_pixels_runs_where_no_picture_is_wanted(monkeypatch):
+    monkeypatch.setattr(backend, "free_bytes", lambda: 1_000_000)
+    assert run(load_scene("kamiyama_pillar", {**LARGE, "press.friction": 0.0}), {"displacement"}).truth is not None

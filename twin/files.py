@@ -1,0 +1,281 @@
+"""Where files are (shipped ones, cache), and how files are written and read.
+
+Every file is written under a temporary name and then renamed (`write_whole`), so that after a kill
+or on a full disk it is either complete or absent. `read_arrays` reads an npz file without executing
+anything in it, and limits the memory before it reads.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import json
+import os
+import shutil
+import struct
+import sys
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from twin.errors import InputError, TwinError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from twin.arrays import Picture
+
+ROOT = Path(__file__).resolve().parent.parent
+_INSIDE = Path(__file__).resolve().parent
+_SHIPPED = _INSIDE if (_INSIDE / "meshes").is_dir() else ROOT
+MESHES = _SHIPPED / "meshes"
+SCENES = _SHIPPED / "scenes"
+"""Inside an installed package, or next to the package in a checkout."""
+
+LARGEST_BYTES = 2_000_000_000
+"""Largest unpacked size of an npz file; this program's own files are a hundredth of it."""
+
+LARGEST_PX = 50_000_000
+"""Largest number of pixels of a picture that is read."""
+
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    EOFError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    NotImplementedError,
+    RuntimeError,
+    MemoryError,
+    RecursionError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""Exceptions of numpy and zipfile on damaged archives."""
+
+_pinned: list[Path] = []
+
+
+@cache
+def cache_folder() -> Path:
+    """Return a writable cache folder: ``$TWIN_CACHE``, else the platform's, else a temporary one
+    with a warning."""
+    import platformdirs
+
+    named = os.environ.get("TWIN_CACHE")
+    candidate = Path(named) if named else Path(platformdirs.user_cache_dir("twin"))
+    try:
+        candidate.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=candidate):
+            return candidate
+    except OSError as problem:
+        print(
+            f"twin: the cache {candidate} can't be written ({problem.strerror}); using a temporary "
+            "one. Set TWIN_CACHE to a writable folder to keep results between runs.",
+            file=sys.stderr,
+        )
+    temporary = Path(tempfile.mkdtemp(prefix="twin-cache-"))
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    return temporary
+
+
+def pinned(name: str) -> Path | None:
+    """Return the file of this name in a pinned folder; None if there is none."""
+    for folder in _pinned:
+        if (folder / name).is_file():
+            return folder / name
+    return None
+
+
+@contextmanager
+def pin(folder: Path) -> Iterator[None]:
+    """Take meshes and tables from ``folder`` before all others, and make none while it is pinned.
+
+    Why: making a mesh is not deterministic, so a job with reproducible results carries its mesh.
+    """
+    _pinned.insert(0, folder)
+    try:
+        yield
+    finally:
+        _pinned.remove(folder)
+
+
+def is_pinned() -> bool:
+    """Return whether meshes and tables are pinned."""
+    return bool(_pinned)
+
+
+def make_folder(folder: Path) -> None:
+    """Make ``folder``, check that it is writable, and remove partial files of killed writers.
+
+    Where it can't be made or written, an `InputError` is raised.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(
+            f"{folder}: the output folder can't be made, as there is a file of that name; give "
+            "another"
+        ) from None
+    except OSError as problem:
+        raise InputError(
+            f"{folder}: the output folder can't be made ({problem.strerror}); give another"
+        ) from None
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{folder}: the output folder can't be written; give another")
+    for part in folder.glob(".*.part"):
+        writer = part.suffixes[-2].removeprefix(".") if len(part.suffixes) > 1 else ""
+        if writer.isdecimal() and not _is_alive(int(writer)):
+            part.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # another user's process, or no process number
+        pass
+    return True
+
+
+def write_whole(
+    path: Path, content: bytes | Callable[[IO[bytes]], object], *, first: bool = False
+) -> None:
+    """Write a file so that it is either whole or absent.
+
+    Parameters
+    ----------
+    path
+        Name of the file.
+    content
+        Its bytes, or a function that writes them into an open file.
+    first
+        Keep a file of this name that another process has written meanwhile.
+
+    Raises
+    ------
+    TwinError
+        The folder can't be written, or the disk is full.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with open(part, "wb") as file:
+            if callable(content):
+                content(file)
+            else:
+                file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        if not (first and _linked(part, path)):
+            os.replace(part, path)
+    except OSError as problem:
+        why = problem.strerror or problem  # numpy gives the number of bytes only
+        raise TwinError(
+            f"{path}: can't be written ({why}); files written so far are whole"
+        ) from None
+    finally:
+        with contextlib.suppress(OSError):  # without a folder there is no partial file
+            part.unlink(missing_ok=True)
+
+
+def _linked(part: Path, path: Path) -> bool:
+    """Name a file unless the name is taken; False where the file system has no links."""
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        return True
+    except OSError:
+        return False
+    return True
+
+
+def write_json(path: Path, table: Mapping[str, Any]) -> None:
+    """Write a JSON file; a number that is not finite becomes null."""
+    write_whole(path, json.dumps(plain(table), indent=2).encode())
+
+
+def plain(value: Any) -> Any:
+    """Return tables, lists, arrays and numbers as JSON holds them; None for one not finite."""
+    import numpy as np
+
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def read_arrays(
+    path: str | os.PathLike[str], names: Iterable[str] | None = None
+) -> dict[str, NDArray[np.generic]]:
+    """Return the arrays of an npz file by name: all, or those of ``names`` that it holds.
+
+    Raises
+    ------
+    OSError
+        There is no such file, or it can't be opened.
+    ValueError
+        It is damaged, holds objects, or unpacks to more than `LARGEST_BYTES`.
+
+    Notes
+    -----
+    A zip file lists the unpacked size of its members, and its reader unpacks no more than that; so
+    the sum is checked before anything is read.
+    """
+    import numpy as np
+
+    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe would wait
+        raise ValueError("it is no file")
+    # opened here, because numpy leaves a broken zip file's handle to the garbage collector
+    with open(path, "rb") as stream:
+        try:
+            with zipfile.ZipFile(stream) as listed:
+                size = sum(member.file_size for member in listed.infolist())
+            if size > LARGEST_BYTES:
+                raise ValueError(f"it unpacks to {size:,} bytes; allowed are {LARGEST_BYTES:,}")
+            stream.seek(0)
+            with np.load(stream, allow_pickle=False) as archive:
+                wanted = archive.files if names is None else set(names) & set(archive.files)
+                return {name: archive[name] for name in wanted}
+        except _UNREADABLE as problem:
+            raise ValueError(str(problem) or type(problem).__name__) from None
+
+
+def png_bytes(picture: Picture) -> bytes:
+    """Return a (height, width, 3) uint8 picture as a PNG file (W3C, PNG 3rd edition, 8-bit RGB).
+
+    Notes
+    -----
+    Noise does not compress: a better filter or a higher level gains a few per cent for many times
+    the time. So lines are stored unfiltered and packed by libdeflate at its level 1 (4.4 ms for
+    640 x 480 against 10 by zlib and 21 by Pillow), always to the same bytes. ISA-L takes 2.2 ms,
+    but its bytes differed once in some hundred pictures.
+    """
+    import deflate
+    import numpy as np
+
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+        raise InputError(
+            f"a picture must be (height, width, 3) uint8, got {picture.shape} {picture.dtype}"
+        )
+    height, width, _ = picture.shape
+    lines = np.zeros((height, 1 + 3 * width), np.uint8)
+    lines[:, 1:] = picture.reshape(height, -1)
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    packed = deflate.zlib_compress(lines.tobytes(), 1)
+    chunks = [_chunk(b"IHDR", head), _chunk(b"IDAT", packed), _chunk(b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

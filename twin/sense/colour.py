@@ -1,0 +1,214 @@
+"""Split a colour picture into one signal per marker layer.
+
+The flat paper takes the difference of the red and the blue component: its positive part is the red
+layer, its negative part the blue one (section 4.1). Here every layer has a projection (r, g, b) of
+the picture, of which the paper's (1, 0, -1) and (-1, 0, 1) are a case.
+
+Why the projections are estimated from the rest picture: white balance, cross-talk and the dyes of a
+real sensor are not known, whereas two colours in one picture are easily separated. Which colour
+belongs to which layer is decided by the layout, never by a layer's name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Floats, Picture, Pixels
+from twin.compiled import njit
+from twin.errors import InputError
+
+Weights = tuple[float, float, float]
+Signal = NDArray[np.float32]
+
+SAMPLES = 4000
+"""Marker pixels that are looked at for the colours."""
+
+UNSPLIT_COSINE = 0.97
+"""Two marker colours closer than this in direction can't be split; their layers then share one
+signal."""
+
+
+def as_picture(image: NDArray[np.generic], what: str) -> Picture:
+    """Return ``image`` as a contiguous (h, w, 3) uint8 picture; a grey one is repeated in all
+    channels.
+
+    Raises
+    ------
+    InputError
+        It isn't an 8-bit picture of one or three channels.
+    """
+    picture = np.asarray(image)
+    if picture.dtype != np.uint8 or picture.ndim not in (2, 3) or 0 in picture.shape:
+        raise InputError(
+            f"{what} must be 8-bit counts of shape (height, width, 3) or (height, width), got "
+            f"{picture.dtype} of shape {picture.shape}: convert it first"
+        )
+    if picture.ndim == 2:
+        picture = np.repeat(picture[:, :, None], 3, axis=2)
+    if picture.shape[2] != 3:
+        raise InputError(
+            f"{what} must have 3 channels (red, green, blue), got {picture.shape[2]}: "
+            "drop the others"
+        )
+    picture = np.ascontiguousarray(picture)
+    # one type for the compiled kernels
+    return picture if picture.flags.writeable else picture.copy()
+
+
+@njit(cache=True)
+def _project(image, red, green, blue, floor):
+    height, width = image.shape[0], image.shape[1]
+    signal = np.empty((height, width), np.float32)
+    for row in range(height):
+        for column in range(width):
+            value = (
+                red * image[row, column, 0]
+                + green * image[row, column, 1]
+                + blue * image[row, column, 2]
+            )
+            signal[row, column] = max(value, floor)
+    return signal
+
+
+def project(image: Picture, weights: Weights, floor_dn: float = -np.inf) -> Signal:
+    """Return the (h, w) signal r R + g G + b B, counts, cut off below ``floor_dn``.
+
+    Why a floor a little below zero instead of the paper's positive part: cutting at zero rectifies
+    the noise of the background, which the centroid then feels; without a floor a marker of the
+    other layer would count as negative mass.
+    """
+    red, green, blue, floor = (np.float32(w) for w in (*weights, floor_dn))
+    return np.asarray(_project(image, red, green, blue, floor))
+
+
+def estimate_channels(
+    rest_image: Picture,
+    layout: Mapping[str, Pixels],
+    spacing_px: float,
+    polarity: str | None = None,
+    pair: tuple[Weights, Weights] | None = None,
+) -> dict[str, Weights]:
+    """Estimate every layer's projection from the rest picture.
+
+    Parameters
+    ----------
+    rest_image
+        (h, w, 3) counts.
+    layout
+        Nominal rest positions by layer, px; they may be off by about a third of the spacing.
+    spacing_px
+        Typical distance of neighbouring markers in a layer, px.
+    polarity
+        ``bright`` or ``dark`` markers on their ground; None: found from the picture.
+    pair
+        The two projections to choose from where there are two layers of different colour, instead
+        of estimates.
+
+    Returns
+    -------
+    dict
+        (r, g, b) by layer, the largest magnitude 1. All layers share one projection where the
+        colours can't be separated; a picture without contrast yields the grey one.
+    """
+    grey = (1 / 3, 1 / 3, 1 / 3) if polarity != "dark" else (-1 / 3, -1 / 3, -1 / 3)
+    samples = _contrasts(rest_image, layout, spacing_px, polarity)
+    if samples is None:
+        return dict.fromkeys(layout, grey)
+    colours = _clusters(samples, len(layout))
+    if colours is None:
+        return dict.fromkeys(layout, _scaled(samples.mean(axis=0)))
+    if pair is not None and len(layout) == len(pair):
+        return _assign(rest_image, layout, list(pair), spacing_px)
+    weights = [
+        _scaled(colour - np.mean([other for j, other in enumerate(colours) if j != i], axis=0))
+        for i, colour in enumerate(colours)
+    ]
+    return _assign(rest_image, layout, weights, spacing_px)
+
+
+def _scaled(direction: Floats) -> Weights:
+    red, green, blue = (float(v) for v in direction / max(np.abs(direction).max(), 1e-12))
+    return red, green, blue
+
+
+def _contrasts(
+    image: Picture, layout: Mapping[str, Pixels], spacing_px: float, polarity: str | None
+) -> Floats | None:
+    """Return (n, 3) colours minus the ground's colour of pixels that surely belong to markers, or
+    None."""
+    height, width = image.shape[:2]
+    points = np.concatenate([np.asarray(p, float) for p in layout.values()])
+    low = np.maximum(np.floor(points.min(axis=0) - spacing_px), 0).astype(int)
+    high = np.ceil(points.max(axis=0) + spacing_px)
+    high = np.minimum(high, [width - 1, height - 1]).astype(int)
+    if np.any(high <= low):
+        return None
+    part = image[low[1] : high[1] + 1, low[0] : high[0] + 1]
+    pixels = part.reshape(-1, 3)[:: max(1, part.size // 300_000)].astype(float)
+    ground = np.median(pixels, axis=0)
+    away = pixels - ground
+    if polarity is not None:
+        away = away[(away.sum(axis=1) > 0) == (polarity == "bright")]
+    if not len(away):
+        return None
+    strength = np.linalg.norm(away, axis=1)
+    top = np.quantile(strength, 0.99)
+    spread = 1.4826 * np.median(strength)
+    if top < max(8.0, 3.0 * spread):
+        return None
+    strong = away[strength > 0.5 * top]
+    return np.asarray(strong[:: max(1, len(strong) // SAMPLES)])
+
+
+def _clusters(samples: Floats, count: int) -> Floats | None:
+    """Return the (count, 3) unit directions of the colours, or None where they can't be
+    separated."""
+    if count == 1:
+        return None
+    unit = samples / np.linalg.norm(samples, axis=1, keepdims=True)
+    centres = [unit[np.argmin(unit @ _unit(unit.mean(axis=0)))]]
+    while len(centres) < count:
+        centres.append(unit[np.argmin(np.max(unit @ np.array(centres).T, axis=1))])
+    directions = np.array(centres)
+    for _ in range(20):
+        nearest = np.argmax(unit @ directions.T, axis=1)
+        if len(np.unique(nearest)) < count:
+            return None
+        directions = np.array([_unit(unit[nearest == i].mean(axis=0)) for i in range(count)])
+    likeness = directions @ directions.T - 2.0 * np.eye(count)
+    return None if likeness.max() > UNSPLIT_COSINE else directions
+
+
+def _unit(vector: Floats) -> Floats:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12))
+
+
+def _assign(
+    image: Picture, layout: Mapping[str, Pixels], weights: list[Weights], spacing_px: float
+) -> dict[str, Weights]:
+    """Give every layer the colour that the picture shows at its places, allowing one common shift
+    of all of them."""
+    from scipy.ndimage import uniform_filter
+
+    size = max(3, round(0.2 * spacing_px))
+    signals = [uniform_filter(project(image, w, 0.0), size) for w in weights]
+    levels = [max(float(np.quantile(signal, 0.99)), 1e-6) for signal in signals]
+    steps = np.linspace(-0.4, 0.4, 11) * spacing_px
+    shifts = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    height, width = image.shape[:2]
+    score = np.zeros((len(layout), len(weights), len(shifts)))
+    for i, points in enumerate(layout.values()):
+        places = np.rint(np.asarray(points, float)[:, None] + shifts).astype(int)
+        inside = (places >= 0).all(axis=2) & (places < [width, height]).all(axis=2)
+        column, row = np.clip(places, 0, [width - 1, height - 1]).transpose(2, 0, 1)
+        for j, signal in enumerate(signals):
+            score[i, j] = (np.minimum(signal[row, column] / levels[j], 1.0) * inside).mean(axis=0)
+    score -= 0.02 * np.linalg.norm(shifts, axis=1) / spacing_px
+    orders = list(permutations(range(len(weights))))
+    totals = [score[np.arange(len(layout)), list(order)].sum(axis=0).max() for order in orders]
+    best = orders[int(np.argmax(totals))]
+    return {name: weights[j] for name, j in zip(layout, best, strict=True)}

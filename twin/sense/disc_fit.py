@@ -1,0 +1,676 @@
+"""The disc fit: templates of the markers at rest, fitted to every other picture.
+
+Why a template: brightness that falls off to one side looks much like motion. Fitted in every
+picture, that slope would cost half of the information in an 8 px marker. So all parameters are
+fitted to the rest picture, and centre, level, ground and scale alone to the others
+(`twin.sense.template`). An error of the slope is then the same in both pictures and cancels in the
+shift.
+
+**Slope of brightness.** The slope across a marker has two parts. One follows from the lamps and is
+a smooth function of the place in the picture (a quadratic); it changes as a marker moves. The other
+belongs to the marker and moves with it; it is used where it is large.
+
+**Projection.** A layer's projection removes the other layers' colours and otherwise has the least
+noise: for pure dyes it is the one channel that shows the marker. The paper's difference of red and
+blue has the noise of two channels. It is used to find spots, not to measure centres.
+
+After a first picture fits start where the last ones ended; where too many of them fail the whole
+picture is searched. Fits that don't look like the marker are refused, and the standard deviation
+of the others grows where their edge does not fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from twin.arrays import Bools, Floats, Picture, Pixels, Singles
+from twin.compiled import njit
+from twin.sense.centre import (
+    AREA_RATIO,
+    DIM,
+    LEVEL_RATIO,
+    MERGED,
+    MISSING,
+    OCCLUDED,
+    PARTLY_HIDDEN,
+    SEEN,
+    Look,
+    Seen,
+)
+from twin.sense.match import GATE, TRUST, Neighbourhood
+from twin.sense.soft_window import SoftWindow
+from twin.sense.template import (
+    CENTRE_X,
+    CENTRE_Y,
+    DIRECTIONS,
+    EDGE,
+    FITS,
+    FITTING,
+    GROUND,
+    LEVEL,
+    MARGIN_PX,
+    MISFIT,
+    ONE_SIDED,
+    PIXELS,
+    SCALE,
+    SHAPE,
+    SHORTFALL,
+    SQUARES,
+    STEP,
+    THIRD_X,
+    THIRD_Y,
+    UNUSUAL,
+    VAR_X,
+    VAR_Y,
+    Templates,
+    disc,
+    doubtful,
+    gather,
+    inverse_form,
+)
+
+USUAL_BLUR_PX = 2.0
+"""Half width of a sharp lens' blur with the pixel's, px (.75 px standard deviation): where the
+search starts."""
+
+SHOWS = 0.3
+"""Another layer shows where it has this share of its usual level."""
+
+OWN_SLOPE = 0.3
+"""A marker's own slope, over its radius, counts above this: smaller ones cost little where they are
+real (a tenth of the precision), and much where a neighbour's shadow feigns them and then moves."""
+
+SAMPLE = 40
+"""About how many markers give the layer's blur and bulge."""
+
+TURNS = 12
+"""Most steps of a shape's fit at rest."""
+
+WITNESSES = 24
+"""About how many markers show how the noise hangs together."""
+
+WHITE = 1.3
+"""Noise that leaves residuals up to so many times as large, squared, as it has in single pixels
+does not."""
+
+QUADRATIC, LINEAR = 30, 12
+"""From how many markers on their shared slope is a quadratic, or linear, function of the place."""
+
+LEAST_CONTRAST_DN = 5.0
+
+LEAST_EDGE = 0.5
+"""Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
+
+UNLIKE = 0.12
+"""Root mean square of what a fit leaves beyond what usual fits leave, as a share of the marker's
+brightness, above which it is no picture of that marker. Noise that hangs together over pixels (a
+capture unit's colour) is usual."""
+
+HIDES = 0.28
+"""A marker that lacks more of its light somewhere, and whose edge fits worse than at rest
+(`FITS`), is partly hidden: its visible part's centre is not its own. Shadows in the shipped
+finger lack up to .26; where a tenth of a marker's width is hidden, .31 (10 px wide) and .55 (15 px)
+are lacking."""
+
+UNSETTLED_PX = 0.3
+"""A fit whose last step was larger has found nothing."""
+
+SAME_PLACE = 0.5
+"""Two markers of a layer nearer than this share of their width are one spot."""
+
+WHOLE_EDGE, COVERED_SD_PX = 0.9, 0.03
+"""A marker with less of its edge in sight may be shadowed too: its standard deviation has this
+added."""
+
+DOUBT = 4.0
+"""A doubted marker's variance (`UNUSUAL`) grows by so much of the excess of its residuals.
+Residuals beyond the noise hang together over several pixels, hence more than in proportion."""
+
+CHANCE = 4.0
+"""Standard deviations up to which a fit that moves when one side of the edge is left out
+(`ONE_SIDED`) has moved by chance. None of 8,000 whole markers exceeds 3.4; where a tenth of the
+width of markers 8 to 10 px wide is hidden the least is 7.8 (of wider ones `HIDES` finds it)."""
+
+LEAST_SCORES = 4
+"""From so many numbers on a median is taken."""
+
+SD_FLOOR_PX = 0.001
+"""No centre is taken to be better than this: what a lens and a finite pixel leave even without
+noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscFit(SoftWindow):
+    """Fits of templates, started from spots or from the last picture's fits.
+
+    Attributes
+    ----------
+    templates, start_px
+        What is fitted, and (n, 2) where the fits start at rest, px. Those in other pictures start
+        as far from their expected places, so that the rest picture itself shows no motion at all.
+    """
+
+    templates: Templates
+    start_px: Pixels
+
+    @classmethod
+    def at_rest(
+        cls, picture: Picture, looks: list[Look], spacing_px: float, given: bool
+    ) -> Sequence[DiscFit]:
+        spots = SoftWindow.at_rest(picture, looks, spacing_px, given)
+        centres, widths = [s.spot_px for s in spots], [look.diameter_px for look in looks]
+        own = [np.asarray(look.weights) for look in looks]
+        colours = [_colour_of(picture, c, w) for c, w in zip(centres, widths, strict=True)]
+        visible = all(np.abs(colour).max() >= LEAST_CONTRAST_DN for colour in colours)
+        if not given and len(looks) > 1 and visible:
+            inverse = np.linalg.pinv(np.array(colours), rcond=0.05).T
+            own = [row / max(float(np.abs(row).max()), 1e-12) for row in inverse]
+        sample = picture[::4, ::4].reshape(-1, 3).astype(float)
+        ground = [float(np.median(sample @ weights)) for weights in own]
+        shows = [
+            [*weights, dark + max(SHOWS * float(weights @ colour), 4.0)]
+            for weights, dark, colour in zip(own, ground, colours, strict=True)
+        ]
+        groups = []
+        for number, spot in enumerate(spots):
+            mine = np.array([*own[number], ground[number]], np.float32)
+            others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
+            made = _make_templates(picture, mine, others, centres[number], widths[number])
+            groups.append(cls._fitted(picture, spot, *made))
+        return groups
+
+    @classmethod
+    def _fitted(
+        cls, picture: Picture, spots: SoftWindow, templates: Templates, start: Pixels
+    ) -> DiscFit:
+        """Take the fits' centres for the rest positions."""
+        around = Neighbourhood.of(start, spots.around.spacing_px)
+        fitted = replace(templates, every=1).fit(picture, start, around.lead)
+        templates = replace(
+            templates,
+            third=np.ascontiguousarray(fitted[:, THIRD_X : THIRD_Y + 1]),
+            fitting=fitted[:, FITTING].copy(),
+            one_sided=np.ascontiguousarray(fitted[:, ONE_SIDED : ONE_SIDED + DIRECTIONS]),
+        )
+        good = (fitted[:, EDGE] > LEAST_EDGE) & (fitted[:, LEVEL] >= spots.look.contrast_dn)
+        sd = np.where(good, _centre_sds(fitted, templates.usual_misfit), np.nan)
+        covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
+        rest_px = np.where(good[:, None], fitted[:, CENTRE_X : CENTRE_Y + 1], np.nan)
+        return cls(
+            **vars(spots)
+            | {
+                "around": replace(around, rest_px=rest_px),
+                "sd_px": sd,
+                "usual_sd_px": np.hypot(np.sqrt(2.0) * sd, covered),
+                "templates": templates,
+                "start_px": start,
+            }
+        )
+
+    def measure(self, picture: Picture, start_px: Pixels | None) -> Seen:
+        if start_px is not None and (warm := self._from_last(picture, start_px)):
+            return warm
+        blobs, spot, state, spurious = self._search(picture, start_px)
+        moved = (blobs.centre_px[spot] if len(blobs) else np.nan) - self.spot_px
+        place = np.where((spot >= 0)[:, None], self.start_px + moved, np.nan)
+        fitted = self.templates.fit(picture, place, self.around.lead)
+        return replace(self._judged(fitted, state), spurious_px=spurious)
+
+    def _from_last(self, picture: Picture, last_px: Pixels) -> Seen | None:
+        """Fit around the last places, then once more where the neighbours' motion predicts; None
+        where too many are lost."""
+        known, gate = self.around.rest_px, GATE * self.around.spacing_px
+        start = self.start_px + last_px
+        count = int(np.isfinite(known[:, 0]).sum())
+        if not count or np.isfinite(start[:, 0]).sum() < (1.0 - TRUST) * count:
+            return None
+        nothing = np.full(len(known), MISSING, np.uint8)
+        seen = self._judged(self.templates.fit(picture, start, self.around.lead), nothing)
+        shift, sd, state = seen.shift_px, seen.sd_px, seen.state
+        expected, certain = self.around.predict(shift)
+        with np.errstate(invalid="ignore"):
+            astray = np.hypot(*(shift - expected).T) > gate
+        again = np.flatnonzero(certain & (astray | ~np.isfinite(shift[:, 0])))
+        if len(again):
+            shift[astray & certain] = np.nan
+            start = np.full_like(known, np.nan)
+            start[again] = self.start_px[again] + expected[again]
+            second = self._judged(self.templates.fit(picture, start), nothing)
+            rows = again[np.hypot(*(second.shift_px[again] - expected[again]).T) < gate]
+            kept = np.isfinite(shift[:, 0])
+            if kept.any() and len(rows):
+                taken = cKDTree((known + shift)[kept])
+                apart, _ = taken.query(known[rows] + second.shift_px[rows])
+                rows = rows[apart > SAME_PLACE * self.look.diameter_px]
+            shift[rows], sd[rows], state[rows] = second.shift_px[rows], second.sd_px[rows], SEEN
+            lost = again[np.isnan(shift[again, 0])]
+            state[lost] = np.where(second.state[lost] == SEEN, MISSING, second.state[lost])
+            sd[lost] = np.nan
+        return seen if np.isfinite(shift[:, 0]).sum() >= (1.0 - TRUST) * count else None
+
+    def _judged(self, fitted: Floats, state: NDArray[np.uint8]) -> Seen:
+        """Return the motion by the accepted fits, and the states of the others."""
+        templates, rest_sd = self.templates, self.sd_px
+        shift, state = np.empty((len(fitted), 2)), state.copy()
+        _judge(
+            fitted,
+            self.around.rest_px,
+            templates.level,
+            templates.usual_misfit,
+            templates.fitting,
+            self.look.diameter_px,
+            self.look.contrast_dn,
+            self.look.picture_px,
+            shift,
+            state,
+        )
+        sd = np.hypot(_centre_sds(fitted, templates.usual_misfit), rest_sd)
+        sd[np.isnan(shift[:, 0])] = np.nan
+        factor = _coherence(fitted, templates.third, state == SEEN, sd)
+        sd = _edge_sds(fitted, templates.one_sided, rest_sd, sd, factor)
+        return Seen(shift_px=shift, sd_px=sd, state=state, coherence=factor)
+
+
+def _centre_sds(fitted: Floats, usual_misfit: float) -> Floats:
+    """Return (n,) standard deviations of fitted centres, per axis, px: the noise's, more where the
+    fit is bad; NaN where there was none."""
+    bad = np.maximum(fitted[:, MISFIT] / usual_misfit - UNUSUAL, 0.0)
+    variance = 0.5 * (fitted[:, VAR_X] + fitted[:, VAR_Y])
+    return np.asarray(np.sqrt(variance * (1.0 + DOUBT * bad) + SD_FLOOR_PX**2))
+
+
+def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
+    """Return how many times as large as stated from single pixels' noise the errors of centres are.
+
+    Why: compression and colour mosaics leave errors that hang together over several pixels, which
+    the variance in single pixels does not show, and which a fit takes up as motion (by 5 to 10
+    times the stated deviation). They move the edge in its third harmonic as much as in the first,
+    the motion; unlike motion, size and strain (the first, none and the second), nothing else moves
+    it between two pictures. What a marker's own outline or shadow lacks of the model is the same at
+    rest and cancels.
+
+    ``third`` is that of the edge at rest; ``seen`` and ``sd`` say which fits count, and the
+    standard deviations of their shifts, px.
+    """
+    moved = np.abs(fitted[:, THIRD_X : THIRD_Y + 1] - third)
+    counts = seen & np.isfinite(moved[:, 0])
+    if 2 * int(counts.sum()) < LEAST_SCORES:
+        return 1.0
+    return float(1.4826 * np.median(moved[counts] / sd[counts, None]))
+
+
+def _edge_sds(
+    fitted: Floats, one_sided: Floats, rest_sd: Floats, sd: Floats, factor: float
+) -> Floats:
+    """Return (n,) standard deviations of shifts, px, with what a covered or shadowed edge adds.
+
+    ``rest_sd`` and ``sd`` are those of the rest positions and of the shifts from the noise, without
+    its coherence ``factor``.
+    """
+    moved = np.zeros(len(fitted))
+    looked = np.flatnonzero(np.isfinite(fitted[:, ONE_SIDED]))
+    change = np.abs(fitted[looked, ONE_SIDED:] - one_sided[looked])
+    moved[looked] = np.where(np.isfinite(change), change, 0.0).max(axis=1) / max(factor, 1.0)
+    beyond = np.maximum(moved**2 - 2.0 * (CHANCE * rest_sd) ** 2, 0.0)
+    covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
+    return np.asarray(np.sqrt(sd**2 + covered**2 + beyond))
+
+
+@njit(cache=True)
+def _judge(fitted, rest, level, usual_misfit, fitting, diameter, contrast, size, shift, state):
+    """Fill ``shift`` (n, 2), NaN where a fit is refused, and ``state`` (n,) where there was a fit.
+
+    The other arguments are those of `Templates` and `Look`.
+    """
+    count, radius = len(fitted), 0.5 * diameter
+    place_x, place_y = np.empty(count), np.empty(count)
+    good = np.empty(count, np.int64)
+    kept = 0
+    for k in range(count):
+        shift[k, 0], shift[k, 1] = np.nan, np.nan
+        fit = fitted[k]
+        if not np.isfinite(fit[LEVEL]):
+            continue
+        x, y, bright = fit[CENTRE_X], fit[CENTRE_Y], fit[LEVEL]
+        mean_square = fit[SQUARES] / fit[PIXELS]
+        area, against_rest = fit[SCALE] ** 2, bright / level[k]
+        usual = max(usual_misfit, 1.0) / max(fit[MISFIT], 1e-9)
+        unlike = np.sqrt(max(mean_square * (1.0 - usual), 0.0)) / bright
+        if fit[EDGE] < LEAST_EDGE:
+            inside = (
+                radius - 0.5 < x < size[1] - 0.5 - radius
+                and radius - 0.5 < y < size[0] - 0.5 - radius
+            )
+            state[k] = OCCLUDED if inside else MISSING
+        elif against_rest < LEVEL_RATIO[0] or bright < contrast:
+            state[k] = DIM
+        elif area > AREA_RATIO[1] or against_rest > LEVEL_RATIO[1]:
+            state[k] = MERGED
+        elif fit[SHORTFALL] > HIDES and fit[FITTING] < FITS * fitting[k]:
+            state[k] = PARTLY_HIDDEN
+        elif area < AREA_RATIO[0] or unlike > UNLIKE or fit[STEP] > UNSETTLED_PX:
+            state[k] = OCCLUDED
+        else:
+            state[k] = SEEN
+            place_x[kept], place_y[kept], good[kept] = x, y, k
+            kept += 1
+    near = (SAME_PLACE * diameter) ** 2
+    for i in range(kept):
+        alone = 0
+        for j in range(kept):
+            alone += (place_x[i] - place_x[j]) ** 2 + (place_y[i] - place_y[j]) ** 2 <= near
+        k = good[i]
+        if alone > 1:
+            state[k] = MERGED
+            continue
+        shift[k, 0], shift[k, 1] = place_x[i] - rest[k, 0], place_y[i] - rest[k, 1]
+
+
+def _colour_of(picture: Picture, centres: Pixels, diameter: float) -> Floats:
+    """Return (3,) how markers differ from their ground, counts: the median over them; zeros if
+    there are none."""
+    middle = np.rint(centres[np.isfinite(centres).all(axis=1)]).astype(int)
+    far = int(np.ceil(0.5 * diameter)) + 4
+    height, width = picture.shape[:2]
+    inside = ((middle >= far) & (middle < [width - far, height - far])).all(axis=1)
+    if not inside.any():
+        return np.zeros(3)
+    column, row = middle[inside].T
+    near = range(-max(int(0.2 * diameter), 0), max(int(0.2 * diameter), 0) + 1)
+    spot = np.mean([picture[row + j, column + i] for j in near for i in near], axis=0)
+    ring = [picture[row + j, column + i] for i, j in ((far, 0), (-far, 0), (0, far), (0, -far))]
+    return np.asarray(np.median(spot - np.median(ring, axis=0), axis=0), float)
+
+
+def _make_templates(
+    picture: Picture, own: Singles, others: Singles, centres: Pixels, diameter: float
+) -> tuple[Templates, Pixels]:
+    """Return the templates of markers about ``diameter`` wide at about ``centres``, px, NaN where
+    not found; and (n, 2) where their fits start at rest."""
+    count = len(centres)
+    radius = np.where(np.isfinite(centres).all(axis=1), 0.5 * diameter, np.nan)
+    wanted = np.isfinite(radius)
+    variances = np.full((count, 2), np.nan)
+    _noise_variances(picture, own, centres, 0.5 * diameter, USUAL_BLUR_PX, variances)
+    known = np.isfinite(variances).any(axis=0)
+    ground = float(np.nanmedian(variances[:, 0])) if known[0] else 1.0
+    marker = float(np.nanmedian(variances[:, 1])) if known[1] else ground
+    noise = np.maximum([ground, max(marker, ground)], 1 / 12)
+    first, shape = np.full((count, SHAPE + 2), np.nan), np.full((count, SHAPE + 2), np.nan)
+    if wanted.any():
+        every = max(1, int(wanted.sum()) // SAMPLE)
+        few = np.where(np.cumsum(wanted) % every == 0, radius, np.nan)
+        offset, _ = disc(0.65 * diameter + 2.0 * USUAL_BLUR_PX + MARGIN_PX)
+        seen = (picture, own, others, centres)
+        _fit_shapes(*seen, few, USUAL_BLUR_PX, 0.0, True, noise, offset, TURNS, first)
+        good = np.isfinite(first[:, 0])
+        blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
+        bulge = float(np.median(first[good, 5])) if good.any() else 0.0
+        offset, _ = disc(0.65 * diameter + 2.0 * blur + MARGIN_PX)
+        _fit_shapes(*seen, radius, blur, bulge, False, noise, offset, TURNS, shape)
+    good = np.isfinite(shape[:, 0])
+    if good.any():
+        shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
+    places = np.where(good[:, None], shape[:, SHAPE:], centres)
+    slopes = _share_slopes(shape, places, good, picture.shape)
+    axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1) + shape[:, 6]
+    reach = float(np.nanmax(axes, initial=3.0)) + MARGIN_PX
+    templates = Templates(
+        own=own,
+        others=others,
+        shape=np.ascontiguousarray(shape[:, :SHAPE]),
+        ground=np.zeros(count),
+        noise=noise,
+        slopes=slopes,
+        usual_misfit=1.0,
+        level=shape[:, 7].copy(),
+        reach_px=reach,
+        every=0,
+        third=np.zeros((count, 2)),
+        fitting=np.ones(count),
+        one_sided=np.zeros((count, DIRECTIONS)),
+    )
+    fitted = templates.fit(picture, places)
+    misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
+    usual = float(np.quantile(misfit, 0.25)) if len(misfit) else 1.0
+    settled = replace(
+        templates,
+        ground=np.nan_to_num(fitted[:, GROUND]),
+        usual_misfit=max(usual, 1.0),
+        level=fitted[:, LEVEL],
+        every=max(1, len(misfit) // WITNESSES) if usual > WHITE else 0,
+    )
+    return settled, np.ascontiguousarray(fitted[:, CENTRE_X : CENTRE_Y + 1])
+
+
+def _slope_terms(places: Pixels, size: Sequence[int]) -> Floats:
+    """Return (n, 6) 1, u, v, u^2, u v, v^2 of picture positions; u, v from -1/2 to 1/2 across the
+    (h, w) picture."""
+    u, v = places[:, 0] / size[1] - 0.5, places[:, 1] / size[0] - 0.5
+    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
+
+
+def _share_slopes(
+    shape: Floats, places: Pixels, good: NDArray[np.bool_], size: Sequence[int]
+) -> Floats:
+    """Split the fitted slopes: return the shared part (2, 6), and leave in ``shape`` what is
+    clearly a marker's own."""
+    shared = np.zeros((2, 6))
+    count = int(good.sum())
+    terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
+    basis = _slope_terms(places[good], size)[:, :terms]
+    for axis in range(2):
+        slope = shape[good, 3 + axis]
+        weight = np.ones(count)
+        for _ in range(5 if terms else 0):
+            shared[axis, :terms] = np.linalg.lstsq(
+                basis * weight[:, None], slope * weight, rcond=None
+            )[0]
+            rest = np.abs(slope - basis @ shared[axis, :terms])
+            weight = np.sqrt(
+                np.minimum(1.0, 1.5 * max(float(np.median(rest)), 1e-9) / np.maximum(rest, 1e-9))
+            )
+        shape[good, 3 + axis] = slope - basis @ shared[axis, :terms]
+    own = np.hypot(shape[:, 3], shape[:, 4]) * np.hypot(shape[:, 0], shape[:, 2]) / np.sqrt(2.0)
+    shape[~(good & (own > OWN_SLOPE)), 3:5] = 0.0
+    return shared
+
+
+PARAMETERS = 11
+"""Centre x, y, ground, level, level's slope x, y, bulge, growth, stretch along the axes and the
+diagonals, blur."""
+
+WEAK = 1e-4
+"""Pull of every parameter towards its start, relative to its own information."""
+
+
+@njit(cache=True)
+def _model(dx, dy, p, form, derivative):
+    """Return the signal at an offset and its derivatives by the `PARAMETERS`."""
+    xx, xy, yy = form
+    ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
+    squared = ax * dx + ay * dy
+    steep = np.sqrt(ax * ax + ay * ay) + 1e-9
+    radius = np.sqrt(squared)
+    inside = (1.0 - radius) * (radius + 1e-3) / (steep + 1e-3 * np.sqrt(xx))
+    v = min(max(inside / p[10], -1.0), 1.0)
+    v2 = v * v
+    cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
+    fall = 15 / 16 * (1.0 - v2) ** 2 / p[10]
+    light = p[3] + p[4] * dx + p[5] * dy + p[6] * min(squared, 1.0)
+    nx, ny = ax / steep, ay / steep
+    tilt = light * fall
+    derivative[0], derivative[1], derivative[2], derivative[3] = tilt * nx, tilt * ny, 1.0, cover
+    derivative[4], derivative[5], derivative[6] = cover * dx, cover * dy, cover * min(squared, 1.0)
+    derivative[7] = tilt
+    derivative[8], derivative[9] = tilt * (nx * nx - ny * ny), tilt * 2.0 * nx * ny
+    derivative[10] = -tilt * v
+    return p[2] + light * cover
+
+
+@njit(cache=True)
+def _solve(matrix, right, count):
+    """Solve a symmetric positive system in place (Cholesky); whether it is one."""
+    for i in range(count):
+        for j in range(i + 1):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if s <= 0.0:
+                    return False
+                matrix[i, i] = np.sqrt(s)
+            else:
+                matrix[i, j] = s / matrix[j, j]
+    for i in range(count):
+        s = right[i]
+        for k in range(i):
+            s -= matrix[i, k] * right[k]
+        right[i] = s / matrix[i, i]
+    for i in range(count - 1, -1, -1):
+        s = right[i]
+        for k in range(i + 1, count):
+            s -= matrix[k, i] * right[k]
+        right[i] = s / matrix[i, i]
+    return True
+
+
+@njit(cache=True)
+def _fit_shapes(image, own, others, start, radius, blur, bulge, free, noise, offset, turns, out):
+    """Fit every marker's whole picture at rest; rows of ``out`` (n, 10): `SHAPE` numbers, centre x,
+    y.
+
+    If ``free`` all `PARAMETERS` are fitted for each marker; else bulge (relative) and blur are as
+    given. Rows are NaN where the fit failed.
+    """
+    colour, one_by_one = (own[0], own[1], own[2], own[3]), np.empty((0, 3), np.int64)
+    signal, use = np.empty(offset.shape[1], np.float32), np.empty(offset.shape[1], np.float32)
+    matrix = np.empty((PARAMETERS, PARAMETERS))
+    right, derivative, p = np.empty(PARAMETERS), np.empty(PARAMETERS), np.empty(PARAMETERS)
+    pull = np.empty(PARAMETERS)
+    for k in range(len(start)):
+        out[k, :] = np.nan
+        if not np.isfinite(start[k, 0] + start[k, 1] + radius[k]):
+            continue
+        cx, cy, r = start[k, 0], start[k, 1], radius[k]
+        sxx, sxy, syy = r, 0.0, r
+        column, row = int(np.rint(cx)), int(np.rint(cy))
+        gather(image, colour, others, column, row, offset, one_by_one, signal, use)
+        p[:] = 0.0
+        p[3], p[10] = signal[len(signal) // 2], blur
+        fine, moved = True, 1.0
+        for turn in range(turns):
+            limit = doubtful(noise[1], p[3], moved)
+            p[6] = p[6] if free else bulge * p[3]
+            form = inverse_form(sxx, sxy, syy, 1.0)
+            matrix[:] = 0.0
+            right[:] = 0.0
+            for i in range(len(signal)):
+                if use[i] == 0.0:
+                    continue
+                dx, dy = column + offset[0, i] - cx, row + offset[1, i] - cy
+                residual = signal[i] - _model(dx, dy, p, form, derivative)
+                w = 1.0 / (1.0 + residual * residual / limit) ** 2
+                if derivative[3] == 0.0:  # ground alone
+                    right[2] += w * residual
+                    matrix[2, 2] += w
+                    continue
+                if not free:
+                    derivative[3] += bulge * derivative[6]
+                    derivative[6], derivative[10] = 0.0, 0.0
+                for a in range(PARAMETERS):
+                    right[a] += w * derivative[a] * residual
+                    for b in range(a + 1):
+                        matrix[a, b] += w * derivative[a] * derivative[b]
+            if not free:
+                matrix[6, 6], matrix[10, 10] = 1.0, 1.0
+            # a weak pull towards no slope, no bulge, round and the usual blur: small markers leave
+            # these open
+            size = max(p[3], 1.0)
+            pull[:] = 0.0
+            pull[4] = pull[5] = 4.0 * (r / size) ** 2
+            pull[6] = 4.0 / size**2
+            pull[8] = pull[9] = 4.0 / r**2
+            pull[10] = 1.0
+            for a in range(PARAMETERS):
+                matrix[a, a] += pull[a] + WEAK * matrix[a, a] + 1e-9
+            right[4] -= pull[4] * p[4]
+            right[5] -= pull[5] * p[5]
+            if free:
+                right[6] -= pull[6] * p[6]
+                right[10] -= pull[10] * (p[10] - blur)
+            if not _solve(matrix, right, PARAMETERS):
+                fine = False
+                break
+            most = 0.5 * r
+            cx += min(max(right[0], -most), most)
+            cy += min(max(right[1], -most), most)
+            for a in range(2, 7):
+                p[a] += right[a]
+            grow = min(max(right[7], -0.2 * r), 0.2 * r)
+            stretch = min(max(right[8], -0.2 * r), 0.2 * r)
+            skew = min(max(right[9], -0.2 * r), 0.2 * r)
+            sxx, sxy, syy = sxx + grow + stretch, sxy + skew, syy + grow - stretch
+            p[10] = min(max(p[10] + min(max(right[10], -0.4), 0.4), 0.7), 1.2 * r)
+            if not (
+                p[3] > 0.0
+                and min(sxx, syy) > 0.4 * r
+                and max(sxx, syy) < 1.6 * r
+                and abs(sxy) < 0.5 * r
+            ):
+                fine = False
+                break
+            moved = np.sqrt(right[0] ** 2 + right[1] ** 2 + grow * grow)
+            if turn > 1 and moved < 3e-3:
+                break
+        if not fine or abs(cx - start[k, 0]) > r or abs(cy - start[k, 1]) > r:
+            continue
+        out[k, 0], out[k, 1], out[k, 2] = sxx, sxy, syy
+        out[k, 3], out[k, 4], out[k, 5] = p[4] / p[3], p[5] / p[3], (p[6] / p[3] if free else bulge)
+        out[k, 6], out[k, 7] = p[10], p[3]
+        out[k, SHAPE], out[k, SHAPE + 1] = cx, cy
+
+
+@njit(cache=True)
+def _noise_variances(image, own, centre, radius, blur, out):
+    """Fill ``out`` (n, 2): variance of the noise around, and inside, every marker, from 2 x 2
+    differences; NaN if none.
+
+    Neither a slope nor a marker's round shading changes a 2 x 2 difference.
+    """
+    rows, columns = image.shape[0], image.shape[1]
+    signal, use = np.empty(4, np.float32), np.empty(4, np.float32)
+    others, square = np.empty((0, 4), np.float32), np.array([[0, 1, 0, 1], [0, 0, 1, 1]])
+    colour, one_by_one = (own[0], own[1], own[2], own[3]), np.empty((0, 3), np.int64)
+    form = radius * radius / max(radius**4, 1e-6)
+    reach = int(np.ceil(1.3 * radius + blur + 4.0))
+    inner = (1.0 - blur / radius) ** 2 if radius > blur else 0.0
+    outer = (1.0 + (blur + 0.5) / radius) ** 2
+    for k in range(len(centre)):
+        out[k, :] = np.nan
+        if not np.isfinite(centre[k, 0] + centre[k, 1]):
+            continue
+        counts, sums = np.zeros(2), np.zeros(2)
+        middle_x, middle_y = int(np.rint(centre[k, 0])), int(np.rint(centre[k, 1]))
+        for y in range(max(middle_y - reach, 0), min(middle_y + reach, rows - 2) + 1):
+            for x in range(max(middle_x - reach, 0), min(middle_x + reach, columns - 2) + 1):
+                least, largest = 1e9, 0.0
+                for j in range(2):
+                    for i in range(2):
+                        dx, dy = x + i - centre[k, 0], y + j - centre[k, 1]
+                        f = form * (dx * dx + dy * dy)
+                        least, largest = min(least, f), max(largest, f)
+                if least > outer or largest < inner:
+                    gather(image, colour, others, x, y, square, one_by_one, signal, use)
+                    twist = signal[0] - signal[1] - signal[2] + signal[3]
+                    side = 1 if largest < inner else 0
+                    counts[side] += 1
+                    sums[side] += 0.25 * twist * twist
+        for side in range(2):
+            if counts[side] > 2:
+                out[k, side] = sums[side] / counts[side]

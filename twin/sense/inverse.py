@@ -1,0 +1,279 @@
+"""The inverse problem of one picture: marker shifts in, forces out, for one weight.
+
+`problem_of` weighs the markers by their noise and sets up the least squares of the picture. What is
+kept small, and how, is listed in `METHODS`; `twin.sense.reconstruct` solves.
+
+**Weights of the markers** are those of the rest picture. Standard deviations differ a little from
+picture to picture, but each set of weights needs a factorisation of its own (145 ms of CPU time on
+the flat block; a solve takes 5). Lost markers, and markers much noisier than at rest, are corrected
+exactly (`twin.sense.regularisation`). So a solution depends on nothing but the rest picture and the
+picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from twin.arrays import Bools, Floats
+from twin.errors import InputError
+from twin.parts.methods import Method
+from twin.sense.calibration import Calibration
+from twin.sense.constraints import LEAST, Quadratic
+from twin.sense.regularisation import Factors
+from twin.sense.track import Found
+
+
+@dataclass(frozen=True, kw_only=True)
+class InverseMethod:
+    """A way to reconstruct.
+
+    Attributes
+    ----------
+    penalty
+        From the (columns, rows) of the sites to the (sites, sites) matrix that every component of
+        the force is kept small in: positive definite, sites counted row by row within columns.
+    weighted
+        Whether the penalty has a weight; the pseudo-inverse has none.
+    local
+        Whether forces are expected only where a first solution has some.
+    """
+
+    penalty: Callable[[int, int], Floats]
+    weighted: bool = True
+    local: bool = False
+
+    def matrix(self, grid: tuple[int, int]) -> Floats:
+        """Return the (3k, 3k) matrix Q of the papers' (w/2) F^T Q F."""
+        return np.asarray(np.kron(self.penalty(*grid), np.eye(3)), np.float64)
+
+
+def _forces(columns: int, rows: int) -> Floats:
+    """The forces themselves (flat paper, eq. 14)."""
+    return np.eye(columns * rows)
+
+
+def _neighbours(columns: int, rows: int) -> Floats:
+    """Differences of neighbouring sites along both directions of the grid (flat paper, eq. 11,
+    which as printed wraps at row ends and between components). They go on past the edge of the
+    grid, to sites without force; see `twin.sense.reconstruct`."""
+    along, across = (np.diff(np.eye(n + 2), axis=0)[:, 1:-1] for n in (columns, rows))
+    return np.asarray(
+        np.kron(along.T @ along, np.eye(rows)) + np.kron(np.eye(columns), across.T @ across)
+    )
+
+
+METHODS: dict[Method, InverseMethod] = {
+    "smooth": InverseMethod(penalty=_neighbours),
+    "norm": InverseMethod(penalty=_forces),
+    "pinv": InverseMethod(penalty=_forces, weighted=False),
+    "local": InverseMethod(penalty=_neighbours, local=True),
+}
+
+EVEN_NOISE = 2.0
+"""Markers whose noise differs by less than this factor (10 % to 90 %) are weighed alike, so that a
+factorisation serves a whole sequence."""
+
+CLASS = 2.0
+"""Other markers are weighed in classes by this factor around the median: noise is estimated a
+little differently in every picture, and each new set of weights would be factorised again. Two
+readings at the ends of a class lose a fifth of their joint precision at worst, most hardly any."""
+
+UNUSUAL = 2.0
+"""A marker whose noise differs from its usual one by more than this factor is weighed otherwise."""
+
+MOST_UNUSUAL = 0.25
+"""Share of the markers that may be weighed otherwise before the problem is factorised again."""
+
+KEPT, KEPT_WEIGHTS = 8, 4
+_kept: WeakKeyDictionary[Calibration, dict[tuple[object, bytes], _Base]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Base:
+    """A transfer matrix whitened by the markers' relative noise, its factors, and what was solved
+    with it.
+
+    ``transfer`` (m, 3k), px/N; ``penalty`` (3k, 3k) Q; ``gram`` matrices that are filled in on
+    first use; ``quadratics`` the last few constrained problems, by weight.
+    """
+
+    transfer: Floats
+    penalty: Floats
+    factors: Factors
+    gram: dict[str, Floats]
+    quadratics: dict[float, Quadratic]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Problem:
+    """One picture's data with the base they belong to; whitened means: in units of each marker's
+    usual noise.
+
+    Attributes
+    ----------
+    calibration, used
+        What the markers are known by, and (n,) which of them take part.
+    known
+        (n,) which of them the base has rows for; those that are not used are lost in this picture.
+    noise_px
+        (u,) standard deviation of a shift's component of the known ones, px.
+    base
+        The factorised matrix, whitened relatively.
+    factors
+        The base's with the noise's size and this picture's weights in it.
+    """
+
+    calibration: Calibration
+    used: Bools
+    known: Bools
+    noise_px: Floats
+    base: _Base
+    factors: Factors
+
+    @property
+    def size_px(self) -> float:
+        """Mean noise, px."""
+        return float(self.noise_px.mean())
+
+    @property
+    def omega(self) -> float:
+        """The papers' weight over the whitened one, px^2."""
+        return 2.0 * float(1.0 / np.mean(1.0 / self.noise_px**2))
+
+    def whiten(self, shift_px: Floats) -> Floats:
+        """Return (m,) data of (n, 2) shifts of all markers; 0 for lost ones."""
+        shift = np.where(self.used[:, None], shift_px, 0.0)[self.known]
+        return np.asarray(shift.ravel() / np.repeat(self.noise_px, 2))
+
+    def constrained(
+        self, data: Floats, weight: float, friction: float | None, start: Floats | None
+    ) -> tuple[Floats, float]:
+        """Return (k, 3) forces held to pushes or to friction cones, N, and the violation of the
+        optimality conditions; ``start`` (k, 3) is a first guess."""
+        frames, base = self.calibration.site_frames, self.base
+        if "local" not in base.gram:
+            base.gram["local"] = _into_frames(base.transfer.T @ base.transfer, frames)
+            base.gram["penalty"] = _into_frames(base.penalty, frames)
+        # the quadratic's unit is px^2, not the noise
+        least = LEAST * float(self.factors.singular.max() * self.size_px) ** 2
+        relative = max(weight * self.size_px**2, least)
+        if relative not in base.quadratics:
+            while len(base.quadratics) >= KEPT_WEIGHTS:
+                base.quadratics.pop(next(iter(base.quadratics)))
+            curvature = base.gram["local"] + relative * base.gram["penalty"]
+            base.quadratics[relative] = Quadratic(curvature=curvature)
+        quadratic = base.quadratics[relative]
+        pull = (base.transfer.T @ (data * self.size_px)).reshape(-1, 3)
+        linear = np.asarray(np.einsum("kij,kj->ki", frames, pull).ravel())
+        begin = None if start is None else np.einsum("kij,kj->ki", frames, start)
+        if friction is None:
+            local, _, kkt = quadratic.pushes(linear, None if begin is None else begin[:, 2] > 0)
+        else:
+            local, kkt = quadratic.cone(linear, friction, begin)
+        return np.asarray(np.einsum("kij,ki->kj", frames, local)), kkt
+
+
+def _into_frames(matrix: Floats, frames: Floats) -> Floats:
+    """Return a (3k, 3k) matrix on global forces as one on forces in the sites' own frames."""
+    count = len(frames)
+    blocks = matrix.reshape(count, 3, count, 3)
+    return np.asarray(
+        np.einsum("iab,ibjd,jcd->iajc", frames, blocks, frames, optimize=True).reshape(matrix.shape)
+    )
+
+
+def problem_of(found: Found, calibration: Calibration, method: Method) -> Problem:
+    """Return the whitened problem; factorised again only where markers or their relative noise
+    changed.
+
+    Raises
+    ------
+    InputError
+        Motion and calibration don't belong together, or fewer than 2 markers are left.
+    """
+    if not np.array_equal(found.layer, calibration.layer):
+        raise InputError(
+            f"the tracked markers ({len(found.layer)}) aren't the calibration's "
+            f"({len(calibration.layer)}): track with calibration.layout"
+        )
+    used = np.asarray(found.seen & calibration.calibrated)
+    if used.sum() < 2:
+        raise InputError(
+            f"only {int(used.sum())} of {len(used)} markers were found in both pictures, at "
+            f"least 2 are needed: check exposure, layout and channels"
+        )
+    known, noise, share = _weights(found, calibration, used, METHODS[method].weighted)
+    base = _base(calibration, METHODS[method], known, noise)
+    singular = base.factors.singular / float(noise.mean())
+    return Problem(
+        calibration=calibration,
+        used=used,
+        known=known,
+        noise_px=noise,
+        base=base,
+        factors=replace(base.factors, singular=singular, share=np.repeat(share, 2)),
+    )
+
+
+def _weights(
+    found: Found, calibration: Calibration, used: Bools, weighted: bool
+) -> tuple[Bools, Floats, Floats]:
+    """Return (n,) markers to factorise with, (u,) their noise in px, and (u,) the share that each
+    has of its weight."""
+    own = np.where(np.isfinite(found.sd_px) & (found.sd_px > 0), found.sd_px, calibration.noise_px)
+    usual = found.usual_sd_px
+    if usual is not None and weighted:
+        known = np.asarray(calibration.calibrated & np.isfinite(usual))
+        if not (used & ~known).any():
+            noise = in_classes(usual[known])
+            ratio, here = own[known] / noise, used[known]
+            size = float(np.median(ratio[here]))
+            odd = (ratio > UNUSUAL * size) | (ratio < size / UNUSUAL)
+            share = np.where(here, np.where(odd, (size / ratio) ** 2, 1.0), 0.0)
+            count = int((share != 1.0).sum())
+            if (
+                count <= MOST_UNUSUAL * len(noise)
+                and 2 * (len(noise) - count) >= calibration.transfer.shape[1]
+            ):
+                return known, noise * size, share
+    return used, in_classes(own[used]), np.ones(int(used.sum()))
+
+
+def in_classes(noise: Floats) -> Floats:
+    """Return (u,) noise per marker, px: the same for all where it hardly differs, else in
+    classes."""
+    low, high = noise.min(), noise.max()
+    even = high <= EVEN_NOISE * low
+    if not even:
+        low, most = np.quantile(noise, [0.1, 0.9])
+        even = most <= EVEN_NOISE * low and high <= 2 * EVEN_NOISE * low
+    if even:
+        return np.full(len(noise), np.sqrt(np.mean(noise**2)))
+    usual = float(np.median(noise))
+    return np.asarray(usual * CLASS ** np.rint(np.log(noise / usual) / np.log(CLASS)))
+
+
+def _base(calibration: Calibration, method: InverseMethod, known: Bools, noise: Floats) -> _Base:
+    """Factorise, or take a kept factorisation: with even noise it only scales."""
+    kept = _kept.setdefault(calibration, {})
+    even = bool(np.all(noise == noise[0]))
+    pattern = (noise / noise.mean()).round(6) if not even else np.ones(1)
+    key = (method.penalty, known.tobytes() + pattern.tobytes())
+    if key not in kept:
+        rows = calibration.transfer[np.repeat(known, 2)]
+        whitened = rows / np.repeat(noise / noise.mean(), 2)[:, None]
+        matrix = method.matrix(calibration.grid)
+        while len(kept) >= KEPT:
+            kept.pop(next(iter(kept)))
+        kept[key] = _Base(
+            transfer=whitened,
+            penalty=matrix,
+            factors=Factors.of(whitened, matrix),
+            gram={},
+            quadratics={},
+        )
+    return kept[key]

@@ -1,0 +1,79 @@
+"""The flat paper's centroid (Kamiyama et al., sections 2.1 and 2.2): of the signal in a mesh cell
+around the nominal, then the rest position, taken a second time with the cell centred on the first.
+
+It is the baseline. A marker must stay in its cell; ground and shading pull the centroid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from twin.arrays import Picture, Pixels
+from twin.compiled import njit
+from twin.sense.centre import MISSING, CentreEstimator, Look, Seen
+from twin.sense.match import Neighbourhood
+
+PASSES = 2
+SD_PX = 0.07
+"""What the centroid is good for with a pitch-wide cell, px (no estimate of its own exists)."""
+
+
+class PaperCentroid(CentreEstimator):
+    """Centroids of cells; no marker is searched."""
+
+    @classmethod
+    def at_rest(
+        cls, picture: Picture, looks: list[Look], spacing_px: float, given: bool
+    ) -> Sequence[PaperCentroid]:
+        groups = []
+        for look in looks:
+            rest_px = cls._centroids(picture, look, look.nominal_px, spacing_px)
+            nothing = np.full(len(rest_px), np.nan)
+            around = Neighbourhood.of(rest_px, spacing_px)
+            groups.append(cls(look=look, around=around, sd_px=nothing, usual_sd_px=nothing))
+        return groups
+
+    def measure(self, picture: Picture, start_px: Pixels | None) -> Seen:
+        known = self.around.rest_px
+        cell_px = self.around.spacing_px
+        shift = self._centroids(picture, self.look, known, cell_px) - known
+        state = np.full(len(known), MISSING, np.uint8)
+        return Seen(shift_px=shift, sd_px=np.full(len(known), SD_PX), state=state)
+
+    @staticmethod
+    def _centroids(picture: Picture, look: Look, start_px: Pixels, cell_px: float) -> Pixels:
+        """Return the (n, 2) centroids of square cells of side ``cell_px`` around ``start_px``, px.
+
+        NaN where a cell's brightest pixel stays below the contrast. (The paper has no such test,
+        and takes the centroid of the noise.)
+        """
+        out = np.empty((len(start_px), 2))
+        colour = (*map(float, look.weights), float(look.ground_dn))
+        half = max(1, round(cell_px / 2))
+        _cell_centroids(picture, colour, start_px, half, look.contrast_dn, out)
+        return out
+
+
+@njit(cache=True)  # not fastmath, which takes NaN for a number
+def _cell_centroids(image, colour, start, half, least, out):
+    """Fill ``out`` (n, 2) with the centroids of the positive signal in the cells."""
+    height, width = image.shape[0], image.shape[1]
+    red, green, blue, ground = colour
+    for k in range(len(start)):
+        x, y = start[k, 0], start[k, 1]
+        for _ in range(PASSES):
+            mass, sx, sy, highest = 0.0, 0.0, 0.0, 0.0
+            if np.isfinite(x) and np.isfinite(y):
+                column, row = int(np.rint(x)), int(np.rint(y))
+                for j in range(max(row - half, 0), min(row + half, height - 1) + 1):
+                    for i in range(max(column - half, 0), min(column + half, width - 1) + 1):
+                        r, g, b = image[j, i, 0], image[j, i, 1], image[j, i, 2]
+                        value = max(red * r + green * g + blue * b - ground, 0.0)
+                        mass += value
+                        sx += i * value
+                        sy += j * value
+                        highest = max(highest, value)
+            x, y = (sx / mass, sy / mass) if mass > 0 and highest >= least else (np.nan, np.nan)
+        out[k, 0], out[k, 1] = x, y

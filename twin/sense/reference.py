@@ -1,0 +1,217 @@
+"""The rest picture of a sequence, analysed once: which marker is which, and how each one looks.
+
+`analyse_rest` splits the colours, finds the markers of every layer, and measures them by one of
+`METHODS`. The result, `Rest`, holds an estimator for every layer, with which `twin.sense.track`
+measures all other pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from numbers import Real
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.arrays import Floats, Picture, Pixels, frozen
+from twin.errors import InputError, require
+from twin.parts.methods import CentreMethod
+from twin.sense.centre import CentreEstimator, Look
+from twin.sense.colour import Weights, as_picture, estimate_channels, project
+from twin.sense.detect import Blobs, find_blobs
+from twin.sense.disc_fit import LEAST_CONTRAST_DN, DiscFit
+from twin.sense.match import spacing
+from twin.sense.paper_centroid import PaperCentroid
+from twin.sense.soft_window import SoftWindow
+
+METHODS: dict[CentreMethod, type[CentreEstimator]] = {
+    "disc-fit": DiscFit,
+    "soft-window": SoftWindow,
+    "two-pass": PaperCentroid,
+}
+
+PAPERS_CHANNELS: tuple[Weights, Weights] = ((1.0, 0.0, -1.0), (-1.0, 0.0, 1.0))
+"""The flat paper's difference of red and blue, for either layer (section 4.1)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest:
+    """The analysed rest picture.
+
+    Attributes
+    ----------
+    layer
+        (N,) layer of every marker, in the layout's order.
+    rest_px
+        (N, 2) centres, px; NaN where not found.
+    channels
+        Projection (r, g, b) of every layer.
+    groups
+        What tracking needs, signal by signal.
+    usual_sd_px
+        (N,) standard deviation of the shift to a picture that looks the same, px; NaN where not
+        found.
+    size_px
+        (height, width) of the picture.
+    method
+        How centres are measured.
+    """
+
+    layer: NDArray[np.str_]
+    rest_px: Pixels
+    channels: dict[str, Weights]
+    groups: tuple[CentreEstimator, ...]
+    usual_sd_px: Floats
+    size_px: tuple[int, int]
+    method: CentreMethod
+
+
+def analyse_rest(
+    rest_image: Picture,
+    layout: Mapping[str, Pixels],
+    *,
+    diameter_px: float | None = None,
+    polarity: str | None = None,
+    channels: Mapping[str, Weights] | None = None,
+    method: CentreMethod = "disc-fit",
+) -> Rest:
+    """Find the markers of ``layout`` in the rest picture; parameters as for `twin.track`."""
+    picture = as_picture(rest_image, "the rest picture")
+    drawn = _checked_layout(layout)
+    _check_options(drawn, diameter_px, polarity, channels, method)
+    size = min(spacing(p) for p in drawn.values())
+    if channels is None:
+        weights = estimate_channels(
+            picture, drawn, size, polarity, PAPERS_CHANNELS if method == "two-pass" else None
+        )
+    else:
+        weights = {}
+        for name in drawn:
+            red, green, blue = (float(w) for w in channels[name])
+            weights[name] = (red, green, blue)
+    layer = np.concatenate([np.full(len(p), name) for name, p in drawn.items()]).astype(np.str_)
+    nominal = np.concatenate(list(drawn.values()))
+    looks = []
+    for w in dict.fromkeys(weights.values()):
+        rows = np.flatnonzero([weights[str(name)] == w for name in layer])
+        looks.append(_first_look(picture, w, rows, nominal[rows], diameter_px))
+    groups = METHODS[method].at_rest(picture, looks, size, channels is not None)
+    rest_px, usual = np.full((len(layer), 2), np.nan), np.full(len(layer), np.nan)
+    for group in groups:
+        rest_px[group.look.rows] = group.around.rest_px
+        usual[group.look.rows] = group.usual_sd_px
+    height, width = picture.shape[:2]
+    return Rest(
+        layer=layer,
+        rest_px=frozen(rest_px),
+        channels=weights,
+        groups=tuple(groups),
+        usual_sd_px=frozen(usual),
+        size_px=(height, width),
+        method=method,
+    )
+
+
+def _first_look(
+    picture: Picture,
+    weights: Weights,
+    rows: NDArray[np.int64],
+    nominal: Pixels,
+    diameter_px: float | None,
+) -> Look:
+    """Project, take the ground off, and find the spots, measuring their width where it isn't
+    known."""
+    raw = project(picture, weights)
+    ground = float(np.median(raw[::4, ::4]))
+    # the noise, from differences of neighbouring pixels
+    steps = np.abs(np.diff(raw[::3, ::2], axis=1)) if raw.shape[1] > 2 else np.zeros(1)
+    noise = float(max(1.4826 * np.median(steps) / np.sqrt(2.0), 0.2))
+    opposed = min(weights) < -0.2 * max(weights) and max(weights) > 0
+    floor = -max(8.0, 5.0 * noise) if opposed else -np.inf
+    signal = np.maximum(raw - np.float32(ground), np.float32(floor))
+    contrast = max(LEAST_CONTRAST_DN, 4.0 * noise)
+    width = diameter_px or 0.33 * spacing(nominal)
+    blobs = find_blobs(signal, width, contrast, floor)
+    for _ in range(2 if diameter_px is None else 0):
+        whole = blobs.diameter_px[blobs.whole]
+        if not len(whole):
+            break
+        before = width
+        width = float(np.clip(np.median(whole), 3.0, 0.9 * max(spacing(nominal), 4.0)))
+        blobs = find_blobs(signal, width, contrast, floor)
+        if 0.8 < width / before < 1.25:
+            break
+    usual = float(np.median(blobs.area_px)) if len(blobs) else 0.0
+    keep = blobs.whole & (blobs.area_px > 0.3 * usual) & (blobs.area_px < 2.5 * usual)
+    height, width_px = signal.shape
+    return Look(
+        rows=rows,
+        nominal_px=nominal,
+        weights=weights,
+        ground_dn=ground,
+        floor_dn=floor,
+        contrast_dn=contrast,
+        diameter_px=width,
+        picture_px=(height, width_px),
+        blobs=Blobs(**{f.name: getattr(blobs, f.name)[keep] for f in fields(Blobs)}),
+    )
+
+
+def _checked_layout(layout: Mapping[str, Pixels]) -> dict[str, Pixels]:
+    require(layout, Mapping, "the layout", "give {layer name: (n, 2) nominal positions in px}")
+    drawn = {str(name): np.atleast_2d(np.asarray(points, float)) for name, points in layout.items()}
+    if not drawn:
+        raise InputError(
+            "the layout has no layers: give {layer name: (n, 2) nominal positions in px}"
+        )
+    for name, points in drawn.items():
+        if (
+            points.ndim != 2
+            or points.shape[1] != 2
+            or not len(points)
+            or not np.isfinite(points).all()
+        ):
+            raise InputError(
+                f"layout[{name!r}] must be (n, 2) finite px (column, row) with n >= 1, got shape "
+                f"{points.shape}"
+            )
+    return drawn
+
+
+def _check_options(
+    drawn: Mapping[str, Pixels],
+    diameter_px: float | None,
+    polarity: str | None,
+    channels: Mapping[str, Weights] | None,
+    method: str,
+) -> None:
+    if diameter_px is not None:
+        require(
+            diameter_px,
+            Real,
+            "diameter_px",
+            "one width in px for all layers, or None to measure it",
+        )
+    if diameter_px is not None and not 2.0 <= diameter_px <= 500.0:
+        raise InputError(
+            f"diameter_px = {diameter_px} px: allowed are 2 to 500 px, or None to measure it"
+        )
+    if polarity not in (None, "bright", "dark"):
+        raise InputError(
+            f"polarity = {polarity!r}: allowed are 'bright', 'dark', or None to find it in the "
+            f"picture"
+        )
+    if method not in METHODS:
+        raise InputError(f"method = {method!r}: allowed are {', '.join(METHODS)}")
+    if channels is not None:
+        require(
+            channels, Mapping, "channels", "give {layer name: (r, g, b)}, or None to estimate them"
+        )
+        for name in drawn:
+            numbers = np.asarray(channels.get(name, ()), float)
+            if numbers.shape != (3,) or not np.isfinite(numbers).all() or not numbers.any():
+                raise InputError(
+                    f"channels[{name!r}] must be 3 finite numbers (r, g, b), not all 0; got "
+                    f"{numbers}"
+                )

@@ -1,0 +1,166 @@
+"""The soft-window centroid of spots found in the whole picture (`twin.sense.detect`).
+
+Spots are matched to markers (`twin.sense.match`); markers without one get a state that names the
+reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels
+from twin.sense.centre import (
+    AMBIGUOUS,
+    AREA_RATIO,
+    DIM,
+    LEVEL_RATIO,
+    MERGED,
+    MISSING,
+    OCCLUDED,
+    CentreEstimator,
+    Look,
+    Seen,
+)
+from twin.sense.colour import project
+from twin.sense.detect import Blobs, find_blobs
+from twin.sense.match import GATE, Neighbourhood, match_layout, spacing
+
+CROWDED = 0.08
+"""From this share of foreign colour around its edge on, a marker's outline may be cut by
+another."""
+
+CROWDED_SD_PX = 0.1
+
+
+HIDDEN_AREA = 0.92
+"""A crowded marker below this share of its area at rest counts as hidden."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoftWindow(CentreEstimator):
+    """Spots of the whole picture.
+
+    Attributes
+    ----------
+    level_dn, area_px
+        (n,) brightness and area of every marker's spot at rest.
+    spot_px
+        (n, 2) centres of these spots, px.
+    """
+
+    level_dn: Floats
+    area_px: Floats
+    spot_px: Pixels
+
+    @classmethod
+    def at_rest(
+        cls, picture: Picture, looks: list[Look], spacing_px: float, given: bool
+    ) -> Sequence[SoftWindow]:
+        spots = [look.blobs.centre_px for look in looks]
+        pairs = match_layout([look.nominal_px for look in looks], spots, spacing_px)
+        return [cls._matched(look, pair) for look, pair in zip(looks, pairs, strict=True)]
+
+    @classmethod
+    def _matched(cls, look: Look, pair: Ints) -> SoftWindow:
+        """Return the markers with the spots that they are."""
+        found, blobs = pair >= 0, look.blobs
+        rest_px = np.full((len(pair), 2), np.nan)
+        rest_px[found] = blobs.centre_px[pair[found]]
+        level = area = sd = np.full(len(pair), np.nan)
+        if len(blobs):
+            level = np.where(found, blobs.level_dn[pair], np.nan)
+            area = np.where(found, blobs.area_px[pair], np.nan)
+            usual = float(np.nanmedian(area)) if found.any() else 0.0
+            hidden = (blobs.crowding[pair] > CROWDED) & (area < 0.8 * usual)
+            cut = np.where(hidden, CROWDED_SD_PX, 0.0)
+            sd = np.where(found, np.hypot(blobs.sd_px[pair], cut), np.nan)
+        return cls(
+            look=look,
+            around=Neighbourhood.of(rest_px, spacing(look.nominal_px)),
+            level_dn=level,
+            area_px=area,
+            sd_px=sd,
+            usual_sd_px=np.sqrt(2.0) * sd,
+            spot_px=rest_px,
+        )
+
+    def measure(self, picture: Picture, start_px: Pixels | None) -> Seen:
+        blobs, spot, state, spurious = self._search(picture, start_px)
+        known = self.around.rest_px
+        shift, sd = np.full(known.shape, np.nan), np.full(len(known), np.nan)
+        kept = np.flatnonzero(spot >= 0)
+        spot = spot[kept]
+        crowded = blobs.crowding[spot] > CROWDED
+        hidden = crowded & (blobs.area_px[spot] < HIDDEN_AREA * self.area_px[kept])
+        state[kept[hidden]] = OCCLUDED
+        rows, spot, crowded = kept[~hidden], spot[~hidden], crowded[~hidden]
+        shift[rows] = blobs.centre_px[spot] - known[rows]
+        cut = np.where(crowded, CROWDED_SD_PX, 0.0)
+        sd[rows] = np.hypot(np.hypot(blobs.sd_px[spot], cut), self.sd_px[rows])
+        return Seen(shift_px=shift, sd_px=sd, state=state, spurious_px=spurious)
+
+    def _search(
+        self, picture: Picture, start_px: Pixels | None
+    ) -> tuple[Blobs, Ints, NDArray[np.uint8], Pixels]:
+        """Return the spots of the whole picture; (n,) which of them every marker is, -1 for none;
+        (n,) why the others are lost; and (s, 2) spots that look like markers and are none's."""
+        look = self.look
+        signal = project(picture, look.weights, look.ground_dn + look.floor_dn)
+        signal -= np.float32(look.ground_dn)
+        blobs = find_blobs(signal, look.diameter_px, look.contrast_dn, look.floor_dn)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            area = blobs.area_px[None] / self.area_px[:, None]
+            level = blobs.level_dn[None] / self.level_dn[:, None]
+        good = (
+            (area > AREA_RATIO[0])
+            & (area < AREA_RATIO[1])
+            & (level > LEVEL_RATIO[0])
+            & (level < LEVEL_RATIO[1])
+        )
+        spot, ambiguous = self.around.follow(
+            blobs.centre_px, good & blobs.whole, start_px, look.picture_px
+        )
+        state = self._lost_state(blobs, spot, ~good & blobs.whole)
+        spurious = self._spurious(blobs, spot)
+        if ambiguous:
+            state[spot >= 0] = AMBIGUOUS
+            spot = np.full_like(spot, -1)
+        return blobs, spot, state, spurious
+
+    def _lost_state(self, blobs: Blobs, spot: Ints, odd: Bools) -> NDArray[np.uint8]:
+        """Return why markers without a spot are lost: the spot near the expected place is odd, or
+        there is none."""
+        state = np.full(len(spot), MISSING, np.uint8)
+        lost = np.flatnonzero((spot < 0) & np.isfinite(self.around.rest_px[:, 0]))
+        if not len(lost) or not len(blobs):
+            return state
+        rest = self.around.rest_px
+        motion = np.where((spot >= 0)[:, None], blobs.centre_px[spot] - rest, np.nan)
+        expected, _ = self.around.predict(motion)
+        distance, near = cKDTree(blobs.centre_px).query(rest[lost] + expected[lost])
+        close = (distance < GATE * self.around.spacing_px) & odd[lost, near]
+        lost, near = lost[close], near[close]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            area = blobs.area_px[near] / self.area_px[lost]
+            level = blobs.level_dn[near] / self.level_dn[lost]
+        state[lost] = np.where(
+            area > AREA_RATIO[1], MERGED, np.where(level < LEVEL_RATIO[0], DIM, OCCLUDED)
+        )
+        return state
+
+    def _spurious(self, blobs: Blobs, spot: Ints) -> Pixels:
+        """Return (s, 2) spots that look like markers and are none's."""
+        free = np.ones(len(blobs), np.bool_)
+        free[spot[spot >= 0]] = False
+        if not len(blobs) or not np.isfinite(self.area_px).any():
+            return np.asarray(blobs.centre_px[free])
+        area = blobs.area_px / np.nanmedian(self.area_px)
+        level = blobs.level_dn / np.nanmedian(self.level_dn)
+        return np.asarray(
+            blobs.centre_px[free & blobs.whole & (area > AREA_RATIO[0]) & (level > LEVEL_RATIO[0])]
+        )

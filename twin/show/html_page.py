@@ -1,0 +1,153 @@
+"""What all reports share: the page around them with its colours, tables, and numbers in words.
+
+A page is one file without scripts that loads nothing. It fits light and dark screens (`LIGHT`,
+`DARK`), laptops, phones and paper (``page.css``).
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Picture
+
+PICTURE_BYTES = 1_000_000
+"""Largest PNG put into the page: two of them, in base64, and the drawings stay below 3 MB
+together."""
+
+WIDEST_PX = 1280
+"""Wider pictures are shown smaller at once: none is shown wider than half of a page."""
+
+
+def digits(value: float) -> str:
+    """Return a number with three significant digits and a true minus sign."""
+    text = f"{value:.3g}"
+    if "e+" in text and abs(value) < 1e6:
+        text = f"{value:.0f}"
+    return text.replace("-", "−")
+
+
+def finite(value: Any) -> float | None:
+    """Return a number, the largest finite one of a list of them, or None if there is none."""
+    if isinstance(value, bool) or value is None or isinstance(value, str | Mapping):
+        return None
+    if isinstance(value, Sequence | np.ndarray):
+        numbers = [n for n in map(finite, value) if n is not None]
+        return max(numbers, key=abs) if numbers else None
+    return float(value) if math.isfinite(value) else None
+
+
+def cleaned(numbers: Sequence[float], scale: float = 0.0) -> list[float]:
+    """Return the components of one vector with round-off (1e-9 of the largest, or of ``scale``) as
+    zero."""
+    largest = max(scale, *(abs(n) for n in numbers))
+    return [0.0 if abs(n) < 1e-9 * largest else n for n in numbers]
+
+
+def table(caption: str, heads: list[str], rows: list[tuple[str, list[str]]]) -> str:
+    """Return a table of numbers as HTML: ``heads`` over the columns, each row a name and its cells
+    (all HTML)."""
+    head = "".join(f'<th scope="col">{h}</th>' for h in heads)
+    body = "".join(
+        f'<tr><th scope="row">{name}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>'
+        for name, cells in rows
+    )
+    return (
+        f'<div class="wide"><table class="numbers"><caption>{caption}</caption>'
+        f"<thead><tr><td></td>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
+
+
+def figure(drawing: str, caption: str, style: str = "") -> str:
+    """Return a drawing with its caption (HTML both); ``style`` is the figure's class."""
+    begin = f'<figure class="{style}">' if style else "<figure>"
+    return f"{begin}{drawing}<figcaption>{caption}</figcaption></figure>"
+
+
+def two_columns(figures: Sequence[str]) -> str:
+    """Return figures in two columns; empty without any."""
+    return f'<div class="two">{"".join(figures)}</div>' if figures else ""
+
+
+LIGHT = (
+    "--paper:#fcfcfa;--ink:#1d2126;--soft:#5a626b;--line:#d8dcdf;--panel:#f2f3f0;--red:#c22f26;"
+    "--blue:#2161c2;"
+    "--other:#5a626b;--push:#d8660a;--pull:#6a3fa0;--bar:#7d8894;--alarm:#9a3412"
+)
+DARK = (
+    "--paper:#14171a;--ink:#e6e8ea;--soft:#9ba4ad;--line:#353b42;--panel:#1d2125;--red:#ff7b6f;"
+    "--blue:#72a9ff;"
+    "--other:#9ba4ad;--push:#ff9a3d;--pull:#b18cf2;--bar:#7d8894;--alarm:#fdba74"
+)
+
+STYLE = Template(Path(__file__).with_name("page.css").read_text(encoding="utf-8")).substitute(
+    light=LIGHT, dark=DARK
+)
+"""Style sheet of every page."""
+
+
+def page(
+    title: str,
+    verdict: str,
+    alarms: Sequence[str],
+    sections: Sequence[tuple[str, str]],
+    scene: str = "",
+    *,
+    body: str = "",
+    style: str = "",
+) -> str:
+    """Return the whole page.
+
+    Parameters
+    ----------
+    title, verdict, alarms, scene
+        Plain text.
+    sections
+        Heading (plain text) and content (HTML) in order; those without content are left out.
+    body, style
+        More content (HTML) after the sections, and its style sheet.
+    """
+    parts = [
+        f"<section><h2>{escape(heading)}</h2>{content}</section>"
+        for heading, content in sections
+        if content
+    ]
+    warnings = "".join(f'<p class="alarm">{escape(alarm)}</p>' for alarm in alarms)
+    details = (
+        f"<details><summary>The resolved scene</summary><pre>{escape(scene)}</pre></details>"
+        if scene.strip()
+        else ""
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{STYLE}{style}</style></head>\n"
+        f"<body><main><header><h1>{escape(title)}</h1><p "
+        f'class="verdict">{escape(verdict)}</p>{warnings}</header>\n'
+        + "\n".join(parts)
+        + f"\n{details}{body}</main></body></html>\n"
+    )
+
+
+def data_uri(picture: Picture) -> tuple[str, float]:
+    """Return a picture as a data URI, and the share of its width and height that was kept to bound
+    the page's size."""
+    from PIL import Image
+
+    image = Image.fromarray(picture)
+    step = -(-image.width // WIDEST_PX)
+    while True:
+        file = io.BytesIO()
+        # level 1: noisy pictures compress no better above it, and take five times as long
+        (image.reduce(step) if step > 1 else image).save(file, "PNG", compress_level=1)
+        if file.tell() <= PICTURE_BYTES or step >= min(image.size):
+            return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}", 1 / step
+        step += 1

@@ -1,0 +1,237 @@
+"""Plots as inline SVG: axes, arrows, dots, cells and lines, and maps of marker arrows.
+
+Lengths inside a drawing are in view units: every drawing is `VIEW` of them wide, at any size on the
+screen.
+
+Why no plotting library: the seven drawings of a report take matplotlib .7 s including its import,
+ten times as long as the rest of the report. An inline drawing is sharp on every screen, has the
+page's light or dark colours, and its text can be searched.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from twin.arrays import Floats
+
+VIEW = 480
+"""Width of every drawing: near its size in a column of a laptop's page, so that letters keep their
+size."""
+
+LEFT, RIGHT, TOP, BOTTOM = 54, 10, 8, 44
+"""Margins for tick labels and axis names; wide enough for the larger letters that a phone is
+given."""
+
+FIT, WIDE = 4, 8
+"""Letters of the vertical axis's ticks that fit the left margin next to the axis's name, and the
+width of each more."""
+
+SHORTEST = 0.3
+"""Arrows below this many view units are not drawn: they can't be seen and their direction is
+noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axes:
+    """A window of data coordinates, and the height of its drawing in view units.
+
+    A picture has its largest row at the ``bottom``, a map its smallest y: the direction of an axis
+    needs no other switch. The width is fixed by `VIEW` and the margins.
+    """
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+    height: float
+
+    @classmethod
+    def equal(cls, left: float, right: float, bottom: float, top: float) -> Axes:
+        """Return axes on which one unit is equally long in both directions."""
+        width = VIEW - LEFT - RIGHT
+        return cls(
+            left=left,
+            right=right,
+            bottom=bottom,
+            top=top,
+            height=width * abs(top - bottom) / abs(right - left),
+        )
+
+    def place(self, points: Floats) -> Floats:
+        """Return the (n, 2) view coordinates, to the right and down, of (n, 2) data points."""
+        across = (points[:, 0] - self.left) / (self.right - self.left)
+        down = (self.top - points[:, 1]) / (self.top - self.bottom)
+        return np.column_stack([LEFT + across * (VIEW - LEFT - RIGHT), TOP + down * self.height])
+
+    @property
+    def per_unit(self) -> float:
+        """View units per data unit along the horizontal axis."""
+        return (VIEW - LEFT - RIGHT) / abs(self.right - self.left)
+
+
+def nice(value: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten up to ``value`` (else 1)."""
+    if not (value > 0 and math.isfinite(value)):
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9))
+
+
+def ticks(low: float, high: float, about: int = 6) -> list[float]:
+    """Return round values between ``low`` and ``high``, roughly ``about`` of them."""
+    low, high = min(low, high), max(low, high)
+    step = nice((high - low) / about * 1.5)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(k * step, 12) for k in range(first, last + 1)]
+
+
+def drawing(
+    axes: Axes,
+    content: str,
+    across: str,
+    up: str,
+    label: str,
+    upwards: Mapping[float, str] | None = None,
+) -> str:
+    """Return the SVG of ``content`` with frame, ticks and axis names.
+
+    Parameters
+    ----------
+    axes
+        The window.
+    content
+        What `arrows`, `_cells` and the like returned.
+    across, up
+        Names of the axes, with units.
+    label
+        Words in place of the drawing for a reader who can't see it.
+    upwards
+        Places and labels of the vertical axis's ticks; None: round numbers.
+    """
+    height = axes.height + TOP + BOTTOM
+    floor, right = TOP + axes.height, VIEW - RIGHT
+    marks, text = [], []
+    for value in ticks(axes.left, axes.right):
+        x, _ = axes.place(np.array([[value, axes.top]]))[0]
+        marks.append(f"M{x:.1f} {floor:.1f}v4")
+        text.append(f'<text x="{x:.1f}" y="{floor + 18:.1f}" text-anchor="middle">{value:g}</text>')
+    if upwards is None:
+        upwards = {value: f"{value:g}" for value in ticks(axes.bottom, axes.top, 5)}
+    more = WIDE * max(0, max(map(len, upwards.values()), default=0) - FIT)
+    for value, words in upwards.items():
+        _, y = axes.place(np.array([[axes.left, value]]))[0]
+        marks.append(f"M{LEFT} {y:.1f}h-4")
+        text.append(
+            f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{escape(words)}</text>'
+        )
+    middle = TOP + axes.height / 2
+    text.append(
+        f'<text x="{(LEFT + right) / 2}" y="{height - 5:.1f}" '
+        f'text-anchor="middle">{escape(across)}</text>'
+    )
+    turned = (
+        f'x="{14 - more}" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 '
+        f'{14 - more} {middle:.1f})"'
+    )
+    text.append(f"<text {turned}>{escape(up)}</text>")
+    frame = f"M{LEFT} {TOP}H{right}V{floor:.1f}H{LEFT}z{''.join(marks)}"
+    return (
+        f'<svg viewBox="{-more} 0 {VIEW + more} {height:.0f}" role="img" '
+        f'aria-label="{escape(label)}">{content}'
+        f'<path class="frame" d="{frame}"/>{"".join(text)}</svg>'
+    )
+
+
+def path(steps: Sequence[str], style: str) -> str:
+    """Return one path of SVG steps, of a class; empty without steps."""
+    return f'<path class="{style}" d="{"".join(steps)}"/>' if steps else ""
+
+
+def arrows(axes: Axes, tails: Floats, vectors: Floats, style: str) -> str:
+    """Return one path that holds all arrows.
+
+    ``tails`` and ``vectors`` (n, 2) are data coordinates and the (magnified) arrows; rows with NaN
+    are left out. ``style`` is the path's class.
+    """
+    known = np.isfinite(tails).all(axis=1) & np.isfinite(vectors).all(axis=1)
+    starts, ends = axes.place(tails[known]), axes.place(tails[known] + vectors[known])
+    steps = []
+    for (x0, y0), (x1, y1) in zip(starts.tolist(), ends.tolist(), strict=True):
+        dx, dy = x1 - x0, y1 - y0
+        length = math.hypot(dx, dy)
+        if length < SHORTEST:
+            continue
+        # a head of 40 degrees, shorter on short arrows so that it never hides the shaft
+        head = min(0.35 * length, 5.0) / length
+        a, b = head * dx, head * dy
+        steps.append(
+            f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}m{-a - 0.36 * b:.1f} "
+            f"{-b + 0.36 * a:.1f}L{x1:.1f} {y1:.1f}l{-a + 0.36 * b:.1f} {-b - 0.36 * a:.1f}"
+        )
+    return path(steps, style)
+
+
+def crosses(axes: Axes, points: Floats, style: str, size: float = 3.0) -> str:
+    """Return one path with an x at each of the (n, 2) ``points``."""
+    steps = [
+        f"M{x - size:.1f} {y - size:.1f}l{2 * size:g} {2 * size:g}m0 {-2 * size:g}l{-2 * size:g} "
+        f"{2 * size:g}"
+        for x, y in axes.place(points[np.isfinite(points).all(axis=1)]).tolist()
+    ]
+    return path(steps, style)
+
+
+def dots(axes: Axes, points: Floats, style: str, radius: float) -> str:
+    """Return one path with a filled circle at each of the (n, 2) ``points``."""
+    steps = [
+        f"M{x - radius:.1f} {y:.1f}a{radius:g} {radius:g} 0 1 0 {2 * radius:g} 0"
+        f"a{radius:g} {radius:g} 0 1 0 {-2 * radius:g} 0"
+        for x, y in axes.place(points[np.isfinite(points).all(axis=1)]).tolist()
+    ]
+    return path(steps, style)
+
+
+def _cells(axes: Axes, centres: Floats, side: float, values: Floats, largest: float) -> str:
+    """Return a square for each of the (n, 2) ``centres``, the more opaque the larger its value.
+
+    Classes are ``push`` and ``pull`` by sign. Colour is opacity over the page's own background, so
+    that nothing looks like nothing in light and dark; orange and purple differ for every colour
+    vision.
+    """
+    half = side * axes.per_unit / 2
+    squares = []
+    for (x, y), value in zip(axes.place(centres).tolist(), values.tolist(), strict=True):
+        share = min(abs(value) / largest, 1.0) if largest > 0 else 0.0
+        if share >= 0.005:
+            squares.append(
+                f'<rect class="{"push" if value > 0 else "pull"}" x="{x - half:.2f}" '
+                f'y="{y - half:.2f}" '
+                f'width="{2 * half:.2f}" height="{2 * half:.2f}" fill-opacity="{share:.2f}"/>'
+            )
+    return "".join(squares)
+
+
+def force_field(
+    sites: Floats, force: Floats, side: float, largest: float, per_cell: float
+) -> tuple[Axes, str, str]:
+    """Return axes around (k, 2) sites, mm, colours of the (k, 3) forces, N, along z, and arrows of
+    those along x and y.
+
+    ``side`` of the square drawn for a site, mm; ``largest`` force of full colour, N; ``per_cell``
+    force whose arrow is one cell long, N.
+    """
+    (left, low), (right, high) = sites.min(axis=0), sites.max(axis=0)
+    axes = Axes.equal(left - side, right + side, low - side, high + side)
+    colours = _cells(axes, sites, side, force[:, 2], largest)
+    return axes, colours, arrows(axes, sites, force[:, :2] * side / per_cell, "force")
+
+
+def line(axes: Axes, points: Floats, style: str) -> str:
+    """Return a polyline through the (n, 2) ``points``."""
+    steps = " ".join(f"{x:.1f},{y:.1f}" for x, y in axes.place(points).tolist())
+    return f'<polyline class="{style}" points="{steps}"/>'

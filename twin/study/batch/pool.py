@@ -1,0 +1,499 @@
+"""Numbered tasks computed here, on all cores, or on a cluster: numbers in, results out, in any
+order.
+
+One worker runs in this process and imports no dask; several, and clusters, are dask.distributed's,
+the only one of the engines tried that finished when a worker was killed. A worker unpacks the job's
+files once, into a folder of its own; no common file system is needed. A task that loses its worker
+is repeated by another; a task whose workers die again and again is reported and left out. Results
+travel to this process, which alone writes.
+
+Whoever can connect to a dask scheduler can run code as its user, and peers unpickle what they
+receive. So the workers of this machine, whose ports any local account can reach, communicate over
+TLS with a key that this process makes and keeps in memory. The owner of a cluster's scheduler
+decides for it (`Scheduler`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.metadata
+import logging
+import math
+import os
+import platform
+import socket
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twin.blas_threads import one_thread
+from twin.errors import InputError, MissingCapability
+
+Work = Callable[[Path, int], Any]
+"""Computes task number n of the job whose files are in a folder."""
+
+AHEAD = 2
+"""Batches of tasks per worker: the next is there when one is done, and memory stays flat."""
+
+BATCH_S = 1.0
+"""CPU seconds of tasks that are handed out together: handing out costs some 7 ms."""
+
+START_S = 6.0
+"""Seconds that two processes take to start and to load what this one has, on two cores."""
+
+RETRIES = 3
+"""Workers that a task may lose before it is given up."""
+
+PATIENCE_S = 20
+"""How long to wait for a scheduler."""
+
+LOOPBACK = "127.0.0.1"
+
+_LOCAL_SETTINGS = {
+    "distributed.scheduler.allowed-failures": RETRIES,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.admin.tick.interval": "1s",
+    "distributed.scheduler.active-memory-manager.start": False,
+}
+"""dask's settings for workers of this machine: no pages over HTTP, and no monitoring, which takes
+half of dask's CPU time."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """A finished task: its number, and what it returned or what went wrong."""
+
+    number: int
+    result: Any = None
+    problem: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What every worker needs: files' contents by relative path, and the function that computes a
+    task, as ``module:name``.
+    """
+
+    files: Mapping[str, bytes]
+    work: str
+
+    @property
+    def name(self) -> str:
+        """Hash of the files: jobs on the same files share one unpacked folder per process."""
+        sha = hashlib.sha256()
+        for path in sorted(self.files):
+            sha.update(path.encode())
+            sha.update(hashlib.sha256(self.files[path]).digest())
+        return sha.hexdigest()[:32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scheduler:
+    """A dask scheduler on a cluster.
+
+    Whoever can connect to it can run code as the user of its workers and of this process: without
+    TLS it belongs on a private network only.
+
+    Attributes
+    ----------
+    address
+        ``tcp://host:8786``, or ``tls://host:8786`` with the three files.
+    ca, cert, key
+        PEM files: the authority that signed all certificates, and the certificate and key of this
+        process.
+    """
+
+    address: str
+    ca: Path | None = None
+    cert: Path | None = None
+    key: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Raise `InputError` unless the files are given together, exist, and go with tls://."""
+        files = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
+        for name, file in files.items():
+            if file is not None and not file.is_file():
+                raise InputError(f"{name} {file}: there is no such file")
+        encrypted = self.address.startswith("tls://")
+        missing = [name for name, file in files.items() if file is None]
+        if encrypted and missing:
+            raise InputError(f"--scheduler {self.address}: needs {', '.join(missing)}, too")
+        if not encrypted and len(missing) < len(files):
+            raise InputError(
+                f"--scheduler {self.address}: must start with tls:// where --tls files are given"
+            )
+
+
+class Pool:
+    """This process, processes on this machine that start when they pay, or a cluster.
+
+    A context manager, which stops the processes in the end. This process begins with the first task
+    and computes all of them if that takes less time than others take to start. ``workers`` is the
+    most processes here (1 works in this one); a ``scheduler``'s are used instead.
+    """
+
+    def __init__(self, workers: int = 1, scheduler: Scheduler | None = None) -> None:
+        self._workers = workers
+        self._cluster: Any = scheduler
+        self._started = ExitStack()
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._started.close()
+
+    def run(self, job: Job, numbers: Iterable[int]) -> Iterator[Done]:
+        """Compute tasks, in the order of their numbers, and yield them as they finish.
+
+        Raises
+        ------
+        InputError
+            The scheduler can't be reached.
+        """
+        waiting = deque(numbers)
+        if self._cluster is None and waiting:
+            yield from self._run_here(job, waiting)
+        if waiting:
+            if self._cluster is None:
+                workers = min(self._workers, len(waiting))
+                self._cluster = self._started.enter_context(workers_here(workers))
+            yield from tasks_on_cluster(job, waiting, self._cluster)
+
+    def _run_here(self, job: Job, waiting: deque[int]) -> Iterator[Done]:
+        """Compute tasks in this process until other processes pay, and take them off the list."""
+        gain = 1.0 - 1.0 / min(self._workers, len(waiting))
+        with one_thread(), unpacked(job) as folder, suppress(_TooLong):
+            work = _work_of(job.work)
+            started = time.process_time()
+            done = 0
+            while waiting:
+                with _limited(started + START_S if gain and not done else math.inf):
+                    result = work(folder, waiting[0])
+                done += 1
+                yield Done(waiting.popleft(), result)
+                left_s = len(waiting) * (time.process_time() - started) / done
+                if left_s * gain > START_S:
+                    return
+
+
+class _TooLong(Exception):
+    """A first task takes so long that workers are to compute it."""
+
+
+_limit_s = [math.inf]
+"""CPU time at which the task that runs in this process is given up."""
+
+
+@contextmanager
+def _limited(end_s: float) -> Iterator[None]:
+    _limit_s[0] = end_s
+    try:
+        yield
+    finally:
+        _limit_s[0] = math.inf
+
+
+def end_if_too_long() -> None:
+    """Give up a first task in this process that takes long; tasks call it between their parts."""
+    if time.process_time() > _limit_s[0]:
+        raise _TooLong
+
+
+def run_tasks(
+    job: Job, numbers: Iterable[int], *, workers: int = 1, scheduler: Scheduler | None = None
+) -> Iterator[Done]:
+    """Compute the tasks of one job and yield them as they finish: see `Pool`."""
+    with Pool(workers, scheduler) as pool:
+        yield from pool.run(job, numbers)
+
+
+def reach(scheduler: Scheduler | None) -> None:
+    """Connect to a scheduler, if there is one, before anything is written for it."""
+    if scheduler is not None:
+        connected(scheduler).close()
+
+
+@contextmanager
+def unpacked(job: Job) -> Iterator[Path]:
+    """Write a job's files into a temporary folder."""
+    with tempfile.TemporaryDirectory(prefix="twin-job-") as name:
+        folder = Path(name)
+        for path, data in job.files.items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(data)
+        yield folder
+
+
+def _work_of(place: str) -> Work:
+    module, name = place.split(":")
+    function: Work = getattr(importlib.import_module(module), name)
+    return function
+
+
+_unpacked: dict[str, tuple[ExitStack, Path]] = {}
+"""The job that this worker process has unpacked last, by its name."""
+
+
+def _tasks_on_worker(name: str, work: str, numbers: Sequence[int]) -> tuple[list[Done], float]:
+    """Compute tasks of an unpacked job on a dask worker; return them and their CPU seconds."""
+    if name not in _unpacked:
+        raise RuntimeError("this worker has not received the job's files")
+    function = _work_of(work)
+    folder = _unpacked[name][1]
+    started = time.process_time()
+    return [_tried(function, folder, number) for number in numbers], time.process_time() - started
+
+
+def _tried(function: Work, folder: Path, number: int) -> Done:
+    try:
+        return Done(number, function(folder, number))
+    except Exception as problem:  # whatever it is, the other tasks go on
+        return Done(number, problem=f"{type(problem).__name__}: {problem}")
+
+
+def _unpack_on_worker(job: Job) -> None:
+    """Unpack a job in a worker process, which uses one numeric thread from here on."""
+    if job.name in _unpacked:
+        return
+    for stack, _ in _unpacked.values():
+        stack.close()
+    _unpacked.clear()
+    stack = ExitStack()
+    stack.enter_context(one_thread())
+    _unpacked[job.name] = (stack, stack.enter_context(unpacked(job)))
+
+
+@contextmanager
+def workers_here(count: int) -> Iterator[Any]:
+    """Start worker processes, which only peers with the key of this cluster reach, and stop them in
+    the end; `MissingCapability` where 127.0.0.1 can't be reached or there is no room for them.
+    """
+    import dask
+    from distributed import LocalCluster
+    from distributed.security import Security
+
+    _check_loopback()
+    _silence()
+    with dask.config.set(_LOCAL_SETTINGS):
+        try:
+            started = LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                host=LOOPBACK,
+                security=Security.temporary(),
+                dashboard_address=f"{LOOPBACK}:0",
+                scheduler_kwargs={"dashboard": False},
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+            )
+        except (OSError, RuntimeError, TimeoutError) as problem:
+            raise MissingCapability(
+                f"{count} worker processes could not be started here ({_cause(problem)}): see that "
+                "there are enough processes, memory, open files and room for temporary files, or "
+                "take --workers 1"
+            ) from None
+        with started as cluster:
+            yield cluster
+
+
+def _cause(problem: BaseException) -> str:
+    """Return the operating system's message under an error, else the error's own."""
+    under: BaseException | None = problem
+    while under is not None and not isinstance(under, OSError):
+        under = under.__cause__ or under.__context__
+    return " ".join(str(under or problem).split()) or type(problem).__name__
+
+
+def _check_loopback() -> None:
+    """Refuse a machine whose loopback is down: dask would wait for its workers for minutes."""
+    try:
+        with (
+            socket.create_server((LOOPBACK, 0)) as server,
+            socket.create_connection(server.getsockname(), timeout=5),
+        ):
+            pass
+    except OSError as problem:
+        raise MissingCapability(
+            f"several workers communicate over {LOOPBACK}, which can't be reached here "
+            f"({problem.strerror or problem}): ip link set lo up, or --workers 1"
+        ) from None
+
+
+def _silence() -> None:
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+
+
+def connected(cluster: Any) -> Any:
+    """Return a client of `workers_here`, or of a `Scheduler`.
+
+    An `InputError` says that the scheduler can't be reached, or doesn't accept the certificate.
+    """
+    from distributed import Client
+    from distributed.security import Security
+
+    _silence()
+    if not isinstance(cluster, Scheduler):
+        return Client(cluster, timeout=PATIENCE_S, direct_to_workers=True)
+    try:
+        security = None
+        if cluster.key is not None:
+            security = Security(
+                require_encryption=True,
+                tls_ca_file=str(cluster.ca),
+                tls_client_cert=str(cluster.cert),
+                tls_client_key=str(cluster.key),
+            )
+        # the workers may not be reachable from here, so results travel through the scheduler
+        return Client(
+            cluster.address, timeout=PATIENCE_S, direct_to_workers=False, security=security
+        )
+    except (OSError, TimeoutError, ValueError) as problem:
+        raise InputError(
+            f"--scheduler {cluster.address}: no dask scheduler replies there "
+            f"({type(problem).__name__}); start one with dask scheduler, or leave the option out "
+            "to work on this machine"
+        ) from None
+
+
+def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator[Done]:
+    """Compute tasks on `workers_here`, or a scheduler's workers; yield them as they finish."""
+    from distributed import as_completed
+    from distributed.diagnostics.plugin import WorkerPlugin
+
+    class JobFiles(WorkerPlugin):  # type: ignore[misc]
+        """Sends every worker, also a later one, the job's files before its first task."""
+
+        name = f"twin-{job.name}"
+        idempotent = True
+
+        def setup(self, worker: Any) -> None:
+            _unpack_on_worker(job)
+
+    with connected(cluster) as client:
+        client.register_plugin(JobFiles())
+        waiting = deque(numbers)
+        alone = deque[int]()
+        given: dict[str, list[int]] = {}
+        ahead = AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+
+        def hand_out(many: int) -> Any:
+            batch = [alone.popleft()] if alone else [waiting.popleft() for _ in range(many)]
+            key = f"{job.work}-{batch[0]}-{len(batch)}"
+            given[key] = batch
+            return client.submit(_tasks_on_worker, job.name, job.work, batch, pure=False, key=key)
+
+        pool = as_completed([hand_out(1) for _ in range(min(ahead, len(waiting)))])
+        many = 1
+        for future in pool:
+            batch = given.pop(future.key)
+            found, seconds = _outcome(batch, future)
+            future.release()
+            if seconds is None and len(batch) > 1:  # find out which task kills workers
+                alone.extend(batch)
+                found = []
+            elif seconds is not None:
+                many = max(1, int(BATCH_S * len(batch) / max(seconds, 1e-6)))
+            if alone or waiting:
+                pool.add(hand_out(min(many, -(-len(waiting) // ahead))))
+            yield from found
+
+
+def _outcome(numbers: list[int], future: Any) -> tuple[list[Done], float | None]:
+    """Return the outcome of tasks, and their CPU seconds; None if they were lost."""
+    problem = future.exception()
+    if problem is None:
+        found, seconds = future.result()
+        return found, seconds
+    if type(problem).__name__ == "KilledWorker":
+        died = f"its worker died {RETRIES} times (out of memory?); run again to repeat it"
+        return [Done(number, problem=f"task {number}: {died}") for number in numbers], None
+    text = f"{type(problem).__name__}: {problem}"
+    return [Done(number, problem=text) for number in numbers], None
+
+
+@contextmanager
+def only_writer(path: Path) -> Iterator[None]:
+    """Hold an operating system's lock on the empty file ``path``, or raise `InputError`.
+
+    The lock ends with its owner, however that ends.
+    """
+    handle = _locked(path)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # Windows removes no open file
+            path.unlink()
+        os.close(handle)
+
+
+def _locked(path: Path) -> int:
+    """Return the locked file; one that its holder has just removed is made again."""
+    while True:
+        try:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+        except OSError as problem:
+            raise InputError(
+                f"{path}: can't be written ({problem.strerror}); give another --out"
+            ) from None
+        try:
+            _lock(handle)
+        except OSError:
+            os.close(handle)
+            raise InputError(
+                f"{path.parent}: another process is writing here; wait for it, stop it, or give "
+                "another --out"
+            ) from None
+        with suppress(OSError):
+            if os.path.samestat(os.fstat(handle), os.lstat(path)):
+                return handle
+        os.close(handle)
+
+
+def _lock(handle: int) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number of things in words."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+PACKAGES = ("numpy", "scipy", "numba", "mitsuba", "drjit", "pyarrow", "deflate")
+
+PACKAGE = Path(__file__).resolve().parents[2]
+
+COUNTED = ("arrays.py", "files.py", "streams.py", "geometry", "parts", "theory", "world", "study")
+"""Sources on which the numbers depend."""
+
+
+def versions() -> dict[str, str]:
+    """Return what the bytes depend on: packages, Python, and a hash of this program's own
+    sources."""
+    found = {name: importlib.metadata.version(name) for name in PACKAGES}
+    sha = hashlib.sha256()
+    for name in COUNTED:
+        path = PACKAGE / name
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            sha.update(file.relative_to(PACKAGE).as_posix().encode())
+            sha.update(file.read_bytes())
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {**found, "python": python, "twin": sha.hexdigest()[:16], "machine": platform.machine()}

@@ -1,0 +1,333 @@
+"""Warnings about a scene: values that can be computed, but that no real sensor has.
+
+`doubts` returns them, each with key, value, usual range and remedy. Such scenes are not refused,
+because somebody may want them. But mostly a length was given in m, a modulus in kPa or a force in
+mN, and the result would be correct and useless. What can't exist at all is refused where it is read
+(`twin.parts`).
+
+Several warnings need the nominal view of the scene before any picture is computed: `view_of` has
+the places and sizes of the markers in the picture, `shift_sd` and `shift_bound` the expected noise
+of their shifts.
+
+Validity: usual ranges are those of rubbers, markers and cameras of tactile sensors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Pixels
+from twin.errors import RecipeError
+from twin.parts.accuracy import CUT
+from twin.parts.markers import MarkerSet, place
+from twin.parts.press import Press
+from twin.parts.probe import Stl, width_mm
+from twin.parts.scene import Scene
+from twin.theory.limit import centre_bound, pixel_sd
+from twin.theory.optics import project_with_jacobian
+
+_FULL_SCALE = 255.0
+
+_FACTOR = {"bead": 1.05, "print": 1.0}
+"""Noise of a tracked shift over the bound of one even disc, by kind of marker: beads darken towards
+their rim, and light is not even. Measured by ``python -m benchmarks sweep``."""
+
+_MODEL_PX = {"bead": 0.003, "print": 0.0015}
+"""Change of a marker's picture besides its motion (shading, strain, residual shadows), as a
+standard deviation, px. Measured likewise."""
+
+_RUBBER_MPA = (0.003, 50.0)
+"""Young's modulus from the softest silicone gels, some kPa, to the hardest rubbers: Shore A 95 is
+44 MPa (A. N. Gent 1958)."""
+
+LEAST_PX = 3.0
+"""Width of a marker in the picture below which no pixel shows it alone: a pixel's diagonal and
+twice a blur of 0.7 px."""
+
+_MOST_OUTSIDE, _MOST_HIDDEN = 0.5, 0.5
+"""Share of the markers outside the picture, and of those inside behind others."""
+
+_WIDEST = 0.5
+"""Of a marker in the picture, over the shorter side of the picture."""
+
+_BODY_MM = (2.0, 500.0)
+"""Longest side of a body."""
+
+_NARROWEST_MM = 0.1
+"""A probe narrower than this is a needle."""
+
+_MOST_FRICTION = 5.0
+"""Of rubber on anything, stuck contact excepted."""
+
+_EXPOSED_DN = (20.0, 510.0)
+"""Usual counts of the brightest marker: from a tenth of the usual to twice the largest count."""
+
+
+def _knows_noise(scene: Scene) -> bool:
+    """Return whether the closed form of the noise holds: no mosaic, video or compression."""
+    ccd = scene.ccd.spelt_out()
+    return (
+        ccd.bayer == "none" and ccd.bandwidth_mhz == ccd.jpeg_quality == "off" and not ccd.interlace
+    )
+
+
+def shift_sd(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
+    """Return (n,) standard deviations, px per axis, of a shift (two pictures) of a layer's markers.
+
+    Raises
+    ------
+    RecipeError
+        The closed form does not hold for this camera.
+    """
+    kind = scene.markers[layer].kind
+    bound = shift_bound(scene, layer, diameter_px)
+    return np.asarray(np.hypot(_FACTOR[kind] * bound, _MODEL_PX[kind]))
+
+
+def shift_bound(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
+    """Return the Cramer-Rao bound of `shift_sd`, (n,), px per axis; raises as that does."""
+    if not _knows_noise(scene):
+        raise RecipeError(
+            f"noise_px: there is no closed form of the noise of ccd.preset = '{scene.ccd.preset}' "
+            "(mosaic, video or compression); give noise_px in the sweep, as twin run measures it "
+            "(sd_px)"
+        )
+    psf_px = scene.ccd.spelt_out().psf_px
+    assert psf_px is not None
+    contrast, noise = _pixel_noise(scene, layer, height=0.5)
+    if contrast == 0:  # black markers
+        return np.full(np.shape(diameter_px), np.inf)
+    bound = centre_bound(np.maximum(diameter_px, 1e-3), contrast, psf_px, noise)
+    return np.asarray(np.sqrt(2.0) * bound)
+
+
+def _pixel_noise(scene: Scene, layer: str, height: float) -> tuple[float, float]:
+    """Return a layer's contrast (0 where everything is black) and the standard deviation of a
+    pixel, counts, at a height of the marker's rim (1 is inside).
+    """
+    ccd = scene.ccd.spelt_out()
+    assert ccd.full_well_e is not None
+    assert ccd.read_noise_e is not None
+    marker = scene.markers[layer]
+    dark = max(scene.cover.albedo) if scene.cover is not None else 0.03
+    brightest = max(dark, *(max(each.colour) for each in scene.markers.values()))
+    if brightest == 0:
+        return 0.0, 1.0
+    white = min(ccd.white_dn * ccd.exposure, _FULL_SCALE) / brightest
+    ground, inside = white * dark, white * max(marker.colour)
+    contrast = max(abs(inside - ground), 1e-3 * white)
+    if not ccd.noise:
+        return contrast, 0.3
+    level = height * inside + (1 - height) * ground
+    return contrast, pixel_sd(level, _FULL_SCALE, ccd.full_well_e, ccd.read_noise_e)
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """The nominal markers in the nominal camera's picture.
+
+    Attributes
+    ----------
+    markers, pixels, jacobian, diameter_px
+        All markers, their (n, 2) places, px, (n, 2, 3) Jacobians, px/mm, and (n,) widths, px.
+    inside, hidden
+        (n,) whether the whole marker lies in the picture, and whether it overlaps one that is
+        nearer to the camera, or another of its layer.
+    """
+
+    markers: MarkerSet
+    pixels: Pixels
+    jacobian: Floats
+    diameter_px: Floats
+    inside: Bools
+    hidden: Bools
+
+    @property
+    def usable(self) -> Bools:
+        """(n,) markers that a tracker can measure."""
+        return np.asarray(self.inside & ~self.hidden)
+
+
+def view_of(scene: Scene) -> View:
+    """Return the nominal markers in the nominal camera's picture.
+
+    A `RecipeError` says that there is no camera, or that a marker lies outside the body.
+    """
+    from scipy.spatial import cKDTree
+
+    if scene.camera is None:
+        raise RecipeError("this scene has no [camera] table: designs are seen by a camera")
+    camera, markers = scene.camera, place(scene.body, scene.markers)
+    pixels, jacobian = project_with_jacobian(
+        markers.points, camera, scene.material.refractive_index, scene.body.base_z_mm
+    )
+    across = np.sqrt(np.abs(np.linalg.det(jacobian[:, :, :2])))
+    width = np.array([scene.markers[str(name)].diameter_mm for name in markers.layer]) * across
+    half, end = width[:, None] / 2, (camera.width_px - 0.5, camera.height_px - 0.5)
+    with np.errstate(invalid="ignore"):
+        inside = ((pixels - half > -0.5) & (pixels + half < end)).all(axis=1)
+    inside &= np.isfinite(jacobian).all(axis=(1, 2))
+    hidden = np.zeros(len(markers), bool)
+    known = np.flatnonzero(inside)
+    if len(known) > 1:
+        pairs = cKDTree(pixels[known]).query_pairs(float(width[known].max()), output_type="ndarray")
+        a, b = known[pairs[:, 0]], known[pairs[:, 1]]
+        near = np.linalg.norm(pixels[a] - pixels[b], axis=1) < (width[a] + width[b]) / 2
+        a, b = a[near], b[near]
+        hidden[np.where(markers.points[a, 2] < markers.points[b, 2], a, b)] = True
+    return View(
+        markers=markers,
+        pixels=pixels,
+        jacobian=jacobian,
+        diameter_px=width,
+        inside=inside,
+        hidden=hidden,
+    )
+
+
+def noise_bound(scene: Scene) -> Floats | None:
+    """Return (n,) `shift_bound` of all nominal markers, px, NaN where none is known; None where the
+    closed form does not hold."""
+    if scene.camera is None or not _knows_noise(scene) or not scene.ccd.spelt_out().noise:
+        return None
+    view = view_of(scene)
+    bound = np.full(len(view.markers), np.nan)
+    for name in scene.markers:
+        rows = view.markers.layer == name
+        bound[rows] = shift_bound(scene, name, np.nan_to_num(view.diameter_px[rows]))
+    return np.where(np.isfinite(view.diameter_px), bound, np.nan)
+
+
+def doubts(scene: Scene) -> list[str]:
+    """Return a line for every value of a scene that is possible, but that no real sensor has."""
+    found = [*_of_body(scene), *_of_markers(scene), *_of_press(scene)]
+    return found + (list(_of_picture(scene)) if scene.camera is not None else [])
+
+
+def unseen(scene: Scene, shift_px: Pixels, noise_px: float | None) -> list[str]:
+    """Return a warning where a press moves no marker by as much as ``noise_px``.
+
+    That is the standard deviation of a measured shift (None where it is not known); ``shift_px``
+    are (n, 2) true shifts.
+    """
+    moved = np.linalg.norm(shift_px, axis=1)
+    if noise_px is None or not np.isfinite(moved).any() or np.nanmax(moved) >= noise_px:
+        return []
+    keys = "tractions in N"
+    if scene.press is not None:
+        keys = "press.force_n in N, or indentation_mm in mm"
+    return [
+        f"no marker moves by more than {np.nanmax(moved):.2g} px in the picture, less than the "
+        f"noise of a measured shift ({noise_px:.2g} px): nothing can be measured; press harder "
+        f"({keys}), or take softer rubber (material.youngs_modulus_mpa = "
+        f"{scene.material.youngs_modulus_mpa:g} MPa)"
+    ]
+
+
+def _of_body(scene: Scene) -> Iterator[str]:
+    moduli = {"material": scene.material.youngs_modulus_mpa}
+    if scene.cover is not None and scene.cover.youngs_modulus_mpa is not None:
+        moduli["cover"] = scene.cover.youngs_modulus_mpa
+    for table, modulus in moduli.items():
+        if not _RUBBER_MPA[0] <= modulus <= _RUBBER_MPA[1]:
+            yield (
+                f"{table}.youngs_modulus_mpa = {modulus:g} MPa: rubbers have {_range(_RUBBER_MPA)} "
+                "MPa; 1 MPa = 1000 kPa = 1e6 Pa, so check the unit"
+            )
+    size = float(np.max(np.ptp(np.array(scene.body.bounds_mm), axis=0)))
+    if not _BODY_MM[0] <= size <= _BODY_MM[1]:
+        yield (
+            f"body: its longest side is {size:.4g} mm, usual are {_range(_BODY_MM)} mm; lengths "
+            "are in mm"
+        )
+
+
+def _of_markers(scene: Scene) -> Iterator[str]:
+    tolerance = scene.tolerance
+    for name, layer in scene.markers.items():
+        many = max(layer.columns, layer.rows) > 1
+        if many and layer.kind == "print" and layer.diameter_mm >= layer.pitch_mm:
+            yield (
+                f"markers.{name}.diameter_mm = {layer.diameter_mm:g} mm: the prints merge at "
+                f"pitch_mm = {layer.pitch_mm:g} mm, and none can be found; take less than the pitch"
+            )
+        if scene.cover is not None and layer.depth_mm <= scene.cover.thickness_mm:
+            yield (
+                f"markers.{name}.depth_mm = {layer.depth_mm:g} mm: within the cover of "
+                f"{scene.cover.thickness_mm:g} mm (cover.thickness_mm), which hides them; place "
+                "them deeper"
+            )
+        if tolerance.preset == "none":
+            continue
+        if CUT * tolerance.depth_mm > layer.depth_mm:
+            yield (
+                f"tolerance.depth_mm = {tolerance.depth_mm:g} mm: {CUT:g} times that is more than "
+                f"the depth of markers.{name} ({layer.depth_mm:g} mm); take at most "
+                f"{layer.depth_mm / CUT:.3g} mm"
+            )
+        if many and CUT * tolerance.print_mm > layer.pitch_mm / 2:
+            yield (
+                f"tolerance.print_mm = {tolerance.print_mm:g} mm: {CUT:g} times that is more than "
+                f"half the pitch of markers.{name} ({layer.pitch_mm:g} mm), so that neighbours "
+                f"change places; take at most {layer.pitch_mm / 2 / CUT:.3g} mm"
+            )
+
+
+def _of_press(scene: Scene) -> Iterator[str]:
+    presses: tuple[Press, ...] = () if scene.press is None else (scene.press, *scene.press.also)
+    for number, press in enumerate(presses):
+        key = f"press.also {number}" if number else "press"
+        if not isinstance(press.probe, Stl) and width_mm(press.probe) < _NARROWEST_MM:
+            yield (
+                f"{key}.probe: {width_mm(press.probe):g} mm wide, a needle (usual: "
+                f"{_NARROWEST_MM:g} mm and more); lengths are in mm"
+            )
+        if _MOST_FRICTION < press.friction < math.inf:
+            yield (
+                f"{key}.friction = {press.friction:g}: rubber reaches {_MOST_FRICTION:g} at most; "
+                "it is a coefficient, no angle or percentage; give inf for a probe that sticks"
+            )
+
+
+def _of_picture(scene: Scene) -> Iterator[str]:
+    assert scene.camera is not None
+    view, camera = view_of(scene), scene.camera
+    remedy = "check camera.focal_px (in px), pupil_mm (in mm), width_px and height_px"
+    widest = _WIDEST * min(camera.width_px, camera.height_px)
+    for name in scene.markers:
+        own = view.markers.layer == name
+        outside = 1.0 - float(view.inside[own].mean())
+        if outside > _MOST_OUTSIDE:
+            yield (
+                f"markers.{name}: {100 * outside:.0f} % of them lie outside the picture (allowed "
+                f"without a warning: {100 * _MOST_OUTSIDE:.0f} %); {remedy}, or take fewer or "
+                "closer ones (columns, rows, pitch_mm)"
+            )
+        hidden = float(view.hidden[own & view.inside].mean()) if (own & view.inside).any() else 0.0
+        if hidden > _MOST_HIDDEN:
+            yield (
+                f"markers.{name}: {100 * hidden:.0f} % of them overlap another marker in the "
+                f"picture (allowed without a warning: {100 * _MOST_HIDDEN:.0f} %); change "
+                "diameter_mm or offset_mm"
+            )
+        known = view.diameter_px[own & np.isfinite(view.diameter_px)]
+        typical = float(np.median(known)) if len(known) else LEAST_PX
+        if not LEAST_PX <= typical <= widest:
+            yield (
+                f"markers.{name}.diameter_mm: {typical:.3g} px wide in the picture (usual: "
+                f"{LEAST_PX:g} to {widest:g} px); {remedy}, or change the diameter"
+            )
+    white = scene.ccd.white_dn * scene.ccd.exposure
+    if not _EXPOSED_DN[0] <= white <= _EXPOSED_DN[1]:
+        yield (
+            f"ccd.white_dn * ccd.exposure = {white:.4g} counts for the brightest marker: a "
+            f"picture has 0 to 255 (usual: {_range(_EXPOSED_DN)}); exposure is a factor, 1 is right"
+        )
+
+
+def _range(limits: tuple[float, float]) -> str:
+    return f"{limits[0]:g} to {limits[1]:g}"

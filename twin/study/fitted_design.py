@@ -1,0 +1,267 @@
+"""The nominal design with free parameters, which `twin.sense.fit_design` fits.
+
+It is the nominal body on the nominal mesh, never the truth. Displacements scale with stiffness,
+moved markers are interpolated in the same fields, and Poisson's ratio between two bodies, so a set
+of parameters costs milliseconds.
+
+A probe's footprint is Hertz's pressure on the nominal contact radius times a fitted factor. Its
+half-space part is summed over small squares; the smooth rest of the finite body over five places
+only, which have the same second moment.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Floats, Ints, Pixels, Points
+from twin.parts.camera import Camera
+from twin.parts.load import Rectangles
+from twin.parts.scene import Scene
+from twin.sense.fit_design import Fit
+from twin.theory import halfspace
+from twin.theory.optics import project, projection_jacobian
+from twin.world.elasticity.compliance import Compliance
+
+FOOTPRINT_PCT = 10.0
+"""Standard deviation of the footprint's radius against Hertz's, percent: what sticking and
+curvature leave open."""
+
+SHORTFALL, SHORTFALL_SD = 0.8, 0.6
+"""Mean and standard deviation of a half-normal deviation, in its scale: the shortfall of Poisson's
+ratio."""
+
+NU_STEP = 0.005
+"""How far below the nominal Poisson's ratio the second body is, between which it is
+interpolated."""
+
+CUTS = 8
+"""Squares across a footprint."""
+
+AXES = ("x", "y", "z")
+FIELDS = ("centre_mm", "frames", "half_mm", "force_n")
+
+
+class FittedDesign:
+    """The nominal design with its tolerances as unknowns; see `twin.sense.fit_design.Design`.
+
+    Parameters
+    ----------
+    scene
+        The nominal scene; what its ``tolerance`` gives no room is not fitted.
+    places
+        Squares on the surface where presses were made (`twin.study.sensor.on_surface`).
+    radius_mm
+        (p,) nominal contact radius of the presses there.
+    progress
+        Told when a mesh has to be made.
+    """
+
+    def __init__(
+        self, scene: Scene, places: Rectangles, radius_mm: Floats, progress: Any = None
+    ) -> None:
+        assert scene.camera is not None
+        self.scene, self.places, self.radius_mm = scene, places, np.asarray(radius_mm, float)
+        self.camera: Camera = scene.camera
+        room = scene.tolerance
+        sizes = {
+            "youngs_modulus": room.youngs_modulus_pct / 100,
+            "poisson_ratio": room.poisson_ratio,
+            **{f"depth_{name}": room.depth_mm for name in scene.markers},
+            **{f"pupil_{axis}": room.pupil_mm for axis in AXES},
+            **{f"tilt_{axis}": room.tilt_deg for axis in AXES},
+            "focal": room.focal_pct / 100,
+            "distortion": room.distortion,
+            "footprint": FOOTPRINT_PCT / 100,
+        }
+        self.sizes = {name: size for name, size in sizes.items() if size > 0}
+        self.names = tuple(self.sizes)
+        self.print_mm = max(room.print_mm, 1e-3)
+        self._progress = progress
+        counts = [layer.columns * layer.rows for layer in scene.markers.values()]
+        self._chart = np.concatenate([layer.chart() for layer in scene.markers.values()])
+        self._layer = np.repeat(list(scene.markers), counts)
+
+    @cached_property
+    def _bodies(self) -> tuple[Compliance, Compliance]:
+        nominal = self.scene.material
+        softer = nominal.model_copy(update={"poisson_ratio": nominal.poisson_ratio - NU_STEP})
+        made = [
+            Compliance(self.scene.body, m, level="nominal", progress=self._progress)
+            for m in (nominal, softer)
+        ]
+        return made[0], made[1]
+
+    def _values(self, scaled: Floats) -> dict[str, float]:
+        """Return the parameters' deviations in their own units."""
+        single = ("poisson_ratio", "youngs_modulus", "focal", "distortion", "footprint")
+        found = dict.fromkeys(single, 0.0)
+        for (name, size), z in zip(self.sizes.items(), scaled, strict=True):
+            found[name] = size * float(z)
+            if name == "poisson_ratio":
+                found[name] = min(SHORTFALL_SD * found[name] - SHORTFALL * size, 0.0)
+        return found
+
+    def camera_of(self, scaled: Floats) -> Camera:
+        """Return the camera that the parameters say."""
+        found, nominal = self._values(scaled), self.camera
+        front = self.scene.body.base_z_mm + sum(layer.thickness_mm for layer in nominal.layers)
+        moved = [found.get(f"pupil_{axis}", 0.0) for axis in AXES]
+        x, y, z = (a + b for a, b in zip(nominal.pupil_mm, moved, strict=True))
+        turned = [found.get(f"tilt_{axis}", 0.0) for axis in AXES]
+        tilt = tuple(a + b for a, b in zip(nominal.tilt_deg, turned, strict=True))
+        k1, k2, *others = nominal.distortion or (0.0, 0.0)
+        changes = {
+            "pupil_mm": (x, y, max(z, front)),
+            "tilt_deg": tilt,
+            "focal_px": nominal.focal_px * (1 + found["focal"]),
+            "distortion": (k1 + found["distortion"], k2, *others),
+        }
+        return nominal.model_copy(update=changes)
+
+    def markers_of(self, scaled: Floats, rest_px: Pixels) -> tuple[Points, Floats]:
+        """Return the (n, 3) markers, mm, that are seen at ``rest_px``, and their (n, 2) print
+        errors, mm."""
+        camera, found = self.camera_of(scaled), self._values(scaled)
+        depths = {
+            name: layer.depth_mm + found.get(f"depth_{name}", 0.0)
+            for name, layer in self.scene.markers.items()
+        }
+        depth = np.array([depths[str(name)] for name in self._layer])
+        error, seen = np.zeros_like(self._chart), np.asarray(np.isfinite(rest_px).all(axis=1))
+        body, step = self.scene.body, 1e-4
+        for _ in range(3):
+            here = body.chart_points(self._chart + error, depth)
+            along = [
+                (body.chart_points(self._chart + error + step * d, depth) - here) / step
+                for d in np.eye(2)
+            ]
+            slope = self._seen_slope(here, camera) @ np.stack(along, axis=2)
+            miss = np.where(seen[:, None], rest_px - self.seen(here, camera), 0.0)
+            error = error + np.clip(np.linalg.solve(slope, miss[:, :, None])[:, :, 0], -1.0, 1.0)
+        return body.chart_points(self._chart + error, depth), error
+
+    def predict(
+        self, scaled: Floats, rest_px: Pixels, place: Ints, force_n: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """See `twin.sense.fit_design.Design.predict`."""
+        camera = self.camera_of(scaled)
+        markers, prints = self.markers_of(scaled, rest_px)
+        by_place = self._footprints(scaled, markers)
+        rest = self.seen(markers, camera)
+        shifts, slopes = [], []
+        for where, force in zip(place, force_n, strict=True):
+            moved = markers + (by_place[where] @ force).reshape(-1, 3)
+            shifts.append(self.seen(moved, camera) - rest)
+            slopes.append(self._seen_slope(moved, camera) @ by_place[where].reshape(-1, 3, 3))
+        return prints, np.stack(shifts), np.stack(slopes)
+
+    def compliance(self, scaled: Floats, markers: Points, sites: Rectangles) -> Floats:
+        """Return (3n, 3k) mm/N of markers at their fitted places per force on squares of the
+        surface."""
+        found = self._values(scaled)
+        nominal, softer = self._bodies
+        share, columns = -found["poisson_ratio"] / NU_STEP, []
+        # few at a time have fields, which serve other markers too
+        for first in range(0, len(sites), 2 * len(markers)):
+            which = slice(first, first + 2 * len(markers))
+            few = Rectangles(**{f: getattr(sites, f)[which] for f in FIELDS})
+            here = nominal.to_points(markers, few)
+            if share:
+                here = here + share * (softer.to_points(markers, few) - here)
+            columns.append(here)
+        return np.asarray(np.concatenate(columns, axis=1) / (1 + found["youngs_modulus"]))
+
+    def footprint_mm(self, scaled: Floats, place: int) -> float:
+        """Return the fitted radius of a place's footprint, mm."""
+        return float(self.radius_mm[place] * (1 + self._values(scaled)["footprint"]))
+
+    def seen(self, points: Points, camera: Camera) -> Pixels:
+        """Return where a camera sees points of the nominal body, px."""
+        scene = self.scene
+        return project(points, camera, scene.material.refractive_index, scene.body.base_z_mm)
+
+    def transfer(self, scaled: Floats, markers: Points, compliance: Floats) -> Floats:
+        """Return (2n, 3k) px/N: the compliance through the fitted camera."""
+        from twin.sense.transfer import from_compliance
+
+        return from_compliance(compliance, self._seen_slope(markers, self.camera_of(scaled)))
+
+    def deviations(self, fit: Fit) -> dict[str, dict[str, float]]:
+        """Return the fitted deviations from the drawing and their standard deviations, in the
+        parameters' units."""
+        values = self._values(fit.scaled)
+        spread = np.sqrt(np.diag(fit.covariance))
+        sizes = zip(self.sizes.items(), spread, strict=True)
+        return {
+            name: {"deviation": values[name], "sd": size * float(s)} for (name, size), s in sizes
+        }
+
+    def _footprints(self, scaled: Floats, markers: Points) -> list[Floats]:
+        """Return (3n, 3) mm/N for every place, under its footprint."""
+        found = self._values(scaled)
+        material = self.scene.material
+        modulus, nu = material.youngs_modulus_mpa, material.poisson_ratio
+        coarse, weights = self._few
+        stiffness = np.array([name == "youngs_modulus" for name in self.names])
+        rest = self.compliance(np.where(stiffness, 0.0, scaled), markers, coarse)
+        nu_now = nu + found["poisson_ratio"]
+        rest = rest - halfspace.compliance(markers, coarse, modulus, nu_now)
+        rest = np.einsum("mpri,r->pmi", rest.reshape(len(rest), len(self.places), -1, 3), weights)
+        out = []
+        for index, radius in enumerate(self.radius_mm):
+            fine, share = self._squares(index, radius * (1 + found["footprint"]), hertz_shares())
+            near = halfspace.compliance(markers, fine, modulus, nu_now)
+            near = np.einsum("mri,r->mi", near.reshape(3 * len(markers), -1, 3), share)
+            out.append((near + rest[index]) / (1 + found["youngs_modulus"]))
+        return out
+
+    @cached_property
+    def _few(self) -> tuple[Rectangles, Floats]:
+        """Five squares a place, and weights of Hertz's second moment, radius^2 / 5 per axis."""
+        reach = 0.7
+        offsets = reach * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float)
+        outer = 0.2 / (2 * reach**2)
+        weights = np.array([1 - 4 * outer, *[outer] * 4])
+        parts = [self._squares(i, r, (offsets, weights))[0] for i, r in enumerate(self.radius_mm)]
+        joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in FIELDS}
+        return Rectangles(**joined), weights
+
+    def _squares(
+        self, index: int, radius: float, shares: tuple[Floats, Floats]
+    ) -> tuple[Rectangles, Floats]:
+        """Return squares on the surface around a place, at offsets in radii, and their shares."""
+        offsets, share = shares
+        body, centre = self.scene.body, self.places.centre_mm[index]
+        points = body.chart_points(body.chart_of(centre[None]) + radius * offsets)
+        half = np.full((len(points), 2), radius / CUTS)
+        force = np.zeros_like(points)
+        squares = Rectangles(
+            centre_mm=points, frames=body.frames(points), half_mm=half, force_n=force
+        )
+        return squares, share
+
+    def _seen_slope(self, points: Points, camera: Camera) -> Floats:
+        scene = self.scene
+        index = scene.material.refractive_index
+        return projection_jacobian(points, camera, index, scene.body.base_z_mm)
+
+
+def hertz_shares() -> tuple[Floats, Floats]:
+    """Return Hertz's pressure on a disc as shares of squares.
+
+    Returns
+    -------
+    Offsets (s, 2) of the squares' centres from the disc's, in its radii, and the shares (s,) of the
+    force on them, whose sum is 1. The squares are `CUTS` to the disc's diameter.
+    """
+    sub = 6
+    fine = (np.arange(CUTS * sub) + 0.5) / (CUTS * sub) * 2 - 1
+    pressure = np.sqrt(np.maximum(1 - fine[:, None] ** 2 - fine[None, :] ** 2, 0.0))
+    cells = pressure.reshape(CUTS, sub, CUTS, sub).sum(axis=(1, 3))
+    axis = (np.arange(CUTS) + 0.5) / CUTS * 2 - 1
+    offsets = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    keep = cells.ravel() > 0
+    return offsets[keep], cells.ravel()[keep] / cells.sum()

@@ -1,0 +1,255 @@
+"""Run the papers' entries into a folder: one file an entry, the list of all records, and the page.
+
+Resuming: an entry's file carries a key, the hash of this package's source, the paper's resolved
+scene, the seed and the form (quick or full). An entry whose file has the right key is skipped, so
+an interrupted reproduction continues. A change of any source file runs everything again.
+
+One thread: sums in another order change last digits, and one seed must give one file whatever the
+number of cores. On busy cores a second thread also cost several times the work (Fig. 10: 41 s of
+CPU with two threads, 5 s with one).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import twin
+from twin.arrays import Progress
+from twin.blas_threads import one_thread
+from twin.errors import InputError, TwinError, did_you_mean
+from twin.files import make_folder, write_whole
+from twin.study.recipe import load_scene
+from twin.study.reproduce.bench import FITTED, SCENES, Bench, Entry, sensor_hash
+from twin.study.reproduce.design_limits import DESIGN_LIMITS
+from twin.study.reproduce.finger_figures import FINGER_FIGURES
+from twin.study.reproduce.flat_figures import FLAT_FIGURES
+from twin.study.reproduce.shifted import SHIFTED
+
+Table = dict[str, Any]
+
+_FOUND = {entry.name: entry for entry in (*SHIFTED, *FLAT_FIGURES, *FINGER_FIGURES, *DESIGN_LIMITS)}
+_ORDER = {
+    "kamiyama": ("table-1", *(f"fig-{number}" for number in range(6, 18)), "times", "conclusion"),
+    "sato": (
+        *("table-1", "fig-6", "calibration", "fig-7", "fig-8", "fig-9"),
+        *("table-2", "2mm-prediction"),
+    ),
+    "beyond": ("half-space", "limits", "same-hardware-kamiyama", "same-hardware-sato"),
+}
+ENTRIES: dict[str, Entry] = {
+    f"{paper}/{name}": _FOUND[f"{paper}/{name}"]
+    for paper, names in _ORDER.items()
+    for name in names
+}
+"""Tables and figures in the order of the papers."""
+
+assert ENTRIES.keys() == _FOUND.keys(), "every entry has its place in the order"
+
+
+def chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
+    """Return the entries that ``names`` mean: ``all``, a paper, or entries by name; in the papers'
+    order.
+
+    The quick form leaves long ones out unless they are named. An unknown name raises InputError.
+    """
+    wanted: set[str] = set()
+    for name in names or ("all",):
+        found = [key for key in ENTRIES if name in ("all", key, key.split("/")[0])]
+        if not found:
+            hint = did_you_mean(name, (*(key.split("/")[0] for key in ENTRIES), *ENTRIES), "", 0.4)
+            raise InputError(
+                f"there is no entry '{name}':{hint and f' {hint}'} allowed are all, kamiyama, "
+                f"sato, beyond, {', '.join(ENTRIES)}"
+            )
+        wanted.update(key for key in found if key == name or not (quick and ENTRIES[key].long))
+    return [entry for key, entry in ENTRIES.items() if key in wanted]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reproduced:
+    """A reproduction in its folder: lines for the terminal, and the entries that could not be
+    finished, with the reason."""
+
+    lines: Sequence[str]
+    failed: dict[str, str]
+
+
+def reproduce(
+    names: Sequence[str] = (),
+    out: Path = Path("reproduce"),
+    *,
+    seed: int = 1,
+    quick: bool = False,
+    progress: Progress | None = None,
+) -> Reproduced:
+    """Run the papers' experiments and write ``index.html``, ``results.json`` and an SVG for each.
+
+    Parameters
+    ----------
+    names
+        Entries (``kamiyama/table-1``), papers (``sato``) or ``all``, the default.
+    out
+        Folder; what it holds already and still stands is not run again.
+    seed
+        Root seed of sensors and noise.
+    quick
+        One made sensor, fewer steps and no long entries, for a first look.
+    progress
+        Called with every piece of work.
+
+    Raises
+    ------
+    InputError
+        There is no such entry, or the folder can't be written.
+    """
+    wanted = chosen(names, quick)
+    make_folder(out)
+    make_folder(out / "entries")
+    bench = Bench(seed=seed, quick=quick, progress=progress)
+    with one_thread():
+        failed = _run_all(out, wanted, bench)
+    _publish(out, bench, failed)
+    if progress is not None:
+        progress("done", 1.0)
+    lines = [_line(entry, _kept(out, entry, bench), failed) for entry in wanted]
+    return Reproduced(lines=[*lines, f"written to {out / 'index.html'}"], failed=failed)
+
+
+def _run_all(out: Path, wanted: Sequence[Entry], bench: Bench) -> dict[str, str]:
+    """Run what doesn't stand yet; return the reasons of what could not be finished."""
+    failed: dict[str, str] = {}
+    for number, entry in enumerate(wanted):
+        if _kept(out, entry, bench) is not None:
+            continue
+        bench.begin(entry.name, number / len(wanted), 1.0 / len(wanted))
+        try:
+            _run(out, entry, bench)
+        except TwinError as problem:
+            failed[entry.name] = str(problem)
+        except Exception as problem:
+            # one broken experiment must not cost the others; developers see it at once
+            if os.environ.get("TWIN_DEBUG"):
+                raise
+            failed[entry.name] = (
+                f"internal error: {type(problem).__name__}: {problem}; please report it"
+            )
+        _publish(out, bench, failed)
+    return failed
+
+
+def _run(out: Path, entry: Entry, bench: Bench) -> None:
+    from twin.show.figure_panels import drawn
+
+    started, worked = time.perf_counter(), time.process_time()
+    outcome = entry.run(bench)
+    about = {"name": entry.name, "source": entry.source}
+    sensor = {
+        "sensor": entry.name.split("/")[0],
+        "sensor_hash": {name: sensor_hash(name) for name in sorted(bench.used)},
+    }
+    picture = drawn(outcome.panels) if outcome.panels else b""
+    table = {
+        "key": _key(entry, bench),
+        "name": entry.name,
+        "title": entry.title,
+        "source": entry.source,
+        "protocol": entry.protocol,
+        "notes": [*outcome.notes, *([bench.validity] if bench.validity else [])],
+        "seconds": round(time.perf_counter() - started, 2),
+        "cpu_seconds": round(time.process_time() - worked, 2),
+        "records": [{**about, **record.row(), **sensor} for record in outcome.records],
+    }
+    if picture:
+        write_whole(_picture(out, entry.name), picture)
+    write_whole(_records(out, entry), json.dumps(table, indent=1).encode())
+
+
+def _records(out: Path, entry: Entry) -> Path:
+    """Return the file of an entry's records; they lie in a folder of their own."""
+    return out / "entries" / f"{entry.name.replace('/', '_')}.json"
+
+
+def _picture(out: Path, name: str) -> Path:
+    return out / f"{name.replace('/', '_')}.svg"
+
+
+def _kept(out: Path, entry: Entry, bench: Bench) -> Table | None:
+    """Return what an earlier run left of an entry, if it still stands."""
+    try:
+        table: Table = json.loads(_records(out, entry).read_text())
+    except (OSError, ValueError):
+        return None
+    return table if table.get("key") == _key(entry, bench) else None
+
+
+def _key(entry: Entry, bench: Bench) -> str:
+    facts = [source_hash(), entry.name, _scenes_hash(), bench.seed, bench.quick]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+
+
+@cache
+def source_hash() -> str:
+    """Return the hash of all source files of this package."""
+    root = Path(twin.__file__).parent
+    digest = hashlib.sha256()
+    for file in sorted(root.rglob("*.py")):
+        digest.update(
+            file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes() + b"\0"
+        )
+    return digest.hexdigest()
+
+
+@cache
+def _scenes_hash() -> str:
+    scenes = [
+        load_scene(name).model_dump_json(exclude={"calibration": {"file"}})
+        for name in SCENES.values()
+    ]
+    return hashlib.sha256("".join(scenes).encode()).hexdigest()
+
+
+def _publish(out: Path, bench: Bench, failed: dict[str, str]) -> None:
+    """Write the list of records and the page from the entries that stand."""
+    from twin.show.reproduction_page import reproduction
+
+    tables = [t for entry in ENTRIES.values() if (t := _kept(out, entry, bench)) is not None]
+    records = [record for table in tables for record in table["records"]]
+    text = json.dumps(records, indent=1) + "\n"
+    write_whole(out / "results.json", text.encode())
+    pictures = {}
+    for table in tables:
+        file = _picture(out, table["name"])
+        pictures[table["name"]] = file.read_bytes() if file.is_file() else b""
+    facts = {
+        paper: {"scene": scene, "hash": sensor_hash(paper), "fitted": list(FITTED[paper])}
+        for paper, scene in SCENES.items()
+    }
+    page = reproduction(tables, pictures, facts, failed, seed=bench.seed, quick=bench.quick)
+    write_whole(out / "index.html", page.encode())
+
+
+def _line(entry: Entry, table: Table | None, failed: dict[str, str]) -> str:
+    """Return the line about an entry for the terminal."""
+    if table is None:
+        return f"{entry.name:22s} failed: {failed.get(entry.name, 'not run')}"
+    words = f"{len(table['records'])} numbers; the paper gives none"
+    verdicts = [
+        r["verdict"]
+        for r in table["records"]
+        if r["paper"] is not None and not r["timed"] and not r["ours"]
+    ]
+    if verdicts:
+        explained = sum("explained by:" in verdict for verdict in verdicts)
+        words = (
+            f"{verdicts.count('agrees')} of {len(verdicts)} numbers agree with the paper's, "
+            f"{explained} more are explained"
+        )
+    return f"{entry.name:22s} {table['seconds']:6.1f} s  {words}"

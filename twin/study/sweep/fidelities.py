@@ -1,0 +1,713 @@
+"""The two fidelities that solve a design's body: its linear information, and its pictures.
+
+Linear information. The nominal design gives the transfer matrix that the sensor's software uses.
+The truth is a made sensor, drawn from the tolerances and solved on another mesh, with markers
+projected exactly. Noise enters as a covariance, so a design's figures don't depend on one draw. The
+estimator and its weight are the sensor's own (`twin.sense.regularisation`).
+
+With the whitened transfer matrix H and the penalty Q = L L^T, the eigendecomposition
+L^-1 H^T H L^-T = V S^2 V^T gives the estimate for every weight. The smaller matrix H^T H costs
+digits only where S is below 1e-6 of the largest, far below any noise.
+
+Mirror symmetry: a block, centred grids of markers and sites and a camera on the axis don't change
+when x or y is mirrored, so fields that are even or odd under each mirror don't mix. In orthonormal
+even and odd parts the problem falls into four of a quarter of the size, and only a quarter of the
+markers is needed to make them: a third of the time for a design of 636 markers.
+
+Validity: constraints on the field (``push_only``, ``friction``) are left out, because totals come
+from the linear solve. Method ``local``, which isn't linear, is rated as ``smooth``. Loads are
+patches of given traction. Noise is that of `twin.study.doubts`: the shadows of markers on
+each other, which move tracked centres, are in the full chain only (docs/sweeps.md).
+
+Full chain. The made sensor, its optics, its CCD and the software are those of ``twin run``. The
+contact is not solved: loads are patches of even traction, so that all designs are compared under
+the same load. Run the recipes of the best designs with ``twin run`` to include the contact. As on a
+real sensor, a second exposure at rest defines zero: what the tracker measures without any load is
+subtracted.
+
+Forces are estimated at sites, so two pushes are resolved only where a site between them carries
+less force (`resolved_by_sites`). A coarse grid gives all designs the same two-point distance.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+
+from twin.arrays import Bools, Floats, Picture, Points, Singles
+from twin.compiled import COMPILING
+from twin.errors import InputError, RecipeError
+from twin.judge.resolution import dip, full_width, two_point_distance
+from twin.parts.body import Block
+from twin.parts.load import Rectangles
+from twin.parts.methods import Method
+from twin.parts.pipeline import Reconstruction, Sites
+from twin.parts.scene import Scene
+from twin.parts.sweep import GF, Loads, Sweep
+from twin.sense.inverse import METHODS, in_classes
+from twin.sense.regularisation import RULES, Spectrum
+from twin.streams import Purpose, stream
+from twin.study.calibrate import half_space_compliance, nominal_calibration
+from twin.study.doubts import View, shift_sd
+from twin.study.sensor import Motion, Sensor, make, on_surface
+from twin.study.sweep.loads import PAIRS, Bodies, Pushes
+from twin.theory.optics import project
+
+if TYPE_CHECKING:
+    from twin.sense.calibration import Calibration
+
+LEAST = 1e-12
+"""Squared singular values below this share of the largest are round-off."""
+
+STRAIN = 0.15
+"""Mean pressure over Young's modulus at which linear theory ends (docs/validity.md)."""
+
+REACH = 0.65
+"""Motion that a tracker follows, over the distance of neighbours in the picture."""
+
+MARKER_MS, ENTRY_MS = 1.6e-3, 6e-8
+"""Time of the software per marker (tracking) and per entry of the map from shifts to forces, on one
+core of two."""
+
+_Signs = tuple[int, int]
+"""Even (1) or odd (-1) under the mirrors of x and y; 0 where there is no mirror."""
+
+GROSS_PX = 1.0
+"""A shift wrong by more than this is a mistaken marker, and left out of the deviation."""
+
+SHORT_S = 1.5
+"""CPU seconds below which an estimate is made twice: a process's first design was measured to take
+up to 0.6 s more than later ones."""
+
+Shown = dict[str, np.ndarray]
+"""What the page shows of a design: (k, 3) ``site_mm``, the forces estimated there under the push in
+the middle, ``middle_n``, and under the pair, ``pair_n``, and the middle push's ``picture``."""
+
+
+def linear(
+    scene: Scene, view: View, sweep: Sweep, bodies: Bodies, pushes: Pushes
+) -> tuple[dict[str, float], Shown]:
+    """Return a design's metrics by name, and its expected estimate of the push in the
+    middle.
+
+    Parameters
+    ----------
+    scene, view
+        The design, and how its camera sees it.
+    sweep
+        What is asked.
+    bodies, pushes
+        The compliances, and what pushes.
+
+    Raises
+    ------
+    RecipeError
+        The sites don't cover the presses, or too few markers are usable.
+    """
+    assert scene.reconstruction is not None
+    grid = scene.reconstruction.sites
+    sites = on_surface(scene.body, grid.chart(), grid.pitch_mm / 2, "reconstruction.sites")
+    _require_cover(scene, pushes)
+    expected = noise_of(scene, view, sweep)
+    used = view.usable & (expected > 0) & np.isfinite(expected)
+    if used.sum() < 2:
+        raise RecipeError(
+            f"only {int(used.sum())} of {len(used)} markers are usable in the picture"
+        )
+    noise = np.zeros(len(used))
+    noise[used] = in_classes(expected[used])  # as the software weighs markers
+    known = _information(scene, view, noise, used, sites, bodies)
+    loads = np.concatenate(
+        [_shifts(scene, number, bodies, pushes) for number in range(sweep.sensors)], axis=2
+    )
+    whitened = np.where(used[:, None, None], loads / np.where(used, noise, 1.0)[:, None, None], 0.0)
+    reduced = known.reduced(whitened)
+    single = np.arange(whitened.shape[2]) % len(pushes.loads) <= pushes.presses
+    energy = float((whitened[:, :, single] ** 2).sum() / single.sum())
+    spectrum = known.spectrum([b[:, single] for b in reduced], energy)
+    mean_noise = float(noise[used].mean())
+    weight = _weight(scene.reconstruction, spectrum, mean_noise)
+    force = known.forces(reduced, weight).reshape(len(sites), 3, sweep.sensors, len(pushes.loads))
+    singular = known.singular
+    figures = _errors(known, pushes, force, weight) | _widths(scene, sweep, sites, pushes, force)
+    figures |= {
+        "condition": float(singular[0] / max(singular[-1], 1e-6 * singular[0])),
+        "directions": float((singular**2 > max(weight, 1e-300)).sum()),
+        "weight": weight * 2.0 * mean_noise**2,
+        "markers_seen": float(used.sum()),
+        "noise_px": float(np.median(expected[used])),
+        "range_n": _range(scene, view, sweep, loads[:, :, 0]),
+        "frame_ms": MARKER_MS * len(used) + ENTRY_MS * 6 * len(used) * len(sites),
+    }
+    return figures, {"site_mm": sites.centre_mm, "middle_n": np.asarray(force[:, :, 0, 0])}
+
+
+def noise_of(scene: Scene, view: View, sweep: Sweep) -> Floats:
+    """Return (n,) standard deviations of the markers' shifts, per axis, px."""
+    if sweep.noise_px is not None:
+        return np.full(len(view.markers), sweep.noise_px)
+    out = np.zeros(len(view.markers))
+    for name in scene.markers:
+        part = view.markers.of(name)
+        out[part] = shift_sd(scene, name, np.nan_to_num(view.diameter_px[part]))
+    return out
+
+
+def _seeded(scene: Scene, number: int) -> Scene:
+    """Return a design with the seed of its made sensor ``number``; number 0 is that of ``twin
+    run``."""
+    return scene if number == 0 else scene.model_copy(update={"seed": scene.seed + number})
+
+
+def _standard_error(values: Floats) -> float:
+    """Return the standard error of the mean of (m,) values; NaN of one."""
+    return float(values.std(ddof=1) / np.sqrt(values.size)) if values.size > 1 else float("nan")
+
+
+class _Profiles:
+    """Profiles of the push along s and t through the middle, from (k, 3, loads) forces at the
+    sites."""
+
+    def __init__(self, scene: Scene, sites: Rectangles, force: Floats) -> None:
+        assert scene.reconstruction is not None
+        grid = scene.reconstruction.sites
+        self._axes = grid.axes()
+        push = np.einsum("kcl,kc->kl", force, sites.frames[:, 2])
+        self._push = push.reshape(grid.columns, grid.rows, -1)
+
+    def along(self, load: int, axis: int) -> tuple[Floats, Floats]:
+        """Return places, mm, and the push there, N, along s (0) or t (1) through the middle."""
+        other = self._axes[1 - axis]
+        field = np.moveaxis(self._push[:, :, load], axis, 0)
+        place = np.interp(0.0, other, np.arange(len(other)))
+        low = min(int(place), len(other) - 1)
+        share = place - low
+        high = min(low + 1, len(other) - 1)
+        return self._axes[axis], np.asarray((1 - share) * field[:, low] + share * field[:, high])
+
+    def width(self, load: int) -> float:
+        """Return the full width at half maximum, mm: the mean of both directions that have one."""
+        widths = [full_width(*self.along(load, axis)) for axis in (0, 1)]
+        known = [w for w in widths if np.isfinite(w)]
+        return float(np.mean(known)) if known else float("nan")
+
+    def dips(self, pushes: Pushes) -> Floats:
+        """Return (pairs,) dips between the pairs of pushes."""
+        first = 1 + pushes.presses
+        return np.array(
+            [dip(*self.along(first + k, 0), float(apart)) for k, apart in enumerate(pushes.pair_mm)]
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Class:
+    """The factors of the fields of one symmetry: (r,) S^2; (3k, r) forces of unit reduced unknowns
+    L^-T V, unfolded; (m, r) data H L^-T V; (2n, m) sparse orthonormal basis of the data."""
+
+    squared: Floats
+    forces: Floats
+    data: Floats
+    fold: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Information:
+    """A design's linear problem by class, and its number of data (2 for every marker used)."""
+
+    classes: tuple[_Class, ...]
+    count: int
+
+    @property
+    def singular(self) -> Floats:
+        """(r,) singular values in the penalty's metric, the largest first."""
+        return np.asarray(np.sqrt(np.sort(np.concatenate([c.squared for c in self.classes]))[::-1]))
+
+    def reduced(self, whitened: Floats) -> list[Floats]:
+        """Return by class the (r, loads) products V^T L^-1 H^T d of (n, 2, loads) data."""
+        data = whitened.reshape(-1, whitened.shape[2])
+        return [c.data.T @ (c.fold.T @ data) for c in self.classes]
+
+    def spectrum(self, reduced: Sequence[Floats], energy: float) -> Spectrum:
+        """Return the spectrum to expect on average over loads and noise; ``energy`` is the mean of
+        |d|^2 over noise-free data, and ``reduced`` is theirs."""
+        squared = np.concatenate([c.squared for c in self.classes])
+        measured = np.concatenate([np.mean(b**2, axis=1) for b in reduced])
+        seen = squared > LEAST * squared.max(initial=0.0)
+        parts = np.where(seen, measured / np.where(seen, squared, 1.0), 0.0)
+        noise = max(self.count - len(squared), 0)
+        rest = max(energy - float(parts.sum()), 0.0) + noise
+        return Spectrum(squared=squared, energy=parts + 1.0, rest=rest, count=self.count)
+
+    def forces(self, reduced: Sequence[Floats], weight: float) -> Floats:
+        """Return (3k, loads) expected forces, N."""
+        parts = zip(self.classes, self._inverse(weight), reduced, strict=True)
+        return np.asarray(sum(c.forces @ (inverse[:, None] * b) for c, inverse, b in parts))
+
+    def covariance(self, rows: Floats, weight: float) -> Floats:
+        """Return (q, q) covariance of ``rows`` (q, 3k) times the estimate, by the noise alone."""
+        total = np.zeros((len(rows), len(rows)))
+        for each, inverse in zip(self.classes, self._inverse(weight), strict=True):
+            parts = rows @ each.forces
+            total += (parts * (each.squared * inverse**2)) @ parts.T
+        return total
+
+    def _inverse(self, weight: float) -> list[Floats]:
+        """Return by class 1 / (S^2 + weight), without what is round-off."""
+        if weight > 0:
+            return [1.0 / (c.squared + weight) for c in self.classes]
+        cut = LEAST * max(c.squared.max(initial=0.0) for c in self.classes)
+        return [
+            np.where(c.squared > cut, 1.0 / np.maximum(c.squared, cut), 0.0) for c in self.classes
+        ]
+
+
+def _information(
+    scene: Scene, view: View, noise: Floats, used: Bools, sites: Rectangles, bodies: Bodies
+) -> _Information:
+    """Factorise a design's whitened transfer matrix, class by class.
+
+    A column of the data's basis holds one marker and its mirror images. By symmetry the row of the
+    first of them, times the root of their number, is the row of the whole column.
+    """
+    assert scene.reconstruction is not None
+    method, grid = scene.reconstruction.method, scene.reconstruction.sites
+    layers = tuple((layer.columns, layer.rows) for layer in scene.markers.values())
+    signs = list(product(*((1, -1) if mirror else (0,) for mirror in _mirrors(scene))))
+    folds = [_data_basis(layers, each) for each in signs]
+    firsts = [fold.indices[fold.indptr[:-1]] for fold in folds]
+    markers = np.unique(np.concatenate(firsts) // 2)
+    points = view.markers.points[markers]
+    compliance = _nominal_compliance(scene, points, sites, bodies)
+    jacobian = np.where(used[markers][:, None, None], view.jacobian[markers], 0.0)
+    jacobian /= np.where(used[markers], noise[markers], 1.0)[:, None, None]
+    transfer = (jacobian @ compliance.reshape(len(points), 3, -1)).reshape(2 * len(points), -1)
+    classes = []
+    for each, fold, first in zip(signs, folds, firsts, strict=True):
+        basis, root = _force_basis((grid.columns, grid.rows), method, each)
+        rows = 2 * np.searchsorted(markers, first // 2) + first % 2
+        block = (basis.T @ transfer[rows].T).T / fold.data[fold.indptr[:-1], None]
+        block = block @ root.T
+        squared, vectors = np.linalg.eigh(block.T @ block)
+        found = _Class(
+            squared=np.maximum(squared, 0.0),
+            forces=basis @ (root.T @ vectors),
+            data=block @ vectors,
+            fold=fold,
+        )
+        classes.append(found)
+    return _Information(classes=tuple(classes), count=2 * int(used.sum()))
+
+
+def _mirrors(scene: Scene) -> tuple[bool, bool]:
+    """Return whether a scene's nominal design is symmetric under the mirrors of x and of y."""
+    camera = scene.camera
+    if not isinstance(scene.body, Block) or camera is None:
+        return (False, False)
+    decentred = camera.lens == "pinhole" and any(camera.distortion[2:4])
+    if any(camera.tilt_deg) or camera.principal_px is not None or decentred:
+        return (False, False)
+    x, y = (
+        camera.pupil_mm[axis] == 0
+        and all(layer.offset_mm[axis] == 0 for layer in scene.markers.values())
+        for axis in (0, 1)
+    )
+    return (x, y)
+
+
+@lru_cache(maxsize=256)
+def _even_or_odd(count: int, sign: int) -> Any:
+    """Return the (count, r) orthonormal even or odd functions on a line of points; all if 0."""
+    if sign == 0:
+        return sp.identity(count, format="csc")
+    half = count // 2
+    low, value = np.arange(half), np.full(half, np.sqrt(0.5))
+    rows = np.concatenate([low, count - 1 - low])
+    values = np.concatenate([value, sign * value])
+    columns = np.concatenate([low, low])
+    if sign > 0 and count % 2:
+        rows, columns = np.append(rows, half), np.append(columns, half)
+        values = np.append(values, 1.0)
+    return sp.csc_matrix((values, (rows, columns)), shape=(count, half + (sign > 0) * (count % 2)))
+
+
+@lru_cache(maxsize=256)
+def _basis(grid: tuple[int, int], components: int, signs: _Signs) -> Any:
+    """Return the (points x components, r) basis of vector fields of a class on a grid of (columns,
+    rows); the component along a mirrored axis changes its sign."""
+    flips = ((-1, 1), (1, -1), (1, 1))[:components]
+    parts = []
+    for component, flip in enumerate(flips):
+        along, across = (_even_or_odd(grid[k], signs[k] * flip[k]) for k in (0, 1))
+        unit = np.eye(components)[:, component : component + 1]
+        parts.append(sp.kron(sp.kron(along, across), unit))
+    basis = sp.hstack(parts, format="csc")
+    basis.eliminate_zeros()
+    basis.sort_indices()
+    return basis
+
+
+@lru_cache(maxsize=256)
+def _data_basis(layers: tuple[tuple[int, int], ...], signs: _Signs) -> Any:
+    """Return the basis of the shifts of all layers of (columns, rows) markers."""
+    return sp.block_diag([_basis(layer, 2, signs) for layer in layers], format="csc")
+
+
+@lru_cache(maxsize=64)
+def _force_basis(grid: tuple[int, int], method: Method, signs: _Signs) -> tuple[Any, Floats]:
+    """Return the basis of the sites' forces, and L^-1 of the penalty in it, whose condition is
+    small."""
+    basis = _basis(grid, 3, signs)
+    folded = basis.T @ (basis.T @ METHODS[method].matrix(grid)).T
+    lower = np.linalg.cholesky((folded + folded.T) / 2)
+    return basis.tocsr(), np.asarray(
+        scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True), np.float64
+    )
+
+
+def _weight(wanted: Reconstruction, spectrum: Spectrum, mean_noise: float) -> float:
+    """Return the whitened weight that the sensor's software would use; ``mean_noise``, px, is for a
+    weight that the scene gives in px^2/N^2."""
+    if not METHODS[wanted.method].weighted:
+        return 0.0
+    if isinstance(wanted.weight, str):
+        return RULES[wanted.weight](spectrum)
+    return float(wanted.weight) / (2.0 * mean_noise**2)
+
+
+def _shifts(scene: Scene, number: int, bodies: Bodies, pushes: Pushes) -> Floats:
+    """Return (n, 2, loads) noise-free shifts of a made sensor's markers, px."""
+    actual = make(_seeded(scene, number))
+    points, camera = actual.markers.points, actual.scene.camera
+    assert camera is not None
+    moved = (
+        bodies.moved(actual.scene, "truth", points, pushes.patches)
+        @ pushes.loads.reshape(len(pushes.loads), -1).T
+    )
+    optics = (camera, actual.scene.material.refractive_index, actual.scene.body.base_z_mm)
+    everywhere = points[:, :, None] + moved.reshape(len(points), 3, -1)
+    seen = project(everywhere.transpose(0, 2, 1).reshape(-1, 3), *optics)
+    shifts = seen.reshape(len(points), -1, 2) - project(points, *optics)[:, None]
+    return np.nan_to_num(shifts).transpose(0, 2, 1)
+
+
+def _errors(known: _Information, pushes: Pushes, force: Floats, weight: float) -> dict[str, float]:
+    """Return errors of the totals of expected forces (k, 3, sensors, loads)."""
+    noise = known.covariance(np.tile(np.eye(3), len(force)), weight)
+    truth = pushes.loads.sum(axis=1)
+    press = slice(1, 1 + pushes.presses)
+    size = np.linalg.norm(truth[press], axis=1)
+    missing = force[:, :, :, press].sum(axis=0) - truth[press].T[:, None]
+    bias = np.linalg.norm(missing, axis=0) / size
+    each = bias**2 + np.trace(noise) / size**2
+    normal = pushes.patches.frames[0, 2]
+    return {
+        "total_force_error": float(np.sqrt(each.mean())),
+        "total_force_error_se": _standard_error(np.sqrt(each).ravel()),
+        "total_force_bias": float(np.sqrt((bias**2).mean())),
+        "resolution_gf": float(np.sqrt(max(normal @ noise @ normal, 0.0)) / GF),
+    }
+
+
+def _widths(
+    scene: Scene, sweep: Sweep, sites: Rectangles, pushes: Pushes, force: Floats
+) -> dict[str, float]:
+    """Return widths and two-point distances of expected forces (k, 3, sensors, loads)."""
+    assert scene.reconstruction is not None
+    grid, apart = scene.reconstruction.sites, pushes.pair_mm
+    profiles = [_Profiles(scene, sites, force[:, :, sensor]) for sensor in range(force.shape[2])]
+    dips = np.mean([p.dips(pushes) for p in profiles], axis=0)
+    over = _reached(grid, apart)
+    nan = float("nan")
+    return {
+        "fwhm_mm": float(np.mean([p.width(0) for p in profiles])),
+        "sites_mm": resolved_by_sites(grid, sweep.loads),
+        "two_point_mm": two_point_distance(apart[over], dips[over]) if over.any() else nan,
+        "dip": float(np.interp(sweep.loads.pair_mm, apart, dips)) if len(dips) else nan,
+    }
+
+
+def _range(scene: Scene, view: View, sweep: Sweep, shift: Floats) -> float:
+    """Return the largest force, N, that the sensor takes: linear theory and the tracker's reach."""
+    soft = STRAIN * scene.material.youngs_modulus_mpa * sweep.loads.size_mm**2
+    across = np.sqrt(np.abs(np.linalg.det(view.jacobian[:, :, :2])))
+    pitch = np.array([scene.markers[str(name)].pitch_mm for name in view.markers.layer]) * across
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = REACH * pitch / np.linalg.norm(shift, axis=1) * sweep.loads.force_n
+    return float(min(soft, np.nanmin(reach[view.usable])))
+
+
+def _require_cover(scene: Scene, pushes: Pushes) -> None:
+    assert scene.reconstruction is not None
+    grid = scene.reconstruction.sites
+    chart = scene.body.chart_of(pushes.patches.centre_mm[: 1 + pushes.presses])
+    if (np.abs(chart) > np.array(grid.half_mm) + grid.pitch_mm / 2 + 1e-9).any():
+        raise RecipeError(
+            "reconstruction.sites: they don't cover the sweep's presses; use more sites or a "
+            "wider pitch"
+        )
+
+
+def resolved_by_sites(grid: Sites, loads: Loads) -> float:
+    """Return the least distance, mm, at which an estimate without any error shows two pushes along
+    s; inf for none.
+
+    Such an estimate holds in every site the part of the pushes that lies in its cell.
+    """
+    place, half = grid.axes()[0], loads.size_mm / 2
+    apart = np.array(PAIRS) * loads.pair_mm
+    apart = apart[_reached(grid, apart)]
+    ends = place[:, None] + grid.pitch_mm / 2 * np.array([-1.0, 1.0])
+
+    def held(middle: float) -> Floats:
+        low, high = np.clip(ends, middle - half, middle + half).T
+        return np.asarray(high - low)
+
+    dips = np.array([dip(place, held(-a / 2) + held(a / 2), float(a)) for a in apart])
+    return two_point_distance(apart, dips) if len(apart) else float("inf")
+
+
+def _reached(grid: Sites, apart_mm: Floats) -> Bools:
+    """Return (m,) whether two pushes so far apart along s are both over the sites."""
+    return np.asarray(apart_mm / 2 <= grid.half_mm[0] + grid.pitch_mm / 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """The results of one made sensor's pictures: (exposures, loads, 3) totals and (exposures, k, 3,
+    loads) forces, N; (loads x exposures n, 2) errors of the shifts and the (n,) standard deviations
+    that the tracker states, px; (loads n, 2) variances over the exposures, px^2, none of one
+    exposure; the share of markers found; the first load's picture; CPU seconds."""
+
+    sites: Rectangles
+    totals: Floats
+    forces: Floats
+    errors: Floats
+    stated: Floats
+    spread: Floats
+    matched: float
+    picture: Picture
+    spent: _Spent
+
+
+@dataclass(kw_only=True)
+class _Spent:
+    """CPU seconds of one made sensor's steps: until its rest picture is known, and of every zero,
+    load's light, and exposure of a load."""
+
+    start: float = 0.0
+    zeros: list[float] = field(default_factory=list)
+    lights: list[float] = field(default_factory=list)
+    exposures: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._at = time.process_time()
+
+    def lap(self) -> float:
+        """Return the CPU seconds since the last lap."""
+        before, self._at = self._at, time.process_time()
+        return self._at - before
+
+    def of(self, loads: int, exposures: int) -> float:
+        """Return the expected CPU seconds of so many loads, with so many exposures of each.
+
+        The first light and exposure cost more than others: what all share is prepared there.
+        """
+        return (
+            self.start
+            + exposures * self.zeros[-1]
+            + self.lights[0]
+            + (loads - 1) * self.lights[-1]
+            + self.exposures[0]
+            + (loads * exposures - 1) * self.exposures[-1]
+        )
+
+
+def cost(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> dict[str, float]:
+    """Return the CPU seconds that `full` is expected to take: ``cpu_s`` for a design, ``begin_s``
+    once before.
+
+    One exposure of two loads, by one made sensor, is scaled to the sweep's loads, exposures and
+    sensors. Arguments and errors are those of `full`.
+    """
+    began = time.process_time()
+    few = sweep.model_copy(update={"loads": sweep.loads.model_copy(update={"exposures": 1})})
+    chosen = pushes.chosen(sweep.loads.pair_mm)
+    sensor = Sensor(_seeded(scene, 0))
+    _calibration(sensor, bodies)
+    next(_motions(sensor, bodies, pushes, chosen))  # the bodies are prepared once for all designs
+    compiled, own, tries = 0.0, 0.0, 0
+    # again where a process's own start may be much of it
+    while tries == 0 or COMPILING.spent_s > compiled or (tries == 1 and own < SHORT_S):
+        tries, compiled = tries + 1, COMPILING.spent_s
+        began_last = time.process_time()
+        spent = _seen(Sensor(_seeded(scene, 0)), scene, few, bodies, pushes, chosen[:2]).spent
+        own = time.process_time() - began_last
+    each = sweep.sensors * spent.of(len(chosen), sweep.loads.exposures)
+    return {"cpu_s": each, "begin_s": time.process_time() - began - own}
+
+
+def full(
+    scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes
+) -> tuple[dict[str, float], Shown]:
+    """Return a design's metrics by the full chain over its made sensors, and the picture and fields
+    of the first.
+
+    Metrics are over all exposures of all made sensors. ``..._noise_se`` is the standard error that
+    noise leaves, from the scatter over the exposures of the same made sensors; NaN of one exposure.
+
+    Raises
+    ------
+    InputError
+        The pictures show too little to track.
+    """
+    chosen = pushes.chosen(sweep.loads.pair_mm)
+    made = [
+        _seen(Sensor(_seeded(scene, number)), scene, sweep, bodies, pushes, chosen)
+        for number in range(sweep.sensors)
+    ]
+    truth = pushes.loads[chosen].sum(axis=1)
+    press = slice(1, 1 + pushes.presses)
+    size = np.linalg.norm(truth[press], axis=1)
+    off = np.stack([np.linalg.norm(one.totals - truth, axis=2)[:, press] / size for one in made])
+    first, grid = made[0], made[0].sites
+    profiles = [_Profiles(scene, grid, each) for one in made for each in one.forces]
+    widths = np.reshape([each.width(0) for each in profiles], off.shape[:2])
+    dips = [np.nan]
+    if len(pushes.pair_mm):
+        apart = float(pushes.pair_mm[pushes.nearest(sweep.loads.pair_mm)])
+        dips = [dip(*each.along(len(chosen) - 1, 0), apart) for each in profiles]
+    spread = np.concatenate([one.spread for one in made])
+    errors = np.concatenate([one.errors for one in made])
+    stated = np.concatenate([one.stated for one in made])
+    each_sensor = off.mean(axis=(1, 2)) if len(made) > 1 else off.ravel()
+    figures = {
+        "total_force_error": float(np.sqrt(np.mean(off**2))),
+        "total_force_error_se": _standard_error(each_sensor),
+        "total_force_error_noise_se": _standard_error(np.sqrt(np.mean(off**2, axis=(0, 2)))),
+        "fwhm_mm": float(np.mean(widths)),
+        "fwhm_noise_se_mm": _standard_error(widths.mean(axis=0)),
+        "dip": float(np.mean(dips)),
+        "sd_px": _deviation_px(errors),
+        "stated_sd_px": float(np.sqrt(np.nanmean(stated**2))),
+        "noise_px": float(np.sqrt(np.nanmedian(spread))) if len(spread) else float("nan"),
+        "matched": float(np.mean([one.matched for one in made])),
+    }
+    return figures, {
+        "picture": first.picture,
+        "site_mm": grid.centre_mm,
+        "middle_n": first.forces[0, :, :, 0],
+        "pair_n": first.forces[0, :, :, -1],
+    }
+
+
+def _seen(
+    sensor: Sensor, scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes, chosen: list[int]
+) -> _Seen:
+    """Take the pictures of one made sensor under the chosen loads, track and reconstruct them."""
+    from twin.sense.reconstruct import reconstruct
+    from twin.sense.track import analyse_rest, track_frame
+
+    assert scene.reconstruction is not None
+    spent = _Spent()
+    calibration = _calibration(sensor, bodies)
+    count, points = sweep.loads.exposures, sensor.actual.markers.points
+    # each round of exposures has a zero of its own, or one zero's noise would be in all of them
+    still = sensor.renderer.radiance(sensor.ellipsoids(None))
+    rest = analyse_rest(_exposed(sensor, still, 0), sensor.layout_px, method=scene.tracking.method)
+    spent.start = spent.lap()
+    zeros = []
+    for k in range(count):
+        zeros.append(track_frame(rest, _exposed(sensor, still, 1 + k)))
+        spent.zeros.append(spent.lap())
+    # a marker's noise is the same in every picture, so that one factorisation serves them all
+    stated = np.nanmean([zero.sd_px for zero in zeros], axis=0) if count > 1 else zeros[0].sd_px
+    at_rest = sensor.project(points)
+    options = scene.reconstruction.options()
+    totals = np.zeros((count, len(chosen), 3))
+    forces = np.zeros((count, len(sensor.sites), 3, len(chosen)))
+    errors, matched, spread = [], [], [np.zeros((0, 2))]
+    pictures: list[Picture] = []
+    for place, motion in enumerate(_motions(sensor, bodies, pushes, chosen)):
+        light = sensor.renderer.radiance(sensor.ellipsoids(motion))
+        true = sensor.project(points + motion.displacement_mm) - at_rest
+        spent.lights.append(spent.lap())
+        shifts = []
+        for k in range(count):
+            picture = _exposed(sensor, light, 1 + count * (1 + place) + k)
+            pictures = pictures or [picture]
+            found = track_frame(rest, picture)
+            found = replace(found, shift_px=found.shift_px - zeros[k].shift_px, sd_px=stated)
+            found_field = reconstruct(found, calibration, **options)
+            shifts.append(found.shift_px)
+            errors.append(found.shift_px - true)
+            matched.append(float(np.isfinite(found.shift_px[:, 0]).mean()))
+            totals[k, place] = found_field.total_force_n
+            forces[k, :, :, place] = found_field.force_n
+            spent.exposures.append(spent.lap())
+        if count > 1:
+            spread.append(np.var(shifts, axis=0, ddof=1))
+    return _Seen(
+        sites=sensor.sites,
+        totals=totals,
+        forces=forces,
+        errors=np.concatenate(errors),
+        stated=stated,
+        spread=np.concatenate(spread),
+        matched=float(np.mean(matched)),
+        picture=pictures[0],
+        spent=spent,
+    )
+
+
+def _nominal_compliance(scene: Scene, points: Points, sites: Rectangles, bodies: Bodies) -> Floats:
+    """Return (3n, 3k) mm/N by which the sensor's software takes forces at sites to move points."""
+    if scene.calibration.method == "halfspace":
+        return half_space_compliance(scene, points, sites)
+    return bodies.moved(scene, "nominal", points, sites)
+
+
+def _calibration(sensor: Sensor, bodies: Bodies) -> Calibration:
+    """Return the calibration of a design, which is the same for all its made sensors."""
+    points = sensor.nominal_markers.points
+    compliance = _nominal_compliance(sensor.nominal, points, sensor.sites, bodies)
+    return nominal_calibration(sensor, compliance)
+
+
+def _exposed(sensor: Sensor, light: Singles, number: int) -> Picture:
+    """Return an exposure of rendered light."""
+    from twin.world.picture.ccd import expose
+
+    noise = stream(sensor.nominal.seed, Purpose.EXPOSURE, number)
+    return expose(light, sensor.nominal.ccd, noise, sensor.pattern)
+
+
+def _motions(sensor: Sensor, bodies: Bodies, pushes: Pushes, chosen: list[int]) -> Iterator[Motion]:
+    """Yield how the chosen loads move the actual markers."""
+    actual, points = sensor.actual.scene, sensor.actual.markers.points
+    printed = any(layer.kind == "print" for layer in actual.markers.values())
+    compliance = bodies.moved(actual, "truth", points, pushes.patches)
+    for load in chosen:
+        moved = compliance @ pushes.loads[load].ravel()
+        gradient = np.zeros((len(points), 3, 3))
+        if printed:  # of a bead's turn no picture shows anything
+            unit = bodies.unit(actual, "truth", pushes.patches)
+            gradient = unit.gradient(points, pushes.rectangles(load))
+            gradient = gradient / actual.material.youngs_modulus_mpa
+        yield Motion(displacement_mm=moved.reshape(-1, 3), gradient=gradient, error=0.0)
+
+
+def _deviation_px(error: Floats) -> float:
+    """Return the standard deviation of (m, 2) errors of shifts, per axis, px."""
+    known: Bools = np.asarray(np.isfinite(error).all(axis=1), np.bool_)
+    if not known.any():
+        raise InputError("no marker was found in any picture")
+    fine = known & (np.linalg.norm(np.where(known[:, None], error, 0.0), axis=1) <= GROSS_PX)
+    return float(np.sqrt(np.mean(error[fine] ** 2))) if fine.any() else float("nan")

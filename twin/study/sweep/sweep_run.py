@@ -1,0 +1,534 @@
+"""Run a sweep: from its recipe to a ranked table of designs.
+
+`run_sweep` computes the cheap fidelity for all designs and the expensive ones for the best, which
+`scores` ranks. Instead of a grid of designs it can search for the best design. `estimate` predicts
+the time, and `check` tests the recipe first.
+
+Only this process writes into the folder, under a lock. An interrupted sweep continues with the
+missing rows and ends with the same table (except for the measured seconds).
+
+The search minimises the score on the cheapest fidelity that the sweep has beyond the closed form.
+Every generation is a batch of designs whose rows are stored like a sweep's, so a killed search
+continues. Noise enters as a covariance and tolerances as drawn sensors, so the result is robust
+against both.
+
+Why differential evolution (R. Storn and K. Price 1997): axes may be lists, designs may be
+impossible, a generation is a batch for all cores, and SciPy has it. Why L-BFGS-B after it
+(R. Byrd et al. 1995): a population finds the valley quickly and its lowest point slowly. The
+gradient is taken by differences. On axes that are lists or whole numbers the descent finds nothing
+better and costs the share `SHARE` of the designs.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Ints, Progress
+from twin.blas_threads import one_thread
+from twin.errors import RecipeError
+from twin.files import make_folder, write_whole
+from twin.parts.scene import Scene
+from twin.parts.sweep import FIDELITIES, Sweep
+from twin.study.batch.pool import Scheduler, counted, only_writer, reach, unpacked
+from twin.study.sweep.closed_form_design import closed
+from twin.study.sweep.designs import Designs, designs_at, designs_of, load_sweep
+from twin.study.sweep.fidelities import resolved_by_sites
+from twin.study.sweep.loads import refuse
+from twin.study.sweep.sweep_rows import COST, Row, Runner, job_of, make_rows
+
+BEYOND = 0.1
+"""What being better than a target counts for, over being worse."""
+
+POPULATION, SHARE = 8, 0.2
+"""Designs of a generation, times the axes; part of the designs that is for the gradient."""
+
+STEP = 0.01
+"""Differences of the gradient, over an axis's range."""
+
+WORST = 1e3
+"""Score of an impossible design: worse than any other, and finite."""
+
+COMPARED = (
+    ("closed", "linear", "two_point_mm"),
+    ("closed", "linear", "fwhm_mm"),
+    ("closed", "linear", "resolution_gf"),
+    ("linear", "full", "fwhm_mm"),
+    ("linear", "full", "total_force_error"),
+    ("linear", "full", "dip"),
+)
+
+NEAR = 1.1
+"""A two-point distance up to this times the grid's own is the grid's."""
+
+FINE = 0.375
+"""Pitch of sites over the two-point distance that they shall resolve: two pushes need a site
+each and one between."""
+
+TRIED = 4
+"""Designs whose linear rows are computed for an estimate of the time."""
+
+
+@dataclass
+class Swept:
+    """A finished sweep.
+
+    Attributes
+    ----------
+    designs
+        All of them.
+    columns
+        (m,) numbers by ``<fidelity>_<metric>``; NaN where a design was not taken so far.
+    status, error, fidelity
+        (m,) ok, dropped or failed; why; the last fidelity.
+    score
+        (m,) see `scores`, at the best fidelity.
+    order
+        The designs that are ok, the best first, those of the last fidelity before all others.
+    keys
+        Keys of the rows of the full chain by design.
+    notes
+        What was reused and how well fidelities agree, in words.
+    warnings
+        What makes figures other than they seem, and what to do.
+    """
+
+    designs: Designs
+    columns: dict[str, Floats]
+    status: np.ndarray
+    error: np.ndarray
+    fidelity: np.ndarray
+    score: Floats = field(default_factory=lambda: np.zeros(0))
+    order: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    keys: dict[int, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def failed(self) -> int:
+        """How many designs failed (those that are dropped have not)."""
+        return int((self.status == "failed").sum())
+
+
+def check(sweep: Sweep, scene: Scene) -> None:
+    """Refuse a sweep that can't be run.
+
+    Raises
+    ------
+    RecipeError
+        With all problems at once.
+    """
+    problems, solved = [], sweep.ladder != ("closed",)
+    where, method = f"scene = '{sweep.scene}'", scene.calibration.method
+    if scene.camera is None:
+        problems.append(f"{where}: it has no [camera] table, and designs are seen by a camera")
+    if scene.reconstruction is None and solved:
+        problems.append(f"{where}: it has no [reconstruction] table, so there are no sites")
+    if method not in ("compliance", "halfspace") and solved:
+        problems.append(
+            f"calibration.method = '{method}': every design would have to be pressed; set "
+            "calibration.method = 'compliance' or 'halfspace' under [set]"
+        )
+    if not scene.markers:
+        problems.append(f"{where}: it has no markers")
+    if problems:
+        raise RecipeError(problems)
+    refuse(scene)
+
+
+def run_sweep(
+    sweep: Sweep,
+    scene: Scene,
+    folder: Path,
+    *,
+    workers: int = 1,
+    scheduler: Scheduler | None = None,
+    progress: Progress | None = None,
+    optimise: bool = False,
+) -> Swept:
+    """Run a sweep, or what is missing of it, and write its table.
+
+    Raises
+    ------
+    RecipeError
+        The sweep can't be run.
+    InputError
+        The folder can't be written, another process is writing there, or the scheduler can't be
+        reached.
+    """
+    check(sweep, scene)
+    designs = designs_of(sweep, scene)
+    reach(scheduler)
+    make_folder(folder)
+    with only_writer(folder / "writer.lock"):
+        for stale in folder.rglob(".*.part"):
+            stale.unlink(missing_ok=True)
+        runner = Runner(
+            sweep, scene, folder, workers=workers, scheduler=scheduler, progress=progress
+        )
+        if optimise:
+            designs = _optimised(designs, runner)
+        done = _sweep_designs(designs, runner)
+        table: dict[str, Any] = {
+            "design": np.arange(len(designs)),
+            **designs.columns,
+            "fidelity": list(done.fidelity),
+            "status": list(done.status),
+            "error": list(done.error),
+            "score": done.score,
+            **done.columns,
+        }
+        _write_table(folder, table)
+    return done
+
+
+def _sweep_designs(designs: Designs, runner: Runner) -> Swept:
+    """Take designs through the sweep's fidelities."""
+    sweep, count = designs.sweep, len(designs)
+    columns, reason = closed(designs)
+    done = Swept(
+        designs=designs,
+        columns={f"closed_{k}": v for k, v in columns.items()},
+        status=np.where(reason == "", "ok", "dropped").astype(object),
+        error=reason,
+        fidelity=np.full(count, "closed", dtype=object),
+    )
+    if "closed" not in sweep.ladder:
+        kept = ("closed_markers", "closed_cost")
+        done.columns = {k: v for k, v in done.columns.items() if k in kept}
+    for number, stage in enumerate(sweep.ladder):
+        if stage == "closed":
+            continue
+        # the first stage takes all designs, a later one the best of the stage before
+        rank = scores(sweep, done.columns) if number else np.zeros(count)
+        most = sweep.confirm.linear if stage == "linear" else sweep.confirm.full
+        chosen = best_first(rank, done.status == "ok", most if number else None)
+        values = [designs.values(int(n)) for n in chosen]
+        rows = runner.rows(stage, values)
+        done.fidelity[chosen] = stage
+        done.status[chosen] = [row["status"] for row in rows]
+        done.error[chosen] = [row["error"] for row in rows]
+        _put(done.columns, stage, chosen, rows, count)
+        if stage == "full":
+            done.keys = {int(n): runner.key(stage, v) for n, v in zip(chosen, values, strict=True)}
+    done.score = scores(sweep, done.columns)
+    depth = np.array([FIDELITIES.index(f) for f in done.fidelity])
+    order = np.lexsort((done.score, -depth))
+    done.order = order[(done.status == "ok")[order]]
+    coarse, done.warnings = _coarse(done)
+    done.notes = _notes(done, runner, coarse)
+    return done
+
+
+def _put(
+    columns: dict[str, Floats], stage: str, chosen: Ints, rows: Sequence[Row], count: int
+) -> None:
+    """Put the numbers of the rows of chosen designs into the columns."""
+    for number, row in zip(chosen, rows, strict=True):
+        for name, value in row.items():
+            if name not in ("status", "error"):
+                columns.setdefault(f"{stage}_{name}", np.full(count, np.nan))[number] = value
+
+
+def _coarse(done: Swept) -> tuple[Bools, list[str]]:
+    """Return which designs' widths are those of their sites, and a warning of them."""
+    none = np.full(len(done.designs), np.nan)
+    found = done.columns.get("linear_two_point_mm", none)
+    sites = done.columns.get("linear_sites_mm", none)
+    with np.errstate(invalid="ignore"):
+        coarse: Bools = np.asarray(found <= NEAR * sites)
+    if not coarse.any():
+        return coarse, []
+    sweep = done.designs.sweep
+    wanted = sweep.targets.get("two_point_mm", sweep.loads.pair_mm)
+    return coarse, [
+        f"{int(coarse.sum())} of {int((~np.isnan(found)).sum())} designs resolve two points as "
+        "near as their sites can, so that two_point_mm does not rank them: "
+        f"{advice(float(sites[coarse].max()), wanted)}"
+    ]
+
+
+def _notes(done: Swept, runner: Runner, coarse: Bools) -> list[str]:
+    """Return how fidelities agree, without widths that the sites limit, and what was reused."""
+    notes = []
+    for one, other, name in COMPARED:
+        a, b = done.columns.get(f"{one}_{name}"), done.columns.get(f"{other}_{name}")
+        if a is None or b is None:
+            continue
+        if name in ("two_point_mm", "fwhm_mm"):
+            a = np.where(coarse, np.nan, a)
+        rank, ratio, count = agreement(a, b)
+        if count:
+            ranks = f"rank correlation {rank:.2f}"
+            if not np.isfinite(rank):
+                ranks = "too few or equal for a rank correlation"
+            notes.append(
+                f"{name}: {one} against {other} over {count} designs: {ranks}, median ratio "
+                f"{ratio:.3g}"
+            )
+    if runner.fresh:
+        notes.append(
+            f"{runner.fresh} rows computed now; a body's compliance was needed {runner.asked} "
+            f"times and prepared {runner.made} times"
+        )
+    return notes
+
+
+def advice(sites_mm: float, wanted_mm: float) -> str:
+    """Return what the sites resolve, and what to set where that is less than what is wanted."""
+    least = f"the sites' pitch resolves two points from {sites_mm:.3g} mm on"
+    if sites_mm <= wanted_mm:
+        return (
+            f"{least}, which is all that is wanted ({wanted_mm:.3g} mm); finer sites under "
+            "[set] would rank them"
+        )
+    return (
+        f"{least}; set reconstruction.sites.pitch_mm = {FINE * wanted_mm:.2g} or less under [set], "
+        "with more columns and rows to cover the presses"
+    )
+
+
+def metric(columns: Mapping[str, Floats], name: str, upto: str = "full") -> Floats | None:
+    """Return a metric at the best fidelity that each design has it at; None if none has.
+
+    Parameters
+    ----------
+    columns
+        (m,) numbers by ``<fidelity>_<metric>``.
+    name
+        Of the metric.
+    upto
+        The last fidelity to look at.
+    """
+    found: Floats | None = None
+    for fidelity in FIDELITIES:
+        column = columns.get(f"{fidelity}_{name}")
+        if column is not None:
+            found = column if found is None else np.where(np.isnan(column), found, column)
+        if fidelity == upto:
+            break
+    return found
+
+
+def scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
+    """Return (m,) distances to the targets, the less the better: a weighted sum of log(metric /
+    target).
+
+    What is better than its target counts a tenth only, so that meeting all targets comes first.
+    Infinite where a metric is, or is missing.
+    """
+    total: Floats | None = None
+    for name, target in sweep.targets.items():
+        values = metric(columns, name)
+        if values is None:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.log(np.maximum(values, 1e-300) / target)
+        part = sweep.weights.get(name, 1.0) * np.where(off > 0, off, BEYOND * off)
+        part = np.where(np.isnan(part), np.inf, part)
+        total = part if total is None else total + part
+    count = len(next(iter(columns.values()))) if columns else 0
+    return total if total is not None else np.full(count, np.inf)
+
+
+def best_first(score: Floats, allowed: Bools, at_most: int | None) -> Ints:
+    """Return the numbers of the allowed designs, the best first; equal ones in their order."""
+    order = np.argsort(score, kind="stable")
+    return order[allowed[order]][:at_most]
+
+
+def agreement(one: Floats, other: Floats) -> tuple[float, float, int]:
+    """Return Spearman's rank correlation of two fidelities, the median ratio of the second to the
+    first, and how many designs have both."""
+    from scipy.stats import spearmanr
+
+    both = np.isfinite(one) & np.isfinite(other)
+    count = int(both.sum())
+    if count == 0:
+        return float("nan"), float("nan"), 0
+    ratio = float(np.median(other[both] / one[both]))
+    if count < 3 or np.ptp(one[both]) == 0 or np.ptp(other[both]) == 0:
+        return float("nan"), ratio, count
+    return float(spearmanr(one[both], other[both]).statistic), ratio, count
+
+
+def _optimised(designs: Designs, runner: Runner) -> Designs:
+    """Return the designs that a search evaluated, ``count`` of them at most, the sweep's axes being
+    its bounds."""
+    from scipy.optimize import differential_evolution
+
+    sweep, scene = designs.sweep, designs.scene
+    stage = "linear" if "linear" in sweep.ladder else "closed"
+    size = max(5, POPULATION * len(sweep.axes))
+    evaluated: list[Floats] = []
+
+    def judged(u: Floats) -> Floats:
+        points = np.clip(np.atleast_2d(np.asarray(u).T), 0.0, 1.0).reshape(-1, len(sweep.axes))
+        evaluated.append(points)
+        return _scored(sweep, designs_at(sweep, scene, points), stage, runner)
+
+    found = differential_evolution(
+        judged,
+        [(0.0, 1.0)] * len(sweep.axes),
+        maxiter=max(1, round((1 - SHARE) * sweep.count) // size - 1),
+        popsize=POPULATION,
+        init="sobol",
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        rng=np.random.default_rng(sweep.seed),
+        tol=1e-4,
+    )
+    descend(judged, np.clip(found.x, 0.0, 1.0), evaluated, sweep.count)
+    return designs_at(sweep, scene, np.concatenate(evaluated))
+
+
+def descend(
+    judged: Callable[[Floats], Floats], start: Floats, evaluated: list[Floats], most: int
+) -> None:
+    """Go down the gradient from a design until nothing is gained or ``most`` designs have been
+    evaluated; a gradient takes one design more than there are axes."""
+    from scipy.optimize import minimize
+
+    width = len(start)
+
+    def batch(u: Floats) -> tuple[float, Floats]:
+        if sum(map(len, evaluated)) + width + 1 > most:
+            raise StopIteration
+        step = np.where(u + STEP <= 1.0, STEP, -STEP)
+        score = judged(np.concatenate([u[None], u + np.diag(step)]).T)
+        slope = (score[1:] - score[0]) / step
+        return float(score[0]), np.where(np.abs(score[1:]) < WORST, slope, 0.0)
+
+    with suppress(StopIteration):
+        minimize(batch, start, jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * width)
+
+
+def _scored(sweep: Sweep, designs: Designs, stage: str, runner: Runner) -> Floats:
+    """Return (m,) finite scores of designs, impossible ones being worst."""
+    found, reason = closed(designs)
+    columns = {f"closed_{k}": v for k, v in found.items()}
+    ok = reason == ""
+    if stage == "linear":
+        numbers = np.flatnonzero(ok)
+        rows = runner.rows("linear", [designs.values(int(n)) for n in numbers])
+        ok[numbers] = [row["status"] == "ok" for row in rows]
+        _put(columns, "linear", numbers, rows, len(designs))
+    score = scores(sweep, columns)
+    return np.where(ok & np.isfinite(score), np.minimum(score, WORST / 2), WORST)
+
+
+def estimate(sweep: Sweep, scene: Scene, *, workers: int = 1) -> list[str]:
+    """Return lines on what a sweep would do and how long it takes, from a few designs.
+
+    The estimate rests on CPU seconds: clock time would depend on other work on the machine.
+
+    Raises
+    ------
+    RecipeError
+        The sweep can't be run.
+    """
+    lines, good, designs = _overview(sweep, scene)
+    left = len(good)
+    for stage in sweep.ladder:
+        if stage == "closed" or not left:
+            continue
+        most = sweep.confirm.linear if stage == "linear" else sweep.confirm.full
+        left = min(left, most) if most and stage != sweep.ladder[0] else left
+        each, start, rows, how = _measured(sweep, scene, stage, good, designs)
+        lines.append(
+            f"{stage:11s} {counted(left, 'design')}, about {start + left * each / workers:.3g} s "
+            f"with {counted(workers, 'worker')}, a free core each: {each:.3g} s of CPU a design "
+            f"({how}), {start:.2g} s to begin"
+        )
+        bad = [row for row in rows if row["status"] != "ok"]
+        lines += [f"            {row['status']}: {row['error']}" for row in bad]
+    return lines
+
+
+def _measured(
+    sweep: Sweep, scene: Scene, stage: str, good: Ints, designs: Designs
+) -> tuple[float, float, list[Row], str]:
+    """Return the CPU seconds of a design and of what comes before the first; the rows tried; how
+    they were tried."""
+    if stage == "full":
+        values = [designs.values(int(good[0]))]
+        with one_thread(), unpacked(job_of(sweep, scene, COST, values, 1)) as folder:
+            began = time.process_time()
+            row = make_rows(Path(folder), 0).rows[0]
+            spent = time.process_time() - began
+        how = "an estimate from 1 exposure of 1 design"
+        return row.get("cpu_s", spent), row.get("begin_s", 0.0), [row], how
+    tried = good[:: max(1, len(good) // TRIED)][:TRIED]
+    values = [designs.values(int(n)) for n in (tried[0], *tried)]  # the first twice: it begins
+    with one_thread(), unpacked(job_of(sweep, scene, stage, values, 1)) as folder:
+        began = time.process_time()
+        make_rows(Path(folder), 0)
+        started = time.process_time()
+        rows = [make_rows(Path(folder), k).rows[0] for k in range(1, 1 + len(tried))]
+        each = (time.process_time() - started) / len(rows)
+    return each, max(started - began - each, 0.0), rows, f"an estimate from {len(rows)} designs"
+
+
+def looked_over(path: Path) -> list[str]:
+    """Return lines about a sweep file in which nothing is wrong; raises like `estimate`."""
+    sweep, scene = load_sweep(path)
+    lines, good, designs = _overview(sweep, scene)
+    if len(good):
+        designs.scene_of(int(good[0]))
+    return [f"{path}: ok", *lines]
+
+
+def _overview(sweep: Sweep, scene: Scene) -> tuple[list[str], Ints, Designs]:
+    """Return lines about a sweep's designs, the numbers of those that are possible, and all."""
+    check(sweep, scene)
+    designs = designs_of(sweep, scene)
+    found = closed(designs)[1]
+    good = np.flatnonzero(found == "")
+    lines = [
+        f"designs     {len(designs)} ({sweep.sampling}) over {', '.join(sweep.axes)}",
+        f"dropped     {len(designs) - len(good)} before anything is solved",
+    ]
+    for reason in sorted({str(r) for r in found if r}):
+        lines.append(f"            {int((found == reason).sum())}: {reason}")
+    target = sweep.targets.get("two_point_mm")
+    swept = designs.swept("reconstruction.sites.pitch_mm")
+    if target is not None and scene.reconstruction is not None and not swept:
+        least = resolved_by_sites(scene.reconstruction.sites, sweep.loads)
+        if least > target:
+            lines.append(
+                f"warning     targets.two_point_mm = {target:g} can't be met: "
+                f"{advice(least, target)}"
+            )
+    return lines, good, designs
+
+
+def _write_table(folder: Path, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> None:
+    """Write ``designs.parquet`` and ``designs.csv``, a row for every design."""
+    import pyarrow as pa
+    import pyarrow.csv as csv
+    import pyarrow.parquet as pq
+
+    table = pa.table({name: pa.array(_plain(column)) for name, column in columns.items()})
+    write_whole(
+        folder / "designs.parquet", lambda file: pq.write_table(table, file, compression="zstd")
+    )
+    write_whole(folder / "designs.csv", lambda file: csv.write_csv(table, file))
+
+
+def _plain(column: Sequence[Any] | np.ndarray) -> list[Any]:
+    """Return values of one type; lists and mixtures as JSON."""
+    values = column.tolist() if isinstance(column, np.ndarray) else list(column)
+    types = {type(v) for v in values}
+    if len(types) <= 1 and not types & {list, tuple, dict}:
+        return values
+    if types <= {int, float}:
+        return [float(v) for v in values]
+    return [v if isinstance(v, str) else json.dumps(v) for v in values]

@@ -1,0 +1,827 @@
+"""The contact problem of one or several probes on one body, and the search for their contacts.
+
+Every probe adds six motions to the pose and has patches of its own; the body's compliance couples
+them. So two probes are no special case: the solvers see more patches and more motions.
+
+**Search.** A curved body, a flat face over a barrel, or a large contact are far from Hertz's disc.
+Frictionless solves on about a hundred patches find the contact; the grid grows while the contact
+reaches its border and shrinks while the contact fills too little of it. On a flat surface a closed
+form (Hertz, Sneddon, or the flat face) replaces the search.
+
+A grid is turned along a long contact, as cells are counted along the grid's two axes: a contact
+askew in its grid reaches few of them, and its force was half as large again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate, pairwise
+from typing import Protocol
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Ints, Points
+from twin.errors import ContactError, NotSettled
+from twin.parts.body import Body
+from twin.parts.load import Rectangles
+from twin.parts.press import Probe
+from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
+from twin.theory.contact import cone_contact_radius, hertz
+from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
+from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence, lattice
+from twin.world.contact.probe_gap import (
+    ABOUT_X,
+    MOTIONS,
+    TURN,
+    Approach,
+    X,
+    Y,
+    Z,
+    approach,
+    half_extent,
+    rotation_of,
+)
+from twin.world.contact.surface_patches import (
+    Box,
+    Face,
+    Patches,
+    Plane,
+    candidate_patches,
+)
+
+
+class SurfaceCompliance(Protocol):
+    """A body's surface, solved: whatever can say how patches move under forces on patches.
+
+    Attributes
+    ----------
+    one_material
+        Whether a half-space's closed forms give the size of a contact on it.
+    """
+
+    one_material: bool
+
+    def surface(self, rectangles: Rectangles) -> Floats:
+        """Return (3k, 3k) displacements of the patch centres under unit forces on the patches,
+        global axes, mm/N.
+
+        Symmetric (Betti): products read one half of it.
+        """
+        ...
+
+    def to_points(self, points: Points, rectangles: Rectangles) -> Floats:
+        """Return (3n, 3k) displacements of points (n, 3) under unit forces on the patches,
+        likewise."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbeSetup:
+    """A probe over a body.
+
+    Attributes
+    ----------
+    body, compliance
+        The undeformed body, and its surface's compliance.
+    first
+        The probe at first touch of the path; places count from there.
+    across
+        Patches across the contact.
+    youngs_modulus_mpa, poisson_ratio
+        For the first guess of the contact's size.
+    """
+
+    body: Body
+    compliance: SurfaceCompliance
+    first: Approach
+    across: int
+    youngs_modulus_mpa: float
+    poisson_ratio: float
+
+    @property
+    def probe(self) -> Probe:
+        """The rigid probe."""
+        return self.first.probe
+
+    @cached_property
+    def face(self) -> Face:
+        """The probe, if its flat face bounds the contact."""
+        return (
+            self.probe if self.first.is_flat and isinstance(self.probe, Cylinder | Pillar) else None
+        )
+
+    @property
+    def name(self) -> str:
+        """The probe and where it stands, for messages."""
+        return f"{self.probe.kind} at ({', '.join(f'{c:.4g}' for c in self.first.axis_mm)}) mm"
+
+    def first_touch(self, pose: Floats) -> tuple[Plane, float]:
+        """Return the grid's plane under the probe at a place (6,), and the z from first touch at
+        which it would just touch.
+
+        Raises
+        ------
+        InputError
+            It would miss the sensing surface.
+        """
+        first = self.first
+        there = self._touching(pose)
+        if self.face is None:
+            plane = Plane(origin_mm=there.touch_mm, axes=self.body.frames(there.touch_mm[None])[0])
+        elif not pose[ABOUT_X:].any() and not any(first.tilt_deg):
+            plane = Plane(origin_mm=there.axis_mm, axes=first.axes)
+        else:
+            side = rotation_of(pose[ABOUT_X:]) @ first.tilt[:, 0]
+            side = np.array([side[0], side[1], 0.0]) / np.hypot(side[0], side[1])
+            own = np.stack([side, np.cross([0.0, 0.0, 1.0], side), [0.0, 0.0, 1.0]])
+            plane = Plane(origin_mm=there.axis_mm, axes=own @ first.axes)
+        return plane, self._height(there)
+
+    def touch_z(self, pose: Floats) -> float:
+        """Return the second of what `first_touch` does."""
+        return self._height(self._touching(pose))
+
+    def _height(self, there: Approach) -> float:
+        first = self.first
+        return 0.0 if there is first else float((there.axis_mm - first.axis_mm) @ first.axes[2])
+
+    def _touching(self, pose: Floats) -> Approach:
+        first = self.first
+        (x, y, _, *turns) = pose.tolist()
+        if not (x or y or any(turns)):
+            return first
+        over = first.axis_mm + pose[:Z] @ first.axes[:Z]
+        return approach(self.probe, self.body, over, first.axes, first.tilt_deg, pose[ABOUT_X:])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Control:
+    """What holds the probes: for each one's six motions whether force (torque) does, and the force
+    or place given."""
+
+    by_force: Bools
+    given: Floats
+
+    @property
+    def pushing(self) -> Bools:
+        """Which components push by force: every z that is held so, with a force that isn't 0."""
+        along_z = np.arange(len(self.given)) % MOTIONS == Z
+        return np.asarray(self.by_force & along_z & (self.given > 0.0))
+
+    def of_probe(self, number: int) -> Control:
+        """Return what holds one of the probes."""
+        motions = slice(MOTIONS * number, MOTIONS * (number + 1))
+        return Control(by_force=self.by_force[motions], given=self.given[motions])
+
+    @classmethod
+    def joined(cls, controls: Sequence[Control]) -> Control:
+        """Return what holds several probes, one after the other."""
+        return cls(
+            by_force=np.concatenate([one.by_force for one in controls]),
+            given=np.concatenate([one.given for one in controls]),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadProgramme:
+    """Presses that are solved together: every probe, its friction, and its control in every step,
+    in its own axes."""
+
+    setups: tuple[ProbeSetup, ...]
+    friction: Floats
+    steps: tuple[Control, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ContactProblem:
+    """Probes and the patches under each of them.
+
+    Attributes
+    ----------
+    setups
+        The p probes.
+    grids
+        Their patches.
+    """
+
+    setups: tuple[ProbeSetup, ...]
+    grids: tuple[Patches, ...]
+
+    @cached_property
+    def patches(self) -> Patches:
+        """The patches of all probes, k in all."""
+        if len(self.grids) == 1:
+            return self.grids[0]
+        parts = [vars(grid) for grid in self.grids]
+        return Patches(**{name: np.concatenate([one[name] for one in parts]) for name in parts[0]})
+
+    @cached_property
+    def rows(self) -> tuple[tuple[ProbeSetup, slice, slice], ...]:
+        """Every probe with its piece of the patches and of the place."""
+        ends = list(accumulate(map(len, self.grids), initial=0))
+        return tuple(
+            (setup, slice(first, end), slice(MOTIONS * number, MOTIONS * (number + 1)))
+            for number, (setup, (first, end)) in enumerate(
+                zip(self.setups, pairwise(ends), strict=True)
+            )
+        )
+
+    @cached_property
+    def along_z(self) -> Bools:
+        """(6 p,) the components of the place along the probes' directions of approach."""
+        return np.asarray(np.arange(MOTIONS * len(self.setups)) % MOTIONS == Z)
+
+    @cached_property
+    def owner(self) -> Ints:
+        """(k,) which probe each patch belongs to."""
+        return np.repeat(np.arange(len(self.grids)), [len(grid) for grid in self.grids])
+
+    @cached_property
+    def influence(self) -> Influence:
+        """The compliance between patches: a convolution where they are a lattice in a plane, else a
+        matrix."""
+        found = self._lattice
+        return found or DenseInfluence(self.compliance, self.grids, self.setups[0].poisson_ratio)
+
+    @cached_property
+    def normal_influence(self) -> Influence:
+        """The same for normal forces and displacements alone, computed faster where the compliance
+        has a ``normal_surface``."""
+        surface = getattr(self.setups[0].compliance, "normal_surface", None)
+        if surface is None or self._lattice is not None:
+            return self.influence
+        normal = surface(self.patches.unloaded)
+        if normal is None or not np.isfinite(normal).all():
+            return self.influence
+        return DenseInfluence(normal[:, None, :, None], self.grids, self.setups[0].poisson_ratio)
+
+    @cached_property
+    def _lattice(self) -> LatticeInfluence | None:
+        return lattice(self.patches, self.setups[0].compliance)
+
+    @cached_property
+    def compliance(self) -> Floats:
+        """(k, 3, k, 3) compliance between patches in their own frames, mm/N."""
+        loads = [grid.unloaded for grid in self.grids]
+        return compliance_between(self.setups[0].compliance, loads, self.patches.frames)
+
+    def contact_jacobian(self, pose: Floats) -> Floats:
+        """Return (k, 3, 6 p): motion of the probes' points at the patches, in their frames, per
+        unit of the place.
+
+        Turns are about the probes' axes at a place, at the height of first touch.
+        """
+        whole = np.zeros((len(self.patches), 3, len(pose)))
+        for (setup, rows, motions), grid in zip(self.rows, self.grids, strict=True):
+            first = setup.first
+            aside = pose[motions][:Z] @ first.axes[:Z]
+            whole[rows, :, motions] = first.jacobian(grid.centre_mm, grid.frames, aside)
+        return whole
+
+    def gap(self, pose: Floats) -> tuple[Floats, Floats]:
+        """Return (k,) gaps, mm, and their (k, 6 p) slopes at a place."""
+        if len(self.grids) == 1:
+            return self.gap_under(0, pose)
+        gap = np.zeros(len(self.patches))
+        slope = np.zeros((len(self.patches), len(pose)))
+        for number, (_, rows, motions) in enumerate(self.rows):
+            gap[rows], slope[rows, motions] = self.gap_under(number, pose[motions])
+        return gap, slope
+
+    def gap_under(self, number: int, pose: Floats) -> tuple[Floats, Floats]:
+        """Return the gaps of the patches under one probe at its place (6,), and their slopes.
+
+        A probe that comes along the normals of all its patches changes their gaps by as much as it
+        comes, and nothing else: what it was at its last place sideways is kept.
+        """
+        grid = self.grids[number]
+        first = self.setups[number].first
+        normals = grid.frames[:, 2]
+        if not self.upright[number]:
+            return first.gap(grid.centre_mm, normals, pose)
+        at_touch = pose.copy()
+        at_touch[Z] = 0.0
+        key, (gap, slope) = self._last.get(number, (b"", (pose, pose)))
+        if key != at_touch.tobytes():
+            gap, slope = first.gap(grid.centre_mm, normals, at_touch)
+            self._last[number] = at_touch.tobytes(), (gap, slope)
+        return gap - pose[Z], slope
+
+    @cached_property
+    def upright(self) -> list[bool]:
+        """Whether each probe comes along the normals of all its patches."""
+        pairs = zip(self.setups, self.grids, strict=True)
+        return [bool((grid.frames[:, 2] == setup.first.axes[2]).all()) for setup, grid in pairs]
+
+    @cached_property
+    def _last(self) -> dict[int, tuple[bytes, tuple[Floats, Floats]]]:
+        return {}
+
+
+def compliance_between(
+    body: SurfaceCompliance, loads: Sequence[Rectangles], frames: Floats
+) -> Floats:
+    """Return the compliance (k, 3, k, 3) between the patches under several probes, in their frames
+    (k, 3, 3), mm/N.
+
+    Raises
+    ------
+    ContactError
+        It is not finite.
+    """
+    k = len(frames)
+    if len(loads) == 1:
+        whole = np.asarray(body.surface(loads[0]))
+    else:  # probe by probe: what is solved for one probe's patches doesn't serve those far away
+        centres = np.concatenate([load.centre_mm for load in loads])
+        whole = np.concatenate([body.to_points(centres, load) for load in loads], axis=1)
+        whole = (whole + whole.T) / 2.0
+    if not np.isfinite(whole).all():
+        raise ContactError(
+            f"contact: the body's compliance is not finite on {k} patches: check mesh and material"
+        )
+    if not np.any(frames - np.eye(3)):
+        return whole.reshape(k, 3, k, 3)
+    half = np.matmul(frames, whole.reshape(k, 3, 3 * k)).reshape(3 * k, 3 * k)
+    turned = np.matmul(frames, np.ascontiguousarray(half.T).reshape(k, 3, 3 * k))
+    return np.ascontiguousarray(turned.reshape(3 * k, 3 * k).T).reshape(k, 3, k, 3)
+
+
+_LONG = 1.5
+_ASKEW = math.sin(math.radians(3.0))
+"""Length over width from which a contact has a direction, and how far from an axis of the grid it
+may point."""
+
+_ON_EVERY_SIDE = 0.15
+"""Margin around a contact, over its size."""
+
+
+def _turn_along(patches: Patches, active: Bools) -> Floats | None:
+    """Return the turn (3, 3) about the plane's normal that takes the grid's axes along and across a
+    long contact.
+
+    None where they lie so already, or the contact is about as long as it is wide.
+    """
+    middle = patches.middle_mm[active]
+    cell = patches.cell_mm[active]
+    weight = cell[:, 0] * cell[:, 1]
+    away = middle - weight @ middle / weight.sum()
+    spread = (weight * away.T) @ away / weight.sum() + np.diag(weight @ cell**2) / (
+        3.0 * weight.sum()
+    )
+    (narrow, wide), directions = np.linalg.eigh(spread)
+    u, v = directions[:, 1]
+    if wide < _LONG**2 * narrow or min(abs(u), abs(v)) < _ASKEW:
+        return None
+    along = (
+        np.array([u, v, 0.0]) if abs(u) >= abs(v) else np.array([v, -u, 0.0])
+    )  # the axis that is nearer
+    along *= math.copysign(1.0, along[0])
+    return np.stack([along, [-along[1], along[0], 0.0], [0.0, 0.0, 1.0]])
+
+
+def _turned_box(patches: Patches, active: Bools, turn: Floats) -> Box:
+    """Return a box around the contact in a grid that is turned (3, 3) against the patches' own."""
+    middle = patches.middle_mm[active] @ turn[:2, :2].T
+    lever_arm = float(patches.cell_mm[active].max())
+    (u0, v0) = middle.min(axis=0) - lever_arm
+    (u1, v1) = middle.max(axis=0) + lever_arm
+    return _with_margin(
+        Box(u0=float(u0), u1=float(u1), v0=float(v0), v1=float(v1)), lever_arm, lever_arm
+    )
+
+
+def _with_margin(contact: Box, u: float, v: float) -> Box:
+    """Return a box with a margin around a contact whose cells have half sizes ``u`` and ``v``."""
+    return contact.grown(_ON_EVERY_SIDE * contact.size[0] + u, _ON_EVERY_SIDE * contact.size[1] + v)
+
+
+_COARSE = 10
+_ROUNDS = 14
+_FILL = 0.4
+_PATIENCE = 10
+"""Tries after which a grid that holds the contact will do although the contact fills little of it:
+a corner's, whose ends reach the border of any grid that fits it more closely."""
+
+_TURNS = 3
+"""How often a grid is turned along the contact at most: a corner's has no direction of its own."""
+
+_MARGIN = 0.13
+_SPARE = 1.6
+"""Share of a contact by which its grid is larger on every side, and how many patches that is at
+least."""
+
+_WIDER = 1.25
+"""First coarse grid over the contact guessed."""
+
+_INNER = 0.96
+"""Half width of a box to be filled with patches over that of the contact: rather more patches
+across than asked."""
+
+_CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))
+
+_THIN = 0.15
+"""Largest contact over a body's thickness for which closed forms of half-spaces give its size."""
+
+_FINER = 1.5
+_WIDE = 8.0
+"""How many times as many cells several contacts on one lattice may have, and as many places it
+may."""
+
+_END_OF_CONE = 1.0 - 2.0 / math.pi
+"""Overlap at rest where contact ends, over the indentation (Sneddon): under a sphere it is 1 / 2
+(Hertz)."""
+
+_NAMES = ("x", "y", "z", "the turn about x", "the turn about y", "the turn about z")
+
+
+def _hold_unfelt_motions(
+    contacts: ContactProblem, contact_jacobian: Floats, control: Control, pose: Floats
+) -> Control:
+    """Hold what frictionless probes can't feel where it is, and refuse forces that they can't
+    transmit.
+
+    Raises
+    ------
+    ContactError
+        A torque about its axis, or a lateral force on a face without slope, is asked of a
+        frictionless probe.
+    """
+    if not np.any(control.by_force & ~contacts.along_z):
+        return control
+    by_force = control.by_force.copy()
+    given = control.given.copy()
+    gap, slope = contacts.gap(pose)
+    moves = np.abs(slope[np.isfinite(gap)]).max(axis=0, initial=0.0) > 1e-9
+    felt = moves & (np.abs(contact_jacobian[:, 2]).max(axis=0) > 1e-9)
+    for component in np.flatnonzero(by_force & ~felt):
+        axis = component % len(_NAMES)
+        setup = contacts.setups[component // len(_NAMES)]
+        if axis == Z:
+            continue
+        if given[component] != 0.0:
+            what = (
+                f"{given[component]:g} N along {_NAMES[axis]}"
+                if axis < Z
+                else (f"{given[component]:g} N mm of torque about {_NAMES[axis][-1]}")
+            )
+            raise ContactError(
+                f"contact: {what} can't be balanced by a frictionless {setup.probe.kind} here: "
+                f"give press.friction a value, or hold {_NAMES[axis]} by motion"
+            )
+        by_force[component] = False
+        given[component] = pose[component]
+    return Control(by_force=by_force, given=given)
+
+
+def _guess_box(setup: ProbeSetup, force_z: float | None, depth: float) -> tuple[Box, float]:
+    """Return a first box around the contact and a first guess of the indentation, from Hertz or
+    Sneddon."""
+    a, b = half_extent(setup.probe, setup.first.tilt_deg)
+    if setup.face is not None:
+        stiff = 2.0 * math.sqrt(a * b) * setup.youngs_modulus_mpa
+        return _square(a, b), depth if force_z is None else force_z / stiff
+    radius, depth = _disc(setup, force_z, depth)
+    return _square(_WIDER * radius, _WIDER * radius), depth
+
+
+def _square(a: float, b: float) -> Box:
+    return Box(u0=-a, u1=a, v0=-b, v1=b)
+
+
+def _disc(setup: ProbeSetup, force_z: float | None, depth: float) -> tuple[float, float]:
+    """Return radius and indentation of a contact as if on a half-space; at most what the probe's
+    size allows."""
+    probe = setup.probe
+    a, _ = half_extent(probe, setup.first.tilt_deg)
+    rubber = setup.youngs_modulus_mpa, setup.poisson_ratio
+    if isinstance(probe, Cone):
+        slope = 1.0 / math.tan(math.radians(probe.apex_deg / 2))
+        radius = 2.0 * depth / (math.pi * slope)
+        if force_z is not None:
+            radius = cone_contact_radius(force_z, probe.apex_deg, *rubber)
+        if radius > probe.tip_mm * math.cos(math.radians(probe.apex_deg / 2)):
+            return min(radius, a), math.pi / 2 * min(radius, a) * slope
+        a = probe.tip_mm
+    like = hertz(
+        radius_mm=a,
+        youngs_modulus_mpa=rubber[0],
+        poisson_ratio=rubber[1],
+        force_n=force_z,
+        indentation_mm=None if force_z is not None else depth,
+    )
+    return min(like.contact_radius_mm, 0.7 * a), min(like.indentation_mm, 0.5 * a)
+
+
+def closed_form_contact(
+    setup: ProbeSetup, control: Control, start: Floats, plane: Plane, touch_z: float
+) -> tuple[Box, Floats] | None:
+    """Return what `find_contact` does without a search, for an upright sphere, cone or flat face on
+    a flat surface.
+
+    Under a flat face it is the face, up to the middle of its rim; under a sphere or a cone a closed
+    form gives it.
+    """
+    axes = setup.first.axes
+    face = setup.face
+    if (face is None and not isinstance(setup.probe, Sphere | Cone)) or any(setup.first.tilt_deg):
+        return None
+    pose = np.where(control.by_force, start, control.given)
+    by_force = control.by_force.tolist()
+    if any(pose[ABOUT_X:TURN].tolist()) or any(by_force[:Z]) or not setup.compliance.one_material:
+        return None  # it may slide away from there, or is as large as a cover makes it
+    given = float(control.given[Z])
+    box, depth = _guess_box(setup, given if by_force[Z] else None, given - touch_z)
+    low, high = setup.body.bounds_mm
+    if face is None:
+        radius = box.u1 / _WIDER
+        if radius <= 0.0 or radius > _THIN * (high[2] - low[2]):
+            return None
+        box = _square(_INNER * radius, _INNER * radius)
+    wider = box.grown((_WIDER - 1.0) * box.u1, (_WIDER - 1.0) * box.v1)
+    if axes[2, 2] != 1.0 or not plane.is_level(setup.body, wider):
+        middle = setup.first.axis_mm + np.array([*pose[:Z], touch_z]) @ axes
+        around = middle + np.array(_CORNERS) * (wider.u1, wider.v1) @ axes[:2]
+        if np.abs(setup.body.depth(around)).max() > 1e-12:
+            return None
+    if by_force[Z]:
+        pose[Z] = touch_z + depth
+    return box if face is None else box.grown(-face.edge_mm / 2, -face.edge_mm / 2), pose
+
+
+def _ends_at(contacts: ContactProblem) -> Floats:
+    """Return (p,) about how far each probe overlaps the body at rest where its contact ends, over
+    the indentation."""
+    return np.array(
+        [_END_OF_CONE if isinstance(one.probe, Cone) else 0.5 for one in contacts.setups]
+    )
+
+
+def solve_frictionless(
+    contacts: ContactProblem, control: Control, pose: Floats, touch_z: Floats
+) -> Equilibrium:
+    """Solve the frictionless contact on given patches, from a guess of the place; ``touch_z`` (p,)
+    of each probe."""
+    k = len(contacts.patches)
+    contact_jacobian = contacts.contact_jacobian(pose)
+    held = _hold_unfelt_motions(contacts, contact_jacobian, control, pose)
+    problem = UnilateralProblem(
+        influence=contacts.normal_influence,
+        gap=contacts.gap,
+        contact_jacobian=contact_jacobian,
+        by_force=held.by_force,
+        given=held.given,
+        pushing=held.pushing,
+        area_mm2=contacts.patches.area_mm2,
+        friction=np.zeros(k),
+        offset=np.zeros((k, 2)),
+        sideways=False,
+    )
+    least = _ends_at(contacts) * (pose[Z :: len(_NAMES)] - touch_z)
+    found = solve(problem, contacts.gap(pose)[0] < -least[contacts.owner], pose)
+    load = float(np.abs(found.force_n[:, 2]).sum())
+    lever_arm = problem.lever_arm
+    for number, (setup, rows, motions) in enumerate(contacts.rows):
+        _check_slide(
+            setup, contacts.grids[number], found, rows, pose[motions] - found.pose[motions]
+        )
+        missed = np.where(control.by_force, np.abs(found.total - control.given) / lever_arm, 0.0)[
+            motions
+        ]
+        if missed.max() > 1e-6 * max(load, 1e-12):
+            axis = int(np.argmax(missed))
+            unit = "N" if axis < Z else "N mm"
+            raise ContactError(
+                f"contact: the frictionless {setup.probe.kind} is pushed by "
+                f"{found.total[motions][axis]:.3g} {unit} along {_NAMES[axis]} by the slope of the "
+                f"surface, against the {control.given[motions][axis]:g} {unit} given: hold "
+                f"{_NAMES[axis]} by motion (leave it out of force_n), or give press.friction a "
+                "value"
+            )
+    return found
+
+
+def _check_slide(
+    setup: ProbeSetup, patches: Patches, found: Equilibrium, rows: slice, moved: Floats
+) -> None:
+    """Raise a ContactError when the equilibrium is further away than the contact is wide: the probe
+    slides off."""
+    active = found.active[rows]
+    if not active.any():
+        return
+    slide = float(np.hypot(moved[X], moved[Y]))
+    width = max(patches.bounds(active).size)
+    if slide > width:
+        raise ContactError(
+            f"contact: the frictionless {setup.probe.kind} slides {slide:.2g} mm sideways before "
+            f"its lateral forces balance; allowed is the contact's width, {width:.2g} mm: hold x "
+            "and y by motion (leave them out of force_n), or give press.friction a value"
+        )
+
+
+def _aspect(size: tuple[float, float]) -> float:
+    return math.sqrt(size[0] / size[1])
+
+
+def _counts(across: int, box: Box, contact: Box) -> tuple[int, int]:
+    """Return cells along u and v: ``across`` squared over the contact, more along its longer
+    side."""
+    shape = math.sqrt(_aspect(contact.size))
+    u = box.size[0] / contact.size[0]
+    v = box.size[1] / contact.size[1]
+    return max(4, math.ceil(across * shape * u - 1e-6)), max(
+        4, math.ceil(across / shape * v - 1e-6)
+    )
+
+
+def fitted_grids(
+    setups: Sequence[ProbeSetup], planes: Sequence[Plane], contacts: Sequence[Box]
+) -> tuple[Patches, ...]:
+    """Cut the final grids around known contacts: on one lattice where they lie in one plane and are
+    about as fine."""
+    boxes = [
+        contact.grown(
+            *(max(_MARGIN, _SPARE / setup.across) * size for size in contact.size)
+        ).clipped(setup.face)
+        for setup, contact in zip(setups, contacts, strict=True)
+    ]
+    counts = [
+        _counts(*each)
+        for each in zip([setup.across for setup in setups], boxes, contacts, strict=True)
+    ]
+    if len(boxes) > 1:
+        boxes, counts = _on_one_lattice(setups, planes, boxes, counts)
+    grids = []
+    for setup, plane, box, count in zip(setups, planes, boxes, counts, strict=True):
+        grids.append(candidate_patches(setup.body, setup.face, plane, box, count))
+        _check_somewhere(setup, grids[-1])
+    return tuple(grids)
+
+
+def _on_one_lattice(
+    setups: Sequence[ProbeSetup],
+    planes: Sequence[Plane],
+    boxes: list[Box],
+    counts: list[tuple[int, int]],
+) -> tuple[list[Box], list[tuple[int, int]]]:
+    """Return boxes and counts whose cells are those of one lattice, as fine as the finest; as they
+    are if none serves.
+
+    A whole number of cells lies between the middles of the first two, which keep theirs; further
+    ones move by up to half a cell.
+    """
+    first = planes[0]
+    away = np.array([first.axes @ (plane.origin_mm - first.origin_mm) for plane in planes])
+    even = all(
+        box.is_even(one.face, count) for one, box, count in zip(setups, boxes, counts, strict=True)
+    )
+    if not even or any(np.any(plane.axes != first.axes) for plane in planes) or np.any(away[:, 2]):
+        return boxes, counts
+    sizes = np.array([box.size for box in boxes])
+    middle = away[:, :2] + [((box.u0 + box.u1) / 2, (box.v0 + box.v1) / 2) for box in boxes]
+    step = (sizes / counts).min(axis=0)
+    apart = np.abs(middle[1] - middle[0])
+    step = np.where(apart > step, apart / np.maximum(np.ceil(apart / step - 1e-6), 1.0), step)
+    most = np.ceil(sizes / step - 1e-6)
+    cells = most + (most - most[0]) % 2 + (np.arange(len(boxes)) > 1)[:, None]
+    first_cell = np.rint((middle - middle[0]) / step - (cells - cells[0]) / 2)
+    whole = (first_cell + cells).max(axis=0) - first_cell.min(axis=0)
+    every = cells.prod(axis=1).sum()
+    if every > _FINER * np.prod(counts, axis=1).sum() or whole.prod() > _WIDE * every:
+        return boxes, counts
+    low = middle[0] - cells[0] * step / 2 + first_cell * step - away[:, :2]
+    high = low + cells * step
+    return (
+        [
+            Box(u0=a, u1=b, v0=c, v1=d)
+            for (a, c), (b, d) in zip(low.tolist(), high.tolist(), strict=True)
+        ],
+        [(int(u), int(v)) for u, v in cells],
+    )
+
+
+def find_contact(
+    setup: ProbeSetup,
+    control: Control,
+    start: Floats,
+    plane: Plane,
+    touch_z: float,
+    *,
+    may_turn: bool = True,
+) -> tuple[Plane, Box, Floats]:
+    """Find the contact of one probe by frictionless solves on coarse grids; return its plane, its
+    box, and the place.
+
+    The plane is the one given, turned so that its axes lie along and across a long contact, if it
+    ``may_turn``.
+    """
+    force_z = float(control.given[Z]) if control.by_force[Z] else None
+    upright = float(plane.axes[2] @ setup.first.axes[2])
+    # on a slope the normal force is larger than its part along z, and the probe sinks further along
+    # z than along n
+    normal_force = None if force_z is None else force_z / upright
+    box, depth = _guess_box(setup, normal_force, (float(control.given[Z]) - touch_z) * upright)
+    pose = np.where(control.by_force, start, control.given)
+    if control.by_force[Z]:
+        pose[Z] = touch_z + depth / upright
+    turns = _TURNS if may_turn and setup.face is None else 0
+    for tried in range(_ROUNDS):
+        whole = box.clipped(setup.face)
+        patches = candidate_patches(
+            setup.body, setup.face, plane, whole, _counts(_COARSE, whole, whole)
+        )
+        _check_somewhere(setup, patches)
+        contacts = ContactProblem((setup,), (patches,))
+        found = solve_frictionless(contacts, control, pose, np.array([touch_z]))
+        pose = found.pose
+        if not found.active.any():
+            box = _about_nearest(contacts, whole, pose)
+            continue
+        if setup.face is not None and found.active.all():
+            return plane, whole, pose
+        contact = patches.bounds(found.active)
+        if turns and (turn := _turn_along(patches, found.active)) is not None:
+            turns -= 1
+            plane = Plane(origin_mm=plane.origin_mm, axes=turn @ plane.axes)
+            box = _turned_box(patches, found.active, turn)
+        elif np.any(found.active & patches.border):
+            # It grows on all sides: a round grid that only moves after a contact on a slope never
+            # holds its corner.
+            larger = whole.grown(0.1 * whole.size[0], 0.1 * whole.size[1])
+            box = contact.grown(0.3 * contact.size[0], 0.3 * contact.size[1])
+            box = box if setup.face is None and box.is_long else box.joined(larger)
+        elif (
+            tried < _PATIENCE
+            and min(c / w for c, w in zip(contact.size, whole.size, strict=True)) < _FILL
+        ):
+            box = _with_margin(contact, *patches.cell_mm[found.active].max(axis=0))
+        else:
+            return plane, contact, pose
+    check_inside(setup, patches, found, float(pose[Z]) - touch_z)
+    raise NotSettled(
+        f"contact: no grid fits the contact of the {setup.probe.kind} after {_ROUNDS} tries (last: "
+        f"{whole.size[0]:.3g} by {whole.size[1]:.3g} mm): press harder, hold x, y and the turns by "
+        "motion, or round the probe where it touches (edge_mm, tip_mm)"
+    )
+
+
+def _about_nearest(contacts: ContactProblem, whole: Box, pose: Floats) -> Box:
+    """Return a box half as large about the patches that are nearest to the probe: under a face on a
+    slope, its rim."""
+    gap = contacts.gap(pose)[0]
+    nearest = contacts.patches.middle_mm[gap <= gap.min() + 1e-12].mean(axis=0)
+    u, v = (size / 4 for size in whole.size)
+    return Box(u0=nearest[0] - u, u1=nearest[0] + u, v0=nearest[1] - v, v1=nearest[1] + v)
+
+
+def _check_somewhere(setup: ProbeSetup, patches: Patches) -> None:
+    """Raise a ContactError when no patch lies on the sensing surface."""
+    if len(patches) == 0:
+        raise ContactError(
+            f"contact: under the {setup.name} no patch lies on the sensing surface: move it away "
+            "from the edge"
+        )
+
+
+def check_inside(setup: ProbeSetup, patches: Patches, found: Equilibrium, depth: float) -> None:
+    """Refuse contact that runs over the edge of the surface, or a probe that sinks in.
+
+    Raises
+    ------
+    ContactError
+        With place, value and allowed range.
+    """
+    over = found.active & patches.edge
+    if over.any():
+        place = patches.centre_mm[over][0]
+        raise ContactError(
+            "contact: runs over the edge of the sensing surface at "
+            f"({', '.join(f'{c:.3g}' for c in place)}) mm: press further inside, or with less "
+            "force or a smaller probe"
+        )
+    low, high = setup.body.bounds_mm
+    limit = (high[2] - low[2]) / 2
+    what = "half the body's thickness"
+    probe = setup.probe
+    if isinstance(probe, Sphere) and probe.diameter_mm / 2 < limit:
+        limit = probe.diameter_mm / 2
+        what = "the probe's radius"
+    if depth > limit:
+        raise ContactError(
+            f"contact: the {probe.kind} sinks in by {depth:.3g} mm, allowed is up to {limit:.3g} "
+            f"mm ({what}): press with less force, or with a larger probe, or on a stiffer body"
+        )
+    if isinstance(probe, Cone):
+        axes = setup.first.axes
+        pivot = setup.first.axis_mm
+        away = (patches.centre_mm[found.active] - pivot) @ axes[:Z].T - found.pose[:Z]
+        width = 2.0 * float(np.max(np.hypot(away[:, 0], away[:, 1]), initial=0.0))
+        if width > probe.diameter_mm:
+            raise ContactError(
+                f"contact: it reaches {width:.3g} mm across, over the cone's base of "
+                f"{probe.diameter_mm:g} mm: press with less force, or give a larger "
+                "probe.diameter_mm"
+            )

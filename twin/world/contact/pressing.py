@@ -1,0 +1,729 @@
+"""Rigid probes press a body along a path: from the press's description to forces on the surface.
+
+`press` checks the description and takes the path. Without friction every state depends on the
+poses alone, and each step has grids of its own. With friction one grid serves the whole path
+(`twin.world.contact.load_step`).
+
+Validity: linear elasticity, small turns and slopes; forces act along the normals of the undeformed
+surface. Every state has a measure of how far it strains that.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+from itertools import zip_longest
+
+import numpy as np
+
+from twin.arrays import Bools, Floats
+from twin.errors import ContactError, InputError, NotSettled
+from twin.parts.accuracy import INCREMENTS
+from twin.parts.body import Body
+from twin.parts.press import Press
+from twin.parts.probe import Cylinder, Pillar, Probe, Sphere
+from twin.world.contact.active_set import Equilibrium
+from twin.world.contact.contact_search import (
+    ContactProblem,
+    Control,
+    LoadProgramme,
+    ProbeSetup,
+    SurfaceCompliance,
+    check_inside,
+    closed_form_contact,
+    find_contact,
+    fitted_grids,
+    solve_frictionless,
+)
+from twin.world.contact.contact_state import (
+    ContactState,
+    Estimates,
+    Watched,
+    lifted_state,
+    touching_state,
+)
+from twin.world.contact.friction_law import effective_coefficient
+from twin.world.contact.load_step import (
+    ContactHistory,
+    FrictionalContact,
+    load_step,
+)
+from twin.world.contact.probe_gap import (
+    ABOUT_X,
+    ABOUT_Y,
+    MOTIONS,
+    Approach,
+    X,
+    Y,
+    Z,
+    approach_of,
+    half_extent,
+)
+from twin.world.contact.surface_patches import Box, Plane
+
+TRIES = 8
+"""How often grids that contact outgrows are made larger."""
+
+_OVERLAP = 0.02
+"""How far a patch may lie inside another probe, over the indentation: it is as wide as a patch
+is."""
+
+
+def _counted_from(control: Control, pose: Floats) -> Control:
+    """Return a step's control with its motions counted from a place."""
+    return Control(
+        by_force=control.by_force,
+        given=np.where(control.by_force, control.given, pose + control.given),
+    )
+
+
+def _is_lifted(control: Control, touch_z: float) -> bool:
+    return bool(control.given[Z] <= (0.0 if control.by_force[Z] else touch_z + 1e-12))
+
+
+def _refuse_untransmitted_forces(control: Control) -> None:
+    """Raise a ContactError when a lateral force or a torque is asked of a probe that touches
+    nothing."""
+    asked = np.where(control.by_force, control.given, 0.0)
+    if asked.any():
+        torque = (
+            f"{asked[-1]:g}"
+            if not asked[ABOUT_X:-1].any()
+            else ", ".join(f"{t:g}" for t in asked[ABOUT_X:])
+        )
+        raise ContactError(
+            f"contact: force ({', '.join(f'{f:g}' for f in asked[: Z + 1])}) N and torque {torque} "
+            "N mm are asked of a probe that touches nothing at the end of the step: push along z "
+            "as well"
+        )
+
+
+def _lifted_place(control: Control, pose: Floats, touch_z: float) -> Floats:
+    moved = np.where(control.by_force, pose, control.given)
+    if control.by_force[Z]:
+        moved[Z] = touch_z
+    return moved
+
+
+def _combine_states(states: list[ContactState]) -> ContactState:
+    """Return the first probe's state with the load of all, and the other probes' states in it."""
+    first, *others = states
+    if not others:
+        return first
+    return replace(
+        first, load=sum((other.load for other in others), first.load), also=tuple(others)
+    )
+
+
+def _stopped_at(count: int, programme: LoadProgramme, why: str) -> str:
+    return (
+        f"step {count} of {len(programme.steps)} did not converge, the last state that did is "
+        f"kept; {why}"
+    )
+
+
+def _attach_last_state(
+    refused: ContactError, path: list[ContactState], count: int, programme: LoadProgramme
+) -> None:
+    """Give an error the last state before the step that it refuses, as far as there is one."""
+    if path:
+        reason = (
+            f"step {count} of {len(programme.steps)} was refused, the state before it is kept; "
+            f"{refused}"
+        )
+        refused.last_state = replace(path[-1], path=tuple(path), complete=False, reason=reason)
+
+
+def _refuse_overlap(contacts: ContactProblem, found: Equilibrium) -> None:
+    """Raise a ContactError where one probe's patch would lie inside another probe."""
+    for number, (setup, _, motions) in enumerate(contacts.rows):
+        for other, (_, rows, _) in enumerate(contacts.rows):
+            active = found.active[rows]
+            if other == number or not active.any():
+                continue
+            grid = contacts.grids[other]
+            gap, _ = setup.first.gap(
+                grid.centre_mm[active], grid.frames[active, 2], found.pose[motions]
+            )
+            sunk = found.displacement_mm[rows][active, 2]
+            worst = int(np.argmin(gap + sunk))
+            if gap[worst] + sunk[worst] < -_OVERLAP * float(np.abs(sunk).max()):
+                place = ", ".join(f"{c:.3g}" for c in grid.centre_mm[active][worst])
+                raise ContactError(
+                    f"contact: the {setup.name} and the {contacts.setups[other].name} press on the "
+                    f"same place of the surface, near ({place}) mm: move them apart, or press one "
+                    "after the other"
+                )
+
+
+def _outgrown(boxes: list[Box], contacts: ContactProblem, reached: Bools) -> bool:
+    """Make those of the contacts' boxes larger whose patches (k,) were ``reached`` up to the
+    border; whether any was.
+
+    By a tenth: where such a contact ends is not known yet.
+    """
+    grew = False
+    for number, (_, rows, _) in enumerate(contacts.rows):
+        grid = contacts.grids[number]
+        own = reached[rows]
+        if (own & grid.border).any():
+            both = boxes[number].joined(grid.bounds(own))
+            boxes[number] = both.grown(0.05 * both.size[0], 0.05 * both.size[1])
+            grew = True
+    return grew
+
+
+def _grid_error(setup: ProbeSetup, contact: Box) -> ContactError:
+    return ContactError(
+        f"contact: it keeps growing beyond the grid ({contact.size[0]:.3g} by "
+        f"{contact.size[1]:.3g} mm under the {setup.probe.kind}): press with less force, or hold "
+        "the probe by motion"
+    )
+
+
+_SLIDE_WIDTHS = 1.0
+
+
+def _largest_contact(
+    programme: LoadProgramme, number: int, plane: Plane, touch_z: float
+) -> tuple[Plane, Box]:
+    """Return the plane of one probe's grid, along its first contact, and the box that holds its
+    contact of every step.
+
+    It is pressed without friction, where it slides to.
+
+    A probe with friction on a slope carries part of a force along z by friction: its normal force
+    is F n_z, for which a frictionless one that is held sideways needs F n_z^2 along z.
+    """
+    setup = programme.setups[number]
+    friction = float(programme.friction[number])
+    pose = np.zeros(MOTIONS)
+    whole = None
+    sideways = np.zeros(2)
+    along_z = np.arange(MOTIONS) == Z
+    upright = float(plane.axes[2] @ setup.first.axes[2])
+    for step, following in zip_longest(programme.steps, programme.steps[1:]):
+        if following is not None and _outdone(step.of_probe(number), following.of_probe(number)):
+            continue
+        control = _counted_from(step.of_probe(number), pose)
+        sideways += np.where(control.by_force, 0.0, step.of_probe(number).given)[:Z]
+        push = control.given[Z] * (upright**2 if control.by_force[Z] else 1.0)
+        turned = np.where(control.by_force, 0.0, control.given) * np.isin(
+            np.arange(MOTIONS), (ABOUT_X, ABOUT_Y)
+        )
+        still = Control(by_force=control.by_force & along_z, given=np.where(along_z, push, turned))
+        if _is_lifted(still, touch_z):
+            pose = _lifted_place(still, pose, touch_z)
+            continue
+        disc = closed_form_contact(setup, still, pose, plane, touch_z)
+        plane, contact, pose = (
+            (plane, *disc)
+            if disc
+            else find_contact(setup, still, pose, plane, touch_z, may_turn=whole is None)
+        )
+        grip_mm = friction * (float(pose[Z]) - touch_z)
+        contact = contact.joined(_slid(setup, contact, sideways, grip_mm, plane))
+        whole = contact if whole is None else whole.joined(contact)
+    if whole is None:
+        raise ContactError(
+            "contact: the probe touches no patch, as its push is too small to be distinguished "
+            "from rounding; press further (press.indentation_mm, or force_n or move_mm of the "
+            "steps)"
+        )
+    return plane, whole
+
+
+def _outdone(step: Control, following: Control) -> bool:
+    """Return whether the following step pushes as hard or harder at the same place, so that its
+    contact is larger."""
+    still = not any(np.where(one.by_force, 0.0, one.given).any() for one in (step, following))
+    push = float(step.given[Z])
+    next_push = float(following.given[Z])
+    return still and bool(step.by_force[Z] and following.by_force[Z]) and 0.0 < push <= next_push
+
+
+def _slid(setup: ProbeSetup, contact: Box, sideways: Floats, grip_mm: float, plane: Plane) -> Box:
+    """Return the box of a contact that is moved sideways and slides when it can't be strained
+    further.
+
+    A sphere slides once it is mu (2 - nu) / (2 (1 - nu)) of its indentation off
+    (`twin.theory.contact`), here the ``grip_mm`` = mu x indentation times the rest.
+    """
+    grip_mm *= (2.0 - setup.poisson_ratio) / (2.0 * (1.0 - setup.poisson_ratio))
+    length = float(np.hypot(*sideways))
+    if setup.face is not None or length <= grip_mm:
+        return contact
+    slide = length - grip_mm
+    most = _SLIDE_WIDTHS * max(contact.size)
+    if slide > most:
+        raise ContactError(
+            f"contact: the {setup.probe.kind} slides by about {slide:.3g} mm; allowed is "
+            f"{most:.3g} mm, {_SLIDE_WIDTHS:g} times the contact's width, as one grid holds the "
+            "whole path: move it less, or press it again further on"
+        )
+    u, v = plane.axes[:2] @ (slide / length * sideways @ setup.first.axes[:Z])
+    return Box(u0=contact.u0 + u, u1=contact.u1 + u, v0=contact.v0 + v, v1=contact.v1 + v)
+
+
+def _frictional_path(programme: LoadProgramme, increments: int) -> tuple[list[ContactState], str]:
+    """Take the whole path on one grid; return the states, and why it stopped before its end, if it
+    did."""
+    planes = []
+    boxes = []
+    for number, setup in enumerate(programme.setups):
+        plane, touch_z = setup.first_touch(np.zeros(MOTIONS))
+        plane, box = _largest_contact(programme, number, plane, touch_z)
+        planes.append(plane)
+        boxes.append(box)
+    for _ in range(TRIES):
+        contacts = ContactProblem(programme.setups, fitted_grids(programme.setups, planes, boxes))
+        states, reached, reason = _path_on_grid(
+            FrictionalContact(contacts, effective_coefficient(programme.friction)),
+            programme,
+            increments,
+        )
+        if not _outgrown(boxes, contacts, reached):
+            return states, reason
+    raise _grid_error(programme.setups[0], boxes[0])
+
+
+def _path_on_grid(
+    grid: FrictionalContact, programme: LoadProgramme, increments: int
+) -> tuple[list[ContactState], Bools, str]:
+    """Take the whole path on given patches; return the states, which patches were ever in contact,
+    and why it stopped before its end, if it did."""
+    history = grid.at_first_touch()
+    path: list[ContactState] = []
+    reached = np.zeros(len(grid.patches), bool)
+    for count, step in enumerate(programme.steps, start=1):
+        try:
+            history, state, touched, stopped = _frictional_step(
+                grid, programme, history, count, step, increments
+            )
+        except NotSettled as unsettled:
+            if not path:
+                raise
+            return path, reached, _stopped_at(count, programme, str(unsettled))
+        except ContactError as refused:
+            _attach_last_state(refused, path, count, programme)
+            raise
+        reached |= touched
+        path.append(state)
+        if stopped:
+            return path, reached, _stopped_at(count, programme, stopped)
+    return path, reached, ""
+
+
+def _frictional_step(
+    grid: FrictionalContact,
+    programme: LoadProgramme,
+    history: ContactHistory,
+    count: int,
+    step: Control,
+    increments: int,
+) -> tuple[ContactHistory, ContactState, Bools, str]:
+    """Take one step; return the state at its end, the patches in contact, and why it stopped before
+    that, if it did."""
+    control = _counted_from(step, history.pose)
+    lifted = np.array(
+        [_lifted_by_force(control.of_probe(number)) for number in range(len(programme.setups))]
+    )
+    places = history.pose.reshape(-1, MOTIONS).copy()
+    for number in np.flatnonzero(lifted).tolist():
+        own = control.of_probe(number)
+        _refuse_untransmitted_forces(own)
+        places[number] = _lifted_place(own, places[number], 0.0)
+    history = replace(history, pose=places.reshape(-1), lifted=lifted)
+    if lifted.any():
+        history = grid.release(history, lifted)
+        # what is off the body is held where it is
+        control = Control(
+            by_force=control.by_force & ~np.repeat(lifted, MOTIONS),
+            given=np.where(np.repeat(lifted, MOTIONS), history.pose, control.given),
+        )
+    found = None
+    stopped = ""
+    if not lifted.all():
+        _refuse_drag(grid, control, count)
+        history, found, stopped = load_step(grid, history, control, increments)
+        _refuse_overlap(grid.contacts, found)
+        apart = np.array([not found.active[rows].any() for _, rows, _ in grid.contacts.rows])
+        if apart.any():
+            history = grid.release(history, apart)
+        lifted = lifted | apart
+    touched = np.zeros(len(grid.patches), bool) if found is None else found.active
+    return (
+        history,
+        _combine_states(_states(grid, programme.friction, history, control, found, lifted)),
+        touched,
+        stopped,
+    )
+
+
+def _states(
+    grid: FrictionalContact,
+    asked: Floats,
+    history: ContactHistory,
+    control: Control,
+    found: Equilibrium | None,
+    lifted: Bools,
+) -> list[ContactState]:
+    """Return the state of every probe after a step; ``asked`` (p,) are the coefficients given."""
+    states = []
+    for number, (setup, rows, motions) in enumerate(grid.contacts.rows):
+        friction = float(asked[number])
+        if found is None or lifted[number]:
+            _refuse_untransmitted_forces(control.of_probe(number))
+            states.append(
+                lifted_state(
+                    setup,
+                    history.pose[motions],
+                    friction=friction,
+                    dissipated_nmm=history.dissipated_nmm,
+                )
+            )
+            continue
+        patches = grid.contacts.grids[number]
+        own = found.part(rows, motions)
+        touch_z = _touch_z(setup, history, number)
+        check_inside(setup, patches, own, float(own.pose[Z]) - touch_z)
+        states.append(
+            touching_state(
+                setup,
+                patches,
+                own,
+                touch_z_mm=touch_z,
+                friction=friction,
+                dissipated_nmm=history.dissipated_nmm,
+            )
+        )
+    return states
+
+
+def _lifted_by_force(control: Control) -> bool:
+    return bool(control.by_force[Z] and control.given[Z] == 0.0)
+
+
+def _touch_z(setup: ProbeSetup, history: ContactHistory, number: int) -> float:
+    """Return the z of first touch where a probe slid to."""
+    if not history.slid_mm[number].any():
+        return 0.0
+    return setup.touch_z(np.array([*history.slid_mm[number], *np.zeros(MOTIONS - 2)]))
+
+
+def _refuse_drag(grid: FrictionalContact, control: Control, count: int) -> None:
+    """Raise a ContactError when a flat surface is asked for more force sideways than friction can
+    carry."""
+    for number, (setup, _, _) in enumerate(grid.contacts.rows):
+        own = control.of_probe(number)
+        friction = float(grid.friction[number])
+        flat = np.all(grid.contacts.grids[number].frames[:, 2] @ setup.first.axes[2] > 1.0 - 1e-12)
+        if not flat or not own.by_force[Z] or math.isinf(friction):
+            continue
+        asked = float(np.hypot(*np.where(own.by_force, own.given, 0.0)[[X, Y]]))
+        most = friction * float(own.given[Z])
+        if asked >= most > 0.0 or asked > most:
+            raise ContactError(
+                f"contact: step {count} asks for {asked:.6g} N sideways at {own.given[Z]:.6g} N "
+                f"along z; with friction {friction:g} less than {most:.6g} N can be balanced: ask "
+                "for less, push harder, raise press.friction, or hold x and y by motion"
+            )
+
+
+def _frictionless_path(programme: LoadProgramme) -> tuple[list[ContactState], str]:
+    """Take the whole path; return the states, and why it stopped before its end, if it did."""
+    pose = np.zeros(MOTIONS * len(programme.setups))
+    path = list[ContactState]()
+    for count, step in enumerate(programme.steps, start=1):
+        try:
+            state, pose = _frictionless_step(programme, _counted_from(step, pose), pose)
+        except NotSettled as stopped:
+            if not path:
+                raise
+            return path, _stopped_at(count, programme, str(stopped))
+        except ContactError as refused:
+            _attach_last_state(refused, path, count, programme)
+            raise
+        path.append(state)
+    return path, ""
+
+
+def _frictionless_step(
+    programme: LoadProgramme, control: Control, pose: Floats
+) -> tuple[ContactState, Floats]:
+    """Return the state at the end of a step, and the probes' places."""
+    places = list(pose.reshape(-1, MOTIONS))
+    states: list[ContactState | None] = [None] * len(programme.setups)
+    touching = []
+    starts = []
+    planes = []
+    touch_z = []
+    for number, setup in enumerate(programme.setups):
+        own = control.of_probe(number)
+        plane, z = setup.first_touch(np.where(own.by_force, places[number], own.given))
+        if _is_lifted(own, z):
+            _refuse_untransmitted_forces(own)
+            places[number] = _lifted_place(own, places[number], z)
+            states[number] = lifted_state(setup, places[number])
+            continue
+        touching.append(number)
+        starts.append(places[number])
+        planes.append(plane)
+        touch_z.append(z)
+    if touching:
+        setups = tuple(programme.setups[number] for number in touching)
+        controls = [control.of_probe(number) for number in touching]
+        contacts, found = _frictionless(setups, controls, starts, planes, touch_z)
+        for each, (number, (setup, rows, motions)) in enumerate(
+            zip(touching, contacts.rows, strict=True)
+        ):
+            own_found = found.part(rows, motions)
+            places[number] = own_found.pose
+            states[number] = touching_state(
+                setup,
+                contacts.grids[each],
+                own_found,
+                touch_z_mm=setup.touch_z(own_found.pose),
+                friction=0.0,
+                slope=contacts.gap_under(each, own_found.pose)[1],
+            )
+    return _combine_states([state for state in states if state is not None]), np.concatenate(places)
+
+
+def _frictionless(
+    setups: tuple[ProbeSetup, ...],
+    controls: list[Control],
+    places: list[Floats],
+    planes: list[Plane],
+    touch_z: list[float],
+) -> tuple[ContactProblem, Equilibrium]:
+    """Find the contacts, cut the grids that fit them, and solve on these; a grid grows while its
+    border is reached."""
+    boxes = []
+    closed_form = dict[int, Box]()
+    for number, setup in enumerate(setups):
+        own = controls[number]
+        start = places[number]
+        z = touch_z[number]
+        disc = closed_form_contact(setup, own, start, planes[number], z)
+        planes[number], box, places[number] = (
+            (planes[number], *disc) if disc else find_contact(setup, own, start, planes[number], z)
+        )
+        boxes.append(box)
+        if disc is not None:
+            closed_form[number] = box
+    control = Control.joined(controls)
+    pose = np.concatenate(places)
+    for _ in range(TRIES):
+        contacts = ContactProblem(setups, fitted_grids(setups, planes, boxes))
+        found = solve_frictionless(contacts, control, pose, np.array(touch_z))
+        pose = found.pose
+        for (setup, rows, motions), grid, z in zip(
+            contacts.rows, contacts.grids, touch_z, strict=True
+        ):
+            check_inside(setup, grid, found.part(rows, motions), float(pose[motions][Z]) - z)
+        missed = [
+            number
+            for number, (_, rows, _) in enumerate(contacts.rows)
+            if number in closed_form
+            and not (
+                found.active[rows].any()
+                and contacts.grids[number].bounds(found.active[rows]).fills(closed_form[number])
+            )
+        ]
+        for number in missed:
+            motions = slice(MOTIONS * number, MOTIONS * (number + 1))
+            planes[number], boxes[number], pose[motions] = find_contact(
+                setups[number], controls[number], pose[motions], planes[number], touch_z[number]
+            )
+            del closed_form[number]
+        if not _outgrown(boxes, contacts, found.active) and not missed:
+            _refuse_overlap(contacts, found)
+            return contacts, found
+    raise _grid_error(setups[0], boxes[0])
+
+
+__all__ = ["ContactState", "SurfaceCompliance", "press"]
+
+_ACROSS_RANGE = (6, 40)
+
+LEAST_N = 1e-9
+"""Least force that presses: under less the gaps are lost in the round-off of the patches'
+places."""
+
+
+def press(
+    press: Press,
+    body: Body,
+    compliance: SurfaceCompliance,
+    *,
+    patches_across: int = 16,
+    youngs_modulus_mpa: float,
+    poisson_ratio: float,
+    increments: int = INCREMENTS,
+    watched: Watched | None = None,
+) -> ContactState:
+    """Press rigid probes on a body along a path.
+
+    Parameters
+    ----------
+    press
+        Probe, place, path and friction, and those of further probes.
+    body
+        The undeformed body.
+    compliance
+        How its surface moves under forces on patches.
+    patches_across
+        Contact patches across each contact.
+    youngs_modulus_mpa, poisson_ratio
+        Of the body; only for the first guess of the contact's size and for the validity report.
+    increments
+        With friction: parts of a step in which patches touch or slip.
+    watched
+        Points whose displacement's error is of interest too.
+
+    Returns
+    -------
+    The state at the end of the path; its ``path`` holds the states at the end of every step. Where
+    a step after the first doesn't converge, the last state that did, with its ``complete`` false
+    and its ``reason``. The ``error`` of each is computed when it is first looked at.
+
+    Raises
+    ------
+    InputError
+        A probe misses the body, a normal force pulls, or the number of patches is out of range.
+    ContactError
+        There is no equilibrium, contact runs over the edge, a probe sinks in, or the first step
+        does not converge. Its ``last_state`` is the state before the step that was refused, if
+        there is one.
+    """
+    low, high = _ACROSS_RANGE
+    if not low <= patches_across <= high:
+        raise InputError(
+            f"contact: {patches_across} patches across the contact; allowed are {low} to {high}"
+        )
+    presses = (press, *press.also)
+    setups = tuple(
+        ProbeSetup(
+            body=body,
+            compliance=compliance,
+            first=approach_of(one, body),
+            across=patches_across,
+            youngs_modulus_mpa=youngs_modulus_mpa,
+            poisson_ratio=poisson_ratio,
+        )
+        for one in presses
+    )
+    for number, setup in enumerate(setups):
+        _refuse_overhang(setup)
+        for other in setups[:number]:
+            _refuse_crossing(setup.first, other.first)
+    programme = LoadProgramme(
+        setups=setups,
+        friction=np.array([one.friction for one in presses]),
+        steps=_controls(presses, setups),
+    )
+    states, reason = _solved(programme, increments)
+    estimates = Estimates(programme, increments, _solved, watched)
+    states = [
+        replace(state, estimate=partial(estimates.of, step=step))
+        for step, state in enumerate(states)
+    ]
+    return replace(states[-1], path=tuple(states), complete=not reason, reason=reason)
+
+
+def _solved(programme: LoadProgramme, increments: int) -> tuple[list[ContactState], str]:
+    return (
+        _frictionless_path(programme)
+        if not any(programme.friction.tolist())
+        else _frictional_path(programme, increments)
+    )
+
+
+def _controls(presses: tuple[Press, ...], setups: tuple[ProbeSetup, ...]) -> tuple[Control, ...]:
+    """Return every step's control; ``given`` holds motions since the step before, not places
+    yet."""
+    try:
+        found = [
+            one.in_own_axes(setup.first.axes) for one, setup in zip(presses, setups, strict=True)
+        ]
+    except ValueError as problem:
+        raise InputError(f"press: {problem}") from None
+    for steps in found:
+        for number, (by_force, given) in enumerate(steps, start=1):
+            if by_force[Z] and given[Z] < LEAST_N and given[Z] != 0.0:
+                raise InputError(
+                    f"press: step {number} asks for a normal force of {given[Z]:g} N; allowed is 0 "
+                    f"(lift off), or {LEAST_N:g} N or more, as a probe can't pull, and feels "
+                    "nothing under less"
+                )
+    return tuple(
+        Control.joined(
+            [
+                Control(by_force=np.array(by_force), given=np.array(given))
+                for by_force, given in step
+            ]
+        )
+        for step in zip(*found, strict=True)
+    )
+
+
+def _outline(probe: Probe) -> Floats:
+    """Return (16, 2) offsets from the axis around the probe's flat face; none for any other
+    probe."""
+    if not isinstance(probe, Cylinder | Pillar):
+        return np.zeros((0, 2))
+    angle = np.arange(16) * math.pi / 8
+    around = np.column_stack([np.cos(angle), np.sin(angle)])
+    if isinstance(probe, Pillar):
+        around /= np.abs(around).max(axis=1, keepdims=True)
+    return np.asarray(around * half_extent(probe))
+
+
+def _refuse_overhang(setup: ProbeSetup) -> None:
+    """Raise a ContactError where a flat face is bound to run over the edge of a flat surface."""
+    first = setup.first
+    if first.level:
+        return
+    under = first.axis_mm + _outline(setup.probe) @ first.axes[:Z]
+    if not len(under) or first.axes[2, 2] != 1.0 or any(first.tilt_deg):
+        return
+    height = setup.body.surface_from_above(under[:, :2])[:, 2] - under[:, 2]
+    missing = np.isnan(height)
+    if missing.any() and not np.any(
+        np.abs(height[~missing]) > 1e-12
+    ):  # met all round at once: the surface is flat
+        raise ContactError(
+            f"contact: the {setup.name} stands out over the edge of the sensing surface: press "
+            "further inside, or with a smaller probe"
+        )
+
+
+def _refuse_crossing(one: Approach, other: Approach) -> None:
+    """Raise an InputError where two spheres, or two cylinders side by side, would stand inside each
+    other."""
+    away = one.axis_mm - other.axis_mm
+    if isinstance(one.probe, Sphere) and isinstance(other.probe, Sphere):
+        away = (
+            away
+            - one.axes[2] * one.probe.diameter_mm / 2
+            + other.axes[2] * other.probe.diameter_mm / 2
+        )
+    elif (
+        isinstance(one.probe, Cylinder)
+        and isinstance(other.probe, Cylinder)
+        and one.axes[2] @ other.axes[2] > 0.999
+    ):
+        away = away - (away @ one.axes[2]) * one.axes[2]
+    else:
+        return
+    apart = float(np.linalg.norm(away))
+    least = (one.probe.diameter_mm + other.probe.diameter_mm) / 2
+    if apart < least:
+        raise InputError(
+            f"press: the {one.probe.kind}s at ({', '.join(f'{c:.3g}' for c in other.axis_mm)}) and "
+            f"({', '.join(f'{c:.3g}' for c in one.axis_mm)}) mm are {apart:.3g} mm apart, less "
+            f"than the {least:.3g} mm at which they touch each other: move them apart, or take "
+            "smaller ones"
+        )

@@ -1,0 +1,703 @@
+"""Rigid probes as surfaces, the gap from a body's surface to them, and first touch.
+
+**Shapes** stand as the probe does before it moves: lowest point at the origin, z into the body. A
+rounded convex probe is a sharp body with a ball rolled around it. The distance to the sharp body
+has a closed form and is convex along a line, so that Newton's steps from outside can't pass the
+first intersection.
+
+**Poses** are q = (x, y, z, about x, about y, turn): mm from first touch and radians, along and
+about the probe's own axes, whose z is its direction of approach. The turns are one rotation vector
+about its lowest point.
+
+**Gaps** are measured along the normal of each surface point, the direction in which the pressure
+acts, to the exact shape of the probe (not its parabola).
+
+**First touch.** `approach` moves a probe along its z until it touches the body.
+
+Validity: gaps are exact for any turn, but forces act along normals of the undeformed surface, so
+turns about x and y should stay small (a few degrees).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Points
+from twin.compiled import njit
+from twin.errors import InputError
+from twin.parts.body import Body
+from twin.parts.press import Press, frame_of
+from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere, Stl
+
+if TYPE_CHECKING:
+    from twin.geometry.pieces import TriangleTree
+
+GRAZING = 1e-3
+"""A line that meets a probe at a smaller sine than this doesn't meet it."""
+
+CONE, ROUND, SQUARE = range(3)
+_NEWTON = 60
+
+_TINY_MM = 1e-150
+"""What lies nearer to the sharp body lies on it: the squares of smaller lengths are 0, and nothing
+divides by them."""
+
+
+@dataclass(frozen=True)
+class RoundedProbe:
+    """All places nearer than ``radius_mm`` to a sharp convex body.
+
+    Attributes
+    ----------
+    sharp, sizes
+        An endless `CONE` that opens towards -z, with sine and cosine of its half angle and its
+        apex's height; or a `ROUND` or `SQUARE` shaft, with its half widths along x and y and the
+        height at which it ends flat. mm.
+    radius_mm
+        Of the ball.
+    """
+
+    sharp: int
+    sizes: tuple[float, float, float]
+    radius_mm: float
+
+    def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
+        """See `twin.world.contact.probe_gap.Shape`."""
+        points = np.ascontiguousarray(points)
+        along = np.ascontiguousarray(along)
+        distance, normal = _enter(points, along, self.sharp, self.sizes, self.radius_mm)
+        return distance, normal
+
+
+@njit(cache=True)
+def _enter(
+    points: Floats, along: Floats, sharp: int, sizes: tuple[float, float, float], radius: float
+) -> tuple[Floats, Floats]:
+    distance = np.empty(len(points))
+    normal = along.copy()
+    largest = 0.0
+    for i in range(len(points)):
+        largest = max(largest, abs(points[i, 0]), abs(points[i, 1]), abs(points[i, 2]))
+    far = 10.0 * (1.0 + radius + largest)
+    for i in range(len(points)):
+        e0, e1, e2 = along[i]
+        way = -far
+        left = 0.0
+        met = False
+        for _ in range(_NEWTON):
+            x = points[i, 0] - way * e0
+            y = points[i, 1] - way * e1
+            z = points[i, 2] - way * e2
+            left, n0, n1, n2 = _distance(x, y, z, sharp, sizes)
+            left -= radius
+            steep = n0 * e0 + n1 * e1 + n2 * e2
+            met = steep > GRAZING
+            if not met:
+                break
+            way += left / steep
+            if abs(left / steep) < 1e-13 * far:
+                break
+        if met and abs(left) <= 1e-9 * far:
+            distance[i] = way
+            normal[i, 0] = n0
+            normal[i, 1] = n1
+            normal[i, 2] = n2
+        else:
+            distance[i] = math.inf
+    return distance, normal
+
+
+@njit(cache=True)
+def _distance(
+    x: float, y: float, z: float, sharp: int, sizes: tuple[float, float, float]
+) -> tuple[float, float, float, float]:
+    """Return the distance to the sharp body, negative inside, and its gradient."""
+    rho = math.hypot(x, y)
+    out_x, out_y = (x / rho, y / rho) if rho > 0.0 else (0.0, 0.0)
+    if sharp == CONE:
+        sine = sizes[0]
+        cosine = sizes[1]
+        up = z - sizes[2]
+        if rho * sine > up * cosine:
+            return rho * cosine + up * sine, cosine * out_x, cosine * out_y, sine
+        away = max(math.hypot(rho, up), 1e-300)  # the apex is nearest
+        return away, x / away, y / away, up / away
+    below = z - sizes[2]
+    if sharp == ROUND:
+        with_margin = rho - sizes[0]
+        b = -math.inf
+        a_x = out_x
+        a_y = out_y
+        b_y = 0.0
+    else:
+        with_margin = abs(x) - sizes[0]
+        b = abs(y) - sizes[1]
+        a_x = np.sign(x)
+        a_y = 0.0
+        b_y = np.sign(y)
+    if max(with_margin, b, below) <= _TINY_MM:
+        if with_margin >= b and with_margin >= below:
+            return with_margin, a_x, a_y, 0.0
+        return (b, 0.0, b_y, 0.0) if b >= below else (below, 0.0, 0.0, 1.0)
+    p = max(with_margin, 0.0)
+    q = max(b, 0.0)
+    r = max(below, 0.0)
+    away = math.sqrt(p * p + q * q + r * r)
+    return away, p * a_x / away, (p * a_y + q * b_y) / away, r / away
+
+
+RIM = 1.005
+"""A patch whose middle lies this share of the half width from the middle still belongs to a flat
+face."""
+
+
+class Shape(Protocol):
+    """A probe's surface."""
+
+    def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
+        """Return how far outwards, against ``along``, lines enter the probe, and its outward normal
+        there.
+
+        Parameters
+        ----------
+        points, along
+            (k, 3) points, mm, and unit vectors, in the probe's own axes; a line comes from far
+            along ``along``.
+
+        Returns
+        -------
+        distance
+            (k,) mm, negative where the point lies beyond the probe's surface; inf where the line
+            misses it.
+        normal
+            (k, 3) outward unit normals of the probe; ``along`` where the line misses.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class _Ball:
+    """A sphere."""
+
+    radius_mm: float
+
+    def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
+        """See `Shape`."""
+        radius = self.radius_mm
+        x, y, z = points.T
+        z = z + radius
+        ahead = x * along[:, 0] + y * along[:, 1] + z * along[:, 2]
+        inside = ahead * ahead - (x * x + y * y + z * z) + radius * radius
+        met = inside > (GRAZING * radius) ** 2
+        way = ahead - np.sqrt(np.where(met, inside, 0.0))
+        normal = (np.column_stack([x, y, z]) - way[:, None] * along) / radius
+        return np.where(met, way, np.inf), np.where(met[:, None], normal, along)
+
+
+@dataclass(frozen=True)
+class _Face:
+    """A flat face with a sharp rim, which touches with its face."""
+
+    probe: Cylinder | Pillar
+
+    def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
+        """See `Shape`; the sides above the rim are left out."""
+        upright = np.maximum(along[:, 2], 1e-9)
+        distance = points[:, 2] / upright
+        over = points - distance[:, None] * along
+        met = (along[:, 2] > GRAZING) & _within_footprint(self.probe, over[:, :2])
+        down = np.broadcast_to([0.0, 0.0, 1.0], along.shape)
+        return np.where(met, distance, np.inf), np.where(met[:, None], down, along)
+
+
+def _within_footprint(probe: Cylinder | Pillar, offset_mm: Floats) -> Bools:
+    """Return (k,) whether offsets (k, 2) from the axis lie under the flat face, its border included
+    (see `RIM`)."""
+    if isinstance(probe, Cylinder):
+        return np.asarray(np.hypot(offset_mm[:, 0], offset_mm[:, 1]) <= probe.diameter_mm / 2 * RIM)
+    return np.asarray(np.all(np.abs(offset_mm) <= np.array(probe.size_mm) / 2 * RIM, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Triangles:
+    """The closed surface of an STL file, (m, 3, 3) corners wound outwards."""
+
+    corners: Floats
+
+    def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
+        """See `Shape`."""
+        triangle, distance = _tree_of(self).first_along(points, -along)
+        a, b, c = (self.corners[np.maximum(triangle, 0), k] for k in range(3))
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        met = (triangle >= 0) & (np.einsum("ki,ki->k", normal, along) > GRAZING)
+        return np.where(met, distance, np.inf), np.where(met[:, None], normal, along)
+
+
+@lru_cache(maxsize=8)
+def _tree_of(shape: _Triangles) -> TriangleTree:
+    from twin.geometry.pieces import TriangleTree
+
+    return TriangleTree(shape.corners)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tilted:
+    """A shape turned about its origin; ``rotation`` (3, 3) takes its own axes to the outer ones."""
+
+    shape: Shape
+    rotation: Floats
+
+    def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
+        """See `Shape`."""
+        distance, normal = self.shape.met(points @ self.rotation, along @ self.rotation)
+        return distance, normal @ self.rotation.T
+
+
+FLAT_TILT_DEG = 20.0
+"""A flat face that is tilted less touches with its face, one that is tilted more with its rim."""
+
+_NO_TURN = 1e-100
+"""A turn so small, radians, turns nothing, and its square is 0."""
+
+
+def rotation_of(turn: Floats) -> Floats:
+    """Return the (3, 3) rotation about a vector (3,) by its length, radians (Rodrigues)."""
+    if np.max(np.abs(turn)) < _NO_TURN:
+        return np.eye(3)
+    angle = float(np.linalg.norm(turn))
+    x, y, z = turn / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
+
+
+def _turning_of(turn: Floats) -> Floats:
+    """Return the (3, 3) matrix that takes a change of a rotation vector to the turn that it makes
+    (left Jacobian)."""
+    if np.max(np.abs(turn)) < _NO_TURN:
+        return np.eye(3)
+    angle = float(np.linalg.norm(turn))
+    cross = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])
+    if angle < 1e-6:
+        return np.asarray(np.eye(3) + cross / 2.0)
+    first = (1.0 - math.cos(angle)) / angle**2
+    second = (angle - math.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+
+
+def _tilt_of(tilt_deg: tuple[float, float, float]) -> Floats:
+    """Return the rotation by angles about x, then y, then z."""
+    whole = np.eye(3)
+    for axis, angle in enumerate(tilt_deg if any(tilt_deg) else ()):
+        whole = rotation_of(math.radians(angle) * np.eye(3)[axis]) @ whole
+    return whole
+
+
+def _is_flat(probe: Probe, tilt_deg: tuple[float, float, float]) -> bool:
+    """Return whether a probe touches with a flat face."""
+    if not isinstance(probe, Cylinder | Pillar):
+        return False
+    return not any(tilt_deg) or bool(
+        _tilt_of(tilt_deg)[2, 2] >= math.cos(math.radians(FLAT_TILT_DEG))
+    )
+
+
+def _shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Shape:
+    """Return the surface of a probe, tilted before it comes."""
+    if isinstance(probe, Sphere):
+        return _Ball(probe.diameter_mm / 2)  # looks the same however it is turned
+    if isinstance(probe, Stl):
+        return _triangles(probe.file, probe.sha256, tuple(map(tuple, _tilt_of(tilt_deg))))
+    shape: Shape
+    if isinstance(probe, Cone):
+        # the ball that rounds the tip touches the plane z = 0 with its lowest point
+        half = math.radians(probe.apex_deg / 2)
+        shape = RoundedProbe(CONE, (math.sin(half), math.cos(half), -probe.tip_mm), probe.tip_mm)
+    elif probe.edge_mm == 0.0 and _is_flat(probe, tilt_deg):
+        shape = _Face(probe)
+    else:
+        a, b = half_extent(probe)
+        kind = ROUND if isinstance(probe, Cylinder) else SQUARE
+        edge = probe.edge_mm
+        shape = RoundedProbe(kind, (a - edge, b - edge, -edge), edge)
+    return _Tilted(shape, _tilt_of(tilt_deg)) if any(tilt_deg) else shape
+
+
+@lru_cache(maxsize=8)
+def _triangles(file: str, _sha256: str, tilt: tuple[tuple[float, ...], ...]) -> _Triangles:
+    """Return an STL file's surface, turned about its origin, its lowest point (largest z) moved to
+    z = 0."""
+    from twin.geometry.closed import PROBE_SIZE_MM, read_surface
+
+    surface = read_surface(file, PROBE_SIZE_MM)
+    vertices = surface.vertices @ np.array(tilt).T
+    vertices[:, 2] -= vertices[:, 2].max()
+    return _Triangles(vertices[surface.triangles])
+
+
+def half_extent(
+    probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> tuple[float, float]:
+    """Return the probe's half sizes along its own first and second axis, mm: of a tilted one, of a
+    box around it."""
+    if isinstance(probe, Pillar):
+        a = probe.size_mm[0] / 2
+        b = probe.size_mm[1] / 2
+        return (a, b) if not any(tilt_deg) else (math.hypot(a, b), math.hypot(a, b))
+    if isinstance(probe, Sphere | Cylinder | Cone):
+        return probe.diameter_mm / 2, probe.diameter_mm / 2
+    shape = _shape_of(probe, tilt_deg)
+    assert isinstance(shape, _Triangles)
+    reach = np.abs(shape.corners[..., :2]).max(axis=(0, 1))
+    return float(reach[0]), float(reach[1])
+
+
+X, Y, Z, ABOUT_X, ABOUT_Y, TURN = range(6)
+MOTIONS = 6
+
+_IDENTITY = np.eye(3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Approach:
+    """A probe that just touches a body.
+
+    Attributes
+    ----------
+    probe, tilt_deg
+        The rigid probe, and its turn about its own axes before it comes.
+    axes
+        (3, 3) its own axes as rows; the last one is the direction of approach.
+    axis_mm
+        (3,) the place of its lowest point (before it was tilted) at first touch; torques count
+        about it.
+    touch_mm
+        (3,) surface point that is touched first (the middle of them if there are many).
+    level
+        Whether it is known that the surface is as high everywhere under the probe.
+    """
+
+    probe: Probe
+    axis_mm: Floats
+    touch_mm: Floats
+    axes: Floats
+    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    level: bool = False
+
+    @cached_property
+    def shape(self) -> Shape:
+        """The probe's surface."""
+        return _shape_of(self.probe, self.tilt_deg)
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether the probe touches with a flat face, so that its footprint bounds the contact."""
+        return _is_flat(self.probe, self.tilt_deg)
+
+    @cached_property
+    def tilt(self) -> Floats:
+        """(3, 3) the rotation of the probe before it comes."""
+        return _tilt_of(self.tilt_deg)
+
+    def jacobian(self, points: Points, frames: Floats, aside: Floats) -> Floats:
+        """Return (k, 3, 6) how the probe's points at points (k, 3) move, in frames (k, 3, 3),
+        along and about its axes, which have moved ``aside`` (3,)."""
+        about = np.cross(self.axes[None], (points - self.axis_mm - aside)[:, None])
+        motions = np.concatenate([np.broadcast_to(self.axes, about.shape), about], axis=1)
+        return np.asarray(frames @ motions.transpose(0, 2, 1))
+
+    def gap(self, points: Points, normals: Floats, pose: Floats) -> tuple[Floats, Floats]:
+        """Return gaps along the outward normals and their derivatives with respect to the probe's
+        place.
+
+        Parameters
+        ----------
+        points, normals
+            (k, 3) points of the undeformed surface, mm, and their unit inward normals.
+        pose
+            (6,) q.
+
+        Returns
+        -------
+        gap
+            (k,) mm; negative where the probe would overlap the undeformed body, inf where it can't
+            be met.
+        slope
+            (k, 6) d gap / d place.
+        """
+        own = (points - self.axis_mm) @ self.axes.T - pose[: Z + 1]
+        along = normals @ self.axes.T
+        turn = pose[ABOUT_X:]
+        if not turn.any():
+            gap, normal = self.shape.met(own, along)
+            return gap, _slopes(own, along, gap, normal, _IDENTITY, _IDENTITY)
+        turned = rotation_of(turn)
+        gap, normal = self.shape.met(own @ turned, along @ turned)
+        return gap, _slopes(own, along, gap, normal, turned, _turning_of(turn))
+
+
+@njit(cache=True)
+def _slopes(
+    own: Floats, along: Floats, gap: Floats, normal: Floats, turned: Floats, turning: Floats
+) -> Floats:
+    """Return (k, 6) the gap's derivatives where a line meets the probe.
+
+    A motion dc of the probe at the place that is met changes the gap by -(e . dc) / (e . n), e its
+    normal there.
+    """
+    slope = np.zeros((len(gap), 6))
+    for i in range(len(gap)):
+        if not math.isfinite(gap[i]):
+            continue
+        a = own[i, 0] - gap[i] * along[i, 0]
+        b = own[i, 1] - gap[i] * along[i, 1]
+        c = own[i, 2] - gap[i] * along[i, 2]
+        u = normal[i, 0]
+        v = normal[i, 1]
+        w = normal[i, 2]
+        x = turned[0, 0] * u + turned[0, 1] * v + turned[0, 2] * w
+        y = turned[1, 0] * u + turned[1, 1] * v + turned[1, 2] * w
+        z = turned[2, 0] * u + turned[2, 1] * v + turned[2, 2] * w
+        steep = x * along[i, 0] + y * along[i, 1] + z * along[i, 2]
+        about = b * z - c * y, c * x - a * z, a * y - b * x
+        slope[i, 0] = -x / steep
+        slope[i, 1] = -y / steep
+        slope[i, 2] = -z / steep
+        for j in range(3):
+            slope[i, 3 + j] = (
+                -(about[0] * turning[0, j] + about[1] * turning[1, j] + about[2] * turning[2, j])
+                / steep
+            )
+    return slope
+
+
+_LEVELS = 14
+_ACROSS = 25
+_STEPS = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, _ACROSS)]), axis=-1).reshape(-1, 2)
+_ON_SURFACE_MM = 1e-3
+
+
+def _surface_intersection(
+    body: Body, direction: Floats
+) -> Callable[[Points], tuple[Floats, Bools]]:
+    """Return a function that computes where lines along a direction (3,) first meet a body.
+
+    Of (k, 3) points of the lines it returns (k,) how far along the direction the body is met, mm,
+    NaN where it isn't, and (k,) whether on its sensing surface.
+    """
+    if direction[2] == 1.0:
+
+        def from_above(points: Points) -> tuple[Floats, Bools]:
+            seen = body.surface_from_above(points[:, :2])[:, 2] - points[:, 2]
+            return seen, np.isfinite(seen)
+
+        return from_above
+    tree = None
+    if body.own_surface is not None:
+        from twin.geometry.pieces import TriangleTree
+
+        vertices, triangles = body.own_surface
+        tree = TriangleTree(vertices[triangles])
+
+    def anywhere(points: Points) -> tuple[Floats, Bools]:
+        if tree is None:
+            distance = _met_by_pieces(body, points, direction)
+        else:
+            triangle, distance = tree.first_along(points, np.broadcast_to(direction, points.shape))
+            distance = np.where(triangle >= 0, distance, np.nan)
+        met = np.isfinite(distance)
+        foot = points + np.where(met, distance, 0.0)[:, None] * direction
+        return distance, met & (np.abs(body.depth(foot)) < 1e-6) & body.contains(foot, -1e-6)
+
+    return anywhere
+
+
+def _met_by_pieces(body: Body, points: Points, direction: Floats) -> Floats:
+    """Find where lines enter a convex body: behind the last of its pieces, by Newton's steps from
+    outside."""
+    low, high = np.array(body.bounds_mm)
+    far = 2.0 * float(np.abs(points).max() + np.linalg.norm(high - low) + np.abs(low).max())
+    distance = np.full(len(points), -far)
+    for _ in range(60):
+        here = points + distance[:, None] * direction
+        pieces = body.piece_distances(here)
+        last = np.argmin(pieces, axis=1)
+        left = pieces[np.arange(len(points)), last]
+        steep = body.piece_normals(here)[np.arange(len(points)), last] @ direction
+        step = np.where((steep > 1e-6) & (left < 0.0), -left / np.maximum(steep, 1e-6), 0.0)
+        distance = distance + step
+        if np.abs(step).max(initial=0.0) < 1e-13 * far:
+            break
+    return np.where(np.abs(left) <= 1e-9 * far, distance, np.nan)
+
+
+def _point_on_surface(body: Body, at_mm: tuple[float, ...]) -> Floats:
+    """Return (3,) the place on the sensing surface that a press names.
+
+    Raises
+    ------
+    InputError
+        It is not on the sensing surface.
+    """
+    (x0, y0, z0), (x1, y1, z1) = body.bounds_mm
+    if len(at_mm) == 2:
+        found = body.surface_from_above(np.array([at_mm], float))[0]
+        if np.isnan(found[2]):
+            raise InputError(
+                f"press.at_mm = ({at_mm[0]:g}, {at_mm[1]:g}) mm misses the sensing surface, which "
+                f"lies within x {x0:g} to {x1:g} mm and y {y0:g} to {y1:g} mm: move at_mm over the "
+                "body"
+            )
+        return np.asarray(found)
+    place = np.array([at_mm], float)
+    off = float(body.depth(place)[0])
+    if abs(off) > _ON_SURFACE_MM or not body.contains(place, -_ON_SURFACE_MM)[0]:
+        where = (
+            "inside the body"
+            if body.contains(place, _ON_SURFACE_MM)[0]
+            else "off the sensing surface"
+        )
+        raise InputError(
+            f"press.at_mm = ({', '.join(f'{c:g}' for c in at_mm)}) mm lies {where} (depth "
+            f"{off:.4g} mm, allowed up to {_ON_SURFACE_MM:g} mm; the body lies within x {x0:g} to "
+            f"{x1:g}, y {y0:g} to {y1:g}, z {z0:g} to {z1:g} mm): give a place on the surface, or "
+            "(x, y) alone"
+        )
+    return np.asarray(place[0])
+
+
+def approach_of(press: Press, body: Body) -> Approach:
+    """Bring a press's probe along its direction until it touches the body.
+
+    Raises
+    ------
+    InputError
+        The place is not on the sensing surface, the probe would come from inside the body, or it
+        misses the surface.
+    """
+    flat_z = press.direction is None or press.direction == (0.0, 0.0, 1.0)
+    if flat_z and len(press.at_mm) == 2:
+        return approach(press.probe, body, np.array([*press.at_mm, 0.0]), np.eye(3), press.tilt_deg)
+    place = _point_on_surface(body, press.at_mm)
+    inward = body.piece_normals(place[None])[0, 0]
+    along = (
+        inward
+        if press.direction == "normal"
+        else np.array(press.direction or (0.0, 0.0, 1.0), float)
+    )
+    axes = frame_of(tuple(along))
+    along = axes[2]
+    if along @ inward <= 0.05:
+        raise InputError(
+            f"press.direction = ({', '.join(f'{c:.3g}' for c in along)}) at "
+            f"({', '.join(f'{c:.3g}' for c in place)}) mm comes from inside the body, or along its "
+            f"surface (its inward normal is ({', '.join(f'{c:.3g}' for c in inward)})): turn it "
+            "inwards, or use 'normal'"
+        )
+    return approach(press.probe, body, place, axes, press.tilt_deg)
+
+
+def approach(
+    probe: Probe,
+    body: Body,
+    at_mm: Floats,
+    axes: Floats | None = None,
+    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    turn: Floats | None = None,
+) -> Approach:
+    """Bring a probe along its own z onto a body until it touches.
+
+    Parameters
+    ----------
+    probe, body
+        The rigid probe and the undeformed body.
+    at_mm
+        (3,) any point of the probe's axis; (2,) is one along z.
+    axes
+        (3, 3) the probe's own axes as rows; the global ones if not given.
+    tilt_deg, turn
+        Its turn before the press, and the (3,) rotation vector since, radians.
+
+    Raises
+    ------
+    InputError
+        The probe misses the sensing surface.
+
+    Notes
+    -----
+    The smallest height of the surface over the probe is found on grids that shrink around the
+    minimum; ties (a flat face on a flat body, or along a barrel) are averaged. Where the surface is
+    as high everywhere under an upright probe, its lowest point is the one.
+    """
+    axes = np.eye(3) if axes is None else axes
+    at = np.zeros(3)
+    at[: len(at_mm)] = at_mm
+    turned = None if turn is None else rotation_of(turn)
+    a, b = half_extent(probe, tilt_deg)
+    lever_arm = math.hypot(a, b)
+    upright = (
+        not isinstance(probe, Stl) and not any(tilt_deg) and (turned is None or turned[2, 2] == 1.0)
+    )
+    if (
+        upright
+        and axes[2, 2] == 1.0
+        and body.is_level_around(float(at[0]), float(at[1]), lever_arm)
+    ):
+        at[2] = 0.0
+        return Approach(
+            probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg, level=True
+        )
+    turned = np.eye(3) if turned is None else turned
+    meets = _surface_intersection(body, axes[2])
+    half = np.full(2, lever_arm) if isinstance(probe, Pillar) else np.array((a, b))
+    centre = np.zeros(2)
+    height = np.inf
+    touch = np.full(2, np.nan)
+    on_sensing = True
+    shape = _shape_of(probe, tilt_deg)
+    along = np.broadcast_to(turned[2], (_ACROSS**2, 3))
+    for _ in range(_LEVELS):
+        offset = centre + _STEPS * half
+        surface, sensing = meets(at + offset @ axes[:2])
+        if upright and sensing.all() and np.all(surface == surface[0]):
+            height = float(surface[0])
+            touch = np.zeros(2)
+            break
+        rise = shape.met(np.column_stack([offset, np.zeros(len(offset))]) @ turned, along)[0]
+        height_here = surface + np.where(np.isfinite(rise), rise, np.nan)
+        height_here = np.where(np.isfinite(height_here), height_here, np.inf)
+        lowest = float(height_here.min())
+        if not math.isfinite(lowest):
+            break
+        ties = height_here <= lowest + (1e-12 if axes[2, 2] == 1.0 else 1e-10)
+        middle = offset[ties].mean(axis=0)
+        if lowest < height:
+            height = lowest
+            touch = middle
+            on_sensing = bool(sensing[ties].any())
+        centre = touch
+        half = half / 3
+    name = f"the {probe.kind} at ({', '.join(f'{c:g}' for c in at_mm)}) mm"
+    if not math.isfinite(height):
+        (x0, y0, _), (x1, y1, _) = body.bounds_mm
+        raise InputError(
+            f"{name} misses the sensing surface, which lies within x {x0:g} to {x1:g} mm and y "
+            f"{y0:g} to {y1:g} mm: move at_mm or the step's motion over the body"
+        )
+    met = at + touch @ axes[:2]
+    point = met + meets(met[None])[0][0] * axes[2]
+    if not on_sensing or not np.isfinite(point).all():
+        raise InputError(
+            f"{name} first touches the body off its sensing surface, near "
+            f"({', '.join(f'{c:.3g}' for c in np.nan_to_num(point))}) mm: move at_mm, or change "
+            "direction or tilt_deg"
+        )
+    return Approach(
+        probe=probe, axis_mm=at + height * axes[2], touch_mm=point, axes=axes, tilt_deg=tilt_deg
+    )

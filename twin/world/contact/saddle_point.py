@@ -1,0 +1,186 @@
+"""Saddle-point systems C x + M q = right, B x = balance: forces x on patches and motions q of a
+rigid probe.
+
+They are solved by GMRES with a constraint preconditioner: C is replaced by an approximate inverse,
+and the few rows and columns of the probe's balance are kept exactly, so that the balance holds to
+round-off at every iteration (C. Keller, N. I. M. Gould and A. J. Wathen, SIAM J. Matrix Anal. Appl.
+21 (2000) 1300). Systems with few unknowns, and those that GMRES does not solve, are solved by
+elimination.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Floats
+from twin.compiled import njit
+
+MOST_PRODUCTS = 60
+"""Products with C until GMRES gives up."""
+
+DIRECT = 150
+"""Unknowns up to which elimination takes less time than GMRES's calls, where a product is cheap."""
+
+_SINGULAR = 1e6
+"""Condition number of the probe's own equations above which single precision can't be trusted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaddlePoint:
+    """A saddle-point system.
+
+    Attributes
+    ----------
+    product
+        x (n,) to C x (n,).
+    approx_solve
+        y (n, ...) to about C^-1 y (n, ...).
+    motion, pull
+        (n, m) M and (m, n) B.
+    """
+
+    product: Callable[[Floats], Floats]
+    approx_solve: Callable[[Floats], Floats]
+    motion: Floats
+    pull: Floats
+
+    def solve(self, right: Floats, balance: Floats, share: float) -> tuple[Floats, Floats] | None:
+        """Return x (n,) and q (m,) with a residual of ``share`` of the right-hand side; None where
+        out of reach."""
+        n = len(right)
+        m = len(balance)
+        precision = self.motion.dtype
+        wanted = np.concatenate([right, balance])
+        largest = float(np.abs(wanted).max(initial=0.0))
+        if largest == 0.0:
+            return np.zeros(n), np.zeros(m)
+        # Schur complement of the approximate C: the motions' own equations.
+        under_motion = self.approx_solve(self.motion) if m else self.motion
+        schur = (self.pull @ under_motion).astype(float)
+        if not np.isfinite(schur).all() or (m and np.linalg.cond(schur) > _SINGULAR):
+            return None
+        inverse = np.linalg.inv(schur).astype(precision)
+
+        def preconditioned(y: Floats) -> Floats:
+            x = self.approx_solve(y[:n, None])[:, 0]
+            q = inverse @ (self.pull @ x - y[n:])
+            return np.concatenate([x - under_motion @ q, q]).astype(precision)
+
+        def equations(y: Floats) -> Floats:
+            return np.concatenate([self.product(y[:n]) + self.motion @ y[n:], self.pull @ y[:n]])
+
+        found = _gmres(equations, preconditioned, (wanted / largest).astype(precision), share)
+        if found is None:
+            return None
+        solution = found.astype(float) * largest
+        return solution[:n], solution[n:]
+
+
+def eliminate(
+    matrix: Floats, motion: Floats, pull: Floats, right: Floats, balance: Floats
+) -> tuple[Floats, Floats]:
+    """Return x (n,) and q (m,) by elimination, C (n, n) being a matrix.
+
+    Compliances and forces differ in size by the modulus, so both blocks are scaled to about one.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The system is singular.
+    """
+    n = len(right)
+    m = len(balance)
+    whole = np.zeros((n + m, n + m))
+    whole[:n, :n] = matrix
+    whole[:n, n:] = motion
+    whole[n:, :n] = pull
+    typical = float(np.mean(np.abs(np.diag(matrix))))
+    scale = np.concatenate([np.full(n, typical**-0.5), np.full(m, typical**0.5)])
+    whole *= scale
+    whole *= scale[:, None]
+    found = np.linalg.solve(whole, np.concatenate([right, balance]) * scale) * scale
+    return found[:n], found[n:]
+
+
+def _gmres(
+    product: Callable[[Floats], Floats],
+    preconditioned: Callable[[Floats], Floats],
+    right: Floats,
+    share: float,
+) -> Floats | None:
+    """Return x with a residual of ``share`` of the right-hand side; None after `MOST_PRODUCTS`, or
+    if not finite.
+
+    Notes
+    -----
+    Flexible GMRES without restart (Y. Saad, SIAM J. Sci. Comput. 14 (1993) 461): preconditioned
+    vectors are kept, which saves one preconditioning. Why not SciPy's: the time of Python for its
+    rotations and inner products is as long as that of a product here.
+    """
+    size = len(right)
+    basis = np.empty((MOST_PRODUCTS + 1, size), right.dtype)
+    directions = np.empty((MOST_PRODUCTS, size), right.dtype)
+    triangle = np.zeros((MOST_PRODUCTS, MOST_PRODUCTS))
+    rotations = np.zeros((MOST_PRODUCTS, 2))
+    goal = np.zeros(MOST_PRODUCTS + 1)
+    length = float(np.linalg.norm(right))
+    basis[0] = right / length
+    goal[0] = length
+    for done in range(1, MOST_PRODUCTS + 1):
+        directions[done - 1] = preconditioned(basis[done - 1])
+        basis[done] = product(directions[done - 1])
+        norm = _arnoldi_step(basis, done, triangle[:, done - 1], rotations, goal)
+        if not math.isfinite(norm):
+            return None
+        if abs(goal[done]) <= share * length:
+            weights = np.linalg.solve(triangle[:done, :done], goal[:done])
+            return np.asarray(weights.astype(right.dtype) @ directions[:done])
+        if norm == 0.0:
+            return None
+        basis[done] /= norm
+    return None
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _arnoldi_step(
+    basis: Floats, done: int, column: Floats, rotations: Floats, goal: Floats
+) -> float:
+    """Make ``basis[done]`` orthogonal to the vectors before it; return its length.
+
+    ``column`` becomes that of the triangular factor of the Hessenberg matrix, by plane rotations,
+    which turn the right-hand side ``goal`` too. Why compiled: in NumPy the calls take longer than
+    the sums.
+    """
+    image = basis[done]
+    for _ in range(2):  # modified Gram-Schmidt, the second time against round-off
+        for i in range(done):
+            part = basis.dtype.type(0.0)
+            for j in range(len(image)):
+                part += basis[i, j] * image[j]
+            for j in range(len(image)):
+                image[j] -= part * basis[i, j]
+            column[i] += part
+    squared = basis.dtype.type(0.0)
+    for j in range(len(image)):
+        squared += image[j] * image[j]
+    norm = math.sqrt(squared)
+    for i in range(done - 1):
+        cosine = rotations[i, 0]
+        sine = rotations[i, 1]
+        above = column[i]
+        below = column[i + 1]
+        column[i] = cosine * above + sine * below
+        column[i + 1] = cosine * below - sine * above
+    length = math.hypot(column[done - 1], norm)
+    cosine = column[done - 1] / length if length > 0.0 else 1.0
+    sine = norm / length if length > 0.0 else 0.0
+    rotations[done - 1, 0] = cosine
+    rotations[done - 1, 1] = sine
+    column[done - 1] = length
+    goal[done] = -sine * goal[done - 1]
+    goal[done - 1] *= cosine
+    return norm

@@ -1,0 +1,382 @@
+"""Candidate contact patches: plane rectangles on the true surface, cut from a grid of cells under
+the probe.
+
+The grid lies in a plane at the place that is touched first and is projected along the plane's
+normal onto the body, so that flat-ended probes keep their exact footprint and curved bodies are
+covered without a chart.
+
+Rows of a round footprint end where the row's piece of the disc has its exact area. Why graded cells
+at a footprint's border: the pressure under a sharp edge grows like 1/sqrt(distance), and cells that
+shrink like its inverse carry equal forces. Under a rounded rim that cells resolve the pressure ends
+like a sphere's: equal cells, a lattice on a flat body, serve as well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Ints, Points, frozen
+from twin.parts.body import Body
+from twin.parts.load import Rectangles
+from twin.parts.probe import Cylinder, Pillar
+from twin.world.contact.probe_gap import half_extent
+
+Face = Cylinder | Pillar | None
+"""The probe whose flat face bounds the contact; None where nothing but the contact itself does."""
+
+
+_LONG = 3.0
+"""Length over width of a box from which on no ellipse is cut out of it."""
+
+_FILLS = 0.85
+"""Least extent of a contact over that of its closed form, below which the closed form is not
+used."""
+
+
+class Box(NamedTuple):
+    """The piece (u0, u1, v0, v1) of a plane in which contact is sought, mm."""
+
+    u0: float
+    u1: float
+    v0: float
+    v1: float
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Extents along u and v, mm."""
+        return self.u1 - self.u0, self.v1 - self.v0
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it is so long that a contact in it is taken for a line, which fills its
+        corners."""
+        return max(self.size) > _LONG * min(self.size)
+
+    def is_even(self, face: Face, across: tuple[int, int]) -> bool:
+        """Return whether all cells are equal: where no face bounds the contact, or its rim is as
+        wide as a cell."""
+        return face is None or face.edge_mm >= max(
+            size / count for size, count in zip(self.size, across, strict=True)
+        )
+
+    def fills(self, other: Box) -> bool:
+        """Return whether the box is about as large as another."""
+        pairs = zip(self.size, other.size, strict=True)
+        return min(own / wanted for own, wanted in pairs) >= _FILLS
+
+    def clipped(self, face: Face) -> Box:
+        """Return the part under a flat face; without one, everything."""
+        if face is None:
+            return self
+        a, b = half_extent(face)
+        return Box(u0=max(self.u0, -a), u1=min(self.u1, a), v0=max(self.v0, -b), v1=min(self.v1, b))
+
+    def joined(self, other: Box) -> Box:
+        """Return the box around this one and another."""
+        return Box(
+            u0=min(self.u0, other.u0),
+            u1=max(self.u1, other.u1),
+            v0=min(self.v0, other.v0),
+            v1=max(self.v1, other.v1),
+        )
+
+    def grown(self, u: float, v: float) -> Box:
+        """Return the box with margins u and v added on either side."""
+        return Box(u0=self.u0 - u, u1=self.u1 + u, v0=self.v0 - v, v1=self.v1 + v)
+
+
+def _cell_edges(low: float, high: float, count: int, *, graded: tuple[bool, bool]) -> Floats:
+    """Return (count + 1,) cell borders between low and high, graded like a cosine towards the ends
+    marked so."""
+    x = np.linspace(0.0, 1.0, count + 1)
+    shape = {
+        (False, False): x,
+        (True, False): 1.0 - np.cos(math.pi / 2 * x),
+        (False, True): np.sin(math.pi / 2 * x),
+        (True, True): (1.0 - np.cos(math.pi * x)) / 2,
+    }[graded]
+    return np.asarray(low + (high - low) * shape)
+
+
+def _half_chord(face: Cylinder | Pillar, v0: float, v1: float) -> float:
+    """Half the mean width of the footprint between v0 and v1: the strip's exact area over its
+    height."""
+    if isinstance(face, Pillar):
+        return face.size_mm[0] / 2
+    a = face.diameter_mm / 2
+    area = [
+        (v * math.sqrt(max(a * a - v * v, 0.0)) + a * a * math.asin(max(-1.0, min(1.0, v / a)))) / 2
+        for v in (v0, v1)
+    ]
+    return (area[1] - area[0]) / (v1 - v0)
+
+
+def _even_cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Return (n, 2) middles and (n, 2) half sizes of equal cells, those beyond a round face left
+    out."""
+    radius = face.diameter_mm / 2 if isinstance(face, Cylinder) else math.inf
+    half_u, half_v = (size / (2 * count) for size, count in zip(box.size, across, strict=True))
+    u = (2 * np.arange(across[0]) + 1) * half_u + box.u0
+    v = (2 * np.arange(across[1]) + 1) * half_v + box.v0
+    middle = np.column_stack([np.tile(u, across[1]), np.repeat(v, across[0])])
+    middle = middle[np.hypot(middle[:, 0], middle[:, 1]) < radius]
+    return middle, np.tile([half_u, half_v], (len(middle), 1))
+
+
+def _cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Return (n, 2) middles and (n, 2) half sizes of the grid's cells."""
+    if face is None or box.is_even(face, across):
+        return _even_cells(face, box, across)
+    a, b = half_extent(face)
+    near = 1e-6 * max(a, b)
+    rows = _cell_edges(box.v0, box.v1, across[1], graded=(box.v0 <= near - b, box.v1 >= b - near))
+    middles = []
+    halves = []
+    for v0, v1 in pairwise(rows):
+        chord = _half_chord(face, float(v0), float(v1))
+        u0 = max(box.u0, -chord)
+        u1 = min(box.u1, chord)
+        if u1 <= u0:
+            continue
+        count = max(3, round(across[0] * math.sqrt((u1 - u0) / box.size[0])))
+        columns = _cell_edges(u0, u1, count, graded=(u0 <= near - chord, u1 >= chord - near))
+        middles.append(
+            np.column_stack([(columns[:-1] + columns[1:]) / 2, np.full(count, (v0 + v1) / 2)])
+        )
+        halves.append(np.column_stack([np.diff(columns) / 2, np.full(count, (v1 - v0) / 2)]))
+    return np.concatenate(middles), np.concatenate(halves)
+
+
+Corners = tuple[tuple[float, float], tuple[float, float]]
+"""The lowest and the highest corner of a box."""
+
+_STEEP = 0.15
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plane:
+    """A plane with its own axes: rows of ``axes`` are u, v and the direction of projection (into
+    the body)."""
+
+    origin_mm: Floats
+    axes: Floats
+
+    def is_level(self, body: Body, box: Box) -> bool:
+        """Return whether a box, with a hair's breadth around it, lies on a body's surface where
+        that is level."""
+        x, y, z = self.origin_mm.tolist()
+        reach = math.hypot(max(-box.u0, box.u1), max(-box.v0, box.v1))
+        return bool(
+            z == 0.0 and self.axes[2, 2] == 1.0 and body.is_level_around(x, y, (1.0 + 1e-6) * reach)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Patches:
+    """Candidate patches.
+
+    Attributes
+    ----------
+    centre_mm, frames, half_mm
+        As in `Rectangles`: (k, 3), (k, 3, 3), (k, 2).
+    middle_mm, cell_mm
+        (k, 2) middles and half sizes of the cells in the plane of the grid.
+    border
+        (k,) whether contact there means that the grid is too small.
+    edge
+        (k,) whether a neighbour lies off the sensing surface.
+    """
+
+    centre_mm: Points
+    frames: Floats
+    half_mm: Floats
+    middle_mm: Floats
+    cell_mm: Floats
+    border: Bools
+    edge: Bools
+
+    def __post_init__(self) -> None:
+        for array in vars(self).values():
+            frozen(array)
+
+    def __len__(self) -> int:
+        return len(self.centre_mm)
+
+    @property
+    def area_mm2(self) -> Floats:
+        """(k,) areas."""
+        return np.asarray(4.0 * self.half_mm[:, 0] * self.half_mm[:, 1])
+
+    @property
+    def unloaded(self) -> Rectangles:
+        """All patches under no force."""
+        return Rectangles(
+            centre_mm=self.centre_mm,
+            frames=self.frames,
+            half_mm=self.half_mm,
+            force_n=np.zeros((len(self), 3)),
+        )
+
+    def rectangles(self, force_n: Floats, chosen: Ints) -> Rectangles:
+        """Return the n chosen patches under their forces (n, 3), global axes."""
+        return Rectangles(
+            centre_mm=self.centre_mm[chosen],
+            frames=self.frames[chosen],
+            half_mm=self.half_mm[chosen],
+            force_n=force_n,
+        )
+
+    def bounds(self, chosen: Bools) -> Box:
+        """Return the box around the chosen cells, in the grid's plane."""
+        middle = self.middle_mm[chosen]
+        cell = self.cell_mm[chosen]
+        u0, v0 = np.min(middle - cell, axis=0, initial=math.inf).tolist()
+        u1, v1 = np.max(middle + cell, axis=0, initial=-math.inf).tolist()
+        return Box(u0=u0, u1=u1, v0=v0, v1=v1)
+
+
+def _projected(body: Body, plane: Plane, middle: Floats) -> tuple[Points, Floats, Bools]:
+    """Project (n, 2) middles along the plane's normal; return points, inward normals and whether
+    they are on it."""
+    along = plane.axes[2]
+    points = plane.origin_mm + middle @ plane.axes[:2]
+    for _ in range(30):
+        normals = body.piece_normals(points)[:, 0]
+        slope = np.maximum(normals @ along, _STEEP)
+        step = -body.depth(points) / slope
+        points = points + step[:, None] * along
+        if np.abs(step).max() < 1e-13 * (1.0 + np.abs(points).max()):
+            break
+    normals = np.array(body.piece_normals(points)[:, 0])
+    return points, normals, (np.abs(body.depth(points)) < 1e-9) & (normals @ along > _STEEP)
+
+
+def _tangent_rectangles(plane: Plane, cell: Floats, normals: Floats) -> tuple[Floats, Floats]:
+    """Return frames (n, 3, 3) and half sizes (n, 2) of cells projected onto their own tangent
+    planes.
+
+    A projected cell is a parallelogram; the rectangle keeps its first side's length and direction,
+    and its area.
+    """
+    u, v, along = plane.axes
+    slope = np.maximum(normals @ along, _STEEP)
+    side_u = u - np.outer(normals @ u / slope, along)
+    side_v = v - np.outer(normals @ v / slope, along)
+    length = np.linalg.norm(side_u, axis=1)
+    first = side_u / length[:, None]
+    area = np.linalg.norm(np.cross(side_u, side_v), axis=1)
+    half = np.column_stack([cell[:, 0] * length, cell[:, 1] * area / length])
+    return np.stack([first, np.cross(normals, first), normals], axis=1), half
+
+
+def _touching(middle: Floats, cell: Floats, others: Bools) -> Bools:
+    """Return (n,) whether each cell is one of the others, or has one for a neighbour, corners
+    included."""
+    found = others.copy()
+    u, v = (
+        np.abs(place[~others, None] - place[others])
+        <= (half[~others, None] + half[others]) * (1 + 1e-6)
+        for place, half in zip(middle.T, cell.T, strict=True)
+    )
+    found[~others] = np.any(u & v, axis=1)
+    return found
+
+
+def _on_body(
+    body: Body, plane: Plane, middle: Floats, cell: Floats
+) -> tuple[Points, Floats, Floats, Bools]:
+    """Return points, frames and half sizes of cells projected on the body, and (n,) which don't lie
+    on it wholly."""
+    points, normals, found = _projected(body, plane, middle)
+    frames, half = _tangent_rectangles(plane, cell, normals)
+    off = ~found
+    for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        side = np.array(signs) * half
+        corners = points + side[:, :1] * frames[:, 0] + side[:, 1:] * frames[:, 1]
+        # A tangent corner stands out of a curved surface a little; only the other pieces of the
+        # boundary count.
+        off |= np.any(body.piece_distances(corners)[:, 1:] < -1e-9, axis=1)
+    return points, frames, half, off
+
+
+def candidate_patches(
+    body: Body, face: Face, plane: Plane, box: Box, across: tuple[int, int]
+) -> Patches:
+    """Cut the candidate patches under a probe.
+
+    Parameters
+    ----------
+    body, face
+        The undeformed body, and the probe whose flat face bounds the contact, if one does.
+    plane
+        Plane of the grid, at the place touched first, or of the face.
+    box
+        The piece of the plane to fill; without a face only the ellipse inscribed in it, unless it
+        is long.
+    across
+        Cells along u and v.
+
+    Returns
+    -------
+    Patches on the sensing surface. Cells beyond the body are left out, and their neighbours marked
+    as ``edge``.
+    """
+    middle, cell = _cells(face, box, across)
+    limit = half_extent(face) if face is not None else (math.inf, math.inf)
+    corners = (box.u0, box.v0), (box.u1, box.v1)
+    is_round = face is None and not box.is_long
+    outside, outer = _bordering(middle, cell, corners, limit, is_round)
+    if plane.is_level(body, box):
+        kept = ~outside
+        half = cell[kept]
+        return Patches(
+            centre_mm=plane.origin_mm + middle[kept] @ plane.axes[:2],
+            frames=np.tile(plane.axes, (len(half), 1, 1)),
+            half_mm=half,
+            middle_mm=middle[kept],
+            cell_mm=half,
+            border=outer[kept],
+            edge=np.zeros(len(half), bool),
+        )
+    points, frames, half, off = _on_body(body, plane, middle, cell)
+    kept = ~(off | outside)
+    edge = _touching(middle, cell, off) if off.any() else off
+    return Patches(
+        centre_mm=points[kept],
+        frames=frames[kept],
+        half_mm=half[kept],
+        middle_mm=middle[kept],
+        cell_mm=cell[kept],
+        border=outer[kept],
+        edge=edge[kept],
+    )
+
+
+def _bordering(
+    middle: Floats, cell: Floats, box: Corners, limit: tuple[float, float], is_round: bool
+) -> tuple[Bools, Bools]:
+    """Return (n,) which cells lie outside the ellipse in a box, and which have a neighbour there,
+    or outside the box.
+
+    The ellipse counts where the grid ``is_round``. Beyond a flat face, whose half widths are the
+    ``limit``, there are no neighbours.
+    """
+    low, high = np.array(box)
+    face = np.array(limit)
+    near = 1e-6 * face.max() if math.isfinite(limit[0]) else 0.0
+    reach = cell * (1 + 1e-6)
+    # Without a face, whose half widths are then infinite, both comparisons hold.
+    open_low = low > near - face
+    open_high = high < face - near
+    outer = np.any(
+        (middle - reach <= low) & open_low | (middle + reach >= high) & open_high, axis=1
+    )
+    if not is_round:
+        return np.zeros(len(middle), bool), outer
+    outside = np.sum(((middle - (low + high) / 2) / ((high - low) / 2)) ** 2, axis=1) > 1.0
+    return outside, outer | _touching(middle, cell, outside)

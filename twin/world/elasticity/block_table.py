@@ -1,0 +1,664 @@
+"""The correction of a block in a table: presses on it need no mesh and no solve.
+
+On a flat face the correction w of a point force varies smoothly with the force's place, the point's
+place and nu. It is kept as the coefficients of products of Chebyshev polynomials T_n(nu) T_a(x')
+T_b(y') T_i(x) T_j(y) T_k(z), (x', y') the force's place in a window of the sensing face, (x, y, z)
+the point's in a box under it. The block's two mirror planes remove three coefficients of four. w is
+solved at the polynomials' Chebyshev nodes; forces of one quarter suffice, the others are mirrored.
+
+A table has one of three roles: ``truth``; ``check``, from a coarser mesh, whose difference from it
+estimates its error; and ``nominal``, the sensor's own. The standard block's tables are shipped
+(``python -m twin.world.elasticity.block_table`` makes them), others are made when a contact needs
+many compliances, and cached. Between blocks of several thicknesses a table is interpolated
+(`table_between`): in coordinates stretched with the block, coefficients vary smoothly with the
+thickness, and all tables come from one mesh that is stretched.
+
+Validity: forces in the window, points in the box, nu in [0, 0.5], the block and mesh that the table
+was made of; `Table.covers` tests it, and everything else is solved. Between thicknesses: blocks of
+one width and length, ranges up to `WIDEST`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import sys
+import warnings
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebpts1, chebvander
+
+from twin.arrays import Bools, Floats, Points, Progress, frozen, grid_points
+from twin.errors import InputError, TwinError
+from twin.files import MESHES, cache_folder, is_pinned, pinned, read_arrays, write_whole
+from twin.parts.body import Block, Body
+from twin.parts.load import Rectangles
+from twin.theory import halfspace
+from twin.world.elasticity.cache import PointCache
+from twin.world.elasticity.correction import bonded_layer, correction
+from twin.world.elasticity.discretise import join
+from twin.world.elasticity.fem import TaylorHood
+from twin.world.mesh.body_mesh import body_mesh, mesh_key
+from twin.world.mesh.interpolate import Locator
+from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.sizing import Level, default_sizing
+from twin.world.mesh.snap import RIM_SHARE, drawn_to_rim
+
+NU_RANGE = (0.0, 0.5)
+SIZES = (5, 5, 5, 8, 8, 5)
+"""Numbers of polynomials in nu, in the force's x and y, and in the point's x, y and z."""
+
+MANY_LOADS = 25
+"""Loads at the same points from which on the table is worth a product with the points'
+polynomials."""
+
+_GAUSS = np.polynomial.legendre.leggauss(3)
+_MIDDLE = np.polynomial.legendre.leggauss(1)
+"""Nodes and weights along each side of a rectangle."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Chebyshev coefficients of w for E = 1 MPa, mm/N.
+
+    Attributes
+    ----------
+    coefficients
+        (nu, x', y', force axis, displacement axis, x, y, z).
+    window_mm
+        Half sizes of the window of forces, centred on the origin.
+    box_mm
+        Half sizes along x and y, and depth, of the box of points.
+    digest
+        Of the mesh it was made of.
+    error
+        Largest difference to a solve on that mesh over the largest displacement, under a load it
+        was not made of.
+    """
+
+    coefficients: Floats
+    window_mm: tuple[float, float]
+    box_mm: tuple[float, float, float]
+    digest: str
+    error: float
+
+    def covers(self, load: Rectangles, poisson_ratio: float) -> bool:
+        """Tell whether the table holds for these forces and nu, at points of its box."""
+        frames = load.frames
+        reach = np.abs(load.centre_mm[:, :2]) + (
+            load.half_mm[:, :, None] * np.abs(frames[:, :2, :2])
+        ).sum(axis=1)
+        flat = bool((frames[:, 2, 2] > 1.0 - 1e-12).all())
+        return (
+            flat
+            and NU_RANGE[0] <= poisson_ratio <= NU_RANGE[1]
+            and bool((reach <= self.window_mm).all())
+        )
+
+    def at(self, poisson_ratio: float) -> TableAtNu:
+        """Return the table of one nu."""
+        coefficients = np.tensordot(
+            _weights(poisson_ratio, NU_RANGE, SIZES[0]), self.coefficients, 1
+        )
+        return TableAtNu(coefficients=coefficients, window_mm=self.window_mm, box_mm=self.box_mm)
+
+
+def _share(value: float, ends: tuple[float, float]) -> float:
+    """Return where a value is between two ends, from -1 to 1."""
+    return (2.0 * value - ends[0] - ends[1]) / (ends[1] - ends[0])
+
+
+def _weights(value: float, ends: tuple[float, float], count: int) -> Floats:
+    """Return (count,) Chebyshev polynomials at a value between two ends."""
+    return np.asarray(chebvander(np.array([_share(value, ends)]), count - 1)[0])
+
+
+@dataclass(kw_only=True, eq=False)
+class _PointBasis:
+    """The products of the point polynomials at n ``points``, computed once for many loads."""
+
+    points: Points
+    box_mm: tuple[float, float, float]
+    often: bool
+    _readings: dict[TableAtNu, Floats] = field(default_factory=dict)
+    _loads: int = 0
+
+    def reading(self, table: TableAtNu, loads: int = 1) -> Floats | None:
+        """Return the (3 n, x' y' force axis) product of the table and the points' polynomials; None
+        as long as it doesn't pay."""
+        self._loads += loads
+        if table not in self._readings and (self.often or self._loads > MANY_LOADS):
+            self._readings[table] = (self.values @ table.by_point).reshape(3 * len(self.points), -1)
+        return self._readings.get(table)
+
+    @cached_property
+    def inside(self) -> bool:
+        """Whether all points are in the box."""
+        sideways, depth = np.abs(self.points[:, :2]), self.points[:, 2]
+        return bool((sideways <= self.box_mm[:2]).all() and (depth <= self.box_mm[2]).all())
+
+    @cached_property
+    def values(self) -> Floats:
+        """(n, x y z)."""
+        return self._products(None)
+
+    @cached_property
+    def slopes(self) -> tuple[Floats, Floats, Floats]:
+        """Three of (n, x y z), along x, y and z, 1/mm."""
+        return self._products(0), self._products(1), self._products(2)
+
+    def _products(self, along: int | None) -> Floats:
+        a, b, depth = self.box_mm
+        places = (
+            self.points[:, 0] / a,
+            self.points[:, 1] / b,
+            2.0 * self.points[:, 2] / depth - 1.0,
+        )
+        basis = []
+        for axis, (place, size, scale) in enumerate(
+            zip(places, SIZES[3:], (a, b, depth / 2.0), strict=True)
+        ):
+            values = chebvander(place, size - 1)
+            if axis == along:
+                slope = np.polynomial.chebyshev.chebder(np.eye(size), scl=1.0 / scale)
+                values = values[:, : size - 1] @ slope
+            basis.append(values)
+        across = basis[0][:, :, None] * basis[1][:, None, :]
+        products = across[:, :, :, None] * basis[2][:, None, None, :]
+        return np.ascontiguousarray(products.reshape(len(self.points), across[0].size * SIZES[5]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TableAtNu:
+    """`Table` at one nu: (x', y', force axis, displacement axis, x, y, z)."""
+
+    coefficients: Floats
+    window_mm: tuple[float, float]
+    box_mm: tuple[float, float, float]
+
+    def contains(self, points: PointCache) -> bool:
+        """Return whether all points are in the box."""
+        return self._basis(points).inside
+
+    def displacement(self, points: PointCache, load: Rectangles) -> Points:
+        """Return (n, 3) w in mm for E = 1 MPa."""
+        moments = self._moments(load)
+        basis = self._basis(points)
+        reading = basis.reading(self)
+        if reading is not None:
+            return (reading @ moments).reshape(-1, 3)
+        return basis.values @ (moments @ self._by_load).reshape(-1, 3)
+
+    def gradient(self, points: PointCache, load: Rectangles) -> Floats:
+        """Return (n, 3, 3) dw_i/dx_j for E = 1 MPa."""
+        field = (self._moments(load) @ self._by_load).reshape(-1, 3)
+        return np.stack([slope @ field for slope in self._basis(points).slopes], axis=2)
+
+    def corrections(self, points: PointCache, rectangles: Rectangles) -> Floats:
+        """Return (n, 3, k, 3): w in mm/N at the points for E = 1 MPa per unit force on each
+        rectangle."""
+        k = len(rectangles)
+        basis = self._basis(points)
+        reading = basis.reading(self, k)
+        if reading is None:
+            reading = (basis.values @ self.by_point).reshape(3 * len(points), -1)
+        # one product of three times the work, for turning its result's axes would take longer
+        loads = np.einsum("ka,fg->afkg", self._load_basis(rectangles), np.eye(3)).reshape(-1, 3 * k)
+        return np.asarray(reading @ loads).reshape(-1, 3, k, 3)
+
+    def normal_corrections(self, points: PointCache, rectangles: Rectangles) -> Floats:
+        """Return (n, k): the normal part of `corrections`, for rectangles in the plane z = 0."""
+        part = self._normal_part @ self._load_basis(rectangles).T
+        return np.asarray(self._basis(points).values @ part)
+
+    def _basis(self, points: PointCache) -> _PointBasis:
+        return points.once(
+            self.box_mm,
+            lambda: _PointBasis(points=points.points, box_mm=self.box_mm, often=points.often),
+        )
+
+    @cached_property
+    def _normal_part(self) -> Floats:
+        """(x y z, x' y'): z displacement under z forces."""
+        part = self.coefficients[:, :, 2, 2].transpose(2, 3, 4, 0, 1)
+        return np.ascontiguousarray(part.reshape(int(np.prod(part.shape[:3])), -1))
+
+    def _moments(self, load: Rectangles) -> Floats:
+        """Return (x' y' force axis) the load's moments."""
+        return np.asarray(self._load_basis(load).T @ load.force_n).ravel()
+
+    @cached_property
+    def _by_load(self) -> Floats:
+        """(x' y' force axis, x y z displacement axis)."""
+        count = self.coefficients.shape[0] * self.coefficients.shape[1] * 3
+        return np.ascontiguousarray(
+            self.coefficients.transpose(0, 1, 2, 4, 5, 6, 3).reshape(count, -1)
+        )
+
+    @cached_property
+    def by_point(self) -> Floats:
+        """(x y z, displacement axis x' y' force axis)."""
+        ordered = self.coefficients.transpose(4, 5, 6, 3, 0, 1, 2)
+        return np.ascontiguousarray(ordered.reshape(int(np.prod(ordered.shape[:3])), -1))
+
+    def _load_basis(self, load: Rectangles) -> Floats:
+        """Return (k, x' y') means of the polynomials over each rectangle, by 3 x 3 Gauss points; of
+        points by one."""
+        nodes, weights = _GAUSS if load.half_mm.any() else _MIDDLE
+        square = grid_points(nodes, nodes)
+        weight = np.multiply.outer(weights, weights).ravel() / 4.0
+        along = square @ (load.half_mm[:, :, None] * load.frames[:, :2, :2])
+        places = (load.centre_mm[:, None, :2] + along) / self.window_mm
+        x = chebvander(places[:, :, 0], SIZES[1] - 1) * weight[:, None]
+        y = chebvander(places[:, :, 1], SIZES[2] - 1)
+        return np.asarray(x.transpose(0, 2, 1) @ y).reshape(len(load), -1)
+
+
+Role = Literal["truth", "check", "nominal"]
+ROLES: tuple[Role, ...] = ("truth", "check", "nominal")
+
+STANDARD = Block(width_mm=100, length_mm=90, thickness_mm=40)
+SHIPPED: dict[Role, Level] = {"truth": "fine", "check": "standard", "nominal": "nominal"}
+"""The meshes of the shipped tables."""
+
+MADE: dict[Role, Level] = {"truth": "coarse", "check": "sketch", "nominal": "nominal"}
+"""The meshes of other blocks' tables."""
+
+WINDOW, BOX = (0.4, 0.4), (0.48, 0.45, 0.25)
+"""Half window over half the block's width and length; half box over the same, and depth over
+thickness."""
+
+STEP = 2e-6
+"""Coefficients are stored as whole numbers of steps, this share of the largest: displacements are
+then 4e-6 off."""
+
+USABLE = 5e-4
+"""Largest `Table.error` with which a table is used: thin blocks need more polynomials than it
+has."""
+
+CHECK = 4.0
+"""How many times larger it may be in a check, which only estimates an error: that of a coarser mesh
+is rougher."""
+
+_CASE = ((0.37, -0.59), (0.31, 0.47, 1.0))
+"""A load that no table is made of: its place in the window, and its force."""
+
+
+def _window_of(body: Block) -> tuple[tuple[float, float], tuple[float, float, float]]:
+    """Return half sizes of the window, and half sizes and depth of the box, mm."""
+    a, b = body.width_mm / 2.0, body.length_mm / 2.0
+    return (WINDOW[0] * a, WINDOW[1] * b), (BOX[0] * a, BOX[1] * b, BOX[2] * body.thickness_mm)
+
+
+def find_table(
+    body: Body,
+    role: Role,
+    *,
+    make: bool = False,
+    progress: Progress | None = None,
+    usable: float = USABLE,
+) -> Table | None:
+    """Return the table of a block: the stored one, else (with ``make``) a new one; None without.
+
+    Making takes some seconds. Warns, and goes on without it, if a file is damaged. A table whose
+    `Table.error` is above ``usable`` counts as absent.
+    """
+    if not isinstance(body, Block):
+        return None
+    usable *= CHECK if role == "check" else 1.0
+    path = table_path(body, role)
+    if is_pinned():
+        return _usable(held, usable) if (held := pinned(path.name)) else None
+    if make and not path.exists() and not _is_standard(body):
+        mesh = drawn_to_rim(body_mesh(body, MADE[role], progress=progress), body)
+        table = make_table(body, mesh, progress)
+        with suppress(TwinError):  # a full disk costs the table, for which solves stand in
+            write_table(table, path)
+    return _usable(path, usable)
+
+
+def table_path(body: Block, role: Role) -> Path:
+    """Return the file of a block's table: shipped for the standard block, in the cache for
+    others."""
+    if _is_standard(body):
+        return MESHES / f"kamiyama_block.{role}.table.npz"
+    key = mesh_key(body, default_sizing(body, MADE[role]))
+    found = json.dumps([key, RIM_SHARE, SIZES, NU_RANGE, WINDOW, BOX, STEP])
+    return cache_folder() / f"table-{hashlib.sha256(found.encode()).hexdigest()[:32]}.npz"
+
+
+def _is_standard(body: Body) -> bool:
+    return isinstance(body, Block) and body.bounds_mm == STANDARD.bounds_mm
+
+
+def _usable(path: Path, most: float) -> Table | None:
+    if not path.exists():
+        return None
+    try:
+        table = read_table(path)
+    except InputError as problem:  # the table only saves time, so a damaged one must not stop a run
+        warnings.warn(
+            f"{problem}; solving without the table, which takes a few seconds longer", stacklevel=2
+        )
+        return None
+    return table if table.error <= most else None
+
+
+def make_table(body: Block, mesh: Mesh, progress: Progress | None = None) -> Table:
+    """Solve for all forces and nu of a block's table, and measure its error under a load that it is
+    not made of."""
+    window, box = _window_of(body)
+    places = [w * chebpts1(size) for w, size in zip(window, SIZES[1:3], strict=True)]
+    quarter = [place[place > -1e-12] for place in places]
+    loads = [_point_force(body, x, y) for x in quarter[0] for y in quarter[1]]
+    at = [half * chebpts1(size) for half, size in zip(box, SIZES[3:], strict=True)]
+    at[2] = (at[2] + box[2]) / 2.0
+    points = grid_points(*at)
+    matrix = Locator(mesh).locate(points).matrix(len(mesh.points))
+    whole = join(loads)
+    samples = np.empty((SIZES[0], SIZES[1], SIZES[2], 3, 3, *SIZES[3:]))
+    low, high = NU_RANGE
+    for n, nu in enumerate((low + high + (high - low) * chebpts1(SIZES[0])) / 2.0):
+        if progress:
+            progress(f"table of the block's response, nu = {nu:.2f}", n / SIZES[0])
+        system = TaylorHood(mesh, float(nu))
+        fields = correction(system, body, loads, [np.eye(3)[None]] * len(loads), 1e-7)
+        values = matrix @ fields.reshape(len(fields), -1)
+        if (layer := bonded_layer(body, float(nu))) is not None:
+            values += layer.compliance(points, whole, 1.0).reshape(values.shape)
+        values = values.reshape(*SIZES[3:], 3, len(quarter[0]), len(quarter[1]), 3)
+        samples[n] = _mirrored(np.transpose(values, (4, 5, 6, 3, 0, 1, 2)))
+    for axis, size in zip((0, 1, 2, 5, 6, 7), SIZES, strict=True):
+        inverse = np.linalg.inv(chebvander(chebpts1(size), size - 1))
+        samples = np.moveaxis(np.tensordot(inverse, samples, axes=(1, axis)), 0, axis)
+    coefficients = np.where(_kept(), samples, 0.0)
+    table = Table(
+        coefficients=coefficients, window_mm=window, box_mm=box, digest=mesh.digest(), error=0.0
+    )
+    return Table(**{**vars(table), "error": _error(table, body, system)})
+
+
+def _mirrored(quarter: Floats) -> Floats:
+    """Return (x', y', force, displacement, x, y, z) for all places of the force from those with x',
+    y' >= 0.
+
+    The field of a mirrored force is the mirrored field: components across the mirror change sign,
+    of force and field.
+    """
+    whole = quarter
+    for axis, size in ((0, SIZES[1]), (1, SIZES[2])):
+        sign = np.where(np.arange(3) == axis, -1.0, 1.0)
+        other = (
+            np.flip(whole, axis=4 + axis)
+            * sign[:, None, None, None, None]
+            * sign[:, None, None, None]
+        )
+        other = np.flip(other, axis=axis)
+        keep = size - whole.shape[axis]
+        whole = np.concatenate([np.take(other, range(keep), axis=axis), whole], axis=axis)
+    return whole
+
+
+def _kept() -> Bools:
+    """Return which coefficients the two mirror planes allow."""
+    n, a, b, f, d, i, j, _ = np.ogrid[tuple(slice(s) for s in (*SIZES[:3], 3, 3, *SIZES[3:]))]
+    even_x = (a + i + (f == 0) + (d == 0)) % 2 == 0
+    even_y = (b + j + (f == 1) + (d == 1)) % 2 == 0
+    return np.broadcast_to(even_x & even_y & (n >= 0), (*SIZES[:3], 3, 3, *SIZES[3:]))
+
+
+def _error(table: Table, body: Block, system: TaylorHood) -> float:
+    (x, y), force = _CASE
+    nu = system.poisson_ratio
+    load = _point_force(
+        body, x * table.window_mm[0], y * table.window_mm[1], force, table.box_mm[2] / 4.0
+    )
+    share = np.random.default_rng(1).uniform([-1.0, -1.0, 0.05], 1.0, (200, 3))
+    points = share * np.array(table.box_mm)
+    solved = Locator(system.mesh).locate(points).values(correction(system, body, [load])[:, :, 0])
+    if (layer := bonded_layer(body, nu)) is not None:
+        solved += layer.displacement(points, load, 1.0)
+    at_nu = table.at(nu)
+    wrong = np.linalg.norm(at_nu.displacement(PointCache(points), load) - solved, axis=1).max()
+    moved = halfspace.displacement(points, load, 1.0, nu) + solved
+    return float(wrong / np.linalg.norm(moved, axis=1).max())
+
+
+def _point_force(
+    body: Body,
+    x: float,
+    y: float,
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    half_mm: float = 0.0,
+) -> Rectangles:
+    centre: Points = body.surface_from_above(np.array([[x, y]]))
+    return Rectangles(
+        centre_mm=centre,
+        frames=np.array(body.frames(centre)),
+        half_mm=np.full((1, 2), half_mm),
+        force_n=np.array([force]),
+    )
+
+
+def write_table(table: Table, path: Path) -> None:
+    """Write the coefficients that symmetry allows, in steps, and what they are made of.
+
+    Why byte by byte: nearly all of the steps are few, so their upper bytes are zeros, which
+    compress to nothing.
+    """
+    allowed = table.coefficients[_kept()]
+    step = STEP * float(np.abs(allowed).max())
+    steps = np.rint(allowed / step).astype(np.int32)
+    folded = ((steps << 1) ^ (steps >> 31)).astype("<u4")
+    words = json.dumps(
+        {
+            "digest": table.digest,
+            "sizes": SIZES,
+            "nu_range": NU_RANGE,
+            "window_mm": table.window_mm,
+            "box_mm": table.box_mm,
+            "error": table.error,
+            "step": step,
+        }
+    )
+    planes = np.ascontiguousarray(folded.view(np.uint8).reshape(-1, 4).T)
+    write_whole(path, lambda file: np.savez_compressed(file, planes=planes, words=np.array(words)))
+
+
+def read_table(path: Path) -> Table:
+    """Read a table.
+
+    Raises
+    ------
+    InputError
+        The file is not a table of this program's sizes.
+    """
+    try:
+        file = read_arrays(path, ("words", "planes"))
+        words = json.loads(str(file["words"]))
+        planes, step = file["planes"], float(words["step"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as problem:
+        raise InputError(
+            f"{path} is not a table of corrections ({problem}): make it again"
+        ) from problem
+    if words.get("sizes") != list(SIZES) or words.get("nu_range") != list(NU_RANGE):
+        raise InputError(
+            f"{path} was made for other sizes: make it again with python -m "
+            "twin.world.elasticity.block_table"
+        )
+    allowed = _kept()
+    if (
+        planes.shape != (4, np.count_nonzero(allowed))
+        or planes.dtype != np.uint8
+        or not np.isfinite(step)
+    ):
+        raise InputError(
+            f"{path} is not a table of corrections (its arrays don't fit together): make it again"
+        )
+    folded = np.ascontiguousarray(planes.T).view("<u4").ravel()
+    coefficients = np.zeros(allowed.shape)
+    coefficients[allowed] = step * ((folded >> 1).astype(np.int64) ^ -(folded & 1).astype(np.int64))
+    frozen(coefficients)
+    return Table(
+        coefficients=coefficients,
+        window_mm=tuple(words["window_mm"]),
+        box_mm=tuple(words["box_mm"]),
+        digest=words["digest"],
+        error=words["error"],
+    )
+
+
+def _main(roles: list[str]) -> None:
+    """Make the shipped tables of the named roles, all if none is named."""
+    for role in ROLES:
+        if not roles or role in roles:
+            mesh = drawn_to_rim(body_mesh(STANDARD, SHIPPED[role]), STANDARD)
+            path = table_path(STANDARD, role)
+            write_table(make_table(STANDARD, mesh), path)
+            print(f"{path}: {path.stat().st_size} bytes, error {read_table(path).error:.1e}")
+
+
+class Tables:
+    """The tables of a `Compliance`, each looked for when it is first needed.
+
+    ``use`` says whether tables may be used, or is the one to use, which then has no check.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        poisson_ratio: float,
+        *,
+        nominal: bool,
+        use: bool | Table,
+        progress: Progress | None,
+    ) -> None:
+        self.nominal = nominal
+        self._body = body
+        self._nu = poisson_ratio
+        self._use = use
+        self._progress = progress
+        self._tried = False
+
+    def covering(self, points: PointCache, load: Rectangles) -> TableAtNu | None:
+        """Return the table that covers a load and these points, if there is one."""
+        if self._table is None or not self._table.covers(load, self._nu):
+            return None
+        return self._at_nu if self._at_nu and self._at_nu.contains(points) else None
+
+    @property
+    def level(self) -> Level:
+        """The mesh that the table called ``truth`` is made of."""
+        return (SHIPPED if _is_standard(self._body) else MADE)["truth"]
+
+    @cached_property
+    def check(self) -> TableAtNu | None:
+        """The table of a coarser mesh, if there is one."""
+        found = self._find("check")
+        return found.at(self._nu) if found else None
+
+    @cached_property
+    def between(self) -> float:
+        """How far Poisson's ratio is from those solved for: 0 at them, 1 in the middle between two
+        and at the ends."""
+        place = min(max(_share(self._nu, NU_RANGE), -1.0), 1.0)
+        return abs(math.cos(SIZES[0] * math.acos(place)))
+
+    def make(self) -> None:
+        """Make, and keep in the cache, the tables of a block that has none; nothing where they
+        would be of no use."""
+        low, high = NU_RANGE
+        of_use = isinstance(self._body, Block) and low <= self._nu <= high
+        if self._table is None and of_use and not self.nominal and not self._tried:
+            self._tried = True  # a block too thin for a table has none, however often it is asked
+            self._find("check", make=True)
+            self.__dict__["_table"] = self._find("truth", make=True)
+            for name in ("_at_nu", "check"):
+                self.__dict__.pop(name, None)
+
+    @cached_property
+    def _table(self) -> Table | None:
+        return self._find("nominal" if self.nominal else "truth")
+
+    @cached_property
+    def _at_nu(self) -> TableAtNu | None:
+        return self._table.at(self._nu) if self._table else None
+
+    def _find(self, role: Role, make: bool = False) -> Table | None:
+        if isinstance(self._use, Table):
+            return self._use if role != "check" else None
+        if not self._use:
+            return None
+        return find_table(self._body, role, make=make, progress=self._progress)
+
+
+NARROW, FEW, MANY = 1.7, 4, 6
+"""Tables of a range whose ends differ by less than the first factor, and of wider ones: even
+numbers, so that none is the middle, where the shipped table of a finer mesh may be."""
+
+GOOD = 1e-3
+"""Largest error of the displacement with which a table between tables is used."""
+
+REST = 0.3
+"""Largest share of w in a marker's displacement, roughly."""
+
+WIDEST = 3.0
+"""Largest ratio of the thicknesses of a range."""
+
+
+def table_between(body: Block, role: Role, low_mm: float, high_mm: float) -> Table | None:
+    """Return the table of a block by interpolation; None where there is none to be had.
+
+    The tables of the range of thicknesses, ``low_mm`` to ``high_mm``, are made, some seconds each,
+    and cached.
+    """
+    if not low_mm <= body.thickness_mm <= high_mm or not low_mm < high_mm <= WIDEST * low_mm:
+        return None
+    found = _tables(body.width_mm, body.length_mm, role, low_mm, high_mm)
+    if found is None:
+        return None
+    modes, digest, error = found
+    window, box = _window_of(body)
+    weights = _weights(body.thickness_mm, (low_mm, high_mm), len(modes))
+    return Table(
+        coefficients=np.tensordot(weights, modes, axes=1),
+        window_mm=window,
+        box_mm=box,
+        digest=digest,
+        error=error,
+    )
+
+
+@lru_cache(maxsize=8)
+def _tables(
+    width_mm: float, length_mm: float, role: Role, low_mm: float, high_mm: float
+) -> tuple[Floats, str, float] | None:
+    """Return the coefficients of a range as polynomials in the thickness, the mesh's digest and the
+    error to expect."""
+    tables = []
+    count = FEW if high_mm <= NARROW * low_mm else MANY
+    for thickness in (low_mm + high_mm + (high_mm - low_mm) * chebpts1(count)) / 2.0:
+        body = Block(width_mm=width_mm, length_mm=length_mm, thickness_mm=float(thickness))
+        table = find_table(body, role, make=True, usable=GOOD)
+        if table is None:
+            return None
+        tables.append(table)
+    inverse = np.linalg.inv(chebvander(chebpts1(count), count - 1))
+    modes = np.tensordot(inverse, np.stack([t.coefficients for t in tables]), axes=1)
+    # what the next polynomial would add is about as much less than the last as that is than the one
+    # before
+    last, before = (float(np.abs(m).max()) for m in (modes[-1], modes[-2]))
+    error = max(t.error for t in tables) + REST * last * min(1.0, last / before) / float(
+        np.abs(modes[0]).max()
+    )
+    return (modes, tables[0].digest, error) if error <= GOOD else None
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1:])

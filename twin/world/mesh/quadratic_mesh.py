@@ -1,0 +1,209 @@
+"""Quadratic tetrahedral meshes: the arrays of a `Mesh`, its file, and its export.
+
+`write_mesh` and `read_mesh` store a mesh with its provenance. `export_mesh` writes VTK's
+unstructured grid (.vtu), which ParaView and pyvista open.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Bools, Ints, Points, frozen
+from twin.errors import InputError
+from twin.files import read_arrays, write_whole
+from twin.parts.body import Body
+from twin.world.mesh.elements import signed_volumes
+
+FORMAT = 1
+"""Version of the file format and of the way meshes are made; part of every key."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """Quadratic tetrahedra with a classified boundary.
+
+    Attributes
+    ----------
+    points
+        (n, 3) all nodes, mm; the corner nodes come first.
+    tets
+        (m, 10) indices in the order of VTK's quadratic tetrahedron: corners 0 to 3, then the
+        middles of the edges 01, 12, 02, 03, 13, 23. Volumes are positive.
+    corners
+        Number of corner nodes.
+    faces
+        (f, 6) boundary triangles in the order of VTK's quadratic triangle: three corners, then the
+        middles of 01, 12, 20; right-hand normals point out of the body.
+    piece
+        (f,) index into ``body.pieces`` of every boundary triangle: 0 is sensing,
+        ``body.held_pieces`` are held.
+    region
+        (m,) what every element is made of: 0 the body (all of them, if not given), then its layers
+        one by one.
+    """
+
+    points: Points
+    tets: Ints
+    corners: int
+    faces: Ints
+    piece: Ints
+    region: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if len(self.region) == 0:
+            object.__setattr__(self, "region", frozen(np.zeros(len(self.tets), np.int64)))
+
+    def nodes_on(self, pieces: Sequence[int]) -> Bools:
+        """Return (n,) which nodes lie on boundary triangles of ``pieces``."""
+        on = np.zeros(len(self.points), bool)
+        on[self.faces[np.isin(self.piece, pieces)]] = True
+        return on
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the arrays: equal for equal meshes, whatever file they came
+        from."""
+        sha = hashlib.sha256()
+        for array, kind in (
+            (self.points, "<f8"),
+            (self.tets, "<i8"),
+            (self.faces, "<i8"),
+            (self.piece, "<i8"),
+        ):
+            sha.update(repr(array.shape).encode())
+            sha.update(np.ascontiguousarray(array, dtype=kind).tobytes())
+        sha.update(str(self.corners).encode())
+        if np.any(self.region):
+            sha.update(np.ascontiguousarray(self.region, dtype="<i8").tobytes())
+        return sha.hexdigest()
+
+    @property
+    def unknowns(self) -> int:
+        """Three displacements at every node and one pressure at every corner."""
+        return 3 * len(self.points) + self.corners
+
+
+def write_mesh(mesh: Mesh, path: Path, provenance: dict[str, Any], *, first: bool = False) -> None:
+    """Write a mesh, and how it was made (plain JSON values), to an ``.npz`` file, under a temporary
+    name first.
+
+    With ``first`` a file that another process has written by then is kept. Raises a `TwinError` if
+    the file can't be written.
+    """
+    text = json.dumps({**provenance, "format": FORMAT, "digest": mesh.digest()}, sort_keys=True)
+    arrays: dict[str, Any] = {
+        "points": mesh.points,
+        "tets": mesh.tets.astype(np.int32),
+        "corners": np.int64(mesh.corners),
+        "faces": mesh.faces.astype(np.int32),
+        "piece": mesh.piece.astype(np.int32),
+        "region": mesh.region.astype(np.int32),
+        "provenance": np.array(text),
+    }
+    write_whole(
+        path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays), first=first
+    )
+
+
+def read_mesh(path: Path) -> Mesh:
+    """Return the mesh of a file; raises like `load_mesh`."""
+    return load_mesh(path)[0]
+
+
+def load_mesh(path: Path) -> tuple[Mesh, dict[str, Any]]:
+    """Return a whole mesh and how it was made: key, body, sizing, quality, format and digest.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, of another kind, or its arrays don't make a mesh.
+    """
+    try:
+        file: dict[str, Any] = {**read_arrays(path)}
+        mesh = Mesh(
+            points=frozen(np.asarray(file["points"], np.float64)),
+            tets=frozen(np.asarray(file["tets"], np.int64)),
+            corners=int(file["corners"]),
+            faces=frozen(np.asarray(file["faces"], np.int64)),
+            piece=frozen(np.asarray(file["piece"], np.int64)),
+            region=frozen(np.asarray(file.get("region", []), np.int64)),
+        )
+        provenance = json.loads(str(file["provenance"]))
+    except FileNotFoundError:
+        raise InputError(
+            f"{path}: there is no such mesh file; make it with `twin mesh SCENE`"
+        ) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as problem:
+        raise InputError(
+            f"{path}: not a whole mesh file ({type(problem).__name__}: {problem}); make it again "
+            "with `twin mesh SCENE --rebuild`"
+        ) from problem
+    problem_text = _problem(mesh)
+    if not problem_text and (
+        not isinstance(provenance, dict) or provenance.get("digest") != mesh.digest()
+    ):
+        problem_text = "its arrays don't match the digest stored with them"
+    if problem_text:
+        raise InputError(f"{path}: {problem_text}; make it again with `twin mesh SCENE --rebuild`")
+    return mesh, provenance
+
+
+def _problem(mesh: Mesh) -> str:
+    """Return what keeps the arrays from being a mesh, or an empty string."""
+    nodes = len(mesh.points)
+    shapes = [("points", mesh.points, 3), ("tets", mesh.tets, 10), ("faces", mesh.faces, 6)]
+    for name, array, width in shapes:
+        if array.ndim != 2 or array.shape[1] != width or len(array) == 0:
+            return f"{name} have shape {array.shape} (allowed: (n >= 1, {width}))"
+    if mesh.piece.shape != (len(mesh.faces),):
+        return f"piece has shape {mesh.piece.shape} (allowed: ({len(mesh.faces)},))"
+    if mesh.region.shape != (len(mesh.tets),) or mesh.region.min() < 0:
+        return (
+            f"region has shape {mesh.region.shape} or negative numbers (allowed: "
+            f"({len(mesh.tets)},), 0 and up)"
+        )
+    if not np.all(np.isfinite(mesh.points)):
+        return "points are not finite"
+    if not 4 <= mesh.corners <= nodes:
+        return f"{mesh.corners} corner nodes (allowed: 4 to {nodes})"
+    for name, array, own_corners in (("tets", mesh.tets, 4), ("faces", mesh.faces, 3)):
+        if array.min() < 0 or array.max() >= nodes or array[:, :own_corners].max() >= mesh.corners:
+            return (
+                f"{name} name nodes that are not there (allowed: corners below "
+                f"{mesh.corners}, nodes below {nodes})"
+            )
+    if np.min(signed_volumes(mesh.points, mesh.tets)) <= 0:
+        return "a tetrahedron has no positive volume"
+    return ""
+
+
+_VTK_QUADRATIC_TETRA = 24
+
+
+def export_mesh(mesh: Mesh, body: Body, path: Path) -> None:
+    """Write a mesh with the depth of its nodes below the sensing surface.
+
+    Raises
+    ------
+    InputError
+        The name does not end in .vtu, or the file can't be written.
+    """
+    if path.suffix != ".vtu":
+        raise InputError(f"{path}: a mesh is exported as .vtu")
+    import pyvista
+
+    grid = pyvista.UnstructuredGrid(
+        {_VTK_QUADRATIC_TETRA: np.asarray(mesh.tets)}, np.array(mesh.points)
+    )
+    grid.point_data["depth_mm"] = body.depth(mesh.points)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        grid.save(path)
+    except OSError as problem:
+        raise InputError(f"{path}: can't be written ({problem.strerror or problem})") from None

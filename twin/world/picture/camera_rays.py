@@ -1,0 +1,317 @@
+"""The rays that end in the camera's pixels: directions in the body, what they lose, and glare.
+
+Rays go through pixel corners only: they are smooth, so linear interpolation inside a pixel is off
+by less than 1e-3 px even for a fisheye, and the cost doesn't grow with the number of sub-pixel
+rays.
+
+Glare is light of the LEDs' discs that base, layers and air mirror straight into the camera. It lies
+like a veil over markers and cover and depends on nothing that moves. An interface of plastic or
+rubber and air sends back 4 % of a disc's brightness, which is more than a lit marker has.
+
+A wide pupil is the mean of pictures through points of it, each shifted so that they agree where the
+lens is focused. Each point has its own refracted rays, so blur grows with the distance from the
+focus, and occlusion and shadows stay right. The blur of a point is a disc of diameter aperture
+times (px per mm there) times |depth - focus depth| over the focus depth, depths as they appear in
+air.
+
+Validity: glare by one reflection, of discs whose images are wider than a pixel, LEDs in air; points
+of the pupil stay single up to blur discs of some 5 px; the shift that agrees at the focus is taken
+on the axis, which is exact for a pinhole lens that looks along z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Pixels, Singles
+from twin.errors import RecipeError
+from twin.parts.camera import Camera, Ccd
+from twin.parts.scene import Scene
+from twin.theory.lens import lens_inverse
+from twin.theory.optics import (
+    air_gap,
+    axis_cosine,
+    project,
+    rays,
+    reflection,
+    tilt_matrix,
+    transmission,
+)
+from twin.world.picture.ccd import response_matrix
+from twin.world.picture.cover import cover_light, stretch
+
+PUPIL_WEIGHTS = np.concatenate([[0.25], np.full(6, 0.125)])
+"""Weights of the pupil's points: a rule exact for polynomials of degree 5 on a disc (Stroud S2
+5-1)."""
+
+_COARSE = 4
+"""Pixels between the nodes on which the cover's light is computed."""
+
+_EXPOSED = 0.99
+"""Share of the ground's pixels that are no brighter than the level that sets the exposure."""
+
+_AT_ONCE = 400_000
+"""Rays computed in one go: memory for a picture of any size stays that of its results."""
+
+_GRAZING = 1e-3
+"""Cosine below which an LED looks no brighter."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """The rays of a camera in a body, computed once.
+
+    Attributes
+    ----------
+    corners
+        (height + 1, width + 1, 4) rays through the pixel corners (column - 1/2, row - 1/2): x and y
+        on the base plane, mm, and dx/d(-z), dy/d(-z).
+    sees
+        (height, width) whether all four corners of a pixel have rays that enter the body through
+        its base.
+    vignette
+        (height, width) light on the sensor that a surface of brightness 1 makes: the gain times the
+        share that passes the interfaces and the lens, which is 1 on the axis.
+    cover
+        (height, width, 3) light from the cover behind the markers, vignette included.
+    veil
+        (height, width) light of mirrored LEDs in front of all, or None.
+    """
+
+    corners: Floats
+    sees: Bools
+    vignette: Singles
+    cover: Singles
+    veil: Singles | None
+
+    def times(self, gain: float) -> View:
+        """Return the view with all of its light times a gain."""
+        factor = np.float32(gain)
+        veil = None if self.veil is None else factor * self.veil
+        return replace(self, vignette=factor * self.vignette, cover=factor * self.cover, veil=veil)
+
+    def ground_light(self, ccd: Ccd) -> float:
+        """Return the light in a CCD's brightest channel that 99 % of the pixels do not exceed
+        without markers.
+
+        One pixel in a hundred may be brighter, so that mirrored LEDs don't set the exposure.
+        """
+        ground = self.cover if self.veil is None else self.cover + self.veil[:, :, None]
+        return float(np.quantile((ground @ response_matrix(ccd).T).max(axis=2), _EXPOSED))
+
+
+def look(scene: Scene, top: float) -> View:
+    """Return the view of the scene's camera at a gain of 1.
+
+    Parameters
+    ----------
+    scene
+        With camera and light.
+    top
+        The irradiance that counts as 1, of `twin.world.picture.lamps.brightest`.
+    """
+    camera = scene.camera
+    assert camera is not None
+    width, height = camera.width_px, camera.height_px
+    corners = np.empty((height + 1, width + 1, 4))
+    sees = np.empty((height, width), bool)
+    vignette = np.empty((height, width), np.float32)
+    for first, last, grid in _bands(camera):
+        rays_here, inside, passed = _corner_rays(grid, scene)
+        shape = (last - first + 1, width + 1)
+        corners[first : last + 1] = rays_here.reshape(*shape, 4)
+        sees[first:last] = _pixelwise(inside.reshape(shape), np.logical_and)
+        vignette[first:last] = 0.25 * _pixelwise(passed.reshape(shape), np.add)
+    cover = _cover_picture(scene, top, sees) * (vignette * sees)[:, :, None]
+    return View(corners=corners, sees=sees, vignette=vignette, cover=cover, veil=_glare(scene, top))
+
+
+def _glare(scene: Scene, top: float) -> Singles | None:
+    """Return (height, width) mirrored light, or None where no LED's disc is seen.
+
+    It is in the units of a marker's brightness, 1 for white in the brightest marker's place, before
+    the camera's vignetting and the gain.
+    """
+    camera, light = scene.camera, scene.light
+    assert camera is not None
+    assert light is not None
+    if light.radius_mm == 0:
+        return None
+    veil = np.zeros((camera.height_px, camera.width_px), np.float32)
+    for first, last, grid in _bands(camera):
+        veil[first:last] = _mirrored(grid, (last - first + 1, camera.width_px + 1), scene)
+    if not veil.any():
+        return None
+    # A surface's brightness is relative to light that has passed the interfaces twice, straight,
+    # and spreads as it leaves.
+    indices = [scene.material.refractive_index, *(layer.index for layer in camera.layers), 1.0]
+    through = np.prod([1 - ((one - two) / (one + two)) ** 2 for one, two in pairwise(indices)])
+    return veil * np.float32(
+        (1 - light.ambient) * (indices[0] / through / light.radius_mm) ** 2 / top
+    )
+
+
+def through_the_pupil(scene: Scene) -> list[Camera]:
+    """Return cameras of no aperture at points of the scene's pupil, in the order of
+    `PUPIL_WEIGHTS`; none if the pupil is a point.
+
+    Notes
+    -----
+    The seven points are the middle and a hexagon at sqrt(2/3) of the radius.
+
+    Raises
+    ------
+    RecipeError
+        The lens is focused on what it can't see.
+    """
+    camera = scene.camera
+    if camera is None or camera.aperture_mm == 0:
+        return []
+    if not camera.focus_z_mm < camera.pupil_mm[2]:
+        raise RecipeError(
+            f"camera.focus_z_mm = {camera.focus_z_mm:g} mm: what the lens shows sharply must lie "
+            f"in front of it (below camera.pupil_mm's z = {camera.pupil_mm[2]:g} mm); move it, or "
+            "set aperture_mm = 0"
+        )
+    around = np.arange(6) * np.pi / 3
+    ring = np.sqrt(2 / 3) * np.column_stack([np.cos(around), np.sin(around)])
+    points = camera.aperture_mm / 2 * np.concatenate([np.zeros((1, 2)), ring])
+    focus = np.array([[camera.pupil_mm[0], camera.pupil_mm[1], camera.focus_z_mm]])
+    optics = (scene.material.refractive_index, scene.body.base_z_mm)
+    sharp = camera.model_copy(update={"aperture_mm": 0.0})
+    here = project(focus, sharp, *optics)[0]
+    if not np.isfinite(here).all():
+        raise RecipeError(
+            "camera.tilt_deg: the lens doesn't see the place below its pupil where it is focused "
+            f"(z = {camera.focus_z_mm:g} mm); turn it there, or set aperture_mm = 0"
+        )
+    cameras = []
+    for x, y in points.tolist():
+        pupil = (camera.pupil_mm[0] + x, camera.pupil_mm[1] + y, camera.pupil_mm[2])
+        moved = sharp.model_copy(update={"pupil_mm": pupil})
+        column, row = np.asarray(camera.centre_px) + here - project(focus, moved, *optics)[0]
+        cameras.append(moved.model_copy(update={"principal_px": (float(column), float(row))}))
+    return cameras
+
+
+def _bands(camera: Camera) -> Iterator[tuple[int, int, Pixels]]:
+    """Yield bands of rows, first and one after the last, and their pixels' corners (n, 2)."""
+    width, height = camera.width_px, camera.height_px
+    rows_at_once = max(_AT_ONCE // (width + 1), 1)
+    for first in range(0, height, rows_at_once):
+        last = min(first + rows_at_once, height)
+        columns, rows = np.meshgrid(np.arange(width + 1) - 0.5, np.arange(first, last + 1) - 0.5)
+        yield first, last, np.column_stack([columns.ravel(), rows.ravel()])
+
+
+def _corner_rays(grid: Pixels, scene: Scene) -> tuple[Floats, Bools, Floats]:
+    """Return rays of `View.corners`, whether they enter the body through its base, and the share
+    that passes."""
+    camera = scene.camera
+    assert camera is not None
+    index, base = scene.material.refractive_index, scene.body.base_z_mm
+    origins, directions = rays(grid, camera, index, base)
+    tangents = directions[:, :2] / -directions[:, 2:]
+    inside = np.isfinite(tangents[:, 0]) & scene.body.contains(np.nan_to_num(origins), -1e-6)
+    sine = np.linalg.norm(directions[:, :2], axis=1) * index
+    passed = transmission(sine / np.sqrt(np.maximum(1 - sine**2, 1e-12)), index, camera.layers)
+    if camera.vignetting > 0:
+        passed = passed * np.clip(axis_cosine(grid, camera), 0, 1) ** camera.vignetting
+    return np.nan_to_num(np.column_stack([origins[:, :2], tangents])), inside, np.nan_to_num(passed)
+
+
+def _cover_picture(scene: Scene, top: float, sees: Bools) -> Singles:
+    """Return (height, width, 3) light of the cover: interpolated between nodes, but exact where it
+    ends between them."""
+    camera = scene.camera
+    assert camera is not None
+    optics = (camera, scene.material.refractive_index, scene.body.base_z_mm)
+    height, width = sees.shape
+    columns, rows = _nodes(width), _nodes(height)
+    nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    light = cover_light(*rays(nodes, *optics), scene, top).reshape(len(rows), len(columns), 3)
+    cover = np.empty((height, width, 3), np.float32)
+    for c in range(3):
+        cover[:, :, c] = stretch(rows, height) @ light[:, :, c] @ stretch(columns, width).T
+    # Pixels between nodes of which some meet the cover and some do not have rays of their own.
+    met = np.pad(np.any(light > 0, axis=2), (0, 1), mode="edge")
+    unlike = _pixelwise(met, np.logical_or) & ~_pixelwise(met, np.logical_and)
+    row, column = (
+        np.searchsorted(nodes, np.arange(size), side="right") - 1
+        for nodes, size in ((rows, height), (columns, width))
+    )
+    rim = np.argwhere(unlike[np.ix_(row, column)] & sees)
+    for begin in range(0, len(rim), _AT_ONCE):
+        some = rim[begin : begin + _AT_ONCE]
+        origins, directions = rays(some[:, ::-1].astype(float), *optics)
+        cover[some[:, 0], some[:, 1]] = cover_light(origins, directions, scene, top)
+    return cover
+
+
+def _nodes(size: int) -> Floats:
+    """Return every fourth pixel, or fewer of a large picture, and the last."""
+    step = max(_COARSE, size // 200)
+    return np.unique(np.append(np.arange(0, size, step), size - 1)).astype(float)
+
+
+def _pixelwise(corners: Any, join: np.ufunc) -> Any:
+    """Join the values at each pixel's four corners."""
+    rows = join(corners[:-1], corners[1:])
+    return join(rows[:, :-1], rows[:, 1:])
+
+
+def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
+    """Return the LEDs' light in pixels between corners: the share mirrored, times intensity over
+    cosine.
+
+    A ray of tangent p in air goes down to an interface and up again to the height of an LED; a
+    layer moves it aside twice.
+    """
+    camera, light = scene.camera, scene.light
+    assert camera is not None
+    assert light is not None
+    body_index, layers = scene.material.refractive_index, camera.layers
+    into = lens_inverse(corners, camera) @ tilt_matrix(camera).T
+    tangent = into[:, :2] / np.where(into[:, 2] < -1e-12, -into[:, 2], np.nan)[:, None]
+    p = np.linalg.norm(tangent, axis=1)
+    cosine = np.maximum((1 + p**2) ** -0.5, _GRAZING)
+    passed = light.emission(cosine) / cosine
+    total = np.zeros((shape[0] - 1, shape[1] - 1))
+    gap = air_gap(camera, scene.body.base_z_mm)
+    back = camera.pupil_mm[2] - gap
+    indices = [1.0, *(layer.index for layer in layers[::-1]), body_index]
+    for n, (one, two) in enumerate(pairwise(indices)):
+        behind = [(la.thickness_mm, la.index) for la in layers[len(layers) - n :]]
+        aside = sum((t / np.sqrt(m**2 + (m**2 - 1) * p**2) for t, m in behind), np.zeros(len(p)))
+        mirrored = reflection(p, one, two)
+        for led in np.array(light.positions_mm):
+            if led[2] < back:
+                continue
+            way = gap + led[2] - back + 2 * aside
+            there = np.array(camera.pupil_mm[:2]) + way[:, None] * tangent
+            covers = _disc(np.linalg.norm(there - led[:2], axis=1).reshape(shape), light.radius_mm)
+            total += np.nan_to_num(covers * _mean((passed * mirrored).reshape(shape)))
+        passed = passed * (1 - mirrored) ** 2
+    return total
+
+
+def _disc(away: Floats, radius: float) -> Floats:
+    """Return the share of each pixel that a disc covers, from the distances of the pixels' corners
+    to its centre."""
+    across, down = away[:, 1:] - away[:, :-1], away[1:] - away[:-1]
+    steep = np.hypot((across[1:] + across[:-1]) / 2, (down[:, 1:] + down[:, :-1]) / 2)
+    covers: Floats = np.clip(0.5 + (radius - _mean(away)) / np.maximum(steep, 1e-12), 0, 1)
+    # At the horizon a pixel looks at more than the whole disc: its share there is next to nothing.
+    within: Floats = np.where(steep < 2 * radius, covers, 0.0)
+    return within
+
+
+def _mean(corners: Floats) -> Floats:
+    """Return the mean of each pixel's four corners."""
+    mean: Floats = (corners[1:, 1:] + corners[1:, :-1] + corners[:-1, 1:] + corners[:-1, :-1]) / 4
+    return mean

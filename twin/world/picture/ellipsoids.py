@@ -1,0 +1,138 @@
+"""The markers of a deformed body as ellipsoids, which is what the camera sees.
+
+Why ellipsoids: a strained ellipsoid is again an ellipsoid, the renderer intersects it exactly, and
+all markers move by one assignment to an array. The motion of the markers is given: either that of
+points of the rubber, or that of stiff beads (`twin.world.elasticity.rigid_beads`). A stiff bead
+stays round and turns with the rubber. As it has one colour, the turn is not visible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Points, frozen
+from twin.errors import InputError
+from twin.parts.markers import MarkerLayer, MarkerSet, Prints
+
+PRINT_THICKNESS = 0.1
+"""Thickness of a print over its diameter (assumed: silk-screen ink about 0.05 mm thick)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ellipsoids:
+    """Marker shapes in their one order: all points centre + axes @ u with |u| <= 1.
+
+    Attributes
+    ----------
+    centres
+        (n, 3) mm; NaN for a lost marker, which keeps its row.
+    axes
+        (n, 3, 3) mm, a semi-axis vector in every column (conjugate, not always orthogonal).
+    colour
+        (n, 3) diffuse reflectance, red, green, blue.
+    """
+
+    centres: Points
+    axes: Floats
+    colour: Floats
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+    @cached_property
+    def present(self) -> Bools:
+        """(n,) which markers exist."""
+        numbers = np.concatenate([self.centres, self.axes.reshape(-1, 9)], axis=1)
+        return np.asarray(np.all(np.isfinite(numbers), axis=1))
+
+    def rows(self, which: Bools | slice) -> Ellipsoids:
+        """Return some of the markers."""
+        return Ellipsoids(
+            centres=self.centres[which], axes=self.axes[which], colour=self.colour[which]
+        )
+
+
+def ellipsoids(
+    markers: MarkerSet,
+    layers: Mapping[str, MarkerLayer],
+    displacement: Points | None = None,
+    gradient: Floats | None = None,
+    prints: Prints | None = None,
+) -> Ellipsoids:
+    """Move markers with the body.
+
+    Parameters
+    ----------
+    markers
+        The markers at rest.
+    layers
+        Their layers by name.
+    displacement
+        (n, 3) displacement u of the centres, mm; NaN marks a lost marker; None at rest.
+    gradient
+        (n, 3, 3) displacement gradients du_i/dx_j there; None: markers are carried without turning
+        or straining.
+    prints
+        How single markers differ from their layer; None: not at all.
+
+    Returns
+    -------
+    The ellipsoids. A bead moves by u and turns by the antisymmetric part of the gradient; a print
+    is a thin disc in its level set, mapped by F = I + du/dx.
+
+    Raises
+    ------
+    InputError
+        Arrays of another length than the markers.
+    """
+    n = len(markers)
+    u = np.zeros((n, 3)) if displacement is None else np.asarray(displacement, float)
+    g = np.zeros((n, 3, 3)) if gradient is None else np.asarray(gradient, float)
+    if u.shape != (n, 3) or g.shape != (n, 3, 3):
+        raise InputError(
+            f"displacement {u.shape} and gradient {g.shape} must be ({n}, 3) and ({n}, 3, 3): one "
+            "row per marker"
+        )
+    axes = np.zeros((n, 3, 3))
+    colour = np.zeros((n, 3))
+    for name, layer in layers.items():
+        rows = markers.of(name)
+        radius = layer.diameter_mm / 2
+        if layer.kind == "bead":
+            axes[rows] = radius * _turn(g[rows])
+        else:
+            disc = _level_frames(markers.normals[rows]) * (
+                radius * np.array([1.0, 1.0, PRINT_THICKNESS])
+            )
+            axes[rows] = (np.eye(3) + g[rows]) @ disc
+        colour[rows] = layer.colour
+    if prints is not None:
+        axes *= prints.size[:, None, None]
+        axes[prints.missing] = np.nan
+        colour = np.clip(colour * prints.shade[:, None], 0, 1)
+    return Ellipsoids(centres=frozen(markers.points + u), axes=frozen(axes), colour=frozen(colour))
+
+
+def _turn(gradient: Floats) -> Floats:
+    """Return (n, 3, 3) rotations by the axial vector of the gradients' antisymmetric parts
+    (Rodrigues' formula)."""
+    spin = (gradient - np.swapaxes(gradient, 1, 2)) / 2
+    angle = np.sqrt(np.sum(spin**2, axis=(1, 2)) / 2)[:, None, None]
+    turn: Floats = (
+        np.eye(3)
+        + np.sinc(angle / np.pi) * spin
+        + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (spin @ spin)
+    )
+    return turn
+
+
+def _level_frames(normals: Floats) -> Floats:
+    """Return (n, 3, 3) orthonormal frames with the normal in the last column."""
+    other = np.where(np.abs(normals[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    first = np.cross(other, normals)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(normals, first), normals], axis=2)

@@ -1,0 +1,197 @@
+"""The light that each LED sends to places in the body.
+
+The LEDs stand in air behind the base, where refraction bends and spreads their light, or in the
+body, where it does neither. Each place sees an LED in air at a virtual image: another direction and
+distance than in air. Both are exact at a marker's centre here; across one marker the LED is a point
+source at its virtual image, which is what the renderer shades and shadows with.
+
+Why per marker and not one paraxial image per LED: in the finger LEDs shine in at grazing angles,
+where the paraxial image would light markers that Snell's law keeps dark.
+
+Validity: LEDs are points or seven points on a disc; single scattering plus an even ambient share,
+no light between markers; LEDs in the body are not seen themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Floats, Points
+from twin.errors import RecipeError
+from twin.parts.camera import Layer
+from twin.parts.scene import Scene
+from twin.theory.optics import air_tangents, sideways, transmission
+from twin.world.picture.ccd import response_matrix
+from twin.world.picture.ellipsoids import Ellipsoids
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lamps:
+    """Virtual point sources: the irradiance of a surface at x with normal n is power (n . l) /
+    |l|^3, l = place - x.
+
+    Attributes
+    ----------
+    place
+        (n, leds, 3) mm.
+    power
+        (n, leds) 0 where the LED's light does not arrive.
+    """
+
+    place: Floats
+    power: Floats
+
+
+def lamps_at(points: Points, scene: Scene) -> Lamps:
+    """Return each LED's virtual image for each of (n, 3) points in the body.
+
+    Raises
+    ------
+    RecipeError
+        An LED lies within a layer or outside the body.
+    """
+    assert scene.light is not None
+    leds, share = scene.light.points()
+    within = scene.body.contains(leds, 0.0)
+    place = np.empty((len(points), len(leds), 3))
+    power = np.empty((len(points), len(leds)))
+    if within.any():
+        towards = points[:, None] - leds[within]
+        cosine = -towards[:, :, 2] / np.maximum(np.linalg.norm(towards, axis=2), 1e-9)
+        place[:, within] = leds[within]
+        power[:, within] = scene.light.emission(cosine)
+    if not within.all():
+        place[:, ~within], power[:, ~within] = _refracted(points, leds[~within], scene)
+    return Lamps(place=place, power=power * share)
+
+
+def _refracted(points: Points, leds: Points, scene: Scene) -> tuple[Floats, Floats]:
+    """Return (n, leds, 3) places and (n, leds) powers of the images of (leds, 3) LEDs in air, of
+    intensity 1."""
+    assert scene.camera is not None
+    assert scene.light is not None
+    layers = scene.camera.layers
+    index = scene.material.refractive_index
+    base = scene.body.base_z_mm
+    back = base + sum(layer.thickness_mm for layer in layers)
+    if (leds[:, 2] < back - 1e-9).any():
+        raise RecipeError(
+            f"light.positions_mm: z = {leds[:, 2].min():.6g} mm must be at least {back:.6g} mm, "
+            "behind the base and the layers, or in the body: move the LED back"
+        )
+    place, power, crossing, leaving = virtual_images(points, leds, layers, index, base)
+    inside = scene.body.contains(np.nan_to_num(crossing).reshape(-1, 3), -1e-6)
+    arrives = np.isfinite(power) & inside.reshape(power.shape)
+    power = np.where(arrives, power * scene.light.emission(leaving), 0.0)
+    return np.where(arrives[:, :, None], place, [0.0, 0.0, 2 * base]), power
+
+
+def virtual_images(
+    points: Points, lights: Points, layers: tuple[Layer, ...], index: float, base_z_mm: float
+) -> tuple[Points, Floats, Points, Floats]:
+    """Return where lights in air seem to stand, from each of the points in the body.
+
+    Parameters
+    ----------
+    points
+        (n, 3) in the body, mm.
+    lights
+        (m, 3) in air, behind the layers, mm.
+    layers, index, base_z_mm
+        The layers, the body's refractive index, and the height of its base.
+
+    Returns
+    -------
+    place
+        (n, m, 3) a virtual source there of ``power`` makes the irradiance that the light does, mm.
+    power
+        (n, m) of a light of intensity 1 in all directions.
+    crossing
+        (n, m, 3) where its ray enters the body, mm.
+    leaving
+        (n, m) cosine of the angle to z at which it leaves the light. All are NaN where no ray leads
+        there.
+
+    Notes
+    -----
+    A cone dp of a light's rays, of intensity 1, fills a ring dr of the body: the flux through a
+    surface across the ray is E = sin(a) sin(a) da / (r dr cos(b)), a and b the angles in air and
+    body, times Fresnel's transmission.
+    """
+    n, m = len(points), len(lights)
+    back = base_z_mm + sum(layer.thickness_mm for layer in layers)
+    aside = (lights[None, :, :2] - points[:, None, :2]).reshape(-1, 2)
+    reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)
+    depth = np.repeat(np.maximum(base_z_mm - points[:, 2], 0.0), m)
+    air = np.tile(np.maximum(lights[:, 2] - back, 0.0), n)
+    with np.errstate(divide="ignore", invalid="ignore"):  # where no ray leads to the light
+        p = air_tangents(reach, depth, index, layers, air)
+        _, slope = sideways(p, depth, index, layers, air)
+        cosine_air = 1 / np.sqrt(1 + p * p)
+        sine = p * cosine_air / index
+        cosine = np.sqrt(1 - sine * sine)
+        # On the axis p / reach tends to 1 / slope, and the direction aside is zero.
+        off = reach > 1e-9
+        distance_aside = np.where(off, reach, 1.0)
+        over = np.where(off, p / distance_aside, 1 / slope)
+        distance = index / np.sqrt(cosine_air**3 * over / (slope * cosine))
+        ray = np.column_stack([aside * (sine / distance_aside)[:, None], cosine])
+        start = np.repeat(points, m, axis=0)
+        place = start + ray * distance[:, None]
+        across = start[:, :2] + ray[:, :2] * (depth / cosine)[:, None]
+        crossing = np.column_stack([across, start[:, 2] + depth])
+    # The image's distance squared times the spread is the index squared.
+    power = index * index * transmission(p, index, layers)
+    return (
+        place.reshape(n, m, 3),
+        power.reshape(n, m),
+        crossing.reshape(n, m, 3),
+        cosine_air.reshape(n, m),
+    )
+
+
+def irradiance(points: Points, normals: Floats, lamps: Lamps) -> Floats:
+    """Return (n,) unshadowed irradiance at points with unit normals."""
+    towards = lamps.place - points[:, None]
+    cosine = np.maximum(np.einsum("nli,ni->nl", towards, normals), 0.0)
+    total: Floats = np.sum(lamps.power * cosine / np.linalg.norm(towards, axis=2) ** 3, axis=1)
+    return total
+
+
+def brightest(rest: Ellipsoids, scene: Scene) -> tuple[float, float]:
+    """Return the largest irradiance on a marker at rest, and the most light in a channel that
+    leaves one.
+
+    The second number is in units of what white paper sends back in the brightest marker's place.
+    The exposure is fixed by both at rest, so that a press doesn't change the camera's gain.
+
+    Raises
+    ------
+    RecipeError
+        No LED reaches any marker.
+    """
+    assert scene.light is not None
+    markers = rest.rows(rest.present)
+    lamps = lamps_at(markers.centres, scene)
+    towards = lamps.place - markers.centres[:, None]
+    unit = towards / np.linalg.norm(towards, axis=2, keepdims=True)
+    total = np.sum(unit * (lamps.power / np.sum(towards**2, axis=2))[:, :, None], axis=1)
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+    candidates = [total, *np.moveaxis(unit, 1, 0)]
+    best = np.max(
+        [irradiance(markers.centres, normals, lamps) for normals in candidates], axis=0, initial=0.0
+    )
+    # A flat marker shows its face, a round one also the side that is turned to the light.
+    turned, sizes, _ = np.linalg.svd(markers.axes)
+    face = turned[:, :, 2] * np.where(turned[:, 2, 2] < 0, -1.0, 1.0)[:, None]
+    best = np.where(sizes[:, 2] < 0.5 * sizes[:, 0], irradiance(markers.centres, face, lamps), best)
+    top = float(best.max(initial=0.0))
+    if top <= 0:
+        raise RecipeError(
+            "light.positions_mm: no LED reaches any marker: move the LEDs over the base"
+        )
+    ambient = scene.light.ambient
+    colours = np.max(markers.colour @ response_matrix(scene.ccd).T, axis=1)
+    return top, max(float(np.max(colours * ((1 - ambient) * best / top + ambient))), 1e-6)
