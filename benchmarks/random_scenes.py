@@ -258,7 +258,7 @@ def assert_mirrored(recipe: Table, scene: Scene, result: RunResult, tally: Tally
 
 
 def _of_grids(stated: Table) -> float:
-    """Return the stated error of markers that two mirrored presses don't share: of body and patches, not of the path."""
+    """Return the stated error of markers by what two mirrored presses don't share: body and patches."""
     return float(stated["body"]["markers"] + stated["patches"]["markers"])
 
 
