@@ -18,20 +18,23 @@ READ_NOISE_DN = 1.5
 ELECTRONS_PER_DN = 20000 / 255
 
 
-def cover(size, centres, diameter, psf, shade=None):
-    """Share of light (h, w) that discs send; ``shade(dx, dy, x, y)`` is the brightness about a centre, 1 if None."""
+def cover(size, centres, diameter, psf, shade=None, stretch=None):
+    """Share of light (h, w) that discs send; ``shade(dx, dy, x, y)`` is the brightness about a centre, 1 if None;
+    ``stretch`` (n, 2, 2) maps each disc to an ellipse."""
     width, height = size
     whole = np.zeros((height, width))
-    half = int(np.ceil(diameter / 2 + 5 * psf + 2))
+    longest = 1.0 if stretch is None else np.linalg.norm(stretch, 2, axis=(1, 2)).max()
+    radius = longest * diameter / 2
+    half = int(np.ceil(radius + 5 * psf + 2))
     steps, blur = _steps(half), _blur(half, psf)
-    for x, y in centres:
+    for number, (x, y) in enumerate(centres):
         if not np.isfinite(x + y):
             continue
         column, row = round(x), round(y)
         across, along = steps - (x - column), steps - (y - row)
-        near_x, near_y = (np.abs(off) < diameter / 2 + 1 / FINE for off in (across, along))
+        near_x, near_y = (np.abs(off) < radius + 1 / FINE for off in (across, along))
         dx, dy = across[None, near_x], along[near_y, None]
-        inside = np.clip(0.5 + FINE * (diameter / 2 - np.sqrt(dx**2 + dy**2)), 0, 1)
+        inside = np.clip(0.5 + FINE * _depth(dx, dy, diameter / 2, None if stretch is None else stretch[number]), 0, 1)
         if shade is not None:
             inside *= shade(dx, dy, x, y)
         part = blur[:, near_y] @ inside @ blur[:, near_x].T
@@ -40,6 +43,17 @@ def cover(size, centres, diameter, psf, shade=None):
         rows = slice(max(top, 0), min(top + 2 * half + 1, height))
         whole[rows, columns] += part[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
     return whole
+
+
+def _depth(dx, dy, radius, stretch):
+    """Distance inside the outline, px; near an ellipse's by its gradient."""
+    if stretch is None:
+        return radius - np.sqrt(dx**2 + dy**2)
+    back = np.linalg.inv(stretch)
+    ux, uy = back[0, 0] * dx + back[0, 1] * dy, back[1, 0] * dx + back[1, 1] * dy
+    away = np.hypot(ux, uy) + 1e-9
+    steep = np.hypot(back[0, 0] * ux + back[1, 0] * uy, back[0, 1] * ux + back[1, 1] * uy) / away
+    return (radius - away) / np.maximum(steep, 1e-9)
 
 
 @cache

@@ -9,7 +9,8 @@ from drawn import LAYOUT, SIZE, flat_layout, joined, picture
 from PIL import Image
 from scipy.ndimage import convolve
 
-from benchmarks.discs import bound_px, expose, scene
+from benchmarks.conditions import Card, stretches
+from benchmarks.discs import bound_px, cover, expose, scene
 from twin.errors import InputError
 from twin.sense.track import Tracker, analyse_rest, track, track_frame
 
@@ -339,6 +340,48 @@ def test_a_marker_partly_hidden_in_the_grounds_colour_is_lost_or_uncertain(diame
     score = (found.shift_px[seen] - 0.4) / found.sd_px[seen, None]
     assert np.sqrt(np.mean(score**2)) <= 2.0 if len(seen) else True
     assert (found.sd_px[clear] < 1.25 * np.sqrt(2) * bound_px(diameter)).mean() > 0.99
+
+
+@pytest.mark.parametrize("diameter", [8.0, 10.0, 15.0])
+@pytest.mark.parametrize("change", [{"ratio": 1.3}, {"ratio": 1.8}, {"psf": 1.3}, {"psf": 2.0}], ids=str)
+def test_strained_and_defocused_markers_are_kept_at_a_true_deviation(diameter, change):
+    """They were lost, or stated 5 times too large."""
+    card, shift = Card(diameter), Card(diameter).shifts(3)
+    turned = stretches(len(card.marks), change.get("ratio", 1.0), np.random.default_rng(5))
+    drawn = card.draw(shift, psf=change.get("psf", 0.7), stretch=turned)
+    found = track(expose(card.draw(), 1), expose(drawn, 2), card.layout)
+    assert found.seen.mean() >= 0.99
+    assert (found.states == "strained").mean() > 0.9
+    assert np.nanmedian(found.sd_px) < 0.03
+    assert 0.8 < np.sqrt(np.nanmean(((found.shift_px - shift) / found.sd_px[:, None]) ** 2)) < 1.2
+
+
+def test_a_strained_marker_that_is_partly_hidden_does_not_pass_for_a_smaller_one():
+    card = Card(10.0)
+    shift, random = card.shifts(3), np.random.default_rng(5)
+    drawn, turned = card.draw(shift, stretch=stretches(len(card.marks), 1.4, random)), stretches(1, 1.4, random)
+    for marker in range(0, len(card.marks), 9):
+        seen = lambda dx, dy, x, y, turn=marker: dx * np.cos(turn) + dy * np.sin(turn) < 3.5  # noqa: E731
+        centre = card.marks[marker : marker + 1] + shift[marker]
+        channel = 0 if marker < card.count else 2
+        around = drawn[:, :, channel]
+        near = (np.abs(np.indices(around.shape)[::-1] - centre[0][:, None, None]) < 14).all(axis=0)
+        around[near] = 30 + 130 * cover(card.size, centre, 10.0, 0.7, seen, turned)[near]
+    found = track(expose(card.draw(), 1), expose(drawn, 2), card.layout)
+    hidden = np.arange(len(card.marks)) % 9 == 0
+    score = np.hypot(*(found.shift_px - shift).T) / found.sd_px
+    assert found.seen[~hidden].mean() > 0.98
+    assert found.seen[hidden].mean() < 0.25
+    assert np.nanmax(score[~hidden]) < 5
+    assert np.nanmax(score[hidden], initial=0.0) < 5
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.5])
+def test_brighter_and_darker_pictures_state_a_true_deviation(gain):
+    card, shift = Card(10.0), Card(10.0).shifts(3)
+    found = track(expose(card.draw(), 1), expose(card.draw(shift, gain=gain), 2), card.layout)
+    assert found.seen.all()
+    assert 0.7 < np.sqrt(np.mean(((found.shift_px - shift) / found.sd_px[:, None]) ** 2)) < 1.3
 
 
 def test_strange_spots_are_told_and_taken_for_no_marker():

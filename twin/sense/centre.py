@@ -18,12 +18,22 @@ from twin.sense.colour import Weights
 from twin.sense.detect import Blobs
 from twin.sense.match import Neighbourhood
 
-STATES = ("seen", "missing", "dim", "merged", "occluded", "partly hidden", "ambiguous")
+STATES = (
+    "seen",
+    "missing",
+    "dim",
+    "merged",
+    "occluded",
+    "partly hidden",
+    "ambiguous",
+    "strained",
+)
 """What a marker can be: measured; without a spot, or out of the picture; too dark; one spot with
 another; hidden or unlike itself; part of it hidden; measured, but maybe its neighbour, as from a
-cold start two shifts by steps of the layout's lattice fit alike."""
+cold start two shifts by steps of the layout's lattice fit alike; measured, with another outline
+or blur than at rest. Only the first and the last have a shift."""
 
-SEEN, MISSING, DIM, MERGED, OCCLUDED, PARTLY_HIDDEN, AMBIGUOUS = range(len(STATES))
+SEEN, MISSING, DIM, MERGED, OCCLUDED, PARTLY_HIDDEN, AMBIGUOUS, STRAINED = range(len(STATES))
 
 AREA_RATIO = (0.6, 1.7)
 """Allowed change of a marker's area against rest: less is partly hidden, more has merged."""

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Picture, Pixels, Singles
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles
 from twin.compiled import njit
 from twin.sense.centre import (
     AREA_RATIO,
@@ -39,6 +39,7 @@ from twin.sense.centre import (
     OCCLUDED,
     PARTLY_HIDDEN,
     SEEN,
+    STRAINED,
     Look,
     Seen,
 )
@@ -57,6 +58,7 @@ from twin.sense.template import (
     MISFIT,
     ONE_SIDED,
     PIXELS,
+    RESHAPED,
     SCALE,
     SHAPE,
     SHORTFALL,
@@ -116,6 +118,14 @@ HIDES = 0.28
 (`FITS`), is partly hidden: its visible part's centre is not its own. Shadows in the shipped
 finger lack up to .26; where a tenth of a marker's width is hidden, .31 (10 px wide) and .55 (15 px)
 are lacking."""
+
+RESHAPES = 1.25
+"""A marker that no longer looks as at rest does so with an outline and blur of its own if what that
+leaves exceeds the usual by less (by chance 1.17 in one of 20). Of markers 10 px wide that have a
+fiftieth of their area hidden one in 40 leaves less, with more hidden none."""
+
+STRETCHED, BLURRED = 1.4, 2.5
+"""Largest growth of a marker's semi-axis, and of the blur, that a shape of its own reaches to."""
 
 UNSETTLED_PX = 0.3
 """A fit whose last step was larger has found nothing."""
@@ -218,8 +228,35 @@ class DiscFit(SoftWindow):
         blobs, spot, state, spurious = self._search(picture, start_px)
         moved = (blobs.centre_px[spot] if len(blobs) else np.nan) - self.spot_px
         place = np.where((spot >= 0)[:, None], self.start_px + moved, np.nan)
-        fitted = self.templates.fit(picture, place, self.around.lead)
+        fitted = self._fit(picture, place, self.around.lead)
         return replace(self._judged(fitted, state), spurious_px=spurious)
+
+    def _fit(self, picture: Picture, start_px: Pixels, lead: Ints | None = None) -> Floats:
+        """Fit the templates, and those that no longer look as at rest with a shape of their own:
+        outline and blur."""
+        fitted = self.templates.fit(picture, start_px, lead)
+        odd = fitted[:, MISFIT] > UNUSUAL * self.templates.usual_misfit
+        if not odd.any():
+            return fitted  # nearly always
+        places = fitted[:, CENTRE_X : CENTRE_Y + 1]
+        templates = self.templates
+        if 2 * odd.sum() > np.isfinite(places[:, 0]).sum():
+            templates = replace(templates, noise=_noise_now(picture, templates, places))
+            fitted = templates.fit(picture, places)
+            odd = fitted[:, MISFIT] > UNUSUAL * templates.usual_misfit
+        rows = np.flatnonzero(odd)
+        if not len(rows):
+            return fitted
+        shape, pixels = _own_shapes(picture, templates, rows, places, self.around.spacing_px)
+        reshaped = replace(templates, shape=shape[:, :SHAPE], reach_px=pixels, every=1)
+        again = reshaped.fit(picture, np.ascontiguousarray(shape[:, SHAPE:]))
+        again[:, THIRD_X : THIRD_Y + 1] *= 1.0 if templates.every else np.nan
+        taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
+        area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, templates.shape))
+        fitted[taken] = again[taken]
+        fitted[taken, SCALE] *= np.sqrt(area / before)[taken]
+        fitted[taken, RESHAPED] = 1.0
+        return fitted
 
     def _from_last(self, picture: Picture, last_px: Pixels) -> Seen | None:
         """Fit around the last places, then once more where the neighbours' motion predicts; None
@@ -230,7 +267,7 @@ class DiscFit(SoftWindow):
         if not count or np.isfinite(start[:, 0]).sum() < (1.0 - TRUST) * count:
             return None
         nothing = np.full(len(known), MISSING, np.uint8)
-        seen = self._judged(self.templates.fit(picture, start, self.around.lead), nothing)
+        seen = self._judged(self._fit(picture, start, self.around.lead), nothing)
         shift, sd, state = seen.shift_px, seen.sd_px, seen.state
         expected, certain = self.around.predict(shift)
         with np.errstate(invalid="ignore"):
@@ -240,16 +277,18 @@ class DiscFit(SoftWindow):
             shift[astray & certain] = np.nan
             start = np.full_like(known, np.nan)
             start[again] = self.start_px[again] + expected[again]
-            second = self._judged(self.templates.fit(picture, start), nothing)
+            second = self._judged(self._fit(picture, start), nothing)
             rows = again[np.hypot(*(second.shift_px[again] - expected[again]).T) < gate]
             kept = np.isfinite(shift[:, 0])
             if kept.any() and len(rows):
                 taken = cKDTree((known + shift)[kept])
                 apart, _ = taken.query(known[rows] + second.shift_px[rows])
                 rows = rows[apart > SAME_PLACE * self.look.diameter_px]
-            shift[rows], sd[rows], state[rows] = second.shift_px[rows], second.sd_px[rows], SEEN
+            shift[rows], sd[rows] = second.shift_px[rows], second.sd_px[rows]
+            state[rows] = second.state[rows]
             lost = again[np.isnan(shift[again, 0])]
-            state[lost] = np.where(second.state[lost] == SEEN, MISSING, second.state[lost])
+            measured = np.isin(second.state[lost], (SEEN, STRAINED))
+            state[lost] = np.where(measured, MISSING, second.state[lost])
             sd[lost] = np.nan
         return seen if np.isfinite(shift[:, 0]).sum() >= (1.0 - TRUST) * count else None
 
@@ -272,8 +311,54 @@ class DiscFit(SoftWindow):
         sd = np.hypot(_centre_sds(fitted, templates.usual_misfit), rest_sd)
         sd[np.isnan(shift[:, 0])] = np.nan
         factor = _coherence(fitted, templates.third, state == SEEN, sd)
+        state[(state == SEEN) & (fitted[:, RESHAPED] == 1.0)] = STRAINED
         sd = _edge_sds(fitted, templates.one_sided, rest_sd, sd, factor)
         return Seen(shift_px=shift, sd_px=sd, state=state, coherence=factor)
+
+
+def _noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
+    """Return (2,) the noise's variances in another picture than that at rest: never less, and more
+    as the ground around the markers has more."""
+    variances = np.full((len(places), 2), np.nan)
+    radius = float(np.sqrt(np.nanmedian(templates.shape[:, 0] * templates.shape[:, 2])))
+    _noise_variances(picture, templates.own, places, radius, 2.0 * USUAL_BLUR_PX, variances)
+    now = float(np.nanmedian(variances[:, 0])) if np.isfinite(variances[:, 0]).any() else 0.0
+    return np.asarray(templates.noise * max(now / templates.noise[0], 1.0))
+
+
+def _own_shapes(
+    picture: Picture, templates: Templates, rows: Ints, places: Pixels, spacing_px: float
+) -> tuple[Floats, float]:
+    """Return the shapes of the markers ``rows`` in another picture than that at rest, and centres,
+    px, as rows of `_fit_shapes`, NaN for others; and the radius that their fits need, px.
+
+    Blur and outline are even about the centre, and brightness that falls off to one side is odd:
+    these keep the slopes that they have at rest.
+    """
+    known = templates.shape
+    radius = np.full(len(known), np.nan)
+    radius[rows] = np.sqrt(known[rows, 0] * known[rows, 2] - known[rows, 1] ** 2)
+    blur, largest = float(np.nanmedian(known[:, 6])), float(np.nanmax(radius))
+    clear = max(spacing_px - largest - blur, largest + blur)
+    reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
+    shape = np.full((len(known), SHAPE + 2), np.nan)
+    _fit_shapes(
+        picture,
+        templates.own,
+        templates.others,
+        places,
+        radius,
+        blur,
+        float(np.nanmedian(known[:, 5])),
+        False,
+        True,
+        templates.noise,
+        disc(reach)[0],
+        TURNS,
+        shape,
+    )
+    shape[:, 3:6] = known[:, 3:6]
+    return shape, reach
 
 
 def _centre_sds(fitted: Floats, usual_misfit: float) -> Floats:
@@ -314,7 +399,8 @@ def _edge_sds(
     """
     moved = np.zeros(len(fitted))
     looked = np.flatnonzero(np.isfinite(fitted[:, ONE_SIDED]))
-    change = np.abs(fitted[looked, ONE_SIDED:] - one_sided[looked])
+    edge = fitted[looked, ONE_SIDED:RESHAPED]
+    change = np.abs(edge - one_sided[looked])
     moved[looked] = np.where(np.isfinite(change), change, 0.0).max(axis=1) / max(factor, 1.0)
     beyond = np.maximum(moved**2 - 2.0 * (CHANCE * rest_sd) ** 2, 0.0)
     covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
@@ -407,12 +493,12 @@ def _make_templates(
         few = np.where(np.cumsum(wanted) % every == 0, radius, np.nan)
         offset, _ = disc(0.65 * diameter + 2.0 * USUAL_BLUR_PX + MARGIN_PX)
         seen = (picture, own, others, centres)
-        _fit_shapes(*seen, few, USUAL_BLUR_PX, 0.0, True, noise, offset, TURNS, first)
+        _fit_shapes(*seen, few, USUAL_BLUR_PX, 0.0, True, True, noise, offset, TURNS, first)
         good = np.isfinite(first[:, 0])
         blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
         bulge = float(np.median(first[good, 5])) if good.any() else 0.0
         offset, _ = disc(0.65 * diameter + 2.0 * blur + MARGIN_PX)
-        _fit_shapes(*seen, radius, blur, bulge, False, noise, offset, TURNS, shape)
+        _fit_shapes(*seen, radius, blur, bulge, False, False, noise, offset, TURNS, shape)
     good = np.isfinite(shape[:, 0])
     if good.any():
         shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
@@ -541,12 +627,25 @@ def _solve(matrix, right, count):
 
 
 @njit(cache=True)
-def _fit_shapes(image, own, others, start, radius, blur, bulge, free, noise, offset, turns, out):
-    """Fit every marker's whole picture at rest; rows of ``out`` (n, 10): `SHAPE` numbers, centre x,
-    y.
+def _fit_shapes(
+    image,
+    own,
+    others,
+    start,
+    radius,
+    blur,
+    bulge,
+    free_bulge,
+    free_blur,
+    noise,
+    offset,
+    turns,
+    out,
+):
+    """Fit every marker's whole picture; rows of ``out`` (n, 10): `SHAPE` numbers, centre x, y.
 
-    If ``free`` all `PARAMETERS` are fitted for each marker; else bulge (relative) and blur are as
-    given. Rows are NaN where the fit failed.
+    Bulge (relative) and blur are fitted for each marker if they are free, else as given. Rows are
+    NaN where the fit failed.
     """
     colour, one_by_one = (own[0], own[1], own[2], own[3]), np.empty((0, 3), np.int64)
     signal, use = np.empty(offset.shape[1], np.float32), np.empty(offset.shape[1], np.float32)
@@ -566,7 +665,7 @@ def _fit_shapes(image, own, others, start, radius, blur, bulge, free, noise, off
         fine, moved = True, 1.0
         for turn in range(turns):
             limit = doubtful(noise[1], p[3], moved)
-            p[6] = p[6] if free else bulge * p[3]
+            p[6] = p[6] if free_bulge else bulge * p[3]
             form = inverse_form(sxx, sxy, syy, 1.0)
             matrix[:] = 0.0
             right[:] = 0.0
@@ -580,15 +679,19 @@ def _fit_shapes(image, own, others, start, radius, blur, bulge, free, noise, off
                     right[2] += w * residual
                     matrix[2, 2] += w
                     continue
-                if not free:
+                if not free_bulge:
                     derivative[3] += bulge * derivative[6]
-                    derivative[6], derivative[10] = 0.0, 0.0
+                    derivative[6] = 0.0
+                if not free_blur:
+                    derivative[10] = 0.0
                 for a in range(PARAMETERS):
                     right[a] += w * derivative[a] * residual
                     for b in range(a + 1):
                         matrix[a, b] += w * derivative[a] * derivative[b]
-            if not free:
-                matrix[6, 6], matrix[10, 10] = 1.0, 1.0
+            if not free_bulge:
+                matrix[6, 6] = 1.0
+            if not free_blur:
+                matrix[10, 10] = 1.0
             # a weak pull towards no slope, no bulge, round and the usual blur: small markers leave
             # these open
             size = max(p[3], 1.0)
@@ -601,9 +704,8 @@ def _fit_shapes(image, own, others, start, radius, blur, bulge, free, noise, off
                 matrix[a, a] += pull[a] + WEAK * matrix[a, a] + 1e-9
             right[4] -= pull[4] * p[4]
             right[5] -= pull[5] * p[5]
-            if free:
-                right[6] -= pull[6] * p[6]
-                right[10] -= pull[10] * (p[10] - blur)
+            right[6] -= pull[6] * p[6] if free_bulge else 0.0
+            right[10] -= pull[10] * (p[10] - blur) if free_blur else 0.0
             if not _solve(matrix, right, PARAMETERS):
                 fine = False
                 break
@@ -631,7 +733,11 @@ def _fit_shapes(image, own, others, start, radius, blur, bulge, free, noise, off
         if not fine or abs(cx - start[k, 0]) > r or abs(cy - start[k, 1]) > r:
             continue
         out[k, 0], out[k, 1], out[k, 2] = sxx, sxy, syy
-        out[k, 3], out[k, 4], out[k, 5] = p[4] / p[3], p[5] / p[3], (p[6] / p[3] if free else bulge)
+        out[k, 3], out[k, 4], out[k, 5] = (
+            p[4] / p[3],
+            p[5] / p[3],
+            (p[6] / p[3] if free_bulge else bulge),
+        )
         out[k, 6], out[k, 7] = p[10], p[3]
         out[k, SHAPE], out[k, SHAPE + 1] = cx, cy
 

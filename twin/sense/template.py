@@ -120,15 +120,17 @@ blur in px; level."""
 CENTRE_X, CENTRE_Y, LEVEL, GROUND, SCALE, VAR_X, VAR_Y, EDGE, SQUARES = range(9)
 PIXELS, STEP, MISFIT, FITTING, THIRD_X, THIRD_Y, SHORTFALL, ONE_SIDED = range(9, 17)
 DIRECTIONS = 8
-COLUMNS = ONE_SIDED + DIRECTIONS
+RESHAPED = ONE_SIDED + DIRECTIONS
+COLUMNS = RESHAPED + 1
 """What `Templates.fit` gives for a marker: centre, level, ground, scale against the template;
 variances of the centre; share of the edge in sight; sum of squared residuals over how many pixels;
 last step in px; squared residuals over their expected size; share of the edge in sight that fits;
 for some markers, how far the edge lies outside the model's as the cosine and sine of three times
-the angle, px; the most light that a pixel on the marker lacks, as a share of the marker's; along
+the angle, px; the most light that a pixel on the marker lacks, or one beyond its edge has too much,
+as a share of the marker's; along
 `DIRECTIONS` from 0 to 180 degrees, how far the centre moves if the edge on that side is left out,
-less how far it moves back if the other side is, px. The last three are NaN, 0 and NaN where the
-edge is not looked at."""
+less how far it moves back if the other side is, px; 1 where the template's shape is not that at
+rest, else 0. The three before are NaN, 0 and NaN where the edge is not looked at."""
 
 FITS = 0.9
 """A marker of whose edge less fits may be partly hidden."""
@@ -142,14 +144,16 @@ SECTORS, LEFT_OUT = 2 * DIRECTIONS, 5
 strip of a fifth of the width covers (106)."""
 
 ON_MARKER = 0.3
-"""Share of a pixel that a marker covers, from which on light is missed there."""
+"""Share of a pixel that a marker covers, from which on light is missed there; below it is too
+much."""
 
 MARGIN_PX = 1.0
 """Pixels of ground beyond the blurred edge that are looked at."""
 
-SETTLED_PX, SETTLED_GROWTH = 0.02, 0.02
-"""A marker is done when a step is below the first, of which a twentieth is then left, and its size
-grows by less than the second: one that starts at its very place may still have to grow."""
+SETTLED_PX, SETTLED_GROWTH, SETTLED_LEVEL = 0.02, 0.02, 0.01
+"""A marker is done when a step is below the first, of which a twentieth is then left, its size
+grows by less than the second, and its brightness and ground change by less than the third: one
+that starts at its very place may still have to grow, or be in other light."""
 
 SETTLED_TURNS = 24
 """Steps after which a centre no longer moves, wherever it started: a rest position that has not
@@ -341,8 +345,10 @@ def _fit_centres(
             step = 1e12
             if n < 9 or determinant < 1e-5 * n * n or information < 1e-3 * jxx * jyy + 1e-9:
                 break
+            level_before, ground_before = level, here
             level = (n * sim - sm * si) / determinant
             here = (si - level * sm) / n
+            brighter = abs(level - level_before) + abs(here - ground_before)
             if level <= 0.05 * shape[k, 7]:
                 break
             step_x = (jyy * total[8] - jxy * total[9]) / information
@@ -362,7 +368,8 @@ def _fit_centres(
             if turn > 0 or step < 0.25:
                 growth = total[11] / max(total[10], 1e-9) / mean_radius
                 scale = min(max(scale * (1.0 + min(max(growth, -0.1), 0.1)), 0.7), 1.3)
-            if step < SETTLED_PX * SETTLED_PX and abs(growth) < SETTLED_GROWTH:
+            settled = abs(growth) < SETTLED_GROWTH and brighter < SETTLED_LEVEL * level
+            if settled and step < SETTLED_PX * SETTLED_PX:
                 break
         if step > 1e8:
             continue
@@ -383,7 +390,7 @@ def _fit_centres(
         out[k, SQUARES], out[k, PIXELS], out[k, STEP] = total[14], n, np.sqrt(step)
         out[k, MISFIT] = total[14] / max(noise[0] * n + more * total[1], 1e-9)
         out[k, FITTING] = total[10] / max(total[15], 1e-9)
-        out[k, SHORTFALL] = 0.0
+        out[k, SHORTFALL], out[k, RESHAPED] = 0.0, 0.0
         doubted = out[k, FITTING] < FITS or out[k, MISFIT] > UNUSUAL * usual_misfit
         if doubted or (every > 0 and k % every == 0):
             form = inverse_form(xx, xy, yy, scale)
@@ -422,8 +429,7 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
         bright = level * (1.0 + slope_x * dx + slope_y * dy + bulge * min(squared, 1.0))
         tilt = bright * (1.0 - v2) ** 2 * 15 / 16 / blur
         residual = signal[p] - ground - bright * cover
-        if cover > ON_MARKER:
-            missed = max(missed, -residual / level)
+        missed = max(missed, (-residual if cover > ON_MARKER else residual) / level)
         nx, ny = ax * flat, ay * flat
         cosine += tilt * nx * (4.0 * nx * nx - 3.0) * residual
         sine += tilt * ny * (3.0 - 4.0 * ny * ny) * residual

@@ -18,7 +18,7 @@ from twin.arrays import Bools, Floats, Picture, Pixels, frozen
 from twin.blas_threads import one_blas_thread
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
-from twin.sense.centre import MISSING, SEEN, STATES
+from twin.sense.centre import MISSING, SEEN, STATES, STRAINED
 from twin.sense.colour import Weights, as_picture
 from twin.sense.reference import Rest, analyse_rest
 
@@ -235,7 +235,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
     sd *= factor
     lost = np.isnan(shift[:, 0])
     sd[lost] = np.nan
-    state[~lost] = SEEN
+    state[~lost & (state != STRAINED)] = SEEN
     for array in (shift, sd, state, usual):
         frozen(array)
     return Found(

@@ -1,0 +1,287 @@
+"""Tracking on what cameras deliver: markers kept, error, stated deviation and their ratio, condition by condition.
+
+Pictures are drawn by area (`benchmarks.discs`), not by twin's renderers: two layers of 80 and 63 markers, 130 counts of
+contrast, blur .7 px, 1.5 counts of read noise and shot noise of a 20 000 electron well. Every marker moves by up to 3.5
+px. JPEG is Pillow's, H.264 is ffmpeg's. ``chi`` is the root mean square of error over stated deviation, per axis;
+``over_bound`` the error over Cramer and Rao's bound for the clean picture; ``wrong`` the share of all markers with a
+shift that is off by more than a pixel.
+
+``python -m benchmarks.pages tracking`` writes the stored results into docs/tracking.md.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import convolve, gaussian_filter
+
+from benchmarks.discs import GROUND_DN, bound_px, cover, expose
+from twin.sense.track import Found, Tracker, track
+
+COLUMNS, ROWS = 10, 8
+Draw = Callable[..., np.ndarray]
+
+
+class Card:
+    """A drawn sensor: two layers of markers ``diameter`` px wide, in the picture's middle."""
+
+    def __init__(self, diameter: float, margin: float = 1.0) -> None:
+        self.diameter, self.pitch = diameter, max(30.0, 2.3 * diameter)
+        self.size = tuple(int((n - 1 + 2 * margin) * self.pitch) for n in (COLUMNS, ROWS))
+        self.layout = {}
+        for name, less in (("red", 0), ("blue", 1)):
+            grid = np.stack(np.meshgrid(np.arange(COLUMNS - less), np.arange(ROWS - less), indexing="ij"), -1)
+            self.layout[name] = (grid.reshape(-1, 2) + 0.5 * less + margin) * self.pitch
+        self.marks = np.concatenate(list(self.layout.values()))
+        self.count = len(self.layout["red"])
+        self.bound = np.sqrt(2) * bound_px(diameter)
+
+    def draw(
+        self, shift: Any = 0.0, psf: float = 0.7, gain: Any = 1.0, shade: Any = None, stretch: Any = None
+    ) -> np.ndarray:
+        """Return a noise-free (h, w, 3) picture; ``stretch`` (N, 2, 2) deforms every marker's outline."""
+        moved = self.marks + shift
+        picture = np.full((self.size[1], self.size[0], 3), GROUND_DN)
+        for channel, rows in ((0, slice(self.count)), (2, slice(self.count, None))):
+            part = None if stretch is None else stretch[rows]
+            picture[..., channel] += 130.0 * cover(self.size, moved[rows], self.diameter, psf, shade, part)
+        return picture * np.asarray(gain)
+
+    def shifts(self, seed: int) -> np.ndarray:
+        """Return (N, 2) motion of up to 3.5 px."""
+        return np.random.default_rng(seed).uniform(-3.5, 3.5, self.marks.shape)
+
+
+def jpeg(image: np.ndarray, quality: int = 85, chroma: int = 2) -> np.ndarray:
+    """Return the picture after JPEG; ``chroma`` 2 is 4:2:0, 0 is 4:4:4."""
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, "JPEG", quality=quality, subsampling=chroma)
+    return np.array(Image.open(stream))
+
+
+def mosaic(image: np.ndarray) -> np.ndarray:
+    """Return the colours of an RGGB mosaic, interpolated bilinearly."""
+    row, column = np.indices(image.shape[:2]) % 2
+    green = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4
+    other = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4
+    out = np.empty(image.shape)
+    for channel, kernel in enumerate((other, green, other)):
+        out[..., channel] = convolve(image[..., channel] * (row + column == channel), kernel, mode="mirror")
+    return np.clip(np.rint(out), 0, 255).astype(np.uint8)
+
+
+def film(images: list[np.ndarray], bit_rate: str = "4M") -> list[np.ndarray]:
+    """Return the pictures after an H.264 film of 60 frames a second."""
+    from imageio_ffmpeg import read_frames, write_frames
+
+    height, width = (n // 2 * 2 for n in images[0].shape[:2])
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "film.mp4")
+        writer = write_frames(path, (width, height), fps=60, codec="libx264", bitrate=bit_rate, macro_block_size=1)
+        writer.send(None)
+        for image in images:
+            writer.send(np.ascontiguousarray(image[:height, :width]))
+        writer.close()
+        reader = read_frames(path)
+        next(reader)
+        return [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader]
+
+
+def chord(area: float) -> float:
+    """Return how deep, in diameters, a straight edge cuts off a share of a disc's area."""
+    depth = np.linspace(0.0, 1.0, 10_001)
+    angle = np.arccos(1 - 2 * depth)
+    return float(np.interp(area, (angle - np.sin(angle) * np.cos(angle)) / np.pi, depth))
+
+
+def row(
+    condition: str, diameter: float, found: list[tuple[Found, np.ndarray]], bound: float, of: Any
+) -> dict[str, Any]:
+    """Return what came of the markers ``of`` in pictures, each with its true (N, 2) shifts."""
+    shift, true = (np.concatenate(p) for p in zip(*((f.shift_px[of], t[of]) for f, t in found), strict=True))
+    sd = np.concatenate([f.sd_px[of] for f, _ in found])
+    seen, error = np.isfinite(shift[:, 0]), shift - true
+    wrong = seen & ~(np.hypot(*error.T) < 1.0)
+    fine = seen & ~wrong
+    rms = float(np.sqrt(np.mean(error[fine] ** 2))) if fine.any() else np.nan
+    score = (error[seen] / sd[seen, None]) ** 2
+    return {
+        "condition": condition, "diameter_px": diameter, "kept": float(seen.mean()), "wrong": float(wrong.mean()),
+        "error_px": rms, "over_bound": rms / bound,
+        "stated_px": float(np.sqrt(np.mean(sd[fine] ** 2))) if fine.any() else np.nan,
+        "chi": float(np.sqrt(score.mean())) if seen.any() else np.nan,
+    }  # fmt: skip
+
+
+def stretches(count: int, ratio: float, random: np.random.Generator) -> np.ndarray:
+    """Return (count, 2, 2) stretches of an axis ratio, of the same area, along any direction."""
+    angle = random.uniform(0, np.pi, count)
+    along = np.stack([np.cos(angle), np.sin(angle)], -1)
+    across = np.stack([-np.sin(angle), np.cos(angle)], -1)
+    parts = [s * v[:, :, None] * v[:, None, :] for s, v in ((ratio**0.5, along), (ratio**-0.5, across))]
+    return np.asarray(parts[0] + parts[1])
+
+
+def specks(size: Any, count: int, random: np.random.Generator) -> np.ndarray:
+    """Return (h, w) light that dust on the window lets through."""
+    dark = np.zeros((size[1], size[0]))
+    np.maximum.at(dark, (random.integers(0, size[1], count), random.integers(0, size[0], count)), 1.0)
+    spread = gaussian_filter(dark, 1.2)
+    return 1.0 - 0.5 * spread / spread.max()
+
+
+def hidden(card: Card, drawn: np.ndarray, shift: np.ndarray, which: np.ndarray, area: float, seed: int) -> np.ndarray:
+    """Return the picture with that share of some markers' area covered in the ground's colour, from any side."""
+    random, depth = np.random.default_rng(seed), chord(area) * card.diameter
+    for marker in which:
+        turn = random.uniform(0, 2 * np.pi)
+        centre = card.marks[marker : marker + 1] + shift[marker]
+
+        def seen(dx: Any, dy: Any, _x: float, _y: float, turn: float = turn) -> Any:
+            return dx * np.cos(turn) + dy * np.sin(turn) < 0.5 * card.diameter - depth
+
+        whole, part = (cover(card.size, centre, card.diameter, 0.7, s) for s in (None, seen))
+        drawn[..., 0 if marker < card.count else 2] += 130.0 * (part - whole)
+    return drawn
+
+
+def conditions(diameter: float, repeats: int) -> Iterator[dict[str, Any]]:
+    """Yield a row of each condition."""
+    card = Card(diameter)
+    every, clear = np.arange(len(card.marks)), Card.draw
+    shifts = [card.shifts(10 + i) for i in range(repeats)]
+    rest = expose(card.draw(), 1)
+
+    def measured(name: str, picture: Callable[[int], np.ndarray], first: np.ndarray = rest, of: Any = every) -> Any:
+        found = [(track(first, picture(i), card.layout), shifts[i]) for i in range(repeats)]
+        return row(name, diameter, found, card.bound, of)
+
+    yield measured("clean", lambda i: expose(clear(card, shifts[i]), 20 + i))
+    some = every[::5]
+    for area in (0.05, 0.14, 0.31, 0.5):
+        yield measured(
+            f"{100 * area:.0f} % of the area hidden",
+            lambda i, a=area: expose(hidden(card, clear(card, shifts[i]), shifts[i], some, a, i), 20 + i),
+            of=some,
+        )
+    for ratio in (1.3, 1.5, 1.8):
+        turned = stretches(len(every), ratio, np.random.default_rng(5))
+        yield measured(
+            f"strained, axis ratio {ratio}",
+            lambda i, s=turned: expose(clear(card, shifts[i], stretch=s), 20 + i),
+        )
+    for psf in (1.3, 1.6, 2.0):
+        yield measured(f"blur .7 to {psf} px", lambda i, b=psf: expose(clear(card, shifts[i], psf=b), 20 + i))
+    for name, camera in (
+        ("JPEG 85, 4:2:0", jpeg),
+        ("JPEG 60, 4:2:0", lambda p: jpeg(p, 60)),
+        ("JPEG 85, 4:4:4", lambda p: jpeg(p, 85, 0)),
+        ("colour mosaic", mosaic),
+        ("colour mosaic and JPEG 85", lambda p: jpeg(mosaic(p))),
+    ):
+        yield measured(name, lambda i, c=camera: c(expose(clear(card, shifts[i]), 20 + i)), camera(rest))
+    frames = film([rest, *(expose(clear(card, s), 20 + i) for i, s in enumerate(shifts))])
+    yield measured("H.264, 4 Mbit/s", lambda i: frames[1 + i], frames[0])
+    glint = lambda dx, dy, x, y: 1 + 0.8 * np.exp(-0.5 * ((dx - 0.2 * diameter) ** 2 + dy**2))  # noqa: E731
+    yield measured(
+        "a glint on every marker",
+        lambda i: expose(clear(card, shifts[i], shade=glint), 20 + i), expose(clear(card, shade=glint), 1),
+    )  # fmt: skip
+    yield measured("glints that weren't at rest", lambda i: expose(clear(card, shifts[i], shade=glint), 20 + i))
+    dust = specks(card.size, card.size[0] * card.size[1] // 600, np.random.default_rng(6))[..., None]
+    yield measured(
+        "dust on the window",
+        lambda i: expose(clear(card, shifts[i], gain=dust), 20 + i), expose(clear(card, gain=dust), 1),
+    )  # fmt: skip
+    hot = np.random.default_rng(7).random(rest.shape) < 1e-3
+    yield measured(
+        "hot pixels, 1 in 1000",
+        lambda i: np.where(hot, 255, expose(clear(card, shifts[i]), 20 + i)).astype(np.uint8),
+        np.where(hot, 255, rest).astype(np.uint8),
+    )
+    for gain in (0.6, 1.5, 2.2):
+        yield measured(f"gain x {gain}", lambda i, g=gain: expose(clear(card, shifts[i], gain=g), 20 + i))
+    row_, column = np.indices(rest.shape[:2]) - (np.array(rest.shape[:2]) / 2)[:, None, None]
+    fall = 1.0 - 0.72 * (row_**2 + column**2) / (np.array(rest.shape[:2]) ** 2 / 4).sum()
+    yield measured(
+        "vignetting to .28",
+        lambda i: expose(clear(card, shifts[i], gain=fall[..., None]), 20 + i),
+        expose(clear(card, gain=fall[..., None]), 1),
+    )
+
+
+def motions(diameter: float) -> Iterator[dict[str, Any]]:
+    """Yield a row of each large motion from a cold start."""
+    card = Card(diameter, 2.5)
+    away = card.marks - np.array(card.size) / 2
+    bump = 1.5 * card.pitch * np.exp(-0.5 * (away**2).sum(axis=1) / (3.5 * card.pitch) ** 2)[:, None]
+    rest = expose(card.draw(), 1)
+    for name, shift in (
+        ("jump of 1.5 pitches", np.tile([1.5 * card.pitch, 0.0], (len(away), 1))),
+        ("jump of 1.5 pitches, askew", np.tile([1.2 * card.pitch, 0.9 * card.pitch], (len(away), 1))),
+        ("stretch of 12 %", 0.12 * away),
+        ("bump of 1.5 pitches", bump * [0.8, 0.6]),
+    ):
+        found = track(rest, expose(card.draw(shift), 2), card.layout)
+        yield row(f"cold, {name}", diameter, [(found, shift)], card.bound, np.arange(len(away)))
+
+
+def borders(diameter: float) -> Iterator[dict[str, Any]]:
+    """Yield rows of markers near the frame: whole ones, and ones that it cuts by up to a quarter."""
+    for name, margin in (("whole, a radius from the frame", 0.53), ("cut by the frame by a sixth", 0.33)):
+        card = Card(diameter, margin * diameter / max(30.0, 2.3 * diameter))
+        shift = np.random.default_rng(3).uniform(-0.3, 0.3, card.marks.shape)
+        near = (np.minimum(card.marks, np.array(card.size) - card.marks) < 0.6 * diameter).any(axis=1)
+        found = track(expose(card.draw(), 1), expose(card.draw(shift), 2), card.layout)
+        yield row(name, diameter, [(found, shift)], card.bound, near)
+
+
+def over_layers(diameter: float, repeats: int) -> dict[str, Any]:
+    """Return the row of a layer that has moved over the other: it covers what is below it."""
+    card, found = Card(diameter), []
+    rest = expose(card.draw(), 1)
+    for i in range(repeats):
+        shift = card.shifts(10 + i)
+        shift[card.count :] += 0.5 * card.pitch - (0.35 + 0.1 * i) * diameter
+        drawn = card.draw(shift)
+        red = cover(card.size, (card.marks + shift)[: card.count], diameter, 0.7)
+        drawn[..., 2] = GROUND_DN + (drawn[..., 2] - GROUND_DN) * (1 - red)
+        tracker = Tracker(rest, card.layout)
+        for part in (0.3, 0.6, 1.0):
+            half = card.draw(part * shift) if part < 1 else drawn
+            seen = tracker.track(expose(half, 20 + i))
+        found.append((seen, shift))
+    return row("layers that overlap", diameter, found, card.bound, np.arange(len(card.marks)))
+
+
+def textures(diameter: float) -> Iterator[dict[str, Any]]:
+    """Yield rows of irregular prints (outline and brightness of each its own), moved by a smooth field."""
+    card = Card(diameter)
+
+    def print_(dx: Any, dy: Any, x: float, y: float) -> Any:
+        first = np.random.default_rng(int(1000 * (x // card.pitch) + y // card.pitch))
+        angle, edge = np.arctan2(dy, dx), first.normal(0, 0.03, (2, 4))
+        outline = 1 + sum(e[0] * np.cos((k + 2) * angle) + e[1] * np.sin((k + 2) * angle) for k, e in enumerate(edge.T))
+        return (np.hypot(dx, dy) < 0.46 * diameter * outline) * (1 + first.normal(0, 0.1))
+
+    shift = np.stack([1.5 * np.sin(card.marks[:, 1] / 80), 1.5 * np.cos(card.marks[:, 0] / 90)], -1)
+    pair = [expose(card.draw(s, shade=print_), i) for i, s in enumerate((0.0, shift))]
+    every = np.arange(len(card.marks))
+    yield row("irregular prints", diameter, [(track(*pair, card.layout), shift)], card.bound, every)
+    lossy = [jpeg(p) for p in pair]
+    yield row("irregular prints, JPEG 85", diameter, [(track(*lossy, card.layout), shift)], card.bound, every)
+
+
+def run(quick: bool) -> list[dict[str, Any]]:
+    """Return the rows of all conditions; the quick form has one diameter and fewer pictures."""
+    rows: list[dict[str, Any]] = []
+    for diameter in (10.0,) if quick else (10.0, 15.0):
+        rows += conditions(diameter, 2 if quick else 6)
+        rows += [*motions(diameter), *borders(diameter), over_layers(diameter, 2 if quick else 4), *textures(diameter)]
+    return rows
