@@ -24,6 +24,7 @@ STAGES = (
     "picture",
     "referee",
     "tracking",
+    "conditions",
     "chain",
     "inverse",
     "stress",

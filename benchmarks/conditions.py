@@ -33,11 +33,11 @@ class Card:
 
     def __init__(self, diameter: float, margin: float = 1.0) -> None:
         self.diameter, self.pitch = diameter, max(30.0, 2.3 * diameter)
-        self.size = tuple(int((n - 1 + 2 * margin) * self.pitch) for n in (COLUMNS, ROWS))
+        self.size = tuple(round((n - 1 + 2 * margin) * self.pitch) for n in (COLUMNS, ROWS))
         self.layout = {}
         for name, less in (("red", 0), ("blue", 1)):
             grid = np.stack(np.meshgrid(np.arange(COLUMNS - less), np.arange(ROWS - less), indexing="ij"), -1)
-            self.layout[name] = (grid.reshape(-1, 2) + 0.5 * less + margin) * self.pitch
+            self.layout[name] = (grid.reshape(-1, 2) + 0.5 * less + margin) * self.pitch - 0.5
         self.marks = np.concatenate(list(self.layout.values()))
         self.count = len(self.layout["red"])
         self.bound = np.sqrt(2) * bound_px(diameter)
@@ -234,9 +234,9 @@ def motions(diameter: float) -> Iterator[dict[str, Any]]:
 
 def borders(diameter: float) -> Iterator[dict[str, Any]]:
     """Yield rows of markers near the frame: whole ones, and ones that it cuts by up to a quarter."""
-    for name, margin in (("whole, a radius from the frame", 0.53), ("cut by the frame by a sixth", 0.33)):
+    for name, margin in (("whole, up to the frame", 0.5), ("cut by the frame by a sixth", 0.33)):
         card = Card(diameter, margin * diameter / max(30.0, 2.3 * diameter))
-        shift = np.random.default_rng(3).uniform(-0.3, 0.3, card.marks.shape)
+        shift = np.random.default_rng(3).uniform(0.0, 0.5, card.marks.shape) * np.sign(np.mean(card.marks) - card.marks)
         near = (np.minimum(card.marks, np.array(card.size) - card.marks) < 0.6 * diameter).any(axis=1)
         found = track(expose(card.draw(), 1), expose(card.draw(shift), 2), card.layout)
         yield row(name, diameter, [(found, shift)], card.bound, near)

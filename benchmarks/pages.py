@@ -432,7 +432,11 @@ def _tracking() -> dict[str, str]:
     rows = stored("tracking")
     chains = [row for row in rows if row["way"].startswith("chain")]
     errors = [row for row in rows if row not in chains]
-    return {"results": f"{table(errors)}\n\n{measured_on('tracking')}\n", "chain": f"{table(chains)}\n"}
+    return {
+        "results": f"{table(errors)}\n\n{measured_on('tracking')}\n",
+        "conditions": f"{table(stored('conditions'))}\n",
+        "chain": f"{table(chains)}\n",
+    }
 
 
 # the inverse problem: stages inverse and calibrations

@@ -80,6 +80,15 @@ USUAL_BLUR_PX = 2.0
 """Half width of a sharp lens' blur with the pixel's, px (.75 px standard deviation): where the
 search starts."""
 
+LUMA = np.array([0.299, 0.587, 0.114])
+"""Weights of red, green and blue in the brightness that JPEG and H.264 keep at full resolution
+(ITU-R BT.601); they halve that of the colours."""
+
+SMOOTHER, LEAST_LUMA = 0.8, 0.2
+"""Brightness replaces a layer's colour where it shows this share of the contrast (blue's doesn't),
+and edges at rest lie nearer to the model by this factor: their third harmonic is as far off as
+centres are (`_coherence`)."""
+
 SHOWS = 0.3
 """Another layer shows where it has this share of its usual level."""
 
@@ -188,11 +197,33 @@ class DiscFit(SoftWindow):
         ]
         groups = []
         for number, spot in enumerate(spots):
-            mine = np.array([*own[number], ground[number]], np.float32)
             others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
-            made = _make_templates(picture, mine, others, centres[number], widths[number])
-            groups.append(cls._fitted(picture, spot, *made))
+
+            def fitted(
+                weights: Floats,
+                spot: SoftWindow = spot,
+                others: Singles = others,
+                place: tuple[Pixels, float] = (centres[number], widths[number]),
+            ) -> DiscFit:
+                mine = np.array([*weights, np.median(sample @ weights)], np.float32)
+                return cls._fitted(picture, spot, *_make_templates(picture, mine, others, *place))
+
+            group, colour = fitted(own[number]), colours[number]
+            bright = float(LUMA @ colour)
+            shows_in_luma = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())
+            if not given and group.templates.every and shows_in_luma:
+                rival = fitted(np.sign(bright) * LUMA / LUMA.max())
+                if rival.roughness_px < SMOOTHER * group.roughness_px:
+                    every = group.templates.every
+                    group = replace(rival, templates=replace(rival.templates, every=every))
+            groups.append(group)
         return groups
+
+    @property
+    def roughness_px(self) -> float:
+        """How far edges at rest lie outside the model's in their third harmonic: the median, px."""
+        third = np.abs(self.templates.third)
+        return float(np.nanmedian(third)) if np.isfinite(third).any() else np.inf
 
     @classmethod
     def _fitted(

@@ -27,9 +27,8 @@ CACHE_LINE = 64
 here and there takes a third of the time that it saves."""
 
 COHERENT = 1.5
-"""Smaller factors are chance or a few markers' moving shadows, and leave the stated deviations as
-they are. One factor serves all layers: what forces follow from markers depends on their relative
-deviations alone."""
+"""Smaller factors, of all layers together, are chance or a few markers' moving shadows, and leave
+the stated deviations as they are."""
 
 __all__ = ["STATES", "Found", "Tracker", "analyse_rest", "track", "track_frame"]
 
@@ -217,7 +216,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
     shift = np.full(rest.rest_px.shape, np.nan)
     sd = np.full(len(rest.rest_px), np.nan)
     state = np.full(len(rest.rest_px), MISSING, np.uint8)
-    squares = 0.0
+    factors = np.ones(len(rest.rest_px))
     spurious: list[Pixels] | None = []
     picture.reshape(-1)[::CACHE_LINE].max()  # a straight read, which memory foresees
     for group in rest.groups:
@@ -225,14 +224,14 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
         start = None if start_px is None else np.asarray(start_px, float)[rows]
         seen = group.measure(picture, start)
         shift[rows], sd[rows], state[rows] = seen.shift_px, seen.sd_px, seen.state
-        squares += len(rows) * seen.coherence**2
+        factors[rows] = seen.coherence
         spurious = (
             None if spurious is None or seen.spurious_px is None else [*spurious, seen.spurious_px]
         )
-    factor = float(np.sqrt(squares / len(rest.rest_px)))
-    factor = factor if factor > COHERENT else 1.0
-    usual = factor * rest.usual_sd_px
-    sd *= factor
+    if np.sqrt(np.mean(factors**2)) <= COHERENT:
+        factors[:] = 1.0
+    usual = factors * rest.usual_sd_px
+    sd *= factors
     lost = np.isnan(shift[:, 0])
     sd[lost] = np.nan
     state[~lost & (state != STRAINED)] = SEEN
