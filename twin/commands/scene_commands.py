@@ -131,15 +131,44 @@ def scenes() -> None:
 
 def check(
     file: Annotated[
-        str, Parameter(help="Scene or sweep file, calibration (.npz), result folder or dataset.")
+        str,
+        Parameter(
+            help="Scene or sweep file, calibration (.npz), result folder or dataset; or a rest "
+            "picture."
+        ),
     ],
+    second: Annotated[
+        Path | None, Parameter(help="Another rest picture: is this camera good enough?")
+    ] = None,
+    /,
+    *,
+    scene: Annotated[
+        str | None, Parameter(help="The pictures' sensor: a scene (path or shipped name).")
+    ] = None,
+    set_: Overrides = (),
 ) -> None:
     """Check a file or a folder and print everything that is wrong with it.
+
+    Two rest pictures of a sensor and its scene: print noise, saturation, blur, compression, the
+    errors of shifts and forces to expect, and whether the camera is good enough.
 
     Examples:
     twin check my_scene.toml
     twin check out/kamiyama_pillar
+    twin check rest1.png rest2.png --scene my_scene.toml
     """
+    if (second is None) != (scene is None):
+        raise InputError(
+            "two rest pictures and --scene belong together: twin check rest1.png rest2.png --scene "
+            "SCENE"
+        )
+    if second is not None and scene is not None:
+        from twin.study.camera_check import check_camera
+
+        loaded = load(scene, set_)
+        with scene_named(scene):
+            print("\n".join(check_camera(Path(file), second, loaded)))
+        return
     from twin.study.check import check_path
 
     print("\n".join(check_path(file)))

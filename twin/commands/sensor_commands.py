@@ -126,6 +126,7 @@ def reconstruct(
     count, failed, doubted = 0, 0, 0
     first, last = "", ""
     largest: dict[str, Any] = {}
+    tally = recorded.Tally()
     results = recorded.reconstruct_frames(
         recorded.read_picture(rest),
         known,
@@ -143,6 +144,7 @@ def reconstruct(
             for count, result in enumerate(results, start=1):
                 row = result.row(len(known.site_mm))
                 live.add(row)
+                tally.add(result)
                 if result.field is not None and _size(row) >= _size(largest):
                     largest = row
                 if table:
@@ -165,6 +167,7 @@ def reconstruct(
         raise InputError("there were no frames")
     to = sys.stdout if out else sys.stderr
     print(f"frames      {count}, {failed} failed, {doubted} doubtful", file=to)
+    print(*tally.lines(), sep="\n", end="\n" if largest else "", file=to)
     if largest:
         parts = [f"F{a} {largest[f'f{a}_n']:.4g} ± {largest[f'sd_f{a}_n']:.2g}" for a in "xyz"]
         print(f"largest     {', '.join(parts)} N, in {largest['frame']}", file=to)

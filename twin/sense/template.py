@@ -514,6 +514,11 @@ class Templates:
     fitting: Floats
     one_sided: Floats
 
+    @property
+    def blur_px(self) -> Floats:
+        """(n,) standard deviation of the blur, px: of a biweight, half its width over root 7."""
+        return np.asarray(self.shape[:, 6] / np.sqrt(7.0))
+
     @cached_property
     def _pixels(self) -> tuple[Ints, Ints]:
         return disc(self.reach_px)

@@ -7,15 +7,24 @@ import html
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Picture, Pixels
 from twin.show.html_page import figure
 
-SEEN, LOST, TEXT = (120, 255, 120), (255, 210, 0), (255, 255, 255)
+LOST, TEXT = (255, 210, 0), (255, 255, 255)
+BY_STATE = {
+    "seen": (120, 255, 120),
+    "strained": (90, 220, 255),
+    "partly hidden": (255, 130, 40),
+    "ambiguous": (255, 90, 255),
+}
+"""Colours of markers by their state; others are lost."""
 
 
 class _Motion(Protocol):
-    """What a tracker found: (n, 2) rest places and shifts, px, and (n,) whether it was seen."""
+    """What a tracker found: (n, 2) rest places and shifts, px, (n,) whether it was seen, and
+    states."""
 
     @property
     def rest_px(self) -> Pixels: ...
@@ -23,25 +32,28 @@ class _Motion(Protocol):
     def shift_px(self) -> Pixels: ...
     @property
     def seen(self) -> Bools: ...
+    @property
+    def states(self) -> NDArray[np.str_]: ...
 
 
 def overlay(picture: Picture, found: _Motion | None, text: str) -> Picture:
     """Return an (h, w, 3) or (h, w) picture in colour, with a line of text and, if markers were
-    found, a line from every one's rest place (dot) to where it is, true to scale; lost ones are
-    circles."""
+    found, a line from every one's rest place (dot) to where it is, true to scale; those without a
+    shift are circles. Colours tell the states."""
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(picture).convert("RGB")
     draw = ImageDraw.Draw(image)
-    motion = zip(found.rest_px, found.shift_px, found.seen, strict=True) if found else ()
-    for (x, y), (dx, dy), fine in motion:
+    rows = (found.rest_px, found.shift_px, found.seen, found.states) if found else ()
+    for (x, y), (dx, dy), fine, state in zip(*rows, strict=True):
         if not np.isfinite(x + y):
             continue
+        colour = BY_STATE.get(str(state), LOST)
         if fine:
-            draw.line((x, y, x + dx, y + dy), fill=SEEN)
+            draw.line((x, y, x + dx, y + dy), fill=colour)
             draw.point((x, y), fill=TEXT)
         else:
-            draw.ellipse((x - 4, y - 4, x + 4, y + 4), outline=LOST)
+            draw.ellipse((x - 4, y - 4, x + 4, y + 4), outline=colour)
     draw.rectangle((0, 0, image.width, 13), fill=(0, 0, 0))
     draw.text((3, 1), text, fill=TEXT)
     return np.array(image)

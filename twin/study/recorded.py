@@ -73,6 +73,9 @@ TABLES = (".parquet", ".csv", ".npz")
 _GROUP = 256
 """Rows of a Parquet group, which are held in memory."""
 
+_TOLD = ("seen", "strained", "partly hidden", "ambiguous")
+"""Markers' states that `Tally` names; all others are lost."""
+
 _FIELD = "force_n"
 """The column of every site's force; in Parquet and npz only."""
 
@@ -524,6 +527,39 @@ class TableFile:
             self._writer = pq.ParquetWriter(self._part, table.schema.with_metadata(facts))
         self._writer.write_table(table.cast(self._writer.schema))
         self._rows = []
+
+
+class Tally:
+    """What became of the markers of a sequence, and the force error that follows."""
+
+    def __init__(self) -> None:
+        self._states: dict[str, int] = {}
+        self._squares = 0.0
+        self._frames = 0
+
+    def add(self, result: _FrameResult) -> None:
+        """Count a frame; one that failed has nothing to count."""
+        if result.found is None or result.field is None:
+            return
+        for state, count in zip(*np.unique(result.found.states, return_counts=True), strict=True):
+            self._states[str(state)] = self._states.get(str(state), 0) + int(count)
+        self._squares += float((result.field.sd_total_n**2).sum())
+        self._frames += 1
+
+    def lines(self) -> list[str]:
+        """Return shares of the states, and the standard deviation of total forces (root mean square
+        over the frames) that the markers' stated ones lead to; nothing without frames."""
+        markers = sum(self._states.values())
+        if not markers:
+            return []
+        share = {state: self._states.get(state, 0) / markers for state in _TOLD}
+        share["lost"] = 1.0 - sum(share.values())
+        told = ", ".join(f"{100 * abs(part):.3g} % {state}" for state, part in share.items())
+        expected = float(np.sqrt(self._squares / self._frames))
+        return [
+            f"markers     {told}",
+            f"expected    error of a total force {expected:.2g} N, of the markers' noise alone",
+        ]
 
 
 class OverlayFile:
