@@ -26,6 +26,7 @@ ADDED = {
     "add_lens": "stereographic",
     "add_method": "curved",
     "add_probe": "roller",
+    "add_renderer": "discs",
     "add_tracker": "squared",
 }
 """What each page adds."""

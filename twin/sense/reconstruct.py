@@ -40,7 +40,6 @@ from numbers import Real
 from types import NoneType
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.blas_threads import one_blas_thread
@@ -406,6 +405,8 @@ is not raised for the sake of time."""
 def _localised(problem: Problem, force_n: Floats) -> Problem:
     """Return the problem with forces expected where ``force_n`` (k, 3) has some; it must not be
     zero everywhere."""
+    from scipy.ndimage import gaussian_filter
+
     squared = gaussian_filter(
         ((force_n / np.abs(force_n).max()) ** 2).sum(axis=1).reshape(problem.calibration.grid),
         AROUND,

@@ -56,6 +56,21 @@ FEW = 0.5
 
 WANTED = frozenset({"displacement", "picture", "tracking", "forces", "score", "report"})
 
+_STAGES = {
+    "design": "displacement",
+    "contact": "displacement",
+    "displacement": "displacement",
+    "rest picture": "picture",
+    "pressed picture": "picture",
+    "outlines": "picture",
+    "tracking": "tracking",
+    "calibration": "forces",
+    "reconstruction": "forces",
+    "contact error": "displacement",
+    "score": "displacement",
+}
+"""The stages in their order, each with what needs it."""
+
 _CURVE_POINTS = 80
 
 
@@ -190,7 +205,8 @@ class _Chain:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         if self.progress is not None:
-            self.progress(name, min(0.95, len(self.timings) / 9))
+            stages = [each for each, needs in _STAGES.items() if needs in self.needed]
+            self.progress(name, stages.index(name) / len(stages))
         started = time.perf_counter()
         yield
         self.timings[name] = time.perf_counter() - started

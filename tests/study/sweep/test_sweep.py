@@ -230,7 +230,9 @@ def test_one_axis_and_nothing_possible_still_make_a_page(tmp_path: Path) -> None
     assert "None of 1 designs is possible" in (tmp_path / "report.html").read_text()
 
 
-def test_time_is_estimated_from_cpu_seconds_of_several_designs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cpu = [0.0]
 
     def rows(folder: Path, task: int) -> Rows:
@@ -239,11 +241,16 @@ def test_time_is_estimated_from_cpu_seconds_of_several_designs(monkeypatch: pyte
 
     monkeypatch.setattr(sweep_run, "time", SimpleNamespace(process_time=lambda: cpu[0]))
     monkeypatch.setattr(sweep_run, "make_rows", rows)
+    monkeypatch.setattr(sweep_run, "cache_folder", lambda: tmp_path)
     told = sweep_run.estimate(*small(), workers=2)[-1]
     assert "6 designs, about 9 s with 2 workers" in told
     assert "2 s of CPU a design (an estimate from 4 designs), 3 s to begin" in told
     alone = sweep_run.estimate(*small(axes={"markers.*.pitch_mm": [1.5]}, derived={}))[-1]
     assert "1 design, about 5 s with 1 worker," in alone
+    spent = cpu[0]
+    again = sweep_run.estimate(*small(), workers=2)[-1]
+    assert "2 s of CPU a design (an estimate from 4 designs, made before), 3 s to begin" in again
+    assert cpu[0] == spent
 
 
 def test_the_command_says_what_it_would_do_and_refuses_what_it_cant(tmp_path: Path) -> None:

@@ -45,8 +45,9 @@ AHEAD = 2
 BATCH_S = 1.0
 """CPU seconds of tasks that are handed out together: handing out costs some 7 ms."""
 
-START_S = 6.0
-"""Seconds that two processes take to start and to load what this one has, on two cores."""
+START_S = 9.0
+"""Seconds that two processes take to start and to load what this one has, on two cores: 6 where
+they are idle, 9 and more beside other work, which also makes tasks look longer."""
 
 RETRIES = 3
 """Workers that a task may lose before it is given up."""

@@ -21,7 +21,9 @@ better and costs the share `SHARE` of the designs.
 
 from __future__ import annotations
 
+import hashlib
 import json
+import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -33,11 +35,18 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Progress
 from twin.blas_threads import one_thread
-from twin.errors import RecipeError
-from twin.files import make_folder, write_whole
+from twin.errors import RecipeError, TwinError
+from twin.files import cache_folder, make_folder, write_json, write_whole
 from twin.parts.scene import Scene
 from twin.parts.sweep import FIDELITIES, Sweep
-from twin.study.batch.pool import Scheduler, counted, only_writer, reach, unpacked
+from twin.study.batch.pool import (
+    Scheduler,
+    counted,
+    only_writer,
+    reach,
+    unpacked,
+    versions,
+)
 from twin.study.sweep.closed_form_design import closed
 from twin.study.sweep.designs import Designs, designs_at, designs_of, load_sweep
 from twin.study.sweep.fidelities import resolved_by_sites
@@ -457,24 +466,35 @@ def _measured(
     sweep: Sweep, scene: Scene, stage: str, good: Ints, designs: Designs
 ) -> tuple[float, float, list[Row], str]:
     """Return the CPU seconds of a design and of what comes before the first; the rows tried; how
-    they were tried."""
-    if stage == "full":
-        values = [designs.values(int(good[0]))]
-        with one_thread(), unpacked(job_of(sweep, scene, COST, values, 1)) as folder:
-            began = time.process_time()
-            row = make_rows(Path(folder), 0).rows[0]
-            spent = time.process_time() - began
-        how = "an estimate from 1 exposure of 1 design"
-        return row.get("cpu_s", spent), row.get("begin_s", 0.0), [row], how
-    tried = good[:: max(1, len(good) // TRIED)][:TRIED]
+    they were tried.
+
+    What has been measured once on this machine is read from the cache.
+    """
+    full = stage == "full"
+    tried = good[:: max(1, len(good) // TRIED)][: 1 if full else TRIED]
     values = [designs.values(int(n)) for n in (tried[0], *tried)]  # the first twice: it begins
-    with one_thread(), unpacked(job_of(sweep, scene, stage, values, 1)) as folder:
+    job = job_of(sweep, scene, COST if full else stage, values, 1)
+    how = f"an estimate from {'1 exposure of 1 design' if full else f'{len(tried)} designs'}"
+    made_by = json.dumps([job.name, versions(), platform.node()])
+    kept = cache_folder() / f"sweep-cost-{hashlib.sha256(made_by.encode()).hexdigest()[:32]}.json"
+    with suppress(OSError, ValueError, KeyError):
+        found = json.loads(kept.read_text())
+        return found["each_s"], found["begin_s"], found["rows"], f"{how}, made before"
+    with one_thread(), unpacked(job) as folder:
         began = time.process_time()
-        make_rows(Path(folder), 0)
+        rows = make_rows(Path(folder), 0).rows
         started = time.process_time()
-        rows = [make_rows(Path(folder), k).rows[0] for k in range(1, 1 + len(tried))]
-        each = (time.process_time() - started) / len(rows)
-    return each, max(started - began - each, 0.0), rows, f"an estimate from {len(rows)} designs"
+        if full:
+            each = rows[0].get("cpu_s", started - began)
+            begin = rows[0].get("begin_s", 0.0)
+        else:
+            rows = [make_rows(Path(folder), k).rows[0] for k in range(1, 1 + len(tried))]
+            each = (time.process_time() - started) / len(rows)
+            begin = max(started - began - each, 0.0)
+    if all(row["status"] == "ok" for row in rows):
+        with suppress(TwinError):  # a full disk is no error here
+            write_json(kept, {"each_s": each, "begin_s": begin, "rows": rows})
+    return each, begin, rows, how
 
 
 def looked_over(path: Path) -> list[str]:

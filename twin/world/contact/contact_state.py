@@ -807,7 +807,7 @@ def _rms_traction(load: Rectangles) -> float:
 def _traction_change(fine: ContactState, coarse: ContactState) -> float:
     """Return the RMS change of the tractions over their RMS, the coarse ones interpolated to the
     finer patches."""
-    from scipy.interpolate import LinearNDInterpolator
+    from scipy.spatial import Delaunay
 
     if min(len(fine.traction_mpa), len(coarse.traction_mpa)) < _FEWEST_COMPARED:
         return 1.0
@@ -817,8 +817,14 @@ def _traction_change(fine: ContactState, coarse: ContactState) -> float:
     assert isinstance(other, Rectangles)
     here = _flattened(one, one)
     there = _flattened(other, one)
-    expected = LinearNDInterpolator(there, coarse.traction_mpa)(here)
-    known = np.isfinite(expected).all(axis=1)
+    triangles = Delaunay(there)
+    inside = triangles.find_simplex(here)
+    known = inside >= 0
+    to_shares = triangles.transform[inside]
+    shares = np.einsum("nij,nj->ni", to_shares[:, :2], here - to_shares[:, 2])
+    shares = np.column_stack([shares, 1.0 - shares.sum(axis=1)])
+    corners = coarse.traction_mpa[triangles.simplices[inside]]
+    expected = np.einsum("ni,nij->nj", shares, corners)
     weight = np.prod(one.half_mm, axis=1)[known, None]
     changed = float(np.sum(weight * (expected[known] - fine.traction_mpa[known]) ** 2))
     return (

@@ -174,8 +174,8 @@ def choose_variant(force: str | None = None, candidates: Iterable[str] | None = 
         raise InputError(
             f"{name!r} is no way of rendering: it must be one of {', '.join(VARIANTS)}"
         )
-    if name == "splat":
-        return Variant(name=name, library=None, reason="splat was chosen by name")
+    if name and not name.endswith("_ad_rgb"):  # no variant of Mitsuba's: it needs nothing here
+        return Variant(name=name, library=None, reason=f"{name} was chosen by name")
     if name != "llvm_ad_rgb" and (driver := _working_driver()):
         return Variant(name="cuda_ad_rgb", library=None, reason=f"{driver} and Mitsuba on it work")
     if name == "cuda_ad_rgb":

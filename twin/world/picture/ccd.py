@@ -35,7 +35,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import ndtri
 
 from twin.arrays import Floats, Ints, Picture, Singles
@@ -483,6 +482,7 @@ def _mosaic(ccd: Ccd) -> Ints | None:
     return np.array([_COLOURS[letter] for letter in ccd.bayer]).reshape(2, 2)
 
 
+@lru_cache(maxsize=8)
 def _blur_weights(spread_px: float) -> Singles:
     """Return (2 r + 1,) samples of a Gaussian, of sum 1 and variance ``spread_px`` squared."""
     if spread_px == 0:
@@ -496,7 +496,10 @@ def _blur_weights(spread_px: float) -> Singles:
         shares: Floats = weights / weights.sum()
         return shares
 
-    ratio: float = brentq(lambda ratio: float(samples(ratio) @ squares) - spread_px**2, 0.0, 1.0)
+    low, high = 0.0, 1.0
+    while low < (ratio := (low + high) / 2) < high:
+        narrow = samples(ratio) @ squares < spread_px**2
+        low, high = (ratio, high) if narrow else (low, ratio)
     singles: Singles = samples(ratio).astype(np.float32)
     return singles
 

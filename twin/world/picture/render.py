@@ -11,8 +11,9 @@ the pupil (`twin.world.picture.camera_rays`); outlines are those through its mid
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from twin.parts.camera import Camera
 from twin.parts.scene import Scene
 from twin.theory.optics import project, sight
 from twin.world.picture.backend import FORCE, Variant, choose_variant
-from twin.world.picture.camera_rays import PUPIL_WEIGHTS, look, through_the_pupil
+from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View, look, through_the_pupil
 from twin.world.picture.ccd import white_level
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
@@ -31,6 +32,14 @@ from twin.world.picture.lamps import brightest
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
 from twin.world.picture.picture_job import WEIGHT, Indices, PictureJob, Shader, make_job
 from twin.world.picture.splat import Shaded, Splat
+
+RENDERERS: dict[str, Callable[[View, float, float], Shader]] = {
+    "splat": Splat,
+    "llvm_ad_rgb": partial(MitsubaTracer, "llvm_ad_rgb"),
+    "cuda_ad_rgb": partial(MitsubaTracer, "cuda_ad_rgb"),
+}
+"""What makes each renderer, by its name: of the camera's rays, the length of the renderer's unit in
+mm, and the share of light that comes from all around."""
 
 _HIDDEN = 0.01
 """A smaller share of an outline that is seen counts as none: edges just behind edges leave such
@@ -165,9 +174,8 @@ class Renderer:
         self._splat = Splat(self._view, self._unit, scene.light.ambient)
         self._shader: Shader = self._splat
         if self.variant.name != "splat":
-            self._shader = MitsubaTracer(
-                self.variant.name, self._view, self._unit, scene.light.ambient
-            )
+            made = RENDERERS[self.variant.name]
+            self._shader = made(self._view, self._unit, scene.light.ambient)
         pupil = through_the_pupil(scene)
         self._pupils = [self._through(camera, rest) for camera in pupil]
 
