@@ -255,6 +255,7 @@ class Neighbourhood:
         if start_px is not None and search.lost(warm) - allowed < search.lost(best):
             return warm.spot, False
         tried = [best]
+        rivals: list[_Pairing] = []
         for _ in range(ROUNDS):
             rivals = search.rivals(tried[-1])
             if not rivals:
@@ -264,7 +265,9 @@ class Neighbourhood:
                 break
             tried.append(better)
         best = min(tried, key=lambda p: p.cost)
-        others = [*search.rivals(best), *(p for p in tried if p is not best)]
+        if best is not tried[-1] or len(tried) > ROUNDS:  # else they are those found last
+            rivals = search.rivals(best)
+        others = [*rivals, *(p for p in tried if p is not best)]
         least = min((rival.left_over for rival in others), default=best.left_over)
         close = any(rival.cost < best.cost + RIVAL for rival in others)
         return best.spot, close or (best.length > STILL and least < best.left_over)
@@ -347,12 +350,18 @@ class _Search:
         """Return how many spots are no marker's, though at rest they would have been well inside
         the picture."""
         taken = spot >= 0
-        free = np.setdiff1d(np.flatnonzero(self.usable), spot)
+        free = self._free(spot)
         if not taken.any() or not len(free):
             return len(free)
         _, near = cKDTree(self.spots[spot[taken]]).query(self.spots[free])
         place = self.spots[free] - motion[taken][near]
         return int(((place > margin) & (place < self.border - margin)).all(axis=1).sum())
+
+    def _free(self, spot: Ints) -> Ints:
+        """Return the spots that could be markers and are none's."""
+        free = np.array(self.usable, np.bool_)
+        free[spot[spot >= 0]] = False
+        return np.flatnonzero(free)
 
     def lost(self, pairing: _Pairing) -> float:
         """Return how many markers have no spot."""
@@ -376,7 +385,7 @@ class _Search:
         lattice away."""
         around, spot = self.around, pairing.spot
         expected, _ = around.predict(pairing.motion)
-        beyond = np.setdiff1d(np.flatnonzero(self.usable), spot)
+        beyond = self._free(spot)
         found = []
         for partner in around.partner:
             has = (partner >= 0) & self.known & self.known[partner]

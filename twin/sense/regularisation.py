@@ -192,24 +192,40 @@ class Factors:
 
     def forces(self, data: Floats, weight: float) -> Floats:
         """Return (k, 3) forces of whitened data, N."""
-        along = self.left.T @ self.filled(data, weight)
+        _, along = self._completed(data, weight)
         return np.asarray((self.back @ (self._filtered(weight) * along)).reshape(-1, 3))
 
     def filled(self, data: Floats, weight: float) -> Floats:
         """Return (m,) or (m, q) data of which the usual solution is the weighted one; lost data
         must be finite."""
+        return self._completed(data, weight)[0]
+
+    def _completed(
+        self, data: Floats, weight: float, others: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        """Return `filled` data, and U^T of them; ``others`` is `_of_others` where it is known."""
         rows = self.rows
+        others = self._of_others(data) if others is None else others
         if not len(rows):
-            return data
-        left, keep = self.left, self._keep(weight)
-        some, lack = left[rows], (1.0 - self.share[rows])[:, None]
-        plain = data.reshape(len(data), -1).copy()
-        measured = self.share[rows][:, None] * plain[rows]
-        plain[rows] = 0.0
-        from_others = some @ (keep[:, None] * (left.T @ plain))
+            return data, others
+        keep = self._keep(weight)
+        some, lack = self.left[rows], (1.0 - self.share[rows])[:, None]
+        columns = data.reshape(len(data), -1).copy()
+        along = others.reshape(len(others), -1)
+        measured = self.share[rows][:, None] * columns[rows]
         within = np.eye(len(rows)) - lack * ((some * keep) @ some.T)
-        plain[rows] = np.linalg.solve(within, measured + lack * from_others)
-        return np.asarray(plain.reshape(data.shape))
+        from_others = some @ (keep[:, None] * along)
+        columns[rows] = np.linalg.solve(within, measured + lack * from_others)
+        along = along + some.T @ columns[rows]
+        return columns.reshape(data.shape), along.reshape(others.shape)
+
+    def _of_others(self, data: Floats) -> Floats:
+        """Return U^T of the data with zeros for `rows`, which no weight changes."""
+        rows = self.rows
+        if len(rows):
+            data = data.copy()
+            data[rows] = 0.0
+        return np.asarray(self.left.T @ data)
 
     def towards(self, data: Floats, predicted: Floats) -> Floats:
         """Return (m,) data filled with what any solution predicts: with its own, it is that
@@ -218,17 +234,18 @@ class Factors:
 
     def predicted(self, data: Floats, weight: float) -> Floats:
         """Return H F of data."""
-        return np.asarray(
-            (self.left * self._keep(weight)) @ (self.left.T @ self.filled(data, weight))
-        )
+        _, along = self._completed(data, weight)
+        return np.asarray(self.left @ (self._keep(weight) * along.T).T)
 
     def weight(self, rule: WeightRule, data: Floats) -> float:
         """Return the weight that one of `RULES` chooses for the data."""
+        others = self._of_others(data)
         if not len(self.rows):
-            return RULES[rule](self._spectrum(data))
+            return RULES[rule](self._spectrum(data, others))
         chosen = FIRST * float(self.singular.max(initial=0.0)) ** 2
         for _ in range(TURNS):
-            before, chosen = chosen, RULES[rule](self._spectrum(self.filled(data, chosen)))
+            before = chosen
+            chosen = RULES[rule](self._spectrum(*self._completed(data, before, others)))
             if abs(chosen - before) <= STEADY * before:
                 break
         return chosen
@@ -273,8 +290,7 @@ class Factors:
         response, more = self._more(weight)
         return np.asarray(usual + np.einsum("si,si->i", response, more @ response))
 
-    def _spectrum(self, data: Floats) -> Spectrum:
-        coefficient = self.left.T @ data
+    def _spectrum(self, data: Floats, coefficient: Floats) -> Spectrum:
         rest = max(float(data @ data) - float(coefficient @ coefficient), 0.0)
         return Spectrum(squared=self.singular**2, energy=coefficient**2, rest=rest, count=len(data))
 
