@@ -11,6 +11,7 @@ from twin.study.recipe import load_scene
 from twin.study.run import run
 from twin.study.sensor import Sensor
 from twin.world.elasticity.coated import Ladder
+from twin.world.elasticity.discretise import tile
 from twin.world.mesh.sizing import WORLD
 
 POINTS = np.array([[0.0, 0.0, 3.0]])
@@ -23,10 +24,10 @@ def test_central_loads_meet_what_the_bare_scenes_ask(name):
         Sensor(load_scene(name)).displacement(POINTS, Traction.bump((0, 0), 1.0, (0, 0, 1)))
 
 
-def test_an_edge_load_warns_once_with_asked_got_and_remedy():
-    sensor, load = Sensor(load_scene("block_bare")), Traction.rectangle((45, 0), (4, 4), (0, 0, 1))
-    points = np.array([[40.0, 0.0, 1.0]])
-    with pytest.warns(AccuracyWarning, match=r"0\.001 is asked.*move the load"):
+def test_more_than_any_level_reaches_warns_once_with_asked_got_and_remedy():
+    sensor = Sensor(load_scene("block_bare", {"accuracy.displacement": 1e-5}))
+    load, points = Traction.disk((10, 5), 1.5, (1, 0, 1)), np.array([[9.0, 5.0, 1.0]])
+    with pytest.warns(AccuracyWarning, match=r"1e-05 is asked.*move the load"):
         sensor.displacement(points, load)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -72,7 +73,8 @@ def test_an_accuracy_takes_the_cheapest_level_that_meets_it(monkeypatch, asked, 
     monkeypatch.setattr("twin.world.elasticity.coated.Compliance", rung)
     scene = load_scene("finger_bare")
     ladder = Ladder(scene.body, scene.material, asked)
-    answer = ladder.displacement(POINTS, None)
+    wide = tile(Traction.rectangle((0, 0), (4, 4), (0, 0, 1)), scene.body, 4.0)
+    answer = ladder.displacement(POINTS, wide)
     assert (answer.compliance.level, answer.error) == (level, errors[level])
     assert answer.displacement_mm[0, 0] == WORLD.index(level)
 

@@ -1,9 +1,14 @@
 """Which mesh a displacement comes from: the levels of a body, and bodies under a cover.
 
-**Levels.** `Ladder` selects the cheapest level (`EXPECTED` in `twin.world.elasticity.error_law`)
-that is expected to reach the requested accuracy. It goes on to finer levels while the estimated
+**Levels.** `Ladder` begins with the cheapest level that may reach the requested accuracy
+(`EXPECTED` in `twin.world.elasticity.error_law`). It goes on to finer levels while the estimated
 error of a result is too large, and returns the result with the least error. Each level is made at
 first use.
+
+**Places.** What a load leaves out of balance on a free face beside it is as wide as their
+distance, and on a curved surface as the load itself. A level's elements may be longer than that.
+Then the level's mesh is refined there (`LOCAL`), for loads in that place: cheaper than a finer
+mesh of the whole body, and more exact.
 
 **Cover.** `CoveredCompliance` is the compliance of a body under a cover of another modulus. Every
 region that is pressed has a mesh of its own (`twin.world.mesh.cover_mesh`): the half-space of the
@@ -45,7 +50,7 @@ from twin.world.elasticity.interpolated import patch_corrections
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.cover_mesh import refined, with_cover
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.sizing import WORLD, Level
+from twin.world.mesh.sizing import WORLD, Level, default_sizing
 from twin.world.mesh.snap import drawn_to_rim
 
 FINE = 0.6
@@ -75,6 +80,24 @@ than the body."""
 UNSEEN = 2e-3
 """Error that the two meshes share: both are halved in the same way, and both take the cover for one
 layer of prisms."""
+
+
+LOCAL: dict[Level, float] = {"sketch": 1.5, "coarse": 1.0, "standard": 0.7, "fine": 0.55}
+"""Longest edge where a level is refined for a load, over the distance from the load, or the width
+of what the load leaves out of balance where that is more."""
+
+BESIDE, WITHIN = 0.6, 0.75
+"""That width, over the distance of a free face from the load, and over the load's radius on curved
+surfaces."""
+
+SHORTEST = 0.04
+"""Least such width, over the load's extent: a long load has so many elements beside it."""
+
+PLACES = 4
+"""Places for which refined meshes are kept."""
+
+HOPE = 0.25
+"""Least error of a level, over the expected one: wide loads have less."""
 
 
 def own_layer(material: Material, cover: Cover | None) -> Layer | None:
@@ -309,6 +332,7 @@ class Ladder:
         self._surface_table = surface_table
         self._progress = progress
         self._rungs: dict[Level, Compliance] = {}
+        self._places: list[tuple[Level, Points, float, Compliance]] = []
 
     def _at(self, level: Level) -> Compliance:
         """Return the compliance on one level."""
@@ -336,7 +360,7 @@ class Ladder:
         """Return the (n, 3) displacement of ``points`` under ``load``, from as fine a level as it
         takes; arguments and errors as in `Compliance.displacement`."""
         best: DisplacementResult | None = None
-        for rung in self._levels():
+        for rung in self._levels(load):
             moved, error = rung.answer(points, load)
             if best is None or error < best.error:
                 best = DisplacementResult(displacement_mm=moved, error=error, compliance=rung)
@@ -345,9 +369,69 @@ class Ladder:
         assert best is not None
         return best
 
-    def _levels(self) -> Iterator[Compliance | CoveredCompliance]:
-        """Yield the base, then ever finer levels."""
+    def _levels(self, load: Rectangles) -> Iterator[Compliance | CoveredCompliance]:
+        """Yield ever finer levels, each as it is and then refined for the load; as it is only where
+        no refinement is of use, or where the load is far from edges."""
         if self._covered:
             yield self._covered
-        else:
-            yield from map(self._at, WORLD[WORLD.index(self._cheapest) :])
+            return
+        for level in WORLD[1:]:
+            law = EXPECTED[self._body.is_flat, level]
+            if HOPE * law.inside > self._asked and level != WORLD[-1]:
+                continue
+            centres, width = self._steep(level, load)
+            if len(centres) == 0 or not self._body.is_flat:
+                yield self._at(level)
+            if len(centres):
+                yield self._refined(level, centres, width)
+
+    def _steep(self, level: Level, load: Rectangles) -> tuple[Points, float]:
+        """Return the places (k, 3) of rectangles that leave more out of balance beside them than
+        the level's elements follow, and the least width of that, mm."""
+        body = self._body
+        edge = default_sizing(body, level).fine_mm
+        size = float(np.linalg.norm(np.ptp(load.centre_mm, axis=0), axis=0)) / 2.0
+        size += float(load.half_mm.max(initial=0.0))
+        width = np.full(len(load), np.inf)
+        free = [piece for piece in range(1, len(body.pieces)) if piece not in body.held_pieces]
+        if free and (body.is_flat or not body.has_smooth_border):
+            away = body.piece_distances(load.centre_mm)[:, free].min(axis=1)
+            width = BESIDE * np.maximum(away, load.half_mm.max(axis=1))
+        if not body.is_flat:
+            width = np.minimum(width, WITHIN * size)
+        steep = width < edge
+        return load.centre_mm[steep], max(width.min(initial=np.inf), SHORTEST * size)
+
+    def _refined(self, level: Level, centres: Points, width: float) -> Compliance:
+        """Return the compliance of a level whose mesh is refined around places (k, 3): one made
+        before, or a new one."""
+        for of, around, finest, made in self._places:
+            away = np.linalg.norm(centres[:, None] - around, axis=2).min(axis=1).max()
+            if of == level and away <= width / 2.0 and finest <= 1.25 * width:
+                return made
+        less = EXPECTED[self._body.is_flat, level].against
+        other = Compliance(
+            self._body, self._material, self._mesh_around(less, level, centres, width), level=less
+        )
+        made = Compliance(
+            self._body,
+            self._material,
+            self._mesh_around(level, level, centres, width),
+            level=level,
+            compared=other,
+        )
+        self._places = [*self._places, (level, centres, width, made)][-PLACES:]
+        return made
+
+    def _mesh_around(self, base: Level, level: Level, centres: Points, width: float) -> Mesh:
+        """Return the mesh of ``base``, refined around places (k, 3) as `LOCAL` says of ``level``,
+        or `COARSER` times less."""
+        from scipy.spatial import cKDTree
+
+        tree = cKDTree(centres)
+        share = LOCAL[level] * (1.0 if base == level else COARSER)
+        bare = body_mesh(self._body, base, progress=self._progress)
+        fine = refined(
+            bare, self._body, lambda points: share * np.maximum(tree.query(points)[0], width)
+        )
+        return drawn_to_rim(fine, self._body)

@@ -111,6 +111,8 @@ class Compliance:
     table
         Whether a table of the body, shipped or cached, may replace solves; a given mesh has none.
         Or the table to use.
+    compared
+        Of a given mesh: the same body on the mesh by which the error is estimated.
     surface_table
         Whether to make, and keep, a `SurfaceTable` of a curved body, at its first load: a minute or
         two, for many.
@@ -129,6 +131,7 @@ class Compliance:
         level: Level = "standard",
         method: Method = "subtracted",
         table: bool | Table = True,
+        compared: Compliance | None = None,
         surface_table: bool = False,
         progress: Progress | None = None,
     ) -> None:
@@ -138,6 +141,7 @@ class Compliance:
         self.method: Method = method
         self.asymmetry = 0.0
         self._given_mesh = mesh
+        self._given_compared = compared
         self._progress = progress
         self._use_surface = surface_table
         self._fields: dict[str, Floats] = {}
@@ -196,9 +200,9 @@ class Compliance:
     @cached_property
     def _compared(self) -> Compliance | None:
         """The same body on the level by which the error is estimated; None where the mesh was
-        given."""
+        given alone."""
         if self._given_mesh is not None:
-            return None
+            return self._given_compared
         return Compliance(
             self.body,
             self.material,
@@ -435,6 +439,7 @@ class Compliance:
             load,
             size * self._modulus,
             direct=direct,
+            refined=self._given_compared is not None,
             table=("nominal" if self.level == "nominal" else "truth") if table else None,
             between=self._tables.between * _largest(w) / size if table else 0.0,
         )
