@@ -23,6 +23,7 @@ EXHIBITS = (
     Exhibit("kamiyama_pillar", "Flat sensor, 5 mm pillar: markers move away from it, the deeper red ones less."),
     Exhibit("kamiyama_twist", "The same sensor under a pillar that turns about its axis."),
     Exhibit("sato_press", "The finger under a 3 mm sphere, seen through its fisheye lens with LEDs beside it."),
+    Exhibit("gelpad_press", "A gel pad 4 mm thick with one layer of printed dots, under a 6 mm sphere."),
 )
 
 

@@ -55,7 +55,7 @@ def test_the_seed_draws_the_sensor() -> None:
     assert np.abs(one - other).max() > 1e-3
 
 
-FLAT = ["kamiyama_pillar", "kamiyama_shear", "kamiyama_twist", "kamiyama_wide", "first_press"]
+FLAT = ["kamiyama_pillar", "kamiyama_shear", "kamiyama_twist", "kamiyama_wide", "first_press", "gelpad_press"]
 
 
 @pytest.mark.slow
