@@ -288,8 +288,13 @@ def closed_surface(corners: Floats, name: str, size_mm: tuple[float, float] = SI
 def _welded(corners: Floats, distance_mm: float) -> tuple[Points, Ints]:
     """Return vertices and triangles, corners nearer than a distance being one, collapsed triangles
     left out."""
-    # + 0.0 makes -0.0 and 0.0 the same bits
-    vertices, number = np.unique(corners.reshape(-1, 3) + 0.0, axis=0, return_inverse=True)
+    points = corners.reshape(-1, 3)
+    order = np.lexsort(points.T[::-1])
+    first_of_each = np.ones(len(points), bool)
+    first_of_each[1:] = np.any(np.diff(points[order], axis=0), axis=1)
+    vertices = points[order[first_of_each]]
+    number = np.empty(len(points), np.int64)
+    number[order] = np.cumsum(first_of_each) - 1
     if distance_mm:
         from scipy.sparse.csgraph import connected_components
         from scipy.spatial import cKDTree
@@ -312,10 +317,15 @@ def _directed_edges(triangles: Ints) -> Ints:
 
 def _open_edges(triangles: Ints) -> Ints:
     """Return the (e, 2) edges that don't belong to exactly two triangles."""
-    edges, count = np.unique(
-        np.sort(_directed_edges(triangles), axis=1), axis=0, return_counts=True
-    )
+    edges, count = _counted(np.sort(_directed_edges(triangles), axis=1))
     return np.asarray(edges[count != 2])
+
+
+def _counted(edges: Ints) -> tuple[Ints, Ints]:
+    """Return the different rows of pairs (e, 2) of vertices, and how often each occurs."""
+    size = int(edges.max(initial=0)) + 1
+    keys, count = np.unique(edges[:, 0] * size + edges[:, 1], return_counts=True)
+    return np.stack(np.divmod(keys, size), axis=1), count
 
 
 def _refuse_open(vertices: Points, triangles: Ints, name: str) -> None:
@@ -327,7 +337,7 @@ def _refuse_open(vertices: Points, triangles: Ints, name: str) -> None:
             f"two triangles, the first at ({', '.join(f'{c:.4g}' for c in place)}) mm; mend the "
             "holes and export it again"
         )
-    ways, count = np.unique(_directed_edges(triangles), axis=0, return_counts=True)
+    ways, count = _counted(_directed_edges(triangles))
     if (count != 1).any():
         place = vertices[ways[np.argmax(count)]].mean(axis=0)
         raise InputError(

@@ -8,6 +8,11 @@ Frictionless solves on about a hundred patches find the contact; the grid grows 
 reaches its border and shrinks while the contact fills too little of it. On a flat surface a closed
 form (Hertz, Sneddon, or the flat face) replaces the search.
 
+**Contacts of any shape.** Contact without friction lies where the probe would overlap the body at
+rest, as pressure only moves a surface inwards. Under a surface of triangles, and under any probe
+that the search above misses (rings), this overlap at the depth found so far bounds the contact; its
+mean width, 4 area / perimeter, gives the size of the patches.
+
 A grid is turned along a long contact, as cells are counted along the grid's two axes: a contact
 askew in its grid reaches few of them, and its force was half as large again.
 """
@@ -25,10 +30,11 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import ContactError, NotSettled
+from twin.parts.accuracy import USUAL
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.press import Probe
-from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
+from twin.parts.probe import Cone, Cylinder, Pillar, Sphere, Stl
 from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
 from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence, lattice
@@ -89,7 +95,9 @@ class ProbeSetup:
     first
         The probe at first touch of the path; places count from there.
     across
-        Patches across the contact.
+        Patches across the contact, or across its pieces.
+    most
+        Patches at most under it, at 16 across; more across allow more.
     youngs_modulus_mpa, poisson_ratio
         For the first guess of the contact's size.
     """
@@ -98,6 +106,7 @@ class ProbeSetup:
     compliance: SurfaceCompliance
     first: Approach
     across: int
+    most: int
     youngs_modulus_mpa: float
     poisson_ratio: float
 
@@ -112,6 +121,11 @@ class ProbeSetup:
         return (
             self.probe if self.first.is_flat and isinstance(self.probe, Cylinder | Pillar) else None
         )
+
+    @property
+    def is_free_form(self) -> bool:
+        """Whether contact may be of any shape, in any number of pieces."""
+        return isinstance(self.probe, Stl)
 
     @property
     def name(self) -> str:
@@ -243,7 +257,7 @@ class ContactProblem:
     def influence(self) -> Influence:
         """The compliance between patches: a convolution where they are a lattice in a plane, else a
         matrix."""
-        found = self._lattice
+        found = self.influence_on_lattice
         return found or DenseInfluence(self.compliance, self.grids, self.setups[0].poisson_ratio)
 
     @cached_property
@@ -251,7 +265,7 @@ class ContactProblem:
         """The same for normal forces and displacements alone, computed faster where the compliance
         has a ``normal_surface``."""
         surface = getattr(self.setups[0].compliance, "normal_surface", None)
-        if surface is None or self._lattice is not None:
+        if surface is None or self.influence_on_lattice is not None:
             return self.influence
         normal = surface(self.patches.unloaded)
         if normal is None or not np.isfinite(normal).all():
@@ -259,7 +273,8 @@ class ContactProblem:
         return DenseInfluence(normal[:, None, :, None], self.grids, self.setups[0].poisson_ratio)
 
     @cached_property
-    def _lattice(self) -> LatticeInfluence | None:
+    def influence_on_lattice(self) -> LatticeInfluence | None:
+        """The same where patches are a lattice in a plane; None where not."""
         return lattice(self.patches, self.setups[0].compliance)
 
     @cached_property
@@ -422,6 +437,27 @@ _INNER = 0.96
 across than asked."""
 
 _CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))
+
+_RASTER = 48
+_FINEST = 192
+"""Places along each side at which an overlap is looked for, at first and at most."""
+
+_ONE_PIECE = 0.8
+_NARROW = 3.0
+"""Mean width over the shorter side of its box from which on an overlap counts as one piece (an
+ellipse's is 1 or more), and the least mean width in steps of the raster."""
+
+_COARSE_MOST = 900
+_DENSE_MOST = 1500
+"""Patches at most in the search, and where the compliance between them is stored as a matrix."""
+
+_PIECES_MARGIN = 0.05
+_NEAR = 0.1
+"""Margin around a contact in pieces; change of the depth, and of the place over the contact, that
+ends the search."""
+
+_GROWTH = 4.0
+"""How many times as deep a probe may come from one try to the next."""
 
 _THIN = 0.15
 """Largest contact over a body's thickness for which closed forms of half-spaces give its size."""
@@ -626,9 +662,13 @@ def _aspect(size: tuple[float, float]) -> float:
     return math.sqrt(size[0] / size[1])
 
 
-def _counts(across: int, box: Box, contact: Box) -> tuple[int, int]:
+def _counts(across: int, box: Box, contact: Box, most: float = math.inf) -> tuple[int, int]:
     """Return cells along u and v: ``across`` squared over the contact, more along its longer
-    side."""
+    side; square ones, ``most`` at most, over a contact in pieces."""
+    if math.isfinite(contact.width_mm):
+        step = max(contact.width_mm / across, math.sqrt(math.prod(box.size) / most))
+        cells = [max(4, math.ceil(size / step - 1e-6)) for size in box.size]
+        return cells[0], cells[1]
     shape = math.sqrt(_aspect(contact.size))
     u = box.size[0] / contact.size[0]
     v = box.size[1] / contact.size[1]
@@ -642,16 +682,27 @@ def fitted_grids(
 ) -> tuple[Patches, ...]:
     """Cut the final grids around known contacts: on one lattice where they lie in one plane and are
     about as fine."""
-    boxes = [
-        contact.grown(
-            *(max(_MARGIN, _SPARE / setup.across) * size for size in contact.size)
-        ).clipped(setup.face)
-        for setup, contact in zip(setups, contacts, strict=True)
-    ]
-    counts = [
-        _counts(*each)
-        for each in zip([setup.across for setup in setups], boxes, contacts, strict=True)
-    ]
+    grids = _grids(setups, planes, contacts, math.inf)
+    if sum(map(len, grids)) > _DENSE_MOST and any(math.isfinite(one.width_mm) for one in contacts):
+        together = ContactProblem(tuple(setups), grids)
+        if not isinstance(together.influence_on_lattice, LatticeInfluence):
+            grids = _grids(setups, planes, contacts, _DENSE_MOST / len(setups))
+    return grids
+
+
+def _grids(
+    setups: Sequence[ProbeSetup], planes: Sequence[Plane], contacts: Sequence[Box], most: float
+) -> tuple[Patches, ...]:
+    """Return what `fitted_grids` does, with at most so many patches for each contact in pieces."""
+    boxes = []
+    counts = []
+    for setup, contact in zip(setups, contacts, strict=True):
+        pieces = math.isfinite(contact.width_mm)
+        margin = max(_PIECES_MARGIN if pieces else _MARGIN, _SPARE / setup.across)
+        box = contact.grown(*(margin * size for size in contact.size)).clipped(setup.face)
+        allowed = min(most, setup.most * (setup.across / USUAL) ** 2)
+        boxes.append(box)
+        counts.append(_counts(setup.across, box, contact, allowed))
     if len(boxes) > 1:
         boxes, counts = _on_one_lattice(setups, planes, boxes, counts)
     grids = []
@@ -718,6 +769,8 @@ def find_contact(
     The plane is the one given, turned so that its axes lie along and across a long contact, if it
     ``may_turn``.
     """
+    if setup.is_free_form:
+        return _find_overlap(setup, control, start, plane, touch_z, may_turn=may_turn)
     force_z = float(control.given[Z]) if control.by_force[Z] else None
     upright = float(plane.axes[2] @ setup.first.axes[2])
     # on a slope the normal force is larger than its part along z, and the probe sinks further along
@@ -738,6 +791,8 @@ def find_contact(
         found = solve_frictionless(contacts, control, pose, np.array([touch_z]))
         pose = found.pose
         if not found.active.any():
+            if setup.face is None:
+                return _find_overlap(setup, control, start, plane, touch_z, may_turn=may_turn)
             box = _about_nearest(contacts, whole, pose)
             continue
         if setup.face is not None and found.active.all():
@@ -766,6 +821,87 @@ def find_contact(
         f"{whole.size[0]:.3g} by {whole.size[1]:.3g} mm): press harder, hold x, y and the turns by "
         "motion, or round the probe where it touches (edge_mm, tip_mm)"
     )
+
+
+def _find_overlap(
+    setup: ProbeSetup,
+    control: Control,
+    start: Floats,
+    plane: Plane,
+    touch_z: float,
+    *,
+    may_turn: bool,
+) -> tuple[Plane, Box, Floats]:
+    """Find a contact of any shape, as `find_contact`, from the probe's overlap with the body at
+    rest, at the depth that the solve before leads to."""
+    upright = float(plane.axes[2] @ setup.first.axes[2])
+    pose = np.where(control.by_force, start, control.given)
+    if control.by_force[Z]:
+        pose[Z] = touch_z + _disc(setup, float(control.given[Z]) / upright, 0.0)[1] / upright
+    for _ in range(_ROUNDS):
+        cells, inside, width = _overlap(setup, plane, pose)
+        turn = _turn_along(cells, inside) if may_turn and math.isinf(width) else None
+        if turn is not None:
+            may_turn = False
+            plane = Plane(origin_mm=plane.origin_mm, axes=turn @ plane.axes)
+            continue
+        contact = cells.bounds(inside)._replace(width_mm=width)
+        whole = _with_margin(contact, *cells.cell_mm.max(axis=0))
+        counts = _counts(_COARSE, whole, contact, _COARSE_MOST)
+        patches = candidate_patches(setup.body, None, plane, whole, counts)
+        _check_somewhere(setup, patches)
+        contacts = ContactProblem((setup,), (patches,))
+        found = solve_frictionless(contacts, control, pose, np.array([touch_z]))
+        if not found.active.any():
+            return plane, contact, pose
+        before = pose
+        pose = found.pose.copy()
+        depth = before[Z] - touch_z
+        pose[Z] = touch_z + np.clip(pose[Z] - touch_z, depth / _GROWTH, depth * _GROWTH)
+        near = np.abs(pose - before)[:Z] <= _NEAR * max(contact.size)
+        if abs(pose[Z] - before[Z]) <= _NEAR * depth and near.all():
+            if np.any(found.active & patches.border):
+                return plane, whole, pose
+            return plane, patches.bounds(found.active)._replace(width_mm=width), pose
+    raise NotSettled(
+        f"contact: the depth of the {setup.name} did not settle in {_ROUNDS} tries (last: "
+        f"{pose[Z] - touch_z:.3g} mm): press by motion, or harder"
+    )
+
+
+def _overlap(setup: ProbeSetup, plane: Plane, pose: Floats) -> tuple[Patches, Bools, float]:
+    """Return cells over the probe's overlap with the body at rest, which of them lie in it, and the
+    mean width of its pieces, mm: inf of one that fills its box.
+
+    Where nothing overlaps, what is nearest counts.
+    """
+    first = setup.first
+    a, b = half_extent(setup.probe, first.tilt_deg)
+    reach = a * np.abs(plane.axes[:2] @ first.axes[0]) + b * np.abs(plane.axes[:2] @ first.axes[1])
+    u, v = plane.axes[:2] @ (first.axis_mm + pose[:Z] @ first.axes[:Z] - plane.origin_mm)
+    whole = Box(u0=u, u1=u, v0=v, v1=v, width_mm=0.0).grown(*(1.1 * reach))
+    count = _RASTER
+    while True:
+        cells = candidate_patches(setup.body, None, plane, whole, (count, count))
+        _check_somewhere(setup, cells)
+        gap = first.gap(cells.centre_mm, cells.frames[:, 2], pose)[0]
+        inside = gap <= max(0.0, float(gap.min()))
+        step = np.array(whole.size) / count
+        found = cells.bounds(inside)
+        at = np.rint((cells.middle_mm[inside] - (whole.u0, whole.v0)) / step - 0.5).astype(int)
+        mask = np.zeros((count + 2, count + 2), bool)
+        mask[at[:, 0] + 1, at[:, 1] + 1] = True
+        edge = sum(np.count_nonzero(np.diff(mask, axis=axis)) * step[1 - axis] for axis in range(2))
+        area = float(np.count_nonzero(mask) * step.prod())
+        width = 16.0 / math.pi * area / float(edge)  # a disc's is its diameter
+        closer = found.grown(*(2.0 * step))
+        if math.prod(closer.size) < 0.5 * math.prod(whole.size):
+            whole = closer._replace(width_mm=0.0)
+        elif width < _NARROW * step.max() and count < _FINEST:
+            count *= 2
+        else:
+            break
+    return cells, inside, math.inf if width > _ONE_PIECE * min(found.size) else width
 
 
 def _about_nearest(contacts: ContactProblem, whole: Box, pose: Floats) -> Box:

@@ -226,6 +226,12 @@ class Share:
         """Return both together."""
         return Share(**{name: getattr(self, name) + getattr(other, name) for name in vars(Share())})
 
+    def at_least(self, other: Share) -> Share:
+        """Return the larger of both, each by itself."""
+        return Share(
+            **{name: max(getattr(self, name), getattr(other, name)) for name in vars(Share())}
+        )
+
     def times(self, factor: float) -> Share:
         """Return this share so many times."""
         return Share(**{name: factor * getattr(self, name) for name in vars(Share())})
@@ -525,10 +531,18 @@ _NARROWER = 1.5
 """Error over the change with patches twice, or half, as wide. Measured at 16 patches across against
 40, on the standard block: 0.45 under flat faces with sharp rims, less under other probes."""
 
+_ORDER = 1.8
+_ALIKE = 1.3
+"""Order of that law, and the least ratio of widths that tells anything."""
+
 _CUT = 0.26
 """Error of a smooth probe's force at a given depth, times the square of the patches across.
 Measured against 40 patches across: 0.0004 to 0.00105 at 16, for spheres of 3 to 20 mm radius and a
 cone."""
+
+_EDGE = 0.25
+"""Error of the force under sharp edges that patches cut anywhere, over the patches' width in radii
+of a disc of the contact's area. Measured under an annular punch: 0.1 to 0.25."""
 
 _STIFFER = 1.5
 """How much faster a sphere's force grows than its indentation, relatively; a cone's 2."""
@@ -584,9 +598,9 @@ class Estimates:
         other = _state_of(self._other, step) if state.complete else None
         patches = increments = Share.unknown()
         if other is not None:
-            narrower = self._other_across > self._job.setups[0].across
             change = self._change(state, other)
-            patches = change.times(_NARROWER if narrower else _WIDER).plus(self._cut(step))
+            factor = _error_over_change(_patch_mm(other) / _patch_mm(state))
+            patches = self._cut(state, step, change.times(factor))
             patches = replace(
                 patches, traction=change.traction
             )  # these converge with order 1/2 to 1 only
@@ -636,13 +650,21 @@ class Estimates:
             markers=_over(self._half_space(other.load) - moved, moved),
         )
 
-    def _cut(self, step: int) -> Share:
-        """Return what is left by where patches cut the borders of contacts that no rim ends."""
+    def _cut(self, state: ContactState, step: int, changed: Share) -> Share:
+        """Return what patches leave: what other patches change, and where they cut the borders of
+        contacts, which may change nothing by chance."""
         smooth = any(isinstance(setup.probe, Sphere | Cone) for setup in self._job.setups)
         error = _CUT / self._job.setups[0].across ** 2 if smooth else 0.0
-        if self._job.steps[step].by_force[Z::MOTIONS].all():
-            return Share(indentation=error / _STIFFER)
-        return Share(force=error, indentation=0.0, markers=error)
+        by_force = self._job.steps[step].by_force[Z::MOTIONS].all()
+        cut = Share(indentation=error / _STIFFER) if by_force else Share(force=error, markers=error)
+        edges = [
+            _edge_error(one)
+            for setup, one in zip(self._job.setups, (state, *state.also), strict=True)
+            if setup.is_free_form and len(one.pressure_mpa)
+        ]
+        edge = max(edges, default=0.0)
+        least = Share(indentation=edge) if by_force else Share(force=edge, markers=edge)
+        return changed.plus(cut).at_least(least)
 
     def _half_space(self, load: Load) -> Points:
         """Return (n, 3) how far a load moves the watched points of a half-space of E = 1 MPa,
@@ -779,6 +801,33 @@ class _Response:
 
 def _state_of(states: list[ContactState], step: int) -> ContactState | None:
     return states[step] if step < len(states) else None
+
+
+def _patch_mm(state: ContactState) -> float:
+    """Return the root mean square side of the patches in contact, mm."""
+    return math.sqrt(state.area_mm2 / max(1, len(state.pressure_mpa)))
+
+
+def _error_over_change(wider: float) -> float:
+    """Return the error over the change with patches so many times as wide: a power law through
+    what is known of twice and half the width."""
+    ratio = max(wider, 1.0 / wider, _ALIKE)
+    known = _NARROWER if wider < 1.0 else _WIDER
+    return float(known * (2.0**_ORDER - 1.0) / (ratio**_ORDER - 1.0))
+
+
+def _edge_error(state: ContactState) -> float:
+    """Return the error of the force as patches cut sharp edges, where pressure doesn't vanish."""
+    from scipy.spatial import cKDTree
+
+    load = _joined(Load(state.load.terms[:1]))
+    side = 2.0 * load.half_mm.mean(axis=0)
+    flat = _flattened(load, load) / side.max()
+    inner = np.array([len(near) for near in cKDTree(flat).query_ball_point(flat, 1.1)]) == 5
+    mean = float(state.pressure_mpa.mean())
+    border = float(state.pressure_mpa[~inner].mean()) if not inner.all() else 0.0
+    sharp = min(1.0, (border / mean) ** 4)
+    return float(_EDGE * sharp * side.max() / math.sqrt(state.area_mm2 / math.pi))
 
 
 def _alike(one: ContactState, other: ContactState) -> bool:

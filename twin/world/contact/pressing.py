@@ -548,6 +548,10 @@ __all__ = ["ContactState", "SurfaceCompliance", "press"]
 
 _ACROSS_RANGE = (6, 40)
 
+_MOST = 10_000
+_MOST_RUBBED = 2_000
+"""Patches at most under a probe of any shape, without friction and with it."""
+
 LEAST_N = 1e-9
 """Least force that presses: under less the gaps are lost in the round-off of the patches'
 places."""
@@ -610,6 +614,7 @@ def press(
             compliance=compliance,
             first=approach_of(one, body),
             across=patches_across,
+            most=_MOST_RUBBED if any(each.friction for each in presses) else _MOST,
             youngs_modulus_mpa=youngs_modulus_mpa,
             poisson_ratio=poisson_ratio,
         )

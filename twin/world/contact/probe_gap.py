@@ -230,6 +230,11 @@ class _Triangles:
 
     corners: Floats
 
+    @cached_property
+    def reach_mm(self) -> float:
+        """Distance of the farthest corner from the origin."""
+        return float(np.linalg.norm(self.corners, axis=2).max())
+
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
         """See `Shape`."""
         triangle, distance = _tree_of(self).first_along(points, -along)
@@ -654,13 +659,20 @@ def approach(
             probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg, level=True
         )
     turned = np.eye(3) if turned is None else turned
+    shape = _shape_of(probe, tilt_deg)
+    if (
+        isinstance(shape, _Triangles)
+        and axes[2, 2] == 1.0
+        and body.is_level_around(float(at[0]), float(at[1]), shape.reach_mm)
+    ):
+        at[2] = -float((shape.corners @ turned[2]).max())
+        return Approach(probe=probe, axis_mm=at, touch_mm=at, axes=axes, tilt_deg=tilt_deg)
     meets = _surface_intersection(body, axes[2])
     half = np.full(2, lever_arm) if isinstance(probe, Pillar) else np.array((a, b))
     centre = np.zeros(2)
     height = np.inf
     touch = np.full(2, np.nan)
     on_sensing = True
-    shape = _shape_of(probe, tilt_deg)
     along = np.broadcast_to(turned[2], (_ACROSS**2, 3))
     for _ in range(_LEVELS):
         offset = centre + _STEPS * half

@@ -39,12 +39,17 @@ used."""
 
 
 class Box(NamedTuple):
-    """The piece (u0, u1, v0, v1) of a plane in which contact is sought, mm."""
+    """The piece (u0, u1, v0, v1) of a plane in which contact is sought, mm.
+
+    ``width_mm`` is the mean width of the pieces of a contact that fills little of it, of any shape
+    and number; inf of a contact in one piece that fills it.
+    """
 
     u0: float
     u1: float
     v0: float
     v1: float
+    width_mm: float = math.inf
 
     @property
     def size(self) -> tuple[float, float]:
@@ -53,8 +58,7 @@ class Box(NamedTuple):
 
     @property
     def is_long(self) -> bool:
-        """Whether it is so long that a contact in it is taken for a line, which fills its
-        corners."""
+        """Whether it is so long that a contact in it is taken for a line."""
         return max(self.size) > _LONG * min(self.size)
 
     def is_even(self, face: Face, across: tuple[int, int]) -> bool:
@@ -74,7 +78,9 @@ class Box(NamedTuple):
         if face is None:
             return self
         a, b = half_extent(face)
-        return Box(u0=max(self.u0, -a), u1=min(self.u1, a), v0=max(self.v0, -b), v1=min(self.v1, b))
+        return self._replace(
+            u0=max(self.u0, -a), u1=min(self.u1, a), v0=max(self.v0, -b), v1=min(self.v1, b)
+        )
 
     def joined(self, other: Box) -> Box:
         """Return the box around this one and another."""
@@ -83,11 +89,12 @@ class Box(NamedTuple):
             u1=max(self.u1, other.u1),
             v0=min(self.v0, other.v0),
             v1=max(self.v1, other.v1),
+            width_mm=min(self.width_mm, other.width_mm),
         )
 
     def grown(self, u: float, v: float) -> Box:
         """Return the box with margins u and v added on either side."""
-        return Box(u0=self.u0 - u, u1=self.u1 + u, v0=self.v0 - v, v1=self.v1 + v)
+        return self._replace(u0=self.u0 - u, u1=self.u1 + u, v0=self.v0 - v, v1=self.v1 + v)
 
 
 def _cell_edges(low: float, high: float, count: int, *, graded: tuple[bool, bool]) -> Floats:
@@ -317,7 +324,7 @@ def candidate_patches(
         Plane of the grid, at the place touched first, or of the face.
     box
         The piece of the plane to fill; without a face only the ellipse inscribed in it, unless it
-        is long.
+        is long or the contact has pieces.
     across
         Cells along u and v.
 
@@ -329,7 +336,7 @@ def candidate_patches(
     middle, cell = _cells(face, box, across)
     limit = half_extent(face) if face is not None else (math.inf, math.inf)
     corners = (box.u0, box.v0), (box.u1, box.v1)
-    is_round = face is None and not box.is_long
+    is_round = face is None and not box.is_long and math.isinf(box.width_mm)
     outside, outer = _bordering(middle, cell, corners, limit, is_round)
     if plane.is_level(body, box):
         kept = ~outside

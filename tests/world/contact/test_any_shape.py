@@ -1,0 +1,118 @@
+"""Contacts of any shape, in any number of pieces: against ring loads in elliptic integrals."""
+
+import numpy as np
+import pytest
+from presses import HalfSpace, pressed, write_stl
+from scipy.special import ellipe, ellipk
+
+from twin.parts.press import Press
+from twin.parts.probe import Stl
+from twin.theory import halfspace
+
+DEPTH = 0.2
+MODULUS = 1.0 / (1.0 - 0.5**2)
+"""E / (1 - nu^2) of what `pressed` presses, MPa."""
+
+
+class Flat(HalfSpace):
+    """A half-space that says that its compliance is one function of the offset."""
+
+    def offset_part(self, points, rectangle):
+        return halfspace.compliance(points, rectangle, *self.rubber)
+
+    def smooth_part(self, patches, nodes):
+        return np.zeros((3 * len(nodes), 3 * len(nodes)))
+
+
+def swept(section, count):
+    """Return vertices and triangles of a section (m, 2) of radius and height, swept about z."""
+    m, angle = len(section), 2.0 * np.pi * np.arange(count) / count
+    radius, height = np.transpose(section)
+    rows = [np.outer(np.cos(angle), radius), np.outer(np.sin(angle), radius), np.tile(height, (count, 1))]
+    number = np.arange(count * m).reshape(count, m)
+    corners = [number, np.roll(number, -1, 0), np.roll(number, (-1, -1), (0, 1)), np.roll(number, -1, 1)]
+    a, b, c, d = (corner.ravel() for corner in corners)
+    return np.stack(rows, axis=-1).reshape(-1, 3), np.concatenate([np.c_[a, b, c], np.c_[a, c, d]])
+
+
+AROUND = 2.0 * np.pi * np.arange(200) / 200
+RADII = np.linspace(0.01, 3.6, 60)
+SHAPES = {
+    "torus": (
+        np.c_[3.2 + 0.8 * np.cos(AROUND), 0.8 * np.sin(AROUND)],
+        lambda r: 0.8 - np.sqrt(np.maximum(0.8**2 - (r - 3.2) ** 2, 0.0)),
+        (2.45, 3.95),
+    ),
+    "cup with a dent": (
+        np.r_[np.c_[RADII, -((RADII - 2.0) ** 2) / 4.0][::-1], [[0.01, -4.0], [3.6, -4.0]]],
+        lambda r: (r - 2.0) ** 2 / 4.0,
+        (0.0, 3.6),
+    ),
+    "annular punch": ([[1.5, -2.0], [3.0, -2.0], [3.0, 0.0], [1.5, 0.0]], np.zeros_like, (1.5, 3.0)),
+}
+
+
+def under_disc(r, a):
+    """Return how deep a pressure of 1 MPa on discs of radii a sinks at distances r, E* = 1 (Johnson 1985, 3.29)."""
+    r, a = np.broadcast_arrays(r, np.maximum(a, 1e-12))
+    inside, m = 4.0 * a / np.pi * ellipe(np.minimum(r / a, 1.0) ** 2), np.minimum(a / r, 1.0) ** 2
+    outside = 4.0 * r / np.pi * (ellipe(m) - (1.0 - m) * ellipk(np.minimum(m, 1.0 - 1e-15)))
+    return np.where(r <= a, inside, outside)
+
+
+def ring_force(height, inner, outer, count=400):
+    """Return the force, N, of a round profile pressed by `DEPTH`: rings of even pressure, narrower at both ends."""
+    edges = inner + (outer - inner) * (1.0 - np.cos(np.pi * np.linspace(0.0, 1.0, count + 1))) / 2.0
+    middle = (edges[1:] + edges[:-1]) / 2.0
+    sunk = under_disc(middle[:, None], edges[1:]) - under_disc(middle[:, None], edges[:-1])
+    wanted = DEPTH - height(middle)
+    touching = wanted > 0.0
+    for _ in range(50):
+        pressure = np.zeros(count)
+        pressure[touching] = np.linalg.solve(sunk[np.ix_(touching, touching)], wanted[touching])
+        following = np.where(touching, pressure >= 0.0, sunk @ pressure < wanted - 1e-12)
+        if np.array_equal(following, touching):
+            return MODULUS * float(np.pi * (edges[1:] ** 2 - edges[:-1] ** 2) @ pressure)
+        touching = following
+    raise AssertionError("the rings in contact don't settle")
+
+
+@pytest.fixture(scope="module", params=SHAPES)
+def ring(request, tmp_path_factory):
+    """A probe whose contact is a ring, and the force that it needs."""
+    section, height, ends = SHAPES[request.param]
+    vertices, triangles = swept(section, 200)
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    if np.einsum("ij,ij->", np.cross(a, b), c) < 0.0:
+        triangles = triangles[:, ::-1]
+    file = write_stl(tmp_path_factory.mktemp("rings") / "ring.stl", vertices, triangles)
+    return Stl(file=str(file)), ring_force(height, *ends)
+
+
+def test_rings_of_pressure_know_the_flat_punch():
+    assert ring_force(np.zeros_like, 0.0, 3.0) == pytest.approx(2.0 * MODULUS * 3.0 * DEPTH, rel=1e-5)
+
+
+@pytest.mark.parametrize("across", [8, 16])
+def test_the_force_of_a_ring_is_right_within_what_it_says(ring, across):
+    probe, force = ring
+    state = pressed(Press(probe=probe, indentation_mm=DEPTH), across=across, on=Flat())
+    off = abs(state.force_n[2] / force - 1.0)
+    assert off < 0.3 / across
+    assert off <= state.error.force < 0.1
+
+
+def test_a_ring_pressed_by_force_sinks_as_deep(ring):
+    probe, force = ring
+    state = pressed(Press(probe=probe, force_n=(0.0, 0.0, force)), on=Flat())
+    off = abs(state.indentation_mm / DEPTH - 1.0)
+    assert off < 0.01
+    assert off <= state.error.indentation < 0.05
+
+
+def test_friction_hardly_changes_a_ring_at_half(ring):
+    """At nu = 1/2 normal forces move a flat surface nowhere sideways."""
+    probe, force = ring
+    state = pressed(Press(probe=probe, indentation_mm=DEPTH, friction=0.4), across=12)
+    assert state.force_n[2] == pytest.approx(force, rel=0.02)
+    assert np.abs(state.force_n[:2]).max() < 1e-3 * force
