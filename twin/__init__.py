@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from twin.errors import AccuracyWarning, TwinError
     from twin.parts.load import Load, Traction
-    from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step, Stl
+    from twin.parts.press import Cone, Cylinder, Object, Pillar, Press, Sphere, Step, Stl
     from twin.parts.scene import Scene
     from twin.sense.calibration import Calibration, read_calibration
     from twin.sense.reconstruct import reconstruct
@@ -35,7 +35,7 @@ if "NUMBA_CACHE_DIR" not in os.environ and not os.access(os.path.dirname(__file_
 _NAMES = {
     "twin.errors": "AccuracyWarning TwinError",
     "twin.parts.load": "Load Traction",
-    "twin.parts.press": "Cone Cylinder Pillar Press Sphere Step Stl",
+    "twin.parts.press": "Cone Cylinder Object Pillar Press Sphere Step Stl",
     "twin.parts.scene": "Scene",
     "twin.sense.calibration": "Calibration read_calibration",
     "twin.sense.reconstruct": "reconstruct",
@@ -56,6 +56,7 @@ __all__ = [
     "Cylinder",
     "Environment",
     "Load",
+    "Object",
     "Observation",
     "Pillar",
     "Press",

@@ -21,9 +21,9 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from twin.arrays import Floats, frozen
 from twin.parts.part import Angle, Force, Part, Place
-from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere, Stl
+from twin.parts.probe import Cone, Cylinder, Object, Pillar, Probe, Sphere, Stl
 
-__all__ = ["Cone", "Cylinder", "Pillar", "Press", "Probe", "Sphere", "Step", "Stl"]
+__all__ = ["Cone", "Cylinder", "Object", "Pillar", "Press", "Probe", "Sphere", "Step", "Stl"]
 
 Component = float | None
 Triple = tuple[Component, Component, Component]

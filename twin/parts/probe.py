@@ -114,7 +114,24 @@ class Stl(StlFile):
     kind: Literal["stl"] = "stl"
 
 
-Probe = Annotated[Sphere | Cylinder | Pillar | Cone | Stl, Field(discriminator="kind")]
+class Object(Part):
+    """A rigid everyday object, as an STL file of it would be (`twin.geometry.objects`).
+
+    Attributes
+    ----------
+    shape
+        A letter A, a gear on its face, a coarse screw that lies along x, a toy brick with studs, a
+        grating with eight ridges along y, or a ring of round section.
+    width_mm
+        Extent along x; everything else is in proportion. A grating of 7.5 mm has a pitch of 1 mm.
+    """
+
+    kind: Literal["object"] = "object"
+    shape: Literal["letter", "gear", "screw", "brick", "grating", "ring"]
+    width_mm: Annotated[float, Field(ge=PROBE_SIZE_MM[0], le=PROBE_SIZE_MM[1])] = 8.0
+
+
+Probe = Annotated[Sphere | Cylinder | Pillar | Cone | Object | Stl, Field(discriminator="kind")]
 
 
 def width_mm(probe: Probe) -> float:
@@ -122,6 +139,8 @@ def width_mm(probe: Probe) -> float:
     is not read here."""
     if isinstance(probe, Pillar):
         return max(probe.size_mm)
+    if isinstance(probe, Object):
+        return probe.width_mm
     return math.inf if isinstance(probe, Stl) else probe.diameter_mm
 
 

@@ -1,12 +1,14 @@
-"""Contacts of any shape, in any number of pieces: against ring loads in elliptic integrals."""
+"""Contacts of any shape, in any number of pieces: against ring loads in elliptic integrals, and Love's rectangles."""
 
 import numpy as np
 import pytest
 from presses import HalfSpace, pressed, write_stl
 from scipy.special import ellipe, ellipk
 
+from twin.geometry.closed import PROBE_SIZE_MM, closed_surface
+from twin.geometry.objects import object_triangles
 from twin.parts.press import Press
-from twin.parts.probe import Stl
+from twin.parts.probe import Object, Stl
 from twin.theory import halfspace
 
 DEPTH = 0.2
@@ -113,6 +115,55 @@ def test_a_ring_pressed_by_force_sinks_as_deep(ring):
 def test_friction_hardly_changes_a_ring_at_half(ring):
     """At nu = 1/2 normal forces move a flat surface nowhere sideways."""
     probe, force = ring
-    state = pressed(Press(probe=probe, indentation_mm=DEPTH, friction=0.4), across=12)
+    state = pressed(Press(probe=probe, indentation_mm=DEPTH, friction=0.4), across=12, on=Flat())
     assert state.force_n[2] == pytest.approx(force, rel=0.02)
     assert np.abs(state.force_n[:2]).max() < 1e-3 * force
+
+
+VOLUMES = {
+    "letter": 16 * 1.6**2 * 8 / 3,
+    "gear": np.pi * (3.5**2 - 1.5**2) * 2.0,
+    "screw": np.pi * (1.75**2 + 0.25**2 / 2.0) * 8.0,
+    "brick": (7.8 * 5.2 * 3.0 + 6 * np.pi * 0.8**2 * 0.6) * (8.0 / 7.8) ** 3,
+    "grating": (7.5**2 + 8 * 0.5 * 7.5) * (8.0 / 7.5) ** 3,
+    "ring": 2.0 * np.pi * 3.2 * np.pi * 0.8**2,
+}
+"""mm3, 8 mm wide; teeth of the gear, as wide as their gaps, add half of a ring."""
+
+
+@pytest.mark.parametrize("shape", VOLUMES)
+def test_an_object_is_closed_and_as_large_as_told(shape):
+    surface = closed_surface(object_triangles(shape, 8.0), shape, PROBE_SIZE_MM)
+    assert surface.volume_mm3 == pytest.approx(VOLUMES[shape], rel=0.03)
+    assert np.ptp(surface.vertices[:, 0]) == pytest.approx(8.0)
+    low, high = surface.vertices[:, :2].min(axis=0), surface.vertices[:, :2].max(axis=0)
+    np.testing.assert_allclose(low, -high, atol=1e-9)
+
+
+def letter_force(count):
+    """Return the force, N, on a letter of 5 by 5 strokes of 1.2 mm, each cut into count by count graded rectangles."""
+    strokes = np.argwhere([[mark == "#" for mark in row] for row in ("#####", "#...#", "#####", "#...#", "#...#")])
+    ends = 0.6 - 0.6 * np.cos(np.pi * np.linspace(0.0, 1.0, count + 1))
+    u, v = (side.ravel() for side in np.meshgrid((ends[1:] + ends[:-1]) / 2, (ends[1:] + ends[:-1]) / 2))
+    a, b = (side.ravel() for side in np.meshgrid(np.diff(ends) / 2, np.diff(ends) / 2))
+    x, y = (np.add.outer(1.2 * strokes[:, k], side).ravel() for k, side in enumerate((u, v)))
+    a, b = np.tile(a, len(strokes)), np.tile(b, len(strokes))
+    sunk = np.zeros((len(x), len(x)))
+    for p, q in np.ndindex(2, 2):  # Love 1929: the displacement in the plane of an even pressure on a rectangle
+        dx, dy = x[:, None] - x + (1 - 2 * p) * a, y[:, None] - y + (1 - 2 * q) * b
+        sunk += (-1) ** (p + q) * (dx * np.arcsinh(dy / np.abs(dx)) + dy * np.arcsinh(dx / np.abs(dy)))
+    pressure = np.linalg.solve(sunk / (np.pi * MODULUS), np.full(len(x), DEPTH))
+    assert pressure.min() > 0.0, "all of a flat face touches"
+    return float(4.0 * a * b @ pressure)
+
+
+@pytest.mark.parametrize(("tilt", "across"), [(0.0, 16), (30.0, 16), (0.0, 8)])
+def test_a_letter_is_pressed_however_it_is_turned(tilt, across):
+    coarse, fine = letter_force(4), letter_force(7)
+    force = fine + (fine - coarse) / ((7 / 4) ** 2 - 1)  # order 2; 1.7317 N from 7, 10 and 13
+    assert force == pytest.approx(1.7317, rel=1e-3)
+    press = Press(probe=Object(shape="letter", width_mm=6.0), tilt_deg=(0.0, 0.0, tilt), indentation_mm=DEPTH)
+    state = pressed(press, across=across, on=Flat())
+    off = abs(state.force_n[2] / force - 1.0)
+    assert off < 0.7 / across
+    assert off <= state.error.force < 0.2

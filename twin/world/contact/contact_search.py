@@ -34,7 +34,7 @@ from twin.parts.accuracy import USUAL
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.press import Probe
-from twin.parts.probe import Cone, Cylinder, Pillar, Sphere, Stl
+from twin.parts.probe import Cone, Cylinder, Object, Pillar, Sphere, Stl
 from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
 from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence, lattice
@@ -125,7 +125,7 @@ class ProbeSetup:
     @property
     def is_free_form(self) -> bool:
         """Whether contact may be of any shape, in any number of pieces."""
-        return isinstance(self.probe, Stl)
+        return isinstance(self.probe, Stl | Object)
 
     @property
     def name(self) -> str:

@@ -33,7 +33,7 @@ from twin.compiled import njit
 from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.press import Press, frame_of
-from twin.parts.probe import Cone, Cylinder, Pillar, Probe, Sphere, Stl
+from twin.parts.probe import Cone, Cylinder, Object, Pillar, Probe, Sphere, Stl
 
 if TYPE_CHECKING:
     from twin.geometry.pieces import TriangleTree
@@ -317,8 +317,10 @@ def _shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.
     """Return the surface of a probe, tilted before it comes."""
     if isinstance(probe, Sphere):
         return _Ball(probe.diameter_mm / 2)  # looks the same however it is turned
-    if isinstance(probe, Stl):
-        return _triangles(probe.file, probe.sha256, tuple(map(tuple, _tilt_of(tilt_deg))))
+    if isinstance(probe, Stl | Object):
+        key = probe.file if isinstance(probe, Stl) else probe.shape
+        size = probe.sha256 if isinstance(probe, Stl) else probe.width_mm
+        return _triangles(key, size, tilt_deg)
     shape: Shape
     if isinstance(probe, Cone):
         # the ball that rounds the tip touches the plane z = 0 with its lowest point
@@ -335,15 +337,22 @@ def _shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.
 
 
 @lru_cache(maxsize=8)
-def _triangles(file: str, _sha256: str, tilt: tuple[tuple[float, ...], ...]) -> _Triangles:
-    """Return an STL file's surface, turned about its origin, its lowest point (largest z) moved to
-    z = 0."""
+def _triangles(
+    name: str, digest_or_width: str | float, tilt_deg: tuple[float, float, float]
+) -> _Triangles:
+    """Return the surface of an STL file, known by its digest, or of an object of a width, turned
+    about its origin, its lowest point (largest z) moved to z = 0."""
     from twin.geometry.closed import PROBE_SIZE_MM, read_surface
+    from twin.geometry.objects import object_triangles
 
-    surface = read_surface(file, PROBE_SIZE_MM)
-    vertices = surface.vertices @ np.array(tilt).T
-    vertices[:, 2] -= vertices[:, 2].max()
-    return _Triangles(vertices[surface.triangles])
+    if isinstance(digest_or_width, str):
+        surface = read_surface(name, PROBE_SIZE_MM)
+        corners = surface.vertices[surface.triangles]
+    else:
+        corners = object_triangles(name, digest_or_width)
+    corners = corners @ _tilt_of(tilt_deg).T
+    corners[..., 2] -= corners[..., 2].max()
+    return _Triangles(corners)
 
 
 def half_extent(
@@ -647,7 +656,9 @@ def approach(
     a, b = half_extent(probe, tilt_deg)
     lever_arm = math.hypot(a, b)
     upright = (
-        not isinstance(probe, Stl) and not any(tilt_deg) and (turned is None or turned[2, 2] == 1.0)
+        not isinstance(probe, Stl | Object)
+        and not any(tilt_deg)
+        and (turned is None or turned[2, 2] == 1.0)
     )
     if (
         upright
