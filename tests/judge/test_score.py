@@ -1,10 +1,11 @@
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from twin.errors import InputError
-from twin.judge.score import force_score, into_cells, score, tracking_score
+from twin.judge.score import field_score, force_score, into_cells, score, tracking_score
 
 
 def pushes(**changes):
@@ -127,6 +128,20 @@ def test_score_gathers_reasons_and_is_plain_json():
     json.dumps(result, allow_nan=False)
     with pytest.raises(InputError, match="displacement_error"):
         score(elastic={"displacement_error": float("nan")})
+
+
+def test_a_spread_takes_two_markers():
+    shift = np.array([[0.1, 0.0], [0.3, 0.0]])
+    one, two = (tracking_score(shift[:n], np.zeros((n, 2))) for n in (1, 2))
+    assert one["sd_px"] is None
+    assert "sd_px" in one["reasons"]
+    assert two["sd_axes_px"] == pytest.approx([0.02**0.5, 0.0])
+
+
+def test_a_field_is_scored_against_the_patches_that_press():
+    given = pushes()
+    patches = SimpleNamespace(centre_mm=given["surface_mm"], force_n=given["surface_force_n"])
+    assert field_score(SimpleNamespace(**given), patches) == force_score(**given)
 
 
 def test_shapes_are_checked():

@@ -196,7 +196,8 @@ def test_unusable_motion_and_options():
         with pytest.raises(InputError, match=words):
             reconstruct(wrong, calibration)
     for options, words in (
-        ({"friction": 0.0}, "friction"), ({"friction": np.inf}, "friction"), ({"camera": True}, "compliance"),
+        ({"friction": -0.5}, "friction"), ({"friction": 0.0}, "friction"), ({"friction": np.inf}, "friction"),
+        ({"camera": True}, "compliance"),
         ({"method": "pinv", "push_only": True}, "pinv"), ({"weight": "best"}, "weight"), ({"weight": -1.0}, "weight"),
         ({"weight": np.nan}, "weight"), ({"method": "best"}, "method"),
     ):  # fmt: skip

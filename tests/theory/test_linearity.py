@@ -53,6 +53,15 @@ def test_law_is_on_the_safe_side_of_every_press_of_the_study_and_not_far():
         assert max(r["error_max"] / law_error(r) for r in same) > 0.8, "the factor is larger than the study says"
 
 
-def test_the_largest_contact_of_a_sphere_that_is_called_known_is_in_the_study():
-    widest = max(row["contact_over_probe_radius"] or 0.0 for row in stored("validity") if "mean_strain" in row)
+def test_contacts_and_strains_are_called_known_up_to_the_largest_of_the_study():
+    rows = [row for row in stored("validity") if "mean_strain" in row]
+    widest = max(row["contact_over_probe_radius"] or 0.0 for row in rows)
     assert pytest.approx(widest, abs=0.005) == KNOWN_RADIUS
+    spheres = [row for row in rows if row["contact_over_probe_radius"] is not None]
+    studied = {
+        ("sphere", False): spheres, ("sphere", True): [row for row in spheres if row["shear_n"] > 0],
+        ("pillar", False): [row for row in rows if row not in spheres],
+    }  # fmt: skip
+    for (probe, sheared), mine in studied.items():
+        largest = max(row["mean_strain"] for row in mine)
+        assert law_of(probe, sheared=sheared).known_strain == pytest.approx(largest, rel=0.05)

@@ -202,6 +202,24 @@ def test_there_is_none_outside_its_range_or_over_too_wide_a_range():
     assert table_between(block(40.0), "nominal", 10.0, 50.0) is None
 
 
+def test_tables_between_are_polynomials_in_the_thickness_and_none_where_these_do_not_settle(monkeypatch):
+    shipped = find_table(STANDARD, "nominal")
+    shapes = {30.0: lambda t: 1 + t + t**2, 31.0: lambda t: 1 + 5 * abs(t - 1.1)}
+    for low, shape in shapes.items():
+        monkeypatch.setattr(
+            "twin.world.elasticity.block_table.find_table",
+            lambda body, *_, shape=shape, **__: replace(
+                shipped, coefficients=shipped.coefficients * shape(body.thickness_mm / 40), error=1e-4
+            ),
+        )
+        found = table_between(block(43.0), "nominal", low, 49.0)
+        if low == 30.0:
+            assert_allclose(found.coefficients, shipped.coefficients * shape(43 / 40), rtol=1e-12, atol=1e-15)
+            assert found.error == pytest.approx(1e-4)
+        else:
+            assert found is None
+
+
 @pytest.mark.slow
 def test_an_interpolated_block_is_a_solved_one_and_factors_nothing():
     points = np.random.default_rng(1).uniform([-20, -17, 0.3], [20, 17, 6.5], (200, 3))
