@@ -39,7 +39,11 @@ def test_the_dip_of_two_gaussians() -> None:
     assert dip(x, two(1.0), 1.0) == 0.0, "closer than their width, two pushes are one"
     between, peak = 2 * np.exp(-2.0), two(4.0).max()
     assert dip(x, two(4.0), 4.0) == pytest.approx(1 - between / peak, rel=1e-6)
+    beside = np.where(np.abs(x) > 3.3, 9.0, two(4.0))
+    assert dip(x, beside, 4.0) == dip(x, two(4.0), 4.0), "peaks are within a quarter of the distance"
     assert dip(np.array([-1.0, 1.0]), np.ones(2), 2.0) == 0.0, "nothing was sampled between them"
+    for side in (-1, 1):
+        assert dip(np.linspace(-1, 0.4, 15) * side, np.arange(15.0), 2.0) == 0.0, "one place was not sampled"
 
 
 def test_the_least_distance_is_interpolated_and_never_optimistic() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from twin.cli import main
 from twin.errors import RecipeError
-from twin.study.doubts import doubts
+from twin.study.doubts import doubts, noise_bound
 from twin.study.recipe import load_scene, shipped_scenes
 from twin.study.sensor import make
 
@@ -48,6 +48,12 @@ def test_shipped_scenes_are_not_doubted():
 def test_beads_wider_than_their_pitch_are_refused():
     with pytest.raises(RecipeError, match=r"markers.red.diameter_mm = 2 mm: beads can't be wider .* pitch_mm = 1.5 mm"):
         make(load_scene(FLAT, {"markers.red.diameter_mm": 2.0}))
+
+
+def test_the_noise_of_a_mosaic_video_or_compression_has_no_closed_form():
+    assert noise_bound(load_scene(FLAT)) is not None
+    for ccd in ({"bayer": "rggb"}, {"bandwidth_mhz": [4.2, 1.3, 0.4]}, {"jpeg_quality": 85}, {"interlace": True}):
+        assert noise_bound(load_scene(FLAT, {f"ccd.{key}": value for key, value in ccd.items()})) is None
 
 
 def test_check_warns(tmp_path, capsys):

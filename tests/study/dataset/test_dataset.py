@@ -350,15 +350,15 @@ def test_time_is_estimated_from_cpu_seconds_of_samples_and_sensors(monkeypatch: 
         return work
 
     monkeypatch.setattr(create, "time", SimpleNamespace(process_time=lambda: cpu[0]))
-    monkeypatch.setattr(create, "make_shard", takes(10.0, 4.0, 7.0))  # begins, goes on, goes on with a new sensor
+    monkeypatch.setattr(create, "make_shard", takes(14.0, 8.0, 11.0))  # begins, goes on, goes on with a new sensor
     monkeypatch.setattr(create, "audit_sample", takes(2.0))
     told = create.estimate(small_scene(columns=("force_n",)), 300, workers=2)
     assert "300 on 100 sensors, in 150 files" in told[0]
-    assert "about 5 min with 2 workers" in told[-1]  # 6 + (300 x 1 + 99 x 3 + 3 x 2) / 2 s
-    assert "1 s of CPU a sample" in told[-1]
+    assert "about 8 min with 2 workers" in told[-1]  # 6 + (300 x 2 + 99 x 3 + 3 x 2) / 2 s
+    assert "2 s of CPU a sample" in told[-1]
     assert "6 s to begin, 3 s for each further sensor" in told[-1]
     few = create.estimate(small_scene(columns=("force_n",), vary={}), 3)
-    assert "about 11 s with 1 worker" in few[-2]
+    assert "about 14 s with 1 worker" in few[-2]
     assert "the same one" in few[-1]
 
 

@@ -83,6 +83,7 @@ def test_the_contact_sheet_shows_pictures_truth_and_failures(made: Path, tmp_pat
     assert "6 of 6 samples" in told
     assert page.count("data:image/png;base64") == good
     assert page.count("failed") == 6 - good
+    assert page.count(", force (") == good
     assert '<path d="M' in page
     assert "http" not in page.replace("http://www.w3.org", "")
 
@@ -100,6 +101,13 @@ def test_the_card_tells_errors_and_croissant_names_every_column(made: Path) -> N
     for files, there in zip(told["distribution"], ("data", "sensors"), strict=True):  # as mlcroissant looks for them
         assert "containedIn" not in files
         assert sorted(made.glob(files["includes"])) == sorted((made / there).iterdir())
+
+
+def test_a_sensors_pinhole_matrix_has_square_pixels_and_the_pictures_middle(made: Path) -> None:
+    matrix = np.reshape(twin.open_dataset(made).sensor(0)["camera_matrix"], (3, 3))
+    f = matrix[0, 0]
+    assert f > 0
+    assert matrix.tolist() == [[f, 0, 79.5], [0, f, 59.5], [0, 0, 1]]
 
 
 def test_torch_reads_it_by_number(made: Path) -> None:

@@ -93,16 +93,19 @@ def test_expected_fields_are_what_the_sensors_software_makes_of_noise_free_shift
     np.testing.assert_allclose(software.shown["middle_n"], field.force_n, atol=0.02 * largest)
 
 
-def test_the_predicted_noise_of_the_total_is_that_of_many_noisy_pictures(
+def test_the_predicted_weight_and_noise_of_the_total_are_those_of_many_noisy_pictures(
     software: _Software,
 ) -> None:
     found, noise, rng = software.found, software.noise_px[:, None], np.random.default_rng(7)
-    totals = []
-    for _ in range(150):
+    totals, weights = [], []
+    for number in range(150):
         shift = found.shift_px + noise * rng.standard_normal(found.shift_px.shape)
         noisy = replace(found, shift_px=shift)
         field = reconstruct(noisy, software.calibration, weight=software.figures["weight"])
         totals.append(field.total_force_n[2])
+        if number < 30:
+            weights.append(reconstruct(noisy, software.calibration).weight)
+    assert np.median(weights) == pytest.approx(software.figures["weight"], rel=0.15)
     assert np.std(totals) / 9.80665e-3 == pytest.approx(software.figures["resolution_gf"], rel=0.2)
 
 
