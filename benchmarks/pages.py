@@ -675,6 +675,33 @@ def _long_run(name: str, found: Row) -> str:
     return f"**{heading}**\n\n{table(rows)}\n"
 
 
+# wrong lines
+
+
+def _trust() -> dict[str, str]:
+    """Return how many wrong lines of each folder the quick tests caught, and every survivor."""
+    rows = stored("mutation")
+    wings = {wing: [row for row in rows if row["wing"] == wing] for wing in sorted({row["wing"] for row in rows})}
+    counts = [
+        {"folder": f"twin/{wing}", "planted": len(mine), "caught": sum(bool(row["caught by"]) for row in mine)}
+        for wing, mine in wings.items()
+    ]
+    caught = sum(row["caught"] for row in counts)
+    survivors = [
+        {
+            "survivor": f"{row['file'].removeprefix('twin/')}:{row['line']}",
+            "planted": f"`{row['after']}`".replace("|", "\\|"),
+            "instead of": f"`{row['before']}`".replace("|", "\\|"),
+            "tests met": row["met"],
+            "judgement": row["judgement"],
+        }
+        for row in rows
+        if not row["caught by"]
+    ]
+    heading = f"**{caught} of {len(rows)} wrong lines caught, {100 * caught / len(rows):.0f} %.**"
+    return {"wrong lines": f"\n{heading}\n\n{table(counts)}\n\n{table(survivors)}\n"}
+
+
 # the papers: twin reproduce
 
 PICTURES = {"beyond_limits.svg": "reproduction_limits.svg", "beyond_half-space.svg": "reproduction_half_space.svg"}
@@ -845,6 +872,7 @@ PAGES = {
     "dataset": Page(file=DOCS / "dataset.md", parts=_dataset),
     "sweeps": Page(file=DOCS / "sweeps.md", parts=_sweeps),
     "stability": Page(file=DOCS / "stability.md", parts=_stability),
+    "trust": Page(file=DOCS / "trust.md", parts=_trust),
     "reproduction": Page(file=DOCS / "reproduction.md", parts=_reproduction),
 }
 
