@@ -196,7 +196,8 @@ def expose(
 
 def saturated_share(counts: Picture) -> float:
     """Return the share of a picture's pixels that are at the largest count in a channel."""
-    return float((counts == _FULL_SCALE).any(axis=2).mean())
+    full = counts == _FULL_SCALE
+    return float((full[:, :, 0] | full[:, :, 1] | full[:, :, 2]).mean())
 
 
 def response_matrix(ccd: Ccd) -> Floats:

@@ -242,8 +242,10 @@ class Renderer:
         if factor is not None:
             light *= factor[:, :, None]
         there = light.reshape(-1, 3)
-        passed = self._view.vignette.ravel()[job.pixels]
-        there[job.pixels] = there[job.pixels] * free[:, None] + marks * passed[:, None]
+        seen = there.take(job.pixels, axis=0)
+        seen *= free[:, None]
+        seen += marks * self._view.vignette.ravel().take(job.pixels)[:, None]
+        there[job.pixels] = seen
         if self._view.veil is not None:
             light += self._view.veil[:, :, None]
         return light
