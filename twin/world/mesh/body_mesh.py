@@ -239,6 +239,10 @@ LIMIT_S, LIMIT_UNKNOWNS = 60.0, 28000
 """Processor time of all tries for a mesh of so many unknowns, s; larger meshes may take more, in
 proportion. A rounded pad takes 12 to 38 s until a mesh or three of it are good."""
 
+SPARE_UNKNOWNS = 42000
+"""A sound mesh of up to so many unknowns is taken rather than none: fillets of a pad of 24 x 16 x 7
+mm made the first mesh twice as fine as wanted, and the next ten failed the gates."""
+
 PATIENCE, FINER = 2, 1.3
 """After so many tries of the right size that fail the gates, so many times as many unknowns are
 aimed at: fillets need elements that are not much wider."""
@@ -289,7 +293,7 @@ def build_mesh(
     failures: list[str] = []
     tried: list[tuple[float, float]] = []
     scale, aim, missed = 1.0, float(sizing.unknowns), 0
-    most = max(_MOST * 1.5, LIMIT_UNKNOWNS / sizing.unknowns)
+    most = max(_MOST * 1.5, SPARE_UNKNOWNS / sizing.unknowns)
     for attempt in range(1, MOST_TRIES + 1):
         left_s = end_s - _spent_s()
         if failures and left_s < 1.0:
