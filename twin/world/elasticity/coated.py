@@ -397,7 +397,7 @@ class Ladder:
         if free and (body.is_flat or not body.has_smooth_border):
             away = body.piece_distances(load.centre_mm)[:, free].min(axis=1)
             width = BESIDE * np.maximum(away, load.half_mm.max(axis=1))
-        if not body.is_flat:
+        if not body.is_flat and body.own_surface is None:  # triangles are no finer than they are
             width = np.minimum(width, WITHIN * size)
         steep = width < edge
         return load.centre_mm[steep], max(width.min(initial=np.inf), SHORTEST * size)
