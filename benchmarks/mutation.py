@@ -223,7 +223,7 @@ class Tests:
         before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
         code, told = self.run(place, [*files, "-x"], limit_s, keeps_code=not _is_compiled(wrong))
         spent = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
-        failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", told, re.MULTILINE)
+        failed = _failed(told)
         if failed or code in (-signal.SIGSEGV, -signal.SIGABRT, -signal.SIGFPE):
             return failed[0] if failed else f"signal {-code}", spent, True
         if code not in (0, 5, -signal.SIGKILL):
@@ -232,8 +232,10 @@ class Tests:
 
     def failing_anyway(self, tests: list[str]) -> list[str]:
         """Return those of some tests that fail without any wrong line."""
-        told = self.run(self.whole, tests, ALL_S, keeps_code=False)[1] if tests else ""
-        return re.findall(r"^(?:FAILED|ERROR) (\S+)", told, re.MULTILINE)
+        code, told = self.run(self.whole, tests, ALL_S, keeps_code=False) if tests else (0, "")
+        if code not in (0, 1):
+            raise SystemExit(f"pytest ended with {code}:\n{told[-3000:]}")
+        return _failed(told)
 
     def run(self, place: Path, arguments: list[str], limit_s: int, keeps_code: bool) -> tuple[int, str]:
         """Run tests in a copy, within a limit of processor time; return exit code and output."""
@@ -263,6 +265,11 @@ class Tests:
             stderr=subprocess.STDOUT,
         )
         return done.returncode, done.stdout
+
+
+def _failed(told: str) -> list[str]:
+    """Return the tests that pytest's summary says failed."""
+    return re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - |$)", told, re.MULTILINE)
 
 
 def _is_compiled(wrong: WrongLine) -> bool:

@@ -698,7 +698,9 @@ def _trust() -> dict[str, str]:
         for row in rows
         if not row["caught by"]
     ]
-    heading = f"**{caught} of {len(rows)} wrong lines caught, {100 * caught / len(rows):.0f} %.**"
+    share = f"{100 * caught / len(rows):.0f} %"
+    drawn = read("mutation")["drawn"]
+    heading = f"**{caught} of {len(rows)} wrong lines caught, {share}.** {drawn} are drawn; these were planted so far."
     return {"wrong lines": f"\n{heading}\n\n{table(counts)}\n\n{table(survivors)}\n"}
 
 

@@ -30,7 +30,7 @@ from twin.study.reproduce.bench import (
 from twin.study.reproduce.design_limits import width_mm
 from twin.study.reproduce.flat_figures import impulse, pillar_press
 from twin.study.reproduce.reproduction_run import ENTRIES, chosen, reproduce
-from twin.study.reproduce.shifted import displaced
+from twin.study.reproduce.shifted import KAMIYAMA, displaced, measured
 
 FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
 
@@ -85,6 +85,11 @@ def test_a_shift_is_what_it_says_in_the_picture() -> None:
     points = rig.sensor.actual.markers.points
     moved = rig.sensor.project(points + rig.shifted((3.0, -1.0)).displacement_mm) - rig.sensor.project(points)
     np.testing.assert_allclose(moved, np.tile([3.0, -1.0], (len(points), 1)), atol=1e-6)
+
+
+def test_markers_rendered_again_are_shifted_by_the_protocols_pixels_along_x() -> None:
+    shift = measured(Bench(), KAMIYAMA, "re-rendered", Chain(paper="kamiyama")).shift_px
+    assert np.nanmean(shift, axis=0) == pytest.approx([KAMIYAMA.shift_px, 0.0], abs=0.1)
 
 
 def test_names_choose_entries() -> None:
