@@ -13,7 +13,7 @@ switch that numba can't compile.
 
 Results are kept after every run; the same command goes on. A survivor's ``judgement`` is written by hand into
 benchmarks/results/mutation.json: it is kept, and the survivor not run again. ``--again``, after tests were added, runs
-those anew that have none.
+those anew that have none; "test added" is then the judgement of those that are caught.
 """
 
 from __future__ import annotations

@@ -700,7 +700,11 @@ def _trust() -> dict[str, str]:
     ]
     share = f"{100 * caught / len(rows):.0f} %"
     drawn = read("mutation")["drawn"]
-    heading = f"**{caught} of {len(rows)} wrong lines caught, {share}.** {drawn} are drawn; these were planted so far."
+    added = sum(bool(row["caught by"]) and row["judgement"] == "test added" for row in rows)
+    heading = (
+        f"**{caught} of {len(rows)} wrong lines caught, {share}, {added} of them by tests that were added for them.** "
+        f"{drawn} are drawn; these were planted so far."
+    )
     return {"wrong lines": f"\n{heading}\n\n{table(counts)}\n\n{table(survivors)}\n"}
 
 
