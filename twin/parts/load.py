@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from numbers import Real
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from pydantic import model_validator
@@ -131,6 +131,18 @@ class Traction:
         return _single("twist", centre_mm, _across(radius_mm), (0.0, 0.0, 0.0), torque_nmm)
 
 
+class Strained(Protocol):
+    """What a press moves more than the linear answer says, at places inside the body."""
+
+    def displacement(self, points: Points) -> Points:
+        """Return what to add to the displacements of points (n, 3), mm."""
+        ...
+
+    def gradient(self, points: Points) -> Floats:
+        """Return what to add to the gradients (n, 3, 3) there."""
+        ...
+
+
 @dataclass(frozen=True)
 class Load:
     """A sum of tractions on the sensing surface; loads add with ``+`` and ``sum``.
@@ -140,6 +152,8 @@ class Load:
     terms
         Footprints given by `Traction`, and the rectangles that a solved press left
         (`ContactState.load`).
+    strained
+        What linear theory leaves out of the press that they come from; None for a linear one.
 
     Notes
     -----
@@ -147,6 +161,7 @@ class Load:
     """
 
     terms: tuple[Traction | Rectangles, ...] = ()
+    strained: Strained | None = None
 
     def __add__(self, other: Load) -> Load:
         if not isinstance(other, Load):

@@ -1,8 +1,8 @@
-"""The rubber: linear, isotropic, quasi-static; rate, creep and hysteresis are outside the model."""
+"""The rubber: isotropic, quasi-static; rate, creep and hysteresis are outside the model."""
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from pydantic import Field
 
@@ -13,7 +13,7 @@ Modulus = TypeVar("Modulus", float, Floats)
 
 
 class Material(Part):
-    """Linear elastic rubber.
+    """Elastic rubber.
 
     Attributes
     ----------
@@ -21,12 +21,16 @@ class Material(Part):
         Young's modulus E, MPa.
     poisson_ratio
         Poisson's ratio nu; exactly 0.5 is incompressible and is solved as such.
+    law
+        ``linear``: strain is taken for small. ``neo_hookean``: presses are solved at finite strain
+        (`twin.world.contact.finite_strain` says which), E and nu being those at rest.
     refractive_index
         Of the transparent rubber, for the camera's rays.
     """
 
     youngs_modulus_mpa: float = Field(default=1.0, ge=LEAST_MPA, le=1e6)
     poisson_ratio: float = Field(default=0.5, ge=-0.5, le=0.5)
+    law: Literal["linear", "neo_hookean"] = "linear"
     refractive_index: float = Field(default=1.41, ge=1, le=3)
 
 

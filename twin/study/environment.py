@@ -191,7 +191,7 @@ class Environment:
         if cover is not None and cover.deforms:
             return self.sensor.motion(load)
         return self.sensor.motion_of_patches(
-            self.sensor.rectangles(load), strained=self.sensor.markers_strain
+            self.sensor.rectangles(load), load=load, strained=self.sensor.markers_strain
         )
 
     def _software(self) -> tuple[Calibration, Tracker]:

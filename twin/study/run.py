@@ -565,7 +565,9 @@ def _force_lines(force: Mapping[str, Any], estimate: Estimate | None) -> list[st
 def _shared_by_truth_and_estimate(scene: Scene) -> list[str]:
     """Return what the sensor's software knows exactly, as truth and nominal design share it."""
     shared = [
-        "shape of the body, and that it is homogeneous, linear and bonded at its base",
+        "shape of the body, and that it is homogeneous"
+        + (", linear" if scene.material.law == "linear" else "")
+        + " and bonded at its base",
         "number, order, pitch and diameter of the markers",
         "refractive indices and thicknesses of the layers in front of the camera",
         "closed-form half-space part of the elastic field (its finite-element correction lives "

@@ -21,7 +21,7 @@ from twin.blas_threads import one_blas_thread
 from twin.errors import AccuracyWarning, InputError, RecipeError, require
 from twin.parts.accuracy import CUT
 from twin.parts.body import Body
-from twin.parts.load import Load, Rectangles
+from twin.parts.load import Load, Rectangles, Strained
 from twin.parts.markers import MarkerSet, Prints, place
 from twin.parts.press import Press
 from twin.parts.scene import Scene
@@ -287,7 +287,27 @@ class Sensor:
         points = _as_points(points_mm, "points_mm")
         found = self.ladder.displacement(points, self.rectangles(load))
         self._warn_if_inaccurate(found.error)
-        return found.displacement_mm
+        more = self._strained(_load_of(load))
+        return found.displacement_mm + (more.displacement(points) if more is not None else 0.0)
+
+    def _strained(self, load: Load) -> Strained | None:
+        """Return what is to be added to the linear answer under a load; None by linear theory.
+
+        Raises
+        ------
+        RecipeError
+            `Material.law` includes large strain, and the load is not that of one press.
+        """
+        law = self.nominal.material.law
+        if law == "linear" or not load.terms:
+            return None
+        if load.strained is None:
+            raise RecipeError(
+                f"material.law = {law}: only one press at a time is solved at finite strain, no "
+                "load of given tractions or of several presses; press a probe, or set "
+                "material.law = linear"
+            )
+        return load.strained
 
     @one_blas_thread()
     def motion(self, load: Load) -> Motion:
@@ -297,13 +317,16 @@ class Sensor:
         found = self.ladder.displacement(points, rectangles)
         self._warn_if_inaccurate(found.error)
         compliance = found.compliance
+        more = self._strained(load)
         passive = Motion(
             displacement_mm=found.displacement_mm,
             gradient=compliance.gradient(points, rectangles),
             error=found.error,
             cover=self._cover_motion(compliance, rectangles),
         )
-        return self._with_stiff_beads(passive, lambda p: compliance.displacement(p, rectangles))
+        return self._with_stiff_beads(
+            _with(more, points, passive), lambda p: compliance.displacement(p, rectangles)
+        )
 
     def _cover_motion(
         self, compliance: Compliance | CoveredCompliance, rectangles: Rectangles
@@ -323,7 +346,11 @@ class Sensor:
 
     @one_blas_thread()
     def motion_of_patches(
-        self, *patches: Rectangles, strained: bool = True, gather: bool = True
+        self,
+        *patches: Rectangles,
+        load: Load,
+        strained: bool = True,
+        gather: bool = True,
     ) -> Motion:
         """Return the motion of the actual markers, on the first level of mesh only.
 
@@ -334,6 +361,8 @@ class Sensor:
         ----------
         patches
             Patches with forces; separate contacts separately, as each is gathered by itself.
+        load
+            The load that they were cut from.
         strained
             Whether gradients are computed, too: without them prints are not strained and beads not
             turned (no picture shows a bead's turn), and the gradients are zero.
@@ -349,8 +378,9 @@ class Sensor:
         gradient = np.zeros((len(points), 3, 3))
         if strained or self.stiff_beads is not None:
             gradient = self.compliance.gradient(points, whole)
+        passive = Motion(displacement_mm=moved, gradient=gradient, error=error)
         return self._with_stiff_beads(
-            Motion(displacement_mm=moved, gradient=gradient, error=error),
+            _with(self._strained(load), points, passive),
             lambda p: self.compliance.displacement(p, gathered(p, whole)),
         )
 
@@ -447,6 +477,8 @@ class Sensor:
         )
         actual = self.actual
         points = actual.markers.points
+        if actual.scene.material.law != "linear":
+            self._refuse_law()
         state = solve(
             wanted,
             actual.scene.body,
@@ -461,6 +493,17 @@ class Sensor:
                 judge=self._warn_if_press_inaccurate,
             ),
         )
+        if actual.scene.material.law != "linear":
+            from twin.world.contact.finite_strain import at_finite_strain
+
+            state = at_finite_strain(
+                wanted,
+                actual.scene.body,
+                actual.scene.material,
+                state,
+                points,
+                self._warn_if_press_inaccurate,
+            )
         if self._may_be_inaccurate(state.load):
             state.error  # noqa: B018  warns if it is
         return state
@@ -546,6 +589,24 @@ class Sensor:
         own = stream(self.nominal.seed, Purpose.SENSOR_PATTERN)
         return fixed_pattern(self.nominal.ccd, (camera.height_px, camera.width_px), own)
 
+    def _refuse_law(self) -> None:
+        """Refuse a law of large strain where covers, beads or the cover's picture need a linear
+        body."""
+        scene = self.nominal
+        cover = scene.cover
+        problem = ""
+        if self.stiff_beads is not None:
+            problem = "markers with stiff = true"
+        elif cover is not None and cover.deforms:
+            problem = "cover.deforms = true"
+        elif cover is not None and {cover.youngs_modulus_mpa, cover.poisson_ratio} != {None}:
+            problem = "a cover with a modulus of its own"
+        if problem:
+            raise RecipeError(
+                f"material.law = {scene.material.law}: {problem} is linear theory only; leave it "
+                "out, or set material.law = linear"
+            )
+
     def _moved(self, load: Load | ContactState | Motion | None) -> Motion | None:
         return load if load is None or isinstance(load, Motion) else self.motion(_load_of(load))
 
@@ -594,6 +655,17 @@ class Sensor:
         return on_surface(
             self.nominal.body, grid.chart(), grid.pitch_mm / 2, "reconstruction.sites"
         )
+
+
+def _with(more: Strained | None, points: Points, motion: Motion) -> Motion:
+    """Return a motion of points (n, 3) with what linear theory leaves out of it."""
+    if more is None:
+        return motion
+    return replace(
+        motion,
+        displacement_mm=motion.displacement_mm + more.displacement(points),
+        gradient=motion.gradient + more.gradient(points),
+    )
 
 
 def _load_of(load: Load | ContactState) -> Load:

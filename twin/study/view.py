@@ -130,6 +130,8 @@ def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | N
     patches, touching = sensor.rectangles(state.load), [one for _, one in _under_each(state)]
     points = np.concatenate([_inside(sensor, corners), patches.centre_mm])
     surface = _drawn(sensor).displacement(points, patches)
+    if state.load.strained is not None:
+        surface = surface + state.load.strained.displacement(points)
     return replace(
         rest,
         name=str(number),

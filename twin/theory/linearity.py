@@ -5,7 +5,8 @@ The law is first order: the terms that linear theory drops are products of two g
 relative error goes with the strain. Its strain is the mean contact pressure over Young's modulus,
 which a press knows whatever its markers do. The factors are the largest that neo-Hookean rubber
 showed in ``benchmarks/validity.py`` under the papers' presses, rounded up (docs/validity.md has the
-table): an upper edge, up to five times what was found under a sphere.
+table): an upper edge, up to five times what was found under a sphere. `Material.law` replaces it
+by what is found under the press itself.
 
 Validity: the presses, the markers and the rubber of that study, to which the factors were fitted.
 """

@@ -229,7 +229,7 @@ def _truth_of(
     if not pictured and "motion" not in needs:
         return row
     strained = pictured and sensor.markers_strain
-    motion = sensor.motion_of_patches(*groups, strained=strained, gather=made.gather)
+    motion = sensor.motion_of_patches(*groups, load=load, strained=strained, gather=made.gather)
     row |= {"marker_displacement_mm": motion.displacement_mm, "displacement_error": motion.error}
     if sensor.nominal.camera is not None:
         moved = sensor.actual.markers.points + motion.displacement_mm
@@ -411,7 +411,9 @@ def _differences(made: _MadeSensor, values: Table) -> dict[str, float]:
         out["displacement"] = float(np.linalg.norm(ours - true, axis=1).max()) / largest
         out["estimate"] = float(usual["displacement_error"])
     if "outlines" in plan.needs:
-        shapes = made.sensor.ellipsoids(made.sensor.motion_of_patches(made.sensor.rectangles(load)))
+        shapes = made.sensor.ellipsoids(
+            made.sensor.motion_of_patches(made.sensor.rectangles(load), load=load)
+        )
         one, other = made.renderer.outlines(shapes), made.renderer.outlines(shapes, _FINEST)
         seen = (one.visible > _WHOLE) & (other.visible > _WHOLE)
         if seen.any():

@@ -147,6 +147,8 @@ def check(sweep: Sweep, scene: Scene) -> None:
         )
     if not scene.markers:
         problems.append(f"{where}: it has no markers")
+    if scene.material.law != "linear" or "material.law" in sweep.axes:
+        problems.append("material.law: designs are compared by linear theory; leave it linear")
     if problems:
         raise RecipeError(problems)
     refuse(scene)

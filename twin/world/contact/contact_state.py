@@ -174,7 +174,7 @@ class Validity:
         Indentation over the body's extent along z.
     linearisation_error
         How far linear theory is expected to be off at the markers, over the largest displacement
-        (`twin.theory.linearity`).
+        (`twin.theory.linearity`); how far it is off where `Material.law` includes large strain.
     notes
         What goes beyond the limits 0.3 (radius) and 1 % (cost of linearity), in words, where its
         cost is known from the study of docs/validity.md.
@@ -251,17 +251,23 @@ class PressError(Share):
         What the contact's patches leave.
     increments
         What the parts leave in which a path with friction is taken.
+    strain
+        What is left of large strain, where `Material.law` includes it.
     """
 
     body: Share
     patches: Share
     increments: Share
+    strain: Share
 
     @classmethod
-    def of(cls, *, body: Share, patches: Share, increments: Share) -> PressError:
+    def of(
+        cls, *, body: Share, patches: Share, increments: Share, strain: Share | None = None
+    ) -> PressError:
         """Return all causes together."""
-        whole = body.plus(patches).plus(increments)
-        return cls(**vars(whole), body=body, patches=patches, increments=increments)
+        strain = strain or Share()
+        whole = body.plus(patches).plus(increments).plus(strain)
+        return cls(**vars(whole), body=body, patches=patches, increments=increments, strain=strain)
 
 
 @dataclass(frozen=True, kw_only=True)

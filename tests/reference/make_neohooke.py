@@ -1,0 +1,186 @@
+"""Makes neohooke.json: what linear theory leaves out of a press on a round slab, by NGSolve and by nothing of twin.
+
+    python tests/reference/make_neohooke.py     # needs ngsolve; about ten minutes
+
+An axisymmetric slab (radius 47.5 mm, 40 mm thick, bonded below, E = 1 MPa, incompressible) carries a rigid probe with
+a given force and no friction: once by linear theory, its gap along the undeformed normals, and once as neo-Hookean
+rubber, the probe against the deformed surface. Displacement of order 3 and pressure of order 2 (4 and 3 in the check).
+A penalty of 2000 MPa/mm keeps the two apart. Stored: both displacements (r, z) in mm at r and z, the indentations, and
+how far a second order moves the difference of the two, over the largest displacement.
+"""
+
+import json
+import math
+from pathlib import Path
+
+import ngsolve as ng
+import numpy as np
+from netgen.occ import Glue, MoveTo, OCCGeometry
+
+RADIUS, THICK, PENALTY = 47.5, 40.0, 2000.0
+CASES = [
+    {"kind": "sphere", "diameter_mm": 6.0, "force_n": 0.75, "reach": 1.3},
+    {"kind": "sphere", "diameter_mm": 6.0, "force_n": 3.0, "reach": 2.2},
+    {"kind": "sphere", "diameter_mm": 6.0, "force_n": 6.0, "reach": 2.8},
+    {"kind": "cylinder", "diameter_mm": 5.0, "edge_mm": 0.5, "force_n": 3.0, "reach": 2.6},
+    {"kind": "cylinder", "diameter_mm": 5.0, "edge_mm": 0.5, "force_n": 6.0, "reach": 2.6},
+    {"kind": "cone", "diameter_mm": 12.0, "apex_deg": 130.0, "tip_mm": 1.0, "force_n": 1.0, "reach": 2.2},
+]
+PLACES = [(r, z) for z in (1.5, 3.0, 6.0) for r in (0.0, 0.75, 1.5, 2.25, 3.0, 4.5, 6.0, 9.0, 13.0)]
+
+
+def height(case, r):
+    """How far the probe's surface lies above its lowest point at a distance r from its axis."""
+    positive = lambda x: ng.IfPos(x, x, 0.0)  # noqa: E731
+    if case["kind"] == "sphere":
+        big = case["diameter_mm"] / 2
+        return big - ng.sqrt(ng.IfPos(0.999 * big * big - r * r, big * big - r * r, 0.001 * big * big))
+    if case["kind"] == "cylinder":
+        edge = case["edge_mm"]
+        over = positive(r - (case["diameter_mm"] / 2 - edge))
+        return (
+            edge
+            - ng.sqrt(ng.IfPos(0.99 * edge**2 - over**2, edge**2 - over**2, 0.01 * edge**2))
+            + 9 * positive(over - 0.99 * edge)
+        )
+    half, tip = math.radians(case["apex_deg"] / 2), case["tip_mm"]
+    meet = tip * math.cos(half)
+    ball = tip - ng.sqrt(ng.IfPos(meet * meet - r * r, tip * tip - r * r, tip * tip - meet * meet))
+    return ng.IfPos(r - meet, tip - tip * math.sin(half) + (r - meet) / math.tan(half), ball)
+
+
+def slab(reach, fine):
+    """The half section (r, depth), elements small under the probe."""
+
+    def box(w, d):
+        return MoveTo(0, 0).Line(w).Rotate(90).Line(d).Rotate(90).Line(w).Close().Face()
+
+    whole, near, inner = box(RADIUS, THICK), box(3.0 * reach, 3.0 * reach), box(1.25 * reach, 0.6 * reach)
+    near.faces.maxh, inner.faces.maxh, whole.faces.maxh = 6 * fine, fine, 6.0
+    glued = Glue([whole - near, near - inner, inner])
+    for edge in glued.edges:
+        low, high = edge.bounding_box
+        if max(abs(low.y), abs(high.y)) < 1e-3:
+            edge.name = "touched"
+        elif max(abs(low.x), abs(high.x)) < 1e-3:
+            edge.name = "axis"
+        elif min(abs(low.y - THICK), abs(high.y - THICK)) < 1e-3:
+            edge.name = "held"
+    return ng.Mesh(OCCGeometry(glued, dim=2).GenerateMesh(maxh=6.0, grading=0.4))
+
+
+def solve(case, mesh, order, linear, start):
+    """Return displacement, indentation and the unknowns; ``start`` are the unknowns to begin with."""
+    moves = ng.VectorH1(mesh, order=order, dirichletx="held|axis", dirichlety="held")
+    space = moves * ng.H1(mesh, order=order - 1) * ng.NumberSpace(mesh)
+    (u, p, d), r = space.TrialFunction(), ng.x
+    grad, mu, weight = ng.Grad(u), 1.0 / 3.0, 2.0 * math.pi * ng.x
+    hoop = u[0] / r
+    form = ng.BilinearForm(space, symmetric=True)
+    if linear:
+        trace = grad[0, 0] + grad[1, 1] + hoop
+        e = 0.5 * (grad + grad.trans)
+        form += ng.Variation(
+            weight * (mu * (ng.InnerProduct(e, e) + hoop * hoop) + p * trace) * ng.dx(bonus_intorder=2)
+        )
+        gap = height(case, r) + u[1] - d
+    else:
+        f = ng.Id(2) + grad
+        ratio = ng.Det(f) * (1 + hoop)
+        inner = ng.InnerProduct(f, f) + (1 + hoop) * (1 + hoop) - 3.0
+        w = mu / 2.0 * inner + (p - mu) * (ratio - 1.0) + mu / 2.0 * (ratio - 1.0) ** 2
+        form += ng.Variation(weight * w * ng.dx(bonus_intorder=4))
+        gap = height(case, r + u[0]) + u[1] - d
+    inside = ng.IfPos(-gap, gap, 0.0)
+    form += ng.Variation(weight * PENALTY / 2.0 * inside * inside * ng.ds("touched", bonus_intorder=10))
+    pull = -case["force_n"] / (math.pi * RADIUS**2)
+    form += ng.Variation(weight * pull * d * ng.ds("touched"))
+    state = ng.GridFunction(space)
+    if start is not None:
+        state.vec.data = start.vec
+    right, step, old = (state.vec.CreateVector() for _ in range(3))
+
+    def left():
+        form.Apply(state.vec, right)
+        free = space.FreeDofs()
+        values = np.array(right.FV().NumPy())
+        return float(np.linalg.norm(values[[i for i in range(space.ndof) if free[i]]]))
+
+    size = left()
+    for _ in range(200):
+        form.AssembleLinearization(state.vec)
+        form.Apply(state.vec, right)
+        step.data = form.mat.Inverse(space.FreeDofs(), inverse="umfpack") * right
+        old.data, share = state.vec, 1.0
+        for _ in range(12):
+            state.vec.data = old - share * step
+            now = left()
+            if now < max(1.2 * size, 1e-9):
+                break
+            share /= 2.0
+        size = now
+        if size < 1e-9 and share == 1.0:
+            break
+    else:
+        raise RuntimeError(f"left {size}")
+    u = state.components[0]
+    at = np.array([[*u(mesh(max(r, 1e-6), z))] for r, z in PLACES])
+    return at, float(state.components[2].vec[0]), state
+
+
+def pair(case, order, fine):
+    mesh = slab(case["reach"], fine)
+    start = None
+    space_guess = case["force_n"] / 6.0
+    for share in (0.25, 1.0):
+        one = {**case, "force_n": share * case["force_n"]}
+        if start is None:
+            first = ng.GridFunction(
+                ng.VectorH1(mesh, order=order, dirichletx="held|axis", dirichlety="held")
+                * ng.H1(mesh, order=order - 1)
+                * ng.NumberSpace(mesh)
+            )
+            first.components[2].vec[0] = min(0.3, space_guess)
+            start = first
+        straight, depth, start = solve(one, mesh, order, True, start)
+    bent, deep, _ = solve(case, mesh, order, False, start)
+    return straight, bent, depth, deep
+
+
+def main():
+    rows = []
+    for case in CASES:
+        straight, bent, depth, deep = pair(case, 3, case["reach"] / 16)
+        coarse = pair(case, 4, case["reach"] / 10)
+        most = float(np.linalg.norm(straight, axis=1).max())
+        other = (coarse[1] - coarse[0]) - (bent - straight)
+        row = {
+            **case,
+            "linear_mm": straight.round(7).tolist(),
+            "neo_hookean_mm": bent.round(7).tolist(),
+            "indentation_linear_mm": depth,
+            "indentation_mm": deep,
+            "own_error": float(np.linalg.norm(other, axis=1).max() / most),
+        }
+        off = float(np.linalg.norm(bent - straight, axis=1).max() / most)
+        print(
+            case["kind"],
+            case["force_n"],
+            "depth",
+            depth,
+            deep,
+            coarse[2:],
+            "off",
+            off,
+            "own",
+            row["own_error"],
+            flush=True,
+        )
+        rows.append(row)
+        Path(__file__).with_name("neohooke.json").write_text(
+            json.dumps({"places_mm": PLACES, "radius_mm": RADIUS, "thickness_mm": THICK, "cases": rows}, indent=0)
+        )
+
+
+if __name__ == "__main__":
+    main()
