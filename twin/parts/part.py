@@ -38,6 +38,7 @@ LATER = (
     ("stiff", False),
     ("distortion", 0.0),
     ("deforms", False),
+    ("law", "linear"),
 )
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so
 that files stored under a hash of all keys stay valid."""
