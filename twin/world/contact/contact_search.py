@@ -447,7 +447,7 @@ _NARROW = 3.0
 """Mean width over the shorter side of its box from which on an overlap counts as one piece (an
 ellipse's is 1 or more), and the least mean width in steps of the raster."""
 
-_COARSE_MOST = 900
+_COARSE_MOST = 400
 _DENSE_MOST = 1500
 """Patches at most in the search, and where the compliance between them is stored as a matrix."""
 

@@ -549,8 +549,8 @@ __all__ = ["ContactState", "SurfaceCompliance", "press"]
 _ACROSS_RANGE = (6, 40)
 
 _MOST = 10_000
-_MOST_RUBBED = 2_000
-"""Patches at most under a probe of any shape, without friction and with it."""
+_MOST_RUBBED = 6_000
+"""Patches at most under a probe of any shape, touching or not, without friction and with it."""
 
 LEAST_N = 1e-9
 """Least force that presses: under less the gaps are lost in the round-off of the patches'
