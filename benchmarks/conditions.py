@@ -5,8 +5,6 @@ contrast, blur .7 px, 1.5 counts of read noise and shot noise of a 20 000 electr
 px. JPEG is Pillow's, H.264 is ffmpeg's. ``chi`` is the root mean square of error over stated deviation, per axis;
 ``over_bound`` the error over Cramer and Rao's bound for the clean picture; ``wrong`` the share of all markers with a
 shift that is off by more than a pixel.
-
-``python -m benchmarks.pages tracking`` writes the stored results into docs/tracking.md.
 """
 
 from __future__ import annotations

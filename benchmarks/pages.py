@@ -434,7 +434,6 @@ def _tracking() -> dict[str, str]:
     errors = [row for row in rows if row not in chains]
     return {
         "results": f"{table(errors)}\n\n{measured_on('tracking')}\n",
-        "conditions": f"{table(stored('conditions'))}\n",
         "chain": f"{table(chains)}\n",
     }
 
