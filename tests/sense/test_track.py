@@ -376,7 +376,7 @@ def test_a_strained_marker_that_is_partly_hidden_does_not_pass_for_a_smaller_one
         around = drawn[:, :, channel]
         near = (np.abs(np.indices(around.shape)[::-1] - centre[0][:, None, None]) < 14).all(axis=0)
         around[near] = 30 + 130 * cover(card.size, centre, 10.0, 0.7, seen, turned)[near]
-    found = track(expose(card.draw(), 1), expose(drawn, 2), card.layout)
+    found = track_frame(analyse_rest(expose(card.draw(), 1), card.layout), expose(drawn, 2), shift + 0.5)
     hidden = np.arange(len(card.marks)) % 9 == 0
     score = np.hypot(*(found.shift_px - shift).T) / found.sd_px
     assert found.seen[~hidden].mean() > 0.98
