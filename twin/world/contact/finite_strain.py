@@ -54,8 +54,7 @@ LEAST_POISSON = 0.45
 """The laws are tried for rubber, from here to 1/2."""
 
 LEAST_EDGE = 0.05
-"""Least radius of a cylinder's rim over its diameter: what slides past a sharper rim is not
-resolved."""
+"""Least radius of a cylinder's rim over its diameter: at a sharper one Newton's steps fail."""
 
 FARTHEST = 5.0
 """Least distance of the probe's axis from the block's sides over the contact's radius."""
@@ -576,7 +575,7 @@ def _refuse(
         problem = (
             f"press.probe.edge_mm = {press.probe.edge_mm:g} mm: rims rounded by "
             f"{LEAST_EDGE * press.probe.diameter_mm:g} mm or more ({LEAST_EDGE:g} of the diameter; "
-            "rubber slides past a sharp one) are solved"
+            "sharper ones are not resolved) are solved"
         )
     elif press.friction > 0.0:
         problem = f"press.friction = {press.friction:g}: friction 0 is solved"

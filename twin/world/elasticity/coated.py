@@ -32,6 +32,7 @@ grows with the square of the number of patches.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -389,6 +390,8 @@ class Ladder:
         """Return the places (k, 3) of rectangles that leave more out of balance beside them than
         the level's elements follow, and the least width of that, mm."""
         body = self._body
+        if len(load) == 0:
+            return load.centre_mm, math.inf
         edge = default_sizing(body, level).fine_mm
         size = float(np.linalg.norm(np.ptp(load.centre_mm, axis=0), axis=0)) / 2.0
         size += float(load.half_mm.max(initial=0.0))
