@@ -610,7 +610,9 @@ class Estimates:
         patches = increments = Share.unknown()
         if other is not None:
             change = self._change(state, other)
-            factor = _error_over_change(_patch_mm(other) / _patch_mm(state))
+            factor = _NARROWER if self._other_across > self._job.setups[0].across else _WIDER
+            if any(setup.is_free_form for setup in self._job.setups):
+                factor = _error_over_change(_patch_mm(other) / _patch_mm(state))
             patches = self._cut(state, step, change.times(factor))
             patches = replace(
                 patches, traction=change.traction
