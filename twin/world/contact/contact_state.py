@@ -610,9 +610,7 @@ class Estimates:
         patches = increments = Share.unknown()
         if other is not None:
             change = self._change(state, other)
-            factor = _NARROWER if self._other_across > self._job.setups[0].across else _WIDER
-            if any(setup.is_free_form for setup in self._job.setups):
-                factor = _error_over_change(_patch_mm(other) / _patch_mm(state))
+            factor = _error_over_change(self._times_as_wide(state, other))
             patches = self._cut(state, step, change.times(factor))
             patches = replace(
                 patches, traction=change.traction
@@ -632,6 +630,13 @@ class Estimates:
     def _other_across(self) -> int:
         across = self._job.setups[0].across
         return across // 2 if across // 2 >= _FEWEST_COMPARED else 2 * across
+
+    def _times_as_wide(self, state: ContactState, other: ContactState) -> float:
+        """Return the width of the other patches over that of the state's: twice or half, but under
+        objects, whose largest number of patches may end both alike."""
+        if any(setup.is_free_form for setup in self._job.setups):
+            return _patch_mm(other) / _patch_mm(state)
+        return 2.0 if self._other_across < self._job.setups[0].across else 0.5
 
     @cached_property
     def _other(self) -> list[ContactState]:
