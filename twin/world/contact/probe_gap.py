@@ -317,10 +317,10 @@ def _shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.
     """Return the surface of a probe, tilted before it comes."""
     if isinstance(probe, Sphere):
         return _Ball(probe.diameter_mm / 2)  # looks the same however it is turned
-    if isinstance(probe, Stl | Object):
-        key = probe.file if isinstance(probe, Stl) else probe.shape
-        size = probe.sha256 if isinstance(probe, Stl) else probe.width_mm
-        return _triangles(key, size, tilt_deg)
+    if isinstance(probe, Stl):
+        return _stl_shape(probe.file, probe.sha256, tilt_deg)
+    if isinstance(probe, Object):
+        return _object_shape(probe.shape, probe.width_mm, tilt_deg)
     shape: Shape
     if isinstance(probe, Cone):
         # the ball that rounds the tip touches the plane z = 0 with its lowest point
@@ -337,19 +337,25 @@ def _shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.
 
 
 @lru_cache(maxsize=8)
-def _triangles(
-    name: str, digest_or_width: str | float, tilt_deg: tuple[float, float, float]
-) -> _Triangles:
-    """Return the surface of an STL file, known by its digest, or of an object of a width, turned
-    about its origin, its lowest point (largest z) moved to z = 0."""
+def _stl_shape(file: str, _sha256: str, tilt_deg: tuple[float, float, float]) -> _Triangles:
+    """Return the surface of an STL file, tilted."""
     from twin.geometry.closed import PROBE_SIZE_MM, read_surface
+
+    surface = read_surface(file, PROBE_SIZE_MM)
+    return _tilted(surface.vertices[surface.triangles], tilt_deg)
+
+
+@lru_cache(maxsize=8)
+def _object_shape(shape: str, width_mm: float, tilt_deg: tuple[float, float, float]) -> _Triangles:
+    """Return the surface of an object, tilted."""
     from twin.geometry.objects import object_triangles
 
-    if isinstance(digest_or_width, str):
-        surface = read_surface(name, PROBE_SIZE_MM)
-        corners = surface.vertices[surface.triangles]
-    else:
-        corners = object_triangles(name, digest_or_width)
+    return _tilted(object_triangles(shape, width_mm), tilt_deg)
+
+
+def _tilted(corners: Floats, tilt_deg: tuple[float, float, float]) -> _Triangles:
+    """Return triangles (m, 3, 3) turned about the origin, their lowest point (largest z) moved to
+    z = 0."""
     corners = corners @ _tilt_of(tilt_deg).T
     corners[..., 2] -= corners[..., 2].max()
     return _Triangles(corners)
