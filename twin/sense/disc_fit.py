@@ -195,24 +195,20 @@ class DiscFit(SoftWindow):
             [*weights, dark + max(SHOWS * float(weights @ colour), 4.0)]
             for weights, dark, colour in zip(own, ground, colours, strict=True)
         ]
-        groups = []
-        for number, spot in enumerate(spots):
+
+        def fitted(number: int, weights: Floats) -> DiscFit:
+            mine = np.array([*weights, np.median(sample @ weights)], np.float32)
             others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
+            made = _make_templates(picture, mine, others, centres[number], widths[number])
+            return cls._fitted(picture, spots[number], *made)
 
-            def fitted(
-                weights: Floats,
-                spot: SoftWindow = spot,
-                others: Singles = others,
-                place: tuple[Pixels, float] = (centres[number], widths[number]),
-            ) -> DiscFit:
-                mine = np.array([*weights, np.median(sample @ weights)], np.float32)
-                return cls._fitted(picture, spot, *_make_templates(picture, mine, others, *place))
-
-            group, colour = fitted(own[number]), colours[number]
+        groups = []
+        for number, colour in enumerate(colours):
+            group = fitted(number, own[number])
             bright = float(LUMA @ colour)
             shows_in_luma = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())
             if not given and group.templates.every and shows_in_luma:
-                rival = fitted(np.sign(bright) * LUMA / LUMA.max())
+                rival = fitted(number, np.sign(bright) * LUMA / LUMA.max())
                 if rival.roughness_px < SMOOTHER * group.roughness_px:
                     every = group.templates.every
                     group = replace(rival, templates=replace(rival.templates, every=every))
