@@ -86,6 +86,13 @@ class Found:
         """(N,) which markers have a shift."""
         return np.asarray(np.isfinite(self.shift_px).all(axis=1))
 
+    @property
+    def scatter_px(self) -> float:
+        """Standard deviation of the shifts about their median, per axis, px; robust to outliers:
+        1.4826 times the median absolute deviation."""
+        shift = self.shift_px[self.seen]
+        return float(1.4826 * np.median(np.abs(shift - np.median(shift, axis=0))))
+
 
 @one_blas_thread()
 def track(

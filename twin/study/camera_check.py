@@ -19,8 +19,8 @@ from twin.parts.scene import Scene
 if TYPE_CHECKING:
     from twin.sense.track import Found
 
-SATURATED_DN, SATURATED = 254, 0.01
-"""Counts of a saturated pixel, and the share of them that is too much."""
+SATURATED_DN = 254
+"""Counts from which on a pixel is saturated: compression takes one off."""
 
 FEW = 0.9
 """Share of the markers that must be found."""
@@ -28,9 +28,8 @@ FEW = 0.9
 BLURRED = 0.25
 """Blur's standard deviation over the markers' width above which their edge is mostly blur."""
 
-COHERENT, UNTRUE = 1.5, 1.5
-"""Noise that hangs together over pixels makes errors larger than its size in single pixels would by
-this factor; and the largest ratio of measured to stated errors, either way, of true ones."""
+UNTRUE = 1.5
+"""The largest ratio of measured to stated errors, either way, of true ones."""
 
 MOVED = 5.0
 """Standard errors of the mean motion above which the sensor, or the camera, has moved."""
@@ -54,9 +53,9 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
         Pictures that can't be used: of another size, the same picture twice, without markers.
     """
     from twin.sense.disc_fit import DiscFit
-    from twin.sense.track import analyse_rest, track_frame
+    from twin.sense.track import COHERENT, analyse_rest, track_frame
     from twin.study.recorded import read_picture
-    from twin.study.sensor import Sensor
+    from twin.study.sensor import SATURATED, Sensor
 
     if scene.camera is None:
         raise RecipeError("this scene has no [camera] table: two rest pictures can't be compared")
@@ -72,9 +71,8 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
             f"{first}, {second}: show {int(seen.sum())} of the scene's {len(seen)} markers: are "
             "they this sensor's, upright, of its camera mode, and exposed?"
         )
-    shift = found.shift_px[seen]
-    common = np.median(shift, axis=0)
-    measured = 1.4826 * float(np.median(np.abs(shift - common)))
+    common = np.median(found.shift_px[seen], axis=0)
+    measured = found.scatter_px
     stated = float(np.median(found.sd_px[seen]))
     usual = rest.usual_sd_px[seen]
     assert found.usual_sd_px is not None

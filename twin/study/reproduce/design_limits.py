@@ -159,8 +159,7 @@ def _shift_noise_px(bench: Bench, chain: Chain) -> float:
     lost markers."""
     rig = chain.rig(bench)
     found = rig.track(rig.picture(None, 55), chain.tracker)
-    shift = found.shift_px[found.seen]
-    return float(1.4826 * np.median(np.abs(shift - np.median(shift, axis=0))))
+    return found.scatter_px
 
 
 def _limit_of(rig: Rig, noise_px: float) -> Limit:
