@@ -9,7 +9,7 @@ import pytest
 import twin
 from twin.errors import TwinError
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
-from twin.world.elasticity.strain_law import LAWS, cofactors, turning_of
+from twin.world.elasticity.strain_law import LAWS, cofactor_slope, cofactors
 
 TRUTH = json.loads((Path(__file__).parents[2] / "reference" / "neohooke.json").read_text())
 PLACES = np.array([[r, 0.0, z] for r, z in TRUTH["places_mm"]])
@@ -149,15 +149,15 @@ def test_law_turns_with_the_frame_and_is_linear_theory_at_rest():
     assert stress_at(turn, 0.0) == pytest.approx(np.zeros((3, 3)), abs=1e-12)
     cofactor, ratio = cofactors(np.eye(3))
     small = rng.standard_normal((3, 3))
-    slope = LAWS["neo_hookean"].slope(cofactor, ratio, turning_of(np.eye(3)))
+    slope = LAWS["neo_hookean"].slope(cofactor, ratio, cofactor_slope(np.eye(3)))
     assert np.einsum("ijkl,kl->ij", slope, small) == pytest.approx(small + small.T, abs=1e-12)
 
 
 def test_slope_of_the_law_is_that_of_its_stress():
     gradient = np.eye(3) + 0.3 * np.random.default_rng(6).standard_normal((3, 3))
     cofactor, ratio = cofactors(gradient)
-    turning = turning_of(gradient)
-    slope = LAWS["neo_hookean"].slope(cofactor, ratio, turning) + 0.7 * turning
+    cofactor_change = cofactor_slope(gradient)
+    slope = LAWS["neo_hookean"].slope(cofactor, ratio, cofactor_change) + 0.7 * cofactor_change
     for k, m in np.ndindex(3, 3):
         nudge = np.zeros((3, 3))
         nudge[k, m] = 1e-6

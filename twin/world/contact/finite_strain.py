@@ -48,7 +48,7 @@ from twin.parts.probe import Cone, Cylinder, Sphere
 from twin.world.contact.contact_state import ContactState, PressError, Share
 from twin.world.contact.probe_gap import Approach, Z, approach_of
 from twin.world.elasticity.factor import Factor
-from twin.world.elasticity.strain_law import LAWS, cofactors, turning_of
+from twin.world.elasticity.strain_law import LAWS, cofactor_slope, cofactors
 
 LEAST_POISSON = 0.45
 """The laws are tried for rubber, from here to 1/2."""
@@ -56,11 +56,11 @@ LEAST_POISSON = 0.45
 LEAST_EDGE = 0.05
 """Least radius of a cylinder's rim over its diameter: at a sharper one Newton's steps fail."""
 
-FARTHEST = 5.0
+LEAST_BESIDE = 5.0
 """Least distance of the probe's axis from the block's sides over the contact's radius."""
 
-_STIFF = 500.0
-_PREDICTED = 2.0
+_SPRING = 500.0
+_GAP_WEIGHT = 2.0
 """Pressure per overlap, and what a pressure is weighed against a gap with, over Young's modulus,
 1/mm."""
 
@@ -72,11 +72,11 @@ _GROWTH = 1.3
 """Elements from the axis to `_REACH`, and how much larger each is than the last one from there."""
 
 _COARSER = 0.7
-_MESHED = 1.0
+_ERROR_OVER_CHANGE = 1.0
 """How many times as many elements the mesh has that tells the error; error over the change to it:
 less under all presses of tests/reference/neohooke.json."""
 
-_ENOUGH = 1e-4
+_TOLERANCE = 1e-4
 _STEPS = 20
 """Newton's steps end at one that moves nothing by more than this share of the largest displacement;
 their largest number."""
@@ -211,9 +211,9 @@ class _Slab:
     def tangent(self, unknowns: Floats) -> Any:
         """Return the sparse symmetric slope of `resistance`."""
         gradient, cofactor, ratio, pressure = self._strained(unknowns)
-        turning = turning_of(gradient)
-        slope = self._shear * self._law.slope(cofactor, ratio, turning)
-        slope += pressure[..., None, None, None, None] * turning
+        cofactor_change = cofactor_slope(gradient)
+        slope = self._shear * self._law.slope(cofactor, ratio, cofactor_change)
+        slope += pressure[..., None, None, None, None] * cofactor_change
         slope *= self._volume[..., None, None, None, None]
         count, places = self._volume.shape
         part = self._part
@@ -267,7 +267,7 @@ class _Touch:
     """The integration points (q,) of the slab's surface that a probe may touch."""
 
     def __init__(self, grid: _Grid, approach: Approach) -> None:
-        r = grid.r_mm[: _under(grid) + 1]
+        r = grid.r_mm[: _even_elements(grid) + 1]
         half = np.diff(r) / 2.0
         self.rest_mm = (r[:-1, None] + half[:, None] * (1.0 + _PLACES)).ravel()
         self.area_mm2 = 2.0 * math.pi * self.rest_mm * (half[:, None] * _WEIGHTS).ravel()
@@ -294,11 +294,11 @@ class _Touch:
         gap, slope = met(r)
         if linear:
             return gap, upright[:, 1:], np.zeros(len(r))
-        bend = (met(r + _NUDGE_MM)[1] - met(r - _NUDGE_MM)[1]) / (2.0 * _NUDGE_MM)
-        bend = np.where(np.isfinite(gap), bend, 0.0)
-        return gap, np.column_stack([slope, np.ones(len(r))]), bend
+        curvature = (met(r + _NUDGE_MM)[1] - met(r - _NUDGE_MM)[1]) / (2.0 * _NUDGE_MM)
+        curvature = np.where(np.isfinite(gap), curvature, 0.0)
+        return gap, np.column_stack([slope, np.ones(len(r))]), curvature
 
-    def spread(self, pressure: Floats) -> float:
+    def rms_radius(self, pressure: Floats) -> float:
         """Return the root mean square distance of the pressure from the axis, mm."""
         force = pressure * self.area_mm2
         return math.sqrt(float(force @ self.rest_mm**2 / force.sum()))
@@ -319,8 +319,8 @@ def _stepped(
     slab: _Slab, touch: _Touch, state: _Balance, force: float, *, linear: bool
 ) -> _Balance:
     """Return the state after one Newton step of slab, probe and pressures together."""
-    gap, push, bend = touch.gaps(slab.displacement(state.unknowns), state.place, linear=linear)
-    weighed = state.pressure - _PREDICTED * (gap + state.pressure / _STIFF)
+    gap, push, curvature = touch.gaps(slab.displacement(state.unknowns), state.place, linear=linear)
+    weighed = state.pressure - _GAP_WEIGHT * (gap + state.pressure / _SPRING)
     active = weighed > 0.0 if state.pressure.any() else state.active
     active = active & np.isfinite(gap)
     if not active.any():
@@ -337,12 +337,12 @@ def _stepped(
         spread = np.einsum("qa,qi->qai", weight, forces)
         return _gathered(row, spread, slab.size)
 
-    spring = _STIFF * push[:, :, None] * push[:, None, :]
-    spring[:, 0, 0] -= state.pressure[on] * bend[on]
+    spring = _SPRING * push[:, :, None] * push[:, None, :]
+    spring[:, 0, 0] -= state.pressure[on] * curvature[on]
     spring *= area[:, None, None]
     block = np.einsum("qa,qb,qij->qaibj", weight, weight, spring).reshape(len(on), 6, 6)
-    own = right + nodal(-(_STIFF * gap[on] * area)[:, None] * push)
-    follow = nodal(-(_STIFF * area)[:, None] * push)
+    own = right + nodal(-(_SPRING * gap[on] * area)[:, None] * push)
+    follow = nodal(-(_SPRING * area)[:, None] * push)
     springs = _summed(block, row, slab.size)
     both = slab.solve(tangent + springs, np.column_stack([own, follow]))
 
@@ -350,8 +350,8 @@ def _stepped(
         moved = slab.displacement(step)[touch.nodes[on]]
         return np.asarray(np.einsum("qi,qa,qai->q", push, weight, moved))
 
-    still = -_STIFF * (gap[on] + closed(both[:, 0]))
-    per_motion = _STIFF * (1.0 + closed(both[:, 1]))
+    still = -_SPRING * (gap[on] + closed(both[:, 0]))
+    per_motion = _SPRING * (1.0 + closed(both[:, 1]))
     motion = float((force - area @ still) / (area @ per_motion))
     pressure = np.zeros(len(active))
     pressure[on] = still + motion * per_motion
@@ -359,7 +359,7 @@ def _stepped(
     return _Balance(unknowns, state.place + motion, pressure, active)
 
 
-def _under(grid: _Grid) -> int:
+def _even_elements(grid: _Grid) -> int:
     """Return how many elements from the axis are of equal width: those that may touch."""
     width = np.diff(grid.r_mm)
     return int(np.sum(width < width[0] * (1.0 + 1e-9)))
@@ -434,7 +434,7 @@ class FiniteStrain:
         self._beside_mm = float(beside.min())
         self._thick_mm = float(high[Z] - low[Z])
         _refuse(press, body, material, state, self._beside_mm)
-        self._watched = watched if len(watched) else self._under()
+        self._watched = watched if len(watched) else self._below_contact()
         sides = (high - low)[:Z]
         self._pair = self._solved(1.0, math.sqrt(float(sides[0] * sides[1]) / math.pi))
         self.indentation_mm = self._pair.deeper_mm
@@ -470,7 +470,9 @@ class FiniteStrain:
         moved = self._at(self._watched, other.grid, other.change)
         there = _largest(moved - self.displacement(self._watched)) / _largest(self._linear_there)
         sunk = abs(other.deeper_mm - self.indentation_mm) / self._state.indentation_mm
-        return Share(indentation=_MESHED * sunk, markers=_MESHED * there + _ENOUGH)
+        return Share(
+            indentation=_ERROR_OVER_CHANGE * sunk, markers=_ERROR_OVER_CHANGE * there + _TOLERANCE
+        )
 
     @cached_property
     def linear_error(self) -> float:
@@ -482,7 +484,7 @@ class FiniteStrain:
         """The slab's linear displacement of the watched points: the scale of errors."""
         return self._at(self._watched, self._pair.grid, self._pair.linear)
 
-    def _under(self) -> Points:
+    def _below_contact(self) -> Points:
         """Return places as deep as the contact is wide, from its axis to thrice its radius."""
         deep = self._state.contact_radius_mm
         away = deep * np.linspace(0.0, 3.0, 13)
@@ -524,7 +526,7 @@ class FiniteStrain:
             linear=slab.displacement(linear.unknowns),
             finite=slab.displacement(finite.unknowns),
             deeper_mm=finite.place - linear.place,
-            wider=touch.spread(finite.pressure) / touch.spread(linear.pressure),
+            wider=touch.rms_radius(finite.pressure) / touch.rms_radius(linear.pressure),
         )
 
     def _settled(
@@ -536,9 +538,9 @@ class FiniteStrain:
             moved = slab.displacement(after.unknowns)
             step = _largest(moved - slab.displacement(state.unknowns)) / _largest(moved)
             state = after
-            if step < _ENOUGH or not math.isfinite(step):
+            if step < _TOLERANCE or not math.isfinite(step):
                 break
-        if not step < _ENOUGH:
+        if not step < _TOLERANCE:
             raise ContactError(
                 f"contact: at finite strain (material.law = {self._material.law}) Newton's steps "
                 f"did not converge in {_STEPS}: press with less force, with a rounder probe, or "
@@ -561,7 +563,7 @@ def _refuse(
 ) -> None:
     """Raise an InputError for a press that isn't solved at finite strain."""
     problem = ""
-    nearest = FARTHEST * state.contact_radius_mm
+    nearest = LEAST_BESIDE * state.contact_radius_mm
     if press.also:
         problem = "press.also: one probe at a time is solved"
     elif not isinstance(body, Block):
@@ -589,7 +591,7 @@ def _refuse(
     elif beside_mm < nearest:
         problem = (
             f"press.at_mm: {beside_mm:.3g} mm from a side of the block, {nearest:.3g} mm or more "
-            f"({FARTHEST:g} times the contact's radius) are solved"
+            f"({LEAST_BESIDE:g} times the contact's radius) are solved"
         )
     if problem:
         raise InputError(
@@ -621,20 +623,18 @@ def at_finite_strain(
                 f"material.law = {material.law}: press: probes that are held by a force along z "
                 "are solved at finite strain; give force_n.z, or set material.law = linear"
             )
-        touches = bool(one.load.terms)
-        path.append(_strained(press, body, material, one, watched, judge) if touches else one)
+        if not one.load.terms:
+            path.append(one)
+            continue
+        more = FiniteStrain(press, body, material, one, watched)
+        path.append(_strained(one, more, material.law, judge))
     return replace(path[-1], path=tuple(path), complete=state.complete, reason=state.reason)
 
 
 def _strained(
-    press: Press,
-    body: Body,
-    material: Material,
-    state: ContactState,
-    watched: Points,
-    judge: Callable[[PressError], None],
+    state: ContactState, more: FiniteStrain, law: str, judge: Callable[[PressError], None]
 ) -> ContactState:
-    more = FiniteStrain(press, body, material, state, watched)
+    """Return a state with what linear theory leaves out of it."""
     deeper = more.indentation_mm
 
     def estimate(_: ContactState) -> PressError:
@@ -650,7 +650,7 @@ def _strained(
         return error
 
     note = (
-        f"large strain is included (material.law = {material.law}): linear theory is "
+        f"large strain is included (material.law = {law}): linear theory is "
         f"{100 * more.linear_error:.2g} % of the largest displacement off, and the indentation "
         f"{100 * deeper / state.indentation_mm:.2g} % larger than by it"
     )

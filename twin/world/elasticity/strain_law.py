@@ -25,8 +25,8 @@ class StrainLaw(Protocol):
         """Return S (..., 3, 3) of F (..., 3, 3), its cofactors, and its determinant (...)."""
         ...
 
-    def slope(self, cofactor: Floats, ratio: Floats, turning: Floats) -> Floats:
-        """Return dS_ij / dF_kl (..., 3, 3, 3, 3); ``turning`` is d cof F_ij / dF_kl."""
+    def slope(self, cofactor: Floats, ratio: Floats, cofactor_change: Floats) -> Floats:
+        """Return dS_ij / dF_kl (..., 3, 3, 3, 3); ``cofactor_change`` is d cof F_ij / dF_kl."""
         ...
 
 
@@ -38,9 +38,9 @@ class NeoHooke:
         """See `StrainLaw`."""
         return gradient - (2.0 - ratio)[..., None, None] * cofactor
 
-    def slope(self, cofactor: Floats, ratio: Floats, turning: Floats) -> Floats:
+    def slope(self, cofactor: Floats, ratio: Floats, cofactor_change: Floats) -> Floats:
         """See `StrainLaw`."""
-        out = (ratio - 2.0)[..., None, None, None, None] * turning
+        out = (ratio - 2.0)[..., None, None, None, None] * cofactor_change
         out += cofactor[..., :, :, None, None] * cofactor[..., None, None, :, :]
         for i in range(3):
             for j in range(3):
@@ -65,7 +65,7 @@ def cofactors(gradient: Floats) -> tuple[Floats, Floats]:
     return rows, np.einsum("...i,...i->...", a, rows[..., 0, :])
 
 
-def turning_of(gradient: Floats) -> Floats:
+def cofactor_slope(gradient: Floats) -> Floats:
     """Return d cof F_ij / dF_kl (..., 3, 3, 3, 3)."""
     flat = gradient.reshape(-1, 9) @ _PAIRS.T
     return np.asarray(flat.reshape(*gradient.shape[:-2], 3, 3, 3, 3))
