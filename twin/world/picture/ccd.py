@@ -497,6 +497,7 @@ def _blur_weights(spread_px: float) -> Singles:
         shares: Floats = weights / weights.sum()
         return shares
 
+    # by halves: scipy.optimize takes long to import, and no run needs it before
     low, high = 0.0, 1.0
     while low < (ratio := (low + high) / 2) < high:
         narrow = samples(ratio) @ squares < spread_px**2
