@@ -48,6 +48,15 @@ def frozen(array: AnyArray) -> AnyArray:
     return array
 
 
+def for_kernel(array: NDArray[Any]) -> Floats:
+    """Return an array, the same where it can be, in the one layout that kernels are compiled for.
+
+    Numba compiles a function once more for every other layout (a strided column, a read-only
+    array), and that takes seconds.
+    """
+    return np.require(array, np.float64, ["C", "W"])
+
+
 def grid_points(*axes: Floats) -> Floats:
     """Return the (n, axes) points of a tensor grid, the last axis running fastest."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))

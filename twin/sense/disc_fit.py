@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kernel
 from twin.compiled import njit
 from twin.sense.centre import (
     AREA_RATIO,
@@ -265,7 +265,7 @@ class DiscFit(SoftWindow):
         odd = fitted[:, MISFIT] > UNUSUAL * self.templates.usual_misfit
         if not odd.any():
             return fitted  # nearly always
-        places = fitted[:, CENTRE_X : CENTRE_Y + 1]
+        places = for_kernel(fitted[:, CENTRE_X : CENTRE_Y + 1])
         templates = self.templates
         if 2 * odd.sum() > np.isfinite(places[:, 0]).sum():
             templates = replace(templates, noise=_noise_now(picture, templates, places))
@@ -275,8 +275,8 @@ class DiscFit(SoftWindow):
         if not len(rows):
             return fitted
         shape, pixels = _own_shapes(picture, templates, rows, places, self.around.spacing_px)
-        reshaped = replace(templates, shape=shape[:, :SHAPE], reach_px=pixels, every=1)
-        again = reshaped.fit(picture, np.ascontiguousarray(shape[:, SHAPE:]))
+        reshaped = replace(templates, shape=for_kernel(shape[:, :SHAPE]), reach_px=pixels, every=1)
+        again = reshaped.fit(picture, for_kernel(shape[:, SHAPE:]))
         again[:, THIRD_X : THIRD_Y + 1] *= 1.0 if templates.every else np.nan
         taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
         area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, templates.shape))
@@ -536,7 +536,7 @@ def _make_templates(
     templates = Templates(
         own=own,
         others=others,
-        shape=np.ascontiguousarray(shape[:, :SHAPE]),
+        shape=for_kernel(shape[:, :SHAPE]),
         ground=np.zeros(count),
         noise=noise,
         slopes=slopes,

@@ -27,7 +27,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.special import jv
 
-from twin.arrays import Floats, Points, grid_points
+from twin.arrays import Floats, Points, for_kernel, grid_points
 from twin.compiled import njit
 from twin.parts.load import Rectangles
 from twin.parts.material import shear_modulus
@@ -90,7 +90,7 @@ class BondedLayer:
         centre, spread = self._point_forces(rectangles)
         each = np.empty((3 * len(points), 3, len(centre)))
         _compliance(
-            np.ascontiguousarray(points, float),
+            for_kernel(points),
             centre,
             self._grid,
             self.thickness_mm,
@@ -118,7 +118,7 @@ class BondedLayer:
         centre, spread = self._point_forces(load)
         force = (spread @ columns.reshape(len(columns), -1)).reshape(-1, 3, cases)
         _gradient(
-            np.ascontiguousarray(points, float),
+            for_kernel(points),
             centre,
             force,
             self._grid,

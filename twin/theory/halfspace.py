@@ -34,7 +34,7 @@ import math
 
 import numpy as np
 
-from twin.arrays import Floats, Points
+from twin.arrays import Floats, Points, for_kernel
 from twin.compiled import njit
 from twin.parts.load import Rectangles
 
@@ -90,7 +90,7 @@ def normal_compliance(
     frames along the axes, per unit normal force on each: the mean of 1 / r (Boussinesq; A. E. H.
     Love, Phil. Trans. A 228 (1929))."""
     out = np.empty((len(rectangles), len(rectangles)))
-    _normal(_c(rectangles.centre_mm), _c(rectangles.half_mm), out)
+    _normal(for_kernel(rectangles.centre_mm), for_kernel(rectangles.half_mm), out)
     out *= (1.0 - poisson_ratio**2) / (math.pi * youngs_modulus_mpa)
     return out
 
@@ -126,16 +126,19 @@ def _scale(youngs_modulus_mpa: float, poisson_ratio: float) -> float:
 def _slopes(points: Points, load: Rectangles, poisson_ratio: float) -> tuple[Floats, Floats]:
     """Return du_i/dx_j over c (n, 3, 3), and the sums of n . f (n,)."""
     slope, pull = np.zeros((len(points), 3, 3)), np.zeros(len(points))
-    _gradient(*_pairs(points, load), _c(load.force_n), 1.0 - 2.0 * poisson_ratio, slope, pull)
+    _gradient(
+        *_pairs(points, load), for_kernel(load.force_n), 1.0 - 2.0 * poisson_ratio, slope, pull
+    )
     return slope, pull
 
 
-def _c(array: Floats) -> Floats:
-    return np.ascontiguousarray(array, float)
-
-
 def _pairs(points: Points, load: Rectangles) -> tuple[Floats, Floats, Floats, Floats]:
-    return _c(points), _c(load.centre_mm), _c(load.frames), _c(load.half_mm)
+    return (
+        for_kernel(points),
+        for_kernel(load.centre_mm),
+        for_kernel(load.frames),
+        for_kernel(load.half_mm),
+    )
 
 
 @njit(cache=True)

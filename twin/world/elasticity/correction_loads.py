@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints, Points
+from twin.arrays import Bools, Floats, Ints, Points, for_kernel
 from twin.compiled import njit
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
@@ -321,7 +321,7 @@ def nodal_forces(
     if len(surface.faces) == 0 or len(load) == 0:
         return out
     balls = _balls(load)
-    columns = np.ascontiguousarray(columns)
+    columns = for_kernel(columns)
     coarse, sums = _from_afar(load, columns)
     for inside in (False, True):
         chosen = surface[surface.inside == inside]
@@ -493,6 +493,7 @@ def _add(
     out: Floats,
 ) -> None:
     """Add every point's traction, spread by the shape functions, to the nodal forces."""
+    half, columns = for_kernel(half), for_kernel(columns)
     rows = np.stack(
         [_distant_rows(centre, frames, half, case) for case in np.moveaxis(columns, 2, 0)]
     )
