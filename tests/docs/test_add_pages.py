@@ -24,6 +24,7 @@ ADDED = {
     "add_body": "puck",
     "add_friction_law": "ShearStrength",
     "add_lens": "stereographic",
+    "add_material": "gent",
     "add_method": "curved",
     "add_probe": "roller",
     "add_renderer": "discs",

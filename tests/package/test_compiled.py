@@ -113,4 +113,5 @@ def test_what_is_compiled_here_and_what_was_kept_give_the_same_answers(tmp_path:
     assert differing == []
     # Strided columns made numba compile the two longest kernels twice: 15 s of a first run.
     kept = Counter(path.name.rsplit(".", 2)[0] for path in (tmp_path / "kept").rglob("disc_fit*.nbc"))
-    assert kept and set(kept.values()) == {1}
+    assert kept
+    assert set(kept.values()) == {1}

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeVar
+import math
+from typing import Literal, Self, TypeVar
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from twin.arrays import Floats
 from twin.parts.part import LEAST_MM, LEAST_MPA, Part, Share
@@ -23,15 +24,41 @@ class Material(Part):
         Poisson's ratio nu; exactly 0.5 is incompressible and is solved as such.
     law
         ``linear``: strain is taken for small. ``neo_hookean``: presses are solved at finite strain
-        (`twin.world.contact.finite_strain` says which), E and nu being those at rest.
+        (`twin.world.contact.finite_strain` says which), E and nu being those at rest. So are they
+        with ``mooney_rivlin`` and ``yeoh``, which take `law_ratios`.
+    law_ratios
+        C2/C1 of ``mooney_rivlin`` (0 or more); C2/C1 and C3/C1 of ``yeoh``, W = C1 (I1 - 3) +
+        C2 (I1 - 3)^2 + C3 (I1 - 3)^3, which must not soften to no stiffness at any strain.
     refractive_index
         Of the transparent rubber, for the camera's rays.
     """
 
     youngs_modulus_mpa: float = Field(default=1.0, ge=LEAST_MPA, le=1e6)
     poisson_ratio: float = Field(default=0.5, ge=-0.5, le=0.5)
-    law: Literal["linear", "neo_hookean"] = "linear"
+    law: Literal["linear", "neo_hookean", "mooney_rivlin", "yeoh"] = "linear"
+    law_ratios: tuple[float, ...] = ()
     refractive_index: float = Field(default=1.41, ge=1, le=3)
+
+    @model_validator(mode="after")
+    def _takes_its_ratios(self) -> Self:
+        wanted = {"mooney_rivlin": ("C2/C1",), "yeoh": ("C2/C1", "C3/C1")}.get(self.law, ())
+        given = self.law_ratios
+        if len(given) != len(wanted):
+            raise ValueError(
+                f"law_ratios holds {len(given)} numbers; law = {self.law} takes "
+                + (f"{' and '.join(wanted)}" if wanted else "none")
+            )
+        if self.law == "mooney_rivlin" and not 0.0 <= given[0] <= 10.0:
+            raise ValueError(f"law_ratios: C2/C1 of mooney_rivlin is 0 to 10, not {given[0]:g}")
+        if self.law == "yeoh":
+            # dW/dI1 > 0: 1 + 2 r2 x + 3 r3 x^2 has no root at any x = I1 - 3 >= 0
+            second, third = given
+            if not 0.0 <= third <= 10.0 or not -math.sqrt(3.0 * third) < second + 1e-12 <= 10.0:
+                raise ValueError(
+                    "law_ratios: yeoh takes C3/C1 from 0 to 10 and C2/C1 from "
+                    f"-sqrt(3 C3/C1) to 10, not {second:g} and {third:g}: it would soften away"
+                )
+        return self
 
 
 class Cover(Part):

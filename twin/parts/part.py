@@ -39,6 +39,7 @@ LATER = (
     ("distortion", 0.0),
     ("deforms", False),
     ("law", "linear"),
+    ("law_ratios", ()),
 )
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so
 that files stored under a hash of all keys stay valid."""

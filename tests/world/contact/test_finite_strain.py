@@ -8,8 +8,9 @@ import pytest
 
 import twin
 from twin.errors import TwinError
+from twin.parts.material import Material
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
-from twin.world.elasticity.strain_law import LAWS, cofactor_slope, cofactors
+from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
 
 TRUTH = json.loads((Path(__file__).parents[2] / "reference" / "neohooke.json").read_text())
 PLACES = np.array([[r, 0.0, z] for r, z in TRUTH["places_mm"]])
@@ -30,7 +31,9 @@ def largest(vectors):
     "case",
     [
         pytest.param(
-            case, marks=[] if case["force_n"] == 3.0 else [pytest.mark.slow], id=f"{case['kind']}-{case['force_n']}"
+            case,
+            marks=[] if case["force_n"] == 3.0 else [pytest.mark.slow],
+            id=f"{case['kind']}-{case['force_n']}-{case.get('law', 'neo_hookean')}",
         )
         for case in TRUTH["cases"]
     ],
@@ -41,11 +44,12 @@ def test_difference_to_linear_theory_is_that_of_another_code(case):
     size = {key: case[key] for key in ("diameter_mm", "edge_mm", "apex_deg", "tip_mm") if key in case}
     press = twin.Press(probe=PROBES[case["kind"]](**size), force_n=(0, 0, case["force_n"]))
     states, moved = [], []
-    for law in ("linear", "neo_hookean"):
-        sensor = made(law)
+    for law in ("linear", case.get("law", "neo_hookean")):
+        ratios = () if law == "linear" else case.get("ratios", ())
+        sensor = made(law, **{"material.law_ratios": ratios})
         states.append(sensor.press(press))
         moved.append(sensor.displacement(PLACES, states[-1])[:, [0, 2]])
-    straight, bent = np.array(case["linear_mm"]), np.array(case["neo_hookean_mm"])
+    straight, bent = np.array(case["linear_mm"]), np.array(case["strained_mm"])
     most = largest(straight)
     missed = largest(bent - straight) / most
     off = largest((moved[1] - moved[0]) - (bent - straight)) / most
@@ -114,52 +118,110 @@ def test_loads_that_no_press_made_are_refused():
         sensor.displacement(PLACES, state.load + load)
 
 
-def stress_at(gradient, pressure):
+LAWS = {
+    "neo_hookean": Material(law="neo_hookean"),
+    "mooney_rivlin": Material(law="mooney_rivlin", law_ratios=(0.6,)),
+    "yeoh": Material(law="yeoh", law_ratios=(-0.1, 0.04)),
+}
+every_law = pytest.mark.parametrize("law", [strain_law(material) for material in LAWS.values()], ids=LAWS)
+
+
+def energy_slopes(name, first, second):
+    """Return dW/dI1 and dW/dI2 for a shear modulus of 1, by the textbook's constants."""
+    if name == "mooney_rivlin":
+        c1 = 0.5 / 1.6
+        return c1, 0.6 * c1
+    if name == "yeoh":
+        return 0.5 * (1.0 - 0.2 * (first - 3.0) + 0.12 * (first - 3.0) ** 2), 0.0
+    return 0.5, 0.0
+
+
+def stress_at(law, gradient, pressure):
     """Return P for a shear modulus of 1."""
     cofactor, ratio = cofactors(gradient)
-    return LAWS["neo_hookean"].stress(gradient, cofactor, ratio) + pressure * cofactor
+    return law.stress(gradient, cofactor, ratio) + pressure * cofactor
 
 
+@pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("stretch", [0.5, 0.9, 1.0, 1.4, 2.0])
-def test_uniaxial_stress_is_the_closed_form(stretch):
-    """Nominal stress mu (l - l^-2) of incompressible neo-Hookean rubber, the sides free (Treloar)."""
+def test_uniaxial_stress_is_the_closed_form(name, stretch):
+    """Nominal stress 2 (l - l^-2) (W1 + W2 / l) of incompressible rubber, the sides free (Treloar 1975)."""
+    law = strain_law(LAWS[name])
     gradient = np.diag([stretch, stretch**-0.5, stretch**-0.5])
     cofactor, _ = cofactors(gradient)
-    sides = stress_at(gradient, 0.0)[1, 1]
-    stress = stress_at(gradient, -sides / cofactor[1, 1])
-    assert stress == pytest.approx(np.diag([stretch - stretch**-2, 0.0, 0.0]), abs=1e-12)
+    sides = stress_at(law, gradient, 0.0)[1, 1]
+    stress = stress_at(law, gradient, -sides / cofactor[1, 1])
+    first, second = energy_slopes(name, stretch**2 + 2.0 / stretch, 2.0 * stretch + stretch**-2)
+    expected = 2.0 * (stretch - stretch**-2) * (first + second / stretch)
+    assert stress == pytest.approx(np.diag([expected, 0.0, 0.0]), abs=1e-12)
 
 
+@pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("shear", [0.1, 1.0])
-def test_simple_shear_is_the_closed_form(shear):
-    """Cauchy's shear stress mu g, and normal stresses that differ by mu g^2 (Rivlin)."""
+def test_simple_shear_is_the_closed_form(name, shear):
+    """Cauchy's stresses 2 (W1 + W2) g, and 2 W1 g^2 and -2 W2 g^2 as differences of normal ones (Rivlin 1948)."""
     gradient = np.eye(3)
     gradient[0, 1] = shear
-    cauchy = stress_at(gradient, 0.3) @ gradient.T
-    assert cauchy[0, 1] == pytest.approx(shear, rel=1e-12)
-    assert cauchy[0, 0] - cauchy[1, 1] == pytest.approx(shear**2, rel=1e-12)
+    cauchy = stress_at(strain_law(LAWS[name]), gradient, 0.3) @ gradient.T
+    first, second = energy_slopes(name, 3.0 + shear**2, 3.0 + shear**2)
+    assert cauchy[0, 1] == pytest.approx(2.0 * (first + second) * shear, rel=1e-12)
+    assert cauchy[0, 0] - cauchy[2, 2] == pytest.approx(2.0 * first * shear**2, rel=1e-11)
+    assert cauchy[1, 1] - cauchy[2, 2] == pytest.approx(-2.0 * second * shear**2, rel=1e-11, abs=1e-12)
 
 
-def test_law_turns_with_the_frame_and_is_linear_theory_at_rest():
+@every_law
+def test_law_turns_with_the_frame_and_is_linear_theory_at_rest(law):
     rng = np.random.default_rng(5)
     gradient = np.eye(3) + 0.3 * rng.standard_normal((3, 3))
     turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     turn *= np.linalg.det(turn)
-    assert stress_at(turn @ gradient, 0.7) == pytest.approx(turn @ stress_at(gradient, 0.7), abs=1e-12)
-    assert stress_at(turn, 0.0) == pytest.approx(np.zeros((3, 3)), abs=1e-12)
+    assert stress_at(law, turn @ gradient, 0.7) == pytest.approx(turn @ stress_at(law, gradient, 0.7), abs=1e-12)
+    assert stress_at(law, turn, 0.0) == pytest.approx(np.zeros((3, 3)), abs=1e-12)
     cofactor, ratio = cofactors(np.eye(3))
     small = rng.standard_normal((3, 3))
-    slope = LAWS["neo_hookean"].slope(cofactor, ratio, cofactor_slope(np.eye(3)))
+    slope = law.slope(np.eye(3), cofactor, ratio, cofactor_slope(np.eye(3)))
     assert np.einsum("ijkl,kl->ij", slope, small) == pytest.approx(small + small.T, abs=1e-12)
 
 
-def test_slope_of_the_law_is_that_of_its_stress():
+@every_law
+def test_slope_of_the_law_is_that_of_its_stress(law):
     gradient = np.eye(3) + 0.3 * np.random.default_rng(6).standard_normal((3, 3))
     cofactor, ratio = cofactors(gradient)
     cofactor_change = cofactor_slope(gradient)
-    slope = LAWS["neo_hookean"].slope(cofactor, ratio, cofactor_change) + 0.7 * cofactor_change
+    slope = law.slope(gradient, cofactor, ratio, cofactor_change) + 0.7 * cofactor_change
     for k, m in np.ndindex(3, 3):
         nudge = np.zeros((3, 3))
         nudge[k, m] = 1e-6
-        change = (stress_at(gradient + nudge, 0.7) - stress_at(gradient - nudge, 0.7)) / 2e-6
+        change = (stress_at(law, gradient + nudge, 0.7) - stress_at(law, gradient - nudge, 0.7)) / 2e-6
         assert slope[:, :, k, m] == pytest.approx(change, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("law", "ratios", "words"),
+    [
+        ("neo_hookean", (0.1,), "takes none"),
+        ("mooney_rivlin", (), "takes C2/C1"),
+        ("mooney_rivlin", (-0.2,), "0 to 10"),
+        ("yeoh", (0.1,), "C2/C1 and C3/C1"),
+        ("yeoh", (-0.5, 0.01), "soften away"),
+    ],
+)
+def test_ratios_that_a_law_lacks_or_cannot_have_are_refused(law, ratios, words):
+    with pytest.raises(TwinError, match=words):
+        made(law, **{"material.law_ratios": ratios})
+
+
+@pytest.mark.filterwarnings("ignore::twin.errors.AccuracyWarning")
+def test_stiffening_rubber_is_pressed_in_less_and_mooney_rivlin_of_ratio_0_is_neo_hookes():
+    press = twin.Press(probe=Sphere(diameter_mm=6), force_n=(0, 0, 3.0))
+    depths = {}
+    for name, law, ratios in [
+        ("neo", "neo_hookean", ()),
+        ("same", "mooney_rivlin", (0.0,)),
+        ("mooney", "mooney_rivlin", (0.6,)),
+        ("yeoh", "yeoh", (0.3, 0.1)),
+    ]:
+        depths[name] = made(law, **{"material.law_ratios": ratios}).press(press).indentation_mm
+    assert depths["same"] == pytest.approx(depths["neo"], rel=1e-12)
+    assert depths["yeoh"] < depths["neo"] - 2e-3
+    assert abs(depths["mooney"] - depths["neo"]) > 1e-3

@@ -48,7 +48,7 @@ from twin.parts.probe import Cone, Cylinder, Sphere
 from twin.world.contact.contact_state import ContactState, PressError, Share
 from twin.world.contact.probe_gap import Approach, Z, approach_of
 from twin.world.elasticity.factor import Factor
-from twin.world.elasticity.strain_law import LAWS, cofactor_slope, cofactors
+from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
 
 LEAST_POISSON = 0.45
 """The laws are tried for rubber, from here to 1/2."""
@@ -133,9 +133,10 @@ class _Slab:
     Its unknowns are two displacements of every node, mm, then the pressures of the corners, MPa.
     """
 
-    def __init__(self, grid: _Grid, law: str, poisson_ratio: float) -> None:
+    def __init__(self, grid: _Grid, material: Material) -> None:
         self.grid = grid
-        self._law = LAWS[law]
+        poisson_ratio = material.poisson_ratio
+        self._law = strain_law(material)
         self._shear = shear_modulus(1.0, poisson_ratio)
         self._softness = (1.0 - 2.0 * poisson_ratio) / (2.0 * self._shear * poisson_ratio)
         half = [np.diff(line) / 2.0 for line in (grid.r_mm, grid.z_mm)]
@@ -212,7 +213,7 @@ class _Slab:
         """Return the sparse symmetric slope of `resistance`."""
         gradient, cofactor, ratio, pressure = self._strained(unknowns)
         cofactor_change = cofactor_slope(gradient)
-        slope = self._shear * self._law.slope(cofactor, ratio, cofactor_change)
+        slope = self._shear * self._law.slope(gradient, cofactor, ratio, cofactor_change)
         slope += pressure[..., None, None, None, None] * cofactor_change
         slope *= self._volume[..., None, None, None, None]
         count, places = self._volume.shape
@@ -514,7 +515,7 @@ class FiniteStrain:
         count = round(share * _UNDER)
         edge = _REACH * size / count
         grid = _Grid(_line(edge, count, radius_mm), _line(edge, count // 2, self._thick_mm))
-        slab = _Slab(grid, self._material.law, self._material.poisson_ratio)
+        slab = _Slab(grid, self._material)
         touch = _Touch(grid, self._approach)
         force = float(state.force_n[Z]) / self._material.youngs_modulus_mpa
         none = np.zeros(len(touch.rest_mm))

@@ -5,17 +5,19 @@ and a pressure,
 
     P = S(F) + q cof F,    (J - 1) - q / lambda = 0 weakly,    J = det F,
 
-with S = 0 and dS = 2 e - e_kk I at rest, so that at rest the law *is* linear theory for every
-Poisson's ratio (lambda = 2 nu / (1 - 2 nu), endless at nu = 1/2).
+with S = 0 and dS = 2 e at rest (e the small strain), so that at rest the law *is* linear theory
+for every Poisson's ratio (lambda = 2 nu / (1 - 2 nu), endless at nu = 1/2).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from twin.arrays import Floats
+from twin.parts.material import Material
 
 
 class StrainLaw(Protocol):
@@ -25,31 +27,87 @@ class StrainLaw(Protocol):
         """Return S (..., 3, 3) of F (..., 3, 3), its cofactors, and its determinant (...)."""
         ...
 
-    def slope(self, cofactor: Floats, ratio: Floats, cofactor_change: Floats) -> Floats:
+    def slope(
+        self, gradient: Floats, cofactor: Floats, ratio: Floats, cofactor_change: Floats
+    ) -> Floats:
         """Return dS_ij / dF_kl (..., 3, 3, 3, 3); ``cofactor_change`` is d cof F_ij / dF_kl."""
         ...
 
 
-class NeoHooke:
-    """W = (I1 - 3) / 2 - (J - 1) + (J - 1)^2 / 2: a polynomial, so no step of a solver leaves its
-    domain, even where an element is inverted on the way."""
+@dataclass(frozen=True)
+class Polynomial:
+    """W = c1 (I1 - 3) + c2 (I2 - 3) + c11 (I1 - 3)^2 + c111 (I1 - 3)^3 - p(J), with c1 + c2 = 1/2.
+
+    I1 = F:F and I2 = cof F : cof F (Rivlin and Saunders 1951; Yeoh 1993). The last term is
+    quadratic in J and takes off the stress at rest. No step of a solver leaves a polynomial's
+    domain, even where an element is inverted on the way.
+
+    Attributes
+    ----------
+    c2, c11, c111
+        Over the shear modulus; all 0 is neo-Hooke's law.
+    """
+
+    c2: float = 0.0
+    c11: float = 0.0
+    c111: float = 0.0
 
     def stress(self, gradient: Floats, cofactor: Floats, ratio: Floats) -> Floats:
         """See `StrainLaw`."""
-        return gradient - (2.0 - ratio)[..., None, None] * cofactor
+        first, _ = self._of_first_invariant(gradient)
+        out = first[..., None, None] * gradient
+        if self.c2:
+            second = cofactor_slope(gradient).reshape(*gradient.shape[:-2], 9, 9)
+            crossed = second @ cofactor.reshape(*gradient.shape[:-2], 9, 1)
+            out += 2.0 * self.c2 * crossed.reshape(gradient.shape)
+        pull, change = self._of_volume
+        out -= (pull + change * (ratio - 1.0))[..., None, None] * cofactor
+        return np.asarray(out)
 
-    def slope(self, cofactor: Floats, ratio: Floats, cofactor_change: Floats) -> Floats:
+    def slope(
+        self, gradient: Floats, cofactor: Floats, ratio: Floats, cofactor_change: Floats
+    ) -> Floats:
         """See `StrainLaw`."""
-        out = (ratio - 2.0)[..., None, None, None, None] * cofactor_change
-        out += cofactor[..., :, :, None, None] * cofactor[..., None, None, :, :]
+        pull, change = self._of_volume
+        out = -(pull + change * (ratio - 1.0))[..., None, None, None, None] * cofactor_change
+        out -= change * _outer(cofactor)
+        first, bend = self._of_first_invariant(gradient)
         for i in range(3):
             for j in range(3):
-                out[..., i, j, i, j] += 1.0
+                out[..., i, j, i, j] += first
+        if self.c11 or self.c111:
+            out += 2.0 * bend[..., None, None, None, None] * _outer(gradient)
+        if self.c2:
+            # cof is quadratic in F: its slope along dF is the cross product of F and dF
+            flat = cofactor_change.reshape(*gradient.shape[:-2], 9, 9)
+            out += 2.0 * self.c2 * (cofactor_slope(cofactor) + (flat @ flat).reshape(out.shape))
         return out
 
+    @property
+    def _of_volume(self) -> tuple[float, float]:
+        """p'(1) and p''(1): no stress at rest, and no stiffness there but shear."""
+        return 1.0 + 2.0 * self.c2, 8.0 * self.c11 - 1.0 + 2.0 * self.c2
 
-LAWS: dict[str, StrainLaw] = {"neo_hookean": NeoHooke()}
-"""The laws by their names in a scene (`material.law`)."""
+    def _of_first_invariant(self, gradient: Floats) -> tuple[Floats, Floats]:
+        """Return 2 dW/dI1 (...) and its slope by I1."""
+        more = np.einsum("...ij,...ij->...", gradient, gradient) - 3.0
+        first = 1.0 - 2.0 * self.c2 + 4.0 * self.c11 * more + 6.0 * self.c111 * more**2
+        return first, 4.0 * self.c11 + 12.0 * self.c111 * more
+
+
+def _outer(matrix: Floats) -> Floats:
+    return np.asarray(matrix[..., :, :, None, None] * matrix[..., None, None, :, :])
+
+
+def strain_law(material: Material) -> StrainLaw:
+    """Return the law that a scene names (`Material.law`); linear theory has none here."""
+    ratios = material.law_ratios
+    if material.law == "mooney_rivlin":
+        return Polynomial(c2=0.5 * ratios[0] / (1.0 + ratios[0]))
+    if material.law == "yeoh":
+        return Polynomial(c11=0.5 * ratios[0], c111=0.5 * ratios[1])
+    return Polynomial()
+
 
 _TURNS = np.zeros((3, 3, 3))
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
