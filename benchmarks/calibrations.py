@@ -28,8 +28,7 @@ from benchmarks.single_contact import single_contact
 from twin.arrays import Floats
 from twin.files import cache_folder
 from twin.parts.load import Load, Rectangles, Traction
-from twin.parts.pipeline import Sites
-from twin.parts.scene import Scene
+from twin.parts.scene import Scene, Sites
 from twin.sense.calibration import Calibration
 from twin.sense.fit_design import Fit, Presses, fit
 from twin.sense.reconstruct import reconstruct

@@ -20,13 +20,11 @@ from typing import Any, Literal
 from hypothesis import strategies as st
 from pydantic.fields import FieldInfo
 
-from twin.parts.accuracy import Accuracy, Tolerance
 from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.markers import MarkerLayer
 from twin.parts.material import Cover, Material
 from twin.parts.part import Part
-from twin.parts.pipeline import Reconstruction, Tracking
-from twin.parts.scene import Scene
+from twin.parts.scene import Accuracy, Reconstruction, Scene, Tolerance, Tracking
 from twin.study.recipe import dump_scene
 
 Table = dict[str, Any]

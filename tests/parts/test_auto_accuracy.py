@@ -3,7 +3,8 @@
 import pytest
 
 from twin.errors import RecipeError
-from twin.parts.accuracy import FEWEST, LOOSEST, TIGHTEST, USUAL, Accuracy
+from twin.parts.press import PATCHES_ACROSS
+from twin.parts.scene import FEWEST, LOOSEST, TIGHTEST, Accuracy
 from twin.study.recipe import load_scene
 
 AUTO = {"accuracy.displacement": "auto", "accuracy.contact_patches": "auto"}
@@ -21,8 +22,8 @@ def test_auto_follows_what_the_scene_leaves_open_within_bounds():
     assert (auto.displacement_for(0.0), auto.displacement_for(50.0)) == (TIGHTEST, LOOSEST)
     assert auto.patches_for([5.0, 2.0], [3.0, 6.0]) == FEWEST, "the deep don't see narrow patches"
     assert auto.patches_for([5.0], [0.6]) == 10
-    assert auto.patches_for([10.0], [0.5]) == USUAL
-    assert auto.patches_for([float("inf")], [3.0]) == auto.patches_for([], []) == USUAL
+    assert auto.patches_for([10.0], [0.5]) == PATCHES_ACROSS
+    assert auto.patches_for([float("inf")], [3.0]) == auto.patches_for([], []) == PATCHES_ACROSS
 
 
 def test_a_scene_balances_by_its_own_tolerances_probe_and_markers():

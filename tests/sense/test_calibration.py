@@ -7,7 +7,7 @@ from half_space_sensor import cell_compliance, finger_sensor
 
 from twin.errors import InputError
 from twin.parts.camera import Camera
-from twin.parts.pipeline import Sites
+from twin.parts.scene import Sites
 from twin.sense.calibration import LATER, Calibration, read_calibration, write_calibration
 from twin.sense.transfer import fill_between, from_compliance, from_presses
 

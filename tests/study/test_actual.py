@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.random_recipes import bounds
-from twin.parts.accuracy import CUT, Tolerance
 from twin.parts.load import Traction
+from twin.parts.scene import Tolerance
+from twin.parts.vary import CUT
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor, make
 

@@ -1,4 +1,4 @@
-"""The tables [vary] and [dataset]: what differs between samples, and how a dataset is made.
+"""The table [vary]: what differs between samples.
 
 A distribution maps a fixed number of numbers u in [0, 1) to a value by its inverse, so random and
 stratified sampling differ only in where the u come from. Its kind follows from its keys (`_MARKS`).
@@ -9,15 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
 from twin.arrays import Floats
-from twin.parts.accuracy import CUT
 from twin.parts.part import Part, in_words, keys_of
-from twin.parts.pipeline import Sites
+
+CUT = 2.5
+"""Standard deviations beyond which there are none: a maker rejects worse ones."""
 
 Number = float | tuple[float, ...]
 
@@ -320,35 +321,3 @@ def _inside(value: Any, u: Floats) -> Any:
 
 def _plain(value: Floats, like: Number) -> float | list[float]:
     return [float(v) for v in value] if isinstance(like, tuple) else float(value[0])
-
-
-class Dataset(Part):
-    """How ``twin dataset`` draws and stores samples of a scene.
-
-    Attributes
-    ----------
-    sampling
-        ``stratified``: a scrambled Sobol' sequence, which fills the space of what varies more
-        evenly; ``random``: independent draws. Either way a sample is known from the scene's seed
-        and its number alone.
-    samples_per_sensor
-        After how many samples the next sensor is made: keys in ``[vary]`` that do not begin with
-        ``press.``, and the tolerances, are drawn once for each sensor. Every sensor has one rest
-        picture.
-    samples_per_shard
-        Samples in one file; what is lost at most when a worker is killed.
-    every_step
-        Keep the state after every step of a press's path, not just the last.
-    sites
-        Grid over the surface into whose cells tractions are summed; every contact must lie inside
-        it.
-    columns
-        Which columns are kept (all if empty); what none of them needs is not computed.
-    """
-
-    sampling: Literal["stratified", "random"] = "stratified"
-    samples_per_sensor: int = Field(default=1000, ge=1, le=10**9)
-    samples_per_shard: int = Field(default=64, ge=1, le=100_000)
-    every_step: bool = False
-    sites: Sites | None = None
-    columns: tuple[str, ...] = ()

@@ -43,7 +43,7 @@ from twin.theory.optics import projection_jacobian
 
 if TYPE_CHECKING:
     from twin.parts.load import Rectangles
-    from twin.parts.pipeline import Sites
+    from twin.parts.scene import Sites
     from twin.sense.calibration import Calibration
     from twin.sense.fit_design import Presses
     from twin.sense.track import Found

@@ -22,11 +22,11 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Pixels
 from twin.errors import RecipeError
-from twin.parts.accuracy import CUT
 from twin.parts.markers import MarkerSet, place
 from twin.parts.press import Press
 from twin.parts.probe import Stl, width_mm
 from twin.parts.scene import Scene
+from twin.parts.vary import CUT
 from twin.theory.limit import centre_bound, pixel_sd
 from twin.theory.optics import project_with_jacobian
 

@@ -19,12 +19,12 @@ import numpy as np
 from twin.arrays import Chart, Floats, Picture, Pixels, Points, Progress, Singles, frozen
 from twin.blas_threads import one_blas_thread
 from twin.errors import AccuracyWarning, InputError, RecipeError, require
-from twin.parts.accuracy import CUT
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles, Strained
 from twin.parts.markers import MarkerSet, Prints, place
 from twin.parts.press import Press
 from twin.parts.scene import Scene
+from twin.parts.vary import CUT
 from twin.streams import Purpose, stream
 from twin.theory.optics import project
 

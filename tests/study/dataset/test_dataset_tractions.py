@@ -13,7 +13,7 @@ from small_dataset import NO_PICTURE, contents, make, small_scene
 import twin
 from twin.errors import RecipeError
 from twin.parts.load import Footprint, Load, Traction
-from twin.parts.pipeline import Sites
+from twin.parts.scene import Sites
 from twin.study.dataset.audit import check_dataset
 from twin.study.dataset.columns import in_cells
 from twin.study.dataset.reader import view_dataset

@@ -9,8 +9,7 @@ import pytest
 from small_sweep import small
 
 from twin.arrays import Floats
-from twin.parts.pipeline import Sites
-from twin.parts.scene import Scene
+from twin.parts.scene import Scene, Sites
 from twin.parts.sweep import Loads
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from small_scenes import SPLAT, beads, block, changed, finger, mitsuba, rest_of, seen_at
 
 from twin.errors import RecipeError
-from twin.parts.accuracy import Accuracy
 from twin.parts.markers import place
+from twin.parts.scene import Accuracy
 from twin.theory.optics import Sight
 from twin.world.picture import backend
 from twin.world.picture.camera_rays import look, through_the_pupil

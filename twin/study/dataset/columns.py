@@ -20,7 +20,7 @@ from twin.errors import ContactError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.part import each_file, unit_of
-from twin.parts.pipeline import Sites
+from twin.parts.scene import Sites
 
 if TYPE_CHECKING:
     import pyarrow as pa

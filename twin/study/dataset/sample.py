@@ -30,8 +30,7 @@ from twin.files import cache_folder, pin, pinned, png_bytes
 from twin.parts.body import Body
 from twin.parts.load import Load
 from twin.parts.part import Part
-from twin.parts.pipeline import Sites
-from twin.parts.scene import Scene
+from twin.parts.scene import Scene, Sites
 from twin.streams import Purpose
 from twin.study.batch.draw import Table, with_values
 from twin.study.batch.pool import end_if_too_long

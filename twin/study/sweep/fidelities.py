@@ -49,8 +49,7 @@ from twin.judge.resolution import dip, full_width, two_point_distance
 from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.parts.methods import Method
-from twin.parts.pipeline import Reconstruction, Sites
-from twin.parts.scene import Scene
+from twin.parts.scene import Reconstruction, Scene, Sites
 from twin.parts.sweep import GF, Loads, Sweep
 from twin.sense.inverse import METHODS, in_classes
 from twin.sense.regularisation import RULES, Spectrum

@@ -30,10 +30,9 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import ContactError, NotSettled
-from twin.parts.accuracy import USUAL
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
-from twin.parts.press import Probe
+from twin.parts.press import PATCHES_ACROSS, Probe
 from twin.parts.probe import Cone, Cylinder, Object, Pillar, Sphere, Stl
 from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
@@ -700,7 +699,7 @@ def _grids(
         pieces = math.isfinite(contact.width_mm)
         margin = max(_PIECES_MARGIN if pieces else _MARGIN, _SPARE / setup.across)
         box = contact.grown(*(margin * size for size in contact.size)).clipped(setup.face)
-        allowed = min(most, setup.most * (setup.across / USUAL) ** 2)
+        allowed = min(most, setup.most * (setup.across / PATCHES_ACROSS) ** 2)
         boxes.append(box)
         counts.append(_counts(setup.across, box, contact, allowed))
     if len(boxes) > 1:

@@ -35,7 +35,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
-from twin.parts.accuracy import INCREMENTS
+from twin.parts.press import INCREMENTS
 from twin.parts.probe import Cone
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, pushes_for_depth, solve
 from twin.world.contact.contact_search import ContactProblem, Control

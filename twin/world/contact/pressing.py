@@ -19,9 +19,8 @@ import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, InputError, NotSettled
-from twin.parts.accuracy import INCREMENTS
 from twin.parts.body import Body
-from twin.parts.press import Press
+from twin.parts.press import INCREMENTS, Press
 from twin.parts.probe import Cylinder, Pillar, Probe, Sphere
 from twin.world.contact.active_set import Equilibrium
 from twin.world.contact.contact_search import (
