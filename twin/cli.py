@@ -1,7 +1,6 @@
 """The command line: the commands put together, and exit codes out; every decision lives elsewhere.
 
-A command is a function in a file of `twin.commands`. Heavy packages are imported inside these
-functions, so that ``twin --help`` prints at once.
+A command is a function of `twin.commands`.
 """
 
 from __future__ import annotations
@@ -23,10 +22,8 @@ from typing import Any, NoReturn
 
 from cyclopts import App, CycloptsError, MissingArgumentError, UnusedCliTokensError
 
+from twin import commands
 from twin.blas_threads import THREADS, set_environment
-from twin.commands.batch_commands import dataset, export, reproduce, sweep
-from twin.commands.scene_commands import check, doctor, mesh, run, scenes, view
-from twin.commands.sensor_commands import calibrate, reconstruct
 from twin.errors import InputError, TwinError
 
 app = App(
@@ -53,18 +50,18 @@ def _help_of(command: Callable[..., None]) -> dict[str, str]:
 
 
 for _command in (
-    run,
-    mesh,
-    reproduce,
-    calibrate,
-    view,
-    dataset,
-    export,
-    reconstruct,
-    sweep,
-    scenes,
-    check,
-    doctor,
+    commands.run,
+    commands.mesh,
+    commands.reproduce,
+    commands.calibrate,
+    commands.view,
+    commands.dataset,
+    commands.export,
+    commands.reconstruct,
+    commands.sweep,
+    commands.scenes,
+    commands.check,
+    commands.doctor,
 ):
     app.command(_command, **_help_of(_command))
 

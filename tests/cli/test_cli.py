@@ -181,7 +181,7 @@ def test_displacement_alone_loads_no_renderer_and_writes_no_picture(tmp_path: Pa
 def test_other_settings_and_other_scenes_are_written_under_other_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from twin.commands.scene_commands import run, view
+    from twin.commands import run, view
 
     monkeypatch.chdir(tmp_path)
     folders: list[Path] = []

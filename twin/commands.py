@@ -1,0 +1,801 @@
+"""The commands of `twin`, a function each: arguments in, one call into `twin.study` or `twin.show`,
+lines out.
+
+Every decision lives elsewhere. Heavy packages are imported inside the functions, so that ``twin
+--help`` prints at once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import hypot
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
+
+from cyclopts import Parameter, Token
+
+from twin.errors import InputError, MissingCapability, RecipeError, SomeFailed, did_you_mean
+from twin.parts.methods import Method, WeightRule
+from twin.show.terminal import LiveTable, progress
+
+if TYPE_CHECKING:
+    from twin.parts.scene import Scene
+    from twin.sense.calibration import Calibration
+    from twin.study.batch.pool import Scheduler
+
+
+PAGES = (".html", ".htm")
+WANTED = ("displacement", "picture", "tracking", "forces", "score", "report")
+
+SHOWN = 5
+"""Frames whose trouble is printed one by one; the table has all."""
+
+MOST_SAMPLES = 1_000_000_000
+"""Years of work, and a plan that still fits into memory."""
+
+LONGEST = 80
+"""Characters of the overrides in the name of output."""
+
+
+def _whole(_: Any, tokens: Sequence[Token]) -> int:
+    """Read a whole number; the command line's library would round others without a word."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f"'{tokens[0].value}' is no whole number") from None
+
+
+Whole = Annotated[int, Parameter(converter=_whole)]
+SceneName = Annotated[
+    str, Parameter(help="Path of a scene file, or the name of a shipped scene (see: twin scenes).")
+]
+Overrides = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name=["-s", "--set"],
+        help="Override any scene key: -s material.poisson_ratio=0.49",
+        show_default=False,
+        negative_iterable="",
+    ),
+]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class _Batch:
+    """Options of the commands that compute many samples or designs."""
+
+    out: Annotated[Path | None, Parameter(help="Folder of the results (default out/<name>).")] = (
+        None
+    )
+    workers: Annotated[
+        Whole | None,
+        Parameter(help="Processes on this machine (default: its cores, fewer for small jobs)."),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        Parameter(
+            help="dask scheduler whose workers are used: tcp://host:8786, or tls:// with the "
+            "files below. Without TLS whoever reaches it can run code as you."
+        ),
+    ] = None
+    tls_ca: Annotated[
+        Path | None,
+        Parameter(help="PEM file of the authority that signed the cluster's certificates."),
+    ] = None
+    tls_cert: Annotated[
+        Path | None, Parameter(help="PEM file of a certificate for this process.")
+    ] = None
+    tls_key: Annotated[Path | None, Parameter(help="PEM file of that certificate's key.")] = None
+    dry_run: Annotated[
+        bool, Parameter(help="Only print the job's size and the time it takes.", negative="")
+    ] = False
+
+    def workers_and_scheduler(self) -> tuple[int, Scheduler | None]:
+        """Return the number of processes, and the scheduler; None without an address.
+
+        Raises
+        ------
+        InputError
+            No process, TLS files without an address, or only some of them.
+        """
+        count = self.workers if self.workers is not None else len(os.sched_getaffinity(0))
+        if count < 1:
+            raise InputError(f"--workers {count}: give at least 1")
+        if self.scheduler is None:
+            if self.tls_ca or self.tls_cert or self.tls_key:
+                raise InputError("--tls-ca, --tls-cert and --tls-key belong to --scheduler")
+            return count, None
+        from twin.study.batch.pool import Scheduler
+
+        return count, Scheduler(
+            address=self.scheduler, ca=self.tls_ca, cert=self.tls_cert, key=self.tls_key
+        )
+
+
+def _load(scene: str, overrides: Sequence[str]) -> Scene:
+    """Return a scene with ``key.path=value`` overrides."""
+    from twin.study.recipe import load_scene, parse_override
+
+    return load_scene(scene, dict(parse_override(text) for text in overrides))
+
+
+@contextmanager
+def _scene_named(scene: str) -> Iterator[None]:
+    """Begin the messages of recipe errors, which know "this scene" only, with its name."""
+    try:
+        yield
+    except RecipeError as problem:
+        if problem.where is not None:
+            raise
+        raise RecipeError(problem.problems, scene) from None
+
+
+def _file_name(scene: Path, overrides: Sequence[str]) -> str:
+    """Return a name, without suffix, for output of a scene: other overrides, another name.
+
+    Characters that file systems or shells treat specially become ``_``, with a hash of the whole
+    at the end.
+    """
+    if not overrides:
+        return scene.stem
+    whole = ",".join(overrides)
+    plain = re.sub(r"[^A-Za-z0-9_.=,+-]+", "_", whole)[:LONGEST]
+    if plain != whole:
+        plain = f"{plain}-{hashlib.sha256(whole.encode()).hexdigest()[:8]}"
+    return f"{scene.stem},{plain}"
+
+
+def run(
+    scene: SceneName,
+    *,
+    out: Annotated[
+        Path | None,
+        Parameter(
+            help="Folder for the results (default out/<scene>, with the overrides behind the name)."
+        ),
+    ] = None,
+    want: Annotated[
+        tuple[str, ...],
+        Parameter(help="What to compute (default all).", show_default=False, negative_iterable=""),
+    ] = (),
+    live: Annotated[
+        bool,
+        Parameter(help="Move the probe by hand in a page on this machine instead.", negative=""),
+    ] = False,
+    port: Annotated[
+        Whole,
+        Parameter(help="Port of the live page (default: any that is free).", show_default=False),
+    ] = 0,
+    set_: Overrides = (),
+) -> None:
+    """Compute one press through the whole twin.
+
+    --want takes any of displacement, picture, tracking, forces, score, report, separated by commas.
+    Only these, and what they need, are computed; other files are absent. Where a step of the press
+    after the first has no equilibrium or doesn't converge, the results of the step before are
+    saved, and the exit code is 3.
+
+    With --live nothing is written: a page opens at the address that is printed, where keys, sliders
+    or the pointer move and load the scene's probe, and picture and force field follow, with their
+    errors. It listens on this machine only. Fewer contact patches and coarser pictures than the
+    scene's are the default.
+
+    Examples:
+    twin run kamiyama_pillar
+    twin run my_scene.toml -s press.force_n='{z=2}' --out out/two
+    twin run sato_press --want displacement
+    twin run kamiyama_pillar --live
+    """
+    if live:
+        _live(scene, out, want, port, set_)
+        return
+    if port:
+        raise InputError("--port: belongs to --live")
+    from twin.study.recipe import find_scene
+    from twin.study.run import run_to_folder
+
+    wanted = _wanted(want)
+    path = find_scene(scene)
+    loaded = _load(scene, set_)
+    folder = out or Path("out") / _file_name(path, set_)
+    with _scene_named(scene):
+        print(run_to_folder(loaded, folder, wanted, progress=progress()))
+
+
+def _live(
+    scene: str, out: Path | None, want: Sequence[str], port: int, set_: Sequence[str]
+) -> None:
+    from twin.study.live import QUICK, run_live
+
+    if out is not None or want:
+        raise InputError("--live writes nothing and shows all there is: leave out --out and --want")
+    with _scene_named(scene):
+        run_live(_load(scene, (*QUICK, *set_)), port, progress())
+
+
+def _wanted(names: Sequence[str]) -> frozenset[str]:
+    given = [part.strip() for name in names for part in name.split(",") if part.strip()]
+    for name in given:
+        if name not in WANTED:
+            hint = did_you_mean(name, WANTED, f"allowed are {', '.join(WANTED)}")
+            raise InputError(f"--want {name}: unknown; {hint}")
+    if names and not given:
+        raise InputError(
+            f"--want names nothing: give any of {', '.join(WANTED)}, or leave it out for all"
+        )
+    return frozenset(given or WANTED)
+
+
+def mesh(
+    scene: SceneName,
+    *,
+    rebuild: Annotated[
+        bool, Parameter(help="Make the meshes again, even if shipped or cached.", negative="")
+    ] = False,
+    export: Annotated[
+        Path | None, Parameter(help="Write the truth's mesh as .vtu for other programs.")
+    ] = None,
+    set_: Overrides = (),
+) -> None:
+    """Show the meshes of a scene's body, or make them again.
+
+    Examples:
+    twin mesh sato_press
+    twin mesh sato_press --export finger.vtu
+    """
+    from twin.study.check import describe_meshes
+
+    loaded = _load(scene, set_)
+    lines = describe_meshes(loaded, rebuild=rebuild, export=export, progress=progress())
+    print("\n".join(lines))
+
+
+def scenes() -> None:
+    """List the shipped scenes."""
+    from twin.study.recipe import load_scene, shipped_scenes
+
+    for name in shipped_scenes():
+        print(f"{name:20s} {load_scene(name).title}")
+
+
+def check(
+    file: Annotated[
+        str,
+        Parameter(
+            help="Scene or sweep file, calibration (.npz), result folder or dataset; or a rest "
+            "picture."
+        ),
+    ],
+    second: Annotated[
+        Path | None, Parameter(help="Another rest picture: is this camera good enough?")
+    ] = None,
+    /,
+    *,
+    scene: Annotated[
+        str | None, Parameter(help="The pictures' sensor: a scene (path or shipped name).")
+    ] = None,
+    set_: Overrides = (),
+) -> None:
+    """Check a file or a folder and print everything that is wrong with it.
+
+    Two rest pictures of a sensor and its scene: print noise, saturation, blur, compression, the
+    errors of shifts and forces to expect, and whether the camera is good enough.
+
+    Examples:
+    twin check my_scene.toml
+    twin check out/kamiyama_pillar
+    twin check rest1.png rest2.png --scene my_scene.toml
+    """
+    if (second is None) != (scene is None):
+        raise InputError(
+            "two rest pictures and --scene belong together: twin check rest1.png rest2.png --scene "
+            "SCENE"
+        )
+    if second is not None and scene is not None:
+        from twin.study.camera_check import check_camera
+
+        loaded = _load(scene, set_)
+        with _scene_named(scene):
+            print("\n".join(check_camera(Path(file), second, loaded)))
+        return
+    from twin.study.check import check_path
+
+    print("\n".join(check_path(file)))
+
+
+def doctor() -> None:
+    """Print what is installed, which Mitsuba variant and solver are used, and where the caches are.
+
+    Exit code 4 if the main job can't run on this machine.
+    """
+    from twin.study.check import examine
+
+    lines, missing = examine()
+    print("\n".join(lines))
+    if missing:
+        raise MissingCapability("the main job can't run: " + "; ".join(missing))
+
+
+def view(
+    path: Annotated[
+        str,
+        Parameter(help="A scene (path or shipped name), or the folder of a run or of a dataset."),
+    ],
+    *,
+    out: Annotated[
+        Path | None,
+        Parameter(
+            help="Page to write (default: view.html in the run's folder; SCENE.html or "
+            "DATASET.html here), or a film: .gif or .png."
+        ),
+    ] = None,
+    window: Annotated[
+        bool, Parameter(negative="", help="Open a window (needs a display and OpenGL).")
+    ] = False,
+    set_: Overrides = (),
+) -> None:
+    """Write a page that shows a body under its press and turns in the browser, without a server.
+
+    The body is deformed, with its marker layers, tractions, and which patches stick or slip; every
+    step of the press's path is a frame. Drag to turn, wheel to come nearer.
+
+    An --out that ends in .gif or .png is an animated picture instead: what the camera sees along
+    the path.
+
+    With --window the same is shown in a window, with sliders for the step and for how large
+    displacements are shown.
+
+    Of a dataset it shows a sheet of samples, with the truth drawn in.
+
+    Examples:
+    twin view kamiyama_shear
+    twin view out/kamiyama_pillar
+    twin view kamiyama_shear --out shear.gif
+    twin view kamiyama_shear --window
+    """
+
+    folder = Path(path)
+    is_dataset = (folder / "meta" / "info.json").is_file()
+    if window and (out is not None or is_dataset):
+        raise InputError(
+            "--window shows a scene or a run's folder, and writes nothing: leave --out, or "
+            "--window, away"
+        )
+    if is_dataset:
+        from twin.study.dataset.reader import view_dataset
+
+        print(view_dataset(folder, out or Path(f"{folder.name or 'dataset'}.html")))
+        return
+    from twin.files import make_folder
+    from twin.study.recipe import find_scene
+    from twin.study.sensor import Sensor
+    from twin.study.view import FILMS, view_scene, write_film
+
+    if folder.is_dir() and not (folder / "scene.toml").is_file():
+        raise InputError(
+            f"{path}: holds neither scene.toml (of a run) nor meta/info.json (of a dataset)"
+        )
+    if folder.is_dir():
+        page = out or folder / "view.html"
+    else:
+        page = out or Path(f"{_file_name(find_scene(path), set_)}.html")
+    if page.suffix.lower() not in {*PAGES, *FILMS}:
+        raise InputError(
+            f"--out {page}: allowed are .html for a page, {' and '.join(sorted(FILMS))} for a film"
+        )
+    scene = _load(str(folder / "scene.toml") if folder.is_dir() else path, set_)
+    bar = progress()
+    sensor = Sensor(scene, bar)
+    if window:
+        from twin.show.body_view import require_window, show_body
+        from twin.study.view import body_view
+
+        require_window()
+        shown = body_view(sensor)
+        if bar is not None:
+            bar("done", 1.0)
+        show_body(shown)
+        return
+    make_folder(page.parent)
+    write = write_film if page.suffix.lower() in FILMS else view_scene
+    with _scene_named(path):
+        print(write(sensor, page))
+    if bar is not None:
+        bar("done", 1.0)
+
+
+def calibrate(
+    folder: Annotated[
+        Path | None,
+        Parameter(
+            help="Recording of a real sensor: rest.png, pictures, presses.csv (else the twin's)."
+        ),
+    ] = None,
+    /,
+    *,
+    scene: SceneName,
+    out: Annotated[Path, Parameter(help="Calibration file to write (.npz).")],
+    method: Annotated[
+        Literal["sato", "fitted", "compliance", "halfspace"] | None,
+        Parameter(help="Default: the scene's."),
+    ] = None,
+    set_: Overrides = (),
+) -> None:
+    """Calibrate a scene's sensor, on the twin or from a recording, and write the calibration file.
+
+    A recording is a folder with rest.png, a picture of every press, and presses.csv with the
+    columns frame, x_mm, y_mm, z_mm (place on the outer surface), fx_n, fy_n, fz_n (load cell).
+    Methods compliance and halfspace need rest.png only.
+
+    Method sato presses the simulated sensor at every site in three directions, in pictures with
+    noise; fitted presses five and fits the design's parameters to them.
+
+    Examples:
+    twin calibrate --scene sato_press --out sato.npz
+    twin calibrate recording --scene kamiyama_pillar --method fitted --out mine.npz
+    """
+    from twin.study.calibrate import calibrate_to_file
+
+    loaded = _load(scene, (*set_, f"calibration.method={method}") if method else set_)
+    with _scene_named(scene):
+        print(calibrate_to_file(loaded, out, progress(), folder))
+
+
+def reconstruct(
+    rest: Annotated[Path, Parameter(help="Picture without load: PNG, BMP or JPEG.")],
+    frames: Annotated[
+        tuple[str, ...],
+        Parameter(
+            help="Pictures, folders of them, videos; or - for raw frames from stdin.",
+            allow_leading_hyphen=True,
+            negative_iterable="",
+        ),
+    ],
+    /,
+    *,
+    calibration: Annotated[Path, Parameter(help="Calibration file (see: twin calibrate).")],
+    out: Annotated[
+        Path | None, Parameter(help="Table to write: .parquet, .csv (totals only) or .npz.")
+    ] = None,
+    overlay: Annotated[
+        Path | None,
+        Parameter(
+            help="Draw the motion into the frames: a .png, a folder of them, or a video (.mp4)."
+        ),
+    ] = None,
+    size: Annotated[str | None, Parameter(help="Size of raw frames: 640x480.")] = None,
+    format: Annotated[str | None, Parameter(help="Format of raw frames: rgb24 or gray8.")] = None,
+    method: Annotated[
+        Method, Parameter(help="How it is solved; local: forces only where some are found.")
+    ] = "smooth",
+    weight: Annotated[
+        str, Parameter(help="The papers' omega, px2/N2, or auto, likelihood, gcv.")
+    ] = "auto",
+    push_only: Annotated[bool, Parameter(help="No site pulls.", negative="")] = False,
+    friction: Annotated[
+        float | None, Parameter(help="Friction coefficient that bounds every site's force.")
+    ] = None,
+    robust: Annotated[bool, Parameter(help="Leave wrong vectors out.", negative="")] = False,
+    camera: Annotated[
+        bool, Parameter(help="Follow the camera's bend (needed for large motion).", negative="")
+    ] = False,
+) -> None:
+    """Track the markers of recorded frames and reconstruct the forces.
+
+    Every frame is one row: total force and torque with standard deviations, centre of pressure,
+    markers found, the shift that all markers share (a bumped camera), and in .parquet and .npz the
+    force at every site. A frame that fails is a row with its reason, and the sequence goes on (exit
+    code 3). Standard deviations are of the noise alone: errors of the calibration, such as of the
+    rubber's modulus, come on top.
+
+    Examples:
+    twin reconstruct rest.png press*.png --calibration flat.npz --out forces.parquet
+    twin reconstruct rest.png film.mp4 --calibration flat.npz --overlay drawn.mp4
+    ... | twin reconstruct rest.png - --size 640x480 --format rgb24 --calibration flat.npz
+    """
+    from twin.sense.calibration import read_calibration
+    from twin.sense.reconstruct import check_options
+    from twin.study import recorded
+
+    recorded.check_sources(frames, overlay, size, format)
+    _keep_inputs((rest, calibration, *map(Path, frames)), out=out, overlay=overlay)
+    known = read_calibration(calibration)
+    chosen = _weight(weight)
+    check_options(method, chosen, push_only, friction, camera, known)
+    table = recorded.TableFile(out, known.site_mm) if out else None
+    drawing = recorded.OverlayFile(overlay) if overlay else None
+    count, failed, doubted = 0, 0, 0
+    first, last = "", ""
+    largest: dict[str, Any] = {}
+    tally = recorded.Tally()
+    results = recorded.reconstruct_frames(
+        recorded.read_picture(rest),
+        known,
+        recorded.frames(frames, sys.stdin.buffer, size, format),
+        method=method,
+        weight=chosen,
+        push_only=push_only,
+        friction=friction,
+        robust=robust,
+        camera=camera,
+    )
+    print(f"calibration {_described(known)}", file=sys.stderr)
+    try:
+        with LiveTable() as live:
+            for count, result in enumerate(results, start=1):
+                row = result.row(len(known.site_mm))
+                live.add(row)
+                tally.add(result)
+                if result.field is not None and _size(row) >= _size(largest):
+                    largest = row
+                if table:
+                    table.add(row)
+                if drawing:
+                    drawing.add(count, result)
+                if result.reason:
+                    failed += result.field is None
+                    doubted += result.field is not None
+                    first = first or f"{result.name}: {result.reason}"
+                    if failed + doubted <= SHOWN and result.reason != last:
+                        kind = "failed" if result.field is None else "doubtful"
+                        print(f"twin: {kind}: {result.name}: {result.reason}", file=sys.stderr)
+                last = result.reason
+    finally:
+        for sink in (table, drawing):
+            if sink:
+                sink.close()
+    if not count:
+        raise InputError("there were no frames")
+    to = sys.stdout if out else sys.stderr
+    print(f"frames      {count}, {failed} failed, {doubted} doubtful", file=to)
+    print(*tally.lines(), sep="\n", end="\n" if largest else "", file=to)
+    if largest:
+        parts = [f"F{a} {largest[f'f{a}_n']:.4g} ± {largest[f'sd_f{a}_n']:.2g}" for a in "xyz"]
+        print(f"largest     {', '.join(parts)} N, in {largest['frame']}", file=to)
+        if push_only or friction is not None:
+            parts = [f"F{a} {largest[f'sum_f{a}_n']:.4g}" for a in "xyz"]
+            print(
+                f"sites' sum  {', '.join(parts)} N there; the total above is that of the "
+                "unbounded solve",
+                file=to,
+            )
+    if out:
+        print(f"written to  {out}")
+    if failed:
+        raise SomeFailed(f"{failed} of {count} frames failed, the first trouble: {first}")
+
+
+def _size(row: dict[str, Any]) -> float:
+    """Return the size of a row's total force, N; 0 of no row."""
+    return hypot(*(row[f"f{axis}_n"] for axis in "xyz")) if row else 0.0
+
+
+def _described(known: Calibration) -> str:
+    """Return the sensor that a calibration is of, so that a wrong one is noticed."""
+    stiffness = known.facts.get("youngs_modulus_mpa")
+    parts = [
+        str(known.facts.get("scene") or "of an unnamed sensor"),
+        f"method {known.method}",
+        *([f"E {stiffness} MPa"] if stiffness is not None else []),
+        f"{len(known.layer)} markers",
+        f"{len(known.site_mm)} sites",
+    ]
+    return ", ".join(parts)
+
+
+def _keep_inputs(inputs: Sequence[Path], **outputs: Path | None) -> None:
+    """Refuse output over an input, or between inputs: drawings in a folder would be its next
+    frames."""
+    read = {os.path.realpath(path) for path in inputs}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        places = {path, path.parent} if option == "overlay" else {path}
+        if read & {os.path.realpath(place) for place in places}:
+            raise InputError(
+                f"--{option} {path}: is what is read, or in a folder that is; give another name"
+            )
+
+
+def _weight(text: str) -> float | WeightRule:
+    if text in get_args(WeightRule):
+        return cast(WeightRule, text)
+    try:
+        number = float(text)
+    except ValueError:
+        number = -1.0
+    if not 0 <= number < float("inf"):
+        raise InputError(
+            f"--weight {text}: must be a number >= 0 of px2/N2, or auto, likelihood or gcv"
+        )
+    return number
+
+
+_DEFAULT = _Batch()
+
+
+def dataset(
+    scene: SceneName,
+    *,
+    samples: Annotated[Whole, Parameter(help="How many samples; a dataset can grow later.")],
+    columns: Annotated[
+        tuple[str, ...],
+        Parameter(
+            help="What to keep, separated by commas (default all).",
+            show_default=False,
+            negative_iterable="",
+        ),
+    ] = (),
+    batch: _Batch = _DEFAULT,
+    set_: Overrides = (),
+) -> None:
+    """Make a dataset of a scene whose [vary] table lists what differs between samples.
+
+    DIR/data holds the samples as Parquet, DIR/sensors the sensors they were pressed on, DIR/meta
+    everything else. An interrupted job continues when the same command is given again, and ends
+    with the same bytes. A sample that fails is a row with its error (exit code 3).
+
+    Examples:
+    twin dataset dataset_kamiyama --samples 1000 --out data/flat
+    twin dataset dataset_sato --samples 50 --columns force_n,marker_pressed_px
+    twin dataset my_scene.toml --samples 100000 --scheduler tcp://10.0.0.1:8786
+    """
+    os.environ.setdefault("NUMBA_NUM_THREADS", "1")  # read when numba is loaded; workers inherit it
+    from twin.study.dataset.create import create_dataset
+    from twin.study.recipe import find_scene
+
+    names = [part.strip() for name in columns for part in name.split(",") if part.strip()]
+    if columns and not names:
+        raise InputError("--columns names nothing: name some, or leave it out for all")
+    loaded = _load(scene, set_)
+    if names:
+        kept = loaded.dataset.model_copy(update={"columns": tuple(names)})
+        loaded = loaded.model_copy(update={"dataset": kept})
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise InputError(f"--samples {samples}: allowed are 1 to {MOST_SAMPLES:,}")
+    workers, cluster = batch.workers_and_scheduler()
+    folder = batch.out or Path("out") / find_scene(scene).stem
+    if batch.dry_run:
+        from twin.study.dataset.create import estimate
+
+        for line in estimate(loaded, samples, workers=workers, progress=progress()):
+            print(line)
+        return
+    done = create_dataset(
+        loaded, folder, samples, workers=workers, scheduler=cluster, progress=progress()
+    )
+    rate = f" ({done.made / done.seconds:.3g} a second)" if done.made else ""
+    print(f"samples     {done.samples}, {done.made} of them made now{rate}")
+    print(f"written to  {done.folder}")
+    if done.missing:
+        raise SomeFailed(f"{len(done.missing)} shards are missing, {done.reason}")
+    if done.failed:
+        raise SomeFailed(
+            f"{done.failed} of {done.samples} samples failed, the first: {done.reason}"
+        )
+
+
+def export(
+    folder: Annotated[Path, Parameter(help="Folder of the dataset.")],
+    *,
+    format: Annotated[str, Parameter(help="hdf5, coco or webdataset.")],
+    out: Annotated[Path, Parameter(help="Folder to write to.")],
+) -> None:
+    """Write a dataset as HDF5, as COCO keypoints, or as WebDataset tar files; failed samples are
+    left out.
+
+    Examples:
+    twin export data/flat --format hdf5 --out flat_h5
+    twin export data/flat --format coco --out flat_coco
+    """
+    from twin.study.dataset.export import export_dataset
+
+    files = export_dataset(folder, format, out, progress())
+    print(f"{files[0] if files else out}: {len(files)} file{'s' if len(files) != 1 else ''}")
+
+
+def sweep(
+    sweep: Annotated[str, Parameter(help="Path of a sweep file, or the name of a shipped sweep.")],
+    *,
+    optimise: Annotated[
+        bool,
+        Parameter(
+            help="Search the best design between the axes' ends instead of sampling them.",
+            negative="",
+        ),
+    ] = False,
+    batch: _Batch = _DEFAULT,
+) -> None:
+    """Judge many designs of a sensor: by a closed form, by their linear information, by pictures.
+
+    Writes DIR/designs.parquet (and .csv) with a row for every design, DIR/report.html, and DIR/best
+    with a scene for each of the best designs, ready for twin run. An interrupted job continues when
+    the same command is given again, and ends with the same table. A design that fails is a row with
+    its error (exit code 3).
+
+    Shipped sweeps: sweep_kamiyama_depth_pitch, sweep_sato_pitch_diameter, sweep_lens,
+    sweep_youngs_modulus.
+
+    Examples:
+    twin sweep sweep_lens --out out/lens
+    twin sweep my_sweep.toml --workers 8
+    twin sweep sweep_kamiyama_depth_pitch --optimise
+    """
+    from twin.study.sweep.designs import load_sweep
+
+    wanted, scene = load_sweep(sweep)
+    workers, cluster = batch.workers_and_scheduler()
+    if batch.dry_run:
+        from twin.study.sweep.sweep_run import estimate
+
+        for line in estimate(wanted, scene, workers=workers):
+            print(line)
+        return
+    from twin.study.sweep.sweep_report import write_report
+    from twin.study.sweep.sweep_run import run_sweep
+
+    folder = batch.out or Path("out") / Path(sweep).stem
+    bar = progress()
+    done = run_sweep(
+        wanted, scene, folder, workers=workers, scheduler=cluster, progress=bar, optimise=optimise
+    )
+    best = write_report(done, folder)
+    if bar is not None:
+        bar("done", 1.0)
+    kinds = {kind: int((done.status == kind).sum()) for kind in ("ok", "dropped", "failed")}
+    counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+    print(f"designs     {len(done.designs)}: {counts}")
+    for warning in done.warnings:
+        print(f"warning     {warning}")
+    for note in done.notes:
+        print(f"            {note}")
+    for words in best[:3]:
+        print(f"best        {words}")
+    print(f"written to  {folder}")
+    if done.failed:
+        reason = next(str(e) for e, s in zip(done.error, done.status, strict=True) if s == "failed")
+        raise SomeFailed(
+            f"{done.failed} of {len(done.designs)} designs failed, the first: {reason}"
+        )
+
+
+def reproduce(
+    *names: Annotated[
+        str, Parameter(help="Entries (kamiyama/table-1), papers (sato), or all (default).")
+    ],
+    out: Annotated[
+        Path, Parameter(help="Folder for the page, the records and the pictures.")
+    ] = Path("reproduce"),
+    quick: Annotated[
+        bool, Parameter(help="One made sensor, fewer steps, no long entries.", negative="")
+    ] = False,
+    seed: Annotated[Whole, Parameter(help="Root seed of sensors and noise.")] = 1,
+) -> None:
+    """Reproduce the papers' tables and figures, with the papers' figures for comparison.
+
+    Every experiment runs through the full chain: contact, picture, CCD, tracking, inverse. Writes
+    DIR/index.html, DIR/results.json and an SVG for each. Results in DIR that are still valid are
+    not computed again.
+
+    Examples:
+    twin reproduce all
+    twin reproduce kamiyama/table-1 sato --out here
+    """
+    from twin.study.reproduce.reproduction_run import reproduce as run
+
+    if not 0 <= seed < 2**63 - 100:
+        raise InputError(f"--seed {seed}: allowed are whole numbers from 0 to 2^63 - 101")
+    done = run(names, out, seed=seed, quick=quick, progress=progress())
+    print("\n".join(done.lines))
+    if done.failed:
+        raise SomeFailed(
+            f"{len(done.failed)} of the entries failed: {', '.join(done.failed)}; see "
+            f"{out / 'index.html'}"
+        )
