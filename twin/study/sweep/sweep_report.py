@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import base64
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from twin.arrays import Bools, Floats
+from twin.arrays import Bools, Floats, Points
 from twin.files import make_folder, png_bytes, write_whole
 from twin.parts.part import Part, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import METRICS
-from twin.show.sweep_page import design, front, metric_map, sweep_page
+from twin.show.html_page import digits, figure, page, table, two_columns
+from twin.show.svg_plots import Axes, dots, drawing, force_field, line, path
 from twin.study.recipe import dump_scene
 from twin.study.sweep.closed_form_design import closed
 from twin.study.sweep.designs import designs_at
@@ -147,6 +150,7 @@ MORE = frozenset({"range_n"})
 """Metrics of which more is better."""
 
 MOST_REASONS = 12
+"""Reasons of dropped designs that are counted on the page, the most frequent first."""
 
 
 def write_report(done: Swept, folder: Path) -> list[str]:
@@ -157,28 +161,24 @@ def write_report(done: Swept, folder: Path) -> list[str]:
     best = _write_best(done, folder)
     sweep = done.designs.sweep
     counts = {kind: int((done.status == kind).sum()) for kind in ("ok", "dropped", "failed")}
-    failed = (
-        [f"{counts['failed']} designs failed: the reasons are in the table."]
-        if counts["failed"]
-        else []
-    )
-    reasons = Counter(str(e) for e in done.error if e)
-    page = sweep_page(
-        title=sweep.title or f"Sweep of {sweep.scene}",
-        verdict=_verdict(done),
-        alarms=[*done.warnings, *failed],
-        notes=done.notes,
-        counts=counts,
-        dropped=dict(reasons.most_common(MOST_REASONS)),
-        fronts=_fronts(done),
-        maps=_maps(done),
-        designs=_cards(done, best, folder),
-        sensitivity=_sensitivities(done),
-        recipe=tomli_w.dumps(
-            sweep.model_dump(mode="json", exclude_none=True, exclude={"source", "assumed"})
-        ),
-    )
-    write_whole(folder / "report.html", page.encode())
+    alarms = [*done.warnings]
+    if counts["failed"]:
+        alarms.append(f"{counts['failed']} designs failed: the reasons are in the table.")
+    reasons = Counter(str(e) for e in done.error if e).most_common(MOST_REASONS)
+    became = [(name, [str(count)]) for name, count in (*counts.items(), *reasons)]
+    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in done.notes)
+    sections = [
+        ("Best designs", "".join(_cards(done, best, folder))),
+        ("Fronts", two_columns(_fronts(done))),
+        ("Maps", two_columns(_maps(done))),
+        ("What matters", _sensitivity_table(_sensitivities(done))),
+        ("Fidelities and reuse", notes),
+        ("What became of the designs", table("Designs", ["number"], became)),
+    ]
+    recipe = sweep.model_dump(mode="json", exclude_none=True, exclude={"source", "assumed"})
+    title = sweep.title or f"Sweep of {sweep.scene}"
+    text = page(title, _verdict(done), alarms, sections, tomli_w.dumps(recipe))
+    write_whole(folder / "report.html", text.encode())
     return [words for _, words in best.values()]
 
 
@@ -202,24 +202,77 @@ def _named(name: str) -> str:
     return f"{words} ({unit})" if unit else words
 
 
+MOST_DOTS = 3000
+"""Dots of a drawing; of more designs every so-and-so-many-th is drawn, and the front."""
+
+FAR = 0.6
+"""How far outside the designs a target is drawn, in their ranges: a farther one would press them
+into a corner."""
+
+
 def _fronts(done: Swept) -> list[str]:
+    """Return the drawings of designs by two metrics that differ between them."""
     fronts, ok, targets = [], done.status == "ok", done.designs.sweep.targets
     for x_name, y_name in FRONTS:
         x, y = metric(done.columns, x_name, "linear"), metric(done.columns, y_name, "linear")
         if x is None or y is None:
             continue
         x, y = np.where(ok, x, np.nan), np.where(ok, y, np.nan)
-        fronts.append(
-            front(
-                across=_named(x_name),
-                up=_named(y_name),
-                x=x,
-                y=y,
-                on_front=pareto([x, -y if y_name in MORE else y]),
-                target=(targets.get(x_name, np.nan), targets.get(y_name, np.nan)),
-            )
-        )
+        known = np.isfinite(x) & np.isfinite(y)
+        if known.sum() < 2 or min(np.ptp(v[known]) for v in (x, y)) == 0:
+            continue
+        on_front = pareto([x, -y if y_name in MORE else y])[known]
+        target = (targets.get(x_name, np.nan), targets.get(y_name, np.nan))
+        names = (_named(x_name), _named(y_name))
+        fronts.append(_front(names, x[known], y[known], on_front, target))
     return fronts
+
+
+def _front(
+    names: tuple[str, str], x: Floats, y: Floats, on_front: Bools, target: tuple[float, float]
+) -> str:
+    """Return the drawing (HTML) of (m,) designs by two metrics; NaN in ``target`` where nothing is
+    wanted."""
+    # a few hopeless designs must not press all others into a corner
+    ends = [(float(v.min()), float(np.quantile(v, 0.95))) for v in (x, y)]
+    targets = [
+        t if a - FAR * (b - a) <= t <= b + FAR * (b - a) else np.nan
+        for t, (a, b) in zip(target, ends, strict=True)
+    ]
+    for k, wanted in enumerate(targets):
+        if np.isfinite(wanted):
+            ends[k] = (min(ends[k][0], wanted), max(ends[k][1], wanted))
+    (left, right), (bottom, top) = [
+        (a - 0.05 * (b - a) - 1e-12, b + 0.05 * (b - a) + 1e-12) for a, b in ends
+    ]
+    axes = Axes(left=left, right=right, bottom=bottom, top=top, height=280)
+    shown = (x >= left) & (x <= right) & (y >= bottom) & (y <= top)
+    step = max(1, int(shown.sum()) // MOST_DOTS)
+    points = np.column_stack([x, y])
+    content = dots(axes, points[shown][::step], "dot other", 2.2)
+    on = points[shown & on_front]
+    on = on[np.argsort(on[:, 0])]
+    if len(on):
+        content += line(axes, on, "profile estimate") + dots(axes, on, "dot red", 3.2)
+    for k, wanted in enumerate(targets):
+        if np.isfinite(wanted):
+            upright, level = [[wanted, bottom], [wanted, top]], [[left, wanted], [right, wanted]]
+            content += line(axes, np.array(level if k else upright), "contact")
+    svg = drawing(axes, content, *names, f"{names[1]} against {names[0]} of all designs")
+    caption = (
+        "Each dot is a design; red ones are bettered by none in both. The worst twentieth lies "
+        f"outside. {_said(names, target, targets)}"
+    )
+    return figure(svg, caption)
+
+
+def _said(names: tuple[str, str], targets: tuple[float, float], drawn: Sequence[float]) -> str:
+    """Return what to say of a front's targets; those too far away to be drawn in numbers."""
+    words = ["Dashed: the targets."] if np.isfinite(drawn).any() else []
+    for name, target, shown in zip(names, targets, drawn, strict=True):
+        if np.isfinite(target) and not np.isfinite(shown):
+            words.append(f"Wanted {escape(name)}: {digits(float(target))}, far from here.")
+    return " ".join(words)
 
 
 def pareto(columns: Sequence[Floats]) -> Bools:
@@ -237,31 +290,119 @@ def pareto(columns: Sequence[Floats]) -> Bools:
     return front
 
 
+BINS = 14
+"""Bins of a map along an axis at most."""
+
+
 def _maps(done: Swept) -> list[str]:
     """Return maps over the first two axes that are numbers."""
     columns = {name: _numbers(done.designs.columns[name]) for name in done.designs.sweep.axes}
     axes = [(name, values) for name, values in columns.items() if values is not None][:2]
     if len(axes) < 2:
         return []
-    (across, x), (up, y) = axes
-    maps = []
+    found = []
     for name in ("two_point_mm", "fwhm_mm"):
         value, limit = metric(done.columns, name, "linear"), done.columns.get(f"closed_{name}")
         if value is None:
             continue
-        maps.append(
-            metric_map(
-                across=across,
-                up=up,
-                metric=_named(name),
-                x=x,
-                y=y,
-                value=value,
-                limit=limit if limit is not None else np.full(len(x), np.nan),
-                target=done.designs.sweep.targets.get(name, np.nan),
-            )
+        limit = limit if limit is not None else np.full(len(value), np.nan)
+        target = done.designs.sweep.targets.get(name, np.nan)
+        found.append(_map(axes, _named(name), value, limit, target))
+    return [drawn for drawn in found if drawn]
+
+
+def _map(
+    over: Sequence[tuple[str, Floats]], label: str, value: Floats, limit: Floats, target: float
+) -> str:
+    """Return a map (HTML) of a metric over two axes: its median in every bin, and the borders.
+
+    ``over`` are names and (m,) values of the axes, ``limit`` the (m,) metric by the design limit,
+    ``target`` where the borders are, NaN for none. Empty where there is one bin only, or no value.
+    """
+    (across, x), (up, y) = over
+    edges = [_edges(v) for v in (x, y)]
+    if min(len(e) for e in edges) < 2:
+        return ""
+    place = [
+        np.clip(np.searchsorted(e, v, side="right") - 1, 0, len(e) - 2)
+        for e, v in zip(edges, (x, y), strict=True)
+    ]
+    shape = (len(edges[0]) - 1, len(edges[1]) - 1)
+    binned, allowed = (_binned(place, v, shape) for v in (value, limit))
+    known = np.isfinite(binned)
+    if not known.any():
+        return ""
+    low, high = float(binned[known].min()), float(binned[known].max())
+    (left, *_, right), (bottom, *_, top) = (e.tolist() for e in edges)
+    axes = Axes(left=left, right=right, bottom=bottom, top=top, height=300)
+    parts = []
+    for i, j in np.argwhere(known):
+        corners = axes.place(
+            np.array([[edges[0][i], edges[1][j + 1]], [edges[0][i + 1], edges[1][j]]])
         )
-    return maps
+        (x0, y0), (x1, y1) = corners.tolist()
+        share = 1.0 - (binned[i, j] - low) / (high - low) if high > low else 1.0
+        parts.append(
+            f'<rect class="push" x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" '
+            f'height="{y1 - y0:.1f}" fill-opacity="{0.05 + 0.9 * share:.2f}">'
+            f"<title>{binned[i, j]:.3g}</title></rect>"
+        )
+    if np.isfinite(target):
+        parts.append(_border(axes, edges, allowed <= target, "contact"))
+        parts.append(_border(axes, edges, binned <= target, "force"))
+    words = f"{label} over {across} and {up}"
+    svg = drawing(axes, "".join(parts), across, up, words)
+    border = ""
+    if np.isfinite(target):
+        border = (
+            f" Inside the dashed border the design limit is at most {digits(target)}, "
+            "inside the solid one it is."
+        )
+    return figure(svg, f"{escape(label)}: {digits(low)} (darkest) to {digits(high)}.{border}")
+
+
+def _edges(values: Floats) -> Floats:
+    """Return bin edges: halfway between values if they are few, else even."""
+    known = np.unique(values[np.isfinite(values)])
+    if len(known) < 2:
+        return np.zeros(0)
+    if len(known) <= BINS:
+        middle = (known[1:] + known[:-1]) / 2
+        return np.concatenate([[2 * known[0] - middle[0]], middle, [2 * known[-1] - middle[-1]]])
+    return np.linspace(known[0], known[-1], BINS + 1)
+
+
+def _binned(place: Sequence[np.ndarray], values: Floats, shape: tuple[int, int]) -> Floats:
+    """Return the median of finite values in every bin; NaN where there is none."""
+    out = np.full(shape, np.nan)
+    flat = place[0] * shape[1] + place[1]
+    finite = np.isfinite(values)
+    for number in np.unique(flat[finite]):
+        out.flat[number] = np.median(values[finite & (flat == number)])
+    return out
+
+
+def _border(axes: Axes, edges: Sequence[Floats], inside: np.ndarray, style: str) -> str:
+    """Return the border between bins that are inside and those that are not."""
+    steps = []
+    for i in range(inside.shape[0]):
+        for j in range(inside.shape[1]):
+            if not inside[i, j]:
+                continue
+            for di, dj, edge in (
+                (1, 0, [[edges[0][i + 1], edges[1][j]], [edges[0][i + 1], edges[1][j + 1]]]),
+                (-1, 0, [[edges[0][i], edges[1][j]], [edges[0][i], edges[1][j + 1]]]),
+                (0, 1, [[edges[0][i], edges[1][j + 1]], [edges[0][i + 1], edges[1][j + 1]]]),
+                (0, -1, [[edges[0][i], edges[1][j]], [edges[0][i + 1], edges[1][j]]]),
+            ):
+                a, b = i + di, j + dj
+                outside = (
+                    not (0 <= a < inside.shape[0] and 0 <= b < inside.shape[1]) or not inside[a, b]
+                )
+                if outside:
+                    (x0, y0), (x1, y1) = axes.place(np.array(edge)).tolist()
+                    steps.append(f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}")
+    return path(steps, style)
 
 
 def _numbers(values: Sequence[object]) -> Floats | None:
@@ -269,30 +410,60 @@ def _numbers(values: Sequence[object]) -> Floats | None:
 
 
 def _cards(done: Swept, best: Mapping[int, tuple[Path, str]], folder: Path) -> list[str]:
+    """Return the best designs (HTML): values, figures, picture and fields."""
     store, designs = Store(folder), done.designs
     two = f"Estimate of two pushes {designs.sweep.loads.pair_mm:g} mm apart"
     cards = []
     for number, (file, words) in best.items():
-        picture, fields = None, []
+        parts = []
         key = done.keys.get(number)
         kept = store.pictures(key) if key is not None else None
         if kept is not None:
-            picture, site_mm = png_bytes(kept["picture"]), kept["site_mm"]
-            fields = [
-                ("Estimate of the push in the middle", site_mm, kept["middle_n"]),
-                (two, site_mm, kept["pair_n"]),
-            ]
+            data = base64.b64encode(png_bytes(kept["picture"])).decode()
+            image = (
+                f'<img src="data:image/png;base64,{data}" alt="CCD picture of Design {number} '
+                'under the push in the middle">'
+            )
+            parts.append(figure(image, "Picture under the push in the middle"))
+            parts.append(
+                _field("Estimate of the push in the middle", kept["site_mm"], kept["middle_n"])
+            )
+            parts.append(_field(two, kept["site_mm"], kept["pair_n"]))
         elif done.fidelity[number] == "linear":
             kept = expected(designs.sweep, designs.scene, designs.values(number))
             title = "Expected estimate of the push in the middle"
-            fields = [(title, kept["site_mm"], kept["middle_n"])]
+            parts.append(_field(title, kept["site_mm"], kept["middle_n"]))
         cards.append(
-            design(
-                heading=f"Design {number}",
-                words=words,
-                file=str(file.relative_to(folder)),
-                picture=picture,
-                fields=fields,
-            )
+            f"<h3>Design {number}</h3><p>{escape(words)}</p>"
+            f'<p class="note">Ready to run, in this page&rsquo;s folder: <code>twin run '
+            f"{escape(str(file.relative_to(folder)))}</code></p>{two_columns(parts)}"
         )
     return cards
+
+
+def _field(name: str, sites: Points, force: Floats) -> str:
+    """Return the drawing of a field: colour is the force along z, arrows those along x and y."""
+    apart = np.linalg.norm(sites[1:, :2] - sites[:1, :2], axis=1)
+    side = float(apart.min()) if len(apart) else 1.0
+    largest = float(np.abs(force[:, 2]).max()) or 1.0
+    axes, colours, pushed = force_field(sites[:, :2], force, side, largest, largest / 1.5)
+    svg = drawing(axes, colours + pushed, "x (mm)", "y (mm)", f"Force field, {name}")
+    return figure(svg, f"{escape(name)}; darkest is {digits(largest)} N a site")
+
+
+def _sensitivity_table(rows: Sequence[tuple[str, str, float, float, float]]) -> str:
+    if not rows:
+        return ""
+    cells = [
+        (
+            f"{metric}: {axis}",
+            [f"{first:.2f}", f"{total:.2f}", f"{rank:+.2f}" if np.isfinite(rank) else "–"],
+        )
+        for metric, axis, first, total, rank in rows
+    ]
+    caption = (
+        "Share of the variance of the metric's logarithm that an axis makes alone and with the "
+        "others (Sobol' indices by the closed form), and rank correlation of axis and metric over "
+        "this sweep's designs"
+    )
+    return table(caption, ["alone", "with others", "rank correlation"], cells)
