@@ -15,8 +15,8 @@ import numpy as np
 from benchmarks.clock import repeated
 from twin.arrays import Floats
 from twin.blas_threads import one_thread
-from twin.judge.resolution import dip, field_errors, two_point_distance, widths
-from twin.judge.score import into_cells
+from twin.judge.resolution import dip, two_point_distance, widths
+from twin.judge.score import field_errors, into_cells
 from twin.parts.load import Traction
 from twin.sense.calibration import Calibration
 from twin.sense.inverse import problem_of

@@ -20,8 +20,8 @@ from twin.arrays import Floats
 from twin.blas_threads import one_thread
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
-from twin.study.sweep.closed_form_design import closed
 from twin.study.sweep.designs import designs_of
+from twin.study.sweep.fidelities import closed
 from twin.study.sweep.sweep_report import write_report
 from twin.study.sweep.sweep_run import Swept, run_sweep
 

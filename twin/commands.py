@@ -299,7 +299,7 @@ def check(
             "SCENE"
         )
     if second is not None and scene is not None:
-        from twin.study.camera_check import check_camera
+        from twin.study.check import check_camera
 
         loaded = _load(scene, set_)
         with _scene_named(scene):

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from twin.errors import InputError
-from twin.judge.resolution import dip, field_errors, full_width, two_point_distance, widths
+from twin.judge.resolution import dip, full_width, two_point_distance, widths
+from twin.judge.score import field_errors
 
 
 def test_field_errors_by_direction():

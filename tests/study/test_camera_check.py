@@ -6,7 +6,7 @@ from PIL import Image
 
 import twin
 from twin.errors import InputError, RecipeError
-from twin.study.camera_check import check_camera
+from twin.study.check import check_camera
 
 
 @pytest.fixture(scope="module")

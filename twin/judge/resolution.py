@@ -1,6 +1,5 @@
-"""The quality of an estimated force field: its errors and its resolution.
+"""Resolution: the width of a point force's image, and the least distance of two that are resolved.
 
-Resolution is the width of a point force's image, and the least distance of two that are resolved.
 All are functions of plain arrays. So estimates from recorded data can be judged as well, and
 designs by their transfer matrix alone.
 """
@@ -10,43 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin.arrays import Floats
-from twin.errors import InputError
 from twin.theory.limit import DIP
-
-
-def field_errors(
-    estimate_n: Floats, truth_n: Floats, frames: Floats | None = None
-) -> dict[str, float | None]:
-    """Return relative errors of a force field in the 2-norm: ``all``, ``normal`` and
-    ``tangential``.
-
-    Parameters
-    ----------
-    estimate_n, truth_n
-        (k, 3) forces at the sites, N; truth as `twin.judge.score.into_cells` sums it.
-    frames
-        (k, 3, 3) sites' frames, the inward normal last; z is the normal if not given.
-
-    Returns
-    -------
-    dict
-        Each error over the size of the same part of the truth; None where that is zero.
-    """
-    truth = np.asarray(truth_n, float)
-    if np.shape(estimate_n) != truth.shape or truth.ndim != 2 or truth.shape[1] != 3:
-        raise InputError(
-            f"forces must be (k, 3) at the same sites, got {np.shape(estimate_n)} and {truth.shape}"
-        )
-    error = np.asarray(estimate_n, float) - truth
-    if frames is not None:
-        error, truth = (np.einsum("kij,kj->ki", frames, part) for part in (error, truth))
-    parts = {"all": slice(0, 3), "normal": slice(2, 3), "tangential": slice(0, 2)}
-    sizes = {name: float(np.linalg.norm(truth[:, part])) for name, part in parts.items()}
-    floor = 1e-12 * sizes["all"]
-    return {
-        name: float(np.linalg.norm(error[:, part])) / sizes[name] if sizes[name] > floor else None
-        for name, part in parts.items()
-    }
 
 
 def full_width(x: Floats, y: Floats) -> float:

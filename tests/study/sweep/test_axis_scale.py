@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from small_sweep import small
 
-from twin.study.sweep.closed_form_design import closed
 from twin.study.sweep.designs import designs_of
+from twin.study.sweep.fidelities import closed
 from twin.theory.limit import design_limit
 from twin.theory.optics import projection_jacobian
 

@@ -12,8 +12,8 @@ from small_sweep import TABLE, small
 from twin.errors import InputError, RecipeError
 from twin.parts.sweep import Sweep
 from twin.study.recipe import shipped_scenes
-from twin.study.sweep.closed_form_design import closed
 from twin.study.sweep.designs import designs_of, kept_count, load_sweep, shipped_sweeps, sweep_of
+from twin.study.sweep.fidelities import closed
 from twin.study.sweep.loads import thickness_range
 from twin.study.sweep.sweep_run import check
 

@@ -20,10 +20,9 @@ from small_sweep import TABLE, small
 
 import twin
 from benchmarks.sweep import ranked
-from twin.study.sweep import sweep_rows, sweep_run
+from twin.study.sweep import sweep_run
 from twin.study.sweep.sweep_report import pareto, write_report
-from twin.study.sweep.sweep_rows import Rows, Store
-from twin.study.sweep.sweep_run import Swept, advice, agreement, best_first, descend, run_sweep, scores
+from twin.study.sweep.sweep_run import Rows, Store, Swept, advice, agreement, best_first, descend, run_sweep, scores
 
 
 def table(folder: Path) -> dict[str, list[object]]:
@@ -164,7 +163,7 @@ def test_a_full_disk_is_not_kept_as_a_designs_failure(tmp_path: Path, monkeypatc
 
     changes = {"axes": {"markers.blue.depth_mm": [2.0]}, "fidelity": ["linear"]}
     with monkeypatch.context() as patch:
-        patch.setattr(sweep_rows, "linear", full)
+        patch.setattr(sweep_run, "linear", full)
         with pytest.raises(OSError, match="No space left"):
             run_sweep(*small(**changes), tmp_path)
     assert run_sweep(*small(**changes), tmp_path).failed == 0

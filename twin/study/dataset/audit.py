@@ -12,8 +12,7 @@ import numpy as np
 from twin.arrays import Progress
 from twin.errors import InputError, RecipeError
 from twin.study.batch.pool import Job, Pool
-from twin.study.dataset.plan import Places, Plan
-from twin.study.dataset.prepare import listed, read_info, sums
+from twin.study.dataset.plan import Places, Plan, listed, read_info, sums
 from twin.study.dataset.reader import DatasetReader, readable
 
 WORK = "twin.study.dataset.sample:audit_sample"

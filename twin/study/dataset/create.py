@@ -26,8 +26,8 @@ from twin.parts.scene import Scene
 from twin.study.batch.pool import Done, Job, Pool, Scheduler, counted, only_writer, reach, unpacked
 from twin.study.dataset.audit import audit, audited
 from twin.study.dataset.export import write_card
-from twin.study.dataset.plan import Places, Plan
-from twin.study.dataset.prepare import job_of, listed, prepare, resumed, sha256, sums
+from twin.study.dataset.plan import Places, Plan, listed, sha256, sums
+from twin.study.dataset.prepare import job_of, prepare, resumed
 from twin.study.dataset.reader import readable
 from twin.study.dataset.sample import audit_sample, make_shard
 

@@ -21,8 +21,7 @@ from twin.errors import InputError, MissingCapability, TwinError
 from twin.files import make_folder, write_json, write_whole
 from twin.study.dataset.audit import FIGURES
 from twin.study.dataset.columns import Column, bare
-from twin.study.dataset.plan import Places, Plan
-from twin.study.dataset.prepare import read_info
+from twin.study.dataset.plan import Places, Plan, read_info
 from twin.study.dataset.reader import DatasetReader
 
 FORMATS = ("hdf5", "coco", "webdataset")

@@ -1,19 +1,20 @@
-"""What a dataset is: the scene, its shards and draws, and the places of its files."""
+"""What a dataset is: the scene, its shards and draws, the places of its files, and their sums."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from pydantic import ValidationError
 
-from twin.errors import RecipeError, did_you_mean
+from twin.errors import InputError, RecipeError, did_you_mean
 from twin.parts.load import Footprint, Load
 from twin.parts.part import Part, in_words
 from twin.parts.press import Press
@@ -21,7 +22,7 @@ from twin.parts.scene import Scene
 from twin.parts.vary import Choice, Distribution, ForceCone, Normal, Uniform
 from twin.streams import Purpose
 from twin.study.batch.draw import Table, draws, plain_table, put_all, with_values
-from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR, Column, Need, bare
+from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR, Column, Kind, Need, bare
 
 FORMAT = 1
 """Version of the folder's layout and of the columns' meaning."""
@@ -262,6 +263,70 @@ class Places:
     def sensor_shard(self, number: int) -> Path:
         """File of a shard's sensors."""
         return self.sensors / f"part-{number:05d}.parquet"
+
+
+def read_info(places: Places) -> dict[str, Any]:
+    """Return info.json, or raise `InputError` if there is none or it can't be read."""
+    try:
+        facts: dict[str, Any] = json.loads(places.info.read_text())
+    except FileNotFoundError:
+        raise InputError(f"{places.folder}: has no meta/info.json, so it is no dataset") from None
+    except (OSError, ValueError, RecursionError) as problem:
+        raise InputError(f"{places.info}: can't be read ({problem})") from None
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+        found = facts.get("format") if isinstance(facts, dict) else None
+        raise InputError(f"{places.info}: format {found}; this program reads {FORMAT}")
+    lists = [facts.get(name) for name in ("columns", "sensor_columns")]
+    whole = all(isinstance(each, list) and all(map(_is_column, each)) for each in lists)
+    if not (
+        whole and isinstance(facts.get("samples"), int) and isinstance(facts.get("content"), str)
+    ):
+        raise InputError(
+            f"{places.info}: columns, sensor_columns, samples or content are missing or damaged"
+        )
+    return facts
+
+
+def _is_column(entry: Any) -> bool:
+    return (
+        isinstance(entry, dict)
+        and isinstance(entry.get("name"), str)
+        and entry.get("kind") in get_args(Kind)
+    )
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file's contents."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sums(folder: Path, known: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the SHA-256 of every file of a dataset, by relative path; ``known`` ones are not
+    computed again."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name not in (
+            "meta/SHA256SUMS",
+            "meta/writer.lock",
+            "meta/written.sha256",
+        ):
+            found[name] = (known or {}).get(name) or sha256(path)
+    return found
+
+
+def listed(file: Path) -> dict[str, str]:
+    """Return the checksums in a file that ``sha256sum`` reads, by path; none if there is no such
+    file."""
+    if not file.is_file():
+        return {}
+    lines = [
+        line.split("  ", 1)
+        for line in file.read_text(errors="replace").splitlines()
+        if "  " in line
+    ]
+    return {name: digest for digest, name in lines}
 
 
 def _chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:

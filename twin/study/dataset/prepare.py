@@ -8,7 +8,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from twin.arrays import Progress
 from twin.errors import InputError
@@ -19,8 +19,7 @@ from twin.parts.probe import Stl
 from twin.parts.scene import Scene
 from twin.parts.vary import Choice
 from twin.study.batch.pool import Job, versions
-from twin.study.dataset.columns import Kind
-from twin.study.dataset.plan import FORMAT, Places, Plan
+from twin.study.dataset.plan import FORMAT, Places, Plan, read_info, sha256
 from twin.study.recipe import dump_scene
 
 _WORK = "twin.study.dataset.sample:make_shard"
@@ -168,36 +167,6 @@ def _difference(old: Any, new: Any) -> str:
     return ", ".join(f"{k} {old.get(k)} then, {new.get(k)} now" for k in keys)
 
 
-def read_info(places: Places) -> dict[str, Any]:
-    """Return info.json, or raise `InputError` if there is none or it can't be read."""
-    try:
-        facts: dict[str, Any] = json.loads(places.info.read_text())
-    except FileNotFoundError:
-        raise InputError(f"{places.folder}: has no meta/info.json, so it is no dataset") from None
-    except (OSError, ValueError, RecursionError) as problem:
-        raise InputError(f"{places.info}: can't be read ({problem})") from None
-    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
-        found = facts.get("format") if isinstance(facts, dict) else None
-        raise InputError(f"{places.info}: format {found}; this program reads {FORMAT}")
-    lists = [facts.get(name) for name in ("columns", "sensor_columns")]
-    whole = all(isinstance(each, list) and all(map(_is_column, each)) for each in lists)
-    if not (
-        whole and isinstance(facts.get("samples"), int) and isinstance(facts.get("content"), str)
-    ):
-        raise InputError(
-            f"{places.info}: columns, sensor_columns, samples or content are missing or damaged"
-        )
-    return facts
-
-
-def _is_column(entry: Any) -> bool:
-    return (
-        isinstance(entry, dict)
-        and isinstance(entry.get("name"), str)
-        and entry.get("kind") in get_args(Kind)
-    )
-
-
 def job_of(places: Places) -> Job:
     """Return the job: everything a worker needs to know."""
     kept = [
@@ -206,40 +175,6 @@ def job_of(places: Places) -> Job:
         if p.suffix in {".npz", ".toml", ".stl"} or p == places.info
     ]
     return Job(files={p.name: p.read_bytes() for p in kept}, work=_WORK)
-
-
-def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's contents."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def sums(folder: Path, known: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the SHA-256 of every file of a dataset, by relative path; ``known`` ones are not
-    computed again."""
-    found = {}
-    for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        if path.is_file() and name not in (
-            "meta/SHA256SUMS",
-            "meta/writer.lock",
-            "meta/written.sha256",
-        ):
-            found[name] = (known or {}).get(name) or sha256(path)
-    return found
-
-
-def listed(file: Path) -> dict[str, str]:
-    """Return the checksums in a file that ``sha256sum`` reads, by path; none if there is no such
-    file."""
-    if not file.is_file():
-        return {}
-    lines = [
-        line.split("  ", 1)
-        for line in file.read_text(errors="replace").splitlines()
-        if "  " in line
-    ]
-    return {name: digest for digest, name in lines}
 
 
 def _portable(scene: Scene) -> tuple[Scene, dict[str, Path]]:

@@ -21,8 +21,7 @@ from twin.parts.camera import Camera
 from twin.show import html_page
 from twin.show.html_page import two_columns
 from twin.show.picture_overlays import GAIN, sample_figure
-from twin.study.dataset.plan import Places
-from twin.study.dataset.prepare import read_info
+from twin.study.dataset.plan import Places, read_info
 from twin.theory.optics import project
 
 if TYPE_CHECKING:

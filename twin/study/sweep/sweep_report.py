@@ -19,10 +19,9 @@ from twin.parts.sweep import METRICS
 from twin.show.html_page import digits, figure, page, table, two_columns
 from twin.show.svg_plots import Axes, dots, drawing, force_field, line, path
 from twin.study.recipe import dump_scene
-from twin.study.sweep.closed_form_design import closed
 from twin.study.sweep.designs import designs_at
-from twin.study.sweep.sweep_rows import Store, expected
-from twin.study.sweep.sweep_run import Swept, agreement, metric
+from twin.study.sweep.fidelities import closed
+from twin.study.sweep.sweep_run import Store, Swept, agreement, expected, metric
 
 MOST = 5
 """Designs that get a scene of their own."""
