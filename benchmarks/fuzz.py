@@ -39,7 +39,7 @@ WARM = (
     "numpy", "scipy.optimize", "scipy.sparse.linalg", "scipy.ndimage", "pyarrow.parquet", "PIL.Image", "yaml",
     "twin.cli", "twin.sense.reconstruct", "twin.sense.track", "twin.study.check", "twin.study.recorded",
     "twin.study.dataset.audit", "twin.study.dataset.export", "twin.study.dataset.create", "twin.study.dataset.reader",
-    "twin.study.sweep.sweep_run", "twin.show.terminal",
+    "twin.study.sweep.sweep_run",
     "twin.study.calibrate", "twin.world.elasticity.compliance", "twin.world.contact.pressing",
     "twin.study.reproduce.reproduction_run",
 )  # fmt: skip

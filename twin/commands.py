@@ -11,7 +11,8 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import hypot
@@ -22,9 +23,9 @@ from cyclopts import Parameter, Token
 
 from twin.errors import InputError, MissingCapability, RecipeError, SomeFailed, did_you_mean
 from twin.parts.methods import Method, WeightRule
-from twin.show.terminal import LiveTable, progress
 
 if TYPE_CHECKING:
+    from twin.arrays import Progress
     from twin.parts.scene import Scene
     from twin.sense.calibration import Calibration
     from twin.study.batch.pool import Scheduler
@@ -38,6 +39,11 @@ SHOWN = 5
 
 MOST_SAMPLES = 1_000_000_000
 """Years of work, and a plan that still fits into memory."""
+
+ROWS = 12
+"""Rows of frames that stay on the terminal."""
+
+HEAD = ("frame", "markers", "Fx N", "Fy N", "Fz N", "± Fz N", "Tz N mm", "ms", "")
 
 LONGEST = 80
 """Characters of the overrides in the name of output."""
@@ -117,6 +123,28 @@ class _Batch:
         return count, Scheduler(
             address=self.scheduler, ca=self.tls_ca, cert=self.tls_cert, key=self.tls_key
         )
+
+
+def _progress() -> Progress | None:
+    """Return a function that shows (what, share done), or None where stderr is not a terminal."""
+    if not sys.stderr.isatty():
+        return None
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    bar = Bar(*columns, TimeRemainingColumn(), console=console, transient=True)
+    task = bar.add_task("starting", total=1.0)
+    bar.start()
+
+    def show(what: str, share: float) -> None:
+        bar.update(task, description=what, completed=share)
+        if share >= 1.0:
+            bar.stop()
+
+    return show
 
 
 def _load(scene: str, overrides: Sequence[str]) -> Scene:
@@ -206,7 +234,7 @@ def run(
     loaded = _load(scene, set_)
     folder = out or Path("out") / _file_name(path, set_)
     with _scene_named(scene):
-        print(run_to_folder(loaded, folder, wanted, progress=progress()))
+        print(run_to_folder(loaded, folder, wanted, progress=_progress()))
 
 
 def _live(
@@ -217,7 +245,7 @@ def _live(
     if out is not None or want:
         raise InputError("--live writes nothing and shows all there is: leave out --out and --want")
     with _scene_named(scene):
-        run_live(_load(scene, (*QUICK, *set_)), port, progress())
+        run_live(_load(scene, (*QUICK, *set_)), port, _progress())
 
 
 def _wanted(names: Sequence[str]) -> frozenset[str]:
@@ -253,7 +281,7 @@ def mesh(
     from twin.study.check import describe_meshes
 
     loaded = _load(scene, set_)
-    lines = describe_meshes(loaded, rebuild=rebuild, export=export, progress=progress())
+    lines = describe_meshes(loaded, rebuild=rebuild, export=export, progress=_progress())
     print("\n".join(lines))
 
 
@@ -391,7 +419,7 @@ def view(
             f"--out {page}: allowed are .html for a page, {' and '.join(sorted(FILMS))} for a film"
         )
     scene = _load(str(folder / "scene.toml") if folder.is_dir() else path, set_)
-    bar = progress()
+    bar = _progress()
     sensor = Sensor(scene, bar)
     if window:
         from twin.show.body_view import require_window, show_body
@@ -445,7 +473,7 @@ def calibrate(
 
     loaded = _load(scene, (*set_, f"calibration.method={method}") if method else set_)
     with _scene_named(scene):
-        print(calibrate_to_file(loaded, out, progress(), folder))
+        print(calibrate_to_file(loaded, out, _progress(), folder))
 
 
 def reconstruct(
@@ -528,7 +556,7 @@ def reconstruct(
     )
     print(f"calibration {_described(known)}", file=sys.stderr)
     try:
-        with LiveTable() as live:
+        with _LiveTable() as live:
             for count, result in enumerate(results, start=1):
                 row = result.row(len(known.site_mm))
                 live.add(row)
@@ -570,6 +598,51 @@ def reconstruct(
         print(f"written to  {out}")
     if failed:
         raise SomeFailed(f"{failed} of {count} frames failed, the first trouble: {first}")
+
+
+class _LiveTable:
+    """Shows rows as they come: the last few on a terminal, all of them as lines elsewhere."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[str, ...]] = deque(maxlen=ROWS)
+        self._live: Any = None
+
+    def __enter__(self) -> _LiveTable:
+        if sys.stdout.isatty():
+            from rich.live import Live
+
+            self._live = Live(refresh_per_second=8, transient=False)
+            self._live.start()
+        else:
+            print("\t".join(HEAD[:-1]))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Show one frame's row."""
+        cells = (
+            str(row["frame"]),
+            str(row["markers"]),
+            *(f"{row[key]:.4f}" for key in ("fx_n", "fy_n", "fz_n", "sd_fz_n")),
+            f"{row['tz_nmm']:.4g}",
+            f"{row['milliseconds']:.1f}",
+        )
+        if self._live is not None:
+            self._rows.append((*cells, str(row["reason"])))
+            self._live.update(self._table())
+        else:
+            print("\t".join(cells))
+
+    def _table(self) -> Any:
+        from rich.table import Table
+
+        table = Table(*HEAD)
+        for cells in self._rows:
+            table.add_row(*cells)
+        return table
 
 
 def _size(row: dict[str, Any]) -> float:
@@ -665,11 +738,11 @@ def dataset(
     if batch.dry_run:
         from twin.study.dataset.create import estimate
 
-        for line in estimate(loaded, samples, workers=workers, progress=progress()):
+        for line in estimate(loaded, samples, workers=workers, progress=_progress()):
             print(line)
         return
     done = create_dataset(
-        loaded, folder, samples, workers=workers, scheduler=cluster, progress=progress()
+        loaded, folder, samples, workers=workers, scheduler=cluster, progress=_progress()
     )
     rate = f" ({done.made / done.seconds:.3g} a second)" if done.made else ""
     print(f"samples     {done.samples}, {done.made} of them made now{rate}")
@@ -697,7 +770,7 @@ def export(
     """
     from twin.study.dataset.export import export_dataset
 
-    files = export_dataset(folder, format, out, progress())
+    files = export_dataset(folder, format, out, _progress())
     print(f"{files[0] if files else out}: {len(files)} file{'s' if len(files) != 1 else ''}")
 
 
@@ -742,7 +815,7 @@ def sweep(
     from twin.study.sweep.sweep_run import run_sweep
 
     folder = batch.out or Path("out") / Path(sweep).stem
-    bar = progress()
+    bar = _progress()
     done = run_sweep(
         wanted, scene, folder, workers=workers, scheduler=cluster, progress=bar, optimise=optimise
     )
@@ -792,7 +865,7 @@ def reproduce(
 
     if not 0 <= seed < 2**63 - 100:
         raise InputError(f"--seed {seed}: allowed are whole numbers from 0 to 2^63 - 101")
-    done = run(names, out, seed=seed, quick=quick, progress=progress())
+    done = run(names, out, seed=seed, quick=quick, progress=_progress())
     print("\n".join(done.lines))
     if done.failed:
         raise SomeFailed(

@@ -317,8 +317,8 @@ def field_score(field: _Field, patches: Rectangles, frames: Floats | None = None
         total_torque_nmm=field.total_torque_nmm,
         surface_mm=patches.centre_mm,
         surface_force_n=patches.force_n,
-        true_force_n=patches.force_n.sum(axis=0),
-        true_torque_nmm=np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
+        true_force_n=patches.total_force_n,
+        true_torque_nmm=patches.total_torque_nmm,
         frames=frames,
     )
 

@@ -52,6 +52,16 @@ class Rectangles:
     def __getitem__(self, part: slice) -> Rectangles:
         return Rectangles(**{name: array[part] for name, array in vars(self).items()})
 
+    @property
+    def total_force_n(self) -> Floats:
+        """(3,) resultant force, N."""
+        return np.asarray(self.force_n.sum(axis=0))
+
+    @property
+    def total_torque_nmm(self) -> Floats:
+        """(3,) resultant torque about the origin, N mm."""
+        return np.asarray(np.cross(self.centre_mm, self.force_n).sum(axis=0))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Traction:

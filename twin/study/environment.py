@@ -14,8 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from twin.arrays import Floats, Picture, Pixels, Points, Progress
 from twin.blas_threads import one_blas_thread
 from twin.errors import ContactError, InputError, RecipeError
@@ -167,8 +165,8 @@ class Environment:
             marker_shift_px=sensor.project(rest + motion.displacement_mm) - sensor.project(rest),
             displacement_error=motion.error,
             force_n=into_cells(field.site_mm, patches.centre_mm, patches.force_n),
-            total_force_n=patches.force_n.sum(axis=0),
-            total_torque_nmm=np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
+            total_force_n=patches.total_force_n,
+            total_torque_nmm=patches.total_torque_nmm,
             state=state,
         )
         error = field_score(field, patches)

@@ -73,9 +73,6 @@ TABLES = (".parquet", ".csv", ".npz")
 _GROUP = 256
 """Rows of a Parquet group, which are held in memory."""
 
-_TOLD = ("seen", "strained", "partly hidden", "ambiguous")
-"""Markers' states that `Tally` names; all others are lost."""
-
 _FIELD = "force_n"
 """The column of every site's force; in Parquet and npz only."""
 
@@ -552,7 +549,7 @@ class Tally:
         markers = sum(self._states.values())
         if not markers:
             return []
-        share = {state: self._states.get(state, 0) / markers for state in _TOLD}
+        share = {state: self._states.get(state, 0) / markers for state in _BY_STATE}
         share["lost"] = 1.0 - sum(share.values())
         told = ", ".join(f"{100 * abs(part):.3g} % {state}" for state, part in share.items())
         expected = float(np.sqrt(self._squares / self._frames))
@@ -560,6 +557,16 @@ class Tally:
             f"markers     {told}",
             f"expected    error of a total force {expected:.2g} N, of the markers' noise alone",
         ]
+
+
+_LOST, _TEXT = (255, 210, 0), (255, 255, 255)
+_BY_STATE = {
+    "seen": (120, 255, 120),
+    "strained": (90, 220, 255),
+    "partly hidden": (255, 130, 40),
+    "ambiguous": (255, 90, 255),
+}
+"""Colours of markers by their state; others are lost."""
 
 
 class OverlayFile:
@@ -578,8 +585,6 @@ class OverlayFile:
 
     def add(self, number: int, result: _FrameResult) -> None:
         """Draw frame ``number``, counted from 1; one that can't be read is left out."""
-        from twin.show.picture_overlays import overlay
-
         if result.picture is None:
             return
         found, field = result.found, result.field
@@ -587,7 +592,7 @@ class OverlayFile:
         if field is not None:
             x, y, z = field.total_force_n
             text = f"{result.name}  Fx {x:.3f}  Fy {y:.3f}  Fz {z:.3f} N   {result.reason}"
-        drawn = overlay(result.picture, found, text)
+        drawn = _overlay(result.picture, found, text)
         if self._film:
             height, width = drawn.shape[:2]
             self._writer = self._writer or VideoWriter(self._target, (width, height))
@@ -604,3 +609,26 @@ class OverlayFile:
         """Finish a video."""
         if self._writer is not None:
             self._writer.close()
+
+
+def _overlay(picture: Picture, found: Found | None, text: str) -> Picture:
+    """Return an (h, w, 3) or (h, w) picture in colour, with a line of text and, if markers were
+    found, a line from every one's rest place (dot) to where it is, true to scale; those without a
+    shift are circles. Colours tell the states."""
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray(picture).convert("RGB")
+    draw = ImageDraw.Draw(image)
+    rows = (found.rest_px, found.shift_px, found.seen, found.states) if found else ()
+    for (x, y), (dx, dy), fine, state in zip(*rows, strict=True):
+        if not np.isfinite(x + y):
+            continue
+        colour = _BY_STATE.get(str(state), _LOST)
+        if fine:
+            draw.line((x, y, x + dx, y + dy), fill=colour)
+            draw.point((x, y), fill=_TEXT)
+        else:
+            draw.ellipse((x - 4, y - 4, x + 4, y + 4), outline=colour)
+    draw.rectangle((0, 0, image.width, 13), fill=(0, 0, 0))
+    draw.text((3, 1), text, fill=_TEXT)
+    return np.array(image)

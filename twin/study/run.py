@@ -288,8 +288,8 @@ class _Chain:
             marker_visible=np.zeros(0, bool),
             surface_mm=patches.centre_mm,
             surface_force_n=patches.force_n,
-            total_force_n=patches.force_n.sum(axis=0),
-            total_torque_nmm=np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
+            total_force_n=patches.total_force_n,
+            total_torque_nmm=patches.total_torque_nmm,
         )
 
     def _with_outlines(self, truth: Truth, motion: Motion) -> Truth:
@@ -471,7 +471,7 @@ def _touches(scene: Scene, state: ContactState | None) -> tuple[Touch, ...]:
         middle = np.average(patches.centre_mm, axis=0, weights=own.pressure_mpa)
         inward = patches.frames[np.argmin(np.linalg.norm(patches.centre_mm - middle, axis=1)), 2]
         axes = frame_of(tuple(inward))
-        push_n = float(patches.force_n.sum(axis=0) @ inward)
+        push_n = float(patches.total_force_n @ inward)
         expected, name = _closed_form(scene, press, own, push_n)
         found.append(
             Touch(

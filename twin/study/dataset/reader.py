@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import bisect
 import io
 import json
@@ -14,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Picture, Pixels, Points
+from twin.arrays import Floats, Picture, Pixels, Points
 from twin.errors import InputError, did_you_mean
 from twin.files import LARGEST_PX, write_whole
 from twin.parts.camera import Camera
 from twin.show import html_page
 from twin.show.html_page import two_columns
-from twin.show.picture_overlays import GAIN, sample_figure
 from twin.study.dataset.plan import Places, read_info
 from twin.theory.optics import project
 
@@ -264,6 +264,10 @@ def _value(scalar: Any, kind: str, decode: bool = True) -> Any:
 
 
 SHOWN = 24
+"""Samples on the sheet at most."""
+
+GAIN = 4.0
+"""Times by which the markers' shifts are drawn longer."""
 
 
 def view_dataset(folder: Path, page: Path) -> str:
@@ -300,16 +304,28 @@ def _figure(reader: DatasetReader, sample: dict[str, Any]) -> str:
         return html_page.figure(alarm, f"sample {sample['index']}: failed")
     camera = reader.info["camera"]
     rest = reader.sensor(sample["sensor"])["marker_rest_px"]
-    contact = np.zeros((0, 2))
+    size = f'width="{camera["width_px"]}" height="{camera["height_px"]}"'
+    parts = []
+    if sample.get("picture") is not None:
+        data = base64.b64encode(sample["picture"]).decode()
+        parts.append(f'<image href="data:image/png;base64,{data}" {size}/>')
     if sample.get("surface_mm") is not None:
-        contact = reader.project(sample["surface_mm"], sample["sensor"])
-    return sample_figure(
-        _title(sample),
-        sample.get("picture"),
-        (camera["width_px"], camera["height_px"]),
-        np.column_stack([rest, sample["marker_pressed_px"]]),
-        contact,
+        parts += [
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" fill="#fd0" opacity=".55"/>'
+            for x, y in _finite(reader.project(sample["surface_mm"], sample["sensor"]))
+        ]
+    steps = "".join(
+        f"M{a:.1f} {b:.1f}L{a + GAIN * (c - a):.1f} {b + GAIN * (d - b):.1f}"
+        for a, b, c, d in _finite(np.column_stack([rest, sample["marker_pressed_px"]]))
     )
+    parts.append(f'<path d="{steps}" stroke="#4f8" stroke-width="1.6"/>')
+    box = f'viewBox="-0.5 -0.5 {camera["width_px"]} {camera["height_px"]}"'
+    svg = f'<svg style="background:#111" {box}>{"".join(parts)}</svg>'
+    return html_page.figure(svg, escape(_title(sample)))
+
+
+def _finite(rows: Floats) -> Floats:
+    return rows[np.isfinite(rows).all(axis=1)]
 
 
 def _title(sample: dict[str, Any]) -> str:

@@ -216,8 +216,8 @@ def _truth_of(
     groups = [sensor.rectangles(Load((term,))) for term in load.terms] or [sensor.rectangles(load)]
     patches = join(groups)
     row: _Row = {
-        "force_n": patches.force_n.sum(axis=0),
-        "torque_nmm": np.cross(patches.centre_mm, patches.force_n).sum(axis=0),
+        "force_n": patches.total_force_n,
+        "torque_nmm": patches.total_torque_nmm,
         "surface_mm": patches.centre_mm,
         "surface_force_n": patches.force_n,
     }
