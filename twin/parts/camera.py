@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
@@ -99,6 +100,26 @@ class Camera(Part):
     def centre_px(self) -> tuple[float, float]:
         """(column, row) of the optical axis."""
         return self.principal_px or ((self.width_px - 1) / 2, (self.height_px - 1) / 2)
+
+    def deviating(
+        self,
+        front_mm: float,
+        pupil_mm: Sequence[float],
+        tilt_deg: Sequence[float],
+        focal: float,
+        distortion: float,
+    ) -> Camera:
+        """Return this camera as made: pupil, mm, and tilt, deg, moved; focal length changed by a
+        share; first coefficient of distortion changed. The pupil stays behind ``front_mm``."""
+        x, y, z = (a + b for a, b in zip(self.pupil_mm, pupil_mm, strict=True))
+        k1, k2, *others = self.distortion or (0.0, 0.0)
+        changes = {
+            "pupil_mm": (x, y, max(z, front_mm)),
+            "tilt_deg": tuple(a + b for a, b in zip(self.tilt_deg, tilt_deg, strict=True)),
+            "focal_px": self.focal_px * (1 + focal),
+            "distortion": (k1 + distortion, k2, *others),
+        }
+        return self.model_copy(update=changes)
 
 
 class Light(Part):

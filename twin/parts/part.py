@@ -55,6 +55,15 @@ def without_later(table: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def identity(value: Any) -> Any:
+    """Return a plain value as hashes take it, at every depth: without provenance, which is where a
+    number comes from and not what is built, and without keys that say nothing new."""
+    if isinstance(value, dict):
+        kept = without_later(value).items()
+        return {k: identity(v) for k, v in kept if k not in ("source", "assumed")}
+    return [identity(v) for v in value] if isinstance(value, list) else value
+
+
 def unit_of(key: str) -> str:
     """Return the unit that a key's suffix names (``depth_mm`` -> ``mm``), or an empty string."""
     return UNITS.get(key.rsplit("_", 1)[-1], "") if "_" in key else ""

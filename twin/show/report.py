@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from twin.arrays import Bools, Floats, Pixels, Points
+from twin.parts.part import UNITS
 from twin.results import RunResult, Touch, Truth
 from twin.show.html_page import cleaned, data_uri, digits, figure, finite, page, table, two_columns
 from twin.show.svg_plots import Axes, arrows, crosses, dots, drawing, force_field, line, nice
@@ -27,20 +28,8 @@ from twin.show.svg_plots import Axes, arrows, crosses, dots, drawing, force_fiel
 _STAGES = ("elastic", "tracking", "force")
 """Order of the stages in the table of errors; others follow."""
 
-_UNITS = {
-    "mm": "mm",
-    "n": "N",
-    "nmm": "N mm",
-    "mpa": "MPa",
-    "deg": "°",
-    "px": "px",
-    "s": "s",
-    "pct": "%",
-    "mm2": "mm²",
-    "mm3": "mm³",
-}
-"""Unit of a key by its suffix. `show` reads results only, so it doesn't ask the parts for
-theirs."""
+_UNITS = {**UNITS, "deg": "°", "s": "s", "mm2": "mm²", "mm3": "mm³"}
+"""Unit of a key by its suffix."""
 
 _NAMES = {
     "elastic.displacement_error": (

@@ -33,7 +33,7 @@ from twin.errors import ContactError, InputError, RecipeError
 from twin.files import cache_folder, make_folder
 from twin.parts.body import Block
 from twin.parts.camera import Camera
-from twin.parts.part import without_later
+from twin.parts.part import identity
 from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
 from twin.streams import Purpose, stream
@@ -161,15 +161,7 @@ def sensor_digest(scene: Scene) -> str:
     )
     table["calibration"].pop("file")
     table["reconstruction"] = table["reconstruction"]["sites"]
-    plain = json.dumps(_without_provenance(table), sort_keys=True)
-    return hashlib.sha256(plain.encode()).hexdigest()
-
-
-def _without_provenance(value: Any) -> Any:
-    if isinstance(value, dict):
-        kept = {k: v for k, v in without_later(value).items() if k not in {"source", "assumed"}}
-        return {k: _without_provenance(v) for k, v in kept.items()}
-    return [_without_provenance(v) for v in value] if isinstance(value, list) else value
+    return hashlib.sha256(json.dumps(identity(table), sort_keys=True).encode()).hexdigest()
 
 
 def _calibrate_by_design(sensor: Sensor) -> Calibration:

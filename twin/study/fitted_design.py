@@ -107,19 +107,13 @@ class FittedDesign:
     def camera_of(self, scaled: Floats) -> Camera:
         """Return the camera that the parameters say."""
         found, nominal = self._values(scaled), self.camera
-        front = self.scene.body.base_z_mm + sum(layer.thickness_mm for layer in nominal.layers)
-        moved = [found.get(f"pupil_{axis}", 0.0) for axis in AXES]
-        x, y, z = (a + b for a, b in zip(nominal.pupil_mm, moved, strict=True))
-        turned = [found.get(f"tilt_{axis}", 0.0) for axis in AXES]
-        tilt = tuple(a + b for a, b in zip(nominal.tilt_deg, turned, strict=True))
-        k1, k2, *others = nominal.distortion or (0.0, 0.0)
-        changes = {
-            "pupil_mm": (x, y, max(z, front)),
-            "tilt_deg": tilt,
-            "focal_px": nominal.focal_px * (1 + found["focal"]),
-            "distortion": (k1 + found["distortion"], k2, *others),
-        }
-        return nominal.model_copy(update=changes)
+        return nominal.deviating(
+            self.scene.body.base_z_mm + sum(layer.thickness_mm for layer in nominal.layers),
+            [found.get(f"pupil_{axis}", 0.0) for axis in AXES],
+            [found.get(f"tilt_{axis}", 0.0) for axis in AXES],
+            found["focal"],
+            found["distortion"],
+        )
 
     def markers_of(self, scaled: Floats, rest_px: Pixels) -> tuple[Points, Floats]:
         """Return the (n, 3) markers, mm, that are seen at ``rest_px``, and their (n, 2) print

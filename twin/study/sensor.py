@@ -115,14 +115,13 @@ def make(nominal: Scene) -> Actual:
     }
     camera = nominal.camera
     if camera is not None:
-        x, y, z = (c + tolerance.pupil_mm * deviation() for c in camera.pupil_mm)
-        front = nominal.body.base_z_mm + sum(layer.thickness_mm for layer in camera.layers)
-        a, b, c = (t + tolerance.tilt_deg * deviation() for t in camera.tilt_deg)
-        focal = camera.focal_px * (1 + tolerance.focal_pct / 100 * deviation())
-        k1, k2, *others = camera.distortion or (0.0, 0.0)
-        k1 += tolerance.distortion * deviation() if tolerance.distortion else 0.0
-        pose = {"pupil_mm": (x, y, max(z, front)), "tilt_deg": (a, b, c), "focal_px": focal}
-        camera = camera.model_copy(update={**pose, "distortion": (k1, k2, *others)})
+        camera = camera.deviating(
+            nominal.body.base_z_mm + sum(layer.thickness_mm for layer in camera.layers),
+            [tolerance.pupil_mm * deviation() for _ in range(3)],
+            [tolerance.tilt_deg * deviation() for _ in range(3)],
+            tolerance.focal_pct / 100 * deviation(),
+            tolerance.distortion * deviation() if tolerance.distortion else 0.0,
+        )
     changes = {"material": material, "cover": cover, "markers": layers, "camera": camera}
     noise = stream(nominal.seed, Purpose.PRINT).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)

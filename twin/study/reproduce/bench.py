@@ -28,7 +28,7 @@ from twin.arrays import Floats, Picture, Progress
 from twin.judge.score import field_score, into_cells
 from twin.parts.load import Load, Traction
 from twin.parts.methods import CentreMethod, Method
-from twin.parts.part import without_later
+from twin.parts.part import identity
 from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.sense.calibration import Calibration
@@ -610,15 +610,7 @@ def sensor_hash(paper: str) -> str:
 
 def _hash(scene: Scene) -> str:
     table = scene.model_dump(mode="json", include=set(SENSOR_KEYS))
-    return hashlib.sha256(json.dumps(_bare(table), sort_keys=True).encode()).hexdigest()
-
-
-def _bare(value: Any) -> Any:
-    """Drop sources and assumptions: they are about where a number comes from, not what is built."""
-    if isinstance(value, dict):
-        kept = without_later(value).items()
-        return {k: _bare(v) for k, v in kept if k not in {"source", "assumed"}}
-    return [_bare(v) for v in value] if isinstance(value, list) else value
+    return hashlib.sha256(json.dumps(identity(table), sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import binned_statistic_2d
 
 from twin.arrays import Bools, Floats, Points
 from twin.files import make_folder, png_bytes, write_whole
@@ -322,12 +323,10 @@ def _map(
     edges = [_edges(v) for v in (x, y)]
     if min(len(e) for e in edges) < 2:
         return ""
-    place = [
-        np.clip(np.searchsorted(e, v, side="right") - 1, 0, len(e) - 2)
-        for e, v in zip(edges, (x, y), strict=True)
-    ]
-    shape = (len(edges[0]) - 1, len(edges[1]) - 1)
-    binned, allowed = (_binned(place, v, shape) for v in (value, limit))
+    binned, allowed = (
+        binned_statistic_2d(x[known], y[known], v[known], "median", edges).statistic
+        for v, known in ((v, np.isfinite(v)) for v in (value, limit))
+    )
     known = np.isfinite(binned)
     if not known.any():
         return ""
@@ -371,36 +370,20 @@ def _edges(values: Floats) -> Floats:
     return np.linspace(known[0], known[-1], BINS + 1)
 
 
-def _binned(place: Sequence[np.ndarray], values: Floats, shape: tuple[int, int]) -> Floats:
-    """Return the median of finite values in every bin; NaN where there is none."""
-    out = np.full(shape, np.nan)
-    flat = place[0] * shape[1] + place[1]
-    finite = np.isfinite(values)
-    for number in np.unique(flat[finite]):
-        out.flat[number] = np.median(values[finite & (flat == number)])
-    return out
-
-
 def _border(axes: Axes, edges: Sequence[Floats], inside: np.ndarray, style: str) -> str:
     """Return the border between bins that are inside and those that are not."""
+    across, up = edges
+    wide = np.pad(inside, 1)  # nothing lies inside beyond the first and last bins
+    sides = [
+        [[across[i], up[j - 1]], [across[i], up[j]]] for i, j in np.argwhere(np.diff(wide, axis=0))
+    ]
+    sides += [
+        [[across[i - 1], up[j]], [across[i], up[j]]] for i, j in np.argwhere(np.diff(wide, axis=1))
+    ]
     steps = []
-    for i in range(inside.shape[0]):
-        for j in range(inside.shape[1]):
-            if not inside[i, j]:
-                continue
-            for di, dj, edge in (
-                (1, 0, [[edges[0][i + 1], edges[1][j]], [edges[0][i + 1], edges[1][j + 1]]]),
-                (-1, 0, [[edges[0][i], edges[1][j]], [edges[0][i], edges[1][j + 1]]]),
-                (0, 1, [[edges[0][i], edges[1][j + 1]], [edges[0][i + 1], edges[1][j + 1]]]),
-                (0, -1, [[edges[0][i], edges[1][j]], [edges[0][i + 1], edges[1][j]]]),
-            ):
-                a, b = i + di, j + dj
-                outside = (
-                    not (0 <= a < inside.shape[0] and 0 <= b < inside.shape[1]) or not inside[a, b]
-                )
-                if outside:
-                    (x0, y0), (x1, y1) = axes.place(np.array(edge)).tolist()
-                    steps.append(f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}")
+    for side in sides:
+        (x0, y0), (x1, y1) = axes.place(np.array(side)).tolist()
+        steps.append(f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}")
     return path(steps, style)
 
 
