@@ -323,10 +323,7 @@ def _map(
     edges = [_edges(v) for v in (x, y)]
     if min(len(e) for e in edges) < 2:
         return ""
-    binned, allowed = (
-        binned_statistic_2d(x[known], y[known], v[known], "median", edges).statistic
-        for v, known in ((v, np.isfinite(v)) for v in (value, limit))
-    )
+    binned, allowed = (_binned(x, y, v, edges) for v in (value, limit))
     known = np.isfinite(binned)
     if not known.any():
         return ""
@@ -368,6 +365,15 @@ def _edges(values: Floats) -> Floats:
         middle = (known[1:] + known[:-1]) / 2
         return np.concatenate([[2 * known[0] - middle[0]], middle, [2 * known[-1] - middle[-1]]])
     return np.linspace(known[0], known[-1], BINS + 1)
+
+
+def _binned(x: Floats, y: Floats, values: Floats, edges: Sequence[Floats]) -> Floats:
+    """Return the median of finite values in every bin; NaN where there is none."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.full([len(each) - 1 for each in edges], np.nan)
+    found = binned_statistic_2d(x[known], y[known], values[known], "median", edges)
+    return np.asarray(found.statistic)
 
 
 def _border(axes: Axes, edges: Sequence[Floats], inside: np.ndarray, style: str) -> str:
