@@ -16,6 +16,7 @@ from twin.errors import InputError, TwinError
 from twin.sense.track import track_frame
 from twin.show.reproduction_page import reproduction
 from twin.study.reproduce.bench import (
+    KAMIYAMA,
     MADE,
     OUR_TRACKER,
     Bench,
@@ -25,12 +26,14 @@ from twin.study.reproduce.bench import (
     Record,
     Trial,
     compared,
+    displaced,
+    measured,
+    pillar_press,
     sensor_hash,
 )
 from twin.study.reproduce.design_limits import width_mm
-from twin.study.reproduce.flat_figures import impulse, pillar_press
+from twin.study.reproduce.flat_figures import impulse
 from twin.study.reproduce.reproduction_run import ENTRIES, chosen, reproduce
-from twin.study.reproduce.shifted import KAMIYAMA, displaced, measured
 
 FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
 

@@ -25,28 +25,30 @@ from twin.sense.track import track_frame
 from twin.show.figure_panels import BarPanel, Curve, CurvePanel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import (
+    FIRST_EXPOSURE,
+    KAMIYAMA,
     ONCE,
     OUR_TRACKER,
+    READ_GF,
+    RESOLVED,
+    SATO,
     Bench,
     Chain,
     Entry,
     Numbers,
     Outcome,
+    Protocol,
     Quantity,
     Record,
     Rig,
     Trial,
-    once_each,
-)
-from twin.study.reproduce.finger_figures import (
-    FIRST_EXPOSURE,
-    READ_GF,
-    RESOLVED,
     force_line,
+    measured,
+    once_each,
+    pillar_press,
+    samples,
     sphere_press,
 )
-from twin.study.reproduce.flat_figures import pillar_press
-from twin.study.reproduce.shifted import KAMIYAMA, SATO, Protocol, measured, samples
 from twin.theory.limit import DIP, Limit, design_limit
 
 FORCE_N, HUMAN_MM = 1.0, 2.0
@@ -384,31 +386,28 @@ def _limiting_causes(bench: Bench) -> Outcome:
             chain = replace(own, overrides=overrides)
             noise = max(_shift_noise_px(bench, chain), 1e-3)
             limits[name] = _limit_of(chain.rig(bench), noise)
-            one = Quantity(f"{what}: full width at half maximum of a narrow force", "mm")
-            two = Quantity(f"{what}: least distance of two narrow forces", "mm")
             width[name] = _point_width_mm(bench, chain)
             apart[name] = _two_points_mm(bench, chain)
+            one = "full width at half maximum of a narrow force"
             numbers |= {
-                one: width[name],
-                two: apart[name],
+                Quantity(f"{what}: {one}", "mm"): width[name],
+                Quantity(f"{what}: least distance of two narrow forces", "mm"): apart[name],
                 Quantity(f"{what}: noise of a shift", "px"): noise,
                 **_limit_numbers(what, limits[name]),
             }
+        drawn = (
+            ("width of a narrow force", "full width at half maximum", width, "fwhm_normal_mm"),
+            ("two forces told apart", "least distance", apart, "two_point_mm"),
+        )
         panels += [
             BarPanel(
-                title=f"{label}: width of a narrow force",
-                values=width,
-                across="full width at half maximum (mm)",
-                marks={name: float(limit.fwhm_normal_mm[0]) for name, limit in limits.items()},
+                title=f"{label}: {title}",
+                values=values,
+                across=f"{across} (mm)",
+                marks={name: float(getattr(limit, key)[0]) for name, limit in limits.items()},
                 marked="closed-form limit of the design",
-            ),
-            BarPanel(
-                title=f"{label}: two forces told apart",
-                values=apart,
-                across="least distance (mm)",
-                marks={name: float(limit.two_point_mm[0]) for name, limit in limits.items()},
-                marked="closed-form limit of the design",
-            ),
+            )
+            for title, across, values, key in drawn
         ]
     note = (
         "The limits are of a half-space seen straight on, by two layers with noise but no print "
@@ -442,6 +441,24 @@ def _timed(
     return Record(quantity=quantity, twin=value, spread=spread, n=n)
 
 
+def _sorted_times(
+    curves: Mapping[str, Floats], across: str, unit: str, levels: Mapping[str, float]
+) -> CurvePanel:
+    """Draw the sorted times of every way by name."""
+    count = len(next(iter(curves.values())))
+    return CurvePanel(
+        title=f"{count} {across}s, sorted",
+        curves=[
+            Curve(label=name, x=np.arange(float(count)), y=np.sort(times))
+            for name, times in curves.items()
+        ],
+        across=across,
+        up=f"time ({unit})",
+        logarithmic=True,
+        levels=levels,
+    )
+
+
 def _flat_times(bench: Bench) -> Outcome:
     rig, count = bench.rig("kamiyama"), 20 if bench.quick else TRIALS
     picture = rig.picture(rig.motion(rig.press(pillar_press()).load), 1)
@@ -455,7 +472,8 @@ def _flat_times(bench: Bench) -> Outcome:
         ),
         "this project's tracker and linear constraint": (OUR_TRACKER, {}, FRAME_S),
     }
-    records, curves = [], []
+    records = []
+    curves: dict[str, Floats] = {}
     for number, (name, (tracker, options, paper)) in enumerate(ways.items()):
         bench.progress(name, number / len(ways))
         given = {**options, "weight": fixed}
@@ -468,15 +486,8 @@ def _flat_times(bench: Bench) -> Outcome:
             _timed(f"{name}: from the frame to the force field", "s", paper, mean, count, spread),
             _timed(f"{name}: frames a second (goal 70)", "Hz", None, rate, count),
         ]
-        curves.append(Curve(label=name, x=np.arange(float(count)), y=1e3 * np.sort(seconds)))
-    panel = CurvePanel(
-        title=f"{count} frames, sorted",
-        curves=curves,
-        across="frame",
-        up="time (ms)",
-        logarithmic=True,
-        levels={"70 Hz": 1e3 / 70},
-    )
+        curves[name] = 1e3 * seconds
+    panel = _sorted_times(curves, "frame", "ms", {"70 Hz": 1e3 / 70})
     note = (
         "The paper's times are of a 1.8 GHz Pentium 4 in 2003 and hold 0.03 s of capture and 0.02 "
         "s of noise reduction; they differ from these by the machine and by capture, which nothing "
@@ -490,7 +501,8 @@ def _finger_times(bench: Bench) -> Outcome:
     pictures = [rig.picture(None, 20 + k) for k in range(4)]
     chain, before = Chain(paper="sato", method="pinv"), np.zeros_like(rig.rest().rest_px)
     printed = {1: (CALCULATED_US, 56.0), 4: (2159.0, 43.0)}
-    records, curves = [], []
+    records = []
+    curves: dict[str, Floats] = {}
     for sensors, (average, deviation) in printed.items():
         bench.progress(f"{sensors} sensors", sensors / 5)
         micros = 1e6 * _frame_seconds(rig, pictures[:sensors], count, chain, before)
@@ -501,15 +513,8 @@ def _finger_times(bench: Bench) -> Outcome:
             _timed(time_of, "µs", average, mean, count, spread),
             _timed(f"{what}: standard deviation of the time", "µs", deviation, spread, count),
         ]
-        curves.append(Curve(label=what, x=np.arange(float(count)), y=np.sort(micros)))
-    panel = CurvePanel(
-        title=f"{count} trials, sorted",
-        curves=curves,
-        across="trial",
-        up="time (µs)",
-        levels={"60 frames a second": 1e6 / 60},
-        logarithmic=True,
-    )
+        curves[what] = micros
+    panel = _sorted_times(curves, "trial", "µs", {"60 frames a second": 1e6 / 60})
     note = "The paper's times are of a 2.8 GHz Pentium D in 2008; these are of this machine."
     return Outcome(records=records, panels=(panel,), notes=(note,))
 

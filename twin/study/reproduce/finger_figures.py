@@ -4,7 +4,7 @@ resolution of magnitude (Fig. 8) and place (Fig. 9)."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -12,19 +12,20 @@ import numpy as np
 
 from twin.arrays import Floats, Ints
 from twin.judge.resolution import full_width
-from twin.parts.press import Cylinder, Press, Sphere, Step
-from twin.parts.sweep import GF
 from twin.sense.calibration import Calibration
 from twin.show.figure_panels import Curve, CurvePanel, Panel, PicturePanel
-from twin.streams import Purpose, stream
 from twin.study.reproduce.bench import (
+    FIRST_EXPOSURE,
     OUR_TRACKER,
     OUR_TRACKER_INSTEAD,
+    PRELOAD_GF,
     QUIET,
+    READ_GF,
     SMOOTH,
     Bench,
     Chain,
     Entry,
+    ForceLine,
     Numbers,
     Outcome,
     Quantity,
@@ -34,25 +35,20 @@ from twin.study.reproduce.bench import (
     arrow_panel,
     compared,
     field_panel,
+    force_line,
     once_each,
     rest_numbers,
+    sphere_press,
 )
 from twin.study.sensor import Motion
 
 PITCH_MM, STEP_MM = 2.5, 0.5
 EXPOSURES, REPEATS = 5, 5
-PRELOAD_GF, FORCE_GF = 200.0, 200.0
-READ_GF = 30.0
-"""The resolution of the magnitude that the paper prints."""
-
-FIRST_EXPOSURE = 2000
+FORCE_GF = 200.0
 AXES = ("x", "y", "z")
 PLACES = {"centre": (0.0, 0.0), "edge": (5.0, 0.0)}
 """First of the two adjacent calibrated points; the second lies one pitch further in, along x, or
 along y."""
-
-RESOLVED = 1.96 * 2**0.5
-"""Differences of two readings above this many standard deviations of one are real at 95 %."""
 
 OUR_WAY: dict[str, Any] = {"tracking.method": OUR_TRACKER}
 FEW: dict[str, Any] = {
@@ -75,12 +71,6 @@ def _ways(bench: Bench) -> dict[str, Chain]:
         f"{OUR_TRACKER_INSTEAD}{too}": replace(PAPER, tracker=OUR_TRACKER, calibrated_by=OUR_WAY),
         SMOOTH: replace(PAPER, method="smooth"),
     }
-
-
-def sphere_press(place_mm: tuple[float, float], gram_force: float) -> Press:
-    """Return a press of the 3 mm sphere along z at a place (x, y) above the surface, sticking."""
-    force = (None, None, gram_force * GF)
-    return Press(probe=Sphere(diameter_mm=3), at_mm=place_mm, force_n=force, friction=np.inf)
 
 
 def _site_errors(made: Calibration, wanted: Calibration) -> Floats:
@@ -201,60 +191,6 @@ def _figure_7(bench: Bench) -> Outcome:
     return Outcome(records=records, panels=panels)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Line:
-    """Readings against applied forces, gf, and the straight line through them."""
-
-    applied_gf: Floats
-    measured_gf: Floats
-
-    @property
-    def fit(self) -> Floats:
-        """(2,) slope and offset of the least-squares line."""
-        return np.polyfit(self.applied_gf, self.measured_gf, 1)
-
-    @property
-    def squares(self) -> float:
-        """Sum of the squared differences from the line, gf^2."""
-        return float(((self.measured_gf - np.polyval(self.fit, self.applied_gf)) ** 2).sum())
-
-    @property
-    def resolution_gf(self) -> float:
-        """Smallest difference of applied force that two single readings resolve at 95 %."""
-        deviation = np.sqrt(self.squares / (len(self.applied_gf) - 2))
-        return float(RESOLVED * deviation / abs(self.fit[0]))
-
-
-def force_line(
-    bench: Bench, chain: Chain, axis: int, steps: int, repeats: int, first: int = FIRST_EXPOSURE
-) -> _Line:
-    """Take the 10 mm cylinder's path through pictures and the inverse, ``repeats`` times with noise
-    of their own: 200 gf down and then sideways, or down in steps; it sticks."""
-    levels = [PRELOAD_GF * (k + 1) / steps * GF for k in range(steps)]
-    down = PRELOAD_GF * GF
-    if axis == 2:
-        path = [Step(force_n=(None, None, level)) for level in levels]
-    else:
-        path = [Step(force_n=(None, None, down))]
-        for level in levels:
-            x, y = (level if k == axis else None for k in range(2))
-            path.append(Step(force_n=(x, y, down)))
-    press = Press(probe=Cylinder(diameter_mm=10), friction=np.inf, steps=tuple(path))
-    rig = chain.rig(bench)
-    states = rig.press(press).path[-steps:]
-    applied, measured = [], []
-    for repeat in range(repeats):
-        for number, state in enumerate(states):
-            exposure = first + 1000 * axis + 100 * repeat + number
-            rig.motion(state.load)  # kept; its error is noted
-            field = chain.solved(bench, rig, chain.film(rig, state.load, exposure))
-            noise = stream(rig.scene.seed, Purpose.LOAD_CELL, exposure).standard_normal()
-            cell = rig.scene.calibration.load_cell_n * noise
-            applied.append((state.force_n[axis] + cell) / GF)
-            measured.append(field.total_force_n[axis] / GF)
-    return _Line(applied_gf=np.array(applied), measured_gf=np.array(measured))
-
-
 WIDEST = "largest difference of measured and applied force"
 
 
@@ -267,11 +203,11 @@ def _figure_8(bench: Bench) -> Outcome:
             continue
         bench.progress(f"cylinder along {name}", axis / 3)
 
-        def line(way: Chain, trial: Trial, axis: int = axis) -> _Line:
+        def line(way: Chain, trial: Trial, axis: int = axis) -> ForceLine:
             times = 1 if way.calibrated_by == QUIET else repeats
             return force_line(bench, way, axis, steps, times, FIRST_EXPOSURE + trial.exposures)
 
-        def numbers(run: _Line, name: str = name) -> Numbers:
+        def numbers(run: ForceLine, name: str = name) -> Numbers:
             scatter = ((run.measured_gf - run.measured_gf.mean()) ** 2).sum()
             resolution = "resolution: smallest difference two readings tell apart at 95 %"
             n = f"(n times {repeats} repeats)"

@@ -22,6 +22,7 @@ from twin.study.reproduce.bench import (
     OUR_TRACKER,
     OUR_TRACKER_INSTEAD,
     PAPERS_TRACKER,
+    PILLAR_N,
     QUIET,
     Bench,
     Chain,
@@ -37,11 +38,9 @@ from twin.study.reproduce.bench import (
     compared,
     field_panel,
     once_each,
+    pillar_press,
     rest_numbers,
 )
-
-PILLAR_N = 3.0
-"""Force on the 5 mm pillar, in no paper: the same in every entry."""
 
 PITCH_MM, BAND_MM, SHAPE_BAND_MM = 1.5, 0.8, 4.0
 WIDTHS_MM, LENGTH_MM, PRESSURE_MPA = (2.0, 4.0, 6.0, 8.0, 10.0), 16.0, 0.15
@@ -70,11 +69,6 @@ BLIND = Chain(paper="kamiyama", method="norm", calibrated_by="no camera")
 FREE = Chain(paper="kamiyama", method="pinv")
 TRACKED = Chain(paper="kamiyama", tracker=OUR_TRACKER)
 OURS = "inverse, tracker and block: this project's"
-
-
-def pillar_press(force_n: float = PILLAR_N) -> Press:
-    """Return the press of Figs. 9 to 13: the 5 mm pillar, along z, at the middle."""
-    return Press(probe=Cylinder(diameter_mm=5), force_n=(0, 0, force_n))
 
 
 def impulse(axis: int, at_mm: tuple[float, float] = (0.0, 0.0), sign: float = 1.0) -> Load:

@@ -6,88 +6,43 @@ also the markers are moved and filmed again, which is what a shift in use looks 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from twin.arrays import Floats, Picture
 from twin.sense.track import Found
 from twin.show.figure_panels import HistogramPanel
 from twin.study.reproduce.bench import (
+    KAMIYAMA,
     NO_NOISE,
-    ONCE,
     OUR_TRACKER,
     OUR_TRACKER_INSTEAD,
     QUIET,
+    SATO,
+    WAYS,
     Bench,
     Chain,
     Entry,
     Numbers,
     Outcome,
+    Protocol,
     Quantity,
     Record,
-    Trial,
+    Way,
     arrow_panel,
     compared,
+    measured,
+    samples,
 )
 
 SECOND = (
     "noise common to both pictures off: a second exposure displaced instead of the rest "
     "picture itself"
 )
-Way = Literal["digital", "re-rendered"]
-WAYS: tuple[Way, ...] = ("digital", "re-rendered")
 AXES = ("x", "y")
 NEAR_PX = 0.1
 """Averages agree within this, px: half a standard deviation of the papers' single markers."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Protocol:
-    """One paper's test.
-
-    Attributes
-    ----------
-    sensor
-        The paper.
-    shift_px
-        Displacement along x, px.
-    exposure
-        Which exposure is displaced digitally: 0 is the rest picture itself.
-    paper
-        (average, standard deviation) by layer and axis, px.
-    """
-
-    sensor: str
-    shift_px: int
-    exposure: int
-    paper: Mapping[tuple[str, str], tuple[float, float]]
-
-
-KAMIYAMA = Protocol(
-    sensor="kamiyama",
-    shift_px=3,
-    exposure=0,
-    paper={
-        ("blue", "x"): (3.09, 0.19),
-        ("blue", "y"): (0.05, 0.22),
-        ("red", "x"): (3.02, 0.25),
-        ("red", "y"): (0.06, 0.19),
-    },
-)
-SATO = Protocol(
-    sensor="sato",
-    shift_px=5,
-    exposure=7,
-    paper={
-        ("red", "x"): (4.87, 0.14),
-        ("red", "y"): (0.03, 0.14),
-        ("blue", "x"): (4.95, 0.13),
-        ("blue", "y"): (0.00, 0.10),
-    },
-)
 
 
 def _causes(protocol: Protocol) -> dict[str, Chain]:
@@ -100,43 +55,21 @@ def _causes(protocol: Protocol) -> dict[str, Chain]:
     }
 
 
-def displaced(picture: Picture, shift_px: int) -> Picture:
-    """Return a picture moved to the right by whole pixels; its left edge is drawn out."""
-    left = np.repeat(picture[:, :1], shift_px, axis=1)
-    return np.concatenate([left, picture[:, :-shift_px]], axis=1)
-
-
-def measured(
-    bench: Bench, protocol: Protocol, way: Way, chain: Chain, trial: Trial = ONCE
-) -> Found:
-    """Shift the markers and track them, once for all entries."""
-    rig = chain.rig(bench, trial)
-
-    def work() -> Found:
-        if way == "digital":
-            picture = displaced(rig.picture(None, protocol.exposure), protocol.shift_px)
-        else:
-            picture = rig.picture(rig.shifted((protocol.shift_px, 0.0)), 8)
-        return rig.track(picture, chain.tracker)
-
-    return bench.once(("shifted", id(rig), way, protocol.exposure, chain.tracker), work)
-
-
-def samples(found: Found, layer: str) -> Floats:
-    """Return (m, 2) the shifts of a layer's tracked markers, px, x to the right and y up."""
-    shift = found.shift_px[found.layer == layer]
-    return np.asarray(shift[np.isfinite(shift).all(axis=1)] * (1, -1))
-
-
-def _runs(bench: Bench, protocol: Protocol, way: Way, chain: Chain) -> list[Found]:
-    trials = bench.trials(protocol.sensor, pressed=False)
-    return [measured(bench, protocol, way, chain, trial) for trial in trials]
-
-
-def _off(bench: Bench, protocol: Protocol, way: Way) -> dict[str, Found]:
-    """Return the test with one cause switched off, by name."""
-    causes = _causes(protocol)
-    return {name: measured(bench, protocol, way, chain) for name, chain in causes.items()}
+def _compared(
+    bench: Bench,
+    protocol: Protocol,
+    way: Way,
+    numbers: Callable[[Found], Numbers],
+    causes: Mapping[str, Chain],
+) -> tuple[list[Record], list[Found], dict[str, Found]]:
+    """Return `Bench.compare` of the test, with the paper's tracker."""
+    return bench.compare(
+        lambda chain, trial: measured(bench, protocol, way, chain, trial),
+        numbers,
+        Chain(paper=protocol.sensor),
+        causes,
+        bench.trials(protocol.sensor, pressed=False),
+    )
 
 
 def _moments(found: Found, protocol: Protocol, label: str, *, paper: bool) -> Numbers:
@@ -160,20 +93,22 @@ def _table(bench: Bench, protocol: Protocol) -> Outcome:
     better: list[Record] = []
     own = Chain(paper=protocol.sensor)
     for number, way in enumerate(WAYS):
-        bench.progress(f"{way}, as published", number / len(WAYS))
-        runs = _runs(bench, protocol, way, own)
-        ours = _runs(bench, protocol, way, replace(own, tracker=OUR_TRACKER))
-        bench.progress(f"{way}, with causes off", (number + 0.5) / len(WAYS))
-        off = _off(bench, protocol, way)
+        bench.progress(way, number / len(WAYS))
+
+        def theirs(found: Found, way: Way = way) -> Numbers:
+            return _moments(found, protocol, f"{way} shift, the paper's", paper=True)
+
+        compare, runs, off = _compared(bench, protocol, way, theirs, _causes(protocol))
         if way == "digital" and protocol.exposure == 0:
             off[SECOND] = measured(bench, replace(protocol, exposure=7), way, own)
-        label = f"{way} shift, the paper's"
-        records += compared(
-            [_moments(run, protocol, label, paper=True) for run in runs],
-            {name: _moments(run, protocol, label, paper=True) for name, run in off.items()},
-        )
+            without = {name: theirs(run) for name, run in off.items()}
+            compare = compared([theirs(run) for run in runs], without)
+        records += compare
+        ours = replace(own, tracker=OUR_TRACKER)
+        trials = bench.trials(protocol.sensor, pressed=False)
+        found = [measured(bench, protocol, way, ours, trial) for trial in trials]
         label = f"{way} shift, this project's"
-        better += compared([_moments(run, protocol, label, paper=False) for run in ours])
+        better += compared([_moments(run, protocol, label, paper=False) for run in found])
     panels = _histograms(bench, protocol, "x")
     return Outcome(records=[*records, *better], panels=panels, notes=(_note(protocol),))
 
@@ -212,19 +147,18 @@ def _figure_7(bench: Bench) -> Outcome:
     records: list[Record] = []
     panels = []
     for way in WAYS:
-        share = Quantity(f"{way} shift: share of markers with a vector")
-        error = Quantity(f"{way} shift: root mean square error of a vector", "px")
-        runs = _runs(bench, KAMIYAMA, way, Chain(paper="kamiyama"))
-        wrong = [run.shift_px[run.seen] - (KAMIYAMA.shift_px, 0.0) for run in runs]
-        records += compared(
-            [
-                {
-                    share: float(run.seen.mean()),
-                    error: float(np.sqrt((each**2).sum(axis=1).mean())),
-                }
-                for run, each in zip(runs, wrong, strict=True)
-            ]
-        )
+
+        def numbers(run: Found, way: Way = way) -> Numbers:
+            wrong = run.shift_px[run.seen] - (KAMIYAMA.shift_px, 0.0)
+            return {
+                Quantity(f"{way} shift: share of markers with a vector"): float(run.seen.mean()),
+                Quantity(f"{way} shift: root mean square error of a vector", "px"): float(
+                    np.sqrt((wrong**2).sum(axis=1).mean())
+                ),
+            }
+
+        found, runs, _ = _compared(bench, KAMIYAMA, way, numbers, {})
+        records += found
         panels.append(arrow_panel(f"3 px to the right, {way}", runs[0], 5.0))
     return Outcome(records=records, panels=panels)
 
@@ -242,11 +176,7 @@ def _figure_8(bench: Bench) -> Outcome:
                 for number, axis in enumerate(AXES)
             }
 
-        runs = _runs(bench, KAMIYAMA, way, Chain(paper="kamiyama"))
-        off = _off(bench, KAMIYAMA, way)
-        records += compared(
-            [numbers(run) for run in runs], {name: numbers(run) for name, run in off.items()}
-        )
+        records += _compared(bench, KAMIYAMA, way, numbers, _causes(KAMIYAMA))[0]
     panels = _histograms(bench, KAMIYAMA, "x") + _histograms(bench, KAMIYAMA, "y")
     return Outcome(records=records, panels=panels, notes=(_note(KAMIYAMA),))
 
