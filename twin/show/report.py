@@ -110,13 +110,7 @@ _SHARES = ("_error", "matched", "share", "ratio")
 
 
 def report(result: RunResult) -> str:
-    """Return the report of a run as one self-contained HTML page.
-
-    Parameters
-    ----------
-    result
-        Anything from a bare scene to a full run.
-    """
+    """Return the report of anything from a bare scene to a full run as one HTML page."""
     sections = [
         ("Pictures", _pictures(result)),
         ("Marker motion", _motion(result)),

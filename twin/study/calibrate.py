@@ -110,18 +110,10 @@ def calibration_of(sensor: Sensor) -> Calibration:
 def calibrate_to_file(
     scene: Scene, out: Path, progress: Progress | None = None, folder: Path | None = None
 ) -> str:
-    """Calibrate a sensor by the scene's method, write the file and return a line about it.
+    """Calibrate a sensor by the scene's method, write the file ``out`` (.npz) and return a line
+    about it.
 
-    Parameters
-    ----------
-    scene
-        The nominal design, with ``[reconstruction]``.
-    out
-        The calibration file, .npz.
-    progress
-        Called during the work.
-    folder
-        Recording of a real sensor; the scene's made sensor without.
+    With ``folder``, the recording of a real sensor; else the scene's made sensor.
 
     Raises
     ------

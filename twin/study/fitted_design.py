@@ -55,8 +55,6 @@ class FittedDesign:
         Squares on the surface where presses were made (`twin.study.sensor.on_surface`).
     radius_mm
         (p,) nominal contact radius of the presses there.
-    progress
-        Told when a mesh has to be made.
     """
 
     def __init__(

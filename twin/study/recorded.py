@@ -316,18 +316,10 @@ class _FrameResult:
 def reconstruct_frames(
     rest: Picture, calibration: Calibration, sequence: Iterable[Frame], **options: Any
 ) -> Iterator[_FrameResult]:
-    """Yield the result of every frame.
+    """Yield the result of every frame of a sequence.
 
-    Parameters
-    ----------
-    rest
-        The picture without load.
-    calibration
-        Of this sensor.
-    sequence
-        Frames in order.
-    options
-        Of `twin.sense.reconstruct.reconstruct`.
+    ``rest`` is the picture without load; ``options`` are those of
+    `twin.sense.reconstruct.reconstruct`.
 
     Raises
     ------

@@ -83,14 +83,8 @@ def with_values(
 ) -> Scene:
     """Return the scene with other values at dotted keys, validated whole.
 
-    Parameters
-    ----------
-    scene
-        Any scene.
-    values
-        By dotted key; numbers in a key are places in a list (``press.steps.1.force_n``).
-    follows
-        Axes that follow other keys; the others are ignored.
+    Numbers in a key are places in a list (``press.steps.1.force_n``). Of ``follows`` only the axes
+    that follow other keys count.
 
     Raises
     ------

@@ -71,8 +71,6 @@ def create_dataset(
         Where to, and how many; it may hold the beginning of the same dataset, which can grow.
     workers, scheduler
         See `twin.study.batch.pool.Pool`.
-    progress
-        Called with the current work and the share that is done.
 
     Raises
     ------

@@ -31,22 +31,16 @@ _PER_TAR = 1000
 def export_dataset(
     folder: Path, form: str, out: Path, progress: Progress | None = None
 ) -> list[Path]:
-    """Write a dataset in another format and return the files.
+    """Write a dataset in another format into the folder ``out`` and return the files.
 
     Parameters
     ----------
-    folder
-        Of the dataset.
     form
         ``hdf5``: one file with ``tactile/rgb``, ``tactile/rest``, ``tactile/marker`` (rest and
         pressed pixels), ``tactile/marker_displacement``, ``wrench`` and the other columns under
         ``truth``, in the way of visuo-tactile simulators; ``coco``: ``images/`` and
         ``keypoints.json`` with every marker as a keypoint; ``webdataset``: tar files of
         ``NNNNNNNN.png``, ``.json`` and ``.npz``.
-    out
-        Folder to write to.
-    progress
-        Told the share that is done.
 
     Raises
     ------

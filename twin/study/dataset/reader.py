@@ -98,12 +98,7 @@ class DatasetReader:
     def column(self, name: str, *, only_ok: bool = True) -> Any:
         """Return a column of all rows: an array where all rows are as long, else a list of arrays.
 
-        Parameters
-        ----------
-        name
-            Of the column.
-        only_ok
-            Leave out the rows of samples that failed.
+        ``only_ok`` leaves out the rows of samples that failed.
         """
         self._known([name])
         table = self.table([name, "status"])

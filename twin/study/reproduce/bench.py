@@ -472,8 +472,6 @@ class Bench:
         Root seed; a paper's made sensors have this and the following ones.
     quick
         One made sensor a paper, and less of everything.
-    progress
-        Called with every piece of work.
     """
 
     def __init__(
@@ -555,16 +553,8 @@ class Bench:
     ) -> tuple[list[Record], list[T], dict[str, T]]:
         """Measure a chain in several trials, and once with every cause switched off.
 
-        Parameters
-        ----------
-        measure
-            Makes a run of a chain.
-        numbers
-            The numbers of a run.
-        chain, causes
-            The chain, and the chains in which one cause is switched off, by its name.
-        trials
-            By default those of the paper.
+        ``measure`` makes a run, of which ``numbers`` are taken; ``causes`` are the chains in which
+        one cause is switched off, by its name; trials are by default the paper's.
 
         Returns
         -------

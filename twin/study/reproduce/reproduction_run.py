@@ -102,8 +102,6 @@ def reproduce(
         Root seed of sensors and noise.
     quick
         One made sensor, fewer steps and no long entries, for a first look.
-    progress
-        Called with every piece of work.
 
     Raises
     ------

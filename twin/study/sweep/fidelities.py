@@ -201,15 +201,6 @@ def linear(
     """Return a design's metrics by name, and its expected estimate of the push in the
     middle.
 
-    Parameters
-    ----------
-    scene, view
-        The design, and how its camera sees it.
-    sweep
-        What is asked.
-    bodies, pushes
-        The compliances, and what pushes.
-
     Raises
     ------
     RecipeError
@@ -638,7 +629,7 @@ def cost(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> dict[str
     once before.
 
     One exposure of two loads, by one made sensor, is scaled to the sweep's loads, exposures and
-    sensors. Arguments and errors are those of `full`.
+    sensors.
     """
     began = time.process_time()
     few = sweep.model_copy(update={"loads": sweep.loads.model_copy(update={"exposures": 1})})

@@ -83,16 +83,8 @@ class Pushes:
 
 
 def pushes_of(body: Body, loads: Loads, half_mm: tuple[float, float], seed: int) -> Pushes:
-    """Return the pushes of a sweep on a body.
-
-    Parameters
-    ----------
-    body, loads
-        See `twin.parts.sweep.Loads`.
-    half_mm
-        Half sides of the presses' region, mm.
-    seed
-        Root of the quasi-random places.
+    """Return the pushes of a sweep on a body: presses at quasi-random places of a region with half
+    sides ``half_mm``.
 
     Raises
     ------

@@ -214,13 +214,7 @@ def _region(sweep: Sweep, scene: Scene) -> tuple[float, float]:
 
 
 class Store:
-    """Finished rows by key; one process writes.
-
-    Parameters
-    ----------
-    folder
-        Of the sweep.
-    """
+    """Finished rows of a sweep's folder by key; one process writes."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / "rows.jsonl"
@@ -278,19 +272,7 @@ class Store:
 
 
 class _Runner:
-    """Runs designs of one sweep, and keeps their rows.
-
-    Parameters
-    ----------
-    sweep, scene
-        What is swept.
-    folder
-        Where rows are kept.
-    workers, scheduler
-        See `twin.study.batch.pool.run_tasks`.
-    progress
-        Called with what is done.
-    """
+    """Runs designs of one sweep (`twin.study.batch.pool.run_tasks`), and keeps their rows."""
 
     def __init__(
         self,
@@ -622,16 +604,10 @@ def advice(sites_mm: float, wanted_mm: float) -> str:
 
 
 def metric(columns: Mapping[str, Floats], name: str, upto: str = "full") -> Floats | None:
-    """Return a metric at the best fidelity that each design has it at; None if none has.
+    """Return a metric at the best fidelity, ``upto`` at most, that each design has it at; None if
+    none has.
 
-    Parameters
-    ----------
-    columns
-        (m,) numbers by ``<fidelity>_<metric>``.
-    name
-        Of the metric.
-    upto
-        The last fidelity to look at.
+    ``columns`` are (m,) numbers by ``<fidelity>_<metric>``.
     """
     found: Floats | None = None
     for fidelity in FIDELITIES:
