@@ -18,7 +18,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -310,7 +310,7 @@ class _Workshop:
         return self._made
 
 
-_workshops: dict[Path, _Workshop] = {}
+_workshop = lru_cache(maxsize=1)(_Workshop)
 
 
 @contextmanager
@@ -319,15 +319,13 @@ def _working(folder: Path) -> Iterator[_Workshop]:
 
     Fields in the cache of other runs may have been summed by several threads.
     """
-    if folder not in _workshops:
-        _workshops.clear()
-        _workshops[folder] = _Workshop(folder)
+    shop = _workshop(folder)
     before, base = os.environ.get("TWIN_CACHE"), cache_folder()
     os.environ["TWIN_CACHE"] = str(base if base.name == "one-thread" else base / "one-thread")
     cache_folder.cache_clear()
     try:
         with pin(folder):
-            yield _workshops[folder]
+            yield shop
     finally:
         if before is None:
             os.environ.pop("TWIN_CACHE", None)

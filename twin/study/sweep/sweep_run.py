@@ -40,6 +40,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -161,15 +162,12 @@ class _Workshop:
         return figures, file.getvalue()
 
 
-_SHOPS: dict[Path, _Workshop] = {}
+_workshop = lru_cache(maxsize=1)(_Workshop)
 
 
 def make_rows(folder: Path, task: int) -> Rows:
     """Return the rows of a task of the job whose files are in ``folder``."""
-    if folder not in _SHOPS:
-        _SHOPS.clear()
-        _SHOPS[folder] = _Workshop(folder)
-    shop = _SHOPS[folder]
+    shop = _workshop(folder)
     before = shop.bodies.asked, shop.bodies.made
     done = [shop.row(values) for values in shop.values[task * shop.chunk : (task + 1) * shop.chunk]]
     asked, made = shop.bodies.asked - before[0], shop.bodies.made - before[1]
