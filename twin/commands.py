@@ -11,11 +11,9 @@ import hashlib
 import os
 import re
 import sys
-from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
@@ -27,23 +25,14 @@ from twin.parts.methods import Method, WeightRule
 if TYPE_CHECKING:
     from twin.arrays import Progress
     from twin.parts.scene import Scene
-    from twin.sense.calibration import Calibration
     from twin.study.batch.pool import Scheduler
 
 
 PAGES = (".html", ".htm")
 WANTED = ("displacement", "picture", "tracking", "forces", "score", "report")
 
-SHOWN = 5
-"""Frames whose trouble is printed one by one; the table has all."""
-
 MOST_SAMPLES = 1_000_000_000
 """Years of work, and a plan that still fits into memory."""
-
-ROWS = 12
-"""Rows of frames that stay on the terminal."""
-
-HEAD = ("frame", "markers", "Fx N", "Fy N", "Fz N", "± Fz N", "Tz N mm", "ms", "")
 
 LONGEST = 80
 """Characters of the overrides in the name of output."""
@@ -528,153 +517,23 @@ def reconstruct(
     twin reconstruct rest.png film.mp4 --calibration flat.npz --overlay drawn.mp4
     ... | twin reconstruct rest.png - --size 640x480 --format rgb24 --calibration flat.npz
     """
-    from twin.sense.calibration import read_calibration
-    from twin.sense.reconstruct import check_options
-    from twin.study import recorded
+    from twin.study.recorded import reconstruct_recording
 
-    recorded.check_sources(frames, overlay, size, format)
-    _keep_inputs((rest, calibration, *map(Path, frames)), out=out, overlay=overlay)
-    known = read_calibration(calibration)
-    chosen = _weight(weight)
-    check_options(method, chosen, push_only, friction, camera, known)
-    table = recorded.TableFile(out, known.site_mm) if out else None
-    drawing = recorded.OverlayFile(overlay) if overlay else None
-    count, failed, doubted = 0, 0, 0
-    first, last = "", ""
-    largest: dict[str, Any] = {}
-    tally = recorded.Tally()
-    results = recorded.reconstruct_frames(
-        recorded.read_picture(rest),
-        known,
-        recorded.frames(frames, sys.stdin.buffer, size, format),
+    reconstruct_recording(
+        rest,
+        frames,
+        calibration,
+        out=out,
+        overlay=overlay,
+        size=size,
+        layout=format,
         method=method,
-        weight=chosen,
+        weight=_weight(weight),
         push_only=push_only,
         friction=friction,
         robust=robust,
         camera=camera,
     )
-    print(f"calibration {_described(known)}", file=sys.stderr)
-    try:
-        with _LiveTable() as live:
-            for count, result in enumerate(results, start=1):
-                row = result.row(len(known.site_mm))
-                live.add(row)
-                tally.add(result)
-                if result.field is not None and _size(row) >= _size(largest):
-                    largest = row
-                if table:
-                    table.add(row)
-                if drawing:
-                    drawing.add(count, result)
-                if result.reason:
-                    failed += result.field is None
-                    doubted += result.field is not None
-                    first = first or f"{result.name}: {result.reason}"
-                    if failed + doubted <= SHOWN and result.reason != last:
-                        kind = "failed" if result.field is None else "doubtful"
-                        print(f"twin: {kind}: {result.name}: {result.reason}", file=sys.stderr)
-                last = result.reason
-    finally:
-        for sink in (table, drawing):
-            if sink:
-                sink.close()
-    if not count:
-        raise InputError("there were no frames")
-    to = sys.stdout if out else sys.stderr
-    print(f"frames      {count}, {failed} failed, {doubted} doubtful", file=to)
-    print(*tally.lines(), sep="\n", end="\n" if largest else "", file=to)
-    if largest:
-        parts = [f"F{a} {largest[f'f{a}_n']:.4g} ± {largest[f'sd_f{a}_n']:.2g}" for a in "xyz"]
-        print(f"largest     {', '.join(parts)} N, in {largest['frame']}", file=to)
-        if push_only or friction is not None:
-            parts = [f"F{a} {largest[f'sum_f{a}_n']:.4g}" for a in "xyz"]
-            print(
-                f"sites' sum  {', '.join(parts)} N there; the total above is that of the "
-                "unbounded solve",
-                file=to,
-            )
-    if out:
-        print(f"written to  {out}")
-    if failed:
-        raise SomeFailed(f"{failed} of {count} frames failed, the first trouble: {first}")
-
-
-class _LiveTable:
-    """Shows rows as they come: the last few on a terminal, all of them as lines elsewhere."""
-
-    def __init__(self) -> None:
-        self._rows: deque[tuple[str, ...]] = deque(maxlen=ROWS)
-        self._live: Any = None
-
-    def __enter__(self) -> _LiveTable:
-        if sys.stdout.isatty():
-            from rich.live import Live
-
-            self._live = Live(refresh_per_second=8, transient=False)
-            self._live.start()
-        else:
-            print("\t".join(HEAD[:-1]))
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def add(self, row: Mapping[str, Any]) -> None:
-        """Show one frame's row."""
-        cells = (
-            str(row["frame"]),
-            str(row["markers"]),
-            *(f"{row[key]:.4f}" for key in ("fx_n", "fy_n", "fz_n", "sd_fz_n")),
-            f"{row['tz_nmm']:.4g}",
-            f"{row['milliseconds']:.1f}",
-        )
-        if self._live is not None:
-            self._rows.append((*cells, str(row["reason"])))
-            self._live.update(self._table())
-        else:
-            print("\t".join(cells))
-
-    def _table(self) -> Any:
-        from rich.table import Table
-
-        table = Table(*HEAD)
-        for cells in self._rows:
-            table.add_row(*cells)
-        return table
-
-
-def _size(row: dict[str, Any]) -> float:
-    """Return the size of a row's total force, N; 0 of no row."""
-    return hypot(*(row[f"f{axis}_n"] for axis in "xyz")) if row else 0.0
-
-
-def _described(known: Calibration) -> str:
-    """Return the sensor that a calibration is of, so that a wrong one is noticed."""
-    stiffness = known.facts.get("youngs_modulus_mpa")
-    parts = [
-        str(known.facts.get("scene") or "of an unnamed sensor"),
-        f"method {known.method}",
-        *([f"E {stiffness} MPa"] if stiffness is not None else []),
-        f"{len(known.layer)} markers",
-        f"{len(known.site_mm)} sites",
-    ]
-    return ", ".join(parts)
-
-
-def _keep_inputs(inputs: Sequence[Path], **outputs: Path | None) -> None:
-    """Refuse output over an input, or between inputs: drawings in a folder would be its next
-    frames."""
-    read = {os.path.realpath(path) for path in inputs}
-    for option, path in outputs.items():
-        if path is None:
-            continue
-        places = {path, path.parent} if option == "overlay" else {path}
-        if read & {os.path.realpath(place) for place in places}:
-            raise InputError(
-                f"--{option} {path}: is what is read, or in a folder that is; give another name"
-            )
 
 
 def _weight(text: str) -> float | WeightRule:

@@ -12,9 +12,12 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 import re
+import sys
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -25,10 +28,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Points
-from twin.errors import InputError, MissingCapability, TwinError
+from twin.errors import InputError, MissingCapability, SomeFailed, TwinError
 from twin.files import LARGEST_PX, make_folder, png_bytes, write_whole
-from twin.sense.calibration import Calibration
-from twin.sense.reconstruct import Bump, Field, camera_bump, reconstruct
+from twin.sense.calibration import Calibration, read_calibration
+from twin.sense.reconstruct import Bump, Field, camera_bump, check_options, reconstruct
 from twin.sense.track import Found, Tracker
 
 PICTURES = (".png", ".bmp", ".jpg", ".jpeg")
@@ -121,10 +124,10 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
         raise InputError(f"{path}: can't be read ({problem})") from None
 
 
-def check_sources(
+def _check_sources(
     sources: Sequence[str], overlay: Path | None, size: str | None, layout: str | None
 ) -> None:
-    """Refuse, before any work, what `frames` or `OverlayFile` would refuse later.
+    """Refuse, before any work, what `frames` or `_OverlayFile` would refuse later.
 
     Raises
     ------
@@ -433,7 +436,7 @@ def _centre(field: Field) -> np.ndarray:
     )
 
 
-class TableFile:
+class _TableFile:
     """A table written row by row, with the (k, 3) ``sites``, mm; its suffix is its format."""
 
     def __init__(self, path: Path, sites: Points) -> None:
@@ -518,37 +521,232 @@ class TableFile:
         self._rows = []
 
 
-class Tally:
-    """What became of the markers of a sequence, and the force error that follows."""
+_SHOWN = 5
+"""Frames whose trouble is printed one by one; the table has all."""
+
+
+def reconstruct_recording(
+    rest: Path,
+    sources: Sequence[str],
+    calibration: Path,
+    *,
+    out: Path | None = None,
+    overlay: Path | None = None,
+    size: str | None = None,
+    layout: str | None = None,
+    **options: Any,
+) -> None:
+    """Reconstruct recorded frames: print a row of each and a summary, write table and drawings.
+
+    Parameters
+    ----------
+    rest, sources, calibration
+        The picture without load, see `frames`, and the calibration's file.
+    out, overlay
+        Table, and frames with the motion drawn in; see `_TableFile` and `_OverlayFile`.
+    size, layout
+        ``WxH`` and format of raw frames.
+    options
+        Of `twin.sense.reconstruct.reconstruct`.
+
+    Raises
+    ------
+    InputError
+        Something is given that can't be used, or there are no frames.
+    SomeFailed
+        Frames failed; the others are written.
+    """
+    _check_sources(sources, overlay, size, layout)
+    _keep_inputs((rest, calibration, *map(Path, sources)), out=out, overlay=overlay)
+    known = read_calibration(calibration)
+    bounded = options["push_only"] or options["friction"] is not None
+    check_options(
+        options["method"],
+        options["weight"],
+        options["push_only"],
+        options["friction"],
+        options["camera"],
+        known,
+    )
+    table = _TableFile(out, known.site_mm) if out else None
+    drawing = _OverlayFile(overlay) if overlay else None
+    pictures = frames(sources, sys.stdin.buffer, size, layout)
+    results = reconstruct_frames(read_picture(rest), known, pictures, **options)
+    print(f"calibration {_described(known)}", file=sys.stderr)
+    summary = _Summary()
+    try:
+        with _LiveTable() as live:
+            for result in results:
+                row = result.row(len(known.site_mm))
+                live.add(row)
+                summary.add(result, row)
+                if table:
+                    table.add(row)
+                if drawing:
+                    drawing.add(summary.count, result)
+    finally:
+        for sink in (table, drawing):
+            if sink:
+                sink.close()
+    if not summary.count:
+        raise InputError("there were no frames")
+    print("\n".join(summary.lines(bounded)), file=sys.stdout if out else sys.stderr)
+    if out:
+        print(f"written to  {out}")
+    if summary.failed:
+        raise SomeFailed(
+            f"{summary.failed} of {summary.count} frames failed, the first trouble: {summary.first}"
+        )
+
+
+class _Summary:
+    """What became of the frames and their markers, and the force error that follows.
+
+    Attributes
+    ----------
+    count, failed
+        Frames.
+    first
+        The first frame with a reason, and this.
+    """
 
     def __init__(self) -> None:
+        self.count, self.failed = 0, 0
+        self.first = ""
+        self._doubted = 0
+        self._last = ""
+        self._largest: dict[str, Any] = {}
         self._states: dict[str, int] = {}
-        self._squares = 0.0
-        self._frames = 0
+        self._squares: list[float] = []
 
-    def add(self, result: _FrameResult) -> None:
-        """Count a frame; one that failed has nothing to count."""
-        if result.found is None or result.field is None:
-            return
-        for state, count in zip(*np.unique(result.found.states, return_counts=True), strict=True):
-            self._states[str(state)] = self._states.get(str(state), 0) + int(count)
-        self._squares += float((result.field.sd_total_n**2).sum())
-        self._frames += 1
+    def add(self, result: _FrameResult, row: dict[str, Any]) -> None:
+        """Count a frame; print its trouble."""
+        self.count += 1
+        if result.found is not None and result.field is not None:
+            states = np.unique(result.found.states, return_counts=True)
+            for state, count in zip(*states, strict=True):
+                self._states[str(state)] = self._states.get(str(state), 0) + int(count)
+            self._squares.append(float((result.field.sd_total_n**2).sum()))
+            if _size(row) >= _size(self._largest):
+                self._largest = row
+        if result.reason:
+            kind = "failed" if result.field is None else "doubtful"
+            self.failed += kind == "failed"
+            self._doubted += kind == "doubtful"
+            self.first = self.first or f"{result.name}: {result.reason}"
+            if self.failed + self._doubted <= _SHOWN and result.reason != self._last:
+                print(f"twin: {kind}: {result.name}: {result.reason}", file=sys.stderr)
+        self._last = result.reason
 
-    def lines(self) -> list[str]:
-        """Return shares of the states, and the standard deviation of total forces (root mean square
-        over the frames) that the markers' stated ones lead to; nothing without frames."""
+    def lines(self, bounded: bool) -> list[str]:
+        """Return counts of frames, shares of the markers' states, the standard deviation of total
+        forces (root mean square over the frames) that the markers' stated ones lead to, and the
+        largest force; ``bounded``: the sites' forces are held to pushes or to friction cones."""
+        lines = [f"frames      {self.count}, {self.failed} failed, {self._doubted} doubtful"]
+        if not self._largest:
+            return lines
         markers = sum(self._states.values())
-        if not markers:
-            return []
         share = {state: self._states.get(state, 0) / markers for state in _BY_STATE}
         share["lost"] = 1.0 - sum(share.values())
         told = ", ".join(f"{100 * abs(part):.3g} % {state}" for state, part in share.items())
-        expected = float(np.sqrt(self._squares / self._frames))
-        return [
+        expected = float(np.sqrt(sum(self._squares) / len(self._squares)))
+        row = self._largest
+        parts = [f"F{a} {row[f'f{a}_n']:.4g} ± {row[f'sd_f{a}_n']:.2g}" for a in "xyz"]
+        lines += [
             f"markers     {told}",
             f"expected    error of a total force {expected:.2g} N, of the markers' noise alone",
+            f"largest     {', '.join(parts)} N, in {row['frame']}",
         ]
+        if bounded:
+            parts = [f"F{a} {row[f'sum_f{a}_n']:.4g}" for a in "xyz"]
+            lines.append(
+                f"sites' sum  {', '.join(parts)} N there; the total above is that of the "
+                "unbounded solve"
+            )
+        return lines
+
+
+def _size(row: dict[str, Any]) -> float:
+    """Return the size of a row's total force, N; 0 of no row."""
+    return math.hypot(*(row[f"f{axis}_n"] for axis in "xyz")) if row else 0.0
+
+
+_ROWS = 12
+"""Rows that stay on a terminal."""
+
+_HEAD = ("frame", "markers", "Fx N", "Fy N", "Fz N", "± Fz N", "Tz N mm", "ms", "")
+
+
+class _LiveTable:
+    """Shows rows as they come: the last few on a terminal, all of them as lines elsewhere."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[str, ...]] = deque(maxlen=_ROWS)
+        self._live: Any = None
+
+    def __enter__(self) -> _LiveTable:
+        if sys.stdout.isatty():
+            from rich.live import Live
+
+            self._live = Live(refresh_per_second=8, transient=False)
+            self._live.start()
+        else:
+            print("\t".join(_HEAD[:-1]))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Show one frame's row."""
+        cells = (
+            str(row["frame"]),
+            str(row["markers"]),
+            *(f"{row[key]:.4f}" for key in ("fx_n", "fy_n", "fz_n", "sd_fz_n")),
+            f"{row['tz_nmm']:.4g}",
+            f"{row['milliseconds']:.1f}",
+        )
+        if self._live is not None:
+            self._rows.append((*cells, str(row["reason"])))
+            self._live.update(self._table())
+        else:
+            print("\t".join(cells))
+
+    def _table(self) -> Any:
+        from rich.table import Table
+
+        table = Table(*_HEAD)
+        for cells in self._rows:
+            table.add_row(*cells)
+        return table
+
+
+def _described(known: Calibration) -> str:
+    """Return the sensor that a calibration is of, so that a wrong one is noticed."""
+    stiffness = known.facts.get("youngs_modulus_mpa")
+    parts = [
+        str(known.facts.get("scene") or "of an unnamed sensor"),
+        f"method {known.method}",
+        *([f"E {stiffness} MPa"] if stiffness is not None else []),
+        f"{len(known.layer)} markers",
+        f"{len(known.site_mm)} sites",
+    ]
+    return ", ".join(parts)
+
+
+def _keep_inputs(inputs: Sequence[Path], **outputs: Path | None) -> None:
+    """Refuse output over an input, or between inputs: drawings in a folder would be its next
+    frames."""
+    read = {os.path.realpath(path) for path in inputs}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        places = {path, path.parent} if option == "overlay" else {path}
+        if read & {os.path.realpath(place) for place in places}:
+            raise InputError(
+                f"--{option} {path}: is what is read, or in a folder that is; give another name"
+            )
 
 
 _LOST, _TEXT = (255, 210, 0), (255, 255, 255)
@@ -561,7 +759,7 @@ _BY_STATE = {
 """Colours of markers by their state; others are lost."""
 
 
-class OverlayFile:
+class _OverlayFile:
     """Frames with the motion drawn in: a .png, a folder of them, or a video."""
 
     def __init__(self, target: Path) -> None:

@@ -74,7 +74,7 @@ def chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reproduced:
+class _Reproduced:
     """A reproduction in its folder: lines for the terminal, and the entries that could not be
     finished, with the reason."""
 
@@ -89,7 +89,7 @@ def reproduce(
     seed: int = 1,
     quick: bool = False,
     progress: Progress | None = None,
-) -> Reproduced:
+) -> _Reproduced:
     """Run the papers' experiments and write ``index.html``, ``results.json`` and an SVG for each.
 
     Parameters
@@ -118,7 +118,7 @@ def reproduce(
     if progress is not None:
         progress("done", 1.0)
     lines = [_line(entry, _kept(out, entry, bench), failed) for entry in wanted]
-    return Reproduced(lines=[*lines, f"written to {out / 'index.html'}"], failed=failed)
+    return _Reproduced(lines=[*lines, f"written to {out / 'index.html'}"], failed=failed)
 
 
 def _run_all(out: Path, wanted: Sequence[Entry], bench: Bench) -> dict[str, str]:
