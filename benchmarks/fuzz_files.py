@@ -173,8 +173,7 @@ def shard(inside: Path, table: Callable[[Any], Any]) -> None:
 
 
 def _resum(inside: Path) -> None:
-    from twin.study.dataset.plan import Places
-    from twin.study.dataset.prepare import sums
+    from twin.study.dataset.plan import Places, sums
 
     places = Places(inside / "data")
     places.sums.write_text("".join(f"{digest}  {name}\n" for name, digest in sums(places.folder).items()))
