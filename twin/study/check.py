@@ -26,7 +26,7 @@ from twin.files import MESHES, SCENES, cache_folder, read_arrays
 from twin.parts.part import Part
 from twin.parts.scene import Scene
 from twin.study.doubts import doubts
-from twin.study.recipe import find_scene, load_scene
+from twin.study.recipe import find_scene, load_scene, read_recipe
 
 if TYPE_CHECKING:
     from twin.sense.track import Found
@@ -57,16 +57,16 @@ def check_path(name: str) -> list[str]:
             f"{len(calibration.transfer) // 2} markers: ok"
         ]
     from twin.study.sensor import make
-    from twin.study.sweep.designs import is_sweep
 
-    if is_sweep(find_scene(name)):
+    file = find_scene(name)
+    if file.suffix == ".toml" and "axes" in read_recipe(file):
         from twin.study.sweep.sweep_run import looked_over
 
-        return looked_over(find_scene(name))
+        return looked_over(file)
     scene = load_scene(name)
     make(scene)
     _mesh_own_body(scene)
-    lines = [f"{find_scene(name)}: ok"]
+    lines = [f"{file}: ok"]
     lines += [f"warning: {doubt}" for doubt in doubts(scene)]
     bare = unsourced(scene)
     if bare:

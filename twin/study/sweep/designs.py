@@ -254,11 +254,6 @@ def load_sweep(name: str | Path) -> tuple[Sweep, Scene]:
     return sweep, scene
 
 
-def is_sweep(path: Path) -> bool:
-    """Return whether a recipe is a sweep's: it has axes."""
-    return path.suffix == ".toml" and "axes" in read_recipe(path)
-
-
 def sweep_of(table: dict[str, Any], where: str) -> Sweep:
     """Return the sweep of a table read from ``where``."""
     if "axes" not in table and table.keys() & Scene.model_fields.keys() - Sweep.model_fields.keys():
