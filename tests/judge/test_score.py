@@ -6,6 +6,7 @@ import pytest
 
 from twin.errors import InputError
 from twin.judge.score import field_score, force_score, into_cells, score, tracking_score
+from twin.parts.load import Rectangles
 
 
 def pushes(**changes):
@@ -140,7 +141,9 @@ def test_a_spread_takes_two_markers():
 
 def test_a_field_is_scored_against_the_patches_that_press():
     given = pushes()
-    patches = SimpleNamespace(centre_mm=given["surface_mm"], force_n=given["surface_force_n"])
+    centre_mm, force_n = np.array(given["surface_mm"]), np.array(given["surface_force_n"])
+    frames, half_mm = np.broadcast_to(np.eye(3), (len(centre_mm), 3, 3)), np.ones((len(centre_mm), 2))
+    patches = Rectangles(centre_mm=centre_mm, frames=frames, half_mm=half_mm, force_n=force_n)
     assert field_score(SimpleNamespace(**given), patches) == force_score(**given)
 
 
