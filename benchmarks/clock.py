@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from statistics import median
-from typing import Any
 
 from twin.files import cache_folder
 
@@ -74,19 +73,3 @@ def empty_cache() -> Iterator[None]:
             else:
                 os.environ["TWIN_CACHE"] = before
             cache_folder.cache_clear()
-
-
-@contextmanager
-def recorded(module: Any, name: str) -> Iterator[list[tuple[Any, ...]]]:
-    """Record the arguments of every call of a function."""
-    plain, calls = getattr(module, name), list[tuple[Any, ...]]()
-
-    def recording(*arguments: Any) -> Any:
-        calls.append(arguments)
-        return plain(*arguments)
-
-    setattr(module, name, recording)
-    try:
-        yield calls
-    finally:
-        setattr(module, name, plain)

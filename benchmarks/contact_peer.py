@@ -6,8 +6,7 @@ same rigid profile and total force. The truth is tamaas on a grid of 512 x 512.
 
 Seconds are medians of a warm process's runs, each from a probe to its pressures, indentation, force and torques; twin
 also finds where the contact is and how large (tamaas is given a square that fits it), and area, energy and validity.
-``equilibrium_s`` are of the solution alone, influences at hand. Why so many runs: of nine that take a fifth of a
-millisecond each, most are still warming up.
+Why so many runs: of nine that take a fifth of a millisecond each, most are still warming up.
 """
 
 from __future__ import annotations
@@ -22,15 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.clock import median_cpu_s, recorded
+from benchmarks.clock import median_cpu_s
 from benchmarks.flat import BLOCK, HalfSpace
 from benchmarks.pages import PEER, SAID
 from twin.arrays import Floats
 from twin.parts.load import Rectangles
 from twin.parts.material import plane_strain_modulus
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere
-from twin.world.contact import pressing
-from twin.world.contact.contact_search import solve_frictionless
 from twin.world.contact.pressing import ContactState, press
 
 SCRIPT = Path(__file__).with_name("contact_tamaas.py")
@@ -97,7 +94,6 @@ class Found:
     indentation_mm: float
     pressure_mpa: float
     cpu_s: float
-    equilibrium_s: float
 
 
 def peer_rows(quick: bool) -> list[dict[str, Any]]:
@@ -116,7 +112,7 @@ def peer_rows(quick: bool) -> list[dict[str, Any]]:
                 error = abs(found.indentation_mm / truth.indentation_mm - 1)
                 rows.append(
                     {"what": PEER, "case": case.name, "program": program, "cells": size, "cpu_s": found.cpu_s,
-                     "equilibrium_s": found.equilibrium_s, "indentation error": error,
+                     "indentation error": error,
                      "pressure error": abs(found.pressure_mpa / truth.pressure_mpa - 1)}
                 )  # fmt: skip
     return rows
@@ -142,7 +138,7 @@ def tamaas(python: str, case: Case, cells: int) -> Found:
         weighted = float((pressure**2).sum() / pressure.sum())
         return Found(
             indentation_mm=float(answer["indentation"]), pressure_mpa=weighted,
-            cpu_s=profile_s + float(answer["cpu_s"]), equilibrium_s=float(answer["solution_s"]),
+            cpu_s=profile_s + float(answer["cpu_s"]),
         )  # fmt: skip
 
 
@@ -152,12 +148,10 @@ def ours(case: Case, across: int) -> Found:
     def pressed() -> ContactState:
         return press(case.press, BLOCK, HalfSpace(NU), patches_across=across, youngs_modulus_mpa=1.0, poisson_ratio=NU)
 
-    with recorded(pressing, "solve_frictionless") as calls:
-        state = pressed()
+    state = pressed()
     seconds = median_cpu_s(pressed, RUNS, ENOUGH_S)
-    equilibrium = median_cpu_s(lambda: solve_frictionless(*calls[-1]), RUNS, ENOUGH_S)
     terms = [term for term in state.load.terms if isinstance(term, Rectangles)]
     force = np.concatenate([term.force_n[:, 2] for term in terms])
     area = np.concatenate([4.0 * np.prod(term.half_mm, axis=1) for term in terms])
     weighted = float((force**2 / area).sum() / force.sum())
-    return Found(indentation_mm=state.indentation_mm, pressure_mpa=weighted, cpu_s=seconds, equilibrium_s=equilibrium)
+    return Found(indentation_mm=state.indentation_mm, pressure_mpa=weighted, cpu_s=seconds)

@@ -2,9 +2,7 @@
 
 CPU milliseconds a sample of one process, after a shard that warms everything up. The last rows are of one process and
 of dask with 1 and 2 workers: every shard says how many CPU seconds its samples took; whatever else all processes spend
-until the last shard is there (messages, the way of the bytes, heartbeats) is the overhead. Heartbeats go by the clock,
-tasks or none, so what idle processes spend is measured, too, and from that what the overhead is where workers have the
-cores for themselves.
+until the last shard is there (messages, the way of the bytes, heartbeats) is the overhead.
 """
 
 from __future__ import annotations
@@ -27,9 +25,6 @@ from twin.study.recipe import load_scene
 
 WARM = 3
 """Shards of every worker before the clock is started."""
-
-IDLE_S = 5.0
-"""How long idle processes are watched."""
 
 
 def timed(folder: Path, shard: int) -> tuple[ShardBytes, float]:
@@ -58,13 +53,11 @@ def _by_workers(name: str, scene: str, overrides: dict[str, Any], samples: int) 
                 clock, before = time.perf_counter(), _cpu()
                 spent = sum(done.result[1] for done in run(job, range(warm, warm + shards)))
                 wall, cpu = time.perf_counter() - clock, _cpu() - before
-                idle = _idle() if workers else 0.0
         count = shards * each
         how = f"dask, {workers} worker{'s' if workers > 1 else ''}" if workers else "one process"
-        own_cores = (cpu - idle * wall) / spent - 1 + idle / max(1, workers)
-        found.append({"what": f"{name}, {how}", "samples": count, "total": 1000 * cpu / count,
-                      "overhead_percent": 100 * (cpu / spent - 1), "on_own_cores_percent": 100 * own_cores,
-                      "idle_ms_per_s": 1000 * idle, "per_s_wall": count / wall})  # fmt: skip
+        overhead = 100 * (cpu / spent - 1)
+        row = {"what": f"{name}, {how}", "samples": count, "total": 1000 * cpu / count}
+        found.append(row | {"overhead_percent": overhead, "per_s_wall": count / wall})
     return found
 
 
@@ -78,13 +71,6 @@ def _runner(workers: int) -> Iterator[Callable[[Job, Iterable[int]], Iterator[Do
 
     with workers_here(workers) as cluster:
         yield lambda job, numbers: tasks_on_cluster(job, numbers, cluster)
-
-
-def _idle() -> float:
-    """Return the CPU seconds that idle processes spend in a second."""
-    clock, before = time.perf_counter(), _cpu()
-    time.sleep(IDLE_S)
-    return (_cpu() - before) / (time.perf_counter() - clock)
 
 
 def _cpu() -> float:

@@ -11,11 +11,10 @@ and to the clamped rim, the same for every program. Each program is used as its 
 * NGSolve: curved elements, static condensation, its own sparse Cholesky (on these systems MKL's Pardiso took twice as
   long, UMFPACK a third more);
 * CalculiX (the command ``ccx``): quadratic tetrahedra C3D10, its default direct solver, one deck a load; writing the
-  deck is left out of the time. It has no element with pressure unknowns, so Poisson's ratio stays below 1/2;
-* scikit-fem: its own forms and bases, SciPy's SuperLU in the symmetric mode and order that suit such matrices.
+  deck is left out of the time. It has no element with pressure unknowns, so Poisson's ratio stays below 1/2.
 
 At Poisson's ratio 1/2 a millionth is taken off the pressure block: without it NGSolve's factorisation has returned
-garbage, and SuperLU would pivot.
+garbage.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ import numpy as np
 from benchmarks.clock import Clock, Cost, empty_cache
 from benchmarks.elasticity import compliance, warm_up
 from benchmarks.reference import BODIES, YOUNGS_MODULUS_MPA, reference
-from twin.arrays import Bools, Floats, Points
+from twin.arrays import Floats, Points
 from twin.world.mesh.elements import signed_volumes
 from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.quadratic_mesh import Mesh
@@ -176,13 +175,6 @@ def traction(body: str, places: Points) -> Floats:
     if body == "block":
         return np.asarray((np.abs(places) <= PATCH_MM / 2 * np.array([1, 1, 0]) + 1e-9).all(axis=1), float)
     return np.asarray(np.maximum(0.0, 1.0 - np.sum((places / BUMP_MM) ** 2, axis=1)) ** 2)
-
-
-def may_be_loaded(body: str, middles: Points) -> Bools:
-    """Return which boundary faces may bear some of the load, by their middles (f, 3), mm."""
-    if body == "block":
-        return traction(body, middles) > 0
-    return np.asarray(np.linalg.norm(middles, axis=1) < 2 * BUMP_MM)
 
 
 _A, _B = (6 - np.sqrt(15)) / 21, (6 + np.sqrt(15)) / 21
@@ -326,101 +318,6 @@ def _solved(
     return np.asarray(moved(mesh(x, y, z)))
 
 
-def skfem_answers(mesh: Mesh, problem: Problem, *, mixed: bool) -> Answers:
-    """Solve both loads of a problem; the clock runs from the ready mesh."""
-    import skfem
-
-    grid = _grid(skfem, mesh, problem)
-    clock = Clock()
-    basis = skfem.Basis(grid, skfem.ElementVector(skfem.ElementTetP2()), intorder=2 if problem.body == "block" else 4)
-    matrix = _matrix(skfem, grid, basis, problem, mixed)
-    held = basis.get_dofs(lambda x: np.abs(x[2] - grid.p[2].max()) < 1e-6).all()
-    free = np.setdiff1d(np.arange(matrix.shape[0]), held)
-    solve = _solver(matrix, free)
-    places = Locator(mesh).locate(problem.points)
-    first = places.values(_skfem_nodal(skfem, mesh, basis, problem, 0, solve))
-    costs = [clock.lap()]
-    second = places.values(_skfem_nodal(skfem, mesh, basis, problem, 1, solve))
-    costs.append(clock.lap())
-    return Answers(unknowns=len(free), first=costs[0], next=costs[1], moved=(first, second))
-
-
-def _grid(skfem: Any, mesh: Mesh, problem: Problem) -> Any:
-    """Return scikit-fem's mesh: straight elements on the block, quadratic ones on the finger."""
-    flat = skfem.MeshTet(mesh.points[: mesh.corners].T.copy(), mesh.tets[:, :4].T.copy())
-    if problem.body == "block":
-        return flat
-    quadratic = skfem.MeshTet2.from_mesh(flat)
-    numbers = quadratic.dofs.element_dofs
-    nodes = quadratic.doflocs.copy()
-    for corner in range(10):
-        nodes[:, numbers[corner]] = mesh.points[mesh.tets[:, corner]].T
-    return skfem.MeshTet2(nodes, quadratic.t)
-
-
-def _matrix(skfem: Any, grid: Any, basis: Any, problem: Problem, mixed: bool) -> Any:
-    from skfem.helpers import ddot, div, sym_grad, trace
-    from skfem.models.elasticity import lame_parameters, linear_elasticity
-
-    if not mixed:
-        return linear_elasticity(*lame_parameters(problem.youngs_modulus_mpa, problem.nu)).assemble(basis)
-    shear = problem.youngs_modulus_mpa / (2 * (1 + problem.nu))
-    softness = 3 * (1 - 2 * problem.nu) / problem.youngs_modulus_mpa + OFF_PRESSURE / shear
-    pressure = basis.with_element(skfem.ElementTetP1())
-
-    @skfem.BilinearForm
-    def deviatoric(u: Any, v: Any, _: Any) -> Any:
-        one, two = sym_grad(u), sym_grad(v)
-        return 2 * shear * (ddot(one, two) - trace(one) * trace(two) / 3)
-
-    @skfem.BilinearForm
-    def divergence(u: Any, q: Any, _: Any) -> Any:
-        return div(u) * q
-
-    @skfem.BilinearForm
-    def mass(p: Any, q: Any, _: Any) -> Any:
-        return -softness * p * q
-
-    gradient = divergence.assemble(basis, pressure)
-    return skfem.bmat([[deviatoric.assemble(basis), gradient.T], [gradient, mass.assemble(pressure)]], "csr")
-
-
-def _solver(matrix: Any, free: Any) -> Callable[[Floats], Floats]:
-    """Return what takes forces on the displacements' unknowns to the solution; held unknowns stay zero."""
-    from scipy.sparse.linalg import splu
-
-    options = {"SymmetricMode": True}
-    factor = splu(matrix[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-
-    def solve(force: Floats) -> Floats:
-        right, out = np.zeros(matrix.shape[0]), np.zeros(matrix.shape[0])
-        right[: len(force)] = force
-        out[free] = factor.solve(right[free])
-        return out
-
-    return solve
-
-
-def _skfem_nodal(skfem: Any, mesh: Mesh, basis: Any, problem: Problem, load: int, solve: Any) -> Floats:
-    """Return the (N, 3) displacement of the mesh's nodes, mm."""
-    top = basis.mesh.facets_satisfying(lambda x: may_be_loaded(problem.body, x.T), boundaries_only=True)
-    faces = skfem.FacetBasis(basis.mesh, basis.elem, facets=top, intorder=6)
-    axis = problem.axes[load]
-
-    @skfem.LinearForm
-    def pushed(v: Any, w: Any) -> Any:
-        strength = traction(problem.body, w.x.reshape(3, -1).T).reshape(w.x.shape[1:])
-        return strength * v[axis]
-
-    right = pushed.assemble(faces)
-    solution = solve(right / right.sum())
-    out = np.zeros((len(mesh.points), 3))
-    for node in range(10):
-        for i in range(3):
-            out[mesh.tets[:, node], i] = solution[basis.element_dofs[3 * node + i]]
-    return out
-
-
 REPEATS, LONG_S = 3, 2.0
 
 MESHES: dict[str, dict[str, Edges]] = {
@@ -484,10 +381,6 @@ def ways() -> list[Way]:
                 found.append(
                     Way(program="NGSolve", element=f"P{order}", nu=nu, meshes=meshes, solve=alone, order=order)
                 )
-    if find_spec("skfem"):
-        both, alone = (partial(skfem_answers, mixed=mixed) for mixed in (True, False))
-        found.append(Way(program="scikit-fem", element="Taylor-Hood 2/1", nu=0.5, meshes="aef", solve=both))
-        found.append(Way(program="scikit-fem", element="P2", nu=0.49, meshes="aef", solve=alone))
     if has_calculix():
         found.append(Way(program="CalculiX", element="P2 (C3D10)", nu=0.49, meshes="aef", solve=calculix_answers))
     return found
@@ -495,7 +388,7 @@ def ways() -> list[Way]:
 
 def peer_rows(body: str, quick: bool) -> Iterator[dict[str, Any]]:
     """Yield a row for every way and mesh, and for every program that is absent."""
-    present = {"NGSolve": find_spec("ngsolve"), "scikit-fem": find_spec("skfem"), "CalculiX": has_calculix()}
+    present = {"NGSolve": find_spec("ngsolve"), "CalculiX": has_calculix()}
     if not present["NGSolve"]:  # the meshes of all peers are made by its mesher
         yield {"body": body, "program": "other programs", "remark": "not run: NGSolve, whose mesher is used, is absent"}
         return

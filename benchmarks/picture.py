@@ -5,15 +5,11 @@ are compared with a picture of 12 x 12 rays per pixel, drawn by the splat, with 
 Mitsuba's own are compared with one of many samples of itself, as it renders a simpler scene (a straight camera in the
 body, one colour), so that only its sampling counts. Outlines are compared with those of 16 x 16 rays.
 
-CPU milliseconds count all threads; methods are compared by them. First pictures and memory are those of processes of
-their own.
+CPU milliseconds count all threads; methods are compared by them.
 """
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -37,8 +33,6 @@ SPLAT = Variant(name="splat", library=None, reason="compared with the others")
 REPEATS = 5
 AT_LEAST_S = 0.25
 """CPU seconds spent on what is quicker: of a few milliseconds, five runs rarely meet one that nothing disturbs."""
-PICTURES = 10_000
-"""Made by one process, to see whether its memory grows."""
 FINEST = 12
 
 
@@ -52,8 +46,6 @@ def run(quick: bool) -> list[dict[str, Any]]:
         if choose_variant().name != "splat" and scene.camera is not None and scene.camera.lens == "pinhole":
             rows += _stock(name, scene, markers, (16,) if quick else (4, 16, 64), 64 if quick else 1024)
         rows += _exposures(name, scene, markers, PRESETS[:2] if quick else PRESETS)
-    for way in [SPLAT] if choose_variant().name == "splat" else [SPLAT, choose_variant()]:
-        rows += _processes(way, 20 if quick else PICTURES)
     return rows
 
 
@@ -75,22 +67,6 @@ def _ours(name: str, scene: Scene, markers: Ellipsoids, grids: tuple[int, ...]) 
                 row = _row(name, f"twin, {variant.name}", k, shadows, cost, error)
                 rows.append({**row, "outline_max_px": float(np.nanmax(np.abs(off)))})
     return rows
-
-
-def _processes(variant: Variant, pictures: int) -> list[dict[str, Any]]:
-    """Return rows for the first picture of a fresh process, and for the memory of one that makes many."""
-    told = subprocess.run(
-        [sys.executable, "-m", "benchmarks.picture_process", variant.name, str(pictures)],
-        capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
-    found = json.loads(told.splitlines()[-1])
-    first = {"scene": "kamiyama_pillar", "method": f"first picture of a process, {variant.name}"}
-    many = {"scene": "64 x 48 px, 32 markers", "method": f"{pictures} pictures of a process, {variant.name}"}
-    return [
-        {**first, "milliseconds": found["first_ms"], "cpu_ms": found["first_cpu_ms"], "peak_mib": found["first_mib"]},
-        {**many, "milliseconds": found["each_ms"], "cpu_ms": found["each_cpu_ms"], "peak_mib": found["last_mib"],
-         "grown_mib": found["grown_mib"]},
-    ]  # fmt: skip
 
 
 def _stock(name: str, scene: Scene, markers: Ellipsoids, samples: tuple[int, ...], many: int) -> list[dict[str, Any]]:

@@ -47,13 +47,13 @@ def test_problem_is_the_reference_where_the_reference_is(body, nu):
         assert np.argmax(np.abs(case.words["force_n"])) == problem.axes[load]
 
 
-@pytest.mark.parametrize("absent", ["ngsolve", "skfem", "ccx"])
+@pytest.mark.parametrize("absent", ["ngsolve", "ccx"])
 def test_an_absent_program_gets_a_row_that_says_so(monkeypatch, absent):
     monkeypatch.setattr(peers, "find_spec", lambda name: None if name == absent else True)
     monkeypatch.setattr(peers, "has_calculix", lambda: absent != "ccx")
     row = next(peers.peer_rows("block", quick=True))
     assert "absent" in row["remark"] or "not installed" in row["remark"]
-    name = {"ngsolve": "NGSolve", "skfem": "scikit-fem", "ccx": "CalculiX"}[absent]
+    name = {"ngsolve": "NGSolve", "ccx": "CalculiX"}[absent]
     assert name in row["program"] or name in row["remark"]
     assert not any(way.program.startswith(name) for way in peers.ways())
 

@@ -11,10 +11,9 @@ import pytest
 
 from benchmarks import pages
 from benchmarks.inclusions import run as resolved_beads
-from benchmarks.pages import CLOSED, HELD, PAGES, PEER, RESULTS, extrapolated, of, order, series, stored
+from benchmarks.pages import CLOSED, PAGES, PEER, RESULTS, extrapolated, of, order, series, stored
 from benchmarks.presses import BODIES, SITES, compliance_of, drawn, outcome
-from benchmarks.stress import survey
-from benchmarks.stress_elastic import Axis, Measured
+from benchmarks.stress import Axis, Measured, survey
 from twin.errors import SolveError
 from twin.parts.body import Block
 from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR
@@ -96,10 +95,6 @@ def test_stored_errors_are_what_is_asked() -> None:
             assert abs(extrapolated(one)) <= 0.01, last
             assert order(one) > 1.0
         assert max(row["residual"] for row in one) <= 1e-8
-    for row in of(rows, HELD):
-        assert max(row[key] for key in ("imbalance", "complementarity", "pull")) <= 1e-8
-        assert row.get("out of the cone", 0.0) <= 1e-8
-        assert row.get("tangential over normal", 0.0) <= 1e-9
     assert CLOSED in {row["what"] for row in rows}
     finest = {row["case"]: row["indentation error"] for row in of(rows, PEER) if row["program"] == "twin"}
     assert len(finest) >= 3
@@ -181,16 +176,10 @@ def test_referee_squeezes_a_bar_as_the_closed_form_does() -> None:
 
 ROWS = stored("stress")
 PROMISED = {
-    "Poisson's ratio, down": "-0.5",
-    "Poisson's ratio, up": "0.5",
     "cover, times stiffer": "1e+07",
     "cover, times as stiff": "1e-12",
-    "threads": "4",
-    "field of view, pinhole, deg": "170",
-    "field of view, equidistant, deg": "200",
-    "markers": "20000",
-    "strain of a print": "10",
-    "pictures of a process without a home (departure: MiB grown)": "10000",
+    "share of markers missing": "1",
+    "share of vectors wrong by 10 px, robust": "0.4",
 }
 
 
