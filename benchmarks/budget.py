@@ -209,14 +209,12 @@ def _exact(press: Press, found: Found) -> Found:
 def own_transfer(sensor: Sensor, sites: Rectangles) -> Floats:
     """Return (2n, 3k) the transfer matrix at some sites by the made sensor's own body, markers and camera, px/N."""
     scene, points = sensor.actual.scene, sensor.actual.markers.points
-    assert scene.camera is not None
     slope = projection_jacobian(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
     return from_compliance(sensor.compliance.to_points(points, sites), slope)
 
 
 def _error(scene: Scene, found: Found, calibration: Calibration, force: Floats) -> Floats:
     """Return (3,) the error of the total force over the force."""
-    assert scene.reconstruction is not None
     options = scene.reconstruction.options()
     total = reconstruct(found, calibration, **options).total_force_n
     return np.asarray((total - force) / np.linalg.norm(force))

@@ -116,7 +116,6 @@ class Truth:
     def _through(self, one: Actual, compliance: Floats) -> Floats:
         """Return (2n, q) px/N of a sensor's (n, 3, q) mm/N at the nominal modulus."""
         scene = one.scene
-        assert scene.camera is not None
         slope = projection_jacobian(
             one.markers.points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
         )

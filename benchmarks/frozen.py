@@ -117,7 +117,6 @@ def _scenes() -> Iterator[tuple[str, Any]]:
         for group, values in _numbers(result.score).items():
             yield f"scene/{name}/score/{group}", values
         truth = result.truth
-        assert truth is not None
         yield f"scene/{name}/displacement_mm", truth.marker_displacement_mm
         yield f"scene/{name}/outline_px", truth.marker_outline_pressed_px
         force = truth.surface_force_n

@@ -292,8 +292,6 @@ def make(folder: Path, readers: Iterable[str]) -> None:
     (base / "lens.yaml").write_text(json.dumps(lens, indent=1))
     (base / "json.toml").write_text(LENS % "json")
     (base / "yaml.toml").write_text(LENS % "yaml")
-    assert result.rest is not None
-    assert result.pressed is not None
     (base / "frames.raw").write_bytes(result.rest.tobytes() + result.pressed.tobytes())
     save_as(result.pressed, base / "pressed.jpg")
     save_as(result.pressed, base / "pressed.bmp")

@@ -836,9 +836,6 @@ def _draw_chain() -> None:
     for row, name in zip(panels, said, strict=True):
         result = run(load_scene(name))
         truth, estimate = result.truth, result.estimate
-        assert truth is not None
-        assert estimate is not None
-        assert result.pressed is not None
         row[0].imshow(np.minimum(result.pressed.astype(int) * 3 // 2, 255))
         row[0].set(title="what the CCD sees (brightened)", ylabel=said[name])
         rest, shift = estimate.marker_rest_px, estimate.marker_shift_px

@@ -80,7 +80,6 @@ def _stock(name: str, scene: Scene, markers: Ellipsoids, samples: tuple[int, ...
 
     mi.set_variant(choose_variant().name)
 
-    assert scene.camera is not None
     camera, base = scene.camera, scene.body.base_z_mm
     index = scene.material.refractive_index
     air = camera.pupil_mm[2] - base - sum(layer.thickness_mm for layer in camera.layers)
@@ -160,7 +159,6 @@ def _markers(scene: Scene) -> Ellipsoids:
 
 
 def _pixels(scene: Scene, markers: Ellipsoids) -> np.ndarray:
-    assert scene.camera is not None
     return project(markers.centres, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
 
 

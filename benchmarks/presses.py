@@ -95,7 +95,6 @@ def rightly_refused(press: Press, body: Body, solve: Callable[[Press], ContactSt
     if wanted.share > 1.0 + NEAR:
         return True
     force = press.steps[-1].force_n
-    assert force is not None
     before = solve(press.model_copy(update={"steps": press.steps[:-1]}))
     x, y = 4.0 * press.friction * before.indentation_mm / _DRAGS * wanted.ahead
     drag = (Step(force_n=(None, None, force[2]), move_mm=(float(x), float(y), None)),) * _DRAGS

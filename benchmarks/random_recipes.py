@@ -248,7 +248,6 @@ WORD = "neither a number nor a choice"
 
 def spoilt_values(slot: Slot) -> list[Any]:
     """Return values that the field of a slot can't hold, whatever else the recipe says."""
-    assert slot.field is not None
     kinds = _plain_kinds(slot.field.annotation)
     wrong: list[Any] = []
     if not kinds & {str, dict, Part, object} or typing.get_origin(slot.field.annotation) is Literal:

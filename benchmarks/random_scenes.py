@@ -167,7 +167,6 @@ def _cause(refused: TwinError) -> str:
 def assert_sound(scene: Scene, result: RunResult, tally: Tally) -> None:
     """Assert finite answers, balanced forces, held forces, and rays through the projected markers."""
     truth = result.truth
-    assert truth is not None
     for name in ("marker_rest_mm", "marker_displacement_mm", "surface_mm", "surface_force_n", "total_torque_nmm"):
         assert np.isfinite(getattr(truth, name)).all(), f"truth.{name} is not finite"
     size = max(float(np.linalg.norm(truth.total_force_n)), 1e-12)
@@ -191,7 +190,6 @@ def assert_sound(scene: Scene, result: RunResult, tally: Tally) -> None:
 
 def _off_asked(scene: Scene, force: np.ndarray) -> float:
     """Return how far the forces that the last step holds are from those it asks for, over the largest asked."""
-    assert scene.press is not None
     asked = [(found, f) for found, f in zip(force, scene.press.path[-1].force_n, strict=True) if f is not None]
     size = max((abs(f) for _, f in asked), default=0.0)
     return max((abs(found - f) / size for found, f in asked), default=0.0) if size else 0.0
@@ -199,8 +197,6 @@ def _off_asked(scene: Scene, force: np.ndarray) -> float:
 
 def _assert_projected(scene: Scene, result: RunResult, tally: Tally) -> None:
     truth, actual = result.truth, Sensor(scene).actual.scene
-    assert truth is not None
-    assert actual.camera is not None
     places = truth.marker_rest_mm + truth.marker_displacement_mm
     seen = np.isfinite(truth.marker_pressed_px).all(axis=1)
     pixels, index = truth.marker_pressed_px[seen], actual.material.refractive_index
@@ -230,8 +226,6 @@ def assert_superposed(scene: Scene, tally: Tally) -> None:
 def assert_mirrored(recipe: Table, scene: Scene, result: RunResult, tally: Tally) -> None:
     """Assert that the made sensor mirrored at y = 0 moves its markers as in the mirror."""
     truth, score, flip = result.truth, result.score, np.array([1.0, -1.0, 1.0])
-    assert truth is not None
-    assert score is not None
     material = Sensor(scene).actual.scene.material.model_dump(exclude_none=True)
     there = Sensor(
         validate_scene({**mirrored(recipe), "tolerance": {"preset": "none"}, "material": material}, "drawn, mirrored")

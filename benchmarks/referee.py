@@ -110,8 +110,6 @@ def path_traced(
 def _literal(scene: Scene, markers: Ellipsoids, corner: Ints, size: int, glowing: int | None) -> dict[str, Any]:
     import mitsuba as mi
 
-    assert scene.camera is not None
-    assert scene.light is not None
     camera = scene.camera
     to_world = mi.ScalarTransform4f
     # Mitsuba starts rays behind an interface by 1e-4 of its coordinates: near the origin that is least.
@@ -162,7 +160,6 @@ def _literal(scene: Scene, markers: Ellipsoids, corner: Ints, size: int, glowing
 
 def _some(scene: Scene, visible: Floats, places: Pixels, count: int) -> list[int]:
     """Return markers that are seen whole, from the middle of the picture to its corners."""
-    assert scene.camera is not None
     size = np.array([scene.camera.width_px, scene.camera.height_px])
     inside = ((places > EDGE) & (places < size - 1 - EDGE)).all(axis=1)
     free = np.flatnonzero((visible > 0.999) & inside)

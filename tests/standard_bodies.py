@@ -1,5 +1,7 @@
 """The bodies of both papers, rectangles of load, and how far two fields are apart: for all tests."""
 
+import struct
+
 import numpy as np
 
 from twin.parts.body import Block, Dome, Finger
@@ -76,3 +78,11 @@ def on_boundary(mesh):
     on = np.zeros(len(mesh.points), bool)
     on[mesh.faces] = True
     return on
+
+
+def write_stl(path, corners, count=None):
+    """Write triangles (m, 3, 3) as a binary STL file that may declare another ``count``."""
+    record = np.zeros(len(corners), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
+    record["corners"] = corners
+    path.write_bytes(b" " * 80 + struct.pack("<I", len(corners) if count is None else count) + record.tobytes())
+    return path

@@ -54,5 +54,4 @@ def test_the_normal_is_that_of_the_point_met_first(probe: Probe, radius: float |
     sine = 0.0 if radius is None else 2.0 / (8.0 + radius)
     press = Press(probe=probe, at_mm=(-4, 2), friction=MU, steps=(Step(force_n=(0.0, 0.0, 1.0)),))
     wanted = asked(press, FINGER)
-    assert wanted is not None
     assert wanted.share * MU == pytest.approx(np.tan(np.arcsin(sine)), abs=6e-3)

@@ -1,22 +1,14 @@
 """Triangles of known bodies, and STL files of them, for tests."""
 
-import struct
 from itertools import pairwise
 
 import numpy as np
+from standard_bodies import write_stl
 
 from twin.parts.body import Dome, Solid
 
 HELD_ABOVE = {"normal": (0, 0, 1), "within_deg": 5}
 SENSING_BELOW = {"normal": (0, 0, -1), "within_deg": 5}
-
-
-def write_stl(path, corners, count=None):
-    """Write triangles (m, 3, 3) as a binary STL file that may declare another ``count``."""
-    record = np.zeros(len(corners), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
-    record["corners"] = corners
-    path.write_bytes(b" " * 80 + struct.pack("<I", len(corners) if count is None else count) + record.tobytes())
-    return path
 
 
 def write_text_stl(path, corners):

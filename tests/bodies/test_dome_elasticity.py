@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from standard_bodies import DOME, relative_error
+from standard_bodies import BLOCK, DOME, relative_error, traction_of
 
 from twin.files import MESHES
 from twin.parts.load import Traction
@@ -35,11 +35,9 @@ def compliance(level, nu):
 
 def error(level, case):
     """Return the largest error over the largest displacement of one case of the reference."""
-    words = dict(case["load"])
-    load = tile(getattr(Traction, words.pop("kind"))(**words), DOME)
+    load = tile(traction_of(case), DOME)
     moved = compliance(level, case["nu"]).displacement(REFERENCE["points"], load)
-    true = REFERENCE[case["key"]]
-    return relative_error(moved, true)
+    return relative_error(moved, REFERENCE[case["key"]])
 
 
 @pytest.mark.parametrize("level", ["nominal", *WORLD])
@@ -112,15 +110,9 @@ def test_the_smaller_the_load_the_nearer_its_own_field_is_to_the_half_space(forc
         load = tile(Traction.disk((0, 0), radius, force), DOME)
         below = radius * np.array([[0.0, 0, 0.5], [0.3, 0.2, 1.0], [0, 0.8, 1.5]])
         moved = compliance("nominal", 0.5).displacement(below, load)
-        flat = tile(Traction.disk((0, 0), radius, force), _flat())
+        flat = tile(Traction.disk((0, 0), radius, force), BLOCK)
         alone = halfspace.displacement(below, flat, 0.5, 0.5)
         off.append(np.abs(moved - alone).max() / np.abs(alone).max())
     assert off[0] < 0.25
     assert off[2] < off[1] < off[0]
     assert 1.5 < off[1] / off[2] < 2.3
-
-
-def _flat():
-    from twin.parts.body import Block
-
-    return Block(width_mm=50, length_mm=50, thickness_mm=20)

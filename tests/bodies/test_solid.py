@@ -5,7 +5,8 @@ import shutil
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from stl_shapes import HELD_ABOVE, SENSING_BELOW, box, bracket, solid_box, solid_bracket, solid_dome, write_stl
+from standard_bodies import write_stl
+from stl_shapes import HELD_ABOVE, SENSING_BELOW, box, bracket, solid_box, solid_bracket, solid_dome
 
 from twin.errors import RecipeError
 from twin.parts.body import Solid

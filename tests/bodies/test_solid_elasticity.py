@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from slabs import block_boxes
-from standard_bodies import relative_error
+from standard_bodies import relative_error, write_stl
 from stl_shapes import (
     SENSING_BELOW,
     bracket,
@@ -13,7 +13,6 @@ from stl_shapes import (
     solid_dome,
     solid_pad,
     wedge,
-    write_stl,
 )
 
 import twin.world.mesh.body_mesh

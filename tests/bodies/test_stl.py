@@ -6,8 +6,8 @@ import tracemalloc
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from standard_bodies import DOME
-from stl_shapes import box, bracket, facetted_dome, write_stl, write_text_stl
+from standard_bodies import DOME, write_stl
+from stl_shapes import box, bracket, facetted_dome, write_text_stl
 
 from twin.cli import main
 from twin.errors import InputError

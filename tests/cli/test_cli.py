@@ -81,7 +81,6 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["run", "block_bare", "--want", "dispalcement"], ["did you mean 'displacement'"]),
         (["run", "block_bare", "--want", "picture"], ["[camera]"]),
         (["run", "block_bare", "-s", "material.poisson_ratio=0.7"], ["poisson_ratio", "0.7", "-0.5 to 0.5"]),
-        (["run", "block_bare", "-s", "material.poisson_ratio=nan"], ["poisson_ratio", "finite"]),
         (["run", "kamiyama_pillar", "-s", "markers.red.depth_mm=39.9"], ["markers.red", "outside the body"]),
         (["run", "kamiyama_pillar", "-s", "seed"], ["key.path=value"]),
         (["check", "nowhere"], ["no scene 'nowhere'"]),

@@ -13,6 +13,7 @@ from benchmarks import pages
 from benchmarks.inclusions import run as resolved_beads
 from benchmarks.pages import CLOSED, PAGES, PEER, RESULTS, extrapolated, of, order, series, stored
 from benchmarks.presses import BODIES, SITES, compliance_of, drawn, outcome
+from benchmarks.random_scenes import COUNT
 from benchmarks.stress import Axis, Measured, survey
 from twin.errors import SolveError
 from twin.parts.body import Block
@@ -211,6 +212,7 @@ def test_nothing_that_is_stored_failed() -> None:
     names = ("random_scenes", "fuzz", "kills")
     found = {name: json.loads((RESULTS / f"{name}.json").read_text()) for name in names}
     assert not any("failed" in kind["outcomes"] for kind in found["random_scenes"].values())
+    assert found["random_scenes"]["invalid"]["drawn"] >= COUNT
     for name, key in (("fuzz", "failed"), ("kills", "lost or torn")):
         assert not any(row[key] for row in found[name]["rows"]), name
 

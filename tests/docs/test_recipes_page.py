@@ -16,8 +16,6 @@ DOCS = Path(__file__).parents[2] / "docs"
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> str:
     spec = importlib.util.spec_from_file_location("make_recipes", DOCS / "make_recipes.py")
-    assert spec is not None
-    assert spec.loader is not None
     maker = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(maker)
     path = tmp_path_factory.mktemp("docs") / "recipes.md"

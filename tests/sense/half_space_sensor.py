@@ -1,35 +1,19 @@
-"""A flat sensor on a half-space, for tests: the papers' point kernels with their errors corrected, and a camera."""
+"""A flat sensor on a half-space, for tests: point forces in closed form, and a camera."""
 
 from __future__ import annotations
 
 import numpy as np
+from standard_bodies import rectangles
 
 from twin.sense.calibration import Calibration
 from twin.sense.track import Found
 from twin.sense.transfer import from_compliance
-
-
-def kernel(away, nu=0.5, youngs=1.0):
-    """(..., 3, 3) displacement, mm/N, at ``away`` from a point force (columns: force along x, y, z into the body)."""
-    x, y, z = np.moveaxis(away, -1, 0)
-    r = np.sqrt(x**2 + y**2 + z**2)
-    c = (1 + nu) / (2 * np.pi * youngs)
-    along = (2 * (1 - nu) * r + z) / (r * (r + z))
-    beside = (2 * r * (nu * r + z) + z**2) / (r**3 * (r + z) ** 2)
-    outward = z / r**3 - (1 - 2 * nu) / (r * (r + z))
-    lift = (1 - 2 * nu) / (r * (r + z)) + z / r**3
-    rows = [
-        [along + beside * x * x, beside * x * y, outward * x],
-        [beside * x * y, along + beside * y * y, outward * y],
-        [lift * x, lift * y, 2 * (1 - nu) / r + z**2 / r**3],
-    ]
-    return c * np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+from twin.theory import halfspace
 
 
 def compliance(markers, points):
     """(3n, 3m) mm/N for point forces."""
-    g = kernel(markers[:, None] - points[None])
-    return g.transpose(0, 2, 1, 3).reshape(3 * len(markers), 3 * len(points))
+    return halfspace.compliance(markers, rectangles(points, 0.0, 0.0), 1.0, 0.5)
 
 
 def cell_compliance(markers, sites, pitch, cuts=6):

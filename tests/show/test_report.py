@@ -186,7 +186,6 @@ def test_verdict_says_the_four_figures(full: RunResult) -> None:
 
 def test_what_a_torque_error_is_over_and_both_totals(full: RunResult) -> None:
     """A torque of zero has no size of its own; under bounds the sites don't sum to the total."""
-    assert full.score is not None
     score = {**full.score, "force": {**full.score["force"], "torque_error": 0.03}}
     page = report(replace(full, score=score))
     assert "the force times 1 mm" in page
@@ -206,9 +205,7 @@ def test_table_holds_the_scores_numbers(page: str) -> None:
 
 
 def test_rest_only_and_displacement_only(full: RunResult) -> None:
-    truth, estimate = full.truth, full.estimate
-    assert truth is not None
-    assert estimate is not None
+    truth = full.truth
     assert headings(report(RunResult(scene_toml=""))) == []
     bare = replace(truth, **without(truth, "marker_rest_px", "marker_pressed", "marker_outline", "marker_visible"))
     page = report(RunResult(scene_toml=SCENE, truth=bare))
@@ -225,8 +222,6 @@ def test_rest_only_and_displacement_only(full: RunResult) -> None:
 
 def test_any_part_may_be_absent(full: RunResult) -> None:
     truth, estimate = full.truth, full.estimate
-    assert truth is not None
-    assert estimate is not None
     tracked_only = replace(estimate, **without(estimate, "site", "force", "total"))
     centres_only = replace(truth, **without(truth, "marker_outline", "marker_visible"))
     all_lost = replace(estimate, marker_shift_px=np.full_like(estimate.marker_shift_px, np.nan))
@@ -245,7 +240,6 @@ def test_any_part_may_be_absent(full: RunResult) -> None:
 
 def test_texts_of_a_recipe_are_escaped(full: RunResult) -> None:
     truth = full.truth
-    assert truth is not None
     evil = "<script>alert(1)</script>"
     renamed = replace(truth, marker_layer=np.array([evil] * 336 + ['"><img src=x>'] * 300))
     page = report(
@@ -264,7 +258,6 @@ def test_texts_of_a_recipe_are_escaped(full: RunResult) -> None:
 @pytest.mark.parametrize("camera", [True, False])
 def test_a_shift_along_y_points_up(full: RunResult, camera: bool) -> None:
     truth = full.truth
-    assert truth is not None
     moved = np.tile([0.0, 0.1, 0.0], (len(truth.marker_rest_mm), 1))
     shifted = replace(
         truth, marker_displacement_mm=moved, marker_outline_pressed_px=to_px(truth.marker_rest_mm + moved)
@@ -283,7 +276,6 @@ def test_a_shift_along_y_points_up(full: RunResult, camera: bool) -> None:
 
 def test_a_force_along_y_points_up_and_x_right(full: RunResult) -> None:
     estimate = full.estimate
-    assert estimate is not None
     force = np.zeros_like(estimate.site_mm)
     for axis, sign in ((0, 1), (1, -1)):
         pushed = force.copy()
@@ -294,7 +286,6 @@ def test_a_force_along_y_points_up_and_x_right(full: RunResult) -> None:
 
 def test_arrows_have_the_stated_length(full: RunResult, page: str) -> None:
     truth = full.truth
-    assert truth is not None
     said = re.search(r"drawn ([\d.]+) times as long as they are; the longest is ([\d.]+) px", page)
     assert said
     shift = np.hypot(*(truth.marker_outline_pressed_px - truth.marker_outline_rest_px).T)
@@ -308,8 +299,6 @@ def test_arrows_have_the_stated_length(full: RunResult, page: str) -> None:
 
 def test_tracking_errors_are_tracked_minus_true(full: RunResult) -> None:
     truth, estimate = full.truth, full.estimate
-    assert truth is not None
-    assert estimate is not None
     true = truth.marker_outline_pressed_px - truth.marker_outline_rest_px
     off = true + [0.0, 0.1]  # noqa: RUF005  one row too low
     off[5] += 3.0
@@ -333,8 +322,6 @@ def test_lost_markers_are_crossed(page: str) -> None:
 
 
 def at_nearest_sites(result: RunResult) -> np.ndarray:
-    assert result.truth is not None
-    assert result.estimate is not None
     summed = np.zeros_like(result.estimate.site_mm)
     for point, force in zip(result.truth.surface_mm, result.truth.surface_force_n, strict=True):
         summed[np.argmin(np.linalg.norm(result.estimate.site_mm - point, axis=1))] += force
@@ -348,7 +335,6 @@ def test_truth_is_summed_into_the_nearest_site(full: RunResult) -> None:
 
 
 def test_force_colours_share_one_scale(full: RunResult) -> None:
-    assert full.estimate is not None
     half = replace(full.estimate, force_n=at_nearest_sites(full) * [1, 1, -0.5])
     maps = re.findall(r"<svg.*?</svg>", report(replace(full, estimate=half)), re.S)[3:5]
     first, second = ([float(o) for o in re.findall(r'fill-opacity="([\d.]+)"', m)] for m in maps)
@@ -360,7 +346,6 @@ def test_force_colours_share_one_scale(full: RunResult) -> None:
 
 
 def test_pictures_are_lossless_and_bounded(full: RunResult) -> None:
-    assert full.rest is not None
     uri, share = data_uri(full.rest)
     assert share == 1
     with Image.open(io.BytesIO(base64.b64decode(uri.split(",")[1]))) as image:

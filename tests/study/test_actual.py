@@ -23,14 +23,12 @@ def test_prints_vary_as_told_and_change_no_other_draw() -> None:
     np.testing.assert_array_equal(plain.jitter_mm, drawn.jitter_mm)
     assert plain.scene.camera == drawn.scene.camera
     prints = drawn.prints
-    assert prints is not None
     # 636 draws: standard deviations are known to 3 %, shares to 1.2 percent points.
     assert prints.size.std() == pytest.approx(0.05, rel=0.1)
     assert prints.shade.std() == pytest.approx(0.08, rel=0.1)
     assert np.abs(prints.size - 1).max() <= 0.05 * 2.5 + 1e-12
     assert prints.missing.mean() == pytest.approx(0.1, abs=0.04)
     again = make(load_scene("kamiyama_pillar", DRAWN)).prints
-    assert again is not None
     np.testing.assert_array_equal(again.missing, prints.missing)
     assert make(load_scene("kamiyama_pillar", {**DRAWN, "tolerance.preset": "none"})).prints is None
 
@@ -42,7 +40,6 @@ def test_no_tolerance_takes_what_is_positive_below_zero(key: str, monkeypatch: p
     lowest = SimpleNamespace(standard_normal=lambda size=(): np.full(size, -2 * CUT), random=np.zeros)
     monkeypatch.setattr("twin.study.sensor.stream", lambda *_: lowest)
     made = make(load_scene("kamiyama_pillar", {f"tolerance.{key}": worst}))
-    assert made.scene.camera is not None
     assert min(made.scene.material.youngs_modulus_mpa, made.scene.camera.focal_px) > 0
     assert made.prints is None or min(made.prints.size.min(), made.prints.shade.min()) > 0
 
@@ -51,7 +48,6 @@ def test_a_missing_marker_is_neither_shown_nor_told_visible(monkeypatch: pytest.
     monkeypatch.setenv("TWIN_VARIANT", "splat")
     sensor = Sensor(load_scene("sato_press", {"tolerance.missing": 0.2}))
     prints = sensor.actual.prints
-    assert prints is not None
     truth = sensor.picture_truth(None)
     assert prints.missing.any()
     np.testing.assert_array_equal(truth.visible[prints.missing], 0)

@@ -19,17 +19,6 @@ from twin.study.calibrate import calibration_of
 GRAM_FORCE = 9.80665e-3
 
 
-def test_a_second_press_factors_nothing() -> None:
-    from twin.world.elasticity.factor import factorisations
-
-    sensor = twin.Sensor(twin.load_scene("finger_bare"))
-    load = twin.Traction.bump((0, 0), 1.5, (0, 0, 1))
-    sensor.displacement(np.array([[0.0, 0.0, 2.0]]), load)
-    before = factorisations()
-    sensor.displacement(np.array([[0.0, 0.0, 2.0]]), twin.Traction.bump((1, 1), 1.0, (1, 0, 0)))
-    assert factorisations() == before
-
-
 def test_the_made_sensor_differs_from_its_drawing() -> None:
     sensor = twin.Sensor(twin.load_scene("kamiyama_pillar"))
     made, drawn = sensor.actual.scene, sensor.nominal

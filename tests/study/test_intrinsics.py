@@ -58,7 +58,6 @@ def test_ros_files_are_read(tmp_path: Path) -> None:
 
 def test_a_scene_takes_its_camera_from_a_file() -> None:
     scene = load_scene("kamiyama_pillar", {"camera.intrinsics": str(REFERENCE / "opencv_camera.yml")})
-    assert scene.camera is not None
     assert scene.camera.focal_px == 500
     assert scene.camera.distortion == KNOWN["distortion"]
     assert scene.camera.pupil_mm == (0, 0, 108.85)

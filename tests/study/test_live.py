@@ -147,7 +147,6 @@ def test_a_port_that_can_t_be_had_is_said_before_any_work(page: Loopback, monkey
 
 
 def test_the_page_begins_with_the_scenes_friction(live: LivePress) -> None:
-    assert live.scene.press is not None
     assert live.start().friction == live.scene.press.friction == 0
     assert 0 in live.facts()["friction"]
 
@@ -176,7 +175,6 @@ def command() -> Iterator[tuple[subprocess.Popen[str], str]]:
         stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"},
     )  # fmt: skip
     try:
-        assert running.stdout is not None
         yield running, running.stdout.readline().removeprefix("open ").strip()
     finally:
         running.kill()

@@ -10,6 +10,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from standard_bodies import write_stl
 
 from twin.errors import RecipeError
 from twin.study.check import unsourced
@@ -183,9 +184,7 @@ PRESSES = {
 @pytest.mark.parametrize("name", PRESSES)
 def test_every_kind_of_press_is_read_written_and_fits_the_schema(name: str, tmp_path: Path) -> None:
     corners = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 2]], np.float32)
-    record = np.zeros(4, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
-    record["corners"] = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
-    (tmp_path / "mine.stl").write_bytes(bytes(80) + (4).to_bytes(4, "little") + record.tobytes())
+    write_stl(tmp_path / "mine.stl", corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]])
     recipe = tmp_path / "mine.toml"
     recipe.write_text(f'base = "block_bare"\n[press]\n{PRESSES[name]}')
     scene = load_scene(recipe)

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from standard_bodies import assert_near, rectangles
 
+from benchmarks.truth import MODULUS_MPA, of_point_force
 from twin.theory import halfspace
 
 AXES = np.eye(3)
@@ -34,21 +35,10 @@ def test_rectangle_is_the_integral_of_point_forces(points, nu, axis):
 
 @pytest.mark.parametrize("nu", NUS)
 def test_point_force_is_the_corrected_formula_of_the_flat_paper(nu):
-    x, y, z, young = 0.7, -0.4, 1.1, 0.8
-    fx, fy, fz = 0.3, -0.5, 0.9
-    r, c = np.sqrt(x * x + y * y + z * z), (1 + nu) / (2 * np.pi * young)
-    a = (2 * (1 - nu) * r + z) / (r * (r + z))
-    b = (2 * r * (nu * r + z) + z * z) / (r**3 * (r + z) ** 2)
-    normal = 1 / r**3 * z - (1 - 2 * nu) / (r * (r + z))
-    expected = c * np.array(
-        [
-            a * fx + b * x * (x * fx + y * fy) + x * normal * fz,
-            a * fy + b * y * (x * fx + y * fy) + y * normal * fz,
-            ((1 - 2 * nu) / (r * (r + z)) + z / r**3) * (x * fx + y * fy) + (2 * (1 - nu) / r + z * z / r**3) * fz,
-        ]
-    )
-    got = halfspace.displacement(np.array([[x, y, z]]), rectangles([0, 0, 0], (0, 0), (fx, fy, fz)), young, nu)
-    assert_allclose(got[0], expected, rtol=1e-13)
+    place, force = (0.7, -0.4, 1.1), (0.3, -0.5, 0.9)
+    load = rectangles([0, 0, 0], (0, 0), force)
+    expected = of_point_force(*place, force, nu, np.sqrt)
+    assert_allclose(halfspace.displacement(np.array([place]), load, MODULUS_MPA, nu)[0], expected, rtol=1e-13)
 
 
 @pytest.mark.parametrize("nu", NUS)

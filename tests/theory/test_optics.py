@@ -104,10 +104,6 @@ def test_magnification_on_the_axis_is_the_focal_length_over_the_apparent_distanc
         assert_allclose(jacobian[:, 2], 0, atol=1e-12)
 
 
-def test_the_papers_scale_is_a_twentieth_of_a_millimetre_per_pixel():
-    assert projection_jacobian(np.array([[0.0, 0.0, 4.5]]), FLAT, RUBBER, 40.0)[0, 0, 0] == pytest.approx(20, rel=0.01)
-
-
 def test_the_picture_is_no_mirror():
     places = project(np.array([[0.0, 0, 5], [1, 0, 5], [0, 1, 5]]), FLAT, RUBBER, 40.0)
     assert_allclose(places[0], FLAT.centre_px, atol=1e-9)

@@ -21,6 +21,7 @@ import pytest
 import tomli_w
 from PIL import Image
 from small_dataset import NO_PICTURE, contents, make, small_scene
+from standard_bodies import write_stl
 
 import twin
 from twin.errors import InputError, RecipeError, TwinError
@@ -135,11 +136,9 @@ def test_a_probes_own_file_travels_with_the_dataset_wherever_it_lay(tmp_path: Pa
     base, tip = [(4, 4, -2), (-4, 4, -2), (-4, -4, -2), (4, -4, -2)], (0, 0, 0)  # a blunt pyramid
     sides = [(base[i], base[(i + 1) % 4], tip) for i in range(4)]
     corners = [*sides, (base[2], base[1], base[0]), (base[3], base[2], base[0])]
-    facets = ["".join(f"vertex {x} {y} {z}\n" for x, y, z in triangle) for triangle in corners]
-    text = "".join(f"facet normal 0 0 0\nouter loop\n{facet}endloop\nendfacet\n" for facet in facets)
     for place in ("here", "there"):
         (tmp_path / place).mkdir()
-        (tmp_path / place / "tip.stl").write_text(f"solid tip\n{text}endsolid tip\n")
+        write_stl(tmp_path / place / "tip.stl", np.array(corners, float))
         probe = {"kind": "stl", "file": "tip.stl"}
         table = {"base": "kamiyama_pillar", "press": {"probe": probe, "friction": 0.0, "force_n": [0.0, 0.0, 0.3]},
                  "accuracy": {"contact_patches": 6}, "vary": {"press.probe": {"choice": [probe, probe]}}}  # fmt: skip

@@ -56,7 +56,6 @@ def test_webdataset_members_share_a_name(made: Path, good: list[dict[str, Any]],
         assert sorted(names)[:3] == ["00000000.json", "00000000.npz", "00000000.png"]
         assert len(names) == 3 * len(good)
         held = tar.extractfile("00000001.npz")
-        assert held is not None
         with np.load(io.BytesIO(held.read())) as arrays:
             np.testing.assert_array_equal(arrays["force_n"], good[1]["force_n"])
 

@@ -31,7 +31,6 @@ def _linear(scene: Scene) -> tuple[dict[str, float], Shown]:
 def test_mirror_symmetry_changes_no_figure(columns: int) -> None:
     """A pupil off the axis by less than the rounding of a marker's place leaves no mirror."""
     _, scene = small()
-    assert scene.camera is not None
     scene = scene.model_copy(
         update={
             "markers": {name: layer.model_copy(update={"columns": columns}) for name, layer in scene.markers.items()}

@@ -14,7 +14,6 @@ pytestmark = pytest.mark.slow
 
 def dip_of(name: str) -> float:
     scene = twin.load_scene(name)
-    assert scene.reconstruction is not None
     sites = scene.reconstruction.sites
     with warnings.catch_warnings():  # a shipped scene reaches what it asks
         warnings.simplefilter("error", twin.AccuracyWarning)

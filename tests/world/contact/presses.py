@@ -110,14 +110,6 @@ def hull(points):
     return whole.points, triangles
 
 
-def write_stl(path, vertices, triangles):
-    """Write triangles as a binary STL file."""
-    record = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("_", "<u2")])
-    record["corners"] = vertices[triangles]
-    path.write_bytes(bytes(80) + len(triangles).to_bytes(4, "little") + record.tobytes())
-    return path
-
-
 def jacobian_of(turning):
     """Return (k, 3, 4) how patches follow three motions and a turn, (2, k) along x and y."""
     carried = np.zeros((np.shape(turning)[1], 3, 4))

@@ -2,28 +2,19 @@
 
 import numpy as np
 import pytest
-from presses import HalfSpace, pressed, write_stl
+from presses import pressed
 from scipy.special import ellipe, ellipk
+from standard_bodies import write_stl
 
+from benchmarks.flat import HalfSpace
 from twin.geometry.closed import PROBE_SIZE_MM, closed_surface
 from twin.geometry.objects import object_triangles
 from twin.parts.press import Press
 from twin.parts.probe import Object, Stl
-from twin.theory import halfspace
 
 DEPTH = 0.2
 MODULUS = 1.0 / (1.0 - 0.5**2)
 """E / (1 - nu^2) of what `pressed` presses, MPa."""
-
-
-class Flat(HalfSpace):
-    """A half-space that says that its compliance is one function of the offset."""
-
-    def offset_part(self, points, rectangle):
-        return halfspace.compliance(points, rectangle, *self.rubber)
-
-    def smooth_part(self, patches, nodes):
-        return np.zeros((3 * len(nodes), 3 * len(nodes)))
 
 
 def swept(section, count):
@@ -87,7 +78,7 @@ def ring(request, tmp_path_factory):
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     if np.einsum("ij,ij->", np.cross(a, b), c) < 0.0:
         triangles = triangles[:, ::-1]
-    file = write_stl(tmp_path_factory.mktemp("rings") / "ring.stl", vertices, triangles)
+    file = write_stl(tmp_path_factory.mktemp("rings") / "ring.stl", vertices[triangles])
     return Stl(file=str(file)), ring_force(height, *ends)
 
 
@@ -98,7 +89,7 @@ def test_rings_of_pressure_know_the_flat_punch():
 @pytest.mark.parametrize("across", [8, 16])
 def test_the_force_of_a_ring_is_right_within_what_it_says(ring, across):
     probe, force = ring
-    state = pressed(Press(probe=probe, indentation_mm=DEPTH), across=across, on=Flat())
+    state = pressed(Press(probe=probe, indentation_mm=DEPTH), across=across, on=HalfSpace(0.5))
     off = abs(state.force_n[2] / force - 1.0)
     assert off < 0.3 / across
     assert off <= state.error.force < 0.1
@@ -106,7 +97,7 @@ def test_the_force_of_a_ring_is_right_within_what_it_says(ring, across):
 
 def test_a_ring_pressed_by_force_sinks_as_deep(ring):
     probe, force = ring
-    state = pressed(Press(probe=probe, force_n=(0.0, 0.0, force)), on=Flat())
+    state = pressed(Press(probe=probe, force_n=(0.0, 0.0, force)), on=HalfSpace(0.5))
     off = abs(state.indentation_mm / DEPTH - 1.0)
     assert off < 0.01
     assert off <= state.error.indentation < 0.05
@@ -115,7 +106,7 @@ def test_a_ring_pressed_by_force_sinks_as_deep(ring):
 def test_friction_hardly_changes_a_ring_at_half(ring):
     """At nu = 1/2 normal forces move a flat surface nowhere sideways."""
     probe, force = ring
-    state = pressed(Press(probe=probe, indentation_mm=DEPTH, friction=0.4), across=12, on=Flat())
+    state = pressed(Press(probe=probe, indentation_mm=DEPTH, friction=0.4), across=12, on=HalfSpace(0.5))
     assert state.force_n[2] == pytest.approx(force, rel=0.02)
     assert np.abs(state.force_n[:2]).max() < 1e-3 * force
 
@@ -163,7 +154,7 @@ def test_a_letter_is_pressed_however_it_is_turned(tilt, across):
     force = fine + (fine - coarse) / ((7 / 4) ** 2 - 1)  # order 2; 1.7317 N from 7, 10 and 13
     assert force == pytest.approx(1.7317, rel=1e-3)
     press = Press(probe=Object(shape="letter", width_mm=6.0), tilt_deg=(0.0, 0.0, tilt), indentation_mm=DEPTH)
-    state = pressed(press, across=across, on=Flat())
+    state = pressed(press, across=across, on=HalfSpace(0.5))
     off = abs(state.force_n[2] / force - 1.0)
     assert off < 0.7 / across
     assert off <= state.error.force < 0.2

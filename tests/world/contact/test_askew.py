@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from presses import centre_of, hull, pressed, write_stl
+from presses import centre_of, hull, pressed
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
-from standard_bodies import DOME, rectangles
+from standard_bodies import DOME, rectangles, write_stl
 
 from twin.parts.press import Press
 from twin.parts.probe import Cylinder, Pillar, Stl
@@ -83,7 +83,7 @@ def test_a_ridge_that_lies_askew_in_its_file_is_found(tmp_path):
 
     def ridge(angle):
         askew = turned(vertices, (0.0, 0.0, angle))
-        file = write_stl(tmp_path / f"{angle:g}.stl", askew, triangles)
+        file = write_stl(tmp_path / f"{angle:g}.stl", askew[triangles])
         return pressed(Press(probe=Stl(file=str(file)), indentation_mm=DEPTH)).force_n[2]
 
     assert ridge(40.0) == pytest.approx(ridge(0.0), rel=0.05)

@@ -1,7 +1,6 @@
 """Coulomb's friction against partial slip in closed form, and what holds for any coefficient."""
 
 import math
-from collections import Counter
 from contextlib import nullcontext
 
 import numpy as np
@@ -25,7 +24,7 @@ from presses import (
 from standard_bodies import FINGER
 
 from benchmarks import flat
-from twin.errors import ContactError, NotSettled, TwinError
+from twin.errors import ContactError, NotSettled
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step
 from twin.theory.contact import bonded_punch_stiffness, oblique_motion, sheared_motion, stick_radius, twisted
 from twin.world.contact import load_step
@@ -306,49 +305,6 @@ def test_a_force_at_the_edge_of_the_cone_is_refused_in_its_terms(monkeypatch):
     words = r"are 0\.97 times what friction 0\.5 can carry on this surface"
     with pytest.raises(ContactError, match=words):
         rubbed(pushed(), pushed(torque=0.3))
-
-
-def random_press(rng):
-    probe = (
-        Sphere(diameter_mm=rng.uniform(2, 20)),
-        Cylinder(diameter_mm=rng.uniform(1.5, 12)),
-        Pillar(width_mm=rng.uniform(1.5, 8), length_mm=rng.uniform(1.5, 15)),
-    )[rng.integers(3)]
-    friction, load = 10 ** rng.uniform(-1.5, 0.5), 10 ** rng.uniform(-2, 0.3)
-    side, angle = friction * load * rng.uniform(0, 1.1), rng.uniform(0, 2 * math.pi)
-    x, y = side * math.cos(angle), side * math.sin(angle)
-    torque = friction * load * 0.3 * rng.uniform(-1, 1)
-    drag = push(load, move_mm=(rng.normal(0, 0.1), rng.normal(0, 0.1), None))
-    paths = (
-        (pushed(x, y, load),),
-        (pushed(x, y, load), pushed(x, y, load, torque)),
-        (drag,),
-        (push(load, turn_deg=rng.normal(0, 8)), pushed(x, y, 0.7 * load)),
-        (pushed(x, y, load, torque), pushed(-x, -y, load, 0.0), pushed(0, 0, load / 2)),
-    )
-    at = rng.uniform(-40, 40), rng.uniform(-35, 35)
-    steps = (pushed(z=load), *paths[rng.integers(5)])
-    return Press(probe=probe, at_mm=at, friction=friction, steps=steps)
-
-
-@SLOW
-@pytest.mark.parametrize("part", range(6))
-def test_random_presses_end_in_balance_or_say_why_not(part):
-    known = ("can be balanced", "can carry", "slides", "sinks in", "over the edge")
-    said = Counter()
-    for number in range(50 * part, 50 * part + 50):
-        wanted = random_press(np.random.default_rng(number))
-        try:
-            state = pressed(wanted, nu=(0.5, 0.45, 0.3)[number % 3], across=10)
-        except TwinError as refused:
-            other = f"{number}: {refused}"
-            said[next((words for words in known if words in str(refused)), other)] += 1
-            continue
-        assert state.residual <= 1e-8, number
-        assert np.isfinite(state.traction_mpa).all()
-        assert_coulomb(state, state.friction)
-    assert set(said) <= set(known), said
-    assert said.total() <= 20, said
 
 
 def test_a_tip_that_is_lifted_and_pressed_again_grips_as_before():

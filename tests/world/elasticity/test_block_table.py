@@ -113,13 +113,9 @@ def test_a_table_is_small_and_written_as_it_was_read(role, tmp_path):
     assert np.abs(through_a_file(between) - between)[kept].max() <= 0.51 * step
 
 
-def test_foreign_file_is_refused(tmp_path):
-    (tmp_path / "t.npz").write_bytes(b"no")
-    with pytest.raises(InputError, match="not a table"):
-        read_table(tmp_path / "t.npz")
-
-
-@pytest.mark.parametrize("damage", [lambda whole: whole[:9000], lambda whole: b"", lambda whole: whole[:100]])
+@pytest.mark.parametrize(
+    "damage", [lambda whole: whole[:9000], lambda whole: whole[:100], lambda whole: b"", lambda whole: b"no"]
+)
 def test_damaged_table_is_refused_and_solved_around(tmp_path, monkeypatch, damage):
     path = tmp_path / "t.npz"
     path.write_bytes(damage(table_path(STANDARD, "nominal").read_bytes()))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from standard_bodies import FINGER, relative_error
+from standard_bodies import FINGER, relative_error, traction_of
 
 from twin.parts.body import Block
 from twin.parts.load import Traction
@@ -43,8 +43,7 @@ def test_a_place_on_the_finger_costs_its_own_level():
     cases = [case for case in json.loads(str(stored["cases"])) if case["key"].startswith("apex") and case["nu"] == 0.5]
     assert len(cases) == 3
     for case in cases:
-        given = case["load"]
-        load = tile(Traction.bump(tuple(given["centre_mm"]), given["radius_mm"], tuple(given["force_n"])), FINGER)
+        load = tile(traction_of(case), FINGER)
         got = ladder.displacement(stored["points"], load)
         error = relative_error(got.displacement_mm, stored[case["key"]])
         assert got.compliance.level == "coarse"
