@@ -4,8 +4,6 @@ Full stages run two at a time, each in a process of its own, as methods are comp
 every core or the wall clock come after, alone. ``--jobs 1`` runs one after the other, for wall times without company.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os

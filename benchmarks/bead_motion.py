@@ -4,8 +4,6 @@ The product keeps the first order only, as a map (`twin.world.elasticity.rigid_b
 out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -13,8 +13,6 @@ error. ``share`` is the length of a part's vector over the force; ``error_withou
 where that part alone is perfect. CPU seconds are a first press's, body and calibration read from their files.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace

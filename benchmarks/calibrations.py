@@ -13,8 +13,6 @@ markers. They share Poisson's ratio, 0.499. With a cover (1.5 times the body's m
 without one are put on the covered body.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The whole chain, one press a row: seconds by stage beside the errors of tracking and force."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twin.study.recipe import load_scene

@@ -3,8 +3,6 @@
 CPU seconds are what methods are compared by: they hold on a busy machine, and two cores can't hide work.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import resource

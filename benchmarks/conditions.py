@@ -7,8 +7,6 @@ px. JPEG is Pillow's, H.264 is ffmpeg's. ``chi`` is the root mean square of erro
 shift that is off by more than a pixel.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import tempfile

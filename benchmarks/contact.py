@@ -5,8 +5,6 @@ of patches, which compiles, and counts the compliance of every grid. What must h
 (`tests/world/contact`) and tried on thousands of random presses (`benchmarks.presses`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -9,8 +9,6 @@ also finds where the contact is and how large (tamaas is given a square that fit
 Why so many runs: of nine that take a fifth of a millisecond each, most are still warming up.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import tempfile

@@ -5,8 +5,6 @@ of dask with 1 and 2 workers: every shard says how many CPU seconds its samples 
 until the last shard is there (messages, the way of the bytes, heartbeats) is the overhead.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator

@@ -5,8 +5,6 @@ blurred by a Gaussian (scipy) and binned. Nothing of an edge's profile is assume
 columns alike, so both are one matrix, and only the pieces that a disc can cover are drawn.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -5,8 +5,6 @@ first load of a way and Poisson's ratio pays for the factor; a next load, for it
 code is warmed up before, and nothing solved earlier is read from the cache.
 """
 
-from __future__ import annotations
-
 import gc
 from functools import cache
 from typing import Any

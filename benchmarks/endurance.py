@@ -5,8 +5,6 @@ threads, open files and child processes are read. The first `WARM` of the rounds
 all must stay flat. The result is stored in benchmarks/results/endurance.json; exit code 1 if something grew.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

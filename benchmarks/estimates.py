@@ -9,8 +9,6 @@ The shares in `twin.world.elasticity.error_law` were chosen with the given loads
 other random ones; the random loads here set nothing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

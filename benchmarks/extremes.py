@@ -7,8 +7,6 @@ traceback, no warning of numpy, no endless work. Random draws (`benchmarks.rando
 which they draw changes with every version. Exit code 1 if any fails.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 import sys

@@ -1,7 +1,5 @@
 """The half-space that presses are compared on: its own formulas, no finite elements."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.reference import BODIES

@@ -15,8 +15,6 @@ the rows of a small dataset, and the rows of a linear sweep. Pictures are drawn 
 that the set doesn't depend on the machine's LLVM.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -12,8 +12,6 @@ bounded memory and time. What must hold:
 The table is stored in benchmarks/results/fuzz.json; exit code 1 if anything failed.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import json
 import os

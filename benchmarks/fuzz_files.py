@@ -4,8 +4,6 @@ Parts: damage that suits any file; ways to make a file hostile, each a `Spoil`, 
 a whole file of every kind; hostile files by kind (lying headers, bombs, NaN, pickles, links, paths that lead out).
 """
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -12,8 +12,6 @@ beads and the motions of every bead that the mirror planes allow. K is factored 
 block, and refined against the true matrix until the residual is small. E = 1 MPa there: displacements scale with 1/E.
 """
 
-from __future__ import annotations
-
 import resource
 import sys
 from dataclasses import dataclass
@@ -222,9 +220,6 @@ NOISE_PX = 0.03
 RESOLVED = ((1.0, 2, 2.0), (1.0, 3, 2.0), (2.3, 2, 2.0), (2.3, 2, 3.0))
 """Reach of the resolved beads along x and y (mm), order of displacement, elements over a bead's curvature radius."""
 
-CUTS = 3
-"""Odd, so that one place of the spread layers is the bead's own."""
-
 SOFTER = (0.5, 0.4975, 0.49, 0.47)
 """Poisson's ratios of the rubber around 4 resolved beads: the closed forms hold at 1/2."""
 
@@ -290,7 +285,6 @@ def _all_beads_row(sensor: Sensor, direction: str, force: tuple[float, float, fl
         "alone, %": 100 * _largest(first.alone) / largest,
         "together, first order, %": 100 * _largest(first.change) / largest,
         "together, second order, %": 100 * _largest(second.change) / largest,
-        "even layers of 1 + 5/2 phi, %": 100 * _largest(first.alone + _even_layers(sensor, force)) / largest,
         **{f"{name}, %": 100 * _largest(second.change[which]) / largest for name, which in layers.items()},
         "sideways motion, %": 100 * sideways,
         "total force, %": 100 * float(with_beads[:, axis].sum() / without[:, axis].sum() - 1),
@@ -389,21 +383,6 @@ def _closed(sensor: Sensor, centres: Points, force: tuple[float, float, float], 
     return bead_motion(
         lambda p: body.displacement(p, load), lambda p: body.gradient(p, load), centres, RADIUS_MM, shear, rounds
     )
-
-
-def _even_layers(sensor: Sensor, force: tuple[float, float, float]) -> Points:
-    """Return (n, 3) what the beads' push-back does when it is spread evenly over their layers, CUTS^2 places a bead."""
-    scene, compliance, load = sensor.actual.scene, sensor.compliance, _load(sensor, force)
-    centres = _centres(sensor)
-    pitch = min(layer.pitch_mm for layer in scene.markers.values())
-    steps = (np.arange(CUTS) - (CUTS - 1) / 2) * pitch / CUTS
-    offsets = np.array([(a, b, 0.0) for a in steps for b in steps])
-    places = (centres[:, None] + offsets).reshape(-1, 3)
-    slopes = compliance.gradient(places, load)
-    shear = scene.material.youngs_modulus_mpa / 3
-    dipoles = stresslet(0.5 * (slopes + slopes.swapaxes(1, 2)), RADIUS_MM, shear) / CUTS**2
-    own = np.arange(len(centres)) * CUTS**2 + CUTS**2 // 2
-    return dipole_displacement(centres, places, dipoles, shear, own)
 
 
 def _load(sensor: Sensor, force: tuple[float, float, float]) -> Rectangles:

@@ -5,8 +5,6 @@ with .05 px of noise in every component. Loads are discs of 3 to 10 mm with 1 to
 times are of one thread, the best of several.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

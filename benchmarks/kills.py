@@ -7,8 +7,6 @@ Done in rounds, a dozen kills each, that are stored in benchmarks/results/kills.
 1 if anything was lost or torn.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

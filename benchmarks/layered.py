@@ -10,8 +10,6 @@ Validity: small strain, isotropic, layer bonded, flat and endless. No body is th
 thin cover.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

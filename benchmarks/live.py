@@ -7,8 +7,6 @@ what it takes until the page can be asked, with nothing kept from earlier runs: 
 table of its surface.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -16,8 +16,6 @@ benchmarks/results/mutation.json: it is kept, and the survivor not run again. ``
 those anew that have none; "test added" is then the judgement of those that are caught.
 """
 
-from __future__ import annotations
-
 import ast
 import hashlib
 import json

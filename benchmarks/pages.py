@@ -5,8 +5,6 @@ benchmarks/results. A test compares every page with this output, so nothing here
 ``python -m benchmarks.pages reproduction --from DIR`` first stores what ``twin reproduce all --out DIR`` wrote.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -17,8 +17,6 @@ At Poisson's ratio 1/2 a millionth is taken off the pressure block: without it N
 garbage.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import shutil

@@ -8,8 +8,6 @@ body, one colour), so that only its sampling counts. Outlines are compared with 
 CPU milliseconds count all threads; methods are compared by them.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -17,8 +17,6 @@ that friction can carry the one of a slide along v gains most along v (the inequ
 `twin.world.contact.load_step`): what is asked beyond the largest force along v can't be balanced.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import time

@@ -6,8 +6,6 @@ looks at it) or what would cost minutes (a mesh for every sample). A spoilt reci
 validator may let through, chosen from the same fields.
 """
 
-from __future__ import annotations
-
 import math
 import tomllib
 import types

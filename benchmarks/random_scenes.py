@@ -13,8 +13,6 @@ loads moves markers by the sum of the motions; the scene mirrored at y = 0 gives
 Of a spoilt one: exit code 2, and a message with the file and the key.
 """
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import io

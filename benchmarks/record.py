@@ -1,7 +1,5 @@
 """Results as rows: stored in benchmarks/results, printed as tables; and what command lines take."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

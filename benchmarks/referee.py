@@ -6,8 +6,6 @@ markers that glow, brightness from the middles of markers of the scene's colours
 channel. What our pictures leave out (light between markers, reflections to and fro) is in the difference.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

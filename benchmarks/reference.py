@@ -4,8 +4,6 @@ An error is the largest difference over all points, over the largest displacemen
 deep, under the edges of the load, where markers never are: so the markers' own error is told too.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from functools import cache

@@ -5,8 +5,6 @@ squares in log-log axes over all rows of one stage. Nodes are dask workers with 
 share nothing but the network; their CPU seconds are counted by process, as two cores can't show what ten machines do.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -8,8 +8,6 @@ Validity: sites closer than about the depth of the nearest marker layer; else in
 border of the sites is found only as far as `MARGIN` of a site beyond it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -5,8 +5,6 @@ CPU seconds are of one core, numeric libraries held to one thread; ``designs_per
 a machine with nothing else on it.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

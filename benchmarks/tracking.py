@@ -10,8 +10,6 @@ known.
 ``python -m benchmarks.pages tracking`` writes the stored results into docs/tracking.md.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

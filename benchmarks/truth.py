@@ -15,8 +15,6 @@ How good it is: every case is solved with two pairs of order and bricks, the dif
 block.npz has the same loads from Netgen's tetrahedra, of order 4, graded to the rim, by hands that did not know twin.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from functools import cached_property

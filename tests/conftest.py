@@ -1,7 +1,5 @@
 """What holds for every test file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

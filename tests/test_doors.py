@@ -1,7 +1,5 @@
 """Who may import whom: parts and theory stay light, world and sense never meet, heavy packages have one home."""
 
-from __future__ import annotations
-
 import ast
 import importlib.metadata
 import subprocess

@@ -1,7 +1,5 @@
 """What tells a right refusal for want of friction: the cone about the normal, and near its edge a drag."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Comparing programs by error and time: fronts, interpolation between runs, powers of growth, and what nodes add."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

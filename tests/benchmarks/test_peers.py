@@ -1,7 +1,5 @@
 """Other programs are used rightly: their loads, their absence, and that they agree where they should."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """Several stages at a time: all run, told in their order, and a failure is neither hidden nor the end of the rest."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import sys

@@ -1,7 +1,5 @@
 """The command line: exit codes, messages that help, nothing heavy for help, nothing lost."""
 
-from __future__ import annotations
-
 import ctypes.util
 import json
 import os

@@ -3,8 +3,6 @@
 A copy, because what they tell to change is the program's source.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

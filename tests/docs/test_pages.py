@@ -1,7 +1,5 @@
 """The measured pages: tables between marks are the output of the stored results, which keep what is promised."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

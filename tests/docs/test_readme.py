@@ -1,7 +1,5 @@
 """The README's Python blocks run."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

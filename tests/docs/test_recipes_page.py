@@ -1,7 +1,5 @@
 """The recipe reference is made from the descriptions: every table and key is on it, with what is allowed."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from pathlib import Path

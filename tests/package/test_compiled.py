@@ -1,7 +1,5 @@
 """Kept machine code follows the sources that it was made of, in other modules too, and nothing else."""
 
-from __future__ import annotations
-
 import io
 import os
 import shutil

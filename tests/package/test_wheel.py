@@ -1,7 +1,5 @@
 """The built wheel alone, without the checkout: it carries recipes and meshes, and passes quick tests."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

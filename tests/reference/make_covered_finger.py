@@ -8,8 +8,6 @@ nu = 0.5 in both. Solved on two meshes; the finer one is stored, and the two dif
 (sideways) of the largest displacement. Needs ngsolve (the extra `peers`) and some minutes.
 """
 
-from __future__ import annotations
-
 import sys
 
 import ngsolve as ng

@@ -7,8 +7,6 @@ true sphere, the mesh is fine under it and towards the clamped rim. Every case i
 stored and the difference of the two is its `error_estimate`. Needs ngsolve (the extra `peers`) and some minutes.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

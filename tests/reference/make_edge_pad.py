@@ -7,8 +7,6 @@ rim near it. E = 1 MPa. Solved on two meshes; the finer one is stored and the di
 displacement, is `error`: 1e-3, mostly the coarser one's. Needs ngsolve (the extra `peers`) and five minutes.
 """
 
-from __future__ import annotations
-
 import sys
 
 import ngsolve as ng

@@ -1,7 +1,5 @@
 """What the tests of the sensor's software share."""
 
-from __future__ import annotations
-
 import pytest
 import scipy.linalg
 

@@ -1,7 +1,5 @@
 """A flat sensor on a half-space, for tests: point forces in closed form, and a camera."""
 
-from __future__ import annotations
-
 import numpy as np
 from standard_bodies import rectangles
 

@@ -1,7 +1,5 @@
 """The page of a deformed body: what it holds, and that a real browser paints it."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

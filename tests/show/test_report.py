@@ -1,7 +1,5 @@
 """The report page: whole, self-contained, true to the numbers, the right way up, and visible."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re

@@ -1,7 +1,5 @@
 """The window of a deformed body: refused with a remedy where none can be, and drawn as what it shows where one can."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Long and interrupted work: five minutes of it stay flat, and what is killed is neither lost nor torn."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Extreme values: what ``python -m benchmarks.extremes`` tries by running is read here; some are run."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

@@ -1,7 +1,5 @@
 """Hostile files: every reader under ``python -m benchmarks.fuzz``, and what was found by it, one by one."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -1,7 +1,5 @@
 """Full disks, unwritable homes, odd names, other locales, two at once: the same results, or a clear error."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess

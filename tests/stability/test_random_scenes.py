@@ -1,7 +1,5 @@
 """Random scenes: a few of what ``python -m benchmarks.random_scenes`` draws by the thousand, and what it found."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 import tomllib

@@ -1,7 +1,5 @@
 """The made sensor: what its tolerances draw, and from which streams."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is given to the Python interface by mistake is told in the field's terms, before anything is computed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Numeric libraries take one thread inside of the package, in commands and in Python, and their own outside of it."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The whole chain against the truth: the figures that the scenes promise, and the work that is skipped."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from functools import cache

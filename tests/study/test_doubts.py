@@ -1,7 +1,5 @@
 """What can be computed but no sensor would show is said once: on the terminal, in the report and in the score."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """A sensor under one load after another: what it feels is what a run of the same press reports."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

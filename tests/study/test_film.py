@@ -1,7 +1,5 @@
 """A press's path as an animated picture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Gymnasium environment passes Gymnasium's own checker."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Intrinsics in OpenCV's files, against files that OpenCV wrote."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The live page: who may ask, what a step over HTTP changes, and that a real browser shows it."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import os

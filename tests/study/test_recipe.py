@@ -1,7 +1,5 @@
 """Recipes: what is shipped loads, what is wrong is named with file, key, value, unit and range, all at once."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """The papers made again: what a record says, that a run resumes and repeats, and what the page holds."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

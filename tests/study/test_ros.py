@@ -1,7 +1,5 @@
 """ROS 2 messages: their fields are the definitions' own, and what they carry comes back through ROS's serialisation."""
 
-from __future__ import annotations
-
 from dataclasses import MISSING, fields
 from types import SimpleNamespace
 from typing import Any

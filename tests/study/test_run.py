@@ -1,7 +1,5 @@
 """The main job writes what is wanted and nothing else, and survives pictures that show nothing."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The option of stiff beads: off unless asked, worth what the study found, in the truth only, refused where unknown."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A dataset that is made in a second or two: few markers, coarse contact, a picture of 160 x 120."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Datasets: the same bytes whatever happens on the way, truth that balances, failures that are rows."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

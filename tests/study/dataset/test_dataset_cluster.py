@@ -1,7 +1,5 @@
 """Many processes: the same bytes from any number of workers, from a cluster of strangers, and when one is killed."""
 
-from __future__ import annotations
-
 import http.client
 import os
 import pickle

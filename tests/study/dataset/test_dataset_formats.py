@@ -1,7 +1,5 @@
 """What a dataset becomes in other hands: exports, the contact sheet, the card, and a regression that learns from it."""
 
-from __future__ import annotations
-
 import io
 import json
 import tarfile

@@ -1,7 +1,5 @@
 """Datasets of tractions that are given outright, and how tractions are summed into cells."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A sweep small enough for every test run."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import twin

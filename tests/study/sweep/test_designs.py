@@ -1,7 +1,5 @@
 """Designs: which there are, what becomes of scenes, and what is said about bad sweeps."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The full chain over several exposures of the same light."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The linear information: mirror symmetry loses nothing, and the estimator is the sensor's own."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sweeps end to end: the table, what a kill leaves, ranks, and the command."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The designs that sweeps found tell two pillars 2 mm apart, through contact, pictures and tracker."""
 
-from __future__ import annotations
-
 import warnings
 
 import pytest
