@@ -196,7 +196,7 @@ def test_survey_stops_at_the_first_wrong_step_and_goes_on_to_the_error() -> None
             raise SolveError("too far")
         return Measured(residual=1e-3 if step == 3 else 1e-12 * step, asymmetry=1.4, told=0.5)
 
-    axis = Axis(name="any", steps=(1, 2, 3, 4, 5), attempt=attempt, bounds=Measured(residual=1e-9))
+    axis = Axis(name="any", steps=(1, 2, 3, 4, 5, 6), attempt=attempt, bounds=Measured(residual=1e-9))
     row = survey(axis, axis.steps)
     assert row["holds to"] == "2"
     assert row["beyond"] == "at 3 degraded, the program estimates 0.5: residual 1.0e-03; from 5 refused: too far"
