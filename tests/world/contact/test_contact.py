@@ -217,6 +217,19 @@ def test_a_turned_pillar_presses_its_turned_footprint():
     assert turned.force_n[2] == pytest.approx(one.force_n[2], rel=1e-9)
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.5, pytest.param(STUCK, marks=pytest.mark.slow)])
+def test_mirror(friction):
+    def half(sign):
+        steps = (push(0.4), Step(move_mm=(0.05, 0.1 * sign, None), turn_deg=3 * sign))
+        wanted = ball(3, at_mm=(2, 1.5 * sign), friction=friction, steps=steps)
+        return pressed(wanted, FINGER, nu=0.4)
+
+    one, other = half(1), half(-1)
+    assert_allclose(other.force_n * [1, -1, 1], one.force_n, rtol=2e-3, atol=1e-4)
+    assert other.torque_nmm == pytest.approx(-one.torque_nmm, rel=0.02, abs=1e-4)
+    assert other.contact_radius_mm == pytest.approx(one.contact_radius_mm, rel=5e-3)
+
+
 def test_units_scale():
     """Ten times the modulus and the force: the same place, contact and ten times the pressure."""
     soft = pressed(ball(3, force_n=(0, 0, 0.2)))
