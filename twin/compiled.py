@@ -30,10 +30,13 @@ import re
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
 
 import numba
+import numpy as np
+from numba import config
 from numba.core import event
 
 SHOWN_AFTER_S = 1.0
@@ -147,3 +150,23 @@ class Compiling(event.Listener):  # type: ignore[misc]
 
 COMPILING = Compiling()
 event.register("numba:compile", COMPILING)
+
+
+_PARTS = 8
+"""Number of ranges into which work is cut, whatever the number of threads."""
+
+
+def in_parts(count: int, work: Callable[[int, int, int], Any]) -> list[Any]:
+    """Call ``work(part, begin, end)`` on `_PARTS` ranges of 0 to ``count``; return the results in
+    order."""
+    edges = np.linspace(0, count, _PARTS + 1).astype(int).tolist()
+    threads = max(int(config.NUMBA_NUM_THREADS), 1)
+    if threads == 1:
+        return [work(part, edges[part], edges[part + 1]) for part in range(_PARTS)]
+    return list(_pool(threads, os.getpid()).map(work, range(_PARTS), edges[:-1], edges[1:]))
+
+
+@cache
+def _pool(threads: int, process: int) -> ThreadPoolExecutor:
+    """Return the thread pool of this process: a forked process needs its own."""
+    return ThreadPoolExecutor(threads, thread_name_prefix=f"twin-{process}")

@@ -91,3 +91,13 @@ def triangle_quadrature() -> tuple[Floats, Floats]:
         places += [[a, a], [1 - 2 * a, a], [a, 1 - 2 * a]]
         weights += [weight] * 3
     return np.array(places), np.array(weights)
+
+
+def boundary_triangles(tets: Ints) -> Ints:
+    """Return the (f, 3) faces that belong to one tetrahedron only, right-hand normals pointing
+    out."""
+    faces = tets[:, TET_FACES].reshape(-1, 3)
+    _, first, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    return np.asarray(faces[np.sort(first[count == 1])])

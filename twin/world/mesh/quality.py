@@ -23,6 +23,7 @@ from twin.parts.body import Body
 from twin.world.mesh.elements import (
     TET_EDGES,
     TET_FACES,
+    boundary_triangles,
     signed_volumes,
     tet_quadrature,
     tet_shapes,
@@ -30,7 +31,6 @@ from twin.world.mesh.elements import (
     triangle_shapes,
 )
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.snap import boundary_triangles
 
 LEAST_DIHEDRAL_DEG = 12.0
 LEAST_SCALED_JACOBIAN = 0.12

@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.arrays import Bools, Ints, Points, frozen
 from twin.parts.body import Body
-from twin.world.mesh.elements import TET_EDGES, TET_FACES, TRIANGLE_EDGES
+from twin.world.mesh.elements import TET_EDGES, TRIANGLE_EDGES, boundary_triangles
 from twin.world.mesh.quadratic_mesh import Mesh
 
 RIM_SHARE = 0.3
@@ -108,16 +108,6 @@ def onto_sheets(body: Body, points: Points, on: Bools, *, depth_mm: float = 0.0)
         step = np.linalg.pinv(normals, rcond=1e-6) @ distance[:, :, None]
         points -= step[:, :, 0]
     return points
-
-
-def boundary_triangles(tets: Ints) -> Ints:
-    """Return the (f, 3) faces that belong to one tetrahedron only, right-hand normals pointing
-    out."""
-    faces = tets[:, TET_FACES].reshape(-1, 3)
-    _, first, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    return np.asarray(faces[np.sort(first[count == 1])])
 
 
 def _classify(body: Body, points: Points, triangles: Ints) -> Ints:

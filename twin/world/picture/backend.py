@@ -24,16 +24,10 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numba import config
 
 from twin.errors import InputError, MissingCapability, TwinError
 from twin.files import cache_folder, write_whole
@@ -99,9 +93,6 @@ total = mitsuba.Float([1, 2, 3]) * 2
 good = sum(total) == 12 and abs(scene.ray_intersect_preliminary(ray, True).t[0] - 4) < 1e-3
 print("good" if good else "wrong", number)
 """
-
-PARTS = 8
-"""Number of ranges into which work is cut, whatever the number of threads."""
 
 RAYS_BYTES = 63
 """Bytes a pixel of rays, light and shares, for each point of the pupil and for its middle."""
@@ -249,22 +240,6 @@ def require_memory(scene: Scene, at_once: int = 1) -> None:
         f"{needed / 1e9:,.1f} GB of memory, of which {free / 1e9:,.1f} GB are free here: take "
         f"fewer pixels{pupil}{workers}, or a machine with more memory"
     )
-
-
-def in_parts(count: int, work: Callable[[int, int, int], Any]) -> list[Any]:
-    """Call ``work(part, begin, end)`` on `PARTS` ranges of 0 to ``count``; return the results in
-    order."""
-    edges = np.linspace(0, count, PARTS + 1).astype(int).tolist()
-    threads = max(int(config.NUMBA_NUM_THREADS), 1)
-    if threads == 1:
-        return [work(part, edges[part], edges[part + 1]) for part in range(PARTS)]
-    return list(_pool(threads, os.getpid()).map(work, range(PARTS), edges[:-1], edges[1:]))
-
-
-@cache
-def _pool(threads: int, process: int) -> ThreadPoolExecutor:
-    """Return the thread pool of this process: a forked process needs its own."""
-    return ThreadPoolExecutor(threads, thread_name_prefix=f"twin-{process}")
 
 
 def _working_driver() -> str | None:

@@ -22,7 +22,6 @@ on the axis, which is exact for a pinhole lens that looks along z.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -30,7 +29,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Pixels, Singles
 from twin.errors import RecipeError
-from twin.parts.camera import Camera, Ccd
+from twin.parts.camera import Camera
 from twin.parts.scene import Scene
 from twin.theory.lens import lens_inverse
 from twin.theory.optics import (
@@ -42,8 +41,8 @@ from twin.theory.optics import (
     tilt_matrix,
     transmission,
 )
-from twin.world.picture.ccd import response_matrix
 from twin.world.picture.cover import cover_light, stretch
+from twin.world.picture.picture_job import View
 
 PUPIL_WEIGHTS = np.concatenate([[0.25], np.full(6, 0.125)])
 """Weights of the pupil's points: a rule exact for polynomials of degree 5 on a disc (Stroud S2
@@ -52,57 +51,11 @@ PUPIL_WEIGHTS = np.concatenate([[0.25], np.full(6, 0.125)])
 _COARSE = 4
 """Pixels between the nodes on which the cover's light is computed."""
 
-_EXPOSED = 0.99
-"""Share of the ground's pixels that are no brighter than the level that sets the exposure."""
-
 _AT_ONCE = 400_000
 """Rays computed in one go: memory for a picture of any size stays that of its results."""
 
 _GRAZING = 1e-3
 """Cosine below which an LED looks no brighter."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class View:
-    """The rays of a camera in a body, computed once.
-
-    Attributes
-    ----------
-    corners
-        (height + 1, width + 1, 4) rays through the pixel corners (column - 1/2, row - 1/2): x and y
-        on the base plane, mm, and dx/d(-z), dy/d(-z).
-    sees
-        (height, width) whether all four corners of a pixel have rays that enter the body through
-        its base.
-    vignette
-        (height, width) light on the sensor that a surface of brightness 1 makes: the gain times the
-        share that passes the interfaces and the lens, which is 1 on the axis.
-    cover
-        (height, width, 3) light from the cover behind the markers, vignette included.
-    veil
-        (height, width) light of mirrored LEDs in front of all, or None.
-    """
-
-    corners: Floats
-    sees: Bools
-    vignette: Singles
-    cover: Singles
-    veil: Singles | None
-
-    def times(self, gain: float) -> View:
-        """Return the view with all of its light times a gain."""
-        factor = np.float32(gain)
-        veil = None if self.veil is None else factor * self.veil
-        return replace(self, vignette=factor * self.vignette, cover=factor * self.cover, veil=veil)
-
-    def ground_light(self, ccd: Ccd) -> float:
-        """Return the light in a CCD's brightest channel that 99 % of the pixels do not exceed
-        without markers.
-
-        One pixel in a hundred may be brighter, so that mirrored LEDs don't set the exposure.
-        """
-        ground = self.cover if self.veil is None else self.cover + self.veil[:, :, None]
-        return float(np.quantile((ground @ response_matrix(ccd).T).max(axis=2), _EXPOSED))
 
 
 def look(scene: Scene, top: float) -> View:

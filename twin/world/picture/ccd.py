@@ -38,10 +38,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from twin.arrays import Floats, Ints, Picture, Singles
-from twin.compiled import njit
+from twin.compiled import in_parts, njit
 from twin.errors import InputError
 from twin.parts.camera import Ccd
-from twin.world.picture.backend import in_parts
 
 Segments = NDArray[np.float32]
 """(n, 2) value at 0 and slope of each straight piece of a function, 64 between two powers of 2."""

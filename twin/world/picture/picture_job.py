@@ -14,7 +14,7 @@ Units: the median marker radius is 1, and z = 0 lies just behind all markers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Ints, Pixels, Singles
 from twin.compiled import njit
+from twin.parts.camera import Ccd
 from twin.parts.scene import Scene
 from twin.theory.optics import project_with_jacobian
-from twin.world.picture.camera_rays import View
+from twin.world.picture.ccd import response_matrix
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import lamps_at
 
@@ -55,6 +56,53 @@ _ROOM_PX = 1.2
 _EDGE_SEARCH = 1.2
 """Sub-pixels: a ray reaches half a diagonal, 0.71, and an ellipsoid grows by less than its axes
 between them."""
+
+
+_EXPOSED = 0.99
+"""Share of the ground's pixels that are no brighter than the level that sets the exposure."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """The rays of a camera in a body, computed once.
+
+    Attributes
+    ----------
+    corners
+        (height + 1, width + 1, 4) rays through the pixel corners (column - 1/2, row - 1/2): x and y
+        on the base plane, mm, and dx/d(-z), dy/d(-z).
+    sees
+        (height, width) whether all four corners of a pixel have rays that enter the body through
+        its base.
+    vignette
+        (height, width) light on the sensor that a surface of brightness 1 makes: the gain times the
+        share that passes the interfaces and the lens, which is 1 on the axis.
+    cover
+        (height, width, 3) light from the cover behind the markers, vignette included.
+    veil
+        (height, width) light of mirrored LEDs in front of all, or None.
+    """
+
+    corners: Floats
+    sees: Bools
+    vignette: Singles
+    cover: Singles
+    veil: Singles | None
+
+    def times(self, gain: float) -> View:
+        """Return the view with all of its light times a gain."""
+        factor = np.float32(gain)
+        veil = None if self.veil is None else factor * self.veil
+        return replace(self, vignette=factor * self.vignette, cover=factor * self.cover, veil=veil)
+
+    def ground_light(self, ccd: Ccd) -> float:
+        """Return the light in a CCD's brightest channel that 99 % of the pixels do not exceed
+        without markers.
+
+        One pixel in a hundred may be brighter, so that mirrored LEDs don't set the exposure.
+        """
+        ground = self.cover if self.veil is None else self.cover + self.veil[:, :, None]
+        return float(np.quantile((ground @ response_matrix(ccd).T).max(axis=2), _EXPOSED))
 
 
 @dataclass(frozen=True, kw_only=True)

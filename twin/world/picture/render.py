@@ -24,13 +24,13 @@ from twin.parts.camera import Camera
 from twin.parts.scene import Scene
 from twin.theory.optics import project, sight
 from twin.world.picture.backend import FORCE, Variant, choose_variant
-from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View, look, through_the_pupil
+from twin.world.picture.camera_rays import PUPIL_WEIGHTS, look, through_the_pupil
 from twin.world.picture.ccd import white_level
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import brightest
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
-from twin.world.picture.picture_job import WEIGHT, Indices, PictureJob, Shader, make_job
+from twin.world.picture.picture_job import WEIGHT, Indices, PictureJob, Shader, View, make_job
 from twin.world.picture.splat import Shaded, Splat
 
 RENDERERS: dict[str, Callable[[View, float, float], Shader]] = {

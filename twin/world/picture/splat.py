@@ -32,10 +32,8 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Floats, Ints, Singles
-from twin.compiled import njit
-from twin.world.picture.backend import in_parts
-from twin.world.picture.camera_rays import View
-from twin.world.picture.picture_job import INTO, OPAQUE, WEIGHT, Indices, PictureJob
+from twin.compiled import in_parts, njit
+from twin.world.picture.picture_job import INTO, OPAQUE, WEIGHT, Indices, PictureJob, View
 
 _INTERIOR = 3
 """The grid of an edge is so many times finer than inside an outline."""
