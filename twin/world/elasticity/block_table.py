@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebpts1, chebvander
+from numpy.polynomial.chebyshev import chebvander
 
 from twin.arrays import Bools, Floats, Points, Progress, frozen, grid_points
 from twin.errors import InputError, TwinError
@@ -44,6 +44,7 @@ from twin.world.elasticity.cache import PointCache
 from twin.world.elasticity.correction import bonded_layer, correction
 from twin.world.elasticity.discretise import join
 from twin.world.elasticity.fem import TaylorHood
+from twin.world.elasticity.tensor_basis import SIZES, Axis, chebyshev, tensor_product
 from twin.world.mesh.body_mesh import body_mesh, mesh_key
 from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.quadratic_mesh import Mesh
@@ -51,12 +52,11 @@ from twin.world.mesh.sizing import Level, default_sizing
 from twin.world.mesh.snap import RIM_SHARE, drawn_to_rim
 
 NU_RANGE = (0.0, 0.5)
-SIZES = (5, 5, 5, 8, 8, 5)
-"""Numbers of polynomials in nu, in the force's x and y, and in the point's x, y and z."""
-
 MANY_LOADS = 25
 """Loads at the same points from which on the table is worth a product with the points'
 polynomials."""
+
+_NU = chebyshev(SIZES[0], *NU_RANGE)
 
 _GAUSS = np.polynomial.legendre.leggauss(3)
 _MIDDLE = np.polynomial.legendre.leggauss(1)
@@ -103,20 +103,8 @@ class Table:
 
     def at(self, poisson_ratio: float) -> TableAtNu:
         """Return the table of one nu."""
-        coefficients = np.tensordot(
-            _weights(poisson_ratio, NU_RANGE, SIZES[0]), self.coefficients, 1
-        )
+        coefficients = np.tensordot(_NU.basis(np.array([poisson_ratio]))[0], self.coefficients, 1)
         return TableAtNu(coefficients=coefficients, window_mm=self.window_mm, box_mm=self.box_mm)
-
-
-def _share(value: float, ends: tuple[float, float]) -> float:
-    """Return where a value is between two ends, from -1 to 1."""
-    return (2.0 * value - ends[0] - ends[1]) / (ends[1] - ends[0])
-
-
-def _weights(value: float, ends: tuple[float, float], count: int) -> Floats:
-    """Return (count,) Chebyshev polynomials at a value between two ends."""
-    return np.asarray(chebvander(np.array([_share(value, ends)]), count - 1)[0])
 
 
 @dataclass(kw_only=True, eq=False)
@@ -168,10 +156,8 @@ class _PointBasis:
             if axis == along:
                 slope = np.polynomial.chebyshev.chebder(np.eye(size), scl=1.0 / scale)
                 values = values[:, : size - 1] @ slope
-            basis.append(values)
-        across = basis[0][:, :, None] * basis[1][:, None, :]
-        products = across[:, :, :, None] * basis[2][:, None, None, :]
-        return np.ascontiguousarray(products.reshape(len(self.points), across[0].size * SIZES[5]))
+            basis.append(np.asarray(values, float))
+        return tensor_product(*basis)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -354,17 +340,14 @@ def make_table(body: Block, mesh: Mesh, progress: Progress | None = None) -> Tab
     """Solve for all forces and nu of a block's table, and measure its error under a load that it is
     not made of."""
     window, box = _window_of(body)
-    places = [w * chebpts1(size) for w, size in zip(window, SIZES[1:3], strict=True)]
-    quarter = [place[place > -1e-12] for place in places]
+    axes = _axes(window, box)
+    quarter = [axis.nodes[axis.nodes > -1e-12] for axis in axes[1:3]]
     loads = [_point_force(body, x, y) for x in quarter[0] for y in quarter[1]]
-    at = [half * chebpts1(size) for half, size in zip(box, SIZES[3:], strict=True)]
-    at[2] = (at[2] + box[2]) / 2.0
-    points = grid_points(*at)
+    points = grid_points(*(axis.nodes for axis in axes[3:]))
     matrix = Locator(mesh).locate(points).matrix(len(mesh.points))
     whole = join(loads)
     samples = np.empty((SIZES[0], SIZES[1], SIZES[2], 3, 3, *SIZES[3:]))
-    low, high = NU_RANGE
-    for n, nu in enumerate((low + high + (high - low) * chebpts1(SIZES[0])) / 2.0):
+    for n, nu in enumerate(axes[0].nodes):
         if progress:
             progress(f"table of the block's response, nu = {nu:.2f}", n / SIZES[0])
         system = TaylorHood(mesh, float(nu))
@@ -374,14 +357,22 @@ def make_table(body: Block, mesh: Mesh, progress: Progress | None = None) -> Tab
             values += layer.compliance(points, whole, 1.0).reshape(values.shape)
         values = values.reshape(*SIZES[3:], 3, len(quarter[0]), len(quarter[1]), 3)
         samples[n] = _mirrored(np.transpose(values, (4, 5, 6, 3, 0, 1, 2)))
-    for axis, size in zip((0, 1, 2, 5, 6, 7), SIZES, strict=True):
-        inverse = np.linalg.inv(chebvander(chebpts1(size), size - 1))
-        samples = np.moveaxis(np.tensordot(inverse, samples, axes=(1, axis)), 0, axis)
+    for axis, place in zip(axes, (0, 1, 2, 5, 6, 7), strict=True):
+        samples = axis.coefficients(samples, place)
     coefficients = np.where(_kept(), samples, 0.0)
     table = Table(
         coefficients=coefficients, window_mm=window, box_mm=box, digest=mesh.digest(), error=0.0
     )
     return Table(**{**vars(table), "error": _error(table, body, system)})
+
+
+def _axes(window: tuple[float, float], box: tuple[float, float, float]) -> list[Axis]:
+    """Return the interpolations in nu, in the force's x and y, and in the point's x, y and z."""
+    ends = [(-half, half) for half in (*window, *box[:2])]
+    return [
+        chebyshev(size, low, high)
+        for size, (low, high) in zip(SIZES, [NU_RANGE, *ends, (0.0, box[2])], strict=True)
+    ]
 
 
 def _mirrored(quarter: Floats) -> Floats:
@@ -567,8 +558,9 @@ class Tables:
     def between(self) -> float:
         """How far Poisson's ratio is from those solved for: 0 at them, 1 in the middle between two
         and at the ends."""
-        place = min(max(_share(self._nu, NU_RANGE), -1.0), 1.0)
-        return abs(math.cos(SIZES[0] * math.acos(place)))
+        low, high = NU_RANGE
+        place = (2.0 * self._nu - low - high) / (high - low)
+        return abs(math.cos(SIZES[0] * math.acos(min(max(place, -1.0), 1.0))))
 
     def make(self) -> None:
         """Make, and keep in the cache, the tables of a block that has none; nothing where they
@@ -625,7 +617,7 @@ def table_between(body: Block, role: Role, low_mm: float, high_mm: float) -> Tab
         return None
     modes, digest, error = found
     window, box = _window_of(body)
-    weights = _weights(body.thickness_mm, (low_mm, high_mm), len(modes))
+    weights = chebyshev(len(modes), low_mm, high_mm).basis(np.array([body.thickness_mm]))[0]
     return Table(
         coefficients=np.tensordot(weights, modes, axes=1),
         window_mm=window,
@@ -642,15 +634,14 @@ def _tables(
     """Return the coefficients of a range as polynomials in the thickness, the mesh's digest and the
     error to expect."""
     tables = []
-    count = FEW if high_mm <= NARROW * low_mm else MANY
-    for thickness in (low_mm + high_mm + (high_mm - low_mm) * chebpts1(count)) / 2.0:
+    thicknesses = chebyshev(FEW if high_mm <= NARROW * low_mm else MANY, low_mm, high_mm)
+    for thickness in thicknesses.nodes:
         body = Block(width_mm=width_mm, length_mm=length_mm, thickness_mm=float(thickness))
         table = find_table(body, role, make=True, usable=GOOD)
         if table is None:
             return None
         tables.append(table)
-    inverse = np.linalg.inv(chebvander(chebpts1(count), count - 1))
-    modes = np.tensordot(inverse, np.stack([t.coefficients for t in tables]), axes=1)
+    modes = thicknesses.coefficients(np.stack([table.coefficients for table in tables]))
     # what the next polynomial would add is about as much less than the last as that is than the one
     # before
     last, before = (float(np.abs(m).max()) for m in (modes[-1], modes[-2]))

@@ -30,6 +30,7 @@ from twin.world.elasticity.cache import cached_field, field_key
 from twin.world.elasticity.correction import correction, unbalanced
 from twin.world.elasticity.discretise import onto_surface
 from twin.world.elasticity.fem import TaylorHood
+from twin.world.elasticity.tensor_basis import Axis, lagrange, splines, tensor_product
 from twin.world.mesh.interpolate import Places, Weighted
 from twin.world.mesh.sizing import default_sizing
 
@@ -77,8 +78,10 @@ class Region:
             SNAP_MM * np.floor((low - room) / SNAP_MM),
             SNAP_MM * np.ceil((high + room) / SNAP_MM),
         )
-        self._nodes = [
-            (a + b) / 2 + (b - a) / 2 * chebpts1(min(3 + math.ceil((b - a) / GRAIN_MM), MOST))
+        self._axes = [
+            lagrange(
+                (a + b) / 2 + (b - a) / 2 * chebpts1(min(3 + math.ceil((b - a) / GRAIN_MM), MOST))
+            )
             for a, b in zip(self._low, self._high, strict=True)
         ]
         half = SNAP_SIZE ** np.round(np.log(rectangles.half_mm.mean(axis=0)) / math.log(SNAP_SIZE))
@@ -101,8 +104,8 @@ class Region:
         """Return (n, 3, k, 3): w in mm/N at ``places`` (n), for E = 1 MPa, per unit global force on
         each rectangle."""
         offsets, k = self._offsets(rectangles), len(rectangles)
-        along = [lagrange(nodes, offsets[:, axis]) for axis, nodes in enumerate(self._nodes)]
-        weight = np.einsum("ka,kb->kab", *along).reshape(k, -1)
+        along = [axis.basis(offset) for axis, offset in zip(self._axes, offsets.T, strict=True)]
+        weight = tensor_product(*along)
         values = places.matrix(len(self._system.mesh.points)) @ self._fields.reshape(
             len(self._fields), -1
         )
@@ -113,7 +116,7 @@ class Region:
         return np.asarray((rectangles.centre_mm - self._centre) @ self._frame[:2].T)
 
     def _probes(self, body: Body, half_mm: Floats) -> Rectangles:
-        offsets = grid_points(*self._nodes)
+        offsets = grid_points(*(axis.nodes for axis in self._axes))
         size = self._high - self._low
         whole = Traction(
             kind="rectangle",
@@ -203,17 +206,6 @@ def _batches(
         yield part, [rectangles[i : i + 1] for i in each], [axes[i][None] for i in each]
 
 
-def lagrange(nodes: Floats, at: Floats) -> Floats:
-    """Return (k, n) Lagrange polynomials of the nodes at k places."""
-    away = at[:, None, None] - nodes[None, None, :]
-    between = nodes[:, None] - nodes[None, :]
-    np.fill_diagonal(between, 1.0)
-    ratio = away / between
-    index = np.arange(len(nodes))
-    ratio[:, index, index] = 1.0
-    return np.asarray(ratio.prod(axis=2))
-
-
 NODES = 19
 """Nodes of the grid along each side; odd, so that every other one is a grid, too."""
 
@@ -246,9 +238,9 @@ class SurfaceTable:
     def __init__(self, system: TaylorHood, body: Body, progress: Progress | None = None) -> None:
         self._system, self._body = system, body
         self._half = np.array(default_sizing(body, "standard").window_mm)
-        self._axes = [np.linspace(-half, half, NODES) for half in self._half]
-        self._weights = {step: [_weights(axis, step) for axis in self._axes] for step in (1, 2)}
-        chart = grid_points(*self._axes)
+        axes = [splines(np.linspace(-half, half, NODES)) for half in self._half]
+        self._weights = {step: [_weights(axis, step) for axis in axes] for step in (1, 2)}
+        chart = grid_points(*(axis.nodes for axis in axes))
         points = body.chart_points(chart)
         clear = float(body.piece_distances(points)[:, 1:].min())
         if not clear > CLEAR * self._half.min():
@@ -266,7 +258,7 @@ class SurfaceTable:
         )
         self._fields = cached_field(
             field_key(system, body, probes.centre_mm, probes.half_mm),
-            lambda: _coefficients(_all_solved(system, body, probes, progress), self._axes),
+            lambda: _coefficients(_all_solved(system, body, probes, progress), axes),
             single=True,
         )
         self._grid = self._fields.reshape(-1, 3, NODES, NODES, 3)
@@ -339,7 +331,7 @@ class SurfaceTable:
         rectangle."""
         along = self._splines(rectangles, 1)
         s, t = (_span(one) for one in along)
-        weight = (along[0][:, s, None] * along[1][:, None, t]).reshape(len(rectangles), -1)
+        weight = tensor_product(along[0][:, s], along[1][:, t])
         frames = self._body.frames(rectangles.centre_mm)
         turned = np.einsum("kp,kaj->pakj", weight, frames).reshape(-1, 3 * len(rectangles))
         values = self._read(places, places.weights[:, :, None], s, t).reshape(
@@ -361,25 +353,14 @@ class SurfaceTable:
         return [weights(chart[:, axis]) for axis, weights in enumerate(self._weights[step])]
 
 
-def _weights(axis: Floats, step: int) -> Callable[[Floats], Floats]:
+def _weights(axis: Axis, step: int) -> Callable[[Floats], Floats]:
     """Return what the coefficients of an axis' splines weigh at places; with ``step`` 2 as every
     other node has it."""
-    splines = _splines_of(axis)
     if step == 1:
-        return splines
-    every_other = _splines_of(axis[::step])
-    from_nodes = np.linalg.solve(every_other(axis[::step]), splines(axis[::step]))
-    return lambda places: np.asarray(every_other(places) @ from_nodes)
-
-
-def _splines_of(nodes: Floats) -> Callable[[Floats], Floats]:
-    """Return the cubic B-splines that interpolate at nodes, as one function of places: (n,
-    nodes)."""
-    from scipy.interpolate import BSpline
-
-    knots = np.concatenate([np.full(4, nodes[0]), nodes[2:-2], np.full(4, nodes[-1])])
-    made: Callable[[Floats], Floats] = BSpline(knots, np.eye(len(nodes)), 3)
-    return made
+        return axis.basis
+    coarse = splines(axis.nodes[::step])
+    from_nodes = np.linalg.solve(coarse.basis(coarse.nodes), axis.basis(coarse.nodes))
+    return lambda places: np.asarray(coarse.basis(places) @ from_nodes)
 
 
 def _span(weights: Floats) -> slice:
@@ -388,12 +369,12 @@ def _span(weights: Floats) -> slice:
     return slice(int(held[0]), int(held[-1]) + 1)
 
 
-def _coefficients(fields: Floats, axes: list[Floats]) -> Floats:
+def _coefficients(fields: Floats, axes: list[Axis]) -> Floats:
     """Return what the axes' splines are multiplied with to pass through ``fields`` (N, 3, 3 k) of
     the nodes."""
-    from_nodes = [np.linalg.inv(_splines_of(axis)(axis)).astype(np.float32) for axis in axes]
+    from_nodes = [axis.from_nodes().astype(np.float32) for axis in axes]
     for start in range(0, len(fields), 1000):
-        part = fields[start : start + 1000].reshape(-1, *(len(axis) for axis in axes), 3)
+        part = fields[start : start + 1000].reshape(-1, *(len(axis.nodes) for axis in axes), 3)
         along = np.einsum("us,nsta->nuta", from_nodes[0], part, optimize=True)
         along = np.einsum("vt,nuta->nuva", from_nodes[1], along, optimize=True)
         fields[start : start + 1000] = along.reshape(-1, *fields.shape[1:])
