@@ -126,6 +126,16 @@ def test_damaged_table_is_refused_and_solved_around(tmp_path, monkeypatch, damag
         assert find_table(STANDARD, "nominal") is None
 
 
+@pytest.mark.parametrize("damaged", ['"error": NaN, "was": ', '"error": [1], "was": '])
+def test_a_table_whose_error_is_no_number_is_refused(tmp_path, damaged):
+    with np.load(table_path(STANDARD, "nominal")) as file:
+        arrays = {name: file[name] for name in file.files}
+    words = str(arrays.pop("words")).replace('"error": ', damaged)
+    np.savez(tmp_path / "t.npz", words=np.array(words), **arrays)
+    with pytest.raises(InputError, match="not a table"):
+        read_table(tmp_path / "t.npz")
+
+
 def test_foreign_sizes_are_refused(tmp_path):
     with np.load(table_path(STANDARD, "nominal")) as file:
         arrays = {name: file[name] for name in file.files}

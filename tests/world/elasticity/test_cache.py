@@ -107,9 +107,19 @@ def test_a_damaged_field_is_solved_anew(folder, damage):
     assert count == 1
 
 
+@pytest.mark.parametrize("wrong", [np.float32, lambda field: field.T, lambda field: field * np.nan])
+def test_a_field_of_another_type_or_shape_or_with_nan_is_solved_again(folder, wrong):
+    first = stiff().displacement(POINTS, load())
+    (path,) = folder.glob("field-*.npy")
+    np.save(path, wrong(np.load(path)))
+    again, count = solves(lambda: stiff().displacement(POINTS, load()))
+    assert_allclose(again, first, rtol=1e-12)
+    assert count == 1
+
+
 def test_single_precision_is_as_good_as_said(folder):
     exact = np.random.default_rng(1).normal(size=(50, 3))
-    assert_near(cache.cached_field("a" * 64, lambda: exact, single=True), exact, 6e-8)
+    assert_near(cache.cached_field("a" * 64, lambda: exact, exact.shape, single=True), exact, 6e-8)
 
 
 def test_a_cache_that_cannot_be_written_costs_time_only(folder, monkeypatch):
@@ -121,8 +131,8 @@ def test_the_oldest_fields_make_room(folder, monkeypatch):
     monkeypatch.setattr("twin.world.elasticity.cache.LIMIT_BYTES", 2500)
     monkeypatch.setattr("twin.world.elasticity.cache.EVERY", 1)
     for i, name in enumerate("abc"):
-        cache.cached_field(name * 64, lambda: np.zeros(125))
+        cache.cached_field(name * 64, lambda: np.zeros(125), (125,))
         os.utime(folder / f"field-{name * 40}.npy", (i, i))
-    cache.cached_field("a" * 64, lambda: np.zeros(125))  # used again, so it stays
-    cache.cached_field("d" * 64, lambda: np.zeros(125))
+    cache.cached_field("a" * 64, lambda: np.zeros(125), (125,))  # used again, so it stays
+    cache.cached_field("d" * 64, lambda: np.zeros(125), (125,))
     assert sorted(path.name[6] for path in folder.glob("field-*.npy")) == ["a", "d"]

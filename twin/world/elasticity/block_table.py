@@ -40,7 +40,7 @@ from twin.files import MESHES, cache_folder, is_pinned, pinned, read_arrays, wri
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
-from twin.world.elasticity.cache import PointCache
+from twin.world.elasticity.cache import PointCache, require_table
 from twin.world.elasticity.correction import bonded_layer, correction
 from twin.world.elasticity.discretise import join
 from twin.world.elasticity.fem import TaylorHood
@@ -474,6 +474,8 @@ def read_table(path: Path) -> Table:
         file = read_arrays(path, ("words", "planes"))
         words = json.loads(str(file["words"]))
         planes, step = file["planes"], float(words["step"])
+        lengths = [*words["window_mm"], *words["box_mm"]]
+        numbers = np.array([step, words["error"], *lengths], float)
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as problem:
         raise InputError(
             f"{path} is not a table of corrections ({problem}): make it again"
@@ -484,14 +486,8 @@ def read_table(path: Path) -> Table:
             "twin.world.elasticity.block_table"
         )
     allowed = _kept()
-    if (
-        planes.shape != (4, np.count_nonzero(allowed))
-        or planes.dtype != np.uint8
-        or not np.isfinite(step)
-    ):
-        raise InputError(
-            f"{path} is not a table of corrections (its arrays don't fit together): make it again"
-        )
+    require_table(path, planes, (4, int(allowed.sum())), np.uint8)
+    require_table(path, numbers, (7,), np.float64)
     folded = np.ascontiguousarray(planes.T).view("<u4").ravel()
     coefficients = np.zeros(allowed.shape)
     coefficients[allowed] = step * ((folded >> 1).astype(np.int64) ^ -(folded & 1).astype(np.int64))

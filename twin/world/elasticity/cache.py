@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from twin.arrays import Floats, Points, frozen
-from twin.errors import TwinError
+from twin.errors import InputError, TwinError
 from twin.files import cache_folder, write_whole
 from twin.parts.body import Body
 from twin.theory import halfspace
@@ -65,18 +66,33 @@ def _code() -> bytes:
     return sha.digest()
 
 
-def cached_field(key: str, make: Callable[[], Floats], *, single: bool = False) -> Floats:
+def require_table(path: Path, table: NDArray[Any], shape: tuple[int, ...], kind: DTypeLike) -> None:
+    """Raise an `InputError` unless a stored table has this shape and type, and only finite numbers.
+
+    The one check of all that elasticity stores: solved fields, tables of a surface and of a block.
+    """
+    found = f"{table.dtype} {table.shape}"
+    if table.shape != shape or table.dtype != kind:
+        raise InputError(f"{path} is not a table of {np.dtype(kind)} {shape}, but {found}")
+    if not np.isfinite(table.sum(dtype=float)):  # no mask as large as the table is needed
+        raise InputError(f"{path} is not a table: it holds numbers that are not finite")
+
+
+def cached_field(
+    key: str, make: Callable[[], Floats], shape: tuple[int, ...], *, single: bool = False
+) -> Floats:
     """Return the array stored under ``key`` (`field_key`), memory-mapped, or make and store it.
 
-    With ``single`` a new one is stored, and returned, in float32: half the size, 6e-8 of the
-    largest entry off.
+    What is stored in another ``shape`` or is not finite is made again. With ``single`` a new one is
+    stored, and returned, in float32: half the size, 6e-8 of the largest entry off.
     """
     path = cache_folder() / f"field-{key[:40]}.npy"
     try:
         found: Floats = np.load(path, mmap_mode="r", allow_pickle=False)
+        require_table(path, found, shape, np.float32 if single else np.float64)
         os.utime(path)
         return found
-    except (OSError, ValueError, EOFError):
+    except (OSError, ValueError, EOFError, InputError):
         pass
     made = make()
     if single:

@@ -515,6 +515,7 @@ class Compliance:
             self._fields[key] = cached_field(
                 field_key(self.system, self.body, *parts, np.array(self._subtracted)),
                 lambda: self._solve(load),
+                self.mesh.points.shape,
             )
         return self._fields[key]
 

@@ -92,6 +92,7 @@ class Region:
             lambda: np.concatenate(
                 [field for _, field in _solved(system, body, probes, axes)], axis=2
             ),
+            (len(system.mesh.points), 3, 3 * len(probes)),
             single=True,
         )
 
@@ -158,7 +159,10 @@ def patch_corrections(
     if 4 * 9 * len(system.mesh.points) * len(rectangles) <= KEPT_BYTES:
         key = field_key(system, body, rectangles.centre_mm, rectangles.frames, rectangles.half_mm)
         fields = cached_field(
-            key, lambda: np.concatenate([field for _, field in parts], axis=2), single=True
+            key,
+            lambda: np.concatenate([field for _, field in parts], axis=2),
+            (len(system.mesh.points), 3, 3 * len(rectangles)),
+            single=True,
         )
         parts = iter([(slice(None), fields)])
     out = np.empty((len(places.nodes), 3, len(rectangles), 3))
@@ -259,6 +263,7 @@ class SurfaceTable:
         self._fields = cached_field(
             field_key(system, body, probes.centre_mm, probes.half_mm),
             lambda: _coefficients(_all_solved(system, body, probes, progress), axes),
+            (len(system.mesh.points), 3, 3 * len(probes)),
             single=True,
         )
         self._grid = self._fields.reshape(-1, 3, NODES, NODES, 3)
