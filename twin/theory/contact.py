@@ -127,10 +127,11 @@ def punch_pressure(distance_mm: Floats, radius_mm: float, force_n: float) -> Flo
     return np.asarray(force_n / (2.0 * math.pi * radius_mm * np.sqrt(safe)))
 
 
-def cone_force(
-    contact_radius_mm: float, apex_deg: float, youngs_modulus_mpa: float, poisson_ratio: float
+def cone_contact_radius(
+    force_n: float, apex_deg: float, youngs_modulus_mpa: float, poisson_ratio: float
 ) -> float:
-    """Return F = (pi / 2) E* a^2 cot(alpha), N, of a frictionless cone of full apex angle 2 alpha.
+    """Return the contact radius a, mm, of a frictionless cone of full apex angle 2 alpha under F =
+    (pi / 2) E* a^2 cot(alpha).
 
     Notes
     -----
@@ -138,20 +139,8 @@ def cone_force(
     Validity: blunt cones, as the linear theory takes the slope cot(alpha) for small.
     """
     slope = 1.0 / math.tan(math.radians(apex_deg / 2))
-    return (
-        math.pi
-        / 2
-        * plane_strain_modulus(youngs_modulus_mpa, poisson_ratio)
-        * contact_radius_mm**2
-        * slope
-    )
-
-
-def cone_contact_radius(
-    force_n: float, apex_deg: float, youngs_modulus_mpa: float, poisson_ratio: float
-) -> float:
-    """Return the contact radius, mm, of a cone under a force: `cone_force` solved for it."""
-    return math.sqrt(force_n / cone_force(1.0, apex_deg, youngs_modulus_mpa, poisson_ratio))
+    modulus = plane_strain_modulus(youngs_modulus_mpa, poisson_ratio)
+    return math.sqrt(force_n / (math.pi / 2 * modulus * slope))
 
 
 def cone_indentation(contact_radius_mm: float, apex_deg: float) -> float:
