@@ -1,5 +1,6 @@
 """The CCD against photon transfer, blur and colour mixing it states."""
 
+import numba
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -7,7 +8,6 @@ from scipy.special import ndtr, ndtri
 
 from twin.errors import InputError, RecipeError
 from twin.parts.camera import PRESETS, Ccd
-from twin.world.picture import backend
 from twin.world.picture.ccd import (
     at_segments,
     composite_spreads_px,
@@ -195,7 +195,7 @@ def test_the_number_of_threads_changes_no_byte(preset, monkeypatch):
     pattern = fixed_pattern(ccd, (61, 80), rng())
     found = []
     for count in (1, 2):
-        monkeypatch.setattr(backend.config, "NUMBA_NUM_THREADS", count)
+        monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", count)
         found.append(expose(light, ccd, rng(), pattern))
     assert_array_equal(*found)
 

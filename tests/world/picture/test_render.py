@@ -3,6 +3,7 @@
 Tests run on small pictures with the splat, and with Mitsuba where a libLLVM of this machine works.
 """
 
+import numba
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -12,7 +13,6 @@ from twin.errors import RecipeError
 from twin.parts.markers import place
 from twin.parts.scene import Accuracy
 from twin.theory.optics import Sight
-from twin.world.picture import backend
 from twin.world.picture.camera_rays import look, through_the_pupil
 from twin.world.picture.ccd import response_matrix
 from twin.world.picture.ellipsoids import ellipsoids
@@ -355,7 +355,7 @@ def test_threads_do_not_change_a_byte(name, monkeypatch):
     before = drjit.thread_count()
     found = []
     for threads in (1, 2, 3, 4):
-        monkeypatch.setattr(backend.config, "NUMBA_NUM_THREADS", threads)
+        monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", threads)
         if name == "mitsuba":
             drjit.set_thread_count(threads)
         found.append((renderer.radiance(markers), renderer.outlines(markers).centroid_px))
