@@ -251,7 +251,11 @@ class Neighbourhood:
             allowed = TRUST * float(np.isfinite(self.rest_px).all(axis=1).sum())
             if search.lost(warm) < allowed:
                 return warm.spot, False
-        best = min(map(search.grow, search.cold_starts()), key=lambda p: p.cost)
+        still = search.grow(np.zeros_like(self.rest_px))
+        if start_px is None and search.plain(still):
+            return still.spot, False
+        grown = [still, *(search.grow(guess) for guess in search.common_motion())]
+        best = min(grown, key=lambda p: p.cost)
         if start_px is not None and search.lost(warm) - allowed < search.lost(best):
             return warm.spot, False
         tried = [best]
@@ -367,18 +371,26 @@ class _Search:
         """Return how many markers have no spot."""
         return float((self.known & (pairing.spot < 0)).sum())
 
-    def cold_starts(self) -> list[Pixels]:
-        """Return guesses of the motion: none at all, and the motion most pairs agree on."""
+    def plain(self, pairing: _Pairing) -> bool:
+        """Return whether nothing is left over and no marker has moved by `STILL` spacings.
+
+        Then no other pairing needs a look: every other one moves the markers by at least three
+        times as much, which `PRIOR` counts by more than `RIVAL`.
+        """
+        if pairing.left_over or not (pairing.spot >= 0).any():
+            return False
         size = self.around.spacing_px
-        still = np.zeros_like(self.around.rest_px)
-        starts = [still]
-        steps = _steps(self.around.rest_px[self.known], self.spots, 0.95 * size)
-        if len(steps):
-            support = cKDTree(steps).query_ball_point(steps, 0.12 * size, return_length=True)
-            peak = steps[np.argmax(support * (1.0 - 0.05 * np.linalg.norm(steps, axis=1) / size))]
-            if np.linalg.norm(peak) > 0.1 * size:
-                starts.append(still + peak)
-        return starts
+        return bool(np.nanmax(np.linalg.norm(pairing.motion, axis=1)) < STILL * size)
+
+    def common_motion(self) -> list[Pixels]:
+        """Return the motion that most pairs agree on; nothing where that is no motion."""
+        size, rest = self.around.spacing_px, self.around.rest_px
+        steps = _steps(rest[self.known], self.spots, 0.95 * size)
+        if not len(steps):
+            return []
+        support = cKDTree(steps).query_ball_point(steps, 0.12 * size, return_length=True)
+        peak = steps[np.argmax(support * (1.0 - 0.05 * np.linalg.norm(steps, axis=1) / size))]
+        return [np.zeros_like(rest) + peak] if np.linalg.norm(peak) > 0.1 * size else []
 
     def rivals(self, pairing: _Pairing) -> list[_Pairing]:
         """Return the pairings where every marker takes the spot of its partner a step of the
