@@ -218,33 +218,41 @@ def _ellipse(xx, xy, yy):
     return yy / determinant / 4, -xy / determinant / 4, xx / determinant / 4, major, minor
 
 
-@njit(cache=True)
-def _window(form, limits):
-    """Weight of a pixel: 1 up to a little outside the edge, then fading to 0; ``form`` is the
-    squared radius."""
-    if form <= limits[0] * limits[0]:
-        return 1.0
-    share = (np.sqrt(form) - limits[0]) / (limits[1] - limits[0])
-    return 0.5 + 0.5 * np.cos(np.pi * share)
+@njit(cache=True, fastmath=True)
+def _window(form, inner, per_width):
+    """Weight of a pixel: 1 up to a little outside the edge, then half a cosine down to 0.
+
+    ``form`` is the squared radius, ``inner`` where the fall begins, ``per_width`` 1 over its width.
+    The sine is its series up to the 15th power, 6e-12 off: the vector unit has none.
+    """
+    share = min(max((np.sqrt(form) - inner) * per_width, 0.0), 1.0)
+    angle = np.pi * (0.5 - share)
+    square = angle * angle
+    series = 1.0 - square / 210.0
+    series = 1.0 - square / 156.0 * series
+    series = 1.0 - square / 110.0 * series
+    series = 1.0 - square / 72.0 * series
+    series = 1.0 - square / 42.0 * series
+    series = 1.0 - square / 20.0 * series
+    return 0.5 + 0.5 * angle * (1.0 - square / 6.0 * series)
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _centroid(signal, cx, cy, ixx, ixy, iyy, limits, box, plane, ground):
     """One pass: mass, and mean offset from (cx, cy), of the levelled signal under the window."""
     a, b, c, px, py = plane
     mass, sx, sy = 0.0, 0.0, 0.0
-    last = limits[1] * limits[1]
+    inner, per_width, least = limits[0], 1.0 / (limits[1] - limits[0]), 0.3 * a
     for y in range(box[2], box[3] + 1):
-        dy = y - cy
+        dy, row = y - cy, signal[y]
         for x in range(box[0], box[1] + 1):
             dx = x - cx
             form = ixx * dx * dx + 2 * ixy * dx * dy + iyy * dy * dy
-            if form < last:
-                full = CEILING * max(a + b * (x - px) + c * (y - py), 0.3 * a)
-                value = _window(form, limits) * min((signal[y, x] - ground) / full, 1.0)
-                mass += value
-                sx += value * dx
-                sy += value * dy
+            full = CEILING * max(a + b * (x - px) + c * (y - py), least)
+            value = _window(form, inner, per_width) * min((row[x] - ground) / full, 1.0)
+            mass += value
+            sx += value * dx
+            sy += value * dy
     return mass, sx / max(mass, 1e-9), sy / max(mass, 1e-9)
 
 
@@ -263,7 +271,8 @@ def _spread(signal, ellipse, limits, box, plane, ground, noise, mass, crowd_leve
             if form >= last:
                 continue
             full = CEILING * max(a + b * (x - px) + c * (y - py), 0.3 * a)
-            weight, value = _window(form, limits), (signal[y, x] - ground) / full
+            weight = _window(form, limits[0], 1.0 / (limits[1] - limits[0]))
+            value = (signal[y, x] - ground) / full
             if value < 1.0:
                 sxx += weight * value * dx * dx
                 syy += weight * value * dy * dy
