@@ -2,11 +2,12 @@
 
     python tests/reference/make_neohooke.py     # needs ngsolve; about ten minutes
 
-An axisymmetric slab (radius 47.5 mm, 40 mm thick, bonded below, E = 1 MPa, incompressible) carries a rigid probe with
-a given force and no friction: once by linear theory, its gap along the undeformed normals, and once as neo-Hookean,
-Mooney-Rivlin or Yeoh rubber, the probe against the deformed surface. Displacement of order 3 and pressure of order 2 (4 and 3 in the check).
-A penalty of 2000 MPa/mm keeps the two apart. Stored: both displacements (r, z) in mm at r and z, the indentations, and
-how far a second order moves the difference of the two, over the largest displacement.
+An axisymmetric slab (radius 47.5 mm, 40 mm thick, bonded below, E = 1 MPa, incompressible) carries a rigid
+probe with a given force and no friction: once by linear theory, its gap along the undeformed normals, and once
+as neo-Hookean, Mooney-Rivlin or Yeoh rubber, the probe against the deformed surface. Displacement of order 3
+and pressure of order 2 (4 and 3 in the check). A penalty of 2000 MPa/mm keeps the two apart. Stored: both
+displacements (r, z) in mm at r and z, the indentations, and how far a second order moves the difference of the
+two, over the largest displacement.
 """
 
 import json
