@@ -31,7 +31,7 @@ UNITS = {
 }
 
 
-LATER = (
+LATER: tuple[tuple[str, object], ...] = (
     ("back", "free"),
     ("youngs_modulus_mpa", None),
     ("poisson_ratio", None),
@@ -39,7 +39,7 @@ LATER = (
     ("distortion", 0.0),
     ("deforms", False),
     ("law", "linear"),
-    ("law_ratios", ()),
+    ("law_ratios", []),
 )
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so
 that files stored under a hash of all keys stay valid."""
