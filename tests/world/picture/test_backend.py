@@ -78,6 +78,15 @@ def test_a_library_that_kills_its_process_leaves_ours_alive(tmp_path, monkeypatc
     assert "ends with code" in chosen.reason
 
 
+def test_a_try_that_was_stopped_from_outside_is_repeated_before_it_is_stored(tmp_path, monkeypatch, verdicts):
+    """A killed test run once left the verdict that a good library crashes, for good."""
+    good, codes = library(tmp_path, 19), [-6, 0]
+    child = lambda *_, **__: SimpleNamespace(returncode=codes.pop(0), stdout="good 19")  # noqa: E731
+    monkeypatch.setattr(backend.subprocess, "run", child)
+    assert choose_variant(candidates=[good]).name == "llvm_ad_rgb"
+    assert list(json.loads((tmp_path / "llvm.json").read_text()).values()) == ["good"]
+
+
 @pytest.mark.parametrize(
     ("line", "why", "stored"),
     [("hangs", "could not be tried", False), ("old 18", "older than 19", True), ("wrong 19", "computes wrongly", True)],

@@ -65,6 +65,7 @@ DRIVERS = (
 )
 
 _UNTRIED = "could not be tried"
+_CRASHED = "Mitsuba on it ends with code"
 
 PROBE = """
 import ctypes, os, sys
@@ -287,6 +288,9 @@ def _verdict(library: str, variant: str = "llvm_ad_rgb") -> str:
     known = _stored(store)
     if key not in known:
         verdict = _try(library, variant)
+        if verdict.startswith(_CRASHED):
+            # A child may also end because something outside stopped it: stored only if it repeats.
+            verdict = _try(library, variant)
         if verdict.startswith(_UNTRIED):
             return verdict
         _store(store, {**_stored(store), key: verdict})
@@ -307,7 +311,7 @@ def _try(library: str, variant: str = "llvm_ad_rgb") -> str:
         return f"{_UNTRIED} ({type(problem).__name__})"
     words = child.stdout.split()
     if child.returncode != 0 or not words:
-        return f"Mitsuba on it ends with code {child.returncode}"
+        return f"{_CRASHED} {child.returncode}"
     verdicts = {
         "good": "good",
         "wrong": "Mitsuba on it computes wrongly",
