@@ -80,7 +80,7 @@ def test_sharp_rim_is_the_limit_of_sharper_and_sharper_ones():
 def test_load_steps_end_where_one_step_does(monkeypatch):
     press = twin.Press(probe=Cylinder(diameter_mm=5, edge_mm=0.2), force_n=(0, 0, 3.0))
     once = made().press(press).load.strained
-    settle = finite_strain.FiniteStrain._settled
+    settle = finite_strain.FiniteStrain.settled
     left = [1]
 
     def failing(self, slab, touch, state, force, *, linear):
@@ -89,7 +89,7 @@ def test_load_steps_end_where_one_step_does(monkeypatch):
             raise NotSettled("contact: the first attempt")
         return settle(self, slab, touch, state, force, linear=linear)
 
-    monkeypatch.setattr(finite_strain.FiniteStrain, "_settled", failing)
+    monkeypatch.setattr(finite_strain.FiniteStrain, "settled", failing)
     steps = made().press(press).load.strained
     assert not left
     field = once.displacement(PLACES)
@@ -101,7 +101,7 @@ def test_press_that_fails_at_once_is_solved_in_load_steps(monkeypatch):
     """Under 6 N on a fairly sharp cylinder Newton's steps from the linear answer do not converge."""
     press = twin.Press(probe=Cylinder(diameter_mm=5, edge_mm=0.2), force_n=(0, 0, 6.0))
     assert made().press(press).load.strained.indentation_mm > 0.02
-    monkeypatch.setattr(finite_strain, "_LOAD_STEPS", 1)
+    monkeypatch.setattr(finite_strain, "LOAD_STEPS", 1)
     with pytest.raises(TwinError, match="did not converge, nor did they in 1 load"):
         made().press(press)
 

@@ -95,7 +95,7 @@ _STEPS = 20
 """Newton's steps end at one that moves nothing by more than this share of the largest displacement;
 their largest number."""
 
-_LOAD_STEPS = 5
+LOAD_STEPS = 5
 """Equal steps of the force where Newton's steps fail from the linear answer."""
 
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -603,7 +603,7 @@ class FiniteStrain:
         force = float(state.force_n[Z]) / self._material.youngs_modulus_mpa
         none = np.zeros(len(touch.rest_mm))
         start = _Balance(np.zeros(slab.size), state.indentation_mm, none, touch.rest_mm < size)
-        linear = self._settled(slab, touch, start, force, linear=True)
+        linear = self.settled(slab, touch, start, force, linear=True)
         finite = self._finite(slab, touch, linear, force)
         return _Pair(
             grid=grid,
@@ -616,9 +616,9 @@ class FiniteStrain:
     def _finite(self, slab: _Slab, touch: _Touch, linear: _Balance, force: float) -> _Balance:
         """Return the finite-strain answer: from the linear one at once, else in load steps."""
         try:
-            return self._settled(slab, touch, linear, force, linear=False)
+            return self.settled(slab, touch, linear, force, linear=False)
         except (NotSettled, SolveError):
-            first = 1.0 / _LOAD_STEPS
+            first = 1.0 / LOAD_STEPS
             state = replace(
                 linear,
                 unknowns=first * linear.unknowns,
@@ -626,17 +626,17 @@ class FiniteStrain:
                 pressure=first * linear.pressure,
             )
         try:
-            for part in np.linspace(first, 1.0, _LOAD_STEPS):
-                state = self._settled(slab, touch, state, part * force, linear=False)
+            for part in np.linspace(first, 1.0, LOAD_STEPS):
+                state = self.settled(slab, touch, state, part * force, linear=False)
         except (NotSettled, SolveError) as problem:
             raise NotSettled(
                 f"contact: at finite strain (material.law = {self._material.law}) Newton's steps "
-                f"did not converge, nor did they in {_LOAD_STEPS} load steps: press with less "
+                f"did not converge, nor did they in {LOAD_STEPS} load steps: press with less "
                 "force, with a rounder probe, or set material.law = linear"
             ) from problem
         return state
 
-    def _settled(
+    def settled(
         self, slab: _Slab, touch: _Touch, state: _Balance, force: float, *, linear: bool
     ) -> _Balance:
         """Take Newton's steps until one moves nothing."""
