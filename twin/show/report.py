@@ -45,7 +45,8 @@ _NAMES = {
     ),
     "elastic.linearisation_error": (
         "cost of linearity",
-        "expected at most at the markers, over the largest displacement",
+        "at the markers, over the largest displacement: measured, or estimated as the largest to "
+        "expect (the page's facts say which)",
     ),
     "elastic.contact_residual": (
         "contact residual",

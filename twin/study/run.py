@@ -67,6 +67,7 @@ _STAGES = {
     "calibration": "forces",
     "reconstruction": "forces",
     "contact error": "displacement",
+    "linearity": "score",
     "score": "displacement",
 }
 """The stages in their order, each with what needs it."""
@@ -251,6 +252,9 @@ class _Chain:
         if self.state is not None:
             with self.stage("contact error"):
                 self.state.error  # noqa: B018  computed at first use
+        if self.state is not None and "score" in self.needed:
+            with self.stage("linearity"):
+                self.state = replace(self.state, validity=sensor.validity(self.state))
         with self.stage("score"):
             score = self._score(truth, motion, patches, estimate)
         return RunResult(

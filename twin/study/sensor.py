@@ -29,7 +29,7 @@ from twin.streams import Purpose, stream
 from twin.theory.optics import project
 
 if TYPE_CHECKING:
-    from twin.world.contact.contact_state import PressError
+    from twin.world.contact.contact_state import PressError, Validity
     from twin.world.contact.pressing import ContactState
     from twin.world.elasticity.coated import CoveredCompliance, Ladder
     from twin.world.elasticity.compliance import Compliance
@@ -476,8 +476,11 @@ class Sensor:
         )
         actual = self.actual
         points = actual.markers.points
-        if actual.scene.material.law != "linear":
-            self._refuse_law()
+        if actual.scene.material.law != "linear" and (problem := self._linear_only()):
+            raise RecipeError(
+                f"material.law = {actual.scene.material.law}: {problem} is linear theory only; "
+                "leave it out, or set material.law = linear"
+            )
         state = solve(
             wanted,
             actual.scene.body,
@@ -506,6 +509,27 @@ class Sensor:
         if self._may_be_inaccurate(state.load):
             state.error  # noqa: B018  warns if it is
         return state
+
+    @one_blas_thread()
+    def validity(self, state: ContactState, press: Press | None = None) -> Validity:
+        """Return how far a press strains linear theory, its cost measured where that can be done.
+
+        ``state`` is that of ``press``, by default of the scene's own. By another law than the
+        linear one the state's own validity is returned.
+        """
+        from twin.world.contact.contact_state import ESTIMATED
+        from twin.world.contact.finite_strain import measured_linearity
+
+        pressed = press if press is not None else self.nominal.press
+        actual = self.actual
+        if pressed is None or actual.scene.material.law != "linear":
+            return state.validity
+        if problem := self._linear_only():
+            basis = f"{ESTIMATED}: {problem} is linear theory only"
+            return replace(state.validity, linearisation_basis=basis)
+        return measured_linearity(
+            pressed, actual.scene.body, actual.scene.material, state, actual.markers.points
+        )
 
     @one_blas_thread()
     def picture(
@@ -588,23 +612,17 @@ class Sensor:
         own = stream(self.nominal.seed, Purpose.SENSOR_PATTERN)
         return fixed_pattern(self.nominal.ccd, (camera.height_px, camera.width_px), own)
 
-    def _refuse_law(self) -> None:
-        """Refuse a law of large strain where covers, beads or the cover's picture need a linear
-        body."""
-        scene = self.nominal
-        cover = scene.cover
-        problem = ""
+    def _linear_only(self) -> str:
+        """Return what needs a linear body: covers, beads or the cover's picture; empty if nothing
+        does."""
+        cover = self.nominal.cover
         if self.stiff_beads is not None:
-            problem = "markers with stiff = true"
-        elif cover is not None and cover.deforms:
-            problem = "cover.deforms = true"
-        elif cover is not None and {cover.youngs_modulus_mpa, cover.poisson_ratio} != {None}:
-            problem = "a cover with a modulus of its own"
-        if problem:
-            raise RecipeError(
-                f"material.law = {scene.material.law}: {problem} is linear theory only; leave it "
-                "out, or set material.law = linear"
-            )
+            return "markers with stiff = true"
+        if cover is not None and cover.deforms:
+            return "cover.deforms = true"
+        if cover is not None and {cover.youngs_modulus_mpa, cover.poisson_ratio} != {None}:
+            return "a cover with a modulus of its own"
+        return ""
 
     def _moved(self, load: Load | ContactState | Motion | None) -> Motion | None:
         return load if load is None or isinstance(load, Motion) else self.motion(_load_of(load))

@@ -157,6 +157,11 @@ _GRAZED = 1e6
 """Largest slope, squared, that is reported."""
 
 
+MEASURED = "measured"
+ESTIMATED = "estimated"
+"""Where `Validity.linearisation_error` comes from."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Validity:
     """How far a press strains linear theory.
@@ -174,7 +179,10 @@ class Validity:
         Indentation over the body's extent along z.
     linearisation_error
         How far linear theory is expected to be off at the markers, over the largest displacement
-        (`twin.theory.linearity`); how far it is off where `Material.law` includes large strain.
+        (`twin.theory.linearity`), or how far it is off.
+    linearisation_basis
+        Where that comes from: ``measured`` under this very press at finite strain, or
+        ``estimated``, by the law at most, and why it was not measured.
     notes
         What goes beyond the limits 0.3 (radius) and 1 % (cost of linearity), in words, where its
         cost is known from the study of docs/validity.md.
@@ -188,6 +196,7 @@ class Validity:
     mean_strain: float
     indentation_over_thickness: float
     linearisation_error: float
+    linearisation_basis: str = ESTIMATED
     warnings: tuple[str, ...]
     notes: tuple[str, ...] = ()
 

@@ -47,7 +47,14 @@ from twin.parts.body import Block, Body
 from twin.parts.material import Material, shear_modulus
 from twin.parts.press import Press
 from twin.parts.probe import Cone, Cylinder, Sphere
-from twin.world.contact.contact_state import ContactState, PressError, Share
+from twin.world.contact.contact_state import (
+    ESTIMATED,
+    MEASURED,
+    ContactState,
+    PressError,
+    Share,
+    Validity,
+)
 from twin.world.contact.probe_gap import Shape, Z, approach_of
 from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
@@ -470,6 +477,8 @@ class FiniteStrain:
         The press by linear theory: a state in its path.
     watched
         (n, 3) points inside the body for which the error counts, mm.
+    coarse
+        Whether a coarser mesh and no load steps do: half of the time, for the size alone.
 
     Attributes
     ----------
@@ -487,7 +496,14 @@ class FiniteStrain:
     """
 
     def __init__(
-        self, press: Press, body: Body, material: Material, state: ContactState, watched: Points
+        self,
+        press: Press,
+        body: Body,
+        material: Material,
+        state: ContactState,
+        watched: Points,
+        *,
+        coarse: bool = False,
     ) -> None:
         self._press = press
         self._approach = approach_of(press, body)
@@ -498,10 +514,16 @@ class FiniteStrain:
         beside = np.concatenate([self._axis - low[:Z], high[:Z] - self._axis])
         self._beside_mm = float(beside.min())
         self._thick_mm = float(high[Z] - low[Z])
-        _refuse(press, body, material, state, self._beside_mm)
+        if problem := _unsolved(press, body, material, state, self._beside_mm):
+            raise InputError(
+                f"material.law = {material.law}: {problem} at finite strain; change it, or set "
+                "material.law = linear"
+            )
+        self._coarse = coarse
         self._watched = watched if len(watched) else self._below_contact()
         sides = (high - low)[:Z]
-        self._pair = self._solved(1.0, math.sqrt(float(sides[0] * sides[1]) / math.pi))
+        share = _COARSER if coarse else 1.0
+        self._pair = self._solved(share, math.sqrt(float(sides[0] * sides[1]) / math.pi))
         self.indentation_mm = self._pair.deeper_mm
         self.wider = self._pair.wider
 
@@ -618,6 +640,8 @@ class FiniteStrain:
         try:
             return self.settled(slab, touch, linear, force, linear=False)
         except (NotSettled, SolveError):
+            if self._coarse:
+                raise
             first = 1.0 / LOAD_STEPS
             state = replace(
                 linear,
@@ -665,10 +689,10 @@ def _largest(vectors: Floats) -> float:
     return float(np.linalg.norm(vectors, axis=1).max())
 
 
-def _refuse(
+def _unsolved(
     press: Press, body: Body, material: Material, state: ContactState, beside_mm: float
-) -> None:
-    """Raise an InputError for a press that isn't solved at finite strain."""
+) -> str:
+    """Return why a press isn't solved at finite strain, and what is; empty if it is."""
     problem = ""
     nearest = LEAST_BESIDE * state.contact_radius_mm
     if press.also:
@@ -691,11 +715,42 @@ def _refuse(
             f"press.at_mm: {beside_mm:.3g} mm from a side of the block, {nearest:.3g} mm or more "
             f"({LEAST_BESIDE:g} times the contact's radius) are solved"
         )
-    if problem:
-        raise InputError(
-            f"material.law = {material.law}: {problem} at finite strain; change it, or set "
-            "material.law = linear"
-        )
+    return problem
+
+
+def measured_linearity(
+    press: Press, body: Body, material: Material, state: ContactState, watched: Points
+) -> Validity:
+    """Return a state's validity with how far linear theory is off under this very press.
+
+    Neo-Hookean rubber is pressed on a coarse mesh (about .3 s). Where that can't be done the
+    estimate stays, and `Validity.linearisation_basis` says why.
+    """
+    validity = state.validity
+    if not state.load.terms:
+        return replace(validity, linearisation_basis=f"{ESTIMATED}: nothing touches")
+    rubber = material.model_copy(update={"law": "neo_hookean"})
+    try:
+        more = FiniteStrain(press, body, rubber, state, watched, coarse=True)
+    except InputError as problem:
+        cause = str(problem).removeprefix("material.law = neo_hookean: ").split(" at finite")[0]
+        return replace(validity, linearisation_basis=f"{ESTIMATED}: {cause} at finite strain")
+    except (ContactError, SolveError):
+        cause = "Newton's steps at finite strain did not converge"
+        return replace(validity, linearisation_basis=f"{ESTIMATED}: {cause}")
+    deeper = more.indentation_mm / state.indentation_mm
+    note = (
+        f"linear theory is {100 * more.linear_error:.2g} % of the largest displacement off here, "
+        f"and its indentation {100 * abs(deeper):.2g} % too {'small' if deeper > 0 else 'large'}; "
+        "-s material.law=neo_hookean includes it"
+    )
+    return replace(
+        validity,
+        linearisation_error=more.linear_error,
+        linearisation_basis=MEASURED,
+        warnings=(),
+        notes=(note,),
+    )
 
 
 def at_finite_strain(
@@ -761,7 +816,11 @@ def _strained(
         area_mm2=state.area_mm2 * more.wider**2,
         peak_pressure_mpa=state.peak_pressure_mpa / more.wider**2,
         validity=replace(
-            state.validity, linearisation_error=more.linear_error, warnings=(), notes=(note,)
+            state.validity,
+            linearisation_error=more.linear_error,
+            linearisation_basis=MEASURED,
+            warnings=(),
+            notes=(note,),
         ),
         estimate=estimate,
     )
