@@ -481,20 +481,26 @@ class Sensor:
                 f"material.law = {actual.scene.material.law}: {problem} is linear theory only; "
                 "leave it out, or set material.law = linear"
             )
-        state = solve(
-            wanted,
-            actual.scene.body,
-            self.compliance,
-            patches_across=self.nominal.contact_patches,
-            youngs_modulus_mpa=actual.scene.material.youngs_modulus_mpa,
-            poisson_ratio=actual.scene.material.poisson_ratio,
-            increments=self.nominal.accuracy.contact_increments,
-            watched=Watched(
-                points=points,
-                error=lambda load: self.ladder.displacement(points, self.rectangles(load)).error,
-                judge=self._warn_if_press_inaccurate,
-            ),
-        )
+
+        def linear(one: Press) -> ContactState:
+            return solve(
+                one,
+                actual.scene.body,
+                self.compliance,
+                patches_across=self.nominal.contact_patches,
+                youngs_modulus_mpa=actual.scene.material.youngs_modulus_mpa,
+                poisson_ratio=actual.scene.material.poisson_ratio,
+                increments=self.nominal.accuracy.contact_increments,
+                watched=Watched(
+                    points=points,
+                    error=lambda load: (
+                        self.ladder.displacement(points, self.rectangles(load)).error
+                    ),
+                    judge=self._warn_if_press_inaccurate,
+                ),
+            )
+
+        state = linear(wanted)
         if actual.scene.material.law != "linear":
             from twin.world.contact.finite_strain import at_finite_strain
 
@@ -505,6 +511,7 @@ class Sensor:
                 state,
                 points,
                 self._warn_if_press_inaccurate,
+                linear,
             )
         if self._may_be_inaccurate(state.load):
             state.error  # noqa: B018  warns if it is

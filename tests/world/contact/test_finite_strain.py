@@ -131,6 +131,25 @@ def test_every_step_of_a_path_has_its_own_strain():
     assert path[1].indentation_mm > 1.5 * path[0].indentation_mm
 
 
+@pytest.mark.filterwarnings("ignore::twin.errors.AccuracyWarning")
+def test_probe_held_by_a_motion_carries_the_force_of_another_code():
+    """There the probe is this much deeper under 3 N than by linear theory."""
+    case = next(one for one in TRUTH["cases"] if one["kind"] == "sphere" and one["force_n"] == 3.0)
+    sphere = Sphere(diameter_mm=6)
+    straight = made("linear").press(twin.Press(probe=sphere, at_mm=(3.0, 2.0), force_n=(0, 0, 3.0)))
+    deep = straight.indentation_mm * case["indentation_mm"] / case["indentation_linear_mm"]
+    sensor = made()
+    held = sensor.press(twin.Press(probe=sphere, steps=(twin.Step(move_mm=(3.0, 2.0, deep)),)))
+    assert held.indentation_mm == pytest.approx(deep, rel=1e-4)
+    assert held.force_n[2] == pytest.approx(3.0, rel=2e-3)
+    assert 0.0 < held.error.strain.force < 1e-2
+    assert held.error.strain.indentation == 0.0
+    forced = sensor.press(twin.Press(probe=sphere, at_mm=(3.0, 2.0), force_n=(0, 0, float(held.force_n[2]))))
+    places = PLACES + np.array([3.0, 2.0, 0.0])
+    moved = [sensor.displacement(places, state) for state in (forced, held)]
+    assert largest(moved[1] - moved[0]) < 1e-4 * largest(moved[0])
+
+
 @pytest.mark.parametrize(
     ("press", "scene", "words"),
     [
@@ -138,7 +157,6 @@ def test_every_step_of_a_path_has_its_own_strain():
         ({"probe": Pillar(width_mm=4)}, {}, "pillar"),
         ({"probe": Cylinder(diameter_mm=5), "force_n": (0, 0, 9.0)}, {}, "did not converge"),
         ({"at_mm": (45.0, 0.0)}, {}, "side of the block"),
-        ({"force_n": None, "indentation_mm": 0.5}, {}, "force along z"),
         ({"tilt_deg": (3.0, 0.0, 0.0)}, {}, "don't turn"),
         ({}, {"material.poisson_ratio": 0.4}, "poisson_ratio"),
         ({"probe": Sphere(diameter_mm=3)}, {"name": "finger_bare"}, "blocks are solved"),
