@@ -93,7 +93,7 @@ def _literals(annotation: Any) -> list[Any]:
 
 def _docstring(model: type[BaseModel]) -> tuple[str, dict[str, str]]:
     """Return what a description's docstring says, and what it says of each key."""
-    text = inspect.cleandoc(model.__doc__ or "")
+    text = inspect.cleandoc(model.__doc__ or "").partition("\n\nExamples\n")[0]
     said, _, attributes = text.partition("\nAttributes\n----------\n")
     meanings: dict[str, str] = {}
     names: list[str] = []

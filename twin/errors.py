@@ -32,7 +32,17 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float 
 
 
 class TwinError(Exception):
-    """Anything that went wrong in a way this program understands (exit code 1)."""
+    """Anything that went wrong in a way this program understands (exit code 1).
+
+    Examples
+    --------
+    >>> import twin
+    >>> try:
+    ...     twin.load_scene("gelpad_pres")
+    ... except twin.TwinError as problem:
+    ...     print(problem)
+    no scene 'gelpad_pres': did you mean 'gelpad_press'?
+    """
 
     exit_code = 1
 
@@ -114,4 +124,13 @@ class MissingCapability(TwinError):
 
 
 class AccuracyWarning(UserWarning):
-    """A result is less accurate than the scene requests; the message has both and a remedy."""
+    """A result is less accurate than the scene requests; the message has both and a remedy.
+
+    Examples
+    --------
+    Stop where a result is less accurate than the scene requests:
+
+    >>> import warnings
+    >>> import twin
+    >>> warnings.simplefilter("error", twin.AccuracyWarning)
+    """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,21 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Points
+from twin.display import (
+    data_frame,
+    html_table,
+    new_axes,
+    one_line,
+    plot_forces,
+    plot_shifts,
+    site_columns,
+    vector,
+)
 from twin.errors import InputError
 from twin.files import make_folder, png_bytes, write_json, write_whole
+
+_CHUNK = 512
+"""Pieces of the truth whose distances to all sites are held at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +64,34 @@ class Truth:
     total_force_n: Floats
     total_torque_nmm: Floats
 
+    def __repr__(self) -> str:
+        counts = [f"{len(self.marker_rest_mm)} markers", f"{len(self.surface_mm)} pieces pressed"]
+        return one_line("Truth", [*counts, f"total {vector(self.total_force_n, 'N')}"])
+
+    def force_at(self, site_mm: Points) -> Floats:
+        """Return (k, 3) true forces, N: each piece of the contact is added to its nearest site."""
+        total = np.zeros((len(site_mm), 3))
+        for start in range(0, len(self.surface_mm), _CHUNK):
+            pieces = self.surface_mm[start : start + _CHUNK]
+            squared = ((pieces[:, None] - site_mm[None]) ** 2).sum(axis=2)
+            np.add.at(total, squared.argmin(axis=1), self.surface_force_n[start : start + _CHUNK])
+        return total
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return a row for every marker: layer, rest place and displacement, mm."""
+        names = {"x_mm": 0, "y_mm": 1, "z_mm": 2}
+        rest = {name: self.marker_rest_mm[:, axis] for name, axis in names.items()}
+        moved = {f"u{name}": self.marker_displacement_mm[:, axis] for name, axis in names.items()}
+        return {"layer": self.marker_layer, **rest, **moved}
+
+    def to_pandas(self) -> Any:
+        """Return `columns` as a pandas ``DataFrame``."""
+        return data_frame(self.columns())
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the true forces of the contact on matplotlib axes, and return these."""
+        return plot_forces(new_axes(1, ax), self.surface_mm, self.surface_force_n, "true forces")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
@@ -73,6 +115,25 @@ class Estimate:
     force_n: Floats
     total_force_n: Floats
     total_torque_nmm: Floats
+
+    def __repr__(self) -> str:
+        seen = int(np.isfinite(self.marker_shift_px).all(axis=1).sum())
+        facts = [f"{seen} of {len(self.marker_shift_px)} markers found"]
+        if len(self.site_mm):
+            facts += [f"{len(self.site_mm)} sites", f"total {vector(self.total_force_n, 'N')}"]
+        return one_line("Estimate", facts)
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return a row for every site: place, mm, and force, N."""
+        return site_columns(self.site_mm, self.force_n)
+
+    def to_pandas(self) -> Any:
+        """Return `columns` as a pandas ``DataFrame``."""
+        return data_frame(self.columns())
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the recovered forces on matplotlib axes, and return these."""
+        return plot_forces(new_axes(1, ax), self.site_mm, self.force_n, "recovered forces")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,6 +201,65 @@ class RunResult:
     touches: tuple[Touch, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
     timings: dict[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return one_line("RunResult", [f"{k} {v}" for k, v in self._rows().items() if v])
+
+    def _repr_html_(self) -> str:
+        source = ""
+        if self.pressed is not None:
+            source = f"data:image/png;base64,{base64.b64encode(png_bytes(self.pressed)).decode()}"
+        return html_table("Result of a run", self._rows(), source)
+
+    def _rows(self) -> dict[str, str]:
+        """Return what the run came to, by name; empty where it was not computed."""
+        score = self.score or {}
+        tracking, force = score.get("tracking") or {}, score.get("force") or {}
+        sd, total = tracking.get("sd_px"), force.get("total_force_error")
+        centre, truth = force.get("centre_error_mm"), self.truth
+        return {
+            "true force": vector(truth.total_force_n, "N") if truth is not None else "",
+            "marker noise": f"{sd:.2g} px" if sd is not None else "",
+            "total force error": f"{100 * total:.2g} %" if total is not None else "",
+            "centre error": f"{centre:.2g} mm" if centre is not None else "",
+        }
+
+    def plot(self) -> Any:
+        """Draw what the run computed in a new matplotlib figure.
+
+        Returns
+        -------
+        Array of the axes of up to three panels: the pressed picture with the motion of its
+        markers, the recovered forces, and the true forces, with one scale of
+        colours.
+
+        Raises
+        ------
+        InputError
+            The run computed nothing that can be drawn.
+        """
+        truth, estimate = self.truth, self.estimate
+        sites = estimate.site_mm if estimate is not None else np.zeros((0, 3))
+        pieces = truth.surface_mm if truth is not None else np.zeros((0, 3))
+        fields: list[tuple[str, Points, Floats]] = []
+        if estimate is not None and len(sites):
+            fields.append(("recovered forces", sites, estimate.force_n))
+        if truth is not None and len(pieces) and len(sites):
+            fields.append(("true forces, by site", sites, truth.force_at(sites)))
+        elif truth is not None and len(pieces):
+            fields.append(("true forces, by contact patch", pieces, truth.surface_force_n))
+        count = (estimate is not None) + len(fields)
+        if not count:
+            raise InputError("plot(): this run computed neither marker motion nor forces")
+        panels = np.atleast_1d(new_axes(count))
+        if estimate is not None:
+            layer = truth.marker_layer if truth is not None else np.zeros(0, str)
+            rest, shift = estimate.marker_rest_px, estimate.marker_shift_px
+            plot_shifts(panels[0], rest, shift, layer, self.pressed)
+        largest = max((float(np.abs(force[:, 2]).max()) for _, _, force in fields), default=0.0)
+        for panel, (title, places, force) in zip(panels[-len(fields) :], fields, strict=False):
+            plot_forces(panel, places, force, title, largest)
+        return panels
 
     @staticmethod
     def refuse_other_files(folder: Path) -> None:

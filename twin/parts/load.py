@@ -53,6 +53,14 @@ class Rectangles:
         return Rectangles(**{name: array[part] for name, array in vars(self).items()})
 
     @property
+    def corner_mm(self) -> Floats:
+        """(k, 4, 3) corners, mm, one after the other around each rectangle."""
+        signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        across = self.half_mm[:, None, :] * signs
+        turned = np.einsum("kca,kai->kci", across, self.frames[:, :2])
+        return np.asarray(self.centre_mm[:, None] + turned)
+
+    @property
     def total_force_n(self) -> Floats:
         """(3,) resultant force, N."""
         return np.asarray(self.force_n.sum(axis=0))
@@ -89,6 +97,13 @@ class Traction:
     InputError
         A number is not finite, a size is not positive, or the centre is neither two numbers nor
         three. Whether the footprint lies on the sensing surface is asked when it meets a body.
+
+    Examples
+    --------
+    >>> import twin
+    >>> load = twin.Traction.rectangle(centre_mm=(0, 0), size_mm=(4, 4), force_n=(0, 0, 1))
+    >>> load.terms[0].kind
+    'rectangle'
     """
 
     kind: Literal["rectangle", "disk", "bump", "twist"]
@@ -168,6 +183,14 @@ class Load:
     Notes
     -----
     *Validity*: small strain, where the displacement under a sum is the sum of the displacements.
+
+    Examples
+    --------
+    >>> import twin
+    >>> push = twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0, 0, 1))
+    >>> shear = twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0.3, 0, 0))
+    >>> len((push + shear).terms)
+    2
     """
 
     terms: tuple[Traction | Rectangles, ...] = ()

@@ -76,6 +76,15 @@ class Step(Part):
     turn_deg
         Turn about that place during this step, degrees, same form. Turns about x and y are small
         ones (`twin.world.contact.probe_gap`).
+
+    Examples
+    --------
+    Push with 1 N while the probe is moved 0.1 mm along x:
+
+    >>> import twin
+    >>> step = twin.Step(force_n={"z": 1.0}, move_mm={"x": 0.1})
+    >>> step.force_n
+    (None, None, 1.0)
     """
 
     force_n: Forces = (None, None, None)
@@ -176,6 +185,14 @@ class Press(Part):
     also
         Further presses at the same time, with probes, places and paths of their own, of as many
         steps as this one.
+
+    Examples
+    --------
+    >>> import twin
+    >>> ball = twin.Sphere(diameter_mm=6)
+    >>> press = twin.Press(probe=ball, at_mm=(2, 0), force_n=(0, 0, 1.5), friction=0.5)
+    >>> press.friction
+    0.5
     """
 
     model_config = ConfigDict(

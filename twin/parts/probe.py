@@ -17,7 +17,14 @@ from twin.parts.part import Part, Size, StlFile
 
 
 class Sphere(Part):
-    """A rigid sphere of ``diameter_mm``."""
+    """A rigid sphere of ``diameter_mm``.
+
+    Examples
+    --------
+    >>> import twin
+    >>> twin.Sphere(diameter_mm=6)
+    Sphere(kind='sphere', diameter_mm=6.0)
+    """
 
     kind: Literal["sphere"] = "sphere"
     diameter_mm: Size
@@ -32,6 +39,12 @@ class Cylinder(Part):
         Of the shaft.
     edge_mm
         Radius by which the rim of its face is rounded; 0 is sharp.
+
+    Examples
+    --------
+    >>> import twin
+    >>> twin.Cylinder(diameter_mm=5, edge_mm=0.2).edge_mm
+    0.2
     """
 
     kind: Literal["cylinder"] = "cylinder"
@@ -50,6 +63,12 @@ class Pillar(Part):
 
     ``edge_mm`` is the radius by which the rim of its face, corners included, is rounded; 0 is
     sharp.
+
+    Examples
+    --------
+    >>> import twin
+    >>> twin.Pillar(width_mm=4).size_mm
+    (4.0, 4.0)
     """
 
     kind: Literal["pillar"] = "pillar"
@@ -79,6 +98,12 @@ class Cone(Part):
         Of its base; contact must not reach it.
     tip_mm
         Radius by which the tip is rounded; 0 is sharp.
+
+    Examples
+    --------
+    >>> import twin
+    >>> twin.Cone(apex_deg=120, diameter_mm=8).apex_deg
+    120.0
     """
 
     kind: Literal["cone"] = "cone"
@@ -107,6 +132,17 @@ class Stl(StlFile):
         ``at_mm`` is, and its highest z touches first on a flat body.
     sha256
         Digest of the file; filled in when it is read, checked when it is given.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import trimesh
+    >>> import twin
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = f"{folder}/ball.stl"
+    ...     _ = trimesh.creation.icosphere(radius=3).export(file)
+    ...     twin.Stl(file=file).kind
+    'stl'
     """
 
     largest_mm = PROBE_SIZE_MM
@@ -124,6 +160,12 @@ class Object(Part):
         grating with eight ridges along y, or a ring of round section.
     width_mm
         Extent along x; everything else is in proportion. A grating of 7.5 mm has a pitch of 1 mm.
+
+    Examples
+    --------
+    >>> import twin
+    >>> twin.Object(shape="gear").width_mm
+    8.0
     """
 
     kind: Literal["object"] = "object"

@@ -20,6 +20,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from twin.arrays import Chart, Floats, grid_points
+from twin.display import html_table, one_line
 from twin.parts.body import AnyBody
 from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.load import Footprint, Load
@@ -300,6 +301,15 @@ class Scene(Part):
     vary
         Distributions by dotted key of the scene: what differs between the samples of a dataset. A
         single run uses the scene's own values.
+
+    Examples
+    --------
+    >>> import twin
+    >>> scene = twin.load_scene("block_bare")
+    >>> scene
+    Scene(body block 100 x 90 x 40 mm, material E 0.5 MPa, nu 0.5)
+    >>> scene.material.youngs_modulus_mpa
+    0.5
     """
 
     title: str = ""
@@ -325,6 +335,31 @@ class Scene(Part):
     @classmethod
     def _by_dotted_key(cls, value: Any) -> Any:
         return flat(value) if isinstance(value, dict) else value
+
+    def __repr__(self) -> str:
+        return one_line("Scene", [f"{k} {v}" for k, v in self._rows().items() if v])
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        return html_table(self.title or "Scene", self._rows())
+
+    def _rows(self) -> dict[str, str]:
+        """Return what a reader wants to know first, by name."""
+        low, high = self.body.bounds_mm
+        size = " x ".join(f"{b - a:g}" for a, b in zip(low, high, strict=True))
+        material, camera, press = self.material, self.camera, self.press
+        layers = [
+            f"{layer.columns * layer.rows} {name} {layer.depth_mm:g} mm deep"
+            for name, layer in self.markers.items()
+        ]
+        return {
+            "body": f"{self.body.shape} {size} mm",
+            "material": f"E {material.youngs_modulus_mpa:g} MPa, nu {material.poisson_ratio:g}",
+            "markers": ", ".join(layers),
+            "camera": f"{camera.width_px} x {camera.height_px} px" if camera is not None else "",
+            "press": press.probe.kind if press is not None else "",
+        }
 
     @property
     def load(self) -> Load:

@@ -73,6 +73,14 @@ class Calibration:
     left_out
         (q,) error of every calibrated place's transfer as predicted from the other places, over its
         size; empty where nothing was measured.
+
+    Examples
+    --------
+    >>> import twin
+    >>> from twin.files import SCENES
+    >>> calibration = twin.read_calibration(SCENES / "sato_calibration.npz")
+    >>> calibration.method, calibration.transfer.shape
+    ('sato', (122, 243))
     """
 
     layer: NDArray[np.str_]
@@ -218,6 +226,15 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
     ------
     InputError
         There is none, it is damaged, or it was written by an incompatible version.
+
+    Examples
+    --------
+    ``twin calibrate --scene sato_press --out finger.npz`` writes such a file; one is shipped:
+
+    >>> import twin
+    >>> from twin.files import SCENES
+    >>> twin.read_calibration(SCENES / "sato_calibration.npz").grid
+    (9, 9)
     """
     try:
         arrays: dict[str, NDArray[Any]] = {**read_arrays(path)}

@@ -38,11 +38,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
 from types import NoneType
+from typing import Any
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.blas_threads import one_blas_thread
+from twin.display import (
+    data_frame,
+    html_table,
+    new_axes,
+    one_line,
+    plot_forces,
+    site_columns,
+    vector,
+)
 from twin.errors import InputError, require
 from twin.parts.methods import Method, WeightRule
 from twin.sense.calibration import Calibration
@@ -107,6 +117,37 @@ class Field:
             if isinstance(value, np.ndarray):
                 frozen(value)
 
+    def __repr__(self) -> str:
+        return one_line("Field", [f"{name} {value}" for name, value in self._rows().items()])
+
+    def _repr_html_(self) -> str:
+        return html_table("Reconstructed force field", self._rows())
+
+    def _rows(self) -> dict[str, str]:
+        largest = float(np.abs(self.force_n[:, 2]).max(initial=0.0))
+        total, sd = vector(self.total_force_n, "N"), vector(self.sd_total_n, "N")
+        return {
+            "total force": f"{total} +- {sd}",
+            "sites": str(len(self.site_mm)),
+            "largest along z": f"{largest:.3g} N",
+            "markers used": str(int(self.used.sum())),
+            "method": self.method,
+        }
+
+    def columns(self) -> dict[str, Floats]:
+        """Return a row for every site: place, mm, force, N, and its standard deviation, N."""
+        names = [f"sd_f{axis}_n" for axis in "xyz"]
+        spread = dict(zip(names, self.sd_force_n.T, strict=True))
+        return site_columns(self.site_mm, self.force_n) | spread
+
+    def to_pandas(self) -> Any:
+        """Return `columns` as a pandas ``DataFrame``."""
+        return data_frame(self.columns())
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the field on matplotlib axes, new ones if none are given, and return them."""
+        return plot_forces(new_axes(1, ax), self.site_mm, self.force_n, "recovered forces")
+
 
 @one_blas_thread()
 def reconstruct(
@@ -166,6 +207,19 @@ def reconstruct(
     constraints the same objective is minimised (`twin.sense.constraints`). The camera's bend
     g(F) - H F is taken off the data and the solve repeated until nothing changes: Gauss-Newton with
     the derivative kept from the rest state.
+
+    Examples
+    --------
+    Pictures of the simulated finger, read with a stored calibration:
+
+    >>> import twin
+    >>> from twin.files import SCENES
+    >>> sensor = twin.Sensor(twin.load_scene("sato_press"))
+    >>> rest, pressed = sensor.picture(None), sensor.picture(sensor.press().load)
+    >>> calibration = twin.read_calibration(SCENES / "sato_calibration.npz")
+    >>> field = twin.reconstruct(twin.track(rest, pressed, calibration.layout), calibration)
+    >>> bool(0.8 < field.total_force_n[2] < 1.2)  # N; the press is 0.98 N
+    True
     """
     require(found, Found, "the motion", "make it with twin.track")
     require(calibration, Calibration, "the calibration", "read one with twin.read_calibration")

@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Picture, Pixels, frozen
 from twin.blas_threads import one_blas_thread
+from twin.display import data_frame, html_table, new_axes, one_line, plot_shifts
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import MISSING, SEEN, STATES, STRAINED
@@ -86,6 +88,51 @@ class Found:
         """(N,) which markers have a shift."""
         return np.asarray(np.isfinite(self.shift_px).all(axis=1))
 
+    def __repr__(self) -> str:
+        return one_line("Found", [f"{name} {value}" for name, value in self._rows().items()])
+
+    def _repr_html_(self) -> str:
+        return html_table("Marker motion", self._rows())
+
+    def _rows(self) -> dict[str, str]:
+        rows = {"markers": f"{int(self.seen.sum())} of {len(self.seen)} seen"}
+        if self.seen.any():
+            longest = np.hypot(*self.shift_px[self.seen].T).max()
+            rows["longest shift"] = f"{longest:.3g} px"
+            rows["median SD"] = f"{np.median(self.sd_px[self.seen]):.2g} px"
+        names, counts = np.unique(self.states[~self.seen], return_counts=True)
+        lost = [f"{count} {name}" for name, count in zip(names, counts, strict=True)]
+        return rows | ({"without a shift": ", ".join(lost)} if lost else {})
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return a row for every marker: layer, rest place, shift and its standard deviation, px,
+        and state."""
+        return {
+            "layer": self.layer,
+            "column_px": self.rest_px[:, 0],
+            "row_px": self.rest_px[:, 1],
+            "shift_column_px": self.shift_px[:, 0],
+            "shift_row_px": self.shift_px[:, 1],
+            "sd_px": self.sd_px,
+            "state": self.states,
+        }
+
+    def to_pandas(self) -> Any:
+        """Return `columns` as a pandas ``DataFrame``."""
+        return data_frame(self.columns())
+
+    def plot(self, ax: Any = None, picture: Picture | None = None) -> Any:
+        """Draw the shifts, longer by a stated factor, on matplotlib axes, and return these.
+
+        Parameters
+        ----------
+        ax
+            Axes to draw on; new ones if None.
+        picture
+            Drawn below the arrows.
+        """
+        return plot_shifts(new_axes(1, ax), self.rest_px, self.shift_px, self.layer, picture)
+
     @property
     def scatter_px(self) -> float:
         """Standard deviation of the shifts about their median, per axis, px; robust to outliers:
@@ -128,6 +175,21 @@ def track(
     ------
     InputError
         Pictures, layout or options that can't be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import twin
+    >>> row, column = np.mgrid[0:120, 0:160]
+    >>> def dots(moved_px):
+    ...     across = (column - moved_px) % 20 - 10
+    ...     grey = np.clip(5.5 - np.hypot(across, row % 20 - 10), 0, 1)
+    ...     return np.repeat((20 + 200 * grey[:, :, None]).astype(np.uint8), 3, axis=2)
+    >>> places = [(x, y) for y in range(10, 120, 20) for x in range(10, 160, 20)]
+    >>> layout = {"dots": np.array(places, float)}
+    >>> found = twin.track(dots(0), dots(1.5), layout)
+    >>> round(float(np.median(found.shift_px[:, 0])), 1)
+    1.5
     """
     rest = analyse_rest(
         rest_image,
@@ -159,6 +221,22 @@ class Tracker:
     InputError
         Pictures, layout or options that can't be used; a later picture of another size than the
         rest picture's.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import twin
+    >>> row, column = np.mgrid[0:120, 0:160]
+    >>> def dots(moved_px):
+    ...     across = (column - moved_px) % 20 - 10
+    ...     grey = np.clip(5.5 - np.hypot(across, row % 20 - 10), 0, 1)
+    ...     return np.repeat((20 + 200 * grey[:, :, None]).astype(np.uint8), 3, axis=2)
+    >>> places = [(x, y) for y in range(10, 120, 20) for x in range(10, 160, 20)]
+    >>> layout = {"dots": np.array(places, float)}
+    >>> tracker = twin.Tracker(dots(0), layout)
+    >>> found = [tracker.track(dots(moved)) for moved in (1.0, 2.0)]
+    >>> [round(float(np.median(one.shift_px[:, 0])), 1) for one in found]
+    [1.0, 2.0]
     """
 
     @one_blas_thread()

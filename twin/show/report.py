@@ -556,10 +556,6 @@ def _table(truth: Truth) -> str:
     return _by_column("True displacement of the markers", heads, names, columns)
 
 
-_CHUNK = 512
-"""Pieces of the truth whose distances to all sites are held at once."""
-
-
 def _forces(result: RunResult) -> str:
     """Return drawings, profile and resultants of the force field; without sites resultants only."""
     truth, found = result.truth, result.estimate
@@ -567,7 +563,7 @@ def _forces(result: RunResult) -> str:
         return _resultants(result)
     fields: list[tuple[str, Floats]] = []
     if truth is not None and len(truth.surface_mm):
-        fields.append(("truth", _truth_by_site(truth, found.site_mm)))
+        fields.append(("truth", truth.force_at(found.site_mm)))
     if len(found.force_n) == len(found.site_mm):
         fields.append(("estimate", found.force_n))
     if not fields:
@@ -575,16 +571,6 @@ def _forces(result: RunResult) -> str:
     return (
         _maps(result, found.site_mm, fields) + _profile(found.site_mm, fields) + _resultants(result)
     )
-
-
-def _truth_by_site(truth: Truth, sites: Points) -> Floats:
-    """Return (k, 3) true forces, N: each piece of the contact is added to its nearest site."""
-    total = np.zeros((len(sites), 3))
-    for start in range(0, len(truth.surface_mm), _CHUNK):
-        pieces = truth.surface_mm[start : start + _CHUNK]
-        squared = ((pieces[:, None] - sites[None]) ** 2).sum(axis=2)
-        np.add.at(total, squared.argmin(axis=1), truth.surface_force_n[start : start + _CHUNK])
-    return total
 
 
 def _cell_side(sites: Points) -> float:

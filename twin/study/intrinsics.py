@@ -43,6 +43,17 @@ def read_intrinsics(file: str | Path) -> dict[str, Any]:
     ------
     InputError
         The file can't be read, or lacks a matrix, or holds a lens that this program doesn't know.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import twin
+    >>> camera = twin.load_scene("gelpad_press").camera
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     twin.write_intrinsics(camera, f"{folder}/camera.yml")
+    ...     numbers = twin.read_intrinsics(f"{folder}/camera.yml")
+    >>> numbers["lens"], numbers["width_px"]
+    ('pinhole', 640)
     """
     path = Path(file)
     table = _table(path)
@@ -92,6 +103,16 @@ def write_intrinsics(camera: Camera, file: str | Path) -> None:
     ------
     InputError
         The file can't be written, or the lens is none of OpenCV's.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import twin
+    >>> camera = twin.load_scene("gelpad_press").camera
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     twin.write_intrinsics(camera, f"{folder}/camera.json")
+    ...     print(sorted(twin.read_intrinsics(f"{folder}/camera.json"))[:3])
+    ['aspect', 'distortion', 'focal_px']
     """
     if camera.lens not in ("pinhole", "equidistant"):
         raise InputError(

@@ -266,6 +266,13 @@ def load_scene(scene: str | Path, overrides: Mapping[str, Any] | None = None) ->
         With every problem of the scene at once: file, key, value, unit, allowed range.
     InputError
         There is no such file, or an argument is of another kind.
+
+    Examples
+    --------
+    >>> import twin
+    >>> scene = twin.load_scene("block_bare", {"material.poisson_ratio": 0.3})
+    >>> scene.material.poisson_ratio
+    0.3
     """
     require(scene, (str, Path), "the scene", "give a shipped scene's name (twin scenes) or a path")
     require(

@@ -38,7 +38,7 @@ from twin.parts.probe import Cylinder
 from twin.parts.scene import Scene
 from twin.results import Estimate, RunResult, Touch, Truth
 from twin.study.doubts import doubts, noise_bound, unseen
-from twin.study.recipe import dump_scene
+from twin.study.recipe import dump_scene, load_scene
 from twin.study.sensor import Motion, Sensor
 from twin.theory.contact import hertz, punch_pressure
 
@@ -76,18 +76,23 @@ _CURVE_POINTS = 80
 
 
 def run(
-    scene: Scene, want: Collection[str] | None = None, progress: Progress | None = None
+    scene: Scene | str | Path,
+    want: Collection[str] | None = None,
+    progress: Progress | None = None,
+    overrides: Mapping[str, Any] | None = None,
 ) -> RunResult:
     """Compute the scene's press through the twin.
 
     Parameters
     ----------
     scene
-        A resolved scene.
+        A scene, the name of a shipped one, or the path of a file.
     want
         Any of displacement, picture, tracking, forces, score, report; all if not given.
     progress
         Called at every stage.
+    overrides
+        Values by dotted key, as for `load_scene`; only with a name or a path.
 
     Returns
     -------
@@ -98,9 +103,24 @@ def run(
     ------
     RecipeError
         The scene lacks what ``want`` names.
+    InputError
+        There is no such scene, or overrides are given with a scene that is loaded.
+
+    Examples
+    --------
+    >>> import twin
+    >>> result = twin.run("first_press", {"displacement"})
+    >>> result
+    RunResult(true force (0, 0, 2) N)
+    >>> sorted(result.truth.columns())
+    ['layer', 'ux_mm', 'uy_mm', 'uz_mm', 'x_mm', 'y_mm', 'z_mm']
     """
     if isinstance(want, str):
         want = {want}
+    if not isinstance(scene, Scene):
+        scene = load_scene(scene, overrides)
+    elif overrides:
+        raise InputError("overrides belong to a scene's name or path: give them to load_scene")
     wanted = frozenset(want) if want is not None else WANTED
     return _only(_chain(scene, wanted, want is not None, progress).result(), wanted)
 

@@ -29,6 +29,8 @@ def _scene_schema() -> dict[str, Any]:
     schema = Scene.model_json_schema()
     for definition in [schema, *schema["$defs"].values()]:
         definition.pop("required", None)
+        if "description" in definition:  # Python's examples are not for recipes
+            definition["description"] = definition["description"].partition("\n\nExamples\n")[0]
     schema["properties"]["base"] = {
         "type": "string",
         "description": "scene to inherit from, one level deep",

@@ -187,6 +187,19 @@ class Sensor:
     ------
     InputError
         It is no `Scene`.
+
+    Examples
+    --------
+    >>> import twin
+    >>> sensor = twin.Sensor(twin.load_scene("block_bare"))
+    >>> load = twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0, 0, 1))
+    >>> u = sensor.displacement([[0, 0, 3.0]], load)  # mm
+    >>> bool(u[0, 2] > 0)  # a push moves material inwards
+    True
+    >>> ball = twin.Sphere(diameter_mm=6)
+    >>> state = sensor.press(twin.Press(probe=ball, force_n=(0, 0, 1)))
+    >>> round(state.contact_radius_mm, 1)
+    1.5
     """
 
     def __init__(self, scene: Scene, progress: Progress | None = None) -> None:
@@ -196,6 +209,12 @@ class Sensor:
         self.saturation: str | None = None
         self._warned = False
         self._cut: tuple[Load, Rectangles] | None = None
+
+    def __repr__(self) -> str:
+        return f"Sensor({self.nominal!r})"
+
+    def _repr_html_(self) -> str:
+        return self.nominal._repr_html_()
 
     @cached_property
     def actual(self) -> Actual:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Picture, Points
+from twin.arrays import Ints, Picture, Points
 from twin.errors import ContactError, InputError, RecipeError
 from twin.files import write_whole
 from twin.parts.load import Rectangles
@@ -138,7 +138,7 @@ def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | N
         said=f"Step {number}: " + "; ".join(_said(one) for one in touching) + ".",
         displacement_mm=surface[: len(corners)],
         marker_displacement_mm=sensor.motion(state.load).displacement_mm,
-        patch_mm=_corners(patches),
+        patch_mm=patches.corner_mm,
         patch_displacement_mm=surface[len(corners) :],
         traction_mpa=np.concatenate([one.traction_mpa for one in touching]),
         slip=np.concatenate([one.slip for one in touching]),
@@ -179,15 +179,6 @@ def _inside(sensor: Sensor, points: Points) -> Points:
         short = np.minimum(distance[np.arange(len(points)), worst], 0.0)
         points = points - short[:, None] * body.piece_normals(points)[np.arange(len(points)), worst]
     return points
-
-
-def _corners(patches: Rectangles) -> Floats:
-    """Return the (k, 4, 3) corners of rectangles."""
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    across = patches.half_mm[:, None, :] * signs
-    return np.asarray(
-        patches.centre_mm[:, None] + np.einsum("kca,kai->kci", across, patches.frames[:, :2])
-    )
 
 
 def view_scene(sensor: Sensor, out: Path) -> str:

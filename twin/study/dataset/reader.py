@@ -225,6 +225,14 @@ def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> Da
     -------
     DatasetReader
         ``len(d)``, ``d[7]["force_n"]``, ``d.column("force_n")``, ``d.sensor(0)["picture"]``.
+
+    Examples
+    --------
+    After ``twin dataset dataset_kamiyama --samples 10 --out data/flat``:
+
+    >>> import twin
+    >>> data = twin.open_dataset("data/flat", ["force_n"])  # doctest: +SKIP
+    >>> len(data), data[0]["force_n"]  # doctest: +SKIP
     """
     return DatasetReader(folder, columns)
 

@@ -25,10 +25,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points, frozen
+from twin.display import data_frame, html_table, new_axes, one_line, plot_patches, vector
 from twin.errors import ContactError
 from twin.parts.load import Load, Rectangles
 from twin.parts.probe import Cone, Sphere
@@ -379,6 +381,48 @@ class ContactState:
         )
         for array in (*arrays, self.slip):
             frozen(array)
+
+    def __repr__(self) -> str:
+        return one_line("ContactState", [f"{k} {v}" for k, v in self._rows().items()])
+
+    def _repr_html_(self) -> str:
+        return html_table("Contact", self._rows())
+
+    def _rows(self) -> dict[str, str]:
+        slips = int(self.slip.sum())
+        rows = {
+            "force": vector(self.force_n, "N"),
+            "indentation": f"{self.indentation_mm:.3g} mm",
+            "contact radius": f"{self.contact_radius_mm:.3g} mm",
+            "largest pressure": f"{self.peak_pressure_mpa:.3g} MPa",
+            "patches": f"{len(self.slip)}" + (f", {slips} slip" if self.friction else ""),
+        }
+        return rows | ({} if self.complete else {"incomplete": self.reason})
+
+    @property
+    def patches(self) -> Rectangles | None:
+        """The patches in contact under this probe, the rows of ``pressure_mpa``; None where nothing
+        touches."""
+        first = self.load.terms[0] if len(self.slip) else None
+        return first if isinstance(first, Rectangles) else None
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return a row for every patch in contact: centre, mm, pressure and traction, MPa, and
+        whether it slips."""
+        centres = self.patches.centre_mm if self.patches is not None else np.zeros((0, 3))
+        table = {f"{a}_mm": centres[:, i] for i, a in enumerate("xyz")}
+        table["pressure_mpa"] = self.pressure_mpa
+        table |= {f"t{a}_mpa": self.traction_mpa[:, i] for i, a in enumerate("xyz")}
+        return table | {"slip": self.slip}
+
+    def to_pandas(self) -> Any:
+        """Return `columns` as a pandas ``DataFrame``."""
+        return data_frame(self.columns())
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the pressures of the patches on matplotlib axes, and return these."""
+        corners = self.patches.corner_mm if self.patches is not None else np.zeros((0, 4, 3))
+        return plot_patches(new_axes(1, ax), corners, self.pressure_mpa, self.slip)
 
     @cached_property
     def error(self) -> PressError | None:

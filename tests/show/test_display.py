@@ -1,0 +1,121 @@
+"""Results as text, in notebooks, as drawings and as tables."""
+
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import twin
+from twin.results import Estimate, RunResult, Truth
+
+
+def run_result(*, forces: bool = True) -> RunResult:
+    """Return a made-up run: 3 by 3 markers and sites, 2 N on the middle one."""
+    x, y = (a.ravel() for a in np.meshgrid([-2.0, 0.0, 2.0], [-2.0, 0.0, 2.0]))
+    places = np.column_stack([x, y, np.zeros(9)])
+    force = np.zeros((9, 3))
+    force[4, 2] = 2.0
+    pixels = 50 + 10 * places[:, :2]
+    total, none = np.array([0.0, 0.0, 2.0]), np.zeros((0, 2))
+    truth = Truth(
+        marker_rest_mm=places,
+        marker_displacement_mm=0.01 * places,
+        marker_layer=np.repeat(["red", "blue", "dots"], 3),
+        marker_rest_px=pixels,
+        marker_pressed_px=pixels,
+        marker_outline_rest_px=none,
+        marker_outline_pressed_px=none,
+        marker_visible=np.ones(9, bool),
+        surface_mm=np.array([[0.3, 0.0, 0.0], [-0.3, 0.0, 0.0]]),
+        surface_force_n=np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 0.5]]),
+        total_force_n=total,
+        total_torque_nmm=np.zeros(3),
+    )
+    shift = 0.01 * (pixels - 50)
+    shift[0] = np.nan
+    estimate = Estimate(
+        marker_rest_px=pixels,
+        marker_shift_px=shift,
+        site_mm=places if forces else np.zeros((0, 3)),
+        force_n=force if forces else np.zeros((0, 3)),
+        total_force_n=total,
+        total_torque_nmm=np.zeros(3),
+    )
+    score = {"tracking": {"sd_px": 0.0123}, "force": {"total_force_error": 0.021, "centre_error_mm": None}}
+    return RunResult(scene_toml="", truth=truth, estimate=estimate, score=score)
+
+
+def test_a_result_says_in_a_line_what_it_came_to() -> None:
+    result = run_result()
+    assert repr(result) == "RunResult(true force (0, 0, 2) N, marker noise 0.012 px, total force error 2.1 %)"
+    assert repr(result.estimate) == "Estimate(8 of 9 markers found, 9 sites, total (0, 0, 2) N)"
+    assert repr(RunResult(scene_toml="")) == "RunResult()"
+    assert "total force error" in result._repr_html_()
+
+
+def test_a_scene_and_its_sensor_name_body_markers_and_camera() -> None:
+    scene = twin.load_scene("gelpad_press")
+    assert repr(scene) == str(scene)
+    for word in ("25 x 25 x 4 mm", "143 dots 0.5 mm deep", "640 x 480 px", "sphere"):
+        assert word in repr(scene)
+        assert word in scene._repr_html_()
+    assert repr(twin.Sensor(scene)) == f"Sensor({scene!r})"
+
+
+def test_true_forces_are_summed_into_the_sites() -> None:
+    result = run_result()
+    summed = result.truth.force_at(result.estimate.site_mm)
+    np.testing.assert_array_equal(summed, result.estimate.force_n)
+
+
+def test_a_run_is_drawn_in_three_panels_of_one_scale() -> None:
+    motion, recovered, true = run_result().plot()
+    assert "times as long" in motion.get_title()
+    assert [text.get_text() for text in motion.get_legend().get_texts()] == ["red layer", "blue layer", "dots layer"]
+    scales = [panel.collections[0].get_clim() for panel in (recovered, true)]
+    assert scales == [(-2.0, 2.0), (-2.0, 2.0)]
+    assert recovered.get_title() == "recovered forces"
+    assert len(run_result(forces=False).plot()) == 2
+    with pytest.raises(twin.TwinError, match="neither marker motion nor forces"):
+        RunResult(scene_toml="").plot()
+
+
+def test_arrows_are_at_most_a_pitch_and_a_half_long() -> None:
+    panel = run_result(forces=False).plot()[0]
+    arrows = [drawn for drawn in panel.collections if hasattr(drawn, "U")]
+    longest = max(float(np.hypot(a.U, a.V).max()) for a in arrows)
+    assert 6.0 < longest <= 20.0  # the markers are 20 px apart, their mean share of the area is 13 px
+
+
+def test_a_state_is_drawn_patch_by_patch_and_tabulated() -> None:
+    sensor = twin.Sensor(twin.load_scene("block_bare", {"accuracy.contact_patches": 8}))
+    state = sensor.press(twin.Press(probe=twin.Sphere(diameter_mm=6), force_n=(0, 0, 1)))
+    assert repr(state).startswith("ContactState(force (0, 0, 1) N, indentation ")
+    ax = Figure().subplots()
+    assert state.plot(ax) is ax
+    assert len(ax.collections[0].get_paths()) == len(state.pressure_mpa)
+    table = state.columns()
+    areas = 4 * state.patches.half_mm.prod(axis=1)
+    np.testing.assert_allclose((table["pressure_mpa"] * areas).sum(), 1.0, rtol=1e-6)
+
+
+def test_tables_need_pandas_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = run_result().truth
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(twin.TwinError, match="pip install pandas"):
+        truth.to_pandas()
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+    assert list(truth.to_pandas()) == list(truth.columns())
+
+
+def test_run_takes_a_name_with_overrides_and_names_the_nearest(tmp_path) -> None:
+    result = twin.run("first_press", {"displacement"}, overrides={"press.force_n": {"z": 1.5}})
+    np.testing.assert_allclose(result.truth.total_force_n, [0, 0, 1.5], atol=1e-9)
+    with pytest.raises(twin.TwinError, match="did you mean 'first_press'"):
+        twin.run("first_pres")
+    with pytest.raises(twin.TwinError, match="did you mean 'poisson_ratio'"):
+        twin.run("first_press", overrides={"material.poison_ratio": 0.3})
+    with pytest.raises(twin.TwinError, match="overrides belong to"):
+        twin.run(twin.load_scene("first_press"), overrides={"seed": 2})

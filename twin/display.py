@@ -1,0 +1,218 @@
+"""How results show themselves: one line of text, a table in a notebook, axes, a data frame.
+
+The classes of results live in several wings, which may not import `twin.show`. They give plain
+arrays to the functions here. matplotlib and pandas are imported when something is drawn or
+tabulated, never before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Picture, Pixels, Points
+from twin.errors import MissingCapability
+
+_MAP = "PuOr_r"
+"""Colours of the force along z: orange pushes into the body, purple pulls out, as in reports."""
+
+_LAYERS = {"red": "#c8381e", "blue": "#1f5fbf"}
+_OTHERS = ("#1b7a5a", "#7a4fb5", "#946c00")
+"""Colours of marker layers by name, and of layers of other names in turn."""
+
+_LONGEST = 1.5
+"""Length of the longest arrow over the mean distance of neighbours, at the most."""
+
+
+def one_line(name: str, facts: Sequence[str]) -> str:
+    """Return ``Name(fact, fact)``, without empty facts."""
+    return f"{name}({', '.join(fact for fact in facts if fact)})"
+
+
+def vector(values: Floats, unit: str) -> str:
+    """Return a vector to three digits: ``(0, 0, 1.25) N``; round-off of the largest is 0."""
+    size = float(np.abs(values).max(initial=0.0))
+    shown = ", ".join(f"{v:.3g}" if abs(v) > 1e-9 * size else "0" for v in values)
+    return f"({shown}) {unit}"
+
+
+def html_table(title: str, rows: Mapping[str, str], picture: str = "") -> str:
+    """Return a small table for notebooks; ``picture`` is the source of an image beside it."""
+    cells = "".join(
+        f'<tr><th style="text-align:left">{escape(name)}</th>'
+        f'<td style="text-align:left">{escape(value)}</td></tr>'
+        for name, value in rows.items()
+        if value
+    )
+    image = f'<img src="{picture}" alt="{escape(title)}" style="max-width:24em">' if picture else ""
+    return f"<div><strong>{escape(title)}</strong><table>{cells}</table>{image}</div>"
+
+
+def site_columns(site_mm: Points, force_n: Floats) -> dict[str, np.ndarray]:
+    """Return the columns of a force field by name: (k,) places, mm, and forces, N."""
+    places = {f"{axis}_mm": site_mm[:, number] for number, axis in enumerate("xyz")}
+    return places | {f"f{axis}_n": force_n[:, number] for number, axis in enumerate("xyz")}
+
+
+def data_frame(columns: Mapping[str, Any]) -> Any:
+    """Return a pandas ``DataFrame`` of columns of equal length.
+
+    Raises
+    ------
+    MissingCapability
+        pandas isn't installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise MissingCapability(
+            "to_pandas() needs pandas, which is not installed: pip install pandas. "
+            ".columns() returns the same table as a dict of arrays"
+        ) from None
+    return pandas.DataFrame(dict(columns))
+
+
+def new_axes(count: int, ax: Any = None) -> Any:
+    """Return ``ax``, or the axes of a new figure with ``count`` panels side by side; one panel is
+    returned alone.
+    """
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    size = (4.6 * count, 3.8)
+    return plt.subplots(1, count, figsize=size, layout="constrained")[1]
+
+
+def plot_shifts(
+    ax: Any, rest_px: Pixels, shift_px: Pixels, layer: np.ndarray, picture: Picture | None = None
+) -> Any:
+    """Draw the motion of markers in the picture as arrows, longer by a stated factor.
+
+    Parameters
+    ----------
+    ax
+        matplotlib axes to draw on.
+    rest_px, shift_px
+        (n, 2) centres at rest and shifts, px; NaN where lost.
+    layer
+        (n,) layer names; empty if unknown.
+    picture
+        Drawn below the arrows.
+    """
+    good = np.isfinite(rest_px).all(axis=1) & np.isfinite(shift_px).all(axis=1)
+    if picture is not None:
+        ax.imshow(picture)
+    lengths = np.hypot(*shift_px[good].T)
+    factor = _magnification(float(lengths.max(initial=0.0)), _LONGEST * _pitch(rest_px[good]))
+    names = layer if len(layer) == len(rest_px) else np.full(len(rest_px), "markers")
+    spare = iter(_OTHERS * (1 + len(set(names.tolist()))))
+    for name in dict.fromkeys(names.tolist()):
+        rows = good & (names == name)
+        ax.quiver(
+            *rest_px[rows].T,
+            *(factor * shift_px[rows]).T,
+            angles="xy",
+            scale_units="xy",
+            scale=1.0,
+            width=0.004,
+            color=_LAYERS.get(name) or next(spare),
+            label=f"{name} layer" if name != "markers" else name,
+        )
+    ax.set_aspect("equal")
+    if picture is None:
+        ax.invert_yaxis()
+    ax.set_xlabel("column (px)")
+    ax.set_ylabel("row (px)")
+    ax.set_title(f"marker motion, drawn {factor:g} times as long")
+    if good.any():
+        ax.legend(loc="upper right", frameon=picture is not None)
+    return ax
+
+
+def plot_forces(
+    ax: Any, site_mm: Points, force_n: Floats, title: str, largest_n: float | None = None
+) -> Any:
+    """Draw a force field seen along z: colour is the force along z, arrows are along x and y.
+
+    Parameters
+    ----------
+    ax
+        matplotlib axes to draw on.
+    site_mm, force_n
+        (k, 3) places and forces, mm and N.
+    title
+        Of the axes.
+    largest_n
+        Force along z at the ends of the colours, N; that of this field if None.
+    """
+    top = largest_n or float(np.abs(force_n[:, 2]).max(initial=0.0)) or 1.0
+    shown = ax.scatter(
+        *site_mm[:, :2].T, c=force_n[:, 2], cmap=_MAP, vmin=-top, vmax=top, marker="s", s=40
+    )
+    along = float(np.hypot(force_n[:, 0], force_n[:, 1]).max(initial=0.0))
+    if along > 0:
+        # noise under a straight push must look small: a tenth of the normal force at least
+        scale = max(along, 0.1 * top) / (_LONGEST * _pitch(site_mm))
+        ax.quiver(
+            *site_mm[:, :2].T,
+            *force_n[:, :2].T,
+            angles="xy",
+            scale_units="xy",
+            scale=scale,
+            width=0.004,
+        )
+    ax.figure.colorbar(shown, ax=ax, label="force along z (N)")
+    _in_mm(ax, title)
+    return ax
+
+
+def plot_patches(ax: Any, corner_mm: Floats, pressure_mpa: Floats, slip: Bools) -> Any:
+    """Draw the pressures of contact patches, slipping ones with a dot.
+
+    Parameters
+    ----------
+    ax
+        matplotlib axes to draw on.
+    corner_mm
+        (k, 4, 3) corners, mm.
+    pressure_mpa, slip
+        (k,) pressures, MPa, and whether each patch slips.
+    """
+    from matplotlib.collections import PolyCollection
+
+    drawn = PolyCollection(list(corner_mm[:, :, :2]), array=pressure_mpa, cmap="viridis")
+    ax.add_collection(drawn)
+    ax.autoscale_view()
+    if slip.any() and not slip.all():
+        ax.plot(*corner_mm[slip].mean(axis=1)[:, :2].T, "w.", ms=2, label="slips")
+        ax.legend(loc="upper right", facecolor="#666666", labelcolor="white")
+    ax.figure.colorbar(drawn, ax=ax, label="pressure (MPa)")
+    _in_mm(ax, f"contact, {len(pressure_mpa)} patches")
+    return ax
+
+
+def _in_mm(ax: Any, title: str) -> None:
+    ax.set_aspect("equal")
+    ax.set_xlabel("x (mm)")
+    ax.set_ylabel("y (mm)")
+    ax.set_title(title)
+
+
+def _pitch(places: Floats) -> float:
+    """Return about the distance of neighbours among (n, 2 or 3) places, seen along z."""
+    if len(places) < 2:
+        return 1.0
+    return float(np.sqrt(np.prod(np.ptp(places[:, :2], axis=0)) / len(places))) or 1.0
+
+
+def _magnification(longest: float, wanted: float) -> float:
+    """Return the largest of 1, 2, 5, 10, ... at which an arrow is at most as long as wanted."""
+    if longest <= 0 or wanted <= longest:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(wanted / longest))
+    return power * max(m for m in (1.0, 2.0, 5.0) if m * power <= wanted / longest)
