@@ -51,6 +51,7 @@ def _help_of(command: Callable[..., None]) -> dict[str, str]:
 
 for _command in (
     commands.run,
+    commands.explain,
     commands.mesh,
     commands.reproduce,
     commands.calibrate,

@@ -8,18 +8,26 @@ Every decision lives elsewhere. Heavy packages are imported inside the functions
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
 from cyclopts import Parameter, Token
 
-from twin.errors import InputError, MissingCapability, RecipeError, SomeFailed, did_you_mean
+from twin.errors import (
+    InputError,
+    MissingCapability,
+    RecipeError,
+    SomeFailed,
+    TwinError,
+    did_you_mean,
+)
 from twin.parts.methods import Method, WeightRule
 
 if TYPE_CHECKING:
@@ -49,6 +57,10 @@ def _whole(_: Any, tokens: Sequence[Token]) -> int:
 Whole = Annotated[int, Parameter(converter=_whole)]
 SceneName = Annotated[
     str, Parameter(help="Path of a scene file, or the name of a shipped scene (see: twin scenes).")
+]
+Json = Annotated[
+    bool,
+    Parameter(name="--json", help="Print the result as JSON, for other programs.", negative=""),
 ]
 Overrides = Annotated[
     tuple[str, ...],
@@ -186,6 +198,10 @@ def run(
         bool,
         Parameter(help="Move the probe by hand in a page on this machine instead.", negative=""),
     ] = False,
+    open_: Annotated[
+        bool, Parameter(name="--open", help="Open the report in the browser.", negative="")
+    ] = False,
+    json_: Json = False,
     port: Annotated[
         Whole,
         Parameter(help="Port of the live page (default: any that is free).", show_default=False),
@@ -208,9 +224,12 @@ def run(
     twin run kamiyama_pillar
     twin run my_scene.toml -s press.force_n='{z=2}' --out out/two
     twin run sato_press --want displacement
+    twin run gelpad_press --open
     twin run kamiyama_pillar --live
     """
     if live:
+        if open_ or json_:
+            raise InputError("--live has no report and no result: leave out --open and --json")
         _live(scene, out, want, port, set_)
         return
     if port:
@@ -222,8 +241,83 @@ def run(
     path = find_scene(scene)
     loaded = _load(scene, set_)
     folder = out or Path("out") / _file_name(path, set_)
-    with _scene_named(scene):
-        print(run_to_folder(loaded, folder, wanted, progress=_progress()))
+    if open_ and "report" not in wanted:
+        raise InputError("--open: --want leaves the report out; add report to it")
+    try:
+        with _scene_named(scene):
+            text = run_to_folder(loaded, folder, wanted, progress=_progress())
+    except SomeFailed:
+        if json_:
+            _print_json(_run_files(folder))
+        raise
+    if json_:
+        _print_json(_run_files(folder))
+    else:
+        print(text)
+    if open_:
+        _open_page(folder / "report.html")
+
+
+def _run_files(folder: Path) -> dict[str, Any]:
+    """Return the files of a run by name, its score and its seconds by stage."""
+    from twin.results import RESULT_FILES
+
+    files = {name: str(folder / name) for name in RESULT_FILES if (folder / name).is_file()}
+    read = {name: _json_of(folder / f"{name}.json") for name in ("score", "timings")}
+    return {"folder": str(folder), "files": files, **read}
+
+
+def _json_of(path: Path) -> Any:
+    """Return what a JSON file holds; None where there is none."""
+    if not path.is_file():
+        return None
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as problem:
+        raise InputError(f"{path}: can't be read as JSON ({problem})") from None
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, indent=1, ensure_ascii=False))
+
+
+def _open_page(page: Path) -> None:
+    import webbrowser
+
+    if not webbrowser.open(page.resolve().as_uri()):
+        print(f"twin: no browser found here; open {page} yourself", file=sys.stderr)
+
+
+def explain(
+    path: Annotated[Path, Parameter(help="score.json of a run, or the run's folder.")],
+    /,
+    *,
+    json_: Json = False,
+) -> None:
+    """Print what each number of a run means, with its unit and a verdict.
+
+    The verdicts good, fair and poor are this program's own scale; each stands with the limit of
+    good.
+
+    Examples:
+    twin explain out/kamiyama_pillar/score.json
+    twin explain out/gelpad_press --json
+    """
+    from twin.show.explain import explain as findings_of
+    from twin.show.explain import lines
+
+    file = path / "score.json" if path.is_dir() else path
+    score = _json_of(file)
+    if not isinstance(score, dict) or not {"elastic", "tracking", "force"} <= score.keys():
+        what = "there is no such file" if score is None else "is no score.json"
+        raise InputError(f"{file}: {what}; give the score.json of a run, or the run's folder")
+    scene = file.parent / "scene.toml"
+    text = scene.read_text(encoding="utf-8") if scene.is_file() else ""
+    found = findings_of(score, text)
+    if json_:
+        _print_json([asdict(one) for one in found])
+    else:
+        print("\n".join(lines(found)))
 
 
 def _live(
@@ -274,12 +368,17 @@ def mesh(
     print("\n".join(lines))
 
 
-def scenes() -> None:
+def scenes(*, json_: Json = False) -> None:
     """List the shipped scenes."""
     from twin.study.recipe import load_scene, shipped_scenes
 
-    for name in shipped_scenes():
-        print(f"{name:20s} {load_scene(name).title}")
+    titles = {name: load_scene(name).title for name in shipped_scenes()}
+    if json_:
+        paths = shipped_scenes()
+        rows = [{"name": n, "title": title, "path": str(paths[n])} for n, title in titles.items()]
+        _print_json(rows)
+    else:
+        print("\n".join(f"{name:20s} {title}" for name, title in titles.items()))
 
 
 def check(
@@ -298,6 +397,7 @@ def check(
     scene: Annotated[
         str | None, Parameter(help="The pictures' sensor: a scene (path or shipped name).")
     ] = None,
+    json_: Json = False,
     set_: Overrides = (),
 ) -> None:
     """Check a file or a folder and print everything that is wrong with it.
@@ -320,14 +420,28 @@ def check(
 
         loaded = _load(scene, set_)
         with _scene_named(scene):
-            print("\n".join(check_camera(Path(file), second, loaded)))
+            _print_checked(file, lambda: check_camera(Path(file), second, loaded), json_)
         return
     from twin.study.check import check_path
 
-    print("\n".join(check_path(file)))
+    _print_checked(file, lambda: check_path(file), json_)
 
 
-def doctor() -> None:
+def _print_checked(what: str, check: Callable[[], list[str]], as_json: bool) -> None:
+    """Print the lines of a check; as JSON also those of one that fails."""
+    try:
+        lines = check()
+    except TwinError as problem:
+        if as_json:
+            _print_json({"path": what, "ok": False, "lines": str(problem).splitlines()})
+        raise
+    if as_json:
+        _print_json({"path": what, "ok": True, "lines": lines})
+    else:
+        print("\n".join(lines))
+
+
+def doctor(*, json_: Json = False) -> None:
     """Print what is installed, which Mitsuba variant and solver are used, and where the caches are.
 
     Exit code 4 if the main job can't run on this machine.
@@ -335,7 +449,11 @@ def doctor() -> None:
     from twin.study.check import examine
 
     lines, missing = examine()
-    print("\n".join(lines))
+    if json_:
+        facts = {name: text for name, _, text in (line.partition(" ") for line in lines)}
+        _print_json({"facts": {k: v.strip() for k, v in facts.items()}, "missing": missing})
+    else:
+        print("\n".join(lines))
     if missing:
         raise MissingCapability("the main job can't run: " + "; ".join(missing))
 

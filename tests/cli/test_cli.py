@@ -73,6 +73,9 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["reconstruct", "REST", "PRESSED", "--calibration", "C.npz", "--out", "./C.npz"], "is what is read"),
         (["rnu"], ["rnu", 'Did you mean "run"']),
         (["run"], ["run", "scene"]),
+        (["explain", "FOLDER"], ["no such file", "give the score.json of a run"]),
+        (["explain", "PICTURE"], ["can't be read as JSON"]),
+        (["run", "block_bare", "--open", "--want", "score"], ["--want leaves the report out"]),
         (["run", "kamiyama_piller"], ["did you mean 'kamiyama_pillar'"]),
         (["run", "nowhere/at_all.toml"], ["no scene", "shipped ones are"]),
         (["run", "block_bare", "--ouut", "x"], ["--ouut", "--out"]),
@@ -190,8 +193,10 @@ def test_other_settings_and_other_scenes_are_written_under_other_names(
     assert folders[::2] == folders[1::2], "the same settings go to the same folder"
     assert len(set(folders)) == 6
     assert [folder.name for folder in folders[:6:2]] == [
-        "kamiyama_pillar", "kamiyama_pillar,seed=3", "kamiyama_pillar,seed=3,tolerance.preset=none"
-    ]  # fmt: skip
+        "kamiyama_pillar",
+        "kamiyama_pillar,seed=3",
+        "kamiyama_pillar,seed=3,tolerance.preset=none",
+    ]
     assert all(re.fullmatch(r"[\w.=,+-]+", folder.name) for folder in folders)
     pages: list[Path] = []
     monkeypatch.setattr("twin.study.view.view_scene", lambda _, page: pages.append(page) or "")
@@ -279,3 +284,40 @@ def test_libraries_that_can_not_be_loaded_are_not_found(tmp_path: Path, monkeypa
         assert "not found" in graphics()
     monkeypatch.setattr(ctypes.util, "find_library", lambda name: "libc.so.6")
     assert "not found" not in graphics()
+
+
+def test_a_run_prints_json_and_explain_reads_its_folder(tmp_path: Path) -> None:
+    done = twin(
+        "run",
+        "block_bare",
+        "-s",
+        "press.probe.kind=sphere",
+        "-s",
+        "press.probe.diameter_mm=6",
+        "-s",
+        "press.force_n={z=1}",
+        "--out",
+        str(tmp_path / "run"),
+        "--json",
+    )
+    assert done.returncode == 0, done.stderr
+    printed = json.loads(done.stdout)
+    assert printed["score"] == json.loads((tmp_path / "run" / "score.json").read_text())
+    assert {Path(path).name for path in printed["files"].values()} >= {"score.json", "report.html", "scene.toml"}
+    explained = twin("explain", str(tmp_path / "run"))
+    assert explained.returncode == 0
+    assert "held by its force" in explained.stdout
+    rows = json.loads(twin("explain", str(tmp_path / "run" / "score.json"), "--json").stdout)
+    assert {"key", "value", "unit", "sentence", "verdict"} == set(rows[0])
+
+
+def test_check_scenes_and_doctor_print_json(tmp_path: Path) -> None:
+    wrong = tmp_path / "scene.toml"
+    wrong.write_text('base = "block_bare"\n[material]\npoison_ratio = 0.3\n')
+    bad = twin("check", str(wrong), "--json")
+    assert bad.returncode == 2
+    assert json.loads(bad.stdout)["ok"] is False
+    assert "did you mean 'poisson_ratio'" in bad.stdout
+    assert json.loads(twin("check", "block_bare", "--json").stdout)["ok"] is True
+    assert {"name", "title", "path"} == set(json.loads(twin("scenes", "--json").stdout)[0])
+    assert json.loads(twin("doctor", "--json").stdout)["facts"]["numpy"]
