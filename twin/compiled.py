@@ -81,7 +81,8 @@ def digest(file: str) -> str:
 def sources(file: str) -> set[str]:
     """Return the files of a module and of all modules of the package that it imports, directly or
     not."""
-    found, new = set[str](), {file}
+    found = set[str]()
+    new = {file}
     while new:
         found |= new
         new = {each for path in new for each in _read(path)[1]} - found

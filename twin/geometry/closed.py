@@ -305,7 +305,8 @@ def _welded(corners: Floats, distance_mm: float) -> tuple[Points, Ints]:
         near.data[:] = 1.0
         _, group = connected_components(near, directed=False)
         _, first = np.unique(group, return_index=True)
-        vertices, number = vertices[first], group[number.ravel()]
+        vertices = vertices[first]
+        number = group[number.ravel()]
     triangles = number.reshape(-1, 3).astype(np.int64)
     kept = (np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)
     return vertices, triangles[kept]

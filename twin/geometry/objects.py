@@ -83,7 +83,8 @@ def _gear() -> Floats:
     tooth = 12.0 * np.arange(_AROUND) / _AROUND % 1.0
     outer = 3.0 + np.clip(4.0 * np.abs(2.0 * tooth - 1.0) - 1.5, 0.0, 1.0)
     bore = np.full(_AROUND, 1.5)
-    floor, top = np.zeros(_AROUND), np.full(_AROUND, 2.0)
+    floor = np.zeros(_AROUND)
+    top = np.full(_AROUND, 2.0)
     section = [(bore, floor), (outer, floor), (outer, top), (bore, top)]
     return _swept(np.moveaxis(np.array(section), 2, 0))
 
@@ -108,7 +109,10 @@ def _outline(counts: tuple[int, int], side: float) -> Floats:
 
 
 def _brick() -> Floats:
-    counts, side, height, stud = (3, 2), 2.6, 3.0, 0.8
+    counts = (3, 2)
+    side = 2.6
+    height = 3.0
+    stud = 0.8
     border = _outline((1, 1), side)
     circle = stud * border / np.hypot(*border.T)[:, None]
     whole = _outline(counts, side)

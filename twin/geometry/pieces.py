@@ -198,7 +198,8 @@ class Pieces:
             length = float(np.linalg.norm(normal))
             if length == 0.0:
                 continue
-            normal, middle = -normal / length, corners.mean(axis=(0, 1))
+            normal = -normal / length
+            middle = corners.mean(axis=(0, 1))
             if np.max(np.abs((corners - middle) @ normal)) < room:
                 found[k] = (middle, normal)
         return found
@@ -226,8 +227,10 @@ class Pieces:
 
     def _measured(self, points: Points) -> tuple[Floats, Floats]:
         shape = (len(points), self.count)
-        distance, normal = np.empty(shape), np.empty((*shape, 3))
-        plain, towards = np.empty(shape), np.empty((*shape, 3))
+        distance = np.empty(shape)
+        normal = np.empty((*shape, 3))
+        plain = np.empty(shape)
+        towards = np.empty((*shape, 3))
         within = np.empty(shape, bool)
         for k in range(self.count):
             if self.is_convex and k in self.planes:
@@ -251,7 +254,8 @@ class Pieces:
             plain_way = clear & ~beyond
             normal[:, k] = np.where(plain_way[:, None], side[:, None] * towards[:, k], inward)
         if not self.is_convex:
-            row, first = np.arange(len(points)), np.argmin(plain, axis=1)
+            row = np.arange(len(points))
+            first = np.argmin(plain, axis=1)
             depth = np.where(within[row, first], 1.0, -1.0) * plain[row, first]
             far_away = (depth[:, None] > _TOUCHING_MM) | (distance < depth[:, None] - _TOUCHING_MM)
             distance = np.where(far_away, plain, distance)
@@ -300,7 +304,8 @@ class Pieces:
     def dents(self, crease_deg: float) -> Points:
         """Return the (e, 2, 3) ends of the edges at which the surface is folded inwards by more
         than ``crease_deg``."""
-        face, across = self._outward[:, FACE], _neighbours(self.surface.triangles)
+        face = self._outward[:, FACE]
+        across = _neighbours(self.surface.triangles)
         own, side = np.meshgrid(np.arange(len(face)), np.arange(3), indexing="ij")
         other = across[own, side]
         ends = np.stack([self._corners[own, side], self._corners[own, (side + 1) % 3]], axis=2)
@@ -334,7 +339,8 @@ def sharpest_edge(vertices: Points, triangles: Ints) -> tuple[float, Points]:
     corners = vertices[triangles]
     face, across = _face_normals(corners), _neighbours(triangles)
     own, side = np.meshgrid(np.arange(len(face)), np.arange(3), indexing="ij")
-    start, end = corners[own, side], corners[own, (side + 1) % 3]
+    start = corners[own, side]
+    end = corners[own, (side + 1) % 3]
     inwards = np.einsum("msi,mi->ms", corners[across].mean(axis=2) - start, face) <= 0.0
     turned = np.degrees(np.arccos(np.clip(np.einsum("mi,msi->ms", face, face[across]), -1.0, 1.0)))
     angle = np.where(inwards, 180.0 - turned, 180.0 + turned)
@@ -363,7 +369,8 @@ def _feature_normals(triangles: Ints, corners: Floats, piece: Ints) -> tuple[Flo
     outward = np.concatenate([face[:, None], at_corner[triangles], at_edge], axis=1)
     length = np.linalg.norm(outward, axis=2, keepdims=True)
     outward = np.where(length > 1e-12, outward / np.maximum(length, 1e-300), face[:, None])
-    lowest, highest = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
+    lowest = np.full(count, np.iinfo(np.int64).max)
+    highest = np.full(count, -1)
     np.minimum.at(lowest, triangles, piece[:, None])
     np.maximum.at(highest, triangles, piece[:, None])
     border = np.zeros((len(triangles), 7), bool)
@@ -379,7 +386,8 @@ def smooth_parts(surface: Surface, chosen: Bools, crease_deg: float) -> Ints:
     from scipy.sparse.csgraph import connected_components
 
     corners = surface.vertices[surface.triangles]
-    face, across = _face_normals(corners), _neighbours(surface.triangles)
+    face = _face_normals(corners)
+    across = _neighbours(surface.triangles)
     own = np.repeat(np.arange(len(face)), 3)
     other = across.ravel()
     joined = chosen[own] & chosen[other]

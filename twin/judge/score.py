@@ -107,7 +107,8 @@ def tracking_score(
         seen = np.array(visible, np.bool_, ndmin=1)
     if seen.shape != (len(shift),):
         raise InputError(f"visible must be ({len(shift)},), got {seen.shape}")
-    front, back = np.flatnonzero(seen), np.flatnonzero(seen == 0)
+    front = np.flatnonzero(seen)
+    back = np.flatnonzero(seen == 0)
     result, reasons = _tracking_part(shift[front], true[front])
     result["occluded"], behind = _tracking_part(shift[back], true[back])
     if len(back):
@@ -246,7 +247,8 @@ def force_score(
         result["torque_error"] = result["torque_error_nmm"] / scale
     else:
         reasons["torque_error"] = "the true total force and torque are zero"
-    true_push, push = truth[:, 2], np.clip(estimate[:, 2], 0.0, None)
+    true_push = truth[:, 2]
+    push = np.clip(estimate[:, 2], 0.0, None)
     if size == 0 or true_push.sum() < LEAST_PUSH * size:
         reasons["centre_error_mm"] = (
             "the true force hardly pushes along z, so it has no centre of pressure"

@@ -129,7 +129,8 @@ class Dome(Body):
 
     @model_validator(mode="after")
     def _is_a_cap(self) -> Dome:
-        low, high = FLATTEST * self.radius_mm, self.radius_mm
+        low = FLATTEST * self.radius_mm
+        high = self.radius_mm
         if not low * (1 - 1e-12) <= self.height_mm <= high:
             raise ValueError(
                 f"height_mm = {self.height_mm:g} mm must be {FLATTEST:g} to 1 radius ({low:g} to "

@@ -256,7 +256,8 @@ def stiff_problems(
                     f"{what}, but must be at least {least:.3g} mm (two diameters): increase "
                     "depth_mm or pitch_mm, or reduce diameter_mm"
                 )
-        room, wanted = _room(body, layer), LEAST_ROOM * layer.depth_mm
+        room = _room(body, layer)
+        wanted = LEAST_ROOM * layer.depth_mm
         if room < wanted:
             problems.append(
                 f"markers.{name}.stiff = true: its beads are {room:.3g} mm from a side or the base "

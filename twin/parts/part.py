@@ -185,7 +185,8 @@ def keys_of(value: Any) -> Collection[str]:
 
 def in_words(error: Mapping[str, Any]) -> str:
     """Return what an error of the validation library says, in the words of a recipe."""
-    kind, facts = str(error["type"]), error.get("ctx") or {}
+    kind = str(error["type"])
+    facts = error.get("ctx") or {}
     if kind in ("too_short", "too_long") and "field_type" in facts:
         bound = (
             f"at least {facts['min_length']}"

@@ -308,9 +308,11 @@ class Press(Part):
         ValueError
             The first step doesn't push, or oblique axes mix what is held by force and by motion.
         """
-        found, own = [], frame[0, 0] == frame[2, 2] == 1.0
+        found = []
+        own = frame[0, 0] == frame[2, 2] == 1.0
         for number, step in enumerate(self.path, start=1):
-            by_force, given = step.by_force, tuple(map(float, step.given))
+            by_force = step.by_force
+            given = tuple(map(float, step.given))
             if self.force_n is not None and self.friction == 0.0 and self.axes == "global":
                 force = given[:3] if own else tuple((frame @ given[:3]).tolist())
                 least = 1e-12 * math.hypot(*force)  # guided wherever it isn't pushed
@@ -348,7 +350,8 @@ def _turned(
                 forced[part][axis] = held[used].all()
                 values[part][axis] = row @ numbers
                 continue
-            force, motion = row @ np.where(held, numbers, 0.0), row @ np.where(held, 0.0, numbers)
+            force = row @ np.where(held, numbers, 0.0)
+            motion = row @ np.where(held, 0.0, numbers)
             raise ValueError(
                 f"{what}: the probe comes obliquely, and {words} hold some of x, y and z by "
                 f"force and others by motion "

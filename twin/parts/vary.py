@@ -312,7 +312,8 @@ def _inside(value: Any, u: Floats) -> Any:
         return value.at(u[: value.takes])  # type: ignore[attr-defined]
     if not isinstance(value, Mapping):
         return value
-    drawn, start = {}, 0
+    drawn = {}
+    start = 0
     for key, inner in value.items():
         drawn[key] = _inside(inner, u[start:])
         start += _takes(inner)

@@ -132,7 +132,9 @@ def hand_page(facts: Mapping[str, Any]) -> str:
     return _filled("hand_page.html", str(facts["title"]), facts)
 
 
-STICKS, SLIPS, TRACTION = COLOURS["blue"], "#e58a1f", "#1a7f4b"
+STICKS = COLOURS["blue"]
+SLIPS = "#e58a1f"
+TRACTION = "#1a7f4b"
 BODY = "#9aa4ae"
 MOST_TIMES = 20.0
 """How many times larger than they are displacements can be shown."""
@@ -191,7 +193,8 @@ def show_body(view: BodyView, picture: Path | None = None) -> None:
     plotter: Any = pyvista.Plotter(
         off_screen=picture is not None, title=view.title, window_size=[1100, 800]
     )
-    step, times = len(view.frames) - 1, 1.0
+    step = len(view.frames) - 1
+    times = 1.0
 
     def to_step(value: float) -> None:
         nonlocal step

@@ -25,7 +25,11 @@ from twin.show.svg_plots import (
     line,
 )
 
-_RED, _BLUE, _INK, _SOFT, _PUSH = "#c22f26", "#2161c2", "#1d2126", "#5a626b", "#d8660a"
+_RED = "#c22f26"
+_BLUE = "#2161c2"
+_INK = "#1d2126"
+_SOFT = "#5a626b"
+_PUSH = "#d8660a"
 _CYCLE = (_PUSH, _BLUE, "#2f8f5b", "#6a3fa0", _RED, _SOFT, "#b59a00")
 """Colours of curves in order."""
 
@@ -96,9 +100,11 @@ class ArrowPanel(Panel):
 
     def draw(self) -> tuple[str, Key]:
         known = np.isfinite(self.tails_px).all(axis=1) & np.isfinite(self.shifts_px).all(axis=1)
-        tails, vectors = self.tails_px[known], self.magnified * self.shifts_px[known]
+        tails = self.tails_px[known]
+        vectors = self.magnified * self.shifts_px[known]
         colours = np.asarray(self.colours, object)[known]
-        low, high = tails.min(axis=0) - 15, tails.max(axis=0) + 15
+        low = tails.min(axis=0) - 15
+        high = tails.max(axis=0) + 15
         axes = Axes.equal(low[0], high[0], high[1], low[1])
         content = "".join(
             _stroked(colour, arrows(axes, tails[mask], vectors[mask], "arrow"), 1.1)
@@ -212,7 +218,8 @@ class FieldPanel(Panel):
     outline_mm: Floats | None = None
 
     def draw(self) -> tuple[str, Key]:
-        sites, force = self.site_mm[:, :2], self.force_n
+        sites = self.site_mm[:, :2]
+        force = self.force_n
         largest = float(np.abs(force[:, 2]).max()) or 1.0
         sideways = np.hypot(*force[:, :2].T)
         per_cell = max(float(sideways.max()), 0.1 * largest) / 1.5

@@ -446,8 +446,10 @@ def _window(seen: _Sighting, size_px: tuple[int, int] | None) -> Axes:
     """Return the part of the picture in which the markers are."""
     left, right, low, high = _around(np.vstack([seen.true_rest_px, seen.tracked_rest_px]))
     if size_px is not None:
-        left, right = max(left, -0.5), min(right, size_px[1] - 0.5)
-        low, high = max(low, -0.5), min(high, size_px[0] - 0.5)
+        left = max(left, -0.5)
+        right = min(right, size_px[1] - 0.5)
+        low = max(low, -0.5)
+        high = min(high, size_px[0] - 0.5)
     return Axes.equal(left, right, high, low)
 
 
@@ -500,7 +502,8 @@ def _error_map(seen: _Sighting, axes: Axes) -> str:
 
 def _motion(result: RunResult) -> str:
     """Return drawings and table of the markers' motion; empty if nobody looked."""
-    truth, seen = result.truth, _sighting(result)
+    truth = result.truth
+    seen = _sighting(result)
     if truth is not None and len(truth.marker_rest_mm) == 0:
         truth = None
     if seen is not None:
@@ -618,7 +621,8 @@ def _maps(result: RunResult, sites: Points, fields: list[tuple[str, Floats]]) ->
 
 def _contact(result: RunResult) -> tuple[tuple[float, float], float] | None:
     """Return centre and radius of the true contact, mm, if the run has a radius."""
-    contact, truth = result.facts.get("contact"), result.truth
+    contact = result.facts.get("contact")
+    truth = result.truth
     radius = finite(
         (contact if isinstance(contact, Mapping) else result.facts).get("contact_radius_mm")
     )

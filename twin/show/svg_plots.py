@@ -23,7 +23,10 @@ VIEW = 480
 """Width of every drawing: near its size in a column of a laptop's page, so that letters keep their
 size."""
 
-LEFT, RIGHT, TOP, BOTTOM = 54, 10, 8, 44
+LEFT = 54
+RIGHT = 10
+TOP = 8
+BOTTOM = 44
 """Margins for tick labels and axis names; wide enough for the larger letters that a phone is
 given."""
 
@@ -86,7 +89,8 @@ def ticks(low: float, high: float, about: int = 6) -> list[float]:
     """Return round values between ``low`` and ``high``, roughly ``about`` of them."""
     low, high = min(low, high), max(low, high)
     step = nice((high - low) / about * 1.5)
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
     return [round(k * step, 12) for k in range(first, last + 1)]
 
 
@@ -114,7 +118,8 @@ def drawing(
         Places and labels of the vertical axis's ticks; None: round numbers.
     """
     height = axes.height + TOP + BOTTOM
-    floor, right = TOP + axes.height, VIEW - RIGHT
+    floor = TOP + axes.height
+    right = VIEW - RIGHT
     marks, text = [], []
     for value in ticks(axes.left, axes.right):
         x, _ = axes.place(np.array([[value, axes.top]]))[0]
@@ -159,7 +164,8 @@ def arrows(axes: Axes, tails: Floats, vectors: Floats, style: str) -> str:
     are left out. ``style`` is the path's class.
     """
     known = np.isfinite(tails).all(axis=1) & np.isfinite(vectors).all(axis=1)
-    starts, ends = axes.place(tails[known]), axes.place(tails[known] + vectors[known])
+    starts = axes.place(tails[known])
+    ends = axes.place(tails[known] + vectors[known])
     steps = []
     for (x0, y0), (x1, y1) in zip(starts.tolist(), ends.tolist(), strict=True):
         dx, dy = x1 - x0, y1 - y0

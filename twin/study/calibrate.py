@@ -176,7 +176,8 @@ def nominal_transfer(sensor: Sensor, sites: Rectangles) -> Floats:
 
 def _nominal_compliance(sensor: Sensor, sites: Rectangles) -> Floats:
     """Return (3n, 3k) mm/N of the nominal design's markers."""
-    scene, markers = sensor.nominal, sensor.nominal_markers.points
+    scene = sensor.nominal
+    markers = sensor.nominal_markers.points
     if scene.calibration.method == "halfspace":
         return half_space_compliance(scene, markers, sites)
     return sensor.nominal_compliance.to_points(markers, sites)
@@ -186,7 +187,8 @@ def _through_camera(sensor: Sensor, compliance: Floats) -> Floats:
     """Return (2n, 3k) px/N of a compliance in the nominal camera's picture."""
     from twin.sense.transfer import from_compliance
 
-    scene, markers = sensor.nominal, sensor.nominal_markers.points
+    scene = sensor.nominal
+    markers = sensor.nominal_markers.points
     assert scene.camera is not None
     jacobian = projection_jacobian(
         markers, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
@@ -233,7 +235,8 @@ def _press_everywhere(sensor: Sensor, places: Rectangles) -> Presses:
     """Press the made sensor in three directions at every place; return what was measured."""
     from twin.sense.track import analyse_rest, track_frame
 
-    scene, count = sensor.nominal, len(places)
+    scene = sensor.nominal
+    count = len(places)
     picture = sensor.picture(None, exposure=FIRST_EXPOSURE)
     rest = analyse_rest(picture, sensor.layout_px, method=scene.tracking.method)
     forces, found = [], []
@@ -272,7 +275,8 @@ def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     The sphere's axis is set off so that under load it stands over the place along the surface's
     normal: its centre is then a radius less the expected indentation away.
     """
-    wanted, normal = scene.calibration, places.frames[index, 2]
+    wanted = scene.calibration
+    normal = places.frames[index, 2]
     radius = wanted.press_probe_mm / 2
     contact_radius = min(hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
     x, y = places.centre_mm[index, :2] - (radius - contact_radius**2 / radius) * normal[:2]
@@ -305,7 +309,8 @@ def _measured_calibration(
     """Return Sato's calibration: three presses at every place, the nominal design in between."""
     from twin.sense.transfer import fill_between, from_presses, left_out
 
-    scene, count = sensor.nominal, len(places)
+    scene = sensor.nominal
+    count = len(places)
     assert scene.reconstruction is not None
     forces = presses.force_n.reshape(count, 3, 3).transpose(0, 2, 1)
     transfer = from_presses(forces, presses.shift_px.reshape(count, 3, -1))

@@ -118,7 +118,8 @@ def _pixel_noise(scene: Scene, layer: str, height: float) -> tuple[float, float]
     if brightest == 0:
         return 0.0, 1.0
     white = min(ccd.white_dn * ccd.exposure, _FULL_SCALE) / brightest
-    ground, inside = white * dark, white * max(marker.colour)
+    ground = white * dark
+    inside = white * max(marker.colour)
     contrast = max(abs(inside - ground), 1e-3 * white)
     if not ccd.noise:
         return contrast, 0.3
@@ -161,13 +162,15 @@ def view_of(scene: Scene) -> View:
 
     if scene.camera is None:
         raise RecipeError("this scene has no [camera] table: designs are seen by a camera")
-    camera, markers = scene.camera, place(scene.body, scene.markers)
+    camera = scene.camera
+    markers = place(scene.body, scene.markers)
     pixels, jacobian = project_with_jacobian(
         markers.points, camera, scene.material.refractive_index, scene.body.base_z_mm
     )
     across = np.sqrt(np.abs(np.linalg.det(jacobian[:, :, :2])))
     width = np.array([scene.markers[str(name)].diameter_mm for name in markers.layer]) * across
-    half, end = width[:, None] / 2, (camera.width_px - 0.5, camera.height_px - 0.5)
+    half = width[:, None] / 2
+    end = (camera.width_px - 0.5, camera.height_px - 0.5)
     with np.errstate(invalid="ignore"):
         inside = ((pixels - half > -0.5) & (pixels + half < end)).all(axis=1)
     inside &= np.isfinite(jacobian).all(axis=(1, 2))
@@ -295,7 +298,8 @@ def _of_press(scene: Scene) -> Iterator[str]:
 
 def _of_picture(scene: Scene) -> Iterator[str]:
     assert scene.camera is not None
-    view, camera = view_of(scene), scene.camera
+    view = view_of(scene)
+    camera = scene.camera
     remedy = "check camera.focal_px (in px), pupil_mm (in mm), width_px and height_px"
     widest = _WIDEST * min(camera.width_px, camera.height_px)
     for name in scene.markers:

@@ -158,7 +158,8 @@ class Environment:
         from twin.judge.score import field_score, into_cells
         from twin.sense.reconstruct import reconstruct
 
-        sensor, options = self.sensor, self.sensor.nominal.reconstruction
+        sensor = self.sensor
+        options = self.sensor.nominal.reconstruction
         assert options is not None
         calibration, tracker = self._software()
         patches = sensor.rectangles(load)
@@ -212,7 +213,8 @@ class Environment:
             from twin.study.calibrate import calibration_of
             from twin.world.elasticity.compliance import Compliance
 
-            sensor, scene = self.sensor, self.sensor.nominal
+            sensor = self.sensor
+            scene = self.sensor.nominal
             calibration = calibration_of(sensor)
             if isinstance(sensor.compliance, Compliance):
                 sensor.compliance.keep(sensor.actual.markers.points)

@@ -104,7 +104,8 @@ class FittedDesign:
 
     def camera_of(self, scaled: Floats) -> Camera:
         """Return the camera that the parameters say."""
-        found, nominal = self._values(scaled), self.camera
+        found = self._values(scaled)
+        nominal = self.camera
         return nominal.deviating(
             self.scene.body.base_z_mm + sum(layer.thickness_mm for layer in nominal.layers),
             [found.get(f"pupil_{axis}", 0.0) for axis in AXES],
@@ -122,8 +123,10 @@ class FittedDesign:
             for name, layer in self.scene.markers.items()
         }
         depth = np.array([depths[str(name)] for name in self._layer])
-        error, seen = np.zeros_like(self._chart), np.asarray(np.isfinite(rest_px).all(axis=1))
-        body, step = self.scene.body, 1e-4
+        error = np.zeros_like(self._chart)
+        seen = np.asarray(np.isfinite(rest_px).all(axis=1))
+        body = self.scene.body
+        step = 1e-4
         for _ in range(3):
             here = body.chart_points(self._chart + error, depth)
             along = [
@@ -155,7 +158,8 @@ class FittedDesign:
         surface."""
         found = self._values(scaled)
         nominal, softer = self._bodies
-        share, columns = -found["poisson_ratio"] / NU_STEP, []
+        share = -found["poisson_ratio"] / NU_STEP
+        columns = []
         # few at a time have fields, which serve other markers too
         for first in range(0, len(sites), 2 * len(markers)):
             which = slice(first, first + 2 * len(markers))
@@ -226,7 +230,8 @@ class FittedDesign:
     ) -> tuple[Rectangles, Floats]:
         """Return squares on the surface around a place, at offsets in radii, and their shares."""
         offsets, share = shares
-        body, centre = self.scene.body, self.places.centre_mm[index]
+        body = self.scene.body
+        centre = self.places.centre_mm[index]
         points = body.chart_points(body.chart_of(centre[None]) + radius * offsets)
         half = np.full((len(points), 2), radius / CUTS)
         force = np.zeros_like(points)

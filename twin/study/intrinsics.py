@@ -120,7 +120,8 @@ def write_intrinsics(camera: Camera, file: str | Path) -> None:
         )
     path = Path(file)
     column, row = camera.centre_px
-    fx, fy = camera.focal_px, camera.focal_px * camera.aspect
+    fx = camera.focal_px
+    fy = camera.focal_px * camera.aspect
     fisheye = camera.lens == "equidistant"
     padded = [*camera.distortion, *[0.0] * 4]
     length = 4 if len(camera.distortion) <= 4 else len(camera.distortion)

@@ -170,10 +170,12 @@ class LivePress:
 
     def facts(self) -> dict[str, Any]:
         """Return what the page must know once: sites, markers at rest, ranges of sliders."""
-        scene, begin = self.scene, self.start()
+        scene = self.scene
+        begin = self.start()
         assert scene.reconstruction is not None
         assert scene.camera is not None
-        grid, push = scene.reconstruction.sites, begin.push_n
+        grid = scene.reconstruction.sites
+        push = begin.push_n
         half = np.array(grid.half_mm) + grid.pitch_mm / 2
         side, twist = (0.3, 5.0) if begin.by_motion else (_round(push), _round(push))
         sensor = self.environment.sensor
@@ -235,7 +237,8 @@ class LivePress:
         contact = None
         if state is not None and len(state.pressure_mpa):
             sensor = self.environment.sensor
-            centres, weights = sensor.rectangles(state.load).centre_mm, state.pressure_mpa
+            centres = sensor.rectangles(state.load).centre_mm
+            weights = state.pressure_mpa
             middle = np.average(centres, axis=0, weights=np.maximum(weights, 0) + 1e-12)
             contact = {
                 "place": sensor.actual.scene.body.chart_of(middle[None])[0],

@@ -212,7 +212,8 @@ def _find_files(table: Table, path: Path, folders: list[Path]) -> None:
         table["press"] = probe_found(press, "press.")
     _read_intrinsics(table, path)
     if isinstance(table.get("vary"), dict):
-        key, here = "vary.press.probe", [path.parent]
+        key = "vary.press.probe"
+        here = [path.parent]
         table["vary"] = each_file(
             flat(table["vary"]), lambda file: found({"file": file}, key, here, _CHECK)["file"]
         )

@@ -341,7 +341,10 @@ def reconstruct_frames(
     before: Field | None = None
     for frame in sequence:
         started = time.perf_counter()
-        found, field, bump, reason = None, None, None, frame.problem
+        found = None
+        field = None
+        bump = None
+        reason = frame.problem
         if frame.picture is not None:
             try:
                 found = tracker.track(frame.picture)
@@ -350,7 +353,9 @@ def reconstruct_frames(
                 doubts = [doubt, *_doubts(found, field, bump, int(known.sum()))]
                 reason = "; ".join(filter(None, doubts))
             except InputError as problem:
-                reason, before, field = str(problem), None, None
+                reason = str(problem)
+                before = None
+                field = None
                 tracker.forget()
         yield _FrameResult(
             name=frame.name,
@@ -764,7 +769,9 @@ class _OverlayFile:
 
     def __init__(self, target: Path) -> None:
         suffix = target.suffix.lower()
-        self._target, self._film, self._one = target, suffix in VIDEOS, suffix == ".png"
+        self._target = target
+        self._film = suffix in VIDEOS
+        self._one = suffix == ".png"
         if suffix in PICTURES and not self._one:
             raise InputError(
                 f"--overlay {target}: pictures are drawn as .png; give that, a folder, or a video "

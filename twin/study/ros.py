@@ -63,7 +63,8 @@ def ros_messages(
             f"stamp_ns = {stamp_ns}: allowed are 0 to {2**31 * 10**9 - 1} ns, as ROS 2 counts "
             f"seconds"
         )
-    here, there = _header(stamp_ns, frame_id), _header(stamp_ns, f"{frame_id}_optical")
+    here = _header(stamp_ns, frame_id)
+    there = _header(stamp_ns, f"{frame_id}_optical")
     truth = observation.truth
     return {
         "image": ("sensor_msgs/msg/Image", _image(there, observation.picture)),
@@ -92,7 +93,9 @@ def camera_info(camera: Camera, header: Table) -> Table:
             f"camera.lens = {camera.lens!r}: ROS knows 'pinhole' and 'equidistant' alone"
         )
     count = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}[model]
-    fx, fy, (cx, cy) = camera.focal_px, camera.focal_px * camera.aspect, camera.centre_px
+    fx = camera.focal_px
+    fy = camera.focal_px * camera.aspect
+    cx, cy = camera.centre_px
     coefficients = np.array([*camera.distortion, *[0.0] * count][:count])
     return {
         "header": header,

@@ -234,7 +234,8 @@ class _Chain:
 
     @one_blas_thread()
     def result(self) -> RunResult:
-        sensor, scene = self.sensor, self.sensor.nominal
+        sensor = self.sensor
+        scene = self.sensor.nominal
         with self.stage("design"):
             if "picture" in self.needed:
                 from twin.world.picture.backend import forced_variant, require_memory
@@ -300,7 +301,8 @@ class _Chain:
             raise
 
     def _truth(self, motion: Motion, patches: Rectangles) -> Truth:
-        sensor, markers = self.sensor, self.sensor.actual.markers
+        sensor = self.sensor
+        markers = self.sensor.actual.markers
         return Truth(
             marker_rest_mm=markers.points,
             marker_displacement_mm=motion.displacement_mm,
@@ -376,7 +378,9 @@ class _Chain:
 
     def _facts(self, truth: Truth, score: Mapping[str, Any]) -> dict[str, Any]:
         """Return the facts that the report shows with the score."""
-        scene, state, pictured = self.sensor.nominal, self.state, "picture" in self.needed
+        scene = self.sensor.nominal
+        state = self.state
+        pictured = "picture" in self.needed
         facts: dict[str, Any] = {"seed": scene.seed, "shared": _shared_by_truth_and_estimate(scene)}
         warned = doubts(scene)
         if pictured and (state is not None or scene.tractions):
@@ -403,7 +407,8 @@ class _Chain:
 def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
     if found is None:
         return None
-    none, nothing = np.zeros(0), np.zeros((0, 3))
+    none = np.zeros(0)
+    nothing = np.zeros((0, 3))
     return Estimate(
         marker_rest_px=found.rest_px,
         marker_shift_px=found.shift_px,
@@ -538,7 +543,8 @@ def _closed_form(
 def summary(result: RunResult, folder: Path) -> str:
     """Return the text that is printed for a run whose files are in ``folder``."""
     lines = []
-    score, facts = result.score or {}, result.facts
+    score = result.score or {}
+    facts = result.facts
     if (contact := facts.get("contact")) is not None:
         lines.append(
             f"contact     {contact['force_n'][2]:.4g} N along z, indentation "
@@ -573,7 +579,8 @@ def _force_lines(force: Mapping[str, Any], estimate: Estimate | None) -> list[st
     if force["total_force_error"] is not None:
         lines.append(f"total force {100 * force['total_force_error']:.1f} % off")
         if estimate is not None and len(estimate.force_n):
-            sites, total = estimate.force_n.sum(axis=0), estimate.total_force_n
+            sites = estimate.force_n.sum(axis=0)
+            total = estimate.total_force_n
             if not np.allclose(sites, total, rtol=1e-6, atol=1e-9):
                 lines.append(
                     f"sites' sum  {100 * force['sites_force_error']:.1f} % off: Fz "

@@ -90,7 +90,8 @@ def _nearest(errors: list[dict[str, Any]], table: Mapping[str, Any]) -> list[dic
     is nearest to."""
     by_value: dict[tuple[Any, ...], dict[Any, list[dict[str, Any]]]] = {}
     for error in errors:
-        loc, keys = error["loc"], _keys(error["loc"], table)
+        loc = error["loc"]
+        keys = _keys(error["loc"], table)
         place = next(
             (i for i, part in enumerate(loc) if i >= len(keys) or keys[i] != part), len(loc)
         )

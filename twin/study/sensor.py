@@ -657,7 +657,8 @@ class Sensor:
         """Return the actual markers' shapes under a load."""
         from twin.world.picture.ellipsoids import ellipsoids
 
-        markers, layers = self.actual.markers, self.actual.scene.markers
+        markers = self.actual.markers
+        layers = self.actual.scene.markers
         motion = self._moved(load)
         if motion is None:
             return ellipsoids(markers, layers, prints=self.actual.prints)

@@ -71,7 +71,8 @@ def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points,
         [faces[:, [0, 3, 5]], faces[:, [3, 1, 4]], faces[:, [5, 4, 2]], faces[:, [3, 4, 5]]]
     )
     used, numbers = np.unique(triangles, return_inverse=True)
-    points, triangles = np.array(mesh.points[used]), numbers.reshape(-1, 3)
+    points = np.array(mesh.points[used])
+    triangles = numbers.reshape(-1, 3)
     pressed = [
         (np.average(patches.centre_mm, axis=0), one.contact_radius_mm)
         for state in states
@@ -80,7 +81,8 @@ def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points,
     ]
     for _ in range(_ROUNDS):
         edges = points[triangles] - points[np.roll(triangles, 1, axis=1)]
-        longest, middle = np.linalg.norm(edges, axis=2).max(axis=1), points[triangles].mean(axis=1)
+        longest = np.linalg.norm(edges, axis=2).max(axis=1)
+        middle = points[triangles].mean(axis=1)
         coarse = np.zeros(len(triangles), bool)
         for centre, radius in pressed:
             away = np.maximum(np.linalg.norm(middle - centre, axis=1) - 1.2 * radius, 0.0)
@@ -127,7 +129,8 @@ def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | N
         return rest
     if not state.load.terms:
         return replace(rest, name=str(number), said="The probe has left the body.")
-    patches, touching = sensor.rectangles(state.load), [one for _, one in _under_each(state)]
+    patches = sensor.rectangles(state.load)
+    touching = [one for _, one in _under_each(state)]
     points = np.concatenate([_inside(sensor, corners), patches.centre_mm])
     surface = _drawn(sensor).displacement(points, patches)
     if state.load.strained is not None:
@@ -206,7 +209,8 @@ def in_parts(press: Press, parts: int = PARTS) -> Press:
     """
     if press.direction is not None:
         return press
-    before, steps = Step(force_n=(0.0, 0.0, 0.0), torque_nmm=(0.0, 0.0, 0.0)), []
+    before = Step(force_n=(0.0, 0.0, 0.0), torque_nmm=(0.0, 0.0, 0.0))
+    steps = []
     for last, step in pairwise((before, *press.path)):
         for share in ((part + 1) / parts for part in range(parts)):
             steps.append(

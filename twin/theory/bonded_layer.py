@@ -114,7 +114,8 @@ class BondedLayer:
         """Return dv_i/dx_j (n, 3, 3, m) for G = 1, and lambda div v (n, m) in MPa, in m load cases
         (k, 3, m)."""
         cases = columns.shape[2]
-        slope, tension = np.zeros((len(points), 3, 3, cases)), np.zeros((len(points), cases))
+        slope = np.zeros((len(points), 3, 3, cases))
+        tension = np.zeros((len(points), cases))
         centre, spread = self._point_forces(load)
         force = (spread @ columns.reshape(len(columns), -1)).reshape(-1, 3, cases)
         _gradient(
@@ -229,7 +230,8 @@ def _waves(k: Floats, z: float, nu: float) -> tuple[tuple[Floats, ...], tuple[Fl
     U, W and the tension lambda div v under the pressure cos(k x), the same under the traction sin(k
     x) along x, and V under the traction cos(k x) along y.
     """
-    fade, none = np.exp(-k), 0.0 * k
+    fade = np.exp(-k)
+    none = 0.0 * k
     at_face = tractions(none, nu, 1.0)
     at_base = motions(k, nu)
     given = np.zeros((len(k), 2, 2))
@@ -246,7 +248,8 @@ def _waves(k: Floats, z: float, nu: float) -> tuple[tuple[Floats, ...], tuple[Fl
         matrix[:, 2 + row, 2:] = grows
         right[:, 2 + row] = -np.einsum("qi,qic->qc", decays * fade[:, None], alone)
     solved = np.linalg.solve(matrix, right)
-    down, up = np.exp(-k * z), np.exp(k * (z - 1.0))
+    down = np.exp(-k * z)
+    up = np.exp(k * (z - 1.0))
     basis = [np.hstack([m[0] * down[:, None], m[1] * up[:, None]]) for m in motions(k * z, nu)]
     u, w = (np.einsum("qi,qic->cq", b, solved) for b in basis)
     tension = -4.0 * nu * k * (solved[:, 1] * down[:, None] + solved[:, 3] * up[:, None]).T
@@ -257,7 +260,8 @@ def _waves(k: Floats, z: float, nu: float) -> tuple[tuple[Floats, ...], tuple[Fl
 def motions(kz: Floats, nu: float) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
     """Return U and W, each for the decaying (q, 2) and growing (q, 2) waves, their exponentials
     left out."""
-    one, bend = np.ones_like(kz), 3.0 - 4.0 * nu
+    one = np.ones_like(kz)
+    bend = 3.0 - 4.0 * nu
     u = np.column_stack([one, kz - bend]), np.column_stack([one, -bend - kz])
     w = np.column_stack([one, kz]), np.column_stack([-one, kz])
     return u, w
@@ -296,7 +300,8 @@ def _stencil(at: float, first: int, weight: Floats, slope: Floats) -> None:
 def _place(r: float, z: float, weights: Floats) -> tuple[int, int]:
     """Set ``weights`` (4, _STENCIL): along r, its derivative, along z, its derivative; return the
     first indices."""
-    along, down = r * _CELLS + _STENCIL // 2, min(max(z, 0.0), 1.0) * _CELLS + _STENCIL // 2
+    along = r * _CELLS + _STENCIL // 2
+    down = min(max(z, 0.0), 1.0) * _CELLS + _STENCIL // 2
     i, j = int(along) - _STENCIL // 2 + 1, int(down) - _STENCIL // 2 + 1
     _stencil(along, i, weights[0], weights[1])
     _stencil(down, j, weights[2], weights[3])
@@ -312,8 +317,10 @@ def _compliance(
     With f of the grid, for G = H = 1: v = (f0 x, f0 y, f1) under a normal force, (f2 - f3 x^2, -f3
     x y, f4 x) under one along x.
     """
-    weights, f = np.empty((4, _STENCIL)), np.empty(5)
-    u, n = np.empty((3, 3)), np.empty(3)
+    weights = np.empty((4, _STENCIL))
+    f = np.empty(5)
+    u = np.empty((3, 3))
+    n = np.empty(3)
     for q in range(len(points)):
         z = points[q, 2] / thickness
         for t in range(len(centre)):
@@ -354,8 +361,13 @@ def _gradient(
     tension: Floats,
 ) -> None:
     """Add dv_i/dx_j to ``out`` (n, 3, 3, m) and lambda div v to ``tension`` (n, m), for G = 1."""
-    weights, g, t = np.empty((4, _STENCIL)), np.empty((3, 3, 3)), np.empty(3)
-    f, r_slope, z_slope, n = np.empty(7), np.empty(7), np.empty(7), np.empty(3)
+    weights = np.empty((4, _STENCIL))
+    g = np.empty((3, 3, 3))
+    t = np.empty(3)
+    f = np.empty(7)
+    r_slope = np.empty(7)
+    z_slope = np.empty(7)
+    n = np.empty(3)
     area = thickness * thickness
     for q in range(len(points)):
         z = points[q, 2] / thickness

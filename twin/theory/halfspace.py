@@ -125,7 +125,8 @@ def _scale(youngs_modulus_mpa: float, poisson_ratio: float) -> float:
 
 def _slopes(points: Points, load: Rectangles, poisson_ratio: float) -> tuple[Floats, Floats]:
     """Return du_i/dx_j over c (n, 3, 3), and the sums of n . f (n,)."""
-    slope, pull = np.zeros((len(points), 3, 3)), np.zeros(len(points))
+    slope = np.zeros((len(points), 3, 3))
+    pull = np.zeros(len(points))
     _gradient(
         *_pairs(points, load), for_kernel(load.force_n), 1.0 - 2.0 * poisson_ratio, slope, pull
     )
@@ -163,11 +164,14 @@ def _of_point_forces(points: Floats, centre: Floats, force: Floats, k: float, ou
         x, y, z = centre[0, t], centre[1, t], centre[2, t]
         fx, fy, fz = force[0, t], force[1, t], force[2, t]
         for q in range(points.shape[1]):
-            dx, dy, dz = points[0, q] - x, points[1, q] - y, max(points[2, q] - z, 0.0)
+            dx = points[0, q] - x
+            dy = points[1, q] - y
+            dz = max(points[2, q] - z, 0.0)
             r2 = dx * dx + dy * dy + dz * dz
             r = math.sqrt(r2)
             over_both = 1.0 / (r2 + r * dz)
-            over_r, s = (r + dz) * over_both, r * over_both
+            over_r = (r + dz) * over_both
+            s = r * over_both
             aside = dx * fx + dy * fy
             pull = (aside + dz * fz) * over_r * over_r * over_r
             slope = k * over_r * s
@@ -187,7 +191,9 @@ def _of_point_forces(points: Floats, centre: Floats, force: Floats, k: float, ou
 def _compliance(
     points: Floats, centre: Floats, frames: Floats, half: Floats, k: float, out: Floats
 ) -> None:
-    u, n, v = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    u = np.empty((3, 3))
+    n = np.empty(3)
+    v = np.empty((3, 3))
     for q in range(len(points)):
         for t in range(len(centre)):
             frame = frames[t]
@@ -226,8 +232,14 @@ def _normal(centre: Floats, half: Floats, out: Floats) -> None:
                     mean += nodes[i, 2] / math.sqrt(px * px + py * py)
                 out[q, t] = mean
                 continue
-            x1, x2, y1, y2 = x + a, x - a, y + b, y - b
-            xx1, xx2, yy1, yy2 = x1 * x1, x2 * x2, y1 * y1, y2 * y2
+            x1 = x + a
+            x2 = x - a
+            y1 = y + b
+            y2 = y - b
+            xx1 = x1 * x1
+            xx2 = x2 * x2
+            yy1 = y1 * y1
+            yy2 = y2 * y2
             r11, r12 = math.sqrt(xx1 + yy1), math.sqrt(xx1 + yy2)
             r21, r22 = math.sqrt(xx2 + yy1), math.sqrt(xx2 + yy2)
             x_log_y = x1 * _log_ratio(y1, r11, y2, r12, xx1)
@@ -249,7 +261,9 @@ def _gradient(
     pull: Floats,
 ) -> None:
     """Add du_i/dx_m over c to ``out`` (n, 3, 3) and n . f to ``pull`` (n,), of all rectangles."""
-    d, n, g = np.empty((3, 3, 3)), np.empty(3), np.empty((3, 3))
+    d = np.empty((3, 3, 3))
+    n = np.empty(3)
+    g = np.empty((3, 3))
     for q in range(len(points)):
         for t in range(len(centre)):
             frame = frames[t]
@@ -282,7 +296,8 @@ def rectangle_terms(
 ) -> None:
     """Set u (3, 3) and n (3,) to the mean over the rectangle -a..a by -b..b; a = b = 0 is a
     point force."""
-    distance, size = x * x + y * y + z * z, a * a + b * b
+    distance = x * x + y * y + z * z
+    size = a * a + b * b
     if size == 0.0:
         if distance == 0.0:
             raise ZeroDivisionError("a point force moves its own place infinitely far")
@@ -303,7 +318,8 @@ def rectangle_slopes(
     by -b..b."""
     d[:] = 0.0
     n[:] = 0.0
-    distance, size = x * x + y * y + z * z, a * a + b * b
+    distance = x * x + y * y + z * z
+    size = a * a + b * b
     if size > 0.0 and distance <= _FAR_3 * _FAR_3 * size:
         _closed_slopes(x, y, z, a, b, k, d, n)
         return
@@ -333,10 +349,18 @@ def _point_terms(
     is lambda div u, which stays finite at nu = 1/2. The sums may be taken in any order, so that
     several points are done at once.
     """
-    one, xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    one = 0.0
+    xx = 0.0
+    yy = 0.0
+    zz = 0.0
+    xy = 0.0
+    xz = 0.0
+    yz = 0.0
     nx, ny, nz = 0.0, 0.0, 0.0
     for q in range(len(nodes)):
-        px, py, weight = x - a * nodes[q, 0], y - b * nodes[q, 1], nodes[q, 2]
+        px = x - a * nodes[q, 0]
+        py = y - b * nodes[q, 1]
+        weight = nodes[q, 2]
         r2 = px * px + py * py + z * z
         wr = weight / math.sqrt(r2)
         w3 = wr / r2
@@ -351,10 +375,16 @@ def _point_terms(
         nx += tx
         ny += ty
         nz += tz
-    v00, v11, v01, v02, v12 = 0.0, 0.0, 0.0, 0.0, 0.0
+    v00 = 0.0
+    v11 = 0.0
+    v01 = 0.0
+    v02 = 0.0
+    v12 = 0.0
     if k != 0.0:
         for q in range(len(nodes)):
-            px, py, weight = x - a * nodes[q, 0], y - b * nodes[q, 1], nodes[q, 2]
+            px = x - a * nodes[q, 0]
+            py = y - b * nodes[q, 1]
+            weight = nodes[q, 2]
             r = math.sqrt(px * px + py * py + z * z)
             ws = weight / (r + z)
             wrs = ws / r
@@ -397,10 +427,14 @@ def _point_slopes(
     q = k * weight * t * over_r * (over_r + 2.0 * s)
     t *= k * weight
     v = k * weight * over_r * s * over_r * (over_r + s)
-    hxxx, hxxy = x * (3.0 * t - x * x * q), y * (t - x * x * q)
-    hxyy, hyyy = x * (t - y * y * q), y * (3.0 * t - y * y * q)
+    hxxx = x * (3.0 * t - x * x * q)
+    hxxy = y * (t - x * x * q)
+    hxyy = x * (t - y * y * q)
+    hyyy = y * (3.0 * t - y * y * q)
     hz = k * weight * over_r * s
-    hxxz, hyyz, hxyz = hz - x * x * v, hz - y * y * v, -x * y * v
+    hxxz = hz - x * x * v
+    hyyz = hz - y * y * v
+    hxyz = -x * y * v
     w3 *= k
     _add_slopes(d, hxxx, hxxy, hxyy, hyyy, hxxz, hyyz, hxyz, -x * w3, -y * w3, -z * w3)
 
@@ -420,7 +454,8 @@ def _log_ratio(y1: float, r1: float, y2: float, r2: float, rest: float) -> float
     elif y1 < 0.0:
         over, under = r2 - y2, r1 - y1
     else:
-        over, under = (y1 + r1) * (r2 - y2), rest
+        over = (y1 + r1) * (r2 - y2)
+        under = rest
     return math.log(over / under) if under > _TINY * over else 0.0
 
 
@@ -457,8 +492,10 @@ def _solid_angle(
     above the rectangle only, and seen past its edges never less than 0 but by round-off.
     """
     if z > 0.0:
-        a, b = x1 * z * (y1 * r12 - y2 * r11), z * z * r11 * r12 + x1 * x1 * y1 * y2
-        c, d = x2 * z * (y2 * r21 - y1 * r22), z * z * r21 * r22 + x2 * x2 * y1 * y2
+        a = x1 * z * (y1 * r12 - y2 * r11)
+        b = z * z * r11 * r12 + x1 * x1 * y1 * y2
+        c = x2 * z * (y2 * r21 - y1 * r22)
+        d = z * z * r21 * r22 + x2 * x2 * y1 * y2
         angle = math.atan2(a * d + b * c, b * d - a * c)
         return angle + 2.0 * math.pi if angle < 0.0 and x1 > 0.0 > x2 and y1 > 0.0 > y2 else angle
     # the limit z -> 0 of atan(x y / (z r)) is a quarter turn of the sign of x y
@@ -471,16 +508,31 @@ def _closed_terms(
     x: float, y: float, z: float, a: float, b: float, k: float, u: Floats, n: Floats
 ) -> None:
     """Set u (3, 3) and n (3,), to the means over -a..a by -b..b."""
-    x1, x2, y1, y2 = x + a, x - a, y + b, y - b
-    xx1, xx2, yy1, yy2, zz = x1 * x1, x2 * x2, y1 * y1, y2 * y2, z * z
+    x1 = x + a
+    x2 = x - a
+    y1 = y + b
+    y2 = y - b
+    xx1 = x1 * x1
+    xx2 = x2 * x2
+    yy1 = y1 * y1
+    yy2 = y2 * y2
+    zz = z * z
     r11, r12 = math.sqrt(xx1 + yy1 + zz), math.sqrt(xx1 + yy2 + zz)
     r21, r22 = math.sqrt(xx2 + yy1 + zz), math.sqrt(xx2 + yy2 + zz)
     log_y1, log_y2 = _log_ratio(y1, r11, y2, r12, xx1 + zz), _log_ratio(y1, r21, y2, r22, xx2 + zz)
     log_x1, log_x2 = _log_ratio(x1, r11, x2, r21, yy1 + zz), _log_ratio(x1, r12, x2, r22, yy2 + zz)
     x_log_y, y_log_x = x1 * log_y1 - x2 * log_y2, y1 * log_x1 - y2 * log_x2
-    log_y, log_x, r = log_y1 - log_y2, log_x1 - log_x2, r11 - r12 - r21 + r22
-    xy, xz, yz, w = -r, -z * log_y, -z * log_x, 0.25 / (a * b)
-    v00, v11, s1, s2 = 0.0, 0.0, 0.0, 0.0
+    log_y = log_y1 - log_y2
+    log_x = log_x1 - log_x2
+    r = r11 - r12 - r21 + r22
+    xy = -r
+    xz = -z * log_y
+    yz = -z * log_x
+    w = 0.25 / (a * b)
+    v00 = 0.0
+    v11 = 0.0
+    s1 = 0.0
+    s2 = 0.0
     if k == 0.0:
         angle = _solid_angle(x1, x2, y1, y2, z, r11, r12, r21, r22)
     else:
@@ -522,16 +574,32 @@ def _closed_slopes(
     x: float, y: float, z: float, a: float, b: float, k: float, d: Floats, n: Floats
 ) -> None:
     """Add the means of `_point_slopes` over the rectangle -a..a by -b..b."""
-    x1, x2, y1, y2 = x + a, x - a, y + b, y - b
-    xx1, xx2, yy1, yy2, zz = x1 * x1, x2 * x2, y1 * y1, y2 * y2, z * z
+    x1 = x + a
+    x2 = x - a
+    y1 = y + b
+    y2 = y - b
+    xx1 = x1 * x1
+    xx2 = x2 * x2
+    yy1 = y1 * y1
+    yy2 = y2 * y2
+    zz = z * z
     r11, r12 = math.sqrt(xx1 + yy1 + zz), math.sqrt(xx1 + yy2 + zz)
     r21, r22 = math.sqrt(xx2 + yy1 + zz), math.sqrt(xx2 + yy2 + zz)
     w = 0.25 / (a * b)
     log_y = w * (_log_ratio(y1, r11, y2, r12, xx1 + zz) - _log_ratio(y1, r21, y2, r22, xx2 + zz))
     log_x = w * (_log_ratio(x1, r11, x2, r21, yy1 + zz) - _log_ratio(x1, r12, x2, r22, yy2 + zz))
     angle = w * _solid_angle(x1, x2, y1, y2, z, r11, r12, r21, r22)
-    a_sum, xa, xxa, b_sum, yb, yyb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    over, xr, yr, xs, ys = 0.0, 0.0, 0.0, 0.0, 0.0
+    a_sum = 0.0
+    xa = 0.0
+    xxa = 0.0
+    b_sum = 0.0
+    yb = 0.0
+    yyb = 0.0
+    over = 0.0
+    xr = 0.0
+    yr = 0.0
+    xs = 0.0
+    ys = 0.0
     for p, q, r, sign in ((x1, y1, r11, w), (x2, y2, r22, w), (x2, y1, r21, -w), (x1, y2, r12, -w)):
         first, second = sign * _over(q, r, p * p + zz), sign * _over(p, r, q * q + zz)
         a_sum += first

@@ -195,7 +195,8 @@ def _undistort(distorted: Floats, camera: Camera) -> Floats:
     if not any(camera.distortion):
         return distorted
     top = min(_fold(camera), 1e3)
-    low, high = np.zeros_like(distorted), np.full_like(distorted, top)
+    low = np.zeros_like(distorted)
+    high = np.full_like(distorted, top)
     radius = np.minimum(distorted, top)
     excess = np.full_like(distorted, np.nan)
     for _ in range(_ITERATIONS):
@@ -203,7 +204,8 @@ def _undistort(distorted: Floats, camera: Camera) -> Floats:
         excess = image - distorted
         if not np.any(np.abs(excess) > 1e-14 * (1 + distorted)):
             break
-        low, high = np.where(excess < 0, radius, low), np.where(excess > 0, radius, high)
+        low = np.where(excess < 0, radius, low)
+        high = np.where(excess > 0, radius, high)
         step = radius - excess / np.where(slope > 1e-12, slope, np.inf)
         radius = np.where((step > low) & (step < high) & (slope > 1e-12), step, (low + high) / 2)
     return np.where(np.abs(excess) <= 1e-9 * (1 + distorted), radius, np.nan)

@@ -207,7 +207,8 @@ def _crossing(falling: Floats) -> Floats:
     below = falling < 0
     at = np.argmax(below, axis=1)
     rows = np.arange(len(falling))
-    high, low = falling[rows, at - 1], falling[rows, at]
+    high = falling[rows, at - 1]
+    low = falling[rows, at]
     share = high / np.where(high == low, 1.0, high - low)
     found = _R[at - 1] + share * (_R[at] - _R[at - 1])
     return np.where(below.any(axis=1), found, np.inf)

@@ -285,7 +285,8 @@ def sideways(
     slope
         (n,) d(reach)/dp, mm.
     """
-    reach, slope = air_mm * p, np.full(np.shape(p), air_mm, float)
+    reach = air_mm * p
+    slope = np.full(np.shape(p), air_mm, float)
     stack: list[tuple[Floats | float, float]] = [(depth_mm, body_index)]
     stack += [(layer.thickness_mm, layer.index) for layer in layers]
     for thickness, index in stack:

@@ -47,7 +47,8 @@ def draws(
     rows = _unit_numbers(seed, purpose, sampling, numbers, width, taken)
     found = []
     for u in rows:
-        values, start = {}, 0
+        values = {}
+        start = 0
         for key in sorted(axes):
             axis = axes[key]
             if not isinstance(axis, Follows):

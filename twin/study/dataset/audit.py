@@ -91,7 +91,8 @@ def check_dataset(folder: Path) -> list[str]:
     if problems:
         raise RecipeError(problems, str(folder))
     rows = np.unique(np.linspace(0, len(reader) - 1, min(ROWS, len(reader))).astype(int))
-    lines, failed = [f"{folder}: {len(reader)} rows, checksums and schema ok"], 0
+    lines = [f"{folder}: {len(reader)} rows, checksums and schema ok"]
+    failed = 0
     balances: list[float] = []
     misses: list[float] = []
     for row in rows:

@@ -48,7 +48,8 @@ class Column:
 
     def described(self) -> dict[str, str]:
         """Return its entry in info.json."""
-        name, unit = self.name, unit_of(self.name)
+        name = self.name
+        unit = unit_of(self.name)
         return {"name": name, "kind": self.kind, "unit": unit, "what": self.what}
 
 

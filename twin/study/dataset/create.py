@@ -151,7 +151,8 @@ def _made(
     seconds = time.perf_counter() - started
     if not missing:
         bad, first = _failures(plan, places)
-        failed, reason = len(bad), reason or first
+        failed = len(bad)
+        reason = reason or first
         _finish(plan, places, job, bad, pool, whole, progress)
     if progress is not None:
         progress("done", 1.0)
@@ -292,7 +293,8 @@ def estimate(
     """
     plan = Plan(scene, samples)
     plan.check()
-    sensors, audits = plan.sensor_of(samples - 1) + 1, len(audited(samples, ()))
+    sensors = plan.sensor_of(samples - 1) + 1
+    audits = len(audited(samples, ()))
     cut = {"samples_per_shard": TRIED, "samples_per_sensor": 2 * TRIED}
     tried = scene.model_copy(update={"dataset": scene.dataset.model_copy(update=cut)})
     with tempfile.TemporaryDirectory(prefix="twin-estimate-") as name, one_thread():
@@ -307,7 +309,9 @@ def estimate(
         size = float(sum(path.stat().st_size for path in places.meta.iterdir()))
     if progress is not None:
         progress("done", 1.0)
-    each, start, sensor = made / TRIED, max(begun - made, 0.0), max(another - made, 0.0)
+    each = made / TRIED
+    start = max(begun - made, 0.0)
+    sensor = max(another - made, 0.0)
     shared = samples * each + (sensors - 1) * sensor + audits * again
     size += len(shard.samples) / TRIED * samples + len(first.sensors or b"") * sensors
     further = f", {sensor:.2g} s for each further sensor" if sensors > 1 else ""

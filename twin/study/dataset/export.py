@@ -78,7 +78,8 @@ def _hdf5(reader: DatasetReader, out: Path, progress: Progress | None) -> list[P
         raise MissingCapability("HDF5 needs h5py: pip install h5py") from None
     status = reader.table(["status"])["status"].to_pylist()
     count = status.count("ok")
-    path, part = out / "dataset.hdf5", out / f".dataset.hdf5.{os.getpid()}.part"
+    path = out / "dataset.hdf5"
+    part = out / f".dataset.hdf5.{os.getpid()}.part"
     names = {"picture": "tactile/rgb", "marker_displacement_mm": "tactile/marker_displacement"}
     try:
         with h5py.File(part, "w") as file:
@@ -134,10 +135,14 @@ def _coco(reader: DatasetReader, out: Path, progress: Progress | None) -> list[P
     if not {"picture", "marker_pressed_px"} <= set(reader.columns):
         raise InputError("coco: the dataset needs the columns picture and marker_pressed_px")
     make_folder(out / "images")
-    images, annotations, files, keypoints = [], [], [], 0
+    images = []
+    annotations = []
+    files = []
+    keypoints = 0
     width, height = reader.info["camera"]["width_px"], reader.info["camera"]["height_px"]
     for number, sample in _samples(reader, progress):
-        name, png = f"{number:08d}.png", sample["picture"]
+        name = f"{number:08d}.png"
+        png = sample["picture"]
         write_whole(out / "images" / name, png)
         images.append({"id": number, "file_name": name, "width": width, "height": height})
         pixels = sample["marker_pressed_px"]
@@ -214,7 +219,8 @@ def write_card(plan: Plan, places: Places, audit: dict[str, Any], failed: int) -
 
 def _card_text(plan: Plan, places: Places, audit: dict[str, Any], failed: int) -> str:
     """Return the card: Markdown under the header that dataset hubs read."""
-    scene, info = plan.scene, read_info(places)
+    scene = plan.scene
+    info = read_info(places)
     sensors = plan.sensor_of(plan.samples - 1) + 1
     varies = "".join(f"* `{key}`: {_in_words(axis)}\n" for key, axis in sorted(scene.vary.items()))
     figures = "".join(

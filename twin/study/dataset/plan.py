@@ -73,7 +73,8 @@ class Plan:
 
     def sensors_of(self, shard: int) -> range:
         """Return the sensors whose first sample is in a shard."""
-        each, samples = self.scene.dataset.samples_per_sensor, self.of_shard(shard)
+        each = self.scene.dataset.samples_per_sensor
+        samples = self.of_shard(shard)
         return range(-(-samples.start // each), -(-samples.stop // each))
 
     @cached_property
@@ -133,12 +134,14 @@ class Plan:
 
     def press_values(self, samples: range) -> list[Table]:
         """Return what is drawn for the samples, by dotted key."""
-        sampling, seed = self.scene.dataset.sampling, self.scene.seed
+        sampling = self.scene.dataset.sampling
+        seed = self.scene.seed
         return draws(self.press_axes, seed, Purpose.SAMPLING, sampling, samples)
 
     def sensor_values(self, sensors: range) -> list[Table]:
         """Return what is drawn for the sensors, by dotted key."""
-        sampling, seed = self.scene.dataset.sampling, self.scene.seed
+        sampling = self.scene.dataset.sampling
+        seed = self.scene.seed
         axes, others = self.sensor_axes, self.press_axes
         return draws(axes, seed, Purpose.SENSOR, sampling, sensors, apart_from=others)
 
@@ -163,7 +166,8 @@ class Plan:
         RecipeError
             With all problems at once.
         """
-        scene, problems = self.scene, []
+        scene = self.scene
+        problems = []
         if self.samples < 1:
             problems.append(f"samples = {self.samples}: give at least 1")
         if scene.press is None and not scene.tractions:
@@ -207,7 +211,8 @@ def _valid(part: type[P], table: Table, where: str) -> P:
     try:
         return part.model_validate(table)
     except ValidationError as problem:
-        lines, kind = [], RecipeError
+        lines = []
+        kind = RecipeError
         for error in problem.errors():
             key = ".".join(str(k) for k in (where, *error["loc"]))
             if error["type"] == "extra_forbidden":

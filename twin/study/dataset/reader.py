@@ -179,7 +179,8 @@ class DatasetReader:
         with opened:
             first, group = 0, 0
             while row >= first + (size := opened.metadata.row_group(group).num_rows):
-                first, group = first + size, group + 1
+                first = first + size
+                group = group + 1
             if self._group is None or self._group[0] != (file, group):
                 self._group = (
                     (file, group),

@@ -71,7 +71,10 @@ class _MadeSensor:
     """
 
     def __init__(self, plan: Plan, number: int, values: Table, *, gather: bool = True) -> None:
-        self.plan, self.number, self.values, self.gather = plan, number, values, gather
+        self.plan = plan
+        self.number = number
+        self.values = values
+        self.gather = gather
         self.seed = _sensor_seed(plan.scene.seed, number)
         drawn = plan.scene
         if values or plan.sensor_axes:
@@ -81,7 +84,8 @@ class _MadeSensor:
     @cached_property
     def row(self) -> _Row:
         """Its row of the sensors table."""
-        sensor, needs = self.sensor, self.plan.needs
+        sensor = self.sensor
+        needs = self.plan.needs
         scene, markers = sensor.actual.scene, sensor.actual.markers
         layers = [[name, int((markers.layer == name).sum())] for name in scene.markers]
         row: _Row = {
@@ -105,7 +109,8 @@ class _MadeSensor:
             f, (cx, cy) = scene.camera.focal_px, scene.camera.centre_px
             row["camera_matrix"] = np.array([f, 0, cx, 0, f, cy, 0, 0, 1.0])
         if "sites" in needs:
-            body, half_mm = sensor.nominal.body, self.grid.pitch_mm / 2
+            body = sensor.nominal.body
+            half_mm = self.grid.pitch_mm / 2
             cells = on_surface(body, self.grid.chart(), half_mm, "dataset.sites")
             row["site_mm"] = cells.centre_mm
         return row
@@ -212,7 +217,8 @@ def _truth_of(
     """
     from twin.world.elasticity.discretise import join
 
-    sensor, needs = made.sensor, made.plan.needs
+    sensor = made.sensor
+    needs = made.plan.needs
     groups = [sensor.rectangles(Load((term,))) for term in load.terms] or [sensor.rectangles(load)]
     patches = join(groups)
     row: _Row = {
@@ -237,7 +243,9 @@ def _truth_of(
 
 
 def _seen(made: _MadeSensor, motion: Motion, exposure: int) -> _Row:
-    sensor, renderer, needs = made.sensor, made.renderer, made.plan.needs
+    sensor = made.sensor
+    renderer = made.renderer
+    needs = made.plan.needs
     if "picture" not in needs:
         return _outlined(renderer.outlines(sensor.ellipsoids(motion)))
     if "outlines" not in needs:
@@ -320,7 +328,8 @@ def _working(folder: Path) -> Iterator[_Workshop]:
     Fields in the cache of other runs may have been summed by several threads.
     """
     shop = _workshop(folder)
-    before, base = os.environ.get("TWIN_CACHE"), cache_folder()
+    before = os.environ.get("TWIN_CACHE")
+    base = cache_folder()
     os.environ["TWIN_CACHE"] = str(base if base.name == "one-thread" else base / "one-thread")
     cache_folder.cache_clear()
     try:
@@ -357,7 +366,8 @@ def make_shard(folder: Path, shard: int) -> ShardBytes:
                 row["error"] = f"sensor {number}: {problem}"
                 new = [row | drawn_values(plan.press_axes, values)]
             if new[0]["status"] == "failed":
-                failed, reason = failed + 1, reason or f"sample {sample}: {new[0]['error']}"
+                failed = failed + 1
+                reason = reason or f"sample {sample}: {new[0]['error']}"
             rows += new
         words = {"twin.content": shop.content, "twin.samples": f"{numbers.start}-{numbers.stop}"}
         ours = [row for number, row in sensors.items() if number in firsts]
@@ -384,7 +394,8 @@ def audit_sample(folder: Path, sample: int) -> dict[str, float]:
 
 
 def _differences(made: _MadeSensor, values: Table) -> dict[str, float]:
-    plan, finer = made.plan, _finer(made)
+    plan = made.plan
+    finer = _finer(made)
     for each in (made, finer):
         each.compliance.forget()
     press = plan.press_of(plan.press_table(values))
@@ -411,7 +422,8 @@ def _differences(made: _MadeSensor, values: Table) -> dict[str, float]:
         shapes = made.sensor.ellipsoids(
             made.sensor.motion_of_patches(made.sensor.rectangles(load), load=load)
         )
-        one, other = made.renderer.outlines(shapes), made.renderer.outlines(shapes, _FINEST)
+        one = made.renderer.outlines(shapes)
+        other = made.renderer.outlines(shapes, _FINEST)
         seen = (one.visible > _WHOLE) & (other.visible > _WHOLE)
         if seen.any():
             out["outline_px"] = float(np.abs(one.centroid_px - other.centroid_px)[seen].max())

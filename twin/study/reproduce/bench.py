@@ -379,7 +379,8 @@ class Rig:
 
         The markers are beads, so that their strain isn't needed.
         """
-        points, pieces = self.sensor.actual.markers.points, self.sensor.rectangles(load)
+        points = self.sensor.actual.markers.points
+        pieces = self.sensor.rectangles(load)
         compliance = half_space_compliance(self.sensor.actual.scene, points, pieces)
         return _unstrained((compliance @ pieces.force_n.ravel()).reshape(-1, 3))
 
@@ -388,7 +389,8 @@ class Rig:
         picture."""
         points = self.sensor.actual.markers.points
         wanted = self.sensor.project(points) + np.array(shift_px)
-        moved, scale = np.zeros_like(points), self.image_scale[:, :, :2]
+        moved = np.zeros_like(points)
+        scale = self.image_scale[:, :, :2]
         for _ in range(3):
             missing = wanted - self.sensor.project(points + moved)
             moved[:, :2] += np.linalg.solve(scale, missing[:, :, None])[:, :, 0]
@@ -491,7 +493,8 @@ class Bench:
 
     def begin(self, entry: str, share: float, width: float) -> None:
         """Begin an entry, which is a part of the whole."""
-        self._entry, self._share = entry, (share, width)
+        self._entry = entry
+        self._share = (share, width)
         self.used.clear()
         self._worst, self._least_exact = None, 0.0
         self.progress("", 0.0)
@@ -690,7 +693,8 @@ class Chain:
 
     def calibration(self, bench: Bench, rig: Rig) -> Calibration:
         """Return the calibration; the quick form makes none by presses but the paper's own."""
-        wanted, own = self.calibrated_by, rig.scene.calibration.method
+        wanted = self.calibrated_by
+        own = rig.scene.calibration.method
         if wanted is None or wanted == own:
             return rig.calibration
         if wanted == "no camera":
@@ -745,7 +749,8 @@ def _without_depth(rig: Rig) -> Calibration:
     section 2.5)."""
     from twin.sense.transfer import from_compliance
 
-    scene, points = rig.scene, rig.sensor.nominal_markers.points
+    scene = rig.scene
+    points = rig.sensor.nominal_markers.points
     flat = _image_scale(scene, points) * (1.0, 1.0, 0.0)
     compliance = half_space_compliance(scene, points, rig.sensor.sites)
     return replace(rig.calibration, transfer=from_compliance(compliance, flat))

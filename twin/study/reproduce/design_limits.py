@@ -110,7 +110,10 @@ BEFORE = 0.9
 """Share of the markers' motion that the frame before had shown: a tracker that follows them starts
 from there."""
 
-TRIALS, WARM, READINGS, RATED = 100, 3, 10, 20
+TRIALS = 100
+WARM = 3
+READINGS = 10
+RATED = 20
 CAMERA = "capture chain: an industrial camera"
 PAPERS = "tracker, calibration and inverse: the paper's"
 DEFAULT = "inverse: smooth, as scenes have it"
@@ -423,7 +426,8 @@ def _frame_seconds(
 ) -> Floats:
     """Return (count,) CPU seconds from frames that have arrived to their force fields, with the
     paper's calibration and tracking from the frame before, after a few that don't count."""
-    rest, how = rig.rest(chain.tracker), rig.calibration
+    rest = rig.rest(chain.tracker)
+    how = rig.calibration
     seconds = np.zeros(WARM + count)
     for number in range(len(seconds)):
         started = time.process_time()
@@ -460,7 +464,8 @@ def _sorted_times(
 
 
 def _flat_times(bench: Bench) -> Outcome:
-    rig, count = bench.rig("kamiyama"), 20 if bench.quick else TRIALS
+    rig = bench.rig("kamiyama")
+    count = 20 if bench.quick else TRIALS
     picture = rig.picture(rig.motion(rig.press(pillar_press()).load), 1)
     fixed = reconstruct(rig.track(picture), rig.calibration, method="smooth").weight
     ways: dict[str, tuple[CentreMethod, dict[str, Any], float]] = {
@@ -480,7 +485,8 @@ def _flat_times(bench: Bench) -> Outcome:
         chain = Chain(paper="kamiyama", tracker=tracker, method="smooth", options=given)
         before = BEFORE * rig.track(picture, tracker).shift_px
         seconds = _frame_seconds(rig, [picture], count, chain, before)
-        mean, spread = float(seconds.mean()), float(seconds.std(ddof=1))
+        mean = float(seconds.mean())
+        spread = float(seconds.std(ddof=1))
         rate = float(1 / np.median(seconds))
         records += [
             _timed(f"{name}: from the frame to the force field", "s", paper, mean, count, spread),
@@ -497,9 +503,11 @@ def _flat_times(bench: Bench) -> Outcome:
 
 
 def _finger_times(bench: Bench) -> Outcome:
-    rig, count = bench.rig("sato"), 20 if bench.quick else TRIALS
+    rig = bench.rig("sato")
+    count = 20 if bench.quick else TRIALS
     pictures = [rig.picture(None, 20 + k) for k in range(4)]
-    chain, before = Chain(paper="sato", method="pinv"), np.zeros_like(rig.rest().rest_px)
+    chain = Chain(paper="sato", method="pinv")
+    before = np.zeros_like(rig.rest().rest_px)
     printed = {1: (CALCULATED_US, 56.0), 4: (2159.0, 43.0)}
     records = []
     curves: dict[str, Floats] = {}
@@ -507,7 +515,8 @@ def _finger_times(bench: Bench) -> Outcome:
         bench.progress(f"{sensors} sensors", sensors / 5)
         micros = 1e6 * _frame_seconds(rig, pictures[:sensors], count, chain, before)
         what = "one sensor" if sensors == 1 else f"{sensors} sensors"
-        time_of, mean = f"{what}: average time from frame to force field", float(micros.mean())
+        time_of = f"{what}: average time from frame to force field"
+        mean = float(micros.mean())
         spread = float(micros.std(ddof=1))
         records += [
             _timed(time_of, "µs", average, mean, count, spread),
@@ -610,7 +619,8 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
     """Compare this project's inverse `local` with the paper's software, with the default inverse,
     and with an industrial camera."""
     ours, shift = hardware.ours, hardware.shift
-    paper, press = ours.paper, next(iter(hardware.presses.values()))
+    paper = ours.paper
+    press = next(iter(hardware.presses.values()))
     industrial = replace(ours, overrides={**ours.overrides, **INDUSTRIAL})
     others = {
         PAPERS: hardware.own,

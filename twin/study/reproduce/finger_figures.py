@@ -144,7 +144,8 @@ def _figure_6(bench: Bench) -> Outcome:
     points = sensor.sites.centre_mm
     width, found = compared([rest_numbers(rig, 15.0, 5.0) for rig in rigs])
     pressed = Quantity("points where force is applied", paper=25.0)
-    picture, marks = rigs[0].picture(None, 0), sensor.project(points, "nominal")
+    picture = rigs[0].picture(None, 0)
+    marks = sensor.project(points, "nominal")
     panels = (
         PicturePanel(title="The picture at rest", picture=picture),
         PicturePanel(title="The 25 points where force is applied", picture=picture, marks_px=marks),
@@ -221,7 +222,8 @@ def _figure_8(bench: Bench) -> Outcome:
 
         found, runs, _ = bench.compare(line, numbers, PAPER, _ways(bench))
         records += found
-        reach, first = np.array([0.0, PRELOAD_GF]), runs[0]
+        reach = np.array([0.0, PRELOAD_GF])
+        first = runs[0]
         curves = (
             Curve(label="readings", x=first.applied_gf, y=first.measured_gf, style="."),
             Curve(label="line", x=reach, y=np.polyval(first.fit, reach)),
@@ -275,7 +277,8 @@ def _spread(
 ) -> tuple[Floats, Floats]:
     """Press between two calibrated points and read the sites of their row: the distances from the
     press, mm, and the magnitudes over their largest, of all presses."""
-    rig, start = chain.rig(bench, trial), PLACES[place]
+    rig = chain.rig(bench, trial)
+    start = PLACES[place]
     inward = -1.0 if place == "edge" and along == 0 else 1.0
     row, sites = _row(rig, along, start[1 - along])
     distances, sizes = [], []
@@ -293,7 +296,8 @@ def _spread(
 def _dip(bench: Bench, chain: Chain, apart_mm: float) -> float:
     """Return how far the magnitude drops between two presses at once along x, over the lower peak;
     their tractions add."""
-    rig, motions = chain.rig(bench), []
+    rig = chain.rig(bench)
+    motions = []
     for at in ((apart_mm / 2, 0.0), (-apart_mm / 2, 0.0)):
         state = rig.press(sphere_press(rig.above(at), FORCE_GF / 2))
         motions.append(rig.motion(state.load))

@@ -43,9 +43,13 @@ from twin.study.reproduce.bench import (
 )
 
 PITCH_MM, BAND_MM, SHAPE_BAND_MM = 1.5, 0.8, 4.0
-WIDTHS_MM, LENGTH_MM, PRESSURE_MPA = (2.0, 4.0, 6.0, 8.0, 10.0), 16.0, 0.15
+WIDTHS_MM = (2.0, 4.0, 6.0, 8.0, 10.0)
+LENGTH_MM = 16.0
+PRESSURE_MPA = 0.15
 APART_MM = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0)
-DEPTHS_MM, IMPULSE_N, SPOT_MM = (1.5, 3.0, 4.5, 6.0, 8.0, 10.0), 1.0, 1.5
+DEPTHS_MM = (1.5, 3.0, 4.5, 6.0, 8.0, 10.0)
+IMPULSE_N = 1.0
+SPOT_MM = 1.5
 """Depths of Fig. 17; an impulse, and the radius of the disc that stands for it, smaller than the
 pitch."""
 
@@ -107,7 +111,8 @@ def _figure_6(bench: Bench) -> Outcome:
     rigs = [NORM.rig(bench, trial) for trial in bench.trials("kamiyama")]
     picture = rigs[0].picture(None, 0)
     signal = np.clip(picture[..., 0].astype(int) - picture[..., 2], -255, 255)
-    red, blue = np.clip(signal, 0, 255), np.clip(-signal, 0, 255)
+    red = np.clip(signal, 0, 255)
+    blue = np.clip(-signal, 0, 255)
     split = np.stack([red, np.zeros_like(red), blue], axis=2).astype(np.uint8)
     split_title = "Red minus blue: positive part red, negative part blue"
     panels = (
@@ -325,7 +330,8 @@ def _figure_15(bench: Bench) -> Outcome:
     presses = {40.0: "as published, wider than the view", 16.0: "one that fits"}
     for number, (diameter, what) in enumerate(presses.items()):
         bench.progress(what, number / 2)
-        press, radius = _twist_press(diameter), diameter / 2
+        press = _twist_press(diameter)
+        radius = diameter / 2
         label = f"{diameter:g} mm pillar, {what}"
 
         def numbers(shot: Shot, label: str = label, radius: float = radius) -> Numbers:

@@ -137,7 +137,8 @@ def designs_at(sweep: Sweep, scene: Scene, u: Floats | None) -> Designs:
 def _unit(sweep: Sweep) -> Floats:
     from scipy.stats import qmc
 
-    width, rng = len(sweep.axes), stream(sweep.seed, Purpose.SAMPLING)
+    width = len(sweep.axes)
+    rng = stream(sweep.seed, Purpose.SAMPLING)
     if sweep.sampling == "random":
         return np.asarray(rng.random((sweep.count, width)))
     if sweep.sampling == "latin":
@@ -153,7 +154,8 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
     A number that is not allowed is its design's failure; what is no number is the sweep's.
     """
     table = plain_table(scene)
-    filled, problems = copy.deepcopy(table), []
+    filled = copy.deepcopy(table)
+    problems = []
     for part in ("axes", "derived"):
         for name in getattr(sweep, part):
             if name.split(".")[0] in ("title", "seed", "press", "vary", "dataset"):
@@ -189,7 +191,8 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
 def _wrong_words(sweep: Sweep, table: Table, name: str, key: str) -> list[str]:
     """Return the scene's problems with an axis's texts and lists, which may stand where it takes a
     number."""
-    axis, found = sweep.axes.get(name), []
+    axis = sweep.axes.get(name)
+    found = []
     for value in axis.values if isinstance(axis, Values) else ():
         if not isinstance(value, int | float):
             changed = copy.deepcopy(table)
@@ -204,12 +207,14 @@ def _wrong_words(sweep: Sweep, table: Table, name: str, key: str) -> list[str]:
 def scene_of(sweep: Sweep, base: Table, values: Mapping[str, Any]) -> Scene:
     """Return the scene of a design: the base's plain table with the design's values, layers keeping
     their extent."""
-    table, named = copy.deepcopy(base), (*sweep.axes, *sweep.derived)
+    table = copy.deepcopy(base)
+    named = (*sweep.axes, *sweep.derived)
     for name in named:
         for key in _spelt_out(name, table):
             put(table, key, values[name])
     for name, layer in table.get("markers", {}).items() if sweep.keep_extent else ():
-        was, pitch = base["markers"][name], float(layer["pitch_mm"])
+        was = base["markers"][name]
+        pitch = float(layer["pitch_mm"])
         for count in ("columns", "rows"):
             swept = any(_matches(axis, f"markers.{name}.{count}") for axis in named)
             if pitch > 0 and not swept:
@@ -270,7 +275,8 @@ def sweep_of(table: dict[str, Any], where: str) -> Sweep:
 
 def _line(error: dict[str, Any]) -> str:
     keys = [str(k) for k in error["loc"] if not str(k).startswith("[")]
-    dotted, last = ".".join(keys) or "sweep", keys[-1] if keys else ""
+    dotted = ".".join(keys) or "sweep"
+    last = keys[-1] if keys else ""
     if error["type"] == "extra_forbidden":
         tables: dict[str, type[Part]] = {
             "axes": Range,
@@ -284,7 +290,9 @@ def _line(error: dict[str, Any]) -> str:
         return f"{dotted}: unknown key; {did_you_mean(last, known, every)}"
     if error["type"] == "missing":
         return f"{dotted}: missing; give a value"
-    value, unit, shown = error.get("input"), unit_of(last), ""
+    value = error.get("input")
+    unit = unit_of(last)
+    shown = ""
     if keys and not isinstance(value, dict | Sweep):
         shown = f" = {value!r}{' ' + unit if unit else ''}"
     return f"{dotted}{shown}: {in_words(error)}"

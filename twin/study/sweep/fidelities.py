@@ -110,9 +110,14 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
     RecipeError
         The noise of this camera has no closed form.
     """
-    scene, sweep, count = designs.scene, designs.sweep, len(designs)
+    scene = designs.scene
+    sweep = designs.sweep
+    count = len(designs)
     reason = np.full(count, "", dtype=object)
-    depths, pitches, noises, markers = [], [], [], np.zeros(count)
+    depths = []
+    pitches = []
+    noises = []
+    markers = np.zeros(count)
     base_z = designs.numbers("body.thickness_mm", scene.body.base_z_mm)
     for name, layer in scene.markers.items():
         depth = designs.numbers(f"markers.{name}.depth_mm", layer.depth_mm)
@@ -141,7 +146,8 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
         depths.append(depth)
         pitches.append(pitch)
         noises.append(noise / scale)
-    good, material = np.flatnonzero(reason == ""), scene.material
+    good = np.flatnonzero(reason == "")
+    material = scene.material
     found = {name: np.full(count, np.nan) for name in ("fwhm_mm", "two_point_mm", "resolution_gf")}
     if len(good):
         modulus = designs.numbers("material.youngs_modulus_mpa", material.youngs_modulus_mpa)
@@ -422,7 +428,8 @@ def _even_or_odd(count: int, sign: int) -> Any:
     if sign == 0:
         return sp.identity(count, format="csc")
     half = count // 2
-    low, value = np.arange(half), np.full(half, np.sqrt(0.5))
+    low = np.arange(half)
+    value = np.full(half, np.sqrt(0.5))
     rows = np.concatenate([low, count - 1 - low])
     values = np.concatenate([value, sign * value])
     columns = np.concatenate([low, low])
@@ -515,7 +522,8 @@ def _widths(
 ) -> dict[str, float]:
     """Return widths and two-point distances of expected forces (k, 3, sensors, loads)."""
     assert scene.reconstruction is not None
-    grid, apart = scene.reconstruction.sites, pushes.pair_mm
+    grid = scene.reconstruction.sites
+    apart = pushes.pair_mm
     profiles = [_Profiles(scene, sites, force[:, :, sensor]) for sensor in range(force.shape[2])]
     dips = np.mean([p.dips(pushes) for p in profiles], axis=0)
     over = _reached(grid, apart)
@@ -555,7 +563,8 @@ def resolved_by_sites(grid: Sites, loads: Loads) -> float:
 
     Such an estimate holds in every site the part of the pushes that lies in its cell.
     """
-    place, half = grid.axes()[0], loads.size_mm / 2
+    place = grid.axes()[0]
+    half = loads.size_mm / 2
     apart = np.array(PAIRS) * loads.pair_mm
     apart = apart[_reached(grid, apart)]
     ends = place[:, None] + grid.pitch_mm / 2 * np.array([-1.0, 1.0])
@@ -606,7 +615,8 @@ class _Spent:
 
     def lap(self) -> float:
         """Return the CPU seconds since the last lap."""
-        before, self._at = self._at, time.process_time()
+        before = self._at
+        self._at = time.process_time()
         return self._at - before
 
     def of(self, loads: int, exposures: int) -> float:
@@ -640,7 +650,8 @@ def cost(scene: Scene, sweep: Sweep, bodies: Bodies, pushes: Pushes) -> dict[str
     compiled, own, tries = 0.0, 0.0, 0
     # again where a process's own start may be much of it
     while tries == 0 or COMPILING.spent_s > compiled or (tries == 1 and own < SHORT_S):
-        tries, compiled = tries + 1, COMPILING.spent_s
+        tries = tries + 1
+        compiled = COMPILING.spent_s
         began_last = time.process_time()
         spent = _seen(Sensor(_seeded(scene, 0)), scene, few, bodies, pushes, chosen[:2]).spent
         own = time.process_time() - began_last
@@ -671,7 +682,8 @@ def full(
     press = slice(1, 1 + pushes.presses)
     size = np.linalg.norm(truth[press], axis=1)
     off = np.stack([np.linalg.norm(one.totals - truth, axis=2)[:, press] / size for one in made])
-    first, grid = made[0], made[0].sites
+    first = made[0]
+    grid = made[0].sites
     profiles = [_Profiles(scene, grid, each) for one in made for each in one.forces]
     widths = np.reshape([each.width(0) for each in profiles], off.shape[:2])
     dips = [np.nan]
@@ -712,7 +724,8 @@ def _seen(
     assert scene.reconstruction is not None
     spent = _Spent()
     calibration = _calibration(sensor, bodies)
-    count, points = sweep.loads.exposures, sensor.actual.markers.points
+    count = sweep.loads.exposures
+    points = sensor.actual.markers.points
     # each round of exposures has a zero of its own, or one zero's noise would be in all of them
     still = sensor.renderer.radiance(sensor.ellipsoids(None))
     rest = analyse_rest(_exposed(sensor, still, 0), sensor.layout_px, method=scene.tracking.method)
@@ -727,7 +740,9 @@ def _seen(
     options = scene.reconstruction.options()
     totals = np.zeros((count, len(chosen), 3))
     forces = np.zeros((count, len(sensor.sites), 3, len(chosen)))
-    errors, matched, spread = [], [], [np.zeros((0, 2))]
+    errors = []
+    matched = []
+    spread = [np.zeros((0, 2))]
     pictures: list[Picture] = []
     for place, motion in enumerate(_motions(sensor, bodies, pushes, chosen)):
         light = sensor.renderer.radiance(sensor.ellipsoids(motion))
@@ -785,7 +800,8 @@ def _exposed(sensor: Sensor, light: Singles, number: int) -> Picture:
 
 def _motions(sensor: Sensor, bodies: Bodies, pushes: Pushes, chosen: list[int]) -> Iterator[Motion]:
     """Yield how the chosen loads move the actual markers."""
-    actual, points = sensor.actual.scene, sensor.actual.markers.points
+    actual = sensor.actual.scene
+    points = sensor.actual.markers.points
     printed = any(layer.kind == "print" for layer in actual.markers.values())
     compliance = bodies.moved(actual, "truth", points, pushes.patches)
     for load in chosen:

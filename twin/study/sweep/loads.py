@@ -219,9 +219,11 @@ def thickness_range(sweep: Sweep) -> tuple[float, float] | None:
     rule = sweep.derived.get(key)
     axis = sweep.axes.get(rule.follows if rule is not None else key)
     if isinstance(axis, Range):
-        count, ends = axis.steps if sweep.sampling == "grid" else sweep.count, [axis.low, axis.high]
+        count = axis.steps if sweep.sampling == "grid" else sweep.count
+        ends = [axis.low, axis.high]
     elif isinstance(axis, Values) and all(isinstance(v, int | float) for v in axis.values):
-        count, ends = len(set(axis.values)), [min(axis.values), max(axis.values)]
+        count = len(set(axis.values))
+        ends = [min(axis.values), max(axis.values)]
     else:
         return None
     low, high = sorted(end * rule.times + rule.plus if rule is not None else end for end in ends)

@@ -185,7 +185,8 @@ def write_report(done: Swept, folder: Path) -> list[str]:
 def _verdict(done: Swept) -> str:
     if not len(done.order):
         return f"None of {len(done.designs)} designs is possible."
-    best, met = int(done.order[0]), []
+    best = int(done.order[0])
+    met = []
     for name, target in done.designs.sweep.targets.items():
         values = metric(done.columns, name)
         if values is not None and np.isfinite(values[best]):
@@ -212,7 +213,9 @@ into a corner."""
 
 def _fronts(done: Swept) -> list[str]:
     """Return the drawings of designs by two metrics that differ between them."""
-    fronts, ok, targets = [], done.status == "ok", done.designs.sweep.targets
+    fronts = []
+    ok = done.status == "ok"
+    targets = done.designs.sweep.targets
     for x_name, y_name in FRONTS:
         x, y = metric(done.columns, x_name, "linear"), metric(done.columns, y_name, "linear")
         if x is None or y is None:
@@ -302,7 +305,8 @@ def _maps(done: Swept) -> list[str]:
         return []
     found = []
     for name in ("two_point_mm", "fwhm_mm"):
-        value, limit = metric(done.columns, name, "linear"), done.columns.get(f"closed_{name}")
+        value = metric(done.columns, name, "linear")
+        limit = done.columns.get(f"closed_{name}")
         if value is None:
             continue
         limit = limit if limit is not None else np.full(len(value), np.nan)
@@ -399,7 +403,8 @@ def _numbers(values: Sequence[object]) -> Floats | None:
 
 def _cards(done: Swept, best: Mapping[int, tuple[Path, str]], folder: Path) -> list[str]:
     """Return the best designs (HTML): values, figures, picture and fields."""
-    store, designs = Store(folder), done.designs
+    store = Store(folder)
+    designs = done.designs
     two = f"Estimate of two pushes {designs.sweep.loads.pair_mm:g} mm apart"
     cards = []
     for number, (file, words) in best.items():

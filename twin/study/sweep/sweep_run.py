@@ -429,8 +429,10 @@ def check(sweep: Sweep, scene: Scene) -> None:
     RecipeError
         With all problems at once.
     """
-    problems, solved = [], sweep.ladder != ("closed",)
-    where, method = f"scene = '{sweep.scene}'", scene.calibration.method
+    problems = []
+    solved = sweep.ladder != ("closed",)
+    where = f"scene = '{sweep.scene}'"
+    method = scene.calibration.method
     if scene.camera is None:
         problems.append(f"{where}: it has no [camera] table, and designs are seen by a camera")
     if scene.reconstruction is None and solved:
@@ -497,7 +499,8 @@ def run_sweep(
 
 def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
     """Take designs through the sweep's fidelities."""
-    sweep, count = designs.sweep, len(designs)
+    sweep = designs.sweep
+    count = len(designs)
     columns, reason = closed(designs)
     done = Swept(
         designs=designs,

@@ -228,7 +228,8 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
     camera, light = scene.camera, scene.light
     assert camera is not None
     assert light is not None
-    body_index, layers = scene.material.refractive_index, camera.layers
+    body_index = scene.material.refractive_index
+    layers = camera.layers
     into = lens_inverse(corners, camera) @ tilt_matrix(camera).T
     tangent = into[:, :2] / np.where(into[:, 2] < -1e-12, -into[:, 2], np.nan)[:, None]
     p = np.linalg.norm(tangent, axis=1)
@@ -256,7 +257,8 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
 def _disc(away: Floats, radius: float) -> Floats:
     """Return the share of each pixel that a disc covers, from the distances of the pixels' corners
     to its centre."""
-    across, down = away[:, 1:] - away[:, :-1], away[1:] - away[:-1]
+    across = away[:, 1:] - away[:, :-1]
+    down = away[1:] - away[:-1]
     steep = np.hypot((across[1:] + across[:-1]) / 2, (down[:, 1:] + down[:, :-1]) / 2)
     covers: Floats = np.clip(0.5 + (radius - _mean(away)) / np.maximum(steep, 1e-12), 0, 1)
     # At the horizon a pixel looks at more than the whole disc: its share there is next to nothing.

@@ -180,7 +180,8 @@ def expose(
             ),
         )
     counts = np.empty((height, width, 3), np.uint8)
-    flat, black = counts.reshape(height, -1), full.black_dn or 0.0
+    flat = counts.reshape(height, -1)
+    black = full.black_dn or 0.0
 
     def counted(_: int, begin: int, end: int) -> None:
         line = shares[begin:end].reshape(-1)
@@ -290,7 +291,9 @@ def normal_numbers(
     key: NDArray[np.uint64], first: np.uint64, deviates: Segments, out: Singles
 ) -> None:
     """Write the normal numbers ``first``, ``first`` + 1, ... of a key into (n,) ``out``."""
-    start, factor, half = key[0] + first, key[1], np.uint64(32)
+    start = key[0] + first
+    factor = key[1]
+    half = np.uint64(32)
     scale = np.float32(2.0**-31)
     for i in range(len(out)):
         y = (start + np.uint64(i)) * factor
@@ -334,9 +337,11 @@ def _electron_rows(
     summed variance stands for both.
     """
     height, span = light.shape
-    width, reach = span // 3, len(weights) // 2
+    width = span // 3
+    reach = len(weights) // 2
     line, sums, noise = scratch[0], scratch[1], scratch[2]
-    inverse, floor = np.float32(1 / well_e), np.float32((read_e / well_e) ** 2)
+    inverse = np.float32(1 / well_e)
+    floor = np.float32((read_e / well_e) ** 2)
     one, nothing = np.float32(1), np.float32(0)
     for row in range(begin, end):
         # Blur along columns; an interlaced row is the mean of two, even rows of the field before.
@@ -352,7 +357,9 @@ def _electron_rows(
                     sums[i] += weight * there[i]
         # Mix colours.
         for i in range(width):
-            red, green, blue = sums[3 * i], sums[3 * i + 1], sums[3 * i + 2]
+            red = sums[3 * i]
+            green = sums[3 * i + 1]
+            blue = sums[3 * i + 2]
             at = 3 * (reach + i)
             for c in range(3):
                 line[at + c] = response[c, 0] * red + response[c, 1] * green + response[c, 2] * blue
@@ -398,7 +405,8 @@ def _composite_rows(
     They are corrected by ``curve`` (none if empty) and mixed into three signals by the first of
     ``matrices``; each signal is blurred by its own filter, edges repeated; the second mixes back.
     """
-    width, nothing = shares.shape[1] // 3, np.float32(0)
+    width = shares.shape[1] // 3
+    nothing = np.float32(0)
     longest = 0
     for weights in filters:
         longest = max(longest, len(weights))

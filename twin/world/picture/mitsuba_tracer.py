@@ -150,7 +150,8 @@ class MitsubaTracer:
         """Return the lanes' pixels and starts, and one table of 16 numbers per marker, read four at
         a time."""
         mi = self._mi
-        m, s = job.metric, np.linalg.inv(job.conjugate)
+        m = job.metric
+        s = np.linalg.inv(job.conjugate)
         columns: list[Any] = [
             job.centres,
             m[:, 0, 0],
@@ -235,10 +236,8 @@ class MitsubaTracer:
         included."""
         mi, dr = self._mi, self._dr
         leds = job.lamps.shape[1]
-        lamps, shadowed = (
-            mi.Float(_aligned(job.lamps.astype(np.float32).ravel())),
-            mi.Bool(_aligned(np.diff(job.occluder_first) > 0)),
-        )
+        lamps = mi.Float(_aligned(job.lamps.astype(np.float32).ravel()))
+        shadowed = mi.Bool(_aligned(np.diff(job.occluder_first) > 0))
 
         def one_led(
             led: Any, total: Any, marker: Any, centre: Any, away: Any, normal: Any, active: Any

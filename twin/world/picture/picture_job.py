@@ -342,14 +342,19 @@ def _occluder_lists(
         lowest = min(lowest, spheres[i, 2])
         highest = max(highest, spheres[i, 2])
         largest = max(largest, spheres[i, 3])
-    bottom, top = lowest - 2 * _MARGIN * largest, highest + 2 * _MARGIN * largest
+    bottom = lowest - 2 * _MARGIN * largest
+    top = highest + 2 * _MARGIN * largest
     last = side - 1.0
     used = 0
     lamps = wanted.shape[1]
     for pair in range(len(first) - 1):
-        i, lamp = pair // lamps, pair % lamps
+        i = pair // lamps
+        lamp = pair % lamps
         if wanted[i, lamp]:
-            x, y, z, radius = spheres[i, 0], spheres[i, 1], spheres[i, 2], spheres[i, 3]
+            x = spheres[i, 0]
+            y = spheres[i, 1]
+            z = spheres[i, 2]
+            radius = spheres[i, 3]
             dx, dy, dz = places[i, lamp, 0] - x, places[i, lamp, 1] - y, places[i, lamp, 2] - z
             length = np.sqrt(dx * dx + dy * dy + dz * dz)
             end = 1.0
@@ -389,7 +394,8 @@ def _near_pixels(
     ``half`` (n, 2) are half sizes of boxes about the ellipses, ``there`` (n,) the markers that
     count, ``wanted`` (height, width) the pixels that do.
     """
-    n, (height, width) = len(centres), wanted.shape
+    n = len(centres)
+    height, width = wanted.shape
     a, b, c = conjugate[:, 0, 0], conjugate[:, 0, 1], conjugate[:, 1, 1]
     # Rows of each ellipse's box, one after the other: a row of picture and marker each.
     low = np.clip(np.ceil(centres - half), 0, [width, height]).astype(int)
@@ -398,7 +404,8 @@ def _near_pixels(
     # A point within the room of a stretched ellipse is within this in the ellipse's own metric:
     # x^T C^-1 x = reach^2 in a row is x = shear y +- narrow sqrt(c reach^2 - y^2).
     reach = _MARGIN + _ROOM_PX / np.sqrt(_least_eigenvalues(conjugate))
-    shear, narrow = b / c, np.sqrt(a * c - b * b) / c
+    shear = b / c
+    narrow = np.sqrt(a * c - b * b) / c
     y = row - centres[marker, 1]
     square = (c * reach * reach)[marker] - y * y
     chord = np.where(square >= 0, narrow[marker] * np.sqrt(np.maximum(square, 0.0)), -1.0)
@@ -406,7 +413,8 @@ def _near_pixels(
     first_column = np.maximum(np.ceil(middle - chord), low[marker, 0]).astype(int)
     end_column = np.minimum(np.floor(middle + chord) + 1, high[marker, 0]).astype(int)
     run, column = _ranges(first_column, end_column)
-    pixel, marker = row[run] * width + column, marker[run]
+    pixel = row[run] * width + column
+    marker = marker[run]
     good = wanted.ravel()[pixel]
     pixel, marker = pixel[good], marker[good]
     # Pixels of one marker first, then the others in the order of pixels.

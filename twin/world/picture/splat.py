@@ -41,7 +41,10 @@ _INTERIOR = 3
 _REORDER = {"contract", "arcp", "reassoc", "nsz"}
 """What the compiler may do with sums: nothing that breaks infinities."""
 
-_ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
+_ZERO = np.float32(0)
+_HALF = np.float32(0.5)
+_ONE = np.float32(1)
+_TWO = np.float32(2)
 _DEPTH_INTO = np.float32(INTO)
 _FULL_WEIGHT = np.float32(WEIGHT)
 _TINY = np.float32(1e-9)
@@ -170,10 +173,12 @@ class Splat:
         count = len(job.pixels)
         shown = np.full(count, -1, np.int32)
         heights = np.full(count, np.nan, np.float32)
-        light, free = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+        light = np.empty((count, 3), np.float32)
+        free = np.empty(count, np.float32)
         self._overlapping(job, 0, (1, 1, self._ambient, False), light, free, shown, heights)
         shape = (self._corners.shape[1] - 1, self._corners.shape[2] - 1)
-        marker, z_mm = np.full(shape, -1, np.int32), np.full(shape, np.nan, np.float32)
+        marker = np.full(shape, -1, np.int32)
+        z_mm = np.full(shape, np.nan, np.float32)
         marker.ravel()[job.pixels] = shown
         base_mm = job.base * job.unit_mm + job.behind_mm
         z_mm.ravel()[job.pixels] = (heights - job.base) * job.unit_mm + base_mm
@@ -244,7 +249,9 @@ def _approach(ray: Four, m: Six, step: Four) -> Approach:
     ax, ay, az = m00 * dx + m01 * dy - m02, m01 * dx + m11 * dy - m12, m02 * dx + m12 * dy - m22
     square = dx * ax + dy * ay - az
     t = (fx * ax + fy * ay) / square
-    x, y, z = fx - dx * t, fy - dy * t, t
+    x = fx - dx * t
+    y = fy - dy * t
+    z = t
     gx = m00 * x + m01 * y + m02 * z
     gy = m01 * x + m11 * y + m12 * z
     gz = m02 * x + m12 * y + m22 * z
@@ -266,7 +273,10 @@ def _candidate(met: Approach, m: Six, step: Four, k: Number) -> tuple[Number, Nu
     their middle misses its mean.
     """
     miss, one, two = met[0], met[1], met[2]
-    ax, ay, square, steep = met[6], met[7], met[9], met[10]
+    ax = met[6]
+    ay = met[7]
+    square = met[9]
+    steep = met[10]
     reach = (np.abs(one) + np.abs(two)) * _HALF
     m00, m11, m01 = m[0], m[1], m[3]
     px, py, qx, qy = step
@@ -274,7 +284,8 @@ def _candidate(met: Approach, m: Six, step: Four, k: Number) -> tuple[Number, Nu
     pp = m00 * px * px + _TWO * m01 * px * py + m11 * py * py - pa * pa / square
     qq = m00 * qx * qx + _TWO * m01 * qx * qy + m11 * qy * qy - qa * qa / square
     pq = m00 * px * qx + m01 * (px * qy + py * qx) + m11 * py * qy - pa * qa / square
-    half, apart = (pp + qq) * _HALF, (pp - qq) * _HALF
+    half = (pp + qq) * _HALF
+    apart = (pp - qq) * _HALF
     most = np.sqrt(half + np.sqrt(apart * apart + pq * pq))
     return _ONE + (reach * (k - _ONE) + _HALF * steep) / k - miss, _ONE - _INNER * most - miss
 
@@ -380,7 +391,8 @@ def _shade_isolated(
     width = corners.shape[2] - 1
     leds = lamps.shape[1]
     quarter = 0.25
-    even, rest = np.float32(ambient), np.float32(1 - ambient)
+    even = np.float32(ambient)
+    rest = np.float32(1 - ambient)
     inner, edge = chosen[0], chosen[1]
     for i in range(begin, end):
         m = _six(metric, i)
@@ -393,7 +405,8 @@ def _shade_isolated(
             j = 0
             while j < count:
                 pixel = pixels[start + j]
-                row, column = pixel // width, pixel % width
+                row = pixel // width
+                column = pixel % width
                 run = 1
                 while (
                     j + run < count
@@ -404,10 +417,14 @@ def _shade_isolated(
                 for o in range(run):
                     at, over = j + o, column + o
                     for c in range(2):
-                        p, q = corners[c, row, over], corners[c, row, over + 1]
-                        r, s = corners[c, row + 1, over], corners[c, row + 1, over + 1]
-                        t, u = corners[c + 2, row, over], corners[c + 2, row, over + 1]
-                        x, y = corners[c + 2, row + 1, over], corners[c + 2, row + 1, over + 1]
+                        p = corners[c, row, over]
+                        q = corners[c, row, over + 1]
+                        r = corners[c, row + 1, over]
+                        s = corners[c, row + 1, over + 1]
+                        t = corners[c + 2, row, over]
+                        u = corners[c + 2, row, over + 1]
+                        x = corners[c + 2, row + 1, over]
+                        y = corners[c + 2, row + 1, over + 1]
                         slope = (t + u + x + y) * quarter
                         along = (u - t + y - x) * 0.5
                         below = (x - t + y - u) * 0.5
@@ -476,7 +493,8 @@ def _shade_isolated(
                     w[_LIGHT + j] = w[_SUM + j] = _ZERO
                     w[_WHOLE + j] = w[_ASIDE + j] = w[_BELOW + j] = _ZERO
                 for sample in range(grid * grid):
-                    column_in, row_in = np.float32(sample % grid), np.float32(sample // grid)
+                    column_in = np.float32(sample % grid)
+                    row_in = np.float32(sample // grid)
                     right, low = (column_in + _HALF) / k - _HALF, (row_in + _HALF) / k - _HALF
                     for j in range(lanes):
                         first, across = _four(w, _RAY, j), _four(w, _ACROSS, j)
@@ -554,7 +572,8 @@ def _shade_isolated(
                         tallies[i, 2] += share * grid * w[_COLUMN + j] + w[_ASIDE + j]
                         tallies[i, 3] += share * grid * w[_ROW + j] + w[_BELOW + j]
                 for j in range(n):
-                    at, lit = start + which[j], w[_LIGHT + j] / (grid * grid)
+                    at = start + which[j]
+                    lit = w[_LIGHT + j] / (grid * grid)
                     light[at, 0] = colour[i, 0] * lit
                     light[at, 1] = colour[i, 1] * lit
                     light[at, 2] = colour[i, 2] * lit
@@ -624,10 +643,13 @@ def _shade_overlapping(
     middle, across, down = np.empty(4), np.empty(4), np.empty(4)
     for j in range(begin, end):
         light[j, 0], light[j, 1], light[j, 2], free[j] = 0, 0, 0, 1
-        row, column = pixels[j] // width, pixels[j] % width
+        row = pixels[j] // width
+        column = pixels[j] % width
         for c in range(4):
-            p, q = corners[c, row, column], corners[c, row, column + 1]
-            r, s = corners[c, row + 1, column], corners[c, row + 1, column + 1]
+            p = corners[c, row, column]
+            q = corners[c, row, column + 1]
+            r = corners[c, row + 1, column]
+            s = corners[c, row + 1, column + 1]
             middle[c] = (p + q + r + s) / 4
             across[c] = (q - p + s - r) / 2
             down[c] = (r - p + s - q) / 2
@@ -656,11 +678,15 @@ def _shade_overlapping(
             tallies[marker, 3] += WEIGHT * (k * k * k * (row - nearest[marker, 1]) + half)
             k = inner_grid
 
-        red, green, blue, clear_sum = 0.0, 0.0, 0.0, 0.0
+        red = 0.0
+        green = 0.0
+        blue = 0.0
+        clear_sum = 0.0
         for sample in range(k * k):
             # 2. The markers that a sub-pixel's ray meets, front to back: rays go down, so the
             # higher place is the nearer one.
-            right, low = (sample % k + 0.5) / k - 0.5, (sample // k + 0.5) / k - 0.5
+            right = (sample % k + 0.5) / k - 0.5
+            low = (sample // k + 0.5) / k - 0.5
             for c in range(4):
                 ray[c] = middle[c] + across[c] * right + down[c] * low
             hits = 0
@@ -693,7 +719,8 @@ def _shade_overlapping(
                     front[j], height[j] = marker, hit[at, 3]
                 # 3. Tallies.
                 if not simple:
-                    seen, whole = np.rint(covers * clear * WEIGHT), np.rint(covers * WEIGHT)
+                    seen = np.rint(covers * clear * WEIGHT)
+                    whole = np.rint(covers * WEIGHT)
                     tallies[marker, 0] += whole
                     tallies[marker, 1] += seen
                     tallies[marker, 2] += seen * ((column - nearest[marker, 0]) * k + sample % k)
