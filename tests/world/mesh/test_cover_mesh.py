@@ -8,8 +8,9 @@ from standard_bodies import BLOCK, BODIES, DOME, FINGER, on_boundary
 from twin.errors import MeshError
 from twin.parts.body import Block, Finger
 from twin.world.elasticity.fem import Layer, TaylorHood
+from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
-from twin.world.mesh.cover_mesh import refined, with_cover
+from twin.world.mesh.cover_mesh import with_cover
 from twin.world.mesh.elements import TET_EDGES, boundary_triangles, signed_volumes, tet_quadrature, tet_shapes
 from twin.world.mesh.quadratic_mesh import read_mesh, write_mesh
 from twin.world.mesh.quality import dihedral_angles, enclosed_volume, jacobian_ratios, offsets, open_edges, quality

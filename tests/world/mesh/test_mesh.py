@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import pyvista
+import trimesh
 from slabs import block_boxes
-from standard_bodies import BLOCK, FINGER
+from standard_bodies import BLOCK, FINGER, write_stl
 
 from twin.errors import InputError, MeshError, TwinError
 from twin.files import MESHES
-from twin.parts.body import Block, Finger
+from twin.parts.body import Block, Finger, Solid
 from twin.world.mesh import body_mesh as making
 from twin.world.mesh.body_mesh import body_mesh, build_mesh, mesh_key
 from twin.world.mesh.elements import TET_EDGES, TRIANGLE_EDGES
@@ -321,31 +322,52 @@ def test_a_shipped_mesh_is_stretched_to_another_size(no_mesher, body):
     assert straight == pytest.approx(body.volume_mm3, rel=near)
 
 
-def test_the_best_of_the_good_tries_is_kept_and_bad_ones_are_told(monkeypatch):
+@pytest.fixture
+def small_solid(tmp_path):
+    """SMALL as triangles."""
+    box = trimesh.creation.box(extents=(6, 6, 6)).triangles + np.array([0, 0, 3])
+    ends = {"held": {"normal": (0, 0, 1)}, "sensing": {"normal": (0, 0, -1)}}
+    return Solid(file=str(write_stl(tmp_path / "box.stl", box)), **ends)
+
+
+def test_the_best_of_the_good_tries_is_kept_and_bad_ones_are_told(monkeypatch, small_solid):
     tries, lines = iter([0.0, 0.6, 0.1, 0.3, 0.2]), []
 
     def tetrahedralise(*_, **__):
         return block_boxes(SMALL, (3, 3, 3), next(tries))
 
     monkeypatch.setattr(making, "tetrahedralise", tetrahedralise)
-    sizing = replace(default_sizing(SMALL, "standard"), unknowns=small_mesh().unknowns)
-    mesh, measured = build_mesh(SMALL, sizing, progress=lambda line, share: lines.append(line))
+    sizing = replace(default_sizing(small_solid, "standard"), unknowns=small_mesh().unknowns)
+    mesh, measured = build_mesh(small_solid, sizing, progress=lambda line, share: lines.append(line))
     assert measured.failures() == []
-    assert mesh.digest() == small_mesh().digest()  # the undisturbed grid has the best angles
+    # the undisturbed grid has the best angles
+    np.testing.assert_allclose(mesh.points, small_mesh().points, atol=1e-12)
     assert len(lines) == 4
     assert "dihedral" in lines[1]
 
 
-def test_a_build_gives_up_with_the_reason_when_no_try_is_good(monkeypatch):
+def test_a_build_gives_up_with_the_reason_when_no_try_is_good(monkeypatch, small_solid):
     monkeypatch.setattr(making, "tetrahedralise", lambda *_, **__: block_boxes(SMALL, (3, 3, 3)))
-    sizing = replace(default_sizing(SMALL, "standard"), unknowns=1_000_000)
-    with pytest.raises(MeshError, match=r"none of 30 meshes of the block.*wanted: 1000000"):
-        build_mesh(SMALL, sizing)
+    sizing = replace(default_sizing(small_solid, "standard"), unknowns=1_000_000)
+    with pytest.raises(MeshError, match=r"none of 30 meshes of the solid.*wanted: 1000000"):
+        build_mesh(small_solid, sizing)
+
+
+@pytest.mark.parametrize("size", [(6, 6, 6), (60, 6, 5), (8, 8, 30), (40, 40, 2), (25, 24, 4)])
+def test_a_block_s_mesh_is_made_by_rule(size):
+    body = Block(**dict(zip(("width_mm", "length_mm", "thickness_mm"), size, strict=True)))
+    sizing = default_sizing(body, "coarse")
+    mesh, measured = build_mesh(body, sizing)
+    assert measured.failures() == []
+    assert measured.least_dihedral_deg > 20
+    assert 1.0 <= measured.unknowns / sizing.unknowns < 1.7
+    assert abs(measured.volume_error) < 1e-12
+    assert mesh.digest() == build_mesh(body, sizing)[0].digest()
 
 
 @pytest.mark.slow
-def test_a_real_build_through_the_guarded_mesher_passes_and_is_cached(own_cache):
-    body, lines = Block(width_mm=10, length_mm=10, thickness_mm=6), []
+def test_a_real_build_through_the_guarded_mesher_passes_and_is_cached(own_cache, small_solid):
+    body, lines = small_solid, []
 
     def progress(line, share):
         lines.append(line)

@@ -48,8 +48,9 @@ from twin.world.elasticity.compliance import Compliance, Method
 from twin.world.elasticity.error_law import EXPECTED, unbounded
 from twin.world.elasticity.fem import Layer, TaylorHood
 from twin.world.elasticity.interpolated import patch_corrections
+from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
-from twin.world.mesh.cover_mesh import refined, with_cover
+from twin.world.mesh.cover_mesh import with_cover
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.sizing import WORLD, Level, default_sizing
 from twin.world.mesh.snap import drawn_to_rim

@@ -1,7 +1,8 @@
 """A body's mesh: from the cache, from those that ship with the program, one of these stretched, or
 a new one.
 
-The mesher is not deterministic and takes up to a minute, so a mesh is made once, checked, and kept
+A block is cut into tetrahedra by rule (`twin.world.mesh.bisection`); other bodies need the mesher.
+It is not deterministic and takes up to a minute, so a mesh is made once, checked, and kept
 under a key made of the geometry and the wanted sizes. Its number of elements follows from the
 wanted edges only roughly: all lengths are scaled together until the number of unknowns is right,
 and of several meshes that pass the gates the one with the largest smallest dihedral angle is kept.
@@ -30,8 +31,9 @@ from twin.arrays import Ints, Points, Progress, coordinates, frozen
 from twin.errors import InputError, MeshError, TwinError
 from twin.files import MESHES, cache_folder, is_pinned, pinned
 from twin.geometry.pieces import TriangleTree, sharpest_edge
-from twin.parts.body import Body
+from twin.parts.body import Block, Body
 from twin.parts.part import without_later
+from twin.world.mesh.bisection import block_mesh
 from twin.world.mesh.quadratic_mesh import FORMAT, Mesh, load_mesh, read_mesh, write_mesh
 from twin.world.mesh.quality import LEAST_DIHEDRAL_DEG, Quality, open_edges, quality, worst_place
 from twin.world.mesh.sizing import Level, Sizing, background, default_sizing, surface_samples
@@ -284,6 +286,9 @@ def build_mesh(
         If no try passes the gates with about the wanted number of unknowns: cause, place and
         remedy.
     """
+    if isinstance(body, Block):
+        mesh = block_mesh(body, sizing)
+        return mesh, quality(mesh, body)
     _refuse_sharp(body)
     allowed_s = LIMIT_S * max(1.0, sizing.unknowns / LIMIT_UNKNOWNS)
     end_s = _spent_s() + allowed_s

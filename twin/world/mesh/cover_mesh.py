@@ -1,4 +1,4 @@
-"""Meshes of a body with its cover: refined around a load, and with a layer of elements of its own.
+"""A body's mesh with its cover as a layer of elements of its own.
 
 A cover of 0.2 mm is thinner than the elements, so marking elements by their middles would mark a
 third of it wrongly. The body's mesh is squeezed below the cover's depth, along the depth normals,
@@ -11,25 +11,21 @@ the body, or squeezed elements turn inside out, which is refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints, Points, frozen
+from twin.arrays import Bools, Ints, Points, frozen
 from twin.errors import MeshError
 from twin.parts.body import Body
 from twin.world.mesh.elements import TET_EDGES, signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import jacobian_ratios
-from twin.world.mesh.snap import node_sheets, onto_sheets, snapped_mesh
+from twin.world.mesh.snap import node_sheets, onto_sheets
 
 _LEAST_RATIO = 0.2
 """Least over largest determinant of the quadratic map that an element of a layered mesh may
 have."""
-
-_MOST_ROUNDS = 1000
-"""Rounds after which a mesh is given up; a hundred or two are usual."""
 
 _PRISM = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])
 """Three tetrahedra of a prism, corners 0 to 2 below 3 to 5, numbered along the nodes' own order:
@@ -213,76 +209,3 @@ class _Sheet:
         triangles = np.concatenate([one, two])
         middles = self._between(triangles[:, [[0, 1], [1, 2], [2, 0]]])
         return np.hstack([triangles, middles]), np.concatenate([piece, piece])
-
-
-def refined(mesh: Mesh, body: Body, wanted: Callable[[Points], Floats]) -> Mesh:
-    """Return a mesh whose elements have no edge longer than ``wanted`` at their middle.
-
-    Longest edges are halved. An edge is cut only when it is the longest of every element around
-    it, so elements always fit together; where a neighbour has a longer edge, that one is cut first
-    (M.-C. Rivara 1997, Int. J. Numer. Meth. Eng. 40). Angles stay bounded and the result is the
-    same every time.
-
-    ``mesh`` has no layers; ``wanted`` takes points (n, 3) to longest edges (n,), mm.
-
-    Raises
-    ------
-    MeshError
-        It takes too many rounds, or an element is turned inside out on the curved surface.
-    """
-    points, tets = mesh.points[: mesh.corners], mesh.tets[:, :4]
-    for _ in range(_MOST_ROUNDS):
-        points, tets, cut = _round(points, tets, wanted)
-        if not cut:
-            break
-    else:
-        raise MeshError(
-            f"the mesh is not fine enough after {_MOST_ROUNDS} rounds of halving: "
-            "ask for longer edges"
-        )
-    made = snapped_mesh(body, points, tets)
-    if np.min(signed_volumes(made.points, tets)) <= 0:
-        raise MeshError(
-            "moving new nodes onto the curved surface turns an element inside out: ask for "
-            "longer edges"
-        )
-    return made
-
-
-def _round(
-    points: Points, tets: Ints, wanted: Callable[[Points], Floats]
-) -> tuple[Points, Ints, bool]:
-    """Cut every edge that may be cut now; return the points, the elements, and whether any was
-    cut."""
-    ends = np.sort(tets[:, TET_EDGES], axis=2)
-    keys, of = np.unique(ends[..., 0] * len(points) + ends[..., 1], return_inverse=True)
-    of = of.reshape(-1, 6)
-    edges = np.column_stack(np.divmod(keys, len(points)))
-    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    rank = np.empty(len(edges), np.int64)
-    rank[np.lexsort((np.arange(len(edges)), np.round(length, 9)))] = np.arange(len(edges))
-    place = np.argmax(rank[of], axis=1)
-    longest = np.take_along_axis(of, place[:, None], axis=1)[:, 0]
-    asked = length[longest] > wanted(points[tets].mean(axis=1))
-    if not asked.any():
-        return points, tets, False
-    marked = np.zeros(len(edges), bool)
-    marked[longest[asked]] = True
-    while True:
-        more = longest[marked[of].any(axis=1)]
-        if marked[more].all():
-            break
-        marked[more] = True
-    around = np.bincount(of.ravel(), minlength=len(edges))
-    cut = marked & (around == np.bincount(longest, minlength=len(edges)))
-    middle = np.full(len(edges), -1)
-    middle[cut] = len(points) + np.arange(cut.sum())
-    points = np.concatenate([points, points[edges[cut]].mean(axis=1)])
-    halved = cut[longest]
-    pair = TET_EDGES[place[halved]]
-    children = [tets[~halved]]
-    for side in range(2):
-        child = tets[halved].copy()
-        np.put_along_axis(child, pair[:, side : side + 1], middle[longest[halved]][:, None], axis=1)
-        children.append(child)
-    return points, np.concatenate(children), True

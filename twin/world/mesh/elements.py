@@ -8,13 +8,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Points
+from twin.arrays import Floats, Ints, Points, grid_points
 
 TET_EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)])
 TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
 
 TET_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
 """Corners of a positive tetrahedron's faces; right-hand normals point out of it."""
+
+_KUHN = np.array(
+    [(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)]
+)
+"""Six tetrahedra of a unit cube whose corner (i, j, k) has number i + 2 j + 4 k."""
+
+
+def kuhn_grid(x: Floats, y: Floats, z: Floats) -> tuple[Points, Ints]:
+    """Return the (n, 3) points of a grid on rising coordinates, and positive tetrahedra (m, 4), six
+    for every cell."""
+    number = np.arange(len(x) * len(y) * len(z)).reshape(len(x), len(y), len(z))
+    nx, ny, nz = np.array(number.shape) - 1
+    cube = np.stack(
+        [
+            number[i : i + nx, j : j + ny, k : k + nz].ravel()
+            for k in (0, 1)
+            for j in (0, 1)
+            for i in (0, 1)
+        ],
+        axis=1,
+    )
+    return grid_points(x, y, z), cube[:, _KUHN].reshape(-1, 4).astype(np.int64)
 
 
 def signed_volumes(points: Points, tets: Ints) -> Floats:

@@ -18,6 +18,7 @@ import numpy as np
 
 from twin.arrays import Floats, Ints, Points, grid_points
 from twin.parts.body import Body
+from twin.world.mesh.elements import kuhn_grid
 from twin.world.mesh.snap import onto_sheets
 
 Level = Literal["nominal", "sketch", "coarse", "standard", "fine"]
@@ -26,9 +27,6 @@ last."""
 
 WORLD: tuple[Level, ...] = ("sketch", "coarse", "standard", "fine")
 """The world's levels, coarsest first."""
-
-_KUHN = [(0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)]
-"""Six tetrahedra of a unit cube whose corner (i, j, k) has number i + 2 j + 4 k."""
 
 _GRID_CELLS = 40
 """Cells of the background grid along the body's longest side."""
@@ -201,16 +199,5 @@ def background(body: Body, sizing: Sizing) -> tuple[Points, Ints, Floats]:
     step = float(np.max(high - low)) / _GRID_CELLS
     counts = np.ceil((high - low) / step).astype(int) + 3
     axes = [low[axis] + step * (np.arange(counts[axis]) - 1) for axis in range(3)]
-    points = grid_points(*axes)
-    number = np.arange(len(points)).reshape(counts)
-    cube = np.stack(
-        [
-            number[i : i + counts[0] - 1, j : j + counts[1] - 1, k : k + counts[2] - 1].ravel()
-            for k in (0, 1)
-            for j in (0, 1)
-            for i in (0, 1)
-        ],
-        axis=1,
-    )
-    tets = cube[:, np.array(_KUHN)].reshape(-1, 4).astype(np.int64)
+    points, tets = kuhn_grid(*axes)
     return points, tets, WantedEdge(body, sizing)(points)
