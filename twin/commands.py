@@ -496,6 +496,7 @@ def view(
     twin view kamiyama_shear --window
     """
 
+    # A dataset has a page of its own.
     folder = Path(path)
     is_dataset = (folder / "meta" / "info.json").is_file()
     if window and (out is not None or is_dataset):
@@ -513,6 +514,7 @@ def view(
     from twin.study.sensor import Sensor
     from twin.study.view import FILMS, view_scene, write_film
 
+    # The page of a run goes into the run's folder, that of a scene into the current one.
     if folder.is_dir() and not (folder / "scene.toml").is_file():
         raise InputError(
             f"{path}: holds neither scene.toml (of a run) nor meta/info.json (of a dataset)"
@@ -525,6 +527,7 @@ def view(
         raise InputError(
             f"--out {page}: allowed are .html for a page, {' and '.join(sorted(FILMS))} for a film"
         )
+    # Show the body in a window, or write the page or the film.
     scene = _load(str(folder / "scene.toml") if folder.is_dir() else path, set_)
     bar = _progress()
     sensor = Sensor(scene, bar)

@@ -246,12 +246,15 @@ def closed_surface(corners: Floats, name: str, size_mm: tuple[float, float] = SI
         The surface is too small, too large, open, wound both ways or inwards, in several parts, or
         too thin. ``name`` is the surface's name in the message.
     """
+    # Size: STL files carry no unit, so a wrong one shows here.
     size = float(np.max(np.ptp(corners.reshape(-1, 3), axis=0)))
     if not size_mm[0] <= size <= size_mm[1]:
         raise InputError(
             f"{name}: the longest side is {size:.6g} mm (allowed: {size_mm[0]:g} to {size_mm[1]:g} "
             "mm); STL files carry no unit: export it in millimetres"
         )
+    # Join corners that are exactly equal; only if the surface stays open, also those that are
+    # nearly equal.
     vertices, triangles = _welded(corners, 0.0)
     if len(_open_edges(triangles)):
         vertices, triangles = _welded(
@@ -259,6 +262,7 @@ def closed_surface(corners: Floats, name: str, size_mm: tuple[float, float] = SI
         )
     _refuse_open(vertices, triangles, name)
     _refuse_parts(vertices, triangles, name)
+    # Triangles without area have no normal.
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.max([np.linalg.norm(q - p, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
@@ -269,12 +273,14 @@ def closed_surface(corners: Floats, name: str, size_mm: tuple[float, float] = SI
             f"{name}: {int(flat.sum())} triangles have no area, the first at ({x:.4g}, {y:.4g}, "
             f"{z:.4g}) mm; clean the surface (merge needles) and export it again"
         )
+    # The divergence theorem: the volume is negative where the normals point inwards.
     volume = float(np.einsum("ij,ij->", np.cross(a, b), c)) / 6.0
     if volume < 0.0:
         raise InputError(
             f"{name}: the triangles are wound inwards (volume {volume:.4g} mm3, allowed: above 0); "
             "flip the normals and export it again"
         )
+    # Twice the volume over the surface is the mean thickness of a plate.
     thickness = 4.0 * volume / float(double_area.sum())
     thinnest = THINNEST_MM * size_mm[0] / SIZE_MM[0]
     if thickness < thinnest:

@@ -233,10 +233,13 @@ class Pieces:
         towards = np.empty((*shape, 3))
         within = np.empty(shape, bool)
         for k in range(self.count):
+            # A flat piece of a convex solid stands for its whole plane.
             if self.is_convex and k in self.planes:
                 origin, inward = self.planes[k]
                 distance[:, k], normal[:, k] = (points - origin) @ inward, inward
                 continue
+            # The nearest point of the piece; the normal of that face, edge or corner gives the
+            # side.
             own, tree = self._trees[k]
             triangle, foot, feature = tree.nearest(points)
             triangle = own[triangle]
@@ -244,15 +247,20 @@ class Pieces:
             plain[:, k] = np.linalg.norm(away, axis=1)
             outward = self._outward[triangle, feature]
             within[:, k] = np.einsum("ni,ni->n", away, outward) <= 0.0
+            # Beyond the border of the piece, the face is continued as a plane.
             side = np.where(within[:, k], 1.0, -1.0)
             beyond = self._border[triangle, feature]
             inward = -np.where(beyond[:, None], self._outward[triangle, FACE], outward)
             on_plane = np.einsum("ni,ni->n", away, inward)
             distance[:, k] = np.where(beyond, on_plane, side * plain[:, k])
+            # On the surface itself the way to the nearest point has no direction: take the normal.
             clear = plain[:, k] > _TOUCHING_MM
             towards[:, k] = away / np.where(clear, plain[:, k], 1.0)[:, None]
             plain_way = clear & ~beyond
             normal[:, k] = np.where(plain_way[:, None], side[:, None] * towards[:, k], inward)
+        # The continued plane of a piece may cut a concave solid elsewhere. Inside the solid, and
+        # where the plane's distance is less than the signed distance to the whole surface, use
+        # the plain distance to the piece.
         if not self.is_convex:
             row = np.arange(len(points))
             first = np.argmin(plain, axis=1)

@@ -107,6 +107,7 @@ def tracking_score(
         seen = np.array(visible, np.bool_, ndmin=1)
     if seen.shape != (len(shift),):
         raise InputError(f"visible must be ({len(shift)},), got {seen.shape}")
+    # Markers in full sight and hidden ones are scored apart.
     front = np.flatnonzero(seen)
     back = np.flatnonzero(seen == 0)
     result, reasons = _tracking_part(shift[front], true[front])
@@ -116,8 +117,10 @@ def tracking_score(
     else:
         reasons["occluded"] = "no marker is hidden"
         result["occluded"] = None
+    # A shift without a true shift is a false positive.
     found, real = np.isfinite(shift).all(axis=1), np.isfinite(true).all(axis=1)
     result["false_positives"] = int((found & ~real).sum())
+    # Root mean square of the Cramer-Rao bounds of the markers in full sight.
     result["bound_px"] = result["over_bound"] = None
     least = np.asarray(bound_px, float)[front] if bound_px is not None else np.zeros(0)
     least = least[np.isfinite(least)]
@@ -215,6 +218,7 @@ def force_score(
         )
     )
     reasons: dict[str, str] = {}
+    # Check the shapes and refuse numbers that are not finite.
     truth, estimate = np.asarray(surface_force_n, float), np.asarray(force_n, float)
     _same_points(surface_mm, truth, "surface")
     _same_points(site_mm, estimate, "site")
@@ -225,6 +229,7 @@ def force_score(
             **result,
             "reasons": dict.fromkeys(result, "truth or estimate hold numbers that are not finite"),
         }
+    # Error of the field: the truth is summed into the cells of the estimate's sites.
     cells = into_cells(site_mm, surface_mm, truth)
     size = float(np.linalg.norm(force))
     for part, value in field_errors(estimate, cells, frames).items():
@@ -234,6 +239,7 @@ def force_score(
             reasons[key] = (
                 f"the true field is zero{'' if part == 'all' else f' in its {part} part'}"
             )
+    # Error of the total force, from the linear solve and from the sum over the sites.
     if size > 0:
         result["total_force_error"] = float(np.linalg.norm(total_force_n - force) / size)
         result["total_force_error_axes"] = [float(v) for v in (total_force_n - force) / size]
@@ -241,12 +247,15 @@ def force_score(
     else:
         for key in ("total_force_error", "total_force_error_axes", "sites_force_error"):
             reasons[key] = "the true total force is zero"
+    # Error of the torque, relative to the torque itself or to the force on an arm of 1 mm.
     scale = max(float(np.linalg.norm(torque)), size * 1.0)
     result["torque_error_nmm"] = float(np.linalg.norm(total_torque_nmm - torque))
     if scale > 0:
         result["torque_error"] = result["torque_error_nmm"] / scale
     else:
         reasons["torque_error"] = "the true total force and torque are zero"
+    # Distance of the centres of pressure. Sites with a small part of the largest push are left
+    # out, because noise far out would move the centre.
     true_push = truth[:, 2]
     push = np.clip(estimate[:, 2], 0.0, None)
     if size == 0 or true_push.sum() < LEAST_PUSH * size:

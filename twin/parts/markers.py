@@ -230,6 +230,7 @@ def stiff_problems(
             f"{key} = true: how stiff beads push is known in a block only, this body is a {shape}; "
             "leave it out"
         ]
+    # The reflection at the surface is that of the body's own material.
     problems = []
     if cover is not None and (
         cover.youngs_modulus_mpa not in (None, material.youngs_modulus_mpa)
@@ -240,6 +241,7 @@ def stiff_problems(
             "push-back in a way that is not known here: leave out cover.youngs_modulus_mpa and "
             "cover.poisson_ratio, or stiff"
         )
+    # The dipole of a rigid bead is that of an incompressible material.
     poisson_ratio = material.poisson_ratio - shortfall
     if poisson_ratio < LEAST_POISSON_RATIO:
         problems.append(
@@ -247,6 +249,7 @@ def stiff_problems(
             f"tolerance, but must be {LEAST_POISSON_RATIO} to 0.5: the beads' push-back is that of "
             "incompressible rubber"
         )
+    # Beads too near to each other, or to another face than the sensing surface.
     for name, layer in stiff.items():
         least = LEAST_GAP * layer.diameter_mm / 2
         for what, gap in _gaps(name, layers):

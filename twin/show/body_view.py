@@ -196,6 +196,7 @@ def show_body(view: BodyView, picture: Path | None = None) -> None:
     step = len(view.frames) - 1
     times = 1.0
 
+    # The two sliders redraw the body at another step, or at another magnification.
     def to_step(value: float) -> None:
         nonlocal step
         step = round(value)
@@ -206,6 +207,7 @@ def show_body(view: BodyView, picture: Path | None = None) -> None:
         times = value
         _draw(plotter, pyvista, view, view.frames[step], times)
 
+    # Look from the side of the base, and from below the sensing surface.
     to_step(step)
     middle, zoom = _home(view)
     plotter.view_vector((0.5, -1.0, -0.7), viewup=(0, 0, -1))

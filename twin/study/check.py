@@ -110,6 +110,7 @@ def _check_results(folder: Path) -> list[str]:
     lines = []
     if (folder / "scene.toml").is_file():
         lines += check_path(str(folder / "scene.toml"))[:1]
+    # Without a truth, the recipe alone is checked.
     truth_file = folder / "truth.npz"
     if not truth_file.is_file():
         if lines:
@@ -133,6 +134,7 @@ def _check_results(folder: Path) -> list[str]:
         raise InputError(f"{truth_file}: holds no {problem}; run the scene again") from None
     except (OSError, ValueError) as problem:
         raise InputError(f"{truth_file}: can't be read ({problem})") from None
+    # The forces on the surface must sum to the total force.
     miss = float(np.abs(pieces.sum(axis=0) - total).max())
     if not miss <= 1e-6 * max(1.0, float(np.abs(total).max())):
         raise RecipeError(
@@ -313,6 +315,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
     from twin.study.recorded import read_picture
     from twin.study.sensor import SATURATED, Sensor
 
+    # Track the second rest picture against the first: nothing should have moved.
     if scene.camera is None:
         raise RecipeError("this scene has no [camera] table: two rest pictures can't be compared")
     sensor = Sensor(scene)
@@ -327,6 +330,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
             f"{first}, {second}: show {int(seen.sum())} of the scene's {len(seen)} markers: are "
             "they this sensor's, upright, of its camera mode, and exposed?"
         )
+    # Measure the scatter of the shifts, what the tracker states, blur, width and saturation.
     common = np.median(found.shift_px[seen], axis=0)
     measured = found.scatter_px
     stated = float(np.median(found.sd_px[seen]))
@@ -338,6 +342,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
     width = min(fit.look.diameter_px for fit in fits)
     full = max(_saturated(one), _saturated(two))
     noise = _picture_noise(one, two)
+    # Compare each with its limit.
     problems = []
     if seen.mean() < FEW:
         problems.append(f"only {100 * seen.mean():.3g} % of the markers are found")

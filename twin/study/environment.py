@@ -162,10 +162,12 @@ class Environment:
         options = self.sensor.nominal.reconstruction
         assert options is not None
         calibration, tracker = self._software()
+        # What happens: displacement and picture.
         patches = sensor.rectangles(load)
         motion = self._motion(load)
         self._exposure += 1
         picture = sensor.picture(motion, self._exposure)
+        # What the sensor's software makes of the picture.
         found = tracker.track(picture)
         if not found.seen.any():
             raise InputError(
@@ -173,6 +175,7 @@ class Environment:
                 "follow?"
             )
         field = reconstruct(found, calibration, **options.options())
+        # The truth, and the error against it.
         rest = sensor.actual.markers.points
         truth = _Happened(
             marker_displacement_mm=motion.displacement_mm,

@@ -60,6 +60,7 @@ def read_intrinsics(file: str | Path) -> dict[str, Any]:
     matrix = _numbers(_first(table, _MATRIX, path), "camera_matrix", path)
     if matrix.size != 9:
         raise InputError(f"{path}: camera_matrix has {matrix.size} numbers; it must be 3 x 3")
+    # The camera matrix: two focal lengths and the principal point, no skew.
     (fx, skew, cx), (below, fy, cy), last = matrix.reshape(3, 3)
     if (
         not (fx > 0 and fy > 0)
@@ -71,6 +72,7 @@ def read_intrinsics(file: str | Path) -> dict[str, Any]:
             f"{path}: camera_matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx and fy "
             f"above 0"
         )
+    # The distortion: radial and tangential, or the four terms of a fisheye lens.
     distortion = _numbers(
         _first(table, _DISTORTION, path), "distortion_coefficients", path
     ).tolist()
@@ -83,6 +85,7 @@ def read_intrinsics(file: str | Path) -> dict[str, Any]:
         )
     if fisheye and len(distortion) > 4:
         raise InputError(f"{path}: {len(distortion)} distortion coefficients; a fisheye lens has 4")
+    # The same in the keys of a camera table.
     keys: dict[str, Any] = {
         "lens": "equidistant" if fisheye else "pinhole",
         "focal_px": float(fx),
@@ -118,6 +121,7 @@ def write_intrinsics(camera: Camera, file: str | Path) -> None:
         raise InputError(
             f"camera.lens = {camera.lens!r}: OpenCV's files know 'pinhole' and 'equidistant' alone"
         )
+    # The numbers in OpenCV's order.
     path = Path(file)
     column, row = camera.centre_px
     fx = camera.focal_px
@@ -135,6 +139,7 @@ def write_intrinsics(camera: Camera, file: str | Path) -> None:
         "fisheye_model": int(fisheye),
         "distortion_model": "fisheye" if fisheye else "brown_conrady",
     }
+    # OpenCV's FileStorage, as JSON or as YAML 1.0.
     if path.suffix.lower() == ".json":
         tables = {
             name: {

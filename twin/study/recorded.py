@@ -329,6 +329,7 @@ def reconstruct_frames(
     InputError
         The rest picture shows fewer than 2 of the calibration's markers.
     """
+    # The rest picture must show the markers of the calibrated sensor.
     width = calibration.diameter_px
     tracker = Tracker(rest, calibration.layout, diameter_px=width if np.isfinite(width) else None)
     known: Bools = np.asarray(np.isfinite(tracker.rest.rest_px).all(axis=1))
@@ -339,6 +340,7 @@ def reconstruct_frames(
         )
     doubt = _other_sensor(tracker.rest.rest_px, calibration)
     before: Field | None = None
+    # Each frame starts from the field of the one before. After a failure nothing is carried over.
     for frame in sequence:
         started = time.perf_counter()
         found = None
@@ -561,6 +563,7 @@ def reconstruct_recording(
     SomeFailed
         Frames failed; the others are written.
     """
+    # Check everything before the first frame is read, so that a wrong option costs nothing.
     _check_sources(sources, overlay, size, layout)
     _keep_inputs((rest, calibration, *map(Path, sources)), out=out, overlay=overlay)
     known = read_calibration(calibration)
@@ -573,6 +576,7 @@ def reconstruct_recording(
         options["camera"],
         known,
     )
+    # Frames come one at a time: results are written as they come, and memory stays bounded.
     table = _TableFile(out, known.site_mm) if out else None
     drawing = _OverlayFile(overlay) if overlay else None
     pictures = frames(sources, sys.stdin.buffer, size, layout)
@@ -593,6 +597,7 @@ def reconstruct_recording(
         for sink in (table, drawing):
             if sink:
                 sink.close()
+    # What became of the frames in all.
     if not summary.count:
         raise InputError("there were no frames")
     print("\n".join(summary.lines(bounded)), file=sys.stdout if out else sys.stderr)

@@ -236,12 +236,14 @@ class _Chain:
     def result(self) -> RunResult:
         sensor = self.sensor
         scene = self.sensor.nominal
+        # Refuse what can't be rendered on this machine before anything is solved.
         with self.stage("design"):
             if "picture" in self.needed:
                 from twin.world.picture.backend import forced_variant, require_memory
 
                 require_memory(scene)
                 forced_variant()  # refuses a wrong name before the press is solved
+        # The truth: the load of the press, or given tractions, and the motion of the markers.
         with self.stage("contact"):
             load = scene.load
             if scene.press is not None and not scene.tractions:
@@ -251,6 +253,7 @@ class _Chain:
             motion = sensor.motion(load)
         patches = sensor.rectangles(load)
         truth = self._truth(motion, patches)
+        # The pictures, and the shifts that the software finds in them.
         rest = pressed = found = None
         if "picture" in self.needed:
             with self.stage("rest picture"):
@@ -267,9 +270,11 @@ class _Chain:
                         found = track(rest, pressed, sensor.layout_px, method=scene.tracking.method)
                     except InputError as problem:  # truth and pictures are still useful
                         self.failures |= {"tracking": str(problem), "force": "nothing was tracked"}
+        # The forces that the software computes, which may be none.
         if "forces" in self.needed and found is not None:
             self._reconstruct(found)
         estimate = _estimate(found, self.forces)
+        # How far the truth itself is off, and how far linear theory carries.
         if self.state is not None:
             with self.stage("contact error"):
                 self.state.error  # noqa: B018  computed at first use

@@ -90,11 +90,13 @@ def make(nominal: Scene) -> Actual:
     if tolerance.preset == "none":
         markers = place(nominal.body, nominal.markers)
         return Actual(scene=nominal, jitter_mm=frozen(np.zeros((count, 2))), markers=markers)
+    # The order of the draws is fixed: another order would change every stored result.
     rng = stream(nominal.seed, Purpose.TOLERANCE)
 
     def deviation() -> float:
         return float(np.clip(rng.standard_normal(), -CUT, CUT))
 
+    # The material; a cover with a modulus of its own keeps its ratio to the body.
     stiffer = 1 + tolerance.youngs_modulus_pct / 100 * deviation()
     shortfall = tolerance.poisson_ratio * abs(deviation())
     material = nominal.material.model_copy(
@@ -107,12 +109,14 @@ def make(nominal: Scene) -> Actual:
     if cover is not None and cover.youngs_modulus_mpa is not None:
         ratio = material.youngs_modulus_mpa / nominal.material.youngs_modulus_mpa
         cover = cover.model_copy(update={"youngs_modulus_mpa": cover.youngs_modulus_mpa * ratio})
+    # The depths of the marker layers.
     layers = {
         name: layer.model_copy(
             update={"depth_mm": layer.depth_mm + tolerance.depth_mm * deviation()}
         )
         for name, layer in nominal.markers.items()
     }
+    # Place, tilt, focal length and distortion of the camera.
     camera = nominal.camera
     if camera is not None:
         camera = camera.deviating(
@@ -122,6 +126,7 @@ def make(nominal: Scene) -> Actual:
             tolerance.focal_pct / 100 * deviation(),
             tolerance.distortion * deviation() if tolerance.distortion else 0.0,
         )
+    # The print of single markers has a stream of its own.
     changes = {"material": material, "cover": cover, "markers": layers, "camera": camera}
     noise = stream(nominal.seed, Purpose.PRINT).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)
@@ -484,6 +489,7 @@ class Sensor:
         from twin.world.contact.contact_state import Watched
         from twin.world.contact.pressing import press as solve
 
+        # Check the request.
         wanted = press if press is not None else self.nominal.press
         if wanted is None:
             raise RecipeError("this scene has no [press] table: give Sensor.press a Press")
@@ -519,6 +525,7 @@ class Sensor:
                 ),
             )
 
+        # Solve the contact by linear theory, then correct it for finite strain.
         state = linear(wanted)
         if actual.scene.material.law != "linear":
             from twin.world.contact.finite_strain import at_finite_strain

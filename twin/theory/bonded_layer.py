@@ -140,6 +140,7 @@ class BondedLayer:
         every one is replaced by its polynomial's nodes: v is interpolated in the place of the
         force.
         """
+        # Gauss points on every rectangle, more of them on wide ones.
         number = 1
         if load.half_mm.any():
             number = 2 + round(4.0 * float(load.half_mm.max()) / self.thickness_mm)
@@ -149,6 +150,7 @@ class BondedLayer:
         offsets = np.einsum("ga,ka,kai->kgi", corners, load.half_mm, load.frames[:, :2])
         centre = (load.centre_mm[:, None] + offsets).reshape(-1, 3)
         rectangle = np.repeat(np.arange(len(load)), len(corners))
+        # The grid that would hold all of these points; use it only if it has fewer nodes.
         step = self.thickness_mm / _NODES
         low = centre.min(axis=0, initial=0.0 if len(load) == 0 else math.inf)
         counts = (
@@ -160,6 +162,8 @@ class BondedLayer:
             spread = np.zeros((len(centre), len(load)))
             spread[np.arange(len(centre)), rectangle] = weight
             return centre, spread
+        # Share each point force among the nodes of its stencil: the polynomial's weights along
+        # both axes.
         at = (centre[:, :2] - low[:2]) / step + _STENCIL // 2 - 1
         first = np.floor(at).astype(int) - _STENCIL // 2 + 1
         parts = np.empty((2, len(centre), _STENCIL))
@@ -169,6 +173,7 @@ class BondedLayer:
                 _stencil(at[i, axis], first[i, axis], parts[axis, i], slope)
         shares = weight[:, None, None] * parts[0][:, :, None] * parts[1][:, None, :]
         reach = np.arange(_STENCIL)
+        # Sum the shares by node and rectangle.
         rows = (first[:, 0, None] + reach)[:, :, None] * counts[1] + (first[:, 1, None] + reach)[
             :, None, :
         ]

@@ -357,6 +357,7 @@ def _point_terms(
     xz = 0.0
     yz = 0.0
     nx, ny, nz = 0.0, 0.0, 0.0
+    # Kelvin's part, which every half-space has: 1/r and x_i x_j / r^3.
     for q in range(len(nodes)):
         px = x - a * nodes[q, 0]
         py = y - b * nodes[q, 1]
@@ -380,6 +381,7 @@ def _point_terms(
     v01 = 0.0
     v02 = 0.0
     v12 = 0.0
+    # The part of a compressible half-space, with k = 1 - 2 nu: terms in 1 / (r + z).
     if k != 0.0:
         for q in range(len(nodes)):
             px = x - a * nodes[q, 0]
@@ -394,6 +396,7 @@ def _point_terms(
             v01 -= px * py * wrss
             v02 -= px * wrs
             v12 -= py * wrs
+    # Put the sums together: displacement by direction of the force.
     u[0, 0], u[1, 1], u[2, 2] = one + xx + k * v00, one + yy + k * v11, one * (1.0 + k) + zz
     u[0, 1] = u[1, 0] = xy + k * v01
     u[0, 2], u[2, 0] = xz + k * v02, xz - k * v02
@@ -508,6 +511,7 @@ def _closed_terms(
     x: float, y: float, z: float, a: float, b: float, k: float, u: Floats, n: Floats
 ) -> None:
     """Set u (3, 3) and n (3,), to the means over -a..a by -b..b."""
+    # Distances from the four corners of the rectangle.
     x1 = x + a
     x2 = x - a
     y1 = y + b
@@ -519,6 +523,7 @@ def _closed_terms(
     zz = z * z
     r11, r12 = math.sqrt(xx1 + yy1 + zz), math.sqrt(xx1 + yy2 + zz)
     r21, r22 = math.sqrt(xx2 + yy1 + zz), math.sqrt(xx2 + yy2 + zz)
+    # Integrals of 1/r along the sides are logarithms; over the area, the solid angle joins them.
     log_y1, log_y2 = _log_ratio(y1, r11, y2, r12, xx1 + zz), _log_ratio(y1, r21, y2, r22, xx2 + zz)
     log_x1, log_x2 = _log_ratio(x1, r11, x2, r21, yy1 + zz), _log_ratio(x1, r12, x2, r22, yy2 + zz)
     x_log_y, y_log_x = x1 * log_y1 - x2 * log_y2, y1 * log_x1 - y2 * log_x2
@@ -533,6 +538,8 @@ def _closed_terms(
     v11 = 0.0
     s1 = 0.0
     s2 = 0.0
+    # With k = 1 - 2 nu = 0 the terms of 1 / (r + z) vanish, and only their sum, the solid angle,
+    # is left.
     if k == 0.0:
         angle = _solid_angle(x1, x2, y1, y2, z, r11, r12, r21, r22)
     else:
@@ -554,6 +561,7 @@ def _closed_terms(
         s2 = k * (x1 * log_1 - x2 * log_2 + z * log_x + y1 * turn_x1 - y2 * turn_x2)
         v00, v11 = k * (x_log_y - z * (turn_y1 - turn_y2)), k * (y_log_x - z * (turn_x1 - turn_x2))
         xy -= k * (z * (log_1 - log_2) - r)
+    # The integral of 1/r over the rectangle; every component is made of it and of its derivatives.
     potential = x_log_y + y_log_x - z * angle
     u[0, 0] = w * (2.0 * potential - x_log_y + v00)
     u[1, 1] = w * (2.0 * potential - y_log_x + v11)
@@ -574,6 +582,7 @@ def _closed_slopes(
     x: float, y: float, z: float, a: float, b: float, k: float, d: Floats, n: Floats
 ) -> None:
     """Add the means of `_point_slopes` over the rectangle -a..a by -b..b."""
+    # Distances from the four corners of the rectangle.
     x1 = x + a
     x2 = x - a
     y1 = y + b
@@ -586,9 +595,11 @@ def _closed_slopes(
     r11, r12 = math.sqrt(xx1 + yy1 + zz), math.sqrt(xx1 + yy2 + zz)
     r21, r22 = math.sqrt(xx2 + yy1 + zz), math.sqrt(xx2 + yy2 + zz)
     w = 0.25 / (a * b)
+    # First derivatives of the integral of 1/r.
     log_y = w * (_log_ratio(y1, r11, y2, r12, xx1 + zz) - _log_ratio(y1, r21, y2, r22, xx2 + zz))
     log_x = w * (_log_ratio(x1, r11, x2, r21, yy1 + zz) - _log_ratio(x1, r12, x2, r22, yy2 + zz))
     angle = w * _solid_angle(x1, x2, y1, y2, z, r11, r12, r21, r22)
+    # Second derivatives: sums over the corners, with the sign of each.
     a_sum = 0.0
     xa = 0.0
     xxa = 0.0
@@ -616,6 +627,7 @@ def _closed_slopes(
             s = sign / (r + z) if r + z > 0.0 else 0.0
             xs += p * s
             ys += q * s
+    # Kelvin's part of the slopes, component by component.
     for i in range(2):
         d[i, i, 0] += 2.0 * log_y
         d[i, i, 1] += 2.0 * log_x
@@ -644,6 +656,7 @@ def _closed_slopes(
     n[0] -= log_y
     n[1] -= log_x
     n[2] += angle
+    # The part of a compressible half-space.
     if k == 0.0:
         return
     log_z = w * (_log(r11 + z, r12 + z) - _log(r21 + z, r22 + z))

@@ -83,6 +83,7 @@ def check_dataset(folder: Path) -> list[str]:
         raise InputError(
             f"{folder}: has no meta/SHA256SUMS, so it was not finished; give the same command again"
         )
+    # Files first: a wrong checksum explains everything after it.
     problems = _checksums(places)
     if problems:
         raise RecipeError(problems, str(folder))
@@ -90,6 +91,7 @@ def check_dataset(folder: Path) -> list[str]:
     problems = _schema(reader, info)
     if problems:
         raise RecipeError(problems, str(folder))
+    # Some rows, evenly over the dataset: finite numbers, balance of forces, projection.
     rows = np.unique(np.linspace(0, len(reader) - 1, min(ROWS, len(reader))).astype(int))
     lines = [f"{folder}: {len(reader)} rows, checksums and schema ok"]
     failed = 0

@@ -227,6 +227,7 @@ def in_cells(
     for number, group in enumerate(groups):
         if not len(group):
             continue
+        # Cut every patch into equal pieces that are small against a cell and against the patches.
         sides = 2.0 * group.half_mm.max(axis=0)
         longest = min(grid.pitch_mm, sides.max())
         first, second = (
@@ -234,6 +235,7 @@ def in_cells(
             for n in (math.ceil(_SPLIT * side / longest - 1e-9) for side in sides)
         )
         square = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
+        # Place the pieces in the chart of the sensing surface.
         half = group.half_mm[:, :, None] * group.frames[:, :2]
         area = 4.0 * group.half_mm.prod(axis=1)
         slip = area * slips[number] if slips is not None else np.zeros(len(area))
@@ -250,6 +252,7 @@ def in_cells(
                 f"contact: it reaches {over:.3g} mm beyond the sites; enlarge [dataset.sites] or "
                 "press further inside"
             )
+        # Sum force, area and slipping area by cell.
         column, row = np.clip(np.floor(cells).astype(np.int64), 0, count - 1).T
         for total, value in zip(sums, values.T, strict=True):
             weights = np.repeat(value, len(square))

@@ -102,6 +102,7 @@ def _calibration(bench: Bench) -> Outcome:
     drawing = bench.rig("sato", overrides=few | {"calibration.method": "compliance"}).calibration
     name = "drawing instead of presses: the nominal finger's compliance"
     variants[name] = _site_errors(drawing, exact)
+    # Error of the transfer matrix by site: the sites of the edge apart from the inner ones.
     errors = _site_errors(made, exact)
     at = np.arange(len(errors)).reshape(made.grid)
     edge = np.unique(np.concatenate([at[0], at[-1], at[:, 0], at[:, -1]]))
@@ -116,6 +117,7 @@ def _calibration(bench: Bench) -> Outcome:
         )
         means = {cause: {error: float(e[rows].mean())} for cause, e in variants.items()}
         records += compared([{error: each} for each in errors[rows].tolist()], means)
+    # Numbers that the paper prints, and the picture of the errors.
     columns = made.transfer[np.isfinite(made.transfer).all(axis=1)]
     records += once_each(
         {
@@ -204,6 +206,7 @@ def _figure_8(bench: Bench) -> Outcome:
             continue
         bench.progress(f"cylinder along {name}", axis / 3)
 
+        # The readings of one chain along an axis, and the numbers that are drawn from them.
         def line(way: Chain, trial: Trial, axis: int = axis) -> ForceLine:
             times = 1 if way.calibrated_by == QUIET else repeats
             return force_line(bench, way, axis, steps, times, FIRST_EXPOSURE + trial.exposures)
@@ -220,6 +223,7 @@ def _figure_8(bench: Bench) -> Outcome:
                 Quantity(f"{name}: {WIDEST} {n}", "gf"): widest,
             }
 
+        # Compare with the paper, and with each cause off.
         found, runs, _ = bench.compare(line, numbers, PAPER, _ways(bench))
         records += found
         reach = np.array([0.0, PRELOAD_GF])
@@ -316,6 +320,7 @@ def _dip(bench: Bench, chain: Chain, apart_mm: float) -> float:
 
 
 def _figure_9(bench: Bench) -> Outcome:
+    # The chain of the paper, and what is changed in it to find the causes.
     step = 1.25 if bench.quick else STEP_MM
     nominal = replace(PAPER, calibrated_by="compliance")
     ways = _ways(bench) | {
@@ -327,6 +332,7 @@ def _figure_9(bench: Bench) -> Outcome:
     trials = [Trial(exposures=200 * k) for k in range(1 if bench.quick else 3)]
     for number, place in enumerate(("centre",) if bench.quick else PLACES):
         curves = []
+        # A press at each place, read along both axes.
         for along in (0,) if bench.quick else (0, 1):
             label = f"along {AXES[along]}"
             where = f"{place}, {label}"
@@ -361,6 +367,7 @@ def _figure_9(bench: Bench) -> Outcome:
             )
         )
     note = _on_the_jump(records)
+    # Two presses at once: the dip of the field between them.
     if not bench.quick:
         bench.progress("two presses at once", 0.95)
         dip = Quantity("two spheres of 100 gf 5 mm apart along x: dip between them")

@@ -286,6 +286,7 @@ def _figure_14(bench: Bench) -> Outcome:
             for width, profile in run.items()
         }
 
+    # Compare with the paper, and draw the profiles and the recovered widths.
     records, runs, off = bench.compare(profiles, numbers, DIFFERENCE, _ways(bench, push_only=True))
     applied = np.array(widths)
     published = np.array([record.twin for record in records])
@@ -395,6 +396,7 @@ def _figure_16(bench: Bench) -> Outcome:
             for what, values in run.items()
         }
 
+    # Compare with the paper: it calls the two movements the same.
     records, runs, _ = bench.compare(cosines, numbers, TRACKED, _causes(bench, TRACKED, NO_BLOCK))
     best = Quantity("distance of the two impulses at the largest cosine along the x axis", "mm")
     records += once_each({best: apart[int(np.argmax(runs[0][AXIS]))]})

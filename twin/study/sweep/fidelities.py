@@ -119,6 +119,7 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
     noises = []
     markers = np.zeros(count)
     base_z = designs.numbers("body.thickness_mm", scene.body.base_z_mm)
+    # Each layer: the numbers of all designs, and the designs that can't be built.
     for name, layer in scene.markers.items():
         depth = designs.numbers(f"markers.{name}.depth_mm", layer.depth_mm)
         pitch = designs.numbers(f"markers.{name}.pitch_mm", layer.pitch_mm)
@@ -138,6 +139,7 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
             (diameter >= pitch, "diameter of its pitch or more, neighbours touch"),
         ):
             reason[bad & (reason == "")] = f"markers.{name}: {why}"
+        # The noise of a shift, from the picture to the depth of the layer.
         scale = _axis_scale(designs, depth)
         if sweep.noise_px:
             noise = np.full(count, sweep.noise_px)
@@ -146,6 +148,7 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
         depths.append(depth)
         pitches.append(pitch)
         noises.append(noise / scale)
+    # The closed form of the design limit, for all designs that can be built at once.
     good = np.flatnonzero(reason == "")
     material = scene.material
     found = {name: np.full(count, np.nan) for name in ("fwhm_mm", "two_point_mm", "resolution_gf")}
@@ -166,6 +169,7 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
         found["two_point_mm"][good] = limit.two_point_mm
         found["resolution_gf"][good] = limit.force_sd_n / GF
     found["total_force_error"] = found["resolution_gf"] * GF / sweep.loads.force_n
+    # What a design costs.
     width, height = (
         (0, 0) if scene.camera is None else (scene.camera.width_px, scene.camera.height_px)
     )
@@ -212,6 +216,7 @@ def linear(
     RecipeError
         The sites don't cover the presses, or too few markers are usable.
     """
+    # The markers that the software can use, and their noise.
     assert scene.reconstruction is not None
     grid = scene.reconstruction.sites
     sites = on_surface(scene.body, grid.chart(), grid.pitch_mm / 2, "reconstruction.sites")
@@ -224,17 +229,21 @@ def linear(
         )
     noise = np.zeros(len(used))
     noise[used] = in_classes(expected[used])  # as the software weighs markers
+    # The loads as whitened shifts: divided by the noise, so that every shift counts alike.
     known = _information(scene, view, noise, used, sites, bodies)
     loads = np.concatenate(
         [_shifts(scene, number, bodies, pushes) for number in range(sweep.sensors)], axis=2
     )
     whitened = np.where(used[:, None, None], loads / np.where(used, noise, 1.0)[:, None, None], 0.0)
     reduced = known.reduced(whitened)
+    # The weight of the regularisation, from the singular values and from the energy of single
+    # loads.
     single = np.arange(whitened.shape[2]) % len(pushes.loads) <= pushes.presses
     energy = float((whitened[:, :, single] ** 2).sum() / single.sum())
     spectrum = known.spectrum([b[:, single] for b in reduced], energy)
     mean_noise = float(noise[used].mean())
     weight = _weight(scene.reconstruction, spectrum, mean_noise)
+    # The forces of all loads, and what is read from them.
     force = known.forces(reduced, weight).reshape(len(sites), 3, sweep.sensors, len(pushes.loads))
     singular = known.singular
     figures = _errors(known, pushes, force, weight) | _widths(scene, sweep, sites, pushes, force)
@@ -673,15 +682,18 @@ def full(
     InputError
         The pictures show too little to track.
     """
+    # Make the sensors of the design, and track and reconstruct all their exposures.
     chosen = pushes.chosen(sweep.loads.pair_mm)
     made = [
         _seen(Sensor(_seeded(scene, number)), scene, sweep, bodies, pushes, chosen)
         for number in range(sweep.sensors)
     ]
+    # Error of the total force of every exposure.
     truth = pushes.loads[chosen].sum(axis=1)
     press = slice(1, 1 + pushes.presses)
     size = np.linalg.norm(truth[press], axis=1)
     off = np.stack([np.linalg.norm(one.totals - truth, axis=2)[:, press] / size for one in made])
+    # Widths and the dip between two loads, from profiles through the field.
     first = made[0]
     grid = made[0].sites
     profiles = [_Profiles(scene, grid, each) for one in made for each in one.forces]
@@ -690,6 +702,7 @@ def full(
     if len(pushes.pair_mm):
         apart = float(pushes.pair_mm[pushes.nearest(sweep.loads.pair_mm)])
         dips = [dip(*each.along(len(chosen) - 1, 0), apart) for each in profiles]
+    # Errors of the shifts. Sensors are independent; exposures of one sensor are not.
     spread = np.concatenate([one.spread for one in made])
     errors = np.concatenate([one.errors for one in made])
     stated = np.concatenate([one.stated for one in made])
@@ -736,6 +749,7 @@ def _seen(
         spent.zeros.append(spent.lap())
     # a marker's noise is the same in every picture, so that one factorisation serves them all
     stated = np.nanmean([zero.sd_px for zero in zeros], axis=0) if count > 1 else zeros[0].sd_px
+    # Each load: one light, several exposures, each tracked and reconstructed.
     at_rest = sensor.project(points)
     options = scene.reconstruction.options()
     totals = np.zeros((count, len(chosen), 3))
@@ -761,6 +775,7 @@ def _seen(
             totals[k, place] = found_field.total_force_n
             forces[k, :, :, place] = found_field.force_n
             spent.exposures.append(spent.lap())
+        # The spread between exposures of one load is the noise alone.
         if count > 1:
             spread.append(np.var(shifts, axis=0, ddof=1))
     return _Seen(

@@ -93,6 +93,8 @@ def pushes_of(body: Body, loads: Loads, half_mm: tuple[float, float], seed: int)
     """
     from scipy.stats import qmc
 
+    # Places: the middle, random presses by a scrambled Halton sequence, and pairs around the
+    # middle.
     rng = stream(seed, Purpose.SAMPLING, 1)
     u = qmc.Halton(3, scramble=True, rng=rng).random(loads.presses)
     pair = np.array(PAIRS) * loads.pair_mm
@@ -108,6 +110,7 @@ def pushes_of(body: Body, loads: Loads, half_mm: tuple[float, float], seed: int)
             f"loads.size_mm = {loads.size_mm:g} mm hang over the end of the sensing surface; make "
             "region or size smaller"
         )
+    # Leave out pairs that hang over the end of the sensing surface.
     pairs = fits[1 + loads.presses :].reshape(-1, 2).all(axis=1)
     keep = np.concatenate([np.ones(1 + loads.presses, bool), np.repeat(pairs, 2)])
     points, pair = points[keep], pair[pairs]
@@ -116,6 +119,8 @@ def pushes_of(body: Body, loads: Loads, half_mm: tuple[float, float], seed: int)
     patches = Rectangles(
         centre_mm=points, frames=frames, half_mm=half, force_n=np.zeros((len(points), 3))
     )
+    # Loads: the middle along the normal, the presses with a side force in a random direction, and
+    # both presses of each pair at once.
     forces = np.zeros((1 + loads.presses + len(pair), len(points), 3))
     forces[0, 0] = frames[0, 2]
     turn = 2 * np.pi * u[:, 2]

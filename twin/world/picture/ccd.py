@@ -138,6 +138,7 @@ def expose(
     InputError
         Not a colour picture, or a pattern or earlier light of another size.
     """
+    # Everything that the rows need, as arrays for the compiled loop.
     full = ccd.spelt_out()
     mosaic = _mosaic(full)
     _check(radiance, mosaic, pattern, before)
@@ -151,6 +152,8 @@ def expose(
     gain = dark = _NOTHING
     if pattern is not None and full.noise:
         gain, dark = _rows(pattern.gain), _rows(pattern.dark)
+    # The noise is a function of its key and of the pixel's number, so that any split over threads
+    # draws the same numbers.
     key = noise_key(rng) if full.noise else np.zeros(0, np.uint64)
     weights = _blur_weights(full.psf_px)
     response = response_matrix(full).astype(np.float32)
@@ -164,7 +167,9 @@ def expose(
         scratch = np.empty((3, 3 * (width + len(weights))), np.float32)
         _electron_rows(begin, end, *optics, *noise, scratch, shares)
 
+    # Light to electrons: blur, colour mixing, noise, saturation.
     in_parts(height, electrons)
+    # The colour mosaic, the gamma curve and the composite video line.
     if mosaic is not None:
         shares = _demosaic(shares, mosaic).reshape(height, -1)
     curve = _gamma_curve(full.gamma)
@@ -179,6 +184,7 @@ def expose(
                 begin, end, shares, correction, matrices, filters
             ),
         )
+    # Electrons to counts: black level, gain and rounding.
     counts = np.empty((height, width, 3), np.uint8)
     flat = counts.reshape(height, -1)
     black = full.black_dn or 0.0

@@ -77,6 +77,7 @@ class MitsubaTracer:
         they leave free."""
         if not len(job.pixels):
             return np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+        # Upload the scene: markers as exact ellipsoids (shadows) and as padded ones (edges).
         self._switch()
         mi, dr = self._mi, self._dr
         k = job.subpixels
@@ -88,6 +89,8 @@ class MitsubaTracer:
         def one_marker(
             ray: Any, going: Any, last: Any, depth: Any, place: Any, light: Any, clear: Any
         ) -> Any:
+            # The next marker along the ray; its coverage of the pixel gives its share of the
+            # light.
             found = padded.ray_intersect_preliminary(ray, True, active=going)
             going = going & found.is_valid()
             marker = found.prim_index
@@ -97,6 +100,7 @@ class MitsubaTracer:
                 marker, centre, away, normal, share > 0
             ) + self._ambient
             light = light + dr.gather(mi.Vector3f, colours, marker, going) * (bright * share)
+            # Go on behind it with what light it leaves free, until nothing is left.
             onward = mi.Ray3f(dr.select(going, ray(found.t + _STEP), ray.o), ray.d)
             clear = clear - share
             return (
@@ -111,6 +115,7 @@ class MitsubaTracer:
 
         def one_sample(sample: Any, light: Any, free: Any) -> Any:
             ray, place = self._ray(pixel, sample, k, begin)
+            # All pixels at once, one sub-pixel after the other.
             state = (
                 ray,
                 mi.Bool(True),

@@ -206,6 +206,7 @@ def make_job(
     shadows
         Whether markers shadow each other.
     """
+    # Lost markers keep their row: they get a tiny ellipsoid that nothing sees.
     assert scene.camera is not None
     base = scene.body.base_z_mm
     here = markers.present
@@ -232,6 +233,7 @@ def make_job(
     top_mm = np.where(seen, np.minimum(centres[:, 2] + 1.02 * (thick + pad_mm), base), -np.inf)
     behind_mm = float(np.max(top_mm, initial=0.0))
 
+    # Lamps and shadows: which markers may lie between a marker and each lamp.
     lamps = lamps_at(centres, scene)
     place = (lamps.place - [0.0, 0.0, behind_mm]) / unit_mm
     power = lamps.power / (full_power * unit_mm**2)
@@ -242,6 +244,7 @@ def make_job(
     occluder_first, occluder_members = _occluders(
         np.where(here[:, None], centres, np.nan), longest, lamps.place, wanted
     )
+    # Lengths are in units of ``unit_mm``, so that single precision is enough.
     scaled = axes / unit_mm
     return PictureJob(
         pixels=pixels,
@@ -336,6 +339,7 @@ def _occluder_lists(
     ``order`` has the markers cell by cell, ``begin`` where each cell begins in it; ``grid`` has the
     cells' corner and their number in a mm, for x and y.
     """
+    # The layer of space in which there are markers at all.
     lowest = highest = spheres[order[0], 2]
     largest = 0.0
     for i in order:
@@ -356,12 +360,14 @@ def _occluder_lists(
             z = spheres[i, 2]
             radius = spheres[i, 3]
             dx, dy, dz = places[i, lamp, 0] - x, places[i, lamp, 1] - y, places[i, lamp, 2] - z
+            # Follow the way to the lamp only as far as there are markers.
             length = np.sqrt(dx * dx + dy * dy + dz * dz)
             end = 1.0
             if dz > 0:
                 end = min(end, (top - z) / dz)
             elif dz < 0:
                 end = min(end, (bottom - z) / dz)
+            # The cells of the grid under the way, widened by the two radii.
             room = _MARGIN * (radius + largest)
             left = (x + min(dx * end, 0.0) - room - grid[0]) * grid[2]
             right = (x + max(dx * end, 0.0) + room - grid[0]) * grid[2]
@@ -370,6 +376,7 @@ def _occluder_lists(
             left_cell = int(max(min(left, last), 0.0))
             right_cell = int(max(min(right, last), 0.0))
             dx, dy, dz = dx / length, dy / length, dz / length
+            # Keep the markers whose sphere comes nearer to the way than the two radii.
             for row in range(int(max(min(low, last), 0.0)), int(max(min(high, last), 0.0)) + 1):
                 for at in range(begin[row * side + left_cell], begin[row * side + right_cell + 1]):
                     other = order[at]

@@ -512,6 +512,8 @@ def _shade_isolated(
                         w[_NX + j], w[_NY + j], w[_NZ + j] = nx, ny, nz
                         w[_DX + j], w[_DY + j] = ray[2], ray[3]
                         w[_COVERS + j], w[_BRIGHT + j] = covers, _ZERO
+                    # Light of each lamp: inverse square and cosine, then the shadows of other
+                    # markers.
                     for led in range(leds if bright else 0):
                         power = np.float32(lamps[i, led, 3])
                         if power <= 0:
