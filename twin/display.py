@@ -89,7 +89,12 @@ def new_axes(count: int, ax: Any = None) -> Any:
 
 
 def plot_shifts(
-    ax: Any, rest_px: Pixels, shift_px: Pixels, layer: np.ndarray, picture: Picture | None = None
+    ax: Any,
+    rest_px: Pixels,
+    shift_px: Pixels,
+    layer: np.ndarray,
+    picture: Picture | None = None,
+    factor: float | None = None,
 ) -> Any:
     """Draw the motion of markers in the picture as arrows, longer by a stated factor.
 
@@ -103,12 +108,16 @@ def plot_shifts(
         (n,) layer names; empty if unknown.
     picture
         Drawn below the arrows.
+    factor
+        How many times as long the arrows are drawn; if None, as long as the distance of neighbours
+        allows.
     """
     good = np.isfinite(rest_px).all(axis=1) & np.isfinite(shift_px).all(axis=1)
     if picture is not None:
         ax.imshow(picture)
     lengths = np.hypot(*shift_px[good].T)
-    factor = _magnification(float(lengths.max(initial=0.0)), _LONGEST * _pitch(rest_px[good]))
+    if factor is None:
+        factor = _magnification(float(lengths.max(initial=0.0)), _LONGEST * _pitch(rest_px[good]))
     names = layer if len(layer) == len(rest_px) else np.full(len(rest_px), "markers")
     spare = iter(_OTHERS * (1 + len(set(names.tolist()))))
     for name in dict.fromkeys(names.tolist()):
