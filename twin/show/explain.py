@@ -159,7 +159,7 @@ def one_layer(scene_toml: str) -> str:
         f"This sensor has one layer of markers in nearly incompressible rubber (Poisson's ratio "
         f"{ratio:g}): a push moves such a layer down more than sideways, and the camera sees "
         "sideways motion only. So the force into the surface is uncertain; a second layer at "
-        "another depth mends it (docs/one_layer.md)."
+        "another depth, or bounds, help (docs/one_layer.md)."
     )
 
 
