@@ -41,7 +41,7 @@ def vector(values: Floats, unit: str) -> str:
 
 
 def html_table(title: str, rows: Mapping[str, str], picture: str = "") -> str:
-    """Return a small table for notebooks; ``picture`` is the source of an image beside it."""
+    """Return a small table for notebooks; ``picture`` is the source of an image next to it."""
     cells = "".join(
         f'<tr><th style="text-align:left">{escape(name)}</th>'
         f'<td style="text-align:left">{escape(value)}</td></tr>'

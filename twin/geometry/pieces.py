@@ -216,7 +216,7 @@ class Pieces:
     def distances_and_normals(self, points: Points) -> tuple[Floats, Floats]:
         """Return (n, pieces) distances in mm, positive inside, and their (n, pieces, 3) gradients.
 
-        The latest result is kept, because distances and normals are mostly asked for in turn.
+        The latest result is kept, because distances and normals are mostly needed in turn.
         """
         points = np.ascontiguousarray(points, np.float64)
         if self._asked is not None and np.array_equal(self._asked[0], points):

@@ -20,8 +20,8 @@ from pydantic import Field, model_validator
 
 from twin.arrays import Bools, Chart, Floats, Ints, Points, frozen
 from twin.geometry.closed import FLAT, SIZE_MM
-from twin.parts.part import Part, StlFile
-from twin.parts.shape import Body
+from twin.parts.part import Part
+from twin.parts.shape import Body, StlFile
 
 if TYPE_CHECKING:
     from twin.geometry.closed import Surface
@@ -409,7 +409,7 @@ class Solid(StlFile, Body):
     @model_validator(mode="after")
     def _regions_fit(self) -> Solid:
         corners, held, sensing = self._corners, self._held, self._pressed
-        low, high = _told(corners.min(axis=(0, 1))), _told(corners.max(axis=(0, 1)))
+        low, high = _as_text(corners.min(axis=(0, 1))), _as_text(corners.max(axis=(0, 1)))
         for name, chosen in (("held", held), ("sensing", sensing)):
             if not chosen.any():
                 raise ValueError(
@@ -429,7 +429,7 @@ class Solid(StlFile, Body):
         if not abs(z) <= _ORIGIN_MM:
             seen = "not met there" if np.isnan(z) else f"met at z = {z:.6g} mm"
             raise ValueError(
-                f"origin_mm = {_told(self.origin_mm)} mm: the sensing surface must be met there "
+                f"origin_mm = {_as_text(self.origin_mm)} mm: the sensing surface must be met there "
                 f"from -z, at z = 0, but is {seen}; give a place of the file's sensing surface"
             )
         return self
@@ -592,7 +592,7 @@ class Solid(StlFile, Body):
         missing = np.isnan(points[:, 2])
         points[missing, 2] = (
             self.bounds_mm[0][2] - 1.0
-        )  # outside the body, so that whoever asked is told so
+        )  # outside the body, which the caller then reports
         for _ in range(60):
             distance, normal = self._pieces.distances_and_normals(points)
             step = (depth - distance[:, 0]) / np.maximum(normal[:, 0, 2], 0.05)
@@ -624,7 +624,7 @@ class Solid(StlFile, Body):
         return self._surface.volume_mm3
 
 
-def _told(place: Any) -> str:
+def _as_text(place: Any) -> str:
     return "(" + ", ".join(f"{c:.6g}" for c in place) + ")"
 
 

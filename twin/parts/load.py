@@ -157,7 +157,7 @@ class Traction:
 
 
 class Strained(Protocol):
-    """What a press moves more than the linear answer says, at places inside the body."""
+    """What a press at finite strain moves more than linear theory, at places inside the body."""
 
     def displacement(self, points: Points) -> Points:
         """Return what to add to the displacements of points (n, 3), mm."""

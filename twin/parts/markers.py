@@ -58,7 +58,8 @@ class MarkerLayer(Part):
         Whether the truth takes the beads as rigid against the rubber: each moves with the mean of
         the field over its surface and pushes back on the rubber, which moves all markers, to first
         order in the beads' share of volume. Otherwise they are points that the rubber carries. For
-        beads in an incompressible block (`twin.parts.markers`); the sensor's software is not told.
+        beads in an incompressible block (`twin.parts.markers`); the sensor's software does not know
+        of it.
     """
 
     kind: Literal["bead", "print"] = "bead"
@@ -118,7 +119,7 @@ class MarkerSet:
 
 @dataclass(frozen=True, kw_only=True)
 class Prints:
-    """How single markers differ from the drawing, besides their places.
+    """How single markers differ from the drawing, apart from their places.
 
     Attributes
     ----------

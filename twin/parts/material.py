@@ -24,8 +24,8 @@ class Material(Part):
         Poisson's ratio nu; exactly 0.5 is incompressible and is solved as such.
     law
         ``linear``: strain is taken for small. ``neo_hookean``: presses are solved at finite strain
-        (`twin.world.contact.finite_strain` says which), E and nu being those at rest. So are they
-        with ``mooney_rivlin`` and ``yeoh``, which take `law_ratios`.
+        (those that `twin.world.contact.finite_strain` lists), E and nu being those at rest. So are
+        they with ``mooney_rivlin`` and ``yeoh``, which take `law_ratios`.
     law_ratios
         C2/C1 of ``mooney_rivlin`` (0 or more); C2/C1 and C3/C1 of ``yeoh``, W = C1 (I1 - 3) +
         C2 (I1 - 3)^2 + C3 (I1 - 3)^3, which must not soften to no stiffness at any strain.

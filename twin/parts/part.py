@@ -1,21 +1,19 @@
-"""The base class of every description in a recipe, and of those that name an STL file.
+"""The base class of every description in a recipe.
 
 A `Part` is frozen, and refuses unknown keys and NaN. Every number has a provenance (``source`` or
-``assumed``). `in_words` turns errors of validation into sentences. An `StlFile` stores the digest
-of its file and checks it. Ranges that many keys share are here too.
+``assumed``). `in_words` turns errors of validation into sentences. Ranges that many keys share are
+here too.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Collection, Mapping
 from functools import cache
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from twin.errors import InputError, RecipeError
+from twin.errors import RecipeError
 
 UNITS = {
     "mm": "mm",
@@ -139,10 +137,10 @@ class Part(BaseModel):
 def _numbers(part: type[Part]) -> frozenset[str]:
     """Return the keys that take neither truth values nor texts."""
     taken = {key: _leaves(field.annotation) for key, field in part.model_fields.items()}
-    return frozenset(key for key, kinds in taken.items() if not any(map(_says_more, kinds)))
+    return frozenset(key for key, kinds in taken.items() if not any(map(_is_not_a_number, kinds)))
 
 
-def _says_more(kind: Any) -> bool:
+def _is_not_a_number(kind: Any) -> bool:
     return kind in (bool, str, Any) or (isinstance(kind, type) and issubclass(kind, BaseModel))
 
 
@@ -184,7 +182,7 @@ def keys_of(value: Any) -> Collection[str]:
 
 
 def in_words(error: Mapping[str, Any]) -> str:
-    """Return what an error of the validation library says, in the words of a recipe."""
+    """Return an error of the validation library in the words of a recipe."""
     kind = str(error["type"])
     facts = error.get("ctx") or {}
     if kind in ("too_short", "too_long") and "field_type" in facts:
@@ -257,62 +255,3 @@ def each_file(value: Any, changed: Callable[[str], str]) -> Any:
     return (
         [each_file(inner, changed) for inner in value] if isinstance(value, list | tuple) else value
     )
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:  # of any size, so never whole in memory
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-class StlFile(Part):
-    """The inside of a closed STL surface.
-
-    Attributes
-    ----------
-    file
-        STL file in mm, relative to the recipe.
-    sha256
-        Digest of the file; filled in when it is read, checked when it is given.
-    """
-
-    largest_mm: ClassVar[tuple[float, float]]
-    """Allowed longest side of the box around the surface, mm."""
-
-    file: str
-    sha256: str = Field(default="", pattern="^([0-9a-f]{64})?$")
-
-    @field_validator("file")
-    @classmethod
-    def _is_a_closed_surface(cls, file: str) -> str:
-        from twin.geometry.closed import read_surface
-
-        try:
-            read_surface(file, cls.largest_mm)
-        except InputError as problem:
-            raise ValueError(str(problem)) from None
-        return file
-
-    @model_validator(mode="before")
-    @classmethod
-    def _carries_a_digest(cls, table: Any) -> Any:
-        """Fill in the digest of the file, so that hashes and copies of the description stand for
-        its content."""
-        if (
-            isinstance(table, dict)
-            and isinstance(table.get("file"), str)
-            and not table.get("sha256")
-        ):
-            path = Path(table["file"])
-            if path.is_file():
-                return {**table, "sha256": _digest(path)}
-        return table
-
-    @model_validator(mode="after")
-    def _file_is_the_one(self) -> StlFile:
-        found = _digest(Path(self.file))
-        if self.sha256 != found:
-            raise ValueError(
-                f"sha256 = {self.sha256[:12]}... but {Path(self.file).name} has {found[:12]}...: "
-                "the file was changed; leave sha256 out to take the new one"
-            )
-        return self

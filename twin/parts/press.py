@@ -36,11 +36,11 @@ BY_AXIS = ("force_n", "move_mm", "torque_nmm", "turn_deg")
 """Keys of a step whose values may be written by axis, such as {z = 1}."""
 
 PATCHES_ACROSS = 16
-"""Contact patches across a contact's diameter where a scene says nothing else."""
+"""Default number of contact patches across a contact's diameter."""
 
 INCREMENTS = 8
-"""Parts of a step with friction where a scene says nothing else: the force of a stuck sphere is
-within 0.05 % of many then."""
+"""Default number of parts of a step with friction: the force of a stuck sphere is then within
+0.05 % of that of many parts."""
 
 LARGEST_TURN_DEG = 60.0
 """How far a probe may be tilted against its direction of approach."""

@@ -13,7 +13,8 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from twin.geometry.closed import PROBE_SIZE_MM
-from twin.parts.part import Part, Size, StlFile
+from twin.parts.part import Part, Size
+from twin.parts.shape import StlFile
 
 
 class Sphere(Part):

@@ -56,9 +56,9 @@ class Accuracy(Part):
     contact_increments
         With friction: parts of a step in which patches touch or slip, at most.
     surface_table
-        Whether a curved body's answers are interpolated between patches solved all over its sensing
-        surface, for many loads: a minute or two once, milliseconds a load afterwards, and a
-        thousandth more of error, which is told.
+        Whether a curved body's displacements are interpolated between patches solved all over its
+        sensing surface, for many loads: a minute or two once, milliseconds a load afterwards, and
+        a thousandth more of error, which the estimate includes.
     """
 
     displacement: Annotated[float, Field(ge=1e-5, le=0.2)] | Literal["auto"] = 5e-3
@@ -297,7 +297,7 @@ class Scene(Part):
     reconstruction
         Without one no forces are estimated.
     tractions
-        Footprints whose tractions push instead of the press; a press beside them is not done.
+        Footprints whose tractions push instead of the press, which is then not computed.
     vary
         Distributions by dotted key of the scene: what differs between the samples of a dataset. A
         single run uses the scene's own values.
@@ -375,7 +375,7 @@ class Scene(Part):
 
     @property
     def contact_patches(self) -> int:
-        """Contact patches across the contact's diameter that are asked for."""
+        """Contact patches across the contact's diameter that the scene requests."""
         widths = (
             []
             if self.press is None

@@ -4,16 +4,24 @@ read one formula.
 Why level sets: depth below the outer sensing surface is an exact distance for both sensors, so the
 marker layers, the cover and the snapping of mesh nodes need no triangles, and a new body is one
 class with three formulas.
+
+An `StlFile` is a shape that a closed surface in a file gives. It stores the digest of its file and
+checks it.
 """
 
 from __future__ import annotations
 
+import hashlib
 from abc import abstractmethod
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import Field, field_validator, model_validator
 
 from twin.arrays import Bools, Chart, Floats, Ints, Points
+from twin.errors import InputError
+from twin.geometry.closed import read_surface
 from twin.parts.part import Part
 
 
@@ -181,3 +189,60 @@ class Body(Part):
         length = np.linalg.norm(along_s, axis=1, keepdims=True)
         along_s = np.where(length > 1e-9, along_s / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
         return np.stack([along_s, np.cross(normal, along_s), normal], axis=1)
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:  # of any size, so never whole in memory
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+class StlFile(Part):
+    """The inside of a closed STL surface.
+
+    Attributes
+    ----------
+    file
+        STL file in mm, relative to the recipe.
+    sha256
+        Digest of the file; filled in when it is read, checked when it is given.
+    """
+
+    largest_mm: ClassVar[tuple[float, float]]
+    """Allowed longest side of the box around the surface, mm."""
+
+    file: str
+    sha256: str = Field(default="", pattern="^([0-9a-f]{64})?$")
+
+    @field_validator("file")
+    @classmethod
+    def _is_a_closed_surface(cls, file: str) -> str:
+        try:
+            read_surface(file, cls.largest_mm)
+        except InputError as problem:
+            raise ValueError(str(problem)) from None
+        return file
+
+    @model_validator(mode="before")
+    @classmethod
+    def _carries_a_digest(cls, table: Any) -> Any:
+        """Fill in the digest of the file, so that hashes and copies of the description stand for
+        its content."""
+        if (
+            isinstance(table, dict)
+            and isinstance(table.get("file"), str)
+            and not table.get("sha256")
+        ):
+            path = Path(table["file"])
+            if path.is_file():
+                return {**table, "sha256": _digest(path)}
+        return table
+
+    @model_validator(mode="after")
+    def _file_is_the_one(self) -> StlFile:
+        found = _digest(Path(self.file))
+        if self.sha256 != found:
+            raise ValueError(
+                f"sha256 = {self.sha256[:12]}... but {Path(self.file).name} has {found[:12]}...: "
+                "the file was changed; leave sha256 out to take the new one"
+            )
+        return self

@@ -21,7 +21,7 @@ GF = 9.80665e-3
 
 METRICS = {
     "fwhm_mm": "width of the picture of one push, mm",
-    "two_point_mm": "least distance at which two pushes are told apart, mm",
+    "two_point_mm": "least distance at which two pushes are resolved, mm",
     "total_force_error": "error of the total force over the force",
     "resolution_gf": "standard deviation of a push's total, gf",
     "markers": "number of markers",
@@ -294,7 +294,7 @@ class Sweep(Part):
 
     @property
     def ladder(self) -> tuple[Fidelity, ...]:
-        """The fidelities asked for, the cheapest first."""
+        """The requested fidelities, the cheapest first."""
         return tuple(f for f in FIDELITIES if f in self.fidelity)
 
     @property

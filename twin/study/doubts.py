@@ -37,7 +37,7 @@ _FACTOR = {"bead": 1.05, "print": 1.0}
 their rim, and light is not even. Measured by ``python -m benchmarks sweep``."""
 
 _MODEL_PX = {"bead": 0.003, "print": 0.0015}
-"""Change of a marker's picture besides its motion (shading, strain, residual shadows), as a
+"""Change of a marker's picture apart from its motion (shading, strain, residual shadows), as a
 standard deviation, px. Measured likewise."""
 
 _RUBBER_MPA = (0.003, 50.0)
@@ -156,7 +156,7 @@ class View:
 def view_of(scene: Scene) -> View:
     """Return the nominal markers in the nominal camera's picture.
 
-    A `RecipeError` says that there is no camera, or that a marker lies outside the body.
+    Raises a `RecipeError` without a camera, or where a marker lies outside the body.
     """
     from scipy.spatial import cKDTree
 

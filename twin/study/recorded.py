@@ -92,7 +92,7 @@ class Frame:
 def read_picture(path: str | os.PathLike[str]) -> Picture:
     """Read a PNG, BMP or JPEG file of 8 bits a channel as (h, w, 3) or, if grey, (h, w) uint8.
 
-    An `InputError` says that it is damaged, or that its pixels are of another kind.
+    Raises an `InputError` where it is damaged, or its pixels are of another kind.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -658,12 +658,12 @@ class _Summary:
         markers = sum(self._states.values())
         share = {state: self._states.get(state, 0) / markers for state in _BY_STATE}
         share["lost"] = 1.0 - sum(share.values())
-        told = ", ".join(f"{100 * abs(part):.3g} % {state}" for state, part in share.items())
+        shares = ", ".join(f"{100 * abs(part):.3g} % {state}" for state, part in share.items())
         expected = float(np.sqrt(sum(self._squares) / len(self._squares)))
         row = self._largest
         parts = [f"F{a} {row[f'f{a}_n']:.4g} ± {row[f'sd_f{a}_n']:.2g}" for a in "xyz"]
         lines += [
-            f"markers     {told}",
+            f"markers     {shares}",
             f"expected    error of a total force {expected:.2g} N, of the markers' noise alone",
             f"largest     {', '.join(parts)} N, in {row['frame']}",
         ]

@@ -78,8 +78,8 @@ def complaints(problem: ValidationError, table: Mapping[str, Any]) -> list[str]:
 
 
 def _is_other_word(error: dict[str, Any], errors: list[dict[str, Any]]) -> bool:
-    """Return whether an error says that a number is not the word that may stand in its place: its
-    range is more useful."""
+    """Return whether an error is about a word that may stand in place of a number: the
+    number's range is more useful."""
     if error["type"] != "literal_error" or isinstance(error.get("input"), str):
         return False
     return any(other is not error and other["loc"][:-1] == error["loc"][:-1] for other in errors)

@@ -47,7 +47,7 @@ BATCH_S = 1.0
 
 START_S = 9.0
 """Seconds that two processes take to start and to load what this one has, on two cores: 6 where
-they are idle, 9 and more beside other work, which also makes tasks look longer."""
+they are idle, 9 and more with other work, which also makes tasks look longer."""
 
 RETRIES = 3
 """Workers that a task may lose before it is given up."""
@@ -339,7 +339,7 @@ def _silence() -> None:
 def connected(cluster: Any) -> Any:
     """Return a client of `workers_here`, or of a `Scheduler`.
 
-    An `InputError` says that the scheduler can't be reached, or doesn't accept the certificate.
+    Raises an `InputError` where the scheduler can't be reached, or doesn't accept the certificate.
     """
     from distributed import Client
     from distributed.security import Security
