@@ -161,7 +161,7 @@ def rays(
         (n, 3) points on the base plane, mm.
     directions
         (n, 3) unit vectors from there into the body (z < 0). Both are NaN where no ray reaches the
-        pixel: see `ray_sight`.
+        pixel: outside the lens, or away from the layers.
     """
     into = lens_inverse(pixels, camera) @ tilt_matrix(camera).T
     down = np.where(into[:, 2] < -1e-12, -into[:, 2], np.nan)
@@ -183,7 +183,7 @@ def rays(
 
 
 class Sight(IntEnum):
-    """Why a point has no place in the picture, or a pixel no ray in the body."""
+    """Why a point has no place in the picture; the numbers stay, as results store them."""
 
     SEEN = 0
     BEHIND_BASE = 1
@@ -192,10 +192,7 @@ class Sight(IntEnum):
     """All light towards the pupil would leave beyond the critical angle: the point lies too far
     aside."""
     OUTSIDE_LENS = 3
-    """The lens has no picture of that direction, or no direction for that pixel."""
-    AWAY = 4
-    """The pixel looks along the layers or away from them, where no light of the body can come
-    from."""
+    """The lens has no picture of that direction."""
     LOST = 5
     """The point is not a number."""
 
@@ -218,27 +215,11 @@ def sight(points: Points, camera: Camera, body_index: float, base_z_mm: float) -
     )
 
 
-def ray_sight(pixels: Pixels, camera: Camera) -> Ints:
-    """Return (n,) `Sight`: why `rays` has no ray for pixels; ``pixels`` and ``camera`` as there."""
-    into = lens_inverse(pixels, camera) @ tilt_matrix(camera).T
-    return np.select(
-        [np.isnan(into).any(axis=1), into[:, 2] >= -1e-12],
-        [Sight.OUTSIDE_LENS, Sight.AWAY],
-        Sight.SEEN,
-    )
-
-
 def axis_cosine(pixels: Pixels, camera: Camera) -> Floats:
     """Return (n,) cosines of the angles between pixels' directions and the optical axis; NaN where
     there is none."""
     cosine: Floats = -lens_inverse(pixels, camera)[:, 2]
     return cosine
-
-
-def critical_angle_deg(body_index: float) -> float:
-    """Return the angle to z, degrees, that no ray between the body and air behind flat layers
-    reaches: asin(1/n)."""
-    return float(np.rad2deg(np.arcsin(1 / body_index)))
 
 
 def air_gap(camera: Camera, base_z_mm: float) -> float:
