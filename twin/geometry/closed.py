@@ -70,6 +70,8 @@ def read_triangles(path: Path) -> Floats:
         with path.open("rb") as file:
             size = file.seek(0, 2)
             file.seek(0)
+            # The head decides between text and binary; sizes are checked before anything large is
+            # read.
             head = file.read(_HEADER)
             file.seek(0)
             count = int.from_bytes(head[80:84], "little") if len(head) == _HEADER else 0
@@ -295,12 +297,14 @@ def _welded(corners: Floats, distance_mm: float) -> tuple[Points, Ints]:
     """Return vertices and triangles, corners nearer than a distance being one, collapsed triangles
     left out."""
     points = corners.reshape(-1, 3)
+    # Number the corners that are exactly equal, in lexicographic order.
     order = np.lexsort(points.T[::-1])
     first_of_each = np.ones(len(points), bool)
     first_of_each[1:] = np.any(np.diff(points[order], axis=0), axis=1)
     vertices = points[order[first_of_each]]
     number = np.empty(len(points), np.int64)
     number[order] = np.cumsum(first_of_each) - 1
+    # Join corners within the distance: connected components of the graph of neighbours.
     if distance_mm:
         from scipy.sparse.csgraph import connected_components
         from scipy.spatial import cKDTree
@@ -313,6 +317,7 @@ def _welded(corners: Floats, distance_mm: float) -> tuple[Points, Ints]:
         _, first = np.unique(group, return_index=True)
         vertices = vertices[first]
         number = group[number.ravel()]
+    # Triangles of which two corners became one are no triangles any more.
     triangles = number.reshape(-1, 3).astype(np.int64)
     kept = (np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)
     return vertices, triangles[kept]

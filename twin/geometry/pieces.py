@@ -126,6 +126,8 @@ def _onto_triangles(points: Points, corners: Floats) -> tuple[Points, Ints]:
         away = points - origin
         return np.einsum("ni,ni->n", ab, away), np.einsum("ni,ni->n", ac, away)
 
+    # Barycentric coordinates, and the Voronoi region of the triangle that the point lies in: a
+    # corner, an edge or the face (C. Ericson, Real-Time Collision Detection, section 5.1.5).
     (d1, d2), (d3, d4), (d5, d6) = dots(a), dots(b), dots(c)
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     conditions = [
@@ -137,6 +139,7 @@ def _onto_triangles(points: Points, corners: Floats) -> tuple[Points, Ints]:
         (va <= 0.0) & (d4 >= d3) & (d5 >= d6),
     ]
     feature = np.select(conditions, [1, 2, 4, 3, 6, 5], FACE)
+    # The place in each region: clamped to the corner or to the edge.
     zero, one = np.zeros(len(points)), np.ones(len(points))
     with np.errstate(divide="ignore", invalid="ignore"):
         on_ab, on_ac = d1 / (d1 - d3), d2 / (d2 - d6)
@@ -367,6 +370,8 @@ def _feature_normals(triangles: Ints, corners: Floats, piece: Ints) -> tuple[Flo
     face, across = _face_normals(corners), _neighbours(triangles)
     sides = np.roll(corners, -1, axis=1) - corners
     sides /= np.linalg.norm(sides, axis=2, keepdims=True)
+    # Normals of corners: the mean of the faces' normals, weighted with their angles; the sign of
+    # the distance is then right at corners too (Baerentzen and Aanaes 2005).
     angle = np.arccos(
         np.clip(-np.einsum("mki,mki->mk", sides, np.roll(sides, 1, axis=1)), -1.0, 1.0)
     )
@@ -377,6 +382,7 @@ def _feature_normals(triangles: Ints, corners: Floats, piece: Ints) -> tuple[Flo
     outward = np.concatenate([face[:, None], at_corner[triangles], at_edge], axis=1)
     length = np.linalg.norm(outward, axis=2, keepdims=True)
     outward = np.where(length > 1e-12, outward / np.maximum(length, 1e-300), face[:, None])
+    # Corners and edges where two pieces meet.
     lowest = np.full(count, np.iinfo(np.int64).max)
     highest = np.full(count, -1)
     np.minimum.at(lowest, triangles, piece[:, None])

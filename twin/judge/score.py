@@ -143,6 +143,7 @@ def _tracking_part(shift: Pixels, true: Pixels) -> tuple[Score, dict[str, str]]:
     found: Bools = np.asarray(np.isfinite(shift).all(axis=1), np.bool_)
     usable = np.asarray(found & np.isfinite(true).all(axis=1))
     length = np.linalg.norm(np.where(usable[:, None], error, 0.0), axis=1)
+    # Gross errors are counted, and left out of bias and standard deviation.
     fine = error[usable & (length <= GROSS_PX)]
     result: Score = {
         "bias_px": None,

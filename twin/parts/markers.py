@@ -150,6 +150,7 @@ def place(
         A marker sticks out of the body, or beads are wider than their pitch.
     """
     _refuse_overlapping_beads(layers)
+    # All layers in one array, in their order.
     charts = [layer.chart() for layer in layers.values()]
     chart = np.concatenate(charts) if charts else np.zeros((0, 2))
     if jitter_mm is not None:
@@ -164,6 +165,7 @@ def place(
     )
     names = np.repeat(list(layers), sizes) if values else np.zeros(0, "U1")
     points = body.chart_points(chart, depth)
+    # A marker must lie inside the body, and a bead whole.
     room = body.piece_distances(points).min(axis=1) - radius if len(points) else np.zeros(0)
     off_surface = np.abs(body.depth(points) - depth) > 1e-6 if len(points) else np.zeros(0, bool)
     bad = (room < 0) | off_surface

@@ -240,6 +240,8 @@ def _press_everywhere(sensor: Sensor, places: Rectangles) -> Presses:
     picture = sensor.picture(None, exposure=FIRST_EXPOSURE)
     rest = analyse_rest(picture, sensor.layout_px, method=scene.tracking.method)
     forces, found = [], []
+    # Each place: one path of three states (along z, then x, then y), each with a picture and a
+    # reading of the load cell of its own.
     for place in range(count):
         pressed = sensor.press(calibration_press(scene, places, place))
         if not pressed.complete:
@@ -330,11 +332,13 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
     from twin.study.fitted_design import FittedDesign
 
     scene = sensor.nominal
+    # Footprint of each press by Hertz, at most as wide as the probe.
     force = scene.calibration.press_force_n * places.frames[:, 2, 2]
     most = scene.calibration.press_probe_mm / 2
     radius = np.array([min(hertz_radius(scene, float(f)), most) for f in force])
     design = FittedDesign(scene, places, radius, progress=sensor.progress)
     found = fit(design, presses)
+    # The transfer matrix of the fitted design, at the scene's sites.
     markers, _ = design.markers_of(found.scaled, presses.rest_px)
     compliance = design.compliance(found.scaled, markers, sensor.sites)
     transfer = design.transfer(found.scaled, markers, compliance)
@@ -459,6 +463,7 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
     from twin.study.recorded import read_picture
 
     scene, progress = sensor.nominal, sensor.progress
+    # The rest picture must show most of the design's markers.
     rest = folder / "rest.png"
     tracker = Tracker(read_picture(rest), sensor.layout_px, method=scene.tracking.method)
     rest_px = tracker.rest.rest_px
@@ -469,6 +474,8 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
             f"{rest}: shows {int(known.sum())} of the design's {len(known)} markers; is it this "
             "scene's sensor, upright and of its camera's size?"
         )
+    # Without presses the design itself gives the transfer; otherwise every press is tracked from
+    # rest.
     if scene.calibration.method not in BY_PRESSES:
         made = _calibrate_by_design(sensor)
     else:
@@ -502,12 +509,14 @@ def _by_presses(sensor: Sensor, charts: Floats, presses: Presses) -> Calibration
     scene = sensor.nominal
     assert scene.reconstruction is not None
     half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
+    # Fitted: any places. Presses nearly at one place share it.
     if scene.calibration.method == "fitted":
         rounded = np.rint(charts / SAME_PLACE_MM).astype(np.int64)
         _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
         places = on_surface(scene.body, charts[first], half_mm, TABLE)
         presses = replace(presses, place=which.ravel().astype(np.int64))
         return _fitted_calibration(sensor, places, presses)
+    # Sato's way: three presses at every place of a grid, in any order.
     grid = scene.calibration.presses or scene.reconstruction.sites
     wanted = grid.chart()
     distance = np.linalg.norm(charts[:, None] - wanted[None], axis=2)

@@ -167,6 +167,7 @@ def view_of(scene: Scene) -> View:
     pixels, jacobian = project_with_jacobian(
         markers.points, camera, scene.material.refractive_index, scene.body.base_z_mm
     )
+    # Width in the picture: the square root of the determinant is the mean magnification.
     across = np.sqrt(np.abs(np.linalg.det(jacobian[:, :, :2])))
     width = np.array([scene.markers[str(name)].diameter_mm for name in markers.layer]) * across
     half = width[:, None] / 2
@@ -174,6 +175,8 @@ def view_of(scene: Scene) -> View:
     with np.errstate(invalid="ignore"):
         inside = ((pixels - half > -0.5) & (pixels + half < end)).all(axis=1)
     inside &= np.isfinite(jacobian).all(axis=(1, 2))
+    # Of two markers that overlap in the picture, the one nearer to the surface is hidden: the
+    # camera looks from behind.
     hidden = np.zeros(len(markers), bool)
     known = np.flatnonzero(inside)
     if len(known) > 1:

@@ -136,6 +136,7 @@ def run_to_folder(
         A step of the press after the first has no equilibrium or does not converge: the files,
         and the facts in score.json, are those of the state before it.
     """
+    # Compute, then write only what is wanted.
     wanted = frozenset(want)
     chain = _chain(scene, wanted, wanted != WANTED, progress)
     make_folder(folder)
@@ -154,6 +155,7 @@ def run_to_folder(
         write_whole(folder / "report.html", page.encode())
     if progress is not None:
         progress("done", 1.0)
+    # A path that stopped early has results, and an exit code of its own.
     if (reason := result.facts.get("contact", {}).get("incomplete")) is not None:
         raise SomeFailed(f"press: {reason}; what belongs to that state is in {folder}")
     return summary(result, folder)
@@ -354,6 +356,7 @@ class _Chain:
         """Return ``score.json``'s errors by stage."""
         from twin.judge.score import field_score, score, tracking_score
 
+        # Errors of the truth itself: displacement, contact, linear theory.
         state = self.state
         moved = np.linalg.norm(truth.marker_displacement_mm, axis=1)
         pressed, reasons = _press_error(state)
@@ -366,6 +369,7 @@ class _Chain:
             **strained,
             "reasons": reasons | unknown,
         }
+        # Errors of what the software made of the pictures.
         tracking = force = None
         if estimate is not None:
             tracking = tracking_score(
@@ -502,6 +506,8 @@ def _touches(scene: Scene, state: ContactState | None) -> tuple[Touch, ...]:
             continue
         patches = next(terms)
         assert isinstance(patches, Rectangles)
+        # A plane through the middle of the contact, with the local normal; its own frame for the
+        # drawing.
         middle = np.average(patches.centre_mm, axis=0, weights=own.pressure_mpa)
         inward = patches.frames[np.argmin(np.linalg.norm(patches.centre_mm - middle, axis=1)), 2]
         axes = frame_of(tuple(inward))

@@ -66,6 +66,7 @@ def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points,
 
     body = sensor.actual.scene.body
     mesh = body_mesh(body, "sketch", progress=sensor.progress)
+    # Each quadratic face as four plane triangles, corners numbered among those used.
     faces = mesh.faces
     triangles = np.concatenate(
         [faces[:, [0, 3, 5]], faces[:, [3, 1, 4]], faces[:, [5, 4, 2]], faces[:, [3, 4, 5]]]
@@ -73,6 +74,7 @@ def _surface(sensor: Sensor, states: list[ContactState | None]) -> tuple[Points,
     used, numbers = np.unique(triangles, return_inverse=True)
     points = np.array(mesh.points[used])
     triangles = numbers.reshape(-1, 3)
+    # Refine near the contacts: triangles about as large as a part of the contact's radius.
     pressed = [
         (np.average(patches.centre_mm, axis=0), one.contact_radius_mm)
         for state in states

@@ -334,10 +334,13 @@ def _compliance(
                 (points[q, 1] - centre[t, 1]) / thickness,
             )
             r = math.sqrt(x * x + y * y)
+            # Far from the force: the half-space's field with the opposite sign, as the layer
+            # hardly moves there.
             if r > REACH:
                 rectangle_terms(x, y, z, 0.0, 0.0, softness, u, n)
                 u *= -0.25 / math.pi
             else:
+                # Near it: five functions of (r, z), interpolated from the grid.
                 i, j = _place(r, z, weights)
                 f[:] = 0.0
                 for a in range(_STENCIL):

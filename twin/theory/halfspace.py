@@ -167,11 +167,13 @@ def _of_point_forces(points: Floats, centre: Floats, force: Floats, k: float, ou
             dx = points[0, q] - x
             dy = points[1, q] - y
             dz = max(points[2, q] - z, 0.0)
+            # 1/r and 1/(r + z) from one division.
             r2 = dx * dx + dy * dy + dz * dz
             r = math.sqrt(r2)
             over_both = 1.0 / (r2 + r * dz)
             over_r = (r + dz) * over_both
             s = r * over_both
+            # Kelvin's part, and that of a compressible half-space, with k = 1 - 2 nu.
             aside = dx * fx + dy * fy
             pull = (aside + dz * fz) * over_r * over_r * over_r
             slope = k * over_r * s
@@ -224,6 +226,7 @@ def _normal(centre: Floats, half: Floats, out: Floats) -> None:
         for q in range(len(centre)):
             x, y = centre[q, 0] - centre[t, 0], centre[q, 1] - centre[t, 1]
             squared = x * x + y * y
+            # Far away a few Gauss points are as exact as the closed form.
             if squared > _FAR_3 * _FAR_3 * size:
                 nodes = _FOUR if squared > _FAR_2 * _FAR_2 * size else _NINE
                 mean = 0.0
@@ -232,6 +235,7 @@ def _normal(centre: Floats, half: Floats, out: Floats) -> None:
                     mean += nodes[i, 2] / math.sqrt(px * px + py * py)
                 out[q, t] = mean
                 continue
+            # Love's closed form from the four corners.
             x1 = x + a
             x2 = x - a
             y1 = y + b
@@ -425,6 +429,7 @@ def _point_slopes(
         n[i] += p[i] * w3
     if k == 0.0:
         return
+    # Third derivatives of H, from which the slopes of V are made; zero at nu = 1/2.
     s = 1.0 / (1.0 / over_r + z)
     t = over_r * s * s
     q = k * weight * t * over_r * (over_r + 2.0 * s)

@@ -86,10 +86,12 @@ def point_force(points: Any, sources: Any, shear_modulus_mpa: float, direct: Any
     x, y, less = away[..., 0], away[..., 1], away[..., 2]
     deep, high = sources[..., 2], points[..., 2]
     more = deep + high
+    # Kelvin's solution: the force in an endless body.
     near = x * x + y * y + less * less
     near = np.sqrt(np.where(direct, near, 1.0))
     a1 = np.where(direct, 1.0 / near, 0.0)
     b1 = np.where(direct, near**-3, 0.0)
+    # Its image above the surface, and the terms that make the surface free (R. D. Mindlin 1936).
     far = np.sqrt(x * x + y * y + more * more)
     a2 = 1.0 / far
     b2 = far**-3

@@ -131,6 +131,7 @@ def through_the_pupil(scene: Scene) -> list[Camera]:
             f"in front of it (below camera.pupil_mm's z = {camera.pupil_mm[2]:g} mm); move it, or "
             "set aperture_mm = 0"
         )
+    # Seven points of the pupil: a quadrature of the disc, the middle and a ring.
     around = np.arange(6) * np.pi / 3
     ring = np.sqrt(2 / 3) * np.column_stack([np.cos(around), np.sin(around)])
     points = camera.aperture_mm / 2 * np.concatenate([np.zeros((1, 2)), ring])
@@ -143,6 +144,8 @@ def through_the_pupil(scene: Scene) -> list[Camera]:
             "camera.tilt_deg: the lens doesn't see the place below its pupil where it is focused "
             f"(z = {camera.focus_z_mm:g} mm); turn it there, or set aperture_mm = 0"
         )
+    # One camera for each point. Its principal point is moved so that all see the place in focus on
+    # the same pixel.
     cameras = []
     for x, y in points.tolist():
         pupil = (camera.pupil_mm[0] + x, camera.pupil_mm[1] + y, camera.pupil_mm[2])
@@ -230,6 +233,7 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
     assert light is not None
     body_index = scene.material.refractive_index
     layers = camera.layers
+    # The rays of the pixels' corners, and the light of an LED along each.
     into = lens_inverse(corners, camera) @ tilt_matrix(camera).T
     tangent = into[:, :2] / np.where(into[:, 2] < -1e-12, -into[:, 2], np.nan)[:, None]
     p = np.linalg.norm(tangent, axis=1)
@@ -239,6 +243,7 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
     gap = air_gap(camera, scene.body.base_z_mm)
     back = camera.pupil_mm[2] - gap
     indices = [1.0, *(layer.index for layer in layers[::-1]), body_index]
+    # Each interface mirrors a part; the light passes all interfaces before it twice.
     for n, (one, two) in enumerate(pairwise(indices)):
         behind = [(la.thickness_mm, la.index) for la in layers[len(layers) - n :]]
         aside = sum((t / np.sqrt(m**2 + (m**2 - 1) * p**2) for t, m in behind), np.zeros(len(p)))
@@ -246,6 +251,8 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
         for led in np.array(light.positions_mm):
             if led[2] < back:
                 continue
+            # Unfolded at the interface, the mirrored ray goes straight on; it meets the LED's disc
+            # or misses it.
             way = gap + led[2] - back + 2 * aside
             there = np.array(camera.pupil_mm[:2]) + way[:, None] * tangent
             covers = _disc(np.linalg.norm(there - led[:2], axis=1).reshape(shape), light.radius_mm)

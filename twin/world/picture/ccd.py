@@ -419,6 +419,7 @@ def _composite_rows(
     filtered = np.empty((3, width), np.float32)
     signal = np.empty(width + longest, np.float32)
     for row in range(begin, end):
+        # Gamma, as the camera applies it before the line.
         line = shares[row]
         for i in range(len(line)):
             line[i] = max(line[i], nothing)
@@ -427,6 +428,7 @@ def _composite_rows(
         for c in range(3):
             weights = filters[c]
             r = len(weights) // 2
+            # One of Y, I and Q, low-pass filtered to its bandwidth, edges repeated.
             a, b, d = matrices[0, c]
             for i in range(width):
                 signal[r + i] = a * line[3 * i] + b * line[3 * i + 1] + d * line[3 * i + 2]
@@ -441,6 +443,7 @@ def _composite_rows(
                 for i in range(width):
                     target[i] += weight * signal[i + step]
         for c in range(3):
+            # Back to red, green and blue.
             a, b, d = matrices[1, c]
             for i in range(width):
                 line[3 * i + c] = a * filtered[0, i] + b * filtered[1, i] + d * filtered[2, i]

@@ -99,6 +99,7 @@ def ellipsoids(
         )
     axes = np.zeros((n, 3, 3))
     colour = np.zeros((n, 3))
+    # A bead stays a sphere and turns with the rubber; a print strains with it.
     for name, layer in layers.items():
         rows = markers.of(name)
         radius = layer.diameter_mm / 2
@@ -110,6 +111,7 @@ def ellipsoids(
             )
             axes[rows] = (np.eye(3) + g[rows]) @ disc
         colour[rows] = layer.colour
+    # Deviations of single markers: size, shade, or no marker at all.
     if prints is not None:
         axes *= prints.size[:, None, None]
         axes[prints.missing] = np.nan

@@ -247,11 +247,13 @@ class MitsubaTracer:
         def one_led(
             led: Any, total: Any, marker: Any, centre: Any, away: Any, normal: Any, active: Any
         ) -> Any:
+            # Inverse square times cosine, where the lamp is above the horizon.
             lamp = dr.gather(mi.Vector4f, lamps, marker * leds + led, active)
             towards = mi.Vector3f(lamp.x, lamp.y, lamp.z) - (centre + away)
             inverse = dr.rsqrt(dr.squared_norm(towards))
             cosine = dr.dot(normal, towards) * inverse
             facing = active & (cosine > 0)
+            # Trace a shadow ray only where another marker may lie in between.
             doubt = facing & dr.gather(mi.Bool, shadowed, marker * leds + led, active)
             start = mi.Point3f(centre + away * (1 - _INSIDE))
             dark = exact.ray_test(mi.Ray3f(start, towards * inverse), doubt)

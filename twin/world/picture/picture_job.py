@@ -303,6 +303,7 @@ def _occluders(
     here = np.flatnonzero(np.isfinite(centres).all(axis=1) & np.isfinite(radii))
     if len(here) == 0 or lamps == 0:
         return first, np.zeros(0, np.int32)
+    # Sort the markers into the cells of a square grid.
     side = int(np.ceil(np.sqrt(len(here))))
     low = centres[here, :2].min(axis=0)
     per_mm = side / np.maximum(centres[here, :2].max(axis=0) - low, 1e-9)
@@ -311,6 +312,7 @@ def _occluders(
     order = np.argsort(cell, kind="stable")
     begin = np.searchsorted(cell[order], np.arange(side * side + 1))
     grid = (low[0], low[1], per_mm[0], per_mm[1])
+    # The number of members is not known before: count once, and again with enough room.
     spheres = np.column_stack([centres, radii])
     members = np.empty(max(4 * n, 16), np.int32)
     while True:
