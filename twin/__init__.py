@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from twin.parts.press import Cone, Cylinder, Object, Pillar, Press, Sphere, Step, Stl
     from twin.parts.scene import Scene
     from twin.sense.calibration import Calibration, read_calibration
+    from twin.sense.find_layout import find_layout
     from twin.sense.reconstruct import reconstruct
     from twin.sense.track import Tracker, track
     from twin.study.dataset.reader import open_dataset
@@ -38,6 +39,7 @@ _NAMES = {
     "twin.parts.press": "Cone Cylinder Object Pillar Press Sphere Step Stl",
     "twin.parts.scene": "Scene",
     "twin.sense.calibration": "Calibration read_calibration",
+    "twin.sense.find_layout": "find_layout",
     "twin.sense.reconstruct": "reconstruct",
     "twin.sense.track": "Tracker track",
     "twin.study.dataset.reader": "open_dataset",
@@ -68,6 +70,7 @@ __all__ = [
     "Tracker",
     "Traction",
     "TwinError",
+    "find_layout",
     "load_scene",
     "open_dataset",
     "read_calibration",

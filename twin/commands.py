@@ -558,12 +558,41 @@ def calibrate(
     ] = None,
     /,
     *,
-    scene: SceneName,
-    out: Annotated[Path, Parameter(help="Calibration file to write (.npz).")],
+    scene: Annotated[
+        str | None,
+        Parameter(help="Path of a scene file, or the name of a shipped scene (see: twin scenes)."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        Parameter(help="Calibration file to write (.npz); with --layout-from tables (.toml)."),
+    ] = None,
     method: Annotated[
         Literal["sato", "fitted", "compliance", "halfspace"] | None,
         Parameter(help="Default: the scene's."),
     ] = None,
+    layout_from: Annotated[
+        Path | None,
+        Parameter(help="Find the markers in this rest picture instead, without a drawing."),
+    ] = None,
+    overlay: Annotated[
+        Path | None, Parameter(help="Picture of the markers found (.png, with --layout-from).")
+    ] = None,
+    pitch_mm: Annotated[
+        tuple[float, ...],
+        Parameter(
+            help="Pitch of the dots, mm: one, or one a layer (with --layout-from).",
+            show_default=False,
+            negative_iterable="",
+        ),
+    ] = (),
+    depth_mm: Annotated[
+        tuple[float, ...],
+        Parameter(
+            help="Depth of the dots, mm: one, or one a layer (with --layout-from).",
+            show_default=False,
+            negative_iterable="",
+        ),
+    ] = (),
     set_: Overrides = (),
 ) -> None:
     """Calibrate a scene's sensor, on the twin or from a recording, and write the calibration file.
@@ -575,10 +604,43 @@ def calibrate(
     Method sato presses the simulated sensor at every site in three directions, in pictures with
     noise; fitted presses five and fits the design's parameters to them.
 
+    With --layout-from no calibration is made: the markers' grids are found in a rest picture and
+    written as the [markers] tables of a recipe, with a picture that shows the dots and their
+    numbers. Millimetres come from --pitch-mm (and --depth-mm), or from --scene.
+
     Examples:
     twin calibrate --scene sato_press --out sato.npz
     twin calibrate recording --scene kamiyama_pillar --method fitted --out mine.npz
+    twin calibrate --layout-from rest.png --pitch-mm 1.25 --depth-mm 0.5 --out markers.toml
     """
+    if layout_from is not None:
+        if folder is not None or method is not None:
+            raise InputError(
+                "--layout-from makes no calibration: leave the folder and --method out"
+            )
+        from twin.study.found_layout import layout_to_files
+
+        tables = out or Path("markers.toml")
+        with _scene_named(scene or str(layout_from)):
+            print(
+                layout_to_files(
+                    layout_from,
+                    tables,
+                    overlay or tables.with_suffix(".png"),
+                    pitch_mm=pitch_mm,
+                    depth_mm=depth_mm,
+                    scene=None if scene is None else _load(scene, set_),
+                )
+            )
+        return
+    if overlay is not None or pitch_mm or depth_mm:
+        raise InputError("--overlay, --pitch-mm and --depth-mm belong to --layout-from")
+    if scene is None:
+        raise InputError(
+            "--scene is missing: path of a scene file, or the name of a shipped scene (twin scenes)"
+        )
+    if out is None:
+        raise InputError("--out is missing: calibration file to write (.npz)")
     from twin.study.calibrate import calibrate_to_file
 
     loaded = _load(scene, (*set_, f"calibration.method={method}") if method else set_)

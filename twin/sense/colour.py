@@ -118,19 +118,20 @@ def estimate_channels(
     samples = _contrasts(rest_image, layout, spacing_px, polarity)
     if samples is None:
         return dict.fromkeys(layout, grey)
-    colours = _clusters(samples, len(layout))
+    colours = colour_directions(samples, len(layout))
     if colours is None:
-        return dict.fromkeys(layout, _scaled(samples.mean(axis=0)))
+        return dict.fromkeys(layout, as_weights(samples.mean(axis=0)))
     if pair is not None and len(layout) == len(pair):
         return _assign(rest_image, layout, list(pair), spacing_px)
     weights = [
-        _scaled(colour - np.mean([other for j, other in enumerate(colours) if j != i], axis=0))
+        as_weights(colour - np.mean([other for j, other in enumerate(colours) if j != i], axis=0))
         for i, colour in enumerate(colours)
     ]
     return _assign(rest_image, layout, weights, spacing_px)
 
 
-def _scaled(direction: Floats) -> Weights:
+def as_weights(direction: Floats) -> Weights:
+    """Return a direction in colour as a projection whose largest magnitude is 1."""
     red, green, blue = (float(v) for v in direction / max(np.abs(direction).max(), 1e-12))
     return red, green, blue
 
@@ -164,7 +165,7 @@ def _contrasts(
     return np.asarray(strong[:: max(1, len(strong) // SAMPLES)])
 
 
-def _clusters(samples: Floats, count: int) -> Floats | None:
+def colour_directions(samples: Floats, count: int) -> Floats | None:
     """Return the (count, 3) unit directions of the colours, or None where they can't be
     separated."""
     if count == 1:

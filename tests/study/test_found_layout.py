@@ -1,0 +1,122 @@
+"""`twin calibrate --layout-from`: the program's own rest pictures, found without their drawing; what is written."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial import cKDTree
+
+import twin
+from twin.cli import main
+from twin.files import png_bytes
+from twin.study.recipe import shipped_scenes
+
+QUICK = ("gelpad_press", "sato_press", "kamiyama_pillar")
+
+
+def check_scene(name):
+    """Every marker that shows whole is found under the number that the scene gives it, and nothing else."""
+    sensor = twin.Sensor(twin.load_scene(name))
+    found = twin.find_layout(sensor.picture(None))
+    truth = sensor.picture_truth(None)
+    scene = sensor.nominal
+    assert len(found.layers) == len(scene.markers)
+    start = 0
+    places = {}
+    for key, layer in scene.markers.items():
+        rows = slice(start, start + layer.columns * layer.rows)
+        places[key], start = rows, rows.stop
+    for layer in found.layers.values():
+        off = {key: np.median(cKDTree(truth.centre_px[rows]).query(layer.centre_px)[0]) for key, rows in places.items()}
+        key = min(off, key=off.get)
+        rows, drawn = places[key], scene.markers[key]
+        distance, spot = cKDTree(truth.centre_px[rows]).query(layer.centre_px)
+        assert distance.max() < 0.3 * layer.pitch_px, key
+        assert len(set(spot)) == len(spot)
+        seen = np.flatnonzero(truth.visible[rows] > 0.95)
+        assert not (set(seen) - set(spot)), key
+        assert (layer.columns, layer.rows) == (drawn.columns, drawn.rows)
+        assert np.array_equal(layer.index @ [drawn.rows, 1], spot), "columns from the left, rows from the bottom"
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_whole_markers_of_a_shipped_scene_are_found(name):
+    check_scene(name)
+
+
+@pytest.mark.slow
+def test_whole_markers_of_all_shipped_scenes_are_found():
+    for name in shipped_scenes():
+        if name not in QUICK and twin.load_scene(name).camera is not None:
+            check_scene(name)
+
+
+@pytest.fixture(scope="module")
+def rest(tmp_path_factory):
+    sensor = twin.Sensor(twin.load_scene("gelpad_press", {"camera.tilt_deg": [0, 0, 4]}))
+    path = tmp_path_factory.mktemp("pad") / "rest.png"
+    path.write_bytes(png_bytes(sensor.picture(None)))
+    return path
+
+
+def test_tables_that_are_written_make_a_scene_whose_markers_are_in_the_picture(rest, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as done:
+        main(["calibrate", "--layout-from", str(rest), "--pitch-mm", "1.25", "--depth-mm", "0.5"])
+    assert not done.value.code
+    assert "143 dark dots, 13 columns x 11 rows, square" in capsys.readouterr().out
+    text = (tmp_path / "markers.toml").read_text()
+    turn = float(text.split("tilt_deg = [0, 0, ")[1].split("]")[0])
+    assert turn == pytest.approx(4, abs=0.5)  # the tolerance turns the camera as well
+    own = twin.load_scene("gelpad_press").markers["dots"]
+    table = tomllib.loads(text)["markers"]["black"]
+    assert table["diameter_mm"] == pytest.approx(own.diameter_mm, rel=0.05)
+    scene = tmp_path / "mine.toml"
+    scene.write_text('base = "gelpad_press"\ncamera.tilt_deg = [0, 0, 4]\n' + text)
+    layout = twin.Sensor(twin.load_scene(scene)).layout_px["black"]
+    picture = np.array(Image.open(rest))
+    assert twin.track(picture, picture, {"black": layout}).seen.all()
+    shown = np.array(Image.open(tmp_path / "markers.png")).astype(int)
+    green = (shown[..., 1] - shown[..., 0] > 100).sum()
+    assert green > 143 * 50, "a ring around every dot"
+
+
+def test_without_a_scale_millimetres_are_left_to_be_filled_in(rest, tmp_path, capsys):
+    with pytest.raises(SystemExit) as done:
+        main(["calibrate", "--layout-from", str(rest), "--out", str(tmp_path / "m.toml")])
+    assert not done.value.code
+    table = tomllib.loads((tmp_path / "m.toml").read_text())["markers"]["black"]
+    assert not {"pitch_mm", "diameter_mm", "depth_mm"} & set(table)
+    (tmp_path / "s.toml").write_text('base = "block_bare"\n' + (tmp_path / "m.toml").read_text())
+    with pytest.raises(twin.TwinError, match=r"markers\.black\.pitch_mm: missing; give a value in mm"):
+        twin.load_scene(tmp_path / "s.toml")
+
+
+def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path):
+    with pytest.raises(SystemExit) as done:
+        main(["calibrate", "--layout-from", str(rest), "--scene", "gelpad_press", "--out", str(tmp_path / "m.toml")])
+    assert not done.value.code
+    table = tomllib.loads((tmp_path / "m.toml").read_text())["markers"]["dots"]
+    assert table["pitch_mm"] == pytest.approx(1.25, rel=0.01)
+    assert table["depth_mm"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--pitch-mm", "1", "--pitch-mm", "2"], "--pitch-mm has 2 numbers, and the picture shows 1 layer"),
+        (["--pitch-mm", "-1"], "--pitch-mm -1 mm: allowed are 0.01 to 100 mm"),
+        (["--out", "x.npz"], "must end in .toml"),
+        (["--method", "sato"], "--layout-from makes no calibration"),
+        (["--scene", "gelpad_press", "--pitch-mm", "1"], "leave --pitch-mm and --depth-mm out"),
+        (["--scene", "block_bare"], "no [camera] table"),
+    ],
+)
+def test_wrong_options_are_told(rest, arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as done:
+        main(["calibrate", "--layout-from", str(rest), *arguments])
+    assert done.value.code == 2
+    assert words in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
