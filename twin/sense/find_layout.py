@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from twin.arrays import Floats, Ints, Picture, Pixels, frozen
 from twin.errors import InputError
 from twin.sense.colour import Signal, Weights, as_picture, as_weights, colour_directions
-from twin.sense.detect import Blobs, find_blobs
+from twin.sense.detect import CUT, Blobs, find_blobs
 
 COARSE_PX = 60
 """Shorter side of the picture of which the ground is taken."""
@@ -160,8 +160,15 @@ def find_layout(rest_image: Picture) -> FoundLayout:
 
     Examples
     --------
-    >>> found = twin.find_layout(rest_image)
-    >>> moved = twin.track(rest_image, image, found.layout_px)
+    >>> import numpy as np, twin
+    >>> row, column = np.mgrid[:120, :160]
+    >>> away = np.hypot((row + 10) % 20 - 10, (column + 10) % 20 - 10)  # from the nearest dot
+    >>> rest = np.where(away < 4, 40, 180).astype(np.uint8)
+    >>> found = twin.find_layout(rest)
+    >>> layer = found.layers["black"]
+    >>> layer.columns, layer.rows, layer.lattice, round(layer.pitch_px)
+    (7, 5, 'square', 20)
+    >>> motion = twin.track(rest, rest, found.layout_px)
     """
     picture = as_picture(rest_image, "the rest picture")
     if min(picture.shape[:2]) < 32:
@@ -273,6 +280,10 @@ def _lattice_at(
         keep &= blobs.level_dn > FAINT * np.quantile(blobs.level_dn[keep], 0.9)
         usual = float(np.median(blobs.area_px[keep]))
         keep &= (blobs.area_px > SMALLEST * usual) & (blobs.area_px < LARGEST * usual)
+        # cut by the frame: nearer to it than most of their radius
+        room = CUT * np.sqrt(usual / np.pi) - 0.5
+        end = np.array([signal.shape[1], signal.shape[0]]) - 1
+        keep &= ((blobs.centre_px > room) & (blobs.centre_px < end - room)).all(axis=1)
     spots = Blobs(**{f.name: getattr(blobs, f.name)[keep] for f in fields(Blobs)})
     index, on = np.zeros((len(spots), 2), np.int64), np.zeros(len(spots), bool)
     if LEAST_DOTS <= len(spots) <= MOST_SPOTS:
