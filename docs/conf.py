@@ -1,6 +1,7 @@
 """The documentation's settings: `python -m sphinx -W docs build/docs`.
 
-Two pages are made at build time: the recipe reference from the schema, and the gallery from real runs.
+Made at build time: the recipe reference from the schema, the commands from their help, the gallery and the tutorials
+from real runs.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent)]
 
 from make_gallery import make_gallery  # noqa: E402
 from make_recipes import make_recipes  # noqa: E402
+from make_tutorials import make_commands, make_tutorials  # noqa: E402
 
 project = "twin"
 release = importlib.metadata.version("tactile-twin")
@@ -25,7 +27,7 @@ html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "twin: digital twin of camera-based tactile sensors"
 html_extra_path = ["made/pages"]
-exclude_patterns = ["made/pages"]
+exclude_patterns = ["made/pages", "tutorials"]
 autodoc_typehints = "none"
 napoleon_attr_annotations = False
 autodoc_member_order = "bysource"
@@ -36,3 +38,5 @@ default_role = "code"
 
 make_recipes(HERE / "made" / "recipes.md")
 make_gallery(HERE / "made")
+make_tutorials(HERE / "made" / "tutorials")
+make_commands(HERE / "made" / "commands.md")
