@@ -6,7 +6,8 @@ An axisymmetric slab (radius 47.5 mm, 40 mm thick, bonded below, E = 1 MPa, inco
 probe with a given force and no friction: once by linear theory, its gap along the undeformed normals, and once
 as neo-Hookean, Mooney-Rivlin or Yeoh rubber, the probe against the deformed surface. Displacement of order 3
 and pressure of order 2 (4 and 3 in the check). A penalty of 2000 MPa/mm keeps the two apart. Stored: both
-displacements (r, z) in mm at r and z, the indentations, and how far a second order moves the difference of the
+displacements (r, z) in mm at r and z, the indentations, the radii of the contact (to about 1 % under a sphere:
+Sneddon's exact sphere has 1.0627, 1.6394 and 2.0048 mm), and how far a second order moves the difference of the
 two, over the largest displacement.
 """
 
@@ -161,7 +162,21 @@ def solve(case, mesh, order, linear, start):
         raise RuntimeError(f"left {size}")
     u = state.components[0]
     at = np.array([[*u(mesh(max(r, 1e-6), z))] for r, z in PLACES])
-    return at, float(state.components[2].vec[0]), state
+    depth = float(state.components[2].vec[0])
+    return at, depth, state, contact_radius(case, mesh, u, depth, linear)
+
+
+def contact_radius(case, mesh, u, depth, linear):
+    """Return how far from the axis the surface that touches reaches, deformed (linear: at rest), mm."""
+    rest = np.linspace(1e-6, case["reach"], 4001)
+    moved = np.array([u(mesh(r, 0.0)) for r in rest])
+    at = rest if linear else rest + moved[:, 0]
+    surface = ng.Mesh(ng.unit_square.GenerateMesh(maxh=2.0))
+    above = height(case, 1.2 * case["reach"] * ng.x)
+    gap = np.array([above(surface(r / (1.2 * case["reach"]), 0.5)) for r in at]) + moved[:, 1] - depth
+    last = np.flatnonzero(gap < 0.0).max()
+    share = gap[last] / (gap[last] - gap[last + 1])
+    return float(at[last] + share * (at[last + 1] - at[last]))
 
 
 def pair(case, order, mesh):
@@ -177,14 +192,14 @@ def pair(case, order, mesh):
             )
             first.components[2].vec[0] = min(0.3, space_guess)
             start = first
-        straight, depth, start = solve(one, mesh, order, True, start)
+        straight, depth, start, edge = solve(one, mesh, order, True, start)
     try:
-        bent, deep, _ = solve(case, mesh, order, False, start)
+        bent, deep, _, wide = solve(case, mesh, order, False, start)
     except RuntimeError:  # a sharp rim: from rest, in load steps
         last = first
         for share in (0.1, 0.25, 0.5, 0.75, 1.0):
-            bent, deep, last = solve({**case, "force_n": share * case["force_n"]}, mesh, order, False, last)
-    return straight, bent, depth, deep
+            bent, deep, last, wide = solve({**case, "force_n": share * case["force_n"]}, mesh, order, False, last)
+    return straight, bent, depth, deep, edge, wide
 
 
 def main():
@@ -198,7 +213,7 @@ def main():
             meshes = rim_slab(case, 1.0), rim_slab(case, 1.4)
         else:
             meshes = slab(case["reach"], case["reach"] / 16), slab(case["reach"], case["reach"] / 10)
-        straight, bent, depth, deep = pair(case, 3, meshes[0])
+        straight, bent, depth, deep, edge, wide = pair(case, 3, meshes[0])
         coarse = pair(case, 4, meshes[1])
         most = float(np.linalg.norm(straight, axis=1).max())
         other = (coarse[1] - coarse[0]) - (bent - straight)
@@ -208,6 +223,8 @@ def main():
             "strained_mm": bent.round(7).tolist(),
             "indentation_linear_mm": depth,
             "indentation_mm": deep,
+            "contact_linear_mm": edge,
+            "contact_mm": wide,
             "own_error": float(np.linalg.norm(other, axis=1).max() / most),
         }
         off = float(np.linalg.norm(bent - straight, axis=1).max() / most)

@@ -59,6 +59,8 @@ def test_difference_to_linear_theory_is_that_of_another_code(case):
     deeper = (case["indentation_mm"] - case["indentation_linear_mm"]) / case["indentation_linear_mm"]
     found = states[1].indentation_mm / states[0].indentation_mm - 1.0
     assert found == pytest.approx(deeper, abs=2e-3)
+    if "contact_mm" in case:
+        assert states[1].contact_radius_mm == pytest.approx(case["contact_mm"], rel=1.5e-2)
     assert states[1].force_n == pytest.approx([0.0, 0.0, case["force_n"]], abs=1e-9)
     assert states[1].move_mm[2] == pytest.approx(states[1].indentation_mm, rel=1e-9)
 
@@ -229,6 +231,27 @@ def test_simple_shear_is_the_closed_form(name, shear):
     assert cauchy[0, 1] == pytest.approx(2.0 * (first + second) * shear, rel=1e-12)
     assert cauchy[0, 0] - cauchy[2, 2] == pytest.approx(2.0 * first * shear**2, rel=1e-11)
     assert cauchy[1, 1] - cauchy[2, 2] == pytest.approx(-2.0 * second * shear**2, rel=1e-11, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["neo_hookean", "mooney_rivlin"])
+def test_torsion_of_a_cylinder_is_the_closed_form(name):
+    """Torque pi t a^4 (W1 + W2) and axial force -pi t^2 a^4 (W1 + 2 W2) / 2 at t a = 1 (Rivlin 1949)."""
+    law = strain_law(LAWS[name])
+    twist, radius = 0.5, 2.0
+    at, weight = np.polynomial.legendre.leggauss(8)
+    r = radius * (1.0 + at) / 2.0
+    weight = weight * radius / 2.0
+    gradient = np.zeros((len(r), 3, 3)) + np.eye(3)  # axes: r, about, z
+    gradient[:, 1, 2] = twist * r
+    cauchy = stress_at(law, gradient, 0.0) @ gradient.transpose(0, 2, 1)
+    # radial balance d(srr)/dr = (stt - srr) / r with a free side; sums of srr by parts
+    hoop = cauchy[:, 1, 1] - cauchy[:, 0, 0]
+    axial = cauchy[:, 2, 2] - cauchy[:, 0, 0]
+    first, second = energy_slopes(name, 3.0, 3.0)
+    torque = 2.0 * np.pi * (weight * r**2) @ cauchy[:, 1, 2]
+    assert torque == pytest.approx(np.pi * twist * radius**4 * (first + second), rel=1e-10)
+    force = 2.0 * np.pi * (weight * r) @ (axial - hoop / 2.0)
+    assert force == pytest.approx(-np.pi / 2.0 * twist**2 * radius**4 * (first + 2.0 * second), rel=1e-10)
 
 
 @every_law

@@ -445,7 +445,10 @@ def check(sweep: Sweep, scene: Scene) -> None:
     if not scene.markers:
         problems.append(f"{where}: it has no markers")
     if scene.material.law != "linear" or "material.law" in sweep.axes:
-        problems.append("material.law: designs are compared by linear theory; leave it linear")
+        problems.append(
+            "material.law: a sweep's loads are given tractions, and at finite strain only probes "
+            "pressed on a block are solved (docs/validity.md); leave it linear"
+        )
     if problems:
         raise RecipeError(problems)
     refuse(scene)
