@@ -191,6 +191,22 @@ def test_a_failing_sample_is_a_row_with_its_error(tmp_path: Path) -> None:
     assert len(data.column("force_n")) == 8 - done.failed
 
 
+def test_large_strain_is_in_the_motion_of_a_samples_markers(tmp_path: Path) -> None:
+    law = {"material__law": "neo_hookean"}
+    found = {}
+    for name, given in (("straight", {}), ("bent", law)):
+        make(tmp_path / name, 2, small_scene((*NO_PICTURE, "linearisation_error"), **given))
+        found[name] = twin.open_dataset(tmp_path / name)[0]
+    scene = twin.load_scene(tmp_path / "bent" / "meta" / "scene.toml")
+    assert scene.material.law == "neo_hookean"
+    moved = {name: np.asarray(row["marker_displacement_mm"]) for name, row in found.items()}
+    off = np.linalg.norm(moved["bent"] - moved["straight"], axis=1).max()
+    most = np.linalg.norm(moved["straight"], axis=1).max()
+    assert off == pytest.approx(found["bent"]["linearisation_error"] * most, rel=0.2)
+    assert "Large strain is included" in (tmp_path / "bent" / "README.md").read_text()
+    assert "linear: no rate" in (tmp_path / "straight" / "README.md").read_text()
+
+
 def test_contact_beyond_the_sites_fails_instead_of_losing_force(tmp_path: Path) -> None:
     sites = {"columns": 3, "rows": 3, "pitch_mm": 0.5}
     done = make(tmp_path / "d", 1, small_scene(dataset__sites=sites))

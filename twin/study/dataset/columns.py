@@ -70,7 +70,10 @@ def _columns(*rows: tuple[str, Kind, str, str]) -> tuple[Column, ...]:
 _PRESS = "the whole press as JSON: probe, place, path, friction; or the tractions given instead"
 _INDENTED = "indentation of the probe, from first touch at its present place"
 _RESIDUAL = "largest relative error of gap, sign, friction and balance"
-_LINEARISED = "expected error of linear theory, over the largest displacement"
+_LINEARISED = (
+    "error of linear theory over the largest displacement: the largest to expect; with another "
+    "material.law the one found"
+)
 _SITES = "tractions summed over the cells of the sites; sums to force_n"
 _MOTION_ERROR = "estimated largest error over the largest displacement, tractions given"
 _ACTUAL = "its actual material, layers and camera as JSON (the nominal ones are in meta)"

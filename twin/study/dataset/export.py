@@ -275,8 +275,7 @@ gathered, the body's finest mesh, 12 x 12 rays per pixel). Differences:
 {figures}
 Projection is closed form, good to 1e-6 px. The error of the finest mesh or table stands in
 `docs/elasticity.md` (0.02 % on the standard block, 0.09 % on the finger), that of linear theory
-in the column `linearisation_error`. The model is quasi-static and linear: no rate, creep,
-hysteresis or large strain.
+in the column `linearisation_error`. {_model(scene.material.law)}
 
 ## Columns
 
@@ -292,6 +291,17 @@ Of the sensors:
 
 {versions}{"; renderer " + info["renderer"] if info["renderer"] else ""}.
 """
+
+
+def _model(law: str) -> str:
+    """Return what the rubber's model holds and leaves out."""
+    if law == "linear":
+        return "The model is quasi-static and linear: no rate, creep,\nhysteresis or large strain."
+    return (
+        f"Large strain is included (material.law = {law}) in\nmotions, indentations, forces and "
+        "pictures; each force is shared out on the surface as by linear contact. The\nmodel is "
+        "quasi-static: no rate, creep or hysteresis."
+    )
 
 
 def _rows(columns: tuple[Column, ...]) -> str:
