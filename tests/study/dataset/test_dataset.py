@@ -191,11 +191,12 @@ def test_a_failing_sample_is_a_row_with_its_error(tmp_path: Path) -> None:
     assert len(data.column("force_n")) == 8 - done.failed
 
 
+@pytest.mark.slow
 def test_large_strain_is_in_the_motion_of_a_samples_markers(tmp_path: Path) -> None:
     law = {"material__law": "neo_hookean"}
     found = {}
     for name, given in (("straight", {}), ("bent", law)):
-        make(tmp_path / name, 2, small_scene((*NO_PICTURE, "linearisation_error"), **given))
+        make(tmp_path / name, 1, small_scene((*NO_PICTURE, "linearisation_error"), **given))
         found[name] = twin.open_dataset(tmp_path / name)[0]
     scene = twin.load_scene(tmp_path / "bent" / "meta" / "scene.toml")
     assert scene.material.law == "neo_hookean"
