@@ -168,9 +168,12 @@ def test_page_is_quick(full: RunResult) -> None:
     assert time.process_time() - start < 1.0
 
 
+HEADINGS = ["The press", "Pictures", "Marker motion", "Forces", "Errors by stage", "Time", "Facts"]
+
+
 def test_full_run_has_every_part(page: str) -> None:
-    assert headings(page) == ["Pictures", "Marker motion", "Forces", "Errors by stage", "Time", "Facts"]
-    assert page.count("<img") == 2
+    assert headings(page) == HEADINGS
+    assert page.count("<img") == 3  # at rest, pressed, their difference
     assert page.count("<svg") == 6  # two layers, tracking errors, two force fields, one profile
     assert '<p class="alarm">The contact radius is 0.48' in page
 
@@ -207,7 +210,7 @@ def test_rest_only_and_displacement_only(full: RunResult) -> None:
     assert headings(report(RunResult(scene_toml=""))) == []
     bare = replace(truth, **without(truth, "marker_rest_px", "marker_pressed", "marker_outline", "marker_visible"))
     page = report(RunResult(scene_toml=SCENE, truth=bare))
-    assert headings(page) == ["Marker motion", "Forces"]
+    assert headings(page) == ["The press", "Marker motion"]
     assert "x (mm)" in page
     assert "column (px)" not in page
     largest = np.linalg.norm(truth.marker_displacement_mm, axis=1).max()
@@ -249,7 +252,7 @@ def test_texts_of_a_recipe_are_escaped(full: RunResult) -> None:
     checker = Checker(page)
     assert "<script" not in page
     assert {t for t, _ in checker.tags if t == "script"} == set()
-    assert sum(t == "img" for t, _ in checker.tags) == 2
+    assert sum(t == "img" for t, _ in checker.tags) == 3
     assert evil in "".join(checker.text)
 
 
@@ -352,6 +355,41 @@ def test_pictures_are_lossless_and_bounded(full: RunResult) -> None:
     uri, share = data_uri(noise)
     assert len(uri) < 1.4e6
     assert share < 1
+
+
+def pictures(page: str) -> list[np.ndarray]:
+    found = re.findall(r'src="data:image/png;base64,([^"]*)"', page)
+    return [np.asarray(Image.open(io.BytesIO(base64.b64decode(text)))) for text in found]
+
+
+def test_the_difference_of_the_pictures_is_grey_where_nothing_moved(full: RunResult) -> None:
+    rest = np.full((40, 60, 3), 30, np.uint8)
+    pressed = rest.copy()
+    pressed[10:20, 10:20] = 60
+    pressed[10:20, 30:40] = 0
+    page = report(replace(full, rest=rest, pressed=pressed))
+    shown = pictures(page)[2]
+    assert shown.shape == (20, 30)
+    assert shown[5:10, 5:10].min() > 250
+    assert shown[5:10, 15:20].max() < 5
+    assert set(shown[12:].ravel()) == {128}
+    assert len(pictures(report(replace(full, rest=rest, pressed=rest)))) == 2
+
+
+def test_dark_pictures_are_shown_brighter_by_a_stated_factor(full: RunResult) -> None:
+    dark = np.full((40, 60, 3), 30, np.uint8)
+    page = report(replace(full, rest=dark, pressed=dark))
+    assert page.count("filter:brightness(5)") == 2
+    assert "5 times as bright as it is" in page
+    light = np.full((40, 60, 3), 150, np.uint8)
+    assert "brightness(" not in report(replace(full, rest=light, pressed=light))
+
+
+def test_one_layer_is_named_as_the_cause_where_its_force_is_off(full: RunResult) -> None:
+    scene = "[material]\npoisson_ratio = 0.5\n[markers.dots]\ndepth_mm = 0.5\n"
+    off = {**full.score, "force": {**full.score["force"], "total_force_error": 0.7}}
+    assert "one layer of markers" in report(replace(full, scene_toml=scene, score=off))
+    assert "one layer of markers" not in report(replace(full, scene_toml=scene))
 
 
 def test_ticks_are_round_and_inside() -> None:

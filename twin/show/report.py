@@ -19,9 +19,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from twin.arrays import Bools, Floats, Pixels, Points
+from twin.arrays import Bools, Floats, Picture, Pixels, Points
 from twin.parts.part import UNITS
 from twin.results import RunResult, Touch, Truth
+from twin.show.explain import LIMITS, one_layer
 from twin.show.html_page import cleaned, data_uri, digits, figure, finite, page, table, two_columns
 from twin.show.svg_plots import Axes, arrows, crosses, dots, drawing, force_field, line, nice
 
@@ -113,6 +114,7 @@ _SHARES = ("_error", "matched", "share", "ratio")
 def report(result: RunResult) -> str:
     """Return the report of anything from a bare scene to a full run as one HTML page."""
     sections = [
+        ("The press", _press(result)),
         ("Pictures", _pictures(result)),
         ("Marker motion", _motion(result)),
         ("Under the probe", _touched(result)),
@@ -183,6 +185,8 @@ def _title(scene_toml: str) -> str:
 
 def _pictures(result: RunResult) -> str:
     figures = []
+    both = [picture for picture in (result.rest, result.pressed) if picture is not None]
+    gain = min((_gain(picture) for picture in both), default=1.0)
     for name, alt, picture in (
         ("At rest", "Camera picture of the markers at rest", result.rest),
         ("Pressed", "Camera picture of the markers while the probe presses", result.pressed),
@@ -191,9 +195,63 @@ def _pictures(result: RunResult) -> str:
             uri, shown = data_uri(picture)
             height, width = picture.shape[:2]
             smaller = f", shown at {digits(100 * shown)} % of its size" if shown < 1 else ""
-            image = f'<img src="{uri}" width="{width}" height="{height}" alt="{alt}">'
-            figures.append(figure(image, f"{name}, {width} × {height} px{smaller}"))
+            style = f' style="filter:brightness({gain:g})"' if gain > 1 else ""
+            brighter = f", {digits(gain)} times as bright as it is" if gain > 1 else ""
+            image = f'<img src="{uri}" width="{width}" height="{height}" alt="{alt}"{style}>'
+            figures.append(figure(image, f"{name}, {width} × {height} px{smaller}{brighter}"))
+    if result.rest is not None and result.pressed is not None:
+        figures += _difference(result.rest, result.pressed)
     return two_columns(figures)
+
+
+_BRIGHT = 200.0
+"""Count that the brightest thousandth of a dark picture is shown at."""
+
+
+def _gain(picture: Picture) -> float:
+    """Return the factor by which a dark picture is shown brighter; 1 for a bright one."""
+    top = float(np.quantile(picture.max(axis=2), 0.999))
+    return nice(_BRIGHT / top) if 0 < top < _BRIGHT / 2 else 1.0
+
+
+def _difference(rest: Picture, pressed: Picture) -> list[str]:
+    """Return the pressed picture minus the rest picture, in grey; nothing where they are alike."""
+    if rest.shape != pressed.shape or min(rest.shape[:2]) < 2:
+        return []
+    moved = pressed.astype(np.float32).sum(axis=2) - rest.astype(np.float32).sum(axis=2)
+    height, width = (size // 2 * 2 for size in moved.shape)
+    moved = moved[:height, :width].reshape(height // 2, 2, width // 2, 2).mean(axis=(1, 3))
+    largest = float(np.quantile(np.abs(moved), 0.999))
+    if largest <= 0:
+        return []
+    grey = np.clip(128 + 127 * moved / largest, 0, 255).astype(np.uint8)
+    uri, _ = data_uri(grey)
+    image = (
+        f'<img src="{uri}" width="{width}" height="{height}" '
+        'alt="Difference of the pressed picture and the rest picture">'
+    )
+    words = "Pressed minus rest: grey did not change, white became brighter, black darker"
+    return [figure(image, words)]
+
+
+def _press(result: RunResult) -> str:
+    """Return the resultants, the contact, and why a single layer's push is uncertain."""
+    contact = result.facts.get("contact")
+    shown = ""
+    if isinstance(contact, Mapping):
+        wanted = ("indentation_mm", "contact_radius_mm", "area_mm2", "peak_pressure_mpa")
+        rows = [
+            f"<dt>{_as_html('', _split_unit(key)[0])}</dt><dd>{_as_html(key, contact[key])}</dd>"
+            for key in wanted
+            if finite(contact.get(key)) is not None
+        ]
+        shown = f"<dl>{''.join(rows)}</dl>" if rows else ""
+    total = _figure(result.score or {}, "force", "total_force_error")
+    cause = ""
+    if total is not None and abs(total) > LIMITS["force.total_force_error"][0]:
+        cause = one_layer(result.scene_toml)
+    note = f'<p class="note">{escape(cause)}</p>' if cause else ""
+    return _resultants(result) + note + shown
 
 
 def _errors(score: Mapping[str, Any] | None) -> str:
@@ -560,20 +618,18 @@ def _table(truth: Truth) -> str:
 
 
 def _forces(result: RunResult) -> str:
-    """Return drawings, profile and resultants of the force field; without sites resultants only."""
+    """Return drawings and profile of the force field; empty without sites."""
     truth, found = result.truth, result.estimate
     if found is None or len(found.site_mm) == 0:
-        return _resultants(result)
+        return ""
     fields: list[tuple[str, Floats]] = []
     if truth is not None and len(truth.surface_mm):
         fields.append(("truth", truth.force_at(found.site_mm)))
     if len(found.force_n) == len(found.site_mm):
         fields.append(("estimate", found.force_n))
     if not fields:
-        return _resultants(result)
-    return (
-        _maps(result, found.site_mm, fields) + _profile(found.site_mm, fields) + _resultants(result)
-    )
+        return ""
+    return _maps(result, found.site_mm, fields) + _profile(found.site_mm, fields)
 
 
 def _cell_side(sites: Points) -> float:
