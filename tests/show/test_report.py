@@ -379,9 +379,9 @@ def test_the_difference_of_the_pictures_is_grey_where_nothing_moved(full: RunRes
 def test_dark_pictures_are_shown_brighter_by_a_stated_factor(full: RunResult) -> None:
     dark = np.full((40, 60, 3), 30, np.uint8)
     page = report(replace(full, rest=dark, pressed=dark))
-    assert page.count("filter:brightness(5)") == 2
-    assert "5 times as bright as it is" in page
-    light = np.full((40, 60, 3), 150, np.uint8)
+    assert page.count("filter:brightness(8)") == 2
+    assert "8 times as bright as it is" in page
+    light = np.full((40, 60, 3), 170, np.uint8)
     assert "brightness(" not in report(replace(full, rest=light, pressed=light))
 
 

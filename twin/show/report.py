@@ -204,14 +204,18 @@ def _pictures(result: RunResult) -> str:
     return two_columns(figures)
 
 
-_BRIGHT = 200.0
+_BRIGHT = 240.0
 """Count that the brightest thousandth of a dark picture is shown at."""
+
+_LEAST_GAIN = 1.5
+"""A picture that needs less is shown as it is."""
 
 
 def _gain(picture: Picture) -> float:
     """Return the factor by which a dark picture is shown brighter; 1 for a bright one."""
     top = float(np.quantile(picture.max(axis=2), 0.999))
-    return nice(_BRIGHT / top) if 0 < top < _BRIGHT / 2 else 1.0
+    gain = round(_BRIGHT / top, 1) if top > 0 else 1.0
+    return gain if gain >= _LEAST_GAIN else 1.0
 
 
 def _difference(rest: Picture, pressed: Picture) -> list[str]:
