@@ -368,8 +368,64 @@ def mesh(
     print("\n".join(lines))
 
 
-def scenes(*, json_: Json = False) -> None:
-    """List the shipped scenes."""
+_Layers = Annotated[
+    tuple[float, ...],
+    Parameter(help="Of the dots, mm; twice for two layers.", negative_iterable=""),
+]
+
+
+def scenes(
+    *,
+    new: Annotated[Path | None, Parameter(help="Write a recipe of this name (.toml).")] = None,
+    size_mm: Annotated[
+        tuple[float, float, float], Parameter(help="Width, length and thickness of the pad, mm.")
+    ] = (25.0, 25.0, 4.0),
+    modulus_mpa: Annotated[float, Parameter(help="Young's modulus, MPa.")] = 0.2,
+    depth_mm: _Layers = (),
+    pitch_mm: _Layers = (),
+    diameter_mm: _Layers = (),
+    camera_mm: Annotated[
+        float | None, Parameter(help="From the back of the pad to the lens, mm.")
+    ] = None,
+    fov_deg: Annotated[
+        float | None, Parameter(help="Full angle of the picture's width, degrees (default 39).")
+    ] = None,
+    sensor_mm: Annotated[
+        float | None, Parameter(help="Or: width of the camera's chip, mm,")
+    ] = None,
+    focal_mm: Annotated[float | None, Parameter(help="and focal length of its lens, mm.")] = None,
+    resolution: Annotated[
+        tuple[Whole, Whole], Parameter(help="Width and height of the picture, px.")
+    ] = (640, 480),
+    json_: Json = False,
+) -> None:
+    """List the shipped scenes, or write a recipe of your own sensor.
+
+    --new NAME writes NAME.toml: a soft pad on a plate, dots near its surface, a camera behind. The
+    other options are numbers that a maker knows; what is left out follows from the size.
+
+    Examples:
+    twin scenes
+    twin scenes --new mine
+    twin scenes --new mine --size-mm 30 20 5 --modulus-mpa 0.15 --pitch-mm 1.5 --fov-deg 60
+    """
+    if new is not None:
+        from twin.study.new_scene import Pad, write_new_scene
+
+        pad = Pad(
+            size_mm=size_mm,
+            modulus_mpa=modulus_mpa,
+            depth_mm=depth_mm,
+            pitch_mm=pitch_mm,
+            diameter_mm=diameter_mm,
+            camera_mm=camera_mm,
+            fov_deg=fov_deg,
+            sensor_mm=sensor_mm,
+            focal_mm=focal_mm,
+            resolution=resolution,
+        )
+        print("\n".join(write_new_scene(new, pad)))
+        return
     from twin.study.recipe import load_scene, shipped_scenes
 
     titles = {name: load_scene(name).title for name in shipped_scenes()}

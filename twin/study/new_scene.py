@@ -1,0 +1,291 @@
+"""What ``twin scenes --new`` writes: a commented recipe of a soft pad, from the numbers that its
+maker knows.
+
+Whatever is not given follows from the size as on a pad of 25 x 25 x 4 mm with one layer of dots,
+`gelpad_press`. The file is validated before it is written, and a file that is there is kept.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from twin.errors import InputError
+from twin.files import write_whole
+from twin.parts.markers import place
+from twin.study.doubts import doubts
+from twin.study.recipe import validate_scene
+
+SILICONE, ACRYLIC = 1.41, 1.49
+"""Refractive indices."""
+
+MOST_SITES = 16
+"""Columns or rows of the forces' grid."""
+
+LEAST_DOTS = 3
+"""Columns or rows of dots."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pad:
+    """What a maker knows of a pad; what is None follows from the size.
+
+    Attributes
+    ----------
+    size_mm
+        Along x, along y, and thickness.
+    modulus_mpa
+        Young's modulus.
+    depth_mm, pitch_mm, diameter_mm
+        Of the dots, a number a layer; one or two layers.
+    camera_mm
+        From the back of the pad to the lens.
+    fov_deg
+        Full angle of the picture's width, in air.
+    sensor_mm, focal_mm
+        Width of the camera's chip and focal length of its lens, instead of ``fov_deg``.
+    resolution
+        Width and height of the picture, px.
+    """
+
+    size_mm: tuple[float, float, float] = (25.0, 25.0, 4.0)
+    modulus_mpa: float = 0.2
+    depth_mm: Sequence[float] = ()
+    pitch_mm: Sequence[float] = ()
+    diameter_mm: Sequence[float] = ()
+    camera_mm: float | None = None
+    fov_deg: float | None = None
+    sensor_mm: float | None = None
+    focal_mm: float | None = None
+    resolution: tuple[int, int] = (640, 480)
+
+
+def write_new_scene(path: Path, pad: Pad) -> list[str]:
+    """Write a recipe, and return lines about it: the file, and what is unlikely in it.
+
+    Raises
+    ------
+    InputError
+        Numbers out of their range, dots that don't fit, or a file of this name.
+    """
+    target = path if path.suffix == ".toml" else path.with_name(path.name + ".toml")
+    if target.exists():
+        raise InputError(f"{target}: is there already; give another name, or move it away")
+    if not target.parent.is_dir():
+        raise InputError(f"{target}: there is no folder {target.parent}; make it first")
+    text = recipe_of(pad)
+    table = tomllib.loads(text)
+    scene = validate_scene(table, str(target))
+    place(scene.body, scene.markers)
+    write_whole(target, text.encode())
+    dots = [f"{layer.columns} x {layer.rows} {name}" for name, layer in scene.markers.items()]
+    return [
+        f"{target}: {', '.join(dots)}; now: twin run {target}",
+        *(f"warning: {line}" for line in doubts(scene)),
+    ]
+
+
+def _in_range(option: str, value: float, unit: str, low: float, high: float, remedy: str) -> None:
+    if not low <= value <= high:
+        raise InputError(
+            f"--{option} {value:g} {unit}: allowed are {low:g} to {high:g} {unit}; {remedy}"
+        )
+
+
+def _layers(pad: Pad) -> list[tuple[float, float, float]]:
+    """Return depth, pitch and diameter of every layer, mm."""
+    width, length, thickness = pad.size_mm
+    count = max(len(pad.depth_mm), len(pad.pitch_mm), len(pad.diameter_mm), 1)
+    if count > 2:
+        raise InputError(f"{count} layers of dots: allowed are one or two, a number each")
+    usual = min(width, length) / 20
+    near = min(0.5, thickness / 4)
+    found = []
+    for number in range(count):
+        pitch = _nth(pad.pitch_mm, number, usual)
+        depth = _nth(pad.depth_mm, number, near * (1 + number))
+        diameter = _nth(pad.diameter_mm, number, 0.36 * pitch)
+        _in_range("depth-mm", depth, "mm", 0.05, thickness - 0.05, "inside the pad")
+        _in_range("pitch-mm", pitch, "mm", 0.1, min(width, length) / 3, "three dots must fit")
+        _in_range("diameter-mm", diameter, "mm", 0.02, 0.9 * pitch, "dots must stand apart")
+        found.append((depth, pitch, diameter))
+    return found
+
+
+def _nth(values: Sequence[float], number: int, usual: float) -> float:
+    """Return a layer's number: its own, the only one that is given, or the usual one."""
+    if not values:
+        return usual
+    return values[min(number, len(values) - 1)]
+
+
+def _fov(pad: Pad) -> float:
+    """Return the full angle of the picture's width, degrees."""
+    if (pad.sensor_mm is None) != (pad.focal_mm is None):
+        raise InputError("--sensor-mm and --focal-mm belong together: the chip's width, the lens")
+    if pad.sensor_mm is None or pad.focal_mm is None:
+        return 39.0 if pad.fov_deg is None else pad.fov_deg
+    if pad.fov_deg is not None:
+        raise InputError("give --fov-deg, or --sensor-mm and --focal-mm, not both")
+    _in_range("sensor-mm", pad.sensor_mm, "mm", 0.5, 50, "the width of the chip")
+    _in_range("focal-mm", pad.focal_mm, "mm", 0.5, 200, "as printed on the lens")
+    return math.degrees(2 * math.atan(pad.sensor_mm / 2 / pad.focal_mm))
+
+
+def recipe_of(pad: Pad) -> str:
+    """Return the text of a recipe.
+
+    Raises
+    ------
+    InputError
+        Numbers out of their range, or dots that don't fit.
+    """
+    width, length, thickness = pad.size_mm
+    for side in (width, length):
+        _in_range("size-mm", side, "mm", 5, 250, "width and length of the pad come first")
+    _in_range("size-mm", thickness, "mm", 1, 100, "the thickness comes last")
+    _in_range("modulus-mpa", pad.modulus_mpa, "MPa", 0.003, 50, "1 MPa = 1000 kPa")
+    columns_px, rows_px = pad.resolution
+    for pixels in pad.resolution:
+        _in_range("resolution", pixels, "px", 64, 8192, "width and height of the picture")
+    fov = _fov(pad)
+    _in_range("fov-deg", fov, "deg", 5, 120, "the full angle of the picture's width")
+    distance = max(6.0, 1.04 * max(width, length)) if pad.camera_mm is None else pad.camera_mm
+    _in_range("camera-mm", distance, "mm", 2, 1000, "from the back of the pad to the lens")
+    plate = min(3.0, distance / 4)
+    focal = columns_px / 2 / math.tan(math.radians(fov / 2))
+    layers = _layers(pad)
+    tables = []
+    extent = (0.0, 0.0)
+    for number, (depth, pitch, diameter) in enumerate(layers):
+        # what the camera sees at this depth, refraction shortening the way
+        way = distance - plate + plate / ACRYLIC + (thickness - depth) / SILICONE
+        seen = [0.95 * way * px / 2 / focal - diameter for px in pad.resolution]
+        room = [side / 2 - max(0.06 * side, diameter) for side in (width, length)]
+        half = [min(pair) for pair in zip(seen, room, strict=True)]
+        counts = [min(int(2 * h / pitch + 1e-9) + 1, 200) - number for h in half]
+        if min(counts) < LEAST_DOTS:
+            raise InputError(
+                f"--pitch-mm {pitch:g} mm: only {max(counts[0], 0)} x {max(counts[1], 0)} dots fit "
+                f"into {2 * half[0]:.3g} x {2 * half[1]:.3g} mm that the camera sees of the pad "
+                f"(allowed: {LEAST_DOTS} x {LEAST_DOTS} and more); reduce the pitch, increase "
+                "--fov-deg, or move the camera away (--camera-mm)"
+            )
+        if number == 0:
+            extent = (pitch * (counts[0] - 1), pitch * (counts[1] - 1))
+        name, colour = (("red", "blue") if len(layers) == 2 else ("dots", ""))[number], "black"
+        shares = [0.03, 0.03, 0.03]
+        if len(layers) == 2:
+            colour, shares = name, ([0.75, 0.08, 0.06], [0.06, 0.10, 0.75])[number]
+        tables.append(
+            f"""
+[markers.{name}]
+kind = "print"        # flat dots; "bead" for small spheres
+depth_mm = {depth:.4g}        # below the surface that is pressed
+pitch_mm = {pitch:.4g}
+diameter_mm = {diameter:.4g}
+columns = {counts[0]}          # along x: as many as the camera sees
+rows = {counts[1]}             # along y
+colour = {shares}  # reflectance in red, green, blue
+assumed = "{colour} dots, as given to twin scenes --new"
+"""
+        )
+    ground = [0.35] * 3 if len(layers) == 1 else [0.03] * 3
+    probe = 0.24 * min(width, length)
+    depth = min(0.12 * thickness, 0.08 * probe)
+    # Hertz, for rubber that keeps its volume
+    force = 16 / 9 * pad.modulus_mpa * math.sqrt(probe / 2) * depth**1.5
+    counts = [max(3, min(MOST_SITES, round(side / layers[0][1]) + 1)) for side in extent]
+    site = max(extent[0] / (counts[0] - 1), extent[1] / (counts[1] - 1))
+    led = max(1.0, 0.48 * min(width, length))
+    height = thickness + distance
+    near = height - 0.08 * (distance - plate)
+    corners = [[x, y, round(near, 3)] for x in (led, -led) for y in (led, -led)]
+    slack = min(0.03, min(depth_mm for depth_mm, *_ in layers) / 5)
+    printed = min(0.03, min(pitch for _, pitch, _ in layers) / 20)
+    return f"""title = "A pad of {width:g} x {length:g} x {thickness:g} mm, by twin scenes --new"
+seed = 1              # another number: another made sensor, other noise
+assumed.seed = "any number will do"
+
+[body]
+shape = "block"
+width_mm = {width:g}       # along x
+length_mm = {length:g}      # along y
+thickness_mm = {thickness:g}   # along z; z = 0 is pressed, the other side is bonded to a plate
+assumed = "as given to twin scenes --new"
+
+[material]
+youngs_modulus_mpa = {pad.modulus_mpa:g}  # 1 MPa = 1000 kPa; gels 0.05 to 0.5, silicones 0.5 to 3
+poisson_ratio = 0.48      # nearly incompressible
+refractive_index = {SILICONE}
+assumed = "modulus as given; usual values of silicone"
+
+[cover]
+thickness_mm = {min(0.1, layers[0][0] / 5):.4g}  # coat above the dots
+albedo = {ground}
+assumed = "a thin coat that follows the rubber"
+{"".join(tables)}
+[camera]
+width_px = {columns_px}
+height_px = {rows_px}
+lens = "pinhole"          # "equidistant" for a fisheye lens
+focal_px = {focal:.5g}    # a picture {fov:.4g} degrees wide
+pupil_mm = [0, 0, {height:.5g}]  # the lens: {distance:g} mm behind the pad's back
+assumed = "as given to twin scenes --new; looks at the middle of the pad"
+
+[[camera.layers]]
+index = {ACRYLIC}
+thickness_mm = {plate:.3g}
+assumed = "acrylic plate that the pad is bonded to"
+
+[light]
+positions_mm = {corners}
+exponent = 1.0
+ambient = 0.2
+assumed = "four LEDs beside the lens"
+
+[ccd]
+preset = "industrial"     # noise of the camera; see docs: sato_60fps, kamiyama_ntsc, ideal
+
+[press]
+at_mm = [{0.04 * width:.3g}, {0.02 * length:.3g}]
+friction = 0
+force_n = {{z = {force:.3g}}}
+assumed = "a light touch beside the middle: {depth:.2g} mm deep by Hertz' law"
+
+[press.probe]
+kind = "sphere"
+diameter_mm = {probe:.3g}
+assumed = "a quarter of the pad"
+
+[accuracy]
+displacement = 5e-3       # largest error over largest displacement
+assumed = "well below the noise of the tracker"
+
+[tolerance]               # how well the maker knows the sensor: standard deviations
+youngs_modulus_pct = 1.5
+depth_mm = {slack:.3g}
+print_mm = {printed:.3g}
+pupil_mm = 0.05
+tilt_deg = 0.2
+assumed = "careful casting and a ruler"
+
+[calibration]
+method = "compliance"     # from the design; "fitted" for a real sensor's presses
+
+[reconstruction]
+method = "local"
+weight = "auto"
+push_only = true          # nothing sticks to the pad
+friction = 0.5
+assumed = "as for gelpad_press"
+
+[reconstruction.sites]    # where forces are found
+columns = {counts[0]}
+rows = {counts[1]}
+pitch_mm = {site:.4g}
+assumed = "over the dots"
+"""
