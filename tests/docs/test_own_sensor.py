@@ -30,5 +30,6 @@ def test_the_commands_of_the_page_run(
         assert not done.value.code, command
         told.append(capsys.readouterr().out)
     assert ": ok" in told[1]
+    assert "without source" not in told[1]
     assert "165 dark dots, 15 columns x 11 rows, square" in told[2]
     assert {"markers.toml", "markers.png"} <= {path.name for path in tmp_path.iterdir()}

@@ -254,7 +254,9 @@ preset = "industrial"     # noise of the camera; see docs: sato_60fps, kamiyama_
 at_mm = [{0.04 * width:.3g}, {0.02 * length:.3g}]
 friction = 0
 force_n = {{z = {force:.3g}}}
-assumed = "a light touch beside the middle: {depth:.2g} mm deep by Hertz' law"
+assumed.at_mm = "beside the middle, so that no mirror plane helps"
+assumed.friction = "a normal press hardly depends on it"
+assumed.force_n = "a light touch: {depth:.2g} mm deep by Hertz' law"
 
 [press.probe]
 kind = "sphere"
