@@ -117,7 +117,7 @@ def plot_shifts(
         ax.imshow(picture)
     lengths = np.hypot(*shift_px[good].T)
     if factor is None:
-        factor = _magnification(float(lengths.max(initial=0.0)), _LONGEST * _pitch(rest_px[good]))
+        factor = magnification(float(lengths.max(initial=0.0)), _LONGEST * spacing(rest_px[good]))
     names = layer if len(layer) == len(rest_px) else np.full(len(rest_px), "markers")
     spare = iter(_OTHERS * (1 + len(set(names.tolist()))))
     for name in dict.fromkeys(names.tolist()):
@@ -166,7 +166,7 @@ def plot_forces(
     along = float(np.hypot(force_n[:, 0], force_n[:, 1]).max(initial=0.0))
     if along > 0:
         # noise under a straight push must look small: a tenth of the normal force at least
-        scale = max(along, 0.1 * top) / (_LONGEST * _pitch(site_mm))
+        scale = max(along, 0.1 * top) / (_LONGEST * spacing(site_mm))
         ax.quiver(
             *site_mm[:, :2].T,
             *force_n[:, :2].T,
@@ -212,14 +212,14 @@ def _in_mm(ax: Any, title: str) -> None:
     ax.set_title(title)
 
 
-def _pitch(places: Floats) -> float:
+def spacing(places: Floats) -> float:
     """Return about the distance of neighbours among (n, 2 or 3) places, seen along z."""
     if len(places) < 2:
         return 1.0
     return float(np.sqrt(np.prod(np.ptp(places[:, :2], axis=0)) / len(places))) or 1.0
 
 
-def _magnification(longest: float, wanted: float) -> float:
+def magnification(longest: float, wanted: float) -> float:
     """Return the largest of 1, 2, 5, 10, ... at which an arrow is at most as long as wanted."""
     if longest <= 0 or wanted <= longest:
         return 1.0

@@ -28,6 +28,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Points
+from twin.display import magnification, spacing
 from twin.errors import InputError, MissingCapability, SomeFailed, TwinError
 from twin.files import LARGEST_PX, make_folder, png_bytes, write_whole
 from twin.sense.calibration import Calibration, read_calibration
@@ -769,6 +770,12 @@ _BY_STATE = {
 """Colours of markers by their state; others are lost."""
 
 
+_MOST_TIMES = 20.0
+_LONGEST = 1.5
+"""How many times as long motion is drawn at most, and the longest line over the mean distance of
+markers; the factor of a sequence never grows, so that its frames can be compared."""
+
+
 class _OverlayFile:
     """Frames with the motion drawn in: a .png, a folder of them, or a video."""
 
@@ -784,6 +791,7 @@ class _OverlayFile:
             )
         make_folder(target.parent if self._film or self._one else target)
         self._writer: VideoWriter | None = None
+        self._times = _MOST_TIMES
 
     def add(self, number: int, result: _FrameResult) -> None:
         """Draw frame ``number``, counted from 1; one that can't be read is left out."""
@@ -794,7 +802,11 @@ class _OverlayFile:
         if field is not None:
             x, y, z = field.total_force_n
             text = f"{result.name}  Fx {x:.3f}  Fy {y:.3f}  Fz {z:.3f} N   {result.reason}"
-        drawn = _overlay(result.picture, found, text)
+        if found is not None and found.seen.any():
+            longest = float(np.hypot(*found.shift_px[found.seen].T).max())
+            wanted = _LONGEST * spacing(found.rest_px[found.seen])
+            self._times = min(self._times, magnification(longest, wanted))
+        drawn = _overlay(result.picture, found, f"motion x {self._times:g}  {text}", self._times)
         if self._film:
             height, width = drawn.shape[:2]
             self._writer = self._writer or VideoWriter(self._target, (width, height))
@@ -813,10 +825,10 @@ class _OverlayFile:
             self._writer.close()
 
 
-def _overlay(picture: Picture, found: Found | None, text: str) -> Picture:
+def _overlay(picture: Picture, found: Found | None, text: str, times: float) -> Picture:
     """Return an (h, w, 3) or (h, w) picture in colour, with a line of text and, if markers were
-    found, a line from every one's rest place (dot) to where it is, true to scale; those without a
-    shift are circles. Colours tell the states."""
+    found, a line from every one's rest place (dot) along its motion, ``times`` as long; those
+    without a shift are circles. Colours tell the states."""
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(picture).convert("RGB")
@@ -827,7 +839,7 @@ def _overlay(picture: Picture, found: Found | None, text: str) -> Picture:
             continue
         colour = _BY_STATE.get(str(state), _LOST)
         if fine:
-            draw.line((x, y, x + dx, y + dy), fill=colour)
+            draw.line((x, y, x + times * dx, y + times * dy), fill=colour)
             draw.point((x, y), fill=_TEXT)
         else:
             draw.ellipse((x - 4, y - 4, x + 4, y + 4), outline=colour)
