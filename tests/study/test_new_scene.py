@@ -18,6 +18,8 @@ from twin.study.new_scene import Pad, write_new_scene
         Pad(size_mm=(20, 10, 1)),
         Pad(size_mm=(100, 100, 40)),
         Pad(size_mm=(100, 60, 5), modulus_mpa=2),
+        Pad(size_mm=(100, 6, 3)),
+        Pad(pitch_mm=(8,), fov_deg=60),
         Pad(depth_mm=(0.5, 1.5)),
         Pad(pitch_mm=(2,), camera_mm=60, sensor_mm=4.8, focal_mm=8, resolution=(1280, 960)),
     ],
@@ -28,6 +30,8 @@ def test_what_is_written_is_a_scene_without_doubts(pad: Pad, tmp_path: Path) -> 
     scene = twin.load_scene(tmp_path / "mine.toml")
     assert not doubts(scene)
     assert view_of(scene).inside.all(), "the camera sees every dot"
+    half = twin.Sensor(scene).sites.half_mm.max()
+    assert half > 0, "every site lies on the surface, or this is refused"
 
 
 def test_a_chip_and_a_lens_give_the_angle(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ SILICONE, ACRYLIC = 1.41, 1.49
 """Refractive indices."""
 
 MOST_SITES = 16
-"""Columns or rows of the forces' grid."""
+"""Columns or rows of the forces' grid, but on long strips."""
 
 LEAST_DOTS = 3
 """Columns or rows of dots."""
@@ -101,7 +101,8 @@ def _layers(pad: Pad) -> list[tuple[float, float, float]]:
     count = max(len(pad.depth_mm), len(pad.pitch_mm), len(pad.diameter_mm), 1)
     if count > 2:
         raise InputError(f"{count} layers of dots: allowed are one or two, a number each")
-    usual = min(width, length) / 20
+    # wide enough to be seen from where all of a long pad is seen
+    usual = min(max(min(width, length) / 20, max(width, length) / 80), min(width, length) / 4)
     near = min(0.5, thickness / 4)
     found = []
     for number in range(count):
@@ -198,8 +199,12 @@ assumed = "{colour} dots, as given to twin scenes --new"
     depth = min(0.12 * thickness, 0.08 * probe)
     # Hertz, for rubber that keeps its volume
     force = 16 / 9 * pad.modulus_mpa * math.sqrt(probe / 2) * depth**1.5
-    counts = [max(3, min(MOST_SITES, round(side / layers[0][1]) + 1)) for side in extent]
-    site = max(extent[0] / (counts[0] - 1), extent[1] / (counts[1] - 1))
+    sides = (width, length)
+    site = max(layers[0][1], min(max(extent) / (MOST_SITES - 1), min(sides) / 3))
+    counts = [
+        min(int(own / site + 1e-6) + 1, int(side / site + 1e-6), 64)
+        for own, side in zip(extent, sides, strict=True)
+    ]
     led = max(1.0, 0.48 * min(width, length))
     height = thickness + distance
     near = height - 0.08 * (distance - plate)
