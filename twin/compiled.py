@@ -57,7 +57,12 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         numba's own; ``error_model`` is "numpy" where not said otherwise, ``forceinline`` on
         wherever ``fastmath`` is.
     """
-    options = {"error_model": "numpy", "forceinline": bool(options.get("fastmath")), **options}
+    options = {
+        "error_model": "numpy",
+        "forceinline": bool(options.get("fastmath")),
+        "no_cfunc_wrapper": True,  # only C code that is handed a function needs it
+        **options,
+    }
 
     def made(function: Callable[..., Any]) -> Any:
         compiled = numba.njit(**options)(function)

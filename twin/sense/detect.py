@@ -13,6 +13,7 @@ more from others of their layer.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,7 +109,7 @@ def _ring(signal, column, row, inner, outer, top):
             break
         mean = total / count
         variance = max(squares / count - mean * mean, 0.0)
-        reach = 3.0 * np.sqrt(variance) + 1.0
+        reach = 3.0 * math.sqrt(variance) + 1.0
         low, high = (-1e30, 0.5 * (mean + top)) if turn == 0 else (mean - reach, mean + reach)
     return mean, variance
 
@@ -150,7 +151,7 @@ def _cut_out(signal, column, row, level, reach, mark, stamp, stack):
             min(min(column + mx, width - 1 - column - mx), min(row + my, height - 1 - row - my))
             + 0.5
         )
-        whole = whole and gap > CUT * np.sqrt(area / np.pi)
+        whole = whole and gap > CUT * math.sqrt(area / np.pi)
     return (
         area,
         column + mx,
@@ -213,8 +214,8 @@ def _ellipse(xx, xy, yy):
     second moments."""
     xx, yy = xx + 1 / 12, yy + 1 / 12
     determinant = max(xx * yy - xy * xy, 1e-6)
-    middle, gap = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-    major, minor = 2 * np.sqrt(middle + gap), 2 * np.sqrt(max(middle - gap, 0.01))
+    middle, gap = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    major, minor = 2 * math.sqrt(middle + gap), 2 * math.sqrt(max(middle - gap, 0.01))
     return yy / determinant / 4, -xy / determinant / 4, xx / determinant / 4, major, minor
 
 
@@ -225,7 +226,7 @@ def _window(form, inner, per_width):
     ``form`` is the squared radius, ``inner`` where the fall begins, ``per_width`` 1 over its width.
     The sine is its series up to the 15th power, 6e-12 off: the vector unit has none.
     """
-    share = min(max((np.sqrt(form) - inner) * per_width, 0.0), 1.0)
+    share = min(max((math.sqrt(form) - inner) * per_width, 0.0), 1.0)
     angle = np.pi * (0.5 - share)
     square = angle * angle
     series = 1.0 - square / 210.0
@@ -289,15 +290,14 @@ def _spread(signal, ellipse, limits, box, plane, ground, noise, mass, crowd_leve
 
 
 @njit(cache=True)
-def _measure(signal, smooth, peaks, diameter, crowd_level, out):
+def _measure(signal, smooth, peaks, reach, inner, outer, crowd_level, mark, stack, box, out):
     """Fill ``out`` (n, 8): column, row, variance x, variance y, level, area, crowding, whole; area
-    0 for no spot."""
+    0 for no spot.
+
+    ``reach`` is how far a spot may go, ``inner`` and ``outer`` are radii of the ground around it;
+    ``mark`` (zeros), ``stack`` and ``box`` are work arrays.
+    """
     height, width = signal.shape
-    reach = int(np.ceil(1.5 * diameter)) + 2
-    mark = np.zeros((height, width), np.int32)
-    stack = np.empty(((2 * reach + 3) ** 2 * 4, 2), np.int64)
-    box = np.empty(4, np.int64)
-    inner, outer = int(np.ceil(0.5 * diameter)) + 3, int(np.ceil(0.5 * diameter)) + 7
     for k in range(len(peaks)):
         column, row = peaks[k, 0], peaks[k, 1]
         top = np.float64(smooth[row, column])
@@ -310,9 +310,9 @@ def _measure(signal, smooth, peaks, diameter, crowd_level, out):
             signal, column, row, ground + THRESHOLD * level, reach, mark, k + 1, stack
         )
         ixx, ixy, iyy, major, minor = _ellipse(xx, xy, yy)
-        mean_radius = np.sqrt(major * minor)
+        mean_radius = math.sqrt(major * minor)
         limits = (1.0 + EDGE_START / mean_radius, 1.0 + EDGE_END / mean_radius)
-        span = int(np.ceil(min(major, 2.0 * reach) * limits[1])) + 1
+        span = math.ceil(min(major, 2.0 * reach) * limits[1]) + 1
         box[0], box[1] = max(int(cx) - span, 0), min(int(cx) + span, width - 1)
         box[2], box[3] = max(int(cy) - span, 0), min(int(cy) + span, height - 1)
         core = max(1.0 - CORE_PX / minor, 0.2)
@@ -343,10 +343,10 @@ def _measure(signal, smooth, peaks, diameter, crowd_level, out):
 
 
 @njit(cache=True)
-def _box(signal, half):
-    """Running mean over (2 half + 1)^2 pixels, edges repeated."""
+def _box(signal, half, across, totals, down):
+    """Set ``down`` to the running mean over (2 half + 1)^2 pixels, edges repeated; ``across`` and
+    ``totals`` (zeros) are work arrays."""
     height, width = signal.shape
-    across = np.empty((height, width), np.float32)
     share = np.float32(1.0 / (2 * half + 1))
     for row in range(height):
         total = np.float64(0.0)
@@ -357,8 +357,6 @@ def _box(signal, half):
             total += (
                 signal[row, min(column + half + 1, width - 1)] - signal[row, max(column - half, 0)]
             )
-    down = np.empty((height, width), np.float32)
-    totals = np.zeros(width, np.float64)
     for offset in range(-half, half + 1):
         row = min(max(offset, 0), height - 1)
         for column in range(width):
@@ -368,15 +366,13 @@ def _box(signal, half):
         for column in range(width):
             down[row, column] = totals[column] * share
             totals[column] += across[enter, column] - across[leave, column]
-    return down
 
 
 @njit(cache=True)
-def _peaks(smooth, broad, radius, contrast, most):
-    """Local maxima of smooth - broad within a square of ``radius``, above ``contrast``: (column,
-    row) each."""
+def _peaks(smooth, broad, radius, contrast, found):
+    """Fill ``found`` (most, 2) with local maxima of smooth - broad within a square of ``radius``,
+    above ``contrast``: (column, row) each; return their number."""
     height, width = smooth.shape
-    found = np.empty((most, 2), np.int64)
     count = 0
     for row in range(1, height - 1):
         for column in range(1, width - 1):
@@ -397,11 +393,22 @@ def _peaks(smooth, broad, radius, contrast, most):
                         break
                 if not highest:
                     break
-            if highest and count < most:
+            if highest and count < len(found):
                 found[count, 0] = column
                 found[count, 1] = row
                 count += 1
-    return found[:count]
+    return count
+
+
+MOST_SPOTS = 20_000
+"""Spots of a picture that are looked at."""
+
+
+def _smoothed(signal: Signal, half: int) -> Signal:
+    """Return the running mean over (2 half + 1)^2 pixels, edges repeated."""
+    across, down = np.empty_like(signal), np.empty_like(signal)
+    _box(signal, half, across, np.zeros(signal.shape[1]), down)
+    return down
 
 
 def find_blobs(
@@ -423,11 +430,17 @@ def find_blobs(
     # windows are as large: none is larger than the picture
     diameter_px = min(diameter_px, float(max(signal.shape)))
     half = max(1, round(0.3 * diameter_px))
-    smooth = _box(signal, half)
-    broad = _box(signal, max(2 * half + 2, round(1.5 * diameter_px)))
-    peaks = _peaks(smooth, broad, max(2, round(0.5 * diameter_px)), np.float32(contrast_dn), 20_000)
+    smooth = _smoothed(signal, half)
+    broad = _smoothed(signal, max(2 * half + 2, round(1.5 * diameter_px)))
+    peaks = np.empty((MOST_SPOTS, 2), np.int64)
+    radius = max(2, round(0.5 * diameter_px))
+    peaks = peaks[: _peaks(smooth, broad, radius, np.float32(contrast_dn), peaks)]
     out = np.zeros((len(peaks), 8))
-    _measure(signal, smooth, peaks, float(diameter_px), CROWD * float(floor_dn), out)
+    reach, rim = int(np.ceil(1.5 * diameter_px)) + 2, int(np.ceil(0.5 * diameter_px))
+    mark = np.zeros(signal.shape, np.int32)
+    work = (mark, np.empty(((2 * reach + 3) ** 2 * 4, 2), np.int64), np.empty(4, np.int64))
+    sizes = (reach, rim + 3, rim + 7)
+    _measure(signal, smooth, peaks, *sizes, CROWD * float(floor_dn), *work, out)
     out = out[(out[:, 5] >= 4) & (out[:, 4] >= contrast_dn)]
     # of peaks that flooded into one spot (equal centres) only the first
     _, first = np.unique(np.rint(out[:, :2] * 4).astype(np.int64), axis=0, return_index=True)

@@ -21,6 +21,7 @@ of the others grows where their edge does not fit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -56,6 +57,7 @@ from twin.sense.template import (
     LEVEL,
     MARGIN_PX,
     MISFIT,
+    NO_RUNS,
     ONE_SIDED,
     OWN_SHAPE,
     PART_IN_SIGHT,
@@ -480,9 +482,8 @@ def _of_neighbours(
 def _noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
     """Return (2,) the noise's variances in another picture than that at rest: never less, and more
     as the ground around the markers has more."""
-    variances = np.full((len(places), 2), np.nan)
     radius = float(np.sqrt(np.nanmedian(templates.shape[:, 0] * templates.shape[:, 2])))
-    _noise_variances(picture, templates.own, places, radius, 2.0 * USUAL_BLUR_PX, variances)
+    variances = _noise_variances(picture, templates.own, places, radius, 2.0 * USUAL_BLUR_PX)
     now = float(np.nanmedian(variances[:, 0])) if np.isfinite(variances[:, 0]).any() else 0.0
     return np.asarray(templates.noise * max(now / templates.noise[0], 1.0))
 
@@ -491,7 +492,7 @@ def _own_shapes(
     picture: Picture, templates: Templates, rows: Ints, places: Pixels, spacing_px: float
 ) -> tuple[Floats, float]:
     """Return the shapes of the markers ``rows`` in another picture than that at rest, and centres,
-    px, as rows of `_fit_shapes`, NaN for others; and the radius that their fits need, px.
+    px, as rows of `_shapes`, NaN for others; and the radius that their fits need, px.
 
     Blur and outline are even about the centre, and brightness that falls off to one side is odd:
     these keep the slopes that they have at rest.
@@ -502,22 +503,9 @@ def _own_shapes(
     blur, largest = float(np.nanmedian(known[:, 6])), float(np.nanmax(radius))
     clear = max(spacing_px - largest - blur, largest + blur)
     reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
-    shape = np.full((len(known), SHAPE + 2), np.nan)
-    _fit_shapes(
-        picture,
-        templates.own,
-        templates.others,
-        places,
-        radius,
-        blur,
-        float(np.nanmedian(known[:, 5])),
-        False,
-        True,
-        templates.noise,
-        disc(reach)[0],
-        TURNS,
-        shape,
-    )
+    seen = (picture, templates.own, templates.others, places)
+    bulge = float(np.nanmedian(known[:, 5]))
+    shape = _shapes(*seen, radius, blur, bulge, False, True, templates.noise, reach)
     shape[:, 3:6] = known[:, 3:6]
     return shape, reach
 
@@ -581,13 +569,13 @@ def _judge(fitted, rest, level, usual_misfit, fitting, diameter, contrast, size,
     for k in range(count):
         shift[k, 0], shift[k, 1] = np.nan, np.nan
         fit = fitted[k]
-        if not np.isfinite(fit[LEVEL]):
+        if not math.isfinite(fit[LEVEL]):
             continue
         x, y, bright = fit[CENTRE_X], fit[CENTRE_Y], fit[LEVEL]
         mean_square = fit[SQUARES] / fit[PIXELS]
         area, against_rest = fit[SCALE] ** 2, bright / level[k]
         usual = max(usual_misfit, 1.0) / max(fit[MISFIT], 1e-9)
-        unlike = np.sqrt(max(mean_square * (1.0 - usual), 0.0)) / bright
+        unlike = math.sqrt(max(mean_square * (1.0 - usual), 0.0)) / bright
         if fit[EDGE] < LEAST_EDGE:
             inside = (
                 radius - 0.5 < x < size[1] - 0.5 - radius
@@ -642,24 +630,23 @@ def _make_templates(
     count = len(centres)
     radius = np.where(np.isfinite(centres).all(axis=1), 0.5 * diameter, np.nan)
     wanted = np.isfinite(radius)
-    variances = np.full((count, 2), np.nan)
-    _noise_variances(picture, own, centres, 0.5 * diameter, USUAL_BLUR_PX, variances)
-    known = np.isfinite(variances).any(axis=0)
-    ground = float(np.nanmedian(variances[:, 0])) if known[0] else 1.0
-    marker = float(np.nanmedian(variances[:, 1])) if known[1] else ground
+    variances = _noise_variances(picture, own, centres, 0.5 * diameter, USUAL_BLUR_PX)
+    around, inside = variances.T
+    ground = float(np.nanmedian(around)) if np.isfinite(around).any() else 1.0
+    marker = float(np.nanmedian(inside)) if np.isfinite(inside).any() else ground
     noise = np.maximum([ground, max(marker, ground)], 1 / 12)
-    first, shape = np.full((count, SHAPE + 2), np.nan), np.full((count, SHAPE + 2), np.nan)
+    shape = np.full((count, SHAPE + 2), np.nan)
     if wanted.any():
         every = max(1, int(wanted.sum()) // SAMPLE)
         few = np.where(np.cumsum(wanted) % every == 0, radius, np.nan)
-        offset, _ = disc(0.65 * diameter + 2.0 * USUAL_BLUR_PX + MARGIN_PX)
+        reach = 0.65 * diameter + 2.0 * USUAL_BLUR_PX + MARGIN_PX
         seen = (picture, own, others, centres)
-        _fit_shapes(*seen, few, USUAL_BLUR_PX, 0.0, True, True, noise, offset, TURNS, first)
+        first = _shapes(*seen, few, USUAL_BLUR_PX, 0.0, True, True, noise, reach)
         good = np.isfinite(first[:, 0])
         blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
         bulge = float(np.median(first[good, 5])) if good.any() else 0.0
-        offset, _ = disc(0.65 * diameter + 2.0 * blur + MARGIN_PX)
-        _fit_shapes(*seen, radius, blur, bulge, False, False, noise, offset, TURNS, shape)
+        reach = 0.65 * diameter + 2.0 * blur + MARGIN_PX
+        shape = _shapes(*seen, radius, blur, bulge, False, False, noise, reach)
     good = np.isfinite(shape[:, 0])
     if good.any():
         shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
@@ -731,29 +718,30 @@ WEAK = 1e-4
 
 
 @njit(cache=True, fastmath=True)
-def _equations(signal, use, dx, dy, p, form, limit, bulge, free, rows, matrix, right):
+def _equations(signal, use, place, shift, p, form, limit, bulge, free, rows, matrix, right):
     """Fill the normal equations of one step: the lower triangle of ``matrix``, and ``right``.
 
-    ``dx``, ``dy`` are (m,) offsets from the centre, ``p`` the `PARAMETERS`, ``limit`` the squared
-    residual at which a pixel counts a quarter, ``free`` whether bulge and blur are fitted.
+    ``place`` (2, m) plus ``shift`` are offsets from the centre, ``p`` the `PARAMETERS`, ``limit``
+    the squared residual at which a pixel counts a quarter, ``free`` whether bulge and blur are
+    fitted.
     ``rows`` (`PARAMETERS` + 3, m) is room for derivatives, residuals and weights of the pixels. One
     whole row is multiplied with another, for the vector unit: twice as fast as pixel by pixel.
     """
     xx, xy, yy = form
-    root, per_blur = 1e-3 * np.sqrt(xx), 1.0 / p[10]
+    root, per_blur = 1e-3 * math.sqrt(xx), 1.0 / p[10]
     ground, level, level_x, level_y, round_part = p[2], p[3], p[4], p[5], p[6]
     fixed_bulge = 0.0 if free[0] else bulge
     free_bulge, free_blur = 1.0 if free[0] else 0.0, 1.0 if free[1] else 0.0
     along_x, along_y, full, slope_x, slope_y = rows[0], rows[1], rows[3], rows[4], rows[5]
     bulging, growth, stretch, skew = rows[6], rows[7], rows[8], rows[9]
     wider, residuals, weight, weighted = rows[10], rows[11], rows[12], rows[13]
-    rows[2, :] = 1.0
     for i in range(len(signal)):
-        x, y = dx[i], dy[i]
+        rows[2, i] = 1.0
+        x, y = place[0, i] + shift[0], place[1, i] + shift[1]
         ax, ay = xx * x + xy * y, xy * x + yy * y
         squared = ax * x + ay * y
-        steep = np.sqrt(ax * ax + ay * ay) + 1e-9
-        radius = np.sqrt(squared)
+        steep = math.sqrt(ax * ax + ay * ay) + 1e-9
+        radius = math.sqrt(squared)
         inside = (1.0 - radius) * (radius + 1e-3) / (steep + root)
         v = min(max(inside * per_blur, -1.0), 1.0)
         v2 = v * v
@@ -791,8 +779,9 @@ def _equations(signal, use, dx, dy, p, form, limit, bulge, free, rows, matrix, r
 
 
 @njit(cache=True)
-def _solve(matrix, right, count):
+def _solve(matrix, right):
     """Solve a symmetric positive system in place (Cholesky); whether it is one."""
+    count = len(right)
     for i in range(count):
         for j in range(i + 1):
             s = matrix[i, j]
@@ -801,7 +790,7 @@ def _solve(matrix, right, count):
             if i == j:
                 if s <= 0.0:
                     return False
-                matrix[i, i] = np.sqrt(s)
+                matrix[i, i] = math.sqrt(s)
             else:
                 matrix[i, j] = s / matrix[j, j]
     for i in range(count):
@@ -817,6 +806,52 @@ def _solve(matrix, right, count):
     return True
 
 
+def _shapes(
+    picture: Picture,
+    own: Singles,
+    others: Singles,
+    start: Pixels,
+    radius: Floats,
+    blur: float,
+    bulge: float,
+    free_bulge: bool,
+    free_blur: bool,
+    noise: Floats,
+    reach: float,
+) -> Floats:
+    """Fit every marker's whole picture, out to ``reach`` px; rows of (n, 10): `SHAPE` numbers,
+    centre x, y.
+
+    Bulge (relative) and blur are fitted for each marker if they are free, else as given. Rows are
+    NaN where the fit failed, or ``start`` or ``radius`` are.
+    """
+    offset, _ = disc(reach)
+    pixels = offset.shape[1]
+    shape = np.full((len(start), SHAPE + 2), np.nan)
+    _fit_shapes(
+        picture,
+        own,
+        others,
+        start,
+        radius,
+        blur,
+        bulge,
+        free_bulge,
+        free_blur,
+        noise,
+        offset,
+        NO_RUNS,
+        offset.astype(float),
+        np.empty(pixels, np.float32),
+        np.empty(pixels, np.float32),
+        np.empty((PARAMETERS + 3, pixels)),
+        np.empty((PARAMETERS, PARAMETERS)),
+        np.empty((3, PARAMETERS)),
+        shape,
+    )
+    return shape
+
+
 @njit(cache=True)
 def _fit_shapes(
     image,
@@ -830,37 +865,38 @@ def _fit_shapes(
     free_blur,
     noise,
     offset,
-    turns,
+    one_by_one,
+    place,
+    signal,
+    use,
+    rows,
+    matrix,
+    vectors,
     out,
 ):
-    """Fit every marker's whole picture; rows of ``out`` (n, 10): `SHAPE` numbers, centre x, y.
+    """Fill ``out`` of `_shapes`; rows stay as they are where a fit failed.
 
-    Bulge (relative) and blur are fitted for each marker if they are free, else as given. Rows are
-    NaN where the fit failed.
+    ``place`` is ``offset`` as floats; ``signal`` to ``vectors`` are work arrays.
     """
-    colour, one_by_one = (own[0], own[1], own[2], own[3]), np.empty((0, 3), np.int64)
-    signal, use = np.empty(offset.shape[1], np.float32), np.empty(offset.shape[1], np.float32)
-    matrix = np.empty((PARAMETERS, PARAMETERS))
-    right, p, pull = np.empty(PARAMETERS), np.empty(PARAMETERS), np.empty(PARAMETERS)
-    place, free = offset.astype(np.float64), (free_bulge, free_blur)
-    rows = np.empty((PARAMETERS + 3, offset.shape[1]))
+    colour, free = (own[0], own[1], own[2], own[3]), (free_bulge, free_blur)
+    right, p, pull = vectors[0], vectors[1], vectors[2]
     for k in range(len(start)):
-        out[k, :] = np.nan
-        if not np.isfinite(start[k, 0] + start[k, 1] + radius[k]):
+        if not math.isfinite(start[k, 0] + start[k, 1] + radius[k]):
             continue
         cx, cy, r = start[k, 0], start[k, 1], radius[k]
         sxx, sxy, syy = r, 0.0, r
         column, row = int(np.rint(cx)), int(np.rint(cy))
         gather(image, colour, others, column, row, offset, one_by_one, signal, use)
-        p[:] = 0.0
+        for a in range(PARAMETERS):
+            p[a] = 0.0
         p[3], p[10] = signal[len(signal) // 2], blur
         fine, moved = True, 1.0
-        for turn in range(turns):
+        for turn in range(TURNS):
             limit = doubtful(noise[1], p[3], moved)
             p[6] = p[6] if free_bulge else bulge * p[3]
             form = inverse_form(sxx, sxy, syy, 1.0)
-            dx, dy = place[0] + (column - cx), place[1] + (row - cy)
-            _equations(signal, use, dx, dy, p, form, limit, bulge, free, rows, matrix, right)
+            shift = (column - cx, row - cy)
+            _equations(signal, use, place, shift, p, form, limit, bulge, free, rows, matrix, right)
             if not free_bulge:
                 matrix[6, 6] = 1.0
             if not free_blur:
@@ -868,7 +904,8 @@ def _fit_shapes(
             # a weak pull towards no slope, no bulge, round and the usual blur: small markers leave
             # these open
             size = max(p[3], 1.0)
-            pull[:] = 0.0
+            for a in range(PARAMETERS):
+                pull[a] = 0.0
             pull[4] = pull[5] = 4.0 * (r / size) ** 2
             pull[6] = 4.0 / size**2
             pull[8] = pull[9] = 4.0 / r**2
@@ -879,7 +916,7 @@ def _fit_shapes(
             right[5] -= pull[5] * p[5]
             right[6] -= pull[6] * p[6] if free_bulge else 0.0
             right[10] -= pull[10] * (p[10] - blur) if free_blur else 0.0
-            if not _solve(matrix, right, PARAMETERS):
+            if not _solve(matrix, right):
                 fine = False
                 break
             most = 0.5 * r
@@ -900,56 +937,71 @@ def _fit_shapes(
             ):
                 fine = False
                 break
-            moved = np.sqrt(right[0] ** 2 + right[1] ** 2 + grow * grow)
+            moved = math.sqrt(right[0] ** 2 + right[1] ** 2 + grow * grow)
             if turn > 1 and moved < 3e-3:
                 break
         if not fine or abs(cx - start[k, 0]) > r or abs(cy - start[k, 1]) > r:
             continue
-        out[k, 0], out[k, 1], out[k, 2] = sxx, sxy, syy
-        out[k, 3], out[k, 4], out[k, 5] = (
-            p[4] / p[3],
-            p[5] / p[3],
-            (p[6] / p[3] if free_bulge else bulge),
-        )
-        out[k, 6], out[k, 7] = p[10], p[3]
-        out[k, SHAPE], out[k, SHAPE + 1] = cx, cy
+        fit = out[k]
+        fit[0], fit[1], fit[2] = sxx, sxy, syy
+        fit[3], fit[4] = p[4] / p[3], p[5] / p[3]
+        fit[5] = p[6] / p[3] if free_bulge else bulge
+        fit[6], fit[7] = p[10], p[3]
+        fit[SHAPE], fit[SHAPE + 1] = cx, cy
 
 
-@njit(cache=True)
-def _noise_variances(image, own, centre, radius, blur, out):
-    """Fill ``out`` (n, 2): variance of the noise around, and inside, every marker, from 2 x 2
+def _noise_variances(
+    picture: Picture, own: Singles, centres: Pixels, radius: float, blur: float
+) -> Floats:
+    """Return (n, 2): variance of the noise around, and inside, every marker, from 2 x 2
     differences; NaN if none.
 
     Neither a slope nor a marker's round shading changes a 2 x 2 difference.
     """
-    rows, columns = image.shape[0], image.shape[1]
+    variances = np.full((len(centres), 2), np.nan)
     signal, use = np.empty(4, np.float32), np.empty(4, np.float32)
-    others, square = np.empty((0, 4), np.float32), np.array([[0, 1, 0, 1], [0, 0, 1, 1]])
-    colour, one_by_one = (own[0], own[1], own[2], own[3]), np.empty((0, 3), np.int64)
-    form = radius * radius / max(radius**4, 1e-6)
+    nothing = np.zeros((0, 4), np.float32)
+    square = np.array([[0, 1, 0, 1], [0, 0, 1, 1]])
     reach = int(np.ceil(1.3 * radius + blur + 4.0))
+    lists = (nothing, square, NO_RUNS, signal, use)
+    _add_noise(picture, own, *lists, centres, radius, blur, reach, variances)
+    return variances
+
+
+@njit(cache=True)
+def _add_noise(
+    image, own, others, square, one_by_one, signal, use, centre, radius, blur, reach, out
+):
+    """Fill ``out`` of `_noise_variances`; ``signal`` and ``use`` (4,) are work arrays."""
+    rows, columns = image.shape[0], image.shape[1]
+    colour = (own[0], own[1], own[2], own[3])
+    form = radius * radius / max(radius**4, 1e-6)
     inner = (1.0 - blur / radius) ** 2 if radius > blur else 0.0
     outer = (1.0 + (blur + 0.5) / radius) ** 2
     for k in range(len(centre)):
-        out[k, :] = np.nan
-        if not np.isfinite(centre[k, 0] + centre[k, 1]):
+        x0, y0 = centre[k, 0], centre[k, 1]
+        if not math.isfinite(x0 + y0):
             continue
-        counts, sums = np.zeros(2), np.zeros(2)
-        middle_x, middle_y = int(np.rint(centre[k, 0])), int(np.rint(centre[k, 1]))
+        inside, around, inside_sum, around_sum = 0, 0, 0.0, 0.0
+        middle_x, middle_y = int(np.rint(x0)), int(np.rint(y0))
         for y in range(max(middle_y - reach, 0), min(middle_y + reach, rows - 2) + 1):
             for x in range(max(middle_x - reach, 0), min(middle_x + reach, columns - 2) + 1):
                 least, largest = 1e9, 0.0
                 for j in range(2):
                     for i in range(2):
-                        dx, dy = x + i - centre[k, 0], y + j - centre[k, 1]
+                        dx, dy = x + i - x0, y + j - y0
                         f = form * (dx * dx + dy * dy)
                         least, largest = min(least, f), max(largest, f)
                 if least > outer or largest < inner:
                     gather(image, colour, others, x, y, square, one_by_one, signal, use)
                     twist = signal[0] - signal[1] - signal[2] + signal[3]
-                    side = 1 if largest < inner else 0
-                    counts[side] += 1
-                    sums[side] += 0.25 * twist * twist
-        for side in range(2):
-            if counts[side] > 2:
-                out[k, side] = sums[side] / counts[side]
+                    if largest < inner:
+                        inside += 1
+                        inside_sum += 0.25 * twist * twist
+                    else:
+                        around += 1
+                        around_sum += 0.25 * twist * twist
+        if around > 2:
+            out[k, 0] = around_sum / around
+        if inside > 2:
+            out[k, 1] = inside_sum / inside

@@ -12,6 +12,7 @@ Validity: motion that is smooth over a few pitches (strain between neighbours be
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -497,14 +498,14 @@ def _local_affine(rest, near, fit_weight, size, motion, predicted, certain):
         mx, my, ux, uy = 0.0, 0.0, 0.0, 0.0
         for k in range(near.shape[1]):
             w, m = fit_weight[n, k], near[n, k]
-            if w > 0.0 and np.isfinite(motion[m, 0] + motion[m, 1]):
+            if w > 0.0 and math.isfinite(motion[m, 0] + motion[m, 1]):
                 count += 1
                 total += w
                 mx += w * (rest[m, 0] - rest[n, 0])
                 my += w * (rest[m, 1] - rest[n, 1])
                 ux += w * motion[m, 0]
                 uy += w * motion[m, 1]
-        certain[n] = count >= LEAST_NEIGHBOURS and np.isfinite(rest[n, 0] + rest[n, 1])
+        certain[n] = count >= LEAST_NEIGHBOURS and math.isfinite(rest[n, 0] + rest[n, 1])
         if total == 0.0:
             predicted[n, 0], predicted[n, 1] = 0.0, 0.0
             continue
@@ -513,7 +514,7 @@ def _local_affine(rest, near, fit_weight, size, motion, predicted, certain):
         sxx, sxy, syy, ax, ay, bx, by = pull, 0.0, pull, 0.0, 0.0, 0.0, 0.0
         for k in range(near.shape[1]):
             w, m = fit_weight[n, k], near[n, k]
-            if w > 0.0 and np.isfinite(motion[m, 0] + motion[m, 1]):
+            if w > 0.0 and math.isfinite(motion[m, 0] + motion[m, 1]):
                 dx, dy = rest[m, 0] - rest[n, 0] - mx, rest[m, 1] - rest[n, 1] - my
                 du, dv = motion[m, 0] - ux, motion[m, 1] - uy
                 sxx += w * dx * dx

@@ -6,6 +6,7 @@ It is the baseline. A marker must stay in its cell; ground and shading pull the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -65,7 +66,7 @@ def _cell_centroids(image, colour, start, half, least, out):
         x, y = start[k, 0], start[k, 1]
         for _ in range(PASSES):
             mass, sx, sy, highest = 0.0, 0.0, 0.0, 0.0
-            if np.isfinite(x) and np.isfinite(y):
+            if math.isfinite(x) and math.isfinite(y):
                 column, row = int(np.rint(x)), int(np.rint(y))
                 for j in range(max(row - half, 0), min(row + half, height - 1) + 1):
                     for i in range(max(column - half, 0), min(column + half, width - 1) + 1):

@@ -17,6 +17,7 @@ deviation is about 0.7 px; with 1.6 px a covered marker of 8 px looks like a sma
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -86,9 +87,11 @@ def gather(image, own, others, column, row, offset, runs, signal, use):
     other_red, other_green, other_blue = np.float32(0), np.float32(0), np.float32(0)
     limit = np.float32(1)
     if len(others):
-        other_red, other_green, other_blue, limit = others[0]
+        other_red, other_green = others[0, 0], others[0, 1]
+        other_blue, limit = others[0, 2], others[0, 3]
     done = 0
-    for y, first, count in runs:
+    for i in range(len(runs)):
+        y, first, count = runs[i, 0], runs[i, 1], runs[i, 2]
         for block in range(0, count, LANES):
             start = 3 * ((row + y) * width + column + first + block)
             pixels = flat[start : start + 3 * LANES]
@@ -203,8 +206,8 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, n
         dx, dy = place[0, p] - cx, place[1, p] - cy
         ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
         squared = ax * dx + ay * dy + np.float32(1e-6)
-        flat = one / np.sqrt(ax * ax + ay * ay + np.float32(1e-8))
-        v = min(max((np.sqrt(squared) - squared) * flat * per_blur, -one), one)
+        flat = one / math.sqrt(ax * ax + ay * ay + np.float32(1e-8))
+        v = min(max((math.sqrt(squared) - squared) * flat * per_blur, -one), one)
         v2 = v * v
         cover = half + v * (edge0 - v2 * (edge1 - v2 * edge2))
         fall = one - v2
@@ -285,31 +288,31 @@ def _fit_centres(
     slopes,
     offset,
     runs,
+    place,
+    room,
     every,
     out,
 ):
-    """Fill ``out`` (n, `COLUMNS`), see `Templates.fit`; NaN where a fit failed.
+    """Fill ``out`` (n, `COLUMNS`), see `Templates.fit`; what it holds stays where a fit failed.
 
     ``lead`` is (0, `LEADS`) where starts are taken as they are; rows of ``start`` that are NaN are
-    left out.
+    left out. ``place`` (2, m) is ``offset`` as float32, ``room`` (2, m + `LANES`) a work array.
     """
     rows, columns = image.shape[0], image.shape[1]
-    place = np.minimum(np.abs(offset), 1000).astype(np.float32) * np.sign(offset).astype(np.float32)
-    room = np.empty((2, offset.shape[1] + LANES), np.float32)
     signal, use = room[0, : offset.shape[1]], room[1, : offset.shape[1]]
     colour = (own[0], own[1], own[2], own[3])
-    total = np.empty(16, np.float64)
+    total, first = np.empty(16), np.empty(2)
     for k in range(len(start)):
-        out[k, :] = np.nan
-        cx, cy = start[k, 0], start[k, 1]
-        if len(lead) and np.isfinite(cx + cy):
-            cx += _led(out, start, lead[k], CENTRE_X)
-            cy += _led(out, start, lead[k], CENTRE_Y)
-        if not (np.isfinite(cx) and np.isfinite(cy) and np.isfinite(shape[k, 0])):
+        fit, mark = out[k], shape[k]
+        known = len(lead) > 0 and math.isfinite(start[k, 0] + start[k, 1])
+        for axis in range(2):
+            first[axis] = start[k, axis] + (_led(out, start, lead[k], axis) if known else 0.0)
+        cx, cy = first[CENTRE_X], first[CENTRE_Y]
+        if not (math.isfinite(cx) and math.isfinite(cy) and math.isfinite(mark[0])):
             continue
-        xx, xy, yy, blur, level = shape[k, 0], shape[k, 1], shape[k, 2], shape[k, 6], shape[k, 7]
+        xx, xy, yy, blur, level = mark[0], mark[1], mark[2], mark[6], mark[7]
         here = ground[k]
-        mean_radius = np.sqrt(max(xx * yy - xy * xy, 0.25))
+        mean_radius = math.sqrt(max(xx * yy - xy * xy, 0.25))
         scale, step, column, row = 1.0, 1e9, 0, 0
         share, last_x, last_y = 1.0, 0.0, 0.0
         for turn in range(SETTLED_TURNS):
@@ -321,13 +324,15 @@ def _fit_centres(
                 column, row = middle_x, middle_y
                 gather(image, colour, others, column, row, offset, runs, room[0], room[1])
             u, v = cx / columns - 0.5, cy / rows - 0.5
-            slope_x = shape[k, 3] + slopes[0, 0] + slopes[0, 1] * u + slopes[0, 2] * v
+            slope_x = mark[3] + slopes[0, 0] + slopes[0, 1] * u + slopes[0, 2] * v
             slope_x += slopes[0, 3] * u * u + slopes[0, 4] * u * v + slopes[0, 5] * v * v
-            slope_y = shape[k, 4] + slopes[1, 0] + slopes[1, 1] * u + slopes[1, 2] * v
+            slope_y = mark[4] + slopes[1, 0] + slopes[1, 1] * u + slopes[1, 2] * v
             slope_y += slopes[1, 3] * u * u + slopes[1, 4] * u * v + slopes[1, 5] * v * v
             fxx, fxy, fyy = inverse_form(xx, xy, yy, scale)
             left = SHARE * total[14] / total[0] if turn > 0 else 0.0
-            narrow = 1.0 / doubtful(max(noise[1], left), level, np.sqrt(step) if turn > 0 else 1.0)
+            narrow = 1.0 / doubtful(
+                max(noise[1], left), level, math.sqrt(step) if turn > 0 else 1.0
+            )
             _sums(
                 signal,
                 use,
@@ -336,7 +341,7 @@ def _fit_centres(
                 np.float32(cy - row),
                 (np.float32(fxx), np.float32(fxy), np.float32(fyy)),
                 (np.float32(slope_x), np.float32(slope_y)),
-                np.float32(shape[k, 5]),
+                np.float32(mark[5]),
                 np.float32(blur),
                 np.float32(level),
                 np.float32(here),
@@ -354,7 +359,7 @@ def _fit_centres(
             level = (n * sim - sm * si) / determinant
             here = (si - level * sm) / n
             brighter = abs(level - level_before) + abs(here - ground_before)
-            if level <= 0.05 * shape[k, 7]:
+            if level <= 0.05 * mark[7]:
                 break
             step_x = (jyy * total[8] - jxy * total[9]) / information
             step_y = (jxx * total[9] - jxy * total[8]) / information
@@ -383,29 +388,29 @@ def _fit_centres(
         more = noise[1] - noise[0]
         across, along = noise[0] * jxx + more * total[12], noise[0] * jyy + more * total[13]
         # the middle matrix of the sandwich, taken as diagonal: exact on whole discs
-        out[k, CENTRE_X], out[k, CENTRE_Y], out[k, LEVEL], out[k, GROUND] = cx, cy, level, here
-        out[k, SCALE] = scale
-        out[k, VAR_X] = (jyy * jyy * across + jxy * jxy * along) / (determinant * determinant)
-        out[k, VAR_Y] = (jxx * jxx * along + jxy * jxy * across) / (determinant * determinant)
+        fit[CENTRE_X], fit[CENTRE_Y], fit[LEVEL], fit[GROUND] = cx, cy, level, here
+        fit[SCALE] = scale
+        fit[VAR_X] = (jyy * jyy * across + jxy * jxy * along) / (determinant * determinant)
+        fit[VAR_Y] = (jxx * jxx * along + jxy * jxy * across) / (determinant * determinant)
         # a whole ellipse's sum of squared slopes: its length times 5/7 over the blur's half width
-        mean, gap = 0.5 * (xx + yy), np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-        length = 2.0 * np.pi * scale * np.sqrt(mean * mean + gap * gap)
-        whole = length * (level * (1.0 + shape[k, 5])) ** 2 * 5.0 / 7.0 / blur
-        out[k, EDGE] = total[15] / max(whole, 1e-9)
-        out[k, SQUARES], out[k, PIXELS], out[k, STEP] = total[14], n, np.sqrt(step)
-        out[k, MISFIT] = total[14] / max(noise[0] * n + more * total[1], 1e-9)
-        out[k, FITTING] = total[10] / max(total[15], 1e-9)
-        out[k, SHORTFALL], out[k, RESHAPED] = 0.0, 0.0
-        doubted = out[k, FITTING] < FITS or out[k, MISFIT] > UNUSUAL * usual_misfit
+        mean, gap = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+        length = 2.0 * np.pi * scale * math.sqrt(mean * mean + gap * gap)
+        whole = length * (level * (1.0 + mark[5])) ** 2 * 5.0 / 7.0 / blur
+        fit[EDGE] = total[15] / max(whole, 1e-9)
+        fit[SQUARES], fit[PIXELS], fit[STEP] = total[14], n, math.sqrt(step)
+        fit[MISFIT] = total[14] / max(noise[0] * n + more * total[1], 1e-9)
+        fit[FITTING] = total[10] / max(total[15], 1e-9)
+        fit[SHORTFALL], fit[RESHAPED] = 0.0, 0.0
+        doubted = fit[FITTING] < FITS or fit[MISFIT] > UNUSUAL * usual_misfit
         if doubted or (every > 0 and k % every == 0):
             form = inverse_form(xx, xy, yy, scale)
-            light = (slope_x, slope_y, shape[k, 5])
+            light = (slope_x, slope_y, mark[5])
             centre = (cx - column, cy - row)
-            _edge(signal, use, place, centre, form, light, blur, level, here, narrow, out[k])
+            _edge(signal, use, place, centre, form, light, blur, level, here, narrow, fit)
             if every == 0 or k % every > 0:
-                out[k, THIRD_X], out[k, THIRD_Y] = np.nan, np.nan
-            if out[k, SHORTFALL] * level <= OUTLIER_SD * np.sqrt(noise[1]):
-                out[k, SHORTFALL] = 0.0
+                fit[THIRD_X], fit[THIRD_Y] = np.nan, np.nan
+            if fit[SHORTFALL] * level <= OUTLIER_SD * math.sqrt(noise[1]):
+                fit[SHORTFALL] = 0.0
 
 
 @njit(cache=True)
@@ -424,8 +429,8 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
         dx, dy = place[0, p] - centre[0], place[1, p] - centre[1]
         ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
         squared = ax * dx + ay * dy + 1e-6
-        flat = 1.0 / np.sqrt(ax * ax + ay * ay + 1e-8)
-        v = (np.sqrt(squared) - squared) * flat / blur
+        flat = 1.0 / math.sqrt(ax * ax + ay * ay + 1e-8)
+        v = (math.sqrt(squared) - squared) * flat / blur
         if v <= -1.0 or use[p] == 0.0:
             continue
         v = min(v, 1.0)
@@ -440,7 +445,7 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
         sine += tilt * ny * (3.0 - 4.0 * ny * ny) * residual
         norm += 0.5 * tilt * tilt
         # weighted sums of the normal equations for x, y and the size, sector by sector
-        angle = np.arctan2(ny, nx) / (2.0 * np.pi) + 1.0
+        angle = math.atan2(ny, nx) / (2.0 * np.pi) + 1.0
         sector = sums[int(angle * SECTORS) % SECTORS]
         trust = tilt / (1.0 + narrow * residual * residual) ** 2
         for i, weight in enumerate((trust * tilt, trust * residual)):
@@ -451,15 +456,14 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
         sector[7] += trust * tilt * nx * ny
         sector[8] += trust * tilt * ny * ny
     out[THIRD_X], out[THIRD_Y], out[SHORTFALL] = cosine / norm, sine / norm, missed
-    step, total, kept = np.empty(SECTORS), np.zeros(9), np.empty(9)
+    step, kept = np.empty(SECTORS), np.empty(9)
     for s in range(SECTORS):
-        total += sums[s]
-    for s in range(SECTORS):
-        kept[:] = total
-        for k in range(s, s + LEFT_OUT):
-            kept -= sums[k % SECTORS]
+        for i in range(9):
+            kept[i] = 0.0
+            for k in range(s + LEFT_OUT, s + SECTORS):
+                kept[i] += sums[k % SECTORS, i]
         angle = 2.0 * np.pi * (s + 0.5 * LEFT_OUT) / SECTORS
-        ux, uy = np.cos(angle), np.sin(angle)
+        ux, uy = math.cos(angle), math.sin(angle)
         along = ux * ux * kept[6] + 2.0 * ux * uy * kept[7] + uy * uy * kept[8]
         cross = ux * kept[1] + uy * kept[2]
         right = ux * kept[4] + uy * kept[5]
@@ -476,6 +480,8 @@ def slope_terms(places: Pixels, size: Sequence[int]) -> Floats:
 
 
 NOBODY = np.zeros((0, LEADS), np.int64)
+NO_RUNS = np.zeros((0, 3), np.int64)
+"""Runs of `gather` for pixels one by one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -534,8 +540,10 @@ class Templates:
         return np.asarray(self.shape[:, 6] / np.sqrt(7.0))
 
     @cached_property
-    def _pixels(self) -> tuple[Ints, Ints]:
-        return disc(self.reach_px)
+    def _pixels(self) -> tuple[Ints, Ints, Singles]:
+        """`disc`, and its offsets as float32, at most 1000."""
+        offset, runs = disc(self.reach_px)
+        return offset, runs, np.clip(offset, -1000, 1000).astype(np.float32)
 
     def fit(
         self,
@@ -559,7 +567,9 @@ class Templates:
         -------
         (n, `COLUMNS`)
         """
-        out = np.empty((len(start_px), COLUMNS))
+        out = np.full((len(start_px), COLUMNS), np.nan)
+        offset, runs, place = self._pixels
+        room = np.empty((2, offset.shape[1] + LANES), np.float32)
         _fit_centres(
             picture,
             self.own,
@@ -571,7 +581,10 @@ class Templates:
             self.noise,
             self.usual_misfit,
             self.slopes,
-            *self._pixels,
+            offset,
+            runs,
+            place,
+            room,
             self.every,
             out,
         )

@@ -338,11 +338,14 @@ def _compliance(
             # hardly moves there.
             if r > REACH:
                 rectangle_terms(x, y, z, 0.0, 0.0, softness, u, n)
-                u *= -0.25 / math.pi
+                for i in range(3):
+                    for j in range(3):
+                        u[i, j] *= -0.25 / math.pi
             else:
                 # Near it: five functions of (r, z), interpolated from the grid.
                 i, j = _place(r, z, weights)
-                f[:] = 0.0
+                for c in range(5):
+                    f[c] = 0.0
                 for a in range(_STENCIL):
                     for b in range(_STENCIL):
                         share = weights[0, a] * weights[2, b]
@@ -388,11 +391,15 @@ def _gradient(
             if r > REACH:
                 # minus the half-space's
                 rectangle_slopes(x, y, z, 0.0, 0.0, 1.0 - 2.0 * nu, g, n)
-                g *= -0.25 / math.pi
-                t[:] = nu / math.pi * n
+                for i in range(3):
+                    t[i] = nu / math.pi * n[i]
+                    for k in range(3):
+                        for j in range(3):
+                            g[i, k, j] *= -0.25 / math.pi
             else:
                 i, j = _place(r, z, weights)
-                f[:], r_slope[:], z_slope[:] = 0.0, 0.0, 0.0
+                for c in range(7):
+                    f[c], r_slope[c], z_slope[c] = 0.0, 0.0, 0.0
                 for a in range(_STENCIL):
                     for b in range(_STENCIL):
                         for c in range(7):

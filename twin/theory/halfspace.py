@@ -273,7 +273,9 @@ def _gradient(
             frame = frames[t]
             x, y, z = _local(points[q], centre[t], frame)
             rectangle_slopes(x, y, z, half[t, 0], half[t, 1], k, d, n)
-            g[:] = 0.0
+            for i in range(3):
+                for m in range(3):
+                    g[i, m] = 0.0
             for j in range(3):
                 f = (
                     frame[j, 0] * force[t, 0]
@@ -320,8 +322,11 @@ def rectangle_slopes(
 ) -> None:
     """Set d (3, 3, 3), du_i/dx_m per unit force j, and n (3,) to the mean over the rectangle -a..a
     by -b..b."""
-    d[:] = 0.0
-    n[:] = 0.0
+    for i in range(3):
+        n[i] = 0.0
+        for j in range(3):
+            for m in range(3):
+                d[i, j, m] = 0.0
     distance = x * x + y * y + z * z
     size = a * a + b * b
     if size > 0.0 and distance <= _FAR_3 * _FAR_3 * size:
@@ -447,13 +452,13 @@ def _point_slopes(
     _add_slopes(d, hxxx, hxxy, hxyy, hyyy, hxxz, hyyz, hxyz, -x * w3, -y * w3, -z * w3)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _log(over: float, under: float) -> float:
     """Return ln(over / under), neither negative; one that is 0 counts as 1."""
     return math.log((over if over > 0.0 else 1.0) / (under if under > 0.0 else 1.0))
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _log_ratio(y1: float, r1: float, y2: float, r2: float, rest: float) -> float:
     """Return ln[(y1 + r1) / (y2 + r2)] with y1 > y2 and r^2 = y^2 + rest, without cancellation; 0
     if infinite."""
@@ -467,13 +472,13 @@ def _log_ratio(y1: float, r1: float, y2: float, r2: float, rest: float) -> float
     return math.log(over / under) if under > _TINY * over else 0.0
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _turn(s1: float, c1: float, s2: float, c2: float) -> float:
     """Return atan(s1 / c1) - atan(s2 / c2), c1 and c2 not negative."""
     return math.atan2(s1 * c2 - c1 * s2, c1 * c2 + s1 * s2)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, forceinline=True)
 def _over(y: float, r: float, rest: float) -> float:
     """Return 1 / [r (r + y)] without cancellation; 0 on the line where it is singular."""
     if r == 0.0 or rest == 0.0:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.stats import qmc
 from small_sweep import small
 
 from twin.arrays import Floats
@@ -12,6 +13,7 @@ from twin.parts.sweep import Loads
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
+from twin.streams import Purpose, stream
 from twin.study.calibrate import nominal_calibration
 from twin.study.doubts import view_of
 from twin.study.sensor import Sensor
@@ -23,6 +25,14 @@ def _linear(scene: Scene) -> tuple[dict[str, float], Shown]:
     sweep = small()[0]
     pushes = pushes_of(scene.body, sweep.loads, (2.0, 1.5), 1)
     return linear(scene, view_of(scene), sweep, Bodies(), pushes)
+
+
+def test_presses_are_at_the_places_of_a_scrambled_halton_sequence() -> None:
+    sweep, scene = small()
+    loads = sweep.loads.model_copy(update={"presses": 40})
+    pushes = pushes_of(scene.body, loads, (2.0, 1.5), 3)
+    u = qmc.Halton(3, scramble=True, rng=stream(3, Purpose.SAMPLING, 1)).random(40)
+    assert np.allclose(pushes.patches.centre_mm[1:41, :2], (2 * u[:, :2] - 1) * (2.0, 1.5), atol=1e-12)
 
 
 @pytest.mark.parametrize("columns", [6, 7])

@@ -55,6 +55,9 @@ _REORDER = {"contract", "arcp", "reassoc", "nsz"}
 _SHIFT = 17
 """Bits of a float32's 23 that lie within a piece of `Segments`."""
 
+_POSITIVE, _ONE_BITS = 0x7FFFFFFF, 127 << 23
+"""All bits of a float32 but the sign; the bits of 1."""
+
 _OCTAVES = 32
 
 _ACTIVE_US = 52.66
@@ -267,15 +270,12 @@ def at_segments(pieces: Segments, line: Singles) -> None:
     """Replace (n,) arguments by the function's values, with the sign of each; arguments above 1
     count as 1."""
     octaves = (len(pieces) - 1) // 64
-    least = np.float32(2.0**-octaves)
-    first = (127 - octaves) << (23 - _SHIFT)
-    size = np.empty_like(line)
-    bits = size.view(np.int32)
+    least, least_bits = np.float32(2.0**-octaves), (127 - octaves) << 23
+    bits = line.view(np.int32)  # those of positive numbers are in the numbers' order
     for i in range(len(line)):
-        size[i] = min(max(abs(line[i]), least), np.float32(1))
-    for i in range(len(line)):
-        at = (bits[i] >> _SHIFT) - first
-        line[i] = np.copysign(pieces[at, 0] + pieces[at, 1] * size[i], line[i])
+        size = min(max(abs(line[i]), least), np.float32(1))
+        at = (min(max(bits[i] & _POSITIVE, least_bits), _ONE_BITS) - least_bits) >> _SHIFT
+        line[i] = np.copysign(pieces[at, 0] + pieces[at, 1] * size, line[i])
 
 
 @cache

@@ -225,15 +225,8 @@ def _rows_of_six(metric: Floats) -> Floats:
 
 
 @njit(cache=True, nogil=True, fastmath=_REORDER)
-def _six(metric: Any, i: int) -> Six:
-    return (
-        metric[i, 0],
-        metric[i, 1],
-        metric[i, 2],
-        metric[i, 3],
-        metric[i, 4],
-        metric[i, 5],
-    )
+def _six(row: Any) -> Six:
+    return row[0], row[1], row[2], row[3], row[4], row[5]
 
 
 @njit(cache=True, nogil=True, fastmath=_REORDER)
@@ -355,8 +348,8 @@ def _blocked(
 
 
 @njit(cache=True, nogil=True, fastmath=_REORDER)
-def _four(w: Singles, row: int, j: int) -> Four:
-    return w[row + j], w[row + _BATCH + j], w[row + 2 * _BATCH + j], w[row + 3 * _BATCH + j]
+def _four(w: Singles, at: int) -> Four:
+    return w[at], w[at + _BATCH], w[at + 2 * _BATCH], w[at + 3 * _BATCH]
 
 
 @njit(cache=True, nogil=True, fastmath=_REORDER)
@@ -395,7 +388,7 @@ def _shade_isolated(
     rest = np.float32(1 - ambient)
     inner, edge = chosen[0], chosen[1]
     for i in range(begin, end):
-        m = _six(metric, i)
+        m = _six(metric[i])
         cx, cy, cz = centres[i, 0], centres[i, 1], centres[i, 2]
         drop = base - cz
         for start in range(isolated[i], isolated[i + 1], _BATCH):
@@ -447,7 +440,7 @@ def _shade_isolated(
                     w[_ALL_DOWN + j],
                     w[_ALL_DOWN + _BATCH + j],
                 )
-                met = _approach(_four(w, _ALL_RAY, j), m, step)
+                met = _approach(_four(w, _ALL_RAY + j), m, step)
                 w[_NEAR + j], w[_FULL + j] = _candidate(met, m, step, np.float32(edge_grid))
             inners, edges = 0, 0
             for j in range(count):  # without branches, which no processor could foresee
@@ -497,8 +490,8 @@ def _shade_isolated(
                     row_in = np.float32(sample // grid)
                     right, low = (column_in + _HALF) / k - _HALF, (row_in + _HALF) / k - _HALF
                     for j in range(lanes):
-                        first, across = _four(w, _RAY, j), _four(w, _ACROSS, j)
-                        down = _four(w, _DOWN, j)
+                        first, across = _four(w, _RAY + j), _four(w, _ACROSS + j)
+                        down = _four(w, _DOWN + j)
                         ray = (
                             first[0] + across[0] * right + down[0] * low,
                             first[1] + across[1] * right + down[1] * low,
@@ -529,7 +522,7 @@ def _shade_isolated(
                         pair = i * leds + led
                         for dark in range(dark_first[pair], dark_first[pair + 1]):
                             other = dark_members[dark]
-                            blocking = _six(metric, other)
+                            blocking = _six(metric[other])
                             centre = (
                                 np.float32(centres[other, 0] - cx),
                                 np.float32(centres[other, 1] - cy),
@@ -537,7 +530,7 @@ def _shade_isolated(
                             )
                             for j in range(lanes):
                                 place = (w[_X + j], w[_Y + j], w[_Z + j])
-                                across, down = _four(w, _ACROSS, j), _four(w, _DOWN, j)
+                                across, down = _four(w, _ACROSS + j), _four(w, _DOWN + j)
                                 step = (
                                     across[0] - across[2] * place[2],
                                     across[1] - across[3] * place[2],
@@ -660,7 +653,7 @@ def _shade_overlapping(
         found, simple = 0, False
         for at in range(first[j], first[j + 1]):
             marker = members[at]
-            m = _six(metric, marker)
+            m = _six(metric[marker])
             there, step = _relative(middle, across, down, base, centres[marker])
             may, fills = _candidate(_approach(there, m, step), m, step, edge_grid)
             if may > 0:
@@ -694,7 +687,7 @@ def _shade_overlapping(
             hits = 0
             for i in range(found):
                 marker = near[i]
-                m = _six(metric, marker)
+                m = _six(metric[marker])
                 there, step = _relative(ray, across, down, base, centres[marker])
                 met = _approach(there, m, step)
                 covers = _coverage(met, k)
@@ -748,7 +741,7 @@ def _shade_overlapping(
                             other = dark_members[dark]
                             open_share *= 1 - _blocked(
                                 (centres[other, 0], centres[other, 1], centres[other, 2]),
-                                _six(metric, other),
+                                _six(metric[other]),
                                 (x, y, z),
                                 (tx, ty, tz),
                                 (nx, ny, nz),
