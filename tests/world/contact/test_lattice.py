@@ -12,7 +12,7 @@ from twin.parts.press import Cone, Pillar, Press, Step
 from twin.theory import halfspace
 from twin.world.contact import contact_search
 from twin.world.contact.influence import DenseInfluence, LatticeInfluence, lattice
-from twin.world.contact.surface_patches import Box, Patches, Plane, candidate_patches
+from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane, candidate_patches
 from twin.world.elasticity.compliance import Compliance
 
 
@@ -150,7 +150,7 @@ def test_balls_in_one_plane_share_a_lattice(places, on_both):
 @pytest.mark.parametrize("nu", [0.3, 0.5])
 def test_the_normal_part_of_a_compliance_is_that_of_the_whole(nu):
     """Graded cells under a sharp face, which no lattice holds; off the plane there is none."""
-    face, box = Pillar(width_mm=4, length_mm=3), Box(u0=-2, u1=2, v0=-1.5, v1=1.5)
+    face, box = Footprint(half_mm=(2.0, 1.5), is_round=False), Box(u0=-2, u1=2, v0=-1.5, v1=1.5)
     cut = candidate_patches(BLOCK, face, UPRIGHT, box, (12, 10)).unloaded
     body = elastic(nu)
     assert_allclose(body.normal_surface(cut), body.surface(cut)[2::3, 2::3], rtol=1e-11)

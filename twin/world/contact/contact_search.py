@@ -49,9 +49,10 @@ from twin.world.contact.probe_gap import (
     half_extent,
     rotation_of,
 )
+from twin.world.contact.sharp_edges import aligned, edges_along
 from twin.world.contact.surface_patches import (
     Box,
-    Face,
+    Footprint,
     Patches,
     Plane,
     candidate_patches,
@@ -115,11 +116,20 @@ class ProbeSetup:
         return self.first.probe
 
     @cached_property
-    def face(self) -> Face:
-        """The probe, if its flat face bounds the contact."""
-        return (
-            self.probe if self.first.is_flat and isinstance(self.probe, Cylinder | Pillar) else None
-        )
+    def face(self) -> Footprint | None:
+        """The flat face, seen along the approach, if it bounds the contact."""
+        probe = self.probe
+        if not (self.first.is_flat and isinstance(probe, Cylinder | Pillar)):
+            return None
+        edge = probe.edge_mm
+        upright = float(self.first.tilt[2, 2])
+        # a round face is shortened along its steepest line; a square one's first side by as much
+        # as it is inclined, and the other one so that the area is the right one
+        is_round = isinstance(probe, Cylinder)
+        first = upright if is_round else float(np.hypot(*self.first.tilt[:2, 0]))
+        a, b = half_extent(probe)
+        half = (edge + (a - edge) * first, edge + (b - edge) * upright / first)
+        return Footprint(half_mm=half, is_round=is_round, edge_mm=edge)
 
     @property
     def is_free_form(self) -> bool:
@@ -147,7 +157,9 @@ class ProbeSetup:
         elif not pose[ABOUT_X:].any() and not any(first.tilt_deg):
             plane = Plane(origin_mm=there.axis_mm, axes=first.axes)
         else:
-            side = rotation_of(pose[ABOUT_X:]) @ first.tilt[:, 0]
+            turned = rotation_of(pose[ABOUT_X:]) @ first.tilt
+            steepest = np.array([*turned[:2, 2], 0.0])
+            side = steepest if self.face.is_round and steepest.any() else turned[:, 0]
             side = np.array([side[0], side[1], 0.0]) / np.hypot(side[0], side[1])
             own = np.stack([side, np.cross([0.0, 0.0, 1.0], side), [0.0, 0.0, 1.0]])
             plane = Plane(origin_mm=there.axis_mm, axes=own @ first.axes)
@@ -700,8 +712,9 @@ def _grids(
         margin = max(_PIECES_MARGIN if pieces else _MARGIN, _SPARE / setup.across)
         box = contact.grown(*(margin * size for size in contact.size)).clipped(setup.face)
         allowed = min(most, setup.most * (setup.across / PATCHES_ACROSS) ** 2)
+        box, count = aligned(box, _counts(setup.across, box, contact, allowed))
         boxes.append(box)
-        counts.append(_counts(setup.across, box, contact, allowed))
+        counts.append(count)
     if len(boxes) > 1:
         boxes, counts = _on_one_lattice(setups, planes, boxes, counts)
     grids = []
@@ -768,8 +781,23 @@ def find_contact(
     The plane is the one given, turned so that its axes lie along and across a long contact, if it
     ``may_turn``.
     """
-    if setup.is_free_form:
-        return _find_overlap(setup, control, start, plane, touch_z, may_turn=may_turn)
+    find = _find_overlap if setup.is_free_form else _find_on_grids
+    plane, contact, pose = find(setup, control, start, plane, touch_z, may_turn=may_turn)
+    if setup.face is None and not isinstance(setup.probe, Sphere | Cone):
+        contact = edges_along(setup.body, setup.first, plane, contact, pose)
+    return plane, contact, pose
+
+
+def _find_on_grids(
+    setup: ProbeSetup,
+    control: Control,
+    start: Floats,
+    plane: Plane,
+    touch_z: float,
+    *,
+    may_turn: bool,
+) -> tuple[Plane, Box, Floats]:
+    """Find a contact as `find_contact`, on grids that grow and shrink until one fits it."""
     force_z = float(control.given[Z]) if control.by_force[Z] else None
     upright = float(plane.axes[2] @ setup.first.axes[2])
     # on a slope the normal force is larger than its part along z, and the probe sinks further along

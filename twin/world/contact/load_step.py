@@ -42,7 +42,7 @@ from twin.world.contact.contact_search import ContactProblem, Control
 from twin.world.contact.coulomb import solve_coulomb
 from twin.world.contact.friction_law import LAW
 from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence
-from twin.world.contact.probe_gap import MOTIONS, TURN, X, Y, Z, half_extent
+from twin.world.contact.probe_gap import MOTIONS, TURN, X, Y, Z
 from twin.world.contact.surface_patches import Patches
 
 
@@ -548,7 +548,7 @@ def _refuse_slide(grid: FrictionalContact, history: ContactHistory) -> None:
             what = "beyond the patches, which lie around where it touched first"
         else:
             off = slid
-            allowed = SLIDE_LIMIT * 2 * min(half_extent(setup.face))
+            allowed = SLIDE_LIMIT * 2 * min(setup.face.half_mm)
             what = "as a whole, while the patches under a flat face stay where they are"
         if off > allowed:
             raise ContactError(

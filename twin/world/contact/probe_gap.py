@@ -202,26 +202,30 @@ class _Ball:
 
 @dataclass(frozen=True)
 class _Face:
-    """A flat face with a sharp rim, which touches with its face."""
+    """A flat face with a sharp rim, which touches with its face.
+
+    ``rim`` is the share of the half width up to which places belong to it: see `RIM`.
+    """
 
     probe: Cylinder | Pillar
+    rim: float = 1.0
 
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
         """See `Shape`; the sides above the rim are left out."""
         upright = np.maximum(along[:, 2], 1e-9)
         distance = points[:, 2] / upright
         over = points - distance[:, None] * along
-        met = (along[:, 2] > GRAZING) & _within_footprint(self.probe, over[:, :2])
+        met = (along[:, 2] > GRAZING) & _within_footprint(self.probe, over[:, :2] / self.rim)
         down = np.broadcast_to([0.0, 0.0, 1.0], along.shape)
         return np.where(met, distance, np.inf), np.where(met[:, None], down, along)
 
 
 def _within_footprint(probe: Cylinder | Pillar, offset_mm: Floats) -> Bools:
-    """Return (k,) whether offsets (k, 2) from the axis lie under the flat face, its border included
-    (see `RIM`)."""
+    """Return (k,) whether offsets (k, 2) from the axis lie under the flat face, its border
+    included."""
     if isinstance(probe, Cylinder):
-        return np.asarray(np.hypot(offset_mm[:, 0], offset_mm[:, 1]) <= probe.diameter_mm / 2 * RIM)
-    return np.asarray(np.all(np.abs(offset_mm) <= np.array(probe.size_mm) / 2 * RIM, axis=1))
+        return np.asarray(np.hypot(offset_mm[:, 0], offset_mm[:, 1]) <= probe.diameter_mm / 2)
+    return np.asarray(np.all(np.abs(offset_mm) <= np.array(probe.size_mm) / 2, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,8 +317,11 @@ def _is_flat(probe: Probe, tilt_deg: tuple[float, float, float]) -> bool:
     )
 
 
-def _shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Shape:
-    """Return the surface of a probe, tilted before it comes."""
+def _shape_of(
+    probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0), rim: float = 1.0
+) -> Shape:
+    """Return the surface of a probe, tilted before it comes; ``rim`` of a flat face as in
+    `_Face`."""
     if isinstance(probe, Sphere):
         return _Ball(probe.diameter_mm / 2)  # looks the same however it is turned
     if isinstance(probe, Stl):
@@ -327,7 +334,7 @@ def _shape_of(probe: Probe, tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.
         half = math.radians(probe.apex_deg / 2)
         shape = RoundedProbe(CONE, (math.sin(half), math.cos(half), -probe.tip_mm), probe.tip_mm)
     elif probe.edge_mm == 0.0 and _is_flat(probe, tilt_deg):
-        shape = _Face(probe)
+        shape = _Face(probe, rim)
     else:
         a, b = half_extent(probe)
         kind = ROUND if isinstance(probe, Cylinder) else SQUARE
@@ -413,7 +420,7 @@ class Approach:
     @cached_property
     def shape(self) -> Shape:
         """The probe's surface."""
-        return _shape_of(self.probe, self.tilt_deg)
+        return _shape_of(self.probe, self.tilt_deg, RIM)
 
     @cached_property
     def is_flat(self) -> bool:

@@ -23,12 +23,6 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Points, frozen
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
-from twin.parts.probe import Cylinder, Pillar
-from twin.world.contact.probe_gap import half_extent
-
-Face = Cylinder | Pillar | None
-"""The probe whose flat face bounds the contact; None where nothing but the contact itself does."""
-
 
 _LONG = 3.0
 """Length over width of a box from which on no ellipse is cut out of it."""
@@ -38,11 +32,31 @@ _FILLS = 0.85
 used."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Footprint:
+    """The outline of a flat face in the plane of the grid, its middle over the plane's origin.
+
+    Attributes
+    ----------
+    half_mm
+        Half sizes along the grid's axes; a tilted face is seen shortened.
+    is_round
+        Whether it is an ellipse; else it is a rectangle.
+    edge_mm
+        Radius by which the rim is rounded; 0 is sharp.
+    """
+
+    half_mm: tuple[float, float]
+    is_round: bool
+    edge_mm: float = 0.0
+
+
 class Box(NamedTuple):
     """The piece (u0, u1, v0, v1) of a plane in which contact is sought, mm.
 
     ``width_mm`` is the mean width of the pieces of a contact that fills little of it, of any shape
-    and number; inf of a contact in one piece that fills it.
+    and number; inf of a contact in one piece that fills it. ``edges`` are the places along u and v
+    of the probe's sharp edges across them (`twin.world.contact.sharp_edges`).
     """
 
     u0: float
@@ -50,6 +64,7 @@ class Box(NamedTuple):
     v0: float
     v1: float
     width_mm: float = math.inf
+    edges: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
 
     @property
     def size(self) -> tuple[float, float]:
@@ -61,7 +76,7 @@ class Box(NamedTuple):
         """Whether it is so long that a contact in it is taken for a line."""
         return max(self.size) > _LONG * min(self.size)
 
-    def is_even(self, face: Face, across: tuple[int, int]) -> bool:
+    def is_even(self, face: Footprint | None, across: tuple[int, int]) -> bool:
         """Return whether all cells are equal: where no face bounds the contact, or its rim is as
         wide as a cell."""
         return face is None or face.edge_mm >= max(
@@ -73,11 +88,11 @@ class Box(NamedTuple):
         pairs = zip(self.size, other.size, strict=True)
         return min(own / wanted for own, wanted in pairs) >= _FILLS
 
-    def clipped(self, face: Face) -> Box:
+    def clipped(self, face: Footprint | None) -> Box:
         """Return the part under a flat face; without one, everything."""
         if face is None:
             return self
-        a, b = half_extent(face)
+        a, b = face.half_mm
         return self._replace(
             u0=max(self.u0, -a), u1=min(self.u1, a), v0=max(self.v0, -b), v1=min(self.v1, b)
         )
@@ -90,6 +105,7 @@ class Box(NamedTuple):
             v0=min(self.v0, other.v0),
             v1=max(self.v1, other.v1),
             width_mm=min(self.width_mm, other.width_mm),
+            edges=self.edges if any(self.edges) else other.edges,
         )
 
     def grown(self, u: float, v: float) -> Box:
@@ -110,36 +126,36 @@ def _cell_edges(low: float, high: float, count: int, *, graded: tuple[bool, bool
     return np.asarray(low + (high - low) * shape)
 
 
-def _half_chord(face: Cylinder | Pillar, v0: float, v1: float) -> float:
+def _half_chord(face: Footprint, v0: float, v1: float) -> float:
     """Half the mean width of the footprint between v0 and v1: the strip's exact area over its
     height."""
-    if isinstance(face, Pillar):
-        return face.size_mm[0] / 2
-    a = face.diameter_mm / 2
+    a, b = face.half_mm
+    if not face.is_round:
+        return a
     area = [
-        (v * math.sqrt(max(a * a - v * v, 0.0)) + a * a * math.asin(max(-1.0, min(1.0, v / a)))) / 2
+        (v * math.sqrt(max(b * b - v * v, 0.0)) + b * b * math.asin(max(-1.0, min(1.0, v / b)))) / 2
         for v in (v0, v1)
     ]
-    return (area[1] - area[0]) / (v1 - v0)
+    return a / b * (area[1] - area[0]) / (v1 - v0)
 
 
-def _even_cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
+def _even_cells(face: Footprint | None, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
     """Return (n, 2) middles and (n, 2) half sizes of equal cells, those beyond a round face left
     out."""
-    radius = face.diameter_mm / 2 if isinstance(face, Cylinder) else math.inf
+    a, b = face.half_mm if face is not None and face.is_round else (math.inf, math.inf)
     half_u, half_v = (size / (2 * count) for size, count in zip(box.size, across, strict=True))
     u = (2 * np.arange(across[0]) + 1) * half_u + box.u0
     v = (2 * np.arange(across[1]) + 1) * half_v + box.v0
     middle = np.column_stack([np.tile(u, across[1]), np.repeat(v, across[0])])
-    middle = middle[np.hypot(middle[:, 0], middle[:, 1]) < radius]
+    middle = middle[np.hypot(middle[:, 0] / a, middle[:, 1] / b) < 1.0]
     return middle, np.tile([half_u, half_v], (len(middle), 1))
 
 
-def _cells(face: Face, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
+def _cells(face: Footprint | None, box: Box, across: tuple[int, int]) -> tuple[Floats, Floats]:
     """Return (n, 2) middles and (n, 2) half sizes of the grid's cells."""
     if face is None or box.is_even(face, across):
         return _even_cells(face, box, across)
-    a, b = half_extent(face)
+    a, b = face.half_mm
     near = 1e-6 * max(a, b)
     rows = _cell_edges(box.v0, box.v1, across[1], graded=(box.v0 <= near - b, box.v1 >= b - near))
     middles = []
@@ -247,7 +263,7 @@ class Patches:
         return Box(u0=u0, u1=u1, v0=v0, v1=v1)
 
 
-def _projected(body: Body, plane: Plane, middle: Floats) -> tuple[Points, Floats, Bools]:
+def projected(body: Body, plane: Plane, middle: Floats) -> tuple[Points, Floats, Bools]:
     """Project (n, 2) middles along the plane's normal; return points, inward normals and whether
     they are on it."""
     along = plane.axes[2]
@@ -299,7 +315,7 @@ def _on_body(
 ) -> tuple[Points, Floats, Floats, Bools]:
     """Return points, frames and half sizes of cells projected on the body, and (n,) which don't lie
     on it wholly."""
-    points, normals, found = _projected(body, plane, middle)
+    points, normals, found = projected(body, plane, middle)
     frames, half = _tangent_rectangles(plane, cell, normals)
     off = ~found
     for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
@@ -312,14 +328,14 @@ def _on_body(
 
 
 def candidate_patches(
-    body: Body, face: Face, plane: Plane, box: Box, across: tuple[int, int]
+    body: Body, face: Footprint | None, plane: Plane, box: Box, across: tuple[int, int]
 ) -> Patches:
     """Cut the candidate patches under a probe.
 
     Parameters
     ----------
     body, face
-        The undeformed body, and the probe whose flat face bounds the contact, if one does.
+        The undeformed body, and the flat face that bounds the contact, if one does.
     plane
         Plane of the grid, at the place touched first, or of the face.
     box
@@ -334,7 +350,7 @@ def candidate_patches(
     as ``edge``.
     """
     middle, cell = _cells(face, box, across)
-    limit = half_extent(face) if face is not None else (math.inf, math.inf)
+    limit = face.half_mm if face is not None else (math.inf, math.inf)
     corners = (box.u0, box.v0), (box.u1, box.v1)
     is_round = face is None and not box.is_long and math.isinf(box.width_mm)
     outside, outer = _bordering(middle, cell, corners, limit, is_round)
