@@ -158,8 +158,8 @@ class ProbeSetup:
             plane = Plane(origin_mm=there.axis_mm, axes=first.axes)
         else:
             turned = rotation_of(pose[ABOUT_X:]) @ first.tilt
-            steepest = np.array([*turned[:2, 2], 0.0])
-            side = steepest if self.face.is_round and steepest.any() else turned[:, 0]
+            inclined = self.face.is_round and any(first.tilt_deg[:Z])
+            side = turned[:, 2] if inclined else turned[:, 0]
             side = np.array([side[0], side[1], 0.0]) / np.hypot(side[0], side[1])
             own = np.stack([side, np.cross([0.0, 0.0, 1.0], side), [0.0, 0.0, 1.0]])
             plane = Plane(origin_mm=there.axis_mm, axes=own @ first.axes)
