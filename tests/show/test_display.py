@@ -1,6 +1,7 @@
 """Results as text, in notebooks, as drawings and as tables."""
 
 import sys
+from operator import methodcaller
 from types import SimpleNamespace
 
 import numpy as np
@@ -47,12 +48,19 @@ def run_result(*, forces: bool = True) -> RunResult:
     return RunResult(scene_toml="", truth=truth, estimate=estimate, score=score)
 
 
+def in_notebook(result) -> str:
+    """Return what a notebook shows of a result."""
+    shown = methodcaller("_repr_html_")(result)
+    assert isinstance(shown, str)
+    return shown
+
+
 def test_a_result_says_in_a_line_what_it_came_to() -> None:
     result = run_result()
     assert repr(result) == "RunResult(true force (0, 0, 2) N, marker noise 0.012 px, total force error 2.1 %)"
     assert repr(result.estimate) == "Estimate(8 of 9 markers found, 9 sites, total (0, 0, 2) N)"
     assert repr(RunResult(scene_toml="")) == "RunResult()"
-    assert "total force error" in result._repr_html_()
+    assert "total force error" in in_notebook(result)
 
 
 def test_a_scene_and_its_sensor_name_body_markers_and_camera() -> None:
@@ -60,7 +68,7 @@ def test_a_scene_and_its_sensor_name_body_markers_and_camera() -> None:
     assert repr(scene) == str(scene)
     for word in ("25 x 25 x 4 mm", "143 dots 0.5 mm deep", "640 x 480 px", "sphere"):
         assert word in repr(scene)
-        assert word in scene._repr_html_()
+        assert word in in_notebook(scene)
     assert repr(twin.Sensor(scene)) == f"Sensor({scene!r})"
 
 

@@ -36,6 +36,9 @@ def test_a_good_camera_and_what_spoils_it(pictures, tmp_path):
     assert "compression" in said(scene, pair, tmp_path, ".jpg", quality=70)["good"]
     bright = [np.clip(2.5 * p.astype(float), 0, 255).astype(np.uint8) for p in pair]
     assert "saturated" in said(scene, bright, tmp_path)["good"]
+    copied = [pair[0], pair[0].copy()]
+    copied[1][0, 0] ^= 1
+    assert "hardly two exposures" in said(scene, copied, tmp_path)["good"]
     moved = [pair[0], np.roll(pair[1], 1, axis=1)]
     assert "mount the camera" in said(scene, moved, tmp_path)["good"]
 

@@ -284,7 +284,10 @@ BLURRED = 0.25
 """Blur's standard deviation over the markers' width above which their edge is mostly blur."""
 
 UNTRUE = 1.5
-"""The largest ratio of measured to stated errors, either way, of true ones."""
+"""The largest ratio of measured to stated errors of pictures that differ by noise alone."""
+
+SHARED_NOISE = 0.25
+"""The ratio of measured to stated errors below which two pictures must have noise in common."""
 
 MOVED = 5.0
 """Standard errors of the mean motion above which the sensor, or the camera, has moved."""
@@ -355,10 +358,15 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
             f"compression or a colour mosaic makes errors {coherence:.2g} times as large as the "
             "noise of single pixels would: record without compression"
         )
-    if not 1 / UNTRUE < measured / stated < UNTRUE:
+    if measured > UNTRUE * stated:
         problems.append(
             f"shifts differ by {measured:.2g} px, not by the stated {stated:.2g} px: does the "
             "light flicker, or something move?"
+        )
+    if measured < SHARED_NOISE * stated:
+        problems.append(
+            f"shifts differ by {measured:.2g} px only, the stated error is {stated:.2g} px: the "
+            "pictures are hardly two exposures; switch off averaging over frames"
         )
     if np.hypot(*common) > max(MOVED * 1.25 * stated / np.sqrt(seen.sum()), 0.01):
         problems.append(
