@@ -30,7 +30,6 @@ def bare() -> twin.Sensor:
         (lambda _: twin.load_scene("block_bare", {"seed": True}), "seed = 'true': must be a whole number"),
         (lambda _: twin.Sensor("block_bare"), "not str 'block_bare': load one with twin.load_scene"),
         (lambda _: twin.Environment("sato_press"), "not str 'sato_press': load one with twin.load_scene"),
-        (lambda _: twin.run("sato_press"), "not str 'sato_press': load one with twin.load_scene"),
         (lambda s: s.displacement([[0, 0, 3.0]], PRESS), "the load must be a Load, not Press"),
         (lambda s: s.displacement([["a", 0, 0]], PUSH), "points_mm: must be numbers of shape"),
         (lambda s: s.displacement([[0, 0], [1, 2, 3]], PUSH), "points_mm: must be numbers of shape"),
