@@ -208,7 +208,8 @@ assumed = "{colour} dots, as given to twin scenes --new"
     led = max(1.0, 0.48 * min(width, length))
     height = thickness + distance
     near = height - 0.08 * (distance - plate)
-    corners = [[x, y, round(near, 3)] for x in (led, -led) for y in (led, -led)]
+    side = round(led, 3)
+    corners = [[x, y, round(near, 3)] for x in (side, -side) for y in (side, -side)]
     slack = min(0.03, min(depth_mm for depth_mm, *_ in layers) / 5)
     printed = min(0.03, min(pitch for _, pitch, _ in layers) / 20)
     return f"""title = "A pad of {width:g} x {length:g} x {thickness:g} mm, by twin scenes --new"
@@ -284,11 +285,11 @@ assumed = "careful casting and a ruler"
 method = "compliance"     # from the design; "fitted" for a real sensor's presses
 
 [reconstruction]
-method = "local"
+method = "smooth"         # "local" is sharper, but overshoots on thin pads
 weight = "auto"
 push_only = true          # nothing sticks to the pad
 friction = 0.5
-assumed = "as for gelpad_press"
+assumed = "usual values of a dry pad"
 
 [reconstruction.sites]    # where forces are found
 columns = {counts[0]}
