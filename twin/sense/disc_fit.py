@@ -150,26 +150,12 @@ SMALLER, LEAST_SPREAD = 4.0, 0.004
 """A marker smaller than the others by so many of their standard deviations, which are taken for no
 less than this share, may be partly hidden."""
 
-UNRESOLVED, UNFITTABLE = 0.55, 1.0
-"""From these shares of its radius on, a blur's half width leaves an outline that no longer shows
-whether a part is hidden, so that the sum of the light must (`_doubt_dark`); and none by which a
-part in sight is fitted."""
-
-DARK, LEAST_DARK, FAR, LEVER = 3.0, 0.042, 4.0, 0.6
-"""A marker of less light than the others by so many of their standard deviations, and by this
-share, is partly hidden; more deviations than the third number are left out where these are told.
-A centre is off by the last number times the radius times the hidden share: 0.85 / sqrt(2) per axis
-where an edge is hidden."""
-
 DIFFERS = 2.5
 """Standard deviations from its neighbours' beyond which an outline is not their common strain."""
 
-LEAST_PART, WORST_PART_PX, WORST_OUTLINE = 0.2, 0.1, 0.05
+LEAST_PART, WORST_PART_PX = 0.2, 0.1
 """A partly hidden marker is measured by at least this share of its edge's information, to at least
-this standard deviation, and by an outline known to at least this share of its radius."""
-
-COVERED = 0.02
-"""Where another layer covers more of the edge's information, a marker is not taken for hidden."""
+this standard deviation."""
 
 UNSETTLED_PX = 0.3
 """A fit whose last step was larger has found nothing."""
@@ -196,9 +182,6 @@ USUAL = 0.25
 MORE_UNUSUAL = 1.12
 """Where most markers have changed their shape, what is usual is taken to be more by up to this
 factor: larger outlines reach over more of the ground's texture. More than that is a misfit."""
-
-PASSES = 4
-"""Passes that leave out what is far from the median."""
 
 LEAST_SCORES = 4
 """From so many numbers on a median is taken."""
@@ -310,18 +293,17 @@ class DiscFit(SoftWindow):
         templates = self.templates
         fitted = templates.fit(picture, start_px, lead)
         odd, doubted = self._unusual(fitted)
-        axes = templates.shape[:, :3] * fitted[:, SCALE, None]
-        blur = templates.shape[:, 6].copy()
-        dark, off = _doubt_dark(fitted, templates, axes, blur)
-        if not (doubted | dark).any():
-            fitted[:, VAR_X : VAR_Y + 1] += off[:, None] ** 2
+        if not doubted.any():
             return fitted  # nearly always
         places = for_kernel(fitted[:, CENTRE_X : CENTRE_Y + 1])
         if 2 * odd.sum() > np.isfinite(places[:, 0]).sum():
             templates = replace(templates, noise=_noise_now(picture, templates, places))
             fitted = templates.fit(picture, places)
             odd, doubted = self._unusual(fitted)
-            axes = templates.shape[:, :3] * fitted[:, SCALE, None]
+        radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
+        growth = (fitted[:, SCALE] - 1.0) * radius
+        axes = templates.shape[:, :3] + growth[:, None] * [1.0, 0.0, 1.0]
+        blur, taken = templates.shape[:, 6].copy(), np.zeros(len(fitted), np.bool_)
         if odd.any():
             rows = np.flatnonzero(odd)
             spacing_px = self.around.spacing_px
@@ -330,22 +312,18 @@ class DiscFit(SoftWindow):
             reshaped = replace(templates, shape=own, reach_px=pixels, every=1)
             again = reshaped.fit(picture, for_kernel(shape[:, SHAPE:]))
             again[:, THIRD_X : THIRD_Y + 1] *= 1.0 if templates.every else np.nan
-            least = templates.usual_misfit
             if 2 * len(rows) > np.isfinite(places[:, 0]).sum():
                 usual = float(np.nanquantile(again[rows, MISFIT], USUAL))
+                least = templates.usual_misfit
                 usual = min(max(usual, least), MORE_UNUSUAL * least)
                 templates = replace(templates, usual_misfit=usual)
-            whole = again[:, EDGE] > WHOLE_EDGE
-            allowed = np.where(whole, templates.usual_misfit, least)
-            taken = again[:, MISFIT] < RESHAPES * allowed
+            taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
             area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, templates.shape))
             fitted[taken] = again[taken]
             fitted[taken, SCALE] *= np.sqrt(area / before)[taken]
             fitted[taken, RESHAPED] = OWN_SHAPE
             axes[taken], blur[taken] = shape[taken, :3], shape[taken, 6]
-        dark, off = _doubt_dark(fitted, templates, axes, blur)
-        fitted[:, VAR_X : VAR_Y + 1] += off[:, None] ** 2
-        self._fit_parts(picture, templates, fitted, doubted | dark, axes, blur, dark)
+        self._fit_parts(picture, templates, fitted, doubted, axes, blur)
         return fitted
 
     def _unusual(self, fitted: Floats) -> tuple[Bools, Bools]:
@@ -371,11 +349,9 @@ class DiscFit(SoftWindow):
         doubted: Bools,
         axes: Floats,
         blur: Floats,
-        dark: Bools,
     ) -> None:
         """Fit ``doubted`` markers by the part in sight where they differ from their neighbours, by
-        outlines ``axes`` (n, 3) and ``blur`` (n,), px, or are ``dark``, and a part is hidden; in
-        place."""
+        outlines ``axes`` (n, 3) and ``blur`` (n,), px, and a part is hidden; in place."""
         taken = fitted[:, RESHAPED] == OWN_SHAPE
         fine = np.isfinite(fitted[:, LEVEL]) & (taken | ~doubted)
         rows = np.flatnonzero(doubted & np.isfinite(fitted[:, LEVEL]))
@@ -390,7 +366,7 @@ class DiscFit(SoftWindow):
         usual, spread = _of_neighbours(measured, fine, self.around, rows)
         axes_sd = np.hypot(KNOWN_OUTLINE, spread[:, :3].max(axis=1))
         differs = np.abs(measured[rows, :3] - usual[:, :3]).max(axis=1) > DIFFERS * axes_sd
-        few = differs | ~taken[rows] | dark[rows]
+        few = differs | ~taken[rows]
         if not few.any():
             return
         rows, usual, axes_sd, spread = rows[few], usual[few], axes_sd[few], spread[few]
@@ -407,13 +383,10 @@ class DiscFit(SoftWindow):
         limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part.pixels, 1))
         moved = np.hypot(*(part.centre_px - start).T)
         like = part.misfit < limit * templates.usual_misfit
-        bare = part.covered < COVERED
-        hides = bare & like & (part.hidden > 0.0) & (moved < 2.0 * radius[rows])
+        hides = like & (part.hidden > 0.0) & (moved < 2.0 * radius[rows])
         good = hides & (part.edge > LEAST_PART) & (part.sd_px < WORST_PART_PX)
-        good &= (part.step_px < 0.05) & (axes_sd < WORST_OUTLINE)
-        good &= expected.blur < UNFITTABLE * radius[rows]
-        lost = hides | (bare & dark[rows])
-        fitted[rows[lost], SHORTFALL], fitted[rows[lost], FITTING] = 1.0, 0.0
+        good &= part.step_px < 0.05
+        fitted[rows[hides], SHORTFALL], fitted[rows[hides], FITTING] = 1.0, 0.0
         rows = rows[good]
         out = np.full((len(rows), fitted.shape[1]), np.nan)
         out[:, CENTRE_X : CENTRE_Y + 1] = part.centre_px[good]
@@ -484,38 +457,6 @@ class DiscFit(SoftWindow):
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
         sd = _edge_sds(fitted, templates.one_sided, rest_sd, sd, factor)
         return Seen(shift_px=shift, sd_px=sd, state=state, coherence=factor)
-
-
-def _doubt_dark(
-    fitted: Floats, templates: Templates, axes: Floats, blur: Floats
-) -> tuple[Bools, Floats]:
-    """Return which markers lack so much light that a part must be hidden, where blur leaves no
-    outline to show it; and (n,) how far off centres are if what markers lack is hidden, px.
-
-    ``axes`` (n, 3) and ``blur`` (n,) are the outlines and blurs of the fits, px.
-    """
-    none, off = np.zeros(len(fitted), np.bool_), np.zeros(len(fitted))
-    area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (axes, templates.shape))
-    radius = np.sqrt(area)
-    unresolved = blur > UNRESOLVED * radius
-    if not unresolved.any():
-        return none, off
-    light = fitted[:, LEVEL] / templates.level * area / before
-    known = light[np.isfinite(light)]
-    if len(known) < LEAST_SCORES:
-        return none, off
-    for _ in range(PASSES):
-        usual = float(np.median(known))
-        spread = max(1.4826 * float(np.median(np.abs(known - usual))), LEAST_SPREAD)
-        known = known[np.abs(known - usual) < FAR * spread]
-    lever = np.where(unresolved, LEVER * radius, 0.0)
-    # where that share goes unnoticed, any marker may lack what light scatters by
-    unnoticed = (DARK * spread > LEAST_DARK * usual) & (blur > UNFITTABLE * radius)
-    lacks = np.maximum(usual - light, np.where(unnoticed, spread, 0.0))
-    # what noise that hangs together takes of the light has no normal distribution
-    least = LEAST_DARK * (1.0 if templates.every == 0 else 2.0) * usual
-    dark = unresolved & (lacks > max(DARK * spread, least))
-    return dark, np.nan_to_num(lever * lacks / usual)
 
 
 def _of_neighbours(

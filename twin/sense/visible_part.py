@@ -10,7 +10,7 @@ from how well outline and brightness are known: with an edge on one side alone a
 is an error of the place.
 
 Validity: something of the ground's colour in front of the marker; a fifth of the edge's information
-left; a blur whose half width is below the radius. What is brighter than the ground, as a glint, is not recognised: such fits are refused by
+left. What is brighter than the ground, as a glint, is not recognised: such fits are refused by
 their residuals.
 
 Why not compiled: few markers of few pictures need it.
