@@ -376,7 +376,7 @@ def test_a_strained_marker_that_is_partly_hidden_does_not_pass_for_a_smaller_one
     hidden = np.arange(len(card.marks)) % 9 == 0
     score = np.hypot(*(found.shift_px - shift).T) / found.sd_px
     assert found.seen[~hidden].mean() > 0.98
-    assert (found.states[hidden] == "partly hidden").mean() > 0.9
+    assert np.isin(found.states[hidden], ["partly hidden", "strained"]).all()
     assert np.nanmax(score[~hidden]) < 5
     assert np.nanmax(score[hidden], initial=0.0) < 5
 
