@@ -380,7 +380,7 @@ class DiscFit(SoftWindow):
         )
         start = fitted[rows, CENTRE_X : CENTRE_Y + 1]
         part = fit_visible(picture, templates, rows, start, expected)
-        limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part.pixels, 1))
+        limit = RESHAPES + 2.0 * np.sqrt(2.0 / np.maximum(part.pixels, 1))
         moved = np.hypot(*(part.centre_px - start).T)
         like = part.misfit < limit * templates.usual_misfit
         hides = like & (part.hidden > 0.0) & (moved < 2.0 * radius[rows])
