@@ -179,10 +179,6 @@ width of markers 8 to 10 px wide is hidden the least is 7.8 (of wider ones `HIDE
 USUAL = 0.25
 """Share of the markers that fit better than what is called usual."""
 
-MORE_UNUSUAL = 1.12
-"""Where most markers have changed their shape, what is usual is taken to be more by up to this
-factor: larger outlines reach over more of the ground's texture. More than that is a misfit."""
-
 LEAST_SCORES = 4
 """From so many numbers on a median is taken."""
 
@@ -314,9 +310,7 @@ class DiscFit(SoftWindow):
             again[:, THIRD_X : THIRD_Y + 1] *= 1.0 if templates.every else np.nan
             if 2 * len(rows) > np.isfinite(places[:, 0]).sum():
                 usual = float(np.nanquantile(again[rows, MISFIT], USUAL))
-                least = templates.usual_misfit
-                usual = min(max(usual, least), MORE_UNUSUAL * least)
-                templates = replace(templates, usual_misfit=usual)
+                templates = replace(templates, usual_misfit=max(usual, templates.usual_misfit))
             taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
             area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, templates.shape))
             fitted[taken] = again[taken]
@@ -380,7 +374,7 @@ class DiscFit(SoftWindow):
         )
         start = fitted[rows, CENTRE_X : CENTRE_Y + 1]
         part = fit_visible(picture, templates, rows, start, expected)
-        limit = RESHAPES + 2.0 * np.sqrt(2.0 / np.maximum(part.pixels, 1))
+        limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part.pixels, 1))
         moved = np.hypot(*(part.centre_px - start).T)
         like = part.misfit < limit * templates.usual_misfit
         hides = like & (part.hidden > 0.0) & (moved < 2.0 * radius[rows])
@@ -395,8 +389,7 @@ class DiscFit(SoftWindow):
         out[:, PIXELS], out[:, MISFIT] = part.pixels[good], part.misfit[good]
         out[:, SQUARES] = part.misfit[good] * part.pixels[good] * templates.noise[0]
         out[:, STEP], out[:, SHORTFALL] = part.step_px[good], 0.0
-        out[:, [SCALE, FITTING]] = 1.0
-        out[:, EDGE] = np.where(part.covered[good] > 1.0 - WHOLE_EDGE, LEAST_EDGE, 1.0)
+        out[:, [SCALE, EDGE, FITTING]] = 1.0
         out[:, RESHAPED] = PART_IN_SIGHT
         fitted[rows] = out
 

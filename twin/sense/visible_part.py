@@ -77,9 +77,8 @@ class VisiblePart:
         (k, 2) centres; (k,) their standard deviations per axis, px.
     misfit, pixels
         (k,) squared residuals over their expected size, and over how many pixels.
-    edge, covered, hidden
-        (k,) share of the edge's information that is used, and that another layer covers; share of
-        the marker that is hidden.
+    edge, hidden
+        (k,) share of the edge's information that is used; share of the marker that is not.
     level, ground
         (k,) brightness, counts.
     step_px
@@ -91,7 +90,6 @@ class VisiblePart:
     misfit: Floats
     pixels: Ints
     edge: Floats
-    covered: Floats
     hidden: Floats
     level: Floats
     ground: Floats
@@ -176,7 +174,6 @@ def fit_visible(
         misfit=templates.usual_misfit * squares / np.maximum(count, 1),
         pixels=count,
         edge=(tilt**2 * used).sum(axis=1) / np.maximum((tilt**2).sum(axis=1), 1e-9),
-        covered=(tilt**2 * ~use).sum(axis=1) / np.maximum((tilt**2).sum(axis=1), 1e-9),
         hidden=(cover * (hidden & use)).sum(axis=1) / cover.sum(axis=1),
         level=level,
         ground=ground,
