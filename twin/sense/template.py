@@ -18,7 +18,6 @@ deviation is about 0.7 px; with 1.6 px a covered marker of 8 px looks like a sma
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -133,12 +132,8 @@ for some markers, how far the edge lies outside the model's as the cosine and si
 the angle, px; the most light that a pixel on the marker lacks, or one beyond its edge has too much,
 as a share of the marker's; along
 `DIRECTIONS` from 0 to 180 degrees, how far the centre moves if the edge on that side is left out,
-less how far it moves back if the other side is, px; what was fitted: 0 the shape at rest,
-`OWN_SHAPE` or `PART_IN_SIGHT`. The three before are NaN, 0 and NaN where the edge is not looked
-at."""
-
-OWN_SHAPE, PART_IN_SIGHT = 1.0, 2.0
-"""A marker fitted with an outline and blur of its own; by the part of it that is in sight."""
+less how far it moves back if the other side is, px; 1 where the template's shape is not that at
+rest, else 0. The three before are NaN, 0 and NaN where the edge is not looked at."""
 
 FITS = 0.9
 """A marker of whose edge less fits may be partly hidden."""
@@ -472,13 +467,6 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
         out[ONE_SIDED + s] = step[s] - step[s + DIRECTIONS]
 
 
-def slope_terms(places: Pixels, size: Sequence[int]) -> Floats:
-    """Return (n, 6) 1, u, v, u^2, u v, v^2 of picture positions; u, v from -1/2 to 1/2 across the
-    (h, w) picture."""
-    u, v = places[:, 0] / size[1] - 0.5, places[:, 1] / size[0] - 0.5
-    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
-
-
 NOBODY = np.zeros((0, LEADS), np.int64)
 NO_RUNS = np.zeros((0, 3), np.int64)
 """Runs of `gather` for pixels one by one."""
@@ -513,10 +501,9 @@ class Templates:
     every
         The edge of one marker in so many is looked at for a third harmonic, which shows how the
         noise hangs together; 0 where residuals are those of noise that does not.
-    misfit, third, fitting, one_sided
-        At rest: (n,) squared residuals over what the noise explains; (n, 2) third harmonic of the
-        edge, px; (n,) share of the edge that fits; (n, `DIRECTIONS`) how far the centre moves
-        without one side of the edge, px.
+    third, fitting, one_sided
+        (n, 2) third harmonic of the edge at rest, px; (n,) share of the edge that fits; (n,
+        `DIRECTIONS`) how far the centre moves without one side of the edge, px.
     """
 
     own: Singles
@@ -529,7 +516,6 @@ class Templates:
     level: Floats
     reach_px: float
     every: int
-    misfit: Floats
     third: Floats
     fitting: Floats
     one_sided: Floats
