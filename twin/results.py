@@ -23,9 +23,6 @@ from twin.display import (
 from twin.errors import InputError
 from twin.files import make_folder, png_bytes, write_json, write_whole
 
-_CHUNK = 512
-"""Pieces of the truth whose distances to all sites are held at once."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
@@ -69,13 +66,10 @@ class Truth:
         return one_line("Truth", [*counts, f"total {vector(self.total_force_n, 'N')}"])
 
     def force_at(self, site_mm: Points) -> Floats:
-        """Return (k, 3) true forces, N: each piece of the contact is added to its nearest site."""
-        total = np.zeros((len(site_mm), 3))
-        for start in range(0, len(self.surface_mm), _CHUNK):
-            pieces = self.surface_mm[start : start + _CHUNK]
-            squared = ((pieces[:, None] - site_mm[None]) ** 2).sum(axis=2)
-            np.add.at(total, squared.argmin(axis=1), self.surface_force_n[start : start + _CHUNK])
-        return total
+        """Return (k, 3) true forces, N, summed into the cells of their nearest sites, as scored."""
+        from twin.judge.score import into_cells
+
+        return into_cells(site_mm, self.surface_mm, self.surface_force_n)
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return a row for every marker: layer, rest place and displacement, mm."""
