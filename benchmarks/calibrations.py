@@ -1,8 +1,8 @@
 """Calibrations of twenty made fingers against each other: the nominal design, and it fitted to presses.
 
 Noise: .05 px in every component of a shift, .02 px at rest, 5 mN in every component of the load cell. Errors: of the
-transfer matrix of a square site, |H^ - H| / |H|; of the force and the place of a 3 mm sphere's press (1 N), at a known
-place and where the place is sought; of the total of a distributed load, from the field on the scene's sites.
+transfer matrix of a square site, |H^ - H| / |H|; of the total of a distributed load, from the field on the scene's
+sites.
 
 ``python -m benchmarks.pages calibrations`` writes the stored results into docs/calibrations.md.
 
@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.inverse import NOISE_PX, as_found
-from benchmarks.single_contact import single_contact
 from twin.arrays import Floats
 from twin.files import cache_folder
 from twin.parts.load import Load, Rectangles, Traction
@@ -214,8 +213,6 @@ GRID = np.arange(-5.0, 5.1, 2.5)
 MEASURED = {"Sato's H, interpolated": False, "Sato's H, the design in between": True}
 """Ways of using a free matrix between the pressed places: whether the nominal design carries the shape."""
 
-FINE = Sites(columns=17, rows=17, pitch_mm=0.7)
-"""Sites that a single contact is sought between."""
 
 BUMPS = 6
 
@@ -290,9 +287,7 @@ def errors(truth: Truth, number: int, twin: FittedDesign, found: Fit, presses: P
     rest = presses.rest_px if found.residual_px else np.full_like(presses.rest_px, np.nan)
     markers, _ = twin.markers_of(found.scaled, rest)
     transfer = twin.transfer(found.scaled, markers, twin.compliance(found.scaled, markers, squares(scene)))
-    fine = calibration(scene, twin, found, markers, FINE)
-    out = {"residual_px": found.residual_px}
-    out |= known_errors(truth, number, transfer, fine, twin.footprint_mm(found.scaled, 0))
+    out = {"residual_px": found.residual_px, **transfer_errors(truth, number, transfer)}
     if not truth.covered:
         out |= totals(truth, number, calibration(scene, twin, found, markers, scene.reconstruction.sites))
     return out
@@ -316,12 +311,9 @@ def free_matrices(numbers: Any) -> list[dict[str, Any]]:
         def nominal(at: Rectangles, found: Fit = found, markers: Floats = markers) -> Floats:
             return twin.transfer(found.scaled, markers, twin.compliance(found.scaled, markers, at))
 
-        fine = calibration(scene, twin, found, markers, FINE)
         coarse = calibration(scene, twin, found, markers, scene.reconstruction.sites)
-        wanted = {"squares": nominal(squares(scene)), "fine": fine.transfer, "coarse": coarse.transfer}
-        charts = {
-            "squares": np.array(BETWEEN + EDGE), "fine": FINE.chart(), "coarse": scene.reconstruction.sites.chart(),
-        }  # fmt: skip
+        wanted = {"squares": nominal(squares(scene)), "coarse": coarse.transfer}
+        charts = {"squares": np.array(BETWEEN + EDGE), "coarse": scene.reconstruction.sites.chart()}
         there = nominal(places)
         for name, helped in MEASURED.items():
             filled = {
@@ -329,7 +321,7 @@ def free_matrices(numbers: Any) -> list[dict[str, Any]]:
                 for key, value in wanted.items()
             }
             case: dict[str, Any] = {"places": 25, "covered": False, "sensor": number, "way": name, "residual_px": 0.0}
-            case |= known_errors(truth, number, filled["squares"], linear(fine, filled["fine"]), radius)
+            case |= transfer_errors(truth, number, filled["squares"])
             case |= totals(truth, number, linear(coarse, filled["coarse"]))
             out.append(case)
             print(json.dumps(case), file=sys.stderr, flush=True)
@@ -348,24 +340,13 @@ def linear(one: Calibration, transfer: Floats) -> Calibration:
     )  # fmt: skip
 
 
-def known_errors(truth: Truth, number: int, transfer: Floats, fine: Calibration, radius: float) -> dict[str, float]:
-    """Return the errors of a (2n, 3q) transfer at the squares, and of presses there by a calibration on `FINE`."""
+def transfer_errors(truth: Truth, number: int, transfer: Floats) -> dict[str, float]:
+    """Return the errors of a (2n, 3q) transfer at the squares."""
     out = {}
     for index, place in enumerate(BETWEEN + EDGE):
         exact = truth.square(place, 0.625)[number]
         part = transfer.reshape(len(transfer), -1, 3)[:, index]
         out[f"transfer {place}"] = float(np.linalg.norm(part - exact) / np.linalg.norm(exact))
-        step = truth.press(place, 1)[0]
-        random = np.random.default_rng([number, 2, index])
-        told = as_found(fine, step.shift_px[number] + random.normal(0, NOISE_PX, fine.layout_px.shape))
-        force = step.force_n[number]
-        known = (place[0] / FINE.pitch_mm + 8, place[1] / FINE.pitch_mm + 8)
-        at_place = single_contact(told, fine, radius, known)
-        sought = single_contact(told, fine, radius)
-        centre = truth.scene.body.chart_points(np.array([place]))[0]
-        out[f"known {place}"] = float(np.linalg.norm(at_place.force_n - force) / np.linalg.norm(force))
-        out[f"sought {place}"] = float(np.linalg.norm(sought.force_n - force) / np.linalg.norm(force))
-        out[f"place_mm {place}"] = float(np.linalg.norm(sought.place_mm - centre))
     return out
 
 
@@ -408,16 +389,10 @@ def summary(cases: list[dict[str, Any]]) -> list[dict[str, Any]]:
             "presses": count if way == SINGLE.format(count) else 3 * count,
             "sensors": len(mine),
         }
-        for what, scale, unit in (
-            ("transfer", 100, " %"),
-            ("known", 100, " %"),
-            ("sought", 100, " %"),
-            ("place_mm", 1, ""),
-        ):
-            for name, places in (("", BETWEEN), (", edge", EDGE)):
-                values = scale * np.array([[c[f"{what} {place}"] for place in places] for c in mine])
-                row[f"{what}{unit}{name}"] = float(np.sqrt(np.mean(values**2)))
-                row[f"{what}{unit}{name}, worst"] = float(values.max())
+        for name, places in (("", BETWEEN), (", edge", EDGE)):
+            values = 100 * np.array([[c[f"transfer {place}"] for place in places] for c in mine])
+            row[f"transfer %{name}"] = float(np.sqrt(np.mean(values**2)))
+            row[f"transfer %{name}, worst"] = float(values.max())
         if not covered:
             for name in ("total", "total, exact H"):
                 row[f"{name} %"] = 100 * float(np.sqrt(np.mean([c[name] ** 2 for c in mine])))

@@ -1,4 +1,4 @@
-"""Contact: presses against closed forms and against tamaas, seconds beside errors.
+"""Contact: presses against closed forms, seconds beside errors.
 
 On a half-space every case is pressed on finer and finer patches. The clock leaves out the first press on every number
 of patches, which compiles, and counts the compliance of every grid. What must hold on the sensors' own bodies is tested
@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.clock import Clock
-from benchmarks.contact_peer import peer_rows
 from benchmarks.flat import BLOCK, HalfSpace
-from benchmarks.pages import CLOSED
 from twin.blas_threads import one_thread
 from twin.parts.load import Rectangles
 from twin.parts.press import Cylinder, Press, Sphere, Step
@@ -41,13 +39,11 @@ BALL_MM, PUSH_N, SHARE, STUCK_SHARE = 100.0, 0.05, 0.6, 0.7
 
 @one_thread()
 def run(quick: bool) -> list[dict[str, Any]]:
-    """Return the rows of all tables; the quick form takes coarse grids, and one case of tamaas."""
-    rows = [{"what": CLOSED, **row} for row in closed_rows(quick)]
-    return rows + peer_rows(quick)
+    """Return one row for every case, Poisson's ratio and number of patches; the quick form takes coarse grids."""
+    return list(_rows(quick))
 
 
-def closed_rows(quick: bool) -> Iterator[dict[str, Any]]:
-    """Yield one row for every case, Poisson's ratio and number of patches."""
+def _rows(quick: bool) -> Iterator[dict[str, Any]]:
     for case, ratios, rubs in CASES:
         for nu in ratios[-1:] if quick else ratios:
             across = QUICK_ACROSS if quick else RUBBING_ACROSS if rubs else FRICTIONLESS_ACROSS

@@ -11,7 +11,6 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -240,26 +239,14 @@ def _draw_elasticity() -> None:
 
 # contact: stage contact, and presses
 
-CLOSED = "Against closed forms, on a half-space"
-PEER = "Against tamaas, seconds beside errors"
-SAID = "tamaas wasn't run"
-"""Tables of the stage: a row's ``what``."""
-
-BOUNDS = (0.005, 0.001, 0.0003)
-"""Errors of the indentation at which the programs' seconds are compared."""
 
 NO_ORDER = ("total force", "collinear residual")
-
-
-def of(rows: list[Row], what: str) -> list[Row]:
-    """Return the rows of one table, without its name."""
-    return [{k: v for k, v in row.items() if k != "what"} for row in rows if row["what"] == what]
 
 
 def series(rows: list[Row]) -> list[list[Row]]:
     """Return the rows of closed forms by case, Poisson's ratio and quantity."""
     groups: dict[tuple[str, float, str], list[Row]] = {}
-    for row in of(rows, CLOSED):
+    for row in rows:
         groups.setdefault((row["case"], row["nu"], row["quantity"]), []).append(row)
     return list(groups.values())
 
@@ -279,7 +266,7 @@ def extrapolated(rows: list[Row]) -> float:
 
 def _closed_table(rows: list[Row]) -> list[Row]:
     """Return one row a quantity: the error on every grid, the order, and what three grids lead to."""
-    shown, sizes = [], sorted({row["across"] for row in of(rows, CLOSED)})
+    shown, sizes = [], sorted({row["across"] for row in rows})
     for one in series(rows):
         last, errors = one[-1], {row["across"]: 100 * row["error"] for row in one}
         row = {"case": last["case"], "nu": last["nu"], "quantity": last["quantity"]}
@@ -292,31 +279,9 @@ def _closed_table(rows: list[Row]) -> list[Row]:
     return shown
 
 
-def _to_bounds(rows: list[Row]) -> list[Row]:
-    """Return the seconds of both programs to every bound in every case, by each one's own best runs."""
-    shown = []
-    for case, bound in ((c, b) for c in dict.fromkeys(row["case"] for row in rows) for b in BOUNDS):
-        row = {"case": case, "off by at most": bound}
-        for program in ("tamaas", "twin"):
-            mine = [r for r in rows if r["case"] == case and r["program"] == program]
-            seconds = seconds_to([(r["cpu_s"], r["indentation error"]) for r in mine], bound)
-            row[program] = "not reached" if seconds is None else seconds
-        shown.append(row)
-    return shown
-
-
 def _contact() -> dict[str, str]:
     rows = stored("contact")
-    peers = of(rows, PEER)
-    parts = [f"**{CLOSED}** (error over the closed form's value)", table(_closed_table(rows))]
-    if peers:
-        parts += [
-            f"**{PEER}** (tamaas on 512 x 512 cells is the truth)",
-            table(peers),
-            "CPU seconds to an indentation as good or better, by each program's own best runs",
-            table(_to_bounds(peers)),
-        ]
-    parts += [row["remark"] for row in of(rows, SAID)]
+    parts = ["**On a half-space** (error over the closed form's value)", table(_closed_table(rows))]
     for kept in sorted(RESULTS.glob("presses_*.json")):
         found, body = read(kept.stem), kept.stem.removeprefix("presses_")
         refused = ", ".join(f"{words} {count}" for words, count in sorted(found["refused"].items())) or "none"
@@ -365,30 +330,18 @@ GOAL_PX = 0.003
 """Centroid error, rms, at which methods are compared."""
 
 
-def _method(row: Row) -> str:
-    """Return a row's method without its number of samples."""
-    return str(row["method"]).split(",")[0] if row["method"].startswith("mi.render") else str(row["method"])
-
-
 def pictures_to_the_goal(rows: list[Row]) -> list[Row]:
-    """Return one row for every scene and method with shadows: CPU time to the goal, and over the splat's.
-
-    Samples drawn at random err by the inverse root of their number: stock Mitsuba's time is continued so.
-    """
+    """Return one row for every scene and method with shadows: CPU time to the goal, and over the splat's."""
     out = []
     for scene in dict.fromkeys(row["scene"] for row in rows if "centroid_rms_px" in row):
         mine = [row for row in rows if row["scene"] == scene and row.get("shadows") is True]
         needed = {}
-        for method in dict.fromkeys(map(_method, mine)):
-            runs = [(row["cpu_ms"], row["centroid_rms_px"]) for row in mine if _method(row) == method]
+        for method in dict.fromkeys(row["method"] for row in mine):
+            runs = [(row["cpu_ms"], row["centroid_rms_px"]) for row in mine if row["method"] == method]
             needed[method] = seconds_to(runs, GOAL_PX)
-            if needed[method] is None:
-                cost, error = min(runs, key=lambda run: run[1])
-                needed[method] = cost * (error / GOAL_PX) ** 2
-        best = needed.get("twin, splat")
+        best = needed["twin, splat"]
         for method, cost in needed.items():
-            over = cost / best if best else ""
-            out.append({"scene": scene, "method": method, "CPU ms": cost, "over the splat": over})
+            out.append({"scene": scene, "method": method, "CPU ms": cost, "over the splat": cost / best})
     return out
 
 
@@ -411,8 +364,8 @@ def _draw_picture() -> None:
     _, panels, save = chart("picture.png", nrows=1, ncols=len(scenes), figsize=(10, 4), sharey=True)
     for panel, scene in zip(np.atleast_1d(panels), scenes, strict=True):
         mine = [row for row in rows if row["scene"] == scene]
-        for method in dict.fromkeys(map(_method, mine)):
-            runs = sorted((row["cpu_ms"], row["centroid_rms_px"]) for row in mine if _method(row) == method)
+        for method in dict.fromkeys(row["method"] for row in mine):
+            runs = sorted((row["cpu_ms"], row["centroid_rms_px"]) for row in mine if row["method"] == method)
             panel.loglog(*zip(*runs, strict=True), "o-", label=method)
         panel.axhline(GOAL_PX, color="grey", lw=0.8)
         panel.set(title=scene, xlabel="CPU time of a picture, ms")
@@ -461,11 +414,7 @@ def _calibrations() -> dict[str, str]:
             "transfer, between %": row["transfer %"],
             "transfer, edge %": row["transfer %, edge"],
             "transfer, worst %": max(row["transfer %, worst"], row["transfer %, edge, worst"]),
-            "force at a known place %": row["known %"],
-            "edge %": row["known %, edge"],
-            "force, place sought %": row["sought %"],
-            "place mm": row["place_mm"],
-            "place, edge mm": row["place_mm, edge"],
+            "total of a distributed load %": row.get("total %", ""),
         }
         for row in stored("calibrations")
     ]
@@ -523,7 +472,7 @@ def _range(name: str, rows: list[Row]) -> Row:
     return line
 
 
-# error budget and growth: stages budget and scaling
+# error budget: stage budget
 
 STAGES = ("contact", "elasticity", "optics", "CCD noise", "tracking", "inverse model", "regularisation")
 
@@ -542,7 +491,7 @@ def part_of_error(row: Row) -> float:
 
 
 def _budget() -> dict[str, str]:
-    rows, grown = stored("budget"), stored("scaling")
+    rows = stored("budget")
     scenes = by_scene(rows)
     limits, shares = [], []
     for scene, mine in scenes.items():
@@ -558,24 +507,9 @@ def _budget() -> dict[str, str]:
             }
         )
         shares.append({"scene": scene, **{stage: 100 * part_of_error(row) for stage, row in mine.items()}})
-    powers = []
-    for row in (row for row in grown if "exponent" in row):
-        axis, stage = row["axis"], row["stage"]
-        sizes = [r["size"] for r in grown if (r["axis"], r.get("stage")) == (axis, stage) and "size" in r]
-        if sizes:
-            ends = {"from": min(sizes), "to": max(sizes)}
-            powers.append({"axis": axis, **ends, "stage": stage, "exponent": row["exponent"]})
-    nodes = [
-        {"nodes": r["size"], "samples": r["samples"], "head, CPU s": r["head_cpu_s"], "nodes, CPU s": r["nodes_cpu_s"]}
-        for r in grown
-        if r["axis"] == "nodes"
-    ]
-    paper = [{k: v for k, v in row.items() if k != "axis"} for row in grown if row["axis"] == "on paper"]
     tables = {
         "budget": [limits, shares],
         "auto": [[row for row in rows if "stage" not in row]],
-        "scaling": [powers],
-        "nodes": [nodes, paper[:1], paper[1:]],
     }
     return {mark: "\n" + "".join(f"{table(each)}\n\n" for each in parts) for mark, parts in tables.items()}
 
@@ -629,11 +563,13 @@ def _dataset() -> dict[str, str]:
     return {"results": f"{measured_on('dataset', cores=True)}\n\n{table(rows)}\n"}
 
 
-def _by_kind(stage: str) -> dict[str, str]:
+def _inclusions() -> dict[str, str]:
     """Return a titled table for every kind of row, and the machine."""
-    rows = stored(stage)
-    kinds = {what: of(rows, what) for what in dict.fromkeys(row["what"] for row in rows)}
-    return {"results": f"\n{titled(kinds)}\n\n{measured_on(stage, cores=True)}\n"}
+    rows = stored("inclusions")
+    kinds: dict[str, list[Row]] = {}
+    for row in rows:
+        kinds.setdefault(row["what"], []).append({key: value for key, value in row.items() if key != "what"})
+    return {"results": f"\n{titled(kinds)}\n\n{measured_on('inclusions', cores=True)}\n"}
 
 
 def _stability() -> dict[str, str]:
@@ -865,8 +801,7 @@ PAGES = {
     "calibrations": Page(file=DOCS / "calibrations.md", parts=_calibrations),
     "validity": Page(file=DOCS / "validity.md", parts=_validity),
     "budget": Page(file=DOCS / "budget.md", parts=_budget, draw=_draw_budget),
-    "inclusions": Page(file=DOCS / "inclusions.md", parts=partial(_by_kind, "inclusions")),
-    "stress": Page(file=DOCS / "stress.md", parts=partial(_by_kind, "stress")),
+    "inclusions": Page(file=DOCS / "inclusions.md", parts=_inclusions),
     "dataset": Page(file=DOCS / "dataset.md", parts=_dataset),
     "sweeps": Page(file=DOCS / "sweeps.md", parts=_sweeps),
     "stability": Page(file=DOCS / "stability.md", parts=_stability),

@@ -1,9 +1,8 @@
-"""Rendering one picture: milliseconds beside the error of the markers' centroids, ours and Mitsuba's own integrator.
+"""Rendering one picture: milliseconds beside the error of the markers' centroids.
 
-Centroids are of intensity in a window around each marker of the noise-free picture, the cover's light taken away. Ours
-are compared with a picture of 12 x 12 rays per pixel, drawn by the splat, with shadows or without as they are.
-Mitsuba's own are compared with one of many samples of itself, as it renders a simpler scene (a straight camera in the
-body, one colour), so that only its sampling counts. Outlines are compared with those of 16 x 16 rays.
+Centroids are of intensity in a window around each marker of the noise-free picture, the cover's light taken away. They
+are compared with a picture of 12 x 12 rays per pixel, drawn by the splat, with shadows or without as they are; outlines
+with those of 16 x 16 rays.
 
 CPU milliseconds count all threads; methods are compared by them.
 """
@@ -22,7 +21,6 @@ from twin.theory.optics import project
 from twin.world.picture.backend import Variant, choose_variant
 from twin.world.picture.ccd import expose, fixed_pattern
 from twin.world.picture.ellipsoids import Ellipsoids, ellipsoids
-from twin.world.picture.lamps import lamps_at
 from twin.world.picture.render import Renderer
 
 SCENES = ("kamiyama_pillar", "sato_press")
@@ -41,8 +39,6 @@ def run(quick: bool) -> list[dict[str, Any]]:
         scene = load_scene(name)
         markers = _markers(scene)
         rows += _ours(name, scene, markers, (1, 3) if quick else (1, 2, 3, 4, 6))
-        if choose_variant().name != "splat" and scene.camera is not None and scene.camera.lens == "pinhole":
-            rows += _stock(name, scene, markers, (16,) if quick else (4, 16, 64), 64 if quick else 1024)
         rows += _exposures(name, scene, markers, PRESETS[:2] if quick else PRESETS)
     return rows
 
@@ -64,64 +60,6 @@ def _ours(name: str, scene: Scene, markers: Ellipsoids, grids: tuple[int, ...]) 
                 off = renderer.outlines(markers, k).centroid_px - whole
                 row = _row(name, f"twin, {variant.name}", k, shadows, cost, error)
                 rows.append({**row, "outline_max_px": float(np.nanmax(np.abs(off)))})
-    return rows
-
-
-def _stock(name: str, scene: Scene, markers: Ellipsoids, samples: tuple[int, ...], many: int) -> list[dict[str, Any]]:
-    """Time Mitsuba's direct integrator on the folded scene: camera and LEDs at their paraxial images.
-
-    Set up with care: samples are spread evenly over each pixel (multi-jittered; independent ones err 3 to 5 times as
-    much), none are spent on reflected directions, which meet no point LED, and all LEDs light every sample, or each LED
-    has a rendering of its own, so that none is drawn at random.
-    """
-    import mitsuba as mi
-
-    mi.set_variant(choose_variant().name)
-
-    camera, base = scene.camera, scene.body.base_z_mm
-    index = scene.material.refractive_index
-    air = camera.pupil_mm[2] - base - sum(layer.thickness_mm for layer in camera.layers)
-    eye = base + index * (air + sum(layer.thickness_mm / layer.index for layer in camera.layers))
-    unit = 0.25
-    view = 2 * np.rad2deg(np.arctan(camera.width_px / 2 / (camera.focal_px * index)))
-    up = mi.ScalarTransform4f().look_at(origin=[0, 0, eye / unit], target=[0, 0, 0], up=[0, 1, 0])
-    data = np.column_stack([markers.centres, np.full((len(markers), 3), unit)]) / unit
-    data = np.column_stack([data, np.tile([0, 0, 0, 1], (len(markers), 1))]).astype(np.float32)
-    lamps = lamps_at(markers.centres.mean(axis=0)[None], scene)
-    scenery = {
-        "type": "scene",
-        "sensor": {
-            "type": "perspective", "fov": float(view), "to_world": up, "near_clip": 10.0,
-            "film": {"type": "hdrfilm", "width": camera.width_px, "height": camera.height_px,
-                     "rfilter": {"type": "box"}, "pixel_format": "rgb", "component_format": "float32"},
-            "sampler": {"type": "multijitter"},
-        },
-        "markers": {"type": "ellipsoids", "data": mi.TensorXf(data), "extent": 1.0, "bsdf": {"type": "diffuse"}},
-    }  # fmt: skip
-    leds = {
-        f"led{i}": {"type": "point", "position": list(map(float, place / unit)), "intensity": 1e5}
-        for i, place in enumerate(lamps.place[0])
-    }
-    direct = {"type": "direct", "bsdf_samples": 0}
-    together = [mi.load_dict({**scenery, **leds, "integrator": {**direct, "emitter_samples": len(leds)}})]
-    apart = [mi.load_dict({**scenery, name: led, "integrator": {**direct, "emitter_samples": 1}})
-             for name, led in leds.items()]  # fmt: skip
-
-    def light(made: list[Any], spp: int, seed: int) -> np.ndarray:
-        return np.asarray(sum(np.array(mi.render(one, spp=spp, seed=seed)) for one in made))
-
-    white = Ellipsoids(centres=markers.centres, axes=markers.axes, colour=np.ones((len(markers), 3)))
-    ahead = (eye - markers.centres[:, 2]) / (camera.focal_px * index)
-    pixels = np.column_stack([markers.centres[:, 0] / ahead, -markers.centres[:, 1] / ahead]) + camera.centre_px
-    # mi.render mirrors neither axis here; its first pixel is the top left one as well.
-    at_once = min(many, 256)
-    truth = _centroids(np.asarray(sum(light(apart, at_once, i) for i in range(many // at_once))), pixels, white)
-    rows = []
-    for method, made in (("mi.render direct", together), ("mi.render direct by LED", apart)):
-        for spp in samples:
-            cost, found = _timed(lambda: light(made, spp, 99))  # noqa: B023
-            error = _centroids(found, pixels, white) - truth
-            rows.append(_row(name, f"{method}, {spp} samples", round(spp**0.5), True, cost, error))
     return rows
 
 

@@ -9,11 +9,9 @@ import pytest
 
 from benchmarks import pages
 from benchmarks.inclusions import run as resolved_beads
-from benchmarks.pages import CLOSED, PAGES, PEER, RESULTS, extrapolated, of, order, series, stored
+from benchmarks.pages import PAGES, RESULTS, extrapolated, order, series, stored
 from benchmarks.presses import BODIES, SITES, compliance_of, drawn, outcome
 from benchmarks.random_scenes import COUNT
-from benchmarks.stress import Axis, Measured, survey
-from twin.errors import SolveError
 from twin.parts.body import Block
 from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR
 from twin.study.reproduce.reproduction_run import ENTRIES
@@ -42,20 +40,6 @@ def test_columns_that_the_page_on_datasets_names_are_there() -> None:
 
 
 # elasticity, pictures, budget
-
-
-def test_time_to_a_goal_is_read_between_runs_or_continued_for_random_samples() -> None:
-    def run(method: str, cost: float, error: float) -> dict[str, object]:
-        return {"scene": "a", "method": method, "shadows": True, "cpu_ms": cost, "centroid_rms_px": error}
-
-    rows = [
-        run("twin, splat", 10.0, 0.012),
-        run("twin, splat", 40.0, 0.00075),
-        run("mi.render direct, 4 samples", 50.0, 0.03),
-    ]
-    found = {row["method"]: row["CPU ms"] for row in pages.pictures_to_the_goal(rows)}
-    assert found["twin, splat"] == pytest.approx(20.0)
-    assert found["mi.render direct"] == pytest.approx(5000.0)
 
 
 def test_no_scene_errs_more_than_its_parts_together() -> None:
@@ -94,10 +78,6 @@ def test_stored_errors_are_what_is_asked() -> None:
             assert abs(extrapolated(one)) <= 0.01, last
             assert order(one) > 1.0
         assert max(row["residual"] for row in one) <= 1e-8
-    assert CLOSED in {row["what"] for row in rows}
-    finest = {row["case"]: row["indentation error"] for row in of(rows, PEER) if row["program"] == "twin"}
-    assert len(finest) >= 3
-    assert max(finest.values()) <= 0.01
 
 
 @pytest.mark.parametrize("body", BODIES)
@@ -169,38 +149,6 @@ def test_referee_squeezes_a_bar_as_the_closed_form_does() -> None:
     assert force[face].sum(axis=0)[2] == pytest.approx(-36 * (stretch - stretch**-2) / 3, rel=1e-3)
     both = face | np.isclose(points[:, 2], 6)
     assert np.abs(force[~both]).max() < 1e-3 * np.abs(force).max()
-
-
-# breaking points
-
-ROWS = stored("stress")
-PROMISED = {
-    "cover, times stiffer": "1e+07",
-    "cover, times as stiff": "1e-12",
-    "share of markers missing": "1",
-    "share of vectors wrong by 10 px, robust": "0.4",
-}
-
-
-@pytest.mark.parametrize("axis", list(PROMISED))
-def test_axis_holds_as_far_as_promised(axis: str) -> None:
-    (row,) = [row for row in ROWS if row["axis"] == axis]
-    assert row["holds to"] == PROMISED[axis]
-
-
-def test_survey_stops_at_the_first_wrong_step_and_goes_on_to_the_error() -> None:
-    """An axis that is wrong from 3 on and refused from 5: it holds to 2, whatever is right again later."""
-
-    def attempt(step: float) -> Measured:
-        if step > 4:
-            raise SolveError("too far")
-        return Measured(residual=1e-3 if step == 3 else 1e-12 * step, asymmetry=1.4, told=0.5)
-
-    axis = Axis(name="any", steps=(1, 2, 3, 4, 5, 6), attempt=attempt, bounds=Measured(residual=1e-9))
-    row = survey(axis, axis.steps)
-    assert row["holds to"] == "2"
-    assert row["beyond"] == "at 3 degraded, the program estimates 0.5: residual 1.0e-03; from 5 refused: too far"
-    assert row["worst residual"] == 2e-12
 
 
 # long runs, papers

@@ -1,7 +1,4 @@
-"""The ends of every axis: exact scaling, incompressible limit, loads at edges, of any size.
-
-`benchmarks/stress.py` looks for the breaking points between and beyond these.
-"""
+"""The ends of every axis: exact scaling, incompressible limit, loads at edges, of any size."""
 
 from dataclasses import replace
 
@@ -125,7 +122,7 @@ def test_loads_at_an_edge_are_balanced_however_narrow(block, gap, length):
 
 
 def test_loads_near_the_clamped_rim_are_balanced_and_leave_the_clamp_still(finger):
-    """Nearer than an element the clamp is not still any more (`benchmarks/stress.py`)."""
+    """Nearer than an element the clamp is not still any more."""
 
     def at(z, width):
         return square((-3.0, 8.0, z), width, finger.body)
