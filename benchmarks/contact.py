@@ -12,12 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.clock import Clock
-from benchmarks.flat import BLOCK, HalfSpace
-from twin.blas_threads import one_thread
-from twin.parts.load import Rectangles
-from twin.parts.press import Cylinder, Press, Sphere, Step
-from twin.theory.contact import (
-    hertz,
+from benchmarks.contact_theory import (
     punch_stiffness,
     sheared_motion,
     stick_radius,
@@ -25,6 +20,11 @@ from twin.theory.contact import (
     torsional_stiffness,
     twisted,
 )
+from benchmarks.flat import BLOCK, HalfSpace
+from twin.blas_threads import one_thread
+from twin.parts.load import Rectangles
+from twin.parts.press import Cylinder, Press, Sphere, Step
+from twin.theory.contact import hertz
 from twin.world.contact.pressing import ContactState, press
 
 MU = 0.5

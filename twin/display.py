@@ -117,7 +117,8 @@ def plot_shifts(
         ax.imshow(picture)
     lengths = np.hypot(*shift_px[good].T)
     if factor is None:
-        factor = magnification(float(lengths.max(initial=0.0)), _LONGEST * spacing(rest_px[good]))
+        longest = float(lengths.max(initial=0.0))
+        factor = max(1.0, nice(_LONGEST * spacing(rest_px[good]) / longest)) if longest else 1.0
     names = layer if len(layer) == len(rest_px) else np.full(len(rest_px), "markers")
     spare = iter(_OTHERS * (1 + len(set(names.tolist()))))
     for name in dict.fromkeys(names.tolist()):
@@ -213,15 +214,17 @@ def _in_mm(ax: Any, title: str) -> None:
 
 
 def spacing(places: Floats) -> float:
-    """Return about the distance of neighbours among (n, 2 or 3) places, seen along z."""
-    if len(places) < 2:
+    """Return about the distance of neighbours among (n, 2 or 3) places, seen along z; rows with NaN
+    are left out."""
+    seen = places[np.isfinite(places).all(axis=1), :2]
+    if len(seen) < 2:
         return 1.0
-    return float(np.sqrt(np.prod(np.ptp(places[:, :2], axis=0)) / len(places))) or 1.0
+    return float(np.sqrt(np.prod(np.ptp(seen, axis=0)) / len(seen))) or 1.0
 
 
-def magnification(longest: float, wanted: float) -> float:
-    """Return the largest of 1, 2, 5, 10, ... at which an arrow is at most as long as wanted."""
-    if longest <= 0 or wanted <= longest:
+def nice(value: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten up to ``value`` (else 1)."""
+    if not (value > 0 and math.isfinite(value)):
         return 1.0
-    power = 10.0 ** math.floor(math.log10(wanted / longest))
-    return power * max(m for m in (1.0, 2.0, 5.0) if m * power <= wanted / longest)
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9))

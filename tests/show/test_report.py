@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from twin.display import nice
 from twin.results import Estimate, RunResult, Touch, Truth
 from twin.show import svg_plots
 from twin.show.html_page import data_uri, digits
@@ -396,8 +397,8 @@ def test_ticks_are_round_and_inside() -> None:
     assert svg_plots.ticks(-0.5, 639.5) == [0, 100, 200, 300, 400, 500, 600]
     assert svg_plots.ticks(479.5, -0.5, 5) == [0, 100, 200, 300, 400]
     assert svg_plots.ticks(-0.013, 0.021, 5) == [-0.01, 0, 0.01, 0.02]
-    assert svg_plots.nice(0.0) == 1.0
-    assert svg_plots.nice(0.049) == pytest.approx(0.02)
+    assert nice(0.0) == 1.0
+    assert nice(0.049) == pytest.approx(0.02)
 
 
 @pytest.mark.slow

@@ -9,13 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from twin.errors import InputError
-from twin.parts.material import plane_strain_modulus, shear_modulus
-from twin.theory.contact import (
+from benchmarks.contact_theory import (
     bonded_punch_stiffness,
-    hertz,
     oblique_motion,
-    punch_pressure,
     punch_stiffness,
     sheared_motion,
     square_punch_stiffness,
@@ -24,6 +20,9 @@ from twin.theory.contact import (
     torsional_stiffness,
     twisted,
 )
+from twin.errors import InputError
+from twin.parts.material import plane_strain_modulus, shear_modulus
+from twin.theory.contact import hertz, punch_pressure
 
 RUBBER = {"youngs_modulus_mpa": 0.7, "poisson_ratio": 0.4}
 

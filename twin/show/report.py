@@ -16,15 +16,15 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Points
+from twin.display import nice, spacing
 from twin.parts.part import UNITS
 from twin.results import RunResult, Touch, Truth
 from twin.show.explain import LIMITS, one_layer
 from twin.show.html_page import cleaned, data_uri, digits, figure, finite, page, table, two_columns
-from twin.show.svg_plots import Axes, arrows, crosses, dots, drawing, force_field, line, nice
+from twin.show.svg_plots import Axes, arrows, crosses, dots, drawing, force_field, line
 
 _STAGES = ("elastic", "tracking", "force")
 """Order of the stages in the table of errors; others follow."""
@@ -542,7 +542,7 @@ def _error_map(seen: _Sighting, axes: Axes) -> str:
     if not fine.any():
         return ""
     usual = float(np.sqrt(np.mean(error[fine] ** 2)))
-    pitch = _spacing(seen.place_px)
+    pitch = spacing(seen.place_px)
     scale = nice(max(pitch, 20 / axes.per_unit) / usual / 1.5) if usual > 0 else 1.0
     content = ""
     for _, style, mask in _layers(seen.layer):
@@ -853,15 +853,8 @@ def _longest(vectors: Floats) -> float:
 
 def _magnification(axes: Axes, names: np.ndarray, places: Floats, size: float) -> float:
     """Return the round factor at which an arrow of ``size`` is about one pitch of a layer long."""
-    pitches = [_spacing(places[mask]) for _, _, mask in _layers(names)] if len(places) else []
-    pitch = min((p for p in pitches if p > 0), default=40 / axes.per_unit)
+    pitch = min(spacing(places[mask]) for _, _, mask in _layers(names))
     return nice(1.5 * max(pitch, 20 / axes.per_unit) / size) if size > 0 else 1.0
-
-
-def _spacing(points: Floats) -> float:
-    """Return the median distance to the nearest neighbour; 0 for fewer than two points."""
-    points = points[np.isfinite(points).all(axis=1)]
-    return float(np.median(cKDTree(points).query(points, k=2)[0][:, 1])) if len(points) > 1 else 0.0
 
 
 def _around(points: Floats) -> tuple[float, float, float, float]:

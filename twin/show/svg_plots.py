@@ -11,13 +11,14 @@ page's light or dark colours, and its text can be searched.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from twin.arrays import Floats
+from twin.display import nice
 
 VIEW = 480
 """Width of every drawing: near its size in a column of a laptop's page, so that letters keep their
@@ -77,14 +78,6 @@ class Axes:
         return (VIEW - LEFT - RIGHT) / abs(self.right - self.left)
 
 
-def nice(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten up to ``value`` (else 1)."""
-    if not (value > 0 and math.isfinite(value)):
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(value))
-    return max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9))
-
-
 def ticks(low: float, high: float, about: int = 6) -> list[float]:
     """Return round values between ``low`` and ``high``, roughly ``about`` of them."""
     low, high = min(low, high), max(low, high)
@@ -94,14 +87,7 @@ def ticks(low: float, high: float, about: int = 6) -> list[float]:
     return [round(k * step, 12) for k in range(first, last + 1)]
 
 
-def drawing(
-    axes: Axes,
-    content: str,
-    across: str,
-    up: str,
-    label: str,
-    upwards: Mapping[float, str] | None = None,
-) -> str:
+def drawing(axes: Axes, content: str, across: str, up: str, label: str) -> str:
     """Return the SVG of ``content`` with frame, ticks and axis names.
 
     Parameters
@@ -114,8 +100,6 @@ def drawing(
         Names of the axes, with units.
     label
         Words in place of the drawing for a reader who can't see it.
-    upwards
-        Places and labels of the vertical axis's ticks; None: round numbers.
     """
     height = axes.height + TOP + BOTTOM
     floor = TOP + axes.height
@@ -125,15 +109,12 @@ def drawing(
         x, _ = axes.place(np.array([[value, axes.top]]))[0]
         marks.append(f"M{x:.1f} {floor:.1f}v4")
         text.append(f'<text x="{x:.1f}" y="{floor + 18:.1f}" text-anchor="middle">{value:g}</text>')
-    if upwards is None:
-        upwards = {value: f"{value:g}" for value in ticks(axes.bottom, axes.top, 5)}
+    upwards = {value: f"{value:g}" for value in ticks(axes.bottom, axes.top, 5)}
     more = WIDE * max(0, max(map(len, upwards.values()), default=0) - FIT)
     for value, words in upwards.items():
         _, y = axes.place(np.array([[axes.left, value]]))[0]
         marks.append(f"M{LEFT} {y:.1f}h-4")
-        text.append(
-            f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{escape(words)}</text>'
-        )
+        text.append(f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{words}</text>')
     middle = TOP + axes.height / 2
     text.append(
         f'<text x="{(LEFT + right) / 2}" y="{height - 5:.1f}" '

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Points
-from twin.display import magnification, spacing
+from twin.display import nice, spacing
 from twin.errors import InputError, MissingCapability, SomeFailed, TwinError
 from twin.files import LARGEST_PX, make_folder, png_bytes, write_whole
 from twin.sense.calibration import Calibration, read_calibration
@@ -805,7 +805,7 @@ class _OverlayFile:
         if found is not None and found.seen.any():
             longest = float(np.hypot(*found.shift_px[found.seen].T).max())
             wanted = _LONGEST * spacing(found.rest_px[found.seen])
-            self._times = min(self._times, magnification(longest, wanted))
+            self._times = min(self._times, max(1.0, nice(wanted / max(longest, 1e-9))))
         drawn = _overlay(result.picture, found, f"motion x {self._times:g}  {text}", self._times)
         if self._film:
             height, width = drawn.shape[:2]

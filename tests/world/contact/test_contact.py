@@ -9,18 +9,18 @@ from numpy.testing import assert_allclose
 from presses import STUCK, HalfSpace, ball, centre_of, down, face, only, pressed, punch, push, radii_of, sideways
 from standard_bodies import BLOCK, FINGER
 
-from twin.errors import ContactError, InputError
-from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step
-from twin.theory import halfspace
-from twin.theory.contact import (
+from benchmarks.contact_theory import (
     bonded_punch_stiffness,
-    hertz,
     oblique_motion,
     punch_stiffness,
     square_punch_stiffness,
     tangential_stiffness,
     torsional_stiffness,
 )
+from twin.errors import ContactError, InputError
+from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step
+from twin.theory import halfspace
+from twin.theory.contact import hertz
 from twin.world.contact import contact_search, pressing
 from twin.world.contact.surface_patches import Box, Footprint, Plane, candidate_patches
 

@@ -24,9 +24,9 @@ from presses import (
 from standard_bodies import FINGER
 
 from benchmarks import flat
+from benchmarks.contact_theory import bonded_punch_stiffness, oblique_motion, sheared_motion, stick_radius, twisted
 from twin.errors import ContactError, NotSettled
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step
-from twin.theory.contact import bonded_punch_stiffness, oblique_motion, sheared_motion, stick_radius, twisted
 from twin.world.contact import load_step
 
 BALL = Sphere(diameter_mm=30)

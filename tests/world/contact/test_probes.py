@@ -25,19 +25,13 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from standard_bodies import BLOCK, FINGER, write_stl
 
+from benchmarks.contact_theory import cone_indentation, punch_stiffness, rocking_stiffness, tangential_stiffness
 from twin.errors import ContactError, NotSettled, RecipeError
 from twin.parts.material import plane_strain_modulus
 from twin.parts.press import Press, Step, frame_of
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere, Stl
 from twin.theory import halfspace
-from twin.theory.contact import (
-    cone_contact_radius,
-    cone_indentation,
-    hertz,
-    punch_stiffness,
-    rocking_stiffness,
-    tangential_stiffness,
-)
+from twin.theory.contact import cone_contact_radius, hertz
 from twin.world.contact import load_step, pressing
 from twin.world.contact.pressing import ContactState
 from twin.world.contact.probe_gap import RIM, Approach, approach, rotation_of

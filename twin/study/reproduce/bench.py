@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import numpy as np
 
 from twin.arrays import Floats, Picture, Progress
+from twin.display import plot_forces, plot_shifts
 from twin.judge.score import field_score, into_cells
 from twin.parts.load import Load, Traction
 from twin.parts.methods import CentreMethod, Method
@@ -36,7 +37,7 @@ from twin.parts.sweep import GF
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import Field, reconstruct
 from twin.sense.track import Found
-from twin.show.figure_panels import ArrowPanel, FieldPanel
+from twin.show.figure_panels import Panel
 from twin.streams import Purpose, stream
 from twin.study.calibrate import calibrate_by_presses, calibration_of, half_space_compliance
 from twin.study.recipe import load_scene
@@ -251,11 +252,6 @@ def _rounded(value: float | None) -> float | None:
     return 0.0 if abs(value) < ROUND_OFF else float(f"{value:.{DIGITS}g}")
 
 
-def once_each(numbers: Numbers) -> list[Record]:
-    """Return the records of numbers of one run."""
-    return [Record(quantity=quantity, twin=value) for quantity, value in numbers.items()]
-
-
 def compared(runs: Sequence[Numbers], off: Mapping[str, Numbers] | None = None) -> list[Record]:
     """Return the records of the numbers of several runs, with the numbers of a run in which one
     cause is switched off by name; runs in which a quantity is not defined don't count."""
@@ -277,11 +273,11 @@ def compared(runs: Sequence[Numbers], off: Mapping[str, Numbers] | None = None) 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """The results of an entry: its records, the drawings of its picture
-    (`twin.show.figure_panels`), and notes for the page."""
+    """The results of an entry: its records, the drawings of its picture, and notes for the
+    page."""
 
     records: Sequence[Record]
-    panels: Sequence[Any] = ()
+    panels: Sequence[Panel] = ()
     notes: Sequence[str] = ()
 
 
@@ -767,36 +763,28 @@ def rest_numbers(rig: Rig, paper_px: float | None = None, near: float | None = N
     }
 
 
-def arrow_panel(title: str, found: Found, magnified: float, layer: str = "") -> ArrowPanel:
+def arrow_panel(title: str, found: Found, magnified: float, layer: str = "") -> Panel:
     """Return the drawing of a layer's tracked shifts; of all layers' by default."""
     rows = (found.layer == layer) | (layer == "")
-    return ArrowPanel(
-        title=title,
-        tails_px=found.rest_px[rows],
-        shifts_px=found.shift_px[rows],
-        colours=["#c22f26" if name == "red" else "#2161c2" for name in found.layer[rows]],
-        magnified=magnified,
+    drawn = found.rest_px[rows], found.shift_px[rows], found.layer[rows]
+    return Panel(
+        title=f"{title}, {magnified:g} times as long",
+        draw=lambda axes: plot_shifts(axes, *drawn, factor=magnified),
     )
 
 
 def field_panel(
-    title: str,
-    found: Field,
-    side_mm: float,
-    radius_mm: float,
-    at_mm: tuple[float, float] = (0.0, 0.0),
-) -> FieldPanel:
-    """Return the drawing of a field in squares of ``side_mm``, with the circle that is the true
-    contact's border."""
+    title: str, found: Field, radius_mm: float, at_mm: tuple[float, float] = (0.0, 0.0)
+) -> Panel:
+    """Return the drawing of a field, with the circle that is the true contact's border."""
     turn = np.linspace(0.0, 2.0 * np.pi, 60)
     x, y = at_mm
-    return FieldPanel(
-        title=title,
-        site_mm=found.site_mm,
-        force_n=found.force_n,
-        side_mm=side_mm,
-        outline_mm=np.column_stack([x + radius_mm * np.cos(turn), y + radius_mm * np.sin(turn)]),
-    )
+
+    def draw(axes: Any) -> None:
+        plot_forces(axes, found.site_mm, found.force_n, title)
+        axes.plot(x + radius_mm * np.cos(turn), y + radius_mm * np.sin(turn), "k--", lw=1)
+
+    return Panel(title=title, draw=draw)
 
 
 def pillar_press(force_n: float = PILLAR_N) -> Press:

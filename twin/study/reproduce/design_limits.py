@@ -22,7 +22,7 @@ from twin.parts.press import Press
 from twin.parts.sweep import GF
 from twin.sense.reconstruct import Field, reconstruct
 from twin.sense.track import track_frame
-from twin.show.figure_panels import BarPanel, Curve, CurvePanel
+from twin.show.figure_panels import Curve, Panel, curve_panel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import (
     FIRST_EXPOSURE,
@@ -42,9 +42,9 @@ from twin.study.reproduce.bench import (
     Record,
     Rig,
     Trial,
+    compared,
     force_line,
     measured,
-    once_each,
     pillar_press,
     samples,
     sphere_press,
@@ -232,10 +232,10 @@ def _conclusion(bench: Bench) -> Outcome:
         f"taken it comes near. The forces are {FORCE_N:g} N on discs of 0.5 mm radius, the paper's "
         "tracker being the two-pass centroid; the closed form is of a half-space seen straight on."
     )
-    return Outcome(records=once_each(numbers), panels=(_limit_curves(),), notes=(note,))
+    return Outcome(records=compared([numbers]), panels=(_limit_curves(),), notes=(note,))
 
 
-def _limit_curves() -> CurvePanel:
+def _limit_curves() -> Panel:
     """Draw the closed-form limit against noise for the designs on the way."""
     noise_px = np.geomspace(0.003, 0.3, 25)
     noise_mm = np.repeat(0.05 * noise_px[:, None], 2, axis=1)
@@ -250,7 +250,7 @@ def _limit_curves() -> CurvePanel:
         depth = np.tile([red, blue], (len(noise_px), 1))
         limit = _limits(depth, np.full(depth.shape, pitch), noise_mm, 1.0, 0.5)
         curves.append(Curve(label=name, x=np.log10(noise_px), y=limit.two_point_mm))
-    return CurvePanel(
+    return curve_panel(
         title="Two-point limit of a design, whatever the software",
         curves=curves,
         across="log10 of a shift's noise (px)",
@@ -289,7 +289,7 @@ def _predicted(bench: Bench, name: str, chain: Chain, printed_mm: float | None) 
 
     records = bench.compare(run, dict, chain, ways)[0]
     limits = _limit_numbers(name, _limit_of(chain.rig(bench), noise))
-    return records + once_each({Quantity(f"{name}: noise of a shift", "px"): noise, **limits})
+    return records + compared([{Quantity(f"{name}: noise of a shift", "px"): noise, **limits}])
 
 
 def _prediction(bench: Bench) -> Outcome:
@@ -311,7 +311,7 @@ def _prediction(bench: Bench) -> Outcome:
     return Outcome(records=records, panels=[_narrow_forces(bench, chains)], notes=(note,))
 
 
-def _narrow_forces(bench: Bench, chains: Mapping[str, Chain]) -> CurvePanel:
+def _narrow_forces(bench: Bench, chains: Mapping[str, Chain]) -> Panel:
     curves = []
     for name, chain in chains.items():
         smooth = replace(chain, method="smooth", tracker=OUR_TRACKER)
@@ -319,7 +319,7 @@ def _narrow_forces(bench: Bench, chains: Mapping[str, Chain]) -> CurvePanel:
             x, push = _along_x(used.narrow(bench, (0.0,), FORCE_N, 60), magnitude=True)
             label = f"{name.split(',')[0]}, {way}"
             curves.append(Curve(label=label, x=x, y=push / np.abs(push).max(), style="o-"))
-    return CurvePanel(
+    return curve_panel(
         title="A narrow force of 1 N",
         curves=curves,
         across="x (mm)",
@@ -355,7 +355,7 @@ def _half_space(bench: Bench) -> Outcome:
             curve = 1e3 * moved[row, axis]
             label = f"f{name}: {world}"
             curves.append(Curve(label=label, x=points[row, 0], y=curve, style=style))
-    panel = CurvePanel(
+    panel = curve_panel(
         title="Blue layer along the x axis, 1 N on 4 x 4 mm: motion along the force",
         curves=curves,
         across="x (mm)",
@@ -365,13 +365,13 @@ def _half_space(bench: Bench) -> Outcome:
         "No picture here: this is the model itself, the papers' formula against the converged "
         "block of equal rubber."
     )
-    return Outcome(records=once_each(numbers), panels=(panel,), notes=(note,))
+    return Outcome(records=compared([numbers]), panels=(panel,), notes=(note,))
 
 
 def _limiting_causes(bench: Bench) -> Outcome:
     """Change one thing at a time, with the paper's tracker and inverse."""
     numbers: dict[Quantity, float] = {}
-    panels = []
+    panels: list[Panel] = []
     far = {"lens: seen from far away": bench.rig("kamiyama").far_away()}
     for number, (label, own, changes) in enumerate(
         (
@@ -402,23 +402,29 @@ def _limiting_causes(bench: Bench) -> Outcome:
             ("width of a narrow force", "full width at half maximum", width, "fwhm_normal_mm"),
             ("two forces told apart", "least distance", apart, "two_point_mm"),
         )
-        panels += [
-            BarPanel(
-                title=f"{label}: {title}",
-                values=values,
-                across=f"{across} (mm)",
-                marks={name: float(getattr(limit, key)[0]) for name, limit in limits.items()},
-                marked="closed-form limit of the design",
-            )
-            for title, across, values, key in drawn
-        ]
+        for title, across, values, key in drawn:
+            marks = [float(getattr(limit, key)[0]) for limit in limits.values()]
+            panels.append(_bars(f"{label}: {title}", f"{across} (mm)", values, marks))
     note = (
         "The limits are of a half-space seen straight on, by two layers with noise but no print "
         "errors. The width of one force can come out below: the finger's pseudo-inverse sharpens "
         "it at the price of what stands next to it, so read it with the distance at which two are "
         "told apart."
     )
-    return Outcome(records=once_each(numbers), panels=panels, notes=(note,))
+    return Outcome(records=compared([numbers]), panels=panels, notes=(note,))
+
+
+def _bars(title: str, across: str, values: Mapping[str, float], limits: list[float]) -> Panel:
+    """Return the drawing of a length by design, with the limit of each."""
+
+    def draw(axes: Any) -> None:
+        axes.barh(list(values), list(values.values()), color="#7d8894")
+        kept = np.where(np.isfinite(limits), limits, np.nan)
+        axes.plot(kept, list(values), "|", ms=14, mew=2.5, label="closed-form limit of the design")
+        axes.invert_yaxis()
+        axes.set_xlabel(across)
+
+    return Panel(title=title, draw=draw)
 
 
 def _frame_seconds(
@@ -447,10 +453,10 @@ def _timed(
 
 def _sorted_times(
     curves: Mapping[str, Floats], across: str, unit: str, levels: Mapping[str, float]
-) -> CurvePanel:
+) -> Panel:
     """Draw the sorted times of every way by name."""
     count = len(next(iter(curves.values())))
-    return CurvePanel(
+    return curve_panel(
         title=f"{count} {across}s, sorted",
         curves=[
             Curve(label=name, x=np.arange(float(count)), y=np.sort(times))
@@ -672,7 +678,7 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
 
     limit = _limit_of(ours.rig(bench), _shift_noise_px(bench, ours))
     records += bench.compare(widths, dict, ours, others)[0]
-    records += once_each(_limit_numbers(paper, limit))
+    records += compared([_limit_numbers(paper, limit)])
 
     bench.progress(f"{paper}, magnitude", 0.6)
     least = "smallest difference of force"

@@ -13,7 +13,7 @@ import numpy as np
 from twin.arrays import Floats, Ints
 from twin.judge.resolution import full_width
 from twin.sense.calibration import Calibration
-from twin.show.figure_panels import Curve, CurvePanel, Panel, PicturePanel
+from twin.show.figure_panels import Curve, Panel, curve_panel, picture_panel
 from twin.study.reproduce.bench import (
     FIRST_EXPOSURE,
     OUR_TRACKER,
@@ -36,7 +36,6 @@ from twin.study.reproduce.bench import (
     compared,
     field_panel,
     force_line,
-    once_each,
     rest_numbers,
     sphere_press,
 )
@@ -119,14 +118,16 @@ def _calibration(bench: Bench) -> Outcome:
         records += compared([{error: each} for each in errors[rows].tolist()], means)
     # Numbers that the paper prints, and the picture of the errors.
     columns = made.transfer[np.isfinite(made.transfer).all(axis=1)]
-    records += once_each(
-        {
-            Quantity("presses", paper=None if bench.quick else 75.0): 3.0 * len(made.site_mm),
-            Quantity("condition number of H"): float(np.linalg.cond(columns)),
-            Quantity("noise of a shift, as the tracker has it", "px"): made.noise_px,
-        }
+    records += compared(
+        [
+            {
+                Quantity("presses", paper=None if bench.quick else 75.0): 3.0 * len(made.site_mm),
+                Quantity("condition number of H"): float(np.linalg.cond(columns)),
+                Quantity("noise of a shift, as the tracker has it", "px"): made.noise_px,
+            }
+        ]
     )
-    panel = CurvePanel(
+    panel = curve_panel(
         title="Error of H by site, sorted",
         curves=[
             Curve(label=name, x=np.arange(float(len(e))), y=np.sort(e), style="o-")
@@ -149,11 +150,13 @@ def _figure_6(bench: Bench) -> Outcome:
     picture = rigs[0].picture(None, 0)
     marks = sensor.project(points, "nominal")
     panels = (
-        PicturePanel(title="The picture at rest", picture=picture),
-        PicturePanel(title="The 25 points where force is applied", picture=picture, marks_px=marks),
+        picture_panel(title="The picture at rest", picture=picture),
+        picture_panel(
+            title="The 25 points where force is applied", picture=picture, marks_px=marks
+        ),
     )
     note = "The paper gives 15 px in section II D and 10 to 20 px in section IV."
-    records = (width, *once_each({pressed: float(len(points))}), found)
+    records = (width, *compared([{pressed: float(len(points))}]), found)
     return Outcome(records=records, panels=panels, notes=(note,))
 
 
@@ -188,9 +191,7 @@ def _figure_7(bench: Bench) -> Outcome:
         if not panels:
             panels.append(arrow_panel("Markers under the sphere", first.found, 3.0))
         radius = first.state.contact_radius_mm
-        panels.append(
-            field_panel(f"Force field, sphere {where}", first.field, PITCH_MM, radius, at)
-        )
+        panels.append(field_panel(f"Force field, sphere {where}", first.field, radius, at))
     return Outcome(records=records, panels=panels)
 
 
@@ -234,7 +235,7 @@ def _figure_8(bench: Bench) -> Outcome:
             Curve(label="as applied", x=reach, y=reach, style=":"),
         )
         panels.append(
-            CurvePanel(
+            curve_panel(
                 title=f"Along {name}", across="applied (gf)", up="measured (gf)", curves=curves
             )
         )
@@ -358,7 +359,7 @@ def _figure_9(bench: Bench) -> Outcome:
             x, y = _curve(*off[SMOOTH])
             curves.append(Curve(label=f"{label}, smooth inverse", x=x, y=y, style=":"))
         panels.append(
-            CurvePanel(
+            curve_panel(
                 title=f"{place.capitalize()}: magnitude against distance from the press",
                 curves=curves,
                 across="distance (mm)",

@@ -13,7 +13,7 @@ from twin.parts.load import Load, Traction
 from twin.parts.press import Cylinder, Pillar, Press, Step
 from twin.sense.reconstruct import Field
 from twin.sense.track import Found
-from twin.show.figure_panels import Curve, CurvePanel, Panel, PicturePanel
+from twin.show.figure_panels import Curve, Panel, curve_panel, picture_panel
 from twin.study.reproduce.bench import (
     KNOWN_BLOCK,
     NO_BLOCK,
@@ -37,7 +37,6 @@ from twin.study.reproduce.bench import (
     arrow_panel,
     compared,
     field_panel,
-    once_each,
     pillar_press,
     rest_numbers,
 )
@@ -116,8 +115,8 @@ def _figure_6(bench: Bench) -> Outcome:
     split = np.stack([red, np.zeros_like(red), blue], axis=2).astype(np.uint8)
     split_title = "Red minus blue: positive part red, negative part blue"
     panels = (
-        PicturePanel(title="The picture at rest", picture=picture),
-        PicturePanel(title=split_title, picture=split),
+        picture_panel(title="The picture at rest", picture=picture),
+        picture_panel(title=split_title, picture=split),
     )
     return Outcome(records=compared([numbers(rig) for rig in rigs]), panels=panels)
 
@@ -172,7 +171,7 @@ def _figure_9(bench: Bench) -> Outcome:
         "Young's modulus, far beyond any linear theory: the paper's largest movement (section 5.1) "
         "is of another press, of softer rubber, or not of this pillar."
     )
-    return Outcome(records=[*records, *once_each({wanted: heavy})], panels=(panel,), notes=(note,))
+    return Outcome(records=[*records, *compared([{wanted: heavy}])], panels=(panel,), notes=(note,))
 
 
 def _strongest_mm(found: Field) -> float:
@@ -216,8 +215,8 @@ def _pillar_field(bench: Bench, label: str, chain: Chain) -> Outcome:
         _causes(bench, chain, KNOWN_BLOCK) | {OURS: ours},
     )
     panels = [
-        field_panel(label, runs[0].field, PITCH_MM, 2.5),
-        field_panel("Truth, summed into the sites' cells", runs[0].truth, PITCH_MM, 2.5),
+        field_panel(label, runs[0].field, 2.5),
+        field_panel("Truth, summed into the sites' cells", runs[0].truth, 2.5),
     ]
     return Outcome(records=records, panels=panels)
 
@@ -245,7 +244,7 @@ def _figure_10(bench: Bench) -> Outcome:
         FREE,
         {NO_NOISE: replace(FREE, overrides=QUIET)},
     )
-    panel = field_panel("No constraint", free[0].field, PITCH_MM, 2.5)
+    panel = field_panel("No constraint", free[0].field, 2.5)
     return Outcome(records=[*constrained.records, *records], panels=[*constrained.panels, panel])
 
 
@@ -253,7 +252,7 @@ def _figure_13(bench: Bench) -> Outcome:
     """Show the field before camera calibration and the one after it."""
     before = _pillar_field(bench, "least norm, before camera calibration", BLIND)
     after = NORM.shot(bench, pillar_press()).field
-    panel = field_panel("After camera calibration (Fig. 11)", after, PITCH_MM, 2.5)
+    panel = field_panel("After camera calibration (Fig. 11)", after, 2.5)
     return Outcome(records=before.records, panels=[*before.panels, panel])
 
 
@@ -291,7 +290,7 @@ def _figure_14(bench: Bench) -> Outcome:
     applied = np.array(widths)
     published = np.array([record.twin for record in records])
     panels = (
-        CurvePanel(
+        curve_panel(
             title="Push along x, each over its largest",
             curves=[
                 Curve(label=f"{width:g} mm wide", x=x, y=push / push.max())
@@ -300,7 +299,7 @@ def _figure_14(bench: Bench) -> Outcome:
             across="x (mm)",
             up="push",
         ),
-        CurvePanel(
+        curve_panel(
             title="Width recovered",
             curves=[
                 Curve(label="as applied", x=applied, y=applied, style=":"),
@@ -346,7 +345,7 @@ def _figure_15(bench: Bench) -> Outcome:
 
         found, runs, _ = bench.compare(bench.pressing(press), numbers, DIFFERENCE, _ways(bench))
         records += found
-        panels.append(field_panel(label, runs[0].field, PITCH_MM, radius))
+        panels.append(field_panel(label, runs[0].field, radius))
     return Outcome(records=records, panels=panels)
 
 
@@ -399,8 +398,8 @@ def _figure_16(bench: Bench) -> Outcome:
     # Compare with the paper: it calls the two movements the same.
     records, runs, _ = bench.compare(cosines, numbers, TRACKED, _causes(bench, TRACKED, NO_BLOCK))
     best = Quantity("distance of the two impulses at the largest cosine along the x axis", "mm")
-    records += once_each({best: apart[int(np.argmax(runs[0][AXIS]))]})
-    panel = CurvePanel(
+    records += compared([{best: apart[int(np.argmax(runs[0][AXIS]))]}])
+    panel = curve_panel(
         title="Two x-impulses against one z-force",
         curves=[
             Curve(label=what, x=np.array(apart), y=np.array(values), style="o-")
@@ -460,7 +459,7 @@ def _figure_17(bench: Bench) -> Outcome:
     bench.progress("with causes off", 0.5)
     ways = _causes(bench, TRACKED, NO_BLOCK)
     off = {name: numbers(fields(way, (3.0, 6.0))) for name, way in ways.items()}
-    panel = CurvePanel(
+    panel = curve_panel(
         title="Largest movement against the markers' depth",
         curves=[
             Curve(

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from twin.sense.track import Found
-from twin.show.figure_panels import HistogramPanel
+from twin.show.figure_panels import Panel
 from twin.study.reproduce.bench import (
     KAMIYAMA,
     NO_NOISE,
@@ -124,23 +125,27 @@ def _note(protocol: Protocol) -> str:
     )
 
 
-def _histograms(bench: Bench, protocol: Protocol, axis: str) -> list[HistogramPanel]:
-    panels = []
+def _histograms(bench: Bench, protocol: Protocol, axis: str) -> list[Panel]:
     found = {way: measured(bench, protocol, way, Chain(paper=protocol.sensor)) for way in WAYS}
-    for layer in ("red", "blue"):
-        shifts = {str(way): samples(f, layer)[:, AXES.index(axis)] for way, f in found.items()}
-        centre = protocol.shift_px if axis == "x" else 0.0
-        reach = max(0.1, 1.1 * max(float(np.abs(s - centre).max()) for s in shifts.values()))
-        panels.append(
-            HistogramPanel(
-                title=f"{layer}, {axis}: the paper's tracker",
-                samples=shifts,
-                across=f"measured {axis} shift (px)",
-                bounds=(centre - reach, centre + reach),
-                marked={"paper's average": protocol.paper[layer, axis][0]},
-            )
-        )
-    return panels
+    middle = protocol.shift_px if axis == "x" else 0.0
+    return [_histogram(protocol, axis, middle, layer, found) for layer in ("red", "blue")]
+
+
+def _histogram(
+    protocol: Protocol, axis: str, middle: float, layer: str, found: Mapping[Way, Found]
+) -> Panel:
+    shifts = {way: samples(f, layer)[:, AXES.index(axis)] for way, f in found.items()}
+    reach = max(0.1, 1.1 * max(float(np.abs(s - middle).max()) for s in shifts.values()))
+
+    def draw(axes: Any) -> None:
+        ends = (middle - reach, middle + reach)
+        for way, values in shifts.items():
+            axes.hist(values, bins=40, range=ends, histtype="step", label=way)
+        average = protocol.paper[layer, axis][0]
+        axes.axvline(average, color="black", ls="--", lw=1, label="paper's average")
+        axes.set(xlabel=f"measured {axis} shift (px)", ylabel="markers")
+
+    return Panel(title=f"{layer}, {axis}: the paper's tracker", draw=draw)
 
 
 def _figure_7(bench: Bench) -> Outcome:
