@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.clock import repeated
 from twin.arrays import Floats
 from twin.blas_threads import one_thread
-from twin.judge.resolution import dip, two_point_distance, widths
+from twin.judge.resolution import dip, full_width, two_point_distance
 from twin.judge.score import field_errors, into_cells
 from twin.parts.load import Traction
 from twin.sense.calibration import Calibration
@@ -191,3 +191,22 @@ def speed(calibration: Calibration, found: Found) -> list[dict[str, Any]]:
          "CPU ms": 1e3 * min(cost.cpu for cost in repeated(partial(reconstruct, found, calibration, **WAYS[name]), 5))}
         for name in ("smooth", "smooth, pushes", "smooth, cone", "local")
     ]  # fmt: skip
+
+
+def widths(push_n: Floats, grid: tuple[int, int], pitch_mm: float) -> tuple[float, float]:
+    """Return the full widths at half maximum of a field along s and t through its largest site, mm;
+    inf if open.
+
+    Parameters
+    ----------
+    push_n
+        (k,) one component of the field, s outer and t inner.
+    grid, pitch_mm
+        (columns, rows) of the sites and their pitch.
+    """
+    picture = np.asarray(push_n, float).reshape(grid)
+    column, row = np.unravel_index(int(np.argmax(picture)), grid)
+    along, across = (np.asarray(pitch_mm * np.arange(count), float) for count in grid)
+    found = full_width(along, picture[:, row]), full_width(across, picture[column])
+    x, y = (width if np.isfinite(width) else float("inf") for width in found)
+    return x, y

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.inverse import widths
 from twin.errors import InputError
-from twin.judge.resolution import dip, full_width, two_point_distance, widths
+from twin.judge.resolution import dip, full_width, two_point_distance
 from twin.judge.score import field_errors
 
 

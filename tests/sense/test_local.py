@@ -5,7 +5,7 @@ import pytest
 from half_space_sensor import as_found, disk, finger_sensor, flat_sensor, pressed, shifts
 from scipy.ndimage import gaussian_filter
 
-from twin.judge.resolution import widths
+from benchmarks.inverse import widths
 from twin.sense.inverse import METHODS
 from twin.sense.reconstruct import reconstruct
 from twin.theory.limit import design_limit

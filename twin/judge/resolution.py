@@ -28,25 +28,6 @@ def full_width(x: Floats, y: Floats) -> float:
     return float(high - low)
 
 
-def widths(push_n: Floats, grid: tuple[int, int], pitch_mm: float) -> tuple[float, float]:
-    """Return the full widths at half maximum of a field along s and t through its largest site, mm;
-    inf if open.
-
-    Parameters
-    ----------
-    push_n
-        (k,) one component of the field, s outer and t inner.
-    grid, pitch_mm
-        (columns, rows) of the sites and their pitch.
-    """
-    picture = np.asarray(push_n, float).reshape(grid)
-    column, row = np.unravel_index(int(np.argmax(picture)), grid)
-    along, across = (np.asarray(pitch_mm * np.arange(count), float) for count in grid)
-    found = full_width(along, picture[:, row]), full_width(across, picture[column])
-    x, y = (width if np.isfinite(width) else float("inf") for width in found)
-    return x, y
-
-
 def dip(x: Floats, y: Floats, apart: float) -> float:
     """Return how far a profile falls between two equal pushes at -apart/2 and apart/2, over the
     lower of the peaks.
