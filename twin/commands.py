@@ -255,7 +255,11 @@ def run(
     else:
         print(text)
     if open_:
-        _open_page(folder / "report.html")
+        import webbrowser
+
+        page = folder / "report.html"
+        if not webbrowser.open(page.resolve().as_uri()):
+            print(f"twin: no browser found here; open {page} yourself", file=sys.stderr)
 
 
 def _run_files(folder: Path) -> dict[str, Any]:
@@ -279,13 +283,6 @@ def _json_of(path: Path) -> Any:
 
 def _print_json(value: Any) -> None:
     print(json.dumps(value, indent=1, ensure_ascii=False))
-
-
-def _open_page(page: Path) -> None:
-    import webbrowser
-
-    if not webbrowser.open(page.resolve().as_uri()):
-        print(f"twin: no browser found here; open {page} yourself", file=sys.stderr)
 
 
 def explain(
@@ -370,7 +367,9 @@ def mesh(
 
 _Layers = Annotated[
     tuple[float, ...],
-    Parameter(help="Of the dots, mm; twice for two layers.", negative_iterable=""),
+    Parameter(
+        help="Of the dots, mm; twice for two layers.", show_default=False, negative_iterable=""
+    ),
 ]
 
 
@@ -428,13 +427,14 @@ def scenes(
         return
     from twin.study.recipe import load_scene, shipped_scenes
 
-    titles = {name: load_scene(name).title for name in shipped_scenes()}
+    rows = [
+        {"name": name, "title": load_scene(name).title, "path": str(path)}
+        for name, path in shipped_scenes().items()
+    ]
     if json_:
-        paths = shipped_scenes()
-        rows = [{"name": n, "title": title, "path": str(paths[n])} for n, title in titles.items()]
         _print_json(rows)
     else:
-        print("\n".join(f"{name:20s} {title}" for name, title in titles.items()))
+        print("\n".join(f"{row['name']:20s} {row['title']}" for row in rows))
 
 
 def check(
@@ -506,8 +506,8 @@ def doctor(*, json_: Json = False) -> None:
 
     lines, missing = examine()
     if json_:
-        facts = {name: text for name, _, text in (line.partition(" ") for line in lines)}
-        _print_json({"facts": {k: v.strip() for k, v in facts.items()}, "missing": missing})
+        facts = dict(line.split(maxsplit=1) for line in lines)
+        _print_json({"facts": facts, "missing": missing})
     else:
         print("\n".join(lines))
     if missing:
@@ -633,22 +633,8 @@ def calibrate(
     overlay: Annotated[
         Path | None, Parameter(help="Picture of the markers found (.png, with --layout-from).")
     ] = None,
-    pitch_mm: Annotated[
-        tuple[float, ...],
-        Parameter(
-            help="Pitch of the dots, mm: one, or one a layer (with --layout-from).",
-            show_default=False,
-            negative_iterable="",
-        ),
-    ] = (),
-    depth_mm: Annotated[
-        tuple[float, ...],
-        Parameter(
-            help="Depth of the dots, mm: one, or one a layer (with --layout-from).",
-            show_default=False,
-            negative_iterable="",
-        ),
-    ] = (),
+    pitch_mm: _Layers = (),
+    depth_mm: _Layers = (),
     set_: Overrides = (),
 ) -> None:
     """Calibrate a scene's sensor, on the twin or from a recording, and write the calibration file.
@@ -836,8 +822,7 @@ def dataset(
     if batch.dry_run:
         from twin.study.dataset.create import estimate
 
-        for line in estimate(loaded, samples, workers=workers, progress=_progress()):
-            print(line)
+        print(*estimate(loaded, samples, workers=workers, progress=_progress()), sep="\n")
         return
     done = create_dataset(
         loaded, folder, samples, workers=workers, scheduler=cluster, progress=_progress()
@@ -906,8 +891,7 @@ def sweep(
     if batch.dry_run:
         from twin.study.sweep.sweep_run import estimate
 
-        for line in estimate(wanted, scene, workers=workers):
-            print(line)
+        print(*estimate(wanted, scene, workers=workers), sep="\n")
         return
     from twin.study.sweep.sweep_report import write_report
     from twin.study.sweep.sweep_run import run_sweep

@@ -283,17 +283,17 @@ class Pieces:
             found[piece == k] = own[tree.nearest(points[piece == k])[0]]
         return found
 
-    def from_below(self, xy: Floats, preferred: int = 0) -> tuple[Ints, Points]:
+    def from_below(self, xy: Floats) -> tuple[Ints, Points]:
         """Return the piece (n,) met first by rays along +z at (n, 2) places, -1 for none, and the
         places (n, 3)."""
         points = np.column_stack([xy, np.zeros(len(xy))])
         up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
         triangle, z = self._tree.first_along(points, up)
         met = triangle >= 0
-        # Where two pieces are met at one height, at their common edge, the preferred one counts.
-        ties = np.flatnonzero(met & (self.piece[triangle] != preferred))
+        # Where two pieces are met at one height, at their common edge, the first piece counts.
+        ties = np.flatnonzero(met & (self.piece[triangle] != 0))
         if len(ties):
-            own, tree = self._trees[preferred]
+            own, tree = self._trees[0]
             found, height = tree.first_along(points[ties], up[ties])
             same = (found >= 0) & (height <= z[ties] + _TOUCHING_MM)
             triangle[ties[same]] = own[found[same]]
@@ -316,14 +316,9 @@ class Pieces:
         """Return the (e, 2, 3) ends of the edges at which the surface is folded inwards by more
         than ``crease_deg``."""
         face = self._outward[:, FACE]
-        across = _neighbours(self.surface.triangles)
-        own, side = np.meshgrid(np.arange(len(face)), np.arange(3), indexing="ij")
-        other = across[own, side]
-        ends = np.stack([self._corners[own, side], self._corners[own, (side + 1) % 3]], axis=2)
-        outer = self._corners[other].mean(axis=2) - ends[:, :, 0]
-        inwards = np.einsum("msi,mi->ms", outer, face) > 0.0
-        folded = np.einsum("mi,msi->ms", face, face[other]) < np.cos(np.radians(crease_deg))
-        return np.asarray(ends[inwards & folded & (own < other)])
+        ends, outward, cosine, own, other = _folds(self.surface.triangles, self._corners, face)
+        folded = cosine < np.cos(np.radians(crease_deg))
+        return np.asarray(ends[(outward > 0.0) & folded & (own < other)])
 
 
 def _sides(triangles: Ints) -> Ints:
@@ -348,15 +343,23 @@ def sharpest_edge(vertices: Points, triangles: Ints) -> tuple[float, Points]:
     """Return the least angle inside a closed surface between triangles that share an edge, deg, and
     its place (3,)."""
     corners = vertices[triangles]
-    face, across = _face_normals(corners), _neighbours(triangles)
-    own, side = np.meshgrid(np.arange(len(face)), np.arange(3), indexing="ij")
-    start = corners[own, side]
-    end = corners[own, (side + 1) % 3]
-    inwards = np.einsum("msi,mi->ms", corners[across].mean(axis=2) - start, face) <= 0.0
-    turned = np.degrees(np.arccos(np.clip(np.einsum("mi,msi->ms", face, face[across]), -1.0, 1.0)))
-    angle = np.where(inwards, 180.0 - turned, 180.0 + turned)
+    ends, outward, cosine, _, _ = _folds(triangles, corners, _face_normals(corners))
+    turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    angle = np.where(outward <= 0.0, 180.0 - turned, 180.0 + turned)
     worst = np.unravel_index(np.argmin(angle), angle.shape)
-    return float(angle[worst]), np.asarray((start[worst] + end[worst]) / 2.0)
+    return float(angle[worst]), np.asarray(ends[worst].mean(axis=0))
+
+
+def _folds(
+    triangles: Ints, corners: Floats, face: Floats
+) -> tuple[Floats, Floats, Floats, Ints, Ints]:
+    """Return for the three edges of m triangles: (m, 3, 2, 3) ends, (m, 3) how far the neighbour's
+    middle stands out, the cosine between both normals, and (m, 3) both triangles."""
+    own, side = np.meshgrid(np.arange(len(face)), np.arange(3), indexing="ij")
+    other = _neighbours(triangles)
+    ends = np.stack([corners[own, side], corners[own, (side + 1) % 3]], axis=2)
+    outward = np.einsum("msi,mi->ms", corners[other].mean(axis=2) - ends[:, :, 0], face)
+    return ends, outward, np.einsum("mi,msi->ms", face, face[other]), own, other
 
 
 def _feature_normals(triangles: Ints, corners: Floats, piece: Ints) -> tuple[Floats, Bools]:

@@ -163,11 +163,10 @@ def arrows(axes: Axes, tails: Floats, vectors: Floats, style: str) -> str:
     return path(steps, style)
 
 
-def crosses(axes: Axes, points: Floats, style: str, size: float = 3.0) -> str:
+def crosses(axes: Axes, points: Floats, style: str) -> str:
     """Return one path with an x at each of the (n, 2) ``points``."""
     steps = [
-        f"M{x - size:.1f} {y - size:.1f}l{2 * size:g} {2 * size:g}m0 {-2 * size:g}l{-2 * size:g} "
-        f"{2 * size:g}"
+        f"M{x - 3.0:.1f} {y - 3.0:.1f}l6 6m0 -6l-6 6"
         for x, y in axes.place(points[np.isfinite(points).all(axis=1)]).tolist()
     ]
     return path(steps, style)

@@ -170,10 +170,6 @@ class FittedDesign:
             columns.append(here)
         return np.asarray(np.concatenate(columns, axis=1) / (1 + found["youngs_modulus"]))
 
-    def footprint_mm(self, scaled: Floats, place: int) -> float:
-        """Return the fitted radius of a place's footprint, mm."""
-        return float(self.radius_mm[place] * (1 + self._values(scaled)["footprint"]))
-
     def seen(self, points: Points, camera: Camera) -> Pixels:
         """Return where a camera sees points of the nominal body, px."""
         scene = self.scene

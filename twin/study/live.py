@@ -346,17 +346,16 @@ class Loopback:
         """What to open in a browser."""
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
-    def serve(self, count: int | None = None) -> None:
-        """Answer until interrupted, or until ``count`` questions are answered."""
+    def serve(self) -> None:
+        """Answer until interrupted."""
         listener = threading.Thread(
             target=self._server.serve_forever, name="twin-loopback", daemon=True
         )
         listener.start()
         try:
-            while count is None or count > 0:
+            while True:
                 question, reply = self._jobs.get()
                 reply.put(self._worked_out(question))
-                count = None if count is None else count - 1
         finally:
             self._server.shutdown()
             self._server.server_close()

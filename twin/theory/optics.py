@@ -1,11 +1,8 @@
 """The camera in closed form: points to pixels and pixels to rays, through flat layers and a lens.
 
-A chief ray leaves a point in the body, crosses the base, the camera's layers and air, and ends in
-the entrance pupil. All interfaces are normal to z, so the ray stays in one vertical plane and
-Snell's invariant n sin(angle) fixes it by one number. Taking p, the tangent of the angle in air, a
-layer of index n and thickness t moves the ray sideways by
-
-    t p / sqrt(n^2 + (n^2 - 1) p^2)      (Snell's law, Born & Wolf, Principles of Optics, sec. 1.5)
+The formulas are in docs/theory.md. All interfaces are normal to z, so a chief ray stays in one
+vertical plane and p, the tangent of its angle in air, fixes it (Snell's law; Born & Wolf,
+Principles of Optics, sec. 1.5).
 
 Why p and not the sine: the sum over the layers is concave and increasing in p, so Newton's
 iteration from the paraxial value climbs to the root without ever passing it, at grazing angles too.

@@ -787,9 +787,9 @@ def field_panel(
     return Panel(title=title, draw=draw)
 
 
-def pillar_press(force_n: float = PILLAR_N) -> Press:
+def pillar_press() -> Press:
     """Return the press of Figs. 9 to 13: the 5 mm pillar, along z, at the middle."""
-    return Press(probe=Cylinder(diameter_mm=5), force_n=(0, 0, force_n))
+    return Press(probe=Cylinder(diameter_mm=5), force_n=(0, 0, PILLAR_N))
 
 
 def sphere_press(place_mm: tuple[float, float], gram_force: float) -> Press:

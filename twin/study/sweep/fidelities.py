@@ -1,33 +1,20 @@
 """The three fidelities at which a design is judged: closed form, linear information, pictures.
 
-Closed form (`twin.theory.limit`). Columns of numbers in, columns out: no scene is made, so a
-hundred thousand designs take a second. The camera is taken on its axis. Pitch and noise widen the
-point response together, not the larger of them alone.
+docs/sweeps.md says what each models and leaves out, and how well they agree.
 
-Linear information. The nominal design gives the transfer matrix that the sensor's software uses.
-The truth is a made sensor, drawn from the tolerances and solved on another mesh, with markers
-projected exactly. Noise enters as a covariance, so a design's figures don't depend on one draw. The
-estimator and its weight are the sensor's own (`twin.sense.regularisation`).
-
-With the whitened transfer matrix H and the penalty Q = L L^T, the eigendecomposition
-L^-1 H^T H L^-T = V S^2 V^T gives the estimate for every weight. The smaller matrix H^T H costs
-digits only where S is below 1e-6 of the largest, far below any noise.
+Linear information. With the whitened transfer matrix H and the penalty Q = L L^T, the
+eigendecomposition L^-1 H^T H L^-T = V S^2 V^T gives the estimate for every weight. The smaller
+matrix H^T H costs digits only where S is below 1e-6 of the largest, far below any noise. Noise
+enters as a covariance, so a design's figures don't depend on one draw.
 
 Mirror symmetry: a block, centred grids of markers and sites and a camera on the axis don't change
 when x or y is mirrored, so fields that are even or odd under each mirror don't mix. In orthonormal
 even and odd parts the problem falls into four of a quarter of the size, and only a quarter of the
 markers is needed to make them: a third of the time for a design of 636 markers.
 
-Validity: constraints on the field (``push_only``, ``friction``) are left out, because totals come
-from the linear solve. Method ``local``, which isn't linear, is rated as ``smooth``. Loads are
-patches of given traction. Noise is that of `twin.study.doubts`: the shadows of markers on
-each other, which move tracked centres, are in the full chain only (docs/sweeps.md).
-
-Full chain. The made sensor, its optics, its CCD and the software are those of ``twin run``. The
-contact is not solved: loads are patches of even traction, so that all designs are compared under
-the same load. Run the recipes of the best designs with ``twin run`` to include the contact. As on a
-real sensor, a second exposure at rest defines zero: what the tracker measures without any load is
-subtracted.
+Validity: constraints on the field (``push_only``, ``friction``) are left out of the linear
+information, because totals come from the linear solve. Method ``local``, which isn't linear, is
+rated as ``smooth``.
 
 Forces are estimated at sites, so two pushes are resolved only where a site between them carries
 less force (`resolved_by_sites`). A coarse grid gives all designs the same two-point distance.

@@ -4,20 +4,11 @@
 `scores` ranks. Instead of a grid of designs it can search for the best design. `estimate` predicts
 the time, and `check` tests the recipe first.
 
-Only this process writes into the folder, under a lock. An interrupted sweep continues with the
-missing rows and ends with the same table (except for the measured seconds).
-
-Rows are stored: ``rows.jsonl`` grows by whole lines; a kill cuts off one line at most, which is
-computed again. A row's key is a hash of all that it depends on (design, scene, loads, fidelity,
-versions), so a row is computed once whatever the order, and a changed sweep reuses the designs that
-it shares with the one before. A worker knows the sweep by the job's files only. It keeps the bodies
-that it has prepared; each body serves one set of patches, so a row depends on nothing but its
-design.
-
-The search minimises the score on the cheapest fidelity that the sweep has beyond the closed form.
-Every generation is a batch of designs whose rows are stored like a sweep's, so a killed search
-continues. Noise enters as a covariance and tolerances as drawn sensors, so the result is robust
-against both.
+Only this process writes into the folder, under a lock. Rows are stored: ``rows.jsonl`` grows by
+whole lines, and a kill cuts off one line at most. A row's key is a hash of all that it depends on
+(design, scene, loads, fidelity, versions), so an interrupted or changed sweep reuses the rows that
+are there. A worker knows the sweep by the job's files only; each body that it keeps serves one set
+of patches, so a row depends on nothing but its design.
 
 Why differential evolution (R. Storn and K. Price 1997): axes may be lists, designs may be
 impossible, a generation is a batch for all cores, and SciPy has it. Why L-BFGS-B after it
