@@ -1,10 +1,10 @@
 """Killed at any moment: ``python -m benchmarks.kills [--count 50]``.
 
-Run, dataset, sweep and reproduce are started as processes of their own, killed (SIGKILL, all of their group) after a
-random time, and looked at: every file that is there must be whole. Then the same command is given again until it ends,
-and what it leaves must be what an undisturbed command left: the same bytes for samples, designs, pictures and arrays.
-Done in rounds, a dozen kills each, that are stored in benchmarks/results/kills.json and taken up from there; exit code
-1 if anything was lost or torn.
+Run, dataset, sweep and reproduce are started as processes of their own, killed after a random time (all of their group,
+every third time by Ctrl-C's SIGINT, else by SIGKILL), and looked at: every file that is there must be whole. Then the
+same command is given again until it ends, and what it leaves must be what an undisturbed command left: the same bytes
+for samples, designs, pictures and arrays. Done in rounds, a dozen kills each, that are stored in
+benchmarks/results/kills.json and taken up from there; exit code 1 if anything was lost or torn.
 """
 
 import hashlib
@@ -40,7 +40,7 @@ class Job:
 JOBS = {
     "run": Job(("run", "small.toml", "--out", "OUT"), ("*.png", "*.npz", "scene.toml")),
     "dataset": Job(
-        ("dataset", "data.toml", "--samples", "4", "--out", "OUT", "--workers", "1"),
+        ("dataset", "data.toml", "--samples", "4", "--out", "OUT", "--workers", "2"),
         ("data/*.parquet", "sensors/*.parquet"),
     ),
     "sweep": Job(("sweep", "sweep.toml", "--out", "OUT", "--workers", "1"), ("best/*.toml",)),
@@ -123,10 +123,11 @@ def killed(names: list[str], count: int, seed: int = 1) -> list[dict[str, Any]]:
                 raise AssertionError(f"{name} left nothing to compare")
             outcomes: Counter[str] = Counter()
             out = "killed"
-            for _ in range(index, count, len(names)):
+            for number in range(index, count, len(names)):
                 running = start(folder, job, out)
                 time.sleep(chance.uniform(0.1, 1.0) * seconds)
-                os.killpg(running.pid, signal.SIGKILL) if running.poll() is None else None
+                how = signal.SIGINT if number // len(names) % 3 == 2 else signal.SIGKILL
+                os.killpg(running.pid, how) if running.poll() is None else None
                 outcomes["ended before" if running.wait() == 0 else "killed"] += 1
                 if bad := torn(folder / out):
                     raise AssertionError(f"{name}, killed: torn are {bad}")

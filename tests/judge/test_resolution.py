@@ -2,23 +2,7 @@ import numpy as np
 import pytest
 
 from benchmarks.inverse import widths
-from twin.errors import InputError
 from twin.judge.resolution import dip, full_width, two_point_distance
-from twin.judge.score import field_errors
-
-
-def test_field_errors_by_direction():
-    truth = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 0.0]])
-    estimate = truth + np.array([[0.0, 0.0, 0.2], [0.0, 0.5, 0.0]])
-    found = field_errors(estimate, truth)
-    assert found["normal"] == pytest.approx(0.1)
-    assert found["tangential"] == pytest.approx(0.5)
-    assert found["all"] == pytest.approx(np.sqrt(0.29 / 5))
-    turned = np.array([[[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]] * 2)
-    assert field_errors(estimate, truth, turned)["normal"] == pytest.approx(0.0)
-    assert field_errors(truth[:1], truth[:1])["tangential"] is None
-    with pytest.raises(InputError):
-        field_errors(estimate[:1], truth)
 
 
 def test_width_of_a_known_bell():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from twin.errors import InputError
-from twin.judge.score import field_score, force_score, into_cells, score, tracking_score
+from twin.judge.score import field_errors, field_score, force_score, into_cells, score, tracking_score
 from twin.parts.load import Rectangles
 
 
@@ -87,6 +87,8 @@ def test_errors_by_direction():
     only = force_score(**pushes(surface_force_n=pressed, true_force_n=pressed.sum(axis=0)))
     assert only["field_error_tangential"] is None
     assert "field_error_tangential" in only["reasons"]
+    with pytest.raises(InputError, match="at the same sites"):
+        field_errors(force[:1], force)
 
 
 def test_tracking_numbers_and_hidden_markers():

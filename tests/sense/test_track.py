@@ -1,18 +1,21 @@
 """Tracking on pictures by area sampling: the bound, stated variances, matching, sequences, states, hard pictures."""
 
-import io
 import tracemalloc
 
 import numpy as np
 import pytest
 from drawn import LAYOUT, SIZE, flat_layout, joined, picture
-from PIL import Image
-from scipy.ndimage import convolve
 
-from benchmarks.conditions import Card, stretches
+from benchmarks.conditions import Card, jpeg, mosaic, stretches
 from benchmarks.discs import bound_px, cover, expose, scene
 from twin.errors import InputError
 from twin.sense.track import Tracker, analyse_rest, track, track_frame
+
+
+def wide(diameter):
+    """Return layout and size of a picture of markers of this diameter."""
+    pitch = max(30.0, 2.3 * diameter)
+    return flat_layout(8, 6, pitch, (pitch, pitch)), (int(9 * pitch), int(7 * pitch))
 
 
 def lit_by_marker(share, diameter, pitch):
@@ -33,10 +36,9 @@ def lit_by_marker(share, diameter, pitch):
 def test_spread_bias_and_stated_variance(diameter, contrast, shading):
     """Re-rendered shifts up to 5 px: at most 1.25 x the Cramer-Rao bound, and chi-square says that sd_px is true; less
     so where the bright side reaches 255 counts."""
-    pitch = max(30.0, 2.3 * diameter)
-    layout, size = flat_layout(8, 6, pitch, (pitch, pitch)), (int(9 * pitch), int(7 * pitch))
+    layout, size = wide(diameter)
     random, saturated = np.random.default_rng(3), contrast > 130
-    drawn = {"contrast": contrast, "shade": lit_by_marker(shading, diameter, pitch) if shading else None}
+    drawn = {"contrast": contrast, "shade": lit_by_marker(shading, diameter, layout["red"][0, 0]) if shading else None}
     errors, stated, at_rest = [], [], []
     for draw in range(2):
         shift = random.uniform(-3.5, 3.5, joined(layout).shape)
@@ -55,33 +57,14 @@ def test_spread_bias_and_stated_variance(diameter, contrast, shading):
     assert (error**2 / stated**2).mean() == pytest.approx(1.0, abs=chance)
 
 
-def compressed(image, quality=85):
-    stream = io.BytesIO()
-    Image.fromarray(image).save(stream, "JPEG", quality=quality)
-    return np.array(Image.open(stream))
-
-
-def mosaic(image):
-    """Colours of an RGGB mosaic, interpolated bilinearly."""
-    row, column = np.indices(image.shape[:2]) % 2
-    green = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4
-    other = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4
-    out = np.empty(image.shape)
-    for channel, kernel in enumerate((other, green, other)):
-        seen = image[..., channel] * (row + column == channel)
-        out[..., channel] = convolve(seen, kernel, mode="mirror")
-    return np.clip(np.rint(out), 0, 255).astype(np.uint8)
-
-
-CAMERAS = {"jpeg": compressed, "mosaic": mosaic, "both": lambda image: compressed(mosaic(image))}
+CAMERAS = {"jpeg": jpeg, "mosaic": mosaic, "both": lambda image: jpeg(mosaic(image))}
 
 
 @pytest.mark.parametrize("diameter", [10.0, 15.0])
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_stated_variance_of_compressed_and_mosaic_pictures(camera, diameter):
     """Errors that hang together over pixels: the stated deviation was 5 to 9 times too small."""
-    pitch = max(30.0, 2.3 * diameter)
-    layout, size = flat_layout(8, 6, pitch, (pitch, pitch)), (int(9 * pitch), int(7 * pitch))
+    layout, size = wide(diameter)
     random = np.random.default_rng(3)
     rest = analyse_rest(CAMERAS[camera](picture(0.0, 0, layout, size, diameter)), layout)
     scores = []
@@ -96,7 +79,7 @@ def test_stated_variance_of_compressed_and_mosaic_pictures(camera, diameter):
 def test_compressed_red_markers_are_measured_by_their_brightness():
     """JPEG keeps colours at half the resolution: in red alone .06 px."""
     card, shift = Card(10.0), Card(10.0).shifts(3)
-    found = track(compressed(expose(card.draw(), 1)), compressed(expose(card.draw(shift), 2)), card.layout)
+    found = track(jpeg(expose(card.draw(), 1)), jpeg(expose(card.draw(shift), 2)), card.layout)
     error = (found.shift_px - shift)[: card.count]
     assert np.sqrt(np.mean(error**2)) < 0.035
     assert np.sqrt(np.mean((error / found.sd_px[: card.count, None]) ** 2)) < 1.6
@@ -328,8 +311,7 @@ def test_states_say_what_is_wrong():
 def test_a_marker_partly_hidden_in_the_grounds_colour_is_lost_or_uncertain(diameter, share):
     """What covers it is as dark as the ground: the visible part's centre was stated as the
     marker's, up to 7 standard deviations off."""
-    pitch = max(30.0, 2.3 * diameter)
-    layout, size = flat_layout(8, 6, pitch, (pitch, pitch)), (int(9 * pitch), int(7 * pitch))
+    layout, size = wide(diameter)
     red, hidden = layout["red"] + 0.4, np.arange(0, 48, 5)
     angle = np.random.default_rng(4).uniform(0.0, 2 * np.pi, len(hidden))
     drawn = picture(0.4, None, layout, size, diameter)
@@ -453,7 +435,6 @@ def test_dots_that_touch_the_frame_are_measured(polarity):
 
 
 HARD = {
-    "blank": lambda p: np.full_like(p, 30),
     "saturated": lambda p: np.full_like(p, 255),
     "black": lambda p: np.zeros_like(p),
     "noise": lambda p: np.random.default_rng(0).integers(0, 255, p.shape, np.uint8),

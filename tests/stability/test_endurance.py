@@ -18,7 +18,7 @@ def test_mixed_work_in_one_process_stays_flat(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["run", "dataset", "sweep"])
+@pytest.mark.parametrize("name", ["run", "dataset"])
 def test_what_is_killed_at_any_moment_is_whole_and_goes_on(name: str) -> None:
     (row,) = kills.killed([name], 3)
     assert row["lost or torn"] == 0

@@ -2,13 +2,10 @@
 
 import io
 import json
-import os
 import pickle
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -374,36 +371,3 @@ def test_time_is_estimated_from_cpu_seconds_of_samples_and_sensors(monkeypatch: 
     few = create.estimate(small_scene(columns=("force_n",), vary={}), 3)
     assert "about 14 s with 1 worker" in few[-2]
     assert "the same one" in few[-1]
-
-
-@pytest.mark.slow
-def test_a_killed_run_goes_on_and_ends_with_the_same_bytes(tmp_path: Path) -> None:
-    """kill -9 at several moments, Ctrl-C once, then to the end: the bytes of an undisturbed run."""
-    scene = tmp_path / "scene.toml"
-    scene.write_text(_SLOW_SCENE)
-    command = [sys.executable, "-m", "twin", "dataset", str(scene), "--samples", "24", "--workers", "2", "--out"]
-    environment = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parent.parent)}
-    assert subprocess.run([*command, str(tmp_path / "whole")], env=environment).returncode == 0
-    for seconds, how in ((4, signal.SIGKILL), (9, signal.SIGKILL), (12, signal.SIGINT)):
-        process = subprocess.Popen([*command, str(tmp_path / "d")], env=environment)
-        time.sleep(seconds)
-        process.send_signal(how)
-        assert process.wait(60) in (-9, 130, 0)
-    done = subprocess.run([*command, str(tmp_path / "d")], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert contents(tmp_path / "d") == contents(tmp_path / "whole")
-
-
-_SLOW_SCENE = """
-base = "kamiyama_pillar"
-[press]
-friction = 0
-[accuracy]
-contact_patches = 8
-[vary."press.at_mm"]
-low = [-5, -5]
-high = [5, 5]
-[dataset]
-samples_per_shard = 2
-samples_per_sensor = 8
-"""

@@ -37,6 +37,19 @@ def pressed(wanted, body=BLOCK, e=1.0, nu=0.5, across=16, on=None, **more):
     return press(wanted, body, surface, **more)
 
 
+def settled(compliance, wanted):
+    """Return the forces on cells that a rigid face sinks by ``wanted``, none of which pulls."""
+    touching = wanted > 0.0
+    for _ in range(100):
+        force = np.zeros(len(wanted))
+        force[touching] = np.linalg.solve(compliance[np.ix_(touching, touching)], wanted[touching])
+        following = np.where(touching, force >= 0.0, compliance @ force < wanted - 1e-12)
+        if np.array_equal(following, touching):
+            return force
+        touching = following
+    raise AssertionError("the cells in contact don't settle")
+
+
 def ball(diameter_mm, **keys):
     return Press(probe=Sphere(diameter_mm=diameter_mm), **keys)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from presses import pressed
+from presses import pressed, settled
 from scipy.special import ellipe, ellipk
 from standard_bodies import write_stl
 
@@ -58,16 +58,7 @@ def ring_force(height, inner, outer, count=400):
     edges = inner + (outer - inner) * (1.0 - np.cos(np.pi * np.linspace(0.0, 1.0, count + 1))) / 2.0
     middle = (edges[1:] + edges[:-1]) / 2.0
     sunk = under_disc(middle[:, None], edges[1:]) - under_disc(middle[:, None], edges[:-1])
-    wanted = DEPTH - height(middle)
-    touching = wanted > 0.0
-    for _ in range(50):
-        pressure = np.zeros(count)
-        pressure[touching] = np.linalg.solve(sunk[np.ix_(touching, touching)], wanted[touching])
-        following = np.where(touching, pressure >= 0.0, sunk @ pressure < wanted - 1e-12)
-        if np.array_equal(following, touching):
-            return MODULUS * float(np.pi * (edges[1:] ** 2 - edges[:-1] ** 2) @ pressure)
-        touching = following
-    raise AssertionError("the rings in contact don't settle")
+    return MODULUS * float(np.pi * (edges[1:] ** 2 - edges[:-1] ** 2) @ settled(sunk, DEPTH - height(middle)))
 
 
 @pytest.fixture(scope="module", params=SHAPES)
@@ -150,15 +141,7 @@ def inclined_force(tilt_deg, depth):
     x, y = (side.ravel() for side in np.meshgrid(*middles))
     a, b = (side.ravel() for side in np.meshgrid(*halves))
     wanted, sunk = depth - np.where(x > 0.0, x * slope, -x / slope), under_rectangles(x, y, a, b)
-    touching = wanted > 0.0
-    for _ in range(50):
-        pressure = np.zeros(len(x))
-        pressure[touching] = np.linalg.solve(sunk[np.ix_(touching, touching)], wanted[touching])
-        following = np.where(touching, pressure >= 0.0, sunk @ pressure < wanted - 1e-12)
-        if np.array_equal(following, touching):
-            return float(4.0 * a * b @ pressure)
-        touching = following
-    raise AssertionError("the rectangles in contact don't settle")
+    return float(4.0 * a * b @ settled(sunk, wanted))
 
 
 @pytest.mark.parametrize(("tilt", "depth"), [(2.0, 0.1), (5.0, 0.15), (15.0, 0.3), (30.0, 0.3)])
