@@ -6,7 +6,7 @@ import pytest
 
 import twin
 from twin.cli import main
-from twin.study.doubts import doubts, view_of
+from twin.study.doubts import View, doubts
 from twin.study.new_scene import Pad, write_new_scene
 
 
@@ -29,7 +29,7 @@ def test_what_is_written_is_a_scene_without_doubts(pad: Pad, tmp_path: Path) -> 
     assert line.startswith(str(tmp_path / "mine.toml"))
     scene = twin.load_scene(tmp_path / "mine.toml")
     assert not doubts(scene)
-    assert view_of(scene).inside.all(), "the camera sees every dot"
+    assert View.of(scene).inside.all(), "the camera sees every dot"
     half = twin.Sensor(scene).sites.half_mm.max()
     assert half > 0, "every site lies on the surface, or this is refused"
 

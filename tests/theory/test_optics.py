@@ -18,7 +18,6 @@ from twin.theory.optics import (
     projection_jacobian,
     rays,
     sideways,
-    sight,
     tilt_matrix,
     transmission,
 )
@@ -249,11 +248,11 @@ def test_what_is_not_seen_is_said_why():
     points = np.array([[0.0, 0, 5], [0, 0, 41], [np.nan, 0, 5], [200, 0, 35]])
     touching = Camera(focal_px=500, pupil_mm=(0, 0, 50), layers=(GLASS,))
     wanted = [Sight.SEEN, Sight.BEHIND_BASE, Sight.LOST, Sight.TOTAL_REFLECTION]
-    assert_array_equal(sight(points, touching, RUBBER, 40.0), wanted)
+    assert_array_equal(Sight.of(points, touching, RUBBER, 40.0), wanted)
     folding = Camera(focal_px=300, pupil_mm=(0, 0, 60), distortion=(-0.3, 0.0))
-    assert sight(np.array([[70.0, 0, 0]]), folding, 1.0, 40.0) == Sight.OUTSIDE_LENS
+    assert Sight.of(np.array([[70.0, 0, 0]]), folding, 1.0, 40.0) == Sight.OUTSIDE_LENS
     seen = np.isfinite(project(points, touching, RUBBER, 40.0)).all(axis=1)
-    assert_array_equal(seen, sight(points, touching, RUBBER, 40.0) == Sight.SEEN)
+    assert_array_equal(seen, Sight.of(points, touching, RUBBER, 40.0) == Sight.SEEN)
     centre = WIDE.centre_px
     pixels = np.array([centre, (centre[0] + 230 * 1.7, centre[1]), (centre[0] + 230 * 3.2, centre[1])])
     reached = np.isfinite(np.hstack(rays(pixels, WIDE, RUBBER, 10.0))).all(axis=1)

@@ -5,7 +5,7 @@ because somebody may want them. But mostly a length was given in m, a modulus in
 mN, and the result would be correct and useless. What can't exist at all is refused where it is read
 (`twin.parts`).
 
-Several warnings need the nominal view of the scene before any picture is computed: `view_of` has
+Several warnings need the nominal view of the scene before any picture is computed: `View.of` has
 the places and sizes of the markers in the picture, `shift_sd` and `shift_bound` the expected noise
 of their shifts.
 
@@ -152,47 +152,49 @@ class View:
         """(n,) markers that a tracker can measure."""
         return np.asarray(self.inside & ~self.hidden)
 
+    @classmethod
+    def of(cls, scene: Scene) -> View:
+        """Return the nominal markers in the nominal camera's picture.
 
-def view_of(scene: Scene) -> View:
-    """Return the nominal markers in the nominal camera's picture.
+        Raises a `RecipeError` without a camera, or where a marker lies outside the body.
+        """
+        from scipy.spatial import cKDTree
 
-    Raises a `RecipeError` without a camera, or where a marker lies outside the body.
-    """
-    from scipy.spatial import cKDTree
-
-    if scene.camera is None:
-        raise RecipeError("this scene has no [camera] table: designs are seen by a camera")
-    camera = scene.camera
-    markers = place(scene.body, scene.markers)
-    pixels, jacobian = project_with_jacobian(
-        markers.points, camera, scene.material.refractive_index, scene.body.base_z_mm
-    )
-    # Width in the picture: the square root of the determinant is the mean magnification.
-    across = np.sqrt(np.abs(np.linalg.det(jacobian[:, :, :2])))
-    width = np.array([scene.markers[str(name)].diameter_mm for name in markers.layer]) * across
-    half = width[:, None] / 2
-    end = (camera.width_px - 0.5, camera.height_px - 0.5)
-    with np.errstate(invalid="ignore"):
-        inside = ((pixels - half > -0.5) & (pixels + half < end)).all(axis=1)
-    inside &= np.isfinite(jacobian).all(axis=(1, 2))
-    # Of two markers that overlap in the picture, the one nearer to the surface is hidden: the
-    # camera looks from behind.
-    hidden = np.zeros(len(markers), bool)
-    known = np.flatnonzero(inside)
-    if len(known) > 1:
-        pairs = cKDTree(pixels[known]).query_pairs(float(width[known].max()), output_type="ndarray")
-        a, b = known[pairs[:, 0]], known[pairs[:, 1]]
-        near = np.linalg.norm(pixels[a] - pixels[b], axis=1) < (width[a] + width[b]) / 2
-        a, b = a[near], b[near]
-        hidden[np.where(markers.points[a, 2] < markers.points[b, 2], a, b)] = True
-    return View(
-        markers=markers,
-        pixels=pixels,
-        jacobian=jacobian,
-        diameter_px=width,
-        inside=inside,
-        hidden=hidden,
-    )
+        if scene.camera is None:
+            raise RecipeError("this scene has no [camera] table: designs are seen by a camera")
+        camera = scene.camera
+        markers = place(scene.body, scene.markers)
+        pixels, jacobian = project_with_jacobian(
+            markers.points, camera, scene.material.refractive_index, scene.body.base_z_mm
+        )
+        # Width in the picture: the square root of the determinant is the mean magnification.
+        across = np.sqrt(np.abs(np.linalg.det(jacobian[:, :, :2])))
+        width = np.array([scene.markers[str(name)].diameter_mm for name in markers.layer]) * across
+        half = width[:, None] / 2
+        end = (camera.width_px - 0.5, camera.height_px - 0.5)
+        with np.errstate(invalid="ignore"):
+            inside = ((pixels - half > -0.5) & (pixels + half < end)).all(axis=1)
+        inside &= np.isfinite(jacobian).all(axis=(1, 2))
+        # Of two markers that overlap in the picture, the one nearer to the surface is hidden: the
+        # camera looks from behind.
+        hidden = np.zeros(len(markers), bool)
+        known = np.flatnonzero(inside)
+        if len(known) > 1:
+            pairs = cKDTree(pixels[known]).query_pairs(
+                float(width[known].max()), output_type="ndarray"
+            )
+            a, b = known[pairs[:, 0]], known[pairs[:, 1]]
+            near = np.linalg.norm(pixels[a] - pixels[b], axis=1) < (width[a] + width[b]) / 2
+            a, b = a[near], b[near]
+            hidden[np.where(markers.points[a, 2] < markers.points[b, 2], a, b)] = True
+        return cls(
+            markers=markers,
+            pixels=pixels,
+            jacobian=jacobian,
+            diameter_px=width,
+            inside=inside,
+            hidden=hidden,
+        )
 
 
 def noise_bound(scene: Scene) -> Floats | None:
@@ -200,7 +202,7 @@ def noise_bound(scene: Scene) -> Floats | None:
     closed form does not hold."""
     if scene.camera is None or not _knows_noise(scene) or not scene.ccd.spelt_out().noise:
         return None
-    view = view_of(scene)
+    view = View.of(scene)
     bound = np.full(len(view.markers), np.nan)
     for name in scene.markers:
         rows = view.markers.layer == name
@@ -301,7 +303,7 @@ def _of_press(scene: Scene) -> Iterator[str]:
 
 def _of_picture(scene: Scene) -> Iterator[str]:
     assert scene.camera is not None
-    view = view_of(scene)
+    view = View.of(scene)
     camera = scene.camera
     remedy = "check camera.focal_px (in px), pupil_mm (in mm), width_px and height_px"
     widest = _WIDEST * min(camera.width_px, camera.height_px)

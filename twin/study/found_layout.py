@@ -21,7 +21,7 @@ from twin.errors import InputError, RecipeError
 from twin.files import make_folder, png_bytes, write_whole
 from twin.parts.scene import Scene
 from twin.sense.find_layout import FoundLayer, FoundLayout, find_layout
-from twin.study.doubts import view_of
+from twin.study.doubts import View
 from twin.study.recorded import read_picture
 
 LARGEST_MM = 100.0
@@ -88,7 +88,7 @@ def layout_to_files(
     make_folder(out.parent)
     make_folder(overlay.parent)
     write_whole(out, _recipe(found, drawn, picture.name, image).encode())
-    write_whole(overlay, png_bytes(draw_layout(image, found)))
+    write_whole(overlay, png_bytes(_draw_layout(image, found)))
     lines = [_line(name, layer) for name, layer in found.layers.items()]
     stray = len(found.stray_px)
     if stray:
@@ -159,7 +159,7 @@ def _given(
 
 def _drawn(found: FoundLayout, scene: Scene) -> list[_Drawn]:
     """Return what a scene draws of every layer that was found, the scale being the picture's."""
-    view = view_of(scene)
+    view = View.of(scene)
     names = list(scene.markers)
     if len(names) < len(found.layers):
         raise InputError(
@@ -264,7 +264,7 @@ def _shares(counts: np.ndarray) -> str:
     return "[" + ", ".join(f"{share:.2f}" for share in shares) + "]"
 
 
-def draw_layout(picture: Picture, found: FoundLayout) -> Picture:
+def _draw_layout(picture: Picture, found: FoundLayout) -> Picture:
     """Return a picture with a ring around every dot, in its layer's colour, and column,row beside
     it; rings without numbers are spots on no grid."""
     from PIL import Image, ImageDraw

@@ -76,7 +76,7 @@ def write_new_scene(path: Path, pad: Pad) -> list[str]:
         raise InputError(f"{target}: is there already; give another name, or move it away")
     if not target.parent.is_dir():
         raise InputError(f"{target}: there is no folder {target.parent}; make it first")
-    text = recipe_of(pad)
+    text = _recipe_of(pad)
     table = tomllib.loads(text)
     scene = validate_scene(table, str(target))
     place(scene.body, scene.markers)
@@ -136,7 +136,7 @@ def _fov(pad: Pad) -> float:
     return math.degrees(2 * math.atan(pad.sensor_mm / 2 / pad.focal_mm))
 
 
-def recipe_of(pad: Pad) -> str:
+def _recipe_of(pad: Pad) -> str:
     """Return the text of a recipe.
 
     Raises

@@ -102,7 +102,7 @@ def project(points: Points, camera: Camera, body_index: float, base_z_mm: float)
     Returns
     -------
     (n, 2) column and row, px, also outside the picture; NaN for points behind the base, outside the
-    lens's range or without a ray to the pupil: see `sight`.
+    lens's range or without a ray to the pupil: see `Sight.of`.
 
     Raises
     ------
@@ -193,23 +193,23 @@ class Sight(IntEnum):
     LOST = 5
     """The point is not a number."""
 
-
-def sight(points: Points, camera: Camera, body_index: float, base_z_mm: float) -> Ints:
-    """Return (n,) `Sight`: why `project` has no place for points; parameters as there."""
-    points = np.asarray(points, float)
-    towards, _, _ = _leave(points, camera, body_index, base_z_mm)
-    found = np.isfinite(lens(towards @ tilt_matrix(camera), camera)).all(axis=1)
-    tests = [
-        ~np.isfinite(points).all(axis=1),
-        points[:, 2] > base_z_mm + 1e-9,
-        ~np.isfinite(towards).all(axis=1),
-        ~found,
-    ]
-    return np.select(
-        tests,
-        [Sight.LOST, Sight.BEHIND_BASE, Sight.TOTAL_REFLECTION, Sight.OUTSIDE_LENS],
-        Sight.SEEN,
-    )
+    @classmethod
+    def of(cls, points: Points, camera: Camera, body_index: float, base_z_mm: float) -> Ints:
+        """Return (n,) `Sight`: why `project` has no place for points; parameters as there."""
+        points = np.asarray(points, float)
+        towards, _, _ = _leave(points, camera, body_index, base_z_mm)
+        found = np.isfinite(lens(towards @ tilt_matrix(camera), camera)).all(axis=1)
+        tests = [
+            ~np.isfinite(points).all(axis=1),
+            points[:, 2] > base_z_mm + 1e-9,
+            ~np.isfinite(towards).all(axis=1),
+            ~found,
+        ]
+        return np.select(
+            tests,
+            [Sight.LOST, Sight.BEHIND_BASE, Sight.TOTAL_REFLECTION, Sight.OUTSIDE_LENS],
+            Sight.SEEN,
+        )
 
 
 def axis_cosine(pixels: Pixels, camera: Camera) -> Floats:

@@ -8,10 +8,10 @@ from small_sweep import small
 
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
-from twin.study.doubts import view_of
+from twin.study.doubts import View
 from twin.study.sweep.designs import designs_of
 from twin.study.sweep.fidelities import cost, full, noise_of
-from twin.study.sweep.loads import Bodies, pushes_of
+from twin.study.sweep.loads import Bodies, Pushes
 
 METRICS = ("total_force_error", "fwhm_mm", "dip", "sd_px")
 BODIES = Bodies()
@@ -19,7 +19,7 @@ BODIES = Bodies()
 
 def _figures(exposures: int, preset: str) -> dict[str, float]:
     sweep, design = _design(exposures, preset)
-    return full(design, sweep, BODIES, pushes_of(design.body, sweep.loads, (2.0, 1.5), 1))[0]
+    return full(design, sweep, BODIES, Pushes.of(design.body, sweep.loads, (2.0, 1.5), 1))[0]
 
 
 def _design(exposures: int, preset: str) -> tuple[Sweep, Scene]:
@@ -43,7 +43,7 @@ def test_noise_over_exposures_is_that_of_theory_and_its_standard_error_that_by_w
     few, many = _figures(4, "industrial"), _figures(8, "industrial")
     sweep, design = _design(8, "industrial")
     # were all exposures to share one zero, this would be less by the root of two
-    assert many["noise_px"] == pytest.approx(np.median(noise_of(design, view_of(design), sweep)), rel=0.15)
+    assert many["noise_px"] == pytest.approx(np.median(noise_of(design, View.of(design), sweep)), rel=0.15)
     for name, left in (("total_force_error", "total_force_error_noise_se"), ("fwhm_mm", "fwhm_noise_se_mm")):
         assert 0.0 < few[left] < 0.5 * few[name]
         # Student's t of the three degrees that four exposures have exceeds 5.84 in 1 of 100
@@ -52,7 +52,7 @@ def test_noise_over_exposures_is_that_of_theory_and_its_standard_error_that_by_w
 
 def test_the_cost_of_a_design_is_estimated_from_one_exposure() -> None:
     sweep, design = _design(4, "industrial")
-    pushes = pushes_of(design.body, sweep.loads, (2.0, 1.5), 1)
+    pushes = Pushes.of(design.body, sweep.loads, (2.0, 1.5), 1)
     told = cost(design, sweep, BODIES, pushes)
     estimated = time.process_time()
     full(design, sweep, BODIES, pushes)

@@ -15,22 +15,22 @@ from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
 from twin.streams import Purpose, stream
 from twin.study.calibrate import nominal_calibration
-from twin.study.doubts import view_of
+from twin.study.doubts import View
 from twin.study.sensor import Sensor
 from twin.study.sweep.fidelities import Shown, linear, noise_of, resolved_by_sites
-from twin.study.sweep.loads import Bodies, pushes_of
+from twin.study.sweep.loads import Bodies, Pushes
 
 
 def _linear(scene: Scene) -> tuple[dict[str, float], Shown]:
     sweep = small()[0]
-    pushes = pushes_of(scene.body, sweep.loads, (2.0, 1.5), 1)
-    return linear(scene, view_of(scene), sweep, Bodies(), pushes)
+    pushes = Pushes.of(scene.body, sweep.loads, (2.0, 1.5), 1)
+    return linear(scene, View.of(scene), sweep, Bodies(), pushes)
 
 
 def test_presses_are_at_the_places_of_a_scrambled_halton_sequence() -> None:
     sweep, scene = small()
     loads = sweep.loads.model_copy(update={"presses": 40})
-    pushes = pushes_of(scene.body, loads, (2.0, 1.5), 3)
+    pushes = Pushes.of(scene.body, loads, (2.0, 1.5), 3)
     u = qmc.Halton(3, scramble=True, rng=stream(3, Purpose.SAMPLING, 1)).random(40)
     assert np.allclose(pushes.patches.centre_mm[1:41, :2], (2 * u[:, :2] - 1) * (2.0, 1.5), atol=1e-12)
 
@@ -71,10 +71,10 @@ def software() -> _Software:
     sweep, scene = small()
     scene = scene.model_copy(update={"tolerance": scene.tolerance.model_copy(update={"preset": "none"})})
     figures, shown = _linear(scene)
-    sensor, view = Sensor(scene), view_of(scene)
+    sensor, view = Sensor(scene), View.of(scene)
     points = view.markers.points
     compliance = sensor.nominal_compliance.to_points(points, sensor.sites)
-    pushes, bodies = pushes_of(scene.body, sweep.loads, (2.0, 1.5), 1), Bodies()
+    pushes, bodies = Pushes.of(scene.body, sweep.loads, (2.0, 1.5), 1), Bodies()
     moved = bodies.moved(scene, "truth", points, pushes.patches) @ pushes.loads[0].ravel()
     shift = sensor.project(points + moved.reshape(-1, 3)) - sensor.project(points)
     noise = noise_of(scene, view, sweep)

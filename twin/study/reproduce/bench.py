@@ -447,6 +447,16 @@ class Rig:
             "camera.focal_px": camera.focal_px * (away + body.base_z_mm) / z,
         }
 
+    def rest_numbers(self, paper_px: float | None = None, near: float | None = None) -> Numbers:
+        """Return the width of markers in the picture at rest, which a paper may print, and the
+        share of them that is found."""
+        rest = self.rest(OUR_TRACKER)
+        width = Quantity("width of a marker in the picture", "px", paper=paper_px, near=near)
+        return {
+            width: float(np.mean([group.look.diameter_px for group in rest.groups])),
+            Quantity("share of markers found"): float(np.isfinite(rest.rest_px).all(axis=1).mean()),
+        }
+
 
 def _unstrained(moved_mm: Floats) -> Motion:
     """Return the motion of (n, 3) displacements without strain."""
@@ -750,17 +760,6 @@ def _without_depth(rig: Rig) -> Calibration:
     flat = _image_scale(scene, points) * (1.0, 1.0, 0.0)
     compliance = half_space_compliance(scene, points, rig.sensor.sites)
     return replace(rig.calibration, transfer=from_compliance(compliance, flat))
-
-
-def rest_numbers(rig: Rig, paper_px: float | None = None, near: float | None = None) -> Numbers:
-    """Return the width of markers in the picture at rest, which a paper may print, and the share of
-    them that is found."""
-    rest = rig.rest(OUR_TRACKER)
-    width = Quantity("width of a marker in the picture", "px", paper=paper_px, near=near)
-    return {
-        width: float(np.mean([group.look.diameter_px for group in rest.groups])),
-        Quantity("share of markers found"): float(np.isfinite(rest.rest_px).all(axis=1).mean()),
-    }
 
 
 def arrow_panel(title: str, found: Found, magnified: float, layer: str = "") -> Panel:

@@ -36,7 +36,6 @@ from twin.study.reproduce.bench import (
     compared,
     field_panel,
     force_line,
-    rest_numbers,
     sphere_press,
 )
 from twin.study.sensor import Motion
@@ -145,7 +144,7 @@ def _figure_6(bench: Bench) -> Outcome:
     rigs = [PAPER.rig(bench, trial) for trial in trials]
     sensor = bench.rig("sato").sensor
     points = sensor.sites.centre_mm
-    width, found = compared([rest_numbers(rig, 15.0, 5.0) for rig in rigs])
+    width, found = compared([rig.rest_numbers(15.0, 5.0) for rig in rigs])
     pressed = Quantity("points where force is applied", paper=25.0)
     picture = rigs[0].picture(None, 0)
     marks = sensor.project(points, "nominal")

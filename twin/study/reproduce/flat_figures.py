@@ -38,7 +38,6 @@ from twin.study.reproduce.bench import (
     compared,
     field_panel,
     pillar_press,
-    rest_numbers,
 )
 
 PITCH_MM, BAND_MM, SHAPE_BAND_MM = 1.5, 0.8, 4.0
@@ -105,7 +104,7 @@ def _figure_6(bench: Bench) -> Outcome:
         names = [str(name) for name in np.unique(rest.layer)]
         steps = [_pitch_px(rig, name, rest.rest_px[rest.layer == name]) for name in names]
         size = Quantity("size of a pixel in the marker layers", "mm", paper=0.05)
-        return {size: PITCH_MM / float(np.mean(steps)), **rest_numbers(rig)}
+        return {size: PITCH_MM / float(np.mean(steps)), **rig.rest_numbers()}
 
     rigs = [NORM.rig(bench, trial) for trial in bench.trials("kamiyama")]
     picture = rigs[0].picture(None, 0)

@@ -82,55 +82,57 @@ class Pushes:
             force_n=force[used],
         )
 
+    @classmethod
+    def of(cls, body: Body, loads: Loads, half_mm: tuple[float, float], seed: int) -> Pushes:
+        """Return the pushes of a sweep on a body: presses at quasi-random places of a region with
+        half sides ``half_mm``.
 
-def pushes_of(body: Body, loads: Loads, half_mm: tuple[float, float], seed: int) -> Pushes:
-    """Return the pushes of a sweep on a body: presses at quasi-random places of a region with half
-    sides ``half_mm``.
-
-    Raises
-    ------
-    RecipeError
-        A patch would lie outside the sensing surface.
-    """
-    # Places: the middle, random presses by a scrambled Halton sequence, and pairs around the
-    # middle.
-    u = _halton(loads.presses, stream(seed, Purpose.SAMPLING, 1))
-    pair = np.array(PAIRS) * loads.pair_mm
-    ends = np.column_stack(
-        [np.repeat(pair, 2) / 2 * np.tile([-1.0, 1.0], len(pair)), np.zeros(2 * len(pair))]
-    )
-    chart = np.concatenate([np.zeros((1, 2)), (2 * u[:, :2] - 1) * half_mm, ends])
-    points = body.chart_points(chart)
-    fits = _fits(body, points, loads.size_mm / 2)
-    if not fits[: 1 + loads.presses].all():
-        raise RecipeError(
-            f"loads.region_mm = {half_mm[0]:.3g}, {half_mm[1]:.3g} mm: some presses of "
-            f"loads.size_mm = {loads.size_mm:g} mm hang over the end of the sensing surface; make "
-            "region or size smaller"
+        Raises
+        ------
+        RecipeError
+            A patch would lie outside the sensing surface.
+        """
+        # Places: the middle, random presses by a scrambled Halton sequence, and pairs around the
+        # middle.
+        u = _halton(loads.presses, stream(seed, Purpose.SAMPLING, 1))
+        pair = np.array(PAIRS) * loads.pair_mm
+        ends = np.column_stack(
+            [np.repeat(pair, 2) / 2 * np.tile([-1.0, 1.0], len(pair)), np.zeros(2 * len(pair))]
         )
-    # Leave out pairs that hang over the end of the sensing surface.
-    pairs = fits[1 + loads.presses :].reshape(-1, 2).all(axis=1)
-    keep = np.concatenate([np.ones(1 + loads.presses, bool), np.repeat(pairs, 2)])
-    points, pair = points[keep], pair[pairs]
-    frames = body.frames(points)
-    half = np.full((len(points), 2), loads.size_mm / 2)
-    patches = Rectangles(
-        centre_mm=points, frames=frames, half_mm=half, force_n=np.zeros((len(points), 3))
-    )
-    # Loads: the middle along the normal, the presses with a side force in a random direction, and
-    # both presses of each pair at once.
-    forces = np.zeros((1 + loads.presses + len(pair), len(points), 3))
-    forces[0, 0] = frames[0, 2]
-    turn = 2 * np.pi * u[:, 2]
-    for press in range(1, 1 + loads.presses):
-        sideways = np.array([np.cos(turn[press - 1]), np.sin(turn[press - 1])]) @ frames[press, :2]
-        forces[press, press] = frames[press, 2] + loads.shear * sideways
-    for number in range(len(pair)):
-        first = 1 + loads.presses + 2 * number
-        forces[1 + loads.presses + number, first : first + 2] = frames[first : first + 2, 2]
-    return Pushes(
-        patches=patches, loads=loads.force_n * forces, presses=loads.presses, pair_mm=pair
-    )
+        chart = np.concatenate([np.zeros((1, 2)), (2 * u[:, :2] - 1) * half_mm, ends])
+        points = body.chart_points(chart)
+        fits = _fits(body, points, loads.size_mm / 2)
+        if not fits[: 1 + loads.presses].all():
+            raise RecipeError(
+                f"loads.region_mm = {half_mm[0]:.3g}, {half_mm[1]:.3g} mm: some presses of "
+                f"loads.size_mm = {loads.size_mm:g} mm hang over the end of the sensing surface; "
+                "make region or size smaller"
+            )
+        # Leave out pairs that hang over the end of the sensing surface.
+        pairs = fits[1 + loads.presses :].reshape(-1, 2).all(axis=1)
+        keep = np.concatenate([np.ones(1 + loads.presses, bool), np.repeat(pairs, 2)])
+        points, pair = points[keep], pair[pairs]
+        frames = body.frames(points)
+        half = np.full((len(points), 2), loads.size_mm / 2)
+        patches = Rectangles(
+            centre_mm=points, frames=frames, half_mm=half, force_n=np.zeros((len(points), 3))
+        )
+        # Loads: the middle along the normal, the presses with a side force in a random direction,
+        # and both presses of each pair at once.
+        forces = np.zeros((1 + loads.presses + len(pair), len(points), 3))
+        forces[0, 0] = frames[0, 2]
+        turn = 2 * np.pi * u[:, 2]
+        for press in range(1, 1 + loads.presses):
+            sideways = (
+                np.array([np.cos(turn[press - 1]), np.sin(turn[press - 1])]) @ frames[press, :2]
+            )
+            forces[press, press] = frames[press, 2] + loads.shear * sideways
+        for number in range(len(pair)):
+            first = 1 + loads.presses + 2 * number
+            forces[1 + loads.presses + number, first : first + 2] = frames[first : first + 2, 2]
+        return cls(
+            patches=patches, loads=loads.force_n * forces, presses=loads.presses, pair_mm=pair
+        )
 
 
 def _fits(body: Body, points: Points, half_mm: float) -> Bools:

@@ -54,11 +54,11 @@ from twin.study.batch.pool import (
     unpacked,
     versions,
 )
-from twin.study.doubts import view_of
+from twin.study.doubts import View
 from twin.study.recipe import dump_scene, load_scene
 from twin.study.sweep.designs import Designs, designs_at, designs_of, load_sweep, scene_of
 from twin.study.sweep.fidelities import Shown, closed, cost, full, linear, resolved_by_sites
-from twin.study.sweep.loads import REGION, Bodies, Pushes, pushes_of, refuse, thickness_range
+from twin.study.sweep.loads import REGION, Bodies, Pushes, refuse, thickness_range
 
 Row = dict[str, Any]
 
@@ -132,7 +132,7 @@ class _Workshop:
         return row, shown
 
     def _judge(self, scene: Scene) -> tuple[dict[str, float], bytes | None]:
-        view = view_of(scene)
+        view = View.of(scene)
         inside, hidden = view.inside.mean(), view.hidden.mean()
         if inside < self.sweep.limits.seen:
             raise RecipeError(f"only {100 * inside:.0f} % of the markers are inside the picture")
@@ -183,11 +183,11 @@ def expected(sweep: Sweep, scene: Scene, values: dict[str, Any]) -> Shown:
     """Return what the page shows of a design by its linear information."""
     design = scene_of(sweep, plain_table(scene), values)
     bodies = Bodies(thickness_mm=thickness_range(sweep))
-    return linear(design, view_of(design), sweep, bodies, _pushes(sweep, scene, design))[1]
+    return linear(design, View.of(design), sweep, bodies, _pushes(sweep, scene, design))[1]
 
 
 def _pushes(sweep: Sweep, scene: Scene, design: Scene) -> Pushes:
-    return pushes_of(design.body, sweep.loads, _region(sweep, scene), sweep.seed)
+    return Pushes.of(design.body, sweep.loads, _region(sweep, scene), sweep.seed)
 
 
 def _region(sweep: Sweep, scene: Scene) -> tuple[float, float]:

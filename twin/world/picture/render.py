@@ -22,7 +22,7 @@ from twin.arrays import Floats, Ints, Pixels, Singles, frozen
 from twin.errors import RecipeError
 from twin.parts.camera import Camera
 from twin.parts.scene import Scene
-from twin.theory.optics import project, sight
+from twin.theory.optics import Sight, project
 from twin.world.picture.backend import FORCE, Variant, choose_variant
 from twin.world.picture.camera_rays import PUPIL_WEIGHTS, look, through_the_pupil
 from twin.world.picture.ccd import white_level
@@ -87,7 +87,7 @@ class PictureTruth:
     z_mm
         (height, width) height z of the place that is seen, NaN where no marker is.
     centre_px
-        (n, 2) projected centres; NaN where the camera doesn't see the place: ``sight`` has why.
+        (n, 2) projected centres; NaN where the camera doesn't see the place: ``Sight.of`` has why.
     outline_px
         (n, 2) coverage centroids of the visible outlines; NaN where nothing is seen.
     visible
@@ -291,7 +291,7 @@ class Renderer:
             flow_px=frozen(centre - project(rest.centres, *optics)),
             outline_flow_px=frozen(here.centroid_px - there.centroid_px),
             depth_mm=frozen(base - markers.centres[:, 2]),
-            sight=frozen(sight(markers.centres, *optics)),
+            sight=frozen(Sight.of(markers.centres, *optics)),
             centroid_error_px=self.centroid_error_px,
         )
 
