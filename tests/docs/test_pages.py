@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slabs import slab
 
 from benchmarks import pages
 from benchmarks.inclusions import run as resolved_beads
@@ -15,8 +16,6 @@ from benchmarks.random_scenes import COUNT
 from twin.parts.body import Block
 from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR
 from twin.study.reproduce.reproduction_run import ENTRIES
-from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.snap import snapped_mesh
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -118,27 +117,13 @@ def test_resolved_beads_agree_with_closed_forms() -> None:
     assert resolved["largest difference, %"] < 0.08 * resolved["closed form, %"]
 
 
-def cube() -> Mesh:
-    """A block of 6 x 6 x 6 mm in 6 x 27 tetrahedra around the corners of 3 x 3 x 3 cells."""
-    ticks = np.linspace(0.0, 6.0, 4)
-    points = np.stack(np.meshgrid(ticks - 3, ticks - 3, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange(64).reshape(4, 4, 4)
-    steps = np.array([[(0, 0, 0), a, b, (1, 1, 1)] for a, b in (
-        ((1, 0, 0), (1, 1, 0)), ((1, 1, 0), (0, 1, 0)), ((0, 1, 0), (0, 1, 1)),
-        ((0, 1, 1), (0, 0, 1)), ((0, 0, 1), (1, 0, 1)), ((1, 0, 1), (1, 0, 0)),
-    )])  # fmt: skip
-    corner = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 1, 3) + steps
-    tets = number[tuple(np.moveaxis(corner, -1, 0))].reshape(-1, 4)
-    body = Block(width_mm=6, length_mm=6, thickness_mm=6)
-    return snapped_mesh(body, points, tets)
-
-
 def test_referee_squeezes_a_bar_as_the_closed_form_does() -> None:
     """Uniform stretch l: nominal stress (l - 1/l^2)/3 on the pressed face, nothing on the sides or inside."""
     pytest.importorskip("felupe", reason="an independent program, of the extra 'peers'")
     from benchmarks.neohooke import Rubber
 
-    mesh, stretch = cube(), 0.8
+    ticks, stretch = np.linspace(0.0, 6.0, 4), 0.8
+    mesh = slab(Block(width_mm=6, length_mm=6, thickness_mm=6), ticks - 3, ticks - 3, ticks)
     rubber, points, corners = Rubber(mesh), mesh.points, mesh.corners
     moved = points * [stretch**-0.5 - 1, stretch**-0.5 - 1, stretch - 1]
     # felupe splits the volume off: its pressure is what is left of the deviatoric stress along the free sides

@@ -4,8 +4,6 @@ import io
 import json
 import pickle
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -331,14 +329,6 @@ def test_several_probes_count_together(tmp_path: Path) -> None:
     assert row["site_force_n"][:, 2].sum() == pytest.approx(1.0, rel=1e-6)
     assert len(row["surface_slip"]) == len(row["surface_force_n"])
     assert 0 < row["traction_error"] < 1
-
-
-def test_the_command_line_makes_estimates_and_refuses(tmp_path: Path) -> None:
-    twin_ = [sys.executable, "-m", "twin", "dataset", "dataset_kamiyama"]
-    done = subprocess.run([*twin_, "--samples", "0"], capture_output=True, text=True)
-    assert (done.returncode, "allowed are 1 to" in done.stderr) == (2, True)
-    done = subprocess.run([*twin_, "--samples", "3", "--columns", "forse_n"], capture_output=True, text=True)
-    assert (done.returncode, "did you mean 'force_n'" in done.stderr) == (2, True)
 
 
 def test_samples_that_are_all_the_same_press_are_said(tmp_path: Path) -> None:

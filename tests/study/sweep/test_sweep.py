@@ -250,7 +250,7 @@ def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(
     assert cpu[0] == spent
 
 
-def test_the_command_says_what_it_would_do_and_refuses_what_it_cant(tmp_path: Path) -> None:
+def test_the_command_says_what_it_would_do(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(tomli_w.dumps({**TABLE, "axes": {"markers.*.pitch_mm": [1.5, 1.8]}}))
     environment = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parents[1])}
@@ -260,12 +260,6 @@ def test_the_command_says_what_it_would_do_and_refuses_what_it_cant(tmp_path: Pa
     )  # fmt: skip
     assert said.returncode == 0, said.stderr
     assert "designs     2 (grid)" in said.stdout
-    bad = subprocess.run(
-        [sys.executable, "-m", "twin", "sweep", "nothing"], capture_output=True, text=True, check=False, env=environment
-    )
-    assert bad.returncode == 2
-    assert "no sweep 'nothing'" in bad.stderr
-    assert "Traceback" not in bad.stderr
 
 
 def test_descent_finds_the_floor_of_a_valley_within_its_designs() -> None:

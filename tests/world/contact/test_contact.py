@@ -117,8 +117,8 @@ def test_new_patches_stick_from_where_they_touch():
 
 def test_a_stuck_sphere_is_stiffer_and_its_increments_have_converged():
     probe = ball(10, friction=STUCK, indentation_mm=0.1)
-    few, many = (pressed(probe, nu=0.3, increments=n).force_n[2] for n in (8, 24))
-    free = pressed(ball(10, indentation_mm=0.1), nu=0.3).force_n[2]
+    few, many = (pressed(probe, nu=0.3, across=10, increments=n).force_n[2] for n in (8, 24))
+    free = pressed(ball(10, indentation_mm=0.1), nu=0.3, across=10).force_n[2]
     assert few == pytest.approx(many, rel=2e-3)
     assert 1.01 < many / free < 1.03
 
@@ -217,7 +217,7 @@ def test_a_turned_pillar_presses_its_turned_footprint():
     assert turned.force_n[2] == pytest.approx(one.force_n[2], rel=1e-9)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.5, pytest.param(STUCK, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("friction", [0.0, *(pytest.param(mu, marks=pytest.mark.slow) for mu in (0.5, STUCK))])
 def test_mirror(friction):
     def half(sign):
         steps = (push(0.4), Step(move_mm=(0.05, 0.1 * sign, None), turn_deg=3 * sign))
