@@ -11,6 +11,8 @@ from benchmarks.discs import bound_px, cover, expose, scene
 from twin.errors import InputError
 from twin.sense.track import Tracker, analyse_rest, track, track_frame
 
+WIDTHS = [8.0, 10.0, pytest.param(15.0, marks=pytest.mark.slow)]
+
 
 def wide(diameter):
     """Return layout and size of a picture of markers of this diameter."""
@@ -307,7 +309,7 @@ def test_states_say_what_is_wrong():
 
 
 @pytest.mark.parametrize("share", [0.1, 0.15, 0.2, 0.35])
-@pytest.mark.parametrize("diameter", [8.0, 10.0, 15.0])
+@pytest.mark.parametrize("diameter", WIDTHS)
 def test_a_marker_partly_hidden_in_the_grounds_colour_is_lost_or_uncertain(diameter, share):
     """What covers it is as dark as the ground: the visible part's centre was stated as the
     marker's, up to 7 standard deviations off."""
@@ -333,7 +335,7 @@ def test_a_marker_partly_hidden_in_the_grounds_colour_is_lost_or_uncertain(diame
     assert (found.sd_px[clear] < 1.25 * np.sqrt(2) * bound_px(diameter)).mean() > 0.99
 
 
-@pytest.mark.parametrize("diameter", [8.0, 10.0, 15.0])
+@pytest.mark.parametrize("diameter", WIDTHS)
 @pytest.mark.parametrize("change", [{"ratio": 1.3}, {"ratio": 1.8}, {"psf": 1.3}, {"psf": 2.0}], ids=str)
 def test_strained_and_defocused_markers_are_kept_at_a_true_deviation(diameter, change):
     """They were lost, or stated 5 times too large."""
