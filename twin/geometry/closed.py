@@ -89,7 +89,11 @@ def read_triangles(path: Path) -> Floats:
         raise InputError(
             f"{path.name}: can't be read ({problem.strerror}); check the path"
         ) from None
-    corners = _from_text(path, data) if text else _from_binary(data, count)
+    if text:
+        corners = _from_text(path, data)
+    else:
+        record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        corners = np.frombuffer(data, record, count, _HEADER)["corners"].astype(np.float64)
     _refuse_count(path, len(corners))
     bad = ~np.isfinite(corners).all(axis=(1, 2))
     if bad.any():
@@ -150,11 +154,6 @@ def _refuse_count(path: Path, count: int) -> None:
             f"{path.name}: {count} triangles (allowed: 4 to {MOST_TRIANGLES}); export the whole "
             "body" + (", coarser" if count > 4 else "")
         )
-
-
-def _from_binary(data: bytes, count: int) -> Floats:
-    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    return np.frombuffer(data, record, count, _HEADER)["corners"].astype(np.float64)
 
 
 def _from_text(path: Path, data: bytes) -> Floats:

@@ -136,12 +136,12 @@ class Part(BaseModel):
 @cache
 def _numbers(part: type[Part]) -> frozenset[str]:
     """Return the keys that take neither truth values nor texts."""
-    taken = {key: _leaves(field.annotation) for key, field in part.model_fields.items()}
-    return frozenset(key for key, kinds in taken.items() if not any(map(_is_not_a_number, kinds)))
 
+    def other(kind: Any) -> bool:
+        return kind in (bool, str, Any) or (isinstance(kind, type) and issubclass(kind, BaseModel))
 
-def _is_not_a_number(kind: Any) -> bool:
-    return kind in (bool, str, Any) or (isinstance(kind, type) and issubclass(kind, BaseModel))
+    fields = part.model_fields.items()
+    return frozenset(key for key, field in fields if not any(map(other, _leaves(field.annotation))))
 
 
 def _leaves(annotation: Any) -> set[Any]:

@@ -268,11 +268,6 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _is_distribution(value: Any) -> bool:
-    """Return whether a plain table is a distribution."""
-    return isinstance(value, Mapping) and _kind(value) is not None
-
-
 def _nested(value: Any) -> None:
     """Raise ValueError if distributions inside a plain value are wrong."""
     if isinstance(value, Mapping):
@@ -293,7 +288,7 @@ def _nested(value: Any) -> None:
 
 def _made(value: Any) -> Any:
     """Return a plain value with the distributions inside it made."""
-    if _is_distribution(value):
+    if isinstance(value, Mapping) and _kind(value) is not None:
         return _CLASSES[_kind(value) or ""].model_validate(value)
     return (
         {key: _made(inner) for key, inner in value.items()} if isinstance(value, Mapping) else value

@@ -654,7 +654,10 @@ def _maps(result: RunResult, sites: Points, fields: list[tuple[str, Floats]]) ->
     for name, force in fields:
         axes, content, pushed = force_field(sites[:, :2], force, side, normal, per_cell)
         if outline is not None:
-            content += _circle(axes, *outline, "contact")
+            middle, radius = outline
+            ((x, y),) = axes.place(np.array([middle]))
+            reach = radius * axes.per_unit
+            content += f'<circle class="contact" cx="{x:.1f}" cy="{y:.1f}" r="{reach:.1f}"/>'
         content += dots(axes, sites[:, :2], "site", 0.9) + pushed
         peak = int(np.argmax(np.abs(force[:, 2])))
         where = f"({digits(float(sites[peak, 0]))}, {digits(float(sites[peak, 1]))}) mm"
@@ -865,9 +868,3 @@ def _around(points: Floats) -> tuple[float, float, float, float]:
     (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
     margin = 0.12 * max(right - left, high - low) or 1.0
     return float(left - margin), float(right + margin), float(low - margin), float(high + margin)
-
-
-def _circle(axes: Axes, centre: tuple[float, float], radius: float, style: str) -> str:
-    """Return a circle, its radius in data units."""
-    x, y = axes.place(np.array([centre]))[0]
-    return f'<circle class="{style}" cx="{x:.1f}" cy="{y:.1f}" r="{radius * axes.per_unit:.1f}"/>'

@@ -35,7 +35,10 @@ def reproduction(
     ``tables`` are the entries' files in order, ``pictures`` SVG by entry, ``sensors`` scene, hash
     and what was fitted by paper, ``failed`` the reason by entry that could not be finished.
     """
-    parts = [_counts(tables), _left(tables), _sensors(sensors), _contents(tables)]
+    links = "".join(
+        f'<a href="#{_anchor(t)}">{escape(t["name"])}: {escape(t["title"])}</a>' for t in tables
+    )
+    parts = [_counts(tables), _left(tables), _sensors(sensors), f"<nav>{links}</nav>"]
     for paper, heading in PAPERS.items():
         mine = [t for t in tables if str(t["name"]).split("/")[0] == paper]
         if mine:
@@ -95,13 +98,6 @@ def _sensors(sensors: Mapping[str, Mapping[str, Any]]) -> str:
         for paper, facts in sensors.items()
     )
     return f"<section><h2>One sensor a paper</h2><dl>{rows}</dl></section>"
-
-
-def _contents(tables: Sequence[Mapping[str, Any]]) -> str:
-    links = "".join(
-        f'<a href="#{_anchor(t)}">{escape(t["name"])}: {escape(t["title"])}</a>' for t in tables
-    )
-    return f"<nav>{links}</nav>"
 
 
 def _anchor(table: Mapping[str, Any]) -> str:

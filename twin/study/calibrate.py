@@ -21,7 +21,6 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +48,7 @@ if TYPE_CHECKING:
     from twin.sense.track import Found
 
 BY_PRESSES = ("sato", "fitted")
+PACKAGES = ("tactile-twin", "numpy", "scipy", "mitsuba")
 
 FIVE = ((0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5))
 """Default places of method ``fitted``, over the half extents of the sites."""
@@ -361,6 +361,8 @@ def _with_facts(made: Calibration, presses: Presses, facts: dict[str, Any]) -> C
 
 
 def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibration:
+    from importlib.metadata import version
+
     from twin.sense.calibration import Calibration
 
     scene, sites, layout = sensor.nominal, sensor.sites, sensor.layout_px
@@ -372,7 +374,7 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
         "scene": scene.title,
         "youngs_modulus_mpa": scene.material.youngs_modulus_mpa,
         "seed": scene.seed,
-        "versions": _versions(),
+        "versions": {name: version(name) for name in PACKAGES},
     }
     # the condition of the rows that were calibrated
     singular = np.linalg.svd(transfer[np.isfinite(transfer).all(axis=1)], compute_uv=False)
@@ -400,13 +402,6 @@ def optics(scene: Scene, camera: Camera) -> str:
         "base_z_mm": scene.body.base_z_mm,
     }
     return json.dumps(facts)
-
-
-@cache
-def _versions() -> dict[str, str]:
-    from importlib.metadata import version
-
-    return {name: version(name) for name in ("tactile-twin", "numpy", "scipy", "mitsuba")}
 
 
 def read_presses(folder: Path) -> tuple[list[str], Points, Floats]:
@@ -488,26 +483,22 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
             if progress is not None:
                 progress(f"tracking, press {number} of {count}", 0.3 * number / count)
         presses = _measured(scene, np.zeros(count, np.int64), force_n, found)
-        made = _by_presses(sensor, _charts(sensor, places_mm), presses)
+        made = _by_presses(sensor, places_mm, presses)
         text += f", {count} presses"
     if scene.calibration.method != "fitted":
         made = replace(made, layout_px=np.where(known[:, None], rest_px, made.layout_px))
     return made, text
 
 
-def _charts(sensor: Sensor, places_mm: Points) -> Floats:
-    """Return the (q, 2) surface coordinates of the presses, mm."""
-    body = sensor.nominal.body
-    given = np.isfinite(places_mm[:, 2:])
-    points = np.where(given, places_mm, body.surface_from_above(places_mm[:, :2]))
-    if not np.isfinite(points).all():
-        raise InputError(f"{TABLE}: some presses miss the body")
-    return np.asarray(body.chart_of(points))
-
-
-def _by_presses(sensor: Sensor, charts: Floats, presses: Presses) -> Calibration:
+def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibration:
+    """Return the calibration by presses at (q, 3) places of the surface, mm."""
     scene = sensor.nominal
     assert scene.reconstruction is not None
+    given = np.isfinite(places_mm[:, 2:])
+    points = np.where(given, places_mm, scene.body.surface_from_above(places_mm[:, :2]))
+    if not np.isfinite(points).all():
+        raise InputError(f"{TABLE}: some presses miss the body")
+    charts = scene.body.chart_of(points)
     half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
     # Fitted: any places. Presses nearly at one place share it.
     if scene.calibration.method == "fitted":

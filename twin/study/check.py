@@ -253,14 +253,12 @@ def examine() -> tuple[list[str], list[str]]:
 
 def _loads(*names: str) -> bool:
     """Tell whether libraries can be loaded: in a process of its own, as a broken one may end it."""
-    found = [ctypes.util.find_library(name) for name in names]
+    found = [name for name in map(ctypes.util.find_library, names) if name]
     code = "import ctypes, sys\nfor name in sys.argv[1:]: ctypes.CDLL(name)"
-    command = [sys.executable, "-c", code, *(name for name in found if name)]
+    command = [sys.executable, "-c", code, *found]
     try:
-        return (
-            all(found)
-            and subprocess.run(command, capture_output=True, timeout=LOADING_S).returncode == 0
-        )
+        tried = subprocess.run(command, capture_output=True, timeout=LOADING_S)
+        return len(found) == len(names) and tried.returncode == 0
     except (OSError, subprocess.TimeoutExpired):
         return False
 
@@ -344,7 +342,7 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
     blur = max(float(np.nanmedian(fit.templates.blur_px)) for fit in fits)
     width = min(fit.look.diameter_px for fit in fits)
     full = max(_saturated(one), _saturated(two))
-    noise = _picture_noise(one, two)
+    noise = float(np.std(one.astype(float) - two) / np.sqrt(2.0))  # of one picture, counts
     # Compare each with its limit.
     problems = []
     if seen.mean() < FEW:
@@ -402,9 +400,3 @@ def _saturated(picture: Picture) -> float:
     """Return the share of pixels with a saturated channel."""
     full = picture >= SATURATED_DN
     return float((full.any(axis=2) if picture.ndim == 3 else full).mean())
-
-
-def _picture_noise(one: Picture, two: Picture) -> float:
-    """Return the noise of one picture, counts (standard deviation over pixels and channels)."""
-    change: Floats = one.astype(float) - two
-    return float(np.sqrt(0.5 * np.mean((change - change.mean()) ** 2)))

@@ -89,21 +89,18 @@ def layout_to_files(
     make_folder(overlay.parent)
     write_whole(out, _recipe(found, drawn, picture.name, image).encode())
     write_whole(overlay, png_bytes(_draw_layout(image, found)))
-    lines = [_line(name, layer) for name, layer in found.layers.items()]
+    lines = [
+        f"{name:11s} {len(layer)} {layer.polarity} dots, {layer.columns} columns x {layer.rows} "
+        f"rows, {layer.lattice}, pitch {layer.pitch_px:.4g} px, diameter {layer.diameter_px:.3g} "
+        f"px, turned by {layer.angle_deg:.2g} deg"
+        for name, layer in found.layers.items()
+    ]
     stray = len(found.stray_px)
     if stray:
         lines.append(
             f"{'other':11s} {stray} spots on no grid (dirt, glints): rings without numbers"
         )
     return "\n".join([*lines, f"written     {out}, {overlay}"])
-
-
-def _line(name: str, layer: FoundLayer) -> str:
-    return (
-        f"{name:11s} {len(layer)} {layer.polarity} dots, {layer.columns} columns x {layer.rows} "
-        f"rows, {layer.lattice}, pitch {layer.pitch_px:.4g} px, diameter {layer.diameter_px:.3g} "
-        f"px, turned by {layer.angle_deg:.2g} deg"
-    )
 
 
 @dataclass(frozen=True, kw_only=True)

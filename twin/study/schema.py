@@ -24,8 +24,8 @@ from twin.parts.scene import Scene
 SCHEMA_FILE = SCENES / "scene.schema.json"
 
 
-def _scene_schema() -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of a scene file."""
+def schema_text() -> str:
+    """Return the schema file's text: the JSON schema (draft 2020-12) of a scene file."""
     schema = Scene.model_json_schema()
     for definition in [schema, *schema["$defs"].values()]:
         definition.pop("required", None)
@@ -50,20 +50,10 @@ def _scene_schema() -> dict[str, Any]:
         "properties": {a: {"type": "number"} for a in "xyz"},
     }
     for name, keys in (("Step", BY_AXIS), ("Press", ("force_n", "tilt_deg"))):
-        for key in keys:
-            schema["$defs"][name]["properties"][key] = {
-                "anyOf": [axes, schema["$defs"][name]["properties"][key]]
-            }
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "twin scene",
-        **schema,
-    }
-
-
-def schema_text() -> str:
-    """Return the schema file's text."""
-    return json.dumps(_scene_schema(), indent=1) + "\n"
+        properties = schema["$defs"][name]["properties"]
+        properties.update({key: {"anyOf": [axes, properties[key]]} for key in keys})
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "twin scene"}
+    return json.dumps({**head, **schema}, indent=1) + "\n"
 
 
 if __name__ == "__main__":

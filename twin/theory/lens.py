@@ -84,8 +84,7 @@ def lens(towards: Points, camera: Camera) -> Pixels:
     more, slope = _decentring(undistorted, camera)
     one_to_one = growth > 0
     if slope is not None:
-        around = np.where(radius > 1e-12, image / np.maximum(radius, 1e-300), 1.0)
-        one_to_one &= np.linalg.det(_turned(undistorted, radius, around, growth) + slope) > 0
+        one_to_one &= np.linalg.det(_distortion_jacobian(undistorted, radius, camera)) > 0
     return np.where(one_to_one[:, None], _to_pixels(flat + more, camera), np.nan)
 
 
@@ -109,7 +108,7 @@ def _distortion_jacobian(place: Floats, radius: Floats, camera: Camera) -> Float
     image, growth = _radial(radius, camera)
     stretch = np.where(radius > 1e-12, image / np.maximum(radius, 1e-300), 1.0)
     _, slope = _decentring(place, camera)
-    radial = _turned(place, radius, stretch, growth)
+    radial = stretches(place / np.where(radius > 1e-12, radius, 1.0)[:, None], growth, stretch)
     return radial if slope is None else radial + slope
 
 
@@ -211,13 +210,6 @@ def _undistort(distorted: Floats, camera: Camera) -> Floats:
     return np.where(np.abs(excess) <= 1e-9 * (1 + distorted), radius, np.nan)
 
 
-def _turned(place: Floats, radius: Floats, around: Floats, growth: Floats) -> Floats:
-    """Return (n, 2, 2) derivatives of a radial map: ``growth`` along the radius, ``around`` across
-    it."""
-    unit = place / np.where(radius > 1e-12, radius, 1.0)[:, None]
-    return stretches(unit, growth, around)
-
-
 def stretches(unit: Floats, along: Floats, across: Floats) -> Floats:
     """Return (n, 2, 2) symmetric matrices that stretch by (n,) factors along (n, 2) unit vectors
     and across them."""
@@ -253,25 +245,20 @@ def _without_decentring(flat: Floats, camera: Camera) -> Floats:
     undecentred guess."""
     if _decentring(np.zeros((1, 2)), camera)[1] is None:
         return flat
-    place = _undistorted(flat, camera)
+    image = np.linalg.norm(flat, axis=1)
+    start: Floats = np.nan_to_num(_undistort(image, camera), nan=0.0)
+    place = flat * (start / np.where(image > 0, image, 1.0))[:, None]
     for _ in range(_NEWTON):
         radius = np.linalg.norm(place, axis=1)
-        image, growth = _radial(radius, camera)
+        image, _ = _radial(radius, camera)
         around = np.where(radius > 1e-12, image / np.maximum(radius, 1e-300), 1.0)
-        more, slope = _decentring(place, camera)
-        assert slope is not None
+        more, _ = _decentring(place, camera)
         excess = around[:, None] * place + more - flat
         if not np.any(np.abs(excess) > 1e-15 * (1 + np.abs(flat))):
             break
-        both = _turned(place, radius, around, growth) + slope
+        both = _distortion_jacobian(place, radius, camera)
         determinant = np.linalg.det(both)
         both[~(determinant > 1e-9)] = np.nan
         place = place - np.einsum("nij,nj->ni", np.linalg.inv(both), excess)
     good = np.abs(excess).max(axis=1) <= 1e-12 * (1 + np.abs(flat).max(axis=1))
     return np.where(good[:, None], around[:, None] * place, np.nan)
-
-
-def _undistorted(flat: Floats, camera: Camera) -> Floats:
-    image = np.linalg.norm(flat, axis=1)
-    radius: Floats = np.nan_to_num(_undistort(image, camera), nan=0.0)
-    return flat * (radius / np.where(image > 0, image, 1.0))[:, None]
