@@ -217,7 +217,7 @@ def test_a_turned_pillar_presses_its_turned_footprint():
     assert turned.force_n[2] == pytest.approx(one.force_n[2], rel=1e-9)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.5, pytest.param(STUCK, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("friction", [0.0, *(pytest.param(mu, marks=pytest.mark.slow) for mu in (0.5, STUCK))])
 def test_mirror(friction):
     def half(sign):
         steps = (push(0.4), Step(move_mm=(0.05, 0.1 * sign, None), turn_deg=3 * sign))
