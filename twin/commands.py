@@ -301,7 +301,6 @@ def explain(
     twin explain out/gelpad_press --json
     """
     from twin.show.explain import explain as findings_of
-    from twin.show.explain import lines
 
     file = path / "score.json" if path.is_dir() else path
     score = _json_of(file)
@@ -314,7 +313,7 @@ def explain(
     if json_:
         _print_json([asdict(one) for one in found])
     else:
-        print("\n".join(lines(found)))
+        print("\n".join(one.line() for one in found))
 
 
 def _live(

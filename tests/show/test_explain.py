@@ -2,7 +2,7 @@
 
 import copy
 
-from twin.show.explain import LIMITS, Finding, explain, lines
+from twin.show.explain import LIMITS, Finding, explain
 
 SCORE = {
     "elastic": {"largest_displacement_mm": 0.3, "force_error": 5e-17, "contact_over_probe_radius": None},
@@ -61,6 +61,6 @@ def test_one_layer_explains_an_uncertain_push_only_where_it_is_the_cause() -> No
 
 
 def test_lines_begin_with_the_verdict_and_end_with_the_limit() -> None:
-    text = lines(explain(SCORE))
+    text = [one.line() for one in explain(SCORE)]
     assert "fair  The tracker found 95 % of the markers in full view. (good: 98 % or more)" in text
     assert text[0].startswith("-     The marker that moves most")

@@ -7,7 +7,7 @@ limits of every number, and each verdict is printed with the limit of good.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,6 +102,12 @@ class Finding:
     sentence: str
     verdict: str
 
+    def line(self) -> str:
+        """Return it as a line for a terminal, the verdict first."""
+        limit = LIMITS.get(_limit_key(self.key))
+        behind = f" ({_good(self.key, limit[0])})" if limit is not None and self.verdict else ""
+        return f"{self.verdict or '-':5s} {self.sentence}{behind}"
+
 
 def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[Finding]:
     """Explain the numbers of a run.
@@ -161,17 +167,6 @@ def one_layer(scene_toml: str) -> str:
         "sideways motion only. So the force into the surface is uncertain; a second layer at "
         "another depth, or bounds, help (docs/one_layer.md)."
     )
-
-
-def lines(findings: Sequence[Finding]) -> list[str]:
-    """Return the findings as lines for a terminal, the verdict first."""
-    shown = []
-    for one in findings:
-        limit = LIMITS.get(_limit_key(one.key))
-        mark = one.verdict or "-"
-        behind = f" ({_good(one.key, limit[0])})" if limit is not None and one.verdict else ""
-        shown.append(f"{mark:5s} {one.sentence}{behind}")
-    return shown
 
 
 def _limit_key(key: str) -> str:

@@ -244,12 +244,8 @@ def _press(result: RunResult) -> str:
     shown = ""
     if isinstance(contact, Mapping):
         wanted = ("indentation_mm", "contact_radius_mm", "area_mm2", "peak_pressure_mpa")
-        rows = [
-            f"<dt>{_as_html('', _split_unit(key)[0])}</dt><dd>{_as_html(key, contact[key])}</dd>"
-            for key in wanted
-            if finite(contact.get(key)) is not None
-        ]
-        shown = f"<dl>{''.join(rows)}</dl>" if rows else ""
+        known = (key for key in wanted if finite(contact.get(key)) is not None)
+        shown = _facts({key: contact[key] for key in known})
     total = _figure(result.score or {}, "force", "total_force_error")
     cause = ""
     if total is not None and abs(total) > LIMITS["force.total_force_error"][0]:

@@ -6,10 +6,7 @@ cell read, the first as they are, place by place, the second to fit the nominal 
 (`twin.study.fitted_design`), for which five places do.
 
 A simulated press (Sato, II C) is a sphere that sticks, along z, then x, then y: held by force along
-z and by small motions sideways. A real sensor's folder holds rest.png, pictures of presses, and
-presses.csv with a row a press: frame (the picture's file name), x_mm, y_mm, z_mm (the pressed place
-on the outer surface; z_mm may be empty for the surface met from above), fx_n, fy_n, fz_n (load
-cell).
+z and by small motions sideways. docs/own_sensor.md has the files of a real sensor's recording.
 """
 
 from __future__ import annotations

@@ -7,10 +7,8 @@ files once, into a folder of its own; no common file system is needed. A task th
 is repeated by another; a task whose workers die again and again is reported and left out. Results
 travel to this process, which alone writes.
 
-Whoever can connect to a dask scheduler can run code as its user, and peers unpickle what they
-receive. So the workers of this machine, whose ports any local account can reach, communicate over
-TLS with a key that this process makes and keeps in memory. The owner of a cluster's scheduler
-decides for it (`Scheduler`).
+Peers unpickle what they receive, so the workers of this machine communicate over TLS with a key
+that this process makes and keeps in memory (docs/dataset.md).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The three fidelities at which a design is judged: closed form, linear information, pictures.
 
-docs/sweeps.md says what each models and leaves out, and how well they agree.
+docs/sweeps.md has what each models and leaves out, and how well they agree.
 
 Linear information. With the whitened transfer matrix H and the penalty Q = L L^T, the
 eigendecomposition L^-1 H^T H L^-T = V S^2 V^T gives the estimate for every weight. The smaller
