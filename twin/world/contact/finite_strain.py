@@ -16,6 +16,9 @@ the other one at the linear answer (`twin.world.contact.round_slab`).
 
 A cylinder's rim is resolved; a sharp one is solved as one rounded by a fiftieth of the diameter.
 
+On curved bodies a mesh of the whole body takes the slab's place
+(`twin.world.contact.body_strain`).
+
 Validity: one rigid sphere, cylinder, or cone, pressed straight and without
 friction on a block, its axis five contact radii or more from the sides; nu from 0.45.
 """
@@ -35,6 +38,7 @@ from twin.parts.body import Block, Body
 from twin.parts.material import Material
 from twin.parts.press import Press, Step
 from twin.parts.probe import Cone, Cylinder, Sphere
+from twin.world.contact.body_strain import BodyStrain
 from twin.world.contact.contact_state import (
     ESTIMATED,
     MEASURED,
@@ -55,9 +59,7 @@ from twin.world.contact.round_slab import (
     rim_grid,
     stepped,
 )
-
-LEAST_POISSON = 0.45
-"""The laws are tried for rubber, from here to 1/2."""
+from twin.world.elasticity.strain_law import LEAST_POISSON
 
 LEAST_EDGE = 0.02
 """Least radius of a cylinder's rim over its diameter: a sharper one is solved with this radius, on
@@ -90,8 +92,9 @@ their largest number."""
 
 _FORCES = 8
 _HELD = 5e-5
+_HELD_ON_CURVED = 5e-4
 """Forces that are tried for a probe that a motion holds, and how far its indentation may be off,
-relative."""
+relative: on a block and on a curved body."""
 
 LOAD_STEPS = 5
 """Equal steps of the force where Newton's steps fail from the linear answer."""
@@ -371,17 +374,40 @@ def _unsolved(
     return problem
 
 
+def strain_of(
+    press: Press,
+    body: Body,
+    material: Material,
+    state: ContactState,
+    watched: Points,
+    like: FiniteStrain | BodyStrain | None = None,
+) -> FiniteStrain | BodyStrain:
+    """Return what linear theory leaves out of a state of a press, on a block or a curved body.
+
+    Parameters and errors are those of `FiniteStrain` and `BodyStrain`.
+    """
+    if isinstance(body, Block):
+        return FiniteStrain(press, body, material, state, watched)
+    near = like if isinstance(like, BodyStrain) else None
+    return BodyStrain(press, body, material, state, watched, like=near)
+
+
 def measured_linearity(
     press: Press, body: Body, material: Material, state: ContactState, watched: Points
 ) -> Validity:
     """Return a state's validity with how far linear theory is off under this very press.
 
-    Neo-Hookean rubber is pressed on a coarse mesh (about .3 s). Where that can't be done the
-    estimate stays, and `Validity.linearisation_basis` says why.
+    Neo-Hookean rubber is pressed on a coarse mesh (about .3 s). Where that can't be done, or takes
+    longer, the estimate stays, and `Validity.linearisation_basis` says why.
     """
     validity = state.validity
     if not state.load.terms:
         return replace(validity, linearisation_basis=f"{ESTIMATED}: nothing touches")
+    if not isinstance(body, Block):
+        cause = (
+            "on a curved body it takes seconds: -s material.law=neo_hookean, where that is solved"
+        )
+        return replace(validity, linearisation_basis=f"{ESTIMATED}: {cause}")
     rubber = material.model_copy(update={"law": "neo_hookean"})
     try:
         more = FiniteStrain(press, body, rubber, state, watched, coarse=True)
@@ -423,13 +449,14 @@ def at_finite_strain(
     are those of `FiniteStrain`, with what it raises. ``solve`` returns the linear answer of another
     press.
     """
-    controls = press.in_own_axes(approach_of(press, body).axes)
+    axes = approach_of(press, body).axes
+    controls = press.in_own_axes(axes)
     path = []
     for one, (by_force, _) in zip(state.path, controls, strict=False):
         if not one.load.terms:
             path.append(one)
             continue
-        found = _Found(one, FiniteStrain(press, body, material, one, watched), 0.0)
+        found = _Found(one, strain_of(press, body, material, one, watched), 0.0, axes)
         if not by_force[Z]:
             found = _held_by_motion(found, press, body, material, watched, solve)
         path.append(_strained(found, one, material.law, judge))
@@ -438,16 +465,27 @@ def at_finite_strain(
 
 @dataclass(frozen=True)
 class _Found:
-    """A linear answer, what it leaves out, and d ln force / d ln indentation where a motion holds
-    the probe, else 0."""
+    """A linear answer, what it leaves out, d ln force / d ln indentation where a motion holds the
+    probe, else 0, and the probe's own axes (3, 3)."""
 
     linear: ContactState
-    more: FiniteStrain
+    more: FiniteStrain | BodyStrain
     stiffening: float
+    axes: Floats
 
     @property
     def deep_mm(self) -> float:
         return self.linear.indentation_mm + self.more.indentation_mm
+
+    @property
+    def force_n(self) -> float:
+        """The force along the probe's way."""
+        return float(self.axes[Z] @ self.linear.force_n)
+
+    @property
+    def within(self) -> float:
+        """How far the indentation may be off where a motion holds the probe, relative."""
+        return _HELD if isinstance(self.more, FiniteStrain) else _HELD_ON_CURVED
 
 
 def _held_by_motion(
@@ -463,18 +501,25 @@ def _held_by_motion(
     Secant steps of the logarithms: under most probes force is nearly a power of the indentation.
     """
     held = found.linear
-    x, y, _ = held.move_mm
+    x, y, _ = found.axes @ held.move_mm
     stiffening = 1.5
     for _ in range(_FORCES):
         aside = math.log(held.indentation_mm / found.deep_mm)
-        if abs(aside) < _HELD:
+        if abs(aside) < found.within:
             return replace(found, stiffening=stiffening)
-        force = float(found.linear.force_n[Z]) * math.exp(stiffening * aside)
+        force = found.force_n * math.exp(stiffening * aside)
         step = Step(force_n=(None, None, force), move_mm=(float(x), float(y), None))
-        linear = solve(Press(probe=press.probe, at_mm=press.at_mm, steps=(step,))).path[-1]
-        more = FiniteStrain(press, body, material, linear, watched)
-        after = _Found(linear, more, stiffening)
-        if abs(aside) > 10.0 * _HELD:
+        one = Press(
+            probe=press.probe,
+            at_mm=press.at_mm,
+            direction=press.direction,
+            axes="probe",
+            steps=(step,),
+        )
+        linear = solve(one).path[-1]
+        more = strain_of(one, body, material, linear, watched, found.more)
+        after = _Found(linear, more, stiffening, found.axes)
+        if abs(aside) > 10.0 * found.within:
             gained = math.log(after.deep_mm / found.deep_mm)
             stiffening = float(np.clip(stiffening * aside / gained, 0.5, 4.0))
         found = after
@@ -502,7 +547,7 @@ def _strained(
         assert linear is not None
         strain = more.error
         if found.stiffening:
-            off = found.stiffening * (strain.indentation + _HELD)
+            off = found.stiffening * (strain.indentation + found.within)
             strain = Share(force=off, markers=strain.markers + off)
         error = PressError.of(
             body=linear.body,
@@ -515,7 +560,7 @@ def _strained(
 
     if found.stiffening:
         what = "force"
-        change = 100 * (state.force_n[Z] / asked.force_n[Z] - 1.0)
+        change = 100 * (found.force_n / float(found.axes[Z] @ asked.force_n) - 1.0)
     else:
         what = "indentation"
         change = 100 * deeper / state.indentation_mm
@@ -528,7 +573,7 @@ def _strained(
         state,
         load=replace(state.load, strained=more),
         indentation_mm=state.indentation_mm + deeper,
-        move_mm=state.move_mm + np.array([0.0, 0.0, deeper]),
+        move_mm=state.move_mm + deeper * found.axes[Z],
         contact_radius_mm=state.contact_radius_mm * more.wider,
         area_mm2=state.area_mm2 * more.wider**2,
         peak_pressure_mpa=state.peak_pressure_mpa / more.wider**2,

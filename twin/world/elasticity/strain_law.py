@@ -19,6 +19,9 @@ import numpy as np
 from twin.arrays import Floats
 from twin.parts.material import Material
 
+LEAST_POISSON = 0.45
+"""The laws are tried for rubber, from here to 1/2."""
+
 
 class StrainLaw(Protocol):
     """The law's own stress and its slope."""

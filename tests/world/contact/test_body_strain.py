@@ -1,0 +1,117 @@
+"""Presses on curved bodies at finite strain: against another code's finger, and what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import twin
+from twin.errors import InputError, NotSettled
+from twin.parts.body import Finger
+from twin.parts.material import Material
+from twin.parts.probe import Cylinder, Sphere
+from twin.world.contact import body_strain
+from twin.world.contact.finite_strain import measured_linearity
+
+TRUTH = json.loads((Path(__file__).parents[2] / "reference" / "finger_neohooke.json").read_text())
+PLACES = np.array(TRUTH["places_mm"])
+
+pytestmark = pytest.mark.filterwarnings("ignore::twin.errors.AccuracyWarning")
+
+
+def made(law="neo_hookean", name="finger_bare", **overrides):
+    return twin.Sensor(
+        twin.load_scene(name, overrides={"material.youngs_modulus_mpa": 1.0, "material.law": law, **overrides})
+    )
+
+
+def largest(vectors):
+    return np.linalg.norm(vectors, axis=1).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", TRUTH["cases"], ids=lambda case: f"{case['force_n']}")
+def test_difference_to_linear_theory_is_that_of_another_code(case):
+    """Both of the other code's displacements are its own: the linear one, too, is on another mesh."""
+    press = twin.Press(probe=Sphere(diameter_mm=TRUTH["diameter_mm"]), force_n=(0, 0, case["force_n"]))
+    states, moved = [], []
+    for law in ("linear", "neo_hookean"):
+        sensor = made(law)
+        states.append(sensor.press(press))
+        moved.append(sensor.displacement(PLACES, states[-1]))
+    straight, bent = np.array(case["linear_mm"]), np.array(case["strained_mm"])
+    most = largest(straight)
+    missed = largest(bent - straight) / most
+    off = largest((moved[1] - moved[0]) - (bent - straight)) / most
+    assert off < missed / 4
+    stated = body_strain.BodyStrain(press, sensor.nominal.body, sensor.nominal.material, states[0], PLACES).error
+    assert off < stated.markers + case["own_error"] < 2e-2
+    deeper = (case["indentation_mm"] - case["indentation_linear_mm"]) / case["indentation_linear_mm"]
+    assert states[1].indentation_mm / states[0].indentation_mm - 1.0 == pytest.approx(deeper, abs=5e-3)
+    assert states[1].force_n[2] == pytest.approx(case["force_n"], rel=1e-9)
+    assert states[1].move_mm[2] == pytest.approx(states[1].indentation_mm, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_gradient_is_the_slope_of_the_displacement_and_steps_that_do_not_settle_are_refused(monkeypatch):
+    press = twin.Press(probe=Sphere(diameter_mm=4), at_mm=(-3.0, 2.0), direction="normal", indentation_mm=0.3)
+    linear = made("linear")
+    state = linear.press(press)
+    given = press, linear.nominal.body, made().nominal.material, state, np.zeros((0, 3))
+    more = body_strain.BodyStrain(*given)
+    places = state.patches.centre_mm.mean(axis=0) + np.array([[0.1, 0.2, 1.0], [0.4, 0.0, 1.5], [2.0, 0.3, 2.0]])
+    step = 1e-5 * np.eye(3)
+    slope = [more.displacement(places + h) - more.displacement(places - h) for h in step]
+    assert more.gradient(places) == pytest.approx(np.stack(slope, axis=2) / 2e-5, abs=1e-6)
+    monkeypatch.setattr(body_strain, "MOST_STEPS", 1)
+    with pytest.raises(NotSettled, match=r"neo_hookean.*did not converge in 1"):
+        body_strain.BodyStrain(*given)
+
+
+@pytest.mark.slow
+def test_probe_held_by_a_motion_along_the_normal_carries_less_force_than_by_linear_theory():
+    """By linear theory it carries as much less as the square root of the cube of its depth."""
+    press = twin.Press(probe=Sphere(diameter_mm=4), at_mm=(-3.0, 2.0), direction="normal", indentation_mm=0.3)
+    straight, held = made("linear").press(press), made().press(press)
+    assert held.indentation_mm == pytest.approx(0.3, rel=5e-4)
+    strained = held.load.strained.indentation_mm
+    assert 0.005 < strained < 0.02
+    expected = (1.0 - strained / 0.3) ** 1.5
+    assert held.force_n / straight.force_n == pytest.approx([expected] * 3, rel=5e-3)
+
+
+@pytest.fixture(scope="module")
+def somewhere():
+    """A state of a probe that did not turn; the refusals below look at nothing else of it."""
+    sensor = made("linear", "block_bare")
+    return sensor.press(twin.Press(probe=Sphere(diameter_mm=3), force_n=(0, 0, 0.5)))
+
+
+FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
+RUBBER = Material(law="neo_hookean")
+GUIDED = {"steps": (twin.Step(force_n=(None, None, 0.5), torque_nmm=0.0),), "force_n": None}
+
+
+@pytest.mark.parametrize(
+    ("press", "rubber", "words"),
+    [
+        ({"friction": 0.5}, {}, "friction"),
+        ({"probe": Cylinder(diameter_mm=3, edge_mm=0.5)}, {}, "spheres are solved on curved"),
+        (GUIDED, {}, "guided along their way"),
+        ({}, {"poisson_ratio": 0.4}, "poisson_ratio"),
+    ],
+)
+def test_what_is_not_solved_on_curved_bodies_is_refused_with_its_cause(press, rubber, words, somewhere):
+    given = twin.Press(**{"probe": Sphere(diameter_mm=3), "force_n": (0, 0, 0.5)} | press)
+    material = RUBBER.model_copy(update=rubber)
+    with pytest.raises(InputError, match=f"material.law = neo_hookean.*{words}"):
+        body_strain.BodyStrain(given, FINGER, material, somewhere, PLACES)
+
+
+def test_linearity_of_a_curved_body_is_estimated_and_says_how_it_is_measured(somewhere):
+    press = twin.Press(probe=Sphere(diameter_mm=3), force_n=(0, 0, 0.5))
+    found = measured_linearity(press, FINGER, Material(), somewhere, PLACES)
+    assert found.linearisation_basis.startswith("estimated: ")
+    assert "material.law=neo_hookean" in found.linearisation_basis
+    assert found.linearisation_error == somewhere.validity.linearisation_error
