@@ -469,6 +469,8 @@ class Sensor:
         elif worst / 2.0 < error.increments.markers <= worst:
             increments = self.nominal.accuracy.contact_increments
             remedy = f"raise accuracy.contact_increments ({increments})"
+        elif worst / 2.0 < error.strain.markers <= worst:
+            remedy = "press with less force, as large strain is solved on a coarse mesh"
         self._warn_if_inaccurate(worst, "force, indentation and displacements", remedy)
 
     @one_blas_thread()

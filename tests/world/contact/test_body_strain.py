@@ -47,6 +47,8 @@ def test_difference_to_linear_theory_is_that_of_another_code(case):
     assert off < missed / 4
     stated = body_strain.BodyStrain(press, sensor.nominal.body, sensor.nominal.material, states[0], PLACES).error
     assert off < stated.markers + case["own_error"] < 2e-2
+    with pytest.warns(twin.AccuracyWarning, match="press with less force, as large strain is solved on a coarse"):
+        assert states[1].error.strain.markers > sensor.nominal.accuracy.displacement
     deeper = (case["indentation_mm"] - case["indentation_linear_mm"]) / case["indentation_linear_mm"]
     assert states[1].indentation_mm / states[0].indentation_mm - 1.0 == pytest.approx(deeper, abs=5e-3)
     assert states[1].force_n[2] == pytest.approx(case["force_n"], rel=1e-9)
@@ -78,7 +80,7 @@ def test_probe_held_by_a_motion_along_the_normal_carries_less_force_than_by_line
     strained = held.load.strained.indentation_mm
     assert 0.005 < strained < 0.02
     expected = (1.0 - strained / 0.3) ** 1.5
-    assert held.force_n / straight.force_n == pytest.approx([expected] * 3, rel=5e-3)
+    assert held.force_n == pytest.approx(expected * straight.force_n, rel=1e-2, abs=1e-9)
 
 
 @pytest.fixture(scope="module")
