@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from statistics import median
 
 from twin.files import cache_folder
 
@@ -44,11 +43,6 @@ def repeated(work: Callable[[], object], times: int, most_s: float = math.inf) -
         work()
         costs.append(clock.lap())
     return costs
-
-
-def median_cpu_s(work: Callable[[], object], times: int, most_s: float = math.inf) -> float:
-    """Return the median CPU seconds of some runs."""
-    return median(cost.cpu for cost in repeated(work, times, most_s))
 
 
 def _now() -> tuple[float, float]:
