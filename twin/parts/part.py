@@ -38,6 +38,8 @@ LATER: tuple[tuple[str, object], ...] = (
     ("deforms", False),
     ("law", "linear"),
     ("law_ratios", []),
+    ("renderer", "auto"),
+    ("paths", 64),
 )
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so
 that files stored under a hash of all keys stay valid."""

@@ -51,6 +51,8 @@ class Accuracy(Part):
     centroid_px
         Largest error of a marker's place in the noise-free picture, px; ``auto`` balances it
         against the noise.
+    paths
+        Paths a pixel of ``renderer = "path"``.
     contact_patches
         Contact patches across the contact's diameter, or ``auto``.
     contact_increments
@@ -63,6 +65,7 @@ class Accuracy(Part):
 
     displacement: Annotated[float, Field(ge=1e-5, le=0.2)] | Literal["auto"] = 5e-3
     centroid_px: Annotated[float, Field(ge=1e-4, le=1)] | Literal["auto"] = "auto"
+    paths: Annotated[int, Field(ge=1, le=100_000)] = 64
     contact_patches: Annotated[int, Field(ge=6, le=40)] | Literal["auto"] = PATCHES_ACROSS
     contact_increments: Annotated[int, Field(ge=1, le=64)] = INCREMENTS
     surface_table: bool = False
@@ -292,6 +295,11 @@ class Scene(Part):
         See the part of that name.
     camera
         Without one nothing is rendered.
+    renderer
+        What makes the picture: ``mitsuba`` (its ray tracing, light by our own sum over the LEDs),
+        ``splat`` (closed form, without Mitsuba), ``path`` (Mitsuba's path integrator, with light
+        between markers, cover and window: seconds a picture, and noise), or ``auto``: Mitsuba where
+        it works, the splat where ``accuracy.centroid_px`` is a number.
     press
         Without one the sensor is only at rest.
     reconstruction
@@ -319,6 +327,7 @@ class Scene(Part):
     cover: Cover | None = None
     markers: dict[str, MarkerLayer] = Field(default_factory=dict)
     camera: Camera | None = None
+    renderer: Literal["auto", "splat", "mitsuba", "path"] = "auto"
     light: Light | None = None
     ccd: Ccd = Ccd()
     press: Press | None = None

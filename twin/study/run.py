@@ -406,8 +406,7 @@ class _Chain:
             facts["calibration"] = {"method": scene.calibration.method, "sites": sites}
             facts["weight"] = self.forces.weight
         if pictured:
-            variant = self.sensor.renderer.variant
-            facts["renderer"] = f"{variant.name}: {variant.reason}"
+            facts["renderer"] = self.sensor.renderer.drawn_by
             if self.sensor.saturation is not None:
                 facts["picture_warnings"] = [self.sensor.saturation]
         return facts

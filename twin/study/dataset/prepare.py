@@ -116,8 +116,9 @@ def _renderer(scene: Scene, needs: frozenset[str]) -> str:
         return ""
     from twin.world.picture.render import method_for
 
-    variant = method_for(scene.accuracy.centroid_px)
-    return f"{variant.name} {Path(variant.library).name if variant.library else ''}".strip()
+    variant = method_for(scene)
+    tracer = "path " if scene.renderer == "path" else ""
+    return f"{tracer}{variant.name} {Path(variant.library or '').name}".strip()
 
 
 def resumed(plan: Plan, places: Places) -> Plan:

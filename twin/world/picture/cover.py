@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.arrays import Floats, Points, Singles
+from twin.arrays import Floats, Ints, Points, Singles
 from twin.parts.scene import Scene
 from twin.theory.optics import rays
 from twin.world.picture.lamps import irradiance, lamps_at
@@ -57,7 +57,7 @@ class Background:
         self._scene, self._top = scene, top
         self._size = (camera.height_px, camera.width_px)
         self._columns, self._rows = (
-            np.linspace(0, size - 1, max(size // _STEP_PX, 1) + 1) if size > 1 else np.zeros(1)
+            np.linspace(-0.5, size - 0.5, max(size // _STEP_PX, 1) + 1)
             for size in (camera.width_px, camera.height_px)
         )
         nodes = np.stack(np.meshgrid(self._columns, self._rows), axis=-1).reshape(-1, 2)
@@ -66,9 +66,22 @@ class Background:
         )
         points, normals = _cover_places(origins, directions, scene)
         self._met = np.isfinite(points[:, 0])
-        self._along, self._normals = directions[self._met], normals[self._met]
+        self._along = directions[self._met]
+        self.normals: Floats = normals[self._met]
+        """(m, 3) inward normals there."""
         self.points: Points = points[self._met]
         """(m, 3) places on the cover's inner side at rest, mm."""
+
+    @property
+    def triangles(self) -> Ints:
+        """(k, 3) numbers of the places that make up triangles between the grid's rays."""
+        number = np.where(self._met, np.cumsum(self._met) - 1, -1)
+        grid = number.reshape(len(self._rows), len(self._columns))
+        here, right = grid[:-1, :-1].ravel(), grid[:-1, 1:].ravel()
+        below, both = grid[1:, :-1].ravel(), grid[1:, 1:].ravel()
+        halves = [np.column_stack([here, below, right]), np.column_stack([right, below, both])]
+        triangles = np.concatenate(halves)
+        return triangles[(triangles >= 0).all(axis=1)]
 
     def change(self, motion: CoverMotion) -> Singles:
         """Return (height, width) factors on the light of the cover at rest.
@@ -78,15 +91,15 @@ class Background:
         A ray meets the moved surface where it has come (u . n) / (d . n) farther along its
         direction d. The normal of a deformed surface is F^-T n, F = I + du/dx.
         """
-        ahead = np.einsum("ni,ni->n", motion.displacement_mm, self._normals)
-        ahead = ahead / np.einsum("ni,ni->n", self._along, self._normals)
+        ahead = np.einsum("ni,ni->n", motion.displacement_mm, self.normals)
+        ahead = ahead / np.einsum("ni,ni->n", self._along, self.normals)
         moved = self.points + self._along * ahead[:, None]
         deformed = np.swapaxes(np.eye(3) + motion.gradient, 1, 2)
         turned = np.asarray(
-            np.linalg.solve(deformed, self._normals[:, :, None])[:, :, 0], np.float64
+            np.linalg.solve(deformed, self.normals[:, :, None])[:, :, 0], np.float64
         )
         normals = turned / np.linalg.norm(turned, axis=1, keepdims=True)
-        before = _brightness(self.points, self._normals, self._scene, self._top)
+        before = _brightness(self.points, self.normals, self._scene, self._top)
         after = _brightness(moved, normals, self._scene, self._top)
         factor = np.ones(len(self._met))
         factor[self._met] = after / np.maximum(before, 1e-12)

@@ -1,8 +1,9 @@
 """The picture as light: markers by a renderer over the cover, seen through folded optics.
 
 A renderer draws the markers of a `twin.world.picture.picture_job.PictureJob`: Mitsuba where it
-runs, or the splat, which needs no Mitsuba. Outlines come from the splat in closed form, whatever
-draws the picture, and are its truth.
+runs, or the splat, which needs no Mitsuba. With ``renderer = "path"`` Mitsuba's path integrator
+makes the whole picture instead (`twin.world.picture.path_tracer`). Outlines come from the splat in
+closed form, whatever draws the picture, and are its truth.
 
 Validity: markers at least a sub-pixel in radius. Defocus is the mean of pictures through points of
 the pupil (`twin.world.picture.camera_rays`); outlines are those through its middle.
@@ -10,16 +11,18 @@ the pupil (`twin.world.picture.camera_rays`); outlines are those through its mid
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.arrays import Floats, Ints, Pixels, Singles, frozen
-from twin.errors import RecipeError
+from twin.errors import MissingCapability, RecipeError
 from twin.parts.camera import Camera
 from twin.parts.scene import Scene
 from twin.theory.optics import Sight, project
@@ -32,6 +35,9 @@ from twin.world.picture.lamps import brightest
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
 from twin.world.picture.picture_job import WEIGHT, Indices, PictureJob, Shader, View, make_job
 from twin.world.picture.splat import Shaded, Splat
+
+if TYPE_CHECKING:
+    from twin.world.picture.path_tracer import PathTracer
 
 RENDERERS: dict[str, Callable[[View, float, float], Shader]] = {
     "splat": Splat,
@@ -161,8 +167,9 @@ class Renderer:
                 "camera: a scene without camera, light and markers has no picture: add these tables"
             )
         self.scene = scene
+        self._rest = rest
         wanted = scene.accuracy.centroid_px
-        self.variant = variant or method_for(wanted)
+        self.variant = variant or method_for(scene)
         needed = isinstance(wanted, str) or wanted < _centroid_error(1, False, self.variant.name)
         self.shadows = needed if shadows is None else shadows
         self.subpixels = subpixels or subpixels_for(wanted, self.variant.name)
@@ -173,7 +180,7 @@ class Renderer:
         self._view = view.times(self._gain)
         self._splat = Splat(self._view, self._unit, scene.light.ambient)
         self._shader: Shader = self._splat
-        if self.variant.name != "splat":
+        if self.variant.name != "splat" and scene.renderer != "path":
             made = RENDERERS[self.variant.name]
             self._shader = made(self._view, self._unit, scene.light.ambient)
         pupil = through_the_pupil(scene)
@@ -189,11 +196,26 @@ class Renderer:
         """Bound on the error of intensity centroids in the noise-free picture, px."""
         return _centroid_error(self.subpixels, self.shadows, self.variant.name)
 
+    @property
+    def drawn_by(self) -> str:
+        """What draws the pictures, and why that, in one line."""
+        paths = self.scene.accuracy.paths
+        tracer = f"path, {paths} paths a pixel, " if self.scene.renderer == "path" else ""
+        return f"{tracer}{self.variant.name}: {self.variant.reason}"
+
     @cached_property
     def background(self) -> Background | None:
         """The places of the cover whose motion `radiance` takes; None for a cover at rest."""
         cover = self.scene.cover
         return Background(self.scene, self._top) if cover is not None and cover.deforms else None
+
+    @cached_property
+    def _path_tracer(self) -> PathTracer:
+        importlib.import_module("mitsuba").set_variant(self.variant.name)
+        from twin.world.picture.path_tracer import PathTracer
+
+        views = [part._view for part in self._pupils] or [self._view]
+        return PathTracer(self.scene, views, self._top, self.scene.accuracy.paths)
 
     def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
         """Return the (height, width, 3) light on the sensor, 1 filling its wells.
@@ -203,6 +225,8 @@ class Renderer:
         The exposure is set at rest, where the brighter of the brightest marker and the ground has
         ``ccd.white_dn`` (before blur and noise).
         """
+        if self.scene.renderer == "path":
+            return self._path_traced(markers, cover)
         factor = self._cover_factor(cover)
         if not self._pupils:
             job = self._job(markers, self.subpixels)
@@ -214,12 +238,32 @@ class Renderer:
             light += np.float32(weight) * one
         return light
 
+    def _path_traced(self, markers: Ellipsoids, cover: CoverMotion | None) -> Singles:
+        """Return the picture by paths from the LEDs, the even share of light, which has none, in
+        closed form."""
+        assert self.scene.light is not None
+        share = np.float32(self.scene.light.ambient)
+        light = (1 - share) * self._path_tracer.radiance(markers, cover)
+        if share > 0:
+            light += share * self._evenly_lit.radiance(markers)
+        if self._view.veil is not None:
+            light += self._view.veil[:, :, None]
+        return light
+
+    @cached_property
+    def _evenly_lit(self) -> Renderer:
+        """The same camera and exposure where all light comes from all around."""
+        assert self.scene.light is not None
+        light = self.scene.light.model_copy(update={"ambient": 1.0})
+        scene = self.scene.model_copy(update={"light": light, "renderer": "splat"})
+        return Renderer(scene, self._rest, method_for(scene), self.subpixels, False, self._gain)
+
     def seen(
         self, markers: Ellipsoids, cover: CoverMotion | None = None
     ) -> tuple[Singles, Outlines]:
         """Return `radiance` and `outlines` of one job, and of one pass where the splat draws the
         picture."""
-        if self._pupils:
+        if self._pupils or self.scene.renderer == "path":
             return self.radiance(markers, cover), self.outlines(markers)
         job = self._job(markers, self.subpixels)
         traced = self._shader is not self._splat
@@ -347,11 +391,30 @@ def _centroid_error(subpixels: int, shadows: bool, method: str = "splat") -> flo
     return bounds[min(subpixels, len(bounds)) - 1] * beyond + (0.0 if shadows else _SHADOW_PX)
 
 
-def method_for(centroid_px: float | str) -> Variant:
-    """Return how to render at a given accuracy: the cheapest way for a number, Mitsuba where it can
-    for ``auto``."""
-    if isinstance(centroid_px, str) or os.environ.get(FORCE):
-        return choose_variant()
-    return Variant(
-        name="splat", library=None, reason=f"cheapest for accuracy.centroid_px = {centroid_px:g}"
-    )
+def method_for(scene: Scene) -> Variant:
+    """Return how to render a scene: as its ``renderer`` says.
+
+    With ``auto``, and no variant named in the environment, a number in ``accuracy.centroid_px``
+    takes the cheapest way, and ``auto`` there Mitsuba where it works.
+
+    Raises
+    ------
+    MissingCapability
+        The scene asks for Mitsuba, which doesn't work here.
+    """
+    asked = scene.renderer
+    if asked == "splat":
+        return choose_variant("splat")
+    wanted = scene.accuracy.centroid_px
+    if asked == "auto" and not isinstance(wanted, str) and not os.environ.get(FORCE):
+        return Variant(
+            name="splat",
+            library=None,
+            reason=f"cheapest for accuracy.centroid_px = {wanted:g}",
+        )
+    chosen = choose_variant()
+    if asked != "auto" and not chosen.name.endswith("_ad_rgb"):
+        raise MissingCapability(
+            f"renderer = {asked!r} needs Mitsuba, but {chosen.reason}; or take renderer = 'splat'"
+        )
+    return chosen

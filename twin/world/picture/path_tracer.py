@@ -1,0 +1,396 @@
+"""The picture by Mitsuba's own path integrator: light between markers, cover and window included.
+
+Markers and the deformed cover are triangle meshes with Mitsuba's BSDFs, the window is its
+dielectric interfaces, and its integrator, sampler and film make the picture. Two plug-ins hand it
+the optics. `FoldedCamera` starts its rays inside the body, in the directions that Snell's law gives
+(`twin.world.picture.camera_rays`). `FoldedLeds` finds the way from a place in the body to an LED
+through the flat window, by Newton's iteration on Snell's sum for each sample. A path integrator
+that knows neither meets small LEDs behind glass by chance only: it needs some ten thousand paths a
+pixel instead of 64 (docs/picture.md).
+
+Import this module after Mitsuba's variant is set: its classes derive from that variant's.
+
+Validity: geometric optics; LEDs are the points of `twin.parts.camera.Light.points`; light that
+leaves through the window is lost. `twin.world.picture.render` adds what has no path here: the even
+share of light, and the LEDs' mirror images in the window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import trimesh
+
+from twin.arrays import Floats, Ints, Points, Singles
+from twin.parts.scene import Scene
+from twin.world.picture.camera_rays import PUPIL_WEIGHTS
+from twin.world.picture.cover import Background, CoverMotion
+from twin.world.picture.ellipsoids import Ellipsoids
+from twin.world.picture.picture_job import View
+
+_SUBDIVISIONS = 3
+"""Of an icosahedron: 1280 triangles a marker, whose outline is .2 % of the radius off."""
+
+_LENGTH = 12
+"""Interactions that a path is followed through."""
+
+_BELOW_MM = 0.02
+"""Depth under the base at which camera rays start, behind the window's interface."""
+
+_NEWTON = 6
+"""Steps to the ray of an LED; Newton's iteration climbs to the root from the paraxial value."""
+
+_SHORT = 0.999
+"""Share of the way to the base that is tested for shadows: the base itself is no obstacle."""
+
+_ANGLES = 4096
+"""Intervals of the cosine in the table of an LED's emission."""
+
+_WINDOW = 512
+"""Cells a side in the table of where light may enter the body."""
+
+_AT_ONCE = 5_000_000
+"""Paths in one pass: memory for a picture of any size stays that of its results."""
+
+
+class PathTracer:
+    """Path-traces one sensor's pictures.
+
+    Parameters
+    ----------
+    scene
+        The actual scene, with camera and light.
+    views
+        The camera's rays, or those through each point of its pupil, with their exposure.
+    top
+        The irradiance that counts as 1, of `twin.world.picture.lamps.brightest`.
+    paths
+        Paths a pixel.
+    """
+
+    def __init__(self, scene: Scene, views: Sequence[View], top: float, paths: int) -> None:
+        assert scene.camera is not None
+        assert scene.light is not None
+        self._scene = scene
+        self._top = top
+        self._background = None if scene.cover is None else Background(scene, top)
+        self._shape = (scene.camera.height_px, scene.camera.width_px, 3)
+        size = scene.camera.width_px * scene.camera.height_px
+        self._passes = max(-(-size * paths // _AT_ONCE), 1)
+        self._paths = -(-paths // self._passes)
+        self._fixed = self._optics(views) | self._window()
+
+    def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
+        """Return the (height, width, 3) light of the LEDs on the sensor, 1 filling its wells."""
+        table = {**self._fixed, "markers": _marker_mesh(markers)}
+        if self._background is not None:
+            assert self._scene.cover is not None
+            table["cover"] = _cover_mesh(self._background, cover, self._scene.cover.albedo)
+        made = mi.load_dict(table)
+        film = np.zeros(self._shape, np.float32)
+        for number in range(self._passes):
+            film += np.array(mi.render(made, spp=self._paths, seed=number)) / self._passes
+        # A white surface under irradiance E sends back E / pi.
+        return (film * (np.pi / self._top)).astype(np.float32)
+
+    def _optics(self, views: Sequence[View]) -> dict[str, Any]:
+        """Return integrator, camera and LEDs."""
+        camera = self._scene.camera
+        assert camera is not None
+        film = {
+            "type": "hdrfilm",
+            "width": camera.width_px,
+            "height": camera.height_px,
+            "rfilter": {"type": "box"},
+            "component_format": "float32",
+        }
+        parts = mi.Properties("folded_camera")
+        parts["film"] = mi.load_dict(film)
+        parts["sampler"] = mi.load_dict({"type": "multijitter", "sample_count": self._paths})
+        # Paths end early where little light is left: most end on the black cover.
+        paths = {"type": "path", "max_depth": _LENGTH, "rr_depth": 1}
+        return {
+            "type": "scene",
+            "integrator": paths,
+            "sensor": FoldedCamera(parts, views, self._scene.body.base_z_mm),
+            "leds": FoldedLeds(mi.Properties("folded_leds"), self._scene),
+        }
+
+    def _window(self) -> dict[str, Any]:
+        """Return the interfaces behind the body, which send some light back into it."""
+        camera = self._scene.camera
+        assert camera is not None
+        low, high = self._scene.body.bounds_mm
+        middle = [(a + b) / 2 for a, b in zip(low[:2], high[:2], strict=True)]
+        half = max(b - a for a, b in zip(low, high, strict=True))
+        height = self._scene.body.base_z_mm
+        inner = self._scene.material.refractive_index
+        table = {}
+        for n, outer in enumerate([*(layer.index for layer in camera.layers), 1.0]):
+            place = mi.ScalarTransform4f().translate([*middle, height]).scale([half, half, 1])
+            table[f"interface{n}"] = {
+                "type": "rectangle",
+                "to_world": place,
+                "bsdf": {"type": "dielectric", "int_ior": inner, "ext_ior": outer},
+            }
+            inner = outer
+            height += camera.layers[n].thickness_mm if n < len(camera.layers) else 0.0
+        return table
+
+
+class FoldedCamera(mi.Sensor):  # type: ignore[misc]
+    """Mitsuba's sensor: rays between those through the corners of a pixel, inside the body.
+
+    Parameters
+    ----------
+    parts
+        Mitsuba's properties, with film and sampler.
+    views
+        The camera's rays, or those through each point of its pupil; paths choose one.
+    base_z_mm
+        Height of the base.
+    """
+
+    def __init__(self, parts: Any, views: Sequence[View], base_z_mm: float) -> None:
+        super().__init__(parts)
+        height, width = views[0].sees.shape
+        self._size = width, height
+        corners = [view.corners.astype(np.float32).ravel() for view in views]
+        light = [(view.vignette * view.sees).ravel() for view in views]
+        self._corners = mi.Float(np.concatenate(corners))
+        self._light = mi.Float(np.concatenate(light))
+        self._chosen = np.cumsum(PUPIL_WEIGHTS)[:-1].tolist() if len(views) > 1 else []
+        self._start = base_z_mm - _BELOW_MM
+
+    def sample_ray(
+        self, _time: Any, _wavelength: Any, place: Any, aperture: Any, active: Any = True
+    ) -> Any:
+        """Return the ray through a place in the picture, both from 0 to 1, and its light."""
+        width, height = self._size
+        x = place.x * width
+        y = place.y * height
+        column = dr.minimum(mi.UInt32(x), width - 1)
+        row = dr.minimum(mi.UInt32(y), height - 1)
+        point = mi.UInt32(0)
+        for share in self._chosen:
+            point += mi.UInt32(dr.select(aperture.x > share, 1, 0))
+        # The ray between those of the pixel's corners.
+        corner = (point * (height + 1) + row) * (width + 1) + column
+        here, right, below, both = (
+            dr.gather(mi.Vector4f, self._corners, corner + step, active)
+            for step in (0, 1, width + 1, width + 2)
+        )
+        across = x - mi.Float(column)
+        upper = here + (right - here) * across
+        lower = below + (both - below) * across
+        ray = upper + (lower - upper) * (y - mi.Float(row))
+        start = mi.Point3f(ray.x + ray.z * _BELOW_MM, ray.y + ray.w * _BELOW_MM, self._start)
+        light = dr.gather(mi.Float, self._light, (point * height + row) * width + column, active)
+        return mi.Ray3f(start, dr.normalize(mi.Vector3f(ray.z, ray.w, -1))), mi.Color3f(light)
+
+    def sample_ray_differential(self, *sample: Any) -> Any:
+        """Return `sample_ray`; no texture needs the rays beside it."""
+        ray, light = self.sample_ray(*sample)
+        return mi.RayDifferential3f(ray), light
+
+    def to_string(self) -> str:
+        """Return a name for Mitsuba's messages."""
+        return "FoldedCamera"
+
+
+class FoldedLeds(mi.Emitter):  # type: ignore[misc]
+    """Mitsuba's emitter: all LEDs, seen from places in the body through the flat window.
+
+    Parameters
+    ----------
+    parts
+        Mitsuba's properties.
+    scene
+        With camera and light.
+
+    Notes
+    -----
+    The irradiance is that of `twin.world.picture.lamps.virtual_images`, here at each place that a
+    path meets instead of each marker's centre.
+    """
+
+    def __init__(self, parts: Any, scene: Scene) -> None:
+        super().__init__(parts)
+        self.m_flags = mi.EmitterFlags.DeltaPosition
+        assert scene.camera is not None
+        assert scene.light is not None
+        places, shares = scene.light.points()
+        within = scene.body.contains(places, 0.0)
+        rows = np.column_stack([places, np.where(within, -1.0, 1.0) * shares * len(places)])
+        self._count = len(places)
+        self._leds = mi.Float(rows.astype(np.float32).ravel())
+        self._index = scene.material.refractive_index
+        self._base = scene.body.base_z_mm
+        self._layers = [(layer.thickness_mm, layer.index) for layer in scene.camera.layers]
+        self._back = self._base + sum(thickness for thickness, _ in self._layers)
+        emission = scene.light.emission(np.linspace(-1, 1, _ANGLES + 1))
+        self._emission = mi.Float(emission.astype(np.float32))
+        # Where light may enter the body, cell by cell of its base.
+        low, high = (np.array(corner[:2]) for corner in scene.body.bounds_mm)
+        axes = (np.arange(_WINDOW) + 0.5) / _WINDOW
+        x, y = np.meshgrid(low[0] + (high[0] - low[0]) * axes, low[1] + (high[1] - low[1]) * axes)
+        cells = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, self._base)])
+        self._enters = mi.Bool(scene.body.contains(cells, -1e-6))
+        self._low = low.tolist()
+        self._per_mm = (_WINDOW / (high - low)).tolist()
+
+    def sample_direction(self, seen_from: Any, sample: Any, active: Any = True) -> Any:
+        """Return the way to one of the LEDs, chosen at random, and its light."""
+        which = dr.minimum(mi.UInt32(sample.x * self._count), self._count - 1)
+        led = dr.gather(mi.Vector4f, self._leds, which, active)
+        within = led.w < 0
+        place = mi.Vector3f(seen_from.p)
+        # An LED in the body is seen straight on.
+        way = mi.Vector3f(led.x, led.y, led.z) - place
+        distance = dr.norm(way)
+        straight = way / distance
+        # Another one through the window: the sine of the ray in the body gives its direction.
+        reach = dr.sqrt(way.x * way.x + way.y * way.y)
+        depth = dr.maximum(self._base - place.z, 0)
+        p, slope = self._tangent(reach, depth, led.z - self._back)
+        in_air = dr.rsqrt(1 + p * p)
+        sine = p * in_air / self._index
+        cosine = dr.sqrt(1 - sine * sine)
+        aside = dr.maximum(reach, 1e-6)
+        bent = mi.Vector3f(way.x / aside * sine, way.y / aside * sine, cosine)
+        over = dr.select(reach > 1e-6, p / aside, 1 / slope)
+        spread = in_air * in_air * in_air * over / (slope * cosine)
+        light = self._passed(p) * spread * self._lets_in(place + bent * (depth / cosine), active)
+        # Either of them.
+        towards = dr.select(within, straight, bent)
+        light = dr.select(within, 1 / (distance * distance), light)
+        light *= dr.abs(led.w) * self._emitted(dr.select(within, straight.z, in_air), active)
+        found = dr.zeros(mi.DirectionSample3f, dr.width(light))
+        found.d = towards
+        found.dist = dr.select(within, distance, depth / cosine) * _SHORT
+        found.p = seen_from.p + towards * found.dist
+        found.n = -towards
+        found.time = seen_from.time
+        found.pdf = mi.Float(1)
+        found.delta = mi.Bool(True)
+        found.emitter = mi.EmitterPtr(self)
+        arrives = mi.Bool(active) & (place.z < self._base) & (light > 0)
+        return found, mi.Color3f(dr.select(arrives, light, 0))
+
+    def _tangent(self, reach: Any, depth: Any, air: Any) -> tuple[Any, Any]:
+        """Return `twin.theory.optics.air_tangents` and the derivative of the way aside there."""
+        stack = [(depth, self._index), *self._layers]
+
+        def sideways(p: Any) -> tuple[Any, Any]:
+            moved = air * p
+            slope = mi.Float(air)
+            for thickness, index in stack:
+                inverse = dr.rsqrt(index * index + (index * index - 1) * p * p)
+                moved = moved + thickness * p * inverse
+                slope = slope + thickness * index * index * inverse * inverse * inverse
+            return moved, slope
+
+        p = reach / sideways(mi.Float(0))[1]
+        for _ in range(_NEWTON):
+            moved, slope = sideways(p)
+            p = p + (reach - moved) / slope
+        return p, sideways(p)[1]
+
+    def _passed(self, p: Any) -> Any:
+        """Return `twin.theory.optics.transmission`."""
+        sine2 = p * p / (1 + p * p)
+        share = mi.Float(1)
+        for one, two in pairwise([self._index, *(index for _, index in self._layers), 1.0]):
+            a = dr.sqrt(one * one - sine2)
+            b = dr.sqrt(two * two - sine2)
+            across = (a - b) / (a + b)
+            along = (two * two * a - one * one * b) / (two * two * a + one * one * b)
+            straight = 1 - ((one - two) / (one + two)) ** 2
+            share = share * (1 - (across * across + along * along) / 2) / straight
+        return share
+
+    def _lets_in(self, crossing: Any, active: Any) -> Any:
+        """Return 1 where light that crosses the base enters the body, else 0."""
+        column = (crossing.x - self._low[0]) * self._per_mm[0]
+        row = (crossing.y - self._low[1]) * self._per_mm[1]
+        inside = active & (column >= 0) & (column < _WINDOW) & (row >= 0) & (row < _WINDOW)
+        cell = mi.UInt32(dr.clip(row, 0, _WINDOW - 1)) * _WINDOW
+        cell += mi.UInt32(dr.clip(column, 0, _WINDOW - 1))
+        return dr.select(dr.gather(mi.Bool, self._enters, cell, inside), 1, 0)
+
+    def _emitted(self, cosine: Any, active: Any) -> Any:
+        """Return `twin.parts.camera.Light.emission`, from its table."""
+        at = dr.clip((cosine + 1) / 2, 0, 1) * _ANGLES
+        first = dr.minimum(mi.UInt32(at), _ANGLES - 1)
+        one = dr.gather(mi.Float, self._emission, first, active)
+        two = dr.gather(mi.Float, self._emission, first + 1, active)
+        return one + (two - one) * (at - mi.Float(first))
+
+    def eval(self, _seen: Any, _active: Any = True) -> Any:
+        """Return no light: a point is never met."""
+        return mi.Color3f(0)
+
+    def pdf_direction(self, _from: Any, _found: Any, _active: Any = True) -> Any:
+        """Return 0: a point is never met."""
+        return mi.Float(0)
+
+    def eval_direction(self, _from: Any, _found: Any, _active: Any = True) -> Any:
+        """Return no light: a point is never met."""
+        return mi.Color3f(0)
+
+    def to_string(self) -> str:
+        """Return a name for Mitsuba's messages."""
+        return "FoldedLeds"
+
+
+def _marker_mesh(markers: Ellipsoids) -> Any:
+    """Return one mesh of all markers in their colours."""
+    ball = trimesh.creation.icosphere(subdivisions=_SUBDIVISIONS)
+    # A ball of triangles within the sphere shows too little: enlarged to the sphere's area.
+    unit = np.asarray(ball.vertices) * np.sqrt(4 * np.pi / ball.area)
+    there = markers.rows(markers.present)
+    count = len(there)
+    places = there.centres[:, None] + unit @ np.swapaxes(there.axes, 1, 2)
+    normals = unit @ np.linalg.inv(there.axes)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    triangles = ball.faces[None] + len(unit) * np.arange(count)[:, None, None]
+    colours = np.repeat(there.colour, len(unit), axis=0)
+    colour = {"type": "mesh_attribute", "name": "vertex_color"}
+    return _mesh(places, normals, triangles, {"type": "diffuse", "reflectance": colour}, colours)
+
+
+def _cover_mesh(background: Background, motion: CoverMotion | None, albedo: Any) -> Any:
+    """Return the mesh of the cover that the camera sees, moved by a press."""
+    places = background.points
+    normals = background.normals
+    if motion is not None:
+        places = places + motion.displacement_mm
+        deformed = np.swapaxes(np.eye(3) + motion.gradient, 1, 2)
+        normals = np.linalg.solve(deformed, normals[:, :, None])[:, :, 0]
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    reflectance = {"type": "rgb", "value": list(albedo)}
+    paint = {"type": "twosided", "cover": {"type": "diffuse", "reflectance": reflectance}}
+    return _mesh(places, normals, background.triangles, paint)
+
+
+def _mesh(
+    places: Points, normals: Floats, triangles: Ints, bsdf: dict[str, Any], colours: Any = None
+) -> Any:
+    """Return Mitsuba's mesh of triangles with normals and, where given, colours at its corners."""
+    parts = mi.Properties()
+    parts["bsdf"] = mi.load_dict(bsdf)
+    count = places.size // 3
+    mesh = mi.Mesh("mesh", count, triangles.size // 3, has_vertex_normals=True, props=parts)
+    if colours is not None:
+        mesh.add_attribute("vertex_color", 3, colours.astype(np.float32).ravel())
+    numbers = mi.traverse(mesh)
+    numbers["vertex_positions"] = places.astype(np.float32).ravel()
+    numbers["vertex_normals"] = normals.astype(np.float32).ravel()
+    numbers["faces"] = triangles.astype(np.uint32).ravel()
+    numbers.update()
+    return mesh
