@@ -14,13 +14,13 @@ import twin
 PACKAGE = Path(twin.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
 HOMES = {
-    "mitsuba": {"world/picture/mitsuba_tracer.py"},
-    "drjit": {"world/picture/mitsuba_tracer.py"},
+    "mitsuba": {"world/picture/mitsuba_tracer.py", "world/picture/path_tracer.py"},
+    "drjit": {"world/picture/mitsuba_tracer.py", "world/picture/path_tracer.py"},
     "pytetwild": {"world/mesh/tetrahedralise.py"},
     "pypardiso": {"world/elasticity/factor.py"},
     "scipy.sparse.linalg": {"world/elasticity/factor.py"},
     "pyvista": {"world/mesh/quadratic_mesh.py", "world/mesh/body_mesh.py", "show/body_view.py"},
-    "trimesh": {"world/mesh/body_mesh.py"},
+    "trimesh": {"world/mesh/body_mesh.py", "world/picture/path_tracer.py"},
     "numba": {"compiled.py", "world/picture/backend.py"},
     "pickle": set(),
 }

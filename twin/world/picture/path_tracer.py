@@ -143,7 +143,7 @@ class PathTracer:
         return table
 
 
-class FoldedCamera(mi.Sensor):  # type: ignore[misc]
+class FoldedCamera(mi.Sensor):
     """Mitsuba's sensor: rays between those through the corners of a pixel, inside the body.
 
     Parameters
@@ -203,7 +203,7 @@ class FoldedCamera(mi.Sensor):  # type: ignore[misc]
         return "FoldedCamera"
 
 
-class FoldedLeds(mi.Emitter):  # type: ignore[misc]
+class FoldedLeds(mi.Emitter):
     """Mitsuba's emitter: all LEDs, seen from places in the body through the flat window.
 
     Parameters
@@ -270,7 +270,7 @@ class FoldedLeds(mi.Emitter):  # type: ignore[misc]
         towards = dr.select(within, straight, bent)
         light = dr.select(within, 1 / (distance * distance), light)
         light *= dr.abs(led.w) * self._emitted(dr.select(within, straight.z, in_air), active)
-        found = dr.zeros(mi.DirectionSample3f, dr.width(light))
+        found: Any = dr.zeros(mi.DirectionSample3f, dr.width(light))
         found.d = towards
         found.dist = dr.select(within, distance, depth / cosine) * _SHORT
         found.p = seen_from.p + towards * found.dist
@@ -371,8 +371,8 @@ def _cover_mesh(background: Background, motion: CoverMotion | None, albedo: Any)
     if motion is not None:
         places = places + motion.displacement_mm
         deformed = np.swapaxes(np.eye(3) + motion.gradient, 1, 2)
-        normals = np.linalg.solve(deformed, normals[:, :, None])[:, :, 0]
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        turned = np.asarray(np.linalg.solve(deformed, normals[:, :, None])[:, :, 0], float)
+        normals = turned / np.linalg.norm(turned, axis=1, keepdims=True)
     reflectance = {"type": "rgb", "value": list(albedo)}
     paint = {"type": "twosided", "cover": {"type": "diffuse", "reflectance": reflectance}}
     return _mesh(places, normals, background.triangles, paint)
