@@ -84,6 +84,11 @@ class Cover(Part):
     youngs_modulus_mpa: float | None = Field(default=None, ge=LEAST_MPA, le=1e6)
     poisson_ratio: float | None = Field(default=None, ge=-0.5, le=0.5)
 
+    @property
+    def has_own_material(self) -> bool:
+        """Whether a modulus or a Poisson's ratio of its own is given."""
+        return self.youngs_modulus_mpa is not None or self.poisson_ratio is not None
+
 
 def shear_modulus(youngs_modulus_mpa: Modulus, poisson_ratio: Modulus) -> Modulus:
     """Return G = E / (2 (1 + nu)), in the unit of E."""

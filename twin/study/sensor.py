@@ -655,7 +655,7 @@ class Sensor:
             return "markers with stiff = true"
         if cover is not None and cover.deforms:
             return "cover.deforms = true"
-        if cover is not None and {cover.youngs_modulus_mpa, cover.poisson_ratio} != {None}:
+        if cover is not None and cover.has_own_material:
             return "a cover with a modulus of its own"
         return ""
 
@@ -731,7 +731,7 @@ def _covered(
 ) -> CoveredCompliance | None:
     """Return the compliance of a body whose cover is of another material; None without one."""
     cover = scene.cover
-    if cover is None or (cover.youngs_modulus_mpa is None and cover.poisson_ratio is None):
+    if cover is None or not cover.has_own_material:
         return None
     from twin.world.elasticity.coated import CoveredCompliance, own_layer
 

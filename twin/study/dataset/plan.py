@@ -174,9 +174,7 @@ class Plan:
             problems.append(
                 "press: the scene has no [press] table, and no [[tractions]], to draw samples of"
             )
-        if scene.cover is not None and (
-            scene.cover.youngs_modulus_mpa or scene.cover.poisson_ratio
-        ):
+        if scene.cover is not None and scene.cover.has_own_material:
             problems.append(
                 "cover: one of its own modulus needs a new mesh for every press, and meshes are "
                 "not reproducible; leave youngs_modulus_mpa and poisson_ratio out of [cover]"
@@ -225,41 +223,27 @@ def _valid(part: type[P], table: Table, where: str) -> P:
         raise kind(lines) from None
 
 
-@dataclass(frozen=True)
 class Places:
-    """The places of a dataset's files."""
+    """The places of a dataset's files.
 
-    folder: Path
+    Attributes
+    ----------
+    data, sensors, meta
+        Folders of the samples, of the sensors, and of everything else.
+    info
+        Facts about the dataset; written last of what must precede the first sample.
+    sums, written
+        Checksums of all files of a finished dataset, and of the shards of an unfinished one.
+    """
 
-    @property
-    def data(self) -> Path:
-        """Folder of the samples."""
-        return self.folder / "data"
-
-    @property
-    def sensors(self) -> Path:
-        """Folder of the sensors."""
-        return self.folder / "sensors"
-
-    @property
-    def meta(self) -> Path:
-        """Folder of everything else."""
-        return self.folder / "meta"
-
-    @property
-    def info(self) -> Path:
-        """Facts about the dataset; written last of what must precede the first sample."""
-        return self.meta / "info.json"
-
-    @property
-    def sums(self) -> Path:
-        """Checksums of all files; exists only while the dataset is finished."""
-        return self.meta / "SHA256SUMS"
-
-    @property
-    def written(self) -> Path:
-        """Checksums of the shards written so far; exists only while the dataset is unfinished."""
-        return self.meta / "written.sha256"
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.data = folder / "data"
+        self.sensors = folder / "sensors"
+        self.meta = folder / "meta"
+        self.info = self.meta / "info.json"
+        self.sums = self.meta / "SHA256SUMS"
+        self.written = self.meta / "written.sha256"
 
     def shard(self, number: int) -> Path:
         """File of a shard's samples."""

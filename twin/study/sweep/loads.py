@@ -247,10 +247,7 @@ def refuse(scene: Scene) -> None:
         raise RecipeError(
             "markers.stiff: sweeps take beads as points that the rubber carries; set it to false"
         )
-    cover = scene.cover
-    if cover is not None and (
-        cover.youngs_modulus_mpa is not None or cover.poisson_ratio is not None
-    ):
+    if scene.cover is not None and scene.cover.has_own_material:
         raise RecipeError(
             "cover: sweeps have no cover of its own modulus; leave youngs_modulus_mpa and "
             "poisson_ratio out"
