@@ -9,6 +9,8 @@ def test_width_of_a_known_bell():
     x = np.linspace(-5, 5, 401)
     assert full_width(x, np.exp(-(x**2) / 2)) == pytest.approx(2 * np.sqrt(2 * np.log(2)), rel=1e-3)
     assert full_width(x, np.maximum(1 - np.abs(x - 0.6) / 2, 0)) == pytest.approx(2.0, rel=1e-6)
+    coarse = np.array([0, 0.2, 0.8, 1, 0.8, 0.2, 0])
+    assert full_width(np.arange(7.0), coarse) == pytest.approx(3.0), "the crossing nearest to the peak"
     assert np.isnan(full_width(x, x + 10))
     assert widths(np.ones(12), (4, 3), 1.0) == (np.inf, np.inf)
     s, t = np.meshgrid(0.1 * np.arange(60), 0.1 * np.arange(40), indexing="ij")
