@@ -308,31 +308,30 @@ def test_states_say_what_is_wrong():
     assert "merged" in merged.states[[40, 41]]
 
 
-@pytest.mark.parametrize("share", [0.1, 0.15, 0.2, 0.35])
-@pytest.mark.parametrize("diameter", WIDTHS)
-def test_a_marker_partly_hidden_in_the_grounds_colour_is_lost_or_uncertain(diameter, share):
-    """What covers it is as dark as the ground: the visible part's centre was stated as the
-    marker's, up to 7 standard deviations off."""
-    layout, size = wide(diameter)
-    red, hidden = layout["red"] + 0.4, np.arange(0, 48, 5)
-    angle = np.random.default_rng(4).uniform(0.0, 2 * np.pi, len(hidden))
-    drawn = picture(0.4, None, layout, size, diameter)
-    for (x, y), turn in zip(red[hidden], angle, strict=True):
-
-        def seen(dx, dy, x, y, turn=turn):
-            return dx * np.cos(turn) + dy * np.sin(turn) < diameter * (0.5 - share)
-
-        whole, part = (scene(size, [([(x, y)], 0)], diameter, shade=s) for s in (None, seen))
-        drawn += part - whole
-    found = track(picture(0.0, 1, layout, size, diameter), expose(drawn, 2), layout)
-    clear = np.setdiff1d(np.arange(len(found.seen)), hidden)
+@pytest.mark.parametrize("share", [0.1, 0.2, 0.35])
+@pytest.mark.parametrize(
+    ("diameter", "psf"), [(8.0, 0.7), (10.0, 0.7), pytest.param(15.0, 0.7, marks=pytest.mark.slow), (8.0, 1.3)]
+)
+def test_a_marker_partly_hidden_in_the_grounds_colour_is_measured_by_the_part_in_sight(diameter, psf, share):
+    """The centre of the part in sight was stated as the marker's, up to 13 standard deviations off."""
+    card, hidden = Card(diameter), np.arange(0, 143, 5)
+    shift, drawn = card.shifts(3), card.draw(card.shifts(3), psf=psf)
+    for marker, turn in zip(hidden, np.random.default_rng(4).uniform(0.0, 2 * np.pi, len(hidden)), strict=True):
+        seen = lambda dx, dy, x, y, t=turn: dx * np.cos(t) + dy * np.sin(t) < diameter * (0.5 - share)  # noqa: E731
+        centre = card.marks[marker : marker + 1] + shift[marker]
+        whole, part = (cover(card.size, centre, diameter, psf, s) for s in (None, seen))
+        drawn[..., 0 if marker < card.count else 2] += 130.0 * (part - whole)
+    found = track(expose(card.draw(psf=psf), 1), expose(drawn, 2), card.layout)
+    clear = np.setdiff1d(np.arange(143), hidden)
     assert found.seen[clear].all()
+    assert (found.states[hidden] == "partly hidden").mean() > 0.9
     seen = hidden[found.seen[hidden]]
-    assert np.isin(found.states[hidden], ["partly hidden", "seen"]).all()
-    assert len(seen) <= 0.1 * len(hidden) or (diameter, share) == (8.0, 0.1)
-    score = (found.shift_px[seen] - 0.4) / found.sd_px[seen, None]
-    assert np.sqrt(np.mean(score**2)) <= 2.0 if len(seen) else True
-    assert (found.sd_px[clear] < 1.25 * np.sqrt(2) * bound_px(diameter)).mean() > 0.99
+    assert len(seen) > 0.9 * len(hidden) or share == 0.35 or psf > 1.0
+    error = (found.shift_px - shift)[seen]
+    if len(seen):
+        assert np.median(np.abs(error)) < 0.1
+        assert np.sqrt(np.mean((error / found.sd_px[seen, None]) ** 2)) < 1.5
+        assert (np.hypot(*error.T) < np.maximum(5 * found.sd_px[seen], 0.1)).all()
 
 
 @pytest.mark.parametrize("diameter", WIDTHS)
@@ -364,7 +363,7 @@ def test_a_strained_marker_that_is_partly_hidden_does_not_pass_for_a_smaller_one
     hidden = np.arange(len(card.marks)) % 9 == 0
     score = np.hypot(*(found.shift_px - shift).T) / found.sd_px
     assert found.seen[~hidden].mean() > 0.98
-    assert found.seen[hidden].mean() < 0.25
+    assert (found.states[hidden] == "partly hidden").mean() > 0.9
     assert np.nanmax(score[~hidden]) < 5
     assert np.nanmax(score[hidden], initial=0.0) < 5
 
@@ -415,8 +414,9 @@ def test_warm_and_cold_agree():
 
 
 @pytest.mark.parametrize("psf", [0.7, 1.6])
-def test_the_rest_picture_itself_shows_no_motion_at_all(psf):
-    rest = picture(0.0, 1, psf=psf)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_rest_picture_itself_shows_no_motion_at_all(psf, seed):
+    rest = picture(0.0, seed, psf=psf)
     tracker = Tracker(rest, LAYOUT)
     for _ in range(3):
         assert (tracker.track(rest).shift_px == 0.0).all()

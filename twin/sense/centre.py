@@ -31,7 +31,8 @@ STATES = (
 """What a marker can be: measured; without a spot, or out of the picture; too dark; one spot with
 another; hidden or unlike itself; part of it hidden; measured, but maybe its neighbour, as from a
 cold start two shifts by steps of the layout's lattice fit alike; measured, with another outline
-or blur than at rest. Only the first and the last have a shift."""
+or blur than at rest. "seen" and "strained" markers have a shift, and those partly hidden ones whose
+visible part is enough."""
 
 SEEN, MISSING, DIM, MERGED, OCCLUDED, PARTLY_HIDDEN, AMBIGUOUS, STRAINED = range(len(STATES))
 

@@ -50,20 +50,25 @@ from twin.sense.template import (
     CENTRE_X,
     CENTRE_Y,
     DIRECTIONS,
+    DOUBTED,
     EDGE,
     FITS,
     FITTING,
     GROUND,
+    LEAST_SPREAD,
     LEVEL,
     MARGIN_PX,
     MISFIT,
     NO_RUNS,
     ONE_SIDED,
+    OWN_SHAPE,
+    PART_IN_SIGHT,
     PIXELS,
     RESHAPED,
     SCALE,
     SHAPE,
     SHORTFALL,
+    SMALLER,
     SQUARES,
     STEP,
     THIRD_X,
@@ -76,7 +81,9 @@ from twin.sense.template import (
     doubtful,
     gather,
     inverse_form,
+    slope_terms,
 )
+from twin.sense.visible_part import Expected, fit_visible
 
 USUAL_BLUR_PX = 2.0
 """Half width of a sharp lens' blur with the pixel's, px (.75 px standard deviation): where the
@@ -138,6 +145,25 @@ fiftieth of their area hidden one in 40 leaves less, with more hidden none."""
 STRETCHED, BLURRED = 1.4, 2.5
 """Largest growth of a marker's semi-axis, and of the blur, that a shape of its own reaches to."""
 
+KNOWN_OUTLINE, KNOWN_LEVEL = 0.005, 0.02
+"""Standard deviations of a marker's outline and brightness about its neighbours', as shares of
+the radius and the brightness, where the neighbours do not scatter at all."""
+
+NORMAL = 0.7413
+"""A normal distribution's standard deviation, as a share of what lies between its quarters."""
+
+SHADOW_MOVES = 4.0
+"""A marker is not taken for partly hidden while its squared residuals exceed the usual ones by less
+than this factor times what they did at rest: another layer's shadow on it moves, and is then missed
+at the old place and at the new one, twice as strongly where they meet."""
+
+DIFFERS = 2.5
+"""Standard deviations from its neighbours' beyond which an outline is not their common strain."""
+
+LEAST_PART, WORST_PART_PX = 0.2, 0.1
+"""A partly hidden marker is measured by at least this share of its edge's information, to at least
+this standard deviation."""
+
 UNSETTLED_PX = 0.3
 """A fit whose last step was larger has found nothing."""
 
@@ -156,6 +182,13 @@ CHANCE = 4.0
 """Standard deviations up to which a fit that moves when one side of the edge is left out
 (`ONE_SIDED`) has moved by chance. None of 8,000 whole markers exceeds 3.4; where a tenth of the
 width of markers 8 to 10 px wide is hidden the least is 7.8 (of wider ones `HIDES` finds it)."""
+
+USUAL = 0.25
+"""Share of the markers that fit better than what is called usual."""
+
+MORE_UNUSUAL = 1.12
+"""Where most markers have changed their shape, what is usual is taken to be more by up to this
+factor: larger outlines reach over more of the ground's texture. More than that is a misfit."""
 
 LEAST_SCORES = 4
 """From so many numbers on a median is taken."""
@@ -232,6 +265,7 @@ class DiscFit(SoftWindow):
         fitted = replace(templates, every=1).fit(picture, start, around.lead)
         templates = replace(
             templates,
+            misfit=fitted[:, MISFIT].copy(),
             third=np.ascontiguousarray(fitted[:, THIRD_X : THIRD_Y + 1]),
             fitting=fitted[:, FITTING].copy(),
             one_sided=np.ascontiguousarray(fitted[:, ONE_SIDED : ONE_SIDED + DIRECTIONS]),
@@ -261,31 +295,126 @@ class DiscFit(SoftWindow):
         return replace(self._judged(fitted, state), spurious_px=spurious)
 
     def _fit(self, picture: Picture, start_px: Pixels, lead: Ints | None = None) -> Floats:
-        """Fit the templates, and those that no longer look as at rest with a shape of their own:
-        outline and blur."""
-        fitted = self.templates.fit(picture, start_px, lead)
-        odd = fitted[:, MISFIT] > UNUSUAL * self.templates.usual_misfit
-        if not odd.any():
-            return fitted  # nearly always
-        places = for_kernel(fitted[:, CENTRE_X : CENTRE_Y + 1])
+        """Fit the templates; those that no longer look as at rest with a shape of their own,
+        outline and blur; and those that differ from their neighbours by the part in sight."""
         templates = self.templates
+        fitted = templates.fit(picture, start_px, lead)
+        if not np.fmax.reduce(fitted[:, DOUBTED]) > 0.0:
+            return fitted  # nearly always
+        odd, doubted = self._unusual(fitted, fitted[:, MISFIT], templates.usual_misfit)
+        if not (odd | doubted).any():
+            return fitted
+        places = for_kernel(fitted[:, CENTRE_X : CENTRE_Y + 1])
         if 2 * odd.sum() > np.isfinite(places[:, 0]).sum():
             templates = replace(templates, noise=_noise_now(picture, templates, places))
             fitted = templates.fit(picture, places)
-            odd = fitted[:, MISFIT] > UNUSUAL * templates.usual_misfit
-        rows = np.flatnonzero(odd)
-        if not len(rows):
-            return fitted
-        shape, pixels = _own_shapes(picture, templates, rows, places, self.around.spacing_px)
-        reshaped = replace(templates, shape=for_kernel(shape[:, :SHAPE]), reach_px=pixels, every=1)
-        again = reshaped.fit(picture, for_kernel(shape[:, SHAPE:]))
-        again[:, THIRD_X : THIRD_Y + 1] *= 1.0 if templates.every else np.nan
-        taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
-        area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, templates.shape))
-        fitted[taken] = again[taken]
-        fitted[taken, SCALE] *= np.sqrt(area / before)[taken]
-        fitted[taken, RESHAPED] = 1.0
+            odd, doubted = self._unusual(fitted, fitted[:, MISFIT], templates.usual_misfit)
+        radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
+        growth = (fitted[:, SCALE] - 1.0) * radius
+        axes = templates.shape[:, :3] + growth[:, None] * [1.0, 0.0, 1.0]
+        blur, taken = templates.shape[:, 6].copy(), np.zeros(len(fitted), np.bool_)
+        misfit = fitted[:, MISFIT].copy()
+        if odd.any():
+            rows = np.flatnonzero(odd)
+            spacing_px = self.around.spacing_px
+            shape, pixels = _own_shapes(picture, templates, rows, places, spacing_px)
+            own = for_kernel(shape[:, :SHAPE])
+            reshaped = replace(templates, shape=own, reach_px=pixels, every=1)
+            again = reshaped.fit(picture, for_kernel(shape[:, SHAPE:]))
+            again[:, THIRD_X : THIRD_Y + 1] *= 1.0 if templates.every else np.nan
+            if 2 * len(rows) > np.isfinite(places[:, 0]).sum():
+                usual = float(np.nanquantile(again[rows, MISFIT], USUAL))
+                least = templates.usual_misfit
+                usual = min(max(usual, least), MORE_UNUSUAL * least)
+                templates = replace(templates, usual_misfit=usual)
+            misfit = np.fmin(misfit, again[:, MISFIT])
+            taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
+            area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, templates.shape))
+            fitted[taken] = again[taken]
+            fitted[taken, SCALE] *= np.sqrt(area / before)[taken]
+            fitted[taken, RESHAPED] = OWN_SHAPE
+            axes[taken], blur[taken] = shape[taken, :3], shape[taken, 6]
+        # what most markers of this picture lack of the model hides none of them
+        now = max(_quantile(misfit, USUAL), templates.usual_misfit)
+        templates = replace(templates, usual_misfit=now)
+        doubted &= taken | self._unusual(fitted, misfit, now)[1]
+        if doubted.any():
+            self._fit_parts(picture, templates, fitted, doubted, axes, blur)
         return fitted
+
+    def _unusual(self, fitted: Floats, misfit: Floats, now: float) -> tuple[Bools, Bools]:
+        """Return which markers no longer look as at rest; and which may be partly hidden: of these,
+        and of those whose edge fits worse than others' or that have become smaller.
+
+        ``misfit`` (n,) is the least that a fit has left, ``now`` what is usual in this picture.
+        """
+        templates, scale = self.templates, fitted[:, SCALE]
+        odd = misfit > UNUSUAL * np.fmax(templates.misfit, now)
+        fits = fitted[:, FITTING] / templates.fitting
+        low, middle, high = (_quantile(scale, share) for share in (0.25, 0.5, 0.75))
+        least = middle - SMALLER * max(NORMAL * (high - low), LEAST_SPREAD)
+        doubted = odd | (fits < FITS * min(_quantile(fits, 0.5), 1.0)) | (scale < least)
+        lacked = np.fmax(templates.misfit - RESHAPES * templates.usual_misfit, 0.0)
+        return odd, doubted & (misfit > now + SHADOW_MOVES * lacked)
+
+    def _fit_parts(
+        self,
+        picture: Picture,
+        templates: Templates,
+        fitted: Floats,
+        doubted: Bools,
+        axes: Floats,
+        blur: Floats,
+    ) -> None:
+        """Fit ``doubted`` markers by the part in sight where they differ from their neighbours, by
+        outlines ``axes`` (n, 3) and ``blur`` (n,), px, and a part is hidden; in place."""
+        taken = fitted[:, RESHAPED] == OWN_SHAPE
+        fine = np.isfinite(fitted[:, LEVEL]) & (taken | ~doubted)
+        rows = np.flatnonzero(doubted & np.isfinite(fitted[:, LEVEL]))
+        radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
+        measured = np.column_stack(
+            [
+                (axes - templates.shape[:, :3]) / radius[:, None],
+                fitted[:, LEVEL] / templates.level,
+                blur / templates.shape[:, 6],
+            ]
+        )
+        usual, spread = _of_neighbours(measured, fine, self.around, rows)
+        axes_sd = np.hypot(KNOWN_OUTLINE, spread[:, :3].max(axis=1))
+        differs = np.abs(measured[rows, :3] - usual[:, :3]).max(axis=1) > DIFFERS * axes_sd
+        few = differs | ~taken[rows]
+        if not few.any():
+            return
+        rows, usual, axes_sd, spread = rows[few], usual[few], axes_sd[few], spread[few]
+        level = templates.level[rows] * usual[:, 3]
+        expected = Expected(
+            axes=templates.shape[rows, :3] + usual[:, :3] * radius[rows, None],
+            axes_sd=axes_sd * radius[rows],
+            level=level,
+            level_sd=np.hypot(KNOWN_LEVEL, spread[:, 3]) * level,
+            blur=templates.shape[rows, 6] * usual[:, 4],
+        )
+        start = fitted[rows, CENTRE_X : CENTRE_Y + 1]
+        part = fit_visible(picture, templates, rows, start, expected)
+        limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part.pixels, 1))
+        moved = np.hypot(*(part.centre_px - start).T)
+        like = part.misfit < limit * templates.usual_misfit
+        hides = like & (part.hidden > 0.0) & (moved < 2.0 * radius[rows])
+        good = hides & (part.edge > LEAST_PART) & (part.sd_px < WORST_PART_PX)
+        good &= part.step_px < 0.05
+        fitted[rows[hides], SHORTFALL], fitted[rows[hides], FITTING] = 1.0, 0.0
+        rows = rows[good]
+        out = np.full((len(rows), fitted.shape[1]), np.nan)
+        out[:, CENTRE_X : CENTRE_Y + 1] = part.centre_px[good]
+        out[:, LEVEL], out[:, GROUND] = part.level[good], part.ground[good]
+        out[:, VAR_X : VAR_Y + 1] = part.sd_px[good, None] ** 2
+        out[:, PIXELS], out[:, MISFIT] = part.pixels[good], part.misfit[good]
+        out[:, SQUARES] = part.misfit[good] * part.pixels[good] * templates.noise[0]
+        out[:, STEP], out[:, SHORTFALL] = part.step_px[good], 0.0
+        out[:, [SCALE, FITTING]] = 1.0
+        out[:, EDGE] = np.where(part.covered[good] > 1.0 - WHOLE_EDGE, LEAST_EDGE, 1.0)
+        out[:, RESHAPED] = PART_IN_SIGHT
+        fitted[rows] = out
 
     def _from_last(self, picture: Picture, last_px: Pixels) -> Seen | None:
         """Fit around the last places, then once more where the neighbours' motion predicts; None
@@ -340,9 +469,36 @@ class DiscFit(SoftWindow):
         sd = np.hypot(_centre_sds(fitted, templates.usual_misfit), rest_sd)
         sd[np.isnan(shift[:, 0])] = np.nan
         factor = _coherence(fitted, templates.third, state == SEEN, sd)
-        state[(state == SEEN) & (fitted[:, RESHAPED] == 1.0)] = STRAINED
+        state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
+        state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
         sd = _edge_sds(fitted, templates.one_sided, rest_sd, sd, factor)
         return Seen(shift_px=shift, sd_px=sd, state=state, coherence=factor)
+
+
+def _quantile(values: Floats, share: float) -> float:
+    """Return which of the ``values`` (n,), one at least of them not NaN, this share is below."""
+    last = int(np.isfinite(values).sum()) - 1
+    return float(np.sort(values)[round(share * last)])  # NaN come last
+
+
+def _of_neighbours(
+    measured: Floats, fine: Bools, around: Neighbourhood, rows: Ints
+) -> tuple[Floats, Floats]:
+    """Return what ``measured`` (n, q) should be for markers ``rows`` by their ``fine`` neighbours,
+    and its scatter: the median, and 1.4826 times the median distance from it. Where there are too
+    few neighbours it is all markers'."""
+    known = np.where(fine[:, None], measured, np.nan)
+    near = np.where((around.fit_weight[rows] > 0.0)[:, :, None], known[around.near[rows]], np.nan)
+    near[np.isfinite(near[:, :, 0]).sum(axis=1) < LEAST_SCORES] = np.nan
+    if fine.sum() < LEAST_SCORES:
+        known = np.array([[0.0, 0.0, 0.0, 1.0, 1.0]])
+    overall = np.nanmedian(known, axis=0)
+    apart = 1.4826 * np.nanmedian(np.abs(known - overall), axis=0)
+    usual, spread = np.tile(overall, (len(rows), 1)), np.tile(apart, (len(rows), 1))
+    some = np.isfinite(near[:, :, 0]).any(axis=1)
+    usual[some] = np.nanmedian(near[some], axis=1)
+    spread[some] = 1.4826 * np.nanmedian(np.abs(near[some] - usual[some, None]), axis=1)
+    return usual, spread
 
 
 def _noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
@@ -531,13 +687,14 @@ def _make_templates(
         level=shape[:, 7].copy(),
         reach_px=reach,
         every=0,
+        misfit=np.ones(count),
         third=np.zeros((count, 2)),
         fitting=np.ones(count),
         one_sided=np.zeros((count, DIRECTIONS)),
     )
     fitted = templates.fit(picture, places)
     misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
-    usual = float(np.quantile(misfit, 0.25)) if len(misfit) else 1.0
+    usual = float(np.quantile(misfit, USUAL)) if len(misfit) else 1.0
     settled = replace(
         templates,
         ground=np.nan_to_num(fitted[:, GROUND]),
@@ -548,13 +705,6 @@ def _make_templates(
     return settled, np.ascontiguousarray(fitted[:, CENTRE_X : CENTRE_Y + 1])
 
 
-def _slope_terms(places: Pixels, size: Sequence[int]) -> Floats:
-    """Return (n, 6) 1, u, v, u^2, u v, v^2 of picture positions; u, v from -1/2 to 1/2 across the
-    (h, w) picture."""
-    u, v = places[:, 0] / size[1] - 0.5, places[:, 1] / size[0] - 0.5
-    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
-
-
 def _share_slopes(
     shape: Floats, places: Pixels, good: NDArray[np.bool_], size: Sequence[int]
 ) -> Floats:
@@ -563,7 +713,7 @@ def _share_slopes(
     shared = np.zeros((2, 6))
     count = int(good.sum())
     terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
-    basis = _slope_terms(places[good], size)[:, :terms]
+    basis = slope_terms(places[good], size)[:, :terms]
     for axis in range(2):
         slope = shape[good, 3 + axis]
         weight = np.ones(count)

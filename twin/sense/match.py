@@ -44,6 +44,10 @@ STILL = 0.25
 """With more motion than this, in spacings, the shift must also be the one that leaves over the
 least: hidden markers are common, but so are they where nothing has moved."""
 
+ASTRAY = 0.15
+"""Share of the markers that may have moved unlike their neighbours: the spots of partly hidden
+markers lie off their centres."""
+
 TRUST = 0.25
 """Share of the markers that may be lost before the previous picture's motion is given up as a
 start: a grid moved by a whole pitch looks like one that hasn't moved, so a cold start must not
@@ -303,12 +307,14 @@ def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> In
 @dataclass(frozen=True, kw_only=True)
 class _Pairing:
     """Which spot every marker is taken for: (n,) spots, -1 for none, (n, 2) motion; its mean length
-    in spacings; how much that leaves over, and what speaks against it in all."""
+    in spacings; how much that leaves over, how many of these are markers that have moved unlike
+    their neighbours, and what speaks against it in all."""
 
     spot: Ints
     motion: Pixels
     length: float
     left_over: int
+    astray: int
     cost: float
 
 
@@ -349,7 +355,9 @@ class _Search:
         mean = float(length.mean()) / size if len(length) else 0.0
         left_over = lost + strange + astray
         cost = 2.0 * np.sqrt(left_over) + PRIOR * mean
-        return _Pairing(spot=spot, motion=motion, length=mean, left_over=left_over, cost=cost)
+        return _Pairing(
+            spot=spot, motion=motion, length=mean, left_over=left_over, astray=astray, cost=cost
+        )
 
     def _strange(self, spot: Ints, motion: Pixels, margin: float) -> int:
         """Return how many spots are no marker's, though at rest they would have been well inside
@@ -373,15 +381,17 @@ class _Search:
         return float((self.known & (pairing.spot < 0)).sum())
 
     def plain(self, pairing: _Pairing) -> bool:
-        """Return whether nothing is left over and no marker has moved by `STILL` spacings.
+        """Return whether no marker and no spot is left over, and none but a few `ASTRAY` markers
+        have moved by `STILL` spacings.
 
         Then no other pairing needs a look: every other one moves the markers by at least three
         times as much, which `PRIOR` counts by more than `RIVAL`.
         """
-        if pairing.left_over or not (pairing.spot >= 0).any():
+        found = pairing.spot >= 0
+        if pairing.left_over > pairing.astray or not found.any():
             return False
-        size = self.around.spacing_px
-        return bool(np.nanmax(np.linalg.norm(pairing.motion, axis=1)) < STILL * size)
+        far = np.linalg.norm(pairing.motion[found], axis=1) > STILL * self.around.spacing_px
+        return bool(max(far.mean(), pairing.astray / found.sum()) <= ASTRAY)
 
     def common_motion(self) -> list[Pixels]:
         """Return the motion that most pairs agree on; nothing where that is no motion."""

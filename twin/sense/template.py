@@ -18,6 +18,7 @@ deviation is about 0.7 px; with 1.6 px a covered marker of 8 px looks like a sma
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -124,7 +125,8 @@ CENTRE_X, CENTRE_Y, LEVEL, GROUND, SCALE, VAR_X, VAR_Y, EDGE, SQUARES = range(9)
 PIXELS, STEP, MISFIT, FITTING, THIRD_X, THIRD_Y, SHORTFALL, ONE_SIDED = range(9, 17)
 DIRECTIONS = 8
 RESHAPED = ONE_SIDED + DIRECTIONS
-COLUMNS = RESHAPED + 1
+DOUBTED = RESHAPED + 1
+COLUMNS = DOUBTED + 1
 """What `Templates.fit` gives for a marker: centre, level, ground, scale against the template;
 variances of the centre; share of the edge in sight; sum of squared residuals over how many pixels;
 last step in px; squared residuals over their expected size; share of the edge in sight that fits;
@@ -132,8 +134,12 @@ for some markers, how far the edge lies outside the model's as the cosine and si
 the angle, px; the most light that a pixel on the marker lacks, or one beyond its edge has too much,
 as a share of the marker's; along
 `DIRECTIONS` from 0 to 180 degrees, how far the centre moves if the edge on that side is left out,
-less how far it moves back if the other side is, px; 1 where the template's shape is not that at
-rest, else 0. The three before are NaN, 0 and NaN where the edge is not looked at."""
+less how far it moves back if the other side is, px; what was fitted: 0 the shape at rest,
+`OWN_SHAPE` or `PART_IN_SIGHT`; 1 where the fit, the edge or the size is not as usual, else 0. The
+three before the last two are NaN, 0 and NaN where the edge is not looked at."""
+
+OWN_SHAPE, PART_IN_SIGHT = 1.0, 2.0
+"""A marker fitted with an outline and blur of its own; by the part of it that is in sight."""
 
 FITS = 0.9
 """A marker of whose edge less fits may be partly hidden."""
@@ -141,6 +147,10 @@ FITS = 0.9
 UNUSUAL = 1.5
 """A marker whose squared residuals exceed the usual ones by this factor is doubted: its edge is
 looked at, and its variance grows."""
+
+SMALLER, LEAST_SPREAD = 4.0, 0.004
+"""A marker smaller than the others by so many of their standard deviations, which are taken for no
+less than this share, may be partly hidden."""
 
 SECTORS, LEFT_OUT = 2 * DIRECTIONS, 5
 """Parts that an edge is cut into, and how many of them are left out at a time: 112 degrees, what a
@@ -297,6 +307,7 @@ def _fit_centres(
     signal, use = room[0, : offset.shape[1]], room[1, : offset.shape[1]]
     colour = (own[0], own[1], own[2], own[3])
     total, first = np.empty(16), np.empty(2)
+    smallest, largest = np.inf, 0.0
     for k in range(len(start)):
         fit, mark = out[k], shape[k]
         known = len(lead) > 0 and math.isfinite(start[k, 0] + start[k, 1])
@@ -397,6 +408,9 @@ def _fit_centres(
         fit[FITTING] = total[10] / max(total[15], 1e-9)
         fit[SHORTFALL], fit[RESHAPED] = 0.0, 0.0
         doubted = fit[FITTING] < FITS or fit[MISFIT] > UNUSUAL * usual_misfit
+        smallest, largest = min(smallest, scale), max(largest, scale)
+        unlike = smallest < (1.0 - SMALLER * LEAST_SPREAD) * largest
+        fit[DOUBTED] = 1.0 if doubted or unlike else 0.0
         if doubted or (every > 0 and k % every == 0):
             form = inverse_form(xx, xy, yy, scale)
             light = (slope_x, slope_y, mark[5])
@@ -467,6 +481,13 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
         out[ONE_SIDED + s] = step[s] - step[s + DIRECTIONS]
 
 
+def slope_terms(places: Pixels, size: Sequence[int]) -> Floats:
+    """Return (n, 6) 1, u, v, u^2, u v, v^2 of picture positions; u, v from -1/2 to 1/2 across the
+    (h, w) picture."""
+    u, v = places[:, 0] / size[1] - 0.5, places[:, 1] / size[0] - 0.5
+    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
+
+
 NOBODY = np.zeros((0, LEADS), np.int64)
 NO_RUNS = np.zeros((0, 3), np.int64)
 """Runs of `gather` for pixels one by one."""
@@ -501,9 +522,10 @@ class Templates:
     every
         The edge of one marker in so many is looked at for a third harmonic, which shows how the
         noise hangs together; 0 where residuals are those of noise that does not.
-    third, fitting, one_sided
-        (n, 2) third harmonic of the edge at rest, px; (n,) share of the edge that fits; (n,
-        `DIRECTIONS`) how far the centre moves without one side of the edge, px.
+    misfit, third, fitting, one_sided
+        At rest: (n,) squared residuals over what the noise explains; (n, 2) third harmonic of the
+        edge, px; (n,) share of the edge that fits; (n, `DIRECTIONS`) how far the centre moves
+        without one side of the edge, px.
     """
 
     own: Singles
@@ -516,6 +538,7 @@ class Templates:
     level: Floats
     reach_px: float
     every: int
+    misfit: Floats
     third: Floats
     fitting: Floats
     one_sided: Floats

@@ -20,7 +20,7 @@ from twin.blas_threads import one_blas_thread
 from twin.display import data_frame, html_table, new_axes, one_line, plot_shifts
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
-from twin.sense.centre import MISSING, SEEN, STATES, STRAINED
+from twin.sense.centre import MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
 from twin.sense.colour import Weights, as_picture
 from twin.sense.reference import Rest, analyse_rest
 
@@ -319,7 +319,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
     sd *= factors
     lost = np.isnan(shift[:, 0])
     sd[lost] = np.nan
-    state[~lost & (state != STRAINED)] = SEEN
+    state[~lost & (state != STRAINED) & (state != PARTLY_HIDDEN)] = SEEN
     for array in (shift, sd, state, usual):
         frozen(array)
     return Found(

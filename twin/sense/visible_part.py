@@ -1,0 +1,229 @@
+"""The fit of a marker of which a part is hidden, by the part in sight.
+
+A marker that lacks light on one side is either partly hidden or smaller than it was. Its own
+picture does not say which, so its neighbours' do: the outline, blur and brightness are expected to
+have changed as theirs have (`Expected`), and may differ by as much as theirs scatter. What hides a
+marker in its ground's colour takes light away and adds none. So a first fit lets light be missing
+but not be too much; then the pixels that lack light are left out, with those around them that the
+blur reaches, and the others are fitted. The stated deviation follows from the pixels left in, and
+from how well outline and brightness are known: with an edge on one side alone an error of the size
+is an error of the place.
+
+Validity: something of the ground's colour in front of the marker; a fifth of the edge's information
+left. What is brighter than the ground, as a glint, is not recognised: such fits are refused by
+their residuals.
+
+Why not compiled: few markers of few pictures need it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels
+from twin.sense.template import IMPERFECT, Templates, disc, slope_terms
+
+FREE = 7
+"""Centre x, y, ground, level; growth, stretch along the axes and the diagonals."""
+
+NARROWER = 0.6
+"""Missing light counts less above a limit, which falls by this factor with every step from half
+the brightness on: first it may be that the start is wrong, later that a part is hidden."""
+
+FIRST, LATER, TURNS = 8, 11, 20
+"""Steps after which pixels are left out, and looked at again; and the most steps."""
+
+LACKS = 3.0
+"""A pixel, with its neighbours, that lacks light by so many standard deviations is hidden. Those of
+a mean are less by the root of the number, but not where noise hangs together over pixels."""
+
+BESIDE_PX, BESIDE, AROUND_PX, AROUND = 1.5, 0.45, 2.1, 0.6
+"""How far neighbours are, and around a hidden pixel those that are not used as the blur reaches
+them: px, and shares of the blur's half width where that is more."""
+
+OUTLIER_SD, SETTLED_PX, LARGEST_STEP = 6.0, 2e-3, 0.4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expected:
+    """What markers should look like, were they whole.
+
+    Attributes
+    ----------
+    axes, axes_sd
+        (k, 3) semi-axes xx, xy, yy, px; (k,) how well growth and stretches are known, px.
+    level, level_sd
+        (k,) brightness, counts.
+    blur
+        (k,) half width of the blur, px.
+    """
+
+    axes: Floats
+    axes_sd: Floats
+    level: Floats
+    level_sd: Floats
+    blur: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisiblePart:
+    """Fits of the parts in sight.
+
+    Attributes
+    ----------
+    centre_px, sd_px
+        (k, 2) centres; (k,) their standard deviations per axis, px.
+    misfit, pixels
+        (k,) squared residuals over their expected size, and over how many pixels.
+    edge, covered, hidden
+        (k,) share of the edge's information that is used, and that another layer covers; share of
+        the marker that is hidden.
+    level, ground
+        (k,) brightness, counts.
+    step_px
+        (k,) last step.
+    """
+
+    centre_px: Pixels
+    sd_px: Floats
+    misfit: Floats
+    pixels: Ints
+    edge: Floats
+    covered: Floats
+    hidden: Floats
+    level: Floats
+    ground: Floats
+    step_px: Floats
+
+
+def fit_visible(
+    picture: Picture, templates: Templates, rows: Ints, start_px: Pixels, expected: Expected
+) -> VisiblePart:
+    """Fit the parts in sight of the markers ``rows``, from (k, 2) ``start_px`` on."""
+    known = templates.shape[rows]
+    noise = templates.noise * templates.usual_misfit
+    reach = float(np.max(expected.axes[:, [0, 2]].max(axis=1) + expected.blur)) + 2.0
+    offset = _offsets(reach)
+    middle = np.rint(start_px).astype(np.int64)
+    place = middle[:, None] + offset
+    signal, use = _signal(picture, templates, place)
+    far = np.hypot(*offset.T) > reach - 1.5
+    ground = np.array([_median(s[u & far]) for s, u in zip(signal, use, strict=True)])
+    distance = np.hypot(*np.moveaxis(offset[:, None] - offset, 2, 0))
+    blurred = float(np.max(expected.blur))
+    beside = (distance < max(BESIDE_PX, BESIDE * blurred)).astype(float)
+    around = (distance <= max(AROUND_PX, AROUND * blurred)).astype(float)
+    number = np.maximum(use @ beside, 1.0) ** (1.0 if templates.every else 0.5)
+    spread = np.stack([expected.level_sd, *3 * [expected.axes_sd]], axis=1)
+    held = np.concatenate([np.zeros((len(rows), 3)), spread**-2.0], axis=1)
+
+    centre, level, ratio = np.array(start_px, float), expected.level.copy(), 0.5
+    change, hidden = np.zeros((len(rows), 3)), np.zeros(signal.shape, np.bool_)
+    radius = np.sqrt(np.maximum(expected.axes[:, 0] * expected.axes[:, 2], 0.25))
+    most = LARGEST_STEP * radius[:, None]
+    for turn in range(TURNS):
+        # the model and its slopes along the parameters
+        terms = slope_terms(centre, picture.shape)
+        slope = known[:, 3:5] + terms @ templates.slopes.T
+        axes = expected.axes + change @ [[1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
+        cover, light, tilt, normal = _model(place - centre[:, None], axes, slope, known, expected)
+        model, tilt = cover * light, level[:, None] * tilt
+        residual = signal - ground[:, None] - level[:, None] * model
+        share = np.clip(model, 0.0, 1.0)
+        expected_square = noise[0] + (noise[1] - noise[0]) * share
+        edge = 4.0 * np.clip(cover * (1.0 - cover), 0.0, 0.25)
+        variance = expected_square + (IMPERFECT * level[:, None]) ** 2 * edge
+        # missing light counts less than too much of it; later it is left out
+        if turn < FIRST:
+            limit = np.maximum(ratio * level, 4.0 * np.sqrt(noise[1]))[:, None]
+            trust = np.where(residual > 0.0, 1.0, 1.0 / (1.0 + (residual / limit) ** 2) ** 2)
+            weight = use * trust / variance
+            ratio *= NARROWER
+        else:
+            if turn in (FIRST, LATER):
+                score = (use * residual / np.sqrt(variance)) @ beside / number
+                lacks = (score < -LACKS) & use & (cover > 0.03)
+                hidden = lacks @ around > 0.0
+            odd = residual**2 / (OUTLIER_SD**2 * variance)
+            weight = (use & ~hidden) / variance / (1.0 + odd) ** 2
+        # a Gauss-Newton step, with what is known of level and outline
+        x, y = normal
+        rows_ = [tilt * x, tilt * y, np.ones_like(tilt), model]
+        rows_ += [tilt, tilt * (x * x - y * y), tilt * 2.0 * x * y]
+        slopes = np.stack(rows_, axis=1)
+        weighted = slopes * weight[:, None]
+        matrix = weighted @ np.swapaxes(slopes, 1, 2)
+        right = (weighted @ residual[:, :, None])[:, :, 0]
+        matrix[:, range(FREE), range(FREE)] += held + 1e-9
+        away = np.concatenate([(level - expected.level)[:, None], change], axis=1)
+        right[:, 3:] -= held[:, 3:] * away
+        step = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+        centre += np.clip(step[:, :2], -most, most)
+        ground = ground + step[:, 2]
+        level = np.maximum(level + step[:, 3], 0.3 * expected.level)
+        change += np.clip(step[:, 4:], -0.25 * most, 0.25 * most)
+        if turn > LATER and np.hypot(step[:, 0], step[:, 1]).max() < SETTLED_PX:
+            break
+    used = use & ~hidden
+    count = used.sum(axis=1)
+    squares = (residual**2 * used / expected_square).sum(axis=1)
+    covariance = np.linalg.inv(matrix)
+    return VisiblePart(
+        centre_px=centre,
+        sd_px=np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])),
+        misfit=templates.usual_misfit * squares / np.maximum(count, 1),
+        pixels=count,
+        edge=(tilt**2 * used).sum(axis=1) / np.maximum((tilt**2).sum(axis=1), 1e-9),
+        covered=(tilt**2 * ~use).sum(axis=1) / np.maximum((tilt**2).sum(axis=1), 1e-9),
+        hidden=(cover * (hidden & use)).sum(axis=1) / cover.sum(axis=1),
+        level=level,
+        ground=ground,
+        step_px=np.hypot(step[:, 0], step[:, 1]),
+    )
+
+
+def _offsets(reach: float) -> Ints:
+    """Return (m, 2) offsets of the pixels within ``reach``."""
+    offset, runs = disc(reach)
+    return np.asarray(offset[:, : int(runs[:, 2].sum())].T)
+
+
+def _median(values: Floats) -> float:
+    return float(np.median(values)) if len(values) else 0.0
+
+
+def _signal(picture: Picture, templates: Templates, place: Ints) -> tuple[Floats, Bools]:
+    """Return the projected pixels at ``place`` (k, m, 2), and which of them count."""
+    height, width = picture.shape[:2]
+    use = ((place >= 0) & (place < [width, height])).all(axis=2)
+    column, row = np.clip(place, 0, [width - 1, height - 1]).transpose(2, 0, 1)
+    pixels = picture[row, column].astype(float)
+    own = templates.own.astype(float)
+    for other in templates.others.astype(float):
+        use &= pixels @ other[:3] <= other[3]
+    return pixels @ own[:3] - own[3], np.asarray(use)
+
+
+def _model(
+    off: Floats, axes: Floats, slope: Floats, known: Floats, expected: Expected
+) -> tuple[Floats, Floats, Floats, tuple[Floats, Floats]]:
+    """Return, at offsets (k, m, 2) from the centres, the covered share, the light on it, the slope
+    of the edge and its normal; as `twin.sense.template` has it, for a level of 1."""
+    dx, dy = off[:, :, 0], off[:, :, 1]
+    xx, xy, yy = axes.T
+    a, b, c = xx * xx + xy * xy, xy * (xx + yy), yy * yy + xy * xy
+    determinant = np.maximum(a * c - b * b, 1e-6)
+    form_xx, form_xy, form_yy = (
+        f[:, None] for f in (c / determinant, -b / determinant, a / determinant)
+    )
+    ax, ay = form_xx * dx + form_xy * dy, form_xy * dx + form_yy * dy
+    squared = ax * dx + ay * dy + 1e-6
+    steep = np.sqrt(ax * ax + ay * ay + 1e-8)
+    v = np.clip((np.sqrt(squared) - squared) / steep / expected.blur[:, None], -1.0, 1.0)
+    v2 = v * v
+    cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
+    light = 1.0 + slope[:, :1] * dx + slope[:, 1:] * dy + known[:, 5:6] * np.minimum(squared, 1.0)
+    tilt = light * (1.0 - v2) ** 2 * 15 / 16 / expected.blur[:, None]
+    return cover, light, tilt, (ax / steep, ay / steep)
