@@ -145,9 +145,8 @@ def calibrate_to_file(
 
 def sensor_digest(scene: Scene) -> str:
     """Return a hash of what a calibration by presses depends on: the sensor, not the press."""
-    table = scene.model_dump(
-        mode="json", exclude={"title", "press", "tractions", "accuracy", "dataset", "vary"}
-    )
+    others = {"title", "press", "tractions", "accuracy", "renderer", "dataset", "vary"}
+    table = scene.model_dump(mode="json", exclude=others)
     table["calibration"].pop("file")
     table["reconstruction"] = table["reconstruction"]["sites"]
     return hashlib.sha256(json.dumps(identity(table), sort_keys=True).encode()).hexdigest()
