@@ -1,87 +1,203 @@
-"""The gallery: pictures and pages of shipped scenes, made by running them."""
+"""The gallery: pictures that the lines beside them make, when the documentation is built."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from textwrap import dedent
 
-import numpy as np
+import matplotlib as mpl
+import matplotlib.pyplot as plt
 
 import twin
+from twin.errors import MissingCapability
 from twin.files import write_whole
 from twin.show.body_view import body_page
 from twin.study.view import body_view
 
 
 @dataclass(frozen=True)
-class Exhibit:
-    """A scene and what to look at in it."""
+class Plate:
+    """A picture: its name, what to see in it, and the lines that make it."""
 
-    scene: str
+    name: str
     said: str
+    lines: str
 
 
-EXHIBITS = (
-    Exhibit("kamiyama_pillar", "Flat sensor, 5 mm pillar: markers move away from it, the deeper red ones less."),
-    Exhibit("kamiyama_twist", "The same sensor under a pillar that turns about its axis."),
-    Exhibit("sato_press", "The finger under a 3 mm sphere, seen through its fisheye lens with LEDs beside it."),
-    Exhibit("gelpad_press", "A gel pad 4 mm thick with one layer of printed dots, under a 6 mm sphere."),
+@dataclass(frozen=True)
+class Room:
+    """Plates that belong together."""
+
+    title: str
+    said: str
+    plates: tuple[Plate, ...]
+
+
+def _moved(name: str, scene: str, said: str) -> Plate:
+    """Return the plate of a scene's markers, moved by its press."""
+    lines = f"""
+        sensor = twin.Sensor(twin.load_scene("{scene}"))
+        rest = sensor.picture(None)
+        pressed = sensor.picture(sensor.press())
+        figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5), layout="constrained")
+        left.imshow((pressed / 255) ** 0.5)  # brightened
+        grey = pressed.max(axis=2, keepdims=True) // 2
+        twin.track(rest, pressed, sensor.layout_px).plot(right, np.repeat(grey, 3, axis=2))
+    """
+    return Plate(name, said, lines)
+
+
+SENSORS = Room(
+    "Sensors: what the camera sees, and how markers move",
+    "The picture under the press of each scene, brightened, and the tracked motion of its markers.",
+    (
+        _moved(
+            "flat", "kamiyama_pillar", "Flat sensor, 5 mm pillar: markers move away from it, the deep red ones less."
+        ),
+        _moved("twist", "kamiyama_twist", "The same sensor under a pillar that turns about its axis."),
+        _moved("shear", "kamiyama_shear", "The same sensor, pressed and pulled aside."),
+        _moved("finger", "sato_press", "The finger under a 3 mm sphere, through its fisheye lens."),
+        _moved("gelpad", "gelpad_press", "A gel pad 4 mm thick with one layer of printed dots, under a 6 mm sphere."),
+        _moved("dome", "dome_press", "A dome."),
+    ),
 )
 
 
 OBJECTS = ("letter", "gear", "screw", "brick", "grating", "ring")
-PICTURE_PX, PICTURE_MM = 240, 10.0
+
+CONTACTS = Room(
+    "Contact: pressure under probes and objects",
+    "Patches in contact, coloured by their pressure; a dot marks a patch that slips.",
+    (
+        Plate(
+            "probes",
+            "A sphere presses most in the middle; a pillar at its rim; a sphere pulled aside slips behind.",
+            """
+            figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+            for ax, scene in zip(axes, ("gelpad_press", "kamiyama_pillar", "sato_shear")):
+                twin.Sensor(twin.load_scene(scene)).press().plot(ax)
+                ax.set_title(scene)
+            """,
+        ),
+        Plate(
+            "objects",
+            "Everyday objects on a flat gel. `dataset_objects` presses all of them.",
+            f"""
+            figure, axes = plt.subplots(2, 3, figsize=(13, 7.6), layout="constrained")
+            for ax, name in zip(axes.flat, {OBJECTS}):
+                twin.Sensor(twin.load_scene("object_" + name)).press().plot(ax)
+                ax.set_title(name)
+            """,
+        ),
+    ),
+)
+
+
+CAMERAS = Room(
+    "Cameras: what the light and the CCD do",
+    "The middle of one picture, as other renderers and cameras deliver it.",
+    (
+        Plate(
+            "renderers",
+            "`splat` and `mitsuba` draw the same picture, without and with Mitsuba. `path` is Mitsuba's own path "
+            "integrator: markers shadow the cover and light each other. Brightened.",
+            """
+            figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+            for ax, renderer in zip(axes, ("splat", "mitsuba", "path")):
+                scene = twin.load_scene("kamiyama_pillar", {"renderer": renderer})
+                ax.imshow((twin.Sensor(scene).picture(None)[180:300, 240:400] / 255) ** 0.5)
+                ax.set_title(renderer)
+            """,
+        ),
+        Plate(
+            "presets",
+            "The capture chains: no blur and no noise; a machine-vision camera; composite video of the flat paper; "
+            "a colour mosaic and JPEG, as the finger's paper may have had.",
+            """
+            figure, axes = plt.subplots(1, 4, figsize=(13, 3.2), layout="constrained")
+            for ax, preset in zip(axes, ("ideal", "industrial", "kamiyama_ntsc", "sato_60fps")):
+                scene = twin.load_scene("kamiyama_pillar", {"ccd.preset": preset})
+                ax.imshow(twin.Sensor(scene).picture(None)[210:270, 280:360])
+                ax.set_title(preset)
+            """,
+        ),
+        Plate(
+            "focus",
+            "A wide pupil blurs what lies out of focus: here the red layer, the blue one, and neither.",
+            """
+            figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+            for ax, focus in zip(axes, (6.0, 3.0, -6.0)):
+                wide = {"camera.aperture_mm": 8.0, "camera.focus_z_mm": focus}
+                scene = twin.load_scene("kamiyama_pillar", wide)
+                ax.imshow(twin.Sensor(scene).picture(None)[210:270, 280:360])
+                ax.set_title(f"8 mm pupil, sharp at z = {focus:g} mm")
+            """,
+        ),
+    ),
+)
+
+
+FIELDS = Room(
+    "Force fields: what the sensor's software makes of the pictures",
+    "Colour is the force along z, arrows are along the surface; the last panel is the truth.",
+    (
+        Plate(
+            "run",
+            "A whole run, as `twin run kamiyama_pillar` computes it.",
+            """
+            twin.run("kamiyama_pillar").plot()
+            """,
+        ),
+        Plate(
+            "inverses",
+            "Two balls 6 mm apart, reconstructed by each inverse from the same picture.",
+            """
+            figure, axes = plt.subplots(2, 3, figsize=(13, 6.4), layout="constrained")
+            for ax, method in zip(axes.flat, ("smooth", "norm", "pinv", "local")):
+                inverse = {"reconstruction.method": method}
+                result = twin.run("two_points", want=["displacement", "forces"], overrides=inverse)
+                result.estimate.plot(ax)
+                ax.set_title(method)
+            result.truth.plot(axes[1, 1])
+            axes[1, 2].set_axis_off()
+            """,
+        ),
+    ),
+)
+
+ROOMS = (SENSORS, CONTACTS, CAMERAS, FIELDS)
+
+BODIES = ("kamiyama_pillar", "sato_press", "gelpad_press")
 
 
 def make_gallery(folder: Path) -> None:
-    """Write ``gallery.md``, its pictures, a page of the deformed body for each exhibit, and what objects press."""
+    """Write ``gallery.md``, its pictures, and pages of deformed bodies."""
     (folder / "pages").mkdir(parents=True, exist_ok=True)
-    lines = ["# Gallery", "", "Made when this documentation was built, by `twin run` and `twin view`.", ""]
-    for exhibit in EXHIBITS:
-        sensor = twin.Sensor(twin.load_scene(exhibit.scene))
-        state = sensor.press()
-        for name, picture in (("rest", sensor.picture(None)), ("pressed", sensor.picture(state.load))):
-            _save(picture, folder / f"{exhibit.scene}_{name}.png")
-        page = body_page(body_view(sensor))
-        write_whole(folder / "pages" / f"{exhibit.scene}.html", lambda f, page=page: f.write(page.encode()))
-        lines += [
-            f"## {sensor.nominal.title}", "", exhibit.said, "",
-            f"![at rest]({exhibit.scene}_rest.png){{width=\"49%\"}} "
-            f"![pressed]({exhibit.scene}_pressed.png){{width=\"49%\"}}", "",
-            f"Turn it in the browser: <a href=\"{{root}}{exhibit.scene}.html\">the deformed body</a> "
-            f"(`twin view {exhibit.scene}`).", "",
-        ]  # fmt: skip
-    lines += [
-        "## Everyday objects", "",
-        "Contact pressures under the objects of the recipes `object_letter` to "
-        f"`object_ring` ({PICTURE_MM:g} mm across, brightness is the root of the pressure). "
-        "`dataset_objects` presses all of them.", "",
-    ]  # fmt: skip
-    for name in OBJECTS:
-        state = twin.Sensor(twin.load_scene(f"object_{name}")).press()
-        _save(_pressures(state), folder / f"object_{name}.png")
-        lines += [f'![{name}](object_{name}.png){{width="32%"}}']
-    lines += [""]
-    text = "\n".join(lines).replace("{root}", "../")
-    (folder / "gallery.md").write_text(text, encoding="utf-8")
+    text = ["# Gallery", "Made when this documentation was built; each picture by the lines below it, after"]
+    text += ["```python\nimport matplotlib.pyplot as plt\nimport numpy as np\nimport twin\n```"]
+    for room in ROOMS:
+        text += [f"## {room.title}", room.said]
+        for plate in room.plates:
+            text += [plate.said, _shown(plate, folder)]
+    text += ["## Bodies", "Turn them in the browser:"]
+    for scene in BODIES:
+        page = body_page(body_view(twin.Sensor(twin.load_scene(scene))))
+        write_whole(folder / "pages" / f"{scene}.html", lambda f, page=page: f.write(page.encode()))
+        text += [f'- <a href="../{scene}.html">{scene}</a> (`twin view {scene}`)']
+    (folder / "gallery.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
 
 
-def _pressures(state: Any) -> np.ndarray:
-    """Return a grey picture of the pressures, x to the right and y upwards."""
-    (load,) = state.load.terms
-    low, high = (
-        np.rint((load.centre_mm[:, :2] + sign * load.half_mm) / PICTURE_MM * PICTURE_PX + PICTURE_PX / 2).astype(int)
-        for sign in (-1, 1)
-    )
-    grey = np.zeros((PICTURE_PX, PICTURE_PX), np.uint8)
-    shade = 255.0 * np.sqrt(np.minimum(state.pressure_mpa / np.quantile(state.pressure_mpa, 0.98), 1.0))
-    for (u0, v0), (u1, v1), value in zip(np.maximum(low, 0), high, shade, strict=True):
-        grey[v0 : max(v1, v0 + 1), u0 : max(u1, u0 + 1)] = value
-    return np.repeat(grey[::-1, :, None], 3, axis=2)
-
-
-def _save(picture: twin.arrays.Picture, path: Path) -> None:  # type: ignore[name-defined]
-    from PIL import Image
-
-    write_whole(path, lambda f: Image.fromarray(picture).save(f, "PNG"))
+def _shown(plate: Plate, folder: Path) -> str:
+    """Run a plate's lines, write its picture, and return both as text; or why it can't be drawn here."""
+    lines = dedent(plate.lines).strip()
+    code = f"```python\n{lines}\n```"
+    with mpl.rc_context({"figure.dpi": 80, "font.size": 9}):
+        try:
+            exec(lines, {"plt": plt, "np": __import__("numpy"), "twin": twin})
+        except MissingCapability as problem:
+            plt.close("all")
+            return f"{code}\n\nNot drawn on the machine that built these pages: {problem}"
+        plt.gcf().savefig(folder / f"gallery_{plate.name}.png", bbox_inches="tight")
+        plt.close("all")
+    return f"![{plate.said}](gallery_{plate.name}.png)\n\n{code}"

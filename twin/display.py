@@ -181,6 +181,10 @@ def plot_forces(
     return ax
 
 
+_DISTINCT = 0.95
+"""Share of the patches whose pressures are told apart by colour."""
+
+
 def plot_patches(ax: Any, corner_mm: Floats, pressure_mpa: Floats, slip: Bools) -> Any:
     """Draw the pressures of contact patches, slipping ones with a dot.
 
@@ -196,12 +200,14 @@ def plot_patches(ax: Any, corner_mm: Floats, pressure_mpa: Floats, slip: Bools) 
     from matplotlib.collections import PolyCollection
 
     drawn = PolyCollection(list(corner_mm[:, :, :2]), array=pressure_mpa, cmap="viridis")
+    if len(pressure_mpa):  # the few highest, at sharp edges, would leave no colours to the others
+        drawn.set_clim(0.0, float(np.quantile(pressure_mpa, _DISTINCT)))
     ax.add_collection(drawn)
     ax.autoscale_view()
     if slip.any() and not slip.all():
         ax.plot(*corner_mm[slip].mean(axis=1)[:, :2].T, "w.", ms=2, label="slips")
         ax.legend(loc="upper right", facecolor="#666666", labelcolor="white")
-    ax.figure.colorbar(drawn, ax=ax, label="pressure (MPa)")
+    ax.figure.colorbar(drawn, ax=ax, label="pressure (MPa)", extend="max")
     _in_mm(ax, f"contact, {len(pressure_mpa)} patches")
     return ax
 
