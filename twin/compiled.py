@@ -27,10 +27,12 @@ import hashlib
 import multiprocessing
 import os
 import re
+import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -38,6 +40,8 @@ import numba
 import numpy as np
 from numba import config
 from numba.core import event
+
+_NULL = subprocess.DEVNULL
 
 SHOWN_AFTER_S = 1.0
 """Seconds of compiling after which a line on stderr names what takes so long."""
@@ -118,9 +122,14 @@ class Compiling(event.Listener):  # type: ignore[misc]
     ----------
     spent_s
         Seconds that this process has compiled the program's own functions.
+    ahead
+        A module that a second process runs from the moment when the line is printed, to compile and
+        store what it uses meanwhile; "" for none.
     """
 
     def __init__(self) -> None:
+        self.ahead = ""
+        self._second: subprocess.Popen[bytes] | None = None
         self._collects = False
         self.spent_s = 0.0
         self._since = 0.0
@@ -152,10 +161,37 @@ class Compiling(event.Listener):  # type: ignore[misc]
         if sys.stderr is not None and multiprocessing.parent_process() is None:
             line = "twin: compiling, once after an install or an update: about half a minute in all"
             print(line, file=sys.stderr, flush=True)
+        if self.ahead and config.NUMBA_NUM_THREADS > 1:
+            command = [sys.executable, "-m", self.ahead]
+            self._second = subprocess.Popen(command, stdout=_NULL, stderr=_NULL, stdin=_NULL)
+
+    def wait_for_second(self) -> None:
+        """Wait until the second process has stored what it compiles, if there is one."""
+        if self._second is not None:
+            self._second.wait()
+        self.ahead = ""
+
+    def end_second(self) -> None:
+        """End the second process, if there is one."""
+        if self._second is not None:
+            self._second.kill()
+        self.wait_for_second()
+        self._second = None
 
 
 COMPILING = Compiling()
 event.register("numba:compile", COMPILING)
+
+
+@contextmanager
+def compiled_ahead(module: str) -> Iterator[None]:
+    """Within the block, have a second process run a module once compiling takes long (see
+    `Compiling`): what it compiles is stored when this process comes to it."""
+    COMPILING.ahead = module
+    try:
+        yield
+    finally:
+        COMPILING.end_second()
 
 
 _PARTS = 8

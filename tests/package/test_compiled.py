@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+from textwrap import dedent
 from types import FunctionType, SimpleNamespace
 
 import pytest
@@ -55,6 +56,24 @@ def test_a_helper_changed_in_another_module_changes_its_callers(package: Path) -
     assert said(package) == ["7.0", "1"]
     (package / "inner.py").write_text(HELPER.replace("2.0", "5.0"))
     assert said(package) == ["16.0", "0"]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_where_compiling_takes_long_a_second_process_compiles_what_comes_later(package: Path, threads: int) -> None:
+    """Not on one thread: there it would take the time of the first."""
+    done = package.parent / "done"
+    (package / "other.py").write_text(f"open({str(done)!r}, 'w').close()\n")
+    first = """
+        import twin.compiled
+        from twin.outer import caller
+        twin.compiled.SHOWN_AFTER_S = 1e-9
+        with twin.compiled.compiled_ahead("twin.other"):
+            caller(3.0)
+            twin.compiled.COMPILING.wait_for_second()
+    """
+    told = {**os.environ, "PYTHONPATH": str(package.parent), "NUMBA_NUM_THREADS": str(threads)}
+    subprocess.run([sys.executable, "-c", dedent(first)], cwd=package.parent, env=told, check=True)
+    assert done.exists() == (threads > 1)
 
 
 def test_the_sources_of_a_module_hold_all_that_it_took_from_others() -> None:

@@ -30,6 +30,7 @@ import numpy as np
 
 from twin.arrays import Floats, Progress
 from twin.blas_threads import one_blas_thread
+from twin.compiled import COMPILING, compiled_ahead
 from twin.errors import ContactError, InputError, RecipeError, SomeFailed
 from twin.files import make_folder, write_whole
 from twin.parts.load import Rectangles
@@ -142,7 +143,8 @@ def run_to_folder(
     make_folder(folder)
     RunResult.refuse_other_files(folder)
     chain.keep_last = True
-    result = chain.result()
+    with compiled_ahead("twin.sense.compile_ahead" if "tracking" in chain.needed else ""):
+        result = chain.result()
     page = ""
     if "report" in wanted:
         from twin.show.report import report
@@ -268,6 +270,7 @@ class _Chain:
                 from twin.sense.track import track
 
                 with self.stage("tracking"):
+                    COMPILING.wait_for_second()
                     try:
                         found = track(rest, pressed, sensor.layout_px, method=scene.tracking.method)
                     except InputError as problem:  # truth and pictures are still useful
