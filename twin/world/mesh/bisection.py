@@ -6,15 +6,11 @@ Numer. Meth. Eng. 40). Angles stay bounded and the result is the same every time
 
 A block is cut into a few cells, and each of these into six tetrahedra, which are halved to the
 wanted edges: a second's work; the smallest angle is 20 degrees and more on all proportions.
-
-Elements that are turned over, or nearly, where nodes move onto a curved surface are halved, with
-their neighbourhood (`mended`): fillets need elements that are not much wider.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +19,6 @@ from twin.errors import MeshError
 from twin.parts.body import Block, Body
 from twin.world.mesh.elements import TET_EDGES, kuhn_grid, signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import LEAST_JACOBIAN_RATIO, jacobian_ratios
 from twin.world.mesh.sizing import Sizing, WantedEdge
 from twin.world.mesh.snap import snapped_mesh
 
@@ -36,13 +31,6 @@ _LONGEST = 2.0
 _LARGEST, _STEP = 8.0, 0.94
 """A block's mesh is halved to the wanted edges times the first of these, then to ever shorter ones,
 by the other, until it has as many unknowns as wanted, or more: up to two thirds on small ones."""
-
-
-_MENDINGS = 3
-"""Times that bad elements are halved before a mesh is given up."""
-
-_SHORTER, _SPREAD = 0.75, 1.5
-"""Wanted edge of a bad element over its longest, and growth with the distance from it."""
 
 
 def block_mesh(block: Block, sizing: Sizing) -> Mesh:
@@ -64,31 +52,6 @@ def block_mesh(block: Block, sizing: Sizing) -> Mesh:
         scale *= _STEP
         points, tets = _halved(points, tets, wanted)
     return snapped_mesh(block, points, tets)
-
-
-def mended(body: Body, points: Points, tets: Ints) -> Mesh:
-    """Return the quadratic mesh of linear tetrahedra, ``points`` (n, 3) and ``tets`` (m, 4), on the
-    body's surface. Elements whose map is too uneven are halved; a few may be left."""
-    from scipy.spatial import cKDTree
-
-    mesh = snapped_mesh(body, points, tets)
-    for _ in range(_MENDINGS):
-        bad = jacobian_ratios(mesh.points, mesh.tets) < LEAST_JACOBIAN_RATIO
-        if not bad.any():
-            break
-        points, tets = mesh.points[: mesh.corners], mesh.tets[:, :4]
-        corners = points[tets[bad]]
-        longest = np.linalg.norm(
-            corners[:, TET_EDGES[:, 0]] - corners[:, TET_EDGES[:, 1]], axis=2
-        ).max(axis=1)
-        tree = cKDTree(corners.mean(axis=1))
-
-        def wanted(places: Points, tree: Any = tree, longest: Floats = longest) -> Floats:
-            away, nearest = tree.query(places)
-            return np.asarray(_SHORTER * longest[nearest] + _SPREAD * away)
-
-        mesh = snapped_mesh(body, *_halved(points, tets, wanted))
-    return mesh
 
 
 def _unknowns(points: Points, tets: Ints) -> int:
