@@ -41,8 +41,6 @@ import numpy as np
 from numba import config
 from numba.core import event
 
-_NULL = subprocess.DEVNULL
-
 SHOWN_AFTER_S = 1.0
 """Seconds of compiling after which a line on stderr names what takes so long."""
 
@@ -162,8 +160,9 @@ class Compiling(event.Listener):  # type: ignore[misc]
             line = "twin: compiling, once after an install or an update: about half a minute in all"
             print(line, file=sys.stderr, flush=True)
         if self.ahead and config.NUMBA_NUM_THREADS > 1:
+            silent = subprocess.DEVNULL
             command = [sys.executable, "-m", self.ahead]
-            self._second = subprocess.Popen(command, stdout=_NULL, stderr=_NULL, stdin=_NULL)
+            self._second = subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent)
 
     def wait_for_second(self) -> None:
         """Wait until the second process has stored what it compiles, if there is one."""

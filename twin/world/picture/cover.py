@@ -39,6 +39,13 @@ class CoverMotion:
     displacement_mm: Points
     gradient: Floats
 
+    def turned(self, normals: Floats) -> Floats:
+        """Return (m, 3) unit normals of the deformed surface, F^-T n with F = I + du/dx."""
+        deformed = np.swapaxes(np.eye(3) + self.gradient, 1, 2)
+        moved = np.asarray(np.linalg.solve(deformed, normals[:, :, None])[:, :, 0], np.float64)
+        unit: Floats = moved / np.linalg.norm(moved, axis=1, keepdims=True)
+        return unit
+
 
 class Background:
     """The places of the cover that a coarse grid of rays meets.
@@ -89,16 +96,12 @@ class Background:
         Notes
         -----
         A ray meets the moved surface where it has come (u . n) / (d . n) farther along its
-        direction d. The normal of a deformed surface is F^-T n, F = I + du/dx.
+        direction d.
         """
         ahead = np.einsum("ni,ni->n", motion.displacement_mm, self.normals)
         ahead = ahead / np.einsum("ni,ni->n", self._along, self.normals)
         moved = self.points + self._along * ahead[:, None]
-        deformed = np.swapaxes(np.eye(3) + motion.gradient, 1, 2)
-        turned = np.asarray(
-            np.linalg.solve(deformed, self.normals[:, :, None])[:, :, 0], np.float64
-        )
-        normals = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        normals = motion.turned(self.normals)
         before = _brightness(self.points, self.normals, self._scene, self._top)
         after = _brightness(moved, normals, self._scene, self._top)
         factor = np.ones(len(self._met))

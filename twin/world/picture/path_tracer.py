@@ -370,9 +370,7 @@ def _cover_mesh(background: Background, motion: CoverMotion | None, albedo: Any)
     normals = background.normals
     if motion is not None:
         places = places + motion.displacement_mm
-        deformed = np.swapaxes(np.eye(3) + motion.gradient, 1, 2)
-        turned = np.asarray(np.linalg.solve(deformed, normals[:, :, None])[:, :, 0], float)
-        normals = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        normals = motion.turned(normals)
     reflectance = {"type": "rgb", "value": list(albedo)}
     paint = {"type": "twosided", "cover": {"type": "diffuse", "reflectance": reflectance}}
     return _mesh(places, normals, background.triangles, paint)
