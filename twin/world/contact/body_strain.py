@@ -16,7 +16,6 @@ Validity: one rigid sphere, pressed along its way without friction on a finger o
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -31,6 +30,7 @@ from twin.parts.probe import Sphere
 from twin.world.contact.contact_state import ContactState, Share
 from twin.world.contact.probe_gap import Z, approach_of
 from twin.world.contact.whole_body import Equilibrated, Rubber, SurfaceTouch, pressed_further
+from twin.world.elasticity.mixed_rubber import largest, newton
 from twin.world.elasticity.strain_law import LEAST_POISSON
 from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
@@ -146,7 +146,7 @@ class BodyStrain:
         """How far this may be off, over the linear answer: what a coarser mesh changes."""
         other = self._solved(_COARSE)
         moved = _read(other.places(self._watched), other.change)
-        there = _largest(moved - self.displacement(self._watched)) / _largest(self._linear_there)
+        there = largest(moved - self.displacement(self._watched)) / largest(self._linear_there)
         sunk = abs(other.deeper_mm - self.indentation_mm) / self._state.indentation_mm
         return Share(
             indentation=_ERROR_OVER_CHANGE * sunk + _TOLERANCE,
@@ -156,7 +156,7 @@ class BodyStrain:
     @cached_property
     def linear_error(self) -> float:
         """How far linear theory is off at the watched points, over the largest displacement."""
-        return _largest(self.displacement(self._watched)) / _largest(self._linear_there)
+        return largest(self.displacement(self._watched)) / largest(self._linear_there)
 
     @cached_property
     def _linear_there(self) -> Points:
@@ -224,18 +224,18 @@ class BodyStrain:
     ) -> Equilibrated:
         """Take Newton's steps until one moves nothing."""
         problem: Exception | None = None
-        step = math.inf
+        still = False
         try:
-            for _ in range(MOST_STEPS):
-                after = pressed_further(rubber, touch, state, force, linear=linear)
-                moved = rubber.displacement(after.unknowns)
-                step = _largest(moved - rubber.displacement(state.unknowns)) / _largest(moved)
-                state = after
-                if step < _TOLERANCE or not math.isfinite(step):
-                    break
+            state, still = newton(
+                lambda one: pressed_further(rubber, touch, one, force, linear=linear),
+                lambda one: rubber.displacement(one.unknowns),
+                state,
+                MOST_STEPS,
+                _TOLERANCE,
+            )
         except (NotSettled, SolveError) as found:
             problem = found
-        if problem is not None or not step < _TOLERANCE:
+        if not still:
             raise NotSettled(
                 f"contact: at finite strain (material.law = {self._material.law}) Newton's steps "
                 f"did not converge in {MOST_STEPS}: press with less force, with a larger probe, or "
@@ -248,10 +248,6 @@ class BodyStrain:
                 "theory: press with less force, or set material.law = linear"
             )
         return state
-
-
-def _largest(vectors: Floats) -> float:
-    return float(np.linalg.norm(vectors, axis=1).max())
 
 
 def _unsolved(

@@ -59,6 +59,7 @@ from twin.world.contact.round_slab import (
     rim_grid,
     stepped,
 )
+from twin.world.elasticity.mixed_rubber import largest, newton
 from twin.world.elasticity.strain_law import LEAST_POISSON
 
 LEAST_EDGE = 0.02
@@ -215,7 +216,7 @@ class FiniteStrain:
         that ends at the block's nearest side."""
         other = self._solved(_COARSER, self._beside_mm)
         moved = self._at(self._watched, other.grid, other.change)
-        there = _largest(moved - self.displacement(self._watched)) / _largest(self._linear_there)
+        there = largest(moved - self.displacement(self._watched)) / largest(self._linear_there)
         sunk = abs(other.deeper_mm - self.indentation_mm) / self._state.indentation_mm
         factor = _ERROR_OVER_CHANGE
         if self._rim:
@@ -227,7 +228,7 @@ class FiniteStrain:
     @cached_property
     def linear_error(self) -> float:
         """How far linear theory is off at the watched points, over the largest displacement."""
-        return _largest(self.displacement(self._watched)) / _largest(self._linear_there)
+        return largest(self.displacement(self._watched)) / largest(self._linear_there)
 
     @cached_property
     def _linear_there(self) -> Points:
@@ -320,14 +321,14 @@ class FiniteStrain:
         self, slab: Slab, touch: Touch, state: Balance, force: float, *, linear: bool
     ) -> Balance:
         """Take Newton's steps until one moves nothing."""
-        for _ in range(_STEPS):
-            after = stepped(slab, touch, state, force, linear=linear)
-            moved = slab.displacement(after.unknowns)
-            step = _largest(moved - slab.displacement(state.unknowns)) / _largest(moved)
-            state = after
-            if step < _TOLERANCE or not math.isfinite(step):
-                break
-        if not step < _TOLERANCE:
+        state, still = newton(
+            lambda one: stepped(slab, touch, one, force, linear=linear),
+            lambda one: slab.displacement(one.unknowns),
+            state,
+            _STEPS,
+            _TOLERANCE,
+        )
+        if not still:
             raise NotSettled(
                 f"contact: at finite strain (material.law = {self._material.law}) Newton's steps "
                 f"did not converge in {_STEPS}: press with less force, with a rounder probe, or "
@@ -339,10 +340,6 @@ class FiniteStrain:
                 "theory: press with less force, or set material.law = linear"
             )
         return state
-
-
-def _largest(vectors: Floats) -> float:
-    return float(np.linalg.norm(vectors, axis=1).max())
 
 
 def _unsolved(

@@ -27,10 +27,10 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
-from twin.parts.material import Material, shear_modulus
+from twin.parts.material import Material
 from twin.world.contact.probe_gap import Shape, Z
-from twin.world.elasticity.factor import Factor
-from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
+from twin.world.elasticity.mixed_rubber import MixedRubber, gathered, summed
+from twin.world.elasticity.strain_law import cofactor_slope, cofactors
 
 _SPRING = 500.0
 _GAP_WEIGHT = 2.0
@@ -118,18 +118,18 @@ class Grid:
         return nodes, values, np.stack([along_r, along_z], axis=2)
 
 
-class Slab:
+class Slab(MixedRubber):
     """Rubber of E = 1 MPa in the shape of a slab of revolution, held below.
 
     Its unknowns are two displacements of every node, mm, then the pressures of the corners, MPa.
     """
 
+    _axes = 2
+    _residual = 1e-9
+
     def __init__(self, grid: Grid, material: Material) -> None:
+        super().__init__(material)
         self.grid = grid
-        poisson_ratio = material.poisson_ratio
-        self._law = strain_law(material)
-        self._shear = shear_modulus(1.0, poisson_ratio)
-        self._softness = (1.0 - 2.0 * poisson_ratio) / (2.0 * self._shear * poisson_ratio)
         half = [np.diff(line) / 2.0 for line in (grid.r_mm, grid.z_mm)]
         at = [
             (line[:-1, None] + part[:, None] * (1.0 + _PLACES)).ravel()
@@ -173,13 +173,9 @@ class Slab:
         held[2 * number[:, -1]] = held[2 * number[:, -1] + 1] = True
         self._free = np.flatnonzero(~held)
         quarter = np.repeat(self._volume.sum(axis=1) / 18.0 / self._shear, 4)
-        self._scale = _gathered(self._row[:, 18:], quarter, self.size)
+        self._scale = gathered(self._row[:, 18:], quarter, self.size)
         corner_node = number[::2, ::2].ravel()
         self._node = np.concatenate([np.repeat(number.ravel(), 2), corner_node])
-
-    def displacement(self, unknowns: Floats) -> Floats:
-        """Return the displacement (N, 2) of the nodes, along r and z."""
-        return unknowns[: self._moves].reshape(-1, 2)
 
     def _strained(self, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return F, cof F, J and the pressure at the integration points of the elements."""
@@ -198,7 +194,7 @@ class Slab:
         force = np.einsum("mqdk,mqk->md", self._part, flat, optimize=True)
         swollen = ((ratio - 1.0 - self._softness * pressure) * self._volume) @ self._shares
         both = np.hstack([force, swollen])
-        return _gathered(self._row, both, self.size)
+        return gathered(self._row, both, self.size)
 
     def tangent(self, unknowns: Floats) -> Any:
         """Return the sparse symmetric slope of `resistance`."""
@@ -221,35 +217,7 @@ class Slab:
         block[:, :18, 18:] = volume
         block[:, 18:, :18] = volume.swapaxes(1, 2)
         block[:, 18:, 18:] = -self._softness * (self._shares.T @ weighted)
-        return _summed(block, self._row, self.size)
-
-    @cached_property
-    def at_rest(self) -> Any:
-        """The tangent of linear theory."""
-        return self.tangent(np.zeros(self.size))
-
-    def solve(self, matrix: Any, right: Floats) -> Floats:
-        """Return the solution (n, m) of a tangent for ``right`` (n, m); 0 where it is held."""
-        out = np.zeros_like(right)
-        free = self._free
-        factor = Factor(matrix[free][:, free], self._scale[free], node=self._node[free])
-        out[free] = factor.solve(right[free], 1e-9)
-        return out
-
-
-def _gathered(rows: Ints, parts: Floats, size: int) -> Floats:
-    """Return the (size,) sum of parts at ``rows``, of as many numbers."""
-    return np.bincount(rows.ravel(), parts.ravel(), size).astype(float)
-
-
-def _summed(blocks: Floats, rows: Ints, size: int) -> Any:
-    """Return the sparse (size, size) sum of blocks (m, r, r) at rows (m, r)."""
-    from scipy.sparse import csr_matrix
-
-    wide = rows.shape[1]
-    i = np.repeat(rows, wide, axis=1).ravel()
-    j = np.tile(rows, (1, wide)).ravel()
-    return csr_matrix((blocks.ravel(), (i, j)), shape=(size, size))
+        return summed(block, self._row, self.size)
 
 
 _NUDGE_MM = 1e-4
@@ -325,7 +293,7 @@ def stepped(slab: Slab, touch: Touch, state: Balance, force: float, *, linear: b
 
     def nodal(forces: Floats) -> Floats:
         spread = np.einsum("qa,qi->qai", weight, forces)
-        return _gathered(row, spread, slab.size)
+        return gathered(row, spread, slab.size)
 
     spring = _SPRING * push[:, :, None] * push[:, None, :]
     spring[:, 0, 0] -= state.pressure[on] * curvature[on]
@@ -333,7 +301,7 @@ def stepped(slab: Slab, touch: Touch, state: Balance, force: float, *, linear: b
     block = np.einsum("qa,qb,qij->qaibj", weight, weight, spring).reshape(len(on), 6, 6)
     own = right + nodal(-(_SPRING * gap[on] * area)[:, None] * push)
     follow = nodal(-(_SPRING * area)[:, None] * push)
-    springs = _summed(block, row, slab.size)
+    springs = summed(block, row, slab.size)
     both = slab.solve(tangent + springs, np.column_stack([own, follow]))
 
     def closed(step: Floats) -> Floats:

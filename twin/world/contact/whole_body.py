@@ -22,18 +22,17 @@ unknown.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints, Points
+from twin.arrays import Bools, Floats, Points
 from twin.errors import NotSettled
 from twin.parts.body import Body
-from twin.parts.material import Material, shear_modulus
+from twin.parts.material import Material
 from twin.world.contact.probe_gap import MOTIONS, Approach, Z
-from twin.world.elasticity.factor import Factor
-from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
+from twin.world.elasticity.mixed_rubber import MixedRubber, gathered, summed
+from twin.world.elasticity.strain_law import cofactor_slope, cofactors
 from twin.world.mesh.elements import (
     inverses,
     tet_quadrature,
@@ -53,22 +52,19 @@ _CHUNK = 256
 
 _NUDGE_MM = 1e-4
 
-_RESIDUAL = 1e-6
-"""Relative residual of each step's equations."""
 
-
-class Rubber:
+class Rubber(MixedRubber):
     """Rubber of E = 1 MPa in the shape of a mesh, held on the body's held pieces.
 
     Its unknowns are three displacements of every node, mm, then the pressures of the corners, MPa.
     """
 
+    _axes = 3
+    _residual = 1e-6
+
     def __init__(self, mesh: Mesh, body: Body, material: Material) -> None:
+        super().__init__(material)
         self.mesh = mesh
-        self._law = strain_law(material)
-        nu = material.poisson_ratio
-        self._shear = shear_modulus(1.0, nu)
-        self._softness = (1.0 - 2.0 * nu) / (2.0 * self._shear * nu)
         places, weights = tet_quadrature()
         slopes = tet_shapes(places)[1]
         self._shares = np.column_stack([1.0 - places.sum(axis=1), places])
@@ -84,13 +80,9 @@ class Rubber:
         held[: self._moves] = np.repeat(mesh.nodes_on(body.held_pieces), 3)
         self._free = np.flatnonzero(~held)
         tenth = np.repeat(self._volume.sum(axis=1) / 20.0 / self._shear, 4)
-        self._scale = np.bincount(self._row[:, 30:].ravel(), tenth, self.size).astype(float)
+        self._scale = gathered(self._row[:, 30:], tenth, self.size)
         nodes = np.arange(len(mesh.points))
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
-
-    def displacement(self, unknowns: Floats) -> Floats:
-        """Return the displacement (N, 3) of the nodes, mm."""
-        return unknowns[: self._moves].reshape(-1, 3)
 
     def _strained(self, unknowns: Floats, some: slice) -> tuple[Floats, Floats, Floats, Floats]:
         """Return F, cof F, J and the pressure at the integration points of some elements."""
@@ -109,7 +101,7 @@ class Rubber:
         force = (self._slopes @ stress.swapaxes(2, 3)).sum(axis=1).reshape(-1, 30)
         swollen = ((ratio - 1.0 - self._softness * pressure) * self._volume) @ self._shares
         both = np.hstack([force, swollen])
-        return np.bincount(self._row.ravel(), both.ravel(), self.size).astype(float)
+        return gathered(self._row, both, self.size)
 
     def tangent(self, unknowns: Floats) -> Any:
         """Return the sparse symmetric slope of `resistance`."""
@@ -143,29 +135,6 @@ class Rubber:
         block[:, 30:, :30] = by_volume.swapaxes(1, 2)
         block[:, 30:, 30:] = -self._softness * (self._shares.T @ weighted)
         return block
-
-    @cached_property
-    def at_rest(self) -> Any:
-        """The tangent of linear theory."""
-        return self.tangent(np.zeros(self.size))
-
-    def solve(self, matrix: Any, right: Floats) -> Floats:
-        """Return the solution (n, m) of a tangent for ``right`` (n, m); 0 where it is held."""
-        out = np.zeros_like(right)
-        free = self._free
-        factor = Factor(matrix[free][:, free], self._scale[free], node=self._node[free])
-        out[free] = factor.solve(right[free], _RESIDUAL)
-        return out
-
-
-def summed(blocks: Floats, rows: Ints, size: int) -> Any:
-    """Return the sparse (size, size) sum of blocks (m, r, r) at rows (m, r)."""
-    from scipy.sparse import csr_matrix
-
-    wide = rows.shape[1]
-    i = np.repeat(rows, wide, axis=1).ravel()
-    j = np.tile(rows, (1, wide)).ravel()
-    return csr_matrix((blocks.ravel(), (i, j)), shape=(size, size))
 
 
 class SurfaceTouch:
