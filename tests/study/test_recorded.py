@@ -90,11 +90,12 @@ def test_files_in_every_format_out(folder):
         assert twin("rest.png", *frames, "--calibration", "flat.npz", "--out", name, cwd=folder).returncode == 0
     import pyarrow.parquet as pq
 
-    parquet, arrays = pq.read_table(folder / "f.parquet"), np.load(folder / "f.npz")
+    parquet = pq.read_table(folder / "f.parquet")
     assert len(json.loads(parquet.schema.metadata[b"site_mm"])) == 30
     field = np.array(parquet["force_n"].to_pylist()[3]).reshape(-1, 3)
     assert field.sum(axis=0) == pytest.approx([parquet[f"f{a}_n"][3].as_py() for a in "xyz"], abs=1e-4)
-    assert arrays["force_n"][3] == pytest.approx(field, abs=1e-6)
+    with np.load(folder / "f.npz") as arrays:
+        assert arrays["force_n"][3] == pytest.approx(field, abs=1e-6)
 
 
 SHARES = (0, 0, 0, 0.1, 0.25, 0.5, 1.0, 0, 0.5, 1.0, 0.25, 0.05, 0)

@@ -137,7 +137,8 @@ def test_a_press_that_stops_is_saved_and_fails(tmp_path: Path, monkeypatch: pyte
     scene = twin.load_scene("kamiyama_pillar", {**SMALL, "press.friction": 0.0, "press.steps": path})
     with pytest.raises(SomeFailed, match=r"step 2 of 2 did not converge.*does not settle"):
         run_to_folder(scene, tmp_path, {"displacement", "score"})
-    assert np.load(tmp_path / "truth.npz")["total_force_n"][2] == pytest.approx(0.5)
+    with np.load(tmp_path / "truth.npz") as truth:
+        assert truth["total_force_n"][2] == pytest.approx(0.5)
     assert "step 2 of 2" in json.loads((tmp_path / "score.json").read_text())["facts"]["contact"]["incomplete"]
 
 
@@ -149,7 +150,8 @@ def test_a_step_that_is_refused_leaves_the_state_before_it(tmp_path: Path) -> No
     scene = twin.load_scene("kamiyama_pillar", {**SMALL, "press.friction": 0.5, "press.steps": path})
     with pytest.raises(SomeFailed, match=r"step 2 of 2 was refused.*friction.*what belongs to that state is in"):
         run_to_folder(scene, tmp_path, {"displacement", "score"})
-    np.testing.assert_allclose(np.load(tmp_path / "truth.npz")["total_force_n"], [0, 0, 0.5], atol=1e-8)
+    with np.load(tmp_path / "truth.npz") as truth:
+        np.testing.assert_allclose(truth["total_force_n"], [0, 0, 0.5], atol=1e-8)
     assert "step 2 of 2" in json.loads((tmp_path / "score.json").read_text())["facts"]["contact"]["incomplete"]
     with pytest.raises(ContactError, match="friction") as refused:
         twin.run(scene, {"displacement"})
