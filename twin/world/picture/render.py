@@ -1,9 +1,9 @@
 """The picture as light: markers by a renderer over the cover, seen through folded optics.
 
-A renderer draws the markers of a `twin.world.picture.picture_job.PictureJob`: Mitsuba where it
-runs, or the splat, which needs no Mitsuba. With ``renderer = "path"`` Mitsuba's path integrator
-makes the whole picture instead (`twin.world.picture.path_tracer`). Outlines come from the splat in
-closed form, whatever draws the picture, and are its truth.
+`Renderer` sets exposure and view, and lays markers over the cover; a shader of `RENDERERS` draws
+them: Mitsuba where it runs, or the splat, which needs no Mitsuba. `PathRenderer` has the whole
+picture made by Mitsuba's path integrator (`twin.world.picture.path_tracer`). Outlines come from the
+splat in closed form, whatever draws the picture, and are its truth.
 
 Validity: markers at least a sub-pixel in radius. Defocus is the mean of pictures through points of
 the pupil (`twin.world.picture.camera_rays`); outlines are those through its middle.
@@ -16,14 +16,13 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.arrays import Floats, Ints, Pixels, Singles, frozen
 from twin.errors import MissingCapability, RecipeError
-from twin.parts.camera import Camera
 from twin.parts.scene import Scene
 from twin.theory.optics import Sight, project
 from twin.world.picture.backend import FORCE, Variant, choose_variant
@@ -131,7 +130,7 @@ class PictureTruth:
 
 
 class Renderer:
-    """Renders one sensor's markers again and again.
+    """Renders one sensor's markers again and again; a `PathRenderer` where the scene asks for one.
 
     Parameters
     ----------
@@ -156,6 +155,10 @@ class Renderer:
     RecipeError
         The scene has no camera, or no light reaches the markers.
     """
+
+    def __new__(cls, scene: Scene, *_: Any, **__: Any) -> Renderer:
+        """Return an object of the class that the scene's ``renderer`` names."""
+        return super().__new__(PathRenderer if scene.renderer == "path" else Renderer)
 
     def __init__(
         self,
@@ -183,45 +186,38 @@ class Renderer:
         self._gain = gain or white_level(scene.ccd) / max(white, view.ground_light(scene.ccd))
         self._view = view.times(self._gain)
         self._splat = Splat(self._view, self._unit, scene.light.ambient)
-        self._shader: Shader = self._splat
-        if self.variant.name != "splat" and scene.renderer != "path":
-            made = RENDERERS[self.variant.name]
-            self._shader = made(self._view, self._unit, scene.light.ambient)
         pupil = through_the_pupil(scene)
-        self._pupils = [self._through(camera, rest) for camera in pupil]
+        self._pupils = [self._like(self.variant, camera=camera) for camera in pupil]
 
-    def _through(self, camera: Camera, rest: Ellipsoids) -> Renderer:
-        """Return a renderer of the same exposure through another camera."""
-        scene = self.scene.model_copy(update={"camera": camera})
-        return Renderer(scene, rest, self.variant, self.subpixels, self.shadows, self._gain)
+    def _like(self, variant: Variant, **tables: Any) -> Renderer:
+        """Return a renderer of the same exposure of a scene with other tables."""
+        scene = self.scene.model_copy(update=tables)
+        return Renderer(scene, self._rest, variant, self.subpixels, self.shadows, self._gain)
 
     @property
     def centroid_error_px(self) -> float:
         """Bound on the error of intensity centroids in the noise-free picture, px."""
-        if self.scene.renderer == "path":
-            return _PATH_PX * float(np.sqrt(64 / self.scene.accuracy.paths))
         return _centroid_error(self.subpixels, self.shadows, self.variant.name)
 
     @property
     def drawn_by(self) -> str:
         """What draws the pictures, and why that, in one line."""
-        paths = self.scene.accuracy.paths
-        tracer = f"path, {paths} paths a pixel, " if self.scene.renderer == "path" else ""
-        return f"{tracer}{self.variant.name}: {self.variant.reason}"
+        return f"{self.variant.name}: {self.variant.reason}"
+
+    @cached_property
+    def _shader(self) -> Shader:
+        """What draws the markers; the splat of the outlines, if the splat draws them."""
+        if self.variant.name == "splat":
+            return self._splat
+        assert self.scene.light is not None
+        made = RENDERERS[self.variant.name]
+        return made(self._view, self._unit, self.scene.light.ambient)
 
     @cached_property
     def background(self) -> Background | None:
         """The places of the cover whose motion `radiance` takes; None for a cover at rest."""
         cover = self.scene.cover
         return Background(self.scene, self._top) if cover is not None and cover.deforms else None
-
-    @cached_property
-    def _path_tracer(self) -> PathTracer:
-        importlib.import_module("mitsuba").set_variant(self.variant.name)
-        from twin.world.picture.path_tracer import PathTracer
-
-        views = [part._view for part in self._pupils] or [self._view]
-        return PathTracer(self.scene, views, self._top, self.scene.accuracy.paths)
 
     def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
         """Return the (height, width, 3) light on the sensor, 1 filling its wells.
@@ -231,8 +227,6 @@ class Renderer:
         The exposure is set at rest, where the brighter of the brightest marker and the ground has
         ``ccd.white_dn`` (before blur and noise).
         """
-        if self.scene.renderer == "path":
-            return self._path_traced(markers, cover)
         factor = self._cover_factor(cover)
         if not self._pupils:
             job = self._job(markers, self.subpixels)
@@ -244,32 +238,12 @@ class Renderer:
             light += np.float32(weight) * one
         return light
 
-    def _path_traced(self, markers: Ellipsoids, cover: CoverMotion | None) -> Singles:
-        """Return the picture by paths from the LEDs, the even share of light, which has none, in
-        closed form."""
-        assert self.scene.light is not None
-        share = np.float32(self.scene.light.ambient)
-        light = (1 - share) * self._path_tracer.radiance(markers, cover)
-        if share > 0:
-            light += share * self._evenly_lit.radiance(markers)
-        if self._view.veil is not None:
-            light += self._view.veil[:, :, None]
-        return light
-
-    @cached_property
-    def _evenly_lit(self) -> Renderer:
-        """The same camera and exposure where all light comes from all around."""
-        assert self.scene.light is not None
-        light = self.scene.light.model_copy(update={"ambient": 1.0})
-        scene = self.scene.model_copy(update={"light": light, "renderer": "splat"})
-        return Renderer(scene, self._rest, method_for(scene), self.subpixels, False, self._gain)
-
     def seen(
         self, markers: Ellipsoids, cover: CoverMotion | None = None
     ) -> tuple[Singles, Outlines]:
         """Return `radiance` and `outlines` of one job, and of one pass where the splat draws the
         picture."""
-        if self._pupils or self.scene.renderer == "path":
+        if self._pupils:
             return self.radiance(markers, cover), self.outlines(markers)
         job = self._job(markers, self.subpixels)
         traced = self._shader is not self._splat
@@ -355,6 +329,53 @@ class Renderer:
             subpixels=subpixels,
             shadows=self.shadows and shadows,
         )
+
+
+class PathRenderer(Renderer):
+    """Has Mitsuba's path integrator make the whole picture."""
+
+    @property
+    def centroid_error_px(self) -> float:
+        """See `Renderer`."""
+        return _PATH_PX * float(np.sqrt(64 / self.scene.accuracy.paths))
+
+    @property
+    def drawn_by(self) -> str:
+        """See `Renderer`."""
+        return f"path, {self.scene.accuracy.paths} paths a pixel, {super().drawn_by}"
+
+    @cached_property
+    def _path_tracer(self) -> PathTracer:
+        importlib.import_module("mitsuba").set_variant(self.variant.name)
+        from twin.world.picture.path_tracer import PathTracer
+
+        views = [part._view for part in self._pupils] or [self._view]
+        return PathTracer(self.scene, views, self._top, self.scene.accuracy.paths)
+
+    def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
+        """Return `Renderer.radiance` by paths from the LEDs; the even share of light, which has
+        none, in closed form."""
+        assert self.scene.light is not None
+        share = np.float32(self.scene.light.ambient)
+        light = (1 - share) * self._path_tracer.radiance(markers, cover)
+        if share > 0:
+            light += share * self._evenly_lit.radiance(markers)
+        if self._view.veil is not None:
+            light += self._view.veil[:, :, None]
+        return light
+
+    @cached_property
+    def _evenly_lit(self) -> Renderer:
+        """The same camera and exposure where all light comes from all around."""
+        assert self.scene.light is not None
+        light = self.scene.light.model_copy(update={"ambient": 1.0})
+        return self._like(choose_variant("splat"), light=light, renderer="splat")
+
+    def seen(
+        self, markers: Ellipsoids, cover: CoverMotion | None = None
+    ) -> tuple[Singles, Outlines]:
+        """See `Renderer`."""
+        return self.radiance(markers, cover), self.outlines(markers)
 
 
 def _outlines(job: PictureJob, shaded: Shaded) -> Outlines:
