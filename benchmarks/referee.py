@@ -6,6 +6,9 @@ markers that glow, brightness from the middles of markers of the scene's colours
 channel. What our pictures leave out (light between markers, reflections to and fro) is in the difference.
 """
 
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,6 +21,7 @@ from twin.study.recipe import load_scene
 from twin.world.picture.backend import choose_variant
 from twin.world.picture.ellipsoids import Ellipsoids, ellipsoids
 from twin.world.picture.render import Renderer
+from twin.world.picture.stock_scene import as_xml, marker_triangles, middle_of_window, stock_scene
 
 CORE = 3
 """Half width, px, of the window in the middle of a marker that tells its brightness."""
@@ -32,7 +36,7 @@ NEAR = {
     **LIGHT, "light.radius_mm": 1.0, "camera.lens": "pinhole", "camera.focal_px": 200,
     "markers.red.kind": "bead", "markers.blue.kind": "bead",
 }  # fmt: skip
-"""The finger's LEDs a few markers away, seen by a lens and with markers that Mitsuba has."""
+"""The finger's LEDs a few markers away, seen by a lens that Mitsuba has."""
 
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {
     "kamiyama_pillar": ("kamiyama_pillar", LIGHT),
@@ -99,61 +103,29 @@ def path_traced(
     import mitsuba as mi
 
     mi.set_variant(choose_variant("llvm_ad_rgb").name)
-    made = mi.load_dict(_literal(scene, markers, middle - half, 2 * half + 1, glowing))
+    with TemporaryDirectory() as folder:
+        made = mi.load_file(str(_written(Path(folder), scene, markers, middle - half, 2 * half + 1, glowing)))
     passes = [np.array(mi.render(made, spp=SAMPLES_A_PASS, seed=n)) for n in range(samples // SAMPLES_A_PASS)]
     stack = np.array(passes, float)
     return stack.mean(axis=0), stack.std(axis=0, ddof=min(len(stack) - 1, 1)) / np.sqrt(len(stack))
 
 
-def _literal(scene: Scene, markers: Ellipsoids, corner: Ints, size: int, glowing: int | None) -> dict[str, Any]:
-    import mitsuba as mi
-
-    camera = scene.camera
-    to_world = mi.ScalarTransform4f
-    # Mitsuba starts rays behind an interface by 1e-4 of its coordinates: near the origin that is least.
-    middle = scene.body.base_z_mm + sum(layer.thickness_mm for layer in camera.layers) / 2
-    base = scene.body.base_z_mm - middle
-    eye = [*camera.pupil_mm[:2], camera.pupil_mm[2] - middle]
-    table: dict[str, Any] = {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 24, "rr_depth": 100},
-        "sensor": {
-            "type": "perspective", "near_clip": 0.1,
-            "fov": float(2 * np.rad2deg(np.arctan(camera.width_px / 2 / camera.focal_px))),
-            "to_world": to_world().look_at(origin=eye, target=[eye[0], eye[1], -1000], up=[0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": camera.width_px, "height": camera.height_px,
-                     "crop_offset_x": int(corner[0]), "crop_offset_y": int(corner[1]),
-                     "crop_width": size, "crop_height": size,
-                     "rfilter": {"type": "box"}, "pixel_format": "rgb", "component_format": "float32"},
-            "sampler": {"type": "multijitter", "sample_count": SAMPLES_A_PASS},
-        },
+def _written(folder: Path, scene: Scene, markers: Ellipsoids, corner: Ints, size: int, glowing: int | None) -> Path:
+    """Write the scene as the program exports it, for a part of the picture; return the file."""
+    table = stock_scene(scene, 1.0, {"markers": "markers.ply"})
+    table["sensor"]["film"] |= {
+        "crop_offset_x": int(corner[0]), "crop_offset_y": int(corner[1]), "crop_width": size, "crop_height": size,
     }  # fmt: skip
-    height, index = base, scene.material.refractive_index
-    for n, (thickness, outside) in enumerate([*((la.thickness_mm, la.index) for la in camera.layers), (0.0, 1.0)]):
-        table[f"interface{n}"] = {
-            "type": "rectangle", "to_world": to_world().translate([0, 0, height]).scale([500, 500, 1]),
-            "bsdf": {"type": "dielectric", "int_ior": index, "ext_ior": outside},
-        }  # fmt: skip
-        height, index = height + thickness, outside
-    for i in np.flatnonzero(markers.present):
-        sphere = {"type": "sphere", "center": (markers.centres[i] - [0, 0, middle]).tolist(),
-                  "radius": float(np.linalg.norm(markers.axes[i, :, 0]))}  # fmt: skip
-        dark = glowing is not None
-        sphere["bsdf"] = {
-            "type": "diffuse",
-            "reflectance": {"type": "rgb", "value": [0.0] * 3 if dark else markers.colour[i].tolist()},
-        }
-        if i == glowing:
-            sphere["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
-        table[f"marker{i}"] = sphere
-    if glowing is None:
-        for n, led in enumerate(scene.light.positions_mm):
-            turned = (
-                to_world().translate([*led[:2], led[2] - middle]).scale(scene.light.radius_mm).rotate([1, 0, 0], 180)
-            )
-            table[f"led{n}"] = {"type": "disk", "to_world": turned,
-                                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 100.0}}}  # fmt: skip
-    return table
+    if glowing is not None:
+        # One marker shines in the dark: its colour is its light, and nothing is sent back.
+        table = {key: value for key, value in table.items() if not key.startswith("led")}
+        paint = table["markers"]["bsdf"]["inner"]
+        table["markers"]["emitter"] = {"type": "area", "radiance": paint["reflectance"]}
+        paint["reflectance"] = (0.0,) * 3
+        markers = replace(markers, colour=np.where(np.arange(len(markers))[:, None] == glowing, np.ones(3), 0.0))
+    (folder / "markers.ply").write_bytes(marker_triangles(markers).as_ply(middle_of_window(scene)))
+    (folder / "scene.xml").write_text(as_xml(table))
+    return folder / "scene.xml"
 
 
 def _some(scene: Scene, visible: Floats, places: Pixels, count: int) -> list[int]:

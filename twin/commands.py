@@ -838,21 +838,34 @@ def dataset(
 
 
 def export(
-    folder: Annotated[Path, Parameter(help="Folder of the dataset.")],
+    source: Annotated[str, Parameter(help="Folder of a dataset, or a scene for mitsuba.")],
     *,
-    format: Annotated[str, Parameter(help="hdf5, coco or webdataset.")],
+    format: Annotated[str, Parameter(help="hdf5, coco, webdataset, or mitsuba.")],
     out: Annotated[Path, Parameter(help="Folder to write to.")],
+    set_: Overrides = (),
 ) -> None:
-    """Write a dataset as HDF5, as COCO keypoints, or as WebDataset tar files; failed samples are
-    left out.
+    """Write a dataset as HDF5, as COCO keypoints, or as WebDataset tar files; or a scene for
+    Mitsuba.
+
+    Of a dataset, failed samples are left out. Of a scene, rest.xml and pressed.xml are written with
+    triangles as PLY files and a README: stock Mitsuba renders them, and so can others.
 
     Examples:
     twin export data/flat --format hdf5 --out flat_h5
     twin export data/flat --format coco --out flat_coco
+    twin export kamiyama_pillar --format mitsuba --out flat_scene
     """
-    from twin.study.dataset.export import export_dataset
+    if format == "mitsuba":
+        from twin.study.export_scene import export_scene
 
-    files = export_dataset(folder, format, out, _progress())
+        with _scene_named(source):
+            files = export_scene(_load(source, set_), out, _progress())
+    else:
+        from twin.study.dataset.export import export_dataset
+
+        if set_:
+            raise InputError("-s: belongs to a scene (--format mitsuba)")
+        files = export_dataset(Path(source), format, out, _progress())
     print(f"{files[0] if files else out}: {len(files)} file{'s' if len(files) != 1 else ''}")
 
 

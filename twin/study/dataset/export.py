@@ -50,7 +50,9 @@ def export_dataset(
         A package that the format needs is not installed.
     """
     if form not in FORMATS:
-        raise InputError(f"--format {form}: must be one of {', '.join(FORMATS)}")
+        raise InputError(
+            f"--format {form}: must be one of {', '.join(FORMATS)}, or mitsuba for a scene"
+        )
     reader = DatasetReader(folder, decode=form == "hdf5")
     make_folder(out)
     write = {"hdf5": _hdf5, "coco": _coco, "webdataset": _webdataset}[form]

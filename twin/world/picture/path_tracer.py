@@ -24,17 +24,19 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import trimesh
 
-from twin.arrays import Floats, Ints, Points, Singles
+from twin.arrays import Singles
 from twin.parts.scene import Scene
 from twin.world.picture.camera_rays import PUPIL_WEIGHTS
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.picture_job import View
-
-_SUBDIVISIONS = 3
-"""Of an icosahedron: 1280 triangles a marker, whose outline is .2 % of the radius off."""
+from twin.world.picture.stock_scene import (
+    Triangles,
+    cover_triangles,
+    marker_triangles,
+    window_interfaces,
+)
 
 _LENGTH = 12
 """Interactions that a path is followed through."""
@@ -87,10 +89,11 @@ class PathTracer:
 
     def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
         """Return the (height, width, 3) light of the LEDs on the sensor, 1 filling its wells."""
-        table = {**self._fixed, "markers": _marker_mesh(markers)}
+        table = {**self._fixed, "markers": _mesh(marker_triangles(markers))}
         if self._background is not None:
             assert self._scene.cover is not None
-            table["cover"] = _cover_mesh(self._background, cover, self._scene.cover.albedo)
+            shape = cover_triangles(self._background, cover, self._scene.cover.albedo)
+            table["cover"] = _mesh(shape)
         made = mi.load_dict(table)
         film = np.zeros(self._shape, np.float32)
         for number in range(self._passes):
@@ -128,18 +131,14 @@ class PathTracer:
         low, high = self._scene.body.bounds_mm
         middle = [(a + b) / 2 for a, b in zip(low[:2], high[:2], strict=True)]
         half = max(b - a for a, b in zip(low, high, strict=True))
-        height = self._scene.body.base_z_mm
-        inner = self._scene.material.refractive_index
         table = {}
-        for n, outer in enumerate([*(layer.index for layer in camera.layers), 1.0]):
+        for n, (height, inner, outer) in enumerate(window_interfaces(self._scene, camera.layers)):
             place = mi.ScalarTransform4f().translate([*middle, height]).scale([half, half, 1])
             table[f"interface{n}"] = {
                 "type": "rectangle",
                 "to_world": place,
                 "bsdf": {"type": "dielectric", "int_ior": inner, "ext_ior": outer},
             }
-            inner = outer
-            height += camera.layers[n].thickness_mm if n < len(camera.layers) else 0.0
         return table
 
 
@@ -348,47 +347,19 @@ class FoldedLeds(mi.Emitter):
         return "FoldedLeds"
 
 
-def _marker_mesh(markers: Ellipsoids) -> Any:
-    """Return one mesh of all markers in their colours."""
-    ball = trimesh.creation.icosphere(subdivisions=_SUBDIVISIONS)
-    # A ball of triangles within the sphere shows too little: enlarged to the sphere's area.
-    unit = np.asarray(ball.vertices) * np.sqrt(4 * np.pi / ball.area)
-    there = markers.rows(markers.present)
-    count = len(there)
-    places = there.centres[:, None] + unit @ np.swapaxes(there.axes, 1, 2)
-    normals = unit @ np.linalg.inv(there.axes)
-    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    triangles = ball.faces[None] + len(unit) * np.arange(count)[:, None, None]
-    colours = np.repeat(there.colour, len(unit), axis=0)
+def _mesh(surface: Triangles) -> Any:
+    """Return Mitsuba's mesh of a matt surface in its colours."""
     colour = {"type": "mesh_attribute", "name": "vertex_color"}
-    return _mesh(places, normals, triangles, {"type": "diffuse", "reflectance": colour}, colours)
-
-
-def _cover_mesh(background: Background, motion: CoverMotion | None, albedo: Any) -> Any:
-    """Return the mesh of the cover that the camera sees, moved by a press."""
-    places = background.points
-    normals = background.normals
-    if motion is not None:
-        places = places + motion.displacement_mm
-        normals = motion.turned(normals)
-    reflectance = {"type": "rgb", "value": list(albedo)}
-    paint = {"type": "twosided", "cover": {"type": "diffuse", "reflectance": reflectance}}
-    return _mesh(places, normals, background.triangles, paint)
-
-
-def _mesh(
-    places: Points, normals: Floats, triangles: Ints, bsdf: dict[str, Any], colours: Any = None
-) -> Any:
-    """Return Mitsuba's mesh of triangles with normals and, where given, colours at its corners."""
+    paint = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": colour}}
     parts = mi.Properties()
-    parts["bsdf"] = mi.load_dict(bsdf)
-    count = places.size // 3
-    mesh = mi.Mesh("mesh", count, triangles.size // 3, has_vertex_normals=True, props=parts)
-    if colours is not None:
-        mesh.add_attribute("vertex_color", 3, colours.astype(np.float32).ravel())
+    parts["bsdf"] = mi.load_dict(paint)
+    counts = len(surface.places), len(surface.faces)
+    mesh = mi.Mesh("mesh", *counts, has_vertex_normals=True, props=parts)
+    colours: Any = surface.colours.astype(np.float32).ravel()
+    mesh.add_attribute("vertex_color", 3, colours)
     numbers = mi.traverse(mesh)
-    numbers["vertex_positions"] = places.astype(np.float32).ravel()
-    numbers["vertex_normals"] = normals.astype(np.float32).ravel()
-    numbers["faces"] = triangles.astype(np.uint32).ravel()
+    numbers["vertex_positions"] = surface.places.astype(np.float32).ravel()
+    numbers["vertex_normals"] = surface.normals.astype(np.float32).ravel()
+    numbers["faces"] = surface.faces.astype(np.uint32).ravel()
     numbers.update()
     return mesh

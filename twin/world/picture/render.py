@@ -204,6 +204,12 @@ class Renderer:
         """What draws the pictures, and why that, in one line."""
         return f"{self.variant.name}: {self.variant.reason}"
 
+    @property
+    def exposure(self) -> float:
+        """Light on the sensor that white makes under irradiance 1: LEDs of intensity 1, lengths in
+        mm."""
+        return self._gain / self._top
+
     @cached_property
     def _shader(self) -> Shader:
         """What draws the markers; the splat of the outlines, if the splat draws them."""

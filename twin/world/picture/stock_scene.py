@@ -1,0 +1,321 @@
+"""A scene of stock Mitsuba: what our renderers fold, as it stands in the world.
+
+Camera and LEDs are in air, the window is dielectric interfaces, markers and cover are triangles.
+Only plug-ins that come with Mitsuba are used, so that any path integrator can make the picture, and
+other programs can read the parts. LEDs are found by chance only: such pictures take thousands of
+paths a pixel where `twin.world.picture.path_tracer` takes 64.
+
+Validity: a pinhole or thin lens without distortion; LEDs that shine by the cosine. The rubber has
+no sides, and the even share of light (``light.ambient``) has no source, so it is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import trimesh
+
+from twin.arrays import Floats, Ints, Points
+from twin.errors import RecipeError
+from twin.files import write_whole
+from twin.parts.camera import Camera, Layer
+from twin.parts.scene import Scene
+from twin.theory.optics import air_gap, reflection, tilt_matrix
+from twin.world.picture.cover import Background, CoverMotion
+from twin.world.picture.ellipsoids import Ellipsoids
+
+_LED_MM = 1.0
+"""Radius of the disc that stands for an LED without one: chance never finds a point."""
+
+_SUBDIVISIONS = 3
+"""Of an icosahedron: 1280 triangles a marker, whose outline is .2 % of the radius off."""
+
+_TAGS = {
+    "path": "integrator",
+    "perspective": "sensor",
+    "thinlens": "sensor",
+    "hdrfilm": "film",
+    "box": "rfilter",
+    "multijitter": "sampler",
+    "dielectric": "bsdf",
+    "diffuse": "bsdf",
+    "twosided": "bsdf",
+    "area": "emitter",
+    "mesh_attribute": "texture",
+}
+"""Mitsuba's kind of each plug-in that is no shape."""
+
+_VALUES = {int: "integer", float: "float", str: "string", tuple: "rgb"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Triangles:
+    """A surface of triangles.
+
+    Attributes
+    ----------
+    places, normals
+        (n, 3) corners, mm, and the surface's normals there.
+    faces
+        (k, 3) numbers of three corners.
+    colours
+        (n, 3) diffuse reflectance at the corners.
+    """
+
+    places: Points
+    normals: Floats
+    faces: Ints
+    colours: Floats
+
+    def as_ply(self, down_mm: float = 0.0) -> bytes:
+        """Return the surface as a binary PLY file, with z smaller by ``down_mm``."""
+        names = ("x", "y", "z", "nx", "ny", "nz", "r", "g", "b")
+        corners = np.column_stack([self.places - [0, 0, down_mm], self.normals, self.colours])
+        faces = np.zeros(len(self.faces), np.dtype([("n", "u1"), ("of", "<i4", 3)]))
+        faces["n"] = 3
+        faces["of"] = self.faces
+        head = [
+            "ply\nformat binary_little_endian 1.0",
+            f"element vertex {len(corners)}",
+            *(f"property float {name}" for name in names),
+            f"element face {len(faces)}",
+            "property list uchar int vertex_indices\nend_header\n",
+        ]
+        return "\n".join(head).encode() + corners.astype("<f4").tobytes() + faces.tobytes()
+
+
+def marker_triangles(markers: Ellipsoids) -> Triangles:
+    """Return all markers that are there as one surface."""
+    ball = trimesh.creation.icosphere(subdivisions=_SUBDIVISIONS)
+    # A ball of triangles within the sphere shows too little: enlarged to the sphere's area.
+    unit = np.asarray(ball.vertices) * np.sqrt(4 * np.pi / ball.area)
+    there = markers.rows(markers.present)
+    places = there.centres[:, None] + unit @ np.swapaxes(there.axes, 1, 2)
+    normals = unit @ np.linalg.inv(there.axes)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    faces = ball.faces[None] + len(unit) * np.arange(len(there))[:, None, None]
+    return Triangles(
+        places=places.reshape(-1, 3),
+        normals=normals.reshape(-1, 3),
+        faces=faces.reshape(-1, 3),
+        colours=np.repeat(there.colour, len(unit), axis=0),
+    )
+
+
+def cover_triangles(
+    background: Background, motion: CoverMotion | None, albedo: tuple[float, float, float]
+) -> Triangles:
+    """Return the cover that the camera sees, moved by a press."""
+    places = background.points
+    normals = background.normals
+    if motion is not None:
+        places = places + motion.displacement_mm
+        normals = motion.turned(normals)
+    colours = np.tile(albedo, (len(places), 1))
+    return Triangles(places=places, normals=normals, faces=background.triangles, colours=colours)
+
+
+def window_interfaces(scene: Scene, layers: tuple[Layer, ...]) -> list[tuple[float, float, float]]:
+    """Return height, mm, and the indices below and above, of each interface from the base on."""
+    height = scene.body.base_z_mm
+    below = scene.material.refractive_index
+    found = []
+    for thickness, above in [*((layer.thickness_mm, layer.index) for layer in layers), (0.0, 1.0)]:
+        found.append((height, below, above))
+        height += thickness
+        below = above
+    return found
+
+
+def middle_of_window(scene: Scene) -> float:
+    """Return the height, mm, that is z = 0 in the scenes written here.
+
+    Mitsuba starts a ray behind an interface by a share of its coordinates: near 0 that is least.
+    """
+    assert scene.camera is not None
+    return scene.body.base_z_mm + sum(layer.thickness_mm for layer in scene.camera.layers) / 2
+
+
+def stock_scene(scene: Scene, exposure: float, parts: Mapping[str, str]) -> dict[str, Any]:
+    """Return a scene as nested tables of Mitsuba's plug-ins.
+
+    Parameters
+    ----------
+    scene
+        With camera and light.
+    exposure
+        Of `twin.world.picture.render.Renderer.exposure`: pixels are then in its units.
+    parts
+        PLY files by name.
+
+    Raises
+    ------
+    RecipeError
+        Stock Mitsuba has no such lens, or no such LED.
+    """
+    camera, light = scene.camera, scene.light
+    assert camera is not None
+    assert light is not None
+    check_stock(scene)
+    down = middle_of_window(scene)
+    table: dict[str, Any] = {
+        "integrator": {"type": "path", "max_depth": 24, "rr_depth": 100},
+        "sensor": _sensor(scene, camera, down),
+    }
+    # Interfaces from the rubber outwards, and the share of straight light that all of them pass.
+    low, high = scene.body.bounds_mm
+    half = max(b - a for a, b in zip(low, high, strict=True))
+    through = 1.0
+    interfaces = window_interfaces(scene, camera.layers)
+    for n, (height, below, above) in enumerate(interfaces):
+        through *= 1 - float(reflection(0.0, below, above))
+        table[f"interface{n}"] = {
+            "type": "rectangle",
+            "to_world": _matrix(
+                half * np.eye(3), ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, height - down)
+            ),
+            "bsdf": {"type": "dielectric", "int_ior": below, "ext_ior": above},
+        }
+    # An LED of intensity 1 as a disc, times what makes a pixel's light 1 where it fills the well:
+    # the program counts brightness before the window spreads it, and relative to straight light.
+    radius = light.radius_mm or _LED_MM
+    index = scene.material.refractive_index
+    radiance = (1 - light.ambient) * exposure * (index / through / radius) ** 2
+    for n, place in enumerate(light.positions_mm):
+        table[f"led{n}"] = {
+            "type": "disk",
+            "to_world": _matrix(radius * np.diag([1, -1, -1]), (*place[:2], place[2] - down)),
+            "emitter": {"type": "area", "radiance": (radiance,) * 3},
+        }
+    colour = {"type": "mesh_attribute", "name": "vertex_color"}
+    for name, file in parts.items():
+        paint = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": colour}}
+        table[name] = {"type": "ply", "filename": file, "bsdf": paint}
+    return table
+
+
+def as_xml(table: Mapping[str, Any]) -> str:
+    """Return a scene's tables in Mitsuba's XML."""
+    root = ElementTree.Element("scene", version="3.0.0")
+    for key, value in table.items():
+        _add(root, key, value, "id")
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def write_stock_scene(
+    folder: Path,
+    name: str,
+    scene: Scene,
+    exposure: float,
+    markers: Ellipsoids,
+    cover: CoverMotion | None = None,
+) -> Path:
+    """Write ``name``.xml and its PLY files into a folder; return the XML file.
+
+    Parameters
+    ----------
+    folder, name
+        The folder, which exists, and the files' first word.
+    scene, exposure
+        See `stock_scene`.
+    markers, cover
+        The markers, and how the places of the cover's `Background` have moved.
+    """
+    surfaces = {"markers": marker_triangles(markers)}
+    if scene.cover is not None:
+        surfaces["cover"] = cover_triangles(Background(scene, 1.0), cover, scene.cover.albedo)
+    files = {part: f"{name}_{part}.ply" for part in surfaces}
+    made = as_xml(stock_scene(scene, exposure, files))
+    for part, surface in surfaces.items():
+        write_whole(folder / files[part], surface.as_ply(middle_of_window(scene)))
+    write_whole(folder / f"{name}.xml", made.encode())
+    return folder / f"{name}.xml"
+
+
+def check_stock(scene: Scene) -> None:
+    """Raise a `RecipeError` where stock Mitsuba lacks the lens or the LEDs of a scene."""
+    camera, light = scene.camera, scene.light
+    assert camera is not None
+    assert light is not None
+    off = np.abs(
+        np.subtract(camera.centre_px, [(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
+    )
+    problems = {
+        f"camera.lens = {camera.lens}": camera.lens != "pinhole",
+        f"camera.distortion = {camera.distortion}": any(camera.distortion),
+        f"camera.aspect = {camera.aspect:g}": camera.aspect != 1,
+        f"camera.vignetting = {camera.vignetting:g}": camera.vignetting > 0,
+        "camera.principal_px beside the middle, with an aperture": camera.aperture_mm > 0
+        and off.max() > 1e-9,
+        f"light.exponent = {light.exponent:g}": light.profile is None and light.exponent != 1,
+        "light.profile": light.profile is not None,
+    }
+    if lacking := [key for key, there in problems.items() if there]:
+        raise RecipeError(
+            f"{', '.join(lacking)}: stock Mitsuba has no plug-in for it. It has pinhole and thin "
+            "lenses, and LEDs that shine by the cosine (light.exponent = 1): change the keys, or "
+            "take renderer = 'path', which has them all"
+        )
+
+
+def _sensor(scene: Scene, camera: Camera, down: float) -> dict[str, Any]:
+    """Return the camera, its film and its sampler."""
+    width, height = camera.width_px, camera.height_px
+    column, row = camera.centre_px
+    # Mitsuba's axes are left, up and forward; ours are right, up and backward.
+    axes = tilt_matrix(camera) * [-1, 1, -1]
+    table: dict[str, Any] = {
+        "type": "perspective",
+        "fov": float(2 * np.rad2deg(np.arctan(width / 2 / camera.focal_px))),
+        "near_clip": 0.1,
+        "to_world": _matrix(axes, (*camera.pupil_mm[:2], camera.pupil_mm[2] - down)),
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "rfilter": {"type": "box"},
+            "pixel_format": "rgb",
+            "component_format": "float32",
+        },
+        "sampler": {"type": "multijitter", "sample_count": 4096},
+    }
+    if camera.aperture_mm == 0:
+        table["principal_point_offset_x"] = ((width - 1) / 2 - column) / width
+        table["principal_point_offset_y"] = ((height - 1) / 2 - row) / height
+        return table
+    # What is sharp lies as deep in air as it appears through the window.
+    base = scene.body.base_z_mm
+    depth = (base - camera.focus_z_mm) / scene.material.refractive_index + air_gap(camera, base)
+    depth += sum(layer.thickness_mm / layer.index for layer in camera.layers)
+    lens = {"type": "thinlens", "aperture_radius": camera.aperture_mm / 2, "focus_distance": depth}
+    return table | lens
+
+
+def _matrix(axes: Floats, place: tuple[float, float, float]) -> Floats:
+    """Return the (4, 4) matrix from a part's own coordinates to the scene's."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = axes
+    matrix[:3, 3] = place
+    return matrix
+
+
+def _add(parent: ElementTree.Element, key: str, value: Any, names: str = "name") -> None:
+    """Add a value under its key: a plug-in, a matrix, a colour or a single value."""
+    if isinstance(value, Mapping):
+        kind = value["type"]
+        one = ElementTree.SubElement(parent, _TAGS.get(kind, "shape"), {"type": kind, names: key})
+        for inner, each in value.items():
+            if inner != "type":
+                _add(one, inner, each)
+    elif isinstance(value, np.ndarray):
+        matrix = ElementTree.SubElement(parent, "transform", name=key)
+        ElementTree.SubElement(matrix, "matrix", value=" ".join(map(repr, value.ravel().tolist())))
+    else:
+        words = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        ElementTree.SubElement(parent, _VALUES[type(value)], name=key, value=words)
