@@ -185,6 +185,16 @@ def test_another_block_gets_its_table_when_many_compliances_are_asked_for(tmp_pa
     assert_allclose((matrix @ many.force_n.ravel()).reshape(-1, 3), got, atol=1e-9)
 
 
+@pytest.mark.parametrize("size", [(100, 90, 8), (25, 25, 4), (60, 24, 20), (20, 60, 20)])
+def test_no_table_is_made_of_a_thin_or_oblong_block(size, tmp_path, monkeypatch):
+    """It would not be used, and takes longer than the press for which it was made."""
+    monkeypatch.setattr("twin.world.elasticity.block_table.cache_folder", lambda: tmp_path)
+    width, length, thickness = size
+    body = Block(width_mm=width, length_mm=length, thickness_mm=thickness)
+    assert find_table(body, "check", make=True) is None
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 def test_a_plate_too_thin_for_the_polynomials_is_solved_instead(tmp_path, monkeypatch):
     mesh = read_mesh(MESHES / "kamiyama_block.nominal.npz")
