@@ -13,6 +13,8 @@ from pydantic import Field, model_validator
 from twin.arrays import Floats, Points
 from twin.parts.part import Angle, Coefficient, Part, Pixel, Place, Size
 
+Power = Annotated[float, Field(ge=0, le=1e3)]
+
 Lens = Literal["pinhole", "equidistant"]
 """What each makes of an angle is in `twin.theory.lens`."""
 
@@ -138,7 +140,10 @@ class Light(Part):
         Radius of each LED's disc, which lies across z and is seen where the window mirrors it; 0 is
         a point, whose mirror image has no size.
     ambient
-        Share of the brightness that comes from all sides (scattering in the body), 0 to 1.
+        Share of the brightness that comes from all sides (scattering in the body), 0 to 1. It has
+        the LEDs' mean colour.
+    colours
+        Red, green and blue power of each LED; 1 each if there are none.
     """
 
     positions_mm: tuple[tuple[Place, Place, Place], ...] = Field(min_length=1, max_length=64)
@@ -146,6 +151,17 @@ class Light(Part):
     profile: tuple[tuple[float, float], ...] | None = None
     radius_mm: float = Field(default=0.0, ge=0, le=50)
     ambient: float = Field(default=0.2, ge=0, le=1)
+    colours: tuple[tuple[Power, Power, Power], ...] = ()
+
+    @model_validator(mode="after")
+    def _colours_are_of_leds(self) -> Light:
+        if self.colours and len(self.colours) != len(self.positions_mm):
+            raise ValueError(
+                f"colours: {len(self.colours)} for {len(self.positions_mm)} LEDs: give one for each"
+            )
+        if self.colours and not np.any(self.colours):
+            raise ValueError("colours: every LED is dark; give one a power above 0")
+        return self
 
     @model_validator(mode="after")
     def _profile_is_a_table(self) -> Light:
@@ -176,8 +192,8 @@ class Light(Part):
         return table
 
     def points(self) -> tuple[Points, Floats]:
-        """Return (n, 3) points that stand for the LEDs, mm, and their (n,) shares of an LED's
-        light.
+        """Return (n, 3) points that stand for the LEDs, mm, and their (n,) intensities in the
+        channel where each LED is brightest.
 
         Notes
         -----
@@ -185,8 +201,9 @@ class Light(Part):
         polynomials of degree 5.
         """
         places = np.array(self.positions_mm, float)
+        power = np.max(self.colours or np.ones((len(places), 3)), axis=1)
         if self.radius_mm == 0:
-            return places, np.ones(len(places))
+            return places, power
         around = np.arange(6) * np.pi / 3
         ring = (
             self.radius_mm
@@ -194,7 +211,19 @@ class Light(Part):
             * np.column_stack([np.cos(around), np.sin(around), np.zeros(6)])
         )
         disc = np.concatenate([np.zeros((1, 3)), ring])
-        return (places[:, None] + disc).reshape(-1, 3), np.tile([0.25, *[0.125] * 6], len(places))
+        shares = power[:, None] * [0.25, *[0.125] * 6]
+        return (places[:, None] + disc).reshape(-1, 3), shares.ravel()
+
+    def tints(self) -> tuple[Floats, Floats]:
+        """Return (k, n) shares of the intensities of `points` by channel, and the (k,) mean colour
+        of the LEDs relative to their brightest channels; k = 1 for white LEDs."""
+        colours = np.array(self.colours or np.ones((len(self.positions_mm), 1)), float)
+        if np.ptp(colours, axis=1).max() == 0:
+            colours = colours[:, :1]
+        power = colours.max(axis=1, keepdims=True)
+        even = colours.sum(axis=0) / power.sum()
+        each = 1 if self.radius_mm == 0 else 7
+        return np.repeat(colours / np.maximum(power, 1e-300), each, axis=0).T, even
 
 
 Triple = tuple[float, float, float]

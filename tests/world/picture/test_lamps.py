@@ -215,7 +215,7 @@ def test_a_cover_that_moves_and_tilts_is_lit_like_one_that_stands_so():
     moved = np.zeros_like(points)
     moved[:, 2] = height
     factor = ground.change(CoverMotion(displacement_mm=moved, gradient=gradient))
-    assert factor.shape == (480, 640)
+    assert factor.shape == (480, 640, 1)
     middle = np.array([[0.0, 0.0, 0.2]])
     normal = np.array([[-tilt, 0.0, 1.0]]) / np.hypot(1, tilt)
     before = irradiance(middle, UP, lamps_at(middle, made))
@@ -232,7 +232,7 @@ def test_the_window_mirrors_a_disc_of_light_where_and_as_bright_as_it_stands():
     plain = scene(1.41, 1.0, (3.0, 0.0, 70.0))
     made = changed(plain, camera=camera, light={"radius_mm": 0.5})
     top = 0.01
-    veil = look(made, top).veil
+    veil = look(made, top).veil[:, :, 0]
     # Down 60 mm and up 30 mm: 3 mm aside are 66.7 px, a radius of 0.5 mm 11.1 px.
     per_mm = 2000 / 90
     share = veil / veil.max()
@@ -255,7 +255,7 @@ def test_points_and_leds_in_the_body_have_no_mirror_image():
 
 def test_every_interface_mirrors_and_none_makes_light():
     """A plate of glass adds a fainter, nearer image; matched to the body, it moves the one."""
-    veil = look(changed(scene(led=(8.0, 0.0, 70.0)), light={"radius_mm": 0.3}), 0.01).veil
+    veil = look(changed(scene(led=(8.0, 0.0, 70.0)), light={"radius_mm": 0.3}), 0.01).veil[:, :, 0]
     levels = [veil[240, 319 + round(500 * 8 / reach)] for reach in (70, 70 + 20 / 1.49)]
     straight = [((1.49 - 1) / 2.49) ** 2, (1 - (0.49 / 2.49) ** 2) ** 2 * (0.08 / 2.9) ** 2]
     assert levels[1] / levels[0] == pytest.approx(straight[1] / straight[0], rel=0.02)
@@ -263,7 +263,7 @@ def test_every_interface_mirrors_and_none_makes_light():
 
 def test_a_lens_that_sees_the_horizon_shows_no_glare_there():
     made = load_scene("sato_press", {"light.radius_mm": 0.4})
-    veil = look(made, 0.01).veil
+    veil = look(made, 0.01).veil[:, :, 0]
     rows, columns = np.indices(veil.shape)
     away = np.hypot(rows - 239.5, columns - 319.5) / made.camera.focal_px
     # Mirrored by the window: 5.26 to 6.06 mm aside over 1.5 mm of air, at 74.1 to 76.1 deg.

@@ -85,7 +85,7 @@ def look(scene: Scene, top: float) -> View:
 
 
 def _glare(scene: Scene, top: float) -> Singles | None:
-    """Return (height, width) mirrored light, or None where no LED's disc is seen.
+    """Return (height, width, k) mirrored light, or None where no LED's disc is seen.
 
     It is in the units of a marker's brightness, 1 for white in the brightest marker's place, before
     the camera's vignetting and the gain.
@@ -95,7 +95,8 @@ def _glare(scene: Scene, top: float) -> Singles | None:
     assert light is not None
     if light.radius_mm == 0:
         return None
-    veil = np.zeros((camera.height_px, camera.width_px), np.float32)
+    channels = len(light.tints()[1])
+    veil = np.zeros((camera.height_px, camera.width_px, channels), np.float32)
     for first, last, grid in _bands(camera):
         veil[first:last] = _mirrored(grid, (last - first + 1, camera.width_px + 1), scene)
     if not veil.any():
@@ -223,7 +224,7 @@ def _pixelwise(corners: Any, join: np.ufunc) -> Any:
 
 def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
     """Return the LEDs' light in pixels between corners: the share mirrored, times intensity over
-    cosine.
+    cosine, by channel.
 
     A ray of tangent p in air goes down to an interface and up again to the height of an LED; a
     layer moves it aside twice.
@@ -239,7 +240,12 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
     p = np.linalg.norm(tangent, axis=1)
     cosine = np.maximum((1 + p**2) ** -0.5, _GRAZING)
     passed = light.emission(cosine) / cosine
-    total = np.zeros((shape[0] - 1, shape[1] - 1))
+    # One LED's light by channel: that of its disc's points.
+    tints, _ = light.tints()
+    powers = (
+        (tints * light.points()[1]).reshape(len(tints), len(light.positions_mm), -1).sum(axis=2)
+    )
+    total = np.zeros((shape[0] - 1, shape[1] - 1, len(powers)))
     gap = air_gap(camera, scene.body.base_z_mm)
     back = camera.pupil_mm[2] - gap
     indices = [1.0, *(layer.index for layer in layers[::-1]), body_index]
@@ -248,7 +254,7 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
         behind = [(la.thickness_mm, la.index) for la in layers[len(layers) - n :]]
         aside = sum((t / np.sqrt(m**2 + (m**2 - 1) * p**2) for t, m in behind), np.zeros(len(p)))
         mirrored = reflection(p, one, two)
-        for led in np.array(light.positions_mm):
+        for led, power in zip(np.array(light.positions_mm), powers.T, strict=True):
             if led[2] < back:
                 continue
             # Unfolded at the interface, the mirrored ray goes straight on; it meets the LED's disc
@@ -256,7 +262,8 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
             way = gap + led[2] - back + 2 * aside
             there = np.array(camera.pupil_mm[:2]) + way[:, None] * tangent
             covers = _disc(np.linalg.norm(there - led[:2], axis=1).reshape(shape), light.radius_mm)
-            total += np.nan_to_num(covers * _mean((passed * mirrored).reshape(shape)))
+            seen = np.nan_to_num(covers * _mean((passed * mirrored).reshape(shape)))
+            total += seen[:, :, None] * power
         passed = passed * (1 - mirrored) ** 2
     return total
 

@@ -91,7 +91,7 @@ class Background:
         return triangles[(triangles >= 0).all(axis=1)]
 
     def change(self, motion: CoverMotion) -> Singles:
-        """Return (height, width) factors on the light of the cover at rest.
+        """Return (height, width, k) factors on the light of the cover at rest, k of `Light.tints`.
 
         Notes
         -----
@@ -104,11 +104,11 @@ class Background:
         normals = motion.turned(self.normals)
         before = _brightness(self.points, self.normals, self._scene, self._top)
         after = _brightness(moved, normals, self._scene, self._top)
-        factor = np.ones(len(self._met))
-        factor[self._met] = after / np.maximum(before, 1e-12)
-        grid = factor.reshape(len(self._rows), len(self._columns))
+        factor = np.ones((after.shape[1], len(self._met)))
+        factor[:, self._met] = (after / np.maximum(before, 1e-12)).T
+        grid = factor.reshape(-1, len(self._rows), len(self._columns))
         smooth = stretch(self._rows, self._size[0]) @ grid @ stretch(self._columns, self._size[1]).T
-        return smooth.astype(np.float32)
+        return np.moveaxis(smooth, 0, 2).astype(np.float32)
 
 
 def cover_light(origins: Points, directions: Floats, scene: Scene, top: float) -> Floats:
@@ -129,7 +129,7 @@ def cover_light(origins: Points, directions: Floats, scene: Scene, top: float) -
         points, normals = _cover_places(origins, directions, scene)
         seen = np.isfinite(points[:, 0])
         bright = _brightness(points[seen], normals[seen], scene, top)
-        light[seen] = bright[:, None] * np.asarray(scene.cover.albedo)
+        light[seen] = bright * np.asarray(scene.cover.albedo)
     return light
 
 
@@ -167,10 +167,12 @@ def _cover_places(origins: Points, directions: Floats, scene: Scene) -> tuple[Po
 
 
 def _brightness(points: Points, normals: Floats, scene: Scene, top: float) -> Floats:
-    """Return (n,) light that white places of the cover send back, a share of even light
+    """Return (n, k) light that white places of the cover send back, a share of even light
     included."""
     assert scene.light is not None
     ambient = scene.light.ambient
-    direct = irradiance(points, normals, lamps_at(points, scene)) / top
-    bright: Floats = (1 - ambient) * direct + ambient
+    tints, even = scene.light.tints()
+    lamps = lamps_at(points, scene)
+    direct = [irradiance(points, normals, lamps.times(tint)) / top for tint in tints]
+    bright: Floats = (1 - ambient) * np.column_stack(direct) + ambient * even
     return bright

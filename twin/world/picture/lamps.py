@@ -14,7 +14,7 @@ no light between markers; LEDs in the body are not seen themselves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,10 @@ class Lamps:
 
     place: Floats
     power: Floats
+
+    def times(self, shares: Floats) -> Lamps:
+        """Return the lamps with (leds,) shares of their powers."""
+        return replace(self, power=self.power * shares)
 
 
 def lamps_at(points: Points, scene: Scene) -> Lamps:
@@ -180,18 +184,23 @@ def brightest(rest: Ellipsoids, scene: Scene) -> tuple[float, float]:
     total = np.sum(unit * (lamps.power / np.sum(towards**2, axis=2))[:, :, None], axis=1)
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
     candidates = [total, *np.moveaxis(unit, 1, 0)]
-    best = np.max(
-        [irradiance(markers.centres, normals, lamps) for normals in candidates], axis=0, initial=0.0
-    )
     # A flat marker shows its face, a round one also the side that is turned to the light.
     turned, sizes, _ = np.linalg.svd(markers.axes)
     face = turned[:, :, 2] * np.where(turned[:, 2, 2] < 0, -1.0, 1.0)[:, None]
-    best = np.where(sizes[:, 2] < 0.5 * sizes[:, 0], irradiance(markers.centres, face, lamps), best)
-    top = float(best.max(initial=0.0))
+    flat = sizes[:, 2] < 0.5 * sizes[:, 0]
+
+    def best(lights: Lamps) -> Floats:
+        round_ones = [irradiance(markers.centres, normals, lights) for normals in candidates]
+        flat_ones = irradiance(markers.centres, face, lights)
+        return np.where(flat, flat_ones, np.max(round_ones, axis=0, initial=0.0))
+
+    top = float(best(lamps).max(initial=0.0))
     if top <= 0:
         raise RecipeError(
             "light.positions_mm: no LED reaches any marker: move the LEDs over the base"
         )
     ambient = scene.light.ambient
-    colours = np.max(markers.colour @ response_matrix(scene.ccd).T, axis=1)
-    return top, max(float(np.max(colours * ((1 - ambient) * best / top + ambient))), 1e-6)
+    tints, even = scene.light.tints()
+    direct = np.column_stack([best(lamps.times(tint)) / top for tint in tints])
+    light = markers.colour * ((1 - ambient) * direct + ambient * even)
+    return top, max(float(np.max(light @ response_matrix(scene.ccd).T)), 1e-6)

@@ -228,6 +228,8 @@ class FoldedLeds(mi.Emitter):
         rows = np.column_stack([places, np.where(within, -1.0, 1.0) * shares * len(places)])
         self._count = len(places)
         self._leds = mi.Float(rows.astype(np.float32).ravel())
+        tints = np.broadcast_to(scene.light.tints()[0].T, (len(places), 3))
+        self._tints = mi.Float(tints.astype(np.float32).ravel())
         self._index = scene.material.refractive_index
         self._base = scene.body.base_z_mm
         self._layers = [(layer.thickness_mm, layer.index) for layer in scene.camera.layers]
@@ -278,8 +280,9 @@ class FoldedLeds(mi.Emitter):
         found.pdf = mi.Float(1)
         found.delta = mi.Bool(True)
         found.emitter = mi.EmitterPtr(self)
+        tint = dr.gather(mi.Color3f, self._tints, which, active)
         arrives = mi.Bool(active) & (place.z < self._base) & (light > 0)
-        return found, mi.Color3f(dr.select(arrives, light, 0))
+        return found, tint * dr.select(arrives, light, 0)
 
     def _tangent(self, reach: Any, depth: Any, air: Any) -> tuple[Any, Any]:
         """Return `twin.theory.optics.air_tangents` and the derivative of the way aside there."""

@@ -80,7 +80,7 @@ class View:
     cover
         (height, width, 3) light from the cover behind the markers, vignette included.
     veil
-        (height, width) light of mirrored LEDs in front of all, or None.
+        (height, width, k) light of mirrored LEDs in front of all, k of `Light.tints`, or None.
     """
 
     corners: Floats
@@ -101,7 +101,7 @@ class View:
 
         One pixel in a hundred may be brighter, so that mirrored LEDs don't set the exposure.
         """
-        ground = self.cover if self.veil is None else self.cover + self.veil[:, :, None]
+        ground = self.cover if self.veil is None else self.cover + self.veil
         return float(np.quantile((ground @ response_matrix(ccd).T).max(axis=2), _EXPOSED))
 
 

@@ -186,11 +186,12 @@ def stock_scene(scene: Scene, exposure: float, parts: Mapping[str, str]) -> dict
     radius = light.radius_mm or _LED_MM
     index = scene.material.refractive_index
     radiance = (1 - light.ambient) * exposure * (index / through / radius) ** 2
+    colours = light.colours or ((1.0,) * 3,) * len(light.positions_mm)
     for n, place in enumerate(light.positions_mm):
         table[f"led{n}"] = {
             "type": "disk",
             "to_world": _matrix(radius * np.diag([1, -1, -1]), (*place[:2], place[2] - down)),
-            "emitter": {"type": "area", "radiance": (radiance,) * 3},
+            "emitter": {"type": "area", "radiance": tuple(radiance * p for p in colours[n])},
         }
     colour = {"type": "mesh_attribute", "name": "vertex_color"}
     for name, file in parts.items():
