@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from twin.arrays import Floats, Points
-from twin.parts.part import Angle, Coefficient, Part, Pixel, Place, Size
+from twin.arrays import Floats, Pixels, Points
+from twin.parts.part import Angle, Coefficient, Part, Pixel, Place, Share, Size
 
 Power = Annotated[float, Field(ge=0, le=1e3)]
 
@@ -35,6 +35,32 @@ class Layer(Part):
 
     index: float = Field(ge=1, le=3)
     thickness_mm: Size
+
+
+class Dust(Part):
+    """Specks on the outer face of the window, lit by LEDs in air.
+
+    Attributes
+    ----------
+    count, seed
+        How many lie over the body's extent, and what draws their places: the same for every
+        picture and every sensor.
+    size_mm
+        Diameter of each. Specks narrower than half a pixel are not seen; through a wide pupil one
+        out of focus is seven fainter ones.
+    albedo
+        Diffuse reflectance; 0 is black.
+    """
+
+    count: int = Field(ge=1, le=100_000)
+    size_mm: Size = 0.1
+    albedo: Share = 0.3
+    seed: int = Field(default=1, ge=0, le=2**63 - 1)
+
+    def places(self, low: Sequence[float], high: Sequence[float]) -> Pixels:
+        """Return (count, 2) places between two corners, mm."""
+        drawn = np.random.default_rng(self.seed).uniform(low[:2], high[:2], (self.count, 2))
+        return np.asarray(drawn)
 
 
 class Camera(Part):
@@ -72,6 +98,8 @@ class Camera(Part):
         Small rotations of the camera about x, y and z, applied in this order.
     layers
         Between base and air, in the order in which a ray leaving the body meets them.
+    dust
+        Specks on the outermost of them; None for a clean window.
     """
 
     width_px: int = Field(default=640, ge=1, le=8192)
@@ -87,6 +115,7 @@ class Camera(Part):
     pupil_mm: tuple[Place, Place, Place]
     tilt_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     layers: tuple[Layer, ...] = ()
+    dust: Dust | None = None
 
     @model_validator(mode="after")
     def _distortion_has_a_known_length(self) -> Camera:

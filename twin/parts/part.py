@@ -41,6 +41,7 @@ LATER: tuple[tuple[str, object], ...] = (
     ("renderer", "auto"),
     ("paths", 64),
     ("colours", []),
+    ("dust", None),
 )
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so
 that files stored under a hash of all keys stay valid."""

@@ -1,11 +1,12 @@
 """What recipes can add to light and camera: each effect against arithmetic, and none that is off costs anything."""
 
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from small_scenes import SPLAT, block, changed, mitsuba, rest_of
 
 from twin.errors import RecipeError
-from twin.parts.camera import Light
+from twin.parts.camera import Dust, Light
 from twin.parts.part import identity
 from twin.world.picture.render import Renderer
 
@@ -18,8 +19,9 @@ def light_of(scene, variant=SPLAT):
 
 
 def test_what_is_off_changes_no_description():
-    table = Light(positions_mm=((0, 0, 50),)).model_dump(mode="json")
-    assert set(identity(table)) == {"positions_mm", "exponent", "profile", "radius_mm", "ambient"}
+    table = block().model_dump(mode="json")
+    assert set(identity(table["light"])) == {"positions_mm", "exponent", "profile", "radius_mm", "ambient"}
+    assert not {"dust"} & set(identity(table["camera"]))
 
 
 # LEDs of a colour and a power
@@ -64,3 +66,48 @@ def test_leds_without_a_colour_each_are_refused():
         Light(positions_mm=((0, 0, 50), (1, 0, 50)), colours=(ONE,))
     with pytest.raises(RecipeError, match="every LED is dark"):
         Light(positions_mm=((0, 0, 50),), colours=(DARK,))
+
+
+# Dust on the window
+
+
+def dusty(**keys):
+    return changed(block(), camera={"dust": Dust(count=4000, size_mm=0.2, **keys)}, light={"ambient": 0.0})
+
+
+def test_black_dust_hides_discs_where_a_pinhole_sees_it():
+    """Similar triangles: the outer face is 58.85 mm before the pupil."""
+    per_mm = 1814.8 / 58.85
+    scene = dusty(albedo=0.0)
+    share = 1 - light_of(scene)[1] / light_of(changed(scene, camera={"dust": None}))[1]
+    specks = scene.camera.dust.places((-50, -45), (50, 45)) * [per_mm, -per_mm] + [59.5, 44.5]
+    whole = specks[((specks > 5) & (specks < (114, 84))).all(axis=1)]
+    assert len(whole) == 2
+    for column, row in whole:
+        at = np.s_[int(row) - 5 : int(row) + 6, int(column) - 5 : int(column) + 6]
+        rows, columns = np.mgrid[at]
+        part = share[at][:, :, 1]
+        assert part.sum() == pytest.approx(np.pi * (0.1 * per_mm) ** 2, rel=0.02)
+        assert_allclose([(part * columns).sum(), (part * rows).sum()] / part.sum(), (column, row), atol=0.02)
+
+
+def test_white_dust_is_as_bright_as_the_leds_light_it():
+    scene = dusty(albedo=0.5)
+    light = light_of(scene)[1]
+    (x, y), *_ = [p for p in scene.camera.dust.places((-50, -45), (50, 45)) if abs(p[0]) < 1.5 and abs(p[1]) < 1.1]
+    per_mm = 1814.8 / 58.85
+    way = np.array(scene.light.positions_mm) - [x, y, 50]
+    lit = np.sum(way[:, 2] ** 2 / np.sum(way**2, axis=1) ** 2)  # cosine there and here over the square
+    # Light from paper under irradiance 1 in the body passes the window twice and spreads in air.
+    passed = (1 - (0.08 / 2.9) ** 2) * (1 - (0.49 / 2.49) ** 2)
+    seen = light[round(44.5 - y * per_mm), round(59.5 + x * per_mm)]
+    assert_allclose(seen, 0.5 * lit * (1.41 / passed) ** 2, rtol=1e-3)
+
+
+def test_paths_see_the_same_dust():
+    scene = dusty(albedo=0.5)
+    path = changed(scene, accuracy={"paths": 16}).model_copy(update={"renderer": "path"})
+    theirs, ours = light_of(path, mitsuba())[1], light_of(scene)[1]
+    specks = ours > 0.99 * ours.max()
+    assert specks.sum() > 20
+    assert_allclose(theirs[specks], ours[specks], rtol=0.01)

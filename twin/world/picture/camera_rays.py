@@ -42,6 +42,7 @@ from twin.theory.optics import (
     transmission,
 )
 from twin.world.picture.cover import cover_light, stretch
+from twin.world.picture.lamps import Lamps, irradiance
 from twin.world.picture.picture_job import View
 
 PUPIL_WEIGHTS = np.concatenate([[0.25], np.full(6, 0.125)])
@@ -74,14 +75,52 @@ def look(scene: Scene, top: float) -> View:
     corners = np.empty((height + 1, width + 1, 4))
     sees = np.empty((height, width), bool)
     vignette = np.empty((height, width), np.float32)
+    veil = _glare(scene, top)
     for first, last, grid in _bands(camera):
         rays_here, inside, passed = _corner_rays(grid, scene)
         shape = (last - first + 1, width + 1)
         corners[first : last + 1] = rays_here.reshape(*shape, 4)
         sees[first:last] = _pixelwise(inside.reshape(shape), np.logical_and)
         vignette[first:last] = 0.25 * _pixelwise(passed.reshape(shape), np.add)
+    if camera.dust is not None:
+        share, light = _dust(corners, scene)
+        vignette *= 1 - share
+        glare = 0.0 if veil is None else veil * (1 - share)[:, :, None]
+        veil = (light * share[:, :, None] * _outside(scene, top) + glare).astype(np.float32)
     cover = _cover_picture(scene, top, sees) * (vignette * sees)[:, :, None]
-    return View(corners=corners, sees=sees, vignette=vignette, cover=cover, veil=_glare(scene, top))
+    return View(corners=corners, sees=sees, vignette=vignette, cover=cover, veil=veil)
+
+
+def _dust(corners: Floats, scene: Scene) -> tuple[Floats, Floats]:
+    """Return (height, width) shares that specks cover, and (height, width, k) light that one sends
+    to the camera, k of `Light.tints`; times `_outside`."""
+    from scipy.spatial import KDTree
+
+    camera, light = scene.camera, scene.light
+    assert camera is not None
+    assert camera.dust is not None
+    assert light is not None
+    # Where each pixel's ray crosses the outer face, and how far from the nearest speck.
+    ahead = corners[:, :, 2:] * scene.material.refractive_index
+    ahead /= np.sqrt(1 + (corners[:, :, 2:] ** 2).sum(axis=2) - (ahead**2).sum(axis=2))[:, :, None]
+    gap = air_gap(camera, scene.body.base_z_mm)
+    places = camera.pupil_mm[:2] + gap * ahead
+    away, _ = KDTree(camera.dust.places(*scene.body.bounds_mm)).query(places)
+    share = _disc(away, camera.dust.size_mm / 2)
+    # Specks are lit as they lie there, before the window.
+    seen = share > 0
+    points = np.pad(
+        places[:-1, :-1][seen], ((0, 0), (0, 1)), constant_values=camera.pupil_mm[2] - gap
+    )
+    leds, powers = light.points()
+    towards = leds - points[:, None]
+    cosine = towards[:, :, 2] / np.linalg.norm(towards, axis=2)
+    lamps = Lamps(place=leds[None], power=powers * light.emission(cosine) * (cosine > 0))
+    tints, _ = light.tints()
+    up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+    bright = np.zeros((*share.shape, len(tints)))
+    bright[seen] = np.column_stack([irradiance(points, up, lamps.times(tint)) for tint in tints])
+    return share, camera.dust.albedo * bright
 
 
 def _glare(scene: Scene, top: float) -> Singles | None:
@@ -101,13 +140,18 @@ def _glare(scene: Scene, top: float) -> Singles | None:
         veil[first:last] = _mirrored(grid, (last - first + 1, camera.width_px + 1), scene)
     if not veil.any():
         return None
-    # A surface's brightness is relative to light that has passed the interfaces twice, straight,
-    # and spreads as it leaves.
-    indices = [scene.material.refractive_index, *(layer.index for layer in camera.layers), 1.0]
+    return veil * (_outside(scene, top) / np.float32(light.radius_mm**2))
+
+
+def _outside(scene: Scene, top: float) -> np.float32:
+    """Return what light that never entered the body counts: a surface's brightness in it is
+    relative to light that has passed the interfaces twice, straight, and spreads as it leaves."""
+    assert scene.camera is not None
+    assert scene.light is not None
+    layers = scene.camera.layers
+    indices = [scene.material.refractive_index, *(layer.index for layer in layers), 1.0]
     through = np.prod([1 - ((one - two) / (one + two)) ** 2 for one, two in pairwise(indices)])
-    return veil * np.float32(
-        (1 - light.ambient) * (indices[0] / through / light.radius_mm) ** 2 / top
-    )
+    return np.float32((1 - scene.light.ambient) * (indices[0] / through) ** 2 / top)
 
 
 def through_the_pupil(scene: Scene) -> list[Camera]:

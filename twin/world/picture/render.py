@@ -269,7 +269,7 @@ class Renderer:
             # The shader's share of even light is white: it gets the channel's through the colour.
             lamps = job.lamps.copy()
             lamps[:, :, 3] *= tints[c] / max(even[c], 1e-9)
-            one = replace(job, lamps=lamps, colour=job.colour * even[c])
+            one = replace(job, lamps=lamps, colour=frozen(job.colour * even[c]))
             light, free = self._shader.shade(one)
             marks[:, c] = light[:, c]
         return marks, free
