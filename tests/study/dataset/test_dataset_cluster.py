@@ -1,6 +1,7 @@
 """Many processes: the same bytes from any number of workers, from a cluster of strangers, and when one is killed."""
 
 import http.client
+import multiprocessing
 import os
 import pickle
 import signal
@@ -8,6 +9,8 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -17,7 +20,7 @@ from small_dataset import contents, make
 import twin
 from twin.errors import InputError, MissingCapability
 from twin.study.batch import pool
-from twin.study.batch.pool import Scheduler, connected, workers_here
+from twin.study.batch.pool import Done, Job, Scheduler, connected, workers_here
 from twin.study.dataset.sample import ShardBytes
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parent.parent)}
@@ -125,6 +128,7 @@ def test_workers_start_only_where_the_job_takes_longer_than_their_start(
         raise MissingCapability("started")
 
     monkeypatch.setattr(pool, "workers_here", refused)
+    monkeypatch.setattr(pool, "FORKS", False)
     assert make(tmp_path / "small", 4, workers=2).made == 4
     monkeypatch.setattr(pool, "START_S", 0.0)
     with pytest.raises(MissingCapability, match="started"):
@@ -132,12 +136,63 @@ def test_workers_start_only_where_the_job_takes_longer_than_their_start(
     assert started == [2]
 
 
-@pytest.mark.slow
-def test_two_local_workers_make_the_same_bytes_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make(tmp_path / "one", 8)
+@pytest.mark.parametrize("forks", [pytest.param(False, marks=pytest.mark.slow), True])
+def test_two_local_workers_make_the_same_bytes_as_one(
+    forks: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Copies of this process, which work here alone, and dask's."""
+    processes: set[int] = set()
+    monkeypatch.setattr(pool, "FORKS", forks)
     monkeypatch.setattr(pool, "START_S", 0.0)
+    monkeypatch.setattr(pool, "COPY_S", 0.0)
+    monkeypatch.delitem(sys.modules, "drjit", raising=False)  # loaded by other tests, and not needed here
+    make(tmp_path / "one", 8)
     make(tmp_path / "two", 8, workers=2)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
+    if forks:
+        with pool.Pool(2) as copies:
+            for _ in range(2):
+                processes |= {
+                    done.result for done in copies.run(Job(files={}, work=f"{__name__}:own_number"), range(8))
+                }
+        assert len(processes - {os.getpid()}) == 2
+
+
+def own_number(folder: Path, number: int) -> int:
+    time.sleep(0.02)
+    return os.getpid()
+
+
+def only_some_return(folder: Path, number: int) -> int:
+    if number == 3 and multiprocessing.parent_process() is not None:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if number == 5:
+        raise ValueError("five")
+    return 10 * number
+
+
+def test_what_a_killed_copy_leaves_is_done_by_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    left: list[int] = []
+
+    def others(job: Job, numbers: Iterable[int], cluster: object) -> Iterator[Done]:
+        left.extend(numbers)
+        yield from [Done(number, "others") for number in left]
+
+    monkeypatch.setattr(pool, "FORKS", True)
+    monkeypatch.setattr(pool, "COPY_S", 0.0)
+    monkeypatch.delitem(sys.modules, "drjit", raising=False)
+    monkeypatch.setattr(pool, "workers_here", nullcontext)
+    monkeypatch.setattr(pool, "tasks_on_cluster", others)
+    job = Job(files={}, work=f"{__name__}:only_some_return")
+    done = {one.number: one for one in pool.run_tasks(job, range(20), workers=2)}
+    assert sorted(done) == [*range(20)]
+    assert 3 in left
+    assert len(left) < 20
+    assert all(done[number].result == ("others" if number in left else 10 * number) for number in {*done} - {5})
+    left.clear()
+    done = {one.number: one for one in pool.run_tasks(job, [4, 5, 6], workers=2)}
+    assert done[5].problem == "ValueError: five"
+    assert (done[4].result, done[6].result) == (40, 60)
 
 
 @pytest.mark.slow

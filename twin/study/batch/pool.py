@@ -1,11 +1,13 @@
 """Numbered tasks computed here, on all cores, or on a cluster: numbers in, results out, in any
 order.
 
-One worker runs in this process and imports no dask; several, and clusters, are dask.distributed's,
-the only one of the engines tried that finished when a worker was killed. A worker unpacks the job's
-files once, into a folder of its own; no common file system is needed. A task that loses its worker
-is repeated by another; a task whose workers die again and again is reported and left out. Results
-travel to this process, which alone writes.
+One worker runs in this process and imports no dask. Several are copies of this process where it can
+be copied (Linux): they start at once, with all that this one has loaded. Elsewhere, after a copy
+has died, and on clusters, workers are dask.distributed's, the only one of the engines tried that
+finished when a worker was killed. A worker unpacks the job's files once, into a folder of its
+own; no common file system is needed. A task that loses its worker is repeated by another; a task
+whose workers die again and again is reported and left out. Results travel to this process, which
+alone writes.
 
 Peers unpickle what they receive, so the workers of this machine communicate over TLS with a key
 that this process makes and keeps in memory (docs/dataset.md).
@@ -13,13 +15,16 @@ that this process makes and keeps in memory (docs/dataset.md).
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import importlib
 import importlib.metadata
 import logging
 import math
+import multiprocessing
 import os
 import platform
+import signal
 import socket
 import sys
 import tempfile
@@ -28,6 +33,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +58,16 @@ RETRIES = 3
 
 PATIENCE_S = 20
 """How long to wait for a scheduler."""
+
+COPY_S = 1.0
+"""CPU seconds of work from which on copies of this process pay: a second core gains as much, and
+what they would load is loaded by then."""
+
+FORKS = sys.platform == "linux"
+"""Whether workers may be copies of this process: other systems' libraries don't bear it."""
+
+_DIES_WITH_PARENT = 1
+"""Linux's PR_SET_PDEATHSIG."""
 
 LOOPBACK = "127.0.0.1"
 
@@ -144,6 +160,8 @@ class Pool:
     def __init__(self, workers: int = 1, scheduler: Scheduler | None = None) -> None:
         self._workers = workers
         self._cluster: Any = scheduler
+        self._copies: list[Any] = []
+        self._folders: dict[str, Path] = {}
         self._started = ExitStack()
 
     def __enter__(self) -> Pool:
@@ -162,28 +180,114 @@ class Pool:
         """
         waiting = deque(numbers)
         if self._cluster is None and waiting:
-            yield from self._run_here(job, waiting)
+            if job.name not in self._folders:
+                self._folders[job.name] = self._started.enter_context(unpacked(job))
+            yield from self._run_on_this_machine(job, waiting)
         if waiting:
             if self._cluster is None:
                 workers = min(self._workers, len(waiting))
                 self._cluster = self._started.enter_context(workers_here(workers))
             yield from tasks_on_cluster(job, waiting, self._cluster)
 
-    def _run_here(self, job: Job, waiting: deque[int]) -> Iterator[Done]:
-        """Compute tasks in this process until other processes pay, and take them off the list."""
+    def _run_on_this_machine(self, job: Job, waiting: deque[int]) -> Iterator[Done]:
+        """Compute tasks in this process and its copies, and take them off the list; what is left is
+        for other processes."""
+        if not self._copies:
+            if _can_be_copied():
+                yield from self._run_here(job, waiting, COPY_S)
+            if waiting and _can_be_copied():
+                count = min(self._workers, len(waiting))
+                self._copies = self._started.enter_context(_copies(count))
+            elif waiting:
+                yield from self._run_here(job, waiting, START_S)
+        yield from self._run_in_copies(job, waiting)
+
+    def _run_in_copies(self, job: Job, waiting: deque[int]) -> Iterator[Done]:
+        """Compute tasks in copies of this process, and take them off the list; what is left when a
+        copy has died is for other workers."""
+        idle, given = self._copies, dict[Any, int]()
+        self._copies = []
+        try:
+            while given or (waiting and idle):
+                while waiting and idle:
+                    pipe = idle.pop()
+                    given[pipe] = waiting.popleft()
+                    pipe.send((job.work, self._folders[job.name], given[pipe]))
+                ready: list[Any] = wait(given)
+                for pipe in ready:
+                    done: Done = pipe.recv()
+                    del given[pipe]
+                    idle.append(pipe)
+                    yield done
+        except (EOFError, OSError):
+            waiting.extendleft(sorted(given.values(), reverse=True))
+        else:
+            self._copies = idle
+
+    def _run_here(self, job: Job, waiting: deque[int], start_s: float) -> Iterator[Done]:
+        """Compute tasks in this process until other processes pay, which take ``start_s`` to start,
+        and take them off the list."""
         gain = 1.0 - 1.0 / min(self._workers, len(waiting))
-        with one_thread(), unpacked(job) as folder, suppress(_TooLong):
+        folder = self._folders[job.name]
+        with one_thread(), suppress(_TooLong):
             work = _work_of(job.work)
             started = time.process_time()
             done = 0
             while waiting:
-                with _limited(started + START_S if gain and not done else math.inf):
+                with _limited(started + start_s if gain and not done else math.inf):
                     result = work(folder, waiting[0])
                 done += 1
                 yield Done(waiting.popleft(), result)
                 left_s = len(waiting) * (time.process_time() - started) / done
-                if left_s * gain > START_S:
+                if left_s * gain > start_s:
                     return
+
+
+def _can_be_copied() -> bool:
+    """Return whether this process can be copied: Dr.Jit's threads are not, so that a copy would
+    wait for them for ever."""
+    return FORKS and "drjit" not in sys.modules
+
+
+@contextmanager
+def _copies(count: int) -> Iterator[list[Any]]:
+    """Copy this process, and stop the copies in the end; give a pipe to each of them, fewer than
+    ``count`` where there is no room."""
+    context = multiprocessing.get_context("fork")
+    processes = []
+    pipes: list[Any] = []
+    with one_thread(), suppress(OSError):
+        while len(pipes) < count:
+            ours, theirs = context.Pipe()
+            pipes.append(ours)
+            process = context.Process(target=_serve, args=(theirs, tuple(pipes)), daemon=True)
+            process.start()
+            processes.append(process)
+            theirs.close()
+    try:
+        yield pipes[: len(processes)]
+    finally:
+        for process in processes:
+            process.kill()
+            process.join()
+        for pipe in pipes:
+            pipe.close()
+
+
+def _serve(pipe: Any, others: Sequence[Any]) -> None:
+    """Compute tasks in a copy of a process until that one is gone; interrupts are its business.
+
+    The copy ends with it, also in the middle of a task: it holds a copy of the folder's lock.
+    """
+    ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGKILL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    for other in others:
+        other.close()
+    with suppress(EOFError, OSError):
+        while True:
+            work, folder, number = pipe.recv()
+            pipe.send(_tried(_work_of(work), folder, number))
 
 
 class _TooLong(Exception):
