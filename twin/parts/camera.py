@@ -348,8 +348,13 @@ class Ccd(Part):
     prnu_pct, dsnu_e
         Standard deviations over the pixels of their gain, percent, and of their dark signal,
         electrons: the same in every picture of a sensor.
+    hot_pixels, dead_pixels
+        How many of the pixels, each of one colour, are always full, and how many see no light.
+    row_noise_e, column_noise_e
+        Standard deviations of an offset of each row, another one in every picture, and of each
+        column, the same in every picture of a sensor; electrons.
     noise
-        False leaves all noise and both fixed patterns out.
+        False leaves all noise and every fixed pattern out.
     white_dn
         Count that the brightest of the rest picture is exposed to, be it a marker or the ground
         behind the markers, of which one pixel in a hundred may be brighter.
@@ -395,6 +400,10 @@ class Ccd(Part):
     exposure_ms: float | None = Field(default=None, gt=0, le=1e5)
     prnu_pct: float | None = Field(default=None, ge=0, le=50)
     dsnu_e: float | None = Field(default=None, ge=0, le=1e6)
+    hot_pixels: int = Field(default=0, ge=0, le=10**6)
+    dead_pixels: int = Field(default=0, ge=0, le=10**6)
+    row_noise_e: float = Field(default=0.0, ge=0, le=1e6)
+    column_noise_e: float = Field(default=0.0, ge=0, le=1e6)
     exposure: float = Field(default=1.0, gt=0, le=1000)
     black_dn: float | None = Field(default=None, ge=0, le=100)
     bayer: Mosaic | None = None

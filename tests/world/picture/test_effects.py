@@ -6,8 +6,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from small_scenes import SPLAT, block, changed, mitsuba, rest_of
 
 from twin.errors import RecipeError
-from twin.parts.camera import Dust, Light
+from twin.parts.camera import Ccd, Dust, Light
 from twin.parts.part import identity
+from twin.world.picture.ccd import expose, fixed_pattern
 from twin.world.picture.render import Renderer
 
 
@@ -21,7 +22,8 @@ def light_of(scene, variant=SPLAT):
 def test_what_is_off_changes_no_description():
     table = block().model_dump(mode="json")
     assert set(identity(table["light"])) == {"positions_mm", "exponent", "profile", "radius_mm", "ambient"}
-    assert not {"dust"} & set(identity(table["camera"]))
+    assert "dust" not in identity(table["camera"])
+    assert not [key for key in identity(table["ccd"]) if "pixels" in key or "row" in key or "column" in key]
 
 
 # LEDs of a colour and a power
@@ -111,3 +113,39 @@ def test_paths_see_the_same_dust():
     specks = ours > 0.99 * ours.max()
     assert specks.sum() > 20
     assert_allclose(theirs[specks], ours[specks], rtol=0.01)
+
+
+# Pixels that fail, and noise of rows and columns
+
+
+def exposed(light, number, **keys):
+    """Return a grey picture of a CCD of 20 000 electrons, 100 to the count, with no noise but what is asked."""
+    ccd = Ccd(preset="ideal", noise=True, full_well_e=25500, crosstalk=0.0, **keys)
+    pattern = fixed_pattern(ccd, (200, 300), np.random.default_rng(1))
+    return expose(np.full((200, 300, 3), light, np.float32), ccd, np.random.default_rng(number), pattern)
+
+
+@pytest.mark.parametrize("mosaic", ["none", "rggb"])
+def test_hot_pixels_are_full_and_dead_ones_dark_in_every_picture(mosaic):
+    keys = {"hot_pixels": 40, "dead_pixels": 25, "bayer": mosaic}
+    one, two = exposed(0.5, 1, **keys), exposed(0.5, 2, **keys)
+    if mosaic == "none":
+        assert (one == 255).sum() == 40
+        assert (one < 5).sum() == 25
+    assert_array_equal(one == 255, two == 255)
+    assert_array_equal(one < 5, two < 5)
+    assert (one == 255).any()
+    assert (one < 5).any()
+
+
+def test_rows_differ_from_picture_to_picture_and_columns_do_not():
+    keys = {"row_noise_e": 300.0, "column_noise_e": 200.0}
+    pictures = [exposed(0.5, number, **keys) for number in (1, 2)]
+    rows = [picture.mean(axis=(1, 2)) for picture in pictures]
+    columns = [picture.mean(axis=(0, 2)) for picture in pictures]
+    for picture in range(2):
+        assert rows[picture].std() == pytest.approx(3, rel=0.15)  # 300 electrons are 3 counts; 200 rows
+        assert columns[picture].std() == pytest.approx(2, rel=0.15)
+    assert abs(np.corrcoef(rows)[0, 1]) < 0.3
+    assert np.corrcoef(columns)[0, 1] > 0.99
+    assert exposed(0.5, 1).std() == pytest.approx(np.sqrt(12750) / 100, rel=0.1)

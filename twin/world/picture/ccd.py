@@ -101,11 +101,20 @@ def fixed_pattern(ccd: Ccd, shape: tuple[int, int], rng: np.random.Generator) ->
     assert ccd.exposure_ms is not None
     assert ccd.full_well_e is not None
     gathered = ccd.dark_current_e_s * ccd.exposure_ms / 1000
-    if not ccd.noise or (ccd.prnu_pct == 0 and ccd.dsnu_e == 0 and gathered == 0):
+    bad = ccd.hot_pixels, ccd.dead_pixels
+    if not ccd.noise or not any([ccd.prnu_pct, ccd.dsnu_e, gathered, ccd.column_noise_e, *bad]):
         return None
     size = (*shape, 1 if ccd.bayer != "none" else 3)
     gain = 1 + np.float32(ccd.prnu_pct / 100) * rng.standard_normal(size, np.float32)
     dark = np.float32(gathered) + np.float32(ccd.dsnu_e) * rng.standard_normal(size, np.float32)
+    if ccd.column_noise_e > 0:
+        columns = rng.standard_normal((1, shape[1], 1), np.float32)
+        dark += np.float32(ccd.column_noise_e) * columns
+    if any(bad):
+        hot, dead = np.split(rng.permutation(gain.size)[: min(sum(bad), gain.size)], [bad[0]])
+        gain.ravel()[[*hot, *dead]] = 0
+        dark.ravel()[dead] = 0
+        dark.ravel()[hot] = 2 * ccd.full_well_e
     return Pattern(gain=gain, dark=dark / np.float32(ccd.full_well_e))
 
 
@@ -172,6 +181,10 @@ def expose(
 
     # Light to electrons: blur, colour mixing, noise, saturation.
     in_parts(height, electrons)
+    if full.noise and full.row_noise_e > 0:
+        rows = rng.standard_normal((height, 1), np.float32)
+        shares += np.float32(full.row_noise_e / full.full_well_e) * rows
+        np.minimum(shares, 1, out=shares)
     # The colour mosaic, the gamma curve and the composite video line.
     if mosaic is not None:
         shares = _demosaic(shares, mosaic).reshape(height, -1)
