@@ -179,6 +179,9 @@ class Load:
         (`ContactState.load`).
     strained
         What linear theory leaves out of the press that they come from; None for a linear one.
+    crept
+        The elastic load that moves the body as relaxing rubber moves by now; None where that is
+        this load itself.
 
     Notes
     -----
@@ -195,11 +198,20 @@ class Load:
 
     terms: tuple[Traction | Rectangles, ...] = ()
     strained: Strained | None = None
+    crept: Load | None = None
+
+    @property
+    def moving(self) -> Load:
+        """The load under which elastic rubber moves so."""
+        return self if self.crept is None else self.crept
 
     def __add__(self, other: Load) -> Load:
         if not isinstance(other, Load):
             return NotImplemented
-        return Load(self.terms + other.terms)
+        crept = None
+        if self.crept is not None or other.crept is not None:
+            crept = self.moving + other.moving
+        return Load(self.terms + other.terms, crept=crept)
 
     def __radd__(self, other: object) -> Load:
         """Let ``sum(loads)`` start from its 0."""

@@ -1,25 +1,42 @@
-"""The rubber: isotropic, quasi-static; rate, creep and hysteresis are outside the model."""
+"""The rubber: isotropic; elastic, or relaxing with one function of time."""
 
 from __future__ import annotations
 
 import math
 from typing import Literal, Self, TypeVar
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import Field, field_validator, model_validator
 
 from twin.arrays import Floats
 from twin.parts.part import LEAST_MM, LEAST_MPA, Part, Share
+from twin.theory.relaxation import Relaxation
 
 Modulus = TypeVar("Modulus", float, Floats)
 
 
+class Term(Part):
+    """One term of a Prony series.
+
+    Attributes
+    ----------
+    share
+        By which share of the instantaneous modulus it relaxes.
+    time_s
+        Its time constant, s.
+    """
+
+    share: float = Field(gt=0, lt=1)
+    time_s: float = Field(ge=1e-6, le=1e9)
+
+
 class Material(Part):
-    """Elastic rubber.
+    """The rubber.
 
     Attributes
     ----------
     youngs_modulus_mpa
-        Young's modulus E, MPa.
+        Young's modulus E, MPa; where the rubber relaxes, the instantaneous one.
     poisson_ratio
         Poisson's ratio nu; exactly 0.5 is incompressible and is solved as such.
     law
@@ -29,6 +46,10 @@ class Material(Part):
     law_ratios
         C2/C1 of ``mooney_rivlin`` (0 or more); C2/C1 and C3/C1 of ``yeoh``, W = C1 (I1 - 3) +
         C2 (I1 - 3)^2 + C3 (I1 - 3)^3, which must not soften to no stiffness at any strain.
+    relaxation
+        Prony series of the modulus, E(t)/E = 1 - sum of share (1 - exp(-t/time_s)), at a constant
+        Poisson's ratio and the same in a cover; elastic if empty. It acts in presses whose steps
+        have ``seconds``. The shares are less than 1 together.
     refractive_index
         Of the transparent rubber, for the camera's rays.
     """
@@ -37,7 +58,25 @@ class Material(Part):
     poisson_ratio: float = Field(default=0.5, ge=-0.5, le=0.5)
     law: Literal["linear", "neo_hookean", "mooney_rivlin", "yeoh"] = "linear"
     law_ratios: tuple[float, ...] = ()
+    relaxation: tuple[Term, ...] = Field(default=(), max_length=32)
     refractive_index: float = Field(default=1.41, ge=1, le=3)
+
+    @field_validator("relaxation")
+    @classmethod
+    def _stays_solid(cls, terms: tuple[Term, ...]) -> tuple[Term, ...]:
+        if sum(term.share for term in terms) >= 1.0:
+            raise ValueError("the shares must be less than 1 together: the rubber would flow away")
+        return terms
+
+    @property
+    def prony(self) -> Relaxation | None:
+        """The relaxation; None of elastic rubber."""
+        if not self.relaxation:
+            return None
+        return Relaxation(
+            np.array([term.share for term in self.relaxation]),
+            np.array([term.time_s for term in self.relaxation]),
+        )
 
     @model_validator(mode="after")
     def _takes_its_ratios(self) -> Self:

@@ -26,6 +26,7 @@ UNITS = {
     "mm3": "mm3",
     "dn": "DN",
     "e": "electrons",
+    "s": "s",
 }
 
 
@@ -38,6 +39,8 @@ LATER: tuple[tuple[str, object], ...] = (
     ("deforms", False),
     ("law", "linear"),
     ("law_ratios", []),
+    ("relaxation", []),
+    ("seconds", 0.0),
     ("renderer", "auto"),
     ("paths", 64),
     ("colours", []),

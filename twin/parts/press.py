@@ -76,6 +76,10 @@ class Step(Part):
     turn_deg
         Turn about that place during this step, degrees, same form. Turns about x and y are small
         ones (`twin.world.contact.probe_gap`).
+    seconds
+        How long the step takes: all that it gives changes linearly in time. 0 is at once, too fast
+        for rubber with `Material.relaxation` to relax. A probe that is lifted by a force of 0 is
+        lifted at the step's beginning.
 
     Examples
     --------
@@ -91,6 +95,7 @@ class Step(Part):
     move_mm: Moves = (None, None, None)
     torque_nmm: Force | Forces | None = None
     turn_deg: Angle | Turns | None = None
+    seconds: float = Field(default=0.0, ge=0, le=1e9)
 
     _tables = field_validator(*BY_AXIS, mode="before")(_triple)
 
@@ -184,7 +189,7 @@ class Press(Part):
         whatever the force. Values from 1e3 on are solved as inf, whose forces they have.
     also
         Further presses at the same time, with probes, places and paths of their own, of as many
-        steps as this one.
+        steps as this one, whose seconds are theirs too.
 
     Examples
     --------
@@ -279,6 +284,10 @@ class Press(Part):
                     f"also {number} has {len(other.path)} steps, the first press {len(self.path)}: "
                     "they are taken at the same time, so give each as many (an empty step holds "
                     "the probe where it is)"
+                )
+            if any(step.seconds for step in other.path):
+                raise ValueError(
+                    f"also {number} has seconds: its steps take those of the first press's steps"
                 )
         return self
 

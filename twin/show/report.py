@@ -49,6 +49,10 @@ _NAMES = {
         "at the markers, over the largest displacement: measured, or estimated as the largest to "
         "expect (the page's facts say which)",
     ),
+    "elastic.creep_error": (
+        "cost of creep",
+        "total force that takes the rubber's motion for elastic, off the true one, over it",
+    ),
     "elastic.contact_residual": (
         "contact residual",
         "what is left of the contact's equations, as a share",
@@ -121,7 +125,7 @@ def report(result: RunResult) -> str:
         ("Forces", _forces(result)),
         ("Errors by stage", _errors(result.score)),
         ("Time", _times(result.timings)),
-        ("Facts", _facts(result.facts)),
+        ("Facts", _facts({k: v for k, v in result.facts.items() if k != "course"})),
     ]
     return page(
         _title(result.scene_toml),
@@ -251,7 +255,20 @@ def _press(result: RunResult) -> str:
     if total is not None and abs(total) > LIMITS["force.total_force_error"][0]:
         cause = one_layer(result.scene_toml)
     note = f'<p class="note">{escape(cause)}</p>' if cause else ""
-    return _resultants(result) + note + shown
+    return _resultants(result) + note + shown + _course(result.facts.get("course"))
+
+
+def _course(course: Any) -> str:
+    """Return the force along z against time; empty where the press takes none."""
+    if not isinstance(course, Mapping):
+        return ""
+    points = np.column_stack([course["time_s"], course["z_n"]])
+    most, top = points.max(axis=0).tolist()
+    axes = Axes(left=0.0, right=1.02 * most, bottom=0.0, top=1.08 * (top or 1.0), height=200)
+    content = line(axes, points, "profile truth") + dots(axes, points, "profile-dot truth", 2.4)
+    say = f"Force along z against time, at most {digits(top)} N"
+    svg = drawing(axes, content, "time (s)", "force along z (N)", say)
+    return figure(svg, "True force at the end of every step.", "single")
 
 
 def _errors(score: Mapping[str, Any] | None) -> str:

@@ -4,14 +4,15 @@ Control, learning (`twin.study.gym`) and the live page (`twin.study.live`) use i
 and rest picture are made once for the sensor. A step then costs the contact, two products, a
 picture and its tracking.
 
-Why every step starts from the rest state: the body is elastic and a `Press` holds its own path. So
-the result of a step depends only on its load and on the number of its exposure. A path with
-friction is one press of several steps.
+A step starts from the rest state, at once, unless it is given ``seconds``: it then follows the
+steps before, and rubber that relaxes remembers these. The result of any other step depends only on
+its load and on the number of its exposure. A path with friction is one press of several steps.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from twin.arrays import Floats, Picture, Pixels, Points, Progress
@@ -117,7 +118,7 @@ class Environment:
 
     Notes
     -----
-    Steps are independent: each starts from the rest state. Validity: quasi-static, as everywhere.
+    Steps without seconds are independent: each starts from the rest state.
     """
 
     def __init__(self, scene: Scene, progress: Progress | None = None) -> None:
@@ -126,18 +127,31 @@ class Environment:
             if there is None:
                 raise RecipeError(f"this scene has no [{table}] table, so its sensor feels nothing")
         self._exposure = 0
+        self._loads: list[tuple[Load, float]] = []
+        self._press: Press | None = None
         self._made: tuple[Calibration, Tracker] | None = None
 
     def reset(self) -> Observation:
-        """Begin again: exposures count from 1. Returns what the sensor feels under no load."""
+        """Begin again at rest: exposures count from 1. Returns what the sensor feels under no
+        load."""
         self._exposure = 0
         if self._made is not None:
             self._made[1].forget()
         return self.step(None)
 
     @one_blas_thread()
-    def step(self, load: Load | Press | None) -> Observation:
+    def step(self, load: Load | Press | None, seconds: float | None = None) -> Observation:
         """Return what the sensor feels under a load, a press, or nothing.
+
+        Parameters
+        ----------
+        load
+            The load that is reached, or a press. With seconds, a press's steps follow those of the
+            press before, which is solved again from its beginning.
+        seconds
+            Time in which the load changes linearly from the one before, or which the steps of the
+            press share evenly; the steps since the one without seconds, or `reset`, count. None
+            starts from rest, at once.
 
         Raises
         ------
@@ -146,13 +160,61 @@ class Environment:
         ContactError
             The press has no equilibrium, or did not come to its end.
         """
+        if seconds is None:
+            self._loads = []
+            self._press = None
+        elif not 0.0 <= seconds < math.inf:
+            raise InputError(f"seconds = {seconds!r}: give 0 or more")
+        elif isinstance(load, Press):
+            load = self._followed(load, seconds)
+        else:
+            load = self._crept(load or Load(), seconds)
         state = None
         if isinstance(load, Press):
             state = self.sensor.press(load)
             if not state.complete:
                 raise ContactError(f"press: {state.reason}")
+            self._press = load if seconds is not None else None
             load = state.load
         return self._feel(load if load is not None else Load(), state)
+
+    def _followed(self, press: Press, seconds: float) -> Press:
+        """Return the press before with the steps of one that follows in some seconds."""
+        if press.also or not press.steps:
+            raise InputError("step: with seconds give a press of one probe by its steps")
+        before = press if self._press is None else self._press
+        if self._loads or press.model_copy(update={"steps": before.steps}) != before:
+            raise InputError(
+                "step: with seconds a press follows one of the same probe, place and friction; "
+                "call reset() first"
+            )
+        each = {"seconds": seconds / len(press.steps)}
+        steps = tuple(step.model_copy(update=each) for step in press.steps)
+        if self._press is not None:
+            steps = (*self._press.steps, *steps)
+        return press.model_copy(update={"steps": steps})
+
+    def _crept(self, load: Load, seconds: float) -> Load:
+        """Return a load that is reached in some seconds with what moves rubber that relaxes."""
+        if self._press is not None:
+            raise InputError(
+                "step: with seconds no load of given tractions follows a press; call reset() first"
+            )
+        self._loads.append((load, seconds))
+        relaxation = self.sensor.actual.scene.material.prony
+        if relaxation is None:
+            return load
+        # By linearity every change of load creeps for itself.
+        terms = []
+        since = 0.0
+        weight = 0.0
+        for each, took in reversed(self._loads):
+            creep = relaxation.ramp_creep(since, took)
+            pushed = self.sensor.rectangles(each)
+            terms.append(replace(pushed, force_n=(creep - weight) * pushed.force_n))
+            since += took
+            weight = creep
+        return replace(load, crept=Load(tuple(terms)))
 
     def _feel(self, load: Load, state: ContactState | None) -> Observation:
         from twin.judge.score import field_score, into_cells

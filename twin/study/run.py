@@ -23,6 +23,7 @@ import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -368,6 +369,7 @@ class _Chain:
             "displacement_error": motion.error,
             "largest_displacement_mm": float(moved.max()) if len(moved) else None,
             "contact_residual": state.residual if state is not None else None,
+            **_creep_error(state),
             **pressed,
             **strained,
             "reasons": reasons | unknown,
@@ -403,7 +405,7 @@ class _Chain:
         if warned:
             facts["warnings"] = warned
         if state is not None:
-            facts |= _press_facts(state)
+            facts |= _press_facts(state) | _course(scene, state)
         if self.calibration is not None and self.forces is not None:
             sites = len(self.calibration.site_mm)
             facts["calibration"] = {"method": scene.calibration.method, "sites": sites}
@@ -473,6 +475,21 @@ def _press_facts(state: ContactState) -> dict[str, Any]:
     return facts | {"validity": asdict(state.validity) | texts}
 
 
+def _course(scene: Scene, state: ContactState) -> dict[str, Any]:
+    """Return force and indentation at the end of every step, where steps take time."""
+    if scene.press is None or not any(step.seconds for step in scene.press.path):
+        return {}
+    times = accumulate(step.seconds for step in scene.press.path)
+    rows = [(0.0, 0.0, 0.0, 0.0, 0.0)]
+    rows += [
+        (time_s, *one.force_n.tolist(), one.indentation_mm)
+        for time_s, one in zip(times, state.path, strict=False)
+    ]
+    time_s, x, y, z, depth = zip(*rows, strict=True)
+    course = {"time_s": time_s, "x_n": x, "y_n": y, "z_n": z, "indentation_mm": depth}
+    return {"course": course}
+
+
 def _press_error(state: ContactState | None) -> tuple[dict[str, Any], dict[str, str]]:
     """Return a press's errors of all causes, and the reasons of those that are unknown."""
     error = state.error if state is not None else None
@@ -483,6 +500,17 @@ def _press_error(state: ContactState | None) -> tuple[dict[str, Any], dict[str, 
         name: why for name, value in figures.items() if value is None or not math.isfinite(value)
     }
     return figures | dict.fromkeys(unknown), unknown
+
+
+def _creep_error(state: ContactState | None) -> dict[str, Any]:
+    """Return how far a total force is off that takes the motion of relaxing rubber for elastic."""
+    if state is None or state.load.crept is None or not state.load.terms:
+        return {}
+    true, elastic = (
+        sum(term.force_n.sum(axis=0) for term in load.terms if isinstance(term, Rectangles))
+        for load in (state.load, state.load.crept)
+    )
+    return {"creep_error": float(np.linalg.norm(elastic - true) / np.linalg.norm(true))}
 
 
 def _linearity(motion: Motion, state: ContactState | None) -> tuple[dict[str, Any], dict[str, str]]:
@@ -611,6 +639,7 @@ def _shared_by_truth_and_estimate(scene: Scene) -> list[str]:
     shared = [
         "shape of the body, and that it is homogeneous"
         + (", linear" if scene.material.law == "linear" else "")
+        + (" (but not that it relaxes)" if scene.material.relaxation else "")
         + " and bonded at its base",
         "number, order, pitch and diameter of the markers",
         "refractive indices and thicknesses of the layers in front of the camera",

@@ -308,7 +308,7 @@ class Sensor:
             The load misses the sensing surface.
         """
         points = _as_points(points_mm, "points_mm")
-        found = self.ladder.displacement(points, self.rectangles(load))
+        found = self.ladder.displacement(points, self.rectangles(_load_of(load).moving))
         self._warn_if_inaccurate(found.error)
         more = self._strained(_load_of(load))
         return found.displacement_mm + (more.displacement(points) if more is not None else 0.0)
@@ -335,7 +335,7 @@ class Sensor:
     @one_blas_thread()
     def motion(self, load: Load) -> Motion:
         """Return the motion of the actual markers under a load."""
-        rectangles = self.rectangles(load)
+        rectangles = self.rectangles(load.moving)
         points = self.actual.markers.points
         found = self.ladder.displacement(points, rectangles)
         self._warn_if_inaccurate(found.error)
@@ -395,6 +395,8 @@ class Sensor:
         from twin.world.elasticity.discretise import gathered, join
 
         points = self.actual.markers.points
+        if load.crept is not None:
+            patches = tuple(self.rectangles(Load((term,))) for term in load.crept.terms)
         whole = join(patches)
         few = join([gathered(points, group) for group in patches]) if gather else whole
         moved, error = self.compliance.answer(points, few)
@@ -521,10 +523,11 @@ class Sensor:
                 watched=Watched(
                     points=points,
                     error=lambda load: (
-                        self.ladder.displacement(points, self.rectangles(load)).error
+                        self.ladder.displacement(points, self.rectangles(load.moving)).error
                     ),
                     judge=self._warn_if_press_inaccurate,
                 ),
+                relaxation=actual.scene.material.prony,
             )
 
         # Solve the contact by linear theory, then correct it for finite strain.
@@ -651,6 +654,8 @@ class Sensor:
         """Return what needs a linear body: covers, beads or the cover's picture; empty if nothing
         does."""
         cover = self.nominal.cover
+        if self.nominal.material.relaxation:
+            return "material.relaxation"
         if self.stiff_beads is not None:
             return "markers with stiff = true"
         if cover is not None and cover.deforms:

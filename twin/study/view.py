@@ -129,12 +129,12 @@ def _frame(sensor: Sensor, corners: Points, number: int, state: ContactState | N
     )
     if state is None:
         return rest
-    if not state.load.terms:
+    if not state.load.moving.terms:
         return replace(rest, name=str(number), said="The probe has left the body.")
     patches = sensor.rectangles(state.load)
-    touching = [one for _, one in _under_each(state)]
+    touching = [one for _, one in _under_each(state)] or [state]
     points = np.concatenate([_inside(sensor, corners), patches.centre_mm])
-    surface = _drawn(sensor).displacement(points, patches)
+    surface = _drawn(sensor).displacement(points, sensor.rectangles(state.load.moving))
     if state.load.strained is not None:
         surface = surface + state.load.strained.displacement(points)
     return replace(

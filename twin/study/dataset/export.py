@@ -19,6 +19,7 @@ import numpy as np
 from twin.arrays import Progress
 from twin.errors import InputError, MissingCapability, TwinError
 from twin.files import make_folder, write_json, write_whole
+from twin.parts.material import Material
 from twin.study.dataset.audit import FIGURES
 from twin.study.dataset.columns import Column, bare
 from twin.study.dataset.plan import Places, Plan, read_info
@@ -277,7 +278,7 @@ gathered, the body's finest mesh, 12 x 12 rays per pixel). Differences:
 {figures}
 Projection is closed form, good to 1e-6 px. The error of the finest mesh or table stands in
 `docs/elasticity.md` (0.02 % on the standard block, 0.09 % on the finger), that of linear theory
-in the column `linearisation_error`. {_model(scene.material.law)}
+in the column `linearisation_error`. {_model(scene.material)}
 
 ## Columns
 
@@ -295,8 +296,11 @@ Of the sensors:
 """
 
 
-def _model(law: str) -> str:
+def _model(material: Material) -> str:
     """Return what the rubber's model holds and leaves out."""
+    law = material.law
+    if material.relaxation:
+        return "The rubber relaxes (material.relaxation) in steps\nwith seconds; strain is small."
     if law == "linear":
         return "The model is quasi-static and linear: no rate, creep,\nhysteresis or large strain."
     return (

@@ -440,6 +440,11 @@ def check(sweep: Sweep, scene: Scene) -> None:
             "material.law: a sweep's loads are given tractions, and at finite strain only probes "
             "pressed on a block are solved (docs/validity.md); leave it linear"
         )
+    if scene.material.relaxation:
+        problems.append(
+            "material.relaxation: a sweep's loads are given tractions that take no time; leave it "
+            "out"
+        )
     if problems:
         raise RecipeError(problems)
     refuse(scene)

@@ -35,6 +35,7 @@ from twin.parts.load import Rectangles
 from twin.parts.press import PATCHES_ACROSS, Probe
 from twin.parts.probe import Cone, Cylinder, Object, Pillar, Sphere, Stl
 from twin.theory.contact import cone_contact_radius, hertz
+from twin.theory.relaxation import Relaxation
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
 from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence, lattice
 from twin.world.contact.probe_gap import (
@@ -185,10 +186,11 @@ class ProbeSetup:
 @dataclass(frozen=True, kw_only=True)
 class Control:
     """What holds the probes: for each one's six motions whether force (torque) does, and the force
-    or place given."""
+    or place given; and when, in seconds since the path's beginning."""
 
     by_force: Bools
     given: Floats
+    time_s: float = 0.0
 
     @property
     def pushing(self) -> Bools:
@@ -202,9 +204,10 @@ class Control:
         return Control(by_force=self.by_force[motions], given=self.given[motions])
 
     @classmethod
-    def joined(cls, controls: Sequence[Control]) -> Control:
+    def joined(cls, controls: Sequence[Control], time_s: float = 0.0) -> Control:
         """Return what holds several probes, one after the other."""
         return cls(
+            time_s=time_s,
             by_force=np.concatenate([one.by_force for one in controls]),
             given=np.concatenate([one.given for one in controls]),
         )
@@ -213,11 +216,12 @@ class Control:
 @dataclass(frozen=True, kw_only=True)
 class LoadProgramme:
     """Presses that are solved together: every probe, its friction, and its control in every step,
-    in its own axes."""
+    in its own axes; and the rubber's relaxation, if the path takes time."""
 
     setups: tuple[ProbeSetup, ...]
     friction: Floats
     steps: tuple[Control, ...]
+    relaxation: Relaxation | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -329,7 +329,7 @@ class ContactState:
         Coefficient of friction: 0 is frictionless, inf is sticking.
     elastic_nmm
         Half of force times displacement under this probe, N mm (mJ): the probes' sum is the body's
-        elastic energy.
+        elastic energy, but of rubber that relaxes.
     dissipated_nmm
         Work that friction under all probes took from first touch to here, N mm.
     also
@@ -666,7 +666,7 @@ class Estimates:
     def of(self, state: ContactState, step: int) -> PressError:
         """Return the error of the state at the end of a step."""
         if not state.load.terms:
-            return PressError.of(body=Share(), patches=Share(), increments=Share())
+            return self._recovering(state, step)
         other = _state_of(self._other, step) if state.complete else None
         patches = increments = Share.unknown()
         if other is not None:
@@ -676,13 +676,31 @@ class Estimates:
             patches = replace(
                 patches, traction=change.traction
             )  # these converge with order 1/2 to 1 only
-        if not self._job.friction.any():
+        if not self._job.friction.any() and self._job.relaxation is None:
             increments = Share()
         elif other is not None and (fewer := _state_of(self._fewer, step)) is not None:
             increments = self._change(other, fewer).times(1.0 if self._increments > 1 else 2.0)
         error = PressError.of(
             body=self._body(state, other, step), patches=patches, increments=increments
         )
+        if self._watched is not None:
+            self._watched.judge(error)
+        return error
+
+    def _recovering(self, state: ContactState, step: int) -> PressError:
+        """Return the error where no probe touches: of the motion that relaxing rubber still has."""
+        body = patches = increments = Share()
+        if state.load.moving.terms and self._watched is not None:
+            other = _state_of(self._other, step)
+            fewer = _state_of(self._fewer, step)
+            body = Share(markers=self._watched.error(state.load))
+            if other is None or fewer is None:
+                patches = Share.unknown()
+            else:
+                moved, coarse, slow = (self._half_space(s.load) for s in (state, other, fewer))
+                patches = Share(markers=_over(coarse - moved, moved))
+                increments = Share(markers=_over(slow - coarse, moved))
+        error = PressError.of(body=body, patches=patches, increments=increments)
         if self._watched is not None:
             self._watched.judge(error)
         return error
@@ -761,7 +779,7 @@ class Estimates:
         """Return (n, 3) how far a load moves the watched points of a half-space of E = 1 MPa,
         mm."""
         moved = np.zeros_like(self._points)
-        for term in load.terms:
+        for term in load.moving.terms:
             assert isinstance(term, Rectangles)
             moved += halfspace.displacement(
                 self._points, term, 1.0, self._job.setups[0].poisson_ratio

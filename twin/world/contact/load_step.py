@@ -35,14 +35,17 @@ import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
+from twin.parts.load import Load
 from twin.parts.press import INCREMENTS
 from twin.parts.probe import Cone
+from twin.theory.relaxation import Relaxation
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, pushes_for_depth, solve
 from twin.world.contact.contact_search import ContactProblem, Control
 from twin.world.contact.coulomb import solve_coulomb
 from twin.world.contact.friction_law import LAW
 from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence
 from twin.world.contact.probe_gap import MOTIONS, TURN, X, Y, Z
+from twin.world.contact.rubber_memory import RubberMemory
 from twin.world.contact.surface_patches import Patches
 
 
@@ -82,6 +85,12 @@ class ContactHistory:
         Work that friction has taken so far, N mm.
     trend
         What the last step changed, for a guess at what the next one does.
+    time_s
+        Time since the path's beginning, s.
+    memory
+        What relaxing rubber remembers; None of elastic rubber.
+    moved_mm
+        (k, 3) how far the memory alone moves the patches within a part; None outside.
     """
 
     touched: Bools
@@ -96,15 +105,19 @@ class ContactHistory:
     lifted: Bools
     dissipated_nmm: float = 0.0
     trend: _Trend | None = None
+    time_s: float = 0.0
+    memory: RubberMemory | None = None
+    moved_mm: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class FrictionalContact:
     """Patches, and what of them stays the same along the path; ``friction`` (p,) is the coefficient
-    of each probe."""
+    of each probe, ``relaxation`` the rubber's."""
 
     contacts: ContactProblem
     friction: Floats
+    relaxation: Relaxation | None = None
 
     @property
     def patches(self) -> Patches:
@@ -116,7 +129,7 @@ class FrictionalContact:
         """The compliance between patches; as a matrix where all stick, whose systems are solved by
         elimination."""
         found = self.contacts.influence
-        if isinstance(found, LatticeInfluence) and self.sticks:
+        if isinstance(found, LatticeInfluence) and self.sticks and self.friction.any():
             return DenseInfluence(found.block(np.arange(len(found))))
         return found
 
@@ -162,11 +175,13 @@ class FrictionalContact:
         normal = self.contact_jacobian[:, 2]
         slope = np.where(self.contacts.along_z, slope, -normal)
         gap = gap - normal @ self.sideways(pose)
-        stuck = history.touched
+        stuck = history.touched & (self.friction[self.contacts.owner] > 0.0)
         gap[stuck] = (
             history.closed_mm[stuck] + self.moved_gap(history.slid_mm)[stuck] - normal[stuck] @ pose
         )
         slope[stuck] = -normal[stuck]
+        if history.moved_mm is not None:
+            gap += history.moved_mm[:, 2]
         gap[history.lifted[self.contacts.owner]] = np.inf
         return gap, slope
 
@@ -187,7 +202,10 @@ class FrictionalContact:
         After a lift the probe touches again where it now is: its motion sideways counts from there.
         """
         here = -np.einsum("kad,d->ka", self.contact_jacobian[:, :2], self.sideways(history.pose))
-        return np.where(self.untouched(history)[:, None], here, history.offset_mm)
+        offset = history.offset_mm
+        if history.moved_mm is not None:
+            offset = offset - history.moved_mm[:, :2]
+        return np.where(self.untouched(history)[:, None], here, offset)
 
     def problem(
         self, history: ContactHistory, control: Control, held: Bools | None = None
@@ -227,6 +245,7 @@ class FrictionalContact:
             force_n=np.zeros((k, 3)),
             slid_mm=np.zeros((p, 2)),
             lifted=np.zeros(p, bool),
+            memory=RubberMemory.at_rest(self.relaxation, k) if self.relaxation else None,
         )
         gap, _ = self.gap(nothing, nothing.pose)
         touched = gap <= 1e-9
@@ -242,17 +261,45 @@ class FrictionalContact:
         at_rest = -np.einsum("kad,d->ka", self.contact_jacobian, history.pose)
         here = history.pose.reshape(-1, MOTIONS)[:, :Z]
         return replace(
-            history,
+            self.recovered(history, lifted, history.time_s),
             touched=history.touched & ~rows,
             slipping=history.slipping & ~rows,
             total=np.where(motions, 0.0, history.total),
-            displacement_mm=np.where(rows[:, None], 0.0, history.displacement_mm),
-            force_n=np.where(rows[:, None], 0.0, history.force_n),
             slid_mm=np.where(lifted[:, None], here, history.slid_mm),
             dissipated_nmm=history.dissipated_nmm
             + _lost_nmm(
                 self, history, history.touched & rows, np.zeros_like(history.force_n), at_rest
             ),
+        )
+
+    def crept(self, memory: RubberMemory, number: int) -> Load:
+        """Return the elastic forces under one probe, global axes."""
+        _, rows, _ = self.contacts.rows[number]
+        grid = self.contacts.grids[number]
+        own = memory.elastic_n[rows]
+        moving = np.flatnonzero(own.any(axis=1))
+        force = np.einsum("kij,ki->kj", grid.frames[moving], own[moving])
+        return Load((grid.rectangles(force, moving),)) if len(moving) else Load()
+
+    def recovered(
+        self, history: ContactHistory, lifted: Bools, time_s: float, parts: int = 1
+    ) -> ContactHistory:
+        """Return the history at a time up to which probes (p,) are off the body, and nothing else
+        changes; relaxing rubber recovers."""
+        rows = lifted[self.contacts.owner][:, None]
+        force = np.where(rows, 0.0, history.force_n)
+        displacement = np.zeros_like(force)
+        memory = history.memory
+        if memory is not None:
+            for _ in range(parts):
+                memory = memory.after((time_s - history.time_s) / parts, force)
+            displacement = self.influence.apply(memory.elastic_n)
+        return replace(
+            history,
+            time_s=time_s,
+            memory=memory,
+            force_n=force,
+            displacement_mm=np.where(rows, displacement, history.displacement_mm),
         )
 
 
@@ -574,7 +621,41 @@ def _part(
     held: Bools | None = None,
 ) -> tuple[ContactHistory, Equilibrium]:
     """Solve one part from a guess; return the state, and the history with how far the probe slid as
-    a whole."""
+    a whole.
+
+    Of relaxing rubber, the elastic contact of the part's interval (`RubberMemory`).
+    """
+    if history.memory is None:
+        return _elastic_part(grid, history, control, guess, held)
+    share, left = history.memory.over(control.time_s - history.time_s)
+    moved = -grid.influence.apply(left) / share
+    elastic = replace(
+        history,
+        force_n=history.force_n / share,
+        displacement_mm=history.displacement_mm - moved,
+        moved_mm=moved,
+    )
+    given = np.where(control.by_force, control.given / share, control.given)
+    if guess is not None:
+        guess = _Prediction(force_n=guess.force_n / share, pose=guess.pose, active=guess.active)
+    slid, found = _elastic_part(grid, elastic, replace(control, given=given), guess, held)
+    found = replace(
+        found,
+        force_n=found.force_n * share,
+        total=found.total * share,
+        displacement_mm=found.displacement_mm + moved,
+    )
+    return replace(history, slid_mm=slid.slid_mm), found
+
+
+def _elastic_part(
+    grid: FrictionalContact,
+    history: ContactHistory,
+    control: Control,
+    guess: Equilibrium | _Prediction | None,
+    held: Bools | None,
+) -> tuple[ContactHistory, Equilibrium]:
+    """Solve one part as `_part`, of elastic rubber."""
     problem = grid.problem(history, control, held)
     if grid.sticks:
         pose = np.where(control.by_force, history.pose, control.given)
@@ -649,13 +730,18 @@ def common_slide(
 
 
 def _remember(
-    grid: FrictionalContact, history: ContactHistory, found: Equilibrium
+    grid: FrictionalContact, history: ContactHistory, found: Equilibrium, time_s: float
 ) -> ContactHistory:
     new = found.active & (~history.touched | found.slipping)
     moved = np.einsum("kad,d->ka", grid.contact_jacobian, found.pose)
     away = found.displacement_mm - moved
     left = history.touched & ~found.active
+    memory = history.memory
+    if memory is not None:
+        memory = memory.after(time_s - history.time_s, found.force_n)
     return ContactHistory(
+        time_s=time_s,
+        memory=memory,
         touched=found.active.copy(),
         slipping=found.slipping & found.active,
         closed_mm=np.where(
@@ -676,10 +762,14 @@ def _remember(
 
 
 def _held_on_the_way(
-    grid: FrictionalContact, history: ContactHistory, free: Equilibrium, new: Bools
+    grid: FrictionalContact,
+    history: ContactHistory,
+    free: Equilibrium,
+    new: Bools,
+    seconds: float,
 ) -> ContactHistory:
     """Return the history with the offsets of patches that touch during a part, which ``free`` let
-    slide to its end.
+    slide to its end, some ``seconds`` later.
 
     Notes
     -----
@@ -691,20 +781,21 @@ def _held_on_the_way(
     gap, _ = grid.gap(history, history.pose)
     gap = np.maximum(gap[new] + history.displacement_mm[new, 2], 0.0)
     old = free.active & history.touched
-    pushed = np.where(new, free.force_n[:, 2], 0.0)
+    share = 1.0 if history.memory is None else history.memory.over(seconds)[0]
+    pushed = np.where(new, free.force_n[:, 2] / share, 0.0)
     sunk = grid.influence.normal_displacement(pushed)
     relief = np.zeros_like(pushed)
     relief[old] = pushes_for_depth(grid.influence, np.flatnonzero(old), sunk[old])
     overlap = (sunk - grid.influence.normal_displacement(relief))[new]
     met = np.isfinite(gap)
-    share = np.where(
+    way = np.where(
         met, np.where(met, gap, 0.0) / np.maximum(gap + np.maximum(overlap, 0.0), 1e-300), 1.0
     )
     tangential = grid.contact_jacobian[new, :2]
     start = history.displacement_mm[new, :2] - tangential @ history.pose
     end = free.displacement_mm[new, :2] - tangential @ free.pose
     offset = history.offset_mm.copy()
-    offset[new] = start + share[:, None] * (end - start)
+    offset[new] = start + way[:, None] * (end - start)
     return replace(history, offset_mm=offset)
 
 
@@ -726,7 +817,9 @@ def _pass(
         return _part(grid, history, control, guess, held=~history.touched)
     new = found.active & ~history.touched & ~grid.untouched(history)
     if history.touched.any() and new.any():
-        return _part(grid, _held_on_the_way(grid, history, found, new), control, found, held=new)
+        seconds = control.time_s - history.time_s
+        touching = _held_on_the_way(grid, history, found, new, seconds)
+        return _part(grid, touching, control, found, held=new)
     return slid, found
 
 
@@ -741,7 +834,7 @@ def _advance(
     """Take one part of a step to ``wanted``, in halves where it finds no equilibrium at once."""
     try:
         slid, found = _pass(grid, history, control, guess)
-        return _remember(grid, slid, found), found
+        return _remember(grid, slid, found, control.time_s), found
     except ContactError as problem_found:
         if grid.sticks:
             raise
@@ -750,17 +843,21 @@ def _advance(
         if halvings == 0:
             raise
     start = np.where(control.by_force, history.total, history.pose)
-    half = replace(control, given=(start + control.given) / 2)
+    half = replace(
+        control,
+        given=(start + control.given) / 2,
+        time_s=(history.time_s + control.time_s) / 2,
+    )
     history, found = _advance(grid, history, half, guess, wanted, halvings - 1)
     return _advance(grid, history, control, found, wanted, halvings - 1)
 
 
-def _parts(history: ContactHistory, found: Equilibrium, most: int) -> int:
+def _parts(history: ContactHistory, found: Equilibrium, control: Control, most: int) -> int:
     """Return in how many parts to take a step that leads to about ``found``: ``most`` where it
     changes half or more.
 
     What counts is the share of the patches that touch, stick or slip otherwise than before, or that
-    of the forces.
+    of the forces; under a force that creeps, the share by which the rubber relaxes.
     """
     changed = (found.active != history.touched) | (
         (found.slipping & found.active) != history.slipping
@@ -772,7 +869,10 @@ def _parts(history: ContactHistory, found: Equilibrium, most: int) -> int:
     forces = float(np.linalg.norm(found.force_n - history.force_n, axis=1).sum()) / max(
         before, after, 1e-300
     )
-    return min(most, max(1, math.ceil(2.0 * most * max(patches, forces))))
+    relaxed = 0.0
+    if history.memory is not None and control.by_force.any():
+        relaxed = 1.0 - history.memory.over(control.time_s - history.time_s)[0]
+    return min(most, max(1, math.ceil(2.0 * most * max(patches, forces, relaxed))))
 
 
 def load_step(
@@ -816,9 +916,13 @@ def load_step(
         except ContactError:
             pass  # a large step may fail where its parts succeed
         else:
-            if not np.any(found.active & ~history.touched | found.slipping):
-                return with_trend(_remember(grid, history, found)), found, ""
-            increments = _parts(history, found, increments)
+            changed = found.active & ~history.touched | found.slipping
+            if history.memory is not None:
+                # Elastic forces change linearly in time where the same patches are moved.
+                changed |= (found.active != history.touched) | bool(control.by_force.any())
+            if not changed.any():
+                return with_trend(_remember(grid, history, found, control.time_s)), found, ""
+            increments = _parts(history, found, control, increments)
             previous = found if increments == 1 else None
     powers = np.ones(len(start))
     for setup, rows, motions in grid.contacts.rows:
@@ -827,9 +931,15 @@ def load_step(
             # with its square.
             force, motion = (2.0, 1.0) if isinstance(setup.probe, Cone) else (3.0, 2.0)
             powers[motions] = np.where(control.by_force[motions], force, motion)
+    if history.memory is not None:
+        powers[:] = powers.max()  # all that is given changes linearly in time
     for part in range(1, increments + 1):
         share = (part / increments) ** powers
-        now = Control(by_force=control.by_force, given=start + share * (control.given - start))
+        now = Control(
+            by_force=control.by_force,
+            given=start + share * (control.given - start),
+            time_s=first.time_s + float(share.max()) * (control.time_s - first.time_s),
+        )
         _refuse_slide(grid, history)
         try:
             history, found = _advance(

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
-from itertools import zip_longest
+from itertools import accumulate, zip_longest
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from twin.errors import ContactError, InputError, NotSettled
 from twin.parts.body import Body
 from twin.parts.press import INCREMENTS, Press
 from twin.parts.probe import Cylinder, Pillar, Probe, Sphere
+from twin.theory.relaxation import Relaxation
 from twin.world.contact.active_set import Equilibrium
 from twin.world.contact.contact_search import (
     ContactProblem,
@@ -71,10 +72,7 @@ is."""
 
 def _counted_from(control: Control, pose: Floats) -> Control:
     """Return a step's control with its motions counted from a place."""
-    return Control(
-        by_force=control.by_force,
-        given=np.where(control.by_force, control.given, pose + control.given),
-    )
+    return replace(control, given=np.where(control.by_force, control.given, pose + control.given))
 
 
 def _is_lifted(control: Control, touch_z: float) -> bool:
@@ -207,7 +205,11 @@ def _largest_contact(
             continue
         control = _counted_from(step.of_probe(number), pose)
         sideways += np.where(control.by_force, 0.0, step.of_probe(number).given)[:Z]
-        push = control.given[Z] * (upright**2 if control.by_force[Z] else 1.0)
+        push = control.given[Z]
+        if control.by_force[Z]:
+            push *= upright**2
+            if programme.relaxation is not None:
+                push *= programme.relaxation.creep(step.time_s)
         turned = np.where(control.by_force, 0.0, control.given) * np.isin(
             np.arange(MOTIONS), (ABOUT_X, ABOUT_Y)
         )
@@ -266,8 +268,8 @@ def _slid(setup: ProbeSetup, contact: Box, sideways: Floats, grip_mm: float, pla
 
 
 def _frictional_path(programme: LoadProgramme, increments: int) -> tuple[list[ContactState], str]:
-    """Take the whole path on one grid; return the states, and why it stopped before its end, if it
-    did."""
+    """Take the whole path, with friction or in time, on one grid; return the states, and why it
+    stopped before its end, if it did."""
     planes = []
     boxes = []
     for number, setup in enumerate(programme.setups):
@@ -278,7 +280,9 @@ def _frictional_path(programme: LoadProgramme, increments: int) -> tuple[list[Co
     for _ in range(TRIES):
         contacts = ContactProblem(programme.setups, fitted_grids(programme.setups, planes, boxes))
         states, reached, reason = _path_on_grid(
-            FrictionalContact(contacts, effective_coefficient(programme.friction)),
+            FrictionalContact(
+                contacts, effective_coefficient(programme.friction), programme.relaxation
+            ),
             programme,
             increments,
         )
@@ -337,13 +341,16 @@ def _frictional_step(
     if lifted.any():
         history = grid.release(history, lifted)
         # what is off the body is held where it is
-        control = Control(
+        control = replace(
+            control,
             by_force=control.by_force & ~np.repeat(lifted, MOTIONS),
             given=np.where(np.repeat(lifted, MOTIONS), history.pose, control.given),
         )
     found = None
     stopped = ""
-    if not lifted.all():
+    if lifted.all():
+        history = grid.recovered(history, lifted, control.time_s, increments)
+    else:
         _refuse_drag(grid, control, count)
         history, found, stopped = load_step(grid, history, control, increments)
         _refuse_overlap(grid.contacts, found)
@@ -397,7 +404,13 @@ def _states(
                 dissipated_nmm=history.dissipated_nmm,
             )
         )
-    return states
+    memory = history.memory
+    if memory is None:
+        return states
+    return [
+        replace(one, load=replace(one.load, crept=grid.crept(memory, number)))
+        for number, one in enumerate(states)
+    ]
 
 
 def _lifted_by_force(control: Control) -> bool:
@@ -566,6 +579,7 @@ def press(
     poisson_ratio: float,
     increments: int = INCREMENTS,
     watched: Watched | None = None,
+    relaxation: Relaxation | None = None,
 ) -> ContactState:
     """Press rigid probes on a body along a path.
 
@@ -585,6 +599,9 @@ def press(
         With friction: parts of a step in which patches touch or slip.
     watched
         Points whose displacement's error is of interest too.
+    relaxation
+        The rubber's: the path is then taken in time if a step has ``seconds``, and the modulus is
+        the instantaneous one.
 
     Returns
     -------
@@ -607,13 +624,15 @@ def press(
             f"contact: {patches_across} patches across the contact; allowed are {low} to {high}"
         )
     presses = (press, *press.also)
+    if not any(step.seconds for step in press.path):
+        relaxation = None
     setups = tuple(
         ProbeSetup(
             body=body,
             compliance=compliance,
             first=approach_of(one, body),
             across=patches_across,
-            most=_MOST_RUBBED if any(each.friction for each in presses) else _MOST,
+            most=_MOST_RUBBED if relaxation or any(each.friction for each in presses) else _MOST,
             youngs_modulus_mpa=youngs_modulus_mpa,
             poisson_ratio=poisson_ratio,
         )
@@ -627,7 +646,10 @@ def press(
         setups=setups,
         friction=np.array([one.friction for one in presses]),
         steps=_controls(presses, setups),
+        relaxation=relaxation,
     )
+    if relaxation is not None:
+        _refuse_unguided(programme)
     states, reason = _solved(programme, increments)
     estimates = Estimates(programme, increments, _solved, watched)
     states = [
@@ -640,7 +662,7 @@ def press(
 def _solved(programme: LoadProgramme, increments: int) -> tuple[list[ContactState], str]:
     return (
         _frictionless_path(programme)
-        if not any(programme.friction.tolist())
+        if not any(programme.friction.tolist()) and programme.relaxation is None
         else _frictional_path(programme, increments)
     )
 
@@ -662,15 +684,31 @@ def _controls(presses: tuple[Press, ...], setups: tuple[ProbeSetup, ...]) -> tup
                     f"(lift off), or {LEAST_N:g} N or more, as a probe can't pull, and feels "
                     "nothing under less"
                 )
+    times = accumulate(step.seconds for step in presses[0].path)
     return tuple(
         Control.joined(
             [
                 Control(by_force=np.array(by_force), given=np.array(given))
                 for by_force, given in step
-            ]
+            ],
+            time_s,
         )
-        for step in zip(*found, strict=True)
+        for step, time_s in zip(zip(*found, strict=True), times, strict=True)
     )
+
+
+def _refuse_unguided(programme: LoadProgramme) -> None:
+    """Raise an InputError where a probe without friction is not only pressed along its way, as one
+    grid serves a path in time."""
+    for number, setup in enumerate(programme.setups):
+        controls = [step.of_probe(number) for step in programme.steps]
+        aside = np.any([one.by_force | (one.given != 0.0) for one in controls], axis=0)
+        if programme.friction[number] == 0.0 and np.delete(aside, Z).any():
+            raise InputError(
+                f"press: the {setup.probe.kind} has no friction, and its steps move it sideways, "
+                "turn it, or hold it so by force; in time, on rubber with material.relaxation, "
+                "give press.friction a value, or hold x, y and the turns where they are"
+            )
 
 
 def _outline(probe: Probe) -> Floats:
