@@ -445,6 +445,19 @@ def test_what_is_under_the_probe_is_drawn(full: RunResult, friction: float, word
     assert section.count('class="dot blue"') == (4 if friction else 0)
 
 
+def test_the_force_is_drawn_against_time_where_a_press_takes_any(full: RunResult) -> None:
+    assert "force along z (N)" not in page_part(report(full), "The press")
+    course = {"time_s": [0.0, 1.0, 3.0], "z_n": [0.0, 0.4, 0.3]}
+    drawn = page_part(report(replace(full, facts=full.facts | {"course": course})), "The press")
+    assert "time (s)" in drawn
+    assert "at most 0.4 N" in drawn
+
+
+def page_part(page: str, title: str) -> str:
+    """Return what stands under a heading."""
+    return page.split(f">{title}<")[1].split("<h2")[0]
+
+
 def test_long_numbers_beside_a_drawing_do_not_touch_the_axis_name() -> None:
     def room(top: float) -> tuple[float, float]:
         """Return where the drawing begins and where the axis's name stands, in view units."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import twin
-from twin.errors import ContactError, RecipeError, TwinError
+from twin.errors import ContactError, InputError, RecipeError, TwinError
 from twin.parts.body import Body
 from twin.world.elasticity.cache import REMEMBERED
 from twin.world.elasticity.discretise import tile
@@ -101,3 +101,40 @@ def test_what_can_t_be_is_refused(environment: twin.Environment) -> None:
     slipping = twin.Step(force_n=(3.0, 0.0, 1.0))
     with pytest.raises(ContactError):
         environment.step(twin.Press(probe=twin.Sphere(diameter_mm=6), steps=(slipping,), friction=0.3))
+
+
+def test_in_time_rubber_creeps_from_step_to_step() -> None:
+    """Under given tractions markers move by the creep function times the elastic motion."""
+    share, time_s = 0.2, 0.5
+    late = time_s / (1.0 - share)
+    rubber = {"material.relaxation": [{"share": share, "time_s": time_s}]}
+    environment = twin.Environment(twin.load_scene("kamiyama_pillar", QUICK | rubber))
+    load = twin.Traction.disk(centre_mm=(0, 0), radius_mm=2, force_n=(0, 0, 1))
+    elastic = environment.step(load).truth.marker_displacement_mm
+    size = np.abs(elastic).max()
+
+    def creep(seconds: float) -> float:
+        return 1.0 + share / (1.0 - share) * (1.0 - np.exp(-seconds / late))
+
+    environment.step(load, 0.0)
+    held = environment.step(load, 0.7)
+    assert held.truth.marker_displacement_mm == pytest.approx(creep(0.7) * elastic, abs=1e-9 * size)
+    assert held.truth.total_force_n[2] == pytest.approx(1.0)
+    gone = environment.step(None, 0.0).truth.marker_displacement_mm
+    assert gone == pytest.approx((creep(0.7) - 1.0) * elastic, abs=1e-9 * size)
+    environment.reset()
+    ramp = environment.step(load, 0.7).truth.marker_displacement_mm
+    mean = np.mean([creep(0.7 * (i + 0.5) / 1000) for i in range(1000)])
+    assert ramp == pytest.approx(mean * elastic, abs=1e-6 * size)
+    # A press goes on where it was, and no other one follows it.
+    press = twin.Press(probe=twin.Sphere(diameter_mm=6), steps=[twin.Step(move_mm={"z": 0.2})])
+    stay = press.model_copy(update={"steps": (twin.Step(),)})
+    with pytest.raises(InputError, match="reset"):
+        environment.step(press, 0.0)
+    environment.reset()
+    first = environment.step(press, 0.0).truth.state
+    later = environment.step(stay, 0.7).truth.state
+    fallen = 1.0 - share * (1.0 - np.exp(-0.7 / time_s))
+    assert later.force_n[2] == pytest.approx(fallen * first.force_n[2], rel=1e-6)
+    with pytest.raises(InputError, match="reset"):
+        environment.step(press.model_copy(update={"friction": 0.5}), 0.1)

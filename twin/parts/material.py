@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from typing import Literal, Self, TypeVar
 
-import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from twin.arrays import Floats
 from twin.parts.part import LEAST_MM, LEAST_MPA, Part, Share
-from twin.theory.relaxation import Relaxation
 
 Modulus = TypeVar("Modulus", float, Floats)
 
@@ -67,16 +65,6 @@ class Material(Part):
         if sum(term.share for term in terms) >= 1.0:
             raise ValueError("the shares must be less than 1 together: the rubber would flow away")
         return terms
-
-    @property
-    def prony(self) -> Relaxation | None:
-        """The relaxation; None of elastic rubber."""
-        if not self.relaxation:
-            return None
-        return Relaxation(
-            np.array([term.share for term in self.relaxation]),
-            np.array([term.time_s for term in self.relaxation]),
-        )
 
     @model_validator(mode="after")
     def _takes_its_ratios(self) -> Self:

@@ -201,7 +201,7 @@ class Environment:
                 "step: with seconds no load of given tractions follows a press; call reset() first"
             )
         self._loads.append((load, seconds))
-        relaxation = self.sensor.actual.scene.material.prony
+        relaxation = self.sensor.relaxation
         if relaxation is None:
             return load
         # By linearity every change of load creeps for itself.

@@ -27,6 +27,7 @@ from twin.parts.scene import Scene
 from twin.parts.vary import CUT
 from twin.streams import Purpose, stream
 from twin.theory.optics import project
+from twin.theory.relaxation import Relaxation
 
 if TYPE_CHECKING:
     from twin.world.contact.contact_state import PressError, Validity
@@ -240,6 +241,14 @@ class Sensor:
             surface_table=actual.accuracy.surface_table,
             progress=self.progress,
         )
+
+    @property
+    def relaxation(self) -> Relaxation | None:
+        """The relaxation of the rubber; None of elastic rubber."""
+        if not (terms := self.actual.scene.material.relaxation):
+            return None
+        share, time_s = np.array([(term.share, term.time_s) for term in terms]).T
+        return Relaxation(share, time_s)
 
     @property
     def compliance(self) -> Compliance | CoveredCompliance:
@@ -527,7 +536,7 @@ class Sensor:
                     ),
                     judge=self._warn_if_press_inaccurate,
                 ),
-                relaxation=actual.scene.material.prony,
+                relaxation=self.relaxation,
             )
 
         # Solve the contact by linear theory, then correct it for finite strain.

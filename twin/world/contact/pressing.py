@@ -204,6 +204,9 @@ def _largest_contact(
         if following is not None and _outdone(step.of_probe(number), following.of_probe(number)):
             continue
         control = _counted_from(step.of_probe(number), pose)
+        if whole is not None and _only_leaves(step, number):
+            pose = control.given
+            continue
         sideways += np.where(control.by_force, 0.0, step.of_probe(number).given)[:Z]
         push = control.given[Z]
         if control.by_force[Z]:
@@ -233,6 +236,14 @@ def _largest_contact(
             "steps)"
         )
     return plane, whole
+
+
+def _only_leaves(step: Control, number: int) -> bool:
+    """Return whether a step in time holds a probe where it is, or only draws it back: its contact
+    does not grow."""
+    own = step.of_probe(number)
+    aside = np.delete(own.given, Z)
+    return step.time_s > 0.0 and not (own.by_force.any() or aside.any() or own.given[Z] > 0.0)
 
 
 def _outdone(step: Control, following: Control) -> bool:
