@@ -17,6 +17,7 @@ HOMES = {
     "mitsuba": {"world/picture/mitsuba_tracer.py", "world/picture/path_tracer.py"},
     "drjit": {"world/picture/mitsuba_tracer.py", "world/picture/path_tracer.py"},
     "pytetwild": {"world/mesh/tetrahedralise.py"},
+    "mmgpy": {"world/mesh/tetrahedralise.py"},
     "pypardiso": {"world/elasticity/factor.py"},
     "scipy.sparse.linalg": {"world/elasticity/factor.py"},
     "pyvista": {"world/mesh/quadratic_mesh.py", "world/mesh/body_mesh.py", "show/body_view.py"},
@@ -108,7 +109,7 @@ def test_descriptions_and_closed_forms_are_light(folder: str) -> None:
     "code", ["import twin", "from twin.cli import app", "import twin; twin.Press, twin.load_scene"]
 )
 def test_importing_loads_no_heavy_package(code: str) -> None:
-    heavy = ["mitsuba", "drjit", "pytetwild", "pyvista", "trimesh", "scipy", "numba", "matplotlib"]
+    heavy = ["mitsuba", "drjit", "pytetwild", "mmgpy", "pyvista", "trimesh", "scipy", "numba", "matplotlib"]
     check = f"{code}; import sys; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -156,9 +156,10 @@ def test_a_dome_meshed_from_its_file_is_off_by_the_square_of_its_facets(own_cach
 @pytest.mark.parametrize("edge_mm", [None, 0.8], ids=["strips", "even"])
 def test_a_pad_with_fillets_is_meshed_whatever_its_triangles(own_cache, edge_mm):
     solid = solid_pad(own_cache, edge_mm)
-    mesh, measured = build_mesh(solid, default_sizing(solid, "sketch"), good_tries=1)
+    sizing = default_sizing(solid, "sketch")
+    mesh, measured = build_mesh(solid, sizing)
     assert not quality(mesh, solid).failures()
-    assert measured.unknowns < 28_000
+    assert measured.unknowns < 1.6 * sizing.unknowns
 
 
 @pytest.mark.slow

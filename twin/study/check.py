@@ -200,6 +200,7 @@ NEEDED = (
     "mitsuba",
     "drjit",
     "pytetwild",
+    "mmgpy",
     "trimesh",
     "pyvista",
     "pydantic",

@@ -17,9 +17,10 @@ from twin.world.mesh import body_mesh as making
 from twin.world.mesh.body_mesh import body_mesh, build_mesh, mesh_key
 from twin.world.mesh.elements import TET_EDGES, TRIANGLE_EDGES
 from twin.world.mesh.quadratic_mesh import export_mesh, load_mesh, read_mesh, write_mesh
-from twin.world.mesh.quality import enclosed_volume, offsets, quality
+from twin.world.mesh.quality import dihedral_angles, enclosed_volume, offsets, quality
 from twin.world.mesh.sizing import WantedEdge, default_sizing
 from twin.world.mesh.snap import snapped_mesh
+from twin.world.mesh.tetrahedralise import remeshed
 
 FILES = {
     f"{name}.{level}": (body, level)
@@ -330,27 +331,43 @@ def small_solid(tmp_path):
     return Solid(file=str(write_stl(tmp_path / "box.stl", box)), **ends)
 
 
-def test_the_best_of_the_good_tries_is_kept_and_bad_ones_are_told(monkeypatch, small_solid):
-    tries, lines = iter([0.0, 0.6, 0.1, 0.3, 0.2]), []
-
-    def tetrahedralise(*_, **__):
-        return block_boxes(SMALL, (3, 3, 3), next(tries))
-
-    monkeypatch.setattr(making, "tetrahedralise", tetrahedralise)
+def test_the_first_good_try_is_taken_and_bad_ones_are_told(monkeypatch, small_solid):
+    tries, lines = iter([0.9, 0.1]), []
+    monkeypatch.setattr(making, "tetrahedralise", lambda *_, **__: block_boxes(SMALL, (3, 3, 3)))
+    monkeypatch.setattr(making, "remeshed", lambda *_: block_boxes(SMALL, (3, 3, 3), next(tries)))
     sizing = replace(default_sizing(small_solid, "standard"), unknowns=small_mesh().unknowns)
     mesh, measured = build_mesh(small_solid, sizing, progress=lambda line, share: lines.append(line))
     assert measured.failures() == []
-    # the undisturbed grid has the best angles
-    np.testing.assert_allclose(mesh.points, small_mesh().points, atol=1e-12)
-    assert len(lines) == 4
-    assert "dihedral" in lines[1]
+    np.testing.assert_allclose(mesh.points, small_mesh(jitter_mm=0.1).points, atol=1e-12)
+    assert len(lines) == 2
+    assert "dihedral" in lines[0]
 
 
 def test_a_build_gives_up_with_the_reason_when_no_try_is_good(monkeypatch, small_solid):
-    monkeypatch.setattr(making, "tetrahedralise", lambda *_, **__: block_boxes(SMALL, (3, 3, 3)))
+    for step in ("tetrahedralise", "remeshed"):
+        monkeypatch.setattr(making, step, lambda *_, **__: block_boxes(SMALL, (3, 3, 3)))
     sizing = replace(default_sizing(small_solid, "standard"), unknowns=1_000_000)
     with pytest.raises(MeshError, match=r"none of 30 meshes of the solid.*wanted: 1000000"):
         build_mesh(small_solid, sizing)
+
+
+def test_needles_and_flat_elements_are_mended_the_same_every_time():
+    spoilt = small_mesh(jitter_mm=0.75)
+    points, tets = spoilt.points[: spoilt.corners], spoilt.tets[:, :4]
+    assert dihedral_angles(points, tets).min() < 5
+    made = [remeshed(points, tets, np.full(len(points), 1.8), 0.1) for _ in range(2)]
+    assert dihedral_angles(*made[0]).min() > 12
+    for one, other in zip(*made, strict=True):
+        np.testing.assert_array_equal(one, other)
+    body = snapped_mesh(SMALL, *made[0])
+    assert not quality(body, SMALL).failures()
+    assert enclosed_volume(body.points, body.faces) == pytest.approx(216, rel=1e-12)
+
+
+def test_a_mesh_that_can_t_be_read_is_refused_not_mended():
+    points, tets = block_boxes(SMALL, (3, 3, 3))
+    with pytest.raises(MeshError, match="can't be improved"):
+        remeshed(points * [1, 1, 0], tets, np.full(len(points), 1.8), 0.1)
 
 
 @pytest.mark.parametrize("size", [(6, 6, 6), (60, 6, 5), (8, 8, 30), (40, 40, 2), (25, 24, 4)])

@@ -2,10 +2,10 @@
 a new one.
 
 A block is cut into tetrahedra by rule (`twin.world.mesh.bisection`); other bodies need the mesher.
-It is not deterministic and takes up to a minute, so a mesh is made once, checked, and kept
-under a key made of the geometry and the wanted sizes. Its number of elements follows from the
-wanted edges only roughly: all lengths are scaled together until the number of unknowns is right,
-and of several meshes that pass the gates the one with the largest smallest dihedral angle is kept.
+Its mesh only starts the work: another program remakes it in the wanted sizes, mends bad elements,
+and is fast. All lengths are scaled together until the number of unknowns is right. As the mesher is
+not deterministic, a mesh is made once, checked, and kept under a key made of the geometry and the
+wanted sizes.
 
 The mesher starts from closed triangles. Bodies given by formulas must be convex: theirs is the
 convex hull of exact surface points, with edges and corners. It only has to be near, as the result
@@ -35,10 +35,17 @@ from twin.parts.body import Block, Body
 from twin.parts.part import without_later
 from twin.world.mesh.bisection import block_mesh
 from twin.world.mesh.quadratic_mesh import FORMAT, Mesh, load_mesh, read_mesh, write_mesh
-from twin.world.mesh.quality import LEAST_DIHEDRAL_DEG, Quality, open_edges, quality, worst_place
-from twin.world.mesh.sizing import Level, Sizing, background, default_sizing, surface_samples
+from twin.world.mesh.quality import Quality, open_edges, quality, worst_place
+from twin.world.mesh.sizing import (
+    Level,
+    Sizing,
+    WantedEdge,
+    background,
+    default_sizing,
+    surface_samples,
+)
 from twin.world.mesh.snap import onto_sheets, snapped_mesh
-from twin.world.mesh.tetrahedralise import Request, tetrahedralise
+from twin.world.mesh.tetrahedralise import Request, remeshed, tetrahedralise
 
 
 def mesh_key(body: Body, sizing: Sizing) -> str:
@@ -108,6 +115,11 @@ def shipped_mesh(body: Body, level: Level) -> Mesh | None:
     return next((mesh for mesh in found if mesh is not None), None)
 
 
+ALL_ALIKE = 2.4
+"""Limits of shape of a stretched mesh over those of a new one: all of its elements are flattened
+alike."""
+
+
 def _stretched(body: Body, level: Level) -> Mesh | None:
     """Return the shipped mesh of a body of this shape, stretched to this one, if that passes the
     quality gates.
@@ -119,7 +131,7 @@ def _stretched(body: Body, level: Level) -> Mesh | None:
         ratio = _ratio(without_later(provenance["body"]), without_later(body.geometry()))
         if ratio is not None:
             made = replace(mesh, points=frozen(mesh.points * ratio))
-            if not quality(made, body).failures():
+            if not quality(made, body).failures(stricter=ALL_ALIKE):
                 return made
     return None
 
@@ -239,21 +251,23 @@ def _body_name(body: Body) -> str:
 
 LIMIT_S, LIMIT_UNKNOWNS = 60.0, 28000
 """Processor time of all tries for a mesh of so many unknowns, s; larger meshes may take more, in
-proportion. A rounded pad takes 12 to 38 s until a mesh or three of it are good."""
+proportion."""
 
-SPARE_UNKNOWNS = 42000
-"""A sound mesh of up to so many unknowns is taken rather than none: fillets of a pad of 24 x 16 x 7
-mm made the first mesh twice as fine as wanted, and the next ten failed the gates."""
+START_UNKNOWNS = 4000
+"""Unknowns of the mesher's own mesh, about: it is the slow step, and only has to be near."""
 
-PATIENCE, FINER = 2, 1.3
-"""After so many tries of the right size that fail the gates, so many times as many unknowns are
-aimed at: fillets need elements that are not much wider."""
+SAME_START, MOST_TRIES = 8, 30
+"""Tries from one mesh of the mesher's, and tries in all."""
 
-GOOD_TRIES, MOST_TRIES = 3, 30
+SPARE = 1.5
+"""A sound mesh of so many times more or fewer unknowns than wanted is taken rather than none."""
 
-_FEWEST, _MOST = 0.88, 1.07
-"""Allowed range of the number of unknowns over the wanted one; the solver's cost makes the upper
-end strict."""
+FINER = 1.05
+"""After a try of the right size that fails the gates, so many times as many unknowns are aimed at:
+fillets need elements that are not much wider."""
+
+_FEWEST, _MOST = 0.8, 1.25
+"""Allowed range of the number of unknowns over the wanted one."""
 
 _POWER = 2.3
 """The number of unknowns falls about with this power of the edge lengths; too high a power only
@@ -266,19 +280,9 @@ again, in three times the time)."""
 
 
 def build_mesh(
-    body: Body,
-    sizing: Sizing,
-    *,
-    progress: Progress | None = None,
-    good_tries: int = GOOD_TRIES,
+    body: Body, sizing: Sizing, *, progress: Progress | None = None
 ) -> tuple[Mesh, Quality]:
-    """Make a mesh of a body with the proportions and the number of unknowns of a sizing.
-
-    Parameters
-    ----------
-    good_tries
-        Meshes that must pass before the best of them is taken; when half of the time is over one is
-        enough, even of another size than wanted.
+    """Make a mesh of a body with the proportions and about the number of unknowns of a sizing.
 
     Raises
     ------
@@ -292,19 +296,23 @@ def build_mesh(
     _refuse_sharp(body)
     allowed_s = LIMIT_S * max(1.0, sizing.unknowns / LIMIT_UNKNOWNS)
     end_s = _spent_s() + allowed_s
-    surface = outer_surface(body, min(sizing.fine_mm, sizing.rim_mm))
-    good: list[tuple[Mesh, Quality]] = []
+    finest_mm = min(sizing.fine_mm, sizing.rim_mm)
+    surface = outer_surface(body, finest_mm)
+    wanted = WantedEdge(body, sizing)
+    start: tuple[Points, Ints] | None = None
     spare: list[tuple[Mesh, Quality]] = []
     failures: list[str] = []
     tried: list[tuple[float, float]] = []
-    scale, aim, missed = 1.0, float(sizing.unknowns), 0
-    most = max(_MOST * 1.5, SPARE_UNKNOWNS / sizing.unknowns)
-    for attempt in range(1, MOST_TRIES + 1):
+    scale, aim = 1.0, float(sizing.unknowns)
+    for attempt in range(MOST_TRIES):
         left_s = end_s - _spent_s()
         if failures and left_s < 1.0:
             break
         try:
-            mesh = _one(body, sizing.scaled(scale), surface, max(left_s, 1.0))
+            if start is None or attempt % SAME_START == 0:
+                start = _start(body, sizing, surface, max(left_s, 1.0))
+            edge_mm = scale * wanted(start[0])
+            mesh = snapped_mesh(body, *remeshed(*start, edge_mm, _ENVELOPE * scale * finest_mm))
         except MeshError as problem:
             failures.append(str(problem))
             place = _narrowest(*surface)
@@ -312,44 +320,37 @@ def build_mesh(
         measured = quality(mesh, body)
         ratio = measured.unknowns / aim
         faults = measured.failures()
-        if not faults and _FEWEST / 2 <= measured.unknowns / sizing.unknowns <= most:
+        if not faults and 1 / SPARE <= measured.unknowns / sizing.unknowns <= SPARE:
             spare.append((mesh, measured))
         if not _FEWEST <= ratio <= _MOST:
             faults = [f"{measured.unknowns} unknowns (wanted: {aim:.0f})", *faults]
             tried.append((scale, ratio))
             scale = _next_scale(tried)
         elif faults:
-            missed += 1
-            if missed % PATIENCE == 0 and aim * FINER <= most * sizing.unknowns:
-                aim *= FINER
-                scale *= FINER ** (-1 / _POWER)
-                tried.clear()
-        if faults:
-            failures.append("; ".join(faults))
-            place = coordinates(worst_place(mesh, crowded=ratio > _MOST))
-        else:
-            good.append((mesh, measured))
+            aim *= FINER
+            scale *= FINER ** (-1 / _POWER)
+            tried.clear()
         if progress:
             verdict = (
                 "; ".join(faults) or f"good, smallest angle {measured.least_dihedral_deg:.1f} deg"
             )
             progress(
-                f"mesh of the {_body_name(body)}, try {attempt}: {measured.unknowns} unknowns, "
+                f"mesh of the {_body_name(body)}, try {attempt + 1}: {measured.unknowns} unknowns, "
                 f"{verdict}",
-                len(good) / good_tries,
+                0.0 if faults else 1.0,
             )
-        if len(good) >= good_tries or ((good or spare) and end_s - _spent_s() < allowed_s / 2):
-            break
-    if not good and spare:  # sound, but of another size than wanted
+        if not faults:
+            return mesh, measured
+        failures.append("; ".join(faults))
+        place = coordinates(worst_place(mesh, crowded=ratio > _MOST))
+    if spare:  # sound, but of another size than wanted
         return min(spare, key=lambda pair: abs(math.log(pair[1].unknowns / sizing.unknowns)))
-    if not good:
-        raise MeshError(
-            f"none of {len(failures)} meshes of the {_body_name(body)} passed the gates within "
-            f"{allowed_s:.0f} s of processor time, the last one: {failures[-1]}; the place to look "
-            f"at is ({place}) mm: take out what is thin, narrow or pointed there (walls, slits, "
-            "steps, needles much smaller than the body), or draw it larger"
-        )
-    return max(good, key=lambda pair: pair[1].least_dihedral_deg)
+    raise MeshError(
+        f"none of {len(failures)} meshes of the {_body_name(body)} passed the gates within "
+        f"{allowed_s:.0f} s of processor time, the last one: {failures[-1]}; the place to look "
+        f"at is ({place}) mm: take out what is thin, narrow or pointed there (walls, slits, "
+        "steps, needles much smaller than the body), or draw it larger"
+    )
 
 
 def _spent_s() -> float:
@@ -357,15 +358,19 @@ def _spent_s() -> float:
     return sum(os.times()[:4])
 
 
+SHARPEST_DEG = 12.0
+"""Least angle of a wedge: elements there have no larger one, and good ones need a part of it."""
+
+
 def _refuse_sharp(body: Body) -> None:
     """Refuse at once a wedge so sharp that no element in it can pass the gates."""
     if body.own_surface is None:
         return
     angle, place = sharpest_edge(*body.own_surface)
-    if angle < LEAST_DIHEDRAL_DEG:
+    if angle < SHARPEST_DEG:
         raise MeshError(
             f"the surface of the {_body_name(body)} has an edge of {angle:.3g} deg at "
-            f"({coordinates(place)}) mm, and a mesh has no angle below {LEAST_DIHEDRAL_DEG:g} deg: "
+            f"({coordinates(place)}) mm, and none below {SHARPEST_DEG:g} deg is meshed: "
             "blunt the edge, or cut the body there"
         )
 
@@ -396,8 +401,13 @@ def _next_scale(tried: list[tuple[float, float]]) -> float:
     return math.exp((1 - share) * math.log(one) + share * math.log(other))
 
 
-def _one(body: Body, sizing: Sizing, surface: tuple[Points, Ints], processor_s: float) -> Mesh:
-    """Make one mesh, good or bad, in so much processor time."""
+def _start(
+    body: Body, sizing: Sizing, surface: tuple[Points, Ints], processor_s: float
+) -> tuple[Points, Ints]:
+    """Return a mesh (n, 3) mm and (m, 4) near the body's surface, made in so much processor
+    time."""
+    coarser = (sizing.unknowns / START_UNKNOWNS) ** (1 / _POWER)
+    sizing = sizing.scaled(max(1.0, coarser))
     points, tets, edge_mm = background(body, sizing)
     diagonal = float(np.linalg.norm(np.ptp(np.array(body.bounds_mm), axis=0)))
     request = Request(
@@ -409,5 +419,4 @@ def _one(body: Body, sizing: Sizing, surface: tuple[Points, Ints], processor_s: 
         coarse_mm=sizing.coarse_mm,
         envelope=_ENVELOPE * min(sizing.fine_mm, sizing.rim_mm) / diagonal,
     )
-    raw_points, raw_tets = tetrahedralise(request, processor_s=processor_s)
-    return snapped_mesh(body, raw_points, raw_tets)
+    return tetrahedralise(request, processor_s=processor_s)

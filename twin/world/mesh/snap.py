@@ -22,6 +22,12 @@ from twin.world.mesh.quadratic_mesh import Mesh
 RIM_SHARE = 0.3
 """Where the middle node of an edge from the rim stands, as a share of the edge."""
 
+_NO_AREA = 1e-300
+"""Least divisor: a triangle that moving made a line has no normal, and its mesh passes no gate."""
+
+_ROUNDING_MM = 1e-14
+"""Distance from a sheet at which a point counts as being on it."""
+
 
 def snapped_mesh(body: Body, points: Points, tets: Ints) -> Mesh:
     """Return the quadratic mesh of positive linear tetrahedra, ``points`` (n, 3) and ``tets`` (m,
@@ -97,16 +103,17 @@ def onto_sheets(body: Body, points: Points, on: Bools, *, depth_mm: float = 0.0)
         Depth of the level set that takes the sensing sheets' place.
     """
     points = np.array(points, dtype=np.float64)
-    if len(points) == 0:
-        return points
+    moving = np.flatnonzero(on.any(axis=1))
     for _ in range(30):
-        away = body.sheet_distances(points) - depth_mm * body.sensing_sheets
-        distance = np.where(on, away, 0.0)
-        if np.max(np.abs(distance)) < 1e-14:
+        away = body.sheet_distances(points[moving]) - depth_mm * body.sensing_sheets
+        distance = np.where(on[moving], away, 0.0)
+        off = np.abs(distance).max(axis=1, initial=0.0) >= _ROUNDING_MM
+        moving = moving[off]
+        if len(moving) == 0:
             break
-        normals = np.where(on[:, :, None], body.sheet_normals(points), 0.0)
-        step = np.linalg.pinv(normals, rcond=1e-6) @ distance[:, :, None]
-        points -= step[:, :, 0]
+        normals = np.where(on[moving, :, None], body.sheet_normals(points[moving]), 0.0)
+        step = np.linalg.pinv(normals, rcond=1e-6) @ distance[off, :, None]
+        points[moving] -= step[:, :, 0]
     return points
 
 
@@ -125,9 +132,10 @@ def _classify(body: Body, points: Points, triangles: Ints) -> Ints:
     )
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
     outward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), _NO_AREA)
     turned = 1 + np.einsum("fpk,fk->fp", body.sheet_normals(corner.mean(axis=1)), outward)
-    return np.asarray(np.argmin(distance / longest[:, None] + turned, axis=1), np.int64)
+    cost = distance / np.maximum(longest, _NO_AREA)[:, None] + turned
+    return np.asarray(np.argmin(cost, axis=1), np.int64)
 
 
 def node_sheets(mesh: Mesh, body: Body) -> Bools:
