@@ -29,6 +29,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,7 +39,6 @@ from twin.parts.body import Block, Body
 from twin.parts.material import Material
 from twin.parts.press import Press, Step
 from twin.parts.probe import Cone, Cylinder, Sphere
-from twin.world.contact.body_strain import BodyStrain
 from twin.world.contact.contact_state import (
     ESTIMATED,
     MEASURED,
@@ -61,6 +61,9 @@ from twin.world.contact.round_slab import (
 )
 from twin.world.elasticity.mixed_rubber import largest, newton
 from twin.world.elasticity.strain_law import LEAST_POISSON
+
+if TYPE_CHECKING:
+    from twin.world.contact.body_strain import BodyStrain
 
 LEAST_EDGE = 0.02
 """Least radius of a cylinder's rim over its diameter: a sharper one is solved with this radius, on
@@ -385,6 +388,8 @@ def strain_of(
     """
     if isinstance(body, Block):
         return FiniteStrain(press, body, material, state, watched)
+    from twin.world.contact.body_strain import BodyStrain
+
     near = like if isinstance(like, BodyStrain) else None
     return BodyStrain(press, body, material, state, watched, like=near)
 
