@@ -112,7 +112,7 @@ def path_traced(
 
 def _written(folder: Path, scene: Scene, markers: Ellipsoids, corner: Ints, size: int, glowing: int | None) -> Path:
     """Write the scene as the program exports it, for a part of the picture; return the file."""
-    table = stock_scene(scene, 1.0, {"markers": "markers.ply"})
+    table = stock_scene(scene, 1.0, {"markers": marker_triangles(markers)})
     table["sensor"]["film"] |= {
         "crop_offset_x": int(corner[0]), "crop_offset_y": int(corner[1]), "crop_width": size, "crop_height": size,
     }  # fmt: skip
@@ -121,7 +121,7 @@ def _written(folder: Path, scene: Scene, markers: Ellipsoids, corner: Ints, size
         table = {key: value for key, value in table.items() if not key.startswith("led")}
         paint = table["markers"]["bsdf"]["inner"]
         table["markers"]["emitter"] = {"type": "area", "radiance": paint["reflectance"]}
-        paint["reflectance"] = (0.0,) * 3
+        paint["reflectance"] = {"type": "rgb", "value": [0.0] * 3}
         markers = replace(markers, colour=np.where(np.arange(len(markers))[:, None] == glowing, np.ones(3), 0.0))
     (folder / "markers.ply").write_bytes(marker_triangles(markers).as_ply(middle_of_window(scene)))
     (folder / "scene.xml").write_text(as_xml(table))

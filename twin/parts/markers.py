@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -54,6 +54,9 @@ class MarkerLayer(Part):
         (s, t) of the grid's centre.
     colour
         Diffuse reflectance in the camera's red, green and blue channels.
+    gloss
+        Refractive index, above the rubber's, and roughness of a smooth skin over the colour: GGX's
+        alpha, 0.01 to 1, small for sharp highlights. Only ``renderer = "path"`` draws it.
     stiff
         Whether the truth takes the beads as rigid against the rubber: each moves with the mean of
         the field over its surface and pushes back on the rubber, which moves all markers, to first
@@ -70,6 +73,9 @@ class MarkerLayer(Part):
     rows: int = Field(ge=1, le=200)
     offset_mm: tuple[Place, Place] = (0.0, 0.0)
     colour: tuple[Share, Share, Share]
+    gloss: (
+        tuple[Annotated[float, Field(gt=1, le=3)], Annotated[float, Field(ge=0.01, le=1)]] | None
+    ) = None
     stiff: bool = False
 
     @model_validator(mode="after")

@@ -45,6 +45,7 @@ LATER: tuple[tuple[str, object], ...] = (
     ("paths", 64),
     ("colours", []),
     ("dust", None),
+    ("gloss", None),
     ("hot_pixels", 0),
     ("dead_pixels", 0),
     ("row_noise_e", 0.0),

@@ -1,15 +1,18 @@
 """What recipes can add to light and camera: each effect against arithmetic, and none that is off costs anything."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from small_scenes import SPLAT, block, changed, mitsuba, rest_of
+from small_scenes import SPLAT, beads, block, changed, mitsuba, rest_of
 
 from twin.errors import RecipeError
 from twin.parts.camera import Ccd, Dust, Light
 from twin.parts.part import identity
 from twin.world.picture.ccd import expose, fixed_pattern
-from twin.world.picture.render import Renderer
+from twin.world.picture.lamps import lamps_at
+from twin.world.picture.render import Renderer, method_for
 
 
 def light_of(scene, variant=SPLAT):
@@ -23,6 +26,7 @@ def test_what_is_off_changes_no_description():
     table = block().model_dump(mode="json")
     assert set(identity(table["light"])) == {"positions_mm", "exponent", "profile", "radius_mm", "ambient"}
     assert "dust" not in identity(table["camera"])
+    assert "gloss" not in identity(table["markers"]["red"])
     assert not [key for key in identity(table["ccd"]) if "pixels" in key or "row" in key or "column" in key]
 
 
@@ -149,3 +153,38 @@ def test_rows_differ_from_picture_to_picture_and_columns_do_not():
     assert abs(np.corrcoef(rows)[0, 1]) < 0.3
     assert np.corrcoef(columns)[0, 1] > 0.99
     assert exposed(0.5, 1).std() == pytest.approx(np.sqrt(12750) / 100, rel=0.1)
+
+
+# Gloss
+
+
+def test_a_glossy_ball_sends_as_much_light_to_the_camera_as_a_mirror_does():
+    """A mirror ball spreads light evenly, R E r^2 / 4 to every side, R at half the angle between light and camera; a
+    white one sends (2 / 3 pi) E r^2 (sin a + (pi - a) cos a)."""
+    scene = changed(block().model_copy(update={"cover": None}), light={"ambient": 0.0}, accuracy={"paths": 256})
+    white = beads([(0, 0, 6)], colour=(1.0, 1.0, 1.0))
+    black = replace(beads([(0, 0, 6)], colour=(0.0, 0.0, 0.0)), gloss=np.array([[2.5, 0.05]]))
+    path = scene.model_copy(update={"renderer": "path"})
+    renderers = [Renderer(scene, white, SPLAT), Renderer(path, black, mitsuba())]
+    matt, gloss = ((r.radiance(m) / r.exposure).sum() for r, m in zip(renderers, (white, black), strict=True))
+    towards = lamps_at(white.centres, scene).place[0, 0] - white.centres[0]
+    angle = np.arccos(towards[2] / np.linalg.norm(towards))
+    one, two = 1.41 * np.cos(angle / 2), 2.5 * np.sqrt(1 - (1.41 / 2.5 * np.sin(angle / 2)) ** 2)
+    across = (one - two) / (one + two)
+    one, two = 1.41 / np.cos(angle / 2), 2.5**2 / two
+    along = (two - one) / (two + one)
+    mirrored = (across**2 + along**2) / 2 / 4
+    lambert = 2 / (3 * np.pi) * (np.sin(angle) + (np.pi - angle) * np.cos(angle))
+    assert gloss / matt == pytest.approx(mirrored / lambert, rel=0.05)
+
+
+def test_gloss_is_refused_where_it_is_not_drawn():
+    red = block().markers["red"].model_copy(update={"gloss": (1.59, 0.1)})
+    scene = block().model_copy(update={"markers": {"red": red}})
+    for renderer, one in (
+        ("splat", scene),
+        ("auto", scene),
+        ("path", changed(scene, material={"refractive_index": 1.6})),
+    ):
+        with pytest.raises(RecipeError, match=r"markers.red.gloss = \(1.59, 0.1\): needs renderer = 'path'"):
+            method_for(one.model_copy(update={"renderer": renderer}))

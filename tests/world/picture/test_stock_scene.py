@@ -70,11 +70,11 @@ def test_a_scene_is_written_with_its_parts_and_what_is_left_out(tmp_path):
 
     mi.set_variant("llvm_ad_rgb")
     shapes = {shape.id(): shape for shape in mi.load_file(str(file)).shapes()}
-    assert set(shapes) == {"interface0", "interface1", "led0", "led1", "led2", "led3", "markers", "cover"}
-    assert shapes["markers"].face_count() == 1280 * len(rest_of(scene))
-    box = shapes["markers"].bbox()
+    assert set(shapes) == {"interface0", "interface1", "led0", "led1", "led2", "led3", "rest_markers", "rest_cover"}
+    assert shapes["rest_markers"].face_count() == 1280 * len(rest_of(scene))
+    box = shapes["rest_markers"].bbox()
     assert_allclose([box.min.z, box.max.z], [3 - 0.25 - 45, 6 + 0.25 - 45], atol=1e-3)
-    assert_allclose(shapes["cover"].bbox().max.z, scene.cover.thickness_mm - 45, atol=1e-3)
+    assert_allclose(shapes["rest_cover"].bbox().max.z, scene.cover.thickness_mm - 45, atol=1e-3)
 
 
 @pytest.mark.slow

@@ -34,11 +34,14 @@ class Ellipsoids:
         (n, 3, 3) mm, a semi-axis vector in every column (conjugate, not always orthogonal).
     colour
         (n, 3) diffuse reflectance, red, green, blue.
+    gloss
+        (n, 2) refractive index and roughness of a smooth skin, 0 for none; None: none has one.
     """
 
     centres: Points
     axes: Floats
     colour: Floats
+    gloss: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -52,7 +55,10 @@ class Ellipsoids:
     def rows(self, which: Bools | slice) -> Ellipsoids:
         """Return some of the markers."""
         return Ellipsoids(
-            centres=self.centres[which], axes=self.axes[which], colour=self.colour[which]
+            centres=self.centres[which],
+            axes=self.axes[which],
+            colour=self.colour[which],
+            gloss=None if self.gloss is None else self.gloss[which],
         )
 
 
@@ -99,6 +105,7 @@ def ellipsoids(
         )
     axes = np.zeros((n, 3, 3))
     colour = np.zeros((n, 3))
+    gloss = np.zeros((n, 2))
     # A bead stays a sphere and turns with the rubber; a print strains with it.
     for name, layer in layers.items():
         rows = markers.of(name)
@@ -111,12 +118,18 @@ def ellipsoids(
             )
             axes[rows] = (np.eye(3) + g[rows]) @ disc
         colour[rows] = layer.colour
+        gloss[rows] = layer.gloss or 0.0
     # Deviations of single markers: size, shade, or no marker at all.
     if prints is not None:
         axes *= prints.size[:, None, None]
         axes[prints.missing] = np.nan
         colour = np.clip(colour * prints.shade[:, None], 0, 1)
-    return Ellipsoids(centres=frozen(markers.points + u), axes=frozen(axes), colour=frozen(colour))
+    return Ellipsoids(
+        centres=frozen(markers.points + u),
+        axes=frozen(axes),
+        colour=frozen(colour),
+        gloss=frozen(gloss) if gloss.any() else None,
+    )
 
 
 def _turn(gradient: Floats) -> Floats:

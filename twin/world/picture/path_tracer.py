@@ -34,7 +34,7 @@ from twin.world.picture.picture_job import View
 from twin.world.picture.stock_scene import (
     Triangles,
     cover_triangles,
-    marker_triangles,
+    marker_surfaces,
     window_interfaces,
 )
 
@@ -89,12 +89,14 @@ class PathTracer:
 
     def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
         """Return the (height, width, 3) light of the LEDs on the sensor, 1 filling its wells."""
-        table = {**self._fixed, "markers": _mesh(marker_triangles(markers))}
+        surfaces = marker_surfaces(markers)
         if self._background is not None:
             assert self._scene.cover is not None
-            shape = cover_triangles(self._background, cover, self._scene.cover.albedo)
-            table["cover"] = _mesh(shape)
-        made = mi.load_dict(table)
+            albedo = self._scene.cover.albedo
+            surfaces["cover"] = cover_triangles(self._background, cover, albedo)
+        made = mi.load_dict(
+            self._fixed | {name: _mesh(each, self._scene) for name, each in surfaces.items()}
+        )
         film = np.zeros(self._shape, np.float32)
         for number in range(self._passes):
             film += np.array(mi.render(made, spp=self._paths, seed=number)) / self._passes
@@ -350,12 +352,10 @@ class FoldedLeds(mi.Emitter):
         return "FoldedLeds"
 
 
-def _mesh(surface: Triangles) -> Any:
-    """Return Mitsuba's mesh of a matt surface in its colours."""
-    colour = {"type": "mesh_attribute", "name": "vertex_color"}
-    paint = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": colour}}
+def _mesh(surface: Triangles, scene: Scene) -> Any:
+    """Return Mitsuba's mesh of a surface in its colours."""
     parts = mi.Properties()
-    parts["bsdf"] = mi.load_dict(paint)
+    parts["bsdf"] = mi.load_dict(surface.paint(scene))
     counts = len(surface.places), len(surface.faces)
     mesh = mi.Mesh("mesh", *counts, has_vertex_normals=True, props=parts)
     colours: Any = surface.colours.astype(np.float32).ravel()

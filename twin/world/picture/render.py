@@ -450,8 +450,17 @@ def method_for(scene: Scene) -> Variant:
     ------
     MissingCapability
         The scene asks for Mitsuba, which doesn't work here.
+    RecipeError
+        It asks for gloss where that is not drawn.
     """
     asked = scene.renderer
+    index = scene.material.refractive_index
+    for name, layer in scene.markers.items():
+        if layer.gloss and (asked != "path" or layer.gloss[0] <= index):
+            raise RecipeError(
+                f"markers.{name}.gloss = {layer.gloss}: needs renderer = 'path', the only one that "
+                f"draws it, and an index above the rubber's {index:g}"
+            )
     if asked == "splat":
         return choose_variant("splat")
     wanted = scene.accuracy.centroid_px

@@ -12,7 +12,7 @@ no sides, and the even share of light (``light.ambient``) has no source, so it i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -44,13 +44,14 @@ _TAGS = {
     "multijitter": "sampler",
     "dielectric": "bsdf",
     "diffuse": "bsdf",
+    "roughplastic": "bsdf",
     "twosided": "bsdf",
     "area": "emitter",
     "mesh_attribute": "texture",
 }
 """Mitsuba's kind of each plug-in that is no shape."""
 
-_VALUES = {int: "integer", float: "float", str: "string", tuple: "rgb"}
+_VALUES = {int: "integer", float: "float", str: "string"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +66,30 @@ class Triangles:
         (k, 3) numbers of three corners.
     colours
         (n, 3) diffuse reflectance at the corners.
+    gloss
+        Refractive index and roughness of a smooth skin; None: matt.
     """
 
     places: Points
     normals: Floats
     faces: Ints
     colours: Floats
+    gloss: tuple[float, float] | None = None
+
+    def paint(self, scene: Scene) -> dict[str, Any]:
+        """Return Mitsuba's tables of the surface's material."""
+        colour = {"type": "mesh_attribute", "name": "vertex_color"}
+        inner: dict[str, Any] = {"type": "diffuse", "reflectance": colour}
+        if self.gloss is not None:
+            inner = {
+                "type": "roughplastic",
+                "distribution": "ggx",
+                "diffuse_reflectance": _rgb(self.colours[0]),
+                "int_ior": self.gloss[0],
+                "ext_ior": scene.material.refractive_index,
+                "alpha": self.gloss[1],
+            }
+        return {"type": "twosided", "inner": inner}
 
     def as_ply(self, down_mm: float = 0.0) -> bytes:
         """Return the surface as a binary PLY file, with z smaller by ``down_mm``."""
@@ -107,6 +126,19 @@ def marker_triangles(markers: Ellipsoids) -> Triangles:
     )
 
 
+def marker_surfaces(markers: Ellipsoids) -> dict[str, Triangles]:
+    """Return the markers by name; those with gloss are one surface for each colour, too."""
+    if markers.gloss is None:
+        return {"markers": marker_triangles(markers)}
+    look = np.column_stack([markers.gloss, markers.colour * (markers.gloss[:, :1] > 0)])
+    kinds, which = np.unique(look, axis=0, return_inverse=True)
+    surfaces = {}
+    for n, (index, roughness, *_) in enumerate(kinds.tolist()):
+        some = marker_triangles(markers.rows(which.ravel() == n))
+        surfaces[f"markers{n}"] = replace(some, gloss=(index, roughness) if index else None)
+    return surfaces
+
+
 def cover_triangles(
     background: Background, motion: CoverMotion | None, albedo: tuple[float, float, float]
 ) -> Triangles:
@@ -141,7 +173,7 @@ def middle_of_window(scene: Scene) -> float:
     return scene.body.base_z_mm + sum(layer.thickness_mm for layer in scene.camera.layers) / 2
 
 
-def stock_scene(scene: Scene, exposure: float, parts: Mapping[str, str]) -> dict[str, Any]:
+def stock_scene(scene: Scene, exposure: float, parts: Mapping[str, Triangles]) -> dict[str, Any]:
     """Return a scene as nested tables of Mitsuba's plug-ins.
 
     Parameters
@@ -151,7 +183,7 @@ def stock_scene(scene: Scene, exposure: float, parts: Mapping[str, str]) -> dict
     exposure
         Of `twin.world.picture.render.Renderer.exposure`: pixels are then in its units.
     parts
-        PLY files by name.
+        Surfaces, by the names of their PLY files without the ending.
 
     Raises
     ------
@@ -186,17 +218,15 @@ def stock_scene(scene: Scene, exposure: float, parts: Mapping[str, str]) -> dict
     radius = light.radius_mm or _LED_MM
     index = scene.material.refractive_index
     radiance = (1 - light.ambient) * exposure * (index / through / radius) ** 2
-    colours = light.colours or ((1.0,) * 3,) * len(light.positions_mm)
+    colours = np.array(light.colours or np.ones((len(light.positions_mm), 3)))
     for n, place in enumerate(light.positions_mm):
         table[f"led{n}"] = {
             "type": "disk",
             "to_world": _matrix(radius * np.diag([1, -1, -1]), (*place[:2], place[2] - down)),
-            "emitter": {"type": "area", "radiance": tuple(radiance * p for p in colours[n])},
+            "emitter": {"type": "area", "radiance": _rgb(radiance * colours[n])},
         }
-    colour = {"type": "mesh_attribute", "name": "vertex_color"}
-    for name, file in parts.items():
-        paint = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": colour}}
-        table[name] = {"type": "ply", "filename": file, "bsdf": paint}
+    for name, surface in parts.items():
+        table[name] = {"type": "ply", "filename": f"{name}.ply", "bsdf": surface.paint(scene)}
     return table
 
 
@@ -228,13 +258,13 @@ def write_stock_scene(
     markers, cover
         The markers, and how the places of the cover's `Background` have moved.
     """
-    surfaces = {"markers": marker_triangles(markers)}
+    surfaces = marker_surfaces(markers)
     if scene.cover is not None:
         surfaces["cover"] = cover_triangles(Background(scene, 1.0), cover, scene.cover.albedo)
-    files = {part: f"{name}_{part}.ply" for part in surfaces}
-    made = as_xml(stock_scene(scene, exposure, files))
-    for part, surface in surfaces.items():
-        write_whole(folder / files[part], surface.as_ply(middle_of_window(scene)))
+    parts = {f"{name}_{part}": surface for part, surface in surfaces.items()}
+    made = as_xml(stock_scene(scene, exposure, parts))
+    for part, surface in parts.items():
+        write_whole(folder / f"{part}.ply", surface.as_ply(middle_of_window(scene)))
     write_whole(folder / f"{name}.xml", made.encode())
     return folder / f"{name}.xml"
 
@@ -298,6 +328,11 @@ def _sensor(scene: Scene, camera: Camera, down: float) -> dict[str, Any]:
     return table | lens
 
 
+def _rgb(colour: Floats) -> dict[str, Any]:
+    """Return Mitsuba's table of a (3,) colour."""
+    return {"type": "rgb", "value": colour.tolist()}
+
+
 def _matrix(axes: Floats, place: tuple[float, float, float]) -> Floats:
     """Return the (4, 4) matrix from a part's own coordinates to the scene's."""
     matrix = np.eye(4)
@@ -308,8 +343,9 @@ def _matrix(axes: Floats, place: tuple[float, float, float]) -> Floats:
 
 def _add(parent: ElementTree.Element, key: str, value: Any, names: str = "name") -> None:
     """Add a value under its key: a plug-in, a matrix, a colour or a single value."""
-    if isinstance(value, Mapping):
-        kind = value["type"]
+    if isinstance(value, Mapping) and (kind := value["type"]) == "rgb":
+        ElementTree.SubElement(parent, kind, name=key, value=" ".join(map(str, value["value"])))
+    elif isinstance(value, Mapping):
         one = ElementTree.SubElement(parent, _TAGS.get(kind, "shape"), {"type": kind, names: key})
         for inner, each in value.items():
             if inner != "type":
@@ -318,5 +354,4 @@ def _add(parent: ElementTree.Element, key: str, value: Any, names: str = "name")
         matrix = ElementTree.SubElement(parent, "transform", name=key)
         ElementTree.SubElement(matrix, "matrix", value=" ".join(map(repr, value.ravel().tolist())))
     else:
-        words = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-        ElementTree.SubElement(parent, _VALUES[type(value)], name=key, value=words)
+        ElementTree.SubElement(parent, _VALUES[type(value)], name=key, value=str(value))
