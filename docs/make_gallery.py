@@ -137,15 +137,15 @@ CAMERAS = Room(
         Plate(
             "effects",
             "What real sensors have, off above and on below, brightened: red LEDs of unequal power; LEDs as discs that "
-            "the window mirrors; dust on the window; hot and dead pixels, and noise of rows and columns; glossy beads, by "
-            "`path`.",
+            "the window mirrors; dust on the window; hot and dead pixels, and noise of rows and columns; glossy "
+            "beads, by `path`.",
             """
             effects = {
                 "light.colours": [[1, 0.2, 0.1], [1, 0.2, 0.1], [0.2, 0.04, 0.02], [0.2, 0.04, 0.02]],
-                "light.radius_mm": 1.0,
-                "camera.dust": {"count": 1500, "size_mm": 0.15},
-                "ccd": {"hot_pixels": 60, "dead_pixels": 60, "row_noise_e": 120, "column_noise_e": 120},
-                "markers.red.gloss": [1.8, 0.1],
+                "light.radius_mm": 0.6,
+                "camera.dust": {"count": 4000, "size_mm": 0.15},
+                "ccd": {"hot_pixels": 300, "dead_pixels": 300, "row_noise_e": 120, "column_noise_e": 120},
+                "markers.red.gloss": [1.8, 0.05],
             }
             plain = {"light.positions_mm": [[11, 8, 105], [-11, 8, 105], [11, -8, 105], [-11, -8, 105]]}
             path = {"renderer": "path", "camera.width_px": 320, "camera.height_px": 240}
@@ -154,7 +154,7 @@ CAMERAS = Room(
                 for ax, more in zip(column, ({}, {key: value})):
                     more = plain | (path if "gloss" in key else {}) | more
                     scene = twin.load_scene("kamiyama_pillar", more)
-                    ax.imshow((twin.Sensor(scene).picture(None)[:240, :320] / 255) ** 0.5)
+                    ax.imshow((twin.Sensor(scene).picture(None)[75:165, 110:230] / 255) ** 0.5)
                 column[0].set_title(key)
             """,
         ),
