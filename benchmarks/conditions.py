@@ -4,7 +4,7 @@ Pictures are drawn by area (`benchmarks.discs`), not by twin's renderers: two la
 contrast, blur .7 px, 1.5 counts of read noise and shot noise of a 20 000 electron well. Every marker moves by up to 3.5
 px. JPEG is Pillow's, H.264 is ffmpeg's. ``chi`` is the root mean square of error over stated deviation, per axis;
 ``over_bound`` the error over Cramer and Rao's bound for the clean picture; ``wrong`` the share of all markers with a
-shift that is off by more than a pixel.
+shift that is off by more than a pixel, ``silent`` of those off by more than five stated deviations and .05 px.
 """
 
 import io
@@ -107,8 +107,11 @@ def row(
     fine = seen & ~wrong
     rms = float(np.sqrt(np.mean(error[fine] ** 2))) if fine.any() else np.nan
     score = (error[seen] / sd[seen, None]) ** 2
+    off = np.abs(error[seen])
+    silent = ((off > 5 * sd[seen, None]) & (off > 0.05)).any(axis=1).sum() / len(seen)
     return {
         "condition": condition, "diameter_px": diameter, "kept": float(seen.mean()), "wrong": float(wrong.mean()),
+        "silent": float(silent),
         "error_px": rms, "over_bound": rms / bound,
         "stated_px": float(np.sqrt(np.mean(sd[fine] ** 2))) if fine.any() else np.nan,
         "chi": float(np.sqrt(score.mean())) if seen.any() else np.nan,
@@ -132,7 +135,9 @@ def specks(size: Any, count: int, random: np.random.Generator) -> np.ndarray:
     return 1.0 - 0.5 * spread / spread.max()
 
 
-def hidden(card: Card, drawn: np.ndarray, shift: np.ndarray, which: np.ndarray, area: float, seed: int) -> np.ndarray:
+def hidden(
+    card: Card, drawn: np.ndarray, shift: np.ndarray, which: np.ndarray, area: float, seed: int, psf: float = 0.7
+) -> np.ndarray:
     """Return the picture with that share of some markers' area covered in the ground's colour, from any side."""
     random, depth = np.random.default_rng(seed), chord(area) * card.diameter
     for marker in which:
@@ -142,7 +147,7 @@ def hidden(card: Card, drawn: np.ndarray, shift: np.ndarray, which: np.ndarray, 
         def seen(dx: Any, dy: Any, _x: float, _y: float, turn: float = turn) -> Any:
             return dx * np.cos(turn) + dy * np.sin(turn) < 0.5 * card.diameter - depth
 
-        whole, part = (cover(card.size, centre, card.diameter, 0.7, s) for s in (None, seen))
+        whole, part = (cover(card.size, centre, card.diameter, psf, s) for s in (None, seen))
         drawn[..., 0 if marker < card.count else 2] += 130.0 * (part - whole)
     return drawn
 
@@ -165,6 +170,21 @@ def conditions(diameter: float, repeats: int) -> Iterator[dict[str, Any]]:
             f"{100 * area:.0f} % of the area hidden",
             lambda i, a=area: expose(hidden(card, clear(card, shifts[i]), shifts[i], some, a, i), 20 + i),
             of=some,
+        )
+    blurred = expose(card.draw(psf=1.6), 1)
+    for area in (0.01, 0.02):
+        yield measured(
+            f"blur 1.6 px, {100 * area:.0f} % of the area hidden",
+            lambda i, a=area: expose(hidden(card, clear(card, shifts[i], 1.6), shifts[i], some, a, i, 1.6), 20 + i),
+            blurred,
+            some,
+        )
+    for area in (0.05, 0.14, 0.31):
+        yield measured(
+            f"JPEG 85, {100 * area:.0f} % of the area hidden",
+            lambda i, a=area: jpeg(expose(hidden(card, clear(card, shifts[i]), shifts[i], some, a, i), 20 + i)),
+            jpeg(rest),
+            some,
         )
     for ratio in (1.3, 1.5, 1.8):
         turned = stretches(len(every), ratio, np.random.default_rng(5))
@@ -261,7 +281,8 @@ def textures(diameter: float) -> Iterator[dict[str, Any]]:
     card = Card(diameter)
 
     def print_(dx: Any, dy: Any, x: float, y: float) -> Any:
-        first = np.random.default_rng(int(1000 * (x // card.pitch) + y // card.pitch))
+        column, row = round(2 * (x + 0.5) / card.pitch), round(2 * (y + 0.5) / card.pitch)
+        first = np.random.default_rng(1000 * column + row)
         angle, edge = np.arctan2(dy, dx), first.normal(0, 0.03, (2, 4))
         outline = 1 + sum(e[0] * np.cos((k + 2) * angle) + e[1] * np.sin((k + 2) * angle) for k, e in enumerate(edge.T))
         return (np.hypot(dx, dy) < 0.46 * diameter * outline) * (1 + first.normal(0, 0.1))

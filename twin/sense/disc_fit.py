@@ -49,6 +49,7 @@ from twin.sense.soft_window import SoftWindow
 from twin.sense.template import (
     CENTRE_X,
     CENTRE_Y,
+    DIFFERENCE,
     DIRECTIONS,
     DOUBTED,
     EDGE,
@@ -73,6 +74,7 @@ from twin.sense.template import (
     STEP,
     THIRD_X,
     THIRD_Y,
+    UNEVEN,
     UNUSUAL,
     VAR_X,
     VAR_Y,
@@ -110,9 +112,6 @@ SAMPLE = 40
 
 TURNS = 12
 """Most steps of a shape's fit at rest."""
-
-WITNESSES = 24
-"""About how many markers show how the noise hangs together."""
 
 WHITE = 1.3
 """Noise that leaves residuals up to so many times as large, squared, as it has in single pixels
@@ -183,6 +182,10 @@ CHANCE = 4.0
 (`ONE_SIDED`) has moved by chance. None of 8,000 whole markers exceeds 3.4; where a tenth of the
 width of markers 8 to 10 px wide is hidden the least is 7.8 (of wider ones `HIDES` finds it)."""
 
+EVEN = 2.8
+"""Standard deviations up to which an edge's third harmonic has changed by chance (in 49 of 50).
+What hides a part of a marker moves its centre by at least as much: what exceeds this is stated."""
+
 USUAL = 0.25
 """Share of the markers that fit better than what is called usual."""
 
@@ -242,11 +245,10 @@ class DiscFit(SoftWindow):
             group = fitted(number, own[number])
             bright = float(LUMA @ colour)
             shows_in_luma = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())
-            if not given and group.templates.every and shows_in_luma:
+            if not given and group.templates.coherent and shows_in_luma:
                 rival = fitted(number, np.sign(bright) * LUMA / LUMA.max())
                 if rival.roughness_px < SMOOTHER * group.roughness_px:
-                    every = group.templates.every
-                    group = replace(rival, templates=replace(rival.templates, every=every))
+                    group = replace(rival, templates=replace(rival.templates, coherent=True))
             groups.append(group)
         return groups
 
@@ -262,7 +264,7 @@ class DiscFit(SoftWindow):
     ) -> DiscFit:
         """Take the fits' centres for the rest positions."""
         around = Neighbourhood.of(start, spots.around.spacing_px)
-        fitted = replace(templates, every=1).fit(picture, start, around.lead)
+        fitted = templates.fit(picture, start, around.lead)
         templates = replace(
             templates,
             misfit=fitted[:, MISFIT].copy(),
@@ -319,9 +321,8 @@ class DiscFit(SoftWindow):
             spacing_px = self.around.spacing_px
             shape, pixels = _own_shapes(picture, templates, rows, places, spacing_px)
             own = for_kernel(shape[:, :SHAPE])
-            reshaped = replace(templates, shape=own, reach_px=pixels, every=1)
+            reshaped = replace(templates, shape=own, reach_px=pixels)
             again = reshaped.fit(picture, for_kernel(shape[:, SHAPE:]))
-            again[:, THIRD_X : THIRD_Y + 1] *= 1.0 if templates.every else np.nan
             if 2 * len(rows) > np.isfinite(places[:, 0]).sum():
                 usual = float(np.nanquantile(again[rows, MISFIT], USUAL))
                 least = templates.usual_misfit
@@ -344,7 +345,7 @@ class DiscFit(SoftWindow):
 
     def _unusual(self, fitted: Floats, misfit: Floats, now: float) -> tuple[Bools, Bools]:
         """Return which markers no longer look as at rest; and which may be partly hidden: of these,
-        and of those whose edge fits worse than others' or that have become smaller.
+        and of those whose edge fits worse than others', is uneven, or that have become smaller.
 
         ``misfit`` (n,) is the least that a fit has left, ``now`` what is usual in this picture.
         """
@@ -354,6 +355,9 @@ class DiscFit(SoftWindow):
         low, middle, high = (_quantile(scale, share) for share in (0.25, 0.5, 0.75))
         least = middle - SMALLER * max(NORMAL * (high - low), LEAST_SPREAD)
         doubted = odd | (fits < FITS * min(_quantile(fits, 0.5), 1.0)) | (scale < least)
+        if not templates.coherent:
+            square = ((fitted[:, THIRD_X : THIRD_Y + 1] - templates.third) ** 2).sum(axis=1)
+            doubted |= square > 2.0 * UNEVEN**2 * (fitted[:, VAR_X] + fitted[:, VAR_Y])
         lacked = np.fmax(templates.misfit - RESHAPES * templates.usual_misfit, 0.0)
         return odd, doubted & (misfit > now + SHADOW_MOVES * lacked)
 
@@ -368,9 +372,9 @@ class DiscFit(SoftWindow):
     ) -> None:
         """Fit ``doubted`` markers by the part in sight where they differ from their neighbours, by
         outlines ``axes`` (n, 3) and ``blur`` (n,), px, and a part is hidden; in place."""
-        taken = fitted[:, RESHAPED] == OWN_SHAPE
-        fine = np.isfinite(fitted[:, LEVEL]) & (taken | ~doubted)
-        rows = np.flatnonzero(doubted & np.isfinite(fitted[:, LEVEL]))
+        taken, known = fitted[:, RESHAPED] == OWN_SHAPE, np.isfinite(fitted[:, LEVEL])
+        fine = known & (taken | ~doubted)
+        rows = np.flatnonzero(known if templates.coherent else known & doubted)
         radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
         measured = np.column_stack(
             [
@@ -381,8 +385,11 @@ class DiscFit(SoftWindow):
         )
         usual, spread = _of_neighbours(measured, fine, self.around, rows)
         axes_sd = np.hypot(KNOWN_OUTLINE, spread[:, :3].max(axis=1))
-        differs = np.abs(measured[rows, :3] - usual[:, :3]).max(axis=1) > DIFFERS * axes_sd
-        few = differs | ~taken[rows]
+        away = np.abs(measured[rows, :3] - usual[:, :3]).max(axis=1)
+        beyond = np.sqrt(np.fmax(away**2 - (DIFFERS * axes_sd) ** 2, 0.0))
+        if templates.coherent:
+            fitted[rows, DIFFERENCE] = radius[rows] * beyond
+        few = doubted[rows] & ((beyond > 0.0) | ~taken[rows])
         if not few.any():
             return
         rows, usual, axes_sd, spread = rows[few], usual[few], axes_sd[few], spread[few]
@@ -411,7 +418,7 @@ class DiscFit(SoftWindow):
         out[:, PIXELS], out[:, MISFIT] = part.pixels[good], part.misfit[good]
         out[:, SQUARES] = part.misfit[good] * part.pixels[good] * templates.noise[0]
         out[:, STEP], out[:, SHORTFALL] = part.step_px[good], 0.0
-        out[:, [SCALE, FITTING]] = 1.0
+        out[:, [SCALE, FITTING]], out[:, DIFFERENCE] = 1.0, 0.0
         out[:, EDGE] = np.where(part.covered[good] > 1.0 - WHOLE_EDGE, LEAST_EDGE, 1.0)
         out[:, RESHAPED] = PART_IN_SIGHT
         fitted[rows] = out
@@ -468,10 +475,12 @@ class DiscFit(SoftWindow):
         )
         sd = np.hypot(_centre_sds(fitted, templates.usual_misfit), rest_sd)
         sd[np.isnan(shift[:, 0])] = np.nan
-        factor = _coherence(fitted, templates.third, state == SEEN, sd)
+        factor = 1.0
+        if templates.coherent:
+            factor = _coherence(fitted, templates.third, state == SEEN, sd)
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
-        sd = _edge_sds(fitted, templates.one_sided, rest_sd, sd, factor)
+        sd = _edge_sds(fitted, templates, rest_sd, sd, factor)
         return Seen(shift_px=shift, sd_px=sd, state=state, coherence=factor)
 
 
@@ -561,19 +570,31 @@ def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
 
 
 def _edge_sds(
-    fitted: Floats, one_sided: Floats, rest_sd: Floats, sd: Floats, factor: float
+    fitted: Floats, templates: Templates, rest_sd: Floats, sd: Floats, factor: float
 ) -> Floats:
     """Return (n,) standard deviations of shifts, px, with what a covered or shadowed edge adds.
 
+    Residuals of a part in sight count in its deviation already, and are not to count twice.
     ``rest_sd`` and ``sd`` are those of the rest positions and of the shifts from the noise, without
     its coherence ``factor``.
     """
     moved = np.zeros(len(fitted))
     looked = np.flatnonzero(np.isfinite(fitted[:, ONE_SIDED]))
     edge = fitted[looked, ONE_SIDED:RESHAPED]
-    change = np.abs(edge - one_sided[looked])
+    change = np.abs(edge - templates.one_sided[looked])
     moved[looked] = np.where(np.isfinite(change), change, 0.0).max(axis=1) / max(factor, 1.0)
     beyond = np.maximum(moved**2 - 2.0 * (CHANCE * rest_sd) ** 2, 0.0)
+    part = fitted[:, RESHAPED] == PART_IN_SIGHT
+    if part.any():
+        sd = np.where(part, sd / max(min(factor, np.sqrt(templates.usual_misfit)), 1.0), sd)
+        # an outline that is irregular at rest misleads where only a part of it is in sight
+        moved = np.nan_to_num(np.abs(templates.one_sided[part])).max(axis=1)
+        beyond[part] = (moved / max(factor, 1.0)) ** 2
+    third = (fitted[:, THIRD_X : THIRD_Y + 1] - templates.third) / max(factor, 1.0)
+    uneven = third[:, 0] ** 2 + third[:, 1] ** 2 - (EVEN * sd) ** 2
+    beyond += np.fmax(uneven, 0.0) * templates.third_weakened**2
+    if templates.coherent:
+        beyond += np.fmax(fitted[:, DIFFERENCE] / max(factor, 1.0), 0.0) ** 2
     covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
     return np.asarray(np.sqrt(sd**2 + covered**2 + beyond))
 
@@ -686,7 +707,7 @@ def _make_templates(
         usual_misfit=1.0,
         level=shape[:, 7].copy(),
         reach_px=reach,
-        every=0,
+        coherent=False,
         misfit=np.ones(count),
         third=np.zeros((count, 2)),
         fitting=np.ones(count),
@@ -700,7 +721,7 @@ def _make_templates(
         ground=np.nan_to_num(fitted[:, GROUND]),
         usual_misfit=max(usual, 1.0),
         level=fitted[:, LEVEL],
-        every=max(1, len(misfit) // WITNESSES) if usual > WHITE else 0,
+        coherent=usual > WHITE,
     )
     return settled, np.ascontiguousarray(fitted[:, CENTRE_X : CENTRE_Y + 1])
 

@@ -125,18 +125,19 @@ CENTRE_X, CENTRE_Y, LEVEL, GROUND, SCALE, VAR_X, VAR_Y, EDGE, SQUARES = range(9)
 PIXELS, STEP, MISFIT, FITTING, THIRD_X, THIRD_Y, SHORTFALL, ONE_SIDED = range(9, 17)
 DIRECTIONS = 8
 RESHAPED = ONE_SIDED + DIRECTIONS
-DOUBTED = RESHAPED + 1
-COLUMNS = DOUBTED + 1
+DOUBTED, DIFFERENCE = RESHAPED + 1, RESHAPED + 2
+COLUMNS = DIFFERENCE + 1
 """What `Templates.fit` gives for a marker: centre, level, ground, scale against the template;
 variances of the centre; share of the edge in sight; sum of squared residuals over how many pixels;
 last step in px; squared residuals over their expected size; share of the edge in sight that fits;
-for some markers, how far the edge lies outside the model's as the cosine and sine of three times
-the angle, px; the most light that a pixel on the marker lacks, or one beyond its edge has too much,
+how far the edge lies outside the model's as the cosine and sine of three times the angle, px; for
+some markers, the most light that a pixel on the marker lacks, or one beyond its edge has too much,
 as a share of the marker's; along
 `DIRECTIONS` from 0 to 180 degrees, how far the centre moves if the edge on that side is left out,
 less how far it moves back if the other side is, px; what was fitted: 0 the shape at rest,
-`OWN_SHAPE` or `PART_IN_SIGHT`; 1 where the fit, the edge or the size is not as usual, else 0. The
-three before the last two are NaN, 0 and NaN where the edge is not looked at."""
+`OWN_SHAPE` or `PART_IN_SIGHT`; 1 where the fit, the edge or the size is not as usual, else 0; by
+how much the outline differs from its neighbours', unexplained, px. Two, the light and the moves,
+are 0 and NaN where the edge is not looked at."""
 
 OWN_SHAPE, PART_IN_SIGHT = 1.0, 2.0
 """A marker fitted with an outline and blur of its own; by the part of it that is in sight."""
@@ -151,6 +152,10 @@ looked at, and its variance grows."""
 SMALLER, LEAST_SPREAD = 4.0, 0.004
 """A marker smaller than the others by so many of their standard deviations, which are taken for no
 less than this share, may be partly hidden."""
+
+UNEVEN = 5.0
+"""A marker whose edge has a third harmonic, against that at rest, of so many standard deviations
+may be partly hidden: neither motion nor size nor strain has one (by chance one in 270,000)."""
 
 SECTORS, LEFT_OUT = 2 * DIRECTIONS, 5
 """Parts that an edge is cut into, and how many of them are left out at a time: 112 degrees, what a
@@ -202,11 +207,13 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, n
     xx, xy, yy = form
     slope_x, slope_y = slope
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
+    three, four = np.float32(3.0), np.float32(4.0)
     edge0, edge1, edge2 = np.float32(15 / 16), np.float32(10 / 16), np.float32(3 / 16)
     per_blur = one / blur
     n, sm, smm, si, sim = zero, zero, zero, zero, zero
     jxx, jxy, jyy, jxr, jyr = zero, zero, zero, zero, zero
     jrr, jr, jxxm, jyym, rr, edge = zero, zero, zero, zero, zero, zero
+    cosine, sine = zero, zero
     for p in range(len(signal)):
         dx, dy = place[0, p] - cx, place[1, p] - cy
         ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
@@ -218,7 +225,8 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, n
         fall = one - v2
         light = one + slope_x * dx + slope_y * dy + bulge * min(squared, one)
         tilt = level * light * fall * fall * edge0 * per_blur
-        jx, jy = tilt * ax * flat, tilt * ay * flat
+        nx, ny = ax * flat, ay * flat
+        jx, jy = tilt * nx, tilt * ny
         model = cover * light
         value = signal[p]
         residual = value - ground - level * model
@@ -241,9 +249,13 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, n
         jyym += wy * jy * model
         rr += w * residual * residual
         edge += use[p] * tilt * tilt
+        missed = use[p] * tilt * residual
+        cosine += missed * nx * (four * nx * nx - three)
+        sine += missed * ny * (three - four * ny * ny)
     total[0], total[1], total[2], total[3], total[4] = n, sm, smm, si, sim
     total[5], total[6], total[7], total[8], total[9] = jxx, jxy, jyy, jxr, jyr
     total[10], total[11], total[12], total[13], total[14], total[15] = jrr, jr, jxxm, jyym, rr, edge
+    total[16], total[17] = cosine, sine
 
 
 @njit(cache=True)
@@ -295,7 +307,8 @@ def _fit_centres(
     runs,
     place,
     room,
-    every,
+    third,
+    coherent,
     out,
 ):
     """Fill ``out`` (n, `COLUMNS`), see `Templates.fit`; what it holds stays where a fit failed.
@@ -306,7 +319,7 @@ def _fit_centres(
     rows, columns = image.shape[0], image.shape[1]
     signal, use = room[0, : offset.shape[1]], room[1, : offset.shape[1]]
     colour = (own[0], own[1], own[2], own[3])
-    total, first = np.empty(16), np.empty(2)
+    total, first = np.empty(18), np.empty(2)
     smallest, largest = np.inf, 0.0
     for k in range(len(start)):
         fit, mark = out[k], shape[k]
@@ -406,18 +419,21 @@ def _fit_centres(
         fit[SQUARES], fit[PIXELS], fit[STEP] = total[14], n, math.sqrt(step)
         fit[MISFIT] = total[14] / max(noise[0] * n + more * total[1], 1e-9)
         fit[FITTING] = total[10] / max(total[15], 1e-9)
-        fit[SHORTFALL], fit[RESHAPED] = 0.0, 0.0
+        fit[SHORTFALL], fit[RESHAPED], fit[DIFFERENCE] = 0.0, 0.0, 0.0
+        sharp = 0.5 * max(total[15], 1e-9)
+        fit[THIRD_X], fit[THIRD_Y] = total[16] / sharp, total[17] / sharp
+        uneven = (fit[THIRD_X] - third[k, 0]) ** 2 + (fit[THIRD_Y] - third[k, 1]) ** 2
+        uneven /= 2.0 * (fit[VAR_X] + fit[VAR_Y])
         doubted = fit[FITTING] < FITS or fit[MISFIT] > UNUSUAL * usual_misfit
+        doubted = doubted or (uneven > UNEVEN**2 and not coherent)
         smallest, largest = min(smallest, scale), max(largest, scale)
         unlike = smallest < (1.0 - SMALLER * LEAST_SPREAD) * largest
         fit[DOUBTED] = 1.0 if doubted or unlike else 0.0
-        if doubted or (every > 0 and k % every == 0):
+        if doubted:
             form = inverse_form(xx, xy, yy, scale)
             light = (slope_x, slope_y, mark[5])
             centre = (cx - column, cy - row)
             _edge(signal, use, place, centre, form, light, blur, level, here, narrow, fit)
-            if every == 0 or k % every > 0:
-                fit[THIRD_X], fit[THIRD_Y] = np.nan, np.nan
             if fit[SHORTFALL] * level <= OUTLIER_SD * math.sqrt(noise[1]):
                 fit[SHORTFALL] = 0.0
 
@@ -432,7 +448,7 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
     """
     xx, xy, yy = form
     slope_x, slope_y, bulge = light
-    cosine, sine, norm, missed = 0.0, 0.0, 1e-9, 0.0
+    missed = 0.0
     sums = np.zeros((SECTORS, 9))
     for p in range(len(signal)):
         dx, dy = place[0, p] - centre[0], place[1, p] - centre[1]
@@ -450,9 +466,6 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
         residual = signal[p] - ground - bright * cover
         missed = max(missed, (-residual if cover > ON_MARKER else residual) / level)
         nx, ny = ax * flat, ay * flat
-        cosine += tilt * nx * (4.0 * nx * nx - 3.0) * residual
-        sine += tilt * ny * (3.0 - 4.0 * ny * ny) * residual
-        norm += 0.5 * tilt * tilt
         # weighted sums of the normal equations for x, y and the size, sector by sector
         angle = math.atan2(ny, nx) / (2.0 * np.pi) + 1.0
         sector = sums[int(angle * SECTORS) % SECTORS]
@@ -464,7 +477,7 @@ def _edge(signal, use, place, centre, form, light, blur, level, ground, narrow, 
         sector[6] += trust * tilt * nx * nx
         sector[7] += trust * tilt * nx * ny
         sector[8] += trust * tilt * ny * ny
-    out[THIRD_X], out[THIRD_Y], out[SHORTFALL] = cosine / norm, sine / norm, missed
+    out[SHORTFALL] = missed
     step, kept = np.empty(SECTORS), np.empty(9)
     for s in range(SECTORS):
         for i in range(9):
@@ -519,9 +532,8 @@ class Templates:
         (n,) brightness at rest, counts.
     reach_px
         Radius of what is looked at around a marker, px.
-    every
-        The edge of one marker in so many is looked at for a third harmonic, which shows how the
-        noise hangs together; 0 where residuals are those of noise that does not.
+    coherent
+        Whether residuals at rest are those of noise that hangs together over pixels.
     misfit, third, fitting, one_sided
         At rest: (n,) squared residuals over what the noise explains; (n, 2) third harmonic of the
         edge, px; (n,) share of the edge that fits; (n, `DIRECTIONS`) how far the centre moves
@@ -537,7 +549,7 @@ class Templates:
     usual_misfit: float
     level: Floats
     reach_px: float
-    every: int
+    coherent: bool
     misfit: Floats
     third: Floats
     fitting: Floats
@@ -547,6 +559,13 @@ class Templates:
     def blur_px(self) -> Floats:
         """(n,) standard deviation of the blur, px: of a biweight, half its width over root 7."""
         return np.asarray(self.shape[:, 6] / np.sqrt(7.0))
+
+    @cached_property
+    def third_weakened(self) -> Floats:
+        """(n,) by how much blur weakens an edge's third harmonic more than its first, which is
+        motion."""
+        radius = np.sqrt(self.shape[:, 0] * self.shape[:, 2])
+        return np.asarray(np.exp(4.0 * (self.blur_px / radius) ** 2))
 
     @cached_property
     def _pixels(self) -> tuple[Ints, Ints, Singles]:
@@ -594,7 +613,8 @@ class Templates:
             runs,
             place,
             room,
-            self.every,
+            self.third,
+            self.coherent,
             out,
         )
         return out

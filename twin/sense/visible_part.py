@@ -115,7 +115,7 @@ def fit_visible(
     blurred = float(np.max(expected.blur))
     beside = (distance < max(BESIDE_PX, BESIDE * blurred)).astype(float)
     around = (distance <= max(AROUND_PX, AROUND * blurred)).astype(float)
-    number = np.maximum(use @ beside, 1.0) ** (1.0 if templates.every else 0.5)
+    number = np.maximum(use @ beside, 1.0) ** (1.0 if templates.coherent else 0.5)
     spread = np.stack([expected.level_sd, *3 * [expected.axes_sd]], axis=1)
     held = np.concatenate([np.zeros((len(rows), 3)), spread**-2.0], axis=1)
 
