@@ -9,13 +9,15 @@ solved at the polynomials' Chebyshev nodes; forces of one quarter suffice, the o
 A table has one of three roles: ``truth``; ``check``, from a coarser mesh, whose difference from it
 estimates its error; and ``nominal``, the sensor's own. The standard block's tables are shipped
 (``python -m twin.world.elasticity.block_table`` makes them), others are made when a contact needs
-many compliances, and cached. Between blocks of several thicknesses a table is interpolated
-(`table_between`): in coordinates stretched with the block, coefficients vary smoothly with the
-thickness, and all tables come from one mesh that is stretched.
+many compliances, and cached: of one nu for a press, of all for a dataset. The table of a thin block
+holds what the bonded layer's field leaves of w: w itself varies over a thickness, the rest only
+near the sides, which its window and box keep off. Between blocks of several thicknesses a table is
+interpolated (`table_between`): in coordinates stretched with the block, coefficients vary smoothly
+with the thickness, and all tables come from one mesh that is stretched.
 
-Validity: forces in the window, points in the box, nu in [0, 0.5], the block and mesh that the table
-was made of; `Table.covers` tests it, and everything else is solved. Between thicknesses: blocks of
-one width and length, ranges up to `WIDEST`.
+Validity: forces in the window, points in the box, nu in [0, 0.5] or the one that it was made for,
+the block and mesh that the table was made of; `Table.covers` tests it, and everything
+else is solved. Between thicknesses: blocks of one width and length, ranges up to `WIDEST`.
 """
 
 from __future__ import annotations
@@ -80,6 +82,8 @@ class Table:
     error
         Largest difference to a solve on that mesh over the largest displacement, under a load it
         was not made of.
+    poisson_ratio
+        The one nu of a table that holds for no other.
     """
 
     coefficients: Floats
@@ -87,6 +91,7 @@ class Table:
     box_mm: tuple[float, float, float]
     digest: str
     error: float
+    poisson_ratio: float | None = None
 
     def covers(self, load: Rectangles, poisson_ratio: float) -> bool:
         """Tell whether the table holds for these forces and nu, at points of its box."""
@@ -95,15 +100,15 @@ class Table:
             load.half_mm[:, :, None] * np.abs(frames[:, :2, :2])
         ).sum(axis=1)
         flat = bool((frames[:, 2, 2] > 1.0 - 1e-12).all())
-        return (
-            flat
-            and NU_RANGE[0] <= poisson_ratio <= NU_RANGE[1]
-            and bool((reach <= self.window_mm).all())
-        )
+        low, high = NU_RANGE if self.poisson_ratio is None else (self.poisson_ratio,) * 2
+        return flat and low <= poisson_ratio <= high and bool((reach <= self.window_mm).all())
 
     def at(self, poisson_ratio: float) -> TableAtNu:
         """Return the table of one nu."""
-        coefficients = np.tensordot(_NU.basis(np.array([poisson_ratio]))[0], self.coefficients, 1)
+        weights = np.ones(1)
+        if self.poisson_ratio is None:
+            weights = _NU.basis(np.array([poisson_ratio]))[0]
+        coefficients = np.tensordot(weights, self.coefficients, 1)
         return TableAtNu(coefficients=coefficients, window_mm=self.window_mm, box_mm=self.box_mm)
 
 
@@ -270,7 +275,12 @@ has."""
 
 THIN, OBLONG = 4.6, 1.5
 """Largest ratios of a block's longest side to its thickness, and to its other side, for which a
-table is made. Beyond them its error would be above 8e-4 and 2e-3 (measured on twelve blocks)."""
+table holds all of w. Beyond them its error would be above 8e-4 and 2e-3 (measured on twelve
+blocks)."""
+
+OFF_SIDES, DEEP = (2.0, 1.2), 0.75
+"""Of a thin block: distance from its sides of the window and of the box, and the box's depth, over
+the thickness. Errors are then below 4e-4 (measured on five pads up to 20 thicknesses wide)."""
 
 CHECK = 4.0
 """How many times larger it may be in a check, which only estimates an error: that of a coarser mesh
@@ -282,44 +292,57 @@ _CASE = ((0.37, -0.59), (0.31, 0.47, 1.0))
 
 def _window_of(body: Block) -> tuple[tuple[float, float], tuple[float, float, float]]:
     """Return half sizes of the window, and half sizes and depth of the box, mm."""
-    a, b = body.width_mm / 2.0, body.length_mm / 2.0
-    return (WINDOW[0] * a, WINDOW[1] * b), (BOX[0] * a, BOX[1] * b, BOX[2] * body.thickness_mm)
+    thickness = body.thickness_mm
+    sides = np.array([body.width_mm, body.length_mm]) / 2.0
+    window, box, deep = sides * WINDOW, sides * BOX[:2], BOX[2]
+    if not is_compact(body):
+        window = np.maximum(window, sides - OFF_SIDES[0] * thickness)
+        box = np.maximum(box, sides - OFF_SIDES[1] * thickness)
+        deep = DEEP
+    return (float(window[0]), float(window[1])), (float(box[0]), float(box[1]), deep * thickness)
 
 
 def find_table(
     body: Body,
     role: Role,
     *,
+    poisson_ratio: float | None = None,
     make: bool = False,
     progress: Progress | None = None,
     usable: float = USABLE,
 ) -> Table | None:
     """Return the table of a block: the stored one, else (with ``make``) a new one; None without.
 
-    Making takes some seconds. Warns, and goes on without it, if a file is damaged. A table whose
-    `Table.error` is above ``usable`` counts as absent, and none is made of a thin or oblong block.
+    Making takes some seconds, for one ``poisson_ratio`` alone a fifth of them. Warns, and goes on
+    without it, if a file is damaged. A table whose `Table.error` is above ``usable`` counts as
+    absent.
     """
-    if not isinstance(body, Block) or not _is_compact(body):
+    if not isinstance(body, Block) or not (is_compact(body) or bonded_layer(body, NU_RANGE[1])):
         return None
     usable *= CHECK if role == "check" else 1.0
     path = table_path(body, role)
+    of_all = pinned(path.name) if is_pinned() else path.exists()
+    if not of_all and poisson_ratio is not None:
+        path = table_path(body, role, poisson_ratio)
     if is_pinned():
         return _usable(held, usable) if (held := pinned(path.name)) else None
     if make and not path.exists() and not _is_standard(body):
         mesh = drawn_to_rim(body_mesh(body, MADE[role], progress=progress), body)
-        table = make_table(body, mesh, progress)
+        table = make_table(body, mesh, progress, poisson_ratio)
         with suppress(TwinError):  # a full disk costs the table, for which solves stand in
             write_table(table, path)
     return _usable(path, usable)
 
 
-def table_path(body: Block, role: Role) -> Path:
-    """Return the file of a block's table: shipped for the standard block, in the cache for
-    others."""
+def table_path(body: Block, role: Role, poisson_ratio: float | None = None) -> Path:
+    """Return the file of a block's table, of one nu or of all: shipped for the standard block, in
+    the cache for others."""
     if _is_standard(body):
         return MESHES / f"kamiyama_block.{role}.table.npz"
     key = mesh_key(body, default_sizing(body, MADE[role]))
-    found = json.dumps([key, RIM_SHARE, SIZES, NU_RANGE, WINDOW, BOX, STEP])
+    every = NU_RANGE if poisson_ratio is None else poisson_ratio
+    kind = [every, THIN, OBLONG, OFF_SIDES, DEEP]
+    found = json.dumps([key, RIM_SHARE, SIZES, kind, WINDOW, BOX, STEP])
     return cache_folder() / f"table-{hashlib.sha256(found.encode()).hexdigest()[:32]}.npz"
 
 
@@ -327,7 +350,8 @@ def _is_standard(body: Body) -> bool:
     return isinstance(body, Block) and body.bounds_mm == STANDARD.bounds_mm
 
 
-def _is_compact(body: Block) -> bool:
+def is_compact(body: Block) -> bool:
+    """Return whether a table of the block holds all of w, and not only what the layer leaves."""
     shorter, longer = sorted((body.width_mm, body.length_mm))
     return longer <= min(THIN * body.thickness_mm, OBLONG * shorter)
 
@@ -345,9 +369,11 @@ def _usable(path: Path, most: float) -> Table | None:
     return table if table.error <= most else None
 
 
-def make_table(body: Block, mesh: Mesh, progress: Progress | None = None) -> Table:
-    """Solve for all forces and nu of a block's table, and measure its error under a load that it is
-    not made of."""
+def make_table(
+    body: Block, mesh: Mesh, progress: Progress | None = None, poisson_ratio: float | None = None
+) -> Table:
+    """Solve for all forces and nu of a block's table, or for one nu, and measure its error under a
+    load that it is not made of."""
     window, box = _window_of(body)
     axes = _axes(window, box)
     quarter = [axis.nodes[axis.nodes > -1e-12] for axis in axes[1:3]]
@@ -355,22 +381,29 @@ def make_table(body: Block, mesh: Mesh, progress: Progress | None = None) -> Tab
     points = grid_points(*(axis.nodes for axis in axes[3:]))
     matrix = Locator(mesh).locate(points).matrix(len(mesh.points))
     whole = join(loads)
-    samples = np.empty((SIZES[0], SIZES[1], SIZES[2], 3, 3, *SIZES[3:]))
-    for n, nu in enumerate(axes[0].nodes):
+    every = axes[0].nodes if poisson_ratio is None else np.array([poisson_ratio])
+    samples = np.empty((len(every), SIZES[1], SIZES[2], 3, 3, *SIZES[3:]))
+    for n, nu in enumerate(every):
         if progress:
-            progress(f"table of the block's response, nu = {nu:.2f}", n / SIZES[0])
+            progress(f"table of the block's response, nu = {nu:.2f}", n / len(every))
         system = TaylorHood(mesh, float(nu))
         fields = correction(system, body, loads, [np.eye(3)[None]] * len(loads), 1e-7)
         values = matrix @ fields.reshape(len(fields), -1)
-        if (layer := bonded_layer(body, float(nu))) is not None:
+        layer = bonded_layer(body, float(nu))
+        if layer is not None and is_compact(body):
             values += layer.compliance(points, whole, 1.0).reshape(values.shape)
         values = values.reshape(*SIZES[3:], 3, len(quarter[0]), len(quarter[1]), 3)
         samples[n] = _mirrored(np.transpose(values, (4, 5, 6, 3, 0, 1, 2)))
     for axis, place in zip(axes, (0, 1, 2, 5, 6, 7), strict=True):
-        samples = axis.coefficients(samples, place)
-    coefficients = np.where(_kept(), samples, 0.0)
+        if place or poisson_ratio is None:
+            samples = axis.coefficients(samples, place)
     table = Table(
-        coefficients=coefficients, window_mm=window, box_mm=box, digest=mesh.digest(), error=0.0
+        coefficients=np.where(_kept(len(every)), samples, 0.0),
+        window_mm=window,
+        box_mm=box,
+        digest=mesh.digest(),
+        error=0.0,
+        poisson_ratio=poisson_ratio,
     )
     return Table(**{**vars(table), "error": _error(table, body, system)})
 
@@ -405,12 +438,14 @@ def _mirrored(quarter: Floats) -> Floats:
     return whole
 
 
-def _kept() -> Bools:
-    """Return which coefficients the two mirror planes allow."""
-    n, a, b, f, d, i, j, _ = np.ogrid[tuple(slice(s) for s in (*SIZES[:3], 3, 3, *SIZES[3:]))]
+def _kept(count: int) -> Bools:
+    """Return which coefficients the two mirror planes allow, of a table of ``count`` terms in
+    nu."""
+    shape = (count, *SIZES[1:3], 3, 3, *SIZES[3:])
+    n, a, b, f, d, i, j, _ = np.ogrid[tuple(slice(size) for size in shape)]
     even_x = (a + i + (f == 0) + (d == 0)) % 2 == 0
     even_y = (b + j + (f == 1) + (d == 1)) % 2 == 0
-    return np.broadcast_to(even_x & even_y & (n >= 0), (*SIZES[:3], 3, 3, *SIZES[3:]))
+    return np.broadcast_to(even_x & even_y & (n >= 0), shape)
 
 
 def _error(table: Table, body: Block, system: TaylorHood) -> float:
@@ -420,14 +455,18 @@ def _error(table: Table, body: Block, system: TaylorHood) -> float:
         body, x * table.window_mm[0], y * table.window_mm[1], force, table.box_mm[2] / 4.0
     )
     share = np.random.default_rng(1).uniform([-1.0, -1.0, 0.05], 1.0, (200, 3))
+    if not is_compact(body):  # random points miss where a thin block moves most
+        share[0] = load.centre_mm[0] / table.box_mm + [0.0, 0.0, 0.05]
     points = share * np.array(table.box_mm)
     solved = Locator(system.mesh).locate(points).values(correction(system, body, [load])[:, :, 0])
+    known = halfspace.displacement(points, load, 1.0, nu)
+    made = table.at(nu).displacement(PointCache(points), load)
     if (layer := bonded_layer(body, nu)) is not None:
-        solved += layer.displacement(points, load, 1.0)
-    at_nu = table.at(nu)
-    wrong = np.linalg.norm(at_nu.displacement(PointCache(points), load) - solved, axis=1).max()
-    moved = halfspace.displacement(points, load, 1.0, nu) + solved
-    return float(wrong / np.linalg.norm(moved, axis=1).max())
+        known += layer.displacement(points, load, 1.0)
+        if is_compact(body):
+            made -= layer.displacement(points, load, 1.0)
+    wrong = np.linalg.norm(made - solved, axis=1).max()
+    return float(wrong / np.linalg.norm(known + solved, axis=1).max())
 
 
 def _point_force(
@@ -452,15 +491,16 @@ def write_table(table: Table, path: Path) -> None:
     Why byte by byte: nearly all of the steps are few, so their upper bytes are zeros, which
     compress to nothing.
     """
-    allowed = table.coefficients[_kept()]
+    count = len(table.coefficients)
+    allowed = table.coefficients[_kept(count)]
     step = STEP * float(np.abs(allowed).max())
     steps = np.rint(allowed / step).astype(np.int32)
     folded = ((steps << 1) ^ (steps >> 31)).astype("<u4")
     words = json.dumps(
         {
             "digest": table.digest,
-            "sizes": SIZES,
-            "nu_range": NU_RANGE,
+            "sizes": [count, *SIZES[1:]],
+            "nu_range": NU_RANGE if table.poisson_ratio is None else [table.poisson_ratio] * 2,
             "window_mm": table.window_mm,
             "box_mm": table.box_mm,
             "error": table.error,
@@ -485,16 +525,19 @@ def read_table(path: Path) -> Table:
         planes, step = file["planes"], float(words["step"])
         lengths = [*words["window_mm"], *words["box_mm"]]
         numbers = np.array([step, words["error"], *lengths], float)
+        low, high = words["nu_range"]
+        one = low == high
+        expected = [*([1, *SIZES[1:]] if one else SIZES)]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as problem:
         raise InputError(
             f"{path} is not a table of corrections ({problem}): make it again"
         ) from problem
-    if words.get("sizes") != list(SIZES) or words.get("nu_range") != list(NU_RANGE):
+    if words.get("sizes") != expected or not (one or (low, high) == NU_RANGE):
         raise InputError(
             f"{path} was made for other sizes: make it again with python -m "
             "twin.world.elasticity.block_table"
         )
-    allowed = _kept()
+    allowed = _kept(expected[0])
     require_table(path, planes, (4, int(allowed.sum())), np.uint8)
     require_table(path, numbers, (7,), np.float64)
     folded = np.ascontiguousarray(planes.T).view("<u4").ravel()
@@ -507,6 +550,7 @@ def read_table(path: Path) -> Table:
         box_mm=tuple(words["box_mm"]),
         digest=words["digest"],
         error=words["error"],
+        poisson_ratio=low if one else None,
     )
 
 
@@ -553,6 +597,11 @@ class Tables:
         """The mesh that the table called ``truth`` is made of."""
         return (SHIPPED if _is_standard(self._body) else MADE)["truth"]
 
+    @property
+    def beyond_layer(self) -> bool:
+        """Whether the tables leave out the bonded layer's field."""
+        return isinstance(self._body, Block) and not is_compact(self._body)
+
     @cached_property
     def check(self) -> TableAtNu | None:
         """The table of a coarser mesh, if there is one."""
@@ -564,6 +613,8 @@ class Tables:
         """How far Poisson's ratio is from those solved for: 0 at them, 1 in the middle between two
         and at the ends."""
         low, high = NU_RANGE
+        if self._table is not None and self._table.poisson_ratio is not None:
+            return 0.0
         place = (2.0 * self._nu - low - high) / (high - low)
         return abs(math.cos(SIZES[0] * math.acos(min(max(place, -1.0), 1.0))))
 
@@ -574,8 +625,8 @@ class Tables:
         of_use = isinstance(self._body, Block) and low <= self._nu <= high
         if self._table is None and of_use and not self.nominal and not self._tried:
             self._tried = True  # a block that has no table has none, however often it is asked
-            self._find("check", make=True)
-            self.__dict__["_table"] = self._find("truth", make=True)
+            if self._find("check", make=True) is not None:
+                self.__dict__["_table"] = self._find("truth", make=True)
             for name in ("_at_nu", "check"):
                 self.__dict__.pop(name, None)
 
@@ -592,7 +643,9 @@ class Tables:
             return self._use if role != "check" else None
         if not self._use:
             return None
-        return find_table(self._body, role, make=make, progress=self._progress)
+        return find_table(
+            self._body, role, poisson_ratio=self._nu, make=make, progress=self._progress
+        )
 
 
 NARROW, FEW, MANY = 1.7, 4, 6
@@ -616,6 +669,8 @@ def table_between(body: Block, role: Role, low_mm: float, high_mm: float) -> Tab
     and cached.
     """
     if not low_mm <= body.thickness_mm <= high_mm or not low_mm < high_mm <= WIDEST * low_mm:
+        return None
+    if not is_compact(body.model_copy(update={"thickness_mm": low_mm})):
         return None
     found = _tables(body.width_mm, body.length_mm, role, low_mm, high_mm)
     if found is None:

@@ -173,10 +173,14 @@ class Compliance:
 
     @cached_property
     def _bonded_layer(self) -> BondedLayer | None:
-        """The layer whose field is known where no table is used."""
+        """The layer whose field is known."""
         if not (self._subtracted and self.one_material):
             return None
         return bonded_layer(self.body, self.material.poisson_ratio)
+
+    def _layer_beside(self, table: TableAtNu | None) -> BondedLayer | None:
+        """Return the layer whose field a correction, solved or by ``table``, leaves out."""
+        return self._bonded_layer if table is None or self._tables.beyond_layer else None
 
     @cached_property
     def _locator(self) -> Locator:
@@ -229,13 +233,19 @@ class Compliance:
         known = self._checked(points, load)
         if len(known) == 0 or not np.any(load.force_n):
             return np.zeros_like(known.points)
-        w = self._correction(known, load, self._tables.covering(known, load))[0]
-        return self._whole(known, load, w)
+        table = self._tables.covering(known, load)
+        return self._whole(known, load, self._correction(known, load, table)[0], table)
 
-    def _whole(self, known: PointCache, load: Rectangles, w: Points) -> Points:
+    def _whole(
+        self, known: PointCache, load: Rectangles, w: Points, table: TableAtNu | None
+    ) -> Points:
+        """Return the displacement (n, 3) from its correction ``w``, solved or by ``table``."""
         if not self._subtracted:
             return w
-        return w + halfspace.displacement(known.points, load, *self._rubber)
+        moved = w + halfspace.displacement(known.points, load, *self._rubber)
+        if (layer := self._layer_beside(table)) is not None:
+            moved += layer.displacement(known.points, load, self._modulus)
+        return moved
 
     def _correction(
         self, known: PointCache, load: Rectangles, table: TableAtNu | None
@@ -247,10 +257,7 @@ class Compliance:
         if surface := self._surface_for(load):
             w, lost = self._interpolated(surface, known, load)
             return w / self._modulus, lost / self._modulus
-        w = known.placed(self._locator).values(self._field(load)) / self._modulus
-        if self._bonded_layer is not None:
-            w += self._bonded_layer.displacement(known.points, load, self._modulus)
-        return w, 0.0
+        return known.placed(self._locator).values(self._field(load)) / self._modulus, 0.0
 
     def _interpolated(
         self, surface: SurfaceTable, known: PointCache, load: Rectangles
@@ -280,8 +287,8 @@ class Compliance:
                 w = surface.gradient(known.once("slopes", lambda: surface.slopes(places)), load)
         else:
             w = known.placed(self._locator).gradients(self._field(load))
-            if self._bonded_layer is not None:
-                w = w + self._bonded_layer.gradient(known.points, load, 1.0)
+        if (layer := self._layer_beside(table)) is not None:
+            w = w + layer.gradient(known.points, load, 1.0)
         w = w / self._modulus
         if not self._subtracted:
             return w
@@ -305,8 +312,8 @@ class Compliance:
             w = table.corrections(known, rectangles).reshape(shape)
         else:
             w = self._solved_corrections(known, rectangles, reused).reshape(shape)
-            if self._bonded_layer is not None:
-                w += self._bonded_layer.compliance(known.points, rectangles, 1.0)
+        if (layer := self._layer_beside(table)) is not None:
+            w += layer.compliance(known.points, rectangles, 1.0)
         whole = halfspace.compliance(known.points, rectangles, *self._rubber)
         w /= self._modulus
         whole += w
@@ -366,13 +373,19 @@ class Compliance:
             return None
         matrix = table.normal_corrections(known, rectangles) / self._modulus
         matrix += halfspace.normal_compliance(rectangles, *self._rubber)
+        if (layer := self._layer_beside(table)) is not None:
+            whole = layer.compliance(known.points, rectangles, self._modulus)
+            matrix += whole[2::3, 2::3]
         self.asymmetry = make_symmetric(matrix)
         return matrix
 
     def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
-        """Return (3 n, 3) mm/N: the half-space field at ``points`` (n, 3) under a unit force on one
-        rectangle."""
-        return halfspace.compliance(points, rectangle, *self._rubber)
+        """Return (3 n, 3) mm/N: what tables leave out, at ``points`` (n, 3) under a unit force on
+        one rectangle."""
+        known = halfspace.compliance(points, rectangle, *self._rubber)
+        if self._bonded_layer is not None and self._tables.beyond_layer:
+            known += self._bonded_layer.compliance(points, rectangle, self._modulus)
+        return known
 
     def smooth_part(self, patches: Rectangles, nodes: Rectangles) -> Floats | None:
         """Return (3 n, 3 n) mm/N: the correction at the middles of ``nodes`` under unit forces on
@@ -420,7 +433,7 @@ class Compliance:
             return np.zeros_like(known.points), []
         table = self._tables.covering(known, load)
         w, lost = self._correction(known, load, table)
-        moved = self._whole(known, load, w)
+        moved = self._whole(known, load, w, table)
         level, size = self.level, _largest(moved)
         if table and self._tables.check is not None:
             level = self._tables.level
