@@ -146,10 +146,17 @@ def calibrate_to_file(
 def sensor_digest(scene: Scene) -> str:
     """Return a hash of what a calibration by presses depends on: the sensor, not the press."""
     others = {"title", "press", "tractions", "accuracy", "renderer", "dataset", "vary"}
-    table = scene.model_dump(mode="json", exclude=others)
+    table = _by_linear_theory(scene).model_dump(mode="json", exclude=others)
     table["calibration"].pop("file")
     table["reconstruction"] = table["reconstruction"]["sites"]
     return hashlib.sha256(json.dumps(identity(table), sort_keys=True).encode()).hexdigest()
+
+
+def _by_linear_theory(scene: Scene) -> Scene:
+    """Return the scene with the law by which calibration presses are solved: they stick, and
+    sticking probes are not solved at finite strain."""
+    material = scene.material.model_copy(update={"law": "linear", "law_ratios": ()})
+    return scene.model_copy(update={"material": material})
 
 
 def _calibrate_by_design(sensor: Sensor) -> Calibration:
@@ -210,9 +217,12 @@ def half_space_compliance(scene: Scene, markers: Floats, sites: Rectangles) -> F
 def calibrate_by_presses(sensor: Sensor) -> Calibration:
     """Calibrate the made sensor by its pictures and the load cell under presses at every place.
 
-    They go along z, then x, then y (Sato, II C); the nominal design fills in between places.
+    They go along z, then x, then y (Sato, II C); the nominal design fills in between places. By any
+    `Material.law` these presses are solved by linear theory.
     """
     scene = sensor.nominal
+    if scene.material.law != "linear":
+        sensor = Sensor(_by_linear_theory(scene), sensor.progress)
     assert scene.reconstruction is not None
     sites, grid = scene.reconstruction.sites, scene.calibration.presses
     if grid is None and scene.calibration.method == "sato":
