@@ -13,14 +13,12 @@ import pyarrow.parquet as pq
 import pytest
 import tomli_w
 from PIL import Image
-from scipy.stats import qmc
 from small_dataset import NO_PICTURE, contents, make, small_scene
 from standard_bodies import write_stl
 
 import twin
 from twin.errors import InputError, RecipeError, TwinError
 from twin.files import write_whole
-from twin.study.batch.draw import sobol_points
 from twin.study.batch.pool import only_writer
 from twin.study.check import check_path
 from twin.study.dataset import create
@@ -174,14 +172,6 @@ def test_stratified_draws_are_more_even_than_random_ones() -> None:
         spread[sampling] = np.histogram(x, bins=16, range=(-3, 3))[0].std()
     assert spread["stratified"] == 0.0
     assert spread["random"] > 1.0
-
-
-@pytest.mark.filterwarnings("ignore:The balance properties")
-@pytest.mark.parametrize("dimensions", [1, 37, 38])
-def test_points_are_those_of_another_sobol_sequence_wherever_they_begin(dimensions: int) -> None:
-    expected = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(5)).random(70)
-    found = sobol_points(dimensions, np.arange(9, 70), np.random.default_rng(5))
-    assert np.array_equal(found, expected[9:])
 
 
 def test_a_failing_sample_is_a_row_with_its_error(tmp_path: Path) -> None:

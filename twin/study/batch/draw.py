@@ -1,8 +1,9 @@
 """Values drawn for a sample from (root seed, number) alone, and scenes with drawn values in place.
 
 Random sampling takes the numbers u from a stream of the sample's own. Stratified sampling takes
-them from one scrambled Sobol' sequence, whose point number i depends on nothing but the seed and i:
-so a dataset is the beginning of every larger one, and any worker can draw any sample.
+them from one scrambled Sobol' sequence (`scipy.stats.qmc`), whose point number i depends on nothing
+but the seed and i: so a dataset is the beginning of every larger one, and any worker can draw any
+sample.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from twin.arrays import Floats, Ints
+from twin.arrays import Floats
 from twin.errors import RecipeError, did_you_mean
 from twin.parts.scene import Scene
 from twin.parts.vary import Distribution, Follows
@@ -66,96 +67,16 @@ def _unit_numbers(
         return np.zeros((len(numbers), width))
     if sampling == "random":
         return np.array([stream(seed, purpose, number).random(width) for number in numbers])
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(taken + width, scramble=True, rng=stream(seed, purpose))
     first, last = min(numbers), max(numbers)
-    points = sobol_points(taken + width, np.arange(first, last + 1), stream(seed, purpose))
-    return points[np.asarray(numbers) - first, taken:]
-
-
-_BITS = 30
-"""Binary digits of a Sobol' number."""
-
-_DIRECTIONS = (
-    (3, 1),
-    (7, 1, 3),
-    (11, 1, 3, 1),
-    (13, 1, 1, 1),
-    (19, 1, 1, 3, 3),
-    (25, 1, 3, 5, 13),
-    (37, 1, 1, 5, 5, 17),
-    (41, 1, 1, 5, 5, 5),
-    (47, 1, 1, 7, 11, 19),
-    (55, 1, 1, 5, 1, 1),
-    (59, 1, 1, 1, 3, 11),
-    (61, 1, 3, 5, 5, 31),
-    (67, 1, 3, 3, 9, 7, 49),
-    (91, 1, 1, 1, 15, 21, 21),
-    (97, 1, 3, 1, 13, 27, 49),
-    (103, 1, 1, 1, 15, 7, 5),
-    (109, 1, 3, 1, 15, 13, 25),
-    (115, 1, 1, 5, 5, 19, 61),
-    (131, 1, 3, 7, 11, 23, 15, 103),
-    (137, 1, 3, 7, 13, 13, 15, 69),
-    (143, 1, 1, 3, 13, 7, 35, 63),
-    (145, 1, 3, 5, 9, 1, 25, 53),
-    (157, 1, 3, 1, 13, 9, 35, 107),
-    (167, 1, 3, 1, 5, 27, 61, 31),
-    (171, 1, 1, 5, 11, 19, 41, 61),
-    (185, 1, 3, 5, 3, 3, 13, 69),
-    (191, 1, 1, 7, 13, 1, 19, 1),
-    (193, 1, 3, 7, 5, 13, 19, 59),
-    (203, 1, 1, 3, 9, 25, 29, 41),
-    (211, 1, 3, 5, 13, 23, 1, 55),
-    (213, 1, 3, 7, 3, 13, 59, 17),
-    (229, 1, 3, 1, 3, 5, 53, 69),
-    (239, 1, 1, 5, 5, 23, 33, 13),
-    (241, 1, 1, 7, 7, 1, 61, 123),
-    (247, 1, 1, 7, 9, 13, 61, 49),
-    (253, 1, 3, 3, 5, 3, 55, 33),
-)
-"""Primitive polynomial of each dimension but the first, and its first direction numbers (S. Joe and
-F. Y. Kuo, SIAM J. Sci. Comput. 30 (2008) 2635)."""
-
-
-def sobol_points(dimensions: int, numbers: Ints, rng: np.random.Generator) -> Floats:
-    """Return (len(numbers), dimensions) points of a scrambled Sobol' sequence, by their numbers.
-
-    They are those of `scipy.stats.qmc.Sobol`, which takes half a second to import, and serves more
-    dimensions than the table here has.
-    """
-    if dimensions > len(_DIRECTIONS) + 1:
-        from scipy.stats import qmc
-
-        with warnings.catch_warnings():  # a part of the sequence need not be a power of two
-            warnings.simplefilter("ignore", UserWarning)
-            whole = qmc.Sobol(dimensions, scramble=True, rng=rng).random(int(numbers.max()) + 1)
-        return np.asarray(whole[numbers])
-    own = rng.spawn(1)[0]
-    place = np.arange(_BITS)
-    digits = own.integers(2, size=(dimensions, _BITS), dtype=np.uint32)
-    mixes = own.integers(2, size=(dimensions, _BITS, _BITS), dtype=np.uint32)
-    # Point number i combines the direction numbers at the ones of i's Gray code, modulo 2.
-    used = (numbers ^ (numbers >> 1))[:, None] >> place & 1
-    points = np.empty((len(numbers), dimensions))
-    for axis in range(dimensions):
-        mix = np.tril(mixes[axis], -1) + np.eye(_BITS, dtype=np.int64)
-        ones = _direction_numbers(axis)[:, None] >> place[::-1] & 1
-        combined = (used @ (ones @ mix.T) + digits[axis, ::-1]) % 2
-        points[:, axis] = combined @ 0.5 ** (place + 1)
-    return points
-
-
-def _direction_numbers(axis: int) -> Ints:
-    """Return the (`_BITS`,) direction numbers of a dimension, whole numbers of `_BITS` digits."""
-    if axis == 0:
-        return 1 << np.arange(_BITS)[::-1]
-    polynomial, *found = _DIRECTIONS[axis - 1]
-    degree = len(found)
-    while len(found) < _BITS:
-        new = found[-degree]
-        for k in range(1, degree + 1):
-            new ^= (polynomial >> (degree - k) & 1) * found[-k] << k
-        found.append(new)
-    return np.array(found) << np.arange(_BITS)[::-1]
+    with warnings.catch_warnings():  # a part of the sequence need not be a power of two
+        warnings.simplefilter("ignore", UserWarning)
+        if first:
+            sequence.fast_forward(first)
+        points = sequence.random(last - first + 1)
+    return np.asarray(points[np.asarray(numbers) - first, taken:])
 
 
 def with_values(

@@ -24,7 +24,7 @@ from twin.parts.part import Part, in_words, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import Confirm, Cost, Limits, Loads, Range, Sweep, Values
 from twin.streams import Purpose, stream
-from twin.study.batch.draw import Table, look_up, plain_table, put, sobol_points
+from twin.study.batch.draw import Table, look_up, plain_table, put
 from twin.study.recipe import SWEEP, load_scene, nothing_named, read_recipe, validate_scene
 
 
@@ -135,15 +135,16 @@ def designs_at(sweep: Sweep, scene: Scene, u: Floats | None) -> Designs:
 
 
 def _unit(sweep: Sweep) -> Floats:
+    from scipy.stats import qmc
+
     width = len(sweep.axes)
     rng = stream(sweep.seed, Purpose.SAMPLING)
     if sweep.sampling == "random":
         return np.asarray(rng.random((sweep.count, width)))
     if sweep.sampling == "latin":
-        from scipy.stats import qmc
-
         return np.asarray(qmc.LatinHypercube(width, rng=rng).random(sweep.count))
-    return sobol_points(width, np.arange(sweep.count), rng)
+    whole = int(np.ceil(np.log2(max(sweep.count, 2))))
+    return np.asarray(qmc.Sobol(width, scramble=True, rng=rng).random_base2(whole)[: sweep.count])
 
 
 def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
