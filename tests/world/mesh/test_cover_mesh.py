@@ -114,19 +114,19 @@ def test_covers_that_do_not_fit_are_refused(body, mesh, thickness):
         with_cover(mesh, body, thickness)
 
 
-@pytest.mark.parametrize(("body", "edge"), [(BLOCK, 3.0), (FINGER, 0.5)])
-def test_refined_mesh_is_fine_whole_and_on_the_surface(body, edge):
+@pytest.mark.parametrize(("body", "edge", "local"), [(BLOCK, 3.0, False), (FINGER, 0.5, False), (FINGER, 0.5, True)])
+def test_refined_mesh_is_fine_whole_and_on_the_surface(body, edge, local):
     coarse = body_mesh(body, "sketch")
 
     def wanted(points):
         return edge + 1.5 * np.maximum(np.linalg.norm(points, axis=1) - edge, 0.0)
 
-    mesh = refined(coarse, body, wanted)
-    corner = mesh.points[mesh.tets[:, :4]]
-    edges = corner[:, TET_EDGES[:, 0]] - corner[:, TET_EDGES[:, 1]]
-    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    mesh = refined(coarse, body, wanted, local=local)
+    ends = mesh.points[mesh.tets[:, TET_EDGES]]
+    length = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
+    middle = ends.mean(axis=2) if local else np.repeat(mesh.points[mesh.tets[:, :4]].mean(axis=1)[:, None], 6, axis=1)
     # moving onto the surface may stretch an edge
-    assert np.all(longest <= 1.1 * wanted(corner.mean(axis=1)))
+    assert np.all(length <= 1.1 * wanted(middle.reshape(-1, 3)).reshape(-1, 6))
     got = quality(mesh, body)
     assert got.open_edges == got.unclassified == 0
     assert got.largest_offset_mm < 1e-9
@@ -134,7 +134,7 @@ def test_refined_mesh_is_fine_whole_and_on_the_surface(body, edge):
     assert abs(got.volume_error) <= max(1.2 * abs(quality(coarse, body).volume_error), 1e-12)
     least, before = (dihedral_angles(m.points, m.tets).min() for m in (mesh, coarse))
     assert least > 0.3 * before
-    assert refined(coarse, body, wanted).digest() == mesh.digest()
+    assert refined(coarse, body, wanted, local=local).digest() == mesh.digest()
 
 
 def test_nothing_to_do_changes_nothing():

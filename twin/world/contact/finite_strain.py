@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.arrays import Floats, Points
-from twin.errors import ContactError, InputError, NotSettled, SolveError
+from twin.errors import ContactError, InputError, MeshError, NotSettled, SolveError
 from twin.parts.body import Block, Body
 from twin.parts.material import Material
 from twin.parts.press import Press, Step
@@ -380,6 +380,8 @@ def strain_of(
     material: Material,
     state: ContactState,
     watched: Points,
+    *,
+    coarse: bool = False,
     like: FiniteStrain | BodyStrain | None = None,
 ) -> FiniteStrain | BodyStrain:
     """Return what linear theory leaves out of a state of a press, on a block or a curved body.
@@ -387,11 +389,11 @@ def strain_of(
     Parameters and errors are those of `FiniteStrain` and `BodyStrain`.
     """
     if isinstance(body, Block):
-        return FiniteStrain(press, body, material, state, watched)
+        return FiniteStrain(press, body, material, state, watched, coarse=coarse)
     from twin.world.contact.body_strain import BodyStrain
 
     near = like if isinstance(like, BodyStrain) else None
-    return BodyStrain(press, body, material, state, watched, like=near)
+    return BodyStrain(press, body, material, state, watched, coarse=coarse, like=near)
 
 
 def measured_linearity(
@@ -399,23 +401,20 @@ def measured_linearity(
 ) -> Validity:
     """Return a state's validity with how far linear theory is off under this very press.
 
-    Neo-Hookean rubber is pressed on a coarse mesh (about .3 s). Where that can't be done, or takes
-    longer, the estimate stays, and `Validity.linearisation_basis` says why.
+    Neo-Hookean rubber is pressed on a coarse mesh: about .3 s on a block, 1 s on a curved body.
+    Where that can't be done, the estimate stays, and `Validity.linearisation_basis` says why.
     """
     validity = state.validity
     if not state.load.terms:
         return replace(validity, linearisation_basis=f"{ESTIMATED}: nothing touches")
-    if not isinstance(body, Block):
-        cause = (
-            "on a curved body it takes seconds: -s material.law=neo_hookean, where that is solved"
-        )
-        return replace(validity, linearisation_basis=f"{ESTIMATED}: {cause}")
     rubber = material.model_copy(update={"law": "neo_hookean"})
     try:
-        more = FiniteStrain(press, body, rubber, state, watched, coarse=True)
+        more = strain_of(press, body, rubber, state, watched, coarse=True)
     except InputError as problem:
         cause = str(problem).removeprefix("material.law = neo_hookean: ").split(" at finite")[0]
         return replace(validity, linearisation_basis=f"{ESTIMATED}: {cause} at finite strain")
+    except MeshError:
+        return replace(validity, linearisation_basis=f"{ESTIMATED}: the press's mesh failed")
     except (ContactError, SolveError):
         cause = "Newton's steps at finite strain did not converge"
         return replace(validity, linearisation_basis=f"{ESTIMATED}: {cause}")
@@ -519,7 +518,7 @@ def _held_by_motion(
             steps=(step,),
         )
         linear = solve(one).path[-1]
-        more = strain_of(one, body, material, linear, watched, found.more)
+        more = strain_of(one, body, material, linear, watched, like=found.more)
         after = _Found(linear, more, stiffening, found.axes)
         if abs(aside) > 10.0 * found.within:
             gained = math.log(after.deep_mm / found.deep_mm)

@@ -22,15 +22,17 @@ unknown.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Points
+from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
 from twin.parts.body import Body
 from twin.parts.material import Material
 from twin.world.contact.probe_gap import MOTIONS, Approach, Z
+from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.mixed_rubber import MixedRubber, gathered, summed
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors
 from twin.world.mesh.elements import (
@@ -52,6 +54,15 @@ _CHUNK = 256
 
 _NUDGE_MM = 1e-4
 
+_KRYLOV = 20
+_KRYLOV_RESIDUALS = 1e-3, 1e-2
+"""Most iterations with a kept factor, and the relative residuals at which they end: of the forces
+out of balance, and of those that follow the probe."""
+
+_STRAINED = 0.03
+"""Elements with no larger change of F, or pressure over the shear modulus, resist as at rest as far
+as the slopes of Newton's steps go."""
+
 
 class Rubber(MixedRubber):
     """Rubber of E = 1 MPa in the shape of a mesh, held on the body's held pieces.
@@ -64,6 +75,7 @@ class Rubber(MixedRubber):
 
     def __init__(self, mesh: Mesh, body: Body, material: Material) -> None:
         super().__init__(material)
+        self._factors: dict[bool, Factor] = {}
         self.mesh = mesh
         places, weights = tet_quadrature()
         slopes = tet_shapes(places)[1]
@@ -84,7 +96,46 @@ class Rubber(MixedRubber):
         nodes = np.arange(len(mesh.points))
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
 
-    def _strained(self, unknowns: Floats, some: slice) -> tuple[Floats, Floats, Floats, Floats]:
+    def followed(self, matrix: Any, right: Floats, *, linear: bool) -> Floats:
+        """Return the solution (n, 2) of a tangent for what is out of balance and for what follows
+        the probe; 0 where it is held.
+
+        The last factor, one of linear theory and one at finite strain, is kept as the
+        preconditioner of GMRES. Where that needs too many iterations, the matrix is factored.
+        """
+        free = self._free
+        own = matrix[free][:, free]
+        out = np.zeros_like(right)
+        found = self._iterated(own, right[free], self._factors.get(linear))
+        if found is None:
+            factor = Factor(own, self._scale[free], node=self._node[free])
+            self._factors[linear] = factor
+            found = factor.solve(right[free], self._residual)
+        out[free] = found
+        return out
+
+    def _iterated(self, matrix: Any, right: Floats, factor: Factor | None) -> Floats | None:
+        """Return the solution by GMRES; None where it needs too many iterations."""
+        from scipy.sparse.linalg import LinearOperator, gmres
+
+        if factor is None:
+            return None
+
+        def nearly(one: Floats) -> Floats:
+            return factor.solve(one, 1.0)
+
+        operator = LinearOperator(matrix.shape, lambda one: nearly(matrix @ one), dtype=float)
+        begin = nearly(right)
+        found = np.empty_like(right)
+        for column, residual in enumerate(_KRYLOV_RESIDUALS):
+            found[:, column], failed = gmres(
+                operator, begin[:, column], rtol=residual, restart=_KRYLOV, maxiter=1
+            )
+            if failed:
+                return None
+        return found
+
+    def _strained(self, unknowns: Floats, some: Ints) -> tuple[Floats, Floats, Floats, Floats]:
         """Return F, cof F, J and the pressure at the integration points of some elements."""
         own = unknowns[self._row[some]]
         moved = own[:, None, :30].reshape(-1, 1, 10, 3)
@@ -93,7 +144,7 @@ class Rubber(MixedRubber):
 
     def resistance(self, unknowns: Floats) -> Floats:
         """Return the forces with which the rubber resists, and what is amiss with its volume."""
-        every = slice(None)
+        every = np.arange(len(self._row))
         gradient, cofactor, ratio, pressure = self._strained(unknowns, every)
         stress = self._shear * self._law.stress(gradient, cofactor, ratio)
         stress += pressure[..., None, None] * cofactor
@@ -103,15 +154,30 @@ class Rubber(MixedRubber):
         both = np.hstack([force, swollen])
         return gathered(self._row, both, self.size)
 
-    def tangent(self, unknowns: Floats) -> Any:
-        """Return the sparse symmetric slope of `resistance`."""
-        parts = [
-            self._blocks(unknowns, slice(start, start + _CHUNK))
-            for start in range(0, len(self._row), _CHUNK)
-        ]
-        return summed(np.concatenate(parts), self._row, self.size)
+    @cached_property
+    def _rest_blocks(self) -> Floats:
+        return self._blocks(np.zeros(self.size), np.arange(len(self._row)))
 
-    def _blocks(self, unknowns: Floats, some: slice) -> Floats:
+    def tangent(self, unknowns: Floats) -> Any:
+        """Return the sparse symmetric slope of `resistance`; that at rest where the strain is
+        small."""
+        gradient, _, _, pressure = self._strained(unknowns, np.arange(len(self._row)))
+        change = np.abs(gradient - np.eye(3)).max(axis=(1, 2, 3))
+        change = np.maximum(change, np.abs(pressure).max(axis=1) / self._shear)
+        strained = np.flatnonzero(change > _STRAINED)
+        blocks = self._rest_blocks.copy()
+        blocks[strained] = self._blocks(unknowns, strained)
+        return summed(blocks, self._row, self.size)
+
+    def _blocks(self, unknowns: Floats, some: Ints) -> Floats:
+        """Return the slopes (m, 34, 34) of some elements (m,)."""
+        block = np.empty((len(some), 34, 34))
+        for start in range(0, len(some), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            block[part] = self._chunk_blocks(unknowns, some[part])
+        return block
+
+    def _chunk_blocks(self, unknowns: Floats, some: Ints) -> Floats:
         """Return the slopes (m, 34, 34) of some elements."""
         gradient, cofactor, ratio, pressure = self._strained(unknowns, some)
         volume = self._volume[some]
@@ -275,7 +341,8 @@ def pressed_further(
     own = right + nodal(-(_SPRING * area * gap)[:, None] * push)
     follow = nodal(-(_SPRING * area * per_depth)[:, None] * push)
     springs = summed(block, row, rubber.size)
-    both = rubber.solve(tangent + springs, np.column_stack([own, follow]))
+    right_sides = np.column_stack([own, follow])
+    both = rubber.followed(tangent + springs, right_sides, linear=linear)
 
     # The probe moves until the pressures carry the force.
     def closed(step: Floats) -> Floats:
