@@ -106,34 +106,16 @@ class Rubber(MixedRubber):
         free = self._free
         own = matrix[free][:, free]
         out = np.zeros_like(right)
-        found = self._iterated(own, right[free], self._factors.get(linear))
+        kept = self._factors.get(linear)
+        found = None
+        if kept is not None:
+            found = kept.solve_near(own, right[free], _KRYLOV_RESIDUALS, _KRYLOV)
         if found is None:
             factor = Factor(own, self._scale[free], node=self._node[free])
             self._factors[linear] = factor
             found = factor.solve(right[free], self._residual)
         out[free] = found
         return out
-
-    def _iterated(self, matrix: Any, right: Floats, factor: Factor | None) -> Floats | None:
-        """Return the solution by GMRES; None where it needs too many iterations."""
-        from scipy.sparse.linalg import LinearOperator, gmres
-
-        if factor is None:
-            return None
-
-        def nearly(one: Floats) -> Floats:
-            return factor.solve(one, 1.0)
-
-        operator = LinearOperator(matrix.shape, lambda one: nearly(matrix @ one), dtype=float)
-        begin = nearly(right)
-        found = np.empty_like(right)
-        for column, residual in enumerate(_KRYLOV_RESIDUALS):
-            found[:, column], failed = gmres(
-                operator, begin[:, column], rtol=residual, restart=_KRYLOV, maxiter=1
-            )
-            if failed:
-                return None
-        return found
 
     def _strained(self, unknowns: Floats, some: Ints) -> tuple[Floats, Floats, Floats, Floats]:
         """Return F, cof F, J and the pressure at the integration points of some elements."""

@@ -157,6 +157,30 @@ class Factor:
         result: Floats = (self._root[:, None] * solution * length * size).reshape(right.shape)
         return result
 
+    def solve_near(
+        self, matrix: Any, right: Floats, residuals: tuple[float, ...], iterations: int
+    ) -> Floats | None:
+        """Return the solution (n, m) of a similar matrix by GMRES, this factor its preconditioner;
+        None where a column needs too many iterations to its relative residual.
+
+        Residuals are those after the preconditioner.
+        """
+        from scipy.sparse.linalg import LinearOperator, gmres
+
+        def nearly(one: Floats) -> Floats:
+            return self.solve(one, 1.0)
+
+        operator = LinearOperator(matrix.shape, lambda one: nearly(matrix @ one), dtype=float)
+        begin = nearly(right)
+        found = np.empty_like(right)
+        for column, residual in enumerate(residuals):
+            found[:, column], failed = gmres(
+                operator, begin[:, column], rtol=residual, restart=iterations, maxiter=1
+            )
+            if failed:
+                return None
+        return found
+
 
 def _worst(remainder: Floats, solution: Floats) -> float:
     """Return the largest relative residual of scaled systems whose right sides and matrix have
