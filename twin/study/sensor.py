@@ -286,12 +286,6 @@ class Sensor:
         """Cut a load into the rectangles that the solvers work on; the last load's are kept."""
         load = _load_of(load)
         if self._cut is None or self._cut[0] is not load:
-            require(
-                load,
-                Load,
-                "the load",
-                "make one with twin.Traction, or give the state that sensor.press returns",
-            )
             from twin.world.elasticity.discretise import tile
 
             self._cut = load, tile(load, self.actual.scene.body)
@@ -736,8 +730,15 @@ def _with(more: Strained | None, points: Points, motion: Motion) -> Motion:
 
 
 def _load_of(load: Load | ContactState) -> Load:
-    """Return the load in the state of a press; a load stays itself."""
-    return getattr(load, "load", load)  # type: ignore[arg-type]
+    """Return the load in the state of a press; a load stays itself, all else is an `InputError`."""
+    found: Load = getattr(load, "load", load)  # type: ignore[arg-type]
+    require(
+        found,
+        Load,
+        "the load",
+        "make one with twin.Traction, or give the state that sensor.press returns",
+    )
+    return found
 
 
 def _covered(
