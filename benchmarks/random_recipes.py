@@ -43,6 +43,7 @@ NARROW: dict[tuple[str, str], Strategy] = {
     ("Material", "poisson_ratio"): st.one_of(st.just(0.5), st.floats(0.0, 0.5)),
     ("Material", "refractive_index"): st.floats(1.0, 1.8),
     ("Term", "share"): st.floats(0.01, 0.3),
+    ("Light", "colours"): st.just(()),  # as many as LEDs, which are drawn apart
     ("Cover", "thickness_mm"): st.floats(0.05, 0.4),
     ("Cover", "youngs_modulus_mpa"): st.none(),
     ("Cover", "poisson_ratio"): st.none(),
