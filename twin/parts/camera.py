@@ -220,6 +220,11 @@ class Light(Part):
         table: Floats = np.interp(angle, angles, shares / shares.max(), right=0.0)
         return table
 
+    @property
+    def powers(self) -> Floats:
+        """(n, 3) red, green and blue power of each LED."""
+        return np.array(self.colours or np.ones((len(self.positions_mm), 3)), float)
+
     def points(self) -> tuple[Points, Floats]:
         """Return (n, 3) points that stand for the LEDs, mm, and their (n,) intensities in the
         channel where each LED is brightest.
@@ -230,7 +235,7 @@ class Light(Part):
         polynomials of degree 5.
         """
         places = np.array(self.positions_mm, float)
-        power = np.max(self.colours or np.ones((len(places), 3)), axis=1)
+        power = self.powers.max(axis=1)
         if self.radius_mm == 0:
             return places, power
         around = np.arange(6) * np.pi / 3
@@ -246,7 +251,7 @@ class Light(Part):
     def tints(self) -> tuple[Floats, Floats]:
         """Return (k, n) shares of the intensities of `points` by channel, and the (k,) mean colour
         of the LEDs relative to their brightest channels; k = 1 for white LEDs."""
-        colours = np.array(self.colours or np.ones((len(self.positions_mm), 1)), float)
+        colours = self.powers
         if np.ptp(colours, axis=1).max() == 0:
             colours = colours[:, :1]
         power = colours.max(axis=1, keepdims=True)

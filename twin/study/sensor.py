@@ -311,9 +311,10 @@ class Sensor:
             The load misses the sensing surface.
         """
         points = _as_points(points_mm, "points_mm")
-        found = self.ladder.displacement(points, self.rectangles(_load_of(load).moving))
+        load = _load_of(load)
+        found = self.ladder.displacement(points, self.rectangles(load.moving))
         self._warn_if_inaccurate(found.error)
-        more = self._strained(_load_of(load))
+        more = self._strained(load)
         return found.displacement_mm + (more.displacement(points) if more is not None else 0.0)
 
     def _strained(self, load: Load) -> Strained | None:

@@ -20,6 +20,12 @@ import numpy as np
 from twin.arrays import Floats, frozen
 
 
+def fading(x: Floats) -> tuple[Floats, Floats]:
+    """Return exp(-x) and its mean from 0 to x, for x (n,) from 0."""
+    mean = np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
+    return np.exp(-x), mean
+
+
 @dataclass(frozen=True)
 class Relaxation:
     """A Prony series of n terms.
@@ -62,8 +68,7 @@ class Relaxation:
         """Return the strain, over the final stress / G0, a time after a stress has grown linearly
         for some ``seconds``."""
         share, late_s = self.retardation
-        x = seconds / late_s
-        mean = -np.expm1(-x) / x if seconds > 0.0 else np.ones_like(x)
+        mean = fading(seconds / late_s)[1]
         return float(1.0 + share @ (1.0 - mean * np.exp(-since_s / late_s)))
 
     def dynamic_modulus(self, frequency: Floats | float) -> np.ndarray:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.arrays import Floats
-from twin.theory.relaxation import Relaxation
+from twin.theory.relaxation import Relaxation, fading
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,5 @@ class RubberMemory:
         return replace(self, elastic_n=elastic, kept_n=changed)
 
     def _factors(self, seconds: float) -> tuple[Floats, Floats]:
-        """Return (n,) exp(-x), and its mean from 0 to x, for x = seconds/tau."""
-        x = seconds / self.relaxation.time_s
-        mean = np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
-        return np.exp(-x), mean
+        """Return (n,) what each term keeps of an elastic force, and of one that grows linearly."""
+        return fading(seconds / self.relaxation.time_s)

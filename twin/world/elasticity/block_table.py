@@ -295,7 +295,7 @@ def _window_of(body: Block) -> tuple[tuple[float, float], tuple[float, float, fl
     thickness = body.thickness_mm
     sides = np.array([body.width_mm, body.length_mm]) / 2.0
     window, box, deep = sides * WINDOW, sides * BOX[:2], BOX[2]
-    if not is_compact(body):
+    if not _is_compact(body):
         window = np.maximum(window, sides - OFF_SIDES[0] * thickness)
         box = np.maximum(box, sides - OFF_SIDES[1] * thickness)
         deep = DEEP
@@ -317,7 +317,7 @@ def find_table(
     without it, if a file is damaged. A table whose `Table.error` is above ``usable`` counts as
     absent.
     """
-    if not isinstance(body, Block) or not (is_compact(body) or bonded_layer(body, NU_RANGE[1])):
+    if not isinstance(body, Block) or not (_is_compact(body) or bonded_layer(body, NU_RANGE[1])):
         return None
     usable *= CHECK if role == "check" else 1.0
     path = table_path(body, role)
@@ -350,7 +350,7 @@ def _is_standard(body: Body) -> bool:
     return isinstance(body, Block) and body.bounds_mm == STANDARD.bounds_mm
 
 
-def is_compact(body: Block) -> bool:
+def _is_compact(body: Block) -> bool:
     """Return whether a table of the block holds all of w, and not only what the layer leaves."""
     shorter, longer = sorted((body.width_mm, body.length_mm))
     return longer <= min(THIN * body.thickness_mm, OBLONG * shorter)
@@ -390,7 +390,7 @@ def make_table(
         fields = correction(system, body, loads, [np.eye(3)[None]] * len(loads), 1e-7)
         values = matrix @ fields.reshape(len(fields), -1)
         layer = bonded_layer(body, float(nu))
-        if layer is not None and is_compact(body):
+        if layer is not None and _is_compact(body):
             values += layer.compliance(points, whole, 1.0).reshape(values.shape)
         values = values.reshape(*SIZES[3:], 3, len(quarter[0]), len(quarter[1]), 3)
         samples[n] = _mirrored(np.transpose(values, (4, 5, 6, 3, 0, 1, 2)))
@@ -455,16 +455,17 @@ def _error(table: Table, body: Block, system: TaylorHood) -> float:
         body, x * table.window_mm[0], y * table.window_mm[1], force, table.box_mm[2] / 4.0
     )
     share = np.random.default_rng(1).uniform([-1.0, -1.0, 0.05], 1.0, (200, 3))
-    if not is_compact(body):  # random points miss where a thin block moves most
+    if not _is_compact(body):  # random points miss where a thin block moves most
         share[0] = load.centre_mm[0] / table.box_mm + [0.0, 0.0, 0.05]
     points = share * np.array(table.box_mm)
     solved = Locator(system.mesh).locate(points).values(correction(system, body, [load])[:, :, 0])
     known = halfspace.displacement(points, load, 1.0, nu)
     made = table.at(nu).displacement(PointCache(points), load)
     if (layer := bonded_layer(body, nu)) is not None:
-        known += layer.displacement(points, load, 1.0)
-        if is_compact(body):
-            made -= layer.displacement(points, load, 1.0)
+        of_layer = layer.displacement(points, load, 1.0)
+        known += of_layer
+        if _is_compact(body):
+            made -= of_layer
     wrong = np.linalg.norm(made - solved, axis=1).max()
     return float(wrong / np.linalg.norm(known + solved, axis=1).max())
 
@@ -527,7 +528,7 @@ def read_table(path: Path) -> Table:
         numbers = np.array([step, words["error"], *lengths], float)
         low, high = words["nu_range"]
         one = low == high
-        expected = [*([1, *SIZES[1:]] if one else SIZES)]
+        expected = [1 if one else SIZES[0], *SIZES[1:]]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as problem:
         raise InputError(
             f"{path} is not a table of corrections ({problem}): make it again"
@@ -600,7 +601,7 @@ class Tables:
     @property
     def beyond_layer(self) -> bool:
         """Whether the tables leave out the bonded layer's field."""
-        return isinstance(self._body, Block) and not is_compact(self._body)
+        return isinstance(self._body, Block) and not _is_compact(self._body)
 
     @cached_property
     def check(self) -> TableAtNu | None:
@@ -670,7 +671,7 @@ def table_between(body: Block, role: Role, low_mm: float, high_mm: float) -> Tab
     """
     if not low_mm <= body.thickness_mm <= high_mm or not low_mm < high_mm <= WIDEST * low_mm:
         return None
-    if not is_compact(body.model_copy(update={"thickness_mm": low_mm})):
+    if not _is_compact(body.model_copy(update={"thickness_mm": low_mm})):
         return None
     found = _tables(body.width_mm, body.length_mm, role, low_mm, high_mm)
     if found is None:

@@ -218,12 +218,11 @@ def stock_scene(scene: Scene, exposure: float, parts: Mapping[str, Triangles]) -
     radius = light.radius_mm or _LED_MM
     index = scene.material.refractive_index
     radiance = (1 - light.ambient) * exposure * (index / through / radius) ** 2
-    colours = np.array(light.colours or np.ones((len(light.positions_mm), 3)))
-    for n, place in enumerate(light.positions_mm):
+    for n, (place, power) in enumerate(zip(light.positions_mm, light.powers, strict=True)):
         table[f"led{n}"] = {
             "type": "disk",
             "to_world": _matrix(radius * np.diag([1, -1, -1]), (*place[:2], place[2] - down)),
-            "emitter": {"type": "area", "radiance": _rgb(radiance * colours[n])},
+            "emitter": {"type": "area", "radiance": _rgb(radiance * power)},
         }
     for name, surface in parts.items():
         table[name] = {"type": "ply", "filename": f"{name}.ply", "bsdf": surface.paint(scene)}
