@@ -1,9 +1,9 @@
 """A body's mesh: from the cache, from those that ship with the program, one of these stretched, or
 a new one.
 
-A block is cut into tetrahedra by rule (`twin.world.mesh.bisection`); other bodies need the mesher.
-Its mesh only starts the work: another program remakes it in the wanted sizes, mends bad elements,
-and is fast. All lengths are scaled together until the number of unknowns is right. As the mesher is
+A block is cut into tetrahedra by rule (`twin.world.mesh.bisection`); other bodies need the mesher,
+fTetWild. Its mesh is only the start: Mmg, which is fast, remakes it in the wanted sizes and mends
+bad elements. All lengths are scaled together until the number of unknowns is right. As the mesher is
 not deterministic, a mesh is made once, checked, and kept under a key made of the geometry and the
 wanted sizes.
 
