@@ -3,9 +3,9 @@ a new one.
 
 A block is cut into tetrahedra by rule (`twin.world.mesh.bisection`); other bodies need the mesher,
 fTetWild. Its mesh is only the start: Mmg, which is fast, remakes it in the wanted sizes and mends
-bad elements. All lengths are scaled together until the number of unknowns is right. As the mesher is
-not deterministic, a mesh is made once, checked, and kept under a key made of the geometry and the
-wanted sizes.
+bad elements. All lengths are scaled together until the number of unknowns is right. As the mesher
+is not deterministic, a mesh is made once, checked, and kept under a key made of the geometry and
+the wanted sizes.
 
 The mesher starts from closed triangles. Bodies given by formulas must be convex: theirs is the
 convex hull of exact surface points, with edges and corners. It only has to be near, as the result
