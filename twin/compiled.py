@@ -11,6 +11,10 @@ cache: one folder for each state of the package would be correct, but every chan
 would compile all functions again, half a minute for each edit. If a later numba has no such
 attribute, nothing is stored.
 
+numba numbers the files of a function's code in the order of its signatures. Two processes that
+store different signatures at once would take the same number, and one would load the other's code.
+So a file is named by its signature, too.
+
 A division by 0 gives inf or NaN as in NumPy, and every result is checked for these. numba's default
 raises ZeroDivisionError inside a loop, which can't report the recipe's number that was too small.
 
@@ -33,7 +37,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numba
@@ -71,11 +75,21 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         try:
             kept = compiled._cache._cache_file
             kept._source_stamp = (kept._source_stamp, digest(function.__code__.co_filename))
+            kept.save = partial(_save, kept, kept.save, kept._data_name_pattern)
         except (AttributeError, OSError):  # another numba, or no source: store nothing
             compiled = numba.njit(**{**options, "cache": False})(function)
         return compiled
 
     return made
+
+
+def _save(
+    kept: Any, save: Callable[[Any, Any], None], pattern: str, key: tuple[Any, ...], data: Any
+) -> None:
+    """Store code under a name that holds a hash of its signature, ``key[0]``."""
+    signature = hashlib.sha256(str(key[0]).encode()).hexdigest()[:8]
+    kept._data_name_pattern = pattern.replace("{number", f"{signature}.{{number")
+    save(key, data)
 
 
 @cache

@@ -58,22 +58,29 @@ def site_columns(site_mm: Points, force_n: Floats) -> dict[str, np.ndarray]:
     return places | {f"f{axis}_n": force_n[:, number] for number, axis in enumerate("xyz")}
 
 
-def data_frame(columns: Mapping[str, Any]) -> Any:
-    """Return a pandas ``DataFrame`` of columns of equal length.
+class Table:
+    """A result with `columns` of equal length."""
 
-    Raises
-    ------
-    MissingCapability
-        pandas isn't installed.
-    """
-    try:
-        import pandas
-    except ImportError:
-        raise MissingCapability(
-            "to_pandas() needs pandas, which is not installed: pip install pandas. "
-            ".columns() returns the same table as a dict of arrays"
-        ) from None
-    return pandas.DataFrame(dict(columns))
+    def columns(self) -> dict[str, Any]:
+        """Return the columns by name."""
+        raise NotImplementedError
+
+    def to_pandas(self) -> Any:
+        """Return `columns` as a pandas ``DataFrame``.
+
+        Raises
+        ------
+        MissingCapability
+            pandas isn't installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingCapability(
+                "to_pandas() needs pandas, which is not installed: pip install pandas. "
+                ".columns() returns the same table as a dict of arrays"
+            ) from None
+        return pandas.DataFrame(self.columns())
 
 
 def new_axes(count: int, ax: Any = None) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Picture, Pixels, Points
 from twin.display import (
-    data_frame,
+    Table,
     html_table,
     new_axes,
     one_line,
@@ -25,7 +25,7 @@ from twin.files import make_folder, png_bytes, write_json, write_whole
 
 
 @dataclass(frozen=True, kw_only=True)
-class Truth:
+class Truth(Table):
     """What really happened (``truth.npz``); n markers in their one order, m surface pieces under
     load.
 
@@ -78,17 +78,13 @@ class Truth:
         moved = {f"u{name}": self.marker_displacement_mm[:, axis] for name, axis in names.items()}
         return {"layer": self.marker_layer, **rest, **moved}
 
-    def to_pandas(self) -> Any:
-        """Return `columns` as a pandas ``DataFrame``."""
-        return data_frame(self.columns())
-
     def plot(self, ax: Any = None) -> Any:
         """Draw the true forces of the contact on matplotlib axes, and return these."""
         return plot_forces(new_axes(1, ax), self.surface_mm, self.surface_force_n, "true forces")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimate:
+class Estimate(Table):
     """What the sensor's software made of the pictures (``estimate.npz``); k sites, markers in the
     truth's order.
 
@@ -120,10 +116,6 @@ class Estimate:
     def columns(self) -> dict[str, np.ndarray]:
         """Return a row for every site: place, mm, and force, N."""
         return site_columns(self.site_mm, self.force_n)
-
-    def to_pandas(self) -> Any:
-        """Return `columns` as a pandas ``DataFrame``."""
-        return data_frame(self.columns())
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the recovered forces on matplotlib axes, and return these."""

@@ -58,6 +58,17 @@ def test_a_helper_changed_in_another_module_changes_its_callers(package: Path) -
     assert said(package) == ["16.0", "0"]
 
 
+def test_two_processes_that_store_two_signatures_at_once_leave_each_others_code(package: Path) -> None:
+    """The second one has read the index before the first writes it: as if there were none."""
+    said(package)
+    for index in package.rglob("outer.caller*.nbi"):
+        index.unlink()
+    told = {**os.environ, "PYTHONPATH": str(package.parent)}
+    other = "from twin.outer import caller; caller(3)"
+    subprocess.run([sys.executable, "-c", other], cwd=package.parent, env=told, check=True)
+    assert len(list(package.rglob("outer.caller*.nbc"))) == 2
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_where_compiling_takes_long_a_second_process_compiles_what_comes_later(package: Path, threads: int) -> None:
     """Not on one thread: there it would take the time of the first."""
@@ -129,6 +140,6 @@ def test_what_is_compiled_here_and_what_was_kept_give_the_same_answers(tmp_path:
     differing = [name for name, data in found.items() if (tmp_path / "second" / name).read_bytes() != data]
     assert differing == []
     # Strided columns made numba compile the two longest kernels twice: 15 s of a first run.
-    kept = Counter(path.name.rsplit(".", 2)[0] for path in (tmp_path / "kept").rglob("disc_fit*.nbc"))
+    kept = Counter(path.name.rsplit(".", 3)[0] for path in (tmp_path / "kept").rglob("disc_fit*.nbc"))
     assert kept
     assert set(kept.values()) == {1}

@@ -45,7 +45,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Points, frozen
 from twin.blas_threads import one_blas_thread
 from twin.display import (
-    data_frame,
+    Table,
     html_table,
     new_axes,
     one_line,
@@ -66,7 +66,7 @@ solved serves again."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Field:
+class Field(Table):
     """The reconstructed force field.
 
     Attributes
@@ -139,10 +139,6 @@ class Field:
         names = [f"sd_f{axis}_n" for axis in "xyz"]
         spread = dict(zip(names, self.sd_force_n.T, strict=True))
         return site_columns(self.site_mm, self.force_n) | spread
-
-    def to_pandas(self) -> Any:
-        """Return `columns` as a pandas ``DataFrame``."""
-        return data_frame(self.columns())
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the field on matplotlib axes, new ones if none are given, and return them."""

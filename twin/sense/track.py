@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Picture, Pixels, frozen
 from twin.blas_threads import one_blas_thread
-from twin.display import data_frame, html_table, new_axes, one_line, plot_shifts
+from twin.display import Table, html_table, new_axes, one_line, plot_shifts
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
@@ -36,7 +36,7 @@ __all__ = ["STATES", "Found", "Tracker", "analyse_rest", "track", "track_frame"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class Found(Table):
     """Marker motion in one picture; rows are the markers, layers concatenated in the layout's
     order.
 
@@ -116,10 +116,6 @@ class Found:
             "sd_px": self.sd_px,
             "state": self.states,
         }
-
-    def to_pandas(self) -> Any:
-        """Return `columns` as a pandas ``DataFrame``."""
-        return data_frame(self.columns())
 
     def plot(self, ax: Any = None, picture: Picture | None = None) -> Any:
         """Draw the shifts, longer by a stated factor, on matplotlib axes, and return these.

@@ -68,7 +68,7 @@ class Expected:
 
 
 @dataclass(frozen=True, kw_only=True)
-class VisiblePart:
+class _VisiblePart:
     """Fits of the parts in sight.
 
     Attributes
@@ -100,7 +100,7 @@ class VisiblePart:
 
 def fit_visible(
     picture: Picture, templates: Templates, rows: Ints, start_px: Pixels, expected: Expected
-) -> VisiblePart:
+) -> _VisiblePart:
     """Fit the parts in sight of the markers ``rows``, from (k, 2) ``start_px`` on."""
     known = templates.shape[rows]
     noise = templates.noise * templates.usual_misfit
@@ -170,7 +170,7 @@ def fit_visible(
     count = used.sum(axis=1)
     squares = (residual**2 * used / expected_square).sum(axis=1)
     covariance = np.linalg.inv(matrix)
-    return VisiblePart(
+    return _VisiblePart(
         centre_px=centre,
         sd_px=np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])),
         misfit=templates.usual_misfit * squares / np.maximum(count, 1),

@@ -19,16 +19,12 @@ def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> l
     RecipeError
         The scene has no camera, or one that stock Mitsuba lacks.
     """
-    from twin.world.picture.stock_scene import (
-        check_stock,
-        middle_of_window,
-        write_stock_scene,
-    )
+    from twin.world.picture.stock_scene import check_stock, middle_of_window, write_stock_scene
 
     sensor = Sensor(scene, progress)
     actual = sensor.actual.scene
-    exposure = sensor.renderer.exposure
     check_stock(actual)
+    exposure = sensor.renderer.exposure
     # The states: at rest, and pressed if the scene says by what.
     motions: dict[str, Motion | None] = {"rest": None}
     if scene.tractions or scene.press is not None:

@@ -136,6 +136,50 @@ def _fov(pad: Pad) -> float:
     return math.degrees(2 * math.atan(pad.sensor_mm / 2 / pad.focal_mm))
 
 
+def _layer_tables(
+    pad: Pad, layers: list[tuple[float, float, float]], distance: float, plate: float, focal: float
+) -> tuple[str, tuple[float, float]]:
+    """Return the tables of the layers, and what the dots of the first one span along x and y, mm.
+
+    There are as many dots as the camera sees, on the pad without its border.
+    """
+    *sides, thickness = pad.size_mm
+    extent = (0.0, 0.0)
+    text = ""
+    for number, (depth, pitch, diameter) in enumerate(layers):
+        # what the camera sees at this depth, refraction shortening the way
+        way = distance - plate + plate / ACRYLIC + (thickness - depth) / SILICONE
+        seen = [0.95 * way * px / 2 / focal - diameter for px in pad.resolution]
+        room = [side / 2 - max(0.06 * side, diameter) for side in sides]
+        half = [min(pair) for pair in zip(seen, room, strict=True)]
+        columns, rows = (min(int(2 * h / pitch + 1e-9) + 1, 200) - number for h in half)
+        if min(columns, rows) < LEAST_DOTS:
+            raise InputError(
+                f"--pitch-mm {pitch:g} mm: only {max(columns, 0)} x {max(rows, 0)} dots fit "
+                f"into {2 * half[0]:.3g} x {2 * half[1]:.3g} mm that the camera sees of the pad "
+                f"(allowed: {LEAST_DOTS} x {LEAST_DOTS} and more); reduce the pitch, increase "
+                "--fov-deg, or move the camera away (--camera-mm)"
+            )
+        if number == 0:
+            extent = (pitch * (columns - 1), pitch * (rows - 1))
+        name, colour, shares = "dots", "black", [0.03, 0.03, 0.03]
+        if len(layers) == 2:
+            name = colour = ("red", "blue")[number]
+            shares = ([0.75, 0.08, 0.06], [0.06, 0.10, 0.75])[number]
+        text += f"""
+[markers.{name}]
+kind = "print"        # flat dots; "bead" for small spheres
+depth_mm = {depth:.4g}        # below the surface that is pressed
+pitch_mm = {pitch:.4g}
+diameter_mm = {diameter:.4g}
+columns = {columns}          # along x: as many as the camera sees
+rows = {rows}             # along y
+colour = {shares}  # reflectance in red, green, blue
+assumed = "{colour} dots, as given to twin scenes --new"
+"""
+    return text, extent
+
+
 def _recipe_of(pad: Pad) -> str:
     """Return the text of a recipe.
 
@@ -145,71 +189,38 @@ def _recipe_of(pad: Pad) -> str:
         Numbers out of their range, or dots that don't fit.
     """
     width, length, thickness = pad.size_mm
-    for side in (width, length):
+    sides = (width, length)
+    for side in sides:
         _in_range("size-mm", side, "mm", 5, 250, "width and length of the pad come first")
     _in_range("size-mm", thickness, "mm", 1, 100, "the thickness comes last")
     _in_range("modulus-mpa", pad.modulus_mpa, "MPa", 0.003, 50, "1 MPa = 1000 kPa")
-    columns_px, rows_px = pad.resolution
     for pixels in pad.resolution:
         _in_range("resolution", pixels, "px", 64, 8192, "width and height of the picture")
     fov = _fov(pad)
     _in_range("fov-deg", fov, "deg", 5, 120, "the full angle of the picture's width")
-    distance = max(6.0, 1.04 * max(width, length)) if pad.camera_mm is None else pad.camera_mm
+    distance = max(6.0, 1.04 * max(sides)) if pad.camera_mm is None else pad.camera_mm
     _in_range("camera-mm", distance, "mm", 2, 1000, "from the back of the pad to the lens")
+    # The camera behind its plate, the dots that it sees, and LEDs beside it.
     plate = min(3.0, distance / 4)
-    focal = columns_px / 2 / math.tan(math.radians(fov / 2))
+    focal = pad.resolution[0] / 2 / math.tan(math.radians(fov / 2))
     layers = _layers(pad)
-    tables = []
-    extent = (0.0, 0.0)
-    for number, (depth, pitch, diameter) in enumerate(layers):
-        # what the camera sees at this depth, refraction shortening the way
-        way = distance - plate + plate / ACRYLIC + (thickness - depth) / SILICONE
-        seen = [0.95 * way * px / 2 / focal - diameter for px in pad.resolution]
-        room = [side / 2 - max(0.06 * side, diameter) for side in (width, length)]
-        half = [min(pair) for pair in zip(seen, room, strict=True)]
-        counts = [min(int(2 * h / pitch + 1e-9) + 1, 200) - number for h in half]
-        if min(counts) < LEAST_DOTS:
-            raise InputError(
-                f"--pitch-mm {pitch:g} mm: only {max(counts[0], 0)} x {max(counts[1], 0)} dots fit "
-                f"into {2 * half[0]:.3g} x {2 * half[1]:.3g} mm that the camera sees of the pad "
-                f"(allowed: {LEAST_DOTS} x {LEAST_DOTS} and more); reduce the pitch, increase "
-                "--fov-deg, or move the camera away (--camera-mm)"
-            )
-        if number == 0:
-            extent = (pitch * (counts[0] - 1), pitch * (counts[1] - 1))
-        name, colour = (("red", "blue") if len(layers) == 2 else ("dots", ""))[number], "black"
-        shares = [0.03, 0.03, 0.03]
-        if len(layers) == 2:
-            colour, shares = name, ([0.75, 0.08, 0.06], [0.06, 0.10, 0.75])[number]
-        tables.append(
-            f"""
-[markers.{name}]
-kind = "print"        # flat dots; "bead" for small spheres
-depth_mm = {depth:.4g}        # below the surface that is pressed
-pitch_mm = {pitch:.4g}
-diameter_mm = {diameter:.4g}
-columns = {counts[0]}          # along x: as many as the camera sees
-rows = {counts[1]}             # along y
-colour = {shares}  # reflectance in red, green, blue
-assumed = "{colour} dots, as given to twin scenes --new"
-"""
-        )
-    ground = [0.35] * 3 if len(layers) == 1 else [0.03] * 3
-    probe = 0.24 * min(width, length)
+    tables, extent = _layer_tables(pad, layers, distance, plate, focal)
+    height = thickness + distance
+    led = round(max(1.0, 0.48 * min(sides)), 3)
+    led_z = round(height - 0.08 * (distance - plate), 3)
+    # A press by Hertz' law, for rubber that keeps its volume.
+    probe = 0.24 * min(sides)
     depth = min(0.12 * thickness, 0.08 * probe)
-    # Hertz, for rubber that keeps its volume
     force = 16 / 9 * pad.modulus_mpa * math.sqrt(probe / 2) * depth**1.5
-    sides = (width, length)
+    # The sites of forces lie over the dots.
     site = max(layers[0][1], min(max(extent) / (MOST_SITES - 1), min(sides) / 3))
-    counts = [
+    site_columns, site_rows = (
         min(int(own / site + 1e-6) + 1, int(side / site + 1e-6), 64)
         for own, side in zip(extent, sides, strict=True)
-    ]
-    led = max(1.0, 0.48 * min(width, length))
-    height = thickness + distance
-    near = height - 0.08 * (distance - plate)
-    side = round(led, 3)
-    corners = [[x, y, round(near, 3)] for x in (side, -side) for y in (side, -side)]
+    )
+    coat = min(0.1, layers[0][0] / 5)
+    ground = [0.35] * 3 if len(layers) == 1 else [0.03] * 3
+    corners = [[x, y, led_z] for x in (led, -led) for y in (led, -led)]
     slack = min(0.03, min(depth_mm for depth_mm, *_ in layers) / 5)
     printed = min(0.03, min(pitch for _, pitch, _ in layers) / 20)
     return f"""title = "A pad of {width:g} x {length:g} x {thickness:g} mm, by twin scenes --new"
@@ -230,13 +241,13 @@ refractive_index = {SILICONE}
 assumed = "modulus as given; usual values of silicone"
 
 [cover]
-thickness_mm = {min(0.1, layers[0][0] / 5):.4g}  # coat above the dots
+thickness_mm = {coat:.4g}  # coat above the dots
 albedo = {ground}
 assumed = "a thin coat that follows the rubber"
-{"".join(tables)}
+{tables}
 [camera]
-width_px = {columns_px}
-height_px = {rows_px}
+width_px = {pad.resolution[0]}
+height_px = {pad.resolution[1]}
 lens = "pinhole"          # "equidistant" for a fisheye lens
 focal_px = {focal:.5g}    # a picture {fov:.4g} degrees wide
 pupil_mm = [0, 0, {height:.5g}]  # the lens: {distance:g} mm behind the pad's back
@@ -292,8 +303,8 @@ friction = 0.5
 assumed = "usual values of a dry pad"
 
 [reconstruction.sites]    # where forces are found
-columns = {counts[0]}
-rows = {counts[1]}
+columns = {site_columns}
+rows = {site_rows}
 pitch_mm = {site:.4g}
 assumed = "over the dots"
 """

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points, frozen
-from twin.display import data_frame, html_table, new_axes, one_line, plot_patches, vector
+from twin.display import Table, html_table, new_axes, one_line, plot_patches, vector
 from twin.errors import ContactError
 from twin.parts.load import Load, Rectangles
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
@@ -282,7 +282,7 @@ class PressError(Share):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactState:
+class ContactState(Table):
     """A probe and a body in equilibrium; of several probes the first, with the others in ``also``.
 
     Attributes
@@ -414,10 +414,6 @@ class ContactState:
         table["pressure_mpa"] = self.pressure_mpa
         table |= {f"t{a}_mpa": self.traction_mpa[:, i] for i, a in enumerate("xyz")}
         return table | {"slip": self.slip}
-
-    def to_pandas(self) -> Any:
-        """Return `columns` as a pandas ``DataFrame``."""
-        return data_frame(self.columns())
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the pressures of the patches on matplotlib axes, and return these."""

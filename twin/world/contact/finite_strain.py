@@ -374,7 +374,7 @@ def _unsolved(
     return problem
 
 
-def strain_of(
+def _strain_of(
     press: Press,
     body: Body,
     material: Material,
@@ -409,7 +409,7 @@ def measured_linearity(
         return replace(validity, linearisation_basis=f"{ESTIMATED}: nothing touches")
     rubber = material.model_copy(update={"law": "neo_hookean"})
     try:
-        more = strain_of(press, body, rubber, state, watched, coarse=True)
+        more = _strain_of(press, body, rubber, state, watched, coarse=True)
     except InputError as problem:
         cause = str(problem).removeprefix("material.law = neo_hookean: ").split(" at finite")[0]
         return replace(validity, linearisation_basis=f"{ESTIMATED}: {cause} at finite strain")
@@ -457,7 +457,7 @@ def at_finite_strain(
         if not one.load.terms:
             path.append(one)
             continue
-        found = _Found(one, strain_of(press, body, material, one, watched), 0.0, axes)
+        found = _Found(one, _strain_of(press, body, material, one, watched), 0.0, axes)
         if not by_force[Z]:
             found = _held_by_motion(found, press, body, material, watched, solve)
         path.append(_strained(found, one, material.law, judge))
@@ -518,7 +518,7 @@ def _held_by_motion(
             steps=(step,),
         )
         linear = solve(one).path[-1]
-        more = strain_of(one, body, material, linear, watched, like=found.more)
+        more = _strain_of(one, body, material, linear, watched, like=found.more)
         after = _Found(linear, more, stiffening, found.axes)
         if abs(aside) > 10.0 * found.within:
             gained = math.log(after.deep_mm / found.deep_mm)

@@ -290,7 +290,7 @@ class CoveredCompliance:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DisplacementResult:
+class _DisplacementResult:
     """Displacements (n, 3), mm, their estimated largest error over the largest displacement, and
     the compliance of the level that they were taken from."""
 
@@ -358,14 +358,14 @@ class Ladder:
         """The cheapest level that is expected to do."""
         return self._covered or self._at(self._cheapest)
 
-    def displacement(self, points: Points, load: Rectangles) -> DisplacementResult:
+    def displacement(self, points: Points, load: Rectangles) -> _DisplacementResult:
         """Return the (n, 3) displacement of ``points`` under ``load``, from as fine a level as it
         takes; arguments and errors as in `Compliance.displacement`."""
-        best: DisplacementResult | None = None
+        best: _DisplacementResult | None = None
         for rung in self._levels(load):
             moved, error = rung.answer(points, load)
             if best is None or error < best.error:
-                best = DisplacementResult(displacement_mm=moved, error=error, compliance=rung)
+                best = _DisplacementResult(displacement_mm=moved, error=error, compliance=rung)
             if best.error <= self._asked:
                 break
         assert best is not None

@@ -2,8 +2,8 @@
 
 Markers and the deformed cover are triangle meshes with Mitsuba's BSDFs, the window is its
 dielectric interfaces, and its integrator, sampler and film make the picture. Two plug-ins hand it
-the optics. `FoldedCamera` starts its rays inside the body, in the directions that Snell's law gives
-(`twin.world.picture.camera_rays`). `FoldedLeds` finds the way from a place in the body to an LED
+the optics. `_FoldedCamera` starts its rays inside the body, in the directions of Snell's law
+(`twin.world.picture.camera_rays`). `_FoldedLeds` finds the way from a place in the body to an LED
 through the flat window, by Newton's iteration on Snell's sum for each sample. A path integrator
 that knows neither meets small LEDs behind glass by chance only: it needs some ten thousand paths a
 pixel instead of 64 (docs/picture.md).
@@ -122,8 +122,8 @@ class PathTracer:
         return {
             "type": "scene",
             "integrator": paths,
-            "sensor": FoldedCamera(parts, views, self._scene.body.base_z_mm),
-            "leds": FoldedLeds(mi.Properties("folded_leds"), self._scene),
+            "sensor": _FoldedCamera(parts, views, self._scene.body.base_z_mm),
+            "leds": _FoldedLeds(mi.Properties("folded_leds"), self._scene),
         }
 
     def _window(self) -> dict[str, Any]:
@@ -144,7 +144,7 @@ class PathTracer:
         return table
 
 
-class FoldedCamera(mi.Sensor):
+class _FoldedCamera(mi.Sensor):
     """Mitsuba's sensor: rays between those through the corners of a pixel, inside the body.
 
     Parameters
@@ -204,7 +204,7 @@ class FoldedCamera(mi.Sensor):
         return "FoldedCamera"
 
 
-class FoldedLeds(mi.Emitter):
+class _FoldedLeds(mi.Emitter):
     """Mitsuba's emitter: all LEDs, seen from places in the body through the flat window.
 
     Parameters
