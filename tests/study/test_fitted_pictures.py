@@ -1,6 +1,7 @@
 """The fitted twin through rendered pictures: contact, pictures, tracking, load cell, fit, against the made sensor."""
 
 import csv
+import re
 
 import numpy as np
 import pytest
@@ -52,5 +53,8 @@ def test_a_folder_of_photographed_presses_is_fitted(tmp_path):
             rows.append([name, *centre[:2], "", *force])
     with open(tmp_path / "presses.csv", "w", newline="") as file:
         csv.writer(file).writerows(rows)
-    assert "6 presses" in calibrate.calibrate_to_file(scene, tmp_path / "c.npz", folder=tmp_path)
+    told = calibrate.calibrate_to_file(scene, tmp_path / "c.npz", folder=tmp_path)
+    assert "6 presses" in told
+    modulus = float(re.search(r"Young's modulus (\S+) ", told)[1])
+    assert modulus == pytest.approx(sensor.actual.scene.material.youngs_modulus_mpa, rel=0.01), told
     assert transfer_error(sensor, read_calibration(tmp_path / "c.npz")) < 0.02

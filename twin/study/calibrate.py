@@ -140,7 +140,27 @@ def calibrate_to_file(
     write_calibration(made, out)
     if progress is not None:
         progress("done", 1.0)
-    return f"{out}: {scene.calibration.method}, {len(made.site_mm)} sites, {text}"
+    line = f"{out}: {scene.calibration.method}, {len(made.site_mm)} sites, {text}"
+    return "\n".join([line, *_fitted_numbers(scene, json.loads(made.provenance))])
+
+
+def _fitted_numbers(scene: Scene, facts: dict[str, Any]) -> list[str]:
+    """Return lines on the rubber and the layers that a fit found, beside those of the drawing."""
+    modulus, nu = scene.material.youngs_modulus_mpa, scene.material.poisson_ratio
+    drawn = {
+        "youngs_modulus": ("Young's modulus", modulus, modulus, " MPa"),
+        "poisson_ratio": ("Poisson's ratio", nu, 1.0, ""),
+        **{
+            f"depth_{name}": (f"depth of {name}", layer.depth_mm, 1.0, " mm")
+            for name, layer in scene.markers.items()
+        },
+    }
+    return [
+        f"fitted  {what} {value + found['deviation'] * scale:.3g}{unit}, drawn {value:g}{unit}"
+        for name, found in facts.get("fitted", {}).items()
+        if name in drawn
+        for what, value, scale, unit in [drawn[name]]
+    ]
 
 
 def sensor_digest(scene: Scene) -> str:
@@ -355,7 +375,13 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
         marker_mm=markers,
         camera=optics(scene, design.camera_of(found.scaled)),
     )
-    facts = {"fitted": design.deviations(found), "model_px": found.model_px}
+    fitted = design.deviations(found)
+    stiffer = 1 + fitted.get("youngs_modulus", {}).get("deviation", 0.0)
+    facts = {
+        "fitted": fitted,
+        "model_px": found.model_px,
+        "youngs_modulus_mpa": scene.material.youngs_modulus_mpa * stiffer,
+    }
     return _with_facts(made, presses, facts)
 
 

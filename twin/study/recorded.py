@@ -739,7 +739,7 @@ def _described(known: Calibration) -> str:
     parts = [
         str(known.facts.get("scene") or "of an unnamed sensor"),
         f"method {known.method}",
-        *([f"E {stiffness} MPa"] if stiffness is not None else []),
+        *([f"E {stiffness:.3g} MPa"] if stiffness is not None else []),
         f"{len(known.layer)} markers",
         f"{len(known.site_mm)} sites",
     ]
