@@ -1,83 +1,22 @@
-"""Datasets: where a sample's time goes, stage by stage, and what dask's workers add.
+"""Datasets: where a sample's time goes, stage by stage.
 
-CPU milliseconds a sample of one process, after a shard that warms everything up. The last rows are of one process and
-of dask with 1 and 2 workers: every shard says how many CPU seconds its samples took; whatever else all processes spend
-until the last shard is there (messages, the way of the bytes, heartbeats) is the overhead.
+CPU milliseconds a sample of one process, after a shard that warms everything up.
 """
 
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from twin.blas_threads import one_thread
 from twin.study import sensor
-from twin.study.batch.pool import Done, Job, run_tasks, unpacked
+from twin.study.batch.pool import unpacked
 from twin.study.dataset import sample
 from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import job_of, prepare
-from twin.study.dataset.sample import ShardBytes, make_shard
 from twin.study.recipe import load_scene
-
-WARM = 3
-"""Shards of every worker before the clock is started."""
-
-
-def timed(folder: Path, shard: int) -> tuple[ShardBytes, float]:
-    """Make a shard; return it with the CPU seconds that it took."""
-    started = time.process_time()
-    made = make_shard(folder, shard)
-    return made, time.process_time() - started
-
-
-def _by_workers(name: str, scene: str, overrides: dict[str, Any], samples: int) -> list[dict[str, Any]]:
-    """Return a row for one process without dask, and for one and two workers of it."""
-    loaded = load_scene(scene, overrides)
-    each = loaded.dataset.samples_per_shard
-    shards = samples // each
-    found = []
-    for workers in (0, 1, 2):
-        with tempfile.TemporaryDirectory(prefix="twin-benchmark-") as folder, one_thread():
-            places = Places(Path(folder))
-            places.meta.mkdir()
-            prepare(Plan(loaded, (WARM * 2 + shards) * each), places, None)
-            job = Job(files=job_of(places).files, work=f"{__name__}:timed")
-            with _runner(workers) as run:
-                warm = WARM * max(1, workers)
-                for _ in run(job, range(warm)):
-                    pass
-                clock, before = time.perf_counter(), _cpu()
-                spent = sum(done.result[1] for done in run(job, range(warm, warm + shards)))
-                wall, cpu = time.perf_counter() - clock, _cpu() - before
-        count = shards * each
-        how = f"dask, {workers} worker{'s' if workers > 1 else ''}" if workers else "one process"
-        overhead = 100 * (cpu / spent - 1)
-        row = {"what": f"{name}, {how}", "samples": count, "total": 1000 * cpu / count}
-        found.append(row | {"overhead_percent": overhead, "per_s_wall": count / wall})
-    return found
-
-
-@contextmanager
-def _runner(workers: int) -> Iterator[Callable[[Job, Iterable[int]], Iterator[Done]]]:
-    """Give what does tasks: so many of dask's workers, also a single one; this process without any."""
-    if not workers:
-        yield run_tasks
-        return
-    from twin.study.batch.pool import tasks_on_cluster, workers_here
-
-    with workers_here(workers) as cluster:
-        yield lambda job, numbers: tasks_on_cluster(job, numbers, cluster)
-
-
-def _cpu() -> float:
-    """Return the CPU seconds of this process and of all that it started and that still run."""
-    import psutil
-
-    this = psutil.Process()
-    return float(sum(sum(p.cpu_times()[:2]) for p in (this, *this.children(recursive=True))))
-
 
 TRUTH = ["force_n", "surface_force_n", "site_force_n", "site_contact", "marker_displacement_mm", "marker_pressed_px"]
 FRICTIONLESS = {
@@ -119,15 +58,10 @@ MANY = 96
 
 
 def run(quick: bool) -> list[dict[str, Any]]:
-    """Return one row a case and one a number of workers; the quick form tries four samples of two cases."""
+    """Return one row a case; the quick form tries four samples of two cases."""
     if quick:
         return [_case(*case, FEW) for case in CASES[1:3]]
-    usual, quickest = {"dataset.columns": TRUTH}, {"dataset.columns": TRUTH, **RECTANGLE}
-    return [
-        *(_case(*case, MANY if "no pictures" in case[0] else COUNT) for case in CASES),
-        *_by_workers("flat, no pictures, friction", "dataset_kamiyama", usual, 200),
-        *_by_workers("flat, no pictures, a rectangle given", "dataset_tractions", quickest, 3000),
-    ]
+    return [_case(*case, MANY if "no pictures" in case[0] else COUNT) for case in CASES]
 
 
 def _case(name: str, scene: str, overrides: dict[str, Any], count: int) -> dict[str, Any]:

@@ -556,10 +556,9 @@ def _dataset() -> dict[str, str]:
     cores = read("dataset")["machine"]["cores"]
     rows = []
     for row in stored("dataset"):
-        before = list(row)[: list(row).index("total") + 1] if "contact" in row else []
-        # samples a second that all cores make, after what one takes; of rows by stage only
-        rate = {"per_s": 1000.0 * cores / row["total"]} if before else {}
-        rows.append({key: row[key] for key in before} | rate | row)
+        before = list(row)[: list(row).index("total") + 1]
+        # samples a second that all cores make, after what one takes
+        rows.append({key: row[key] for key in before} | {"per_s": 1000.0 * cores / row["total"]} | row)
     return {"results": f"{measured_on('dataset', cores=True)}\n\n{table(rows)}\n"}
 
 

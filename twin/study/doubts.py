@@ -98,17 +98,16 @@ def shift_bound(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
         )
     psf_px = scene.ccd.spelt_out().psf_px
     assert psf_px is not None
-    contrast, noise = _pixel_noise(scene, layer, height=0.5)
+    contrast, noise = _edge_noise(scene, layer)
     if contrast == 0:  # black markers
         return np.full(np.shape(diameter_px), np.inf)
     bound = centre_bound(np.maximum(diameter_px, 1e-3), contrast, psf_px, noise)
     return np.asarray(np.sqrt(2.0) * bound)
 
 
-def _pixel_noise(scene: Scene, layer: str, height: float) -> tuple[float, float]:
+def _edge_noise(scene: Scene, layer: str) -> tuple[float, float]:
     """Return a layer's contrast (0 where everything is black) and the standard deviation of a
-    pixel, counts, at a height of the marker's rim (1 is inside).
-    """
+    pixel half on the marker, counts."""
     ccd = scene.ccd.spelt_out()
     assert ccd.full_well_e is not None
     assert ccd.read_noise_e is not None
@@ -123,8 +122,7 @@ def _pixel_noise(scene: Scene, layer: str, height: float) -> tuple[float, float]
     contrast = max(abs(inside - ground), 1e-3 * white)
     if not ccd.noise:
         return contrast, 0.3
-    level = height * inside + (1 - height) * ground
-    return contrast, pixel_sd(level, _FULL_SCALE, ccd.full_well_e, ccd.read_noise_e)
+    return contrast, pixel_sd((inside + ground) / 2, _FULL_SCALE, ccd.full_well_e, ccd.read_noise_e)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -310,7 +310,7 @@ class Sensor:
         InputError
             The load misses the sensing surface.
         """
-        points = _as_points(points_mm, "points_mm")
+        points = _as_points(points_mm)
         load = _load_of(load)
         found = self.ladder.displacement(points, self.rectangles(load.moving))
         self._warn_if_inaccurate(found.error)
@@ -699,7 +699,7 @@ class Sensor:
         scene = self.actual.scene if which == "actual" else self.nominal
         if scene.camera is None:
             return np.zeros((0, 2))
-        points = _as_points(points_mm, "points_mm")
+        points = _as_points(points_mm)
         return project(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
 
     @cached_property
@@ -759,11 +759,13 @@ def _covered(
     )
 
 
-def _as_points(given: object, what: str) -> Points:
+def _as_points(points_mm: object) -> Points:
     try:
-        points = np.asarray(given, np.float64)
+        points = np.asarray(points_mm, np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"{what}: must be numbers of shape (n, 3), got {given!r:.60}") from None
+        raise InputError(
+            f"points_mm: must be numbers of shape (n, 3), got {points_mm!r:.60}"
+        ) from None
     if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"{what}: must have shape (n, 3), got {points.shape}")
+        raise InputError(f"points_mm: must have shape (n, 3), got {points.shape}")
     return points
