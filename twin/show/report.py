@@ -244,12 +244,9 @@ def _difference(rest: Picture, pressed: Picture) -> list[str]:
 
 def _press(result: RunResult) -> str:
     """Return the resultants, the contact, and why a single layer's push is uncertain."""
-    contact = result.facts.get("contact")
-    shown = ""
-    if isinstance(contact, Mapping):
-        wanted = ("indentation_mm", "contact_radius_mm", "area_mm2", "peak_pressure_mpa")
-        known = (key for key in wanted if finite(contact.get(key)) is not None)
-        shown = _facts({key: contact[key] for key in known})
+    contact = result.facts.get("contact", {})
+    wanted = ("indentation_mm", "contact_radius_mm", "area_mm2", "peak_pressure_mpa")
+    shown = _facts({key: contact[key] for key in wanted if finite(contact.get(key)) is not None})
     total = _figure(result.score or {}, "force", "total_force_error")
     cause = ""
     if total is not None and abs(total) > LIMITS["force.total_force_error"][0]:
@@ -258,9 +255,9 @@ def _press(result: RunResult) -> str:
     return _resultants(result) + note + shown + _course(result.facts.get("course"))
 
 
-def _course(course: Any) -> str:
+def _course(course: Mapping[str, Any] | None) -> str:
     """Return the force along z against time; empty where the press takes none."""
-    if not isinstance(course, Mapping):
+    if course is None:
         return ""
     points = np.column_stack([course["time_s"], course["z_n"]])
     most, top = points.max(axis=0).tolist()
@@ -274,8 +271,7 @@ def _course(course: Any) -> str:
 def _errors(score: Mapping[str, Any] | None) -> str:
     if not score:
         return ""
-    given = score.get("reasons")
-    reasons: Mapping[str, Any] = given if isinstance(given, Mapping) else {}
+    reasons: Mapping[str, Any] = score.get("reasons", {})
     stages = [s for s in _STAGES if s in score] + [
         s for s in score if s not in (*_STAGES, "reasons", "facts")
     ]
@@ -330,7 +326,7 @@ def _times(timings: Mapping[str, float]) -> str:
         f'style="width:{100 * max(seconds, 0) / longest:.1f}%"></span></td></tr>'
         for stage, seconds in times.items()
     ]
-    if "total" not in times and len(times) > 1:
+    if len(times) > 1:
         total = sum(times.values())
         rows.append(
             f'<tr><th scope="row">together</th><td '
@@ -539,7 +535,7 @@ def _shifts(seen: _Sighting, axes: Axes, scale: float, name: str, style: str, ma
             scale * seen.tracked_shift_px[mask],
             f"tracked {style}",
         )
-        + crosses(axes, seen.place_px[mask & seen.lost], "lost")
+        + crosses(axes, seen.place_px[mask & seen.lost])
     )
     markers = f"{int(mask.sum())} markers"
     say = f"Shifts of the {name} layer in the picture, {markers}, {lost} not tracked"
@@ -697,11 +693,8 @@ def _maps(result: RunResult, sites: Points, fields: list[tuple[str, Floats]]) ->
 
 def _contact(result: RunResult) -> tuple[tuple[float, float], float] | None:
     """Return centre and radius of the true contact, mm, if the run has a radius."""
-    contact = result.facts.get("contact")
     truth = result.truth
-    radius = finite(
-        (contact if isinstance(contact, Mapping) else result.facts).get("contact_radius_mm")
-    )
+    radius = finite(result.facts.get("contact", {}).get("contact_radius_mm"))
     if truth is None or not len(truth.surface_mm) or radius is None or radius <= 0:
         return None
     low, high = truth.surface_mm[:, :2].min(axis=0), truth.surface_mm[:, :2].max(axis=0)

@@ -163,13 +163,13 @@ def arrows(axes: Axes, tails: Floats, vectors: Floats, style: str) -> str:
     return path(steps, style)
 
 
-def crosses(axes: Axes, points: Floats, style: str) -> str:
-    """Return one path with an x at each of the (n, 2) ``points``."""
+def crosses(axes: Axes, points: Floats) -> str:
+    """Return one path with an x at each of the (n, 2) ``points``, which were lost."""
     steps = [
         f"M{x - 3.0:.1f} {y - 3.0:.1f}l6 6m0 -6l-6 6"
         for x, y in axes.place(points[np.isfinite(points).all(axis=1)]).tolist()
     ]
-    return path(steps, style)
+    return path(steps, "lost")
 
 
 def dots(axes: Axes, points: Floats, style: str, radius: float) -> str:

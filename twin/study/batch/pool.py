@@ -9,6 +9,9 @@ own; no common file system is needed. A task that loses its worker is repeated b
 whose workers die again and again is reported and left out. Results travel to this process, which
 alone writes.
 
+Why copies and not ``concurrent.futures``: its processes can't be killed at once before Python 3.14,
+and Ctrl-C would wait for their tasks.
+
 Peers unpickle what they receive, so the workers of this machine communicate over TLS with a key
 that this process makes and keeps in memory (docs/dataset.md).
 """
