@@ -44,6 +44,8 @@ NARROW: dict[tuple[str, str], Strategy] = {
     ("Material", "refractive_index"): st.floats(1.0, 1.8),
     ("Term", "share"): st.floats(0.01, 0.3),
     ("Light", "colours"): st.just(()),  # as many as LEDs, which are drawn apart
+    ("Ccd", "frames_per_second"): st.none(),  # exposure and readout must fit a frame
+    ("Ccd", "readout_ms"): st.just(0.0),
     ("Cover", "thickness_mm"): st.floats(0.05, 0.4),
     ("Cover", "youngs_modulus_mpa"): st.none(),
     ("Cover", "poisson_ratio"): st.none(),

@@ -198,6 +198,10 @@ def run(
         bool,
         Parameter(help="Move the probe by hand in a page on this machine instead.", negative=""),
     ] = False,
+    film: Annotated[
+        bool,
+        Parameter(help="Film the press's steps instead, at ccd.frames_per_second.", negative=""),
+    ] = False,
     open_: Annotated[
         bool, Parameter(name="--open", help="Open the report in the browser.", negative="")
     ] = False,
@@ -220,13 +224,20 @@ def run(
     errors. It listens on this machine only. Fewer contact patches and coarser pictures than the
     scene's are the default.
 
+    With --film the folder (default out/<scene>/film) gets frames/000000.png and so on, rest.png,
+    and truth.npz: of every frame time, force, contact, slip of every patch, and markers' places.
+    twin reconstruct reads the pictures. Ctrl-C keeps those that are written.
+
     Examples:
     twin run kamiyama_pillar
     twin run my_scene.toml -s press.force_n='{z=2}' --out out/two
     twin run sato_press --want displacement
     twin run gelpad_press --open
     twin run kamiyama_pillar --live
+    twin run gelpad_slide --film
     """
+    if film and (live or want or open_ or json_):
+        raise InputError("--film has pictures and their truth only: leave out other options")
     if live:
         if open_ or json_:
             raise InputError("--live has no report and no result: leave out --open and --json")
@@ -235,12 +246,19 @@ def run(
     if port:
         raise InputError("--port: belongs to --live")
     from twin.study.recipe import find_scene
-    from twin.study.run import run_to_folder
 
     wanted = _wanted(want)
     path = find_scene(scene)
     loaded = _load(scene, set_)
     folder = out or Path("out") / _file_name(path, set_)
+    if film:
+        from twin.study.film import film_to_folder
+
+        with _scene_named(scene):
+            print(film_to_folder(loaded, out or folder / "film", progress=_progress()))
+        return
+    from twin.study.run import run_to_folder
+
     if open_ and "report" not in wanted:
         raise InputError("--open: --want leaves the report out; add report to it")
     try:
@@ -565,9 +583,10 @@ def view(
         print(view_dataset(folder, out or Path(f"{folder.name or 'dataset'}.html")))
         return
     from twin.files import make_folder
+    from twin.study.film import FILMS, write_film
     from twin.study.recipe import find_scene
     from twin.study.sensor import Sensor
-    from twin.study.view import FILMS, view_scene, write_film
+    from twin.study.view import view_scene
 
     # The page of a run goes into the run's folder, that of a scene into the current one.
     if folder.is_dir() and not (folder / "scene.toml").is_file():

@@ -1,4 +1,4 @@
-"""A press's path as an animated picture."""
+"""A press's path as an animated picture, and filmed at the camera's frame rate with the truth of every frame."""
 
 from pathlib import Path
 
@@ -8,8 +8,11 @@ from PIL import Image, ImageSequence
 
 import twin
 from twin.errors import InputError, RecipeError
+from twin.parts.press import Step
+from twin.sense.track import Tracker
+from twin.study.film import PARTS, at_frames, film_to_folder, in_parts, write_film
+from twin.study.recorded import frames, read_picture
 from twin.study.sensor import Sensor
-from twin.study.view import PARTS, in_parts, write_film
 
 QUICK = {"accuracy.contact_patches": 6, "accuracy.centroid_px": 0.1, "camera.width_px": 320, "camera.height_px": 240,
          "camera.focal_px": 907.4, "ccd.noise": False}  # fmt: skip
@@ -18,7 +21,8 @@ QUICK = {"accuracy.contact_patches": 6, "accuracy.centroid_px": 0.1, "camera.wid
 def test_a_path_in_parts_comes_to_the_same_ends() -> None:
     scene = twin.load_scene("kamiyama_shear", {"accuracy.contact_patches": 6})
     sensor = Sensor(scene)
-    whole, parted = sensor.press(), sensor.press(in_parts(scene.press, 4))
+    quarters = [[0.25, 0.5, 0.75, 1.0]] * len(scene.press.path)
+    whole, parted = sensor.press(), sensor.press(in_parts(scene.press, quarters))
     assert len(parted.path) == 4 * len(whole.path)
     for number, end in enumerate(whole.path, start=1):
         same = parted.path[4 * number - 1]
@@ -46,3 +50,79 @@ def test_what_has_no_film_is_said(tmp_path: Path) -> None:
         write_film(Sensor(twin.load_scene("finger_bare")), tmp_path / "film.gif")
     with pytest.raises(InputError, match=r"\.gif or \.png"):
         write_film(Sensor(twin.load_scene("kamiyama_pillar")), tmp_path / "film.avi")
+
+
+STEPS = (
+    Step(force_n=(None, None, 0.2), seconds=0.08),
+    Step(force_n=(None, None, 0.2), move_mm=(0.5, None, None), seconds=0.1),
+)
+FILMED = {"accuracy.contact_patches": 6, "accuracy.contact_increments": 2, "ccd.frames_per_second": 25}
+
+
+def sliding(**keys):
+    scene = twin.load_scene("gelpad_slide", FILMED | keys)
+    return scene.model_copy(update={"press": scene.press.model_copy(update={"steps": STEPS})})
+
+
+def test_a_press_is_cut_at_every_frame() -> None:
+    press, ends_s = at_frames(sliding().press, 25)
+    np.testing.assert_allclose(ends_s, [0.04, 0.08, 0.12, 0.16, 0.18])
+    np.testing.assert_allclose([step.force_n[2] for step in press.path], [0.1, 0.2, 0.2, 0.2, 0.2])
+    np.testing.assert_allclose([step.move_mm[0] or 0.0 for step in press.path], [0, 0, 0.2, 0.2, 0.1])
+    np.testing.assert_allclose(np.cumsum([step.seconds for step in press.path]), ends_s)
+
+
+def test_a_film_has_the_truth_of_its_frames_and_the_tracker_reads_it_back(tmp_path: Path) -> None:
+    scene = sliding()
+    said = film_to_folder(scene, tmp_path / "film")
+    assert "5 pictures in 0.16 s" in said
+    truth = np.load(tmp_path / "film" / "truth.npz")
+    np.testing.assert_allclose(truth["time_s"], [0, 0.04, 0.08, 0.12, 0.16])
+    np.testing.assert_allclose(truth["force_n"][:, 2], [0, 0.1, 0.2, 0.2, 0.2], atol=1e-7)
+    np.testing.assert_allclose(truth["probe_move_mm"][:, 0], [0, 0, 0, 0.2, 0.4], atol=1e-9)
+    # At first all of it sticks; then it slips from the rim inwards, and the friction is used up at last.
+    assert np.isnan(truth["slip_share"][0])
+    assert np.all(np.diff(truth["slip_share"][2:]) > 0)
+    assert truth["slip_share"][2] < 0.1
+    assert truth["slip_share"][4] > 0.9
+    last = truth["patch_frame"] == 4
+    np.testing.assert_allclose(truth["patch_force_n"][last].sum(axis=0), truth["force_n"][4], atol=1e-7)
+    assert truth["patch_slip"][last].mean() == pytest.approx(truth["slip_share"][4], abs=1e-9)
+    # What the software sees is where the markers are in the middle of each exposure.
+    tracker = Tracker(read_picture(tmp_path / "film" / "rest.png"), Sensor(scene).layout_px)
+    seen = [one.picture for one in frames([str(tmp_path / "film" / "frames")], None, None, None)]
+    assert len(seen) == 5
+    for number, picture in enumerate(seen):
+        shift = tracker.track(picture).shift_px
+        true = truth["marker_outline_px"][number] - truth["marker_outline_rest_px"]
+        off = (shift - true)[truth["marker_visible"][number] > 0.98]
+        assert np.isfinite(off).mean() > 0.95
+        assert np.sqrt(np.nanmean(off**2)) < 0.03
+    assert np.abs(true).max() > 3
+
+
+def test_an_interrupted_film_keeps_its_frames_and_their_truth(tmp_path: Path) -> None:
+    def stop(what: str, _: float) -> None:
+        if what.startswith("picture 3"):
+            raise KeyboardInterrupt
+
+    folder = tmp_path / "film"
+    with pytest.raises(KeyboardInterrupt):
+        film_to_folder(sliding(), folder, stop)
+    assert [path.name for path in sorted((folder / "frames").iterdir())] == ["000000.png", "000001.png"]
+    assert len(np.load(folder / "truth.npz")["time_s"]) == 2
+
+
+def test_what_has_no_frames_is_said(tmp_path: Path) -> None:
+    scene = sliding()
+    still = scene.model_copy(update={"ccd": scene.ccd.model_copy(update={"frames_per_second": None})})
+    with pytest.raises(RecipeError, match="frames_per_second: a film needs it"):
+        film_to_folder(still, tmp_path)
+    with pytest.raises(RecipeError, match=r"seconds sum to 0, .* makes 1 pictures"):
+        film_to_folder(twin.load_scene("gelpad_press", {"ccd.frames_per_second": 30}), tmp_path)
+    held = (Step(move_mm=(None, None, 0.2), seconds=1.0), STEPS[0])
+    with pytest.raises(RecipeError, match="step 2 is held by force in a direction in which the one before"):
+        at_frames(scene.press.model_copy(update={"steps": held}), 30)
+    (tmp_path / "rest.png").write_bytes(b"mine")
+    with pytest.raises(InputError, match=r"holds rest\.png, which no film wrote"):
+        film_to_folder(scene, tmp_path)

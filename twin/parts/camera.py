@@ -350,6 +350,12 @@ class Ccd(Part):
         Read noise, electrons rms.
     dark_current_e_s, exposure_ms
         Electrons that gather without light, per second, and for how long.
+    frames_per_second
+        How many pictures the camera takes of a press whose steps take seconds. Each is then the
+        mean of the light over ``exposure_ms``; without it pictures are of one instant.
+    readout_ms
+        How much later than the first row the last one is exposed (a rolling shutter); the middle of
+        the middle row's exposure is a picture's time. Only with ``frames_per_second``.
     prnu_pct, dsnu_e
         Standard deviations over the pixels of their gain, percent, and of their dark signal,
         electrons: the same in every picture of a sensor.
@@ -403,6 +409,8 @@ class Ccd(Part):
     quantum_efficiency: Triple | None = None
     dark_current_e_s: float | None = Field(default=None, ge=0, le=1e9)
     exposure_ms: float | None = Field(default=None, gt=0, le=1e5)
+    frames_per_second: float | None = Field(default=None, gt=0, le=1e5)
+    readout_ms: float = Field(default=0.0, ge=0, le=1e5)
     prnu_pct: float | None = Field(default=None, ge=0, le=50)
     dsnu_e: float | None = Field(default=None, ge=0, le=1e6)
     hot_pixels: int = Field(default=0, ge=0, le=10**6)
@@ -444,6 +452,21 @@ class Ccd(Part):
         if isinstance(band, tuple) and not all(0.05 <= f <= 100 for f in band):
             raise ValueError(
                 f"bandwidth_mhz = {band}: each must be 0.05 to 100 MHz, or all of it 'off'"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _fits_a_frame(self) -> Ccd:
+        exposure_ms = self.spelt_out().exposure_ms
+        assert exposure_ms is not None
+        if self.frames_per_second is None:
+            if self.readout_ms:
+                raise ValueError(f"readout_ms = {self.readout_ms:g}: give frames_per_second, too")
+        elif max(exposure_ms, self.readout_ms) * self.frames_per_second > 1000:
+            raise ValueError(
+                f"exposure_ms = {exposure_ms:g} and readout_ms = {self.readout_ms:g}: each must be "
+                f"at most a frame's time, 1000 / frames_per_second = "
+                f"{1000 / self.frames_per_second:.4g} ms"
             )
         return self
 

@@ -50,6 +50,8 @@ LATER: tuple[tuple[str, object], ...] = (
     ("dead_pixels", 0),
     ("row_noise_e", 0.0),
     ("column_noise_e", 0.0),
+    ("frames_per_second", None),
+    ("readout_ms", 0.0),
 )
 """Keys that came later, with the value that stands for what was before: hashes leave them out, so
 that files stored under a hash of all keys stay valid."""

@@ -21,7 +21,7 @@ from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.load import Load
 from twin.parts.press import Press
 from twin.parts.scene import Scene
-from twin.study.sensor import Motion, Sensor
+from twin.study.sensor import Sensor
 
 if TYPE_CHECKING:
     from twin.sense.calibration import Calibration
@@ -226,7 +226,7 @@ class Environment:
         calibration, tracker = self._software()
         # What happens: displacement and picture.
         patches = sensor.rectangles(load)
-        motion = self._motion(load)
+        motion = sensor.quick_motion(load)
         self._exposure += 1
         picture = sensor.picture(motion, self._exposure)
         # What the sensor's software makes of the picture.
@@ -260,15 +260,6 @@ class Environment:
             truth=truth,
             error=error,
             exposure=self._exposure,
-        )
-
-    def _motion(self, load: Load) -> Motion:
-        """Return how the markers move; with gradients only where a picture shows them."""
-        cover = self.sensor.nominal.cover
-        if cover is not None and cover.deforms:
-            return self.sensor.motion(load)
-        return self.sensor.motion_of_patches(
-            self.sensor.rectangles(load), load=load, strained=self.sensor.markers_strain
         )
 
     def _software(self) -> tuple[Calibration, Tracker]:

@@ -413,6 +413,16 @@ class Sensor:
             lambda p: self.compliance.displacement(p, gathered(p, whole)),
         )
 
+    def quick_motion(self, load: Load) -> Motion:
+        """Return the motion of the actual markers on the first level of mesh, with gradients only
+        where a picture shows them; `motion` where the cover deforms."""
+        cover = self.nominal.cover
+        if cover is not None and cover.deforms:
+            return self.motion(load)
+        return self.motion_of_patches(
+            self.rectangles(load), load=load, strained=self.markers_strain
+        )
+
     @cached_property
     def stiff_beads(self) -> StiffBeads | None:
         """The actual rigid beads and their interaction; None where no layer is ``stiff``."""
@@ -604,20 +614,22 @@ class Sensor:
             raise InputError(f"exposure = {number!r}: allowed are whole numbers from 0")
         motion = self._moved(load)
         cover = motion.cover if motion is not None else None
-        return self._exposed(self.renderer.radiance(self.ellipsoids(motion), cover), number)
+        return self.exposed(self.renderer.radiance(self.ellipsoids(motion), cover), number)
 
     def seen(self, motion: Motion | None, exposure: int) -> tuple[Picture, Outlines]:
         """Return `picture` and the markers' visible outlines, for little more than the picture's
         time."""
         cover = motion.cover if motion is not None else None
         radiance, outlines = self.renderer.seen(self.ellipsoids(motion), cover)
-        return self._exposed(radiance, exposure), outlines
+        return self.exposed(radiance, exposure), outlines
 
-    def _exposed(self, radiance: Singles, exposure: int) -> Picture:
+    def exposed(self, radiance: Singles, exposure: int, before: Singles | None = None) -> Picture:
+        """Return the CCD picture of light on the sensor; ``before`` is that of the field
+        before."""
         from twin.world.picture.ccd import expose, saturated_share
 
         noise = stream(self.nominal.seed, Purpose.EXPOSURE, exposure)
-        picture = expose(radiance, self.nominal.ccd, noise, self.pattern)
+        picture = expose(radiance, self.nominal.ccd, noise, self.pattern, before)
         share = saturated_share(picture)
         if share > SATURATED and self.saturation is None:
             self.saturation = (

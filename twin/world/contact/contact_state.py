@@ -406,6 +406,19 @@ class ContactState(Table):
         first = self.load.terms[0] if len(self.slip) else None
         return first if isinstance(first, Rectangles) else None
 
+    @property
+    def slips(self) -> Bools:
+        """(m,) whether each patch under every probe slips, in the order of the load's terms."""
+        return np.concatenate([one.slip for one in (self, *self.also)])
+
+    @property
+    def slip_share(self) -> float:
+        """Share of the contact's area, under all probes, that slips: 0 sticks, 1 slides, what is
+        between is incipient slip; NaN where nothing touches."""
+        terms = [term for term in self.load.terms if isinstance(term, Rectangles)]
+        areas = [one.half_mm.prod(axis=1) for one in terms]
+        return float(np.average(self.slips, weights=np.concatenate(areas))) if areas else math.nan
+
     def columns(self) -> dict[str, np.ndarray]:
         """Return a row for every patch in contact: centre, mm, pressure and traction, MPa, and
         whether it slips."""

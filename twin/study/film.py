@@ -1,0 +1,408 @@
+"""Films of a press: what the camera sees along its path.
+
+`write_film` makes one animated picture for people. `film_to_folder` films at the camera's frame
+rate while the press's steps take their seconds: pictures, and the truth of each in ``truth.npz``.
+`Exposures` makes a picture while markers move: the mean of the light over the exposure, between
+solved states along straight lines in time.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+from itertools import accumulate, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from twin.arrays import Floats, Picture, Pixels, Progress, Singles
+from twin.blas_threads import one_blas_thread
+from twin.errors import ContactError, InputError, RecipeError, SomeFailed
+from twin.files import make_folder, png_bytes, write_whole
+from twin.parts.load import Load
+from twin.parts.press import Press, Step, Triple
+from twin.parts.scene import Scene
+from twin.study.recipe import dump_scene
+from twin.study.sensor import Motion, Sensor
+
+if TYPE_CHECKING:
+    from twin.world.contact.contact_state import ContactState
+    from twin.world.picture.cover import CoverMotion
+
+PARTS = 8
+"""Frames of a step of an animated picture."""
+
+_FRAME_MS, _LAST_MS = 120, 1200
+FILMS = {".gif": "GIF", ".png": "PNG"}
+"""GIF, or animated PNG, which keeps every colour."""
+
+_SAME_S = 1e-9
+"""Times are the same within this."""
+
+MOST_FRAMES = 100_000
+
+_KEPT = 8
+"""States whose motion is kept."""
+
+
+def in_parts(press: Press, ends: Sequence[Sequence[float]]) -> Press:
+    """Return the press with every step of its path, and of further probes', in parts.
+
+    Forces and torques grow from those of the step before, motions, turns and seconds are shared
+    out; what was held by motion before takes its force at once. A probe that is lifted by a force
+    of 0 leaves at the end of the step. An oblique press without steps is left as it is.
+
+    Parameters
+    ----------
+    press
+        The press.
+    ends
+        For each step the shares of it at which its parts end, rising to 1.
+    """
+    if press.direction is not None and not press.steps:
+        return press
+    before = Step(force_n=(0.0, 0.0, 0.0), torque_nmm=(0.0, 0.0, 0.0))
+    steps = []
+    for (last, step), shares in zip(pairwise((before, *press.path)), ends, strict=True):
+        for begin, end in pairwise((0.0, *shares)):
+            steps.append(
+                Step(
+                    force_n=_grown(last.force_n, step.force_n, end),
+                    torque_nmm=_grown(last.torques_nmm, step.torques_nmm, end),
+                    move_mm=_shared(step.move_mm, end - begin),
+                    turn_deg=_shared(step.turns_deg, end - begin),
+                    seconds=step.seconds * (end - begin),
+                )
+            )
+    also = tuple(in_parts(other, ends) for other in press.also)
+    changes = {"steps": tuple(steps), "force_n": None, "indentation_mm": None, "also": also}
+    return Press.model_validate(press.model_copy(update=changes).model_dump())
+
+
+def _grown(last: Triple, now: Triple, share: float) -> Triple:
+    x, y, z = (
+        b if a is None or b is None else a + share * (b - a) for a, b in zip(last, now, strict=True)
+    )
+    return x, y, z
+
+
+def _shared(now: Triple, share: float) -> Triple:
+    x, y, z = (None if value is None else value * share for value in now)
+    return x, y, z
+
+
+def at_frames(press: Press, frames_per_second: float) -> tuple[Press, Floats]:
+    """Return a press whose parts end at the frames' times, and when each part ends, s.
+
+    Raises
+    ------
+    RecipeError
+        The press takes no time, too many frames, or a step is held by force after one by motion:
+        the force that it starts from is known only when it is solved.
+    """
+    ends_s = [0.0, *accumulate(step.seconds for step in press.path)]
+    frames = np.arange(int(ends_s[-1] * frames_per_second + _SAME_S) + 1) / frames_per_second
+    if not 1 < len(frames) <= MOST_FRAMES:
+        raise RecipeError(
+            f"press.steps: seconds sum to {ends_s[-1]:g}, which at ccd.frames_per_second = "
+            f"{frames_per_second:g} makes {len(frames)} pictures; 2 to {MOST_FRAMES:,} are filmed"
+        )
+    for one in (press, *press.also):
+        for number, (last, step) in enumerate(pairwise(one.path), start=2):
+            forced = np.array(step.by_force) & ~np.array(last.by_force)
+            if press.path[number - 1].seconds and forced.any():
+                raise RecipeError(
+                    f"press.steps: step {number} is held by force in a direction in which the one "
+                    "before is held by motion, so that the forces between are not known; hold "
+                    "both by force, or both by motion"
+                )
+    times = [
+        [*frames[(frames > begin + _SAME_S) & (frames < end - _SAME_S)], end]
+        for begin, end in pairwise(ends_s)
+    ]
+    shares = [
+        [(time - begin) / (end - begin) if end > begin else 1.0 for time in inner]
+        for inner, (begin, end) in zip(times, pairwise(ends_s), strict=True)
+    ]
+    return in_parts(press, shares), np.concatenate(times)
+
+
+class Exposures:
+    """Pictures of a sensor whose markers move along straight lines between solved states.
+
+    Parameters
+    ----------
+    sensor
+        The sensor; its CCD has ``frames_per_second``.
+    time_s
+        (m,) times of the states; the markers are at rest at 0 before them.
+    motion
+        Returns the motion of the state of a number.
+    """
+
+    def __init__(self, sensor: Sensor, time_s: Floats, motion: Callable[[int], Motion]) -> None:
+        self.sensor = sensor
+        self.time_s: Floats = np.concatenate([[0.0], time_s])
+        self._motion = motion
+        self._known: dict[int, tuple[Motion, Pixels]] = {}
+
+    @cached_property
+    def _rest(self) -> Motion:
+        points = self.sensor.actual.markers.points
+        cover: CoverMotion | None = None
+        background = self.sensor.renderer.background
+        if background is not None:
+            from twin.world.picture.cover import CoverMotion
+
+            still = np.zeros_like(background.points)
+            cover = CoverMotion(displacement_mm=still, gradient=np.zeros((len(still), 3, 3)))
+        still = np.zeros_like(points)
+        gradient = np.zeros((len(points), 3, 3))
+        return Motion(displacement_mm=still, gradient=gradient, error=0.0, cover=cover)
+
+    def _state(self, number: int) -> tuple[Motion, Pixels]:
+        """Return motion and places, px, of the markers in a state; number 0 is rest."""
+        if number not in self._known:
+            if len(self._known) >= _KEPT:
+                self._known.pop(min(self._known))
+            motion = self._motion(number - 1) if number else self._rest
+            places = self.sensor.actual.markers.points + motion.displacement_mm
+            self._known[number] = motion, self.sensor.project(places)
+        return self._known[number]
+
+    def state_at(self, time_s: float) -> int:
+        """Return the number of the last state that is not after a time."""
+        return max(int(np.searchsorted(self.time_s, time_s + _SAME_S, side="right")) - 1, 0)
+
+    def motion(self, time_s: float) -> Motion:
+        """Return the motion at a time."""
+        number = self.state_at(time_s)
+        first, _ = self._state(number)
+        if number + 1 == len(self.time_s) or time_s <= self.time_s[number] + _SAME_S:
+            return first
+        second, _ = self._state(number + 1)
+        begin, end = self.time_s[number : number + 2]
+        share = (time_s - begin) / (end - begin)
+
+        def between(one: Floats, other: Floats) -> Floats:
+            middle: Floats = one + share * (other - one)
+            return middle
+
+        cover = first.cover
+        if cover is not None and second.cover is not None:
+            cover = replace(
+                cover,
+                displacement_mm=between(cover.displacement_mm, second.cover.displacement_mm),
+                gradient=between(cover.gradient, second.cover.gradient),
+            )
+        return Motion(
+            displacement_mm=between(first.displacement_mm, second.displacement_mm),
+            gradient=between(first.gradient, second.gradient),
+            error=max(first.error, second.error),
+            cover=cover,
+        )
+
+    def speed_px_s(self, time_s: float, within_s: float) -> float:
+        """Return the speed of the fastest marker at most so long before or after a time."""
+        numbers = range(self.state_at(time_s - within_s), self.state_at(time_s + within_s) + 1)
+        fastest = 0.0
+        for number in numbers:
+            if number + 1 < len(self.time_s) and self.time_s[number + 1] > self.time_s[number]:
+                moved = np.hypot(*(self._state(number + 1)[1] - self._state(number)[1]).T)
+                took = self.time_s[number + 1] - self.time_s[number]
+                fastest = max(fastest, float(np.nanmax(moved, initial=0.0) / took))
+        return fastest
+
+    def light(self, time_s: float) -> Singles:
+        """Return the (height, width, 3) light of an exposure whose middle is at a time."""
+        from twin.world.picture.ccd import shutter
+
+        sensor = self.sensor
+        ccd = sensor.nominal.ccd.spelt_out()
+        camera = sensor.nominal.camera
+        assert ccd.exposure_ms is not None
+        assert camera is not None
+        speed = self.speed_px_s(time_s, (ccd.exposure_ms + ccd.readout_ms) / 2000)
+        offset_s, weights = shutter(ccd, camera.height_px, speed)
+        light: Singles = np.zeros((camera.height_px, camera.width_px, 3), np.float32)
+        for offset, weight in zip(offset_s, weights.T, strict=True):
+            motion = self.motion(time_s + offset)
+            one = sensor.renderer.radiance(sensor.ellipsoids(motion), motion.cover)
+            light += weight[:, None, None] * one
+        return light
+
+    @one_blas_thread()
+    def picture(self, time_s: float, exposure: int) -> Picture:
+        """Return the CCD picture of an exposure whose middle is at a time; ``exposure`` is the
+        number of its noise."""
+        ccd = self.sensor.nominal.ccd.spelt_out()
+        assert ccd.frames_per_second is not None
+        before = self.light(time_s - 0.5 / ccd.frames_per_second) if ccd.interlace else None
+        return self.sensor.exposed(self.light(time_s), exposure, before)
+
+
+def _refuse_filmless(scene: Scene) -> None:
+    for table, there in (("camera", scene.camera), ("press", scene.press)):
+        if there is None:
+            raise RecipeError(
+                f"this scene has no [{table}] table, so there is no film of its press"
+            )
+
+
+def write_film(sensor: Sensor, out: Path) -> str:
+    """Write a scene's film, eight frames a step, as one animated picture; return a line about it.
+
+    Raises
+    ------
+    InputError
+        The file's name ends in neither .gif nor .png.
+    RecipeError
+        The scene has no camera or no press.
+    ContactError
+        The path can't be taken to its end.
+    """
+    from PIL import Image
+
+    kind = FILMS.get(out.suffix.lower())
+    if kind is None:
+        raise InputError(f"--out {out}: a film ends in {' or '.join(FILMS)}")
+    scene = sensor.nominal
+    _refuse_filmless(scene)
+    assert scene.press is not None
+    progress = sensor.progress or _silent
+    progress("contact", 0.1)
+    shares = [(part + 1) / PARTS for part in range(PARTS)]
+    state = sensor.press(in_parts(scene.press, [shares] * len(scene.press.path)))
+    if not state.complete:
+        raise ContactError(f"press: {state.reason}")
+    frames = [Image.fromarray(sensor.picture(None))]
+    for number, one in enumerate(state.path, start=1):
+        progress("pictures", 0.3 + 0.7 * number / len(state.path))
+        frames.append(Image.fromarray(sensor.picture(sensor.motion(one.load), number)))
+    times = [_FRAME_MS] * (len(frames) - 1) + [_LAST_MS]
+    file = io.BytesIO()
+    frames[0].save(file, kind, save_all=True, append_images=frames[1:], duration=times, loop=0)
+    write_whole(out, file.getvalue())
+    return f"written to {out}: {len(frames)} pictures"
+
+
+def _silent(_: str, __: float) -> None:
+    """Show no progress."""
+
+
+def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None) -> str:
+    """Film a scene's press; return a few lines about it.
+
+    ``folder`` gets ``rest.png``, ``frames/000000.png`` and so on, their truth in ``truth.npz`` (see
+    `_truth`), and ``scene.toml``. An interrupt keeps the frames so far, and their truth.
+
+    Raises
+    ------
+    RecipeError
+        The scene has no camera, no press, no ``ccd.frames_per_second``, or see `at_frames`.
+    InputError
+        The folder has files that no film has written.
+    SomeFailed
+        The press has no equilibrium in some step: what is before it is filmed.
+    """
+    # Refuse what can't be filmed, solve the press at every frame's time, begin the folder anew.
+    _refuse_filmless(scene)
+    rate = scene.ccd.frames_per_second
+    if rate is None:
+        raise RecipeError("ccd.frames_per_second: a film needs it; give, for example, 30")
+    assert scene.press is not None
+    pictures = folder / "frames"
+    known = [name for name in ("rest.png", "scene.toml", "truth.npz") if (folder / name).exists()]
+    if known and not pictures.is_dir():
+        raise InputError(
+            f"--out {folder}: holds {', '.join(known)}, which no film wrote; give another folder"
+        )
+    press, ends_s = at_frames(scene.press, rate)
+    progress = progress or _silent
+    sensor = Sensor(scene, progress)
+    progress("contact", 0.02)
+    state = sensor.press(press)
+    make_folder(pictures)
+    for old in pictures.glob("[0-9]" * 6 + ".png"):
+        old.unlink()
+    write_whole(folder / "scene.toml", dump_scene(scene).encode())
+    write_whole(folder / "rest.png", png_bytes(sensor.picture(None)))
+    # Film it, as far as it goes.
+    states = state.path
+    exposures = Exposures(
+        sensor, ends_s[: len(states)], lambda number: sensor.quick_motion(states[number].load)
+    )
+    count = int(exposures.time_s[-1] * rate + _SAME_S) + 1
+    rows: list[dict[str, Any]] = []
+    try:
+        for number in range(count):
+            progress(f"picture {number + 1} of {count}", 0.1 + 0.89 * number / count)
+            time_s = number / rate
+            picture = exposures.picture(time_s, number + 1)
+            at = exposures.state_at(time_s)
+            row = _row(sensor, exposures.motion(time_s), states[at - 1] if at else None)
+            write_whole(pictures / f"{number:06d}.png", png_bytes(picture))
+            rows.append(row | {"time_s": time_s})
+    finally:
+        if rows:
+            truth = _truth(sensor, rows)
+            write_whole(folder / "truth.npz", lambda file: np.savez_compressed(file, **truth))
+    progress("done", 1.0)
+    if not state.complete:
+        raise SomeFailed(f"press: {state.reason}; the {count} pictures before are in {folder}")
+    largest = np.nanmax(np.linalg.norm(truth["marker_px"] - truth["marker_rest_px"], axis=2))
+    return "\n".join(
+        [
+            f"film        {count} pictures in {rows[-1]['time_s']:.3g} s, {rate:g} a second; "
+            f"markers move up to {largest:.3g} px",
+            f"truth       displacements {np.max(truth['displacement_error']):.1g} of the largest "
+            f"off, by linear theory {np.max(truth['linearisation_error']):.1g}",
+            f"written to  {pictures}, with the truth in {folder / 'truth.npz'}",
+        ]
+    )
+
+
+def _row(sensor: Sensor, motion: Motion, state: ContactState | None) -> dict[str, Any]:
+    """Return the truth of one frame; None for a state is rest."""
+    nothing = np.zeros(3)
+    outlines = sensor.renderer.outlines(sensor.ellipsoids(motion))
+    row: dict[str, Any] = {
+        "marker_displacement_mm": motion.displacement_mm,
+        "marker_px": sensor.project(sensor.actual.markers.points + motion.displacement_mm),
+        "marker_outline_px": outlines.centroid_px,
+        "marker_visible": outlines.visible,
+        "displacement_error": motion.error,
+        "probe_move_mm": nothing if state is None else state.move_mm,
+        "linearisation_error": 0.0 if state is None else state.validity.linearisation_error,
+    }
+    for name in ("indentation_mm", "area_mm2", "dissipated_nmm"):
+        row[name] = 0.0 if state is None else getattr(state, name)
+    patches = sensor.rectangles(Load() if state is None else state.load)
+    return row | {
+        "force_n": patches.total_force_n,
+        "torque_nmm": patches.total_torque_nmm,
+        "slip_share": np.nan if state is None else state.slip_share,
+        "patch_mm": patches.centre_mm,
+        "patch_force_n": patches.force_n,
+        "patch_slip": np.zeros(0, bool) if state is None else state.slips,
+    }
+
+
+def _truth(sensor: Sensor, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the arrays of ``truth.npz``: a row a frame, but the patches of all frames one after
+    the other, with their frames in ``patch_frame``."""
+    markers = sensor.actual.markers
+    truth: dict[str, Any] = {
+        "marker_rest_mm": markers.points,
+        "marker_rest_px": sensor.project(markers.points),
+        "marker_outline_rest_px": sensor.renderer.outlines(sensor.ellipsoids(None)).centroid_px,
+        "marker_layer": markers.layer,
+        "patch_frame": np.repeat(np.arange(len(rows)), [len(row["patch_mm"]) for row in rows]),
+    }
+    for name in rows[0]:
+        join = np.concatenate if name.startswith("patch") else np.stack
+        truth[name] = join([row[name] for row in rows])
+    return truth
