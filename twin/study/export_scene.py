@@ -23,7 +23,8 @@ def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> l
 
     sensor = Sensor(scene, progress)
     actual = sensor.actual.scene
-    check_stock(actual)
+    if actual.camera and actual.light:  # the renderer refuses a scene without them
+        check_stock(actual)
     exposure = sensor.renderer.exposure
     # The states: at rest, and pressed if the scene says by what.
     motions: dict[str, Motion | None] = {"rest": None}
