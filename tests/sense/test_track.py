@@ -449,6 +449,34 @@ def test_dots_that_touch_the_frame_are_measured(polarity):
     assert (np.abs(found.shift_px - moved) < 5.0 * found.sd_px[:, None]).all()
 
 
+@pytest.mark.parametrize("diameter", WIDTHS)
+@pytest.mark.parametrize("margin", [0.33, 0.15])
+def test_markers_cut_by_the_frame_are_kept_at_a_true_deviation(diameter, margin):
+    """They were dropped, all of them."""
+    card = Card(diameter, margin * diameter / max(30.0, 2.3 * diameter))
+    shift = np.random.default_rng(3).uniform(-1.0, 1.0, card.marks.shape)
+    near = (np.minimum(card.marks, np.array(card.size) - card.marks) < 0.6 * diameter).any(axis=1)
+    rest = expose(card.draw(), 1)
+    found = track(rest, expose(card.draw(shift), 2), card.layout)
+    assert found.seen.mean() > 0.99
+    assert (found.states[near] == "partly hidden").mean() > 0.9
+    for rows in (near, ~near):
+        chi = np.sqrt(np.nanmean(((found.shift_px - shift)[rows] / found.sd_px[rows, None]) ** 2))
+        assert 0.3 < chi < 1.3
+    assert np.nanmax(np.abs(track(rest, rest, card.layout).shift_px)) == 0.0
+
+
+def test_markers_leave_the_picture_and_come_back():
+    card = Card(10.0, 0.23)
+    tracker = Tracker(expose(card.draw(), 1), card.layout)
+    leaving = card.marks[:, 0] < 10.0
+    for number, away in enumerate((-4.0, -8.0, -13.0, -8.0, -4.0, 0.0)):
+        found = tracker.track(expose(card.draw([away, 1.0]), 2 + number))
+        assert found.seen[~leaving].all()
+        assert found.seen[leaving].all() == (away > -13.0)
+        assert (np.abs(found.shift_px - [away, 1.0]) < 5.0 * found.sd_px[:, None])[found.seen].all()
+
+
 HARD = {
     "saturated": lambda p: np.full_like(p, 255),
     "black": lambda p: np.zeros_like(p),

@@ -29,10 +29,10 @@ STATES = (
     "strained",
 )
 """What a marker can be: measured; without a spot, or out of the picture; too dark; one spot with
-another; hidden or unlike itself; part of it hidden; measured, but maybe its neighbour, as from a
-cold start two shifts by steps of the layout's lattice fit alike; measured, with another outline
-or blur than at rest. "seen" and "strained" markers have a shift, and those partly hidden ones whose
-visible part is enough."""
+another; hidden or unlike itself; part of it hidden, or out of the picture; measured, but maybe its
+neighbour, as from a cold start two shifts by steps of the layout's lattice fit alike; measured,
+with another outline or blur than at rest. "seen" and "strained" markers have a shift, and those
+partly hidden ones whose visible part is enough."""
 
 SEEN, MISSING, DIM, MERGED, OCCLUDED, PARTLY_HIDDEN, AMBIGUOUS, STRAINED = range(len(STATES))
 

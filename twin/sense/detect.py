@@ -67,8 +67,9 @@ class Blobs:
         (b,) pixels above threshold.
     crowding
         (b,) share of the ring outside the edge that shows the other layer's colour, 0 to 1.
-    whole
-        (b,) whether the spot lies fully inside the picture and its window.
+    whole, cut
+        (b,) whether the spot lies fully inside the picture and its window; inside its window, but
+        cut by the picture's frame.
     """
 
     centre_px: Pixels
@@ -77,6 +78,7 @@ class Blobs:
     area_px: Floats
     crowding: Floats
     whole: Bools
+    cut: Bools
 
     def __len__(self) -> int:
         return len(self.area_px)
@@ -117,7 +119,7 @@ def _ring(signal, column, row, inner, outer, top):
 @njit(cache=True)
 def _cut_out(signal, column, row, level, reach, mark, stamp, stack):
     """Flood from a peak: area, centroid, second moments (xx, xy, yy) of the pixels above ``level``;
-    whether whole."""
+    whether whole, 1, cut by the picture's frame, .5, or neither, 0."""
     height, width = signal.shape
     top, area = 1, 0
     stack[0, 0], stack[0, 1] = column, row
@@ -139,8 +141,9 @@ def _cut_out(signal, column, row, level, reach, mark, stamp, stack):
             continue
         if x == 0 or y == 0 or x == width - 1 or y == height - 1:
             at_border = True
-            continue
         for nx, ny in ((x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)):
+            if nx < 0 or ny < 0 or nx >= width or ny >= height:
+                continue
             if mark[ny, nx] != stamp and signal[ny, nx] > level and top < stack.shape[0]:
                 mark[ny, nx] = stamp
                 stack[top, 0], stack[top, 1] = nx, ny
@@ -151,7 +154,7 @@ def _cut_out(signal, column, row, level, reach, mark, stamp, stack):
             min(min(column + mx, width - 1 - column - mx), min(row + my, height - 1 - row - my))
             + 0.5
         )
-        whole = whole and gap > CUT * math.sqrt(area / np.pi)
+        at_border = gap <= CUT * math.sqrt(area / np.pi)
     return (
         area,
         column + mx,
@@ -159,7 +162,7 @@ def _cut_out(signal, column, row, level, reach, mark, stamp, stack):
         sxx / area - mx * mx,
         sxy / area - mx * my,
         syy / area - my * my,
-        whole,
+        0.0 if not whole else 0.5 if at_border else 1.0,
     )
 
 
@@ -291,8 +294,8 @@ def _spread(signal, ellipse, limits, box, plane, ground, noise, mass, crowd_leve
 
 @njit(cache=True)
 def _measure(signal, smooth, peaks, reach, inner, outer, crowd_level, mark, stack, box, out):
-    """Fill ``out`` (n, 8): column, row, variance x, variance y, level, area, crowding, whole; area
-    0 for no spot.
+    """Fill ``out`` (n, 8): column, row, variance x, variance y, level, area, crowding, whole (see
+    `_cut_out`); area 0 for no spot.
 
     ``reach`` is how far a spot may go, ``inner`` and ``outer`` are radii of the ground around it;
     ``mark`` (zeros), ``stack`` and ``box`` are work arrays.
@@ -328,7 +331,7 @@ def _measure(signal, smooth, peaks, reach, inner, outer, crowd_level, mark, stac
                 signal, cx, cy, ixx, ixy, iyy, limits, box, plane, ground
             )
             if mass <= 0.0:
-                whole = False
+                whole = 0.0
                 break
             cx += min(max(step_x, -2.0), 2.0)
             cy += min(max(step_y, -2.0), 2.0)
@@ -339,7 +342,7 @@ def _measure(signal, smooth, peaks, reach, inner, outer, crowd_level, mark, stac
         out[k, 2], out[k, 3], out[k, 6] = _spread(
             signal, ellipse, limits, box, plane, ground, noise, mass, crowd_level
         )
-        out[k, 0], out[k, 1], out[k, 5], out[k, 7] = cx, cy, area, 1.0 if whole else 0.0
+        out[k, 0], out[k, 1], out[k, 5], out[k, 7] = cx, cy, area, whole
 
 
 @njit(cache=True)
@@ -374,14 +377,12 @@ def _peaks(smooth, broad, radius, contrast, found):
     above ``contrast``: (column, row) each; return their number."""
     height, width = smooth.shape
     count = 0
-    for row in range(1, height - 1):
-        for column in range(1, width - 1):
+    for row in range(height):
+        for column in range(width):
             here = smooth[row, column]
             if here - broad[row, column] < contrast:
                 continue
-            if here < smooth[row, column - 1] or here <= smooth[row, column + 1]:
-                continue
-            if here < smooth[row - 1, column] or here <= smooth[row + 1, column]:
+            if here < smooth[row, max(column - 1, 0)] or here < smooth[max(row - 1, 0), column]:
                 continue
             highest = True
             for other in range(max(row - radius, 0), min(row + radius, height - 1) + 1):
@@ -451,5 +452,6 @@ def find_blobs(
         level_dn=out[:, 4].copy(),
         area_px=out[:, 5].copy(),
         crowding=out[:, 6].copy(),
-        whole=out[:, 7] > 0,
+        whole=out[:, 7] == 1.0,
+        cut=out[:, 7] == 0.5,
     )

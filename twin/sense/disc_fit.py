@@ -144,9 +144,13 @@ fiftieth of their area hidden one in 40 leaves less, with more hidden none."""
 STRETCHED, BLURRED = 1.4, 2.5
 """Largest growth of a marker's semi-axis, and of the blur, that a shape of its own reaches to."""
 
-KNOWN_OUTLINE, KNOWN_LEVEL = 0.005, 0.02
+KNOWN_OUTLINE, KNOWN_LEVEL, OPEN_LEVEL = 0.005, 0.02, 0.2
 """Standard deviations of a marker's outline and brightness about its neighbours', as shares of
-the radius and the brightness, where the neighbours do not scatter at all."""
+the radius and the brightness, where the neighbours do not scatter at all; and of the brightness of
+a marker that was cut by the picture's frame at rest."""
+
+NORMAL_MEDIAN = 0.455
+"""Median of the square of a normal number, over its variance."""
 
 NORMAL = 0.7413
 """A normal distribution's standard deviation, as a share of what lies between its quarters."""
@@ -172,6 +176,12 @@ SAME_PLACE = 0.5
 WHOLE_EDGE, COVERED_SD_PX = 0.9, 0.03
 """A marker with less of its edge in sight may be shadowed too: its standard deviation has this
 added."""
+
+SHRUNK = 0.9
+"""At the picture's frame a marker that has become smaller than this may be cut."""
+
+WORST_FITS = 0.98
+"""A marker cut by the frame may fit as badly as this share of the whole ones."""
 
 DOUBT = 4.0
 """A doubted marker's variance (`UNUSUAL`) grows by so much of the excess of its residuals.
@@ -237,7 +247,7 @@ class DiscFit(SoftWindow):
         def fitted(number: int, weights: Floats) -> DiscFit:
             mine = np.array([*weights, np.median(sample @ weights)], np.float32)
             others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
-            made = _make_templates(picture, mine, others, centres[number], widths[number])
+            made = _make_templates(picture, mine, others, spots[number], widths[number])
             return cls._fitted(picture, spots[number], *made)
 
         groups = []
@@ -264,7 +274,12 @@ class DiscFit(SoftWindow):
     ) -> DiscFit:
         """Take the fits' centres for the rest positions."""
         around = Neighbourhood.of(start, spots.around.spacing_px)
+        known = vars(spots) | {"around": around, "start_px": start}
         fitted = templates.fit(picture, start, around.lead)
+        here = cls(**known | {"templates": templates})
+        cut = here._cut(fitted, start)
+        if cut.any():
+            fitted[cut] = here._fit(picture, start, around.lead)[cut]
         templates = replace(
             templates,
             misfit=fitted[:, MISFIT].copy(),
@@ -273,17 +288,22 @@ class DiscFit(SoftWindow):
             one_sided=np.ascontiguousarray(fitted[:, ONE_SIDED : ONE_SIDED + DIRECTIONS]),
         )
         good = (fitted[:, EDGE] > LEAST_EDGE) & (fitted[:, LEVEL] >= spots.look.contrast_dn)
+        good &= ~cut | (fitted[:, RESHAPED] == PART_IN_SIGHT)
         sd = np.where(good, _centre_sds(fitted, templates.usual_misfit), np.nan)
+        if cut.any() and (good & ~cut).any():
+            # what whole outlines' third harmonics exceed the noise by is unknown of those cut
+            square = np.nanmedian(templates.third[good & ~cut] ** 2) / NORMAL_MEDIAN
+            noise = np.nanmedian(fitted[good & ~cut, VAR_X : VAR_Y + 1])
+            sd[cut] = np.hypot(sd[cut], np.sqrt(max(square - 2.0 * noise, 0.0)))
         covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
         rest_px = np.where(good[:, None], fitted[:, CENTRE_X : CENTRE_Y + 1], np.nan)
         return cls(
-            **vars(spots)
+            **known
             | {
                 "around": replace(around, rest_px=rest_px),
                 "sd_px": sd,
                 "usual_sd_px": np.hypot(np.sqrt(2.0) * sd, covered),
                 "templates": templates,
-                "start_px": start,
             }
         )
 
@@ -291,6 +311,7 @@ class DiscFit(SoftWindow):
         if start_px is not None and (warm := self._from_last(picture, start_px)):
             return warm
         blobs, spot, state, spurious = self._search(picture, start_px)
+        spot = self.around.complete(blobs.centre_px, spot, blobs.cut)
         moved = (blobs.centre_px[spot] if len(blobs) else np.nan) - self.spot_px
         place = np.where((spot >= 0)[:, None], self.start_px + moved, np.nan)
         fitted = self._fit(picture, place, self.around.lead)
@@ -298,12 +319,16 @@ class DiscFit(SoftWindow):
 
     def _fit(self, picture: Picture, start_px: Pixels, lead: Ints | None = None) -> Floats:
         """Fit the templates; those that no longer look as at rest with a shape of their own,
-        outline and blur; and those that differ from their neighbours by the part in sight."""
+        outline and blur; and by the part in sight those that differ from their neighbours, or that
+        the picture's frame cuts."""
         templates = self.templates
         fitted = templates.fit(picture, start_px, lead)
-        if not np.fmax.reduce(fitted[:, DOUBTED]) > 0.0:
+        cut = self._cut(fitted, start_px)
+        if not (np.fmax.reduce(fitted[:, DOUBTED]) > 0.0 or cut.any()):
             return fitted  # nearly always
+        fitted[cut, MISFIT] = np.nan
         odd, doubted = self._unusual(fitted, fitted[:, MISFIT], templates.usual_misfit)
+        doubted |= cut
         if not (odd | doubted).any():
             return fitted
         places = for_kernel(fitted[:, CENTRE_X : CENTRE_Y + 1])
@@ -338,10 +363,24 @@ class DiscFit(SoftWindow):
         # what most markers of this picture lack of the model hides none of them
         now = max(_quantile(misfit, USUAL), templates.usual_misfit)
         templates = replace(templates, usual_misfit=now)
-        doubted &= taken | self._unusual(fitted, misfit, now)[1]
+        doubted &= taken | cut | self._unusual(fitted, misfit, now)[1]
         if doubted.any():
-            self._fit_parts(picture, templates, fitted, doubted, axes, blur)
+            near = np.hypot(*(fitted[:, CENTRE_X : CENTRE_Y + 1] - start_px).T) < radius
+            fitted[cut & ~near, CENTRE_X : CENTRE_Y + 1] = start_px[cut & ~near]
+            self._fit_parts(picture, templates, fitted, doubted, cut, axes, blur)
         return fitted
+
+    def _cut(self, fitted: Floats, start_px: Pixels) -> Bools:
+        """Return (n,) which markers the picture's frame cuts: less of the edge is in sight, or it
+        has shrunk, and the frame is nearer than the edge."""
+        height, width = self.look.picture_px
+        cut = ~((fitted[:, EDGE] >= WHOLE_EDGE) & (fitted[:, SCALE] >= SHRUNK))
+        rows = np.flatnonzero(cut)
+        place = np.stack([fitted[rows, CENTRE_X : CENTRE_Y + 1], start_px[rows]])
+        gap = np.fmin(place + 0.5, [width - 0.5, height - 0.5] - place)
+        gap = np.fmin.reduce(gap, axis=(0, 2))
+        cut[rows] = gap < np.sqrt(self.templates.shape[rows, 0] * self.templates.shape[rows, 2])
+        return cut
 
     def _unusual(self, fitted: Floats, misfit: Floats, now: float) -> tuple[Bools, Bools]:
         """Return which markers no longer look as at rest; and which may be partly hidden: of these,
@@ -367,14 +406,16 @@ class DiscFit(SoftWindow):
         templates: Templates,
         fitted: Floats,
         doubted: Bools,
+        cut: Bools,
         axes: Floats,
         blur: Floats,
     ) -> None:
         """Fit ``doubted`` markers by the part in sight where they differ from their neighbours, by
-        outlines ``axes`` (n, 3) and ``blur`` (n,), px, and a part is hidden; in place."""
+        outlines ``axes`` (n, 3) and ``blur`` (n,), px, and a part is hidden, or ``cut`` off; in
+        place."""
         taken, known = fitted[:, RESHAPED] == OWN_SHAPE, np.isfinite(fitted[:, LEVEL])
         fine = known & (taken | ~doubted)
-        rows = np.flatnonzero(known if templates.coherent else known & doubted)
+        rows = np.flatnonzero((known if templates.coherent else known & doubted) | cut)
         radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
         measured = np.column_stack(
             [
@@ -389,27 +430,37 @@ class DiscFit(SoftWindow):
         beyond = np.sqrt(np.fmax(away**2 - (DIFFERS * axes_sd) ** 2, 0.0))
         if templates.coherent:
             fitted[rows, DIFFERENCE] = radius[rows] * beyond
-        few = doubted[rows] & ((beyond > 0.0) | ~taken[rows])
+        few = doubted[rows] & ((beyond > 0.0) | ~taken[rows]) | cut[rows]
         if not few.any():
             return
         rows, usual, axes_sd, spread = rows[few], usual[few], axes_sd[few], spread[few]
+        unknown = self.cut[rows]
+        if unknown.any():
+            whole = np.delete(templates.shape, np.flatnonzero(self.cut), axis=0)[:, :3]
+            apart = np.nanmedian(np.abs(whole - np.nanmedian(whole, axis=0)), axis=0).max()
+            axes_sd = np.hypot(axes_sd, unknown * 1.4826 * apart / radius[rows])
         level = templates.level[rows] * usual[:, 3]
         expected = Expected(
             axes=templates.shape[rows, :3] + usual[:, :3] * radius[rows, None],
             axes_sd=axes_sd * radius[rows],
             level=level,
-            level_sd=np.hypot(KNOWN_LEVEL, spread[:, 3]) * level,
+            level_sd=np.hypot(np.where(unknown, OPEN_LEVEL, KNOWN_LEVEL), spread[:, 3]) * level,
             blur=templates.shape[rows, 6] * usual[:, 4],
+            bare=cut[rows],
         )
         start = fitted[rows, CENTRE_X : CENTRE_Y + 1]
         part = fit_visible(picture, templates, rows, start, expected)
         limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part.pixels, 1))
+        if fine.any():
+            worst = _quantile(fitted[fine, MISFIT], WORST_FITS) / templates.usual_misfit
+            limit = np.where(cut[rows], np.fmax(limit, worst), limit)
         moved = np.hypot(*(part.centre_px - start).T)
         like = part.misfit < limit * templates.usual_misfit
-        hides = like & (part.hidden > 0.0) & (moved < 2.0 * radius[rows])
+        hides = like & (cut[rows] | (part.hidden > 0.0)) & (moved < 2.0 * radius[rows])
         good = hides & (part.edge > LEAST_PART) & (part.sd_px < WORST_PART_PX)
         good &= part.step_px < 0.05
-        fitted[rows[hides], SHORTFALL], fitted[rows[hides], FITTING] = 1.0, 0.0
+        refused = rows[hides | cut[rows]]
+        fitted[refused, SHORTFALL], fitted[refused, FITTING] = 1.0, 0.0
         rows = rows[good]
         out = np.full((len(rows), fitted.shape[1]), np.nan)
         out[:, CENTRE_X : CENTRE_Y + 1] = part.centre_px[good]
@@ -666,13 +717,13 @@ def _colour_of(picture: Picture, centres: Pixels, diameter: float) -> Floats:
 
 
 def _make_templates(
-    picture: Picture, own: Singles, others: Singles, centres: Pixels, diameter: float
+    picture: Picture, own: Singles, others: Singles, spots: SoftWindow, diameter: float
 ) -> tuple[Templates, Pixels]:
-    """Return the templates of markers about ``diameter`` wide at about ``centres``, px, NaN where
-    not found; and (n, 2) where their fits start at rest."""
-    count = len(centres)
-    radius = np.where(np.isfinite(centres).all(axis=1), 0.5 * diameter, np.nan)
-    wanted = np.isfinite(radius)
+    """Return the templates of markers about ``diameter`` wide at ``spots``; and (n, 2) where their
+    fits start at rest, px. Markers that the picture's frame cuts have the others' outline."""
+    centres = spots.spot_px
+    count, wanted = len(centres), np.isfinite(centres).all(axis=1)
+    radius = np.where(wanted & ~spots.cut, 0.5 * diameter, np.nan)
     variances = _noise_variances(picture, own, centres, 0.5 * diameter, USUAL_BLUR_PX)
     around, inside = variances.T
     ground = float(np.nanmedian(around)) if np.isfinite(around).any() else 1.0
@@ -680,8 +731,8 @@ def _make_templates(
     noise = np.maximum([ground, max(marker, ground)], 1 / 12)
     shape = np.full((count, SHAPE + 2), np.nan)
     if wanted.any():
-        every = max(1, int(wanted.sum()) // SAMPLE)
-        few = np.where(np.cumsum(wanted) % every == 0, radius, np.nan)
+        every = max(1, int(np.isfinite(radius).sum()) // SAMPLE)
+        few = np.where(np.cumsum(np.isfinite(radius)) % every == 0, radius, np.nan)
         reach = 0.65 * diameter + 2.0 * USUAL_BLUR_PX + MARGIN_PX
         seen = (picture, own, others, centres)
         first = _shapes(*seen, few, USUAL_BLUR_PX, 0.0, True, True, noise, reach)

@@ -219,6 +219,23 @@ class Neighbourhood:
         )
         return predicted, certain
 
+    def complete(self, spots: Pixels, spot: Ints, allowed: Bools) -> Ints:
+        """Return (n,) ``spot``, with those of the ``allowed`` (b,) spots added for markers that
+        have none, where the neighbours' motion predicts them."""
+        taken = np.flatnonzero(allowed)
+        if not len(taken):
+            return spot
+        motion = np.where((spot >= 0)[:, None], spots[spot] - self.rest_px, np.nan)
+        expected, certain = self.predict(motion)
+        free = np.flatnonzero((spot < 0) & certain)
+        if not len(free):
+            return spot
+        place = (self.rest_px + expected)[free]
+        pair = _mutual_nearest(place, spots[taken], GATE * self.spacing_px)
+        out = spot.copy()
+        out[free] = np.where(pair >= 0, taken[pair], -1)
+        return out
+
     def follow(
         self,
         spots: Pixels,

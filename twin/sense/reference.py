@@ -143,7 +143,7 @@ def _first_look(
         if 0.8 < width / before < 1.25:
             break
     usual = float(np.median(blobs.area_px)) if len(blobs) else 0.0
-    keep = blobs.whole & (blobs.area_px > 0.3 * usual) & (blobs.area_px < 2.5 * usual)
+    keep = (blobs.whole | blobs.cut) & (blobs.area_px > 0.3 * usual) & (blobs.area_px < 2.5 * usual)
     height, width_px = signal.shape
     return Look(
         rows=rows,

@@ -51,34 +51,46 @@ class SoftWindow(CentreEstimator):
         (n,) brightness and area of every marker's spot at rest.
     spot_px
         (n, 2) centres of these spots, px.
+    cut
+        (n,) whether the picture's frame cuts the spot. This method leaves it out.
     """
 
     level_dn: Floats
     area_px: Floats
     spot_px: Pixels
+    cut: Bools
 
     @classmethod
     def at_rest(
         cls, picture: Picture, looks: list[Look], spacing_px: float, given: bool
     ) -> Sequence[SoftWindow]:
-        spots = [look.blobs.centre_px for look in looks]
+        spots = [look.blobs.centre_px[look.blobs.whole] for look in looks]
         pairs = match_layout([look.nominal_px for look in looks], spots, spacing_px)
         return [cls._matched(look, pair) for look, pair in zip(looks, pairs, strict=True)]
 
     @classmethod
     def _matched(cls, look: Look, pair: Ints) -> SoftWindow:
-        """Return the markers with the spots that they are."""
-        found, blobs = pair >= 0, look.blobs
-        rest_px = np.full((len(pair), 2), np.nan)
-        rest_px[found] = blobs.centre_px[pair[found]]
+        """Return the markers with the whole spots that they are, ``pair`` (n,), and cut ones."""
+        blobs = look.blobs
+        if (pair >= 0).any():
+            pair = np.where(pair >= 0, np.flatnonzero(blobs.whole)[pair], -1)
+            drawn = Neighbourhood.of(look.nominal_px, spacing(look.nominal_px))
+            pair = drawn.complete(blobs.centre_px, pair, blobs.cut)
+        found = pair >= 0
+        spot_px = np.full((len(pair), 2), np.nan)
+        spot_px[found] = blobs.centre_px[pair[found]]
+        cut = np.zeros(len(pair), np.bool_)
         level = area = sd = np.full(len(pair), np.nan)
         if len(blobs):
+            cut = found & blobs.cut[pair]
             level = np.where(found, blobs.level_dn[pair], np.nan)
             area = np.where(found, blobs.area_px[pair], np.nan)
-            usual = float(np.nanmedian(area)) if found.any() else 0.0
+            usual = float(np.nanmedian(area[~cut])) if found.any() else 0.0
+            area[cut] = usual
             hidden = (blobs.crowding[pair] > CROWDED) & (area < 0.8 * usual)
-            cut = np.where(hidden, CROWDED_SD_PX, 0.0)
-            sd = np.where(found, np.hypot(blobs.sd_px[pair], cut), np.nan)
+            more = np.where(hidden, CROWDED_SD_PX, 0.0)
+            sd = np.where(found, np.hypot(blobs.sd_px[pair], more), np.nan)
+        rest_px = np.where(cut[:, None], np.nan, spot_px)
         return cls(
             look=look,
             around=Neighbourhood.of(rest_px, spacing(look.nominal_px)),
@@ -86,7 +98,8 @@ class SoftWindow(CentreEstimator):
             area_px=area,
             sd_px=sd,
             usual_sd_px=np.sqrt(2.0) * sd,
-            spot_px=rest_px,
+            spot_px=spot_px,
+            cut=cut,
         )
 
     def measure(self, picture: Picture, start_px: Pixels | None) -> Seen:

@@ -1,5 +1,7 @@
 """The fit of a marker of which a part is hidden, by the part in sight.
 
+A marker that the picture's frame cuts is measured likewise.
+
 A marker that lacks light on one side is either partly hidden or smaller than it was. Its own
 picture does not say which, so its neighbours' do: the outline, blur and brightness are expected to
 have changed as theirs have (`Expected`), and may differ by as much as theirs scatter. What hides a
@@ -58,6 +60,8 @@ class Expected:
         (k,) brightness, counts.
     blur
         (k,) half width of the blur, px.
+    bare
+        (k,) whether nothing hides them, but the picture's frame may cut them.
     """
 
     axes: Floats
@@ -65,6 +69,7 @@ class Expected:
     level: Floats
     level_sd: Floats
     blur: Floats
+    bare: Bools
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +113,7 @@ def fit_visible(
     offset = _offsets(reach)
     middle = np.rint(start_px).astype(np.int64)
     place = middle[:, None] + offset
-    signal, use = _signal(picture, templates, place)
+    signal, use, inside = _signal(picture, templates, place)
     far = np.hypot(*offset.T) > reach - 1.5
     ground = np.array([_median(s[u & far]) for s, u in zip(signal, use, strict=True)])
     distance = np.hypot(*np.moveaxis(offset[:, None] - offset, 2, 0))
@@ -144,7 +149,7 @@ def fit_visible(
         else:
             if turn in (FIRST, LATER):
                 score = (use * residual / np.sqrt(variance)) @ beside / number
-                lacks = (score < -LACKS) & use & (cover > 0.03)
+                lacks = (score < -LACKS) & use & (cover > 0.03) & ~expected.bare[:, None]
                 hidden = lacks @ around > 0.0
             odd = residual**2 / (OUTLIER_SD**2 * variance)
             weight = (use & ~hidden) / variance / (1.0 + odd) ** 2
@@ -176,7 +181,7 @@ def fit_visible(
         misfit=templates.usual_misfit * squares / np.maximum(count, 1),
         pixels=count,
         edge=(tilt**2 * used).sum(axis=1) / np.maximum((tilt**2).sum(axis=1), 1e-9),
-        covered=(tilt**2 * ~use).sum(axis=1) / np.maximum((tilt**2).sum(axis=1), 1e-9),
+        covered=(tilt**2 * (inside & ~use)).sum(axis=1) / np.maximum((tilt**2).sum(axis=1), 1e-9),
         hidden=(cover * (hidden & use)).sum(axis=1) / cover.sum(axis=1),
         level=level,
         ground=ground,
@@ -194,16 +199,18 @@ def _median(values: Floats) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
 
-def _signal(picture: Picture, templates: Templates, place: Ints) -> tuple[Floats, Bools]:
-    """Return the projected pixels at ``place`` (k, m, 2), and which of them count."""
+def _signal(picture: Picture, templates: Templates, place: Ints) -> tuple[Floats, Bools, Bools]:
+    """Return the projected pixels at ``place`` (k, m, 2), which of them count, and which are in the
+    picture."""
     height, width = picture.shape[:2]
-    use = ((place >= 0) & (place < [width, height])).all(axis=2)
+    inside = ((place >= 0) & (place < [width, height])).all(axis=2)
+    use = inside.copy()
     column, row = np.clip(place, 0, [width - 1, height - 1]).transpose(2, 0, 1)
     pixels = picture[row, column].astype(float)
     own = templates.own.astype(float)
     for other in templates.others.astype(float):
         use &= pixels @ other[:3] <= other[3]
-    return pixels @ own[:3] - own[3], np.asarray(use)
+    return pixels @ own[:3] - own[3], np.asarray(use), np.asarray(inside)
 
 
 def _model(
