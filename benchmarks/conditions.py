@@ -9,6 +9,7 @@ shift that is off by more than a pixel, ``silent`` of those off by more than fiv
 
 import io
 import os
+import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -74,19 +75,17 @@ def mosaic(image: np.ndarray) -> np.ndarray:
 
 def film(images: list[np.ndarray], bit_rate: str = "4M") -> list[np.ndarray]:
     """Return the pictures after an H.264 film of 60 frames a second."""
-    from imageio_ffmpeg import read_frames, write_frames
+    from imageio_ffmpeg import get_ffmpeg_exe
 
     height, width = (n // 2 * 2 for n in images[0].shape[:2])
+    raw, size = ["-f", "rawvideo", "-pix_fmt", "rgb24"], ["-s", f"{width}x{height}", "-r", "60"]
+    data = np.ascontiguousarray(np.array(images)[:, :height, :width]).tobytes()
     with tempfile.TemporaryDirectory() as folder:
-        path = os.path.join(folder, "film.mp4")
-        writer = write_frames(path, (width, height), fps=60, codec="libx264", bitrate=bit_rate, macro_block_size=1)
-        writer.send(None)
-        for image in images:
-            writer.send(np.ascontiguousarray(image[:height, :width]))
-        writer.close()
-        reader = read_frames(path)
-        next(reader)
-        return [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader]
+        path, start = os.path.join(folder, "film.mp4"), [get_ffmpeg_exe(), "-v", "error"]
+        code = ["-c:v", "libx264", "-b:v", bit_rate, "-pix_fmt", "yuv420p", path]
+        subprocess.run([*start, *raw, *size, "-i", "-", *code], input=data, check=True)
+        back = subprocess.run([*start, "-i", path, *raw, "-"], capture_output=True, check=True).stdout
+    return list(np.frombuffer(back, np.uint8).reshape(-1, height, width, 3))
 
 
 def chord(area: float) -> float:

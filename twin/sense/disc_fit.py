@@ -44,6 +44,7 @@ from twin.sense.centre import (
     Look,
     Seen,
 )
+from twin.sense.colour import LUMA
 from twin.sense.match import GATE, TRUST, Neighbourhood
 from twin.sense.soft_window import SoftWindow
 from twin.sense.template import (
@@ -90,10 +91,6 @@ from twin.sense.visible_part import Expected, fit_visible
 USUAL_BLUR_PX = 2.0
 """Half width of a sharp lens' blur with the pixel's, px (.75 px standard deviation): where the
 search starts."""
-
-LUMA = np.array([0.299, 0.587, 0.114])
-"""Weights of red, green and blue in the brightness that JPEG and H.264 keep at full resolution
-(ITU-R BT.601); they halve that of the colours."""
 
 SMOOTHER, LEAST_LUMA = 0.8, 0.2
 """Brightness replaces a layer's colour where it shows this share of the contrast (blue's doesn't),
@@ -202,6 +199,9 @@ USUAL = 0.25
 MORE_UNUSUAL = 1.12
 """Where most markers have changed their shape, what is usual is taken to be more by up to this
 factor: larger outlines reach over more of the ground's texture. More than that is a misfit."""
+
+OUTLYING = 6.0
+"""A third harmonic of more medians counts as one of so many (four standard deviations)."""
 
 LEAST_SCORES = 4
 """From so many numbers on a median is taken."""
@@ -617,7 +617,8 @@ def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
     counts = seen & np.isfinite(moved[:, 0])
     if 2 * int(counts.sum()) < LEAST_SCORES:
         return 1.0
-    return float(1.4826 * np.median(moved[counts] / sd[counts, None]))
+    score = moved[counts] / sd[counts, None]
+    return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * np.median(score)) ** 2)))
 
 
 def _edge_sds(

@@ -18,7 +18,14 @@ from twin.arrays import Floats, Picture, Pixels, frozen
 from twin.errors import InputError, require
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import CentreEstimator, Look
-from twin.sense.colour import Weights, as_picture, estimate_channels, project
+from twin.sense.colour import (
+    Weights,
+    as_picture,
+    colour_blocks,
+    estimate_channels,
+    interpolate_colours,
+    project,
+)
 from twin.sense.detect import Blobs, find_blobs
 from twin.sense.disc_fit import LEAST_CONTRAST_DN, DiscFit
 from twin.sense.match import spacing
@@ -56,6 +63,8 @@ class Rest:
         (height, width) of the picture.
     method
         How centres are measured.
+    blocks
+        `twin.sense.colour.colour_blocks` of the picture.
     """
 
     layer: NDArray[np.str_]
@@ -65,6 +74,7 @@ class Rest:
     usual_sd_px: Floats
     size_px: tuple[int, int]
     method: CentreMethod
+    blocks: tuple[int, int] | None
 
 
 def analyse_rest(
@@ -78,6 +88,9 @@ def analyse_rest(
 ) -> Rest:
     """Find the markers of ``layout`` in the rest picture; parameters as for `twin.track`."""
     picture = as_picture(rest_image, "the rest picture")
+    blocks = colour_blocks(picture)
+    if blocks is not None:
+        picture = interpolate_colours(picture, blocks)
     drawn = _checked_layout(layout)
     _check_options(drawn, diameter_px, polarity, channels, method)
     size = min(spacing(p) for p in drawn.values())
@@ -110,6 +123,7 @@ def analyse_rest(
         usual_sd_px=frozen(usual),
         size_px=(height, width),
         method=method,
+        blocks=blocks,
     )
 
 
