@@ -102,6 +102,16 @@ def test_friction_hardly_changes_a_ring_at_half(ring):
     assert np.abs(state.force_n[:2]).max() < 1e-3 * force
 
 
+def test_an_inclined_ring_touches_far_from_its_axis():
+    """It was refused as if it had slid there."""
+    ring, tilt = Object(shape="ring"), (0.0, 10.0, 0.0)
+    smooth, rubbed = (
+        pressed(Press(probe=ring, tilt_deg=tilt, indentation_mm=0.1, friction=friction), across=8, on=HalfSpace(0.5))
+        for friction in (0.0, 0.4)
+    )
+    assert rubbed.force_n[2] == pytest.approx(smooth.force_n[2], rel=0.02)
+
+
 VOLUMES = {
     "letter": 16 * 1.6**2 * 8 / 3,
     "gear": np.pi * (3.5**2 - 1.5**2) * 2.0,

@@ -584,13 +584,15 @@ def _raise_limit_load(
 def _refuse_slide(grid: FrictionalContact, history: ContactHistory) -> None:
     """Raise a ContactError when the probe slid, or was lifted over, to where there are no
     patches."""
+    from scipy.spatial import cKDTree
+
     for (setup, _, _), patches, moved in zip(
         grid.contacts.rows, grid.contacts.grids, history.slid_mm, strict=True
     ):
         slid = float(np.hypot(*moved))
         if setup.face is None:
-            under = (patches.centre_mm - setup.first.axis_mm) @ setup.first.axes[:Z].T - moved
-            off = float(np.hypot(*under.T).min())
+            flat = patches.centre_mm @ setup.first.axes[:Z].T
+            off = float(cKDTree(flat).query(flat + moved)[0].min())
             allowed = 4.0 * float(patches.half_mm.max())
             what = "beyond the patches, which lie around where it touched first"
         else:
