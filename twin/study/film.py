@@ -384,7 +384,7 @@ def _row(sensor: Sensor, motion: Motion, state: ContactState | None) -> dict[str
     return row | {
         "force_n": patches.total_force_n,
         "torque_nmm": patches.total_torque_nmm,
-        "slip_share": np.nan if state is None else state.slip_share,
+        "slip_share": 0.0 if state is None else state.slip_share,
         "patch_mm": patches.centre_mm,
         "patch_force_n": patches.force_n,
         "patch_slip": np.zeros(0, bool) if state is None else state.slips,

@@ -317,6 +317,35 @@ def test_every_step_of_a_path_can_be_kept(tmp_path: Path) -> None:
     np.testing.assert_allclose(data[0]["force_n"][:2], 0, atol=1e-9)
 
 
+@pytest.mark.slow
+def test_a_sequence_is_filmed_and_stays_together(tmp_path: Path) -> None:
+    steps = [{"force_n": {"z": 0.5}, "seconds": 0.04}, {"move_mm": {"x": 0.3}, "force_n": {"z": 0.5}, "seconds": 0.04}]
+    columns = ("time_s", "split", "slip_share", "force_n", "surface_slip", "marker_displacement_mm", "picture")
+    still, moving = (
+        small_scene(
+            columns, press__steps=steps, press__friction=0.5, dataset__every_step=True, dataset__samples_per_shard=1,
+            vary={"press.at_mm": {"low": [0.0, 0.0], "high": [0.5, 0.5]}}, accuracy__centroid_px=0.1, ccd__noise=False,
+            press__probe={"kind": "sphere", "diameter_mm": 6}, ccd__frames_per_second=50, ccd__exposure_ms=exposure_ms,
+            camera__focal_px=1800.0, accuracy__contact_increments=2,
+        )
+        for exposure_ms in (0.001, 20.0)
+    )  # fmt: skip
+    make(tmp_path / "still", 5, still)
+    make(tmp_path / "moving", 1, moving)
+    rows = list(twin.open_dataset(tmp_path / "still"))
+    assert [(row["index"], row["split"]) for row in rows[3::4]] == [*[(n, "train") for n in range(4)], (4, "test")]
+    np.testing.assert_allclose([row["time_s"] for row in rows[:4]], [0.02, 0.04, 0.06, 0.08])
+    np.testing.assert_allclose([row["force_n"][2] for row in rows[:4]], [0.25, 0.5, 0.5, 0.5], rtol=1e-6)
+    shares = [row["slip_share"] for row in rows[:4]]
+    assert shares[1] < 0.1
+    assert 0.1 < shares[2] < shares[3]
+    # Exposures take time: the truth is the same, the picture another one.
+    blurred = list(twin.open_dataset(tmp_path / "moving"))
+    for one, other in zip(rows[:4], blurred, strict=True):
+        np.testing.assert_allclose(one["marker_displacement_mm"], other["marker_displacement_mm"], atol=1e-12)
+    assert 0 < np.abs(rows[2]["picture"].astype(int) - blurred[2]["picture"]).max() < 60
+
+
 def test_several_probes_count_together(tmp_path: Path) -> None:
     scene = small_scene(
         columns=("force_n", "site_force_n", "surface_slip", "surface_force_n", "traction_error"), vary={},

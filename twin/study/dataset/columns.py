@@ -37,7 +37,7 @@ _SPLIT = 6
 class Column:
     """A column: name with its unit as suffix, kind, a line for people, and what it needs.
 
-    With ``by_name`` it is kept only if it is named, as it costs much.
+    With ``by_name`` it is kept only if it is named, as it costs much or is of sequences.
     """
 
     name: str
@@ -61,7 +61,7 @@ def _columns(*rows: tuple[str, Kind, str, str]) -> tuple[Column, ...]:
             kind=kind,
             what=what,
             needs=frozenset(needs.split()),  # type: ignore[arg-type]
-            by_name=name == "traction_error",
+            by_name=name in ("traction_error", "time_s", "slip_share", "split"),
         )
         for name, kind, needs, what in rows
     )
@@ -82,7 +82,7 @@ _OUTLINES = "coverage centroids of the visible outlines"
 
 ALWAYS = _columns(
     ("index", "integer", "", "number of the sample"),
-    ("step", "integer", "", "step of the press's path that this row is the end of, from 0"),
+    ("step", "integer", "", "step of the press's path, or frame, that this row is the end of"),
     ("sensor", "integer", "", "row of the sensors table"),
     ("status", "text", "", "ok or failed"),
     ("error", "text", "", "why it failed"),
@@ -103,6 +103,9 @@ SAMPLE = _columns(
     ("site_force_n", "vectors", "sites", _SITES),
     ("site_contact", "numbers", "sites", "share of each cell that is in contact"),
     ("site_slip", "numbers", "sites contact", "share of each cell's contact that slips"),
+    ("time_s", "number", "contact", "time since first touch, of frames"),
+    ("split", "text", "contact", "train, or test: every fifth sample, whole"),
+    ("slip_share", "number", "contact", "share of the contact's area that slips: 1 slides"),
     ("surface_mm", "vectors", "load", "centres of the contact's patches"),
     ("surface_force_n", "vectors", "load", "force on each patch"),
     ("surface_slip", "flags", "contact", "whether each patch slips"),

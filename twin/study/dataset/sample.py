@@ -15,16 +15,16 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Bools, Floats
+from twin.arrays import Bools, Floats, Picture
 from twin.errors import ContactError, RecipeError, TwinError
 from twin.files import cache_folder, pin, pinned, png_bytes
 from twin.parts.body import Body
@@ -36,6 +36,7 @@ from twin.study.batch.draw import Table, with_values
 from twin.study.batch.pool import end_if_too_long
 from twin.study.dataset.columns import bare, in_cells, parquet
 from twin.study.dataset.plan import MOST_STEPS, Plan, drawn_values
+from twin.study.film import Exposures, at_frames
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor, on_surface
 
@@ -59,6 +60,9 @@ _BEST = 1e-4
 
 _WHOLE = 0.98
 """Share of an outline that must be seen for its centroid to be compared."""
+
+_TEST_EACH = 5
+"""One sample in so many is of the test part."""
 
 _FINEST = 12
 """Rays per pixel and direction of the outlines that others are compared with."""
@@ -174,11 +178,17 @@ def _rows_of_sample(made: _MadeSensor, sample: int, values: Table) -> list[_Row]
 
 def _rows(made: _MadeSensor, sample: int, press: Press) -> list[_Row]:
     plan = made.plan
+    every = plan.scene.dataset.every_step
+    press, ends_s = _at_rate(plan, press)
     state = made.sensor.press(press)
     if not state.complete:
         raise ContactError(f"press: {state.reason}")
-    every = plan.scene.dataset.every_step
     states = state.path if every and state.path else (state,)
+    film = None
+    if ends_s is not None:
+        film = Exposures(
+            made.sensor, ends_s, lambda number: made.sensor.quick_motion(states[number].load)
+        )
     if len(states) > MOST_STEPS:
         raise RecipeError(f"press.steps: {len(states)} steps; allowed are {MOST_STEPS}")
     rows = []
@@ -194,13 +204,28 @@ def _rows(made: _MadeSensor, sample: int, press: Press) -> list[_Row]:
             "contact_residual": one.residual,
             "linearisation_error": one.validity.linearisation_error,
             "surface_slip": np.concatenate([np.zeros(0, bool), *_slips_of(one)]),
+            "slip_share": one.slip_share,
+            "split": "test" if sample % _TEST_EACH == _TEST_EACH - 1 else "train",
         }
+        picture = None
+        if ends_s is not None and film is not None:
+            row["time_s"] = ends_s[step]
+            picture = partial(film.picture, ends_s[step])
         # the error of tractions costs half as much again as the contact
         if any(column.name == "traction_error" for column in plan.columns) and one.error:
             row["traction_error"] = one.error.traction
         exposure = 1 + sample * MOST_STEPS + number
-        rows.append(row | _truth_of(made, one.load, _slips_of(one), exposure))
+        rows.append(row | _truth_of(made, one.load, _slips_of(one), exposure, picture))
     return rows
+
+
+def _at_rate(plan: Plan, press: Press) -> tuple[Press, Floats | None]:
+    """Return the press in frames and their times, s, where every step is kept of a camera that
+    films; else the press, and None."""
+    rate = plan.scene.ccd.frames_per_second
+    if rate is None or not plan.scene.dataset.every_step:
+        return press, None
+    return at_frames(press, rate)
 
 
 def _slips_of(state: ContactState) -> list[Bools]:
@@ -209,11 +234,16 @@ def _slips_of(state: ContactState) -> list[Bools]:
 
 
 def _truth_of(
-    made: _MadeSensor, load: Load, slips: list[Bools] | None = None, exposure: int | None = None
+    made: _MadeSensor,
+    load: Load,
+    slips: list[Bools] | None = None,
+    exposure: int | None = None,
+    picture: Callable[[int], Picture] | None = None,
 ) -> _Row:
     """Return the columns' values under a load; pictures and outlines only with an exposure.
 
     ``slips`` are the slipping patches of each of the load's terms; None without a probe.
+    ``picture`` makes that of an exposure over motion; None: the load's own.
     """
     from twin.world.elasticity.discretise import join
 
@@ -239,15 +269,22 @@ def _truth_of(
     if sensor.nominal.camera is not None:
         moved = sensor.actual.markers.points + motion.displacement_mm
         row["marker_pressed_px"] = sensor.project(moved)
-    return row | _seen(made, motion, exposure) if pictured and exposure is not None else row
+    return (
+        row | _seen(made, motion, exposure, picture) if pictured and exposure is not None else row
+    )
 
 
-def _seen(made: _MadeSensor, motion: Motion, exposure: int) -> _Row:
+def _seen(
+    made: _MadeSensor, motion: Motion, exposure: int, moving: Callable[[int], Picture] | None
+) -> _Row:
     sensor = made.sensor
     renderer = made.renderer
     needs = made.plan.needs
     if "picture" not in needs:
         return _outlined(renderer.outlines(sensor.ellipsoids(motion)))
+    if moving is not None:
+        row = {"picture": png_bytes(moving(exposure))}
+        return row | _outlined(renderer.outlines(sensor.ellipsoids(motion)))
     if "outlines" not in needs:
         return {"picture": png_bytes(sensor.picture(motion, exposure=exposure))}
     picture, outlines = sensor.seen(motion, exposure)
@@ -404,7 +441,12 @@ def _differences(made: _MadeSensor, values: Table) -> dict[str, float]:
         load = press
         usual, best = _truth_of(made, load), _truth_of(finer, load)
     else:
+        press, ends_s = _at_rate(plan, press)
         states = _pressed(made, press), _pressed(finer, press)
+        if ends_s is not None:  # the hardest push: at its end a sequence touches nothing
+            pushes = [float(np.linalg.norm(one.force_n)) for one in states[0].path]
+            hardest = int(np.argmax(pushes))
+            states = states[0].path[hardest], states[1].path[hardest]
         load = states[0].load
         usual, best = (
             _truth_of(one, state.load, _slips_of(state))

@@ -414,10 +414,10 @@ class ContactState(Table):
     @property
     def slip_share(self) -> float:
         """Share of the contact's area, under all probes, that slips: 0 sticks, 1 slides, what is
-        between is incipient slip; NaN where nothing touches."""
+        between is incipient slip; 0 where nothing touches."""
         terms = [term for term in self.load.terms if isinstance(term, Rectangles)]
         areas = [one.half_mm.prod(axis=1) for one in terms]
-        return float(np.average(self.slips, weights=np.concatenate(areas))) if areas else math.nan
+        return float(np.average(self.slips, weights=np.concatenate(areas))) if areas else 0.0
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return a row for every patch in contact: centre, mm, pressure and traction, MPa, and
