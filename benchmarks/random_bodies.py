@@ -1,0 +1,390 @@
+"""Random bodies under random objects: computed to what is asked, or refused with a cause.
+
+``python -m benchmarks.random_bodies [--count N] [--first K] [--finer]`` draws blocks (1:1 to 60:1), domes, fingers and
+closed STL bodies (pads with fillets, caps, wedges, towers, brackets). It presses probes and closed STL objects on them,
+with and without friction. Each case is drawn from its number alone, runs in a process of its own, and is ended after
+`MOST_S`. Exit code 1 if any raises what is no `TwinError`, takes too long, leaves a number that is not finite or pieces
+of force that don't add up. ``--finer`` solves each case again, to a third of the error and on twice the patches, and
+prints how far the first answer is off (force, indentation, displacements) beside what it states.
+"""
+
+import contextlib
+import json
+import math
+import multiprocessing
+import resource
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from benchmarks.random_recipes import Table
+from benchmarks.record import at_least, parser_of
+from twin.arrays import Floats
+from twin.errors import TwinError
+from twin.geometry.objects import object_triangles
+from twin.parts.load import Rectangles
+from twin.study.recipe import validate_scene
+from twin.study.sensor import Sensor
+
+COUNT, MOST_S = 60, 60
+"""Cases unless said, and CPU seconds that one may take."""
+
+POINTS = 12
+"""Points at which the field is compared."""
+
+BODIES = ("thin", "thin", "thin", "block", "tall", "oblong", "dome", "finger",
+          "pad", "pad", "cap", "wedge", "tower", "bracket")  # fmt: skip
+PROBES = ("sphere", "sphere", "cylinder", "pillar", "cone", "tilted", "object", "torus", "cup", "blob", "rolled",
+          "screw", "tube")  # fmt: skip
+FRICTION = (0.0, 0.0, 0.3, 1.0, math.inf)
+
+Random = np.random.Generator
+
+
+def write_stl(path: Path, corners: Floats) -> str:
+    """Write triangles (m, 3, 3) as a binary STL file; return its name."""
+    record = np.zeros(len(corners), [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("rest", "<u2")])
+    record["corner"] = corners
+    path.write_bytes(bytes(80) + len(corners).to_bytes(4, "little") + record.tobytes())
+    return str(path)
+
+
+def hull(points: Floats) -> Floats:
+    """Return the triangles of the convex hull of points, wound outwards."""
+    found = ConvexHull(points)
+    corners = points[found.simplices]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inwards = np.einsum("mi,mi->m", normal, found.equations[:, :3]) < 0.0
+    corners[inwards] = corners[inwards][:, ::-1]
+    return np.asarray(corners)
+
+
+def swept(section: Floats, count: int) -> Floats:
+    """Return the triangles of a closed section (m, 2) of radius and height, swept about z, wound outwards."""
+    angle = 2.0 * np.pi * np.arange(count) / count
+    radius, height = section.T
+    rows = np.stack([np.outer(np.cos(angle), radius), np.outer(np.sin(angle), radius),
+                     np.tile(height, (count, 1))], axis=-1)  # fmt: skip
+    a, b = rows, np.roll(rows, -1, axis=0)
+    c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
+    corners = np.concatenate([np.stack(three, axis=2).reshape(-1, 3, 3) for three in ((a, b, c), (a, c, d))])
+    volume = np.einsum("mi,mi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    return np.asarray(corners if volume > 0.0 else corners[:, ::-1])
+
+
+def blob(rng: Random) -> Floats:
+    """Return a closed lumpy surface about the origin, of radius about 1."""
+    count = int(rng.integers(200, 4000))
+    k = np.arange(count) + 0.5
+    z, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + math.sqrt(5.0)) * k
+    away = np.column_stack([np.sqrt(1.0 - z**2) * np.cos(turn), np.sqrt(1.0 - z**2) * np.sin(turn), z])
+    waves = rng.normal(size=(4, 3)) * rng.uniform(1.0, 4.0)
+    radius = 1.0 + rng.uniform(0.02, 0.12) * np.cos(away @ waves.T + rng.uniform(0, 6.28, 4)).sum(axis=1)
+    corners: Floats = hull(away)
+    own = radius[np.argmax(corners.reshape(-1, 3) @ away.T, axis=1)].reshape(-1, 3, 1)
+    return np.asarray(corners * own)
+
+
+def object_corners(kind: str, rng: Random) -> Floats:
+    """Return the triangles of an object about the origin, a few mm to 40 mm wide."""
+    size = float(10 ** rng.uniform(0.5, 1.6))
+    around = np.linspace(0.0, 2.0 * np.pi, int(rng.integers(24, 120)), endpoint=False)
+    count = int(rng.integers(24, 200))
+    if kind == "torus":
+        share = rng.uniform(0.1, 0.45)
+        found = swept(np.column_stack([1.0 + share * np.cos(around), share * np.sin(around)]), count)
+    elif kind == "cup":
+        radii = np.linspace(0.01, 1.0, 40)
+        dent = rng.uniform(0.2, 0.6) * (radii - rng.uniform(0.2, 0.6)) ** 2
+        found = swept(np.vstack([np.column_stack([radii, -dent]), [[1.0, -1.5], [0.01, -1.5]]]), count)
+    elif kind == "tube":
+        inner = rng.uniform(0.2, 0.9)
+        found = swept(np.array([[inner, -1.0], [1.0, -1.0], [1.0, 0.0], [inner, 0.0]]), count)
+    elif kind == "rolled":
+        lengths = rng.uniform(0.3, 2.0)
+        ends = [np.column_stack([np.full(count, s), np.cos(np.linspace(0, 2 * np.pi, count, endpoint=False)),
+                                 np.sin(np.linspace(0, 2 * np.pi, count, endpoint=False))])
+                for s in (-lengths, lengths)]  # fmt: skip
+        return hull(np.concatenate(ends)) * size / 2.0
+    elif kind == "screw":
+        found = object_triangles("screw", 2.0)
+    else:
+        found = blob(rng) @ Rotation.random(random_state=rng).as_matrix().T
+    return np.asarray(found * size / 2.0)
+
+
+def fillet_pad(rng: Random) -> tuple[Floats, float]:
+    """Return the triangles of a pad with rounded edges, its face z = 0, and its height."""
+    width, length, height = (float(v) for v in rng.uniform((12, 10, 3), (40, 30, 10)))
+    fillet = float(rng.uniform(0.3, 0.9) * min(height, 0.35 * length, 4.0))
+    turn = np.linspace(0.0, np.pi / 2.0, int(rng.integers(4, 14)))
+    points = [[width / 2 - fillet, length / 2 - fillet, 0.0]]
+    for tilt in turn[1:]:
+        for angle in turn:
+            points.append([width / 2 - fillet + fillet * np.sin(tilt) * np.cos(angle),
+                           length / 2 - fillet + fillet * np.sin(tilt) * np.sin(angle),
+                           fillet * (1.0 - np.cos(tilt))])  # fmt: skip
+    upper = np.array([p for p in points if p[2] > fillet * (1.0 - 1e-9)]) * [1, 1, 0] + [0, 0, height]
+    quarter = np.vstack([points, upper])
+    signs = np.array([[1, 1, 1], [1, -1, 1], [-1, 1, 1], [-1, -1, 1]])
+    return hull((quarter[None] * signs[:, None]).reshape(-1, 3)), height
+
+
+def cap(rng: Random) -> tuple[Floats, float]:
+    """Return the triangles of a ball's or an ellipsoid's cap on its base, its apex the origin, and its height."""
+    radius = float(rng.uniform(6, 25))
+    height = float(radius * rng.uniform(0.4, 0.9))
+    rings = int(rng.integers(8, 30))
+    points = [[0.0, 0.0, 0.0]]
+    for ring in range(1, rings + 1):
+        tilt = math.acos(1.0 - height / radius) * ring / rings
+        angle = 2.0 * np.pi * (np.arange(6 * ring) + ring % 2 / 2) / (6 * ring)
+        points += [[radius * math.sin(tilt) * math.cos(a), radius * math.sin(tilt) * math.sin(a),
+                    radius * (1.0 - math.cos(tilt))] for a in angle]  # fmt: skip
+    return hull(np.array(points) * [1.0, rng.uniform(0.7, 1.3), 1.0]), height
+
+
+def bracket(rng: Random) -> tuple[Floats, float]:
+    """Return the triangles of an L, pad below and leg above, and its height."""
+    a, b, pad, height, depth = (float(v) for v in rng.uniform((6, 4, 3, 8, 8), (12, 8, 5, 16, 14)))
+    outline = np.array([(-a, 0), (b, 0), (b, pad), (0, pad), (0, height), (-a, height)])
+    flat = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
+    low, high = (np.column_stack([outline[:, 0], np.full(6, y), outline[:, 1]]) for y in (-depth / 2, depth / 2))
+    faces = [low[list(t)] for t in flat] + [high[list(t)][::-1] for t in flat]
+    for i in range(6):
+        j = (i + 1) % 6
+        faces += [np.array([low[i], high[j], low[j]]), np.array([low[i], high[i], high[j]])]
+    return np.array(faces), height
+
+
+def drawn_body(kind: str, rng: Random, folder: Path) -> tuple[Table, float, float]:
+    """Return a body's table, half the width of what can be pressed, and its height, mm."""
+    if kind in ("thin", "block", "tall", "oblong"):
+        if kind == "thin":
+            thick = float(10 ** rng.uniform(0.0, 1.0))
+            width = thick * float(np.exp(rng.uniform(math.log(4), math.log(60))))
+            length = width * float(rng.uniform(0.3, 1.0))
+        elif kind == "block":
+            thick = float(10 ** rng.uniform(0.7, 1.6))
+            width, length = (thick * float(v) for v in rng.uniform(1.0, 4.0, 2))
+        elif kind == "tall":
+            width, length = (float(v) for v in rng.uniform(6, 16, 2))
+            thick = float(rng.uniform(1.5, 4.0) * max(width, length))
+        else:
+            width, length, thick = (float(v) for v in rng.uniform((40, 6, 2), (100, 12, 10)))
+        width, length = max(width, 5.0), max(length, 5.0)
+        made = {"shape": "block", "width_mm": width, "length_mm": length, "thickness_mm": thick}
+        return made, min(width, length) / 2.0, thick
+    if kind == "dome":
+        radius = float(rng.uniform(5, 40))
+        height = float(radius * rng.uniform(0.35, 1.0))
+        return {"shape": "dome", "radius_mm": radius, "height_mm": height}, 0.6 * radius, height
+    if kind == "finger":
+        radius, barrel, skirt = (float(v) for v in rng.uniform((4, 5, 1), (15, 25, 6)))
+        made = {"shape": "finger", "radius_mm": radius, "barrel_mm": barrel, "skirt_mm": skirt}
+        return made, 0.5 * radius, radius + skirt
+    within = 5.0
+    if kind == "pad":
+        corners, height = fillet_pad(rng)
+        within = 60.0
+    elif kind == "cap":
+        corners, height = cap(rng)
+        within = 85.0
+    elif kind == "bracket":
+        corners, height = bracket(rng)
+    elif kind == "wedge":
+        a, b, height, slope = (float(v) for v in rng.uniform((8, 6, 4, -12), (20, 15, 10, 12)))
+        lift = math.tan(math.radians(slope))
+        square = np.array([[x, y, 0.0] for x in (-a, a) for y in (-b, b)])
+        top = square.copy()
+        top[:, 2] = height + a * abs(lift) + lift * square[:, 0]
+        corners = hull(np.vstack([square, top]))
+        held = {"normal": [-lift, 0.0, 1.0], "within_deg": 5.0}
+        file = write_stl(folder / "body.stl", corners)
+        sensing = {"normal": [0.0, 0.0, -1.0], "within_deg": 2.0}
+        return {"shape": "solid", "file": file, "held": held, "sensing": sensing}, min(a, b), height
+    else:  # a tower of many sides, narrower above
+        sides, height = int(rng.integers(5, 40)), float(rng.uniform(10, 40))
+        angle, radius = 2.0 * np.pi * np.arange(sides) / sides, float(rng.uniform(4, 12))
+        ring = radius * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+        corners = hull(np.vstack([ring, ring * rng.uniform(0.8, 1.3) + [0, 0, height]]))
+    half = float(0.5 * np.ptp(corners[..., :2][corners[..., 2] < 0.3 * height], axis=0).min())
+    made = {"shape": "solid", "file": write_stl(folder / "body.stl", corners)}
+    made |= {"held": {"normal": [0.0, 0.0, 1.0], "within_deg": 5.0}}
+    return made | {"sensing": {"normal": [0.0, 0.0, -1.0], "within_deg": within}}, half, height
+
+
+def drawn_press(kind: str, rng: Random, folder: Path, half: float, height: float, modulus: float) -> Table:
+    """Return a press's table: a probe that fits on the body, where it is pressed, how deep and along which path."""
+    size = float(half * rng.uniform(0.1, 0.8))
+    tilt = [0.0, 0.0, 0.0]
+    if kind == "sphere":
+        probe: Table = {"kind": "sphere", "diameter_mm": 2.0 * size}
+    elif kind == "cylinder":
+        edge = float(rng.choice([0.0, 0.1 * size]))
+        probe = {"kind": "cylinder", "diameter_mm": size, "edge_mm": edge}
+    elif kind in ("pillar", "tilted"):
+        probe = {"kind": "pillar", "width_mm": size, "length_mm": size * float(rng.uniform(0.4, 1.2))}
+        if kind == "tilted":
+            tilt = [float(v) for v in rng.uniform(-30, 30, 3)]
+    elif kind == "cone":
+        probe = {"kind": "cone", "apex_deg": float(rng.uniform(90, 165)), "diameter_mm": 2.0 * size}
+    elif kind == "object":
+        shape = str(rng.choice(["letter", "gear", "brick", "grating", "ring", "screw"]))
+        probe = {"kind": "object", "shape": shape, "width_mm": 1.5 * size}
+    else:
+        probe = {"kind": "stl", "file": write_stl(folder / "probe.stl", object_corners(kind, rng))}
+    at = [float(v) for v in rng.uniform(-1, 1, 2) * max(0.0, 0.7 * half - 0.6 * size) * 0.7]
+    depth = float(rng.uniform(0.01, 0.12) * min(size, height))
+    friction = float(rng.choice(FRICTION))
+    steps: list[Table] = [{"move_mm": {"z": depth}}]
+    if rng.random() < 0.3:
+        steps = [{"force_n": {"z": modulus * size * depth}}]
+    if friction and rng.random() < 0.5:
+        steps.append(
+            {"move_mm": {"x": float(rng.normal(0, 0.3 * depth)), "y": 0.0}, "turn_deg": float(rng.normal(0, 1))}
+        )
+    made = {"probe": probe, "at_mm": at, "tilt_deg": tilt, "friction": friction, "steps": steps}
+    return made | ({"direction": "normal"} if rng.random() < 0.3 else {})
+
+
+def drawn(number: int, folder: Path) -> tuple[str, Table]:
+    """Return what a case is and its recipe."""
+    rng = np.random.default_rng([2026, number])
+    body, probe = BODIES[number % len(BODIES)], PROBES[number % len(PROBES)]
+    modulus, nu = float(10 ** rng.uniform(-1, 0.5)), float(rng.choice([0.3, 0.4, 0.49, 0.5]))
+    made, half, height = drawn_body(body, rng, folder)
+    press = drawn_press(probe, rng, folder, half, height, modulus)
+    recipe = {"seed": 1, "body": made, "material": {"youngs_modulus_mpa": modulus, "poisson_ratio": nu},
+              "press": press, "accuracy": {"displacement": float(rng.choice([1e-2, 2e-2])), "contact_patches": 12},
+              "tolerance": {"preset": "none"}}  # fmt: skip
+    return f"{probe} on {body}", recipe
+
+
+def solved(recipe: Table) -> dict[str, Any]:
+    """Press, and return what the press says of itself, and the field at points under it."""
+    said: dict[str, Any] = {}
+    began = time.process_time()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        sensor = Sensor(validate_scene(recipe, "drawn"))
+        state = sensor.press()
+        said["press_s"] = time.process_time() - began
+        body = sensor.actual.scene.body
+        error = state.error
+        assert error is not None
+        said["error_s"] = time.process_time() - began
+        rng = np.random.default_rng(1)
+        patches = [term for term in state.load.terms if isinstance(term, Rectangles)]
+        middle = np.mean([term.centre_mm.mean(axis=0) for term in patches], axis=0)
+        reach = 2.0 * state.contact_radius_mm
+        chart = body.chart_of(middle[None]) + rng.uniform(-reach, reach, (40 * POINTS, 2))
+        points = body.chart_points(chart, rng.uniform(0.1, 1.0 + reach, len(chart)))
+        depth = body.piece_distances(points)
+        points = points[(depth > 0.0999).all(axis=1) & body.contains(points, -0.0999)][:POINTS]
+        found = sensor.ladder.displacement(points, sensor.rectangles(state.load.moving))
+    said |= {
+        "cpu_s": time.process_time() - began,
+        "force_n": state.force_n.tolist(), "indentation_mm": state.indentation_mm, "complete": state.complete,
+        "reason": state.reason, "points": points.tolist(), "moved_mm": found.displacement_mm.tolist(),
+        "stated": [error.force, error.indentation, found.error],
+        "of_body": [error.body.force, error.body.indentation],
+        "of_patches": [error.patches.force, error.patches.indentation],
+        "warned": sorted({f"{w.category.__name__}: {w.message}" for w in caught}),
+    }  # fmt: skip
+    pieces = np.sum([term.force_n.sum(axis=0) for term in patches], axis=0)
+    if not np.allclose(pieces, state.force_n, atol=1e-6 * np.linalg.norm(state.force_n)):
+        raise AssertionError(f"pieces {pieces} N do not add up to {state.force_n} N")
+    numbers = [*said["force_n"], said["indentation_mm"], *np.ravel(said["moved_mm"]), *said["stated"]]
+    if not np.isfinite(numbers).all():
+        raise AssertionError(f"not finite: {numbers}")
+    return said
+
+
+def finer_recipe(recipe: Table) -> Table:
+    """Return a recipe with a third of the error and twice the patches."""
+    accuracy = recipe["accuracy"]
+    return {**recipe, "accuracy": {"displacement": accuracy["displacement"] / 3.0,
+                                   "contact_patches": 2 * accuracy["contact_patches"]}}  # fmt: skip
+
+
+def outcome(number: int, finer: bool) -> dict[str, Any]:
+    """Return what became of a case."""
+    with tempfile.TemporaryDirectory() as folder:
+        said: dict[str, Any] = {"number": number}
+        try:
+            said["what"], recipe = drawn(number, Path(folder))
+            said |= {"body": recipe["body"], "press": recipe["press"], "material": recipe["material"]}
+            one = solved(recipe)
+            said |= {"result": "computed" if one["complete"] else "stopped"} | one | {"asked": recipe["accuracy"]}
+            if finer:
+                other = solved(finer_recipe(recipe))
+                u, v = np.array(one["moved_mm"]), np.array(other["moved_mm"])
+                force = np.array(other["force_n"])
+                said["off"] = [
+                    float(np.linalg.norm(np.subtract(one["force_n"], force)) / np.linalg.norm(force)),
+                    abs(one["indentation_mm"] / other["indentation_mm"] - 1.0),
+                    float(np.abs(u - v).max() / np.abs(v).max()) if len(u) else 0.0,
+                ]
+                said["finer_stated"], said["finer_cpu_s"] = other["stated"], other["cpu_s"]
+        except TwinError as refused:
+            said |= {"result": "refused", "why": f"{type(refused).__name__}: {refused}"}
+        except Exception as problem:
+            said |= {"result": "failed", "why": f"{type(problem).__name__}: {problem}",
+                     "trace": traceback.format_exc()}  # fmt: skip
+        return said
+
+
+def _child(number: int, finer: bool, pipe: Any) -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (MOST_S * (5 if finer else 1),) * 2)
+    with contextlib.suppress(BrokenPipeError):
+        pipe.send(outcome(number, finer))
+
+
+def judged(number: int, finer: bool) -> dict[str, Any]:
+    """Return what became of a case that runs in a process of its own, and is ended where it takes too long."""
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    process = multiprocessing.get_context("fork").Process(target=_child, args=(number, finer, theirs))
+    began = time.monotonic()
+    process.start()
+    theirs.close()
+    try:
+        said: dict[str, Any] = ours.recv()
+    except EOFError:
+        said = {"number": number, "result": "failed", "why": f"died, or took over {MOST_S} CPU s"}
+    process.join()
+    return said | {"wall_s": time.monotonic() - began}
+
+
+def main() -> int:
+    """Try every case, print what became of it; exit code 1 if any failed."""
+    parser = parser_of("random_bodies", __doc__)
+    parser.add_argument("--count", type=at_least(1), default=COUNT, help=f"cases (default {COUNT})")
+    parser.add_argument("--first", type=at_least(0), default=0, help="number of the first case (default 0)")
+    parser.add_argument("--finer", action="store_true", help="solve each case again, finer, and compare")
+    parser.add_argument("--out", help="file that what is found is added to, a line a case")
+    asked = parser.parse_args()
+    became: Counter[str] = Counter()
+    for number in range(asked.first, asked.first + asked.count):
+        said = judged(number, asked.finer)
+        became[said["result"]] += 1
+        print({key: said.get(key) for key in ("number", "what", "result", "why", "reason", "wall_s", "stated", "off")
+               if said.get(key)}, flush=True)  # fmt: skip
+        if asked.out:
+            with Path(asked.out).open("a") as file:
+                file.write(json.dumps(said) + "\n")
+    print(dict(became))
+    return int(became["failed"] > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
