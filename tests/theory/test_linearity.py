@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from benchmarks.pages import law_error, stored
-from twin.theory.linearity import KNOWN_RADIUS, largest_strain_and_turn, law_of
+from twin.theory.contact import KNOWN_RADIUS, largest_strain_and_turn, law_of
 
 PROBES = ("sphere", "cylinder", "pillar")
 

@@ -42,7 +42,7 @@ from twin.results import Estimate, RunResult, Touch, Truth
 from twin.study.doubts import doubts, noise_bound, unseen
 from twin.study.recipe import dump_scene, load_scene
 from twin.study.sensor import Motion, Sensor
-from twin.theory.contact import hertz, punch_pressure
+from twin.theory.contact import hertz, largest_strain_and_turn, punch_pressure
 
 if TYPE_CHECKING:
     from twin.sense.calibration import Calibration
@@ -515,8 +515,6 @@ def _creep_error(state: ContactState | None) -> dict[str, Any]:
 
 def _linearity(motion: Motion, state: ContactState | None) -> tuple[dict[str, Any], dict[str, str]]:
     """Return strain, turn and the error of linear theory, and the reasons of what is unknown."""
-    from twin.theory.linearity import largest_strain_and_turn
-
     names = ("contact_over_probe_radius", "linearisation_error")
     figures = {name: getattr(state.validity, name) if state else None for name in names}
     why = "the probe is flat" if state else "nothing is pressed"

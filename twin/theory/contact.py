@@ -1,9 +1,18 @@
-"""Contact of a rigid probe with an elastic half-space: Hertz, flat punches and cones.
+"""Contact of a rigid probe with an elastic half-space: Hertz, flat punches and cones; and how far
+linear theory is off under a press.
 
-Every formula is from K. L. Johnson, *Contact Mechanics* (Cambridge, 1985); sections are named with
-each function. The half-space has Young's modulus E and Poisson's ratio nu; the probe is rigid, so
-that Johnson's E* is the plane-strain modulus E / (1 - nu^2). Lengths are in mm, forces in N, moduli
-and pressures in MPa.
+Every formula of contact is from K. L. Johnson, *Contact Mechanics* (Cambridge, 1985); sections are
+named with each function. The half-space has Young's modulus E and Poisson's ratio nu; the probe is
+rigid, so that Johnson's E* is the plane-strain modulus E / (1 - nu^2). Lengths are in mm, forces in
+N, moduli and pressures in MPa.
+
+The law of linear theory's error is first order: the terms that are dropped are products of two
+gradients, so the relative error goes with the strain. Its strain is the mean contact pressure over
+Young's modulus, which a press knows whatever its markers do. The factors are the largest that
+neo-Hookean rubber showed in ``benchmarks/validity.py`` under the papers' presses, rounded up
+(docs/validity.md has the table): an upper edge, up to five times what was found under a sphere.
+`Material.law` replaces it by what is found under the press itself. Validity: the presses, the
+markers and the rubber of that study, to which the factors were fitted.
 """
 
 from __future__ import annotations
@@ -19,7 +28,7 @@ from twin.parts.material import plane_strain_modulus
 
 
 @dataclass(frozen=True, kw_only=True)
-class _HertzContact:
+class HertzContact:
     """A rigid sphere pressed without friction on a half-space.
 
     Attributes
@@ -56,7 +65,7 @@ def hertz(
     poisson_ratio: float,
     force_n: float | None = None,
     indentation_mm: float | None = None,
-) -> _HertzContact:
+) -> HertzContact:
     """Return Hertz's contact of a rigid sphere for a given force or a given indentation.
 
     Parameters
@@ -93,7 +102,7 @@ def hertz(
     else:
         a = math.sqrt(radius_mm * given)
         force = 4.0 * modulus * a**3 / (3.0 * radius_mm)
-    return _HertzContact(
+    return HertzContact(
         radius_mm=radius_mm,
         contact_radius_mm=a,
         indentation_mm=a * a / radius_mm,
@@ -124,3 +133,54 @@ def cone_contact_radius(
     slope = 1.0 / math.tan(math.radians(apex_deg / 2))
     modulus = plane_strain_modulus(youngs_modulus_mpa, poisson_ratio)
     return math.sqrt(force_n / (math.pi / 2 * modulus * slope))
+
+
+@dataclass(frozen=True)
+class _Law:
+    """Error of the markers' displacement, relative to the largest one, = ``factor`` times mean
+    contact pressure / Young's modulus; beyond the largest strain of the study, ``known_strain``,
+    the law is a guess."""
+
+    factor: float
+    known_strain: float
+
+    def error(self, mean_strain: float) -> float:
+        """Return the error to expect at most, relative to the largest displacement."""
+        return self.factor * mean_strain
+
+
+SHEARED = 0.05
+"""Force sideways over push from which on a probe counts as sheared: on a slope it always carries a
+little."""
+
+
+def law_of(probe: str, *, sheared: bool) -> _Law:
+    """Return the law of a probe (``sphere``, ``cylinder`` or ``pillar``), sheared by friction or
+    not."""
+    if probe != "sphere":
+        return _Law(factor=0.45, known_strain=0.16)
+    return _Law(factor=0.1, known_strain=0.4 if sheared else 0.55)
+
+
+ERROR_BOUND = 0.01
+"""Expected error above which a press gets a note, or a warning where the law is not known."""
+
+KNOWN_RADIUS = 0.72
+"""Largest contact radius over a sphere's radius in the study; linear contact's indentation is up to
+9 % less there."""
+
+
+def largest_strain_and_turn(gradient: Floats) -> tuple[float, float]:
+    """Return the largest principal strain (absolute) and the largest turn (degrees) in displacement
+    gradients (n, 3, 3), du_i/dx_j.
+
+    The parts of linear theory: strain is the symmetric one, the turn the length of the skew one's
+    axial vector.
+    """
+    gradient = np.asarray(gradient, float)
+    if not len(gradient):
+        return 0.0, 0.0
+    swapped = gradient.transpose(0, 2, 1)
+    strain = np.abs(np.linalg.eigvalsh((gradient + swapped) / 2.0)).max()
+    turn = np.linalg.norm((gradient - swapped) / 2.0, axis=(1, 2)).max() / math.sqrt(2.0)
+    return float(strain), math.degrees(float(turn))

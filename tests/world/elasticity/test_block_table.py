@@ -195,13 +195,6 @@ def test_no_table_is_made_of_an_oblong_block(size, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def _pad_of(thickness):
-    """A thin block, and the standard one's nominal mesh flattened to it."""
-    mesh = read_mesh(MESHES / "kamiyama_block.nominal.npz")
-    pad = Block(width_mm=100, length_mm=90, thickness_mm=thickness)
-    return pad, replace(mesh, points=mesh.points * [1.0, 1.0, thickness / 40.0])
-
-
 @pytest.mark.slow
 def test_the_table_of_a_thin_block_holds_what_the_layer_leaves(tmp_path):
     """Beside it the layer's closed field: together they are a solve on the mesh of the table."""

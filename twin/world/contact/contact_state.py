@@ -35,7 +35,7 @@ from twin.errors import ContactError
 from twin.parts.load import Load, Rectangles
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
 from twin.theory import halfspace
-from twin.theory.linearity import ERROR_BOUND, KNOWN_RADIUS, SHEARED, law_of
+from twin.theory.contact import ERROR_BOUND, KNOWN_RADIUS, SHEARED, law_of
 from twin.world.contact.active_set import Equilibrium
 from twin.world.contact.contact_search import (
     LoadProgramme,
@@ -181,7 +181,7 @@ class Validity:
         Indentation over the body's extent along z.
     linearisation_error
         How far linear theory is expected to be off at the markers, over the largest displacement
-        (`twin.theory.linearity`), or how far it is off.
+        (`twin.theory.contact`), or how far it is off.
     linearisation_basis
         Where that comes from: ``measured`` under this very press at finite strain, or
         ``estimated``, by the law at most, and why it was not measured.
