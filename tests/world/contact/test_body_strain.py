@@ -86,6 +86,42 @@ def test_probe_held_by_a_motion_along_the_normal_carries_less_force_than_by_line
     assert held.force_n == pytest.approx(expected * straight.force_n, rel=1e-2, abs=1e-9)
 
 
+@pytest.mark.slow
+def test_whole_block_under_a_flat_face_is_another_codes_slab():
+    """A cylinder, whose slab `test_finite_strain` has, on the mesh that square pillars and several probes get."""
+    truth = json.loads((Path(__file__).parents[2] / "reference" / "neohooke.json").read_text())
+    case = next(one for one in truth["cases"] if one.get("edge_mm") == 0.1)
+    places = np.array([[r, 0.0, z] for r, z in truth["places_mm"]])
+    press = twin.Press(probe=Cylinder(diameter_mm=5, edge_mm=0.1), force_n=(0, 0, case["force_n"]))
+    linear = made("linear", "block_bare")
+    material = made(name="block_bare").nominal.material
+    state = linear.press(press)
+    more = body_strain.BodyStrain(press, linear.nominal.body, material, state, places)
+    straight, bent = np.insert(case["linear_mm"], 1, 0, 1), np.insert(case["strained_mm"], 1, 0, 1)
+    off = largest(more.displacement(places) - (bent - straight)) / largest(straight)
+    assert off < 0.5 * largest(bent - straight) / largest(straight)
+    assert off < more.error.markers < 4.0 * off
+    deeper = case["indentation_mm"] / case["indentation_linear_mm"] - 1.0
+    assert more.indentation_mm / state.indentation_mm == pytest.approx(deeper, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_two_far_spheres_sink_as_one_does():
+    """The slab of revolution solves the one; 16 mm away the other moves the surface by a per cent of the depth."""
+    ball = Sphere(diameter_mm=3)
+    other = twin.Press(probe=ball, at_mm=(8, 0), force_n=(0, 0, 0.5))
+    sensor = made(name="block_bare")
+    two = sensor.press(twin.Press(probe=ball, at_mm=(-8, 0), force_n=(0, 0, 0.5), also=(other,)))
+    one = sensor.press(twin.Press(probe=ball, at_mm=(-8, 0), force_n=(0, 0, 0.5)))
+    strained = one.load.strained.indentation_mm
+    assert two.load.strained.moved[:, 2] == pytest.approx([strained] * 2, rel=0.15)
+    assert two.also[0].move_mm[2] == pytest.approx(two.also[0].indentation_mm, rel=1e-9)
+    places = np.array([[-8.0, 0.0, 1.0], [-8.5, 0.3, 1.5]])
+    assert two.load.strained.displacement(places) == pytest.approx(
+        one.load.strained.displacement(places), abs=5e-3 * largest(sensor.displacement(places, one))
+    )
+
+
 @pytest.fixture(scope="module")
 def somewhere():
     """A state of a probe that did not turn; the refusals below look at nothing else of it."""
@@ -102,7 +138,7 @@ GUIDED = {"steps": (twin.Step(force_n=(None, None, 0.5), torque_nmm=0.0),), "for
     ("press", "rubber", "words"),
     [
         ({"friction": 0.5}, {}, "friction"),
-        ({"probe": Cylinder(diameter_mm=3, edge_mm=0.5)}, {}, "spheres are solved on curved"),
+        ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "upright probes"),
         (GUIDED, {}, "guided along their way"),
         ({}, {"poisson_ratio": 0.4}, "poisson_ratio"),
     ],

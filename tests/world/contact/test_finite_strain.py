@@ -9,7 +9,7 @@ import pytest
 import twin
 from twin.errors import NotSettled, TwinError
 from twin.parts.material import Material
-from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
+from twin.parts.probe import Cone, Cylinder, Object, Pillar, Sphere
 from twin.world.contact import finite_strain
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
 
@@ -156,10 +156,9 @@ def test_probe_held_by_a_motion_carries_the_force_of_another_code():
     ("press", "scene", "words"),
     [
         ({"friction": 0.5}, {}, "friction"),
-        ({"probe": Pillar(width_mm=4)}, {}, "pillar"),
+        ({"probe": Pillar(width_mm=4), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "upright probes"),
         ({"probe": Cylinder(diameter_mm=5), "force_n": (0, 0, 9.0)}, {}, "did not converge"),
-        ({"at_mm": (45.0, 0.0)}, {}, "side of the block"),
-        ({"tilt_deg": (3.0, 0.0, 0.0)}, {}, "don't turn"),
+        ({"probe": Object(shape="ring", width_mm=8.0)}, {}, "press.probe.kind = object"),
         ({}, {"material.poisson_ratio": 0.4}, "poisson_ratio"),
     ],
 )

@@ -16,11 +16,10 @@ the other one at the linear answer (`twin.world.contact.round_slab`).
 
 A cylinder's rim is resolved; a sharp one is solved as one rounded by a fiftieth of the diameter.
 
-On curved bodies a mesh of the whole body takes the slab's place
+Validity: one rigid sphere, cylinder, or cone, pressed straight and without friction on a block, its
+axis five contact radii or more from the sides; nu from 0.45. For other probes, for several, near
+the sides and on curved bodies a mesh of the whole body takes the slab's place
 (`twin.world.contact.body_strain`).
-
-Validity: one rigid sphere, cylinder, or cone, pressed straight and without
-friction on a block, its axis five contact radii or more from the sides; nu from 0.45.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ from twin.world.contact.contact_state import (
     Share,
     Validity,
 )
-from twin.world.contact.probe_gap import Z, approach_of
+from twin.world.contact.probe_gap import MOTIONS, Z, approach_of
 from twin.world.contact.round_slab import (
     GAUSS_POINTS,
     Balance,
@@ -138,15 +137,14 @@ class FiniteStrain:
 
     Attributes
     ----------
-    indentation_mm
-        How much deeper the probe sinks than by linear theory, mm.
+    moved
+        (p, 6) how much farther every probe moves than by linear theory, along and about its own
+        axes, mm and radians.
     wider
-        Radius of the contact over that by linear theory.
+        (p,) radius of its contact over that by linear theory.
 
     Raises
     ------
-    InputError
-        The press is not of the kind that is solved at finite strain.
     ContactError
         Newton's steps don't converge: cause and remedy.
     """
@@ -163,25 +161,26 @@ class FiniteStrain:
     ) -> None:
         self._press = press
         self._approach = approach_of(press, body)
+        self.axes = (self._approach.axes,)
         self._axis = (self._approach.axis_mm + state.move_mm)[:Z]
         self._material = material
         self._state = state
         low, high = np.array(body.bounds_mm)
-        beside = np.concatenate([self._axis - low[:Z], high[:Z] - self._axis])
-        self._beside_mm = float(beside.min())
+        self._beside_mm = _beside_mm(body, self._approach.axis_mm + state.move_mm)
         self._thick_mm = float(high[Z] - low[Z])
-        if problem := _unsolved(press, body, material, state, self._beside_mm):
-            raise InputError(
-                f"material.law = {material.law}: {problem} at finite strain; change it, or set "
-                "material.law = linear"
-            )
         self._coarse = coarse
         self._watched = watched if len(watched) else self._below_contact()
         sides = (high - low)[:Z]
         share = _COARSER if coarse else 1.0
         self._pair = self._solved(share, math.sqrt(float(sides[0] * sides[1]) / math.pi))
-        self.indentation_mm = self._pair.deeper_mm
-        self.wider = self._pair.wider
+        self.moved = np.zeros((1, MOTIONS))
+        self.moved[0, Z] = self._pair.deeper_mm
+        self.wider = np.array([self._pair.wider])
+
+    @property
+    def indentation_mm(self) -> float:
+        """How much deeper the (first) probe sinks than by linear theory, mm."""
+        return float(self.moved[0, Z])
 
     def displacement(self, points: Points) -> Points:
         """Return (n, 3) what to add to the linear displacement of points (n, 3), mm."""
@@ -345,33 +344,26 @@ class FiniteStrain:
         return state
 
 
-def _unsolved(
-    press: Press, body: Body, material: Material, state: ContactState, beside_mm: float
-) -> str:
-    """Return why a press isn't solved at finite strain, and what is; empty if it is."""
-    problem = ""
-    nearest = LEAST_BESIDE * state.contact_radius_mm
-    if press.also:
-        problem = "press.also: one probe at a time is solved"
-    elif not isinstance(body, Block):
-        problem = f"body.shape = {body.geometry()['shape']}: blocks are solved"
-    elif not isinstance(press.probe, Sphere | Cylinder | Cone):
-        problem = f"press.probe.kind = {press.probe.kind}: spheres, cylinders, cones are solved"
-    elif press.friction > 0.0:
-        problem = f"press.friction = {press.friction:g}: friction 0 is solved"
-    elif np.any(state.turns_deg) or any(press.tilt_deg) or press.direction not in (None, (0, 0, 1)):
-        problem = "press: probes that come along z and don't turn are solved"
-    elif material.poisson_ratio < LEAST_POISSON:
-        problem = (
-            f"material.poisson_ratio = {material.poisson_ratio:g}: {LEAST_POISSON:g} to 0.5 is "
-            "solved"
-        )
-    elif beside_mm < nearest:
-        problem = (
-            f"press.at_mm: {beside_mm:.3g} mm from a side of the block, {nearest:.3g} mm or more "
-            f"({LEAST_BESIDE:g} times the contact's radius) are solved"
-        )
-    return problem
+def _is_round(press: Press, body: Body, material: Material, state: ContactState) -> bool:
+    """Return whether `FiniteStrain` solves a press: see the module."""
+    return (
+        not press.also
+        and isinstance(body, Block)
+        and isinstance(press.probe, Sphere | Cylinder | Cone)
+        and press.friction == 0.0
+        and not np.any(state.turns_deg)
+        and not any(press.tilt_deg)
+        and press.direction in (None, (0, 0, 1))
+        and material.poisson_ratio >= LEAST_POISSON
+        and _beside_mm(body, approach_of(press, body).axis_mm + state.move_mm)
+        >= LEAST_BESIDE * state.contact_radius_mm
+    )
+
+
+def _beside_mm(body: Body, place: Floats) -> float:
+    """Return how far a place is from the nearest side of a block, mm."""
+    low, high = np.array(body.bounds_mm)
+    return float(np.concatenate([place - low, high - place])[[0, 1, 3, 4]].min())
 
 
 def _strain_of(
@@ -384,11 +376,12 @@ def _strain_of(
     coarse: bool = False,
     like: FiniteStrain | BodyStrain | None = None,
 ) -> FiniteStrain | BodyStrain:
-    """Return what linear theory leaves out of a state of a press, on a block or a curved body.
+    """Return what linear theory leaves out of a state of a press: on a slab of revolution where
+    that will do, else on a mesh of the whole body.
 
     Parameters and errors are those of `FiniteStrain` and `BodyStrain`.
     """
-    if isinstance(body, Block):
+    if _is_round(press, body, material, state):
         return FiniteStrain(press, body, material, state, watched, coarse=coarse)
     from twin.world.contact.body_strain import BodyStrain
 
@@ -401,12 +394,16 @@ def measured_linearity(
 ) -> Validity:
     """Return a state's validity with how far linear theory is off under this very press.
 
-    Neo-Hookean rubber is pressed on a coarse mesh: about .3 s on a block, 1 s on a curved body.
-    Where that can't be done, the estimate stays, and `Validity.linearisation_basis` says why.
+    Neo-Hookean rubber is pressed on a coarse mesh: about .3 s on a slab of revolution, 1 to 3 s on
+    a whole body. Where that can't be done, the estimate stays, and `Validity.linearisation_basis`
+    says why.
     """
     validity = state.validity
     if not state.load.terms:
         return replace(validity, linearisation_basis=f"{ESTIMATED}: nothing touches")
+    if press.also:
+        cause = "several probes at finite strain take 10 s and more"
+        return replace(validity, linearisation_basis=f"{ESTIMATED}: {cause}")
     rubber = material.model_copy(update={"law": "neo_hookean"})
     try:
         more = _strain_of(press, body, rubber, state, watched, coarse=True)
@@ -452,7 +449,7 @@ def at_finite_strain(
     """
     axes = approach_of(press, body).axes
     controls = press.in_own_axes(axes)
-    path = []
+    path: list[ContactState] = []
     for one, (by_force, _) in zip(state.path, controls, strict=False):
         if not one.load.terms:
             path.append(one)
@@ -541,7 +538,6 @@ def _strained(
     """
     state = found.linear
     more = found.more
-    deeper = more.indentation_mm
 
     def estimate(_: ContactState) -> PressError:
         linear = asked.error
@@ -564,20 +560,20 @@ def _strained(
         change = 100 * (found.force_n / float(found.axes[Z] @ asked.force_n) - 1.0)
     else:
         what = "indentation"
-        change = 100 * deeper / state.indentation_mm
+        change = 100 * more.indentation_mm / state.indentation_mm
     note = (
         f"large strain is included (material.law = {law}): under this force linear theory is "
         f"{100 * more.linear_error:.2g} % of the largest displacement off, and the {what} is "
         f"{abs(change):.2g} % {'larger' if change > 0 else 'smaller'} than by it"
     )
+    also = tuple(
+        _moved(other, more.moved[number], float(more.wider[number]), axes)
+        for number, (other, axes) in enumerate(zip(state.also, more.axes[1:], strict=True), start=1)
+    )
     return replace(
-        state,
+        _moved(state, more.moved[0], float(more.wider[0]), found.axes),
+        also=also,
         load=replace(state.load, strained=more),
-        indentation_mm=state.indentation_mm + deeper,
-        move_mm=state.move_mm + deeper * found.axes[Z],
-        contact_radius_mm=state.contact_radius_mm * more.wider,
-        area_mm2=state.area_mm2 * more.wider**2,
-        peak_pressure_mpa=state.peak_pressure_mpa / more.wider**2,
         validity=replace(
             state.validity,
             linearisation_error=more.linear_error,
@@ -586,4 +582,19 @@ def _strained(
             notes=(note,),
         ),
         estimate=estimate,
+    )
+
+
+def _moved(state: ContactState, moved: Floats, wider: float, axes: Floats) -> ContactState:
+    """Return the state of one probe that moved farther (6,), with a wider contact."""
+    turns = state.turns_deg + np.degrees(moved[Z + 1 :]) @ axes
+    return replace(
+        state,
+        indentation_mm=state.indentation_mm + float(moved[Z]),
+        move_mm=state.move_mm + moved[: Z + 1] @ axes,
+        turns_deg=turns,
+        turn_deg=float(turns @ axes[Z]),
+        contact_radius_mm=state.contact_radius_mm * wider,
+        area_mm2=state.area_mm2 * wider**2,
+        peak_pressure_mpa=state.peak_pressure_mpa / wider**2,
     )

@@ -1,4 +1,4 @@
-"""A whole body of rubber on a coarse mesh, pressed by a rigid probe without friction: linear or at
+"""A whole body of rubber on a coarse mesh, pressed by rigid probes without friction: linear or at
 finite strain.
 
 **Rubber.** Quadratic displacement and linear pressure on tetrahedra; the stress is a
@@ -6,23 +6,25 @@ finite strain.
 
 **Contact.** Pressures at the integration points of the surface; g is a point's gap to the probe.
 
-    pressure = -k g > 0, or pressure = 0 and g > 0;  the forces along the probe's way sum to the
+    pressure = -k g > 0, or pressure = 0 and g > 0;  the forces along each probe's way sum to the
     given one.
 
 In the linear answer g is measured at the undeformed place along the surface's normal, where the
 force acts, too, as `twin.world.contact.pressing` does. In the other one it is measured at the
 deformed place, along the probe's way, with forces along the probe's normal. The springs k are a
 film of rubber 10 um thick on the probe, in both answers: stiffer ones make the pressures of
-neighbouring points alternate, and double the error that the mesh leaves. The probe's place is an
-unknown.
+neighbouring points alternate, and double the error that the mesh leaves. The probes' places are
+unknowns.
 
 **Steps.** `pressed_further` takes Newton's, with an active set of points.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -53,6 +55,9 @@ _CHUNK = 256
 """Elements whose slopes are computed at once."""
 
 _NUDGE_MM = 1e-4
+
+_STEEPEST = 0.05
+"""A probe's surface whose normal has a smaller part along its way doesn't touch."""
 
 _KRYLOV = 20
 _KRYLOV_RESIDUALS = 1e-3, 1e-2
@@ -97,8 +102,8 @@ class Rubber(MixedRubber):
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
 
     def followed(self, matrix: Any, right: Floats, *, linear: bool) -> Floats:
-        """Return the solution (n, 2) of a tangent for what is out of balance and for what follows
-        the probe; 0 where it is held.
+        """Return the solution (n, 1 + p) of a tangent for what is out of balance and for what
+        follows every probe; 0 where it is held.
 
         The last factor, one of linear theory and one at finite strain, is kept as the
         preconditioner of GMRES. Where that needs too many iterations, the matrix is factored.
@@ -109,7 +114,9 @@ class Rubber(MixedRubber):
         kept = self._factors.get(linear)
         found = None
         if kept is not None:
-            found = kept.solve_near(own, right[free], _KRYLOV_RESIDUALS, _KRYLOV)
+            balance, follow = _KRYLOV_RESIDUALS
+            residuals = balance, *[follow] * (right.shape[1] - 1)
+            found = kept.solve_near(own, right[free], residuals, _KRYLOV)
         if found is None:
             factor = Factor(own, self._scale[free], node=self._node[free])
             self._factors[linear] = factor
@@ -193,7 +200,7 @@ class SurfaceTouch:
     mesh, body
         The body and its mesh.
     approach
-        The probe at first touch.
+        The probe at first touch; ``lift`` (q,) is the force along its way per pressure.
     aside_mm
         (2,) how far it has moved since, along its own x and y.
     centre, reach_mm
@@ -223,6 +230,7 @@ class SurfaceTouch:
         self.weights = np.tile(values, (int(near.sum()), 1))
         self.inward = body.piece_normals(self.rest_mm)[:, 0]
         self._approach = approach
+        self.lift = self.inward @ approach.axes[Z]
         self._aside = aside_mm
 
     def gaps(
@@ -252,14 +260,15 @@ class SurfaceTouch:
             pose[Z] = deep
             gap, slope = self._approach.gap(self.rest_mm, self.inward, pose)
             gap = gap + np.einsum("qi,qi->q", self.inward, shift)
-            return gap, self.inward, none, slope[:, Z], self.inward @ axes[Z]
+            return gap, self.inward, none, slope[:, Z], self.lift
         own = (self.rest_mm + shift - self._approach.axis_mm) @ axes.T
         own = own - np.array([*self._aside, deep])
         upright = np.broadcast_to([0.0, 0.0, 1.0], own.shape)
 
         def met(points: Points) -> tuple[Floats, Floats]:
             gap, normal = self._approach.shape.met(points, upright)
-            return gap, normal / normal[:, Z:]
+            gap = np.where(normal[:, Z] > _STEEPEST, gap, np.inf)
+            return gap, normal / np.maximum(normal[:, Z:], _STEEPEST)
 
         gap, push = met(own)
         for axis in range(Z):
@@ -279,41 +288,60 @@ class SurfaceTouch:
 
 @dataclass(frozen=True)
 class Equilibrated:
-    """A state: the rubber's unknowns, the probe's depth, mm, the (q,) pressures over Young's
-    modulus, and the points at which they were sought."""
+    """A state: the rubber's unknowns, the (p,) probes' depths, mm, and of the points (q,) that may
+    touch, those of one probe after the other, the pressures over Young's modulus, and whether they
+    were sought."""
 
     unknowns: Floats
-    deep: float
+    deep: Floats
     pressure: Floats
     active: Bools
 
 
-def pressed_further(
-    rubber: Rubber, touch: SurfaceTouch, state: Equilibrated, force: float, *, linear: bool
-) -> Equilibrated:
-    """Return the state after one Newton step of rubber, probe and pressures together.
+def rows_of(touches: Sequence[SurfaceTouch]) -> list[slice]:
+    """Return where the points of each probe are among those of all."""
+    ends = np.cumsum([0, *(len(touch.rest_mm) for touch in touches)])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
-    ``force`` is that along the probe's way over Young's modulus, mm2.
+
+def pressed_further(
+    rubber: Rubber,
+    touches: Sequence[SurfaceTouch],
+    state: Equilibrated,
+    force: Floats,
+    *,
+    linear: bool,
+) -> Equilibrated:
+    """Return the state after one Newton step of rubber, probes and pressures together.
+
+    ``force`` (p,) are those along the probes' ways over Young's modulus, mm2.
     """
     # Which points touch?
     moved = rubber.displacement(state.unknowns)
-    gap, push, bend, per_depth, lift = touch.gaps(moved, state.deep, linear=linear)
+    near = [
+        touch.gaps(moved, float(deep), linear=linear)
+        for touch, deep in zip(touches, state.deep, strict=True)
+    ]
+    gap, push, bend, per_depth, lift = (np.concatenate(part) for part in zip(*near, strict=True))
     weighed = state.pressure - _GAP_WEIGHT * (gap + state.pressure / _SPRING)
     active = weighed > 0.0 if state.pressure.any() else state.active
     active = active & np.isfinite(gap)
-    if not active.any():
+    if not all(active[rows].any() for rows in rows_of(touches)):
         raise NotSettled("contact: at finite strain the probe touches nothing: press further")
     on = np.flatnonzero(active)
     gap, push, per_depth, lift = gap[on], push[on], per_depth[on], lift[on]
-    weight = touch.weights[on]
-    area = touch.area_mm2[on]
-    row = (3 * touch.nodes[on][:, :, None] + np.arange(3)).reshape(len(on), 18)
+    weight = np.concatenate([touch.weights for touch in touches])[on]
+    area = np.concatenate([touch.area_mm2 for touch in touches])[on]
+    nodes = np.concatenate([touch.nodes for touch in touches])[on]
+    row = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(on), 18)
+    owner = np.repeat(np.arange(len(touches)), [len(touch.rest_mm) for touch in touches])[on]
+    own_probe = (owner[:, None] == np.arange(len(touches))).astype(float)
 
     def nodal(forces: Floats) -> Floats:
         spread = np.einsum("qa,qi->qai", weight, forces)
         return np.bincount(row.ravel(), spread.ravel(), rubber.size).astype(float)
 
-    # Rubber on springs, once under what is out of balance and once per depth of the probe.
+    # Rubber on springs, once under what is out of balance and once per depth of every probe.
     spring = _SPRING * push[:, :, None] * push[:, None, :]
     spring -= state.pressure[on, None, None] * bend[on]
     spring *= area[:, None, None]
@@ -321,21 +349,20 @@ def pressed_further(
     tangent = rubber.at_rest if linear else rubber.tangent(state.unknowns)
     right = -(tangent @ state.unknowns) if linear else -rubber.resistance(state.unknowns)
     own = right + nodal(-(_SPRING * area * gap)[:, None] * push)
-    follow = nodal(-(_SPRING * area * per_depth)[:, None] * push)
+    follow = [nodal(-(_SPRING * area * per_depth * one)[:, None] * push) for one in own_probe.T]
     springs = summed(block, row, rubber.size)
-    right_sides = np.column_stack([own, follow])
-    both = rubber.followed(tangent + springs, right_sides, linear=linear)
+    found = rubber.followed(tangent + springs, np.column_stack([own, *follow]), linear=linear)
 
-    # The probe moves until the pressures carry the force.
+    # The probes move until the pressures carry the forces.
     def closed(step: Floats) -> Floats:
-        moved = rubber.displacement(step)[touch.nodes[on]]
-        return np.asarray(np.einsum("qi,qa,qai->q", push, weight, moved))
+        return np.asarray(np.einsum("qi,qa,qai->q", push, weight, rubber.displacement(step)[nodes]))
 
-    still = -_SPRING * (gap + closed(both[:, 0]))
-    per_motion = -_SPRING * (per_depth + closed(both[:, 1]))
-    carried = area * lift
-    motion = float((force - carried @ still) / (carried @ per_motion))
+    still = -_SPRING * (gap + closed(found[:, 0]))
+    by_probe = np.column_stack([closed(one) for one in found[:, 1:].T])
+    per_motion = -_SPRING * (per_depth[:, None] * own_probe + by_probe)
+    carried = (area * lift)[:, None] * own_probe
+    motion = np.linalg.solve(carried.T @ per_motion, force - carried.T @ still)
     pressure = np.zeros(len(active))
-    pressure[on] = still + motion * per_motion
-    unknowns = state.unknowns + both[:, 0] + motion * both[:, 1]
+    pressure[on] = still + per_motion @ motion
+    unknowns = state.unknowns + found[:, 0] + found[:, 1:] @ motion
     return Equilibrated(unknowns, state.deep + motion, pressure, active)
