@@ -137,7 +137,10 @@ class BodyStrain:
         presses = (press.model_copy(update={"also": ()}), *press.also)
         approaches = [_rounded(approach_of(one, body)) for one in presses]
         self.axes = tuple(approach.axes for approach in approaches)
-        if problem := _unsolved(press, body, material, state, self.axes):
+        problem = _unsolved(press, body, material, state, self.axes)
+        if not problem and coarse:
+            problem = _too_slow(press, body)
+        if problem:
             raise InputError(
                 f"material.law = {material.law}: {problem} at finite strain; change it, or set "
                 "material.law = linear"
@@ -338,6 +341,13 @@ def _centre(state: ContactState) -> Floats:
     patches = state.patches
     assert patches is not None
     return np.asarray(patches.centre_mm.mean(axis=0))
+
+
+def _too_slow(press: Press, body: Body) -> str:
+    """Return why a press isn't solved to tell the error of linear theory alone: it takes more than
+    3 s; empty if it is."""
+    single = not press.also and isinstance(press.probe, Sphere)
+    return "" if single and not isinstance(body, Block) else "such a press takes 3 to 20 s"
 
 
 def _unsolved(
