@@ -34,6 +34,10 @@ neighbour, as from a cold start two shifts by steps of the layout's lattice fit 
 with another outline or blur than at rest. "seen" and "strained" markers have a shift, and those
 partly hidden ones whose visible part is enough."""
 
+COHERENT = 1.5
+"""Smaller factors, of all layers together, are chance or a few markers' moving shadows, and leave
+the stated deviations as they are."""
+
 SEEN, MISSING, DIM, MERGED, OCCLUDED, PARTLY_HIDDEN, AMBIGUOUS, STRAINED = range(len(STATES))
 
 AREA_RATIO = (0.6, 1.7)

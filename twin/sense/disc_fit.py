@@ -33,6 +33,7 @@ from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles, for_kerne
 from twin.compiled import njit
 from twin.sense.centre import (
     AREA_RATIO,
+    COHERENT,
     DIM,
     LEVEL_RATIO,
     MERGED,
@@ -531,7 +532,7 @@ class DiscFit(SoftWindow):
             factor = _coherence(fitted, templates.third, state == SEEN, sd)
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
-        sd = _edge_sds(fitted, templates, rest_sd, sd, factor)
+        sd = _edge_sds(fitted, templates, rest_sd, sd, factor if factor > COHERENT else 1.0)
         return Seen(shift_px=shift, sd_px=sd, state=state, coherence=factor)
 
 

@@ -20,17 +20,13 @@ from twin.blas_threads import one_blas_thread
 from twin.display import Table, html_table, new_axes, one_line, plot_shifts
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
-from twin.sense.centre import MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
+from twin.sense.centre import COHERENT, MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
 from twin.sense.colour import Weights, as_picture, interpolate_colours
 from twin.sense.reference import Rest, analyse_rest
 
 CACHE_LINE = 64
 """Bytes that memory hands over at once. Reading a picture once in order before markers are fitted
 here and there takes a third of the time that it saves."""
-
-COHERENT = 1.5
-"""Smaller factors, of all layers together, are chance or a few markers' moving shadows, and leave
-the stated deviations as they are."""
 
 FILM = 3.0
 """Errors of a film over those that the shape of its markers shows: its codec moves blocks of the

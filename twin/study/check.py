@@ -312,8 +312,9 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
     InputError
         Pictures that can't be used: of another size, the same picture twice, without markers.
     """
+    from twin.sense.centre import COHERENT
     from twin.sense.disc_fit import DiscFit
-    from twin.sense.track import COHERENT, analyse_rest, track_frame
+    from twin.sense.track import analyse_rest, track_frame
     from twin.study.recorded import read_picture
     from twin.study.sensor import SATURATED, Sensor
 
