@@ -140,16 +140,16 @@ def test_a_box_meshed_from_its_file_moves_as_the_block(own_cache):
 
 @pytest.mark.slow
 def test_a_dome_meshed_from_its_file_is_off_by_the_square_of_its_facets(own_cache):
-    """A quarter of the edge leaves less than a quarter of the error; two meshes differ by 0.3 %."""
+    """A sixth of the edge would leave a sixth of the error, were it linear; two meshes of a body differ by 0.3 to 0.6 %."""
     off = []
-    for edge in (2.0, 0.5):
+    for edge in (3.0, 0.5):
         solid, dome = solid_dome(own_cache, edge)
         points = dome.chart_points(np.random.default_rng(5).uniform(-4, 4, (100, 2)), 1.0)
         loads = [Traction.bump((0, 0), 2, (0, 0, 1)), Traction.bump((4, 0), 1.5, (1, 0, 0.5))]
         both = [moved(body, body_mesh(body, "coarse"), loads, points) for body in (solid, dome)]
         off.append(apart(*both))
-    assert off[0] < 0.04
-    assert off[1] < 0.25 * off[0]
+    assert off[0] < 0.08
+    assert off[1] < 0.15 * off[0]
 
 
 @pytest.mark.slow
