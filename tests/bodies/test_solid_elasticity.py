@@ -140,7 +140,7 @@ def test_a_box_meshed_from_its_file_moves_as_the_block(own_cache):
 
 @pytest.mark.slow
 def test_a_dome_meshed_from_its_file_is_off_by_the_square_of_its_facets(own_cache):
-    """A sixth of the edge would leave a sixth of the error, were it linear; two meshes of a body differ by 0.3 to 0.6 %."""
+    """A sixth of the edge would leave a sixth, were it linear; two meshes of a body differ by 0.3 to 0.6 %."""
     off = []
     for edge in (3.0, 0.5):
         solid, dome = solid_dome(own_cache, edge)
