@@ -17,7 +17,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Floats, Picture, Pixels
+from twin.arrays import Floats, Ints, Picture, Pixels
 from twin.compiled import njit
 from twin.errors import InputError
 
@@ -88,7 +88,8 @@ def interpolate_colours(picture: Picture, blocks: tuple[int, int]) -> Picture:
     Why: steps every other pixel look like edges, and move a marker's by up to .3 px.
     """
     levels = picture.astype(np.int16)
-    bright = (levels @ np.array([77, 150, 29], np.int32) >> 8).astype(np.int16)[:, :, None]
+    weights: Ints = np.rint(256 * LUMA).astype(np.int64)
+    bright = (levels @ weights >> 8).astype(np.int16)[:, :, None]
     colour = levels - bright
     for axis, begin in ((1, blocks[0]), (0, blocks[1])):
         count = picture.shape[axis]

@@ -155,12 +155,13 @@ def _fitted_numbers(scene: Scene, facts: dict[str, Any]) -> list[str]:
             for name, layer in scene.markers.items()
         },
     }
-    return [
-        f"fitted  {what} {value + found['deviation'] * scale:.3g}{unit}, drawn {value:g}{unit}"
-        for name, found in facts.get("fitted", {}).items()
-        if name in drawn
-        for what, value, scale, unit in [drawn[name]]
-    ]
+    lines = []
+    for name, found in facts.get("fitted", {}).items():
+        if name in drawn:
+            what, value, scale, unit = drawn[name]
+            fitted = value + found["deviation"] * scale
+            lines.append(f"fitted  {what} {fitted:.3g}{unit}, drawn {value:g}{unit}")
+    return lines
 
 
 def sensor_digest(scene: Scene) -> str:

@@ -23,9 +23,9 @@ def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> l
 
     sensor = Sensor(scene, progress)
     actual = sensor.actual.scene
-    if actual.camera and actual.light:  # the renderer refuses a scene without them
-        check_stock(actual)
-    exposure = sensor.renderer.exposure
+    renderer = sensor.renderer  # refuses a scene without a camera
+    check_stock(actual)
+    exposure = renderer.exposure
     # The states: at rest, and pressed if the scene says by what.
     motions: dict[str, Motion | None] = {"rest": None}
     if scene.tractions or scene.press is not None:

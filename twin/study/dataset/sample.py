@@ -203,14 +203,14 @@ def _rows(made: _MadeSensor, sample: int, press: Press) -> list[_Row]:
             "peak_pressure_mpa": one.peak_pressure_mpa,
             "contact_residual": one.residual,
             "linearisation_error": one.validity.linearisation_error,
-            "surface_slip": np.concatenate([np.zeros(0, bool), *_slips_of(one)]),
+            "surface_slip": one.slips,
             "slip_share": one.slip_share,
             "split": "test" if sample % _TEST_EACH == _TEST_EACH - 1 else "train",
         }
         picture = None
-        if ends_s is not None and film is not None:
-            row["time_s"] = ends_s[step]
-            picture = partial(film.picture, ends_s[step])
+        if film is not None:
+            row["time_s"] = film.time_s[step + 1]
+            picture = partial(film.picture, film.time_s[step + 1])
         # the error of tractions costs half as much again as the contact
         if any(column.name == "traction_error" for column in plan.columns) and one.error:
             row["traction_error"] = one.error.traction
@@ -284,7 +284,9 @@ def _seen(
         return _outlined(renderer.outlines(sensor.ellipsoids(motion)))
     if moving is not None:
         row = {"picture": png_bytes(moving(exposure))}
-        return row | _outlined(renderer.outlines(sensor.ellipsoids(motion)))
+        if "outlines" in needs:
+            row |= _outlined(renderer.outlines(sensor.ellipsoids(motion)))
+        return row
     if "outlines" not in needs:
         return {"picture": png_bytes(sensor.picture(motion, exposure=exposure))}
     picture, outlines = sensor.seen(motion, exposure)

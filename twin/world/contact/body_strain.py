@@ -118,9 +118,14 @@ class BodyStrain:
     """What linear theory leaves out of one state of a press on a whole body.
 
     Parameters, attributes and errors are those of
-    `twin.world.contact.finite_strain.FiniteStrain`. It takes about 2 s. With ``like`` the mesh
-    is that of a nearly equal press, so that the answers differ by the press alone, and the steps
-    begin at its answers.
+    `twin.world.contact.finite_strain.FiniteStrain`. It takes about 2 s under a sphere, 3 to 20 s
+    under others; with ``coarse`` the others are refused. With ``like`` the mesh is that of a nearly
+    equal press, so that the answers differ by the press alone, and the steps begin at its answers.
+
+    Raises
+    ------
+    InputError
+        The press is not of the kind that is solved at finite strain.
     """
 
     def __init__(
