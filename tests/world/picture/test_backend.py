@@ -154,7 +154,7 @@ def test_the_environment_forces_a_variant(monkeypatch):
 @pytest.mark.parametrize("file", sorted({os.path.realpath(p) for p in glob.glob("/usr/lib/*/libLLVM*.so*")}))
 def test_every_library_of_this_machine_is_survived(file):
     called = f"backend.choose_variant(candidates=[{file!r}]).name"
-    command = f"from twin.world.picture import backend; print({called})"
+    command = f"from twin.world.picture import backend; backend.DRIVERS = (); print({called})"
     child = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, timeout=120)
     assert child.returncode == 0, child.stderr
     assert child.stdout.strip() == choose_variant(candidates=[file]).name

@@ -68,6 +68,11 @@ def test_a_marker_alone_is_as_bright_as_its_surface_is_lit(make, which, paths):
     assert_allclose(light, measured(splat, expected)[1], rtol=0.01)
 
 
+def test_no_count_of_paths_is_rounded_with_a_warning(capfd):
+    path_traced(block(), beads([(0, 0, 6)]), paths=17)
+    assert not any(capfd.readouterr())
+
+
 def test_exposure_and_even_light_are_those_of_the_other_renderers():
     scene = changed(block(), light={"ambient": 0.5})
     markers = beads([(0, 0, 6)], colour=(0.01, 0.01, 0.01))

@@ -4,12 +4,14 @@ The literal scene (camera and LEDs in air, dielectric plates between) gives blac
 so the optics are folded: camera rays start inside the body with Snell's exact directions, and LEDs
 shine from their virtual images. Mitsuba holds all markers in one ``ellipsoids`` shape and finds
 those on a ray; camera and shadow rays are traced on a fixed k x k grid in every pixel near a
-marker. Moving markers rewrites that shape's numbers: nothing is rebuilt or recompiled.
+marker. Moving markers rewrites that shape's numbers: nothing is rebuilt or recompiled. It must be
+one shape: OptiX leaves out the rays into a second scene of the same kernel, with a line in the log.
 
 Why not plain hits: a hard edge on a k x k grid is off by 0.15 k^-1.5 R^-0.5 px in the centroid of a
 disc of R px, which is as much as the camera's noise. So camera rays look for ellipsoids that are
 larger by a sub-pixel, and the share that the true one covers follows from the ray's distance to its
-silhouette: ten times smaller errors for the same rays.
+silhouette: ten times smaller errors for the same rays. Shadow rays meet the same larger ellipsoids,
+and are dark where they meet the true one.
 
 Why a fixed grid and no sampler: random samples make centroids 3 to 5 times worse. Why our own loop:
 the sum over LEDs is analytic, and stock path tracing is some ten times slower at equal error.
@@ -23,6 +25,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -61,7 +64,7 @@ class MitsubaTracer:
         self._mi: Any = importlib.import_module("mitsuba")
         self._switch()
         self._dr: Any = importlib.import_module("drjit")
-        self._padded, self._exact = _Shape(self._mi), _Shape(self._mi)
+        self._shape = _Shape(self._mi)
         self._width = view.sees.shape[1]
         corners = view.corners / [unit_mm, unit_mm, 1, 1]
         self._corners = self._mi.Float(_aligned(corners.astype(np.float32).ravel()))
@@ -77,14 +80,16 @@ class MitsubaTracer:
         they leave free."""
         if not len(job.pixels):
             return np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
-        # Upload the scene: markers as exact ellipsoids (shadows) and as padded ones (edges).
+        # Upload the scene: markers a little larger than they are, which all rays look for.
         self._switch()
         mi, dr = self._mi, self._dr
         k = job.subpixels
         pixel, begin, table = self._inputs(job)
         colours = mi.Float(_aligned(job.colour.astype(np.float32).ravel()))
-        exact, padded = self.hold(job)
-        lit = self._irradiance(job, exact)
+        rows = _ellipsoid_rows(job)
+        rows[:, 3:6] += job.pad[:, None]
+        padded = self._shape.hold(rows)
+        lit = self._irradiance(job, padded, table)
 
         def one_marker(
             ray: Any, going: Any, last: Any, depth: Any, place: Any, light: Any, clear: Any
@@ -143,14 +148,6 @@ class MitsubaTracer:
         channels = np.stack([np.array(channel, np.float32) for channel in light], axis=1)
         return channels * share, np.array(free, np.float32) * share
 
-    def hold(self, job: PictureJob) -> tuple[Any, Any]:
-        """Return Mitsuba's scenes of the job's markers, and of markers larger by what the search
-        for edges needs."""
-        exact = _ellipsoid_rows(job)
-        larger = exact.copy()
-        larger[:, 3:6] += job.pad[:, None]
-        return self._exact.hold(exact), self._padded.hold(larger)
-
     def _inputs(self, job: PictureJob) -> tuple[Any, Any, Any]:
         """Return the lanes' pixels and starts, and one table of 16 numbers per marker, read four at
         a time."""
@@ -197,15 +194,14 @@ class MitsubaTracer:
         place = mi.Vector2f(mi.Float(column) + across - 0.5, mi.Float(row) + down - 0.5)
         return mi.Ray3f(start, dr.normalize(mi.Vector3f(ray.z, ray.w, -1))), place
 
-    def _meet(
-        self, table: Any, ray: Any, marker: Any, place: Any, k: int, active: Any
-    ) -> tuple[Any, Any, Any, Any]:
-        """Return coverage, centre, way from centre to surface, and normal where rays meet or just
-        miss markers."""
+    def _pass_by(
+        self, table: Any, ray: Any, marker: Any, active: Any
+    ) -> tuple[Any, Any, Any, Any, Callable[[Any], Any]]:
+        """Return how rays pass markers: the centre, the way from it to the ray's nearest point and
+        its length, both in the marker's metric, the square of the ray's direction, and the metric
+        as a function."""
         mi, dr = self._mi, self._dr
-        one, two, three, four = (
-            dr.gather(mi.Vector4f, table, marker * 4 + i, active) for i in range(4)
-        )
+        one, two, three = (dr.gather(mi.Vector4f, table, marker * 4 + i, active) for i in range(3))
         centre = mi.Vector3f(one.x, one.y, one.z)
 
         def times(v: Any) -> Any:
@@ -222,7 +218,16 @@ class MitsubaTracer:
         along = times(ray.d)
         square = dr.dot(ray.d, along)
         away = away - ray.d * (dr.dot(away, along) / square)
-        miss = dr.sqrt(dr.dot(away, times(away)))
+        return centre, away, dr.sqrt(dr.dot(away, times(away))), square, times
+
+    def _meet(
+        self, table: Any, ray: Any, marker: Any, place: Any, k: int, active: Any
+    ) -> tuple[Any, Any, Any, Any]:
+        """Return coverage, centre, way from centre to surface, and normal where rays meet or just
+        miss markers."""
+        mi, dr = self._mi, self._dr
+        centre, away, miss, square, times = self._pass_by(table, ray, marker, active)
+        three, four = (dr.gather(mi.Vector4f, table, marker * 4 + i, active) for i in (2, 3))
         off = place - mi.Vector2f(three.y, three.z)
         slope = mi.Vector2f(three.w * off.x + four.x * off.y, four.x * off.x + four.y * off.y)
         steepness = dr.norm(slope) * dr.rsqrt(dr.maximum(dr.dot(off, slope), 1e-12))
@@ -236,13 +241,22 @@ class MitsubaTracer:
         )
         return covers, centre, surface, dr.normalize(times(surface))
 
-    def _irradiance(self, job: PictureJob, exact: Any) -> Any:
+    def _irradiance(self, job: PictureJob, padded: Any, table: Any) -> Any:
         """Return a function of markers and places on them that sums the light of all LEDs, shadows
         included."""
         mi, dr = self._mi, self._dr
         leds = job.lamps.shape[1]
         lamps = mi.Float(_aligned(job.lamps.astype(np.float32).ravel()))
         shadowed = mi.Bool(_aligned(np.diff(job.occluder_first) > 0))
+
+        def one_occluder(ray: Any, going: Any, depth: Any, dark: Any) -> Any:
+            # A shadow is exact: the next marker darkens if the ray meets it without its padding.
+            found = padded.ray_intersect_preliminary(ray, active=going)
+            going = going & found.is_valid()
+            miss = self._pass_by(table, ray, found.prim_index, going)[2]
+            dark = dark | (going & (miss < 1))
+            onward = mi.Ray3f(dr.select(going, ray(found.t + _STEP), ray.o), ray.d)
+            return onward, going & ~dark, depth + 1, dark
 
         def one_led(
             led: Any, total: Any, marker: Any, centre: Any, away: Any, normal: Any, active: Any
@@ -255,8 +269,11 @@ class MitsubaTracer:
             facing = active & (cosine > 0)
             # Trace a shadow ray only where another marker may lie in between.
             doubt = facing & dr.gather(mi.Bool, shadowed, marker * leds + led, active)
-            start = mi.Point3f(centre + away * (1 - _INSIDE))
-            dark = exact.ray_test(mi.Ray3f(start, towards * inverse), doubt)
+            ray = mi.Ray3f(mi.Point3f(centre + away * (1 - _INSIDE)), towards * inverse)
+            state = (ray, doubt, mi.UInt32(0), mi.Bool(False))
+            dark = dr.while_loop(
+                state, lambda _, going, depth, __: going & (depth < _DEPTH), one_occluder
+            )[3]
             share = dr.select(facing & ~dark, lamp.w * cosine * inverse * inverse, 0)
             return led + 1, total + share, marker, centre, away, normal, active
 

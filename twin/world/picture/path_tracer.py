@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from math import isqrt
 from typing import Any
 
 import drjit as dr
@@ -83,8 +84,9 @@ class PathTracer:
         self._background = None if scene.cover is None else Background(scene, top)
         self._shape = (scene.camera.height_px, scene.camera.width_px, 3)
         size = scene.camera.width_px * scene.camera.height_px
-        self._passes = max(-(-size * paths // _AT_ONCE), 1)
-        self._paths = -(-paths // self._passes)
+        # The sampler takes squares: it would round other counts up, and say so for each pass.
+        self._paths = max(min(isqrt(_AT_ONCE // size), isqrt(paths - 1) + 1), 1) ** 2
+        self._passes = -(-paths // self._paths)
         self._fixed = self._optics(views) | self._window()
 
     def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
