@@ -35,8 +35,8 @@ with another outline or blur than at rest. "seen" and "strained" markers have a 
 partly hidden ones whose visible part is enough."""
 
 COHERENT = 1.5
-"""Smaller factors, of all layers together, are chance or a few markers' moving shadows, and leave
-the stated deviations as they are."""
+"""Smaller coherence may be due to a few markers' moving shadows: it does not raise the limits up to
+which an edge has changed by chance."""
 
 SEEN, MISSING, DIM, MERGED, OCCLUDED, PARTLY_HIDDEN, AMBIGUOUS, STRAINED = range(len(STATES))
 
@@ -81,7 +81,7 @@ class Seen:
     """What one signal of a picture shows; rows are its markers, fields as in
     `twin.sense.track.Found`.
 
-    ``coherence`` is how many times as large as ``sd_px`` the errors are.
+    ``coherence`` is how many times as large as by single pixels' noise the errors are.
     """
 
     shift_px: Pixels

@@ -125,8 +125,8 @@ CENTRE_X, CENTRE_Y, LEVEL, GROUND, SCALE, VAR_X, VAR_Y, EDGE, SQUARES = range(9)
 PIXELS, STEP, MISFIT, FITTING, THIRD_X, THIRD_Y, SHORTFALL, ONE_SIDED = range(9, 17)
 DIRECTIONS = 8
 RESHAPED = ONE_SIDED + DIRECTIONS
-DOUBTED, DIFFERENCE = RESHAPED + 1, RESHAPED + 2
-COLUMNS = DIFFERENCE + 1
+DOUBTED, DIFFERENCE, TILTED_X, TILTED_Y, VAR_TILTED = range(RESHAPED + 1, RESHAPED + 6)
+COLUMNS = VAR_TILTED + 1
 """What `Templates.fit` gives for a marker: centre, level, ground, scale against the template;
 variances of the centre; share of the edge in sight; sum of squared residuals over how many pixels;
 last step in px; squared residuals over their expected size; share of the edge in sight that fits;
@@ -136,8 +136,9 @@ as a share of the marker's; along
 `DIRECTIONS` from 0 to 180 degrees, how far the centre moves if the edge on that side is left out,
 less how far it moves back if the other side is, px; what was fitted: 0 the shape at rest,
 `OWN_SHAPE` or `PART_IN_SIGHT`; 1 where the fit, the edge or the size is not as usual, else 0; by
-how much the outline differs from its neighbours', unexplained, px. Two, the light and the moves,
-are 0 and NaN where the edge is not looked at."""
+how much the outline differs from its neighbours', unexplained, px; how far the centre would move
+were the slope of brightness fitted too, and the variance of that by the noise. Two, the light and
+the moves of one side, are 0 and NaN where the edge is not looked at."""
 
 OWN_SHAPE, PART_IN_SIGHT = 1.0, 2.0
 """A marker fitted with an outline and blur of its own; by the part of it that is in sight."""
@@ -197,7 +198,9 @@ SETTLED_LEAD_PX = 0.3
 
 
 @njit(cache=True, fastmath=True)
-def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, narrow, total):
+def _sums(
+    signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, narrow, noise, more, total
+):
     """Add up over the pixels at ``place`` (2, m) what one step needs; float32, no branches: for the
     vector unit.
 
@@ -214,6 +217,7 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, n
     jxx, jxy, jyy, jxr, jyr = zero, zero, zero, zero, zero
     jrr, jr, jxxm, jyym, rr, edge = zero, zero, zero, zero, zero, zero
     cosine, sine = zero, zero
+    edge_x, edge_y, tilt_x, tilt_y, sharp, both, slopes = zero, zero, zero, zero, zero, zero, zero
     for p in range(len(signal)):
         dx, dy = place[0, p] - cx, place[1, p] - cy
         ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
@@ -252,10 +256,24 @@ def _sums(signal, use, place, cx, cy, form, slope, bulge, blur, level, ground, n
         missed = use[p] * tilt * residual
         cosine += missed * nx * (four * nx * nx - three)
         sine += missed * ny * (three - four * ny * ny)
+        precise = use[p] / (noise + more * cover)
+        missed, on = precise * tilt, precise * model
+        sharp += missed * tilt
+        both += on * (dx * jx + dy * jy)
+        slopes += on * model * (dx * dx + dy * dy)
+        bounded = residual * math.sqrt(trust)
+        missed *= bounded
+        on *= bounded
+        edge_x += missed * nx
+        edge_y += missed * ny
+        tilt_x += on * dx
+        tilt_y += on * dy
     total[0], total[1], total[2], total[3], total[4] = n, sm, smm, si, sim
     total[5], total[6], total[7], total[8], total[9] = jxx, jxy, jyy, jxr, jyr
     total[10], total[11], total[12], total[13], total[14], total[15] = jrr, jr, jxxm, jyym, rr, edge
     total[16], total[17] = cosine, sine
+    total[18], total[19], total[20], total[21] = edge_x, edge_y, tilt_x, tilt_y
+    total[22], total[23], total[24] = sharp, both, slopes
 
 
 @njit(cache=True)
@@ -319,7 +337,7 @@ def _fit_centres(
     rows, columns = image.shape[0], image.shape[1]
     signal, use = room[0, : offset.shape[1]], room[1, : offset.shape[1]]
     colour = (own[0], own[1], own[2], own[3])
-    total, first = np.empty(18), np.empty(2)
+    total, first = np.empty(25), np.empty(2)
     smallest, largest = np.inf, 0.0
     for k in range(len(start)):
         fit, mark = out[k], shape[k]
@@ -365,6 +383,8 @@ def _fit_centres(
                 np.float32(level),
                 np.float32(here),
                 np.float32(narrow),
+                np.float32(noise[0]),
+                np.float32(noise[1] - noise[0]),
                 total,
             )
             n, sm, smm, si, sim = total[0], total[1], total[2], total[3], total[4]
@@ -422,6 +442,12 @@ def _fit_centres(
         fit[SHORTFALL], fit[RESHAPED], fit[DIFFERENCE] = 0.0, 0.0, 0.0
         sharp = 0.5 * max(total[15], 1e-9)
         fit[THIRD_X], fit[THIRD_Y] = total[16] / sharp, total[17] / sharp
+        # both axes alike: exact on whole discs
+        firm, both, own_slope = 0.5 * total[22], 0.5 * total[23], 0.5 * total[24]
+        free = max(firm * own_slope - both * both, 1e-12)
+        fit[TILTED_X] = (own_slope * total[18] - both * total[20]) / free
+        fit[TILTED_Y] = (own_slope * total[19] - both * total[21]) / free
+        fit[VAR_TILTED] = own_slope / free
         uneven = (fit[THIRD_X] - third[k, 0]) ** 2 + (fit[THIRD_Y] - third[k, 1]) ** 2
         uneven /= 2.0 * (fit[VAR_X] + fit[VAR_Y])
         doubted = fit[FITTING] < FITS or fit[MISFIT] > UNUSUAL * usual_misfit
@@ -534,10 +560,11 @@ class Templates:
         Radius of what is looked at around a marker, px.
     coherent
         Whether residuals at rest are those of noise that hangs together over pixels.
-    misfit, third, fitting, one_sided
+    misfit, third, fitting, one_sided, tilted, var_tilted
         At rest: (n,) squared residuals over what the noise explains; (n, 2) third harmonic of the
         edge, px; (n,) share of the edge that fits; (n, `DIRECTIONS`) how far the centre moves
-        without one side of the edge, px.
+        without one side of the edge, px; (n, 2) how far with a fitted slope, px, and (n,) its
+        variance.
     """
 
     own: Singles
@@ -554,6 +581,8 @@ class Templates:
     third: Floats
     fitting: Floats
     one_sided: Floats
+    tilted: Floats
+    var_tilted: Floats
 
     @property
     def blur_px(self) -> Floats:

@@ -20,7 +20,7 @@ from twin.blas_threads import one_blas_thread
 from twin.display import Table, html_table, new_axes, one_line, plot_shifts
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
-from twin.sense.centre import COHERENT, MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
+from twin.sense.centre import MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
 from twin.sense.colour import Weights, as_picture, interpolate_colours
 from twin.sense.reference import Rest, analyse_rest
 
@@ -301,23 +301,19 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
     shift = np.full(rest.rest_px.shape, np.nan)
     sd = np.full(len(rest.rest_px), np.nan)
     state = np.full(len(rest.rest_px), MISSING, np.uint8)
-    factors = np.ones(len(rest.rest_px))
+    usual = rest.usual_sd_px.copy()
     spurious: list[Pixels] | None = []
     picture.reshape(-1)[::CACHE_LINE].max()  # a straight read, which memory foresees
     for group in rest.groups:
         rows = group.look.rows
         start = None if start_px is None else np.asarray(start_px, float)[rows]
         seen = group.measure(picture, start)
-        shift[rows], sd[rows], state[rows] = seen.shift_px, seen.sd_px, seen.state
-        film = rest.blocks is not None and seen.coherence > 1.0
-        factors[rows] = seen.coherence * (FILM if film else 1.0)
+        film = FILM if rest.blocks is not None and seen.coherence > 1.0 else 1.0
+        shift[rows], sd[rows], state[rows] = seen.shift_px, film * seen.sd_px, seen.state
+        usual[rows] *= film * seen.coherence
         spurious = (
             None if spurious is None or seen.spurious_px is None else [*spurious, seen.spurious_px]
         )
-    if np.sqrt(np.mean(factors**2)) <= COHERENT:
-        factors[:] = 1.0
-    usual = factors * rest.usual_sd_px
-    sd *= factors
     lost = np.isnan(shift[:, 0])
     sd[lost] = np.nan
     state[~lost & (state != STRAINED) & (state != PARTLY_HIDDEN)] = SEEN

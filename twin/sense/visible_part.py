@@ -116,10 +116,10 @@ def fit_visible(
     signal, use, inside = _signal(picture, templates, place)
     far = np.hypot(*offset.T) > reach - 1.5
     ground = np.array([_median(s[u & far]) for s, u in zip(signal, use, strict=True)])
-    distance = np.hypot(*np.moveaxis(offset[:, None] - offset, 2, 0))
-    blurred = float(np.max(expected.blur))
-    beside = (distance < max(BESIDE_PX, BESIDE * blurred)).astype(float)
-    around = (distance <= max(AROUND_PX, AROUND * blurred)).astype(float)
+    blurred, length = float(np.max(expected.blur)), (offset**2).sum(axis=1).astype(np.float32)
+    apart = length[:, None] + length - 2.0 * (offset @ offset.T.astype(np.float32))  # squared
+    beside = (apart < max(BESIDE_PX, BESIDE * blurred) ** 2).astype(np.float32)
+    around = (apart <= max(AROUND_PX, AROUND * blurred) ** 2).astype(np.float32)
     number = np.maximum(use @ beside, 1.0) ** (1.0 if templates.coherent else 0.5)
     spread = np.stack([expected.level_sd, *3 * [expected.axes_sd]], axis=1)
     held = np.concatenate([np.zeros((len(rows), 3)), spread**-2.0], axis=1)
