@@ -90,6 +90,7 @@ class MitsubaTracer:
         rows[:, 3:6] += job.pad[:, None]
         padded = self._shape.hold(rows)
         lit = self._irradiance(job, padded, table)
+        even = 1.0 if len(job.even) == 1 else mi.Vector3f(*job.even.tolist())
 
         def one_marker(
             ray: Any, going: Any, last: Any, depth: Any, place: Any, light: Any, clear: Any
@@ -103,7 +104,7 @@ class MitsubaTracer:
             share = dr.select(going & (marker != last), covers * clear, 0)
             bright = (1 - self._ambient) * lit(
                 marker, centre, away, normal, share > 0
-            ) + self._ambient
+            ) + self._ambient * even
             light = light + dr.gather(mi.Vector3f, colours, marker, going) * (bright * share)
             # Go on behind it with what light it leaves free, until nothing is left.
             onward = mi.Ray3f(dr.select(going, ray(found.t + _STEP), ray.o), ray.d)
@@ -243,11 +244,13 @@ class MitsubaTracer:
 
     def _irradiance(self, job: PictureJob, padded: Any, table: Any) -> Any:
         """Return a function of markers and places on them that sums the light of all LEDs, shadows
-        included."""
+        included: of a channel where all are alike, of three under coloured LEDs."""
         mi, dr = self._mi, self._dr
         leds = job.lamps.shape[1]
         lamps = mi.Float(_aligned(job.lamps.astype(np.float32).ravel()))
         shadowed = mi.Bool(_aligned(np.diff(job.occluder_first) > 0))
+        coloured = len(job.tints) > 1
+        tints = mi.Float(_aligned(job.tints.T.astype(np.float32).ravel()))
 
         def one_occluder(ray: Any, going: Any, depth: Any, dark: Any) -> Any:
             # A shadow is exact: the next marker darkens if the ray meets it without its padding.
@@ -275,10 +278,13 @@ class MitsubaTracer:
                 state, lambda _, going, depth, __: going & (depth < _DEPTH), one_occluder
             )[3]
             share = dr.select(facing & ~dark, lamp.w * cosine * inverse * inverse, 0)
+            if coloured:
+                share = dr.gather(mi.Vector3f, tints, led, active) * share
             return led + 1, total + share, marker, centre, away, normal, active
 
         def irradiance(marker: Any, centre: Any, away: Any, normal: Any, active: Any) -> Any:
-            state = (mi.UInt32(0), mi.Float(0), marker, centre, away, normal, active)
+            none = mi.Vector3f(0) if coloured else mi.Float(0)
+            state = (mi.UInt32(0), none, marker, centre, away, normal, active)
             return dr.while_loop(state, lambda led, *rest: rest[-1] & (led < leds), one_led)[1]
 
         return irradiance

@@ -140,6 +140,9 @@ class PictureJob:
         each marker, -inf where it isn't seen.
     lamps
         (n, leds, 4) place and power of the LEDs' images per marker.
+    tints, even
+        (k, leds) shares of these powers by channel, and the (k,) colour of the even light: of
+        `Light.tints`, k = 1 for white light.
     occluder_first, occluder_members
         `_occluders` of each marker and lamp.
     colour
@@ -163,6 +166,8 @@ class PictureJob:
     pad: Floats
     top: Floats
     lamps: Floats
+    tints: Floats
+    even: Floats
     occluder_first: Indices
     occluder_members: Indices
     colour: Floats
@@ -237,6 +242,8 @@ def make_job(
     lamps = lamps_at(centres, scene)
     place = (lamps.place - [0.0, 0.0, behind_mm]) / unit_mm
     power = lamps.power / (full_power * unit_mm**2)
+    assert scene.light is not None
+    tints, even = scene.light.tints()
     # Gershgorin's bound on the largest eigenvalue of A^T A: the longest semi-axis, squared.
     gram = np.swapaxes(axes, 1, 2) @ axes
     longest = np.sqrt(np.abs(gram).sum(axis=2).max(axis=1, initial=0.0))
@@ -264,6 +271,8 @@ def make_job(
         pad=pad_mm / unit_mm,
         top=(top_mm - behind_mm) / unit_mm,
         lamps=np.concatenate([place, power[:, :, None]], axis=2),
+        tints=tints,
+        even=even,
         occluder_first=occluder_first,
         occluder_members=occluder_members,
         colour=markers.colour,

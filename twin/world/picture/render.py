@@ -14,7 +14,7 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -182,7 +182,6 @@ class Renderer:
         self.subpixels = subpixels or subpixels_for(wanted, self.variant.name)
         self._top, white = brightest(rest, scene)
         self._unit = float(np.median([layer.diameter_mm / 2 for layer in scene.markers.values()]))
-        self._tints = scene.light.tints()
         view = look(scene, self._top)
         self._gain = gain or white_level(scene.ccd) / max(white, view.ground_light(scene.ccd))
         self._view = view.times(self._gain)
@@ -237,11 +236,11 @@ class Renderer:
         factor = self._cover_factor(cover)
         if not self._pupils:
             job = self._job(markers, self.subpixels)
-            return self._over_cover(job, *self._shade(job), factor)
+            return self._over_cover(job, *self._shader.shade(job), factor)
         light: Singles = np.zeros_like(self._view.cover)
         for weight, part in zip(PUPIL_WEIGHTS, self._pupils, strict=True):
             job = part._job(markers, self.subpixels)
-            one = part._over_cover(job, *part._shade(job), factor)
+            one = part._over_cover(job, *part._shader.shade(job), factor)
             light += np.float32(weight) * one
         return light
 
@@ -253,26 +252,11 @@ class Renderer:
         if self._pupils:
             return self.radiance(markers, cover), self.outlines(markers)
         job = self._job(markers, self.subpixels)
-        traced = self._shader is not self._splat or len(self._tints[1]) > 1
+        traced = self._shader is not self._splat
         shaded = self._splat.look(job, bright=not traced)
-        marks, free = self._shade(job) if traced else (shaded.light, shaded.free)
+        marks, free = self._shader.shade(job) if traced else (shaded.light, shaded.free)
         light = self._over_cover(job, marks, free, self._cover_factor(cover))
         return light, _outlines(job, shaded)
-
-    def _shade(self, job: PictureJob) -> tuple[Singles, Singles]:
-        """Return what the shader does: in one go, or in one for each channel of coloured LEDs."""
-        tints, even = self._tints
-        if len(even) == 1:
-            return self._shader.shade(job)
-        marks = np.empty((len(job.pixels), 3), np.float32)
-        for c in range(3):
-            # The shader's share of even light is white: it gets the channel's through the colour.
-            lamps = job.lamps.copy()
-            lamps[:, :, 3] *= tints[c] / max(even[c], 1e-9)
-            one = replace(job, lamps=lamps, colour=frozen(job.colour * even[c]))
-            light, free = self._shader.shade(one)
-            marks[:, c] = light[:, c]
-        return marks, free
 
     def _cover_factor(self, cover: CoverMotion | None) -> Singles | None:
         """Return (height, width, k) factors on the cover's light, None at rest."""

@@ -76,11 +76,12 @@ _PIXEL_ROWS = 14
 _RAY, _ACROSS, _DOWN, _COLUMN, _ROW = (r * _BATCH for r in (14, 18, 22, 26, 27))
 # What a sub-pixel's ray meets: a place from the centre, the unit normal, slopes, coverage; light.
 _X, _Y, _Z, _NX, _NY, _NZ = (r * _BATCH for r in range(28, 34))
-_DX, _DY, _COVERS, _BRIGHT, _CLEAR = (r * _BATCH for r in range(34, 39))
-# Sums over sub-pixels: light, coverage, and weights, alone and times column and row.
-_LIGHT, _SUM, _WHOLE, _ASIDE, _BELOW = (r * _BATCH for r in range(39, 44))
+_DX, _DY, _COVERS, _CLEAR, _BRIGHT = (r * _BATCH for r in range(34, 39))
+# Sums over sub-pixels: coverage, and weights, alone and times column and row; light. The last rows
+# of both, of `_BRIGHT` and `_LIGHT`, are three: one for each channel of coloured light.
+_SUM, _WHOLE, _ASIDE, _BELOW, _LIGHT = (r * _BATCH for r in range(41, 46))
 _NEAR, _FULL = _X, _Y
-_ROWS = 44
+_ROWS = 48
 
 Number = float | np.float32
 Three = tuple[Number, Number, Number]
@@ -216,7 +217,8 @@ _NO_SINGLES = np.zeros(0, np.float32)
 def _lit(job: PictureJob) -> tuple[Any, ...]:
     """Return what both kernels need of markers' light, and the pixels nearest the markers."""
     nearest = np.rint(job.centres_px).astype(np.int64)
-    return job.colour, job.lamps, job.occluder_first, job.occluder_members, nearest
+    tinted = (job.tints.astype(np.float32), job.even)
+    return job.colour, job.lamps, *tinted, job.occluder_first, job.occluder_members, nearest
 
 
 def _rows_of_six(metric: Floats) -> Floats:
@@ -364,6 +366,8 @@ def _shade_isolated(
     metric: Singles,
     colour: Floats,
     lamps: Floats,
+    tints: Singles,
+    even: Floats,
     dark_first: Indices,
     dark_members: Indices,
     nearest: Ints,
@@ -384,7 +388,7 @@ def _shade_isolated(
     width = corners.shape[2] - 1
     leds = lamps.shape[1]
     quarter = 0.25
-    even = np.float32(ambient)
+    channels = len(even)
     rest = np.float32(1 - ambient)
     inner, edge = chosen[0], chosen[1]
     for i in range(begin, end):
@@ -483,8 +487,10 @@ def _shade_isolated(
 
                 # 4. Sum light and coverage over sub-pixels.
                 for j in range(lanes):
-                    w[_LIGHT + j] = w[_SUM + j] = _ZERO
-                    w[_WHOLE + j] = w[_ASIDE + j] = w[_BELOW + j] = _ZERO
+                    w[_SUM + j] = w[_WHOLE + j] = w[_ASIDE + j] = w[_BELOW + j] = _ZERO
+                for c in range(channels):
+                    for j in range(lanes):
+                        w[_LIGHT + c * _BATCH + j] = _ZERO
                 for sample in range(grid * grid):
                     column_in = np.float32(sample % grid)
                     row_in = np.float32(sample // grid)
@@ -504,7 +510,10 @@ def _shade_isolated(
                         w[_X + j], w[_Y + j], w[_Z + j] = x, y, z
                         w[_NX + j], w[_NY + j], w[_NZ + j] = nx, ny, nz
                         w[_DX + j], w[_DY + j] = ray[2], ray[3]
-                        w[_COVERS + j], w[_BRIGHT + j] = covers, _ZERO
+                        w[_COVERS + j] = covers
+                    for c in range(channels):
+                        for j in range(lanes):
+                            w[_BRIGHT + c * _BATCH + j] = _ZERO
                     # Light of each lamp: inverse square and cosine, then the shadows of other
                     # markers.
                     for led in range(leds if bright else 0):
@@ -547,11 +556,17 @@ def _shade_isolated(
                                     step,
                                     k,
                                 )
+                        for c in range(channels):
+                            tint = tints[c, led]
+                            for j in range(lanes):
+                                w[_BRIGHT + c * _BATCH + j] += tint * w[_CLEAR + j]
+                    for c in range(channels):
+                        around = np.float32(ambient * even[c])
                         for j in range(lanes):
-                            w[_BRIGHT + j] += w[_CLEAR + j]
+                            direct = rest * w[_BRIGHT + c * _BATCH + j]
+                            w[_LIGHT + c * _BATCH + j] += (direct + around) * w[_COVERS + j]
                     for j in range(lanes):
                         covers = w[_COVERS + j]
-                        w[_LIGHT + j] += (rest * w[_BRIGHT + j] + even) * covers
                         w[_SUM + j] += covers
                         weight = np.floor(covers * _FULL_WEIGHT + _HALF)
                         w[_WHOLE + j] += weight
@@ -568,10 +583,9 @@ def _shade_isolated(
                         tallies[i, 3] += share * grid * w[_ROW + j] + w[_BELOW + j]
                 for j in range(n):
                     at = start + which[j]
-                    lit = w[_LIGHT + j] / (grid * grid)
-                    light[at, 0] = colour[i, 0] * lit
-                    light[at, 1] = colour[i, 1] * lit
-                    light[at, 2] = colour[i, 2] * lit
+                    for c in range(3):
+                        lit = w[_LIGHT + min(c, channels - 1) * _BATCH + j] / (grid * grid)
+                        light[at, c] = colour[i, c] * lit
                     free[at] = 1 - w[_SUM + j] / (grid * grid)
 
 
@@ -610,6 +624,8 @@ def _shade_overlapping(
     metric: Floats,
     colour: Floats,
     lamps: Floats,
+    tints: Singles,
+    even: Floats,
     dark_first: Indices,
     dark_members: Indices,
     nearest: Ints,
@@ -633,6 +649,8 @@ def _shade_overlapping(
     """
     width = corners.shape[2] - 1
     leds = lamps.shape[1]
+    channels = len(even)
+    total = np.zeros(channels)
     near, order = lists[0], lists[1]
     ray = np.empty(4)
     middle, across, down = np.empty(4), np.empty(4), np.empty(4)
@@ -725,7 +743,8 @@ def _shade_overlapping(
                     x, y, z = hit[at, 1], hit[at, 2], hit[at, 3]
                     nx, ny, nz = hit[at, 4], hit[at, 5], hit[at, 6]
                     _, step = _relative(ray, across, down, base, hit[at, 1:4])
-                    total = 0.0
+                    for c in range(channels):
+                        total[c] = 0.0
                     for led in range(leds):
                         power = lamps[marker, led, 3]
                         tx = lamps[marker, led, 0] - x
@@ -749,11 +768,14 @@ def _shade_overlapping(
                                 step,
                                 k,
                             )
-                        total += power * cosine * open_share / (square * np.sqrt(square))
-                    share = ((1 - ambient) * total + ambient) * covers * clear
-                    red += colour[marker, 0] * share
-                    green += colour[marker, 1] * share
-                    blue += colour[marker, 2] * share
+                        lit = power * cosine * open_share / (square * np.sqrt(square))
+                        for c in range(channels):
+                            total[c] += tints[c, led] * lit
+                    for c in range(channels):
+                        total[c] = ((1 - ambient) * total[c] + ambient * even[c]) * covers * clear
+                    red += colour[marker, 0] * total[0]
+                    green += colour[marker, 1] * total[(channels - 1) // 2]
+                    blue += colour[marker, 2] * total[channels - 1]
                 clear *= 1 - covers
             clear_sum += clear
         light[j, 0], light[j, 1], light[j, 2] = red / (k * k), green / (k * k), blue / (k * k)
