@@ -470,6 +470,10 @@ def check(
     scene: Annotated[
         str | None, Parameter(help="The pictures' sensor: a scene (path or shipped name).")
     ] = None,
+    camera: Annotated[
+        bool,
+        Parameter(help="Measure the scene's camera chip by EMVA 1288, beside what it states."),
+    ] = False,
     json_: Json = False,
     set_: Overrides = (),
 ) -> None:
@@ -482,6 +486,7 @@ def check(
     twin check my_scene.toml
     twin check out/kamiyama_pillar
     twin check rest1.png rest2.png --scene my_scene.toml
+    twin check my_scene.toml --camera
     """
     if (second is None) != (scene is None):
         raise InputError(
@@ -494,6 +499,13 @@ def check(
         loaded = _load(scene, set_)
         with _scene_named(scene):
             _print_checked(file, lambda: check_camera(Path(file), second, loaded), json_)
+        return
+    if camera:
+        from twin.study.photon_transfer import check_chip
+
+        loaded = _load(file, set_)
+        with _scene_named(file):
+            _print_checked(file, lambda: check_chip(loaded.ccd), json_)
         return
     from twin.study.check import check_path
 
