@@ -105,6 +105,17 @@ def test_dirt_is_left_out():
     assert len(layer) > 0.9 * whole(places).sum()
 
 
+def test_specks_do_not_hide_larger_dots():
+    """Of 250 specks without order more lie on some lattice by chance than there are dots."""
+    _, places = grid(pitch=48.0)
+    specks = np.random.default_rng(4).uniform(5, [395, 295], (250, 2))
+    share = np.maximum(cover(SIZE, places, 30.0, 0.8), np.minimum(cover(SIZE, specks, 4.0, 0.8), 1.0))
+    (layer,) = twin.find_layout(expose(np.repeat(170.0 - 120.0 * share[..., None], 3, axis=2), 1)).layers.values()
+    off, spot = cKDTree(places).query(layer.centre_px)
+    assert off.max() < 1.5
+    assert set(spot) == set(np.flatnonzero(whole(places, 30.0)))
+
+
 def test_two_colours_are_two_layers_that_the_tracker_takes():
     _, red = grid(pitch=30.0, angle=5.0)
     _, blue = grid(pitch=28.0, angle=5.0, middle=(14.0, 14.0))

@@ -188,6 +188,20 @@ def test_dark_markers_on_bright_ground(polarity):
     assert np.nanmax(np.abs(found.rest_px - joined(LAYOUT))) < 0.1
 
 
+@pytest.mark.parametrize("dark", [True, False])
+def test_markers_in_light_that_falls_to_a_sixth_are_found(dark):
+    """The ground varies by more than the markers differ from it."""
+    size, layout = (630, 120), {"dots": flat_layout(20, 3, 30.0, (30.0, 30.0))["red"]}
+    light = np.linspace(1.0, 0.17, size[0])[None, :, None]
+    pair = []
+    for seed, shift in enumerate((0.0, [1.3, -0.6])):
+        share = cover(size, layout["dots"] + shift, 10.0, 0.7)[..., None] * np.ones(3)
+        pair.append(expose(light * (220.0 - 100.0 * share if dark else 120.0 + 100.0 * share), seed))
+    found = track(*pair, layout)
+    assert found.seen.mean() > 0.95
+    np.testing.assert_allclose(np.nanmedian(found.shift_px, axis=0), [1.3, -0.6], atol=0.02)
+
+
 def test_layers_in_a_grey_picture():
     """One layer, and two that no colour tells apart."""
     for layout in ({"beads": LAYOUT["red"]}, LAYOUT):

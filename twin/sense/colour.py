@@ -27,6 +27,10 @@ Signal = NDArray[np.float32]
 SAMPLES = 4000
 """Marker pixels that are looked at for the colours."""
 
+SHADED = 0.5
+"""Where the ground varies so much that its own shading leaves less than this share of the spread of
+colours, the shading is taken off before markers' colours are looked for."""
+
 UNSPLIT_COSINE = 0.97
 """Two marker colours closer than this in direction can't be split; their layers then share one
 signal."""
@@ -189,20 +193,40 @@ def _contrasts(
     if np.any(high <= low):
         return None
     part = image[low[1] : high[1] + 1, low[0] : high[0] + 1]
-    pixels = part.reshape(-1, 3)[:: max(1, part.size // 300_000)].astype(float)
-    ground = np.median(pixels, axis=0)
-    away = pixels - ground
+    every = max(1, part.size // 300_000)
+    pixels = part.reshape(-1, 3)[::every].astype(float)
+    away = pixels - np.median(pixels, axis=0)
+    level = pixels - _shading(part, 2.0 * spacing_px).reshape(-1, 3)[::every]
+    if _spread(level) < SHADED * _spread(away):
+        away = level
     if polarity is not None:
         away = away[(away.sum(axis=1) > 0) == (polarity == "bright")]
     if not len(away):
         return None
     strength = np.linalg.norm(away, axis=1)
     top = np.quantile(strength, 0.99)
-    spread = 1.4826 * np.median(strength)
-    if top < max(8.0, 3.0 * spread):
+    if top < max(8.0, 3.0 * _spread(away)):
         return None
     strong = away[strength > 0.5 * top]
     return np.asarray(strong[:: max(1, len(strong) // SAMPLES)])
+
+
+def _spread(away: Floats) -> float:
+    """Return how far colours (n, 3) lie from the ground's, robustly, counts."""
+    return float(1.4826 * np.median(np.linalg.norm(away, axis=1)))
+
+
+def _shading(part: Picture, size_px: float) -> Floats:
+    """Return the ground (h, w, 3): the medians of squares, linear between them."""
+    from scipy.ndimage import zoom
+
+    height, width = part.shape[:2]
+    rows, columns = (max(1, round(n / size_px)) for n in (height, width))
+    high, wide = height // rows, width // columns
+    squares = part[: rows * high, : columns * wide].reshape(rows, high, columns, wide, 3)
+    middle = np.median(squares, axis=(1, 3))
+    scale = (height / rows, width / columns, 1)
+    return np.asarray(zoom(middle, scale, order=1, mode="nearest", grid_mode=True))
 
 
 def colour_directions(samples: Floats, count: int) -> Floats | None:

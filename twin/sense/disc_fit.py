@@ -355,7 +355,7 @@ class DiscFit(SoftWindow):
             shape, pixels = _own_shapes(picture, templates, rows, places, spacing_px)
             own = for_kernel(shape[:, :SHAPE])
             reshaped = replace(templates, shape=own, reach_px=pixels)
-            again = reshaped.fit(picture, for_kernel(shape[:, SHAPE:]))
+            again = reshaped.fit(picture, for_kernel(shape[:, SHAPE : SHAPE + 2]))
             if 2 * len(rows) > np.isfinite(places[:, 0]).sum():
                 usual = float(np.nanquantile(again[rows, MISFIT], USUAL))
                 least = templates.usual_misfit
@@ -757,7 +757,7 @@ def _make_templates(
     ground = float(np.nanmedian(around)) if np.isfinite(around).any() else 1.0
     marker = float(np.nanmedian(inside)) if np.isfinite(inside).any() else ground
     noise = np.maximum([ground, max(marker, ground)], 1 / 12)
-    shape = np.full((count, SHAPE + 2), np.nan)
+    shape = np.full((count, SHAPE + 3), np.nan)
     if wanted.any():
         every = max(1, int(np.isfinite(radius).sum()) // SAMPLE)
         few = np.where(np.cumsum(np.isfinite(radius)) % every == 0, radius, np.nan)
@@ -772,7 +772,7 @@ def _make_templates(
     good = np.isfinite(shape[:, 0])
     if good.any():
         shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
-    places = np.where(good[:, None], shape[:, SHAPE:], centres)
+    places = np.where(good[:, None], shape[:, SHAPE : SHAPE + 2], centres)
     slopes = _share_slopes(shape, places, good, picture.shape)
     axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1) + shape[:, 6]
     reach = float(np.nanmax(axes, initial=3.0)) + MARGIN_PX
@@ -780,7 +780,7 @@ def _make_templates(
         own=own,
         others=others,
         shape=for_kernel(shape[:, :SHAPE]),
-        ground=np.zeros(count),
+        ground=np.where(np.abs(shape[:, SHAPE + 2]) > 0.5 * shape[:, 7], shape[:, SHAPE + 2], 0.0),
         noise=noise,
         slopes=slopes,
         usual_misfit=1.0,
@@ -943,15 +943,15 @@ def _shapes(
     noise: Floats,
     reach: float,
 ) -> Floats:
-    """Fit every marker's whole picture, out to ``reach`` px; rows of (n, 10): `SHAPE` numbers,
-    centre x, y.
+    """Fit every marker's whole picture, out to ``reach`` px; rows of (n, 11): `SHAPE` numbers,
+    centre x, y, ground.
 
     Bulge (relative) and blur are fitted for each marker if they are free, else as given. Rows are
     NaN where the fit failed, or ``start`` or ``radius`` are.
     """
     offset, _ = disc(reach)
     pixels = offset.shape[1]
-    shape = np.full((len(start), SHAPE + 2), np.nan)
+    shape = np.full((len(start), SHAPE + 3), np.nan)
     _fit_shapes(
         picture,
         own,
@@ -1071,7 +1071,7 @@ def _fit_shapes(
         fit[3], fit[4] = p[4] / p[3], p[5] / p[3]
         fit[5] = p[6] / p[3] if free_bulge else bulge
         fit[6], fit[7] = p[10], p[3]
-        fit[SHAPE], fit[SHAPE + 1] = cx, cy
+        fit[SHAPE], fit[SHAPE + 1], fit[SHAPE + 2] = cx, cy, p[2]
 
 
 def _noise_variances(

@@ -262,11 +262,11 @@ def _best_lattice(away: NDArray[np.float32], weights: Weights, noise: float) -> 
     contrast = max(LEAST_DN, LEAST_SNR * own)
     widths = [w for w in WIDTHS_PX if w < 0.2 * min(signal.shape)]
     layers = [_lattice_at(signal, width, contrast, floor, weights) for width in widths]
-    best = max(layers, key=lambda layer: (len(layer), len(layer.spots)))
+    best = max(layers, key=lambda layer: (layer.believed, len(layer), len(layer.spots)))
     if len(best):
         width = float(np.median(best.spots.diameter_px[best.on]))
         again = _lattice_at(signal, width, contrast, floor, weights)
-        best = again if len(again) >= len(best) else best
+        best = max(again, best, key=lambda layer: (layer.believed, len(layer)))
     return best
 
 
