@@ -8,6 +8,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+import trimesh
 from standard_bodies import write_stl
 
 from twin.errors import RecipeError
@@ -130,11 +131,26 @@ def test_another_probe_replaces_the_one_of_the_base(tmp_path: Path) -> None:
     assert (probe.kind, probe.size_mm) == ("pillar", (3, 3))
 
 
-def test_base_is_one_level_deep(tmp_path: Path) -> None:
+def test_a_base_may_have_a_base_and_its_files_lie_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    trimesh.creation.cone(3, 4).export(tmp_path / "below" / "cone.stl")
+    middle = tmp_path / "below" / "middle.toml"
+    middle.write_text(
+        'base = "kamiyama_shear"\n[press.probe]\nkind = "stl"\nfile = "cone.stl"\n[material]\npoisson_ratio = 0.4\n'
+    )
     mine = tmp_path / "mine.toml"
-    mine.write_text('base = "kamiyama_shear"\n')
-    with pytest.raises(RecipeError, match="one level deep"):
-        load_scene(mine)
+    mine.write_text('base = "below/middle.toml"\n[material]\nyoungs_modulus_mpa = 0.3\n')
+    scene = load_scene(mine)
+    assert (scene.material.poisson_ratio, scene.material.youngs_modulus_mpa) == (0.4, 0.3)
+    assert scene.press.probe.file == str(tmp_path / "below" / "cone.stl")
+    assert scene.markers == load_scene("kamiyama_pillar").markers
+
+
+def test_a_scene_is_no_base_of_itself(tmp_path: Path) -> None:
+    (tmp_path / "one.toml").write_text('base = "two.toml"\n')
+    (tmp_path / "two.toml").write_text('base = "one.toml"\n')
+    with pytest.raises(RecipeError, match="can't be its own base"):
+        load_scene(tmp_path / "one.toml")
 
 
 @pytest.mark.parametrize("text", ["[body\n", "a = " + "[" * 5000, "\x00"])

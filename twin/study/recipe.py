@@ -1,13 +1,13 @@
 """Scenes: found by path or name, put together from their files and overrides, validated, written.
 
-A scene is built from up to three files, later ones winning: the body recipe named by
-``body.recipe``, the scene named by ``base`` (one level deep) and the scene itself; then come the
-overrides. Every value has a provenance of its own (``source`` or ``assumed``), also where a recipe
-gives one for a whole table: a replaced value loses its own, and its neighbours keep theirs.
+A scene is built from several files, later ones winning: the body recipe named by ``body.recipe``,
+the scene named by ``base``, with that scene's own base under it, and the scene itself; then come
+the overrides. Every value has a provenance of its own (``source`` or ``assumed``), also where a
+recipe gives one for a whole table: a replaced value loses its own, and its neighbours keep theirs.
 
-Files that a recipe names (calibration, a body's and probes' surfaces, a camera's intrinsics) are
-relative to it; a resolved scene holds whole paths, so that it can be read from anywhere, and the
-numbers of the intrinsics themselves.
+Files that a recipe names (calibration, a body's and probes' surfaces, a camera's intrinsics) lie
+next to it, or next to its base; a resolved scene holds whole paths, so that it can be read from
+anywhere, and the numbers of the intrinsics themselves.
 """
 
 from __future__ import annotations
@@ -177,15 +177,15 @@ def parse_override(text: str) -> tuple[str, Any]:
         raise InputError(f"-s {key}: {problem}") from None
 
 
-def _find_files(table: Table, path: Path, folders: list[Path]) -> None:
-    """Replace the names of the files of scene ``path`` by whole paths, and a camera's file by its
-    numbers; a body's own file may lie in any of ``folders``."""
+def _find_files(table: Table, path: Path, folders: Sequence[Path]) -> None:
+    """Replace the names of the files of scene ``path``, which lie in any of ``folders``, by whole
+    paths, and a camera's file by its numbers."""
 
-    def found(holder: Any, where: str, places: Sequence[Path], remedy: str) -> Any:
+    def found(holder: Any, where: str, remedy: str = "; check the path", *more: Path) -> Any:
         """Return a table with the whole path of its file, if it names one."""
         if not isinstance(holder, dict) or not isinstance(holder.get("file"), str):
             return holder
-        for folder in places:
+        for folder in (*folders, *more):
             if (folder / holder["file"]).is_file():
                 return {**holder, "file": str((folder / holder["file"]).resolve())}
         raise RecipeError(
@@ -197,41 +197,37 @@ def _find_files(table: Table, path: Path, folders: list[Path]) -> None:
         probe = press.get("probe") if isinstance(press, dict) else None
         if not isinstance(probe, dict) or probe.get("kind") != "stl":
             return press
-        return {**press, "probe": found(probe, f"{where}probe", [path.parent], _CHECK)}
+        return {**press, "probe": found(probe, f"{where}probe")}
 
     if "calibration" in table:
         remedy = " or the shipped scenes; make it with twin calibrate, or leave the key out"
-        places = [path.parent, SCENES]
-        table["calibration"] = found(table["calibration"], "calibration", places, remedy)
+        table["calibration"] = found(table["calibration"], "calibration", remedy, SCENES)
     if isinstance(table.get("body"), dict) and table["body"].get("shape") == "solid":
-        table["body"] = found(table["body"], "body", folders, _CHECK)
+        table["body"] = found(table["body"], "body")
     press = table.get("press")
     if isinstance(press, dict):
         if isinstance(press.get("also"), list):
             press = {**press, "also": [probe_found(p, "press.also.") for p in press["also"]]}
         table["press"] = probe_found(press, "press.")
-    _read_intrinsics(table, path)
+    _read_intrinsics(table, folders)
     if isinstance(table.get("vary"), dict):
         key = "vary.press.probe"
-        here = [path.parent]
         table["vary"] = each_file(
-            flat(table["vary"]), lambda file: found({"file": file}, key, here, _CHECK)["file"]
+            flat(table["vary"]), lambda file: found({"file": file}, key)["file"]
         )
 
 
-_CHECK = "; check the path"
-
-
-def _read_intrinsics(table: Table, path: Path) -> None:
-    """Put the numbers of the camera's file of intrinsics, relative to the scene, in the place of
-    its name."""
+def _read_intrinsics(table: Table, folders: Sequence[Path]) -> None:
+    """Put the numbers of the camera's file of intrinsics, which lies in any of ``folders``, in the
+    place of its name."""
     camera = table.get("camera")
     if not isinstance(camera, dict) or not isinstance(camera.get("intrinsics"), str):
         return
     from twin.study.intrinsics import read_intrinsics
 
     given = Path(camera["intrinsics"]).expanduser()
-    numbers = read_intrinsics(given if given.is_absolute() else path.parent / given)
+    places = [folder / given for folder in folders]
+    numbers = read_intrinsics(next(filter(Path.is_file, places), places[0]))
     camera = {key: value for key, value in camera.items() if key != "intrinsics"}
     for key, value in numbers.items():
         camera[key] = list(value) if isinstance(value, tuple) else value
@@ -308,17 +304,16 @@ def _own_problems(path: Path) -> list[str]:
 
 
 def _resolved(path: Path, overrides: Mapping[str, Any]) -> Scene:
-    table = _read_with_base(path)
+    table, folders = _read_with_bases(path)
     if {"scene", "axes"} <= table.keys():
         raise RecipeError(
             "is a sweep over many designs, not a scene: give it to twin sweep", str(path)
         )
     for key, value in overrides.items():
         _override(table, key, value)
-    folders = [path.parent]
     body = table.get("body")
     if isinstance(body, dict) and "recipe" in body:
-        recipe = _find(str(body["recipe"]), MESHES, path.parent, "body recipe", path)
+        recipe = _find(str(body["recipe"]), MESHES, folders, "body recipe", path)
         below = read_recipe(recipe)
         folders.append(recipe.parent)
         if extra := sorted(set(below) - {"body", "material", "title"}):
@@ -354,17 +349,19 @@ def find_scene(scene: str | Path) -> Path:
         raise InputError(
             f"{scene}: is a folder; give a scene file, such as {Path(scene) / 'scene.toml'}"
         )
-    return _find(str(scene), SCENES, Path.cwd(), "scene")
+    return _find(str(scene), SCENES, [Path.cwd()], "scene")
 
 
-def _find(name: str, shipped: Path, near: Path, what: str, where: Path | None = None) -> Path:
-    given = near / os.path.expanduser(name)
-    for candidate in (given, shipped / f"{name}.toml"):
+def _find(
+    name: str, shipped: Path, near: Sequence[Path], what: str, where: Path | None = None
+) -> Path:
+    given = [folder / os.path.expanduser(name) for folder in near]
+    for candidate in (*given, shipped / f"{name}.toml"):
         if os.path.isfile(candidate):  # Path.is_file raises where a name is too long
             return candidate
     known = [p.stem for p in sorted(shipped.glob("*.toml")) if not p.stem.startswith(SWEEP)]
     text = nothing_named(name, known, what)
-    if name and os.path.lexists(given):
+    if name and any(os.path.lexists(file) for file in given):
         text = f"{what} '{name}': is no file to read, but a folder, a device, or a link to nowhere"
     raise InputError(text) if where is None else RecipeError(text, str(where))
 
@@ -375,21 +372,24 @@ def nothing_named(name: str, known: list[str], what: str) -> str:
     return f"no {what} '{name}': {did_you_mean(Path(name).stem, known, otherwise)}"
 
 
-def _read_with_base(path: Path) -> Table:
+def _read_with_bases(path: Path, above: Sequence[Path] = ()) -> tuple[Table, list[Path]]:
+    """Return a scene's table over those of its bases, and the folders in which they lie.
+
+    ``above`` are the scenes that have it as their base.
+    """
     table = read_recipe(path)
     base = table.pop("base", None)
     if base is None:
-        return table
+        return table, [path.parent]
     if not isinstance(base, str):
         raise RecipeError(f"base = {base!r}: must be the name or path of a scene", str(path))
-    base_path = _find(base, SCENES, path.parent, "base scene", path)
-    below = read_recipe(base_path)
-    if "base" in below:
-        raise RecipeError(
-            f"base = '{base}' has a base itself: inheritance is one level deep", str(path)
-        )
+    base_path = _find(base, SCENES, [path.parent], "base scene", path)
+    chain = [*above, path]
+    if any(base_path.samefile(each) for each in chain):
+        raise RecipeError(f"base = '{base}': a scene can't be its own base", str(path))
+    below, folders = _read_with_bases(base_path, chain)
     _require_material(below, table, base, path)
-    return _merged(below, table)
+    return _merged(below, table), [path.parent, *folders]
 
 
 def _require_material(below: Table, above: Table, base: str, path: Path) -> None:

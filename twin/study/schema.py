@@ -33,7 +33,7 @@ def schema_text() -> str:
             definition["description"] = definition["description"].partition("\n\nExamples\n")[0]
     schema["properties"]["base"] = {
         "type": "string",
-        "description": "scene to inherit from, one level deep",
+        "description": "scene to inherit from, which may have a base itself",
     }
     recipe = {"type": "string", "description": "body recipe of the meshes folder"}
     for name in ("Block", "Dome", "Finger", "Solid"):
