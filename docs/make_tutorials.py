@@ -1,4 +1,5 @@
-"""The tutorials: every block of shell and Python in them is run, with its output and figures put below it.
+"""The tutorials: every block of shell and Python in them is run, with its output and figures put below it, and each is
+also written as a notebook.
 
 A block that fails stops the build of the documentation. `python docs/make_tutorials.py NAME` runs one alone.
 """
@@ -7,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import re
 import shlex
@@ -35,10 +37,35 @@ def make_tutorials(folder: Path, names: tuple[str, ...] = ()) -> None:
         with tempfile.TemporaryDirectory() as work:
             try:
                 os.chdir(work)
-                page = _run(source.read_text(encoding="utf-8"), folder / source.stem)
+                text = source.read_text(encoding="utf-8")
+                page = _run(text, folder / source.stem)
             finally:
                 os.chdir(here)
+        (folder / f"{source.stem}.ipynb").write_text(json.dumps(_notebook(text), indent=1), encoding="utf-8")
+        page += f"\nThis page as a notebook: {{download}}`{source.stem}.ipynb <{source.stem}.ipynb>`.\n"
         (folder / source.name).write_text(page, encoding="utf-8")
+
+
+def _notebook(text: str) -> dict[str, object]:
+    """Return a tutorial as a Jupyter notebook without outputs; its blocks are the same."""
+    cells: list[dict[str, object]] = []
+    for number, part in enumerate(BLOCK.split(text)):
+        if number % 3 == 1:
+            kind = part
+            continue
+        if number % 3 == 0:
+            cell: dict[str, object] = {"cell_type": "markdown"}
+        else:
+            cell = {"cell_type": "code", "outputs": [], "execution_count": None}
+            if kind == "toml":
+                part = f"%%writefile {FILE.match(part)[1]}\n{part}"  # type: ignore[index]
+            elif kind == "sh":
+                part = "".join(f"!{line}\n" for line in part.splitlines())
+        if part.strip():
+            lines = part.strip().splitlines(keepends=True)
+            cells.append({"id": f"cell-{number}", "metadata": {}, "source": lines} | cell)
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    return {"cells": cells, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
 
 
 def _run(text: str, stem: Path) -> str:

@@ -150,9 +150,15 @@ def _progress() -> Progress | None:
 
 def _load(scene: str, overrides: Sequence[str]) -> Scene:
     """Return a scene with ``key.path=value`` overrides."""
-    from twin.study.recipe import load_scene, parse_override
+    from twin.study.recipe import load_scene
 
-    return load_scene(scene, dict(parse_override(text) for text in overrides))
+    return load_scene(scene, _parsed(overrides))
+
+
+def _parsed(overrides: Sequence[str]) -> dict[str, Any]:
+    from twin.study.recipe import parse_override
+
+    return dict(parse_override(text) for text in overrides)
 
 
 @contextmanager
@@ -669,9 +675,9 @@ def calibrate(
 ) -> None:
     """Calibrate a scene's sensor, on the twin or from a recording, and write the calibration file.
 
-    A recording is a folder with rest.png, a picture of every press, and presses.csv with the
-    columns frame, x_mm, y_mm, z_mm (place on the outer surface), fx_n, fy_n, fz_n (load cell).
-    Methods compliance and halfspace need rest.png only.
+    A recording is a folder with rest.png (or .jpg, .bmp), a picture of every press, and presses.csv
+    with the columns frame, x_mm, y_mm, z_mm (place on the outer surface), fx_n, fy_n, fz_n (load
+    cell). Methods compliance and halfspace need the rest picture only.
 
     Method sato presses the simulated sensor at every site in three directions, in pictures with
     noise; fitted presses five and fits the design's parameters to them.
@@ -745,19 +751,21 @@ def reconstruct(
     size: Annotated[str | None, Parameter(help="Size of raw frames: 640x480.")] = None,
     format: Annotated[str | None, Parameter(help="Format of raw frames: rgb24 or gray8.")] = None,
     method: Annotated[
-        Method, Parameter(help="How it is solved; local: forces only where some are found.")
-    ] = "smooth",
+        Method | None, Parameter(help="How it is solved; local: forces only where some are found.")
+    ] = None,
     weight: Annotated[
-        str, Parameter(help="The papers' omega, px2/N2, or auto, likelihood, gcv.")
-    ] = "auto",
-    push_only: Annotated[bool, Parameter(help="No site pulls.", negative="")] = False,
+        str | None, Parameter(help="The papers' omega, px2/N2, or auto, likelihood, gcv.")
+    ] = None,
+    push_only: Annotated[
+        bool | None, Parameter(help="No site pulls; or they may, without bounds.")
+    ] = None,
     friction: Annotated[
         float | None, Parameter(help="Friction coefficient that bounds every site's force.")
     ] = None,
-    robust: Annotated[bool, Parameter(help="Leave wrong vectors out.", negative="")] = False,
+    robust: Annotated[bool | None, Parameter(help="Leave wrong vectors out.")] = None,
     camera: Annotated[
-        bool, Parameter(help="Follow the camera's bend (needed for large motion).", negative="")
-    ] = False,
+        bool | None, Parameter(help="Follow the camera's bend (needed for large motion).")
+    ] = None,
 ) -> None:
     """Track the markers of recorded frames and reconstruct the forces.
 
@@ -766,6 +774,9 @@ def reconstruct(
     force at every site. A frame that fails is a row with its reason, and the sequence goes on (exit
     code 3). Standard deviations are of the noise alone: errors of the calibration, such as of the
     rubber's modulus, come on top.
+
+    What isn't given from --method to --camera is taken from the [reconstruction] table of the
+    recipe that was calibrated.
 
     Examples:
     twin reconstruct rest.png press*.png --calibration flat.npz --out forces.parquet
@@ -783,7 +794,7 @@ def reconstruct(
         size=size,
         layout=format,
         method=method,
-        weight=_weight(weight),
+        weight=None if weight is None else _weight(weight),
         push_only=push_only,
         friction=friction,
         robust=robust,
@@ -911,9 +922,11 @@ def sweep(
         ),
     ] = False,
     batch: _Batch = _DEFAULT,
+    set_: Overrides = (),
 ) -> None:
     """Judge many designs of a sensor: by a closed form, by their linear information, by pictures.
 
+    Prints what to make, and the best designs; -s changes keys of the scene for every design.
     Writes DIR/designs.parquet (and .csv) with a row for every design, DIR/report.html, and DIR/best
     with a scene for each of the best designs, ready for twin run. An interrupted job continues when
     the same command is given again, and ends with the same table. A design that fails is a row with
@@ -929,7 +942,7 @@ def sweep(
     """
     from twin.study.sweep.designs import load_sweep
 
-    wanted, scene = load_sweep(sweep)
+    wanted, scene = load_sweep(sweep, _parsed(set_))
     workers, cluster = batch.workers_and_scheduler()
     if batch.dry_run:
         from twin.study.sweep.sweep_run import estimate
@@ -954,8 +967,7 @@ def sweep(
         print(f"warning     {warning}")
     for note in done.notes:
         print(f"            {note}")
-    for words in best[:3]:
-        print(f"best        {words}")
+    print("\n".join(best))
     print(f"written to  {folder}")
     if done.failed:
         reason = next(str(e) for e, s in zip(done.error, done.status, strict=True) if s == "failed")

@@ -92,12 +92,20 @@ def torch(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("torch")
 def test_torch_loads_pictures_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [
-        {"status": "ok", "picture": np.full((4, 5, 3), 51 * n, np.uint8), "force_n": np.full(3, float(n))}
+        {
+            "status": "ok",
+            "picture": np.full((4, 5, 3), 51 * n, np.uint8),
+            "force_n": np.full(3, float(n)),
+            "slip_share": n / 6,
+            "split": "test" if n == 5 else "train",
+        }
         for n in range(6)
     ]
-    rows[2] = {"status": "failed", "picture": None, "force_n": None}
+    rows[2] = {"status": "failed", "picture": None, "force_n": None, "slip_share": None, "split": "train"}
     torch_loader = example("torch_loader")
     monkeypatch.setattr(torch_loader.twin, "open_dataset", lambda folder, columns: rows, raising=False)
+    (last,) = torch_loader.loader("anywhere", ["slip_share"], "test", workers=0)
+    assert np.asarray(last["slip_share"]).tolist() == [np.float32(5 / 6)]
     batches = list(torch_loader.loader("anywhere", batch_size=2, workers=0))
     assert [tuple(batch["picture"].shape) for batch in batches] == [(2, 3, 4, 5), (2, 3, 4, 5), (1, 3, 4, 5)]
     forces = np.concatenate([np.asarray(batch["force_n"]) for batch in batches])

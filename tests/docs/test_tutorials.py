@@ -1,5 +1,6 @@
 """Tutorials: the mechanism that runs their blocks; the pages themselves are run when the documentation is built."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -28,6 +29,10 @@ def test_output_and_figures_stand_below_their_block(tmp_path: Path, monkeypatch:
     assert "(page_1.png)" in page
     assert (tmp_path / "made" / "page_1.png").stat().st_size > 1000
     assert "```text\n" in page.partition("twin --version")[2]
+    notebook = json.loads((tmp_path / "made" / "page.ipynb").read_text())
+    sources = ["".join(cell["source"]) for cell in notebook["cells"]]
+    assert sources == ["%%writefile a.toml\n# a.toml\nx = 1", code.strip(), "!twin --version"]
+    assert {cell["cell_type"] for cell in notebook["cells"]} == {"code"}
 
 
 @pytest.mark.parametrize("block", ["```python\nassert False\n```\n", "```sh\ntwin run nowhere\n```\n"])

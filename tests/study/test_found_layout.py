@@ -93,13 +93,17 @@ def test_without_a_scale_millimetres_are_left_to_be_filled_in(rest, tmp_path, ca
         twin.load_scene(tmp_path / "s.toml")
 
 
-def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path):
+def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, capsys):
     with pytest.raises(SystemExit) as done:
         main(["calibrate", "--layout-from", str(rest), "--scene", "gelpad_press", "--out", str(tmp_path / "m.toml")])
     assert not done.value.code
     table = tomllib.loads((tmp_path / "m.toml").read_text())["markers"]["dots"]
     assert table["pitch_mm"] == pytest.approx(1.25, rel=0.01)
     assert table["depth_mm"] == 0.5
+    said = capsys.readouterr().out
+    focal_px = float(said.split("equal with focal_px = ")[1].split()[0])
+    assert f"pitch {table['pitch_mm']:g} mm by the scene's camera, drawn 1.25 mm" in said
+    assert focal_px == pytest.approx(900 * table["pitch_mm"] / 1.25, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -111,6 +115,7 @@ def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path):
         (["--method", "sato"], "--layout-from makes no calibration"),
         (["--scene", "gelpad_press", "--pitch-mm", "1"], "leave --pitch-mm and --depth-mm out"),
         (["--scene", "block_bare"], "no [camera] table"),
+        (["--scene", "gelpad_press", "-s", "camera.width_px=320"], "is 640x480 px, the scene's camera 320x480 px"),
     ],
 )
 def test_wrong_options_are_told(rest, arguments, words, tmp_path, monkeypatch, capsys):

@@ -57,6 +57,22 @@ def twin(*arguments, cwd):
     return SimpleNamespace(returncode=ended.value.code, stdout=out.getvalue(), stderr=err.getvalue())
 
 
+def test_forces_are_solved_for_as_the_calibrated_recipe_says(folder):
+    stored = {"reconstruction": {"method": "norm", "push_only": True, "friction": 0.5}}
+    known = replace(sensor()[2], provenance=json.dumps(stored))
+    write_calibration(known, folder / "own.npz")
+    both = ["rest.png", "press2.png", "--calibration", "own.npz"]
+    assert "method norm, weight auto, friction up to 0.5, pushes only" in twin(*both, cwd=folder).stderr
+    assert "method smooth, weight auto\n" in twin(*both, "--method", "smooth", "--no-push-only", cwd=folder).stderr
+    assert "method pinv, weight auto\n" in twin(*both, "--method", "pinv", cwd=folder).stderr
+    one = replace(known, layer=np.repeat("red", len(known.layer)))
+    write_calibration(one, folder / "one.npz")
+    said = twin("rest.png", "press2.png", "--calibration", "one.npz", cwd=folder).stderr
+    assert "one layer of markers and method norm: forces into the surface come out far too small" in said
+    for file in ("own.npz", "one.npz"):
+        (folder / file).unlink()
+
+
 def rows(path):
     with open(path) as file:
         return list(csv.DictReader(file))

@@ -59,9 +59,22 @@ def test_the_recorded_rest_picture_gives_the_layout(tmp_path):
     assert "halfspace" in line
     calibration = read_calibration(tmp_path / "c.npz")
     assert np.abs(calibration.layout_px - np.concatenate(list(made.values()))).max() < 0.1
-    Image.fromarray(np.full((480, 640, 3), 30, np.uint8)).save(tmp_path / "rest.png")
+    assert calibration.facts["reconstruction"]["method"] == wanted.reconstruction.method
+    Image.fromarray(expose(drawn, 2)).save(tmp_path / "rest.jpg", quality=95)
+    with pytest.raises(InputError, match=r"must hold one of rest\.png"):
+        calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
+    (tmp_path / "rest.png").unlink()
+    calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
+    # a force in grams
+    fitted = wanted.model_copy(update={"calibration": wanted.calibration.model_copy(update={"method": "fitted"})})
+    (tmp_path / "presses.csv").write_text(HEAD + "rest.jpg,0,0,0,0,0,200\n")
+    with pytest.raises(InputError, match=r"press 1 has 200 N.*Forces are in N"):
+        calibrate_to_file(fitted, tmp_path / "c.npz", folder=tmp_path)
+    Image.fromarray(np.full((480, 640, 3), 30, np.uint8)).save(tmp_path / "rest.jpg")
     with pytest.raises(InputError, match="0 of the design's"):
         calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
+    with pytest.raises(InputError, match="there is no such folder"):
+        calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path / "none")
 
 
 @pytest.mark.slow

@@ -244,7 +244,8 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
         ) from None
     except (OSError, ValueError) as problem:
         raise InputError(
-            f"calibration file {path} can't be read ({problem}): make it again"
+            f"{path}: is no calibration file that can be read ({problem}): give the .npz that "
+            "`twin calibrate --out` wrote"
         ) from None
     version = arrays.get("version", np.array(0))
     if "version" in arrays and (version.shape != () or version not in READABLE):

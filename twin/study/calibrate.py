@@ -33,6 +33,7 @@ from twin.parts.part import identity
 from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
 from twin.streams import Purpose, stream
+from twin.study.recorded import PICTURES, read_picture
 from twin.study.sensor import Sensor, on_surface
 from twin.theory.contact import hertz
 from twin.theory.optics import projection_jacobian
@@ -137,6 +138,8 @@ def calibrate_to_file(
         by_presses = scene.calibration.method in BY_PRESSES
         made = calibrate_by_presses(sensor) if by_presses else _calibrate_by_design(sensor)
         text = f"{len(made.transfer) // 2} markers"
+    facts = made.facts | {"reconstruction": scene.reconstruction.options()}
+    made = replace(made, provenance=json.dumps(facts))
     write_calibration(made, out)
     if progress is not None:
         progress("done", 1.0)
@@ -452,7 +455,10 @@ def read_presses(folder: Path) -> tuple[list[str], Points, Floats]:
             reader = csv.DictReader(file, skipinitialspace=True)
             lacking = [name for name in wanted if name not in (reader.fieldnames or ())]
             if lacking:
-                raise InputError(f"{path}: lacks the columns {', '.join(lacking)}")
+                raise InputError(
+                    f"{path}: lacks the columns {', '.join(lacking)}; its first line must name "
+                    f"{','.join(wanted)}"
+                )
             for row in reader:
                 line = reader.line_num
                 names.append((row["frame"] or "").strip())
@@ -485,14 +491,24 @@ def _number(path: Path, line: int, key: str, text: str | None) -> float:
     return value
 
 
+def _rest_picture(folder: Path) -> Path:
+    """Return the path of a recording's picture without load."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder; it holds rest.png and {TABLE}")
+    found = [path for suffix in PICTURES if (path := folder / f"rest{suffix}").is_file()]
+    if len(found) != 1:
+        names = ", ".join(f"rest{suffix}" for suffix in PICTURES)
+        raise InputError(f"{folder}: must hold one of {names}, the picture without load")
+    return found[0]
+
+
 def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, str]:
     """Return the calibration of the sensor in a folder's pictures, and its markers in words."""
     from twin.sense.track import Tracker
-    from twin.study.recorded import read_picture
 
     scene, progress = sensor.nominal, sensor.progress
     # The rest picture must show most of the design's markers.
-    rest = folder / "rest.png"
+    rest = _rest_picture(folder)
     tracker = Tracker(read_picture(rest), sensor.layout_px, method=scene.tracking.method)
     rest_px = tracker.rest.rest_px
     known = np.asarray(np.isfinite(rest_px).all(axis=1))
@@ -523,6 +539,22 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
     return made, text
 
 
+def _check_forces(scene: Scene, force_n: Floats) -> None:
+    """Refuse (q, 3) forces that would press the ball deeper than half the body: grams, say."""
+    size = np.linalg.norm(force_n, axis=1)
+    low, high = scene.body.bounds_mm
+    radius = scene.calibration.press_probe_mm / 2
+    most = int(size.argmax())
+    depth = hertz_radius(scene, float(size[most])) ** 2 / radius if size[most] > 0 else 0.0
+    if depth > max((high[2] - low[2]) / 2, radius):
+        raise InputError(
+            f"{TABLE}: press {most + 1} has {size[most]:.4g} N, which by Hertz' law would press a "
+            f"ball of {2 * radius:g} mm {depth:.3g} mm into a body {high[2] - low[2]:g} mm thick. "
+            "Forces are in N (1 gf = 0.00981 N); if they are, mend material.youngs_modulus_mpa or "
+            "calibration.press_probe_mm"
+        )
+
+
 def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibration:
     """Return the calibration by presses at (q, 3) places of the surface, mm."""
     scene = sensor.nominal
@@ -531,6 +563,7 @@ def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibrat
     points = np.where(given, places_mm, scene.body.surface_from_above(places_mm[:, :2]))
     if not np.isfinite(points).all():
         raise InputError(f"{TABLE}: some presses miss the body")
+    _check_forces(scene, presses.force_n)
     charts = scene.body.chart_of(points)
     half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
     # Fitted: any places. Presses nearly at one place share it.

@@ -76,6 +76,14 @@ def layout_to_files(
     if scene is not None and scene.camera is None:
         raise RecipeError("this scene has no [camera] table, so it tells no pitch in a picture")
     image = read_picture(picture)
+    height, width = image.shape[:2]
+    if scene is not None and scene.camera is not None:
+        drawn_px = (scene.camera.width_px, scene.camera.height_px)
+        if drawn_px != (width, height):
+            raise InputError(
+                f"{picture}: is {width}x{height} px, the scene's camera {drawn_px[0]}x"
+                f"{drawn_px[1]} px: mend camera.width_px and height_px (focal_px grows with them)"
+            )
     try:
         found = find_layout(image)
     except InputError as problem:
@@ -83,7 +91,7 @@ def layout_to_files(
     drawn = (
         _drawn(found, scene)
         if scene is not None
-        else _given(found, image.shape[:2], pitch_mm, depth_mm)
+        else _given(found, (height, width), pitch_mm, depth_mm)
     )
     make_folder(out.parent)
     make_folder(overlay.parent)
@@ -95,6 +103,15 @@ def layout_to_files(
         f"px, turned by {layer.angle_deg:.2g} deg"
         for name, layer in found.layers.items()
     ]
+    if scene is not None and scene.camera is not None:
+        for own in drawn:
+            wanted = scene.markers[own.name].pitch_mm
+            assert own.pitch_mm is not None
+            lines.append(
+                f"{own.name:11s} pitch {own.pitch_mm:.4g} mm by the scene's camera, drawn "
+                f"{wanted:g} mm: equal with focal_px = "
+                f"{scene.camera.focal_px * own.pitch_mm / wanted:.4g}"
+            )
     stray = len(found.stray_px)
     if stray:
         lines.append(

@@ -31,7 +31,9 @@ from twin.arrays import Bools, Floats, Picture, Pixels, Points
 from twin.display import nice, spacing
 from twin.errors import InputError, MissingCapability, SomeFailed, TwinError
 from twin.files import LARGEST_PX, make_folder, png_bytes, write_whole
+from twin.parts.scene import Reconstruction
 from twin.sense.calibration import Calibration, read_calibration
+from twin.sense.inverse import METHODS
 from twin.sense.reconstruct import Bump, Field, camera_bump, check_options, reconstruct
 from twin.sense.track import Found, Tracker
 
@@ -380,7 +382,7 @@ def _other_sensor(rest_px: Pixels, calibration: Calibration) -> str:
     sensors of one design. Stiffness does not show in a rest picture.
     """
     remedy = (
-        "is the calibration this sensor's, and the rest picture upright and of the calibration's "
+        "is the calibration this sensor's, and the rest picture without load, upright and of its "
         "camera mode? Make one for this sensor with twin calibrate"
     )
     seen: Bools = np.asarray(np.isfinite(rest_px).all(axis=1))
@@ -555,7 +557,7 @@ def reconstruct_recording(
     size, layout
         ``WxH`` and format of raw frames.
     options
-        Of `twin.sense.reconstruct.reconstruct`.
+        Of `twin.sense.reconstruct.reconstruct`; None stands for what the calibration's recipe says.
 
     Raises
     ------
@@ -568,6 +570,7 @@ def reconstruct_recording(
     _check_sources(sources, overlay, size, layout)
     _keep_inputs((rest, calibration, *map(Path, sources)), out=out, overlay=overlay)
     known = read_calibration(calibration)
+    options = _options(known, options)
     bounded = options["push_only"] or options["friction"] is not None
     check_options(
         options["method"],
@@ -583,6 +586,13 @@ def reconstruct_recording(
     pictures = frames(sources, sys.stdin.buffer, size, layout)
     results = reconstruct_frames(read_picture(rest), known, pictures, **options)
     print(f"calibration {_described(known)}", file=sys.stderr)
+    print(f"forces      {_described_options(options)}", file=sys.stderr)
+    if len(known.layout) == 1 and not METHODS[options["method"]].local:
+        print(
+            f"twin: one layer of markers and method {options['method']}: forces into the surface "
+            "come out far too small, beyond the stated deviations; take --method local",
+            file=sys.stderr,
+        )
     summary = _Summary()
     try:
         with _LiveTable() as live:
@@ -742,6 +752,32 @@ def _described(known: Calibration) -> str:
         *([f"E {stiffness:.3g} MPa"] if stiffness is not None else []),
         f"{len(known.layer)} markers",
         f"{len(known.site_mm)} sites",
+    ]
+    return ", ".join(parts)
+
+
+def _options(known: Calibration, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a reconstruction: as given, else as in the calibration's recipe."""
+    stored = known.facts.get("reconstruction")
+    own = Reconstruction.model_construct(**(stored if isinstance(stored, dict) else {})).options()
+    if given["push_only"] is False or given["method"] == "pinv":
+        own |= {"push_only": False, "friction": None}
+    own["camera"] &= known.has_camera
+    return own | {name: value for name, value in given.items() if value is not None}
+
+
+def _described_options(options: Mapping[str, Any]) -> str:
+    """Return how forces are solved for, in words."""
+    parts = [f"method {options['method']}", f"weight {options['weight']}"]
+    parts += [] if options["friction"] is None else [f"friction up to {options['friction']:g}"]
+    parts += [
+        words
+        for name, words in (
+            ("push_only", "pushes only"),
+            ("robust", "wrong vectors left out"),
+            ("camera", "the camera's bend followed"),
+        )
+        if options[name]
     ]
     return ", ".join(parts)
 

@@ -136,8 +136,11 @@ def test_the_best_designs_are_scenes_and_the_page_has_no_outside(finished: Path)
     assert not scene.markers["red"].unsourced()
     page = (finished / "report.html").read_text()
     assert "http" not in page.split("</style>")[1]
-    assert "Best designs" in page
     assert page.count("<svg") >= 5
+    assert "Make design " in page
+    assert "(asked: " in page
+    assert "depth of blue (mm)" in page
+    assert "two_point_mm" not in page.split("<details>")[0], "no key stands in a sentence"
 
 
 def test_a_broken_last_line_is_left_out(tmp_path: Path) -> None:
@@ -206,7 +209,7 @@ def test_sites_that_hold_designs_back_are_said_and_rank_nothing(tmp_path: Path) 
     done = run_sweep(*small(loads=coarse, axes={"markers.*.pitch_mm": [1.5, 1.6]}, derived={}), tmp_path)
     assert len(done.warnings) == 1
     assert "set reconstruction.sites.pitch_mm = 0.75" in done.warnings[0]
-    assert not any(note.startswith("two_point_mm") for note in done.notes)
+    assert not any(note.startswith("least distance") for note in done.notes)
     assert "reconstruction.sites.pitch_mm = 0.75" in _page(done, tmp_path)
 
 
@@ -223,7 +226,7 @@ def _page(done: Swept, folder: Path) -> str:
 
 def test_one_axis_and_nothing_possible_still_make_a_page(tmp_path: Path) -> None:
     done = run_sweep(*small(axes={"markers.*.diameter_mm": [1.6]}, derived={}), tmp_path)
-    assert write_report(done, tmp_path) == []
+    assert write_report(done, tmp_path) == ["None of 1 designs is possible."]
     assert "None of 1 designs is possible" in (tmp_path / "report.html").read_text()
 
 

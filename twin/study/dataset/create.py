@@ -315,8 +315,16 @@ def estimate(
     shared = samples * each + (sensors - 1) * sensor + audits * again
     size += len(shard.samples) / TRIED * samples + len(first.sensors or b"") * sensors
     further = f", {sensor:.2g} s for each further sensor" if sensors > 1 else ""
+    rows = ""
+    if scene.dataset.every_step:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        tried_rows = pq.read_metadata(pa.BufferReader(shard.samples)).num_rows
+        rows = f" of {tried_rows / TRIED:g} rows each"
     lines = [
-        f"samples     {samples} on {counted(sensors, 'sensor')}, in {counted(plan.shards, 'file')}",
+        f"samples     {samples}{rows} on {counted(sensors, 'sensor')}, in "
+        f"{counted(plan.shards, 'file')}",
         f"columns     {', '.join(c.name for c in plan.columns)}",
         f"varies      {', '.join(sorted(scene.vary)) or 'nothing'}",
         f"size        about {_bytes(size)}",

@@ -72,6 +72,9 @@ class DatasetReader:
         self._sensors: dict[int, dict[str, Any]] | None = None
         self._base_z_mm: float | None = None
 
+    def __repr__(self) -> str:
+        return f"DatasetReader({self.places.folder}, {len(self)} rows of {', '.join(self.columns)})"
+
     def __len__(self) -> int:
         return self._starts[-1]
 

@@ -234,8 +234,10 @@ def shipped_sweeps() -> dict[str, Path]:
     return {path.stem: path for path in sorted(SCENES.glob(f"{SWEEP}*.toml"))}
 
 
-def load_sweep(name: str | Path) -> tuple[Sweep, Scene]:
+def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> tuple[Sweep, Scene]:
     """Return a sweep, given by path or shipped name, and its scene with ``set`` in place.
+
+    ``overrides`` are keys of the scene; they go over those of ``set``.
 
     Raises
     ------
@@ -246,6 +248,7 @@ def load_sweep(name: str | Path) -> tuple[Sweep, Scene]:
     """
     path = _find(str(name))
     sweep = sweep_of(read_recipe(path), str(path))
+    sweep = sweep.model_copy(update={"set": {**sweep.set, **(overrides or {})}})
     near = path.parent / sweep.scene
     base = near if near.is_file() else sweep.scene
     try:

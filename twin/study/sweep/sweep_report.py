@@ -28,21 +28,16 @@ MOST = 5
 """Designs that get a scene of their own."""
 
 
-def _write_best(done: Swept, folder: Path) -> dict[int, tuple[Path, str]]:
-    """Write ``best/01-design-<number>.toml`` and so on, the best first, and return by number the
-    file of a design's scene, and its values and figures in words."""
+def _write_best(done: Swept, folder: Path) -> dict[int, Path]:
+    """Write ``best/01-design-<number>.toml`` and so on, the best first, and return the file of each
+    design's scene by number."""
     make_folder(folder / "best")
     for old in (folder / "best").glob("*.toml"):
         old.unlink()
     best = {}
     for rank, number in enumerate(done.order[:MOST].tolist(), start=1):
-        file = folder / "best" / f"{rank:02d}-design-{number}.toml"
-        write_whole(file, dump_scene(_design_scene(done, number)).encode())
-        values = ", ".join(
-            f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}"
-            for key, value in done.designs.values(number).items()
-        )
-        best[number] = file, f"{values}: {_reached(done, number)}"
+        best[number] = folder / "best" / f"{rank:02d}-design-{number}.toml"
+        write_whole(best[number], dump_scene(_design_scene(done, number)).encode())
     return best
 
 
@@ -70,22 +65,59 @@ def _assumed(part: Any, origin: str) -> Any:
     return part
 
 
-def _reached(done: Swept, number: int) -> str:
-    """Return a design's figures in words, at its best fidelity."""
-    figures = {k: float(c[number]) for k, c in done.columns.items() if np.isfinite(c[number])}
-    words = []
-    for name, unit, what in (
-        ("two_point_mm", " mm", "two points"),
-        ("dip", "", "dip"),
-        ("fwhm_mm", " mm", "width"),
-        ("total_force_error", "", "force error"),
-        ("resolution_gf", " gf", "force noise"),
-    ):
-        for stage in ("full", "linear", "closed"):
-            if f"{stage}_{name}" in figures:
-                words.append(f"{what} {figures[f'{stage}_{name}']:.3g}{unit} ({stage})")
-                break
-    return ", ".join(words)
+FIGURES = {
+    "two_point_mm": ("two points (mm)", "least distance at which two pushes show as two peaks", 1),
+    "fwhm_mm": ("width (mm)", "of the field that a push in one point gives, at half its height", 1),
+    "total_force_error": ("force error (%)", "of the total force, root mean square", 100),
+    "resolution_gf": ("force noise (gf)", "standard deviation of the total force by noise", 1),
+    "dip": (
+        "dip (%)",
+        "how far the force falls between two pushes {pair:g} mm apart: 0 is one "
+        "peak, 100 is two apart",
+        100,
+    ),
+}
+"""Head, meaning and scale of a best design's figures."""
+
+
+def _best_table(done: Swept) -> tuple[list[str], list[list[str]]]:
+    """Return heads and rows of the best designs: number, swept values, figures at their best
+    fidelity, and the last fidelity."""
+    numbers = done.order[:MOST].tolist()
+    found = {name: metric(done.columns, name) for name in FIGURES}
+    heads = ["design", *map(_axis_name, done.designs.columns)]
+    rows = [
+        [str(number), *(_short(value) for value in done.designs.values(number).values())]
+        for number in numbers
+    ]
+    for name, (head, _, scale) in FIGURES.items():
+        values = found[name]
+        if values is not None and np.isfinite(values[numbers]).any():
+            heads.append(head)
+            for row, number in zip(rows, numbers, strict=True):
+                row.append(_short(float(scale * values[number])))
+    heads.append("by")
+    for row, number in zip(rows, numbers, strict=True):
+        row.append(str(done.fidelity[number]))
+    return heads, rows
+
+
+def _short(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.3g}" if np.isfinite(value) else "–"
+    return str(value)
+
+
+def _axis_name(key: str) -> str:
+    """Return a swept key in words: ``markers.blue.depth_mm`` is "depth of blue (mm)"."""
+    *tables, last = key.split(".")
+    unit = unit_of(last)
+    words = (last.removesuffix(f"_{last.rsplit('_', 1)[-1]}") if unit else last).replace("_", " ")
+    if tables[:1] == ["markers"] and len(tables) == 2:
+        words += " of all layers" if tables[1] == "*" else f" of {tables[1]}"
+    elif tables and tables[-1] not in ("material", "camera"):
+        words = f"{tables[-1]} {words}"
+    return f"{words} ({unit})" if unit else words
 
 
 SAMPLES = 512
@@ -142,9 +174,11 @@ FRONTS = (
     ("total_force_error", "frame_ms"),
 )
 NAMES = {
-    "total_force_bias": "force error of the made sensors, without noise",
-    "range_n": "largest force, the more the better (N)",
-    "frame_ms": "software's time for a picture (ms)",
+    "total_force_error": "error of the total force (share)",
+    "total_force_bias": "force error without noise (share)",
+    "resolution_gf": "noise of the total force (gf)",
+    "range_n": "largest force, more is better (N)",
+    "frame_ms": "software's time a picture (ms)",
 }
 MORE = frozenset({"range_n"})
 """Metrics of which more is better."""
@@ -154,8 +188,8 @@ MOST_REASONS = 12
 
 
 def write_report(done: Swept, folder: Path) -> list[str]:
-    """Write the best designs' scenes into ``best``, and ``report.html``; return the best designs'
-    values and figures in words, the best first."""
+    """Write the best designs' scenes into ``best``, and ``report.html``; return lines that say what
+    to make, and the table of the best designs."""
     import tomli_w
 
     best = _write_best(done, folder)
@@ -167,8 +201,18 @@ def write_report(done: Swept, folder: Path) -> list[str]:
     reasons = Counter(str(e) for e in done.error if e).most_common(MOST_REASONS)
     became = [(name, [str(count)]) for name, count in (*counts.items(), *reasons)]
     notes = "".join(f'<p class="note">{escape(note)}</p>' for note in done.notes)
+    heads, rows = _best_table(done)
+    pair = done.designs.sweep.loads.pair_mm
+    meanings = [
+        f"{head.rpartition(' ')[0]}: {meaning.format(pair=pair)}"
+        for head, meaning, _ in FIGURES.values()
+        if head in heads
+    ]
+    shown = [(escape(row[0]), [escape(cell) for cell in row[1:]]) for row in rows]
+    said = f'<p class="note">{escape("; ".join(meanings))}; by: the last fidelity.</p>'
     sections = [
-        ("Best designs", "".join(_cards(done, best, folder))),
+        ("The best", table("Designs", list(map(escape, heads[1:])), shown) + said if rows else ""),
+        ("Each of them", "".join(_cards(done, best, folder))),
         ("Fronts", two_columns(_fronts(done))),
         ("Maps", two_columns(_maps(done))),
         ("What matters", _sensitivity_table(_sensitivities(done))),
@@ -179,20 +223,50 @@ def write_report(done: Swept, folder: Path) -> list[str]:
     title = sweep.title or f"Sweep of {sweep.scene}"
     text = page(title, _verdict(done), alarms, sections, tomli_w.dumps(recipe))
     write_whole(folder / "report.html", text.encode())
-    return [words for _, words in best.values()]
+    widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+    lines = [
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+        for row in (heads, *rows)
+    ]
+    return [_verdict(done), *(lines if rows else []), *(f"({meaning})" for meaning in meanings)]
 
 
 def _verdict(done: Swept) -> str:
+    """Return what to make, what it reaches, and which targets no design meets."""
     if not len(done.order):
         return f"None of {len(done.designs)} designs is possible."
     best = int(done.order[0])
-    met = []
+    values = done.designs.values(best)
+    made = [
+        # "depth of blue (mm)", 1.2 -> "depth of blue 1.2 mm"
+        " ".join([name.partition(" (")[0], _short(value), name.partition(" (")[2].rstrip(")")])
+        for name, value in zip(map(_axis_name, values), values.values(), strict=True)
+    ]
+    reached, missed = [], []
     for name, target in done.designs.sweep.targets.items():
-        values = metric(done.columns, name)
-        if values is not None and np.isfinite(values[best]):
-            word = "meets" if values[best] <= target else "misses"
-            met.append(f"{word} {name} = {target:g} ({values[best]:.3g})")
-    return f"The best of {len(done.designs)} designs is number {best}: {'; '.join(met)}."
+        found = metric(done.columns, name)
+        if found is None or not np.isfinite(found[best]):
+            continue
+        reached.append(_as_asked(name, float(found[best]), target))
+        if found[best] > target:
+            least = float(np.nanmin(np.where(done.status == "ok", found, np.nan)))
+            missed.append(_as_asked(name, least, target) if least > target else "")
+    text = f"Make design {best} of {len(done.designs)}: {', '.join(map(str.strip, made))}. "
+    text += f"It reaches: {'; '.join(reached)}."
+    if never := [words for words in missed if words]:
+        text += f" No design meets all targets; the least of all designs: {'; '.join(never)}."
+    return text
+
+
+def _as_asked(name: str, value: float, target: float) -> str:
+    """Return a metric beside its target in words."""
+    head, unit, scale = _named(name), "", 1
+    if name in FIGURES:
+        head, _, scale = FIGURES[name]
+    head, _, unit = head.rstrip(")").partition(" (")
+    return f"{head} {scale * value:.3g} {unit} (asked: {scale * target:g} {unit})".replace(
+        " )", ")"
+    )
 
 
 def _named(name: str) -> str:
@@ -324,6 +398,7 @@ def _map(
     ``target`` where the borders are, NaN for none. Empty where there is one bin only, or no value.
     """
     (across, x), (up, y) = over
+    across, up = _axis_name(across), _axis_name(up)
     edges = [_edges(v) for v in (x, y)]
     if min(len(e) for e in edges) < 2:
         return ""
@@ -357,7 +432,12 @@ def _map(
             f" Inside the dashed border the design limit is at most {digits(target)}, "
             "inside the solid one it is."
         )
-    return figure(svg, f"{escape(label)}: {digits(low)} (darkest) to {digits(high)}.{border}")
+    ramp = (
+        f'<div class="ramp"><span>{digits(low)}</span><span class="colours" style="background:'
+        f'linear-gradient(to right,var(--push),transparent)"></span><span>{digits(high)}</span>'
+        "</div>"
+    )
+    return figure(svg + ramp, f"{escape(label)}.{border}")
 
 
 def _edges(values: Floats) -> Floats:
@@ -401,13 +481,13 @@ def _numbers(values: Sequence[object]) -> Floats | None:
     return np.asarray(values, float) if all(isinstance(v, int | float) for v in values) else None
 
 
-def _cards(done: Swept, best: Mapping[int, tuple[Path, str]], folder: Path) -> list[str]:
-    """Return the best designs (HTML): values, figures, picture and fields."""
+def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> list[str]:
+    """Return the best designs (HTML): how to run each, picture and fields."""
     store = Store(folder)
     designs = done.designs
     two = f"Estimate of two pushes {designs.sweep.loads.pair_mm:g} mm apart"
     cards = []
-    for number, (file, words) in best.items():
+    for number, file in best.items():
         parts = []
         key = done.keys.get(number)
         kept = store.pictures(key) if key is not None else None
@@ -427,7 +507,7 @@ def _cards(done: Swept, best: Mapping[int, tuple[Path, str]], folder: Path) -> l
             title = "Expected estimate of the push in the middle"
             parts.append(_field(title, kept["site_mm"], kept["middle_n"]))
         cards.append(
-            f"<h3>Design {number}</h3><p>{escape(words)}</p>"
+            f"<h3>Design {number}</h3>"
             f'<p class="note">Ready to run, in this page&rsquo;s folder: <code>twin run '
             f"{escape(str(file.relative_to(folder)))}</code></p>{two_columns(parts)}"
         )
@@ -449,10 +529,12 @@ def _sensitivity_table(rows: Sequence[tuple[str, str, float, float, float]]) -> 
         return ""
     cells = [
         (
-            f"{metric}: {axis}",
+            escape(
+                f"{_named(explained).partition(' (')[0]}: {_axis_name(axis).partition(' (')[0]}"
+            ),
             [f"{first:.2f}", f"{total:.2f}", f"{rank:+.2f}" if np.isfinite(rank) else "–"],
         )
-        for metric, axis, first, total, rank in rows
+        for explained, axis, first, total, rank in rows
     ]
     caption = (
         "Share of the variance of the metric's logarithm that an axis makes alone and with the "

@@ -42,7 +42,7 @@ from twin.blas_threads import one_thread
 from twin.errors import InputError, RecipeError, TwinError
 from twin.files import cache_folder, make_folder, write_json, write_whole
 from twin.parts.scene import Scene
-from twin.parts.sweep import FIDELITIES, Sweep
+from twin.parts.sweep import FIDELITIES, METRICS, Sweep
 from twin.study.batch.draw import plain_table
 from twin.study.batch.pool import (
     Job,
@@ -531,6 +531,12 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
     order = np.lexsort((done.score, -depth))
     done.order = order[(done.status == "ok")[order]]
     coarse, done.warnings = _coarse(done)
+    inverse = done.designs.scene.reconstruction
+    if inverse is not None and inverse.method == "local" and (done.fidelity == "linear").any():
+        done.warnings.append(
+            "the linear fidelity takes method smooth for local, which is not linear: with one "
+            'layer of markers its force errors are far too large; add "full" to fidelity'
+        )
     done.notes = _notes(done, runner, coarse)
     return done
 
@@ -558,7 +564,7 @@ def _coarse(done: Swept) -> tuple[Bools, list[str]]:
     wanted = sweep.targets.get("two_point_mm", sweep.loads.pair_mm)
     return coarse, [
         f"{int(coarse.sum())} of {int((~np.isnan(found)).sum())} designs resolve two points as "
-        "near as their sites can, so that two_point_mm does not rank them: "
+        "near as their sites can, so that this distance does not rank them: "
         f"{advice(float(sites[coarse].max()), wanted)}"
     ]
 
@@ -577,9 +583,10 @@ def _notes(done: Swept, runner: _Runner, coarse: Bools) -> list[str]:
             ranks = f"rank correlation {rank:.2f}"
             if not np.isfinite(rank):
                 ranks = "too few or equal for a rank correlation"
+            words = METRICS.get(name, name).split(",")[0]
             notes.append(
-                f"{name}: {one} against {other} over {count} designs: {ranks}, median ratio "
-                f"{ratio:.3g}"
+                f"{words}: {one} against {other} over {count} designs: {ranks}"
+                + (f", median ratio {ratio:.3g}" if np.isfinite(ratio) else "")
             )
     if runner.fresh:
         notes.append(
@@ -648,14 +655,16 @@ def best_first(score: Floats, allowed: Bools, at_most: int | None) -> Ints:
 
 def agreement(one: Floats, other: Floats) -> tuple[float, float, int]:
     """Return Spearman's rank correlation of two fidelities, the median ratio of the second to the
-    first, and how many designs have both."""
+    first (NaN where one of the first is zero), and how many designs have both."""
     from scipy.stats import spearmanr
 
     both = np.isfinite(one) & np.isfinite(other)
     count = int(both.sum())
     if count == 0:
         return float("nan"), float("nan"), 0
-    ratio = float(np.median(other[both] / one[both]))
+    divided = np.full(count, np.nan)
+    np.divide(other[both], one[both], out=divided, where=one[both] != 0)
+    ratio = float(np.median(divided)) if np.isfinite(divided).all() else float("nan")
     if count < 3 or np.ptp(one[both]) == 0 or np.ptp(other[both]) == 0:
         return float("nan"), ratio, count
     return float(spearmanr(one[both], other[both]).statistic), ratio, count
