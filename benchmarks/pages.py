@@ -75,7 +75,20 @@ def measured_on(stage: str, cores: bool = False) -> str:
 
 def titled(tables: Mapping[str, list[Row]]) -> str:
     """Return tables under bold titles; those without rows are left out."""
-    return "\n\n".join(f"**{title}**\n\n{table(rows)}" for title, rows in tables.items() if rows)
+    return "\n\n".join(
+        folded(title, table(rows)) if len(rows) > LONG else f"**{title}**\n\n{table(rows)}"
+        for title, rows in tables.items()
+        if rows
+    )
+
+
+LONG = 20
+"""Rows of a table from which on it is shown on a click."""
+
+
+def folded(title: str, content: str) -> str:
+    """Return Markdown that is shown when its title is clicked, without scripts."""
+    return f"<details><summary>{title}</summary>\n\n{content}\n\n</details>"
 
 
 def chart(name: str, **kind: Any) -> tuple[Any, Any, Callable[[], None]]:

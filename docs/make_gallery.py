@@ -60,7 +60,7 @@ SENSORS = Room(
         _moved("finger", "sato_press", "The finger under a 3 mm sphere, through its fisheye lens."),
         _moved("gelpad", "gelpad_press", "A gel pad 4 mm thick with one layer of printed dots, under a 6 mm sphere."),
         _moved("white", "gelpad_white_dots", "The same pad with white dots under a black skin, and coloured LEDs."),
-        _moved("dome", "dome_press", "A dome."),
+        _moved("dome", "dome_press", "A round dome under a 6 mm sphere beside its apex."),
     ),
 )
 
