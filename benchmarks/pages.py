@@ -671,13 +671,17 @@ def store_reproduction(folder: Path) -> None:
 
 
 def _reproduction() -> dict[str, str]:
-    from twin.study.reproduce.bench import FITTED
+    from twin.study.reproduce.bench import FITTED, settled
+    from twin.study.reproduce.design_limits import in_short
 
     rows = stored("reproduction")
     records = [row["record"] for row in rows if "record" in row]
     said = Counter(_short(r["verdict"]) for r in records if r["paper"] is not None and not r["timed"] and not r["ours"])
     counts = "; ".join(f"{count} {what}" for what, count in said.most_common())
     parts = {"counts": f"Of {sum(said.values())} numbers that the papers print: {counts}.\n"}
+    sections = (f"**{title}.** {' '.join(lines)}" for title, lines in in_short(records).items())
+    parts["short"] = "\n\n".join(sections) + "\n"
+    unprinted = [_unprinted(row) for row in settled(records)[1]]
     for paper in ("kamiyama", "sato"):
         mine = [_printed(r) for r in records if r["name"].startswith(paper) and r["paper"] is not None]
         parts[paper] = f"Fitted: {'; '.join(FITTED[paper])}.\n\n{table(mine)}\n"
@@ -687,14 +691,39 @@ def _reproduction() -> dict[str, str]:
         if r["name"] == "beyond/half-space"
     ]
     same_hardware = [_beside(r) for r in records if r["name"].startswith("beyond/same-hardware")]
-    seconds = [row for row in rows if "entry" in row]
-    tables = {"same hardware": same_hardware, "half-space": half_space, "seconds": seconds}
+    seconds = sorted((row for row in rows if "entry" in row), key=lambda row: -float(row["CPU"]))
+    longest = ", ".join(f"{row['entry']} ({row['CPU']:.0f})" for row in seconds[:4])
+    parts["seconds"] = (
+        f"All entries took {sum(row['CPU'] for row in seconds):.0f} s of CPU on one core and "
+        f"{sum(row['wall'] for row in seconds):.0f} s of the clock, beside other work. Longest, s of CPU: {longest}.\n"
+    )
+    tables = {"same hardware": same_hardware, "half-space": half_space, "unprinted": unprinted}
     return parts | {mark: f"{table(shown)}\n" for mark, shown in tables.items()}
 
 
 def _short(verdict: str) -> str:
-    kinds = {"agrees": "agree", "explained by": "explained", "partly explained": "partly explained"}
+    if verdict.startswith("explained by") and " is plausible)" in verdict:
+        return "explained by what isn't printed"
+    kinds = {
+        "agrees": "agree",
+        "explained by: reading": "explained by another reading",
+        "explained by": "explained by a cause that was switched off",
+        "partly explained": "explained in part",
+        "ruled out": "not explained, with a bound",
+    }
     return next((kind for start, kind in kinds.items() if verdict.startswith(start)), "not explained")
+
+
+def _unprinted(row: Mapping[str, Any]) -> Row:
+    def words(parts: Sequence[Sequence[float]]) -> str:
+        return " or ".join(f"{low:.3g} to {high:.3g}" for low, high in parts) or "no value"
+
+    return {
+        "paper": row["paper"],
+        "what isn't printed": f"{row['name']} ({row['unit']})".replace(" ()", ""),
+        "plausible": f"{words([row['plausible']])}: {row['why']}",
+        "gives all its numbers at once": f"{words(row['at_once'])} ({len(row['allowed'])} numbers)",
+    }
 
 
 def _printed(record: Row) -> Row:

@@ -49,7 +49,7 @@ def curve_panel(
         for curve in curves:
             axes.plot(curve.x, np.asarray(curve.y, float), curve.style, ms=4, label=curve.label)
         for label, value in (levels or {}).items():
-            axes.axhline(value, color="black", ls="--", lw=1, label=label)
+            axes.axhline(value, color=_INK, ls="--", lw=1, label=label)
         if logarithmic:
             axes.set_yscale("log")
         axes.set(xlabel=across, ylabel=up)
@@ -69,21 +69,49 @@ def picture_panel(title: str, picture: Picture, marks_px: Pixels | None = None) 
     return Panel(title=title, draw=draw)
 
 
+_INK, _PAPER = "#1d2126", "#fcfcfa"
+_STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "twin",
+    "font.size": 11,
+    "axes.titlesize": 12,
+    "axes.prop_cycle": "cycler('color', ['0072B2', 'D55E00', '009E73', 'CC79A7', 'E69F00', "
+    "'56B4E9'])",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "lines.linewidth": 2.0,
+    "legend.fontsize": 9,
+    "legend.frameon": False,
+    **dict.fromkeys(("figure.facecolor", "axes.facecolor"), _PAPER),
+    **dict.fromkeys(
+        ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK
+    ),
+}
+"""Matplotlib's settings: six colours (Okabe and Ito's) that the colour-blind tell apart."""
+
+_DARK = (
+    f"<style>@media (prefers-color-scheme: dark) {{ text, [style*='fill: {_INK}'] {{ fill: #e6e8ea "
+    f"!important }} [style*='fill: {_PAPER}'] {{ fill: #14171a !important }} "
+    f"[style*='stroke: {_INK}'] {{ stroke: #e6e8ea !important }} }}</style>"
+)
+
+
 def drawn(panels: Sequence[Panel]) -> bytes:
-    """Return an SVG file of an entry's panels; the same panels give the same bytes."""
+    """Return an SVG file of an entry's panels, for light and dark screens; the same panels give the
+    same bytes."""
     import matplotlib
     from matplotlib.figure import Figure
 
     columns = min(len(panels), _COLUMNS)
     rows = -(-len(panels) // _COLUMNS)
-    figure = Figure(figsize=(5.2 * columns, 4.4 * rows), layout="constrained")
-    for number, panel in enumerate(panels, start=1):
-        axes = figure.add_subplot(rows, columns, number)
-        panel.draw(axes)
-        axes.set_title("\n".join(textwrap.wrap(panel.title, 56)), fontsize=10)
-        if axes.get_legend_handles_labels()[1]:
-            axes.legend(fontsize=7)
     file = io.BytesIO()
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "twin"}):
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(6.4 * columns, 4.6 * rows), layout="constrained")
+        for number, panel in enumerate(panels, start=1):
+            axes = figure.add_subplot(rows, columns, number)
+            panel.draw(axes)
+            axes.set_title("\n".join(textwrap.wrap(panel.title, 56)), loc="left")
+            if axes.get_legend_handles_labels()[1]:
+                axes.legend()
         figure.savefig(file, format="svg", metadata={"Date": None})
-    return file.getvalue()
+    return file.getvalue().replace(b"<defs>", _DARK.encode() + b"<defs>", 1)

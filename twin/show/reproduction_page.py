@@ -26,6 +26,8 @@ def reproduction(
     pictures: Mapping[str, bytes],
     sensors: Mapping[str, Mapping[str, Any]],
     failed: Mapping[str, str],
+    short: Mapping[str, Sequence[str]],
+    unprinted: Sequence[Mapping[str, Any]],
     *,
     seed: int,
     quick: bool,
@@ -33,12 +35,21 @@ def reproduction(
     """Return the page as one self-contained HTML file.
 
     ``tables`` are the entries' files in order, ``pictures`` SVG by entry, ``sensors`` scene, hash
-    and what was fitted by paper, ``failed`` the reason by entry that could not be finished.
+    and what was fitted by paper, ``failed`` the reason by entry that could not be finished,
+    ``short`` the sentences of the first screen by heading, ``unprinted`` what no paper prints, as
+    `twin.study.reproduce.bench.settled` has it.
     """
     links = "".join(
         f'<a href="#{_anchor(t)}">{escape(t["name"])}: {escape(t["title"])}</a>' for t in tables
     )
-    parts = [_counts(tables), _left(tables), _sensors(sensors), f"<nav>{links}</nav>"]
+    parts = [
+        *(_in_short(heading, sentences) for heading, sentences in short.items()),
+        _counts(tables),
+        _left(tables),
+        _unprinted(unprinted),
+        _sensors(sensors),
+        f"<nav>{links}</nav>",
+    ]
     for paper, heading in PAPERS.items():
         mine = [t for t in tables if str(t["name"]).split("/")[0] == paper]
         if mine:
@@ -55,6 +66,40 @@ def reproduction(
     return page(title, verdict, alarms, [], body="\n".join(parts), style=style)
 
 
+def _in_short(heading: str, sentences: Sequence[str]) -> str:
+    items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
+    return f"<section><h2>{escape(heading)}</h2><ul>{items}</ul></section>"
+
+
+def _unprinted(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return what no paper prints, and what the papers' numbers want it to be."""
+    if not rows:
+        return ""
+    body = []
+    for row in rows:
+        unit = f" {row['unit']}" if row["unit"] else ""
+        at_once = _between(*row["at_once"]) + unit if row["at_once"] else "no value at once"
+        each = "".join(
+            f"<li>{escape(a['number'])}: {_between(*a['intervals'])}{escape(unit)}</li>"
+            for a in row["allowed"]
+        )
+        body.append(
+            f"<tr><th>{escape(PAPERS[row['paper']].split(' (')[0])}: {escape(row['name'])}</th>"
+            f"<td>{_between(row['plausible'])}{escape(unit)}: {escape(row['why'])}</td>"
+            f"<td>{escape(at_once)}<details><summary>numbers: {len(row['allowed'])}</summary>"
+            f"<ul>{each}</ul></details></td></tr>"
+        )
+    return (
+        "<section><h2>What no paper prints, and what the printed numbers want it to be</h2>"
+        '<div class="wide"><table class="records"><thead><tr><th>quantity</th><th>plausible</th>'
+        f"<th>wanted</th></tr></thead><tbody>{''.join(body)}</tbody></table></div></section>"
+    )
+
+
+def _between(*parts: Sequence[float]) -> str:
+    return " or ".join(f"{digits(low)} to {digits(high)}" for low, high in parts)
+
+
 def _counts(tables: Sequence[Mapping[str, Any]]) -> str:
     records = [r for t in tables for r in t["records"]]
     verdicts = [
@@ -62,14 +107,21 @@ def _counts(tables: Sequence[Mapping[str, Any]]) -> str:
     ]
     agreeing = sum(v == "agrees" for v in verdicts)
     explained = sum("explained by:" in v for v in verdicts)
+    unprinted = sum("explained by:" in v and " is plausible)" in v for v in verdicts)
+    read = sum("explained by: reading" in v for v in verdicts)
     left = len(verdicts) - agreeing - explained
     return (
+        "<section><h2>How far the papers' numbers come out</h2>"
         f'<p class="verdict">Of {len(verdicts)} numbers that the papers print, {agreeing} agree, '
-        f"{explained} are explained in whole or part by a cause that was switched off, {left} are "
-        'not explained.</p><p class="note">Two numbers agree when they differ by less than 15 % of '
+        f"{explained} are explained in whole or part ({unprinted} by what isn't printed, {read} by "
+        f"another reading, the others by a cause that was switched off), {left} are not "
+        "explained.</p>"
+        '<p class="note">Two numbers agree when they differ by less than 15 % of '
         "the paper's (0.1 px for average shifts), or by twice the spread over runs, and at most by "
         "half. A cause explains a difference when the run without it comes as near as that to the "
-        "paper; it explains it in part when it more than halves it.</p>"
+        "paper; it explains it in part when it more than halves it. What isn't printed explains "
+        "one where a plausible value gives the paper's number, and in part where the other numbers "
+        "want another value.</p></section>"
     )
 
 
@@ -78,10 +130,10 @@ def _left(tables: Sequence[Mapping[str, Any]]) -> str:
     items = "".join(
         f'<li><a href="#{_anchor(t)}">{escape(t["name"])}</a> {escape(r["quantity"])}: paper '
         f"{_number(r['paper'])}, "
-        f"twin {_with_spread(r)} {escape(r['unit'])}</li>"
+        f"twin {_with_spread(r)} {escape(r['unit'])}; {escape(r['verdict'])}</li>"
         for t in tables
         for r in t["records"]
-        if str(r["verdict"]).startswith("disagrees")
+        if str(r["verdict"]).startswith(("disagrees", "ruled out"))
     )
     return (
         f"<section><h2>What no modelled cause explains</h2><ul>{items}</ul></section>"
@@ -147,6 +199,13 @@ def _row(record: Mapping[str, Any]) -> str:
             for c in record["explained_by"]
         )
         text += f"<details><summary>with each cause off</summary><ul>{items}</ul></details>"
+    for what in record.get("ranges", ()):
+        pairs = "".join(
+            f"<li>{digits(value)}: {_number(number)}{unit}</li>"
+            for value, number in zip(what["values"], what["numbers"], strict=True)
+        )
+        name = f"{escape(what['name'])} ({escape(what['unit'])})".replace(" ()", "")
+        text += f"<details><summary>{name}</summary><ul>{pairs}</ul></details>"
     paper = _number(record["paper"]) + (unit if record["paper"] is not None else "")
     return (
         f'<tr><th>{escape(record["quantity"])}</th><td class="n">{paper}</td>'

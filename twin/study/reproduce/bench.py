@@ -8,9 +8,10 @@ is switched off or one design number differs. A `Chain` is a sensor with its sof
 Rest pictures, presses and calibrations are kept. Variants that differ in camera or software alone
 share the presses of one body, because the press is most of the work on the finger.
 
-A record holds a printed number, the twin's number with its spread, and the number with one cause
-switched off. An entry declares what it measures, the numbers that it takes from that, and its
-causes; `Bench.compare` makes the runs and their records.
+A record holds a printed number, the twin's number with its spread, the number with one cause
+switched off, and the number over the range of what no paper prints. An entry declares what it
+measures, the numbers that it takes from that, its causes and its ranges; `Bench.compare` makes the
+runs and their records, `settled` compares the ranges of all of them.
 """
 
 from __future__ import annotations
@@ -86,9 +87,13 @@ press for next to nothing. Measured at the 25 points, the errors of H differ by 
 from those of presses solved one by one. The quick form presses so little that it is cheaper
 without."""
 
-MADE = 3
-"""Made sensors over which a number's spread is taken. Where fingers are pressed it is one: its
-calibration alone is 75 presses, and the spread is of as many runs of exposures and load cell."""
+MADE, FEWER = 10, 3
+"""Made sensors over which a number's spread is taken, and how many where a run takes seconds. Where
+fingers are pressed it is one: its calibration alone is 75 presses, and the spread is of as many
+runs of exposures and load cell."""
+
+RANGED = 3
+"""Trials over which the numbers of a range are averaged, at most."""
 
 FITTED: dict[str, tuple[str, ...]] = {
     "kamiyama": (
@@ -170,6 +175,73 @@ class Quantity:
 Numbers = Mapping[Quantity, float]
 
 
+@dataclass(frozen=True)
+class Unprinted:
+    """A quantity that a number depends on and no paper prints, with the values that are run.
+
+    Attributes
+    ----------
+    name, unit
+        What it is; "" is a plain number.
+    values
+        Rising, from one end of what is plausible to the other.
+    why
+        Why the ends are where they are.
+    """
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    why: str
+
+    @property
+    def words(self) -> str:
+        """Name and plausible range."""
+        return f"{self.name} ({self.between((self.values[0], self.values[-1]))} is plausible)"
+
+    def between(self, *parts: Interval) -> str:
+        """Return the words for parts of the range."""
+        words = " or ".join(f"{low:.3g} to {high:.3g}" for low, high in parts)
+        return f"{words} {self.unit}".rstrip()
+
+
+Interval = tuple[float, float]
+
+
+def agreeing(
+    values: Sequence[float], numbers: Sequence[float], paper: float, tolerance: float
+) -> tuple[Interval, ...]:
+    """Return the intervals of values whose numbers lie within a tolerance of the paper's, rising.
+
+    Between the values that were run, numbers lie on straight lines.
+    """
+    found: list[Interval] = []
+    for start, end, one, other in zip(
+        values[:-1], values[1:], numbers[:-1], numbers[1:], strict=True
+    ):
+        # The part of this straight piece, from 0 to 1, that lies within the tolerance.
+        below, above = paper - tolerance - one, paper + tolerance - one
+        slope = other - one
+        if slope:
+            low, high = sorted((below / slope, above / slope))
+        else:
+            low, high = (0.0, 1.0) if below <= 0.0 <= above else (1.0, 0.0)
+        low, high = max(low, 0.0), min(high, 1.0)
+        if low > high:
+            continue
+        first, last = start + low * (end - start), start + high * (end - start)
+        if found and np.isclose(found[-1][1], first):
+            first = found.pop()[0]
+        found.append((first, last))
+    return tuple(found)
+
+
+def _common(one: Sequence[Interval], other: Sequence[Interval]) -> list[Interval]:
+    """Return what two lists of intervals have in common."""
+    pairs = [(max(a, c), min(b, d)) for a, b in one for c, d in other]
+    return [(low, high) for low, high in pairs if low <= high]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Record:
     """One quantity of one table or figure.
@@ -185,6 +257,8 @@ class Record:
         in noise alone.
     explained_by
         The number by cause: with one modelled cause switched off, or something else in its place.
+    ranges
+        The numbers at the values of what isn't printed.
     """
 
     quantity: Quantity
@@ -192,6 +266,7 @@ class Record:
     spread: float | None = None
     n: int = 1
     explained_by: Mapping[str, float] = field(default_factory=dict)
+    ranges: Mapping[Unprinted, Sequence[float]] = field(default_factory=dict)
 
     @property
     def tolerance(self) -> float:
@@ -202,8 +277,8 @@ class Record:
 
     @property
     def verdict(self) -> str:
-        """Agreement with the paper: agrees, explained by the cause that closes the gap best, or not
-        explained."""
+        """Agreement with the paper: agrees, explained by the cause that closes the gap best or by
+        what isn't printed, ruled out over a range of that, or not explained."""
         paper = self.quantity.paper
         if paper is None:
             return "the paper gives no number"
@@ -220,9 +295,29 @@ class Record:
         best = min(left, key=left.__getitem__, default="")
         if best and left[best] <= min(self.tolerance, 0.5 * gap):
             return f"explained by: {best}"
+        for what, within in self.intervals.items():
+            if within:
+                return f"explained by: {what.words}, {what.between(*within)} gives it"
         if best and left[best] < 0.5 * gap:
             return f"partly explained by: {best}"
+        if self.ranges:
+            bounds = "; ".join(
+                f"{what.words} gives {min(numbers):.3g} to {max(numbers):.3g}"
+                for what, numbers in self.ranges.items()
+            )
+            return f"ruled out: {bounds}"
         return "disagrees, and no modelled cause explains it"
+
+    @property
+    def intervals(self) -> dict[Unprinted, tuple[Interval, ...]]:
+        """What every range must be for the paper's number."""
+        paper = self.quantity.paper
+        if paper is None:
+            return {}
+        return {
+            what: agreeing(what.values, numbers, paper, self.tolerance)
+            for what, numbers in self.ranges.items()
+        }
 
     def row(self) -> dict[str, Any]:
         """Return the record as it stands in results.json."""
@@ -238,6 +333,17 @@ class Record:
                 {"cause": cause, "value": _rounded(value)}
                 for cause, value in self.explained_by.items()
             ],
+            "ranges": [
+                {
+                    "name": what.name,
+                    "unit": what.unit,
+                    "why": what.why,
+                    "values": list(what.values),
+                    "numbers": [_rounded(number) for number in self.ranges[what]],
+                    "intervals": [[_rounded(end) for end in part] for part in within],
+                }
+                for what, within in self.intervals.items()
+            ],
             "timed": what.timed,
             "ours": what.ours,
             "difference": None if what.paper is None else _rounded(self.twin - what.paper),
@@ -252,9 +358,59 @@ def _rounded(value: float | None) -> float | None:
     return 0.0 if abs(value) < ROUND_OFF else float(f"{value:.{DIGITS}g}")
 
 
-def compared(runs: Sequence[Numbers], off: Mapping[str, Numbers] | None = None) -> list[Record]:
+def settled(
+    rows: Sequence[Mapping[str, Any]],
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Compare what isn't printed over all numbers of a paper.
+
+    Parameters
+    ----------
+    rows
+        Records as `Record.row` has them, with the entry's name.
+
+    Returns
+    -------
+    The records, where a number that is explained by a quantity of which others want another value
+    is explained in part only; and a row for each such quantity: its paper, name, unit, reason and
+    plausible range, the intervals that each number allows, and those that all allow at once.
+    Numbers that no value gives allow any.
+    """
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for row in rows:
+        for what in row["ranges"]:
+            if not what["intervals"]:
+                continue
+            paper, entry = row["name"].split("/")
+            start = {
+                "paper": paper,
+                **{key: what[key] for key in ("name", "unit", "why")},
+                "plausible": [what["values"][0], what["values"][-1]],
+                "at_once": [(what["values"][0], what["values"][-1])],
+                "allowed": [],
+            }
+            kept = found.setdefault((paper, what["name"]), start)
+            number = f"{entry}, {row['quantity']}"
+            kept["allowed"].append({"number": number, "intervals": what["intervals"]})
+            kept["at_once"] = _common(kept["at_once"], what["intervals"])
+    apart = {key for key, kept in found.items() if not kept["at_once"]}
+    out = []
+    for row in rows:
+        verdict = str(row["verdict"])
+        names = [name for paper, name in apart if row["name"].startswith(paper)]
+        if any(verdict.startswith(f"explained by: {name}") for name in names):
+            verdict = f"partly {verdict}, but not all numbers that depend on it at once"
+        out.append({**row, "verdict": verdict})
+    return out, list(found.values())
+
+
+def compared(
+    runs: Sequence[Numbers],
+    off: Mapping[str, Numbers] | None = None,
+    ranges: Mapping[Unprinted, Sequence[Numbers]] | None = None,
+) -> list[Record]:
     """Return the records of the numbers of several runs, with the numbers of a run in which one
-    cause is switched off by name; runs in which a quantity is not defined don't count."""
+    cause is switched off by name, and those at the values of what isn't printed; runs in which a
+    quantity is not defined don't count."""
     records = []
     for quantity in runs[0]:
         values = np.array([run[quantity] for run in runs], float)
@@ -265,7 +421,16 @@ def compared(runs: Sequence[Numbers], off: Mapping[str, Numbers] | None = None) 
                 twin=float(known.mean()) if len(known) else float("nan"),
                 spread=float(known.std(ddof=1)) if len(known) > 1 else None,
                 n=len(known),
-                explained_by={name: float(run[quantity]) for name, run in (off or {}).items()},
+                explained_by={
+                    name: float(run[quantity])
+                    for name, run in (off or {}).items()
+                    if quantity in run
+                },
+                ranges={
+                    what: [float(run[quantity]) for run in numbers]
+                    for what, numbers in (ranges or {}).items()
+                    if quantity.paper is not None and quantity in numbers[0]
+                },
             )
         )
     return records
@@ -543,14 +708,14 @@ class Bench:
         if self._progress is not None:
             self._progress(f"{self._entry} {what}".strip(), self._done)
 
-    def trials(self, paper: str, *, pressed: bool = True) -> tuple[Trial, ...]:
+    def trials(self, paper: str, *, pressed: bool = True, count: int = MADE) -> tuple[Trial, ...]:
         """Return the runs over which a number's spread is taken: made sensors, or exposures of one
         where a probe touches the finger (``pressed``)."""
         if self.quick:
             return (Trial(seed=self.seed),)
         if paper == "sato" and pressed:
-            return tuple(Trial(exposures=APART * number) for number in range(MADE))
-        return tuple(Trial(seed=self.seed + number) for number in range(MADE))
+            return tuple(Trial(exposures=APART * number) for number in range(count))
+        return tuple(Trial(seed=self.seed + number) for number in range(count))
 
     def compare(
         self,
@@ -559,11 +724,13 @@ class Bench:
         chain: Chain,
         causes: Mapping[str, Chain],
         trials: Sequence[Trial] | None = None,
+        ranges: Mapping[Unprinted, Callable[[float, Trial], Numbers]] | None = None,
     ) -> tuple[list[Record], list[T], dict[str, T]]:
         """Measure a chain in several trials, and once with every cause switched off.
 
         ``measure`` makes a run, of which ``numbers`` are taken; ``causes`` are the chains in which
-        one cause is switched off, by its name; trials are by default the paper's.
+        one cause is switched off, by its name; trials are by default the paper's; ``ranges`` give
+        the numbers at a value of what isn't printed, over `RANGED` of the trials.
 
         Returns
         -------
@@ -579,7 +746,14 @@ class Bench:
             self.progress(name)
             off[name] = measure(way, ONCE)
         without = {name: numbers(run) for name, run in off.items()}
-        return compared([numbers(run) for run in runs], without), runs, off
+        ranged: dict[Unprinted, list[Numbers]] = {}
+        for what, at in (ranges or {}).items():
+            self.progress(what.name)
+            ranged[what] = [
+                mean_numbers([at(value, trial) for trial in trials[:RANGED]])
+                for value in what.values
+            ]
+        return compared([numbers(run) for run in runs], without, ranged), runs, off
 
     def rig(
         self, paper: str, seed: int | None = None, overrides: Mapping[str, Any] | None = None
@@ -619,6 +793,11 @@ class Bench:
         rig = self.rig("sato", overrides=overrides)
         key = ("by presses", repr(sorted(overrides.items())))
         return self.once(key, lambda: calibrate_by_presses(rig.sensor))
+
+
+def mean_numbers(runs: Sequence[Numbers]) -> Numbers:
+    """Return the mean of every quantity over runs."""
+    return {quantity: float(np.mean([run[quantity] for run in runs])) for quantity in runs[0]}
 
 
 @cache
@@ -862,7 +1041,8 @@ def measured(
             picture = rig.picture(rig.shifted((protocol.shift_px, 0.0)), 8)
         return rig.track(picture, chain.tracker)
 
-    return bench.once(("shifted", id(rig), way, protocol.exposure, chain.tracker), work)
+    key = ("shifted", id(rig), way, protocol.exposure, chain.tracker)
+    return bench.once(key, work)
 
 
 def samples(found: Found, layer: str) -> Floats:
@@ -894,12 +1074,26 @@ class ForceLine:
         deviation = np.sqrt(self.squares / (len(self.applied_gf) - 2))
         return float(RESOLVED * deviation / abs(self.fit[0]))
 
+    @property
+    def widest_gf(self) -> float:
+        """Largest difference of a reading from the applied force."""
+        return float(np.abs(self.measured_gf - self.applied_gf).max())
+
 
 def force_line(
-    bench: Bench, chain: Chain, axis: int, steps: int, repeats: int, first: int = FIRST_EXPOSURE
+    bench: Bench,
+    chain: Chain,
+    axis: int,
+    steps: int,
+    repeats: int,
+    first: int = FIRST_EXPOSURE,
+    aside_mm: float = 0.0,
 ) -> ForceLine:
     """Take the 10 mm cylinder's path through pictures and the inverse, ``repeats`` times with noise
-    of their own: 200 gf down and then sideways, or down in steps; it sticks."""
+    of their own: 200 gf down and then sideways, or down in steps; it sticks.
+
+    The first repeat is at the apex, the others ``aside_mm`` from it, each to another side.
+    """
     levels = [PRELOAD_GF * (k + 1) / steps * GF for k in range(steps)]
     down = PRELOAD_GF * GF
     if axis == 2:
@@ -909,12 +1103,17 @@ def force_line(
         for level in levels:
             x, y = (level if k == axis else None for k in range(2))
             path.append(Step(force_n=(x, y, down)))
-    press = Press(probe=Cylinder(diameter_mm=10), friction=np.inf, steps=tuple(path))
     rig = chain.rig(bench)
-    states = rig.press(press).path[-steps:]
     applied, measured = [], []
     for repeat in range(repeats):
-        for number, state in enumerate(states):
+        x, y = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)][repeat % 5]
+        press = Press(
+            probe=Cylinder(diameter_mm=10),
+            at_mm=(x * aside_mm, y * aside_mm),
+            friction=np.inf,
+            steps=tuple(path),
+        )
+        for number, state in enumerate(rig.press(press).path[-steps:]):
             exposure = first + 1000 * axis + 100 * repeat + number
             rig.motion(state.load)  # kept; its error is noted
             field = chain.solved(bench, rig, chain.film(rig, state.load, exposure))

@@ -7,7 +7,7 @@ Times are CPU times of one thread for one frame that has arrived; capture is not
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -25,6 +25,7 @@ from twin.sense.track import track_frame
 from twin.show.figure_panels import Curve, Panel, curve_panel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import (
+    FEWER,
     FIRST_EXPOSURE,
     KAMIYAMA,
     ONCE,
@@ -32,6 +33,7 @@ from twin.study.reproduce.bench import (
     READ_GF,
     RESOLVED,
     SATO,
+    SCENES,
     Bench,
     Chain,
     Entry,
@@ -421,7 +423,7 @@ def _bars(title: str, across: str, values: Mapping[str, float], limits: list[flo
         axes.barh(list(values), list(values.values()), color="#7d8894")
         kept = np.where(np.isfinite(limits), limits, np.nan)
         axes.plot(kept, list(values), "|", ms=14, mew=2.5, label="closed-form limit of the design")
-        axes.invert_yaxis()
+        axes.set_ylim(len(values) - 0.4, -1.4)  # room for the legend
         axes.set_xlabel(across)
 
     return Panel(title=title, draw=draw)
@@ -649,8 +651,9 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
         return {deviation: float(np.mean(spreads))}
 
     trackers = {name: chain for name, chain in others.items() if name != DEFAULT}
-    trials = bench.trials(paper, pressed=False)
-    records = bench.compare(tracked, dict, ours, trackers, trials)[0]
+    made = bench.trials(paper, pressed=False, count=FEWER)
+    trials = bench.trials(paper, count=FEWER)
+    records = bench.compare(tracked, dict, ours, trackers, made)[0]
 
     bench.progress(f"{paper}, fields", 0.2)
 
@@ -664,7 +667,7 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
         }
 
     pushes = {"pushes only": replace(ours, options={"push_only": True})}
-    records += bench.compare(fields, dict, ours, others | pushes)[0]
+    records += bench.compare(fields, dict, ours, others | pushes, trials)[0]
 
     def widths(chain: Chain, trial: Trial) -> Numbers:
         width = f"{paper}: full width at half maximum of a narrow force"
@@ -677,7 +680,7 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
         }
 
     limit = _limit_of(ours.rig(bench), _shift_noise_px(bench, ours))
-    records += bench.compare(widths, dict, ours, others)[0]
+    records += bench.compare(widths, dict, ours, others, trials)[0]
     records += compared([_limit_numbers(paper, limit)])
 
     bench.progress(f"{paper}, magnitude", 0.6)
@@ -696,10 +699,10 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
         return {Quantity(name, "gf", paper=READ_GF, ours=True): found.resolution_gf}
 
     if paper == "kamiyama":
-        records += bench.compare(reading, dict, ours, others)[0]
+        records += bench.compare(reading, dict, ours, others, trials)[0]
     elif not bench.quick:
         for axis in range(3):
-            records += bench.compare(partial(line, axis), dict, ours, same_camera)[0]
+            records += bench.compare(partial(line, axis), dict, ours, same_camera, trials)[0]
 
     rate = Quantity(
         f"{paper}: frames a second, from the frame to the force field",
@@ -787,3 +790,80 @@ DESIGN_LIMITS = (
         for hardware in HARDWARE
     ),
 )
+
+
+def in_short(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
+    """Return what the two sensors can and can't do, and what one would build today: sentences by
+    heading, with the numbers of these records; nothing where an entry is missing."""
+
+    def value(part: str, cause: str = "") -> str:
+        found = [r for r in records if r["quantity"].startswith(part)]
+        if not found:
+            raise KeyError(part)
+        row = found[0]
+        others = {c["cause"]: c["value"] for c in row["explained_by"]}
+        return f"{others[cause] if cause else row['twin']:.2g}"
+
+    def of(paper: str, what: str) -> tuple[str, str, str]:
+        """Return a number with the paper's software, with this project's, and behind an industrial
+        camera too."""
+        part = f"{paper}: {what}"
+        return value(part, PAPERS), value(part), value(part, CAMERA)
+
+    last = list(FLAT)[-1]
+    try:
+        flat, finger = (
+            {
+                name: of(paper, what)
+                for name, what in {
+                    "shift": "standard deviation of a shift",
+                    "width": "full width at half maximum of a narrow force",
+                    "apart": "least distance of two narrow forces",
+                    "field": "field error",
+                }.items()
+            }
+            for paper in SCENES
+        )
+        between = of("sato", "field error between four")
+        gram = [
+            (value(f"sato, {axis}: smallest", PAPERS), value(f"sato, {axis}: smallest"))
+            for axis in "xyz"
+        ]
+        best = value(f"{last}: least distance")
+        pushed = (value("least norm: distance of the strongest"), value("least norm: total push"))
+    except KeyError:
+        return {}
+    return {
+        "What the flat sensor can and can't do": [
+            f"It finds a push: the strongest force lies {pushed[0]} mm from the axis of a 5 mm "
+            f"pillar, and the forces sum to {pushed[1]} of the applied one.",
+            f"A marker's shift is good to {flat['shift'][0]} px with its own software. A narrow "
+            f"force comes out {flat['width'][0]} mm wide, and two must be {flat['apart'][0]} mm "
+            "apart to be told apart: its markers lie 3 and 6 mm deep, and its noise is high.",
+            f"It can't give the pressure under a 5 mm pillar: the field is off by "
+            f"{flat['field'][0]} of itself.",
+        ],
+        "What the finger can and can't do": [
+            f"As a force sensor it tells {gram[0][0]}, {gram[1][0]} and {gram[2][0]} gf apart "
+            "along x, y and z (the paper: 30).",
+            f"A narrow force comes out {finger['width'][0]} mm wide, and two are told apart at "
+            f"{finger['apart'][0]} mm, on the points where it was calibrated.",
+            f"Between those points it can't give a field: the error is {between[0]} of the field, "
+            f"on a point {finger['field'][0]}.",
+        ],
+        "What one would build today for the same hardware": [
+            "The same bodies, markers and cameras with a tracker that fits each disc, a matrix "
+            "computed from the drawing instead of 75 presses, and an inverse that allows forces "
+            "only where a first solution has some.",
+            f"Shifts are then good to {flat['shift'][1]} and {finger['shift'][1]} px, two forces "
+            f"are told apart at {flat['apart'][1]} and {finger['apart'][1]} mm, and the finger "
+            f"reads {gram[0][1]}, {gram[1][1]} and {gram[2][1]} gf; its field between the points "
+            f"is off by {between[1]}.",
+            "A camera without video or compression measures shifts to "
+            f"{flat['shift'][2]} and {finger['shift'][2]} px and tells two forces apart at "
+            f"{flat['apart'][2]} and {finger['apart'][2]} mm; from there on the markers' depth and "
+            "pitch are the limit.",
+            f"The flat sensor with that camera and markers 1 mm apart, 1 and 2 mm deep, tells "
+            f"forces {best} mm apart (its authors wanted 2).",
+        ],
+    }

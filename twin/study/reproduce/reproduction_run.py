@@ -27,8 +27,8 @@ from twin.blas_threads import one_thread
 from twin.errors import InputError, TwinError, did_you_mean
 from twin.files import make_folder, write_whole
 from twin.study.recipe import load_scene
-from twin.study.reproduce.bench import FITTED, SCENES, Bench, Entry, sensor_hash
-from twin.study.reproduce.design_limits import DESIGN_LIMITS
+from twin.study.reproduce.bench import FITTED, SCENES, Bench, Entry, sensor_hash, settled
+from twin.study.reproduce.design_limits import DESIGN_LIMITS, in_short
 from twin.study.reproduce.finger_figures import FINGER_FIGURES
 from twin.study.reproduce.flat_figures import FLAT_FIGURES
 from twin.study.reproduce.shifted import SHIFTED
@@ -219,7 +219,9 @@ def _publish(out: Path, bench: Bench, failed: dict[str, str]) -> None:
     from twin.show.reproduction_page import reproduction
 
     tables = [t for entry in ENTRIES.values() if (t := _kept(out, entry, bench)) is not None]
-    records = [record for table in tables for record in table["records"]]
+    records, unprinted = settled([record for table in tables for record in table["records"]])
+    for table in tables:
+        table["records"] = [record for record in records if record["name"] == table["name"]]
     text = json.dumps(records, indent=1) + "\n"
     write_whole(out / "results.json", text.encode())
     pictures = {}
@@ -230,7 +232,16 @@ def _publish(out: Path, bench: Bench, failed: dict[str, str]) -> None:
         paper: {"scene": scene, "hash": sensor_hash(paper), "fitted": list(FITTED[paper])}
         for paper, scene in SCENES.items()
     }
-    page = reproduction(tables, pictures, facts, failed, seed=bench.seed, quick=bench.quick)
+    page = reproduction(
+        tables,
+        pictures,
+        facts,
+        failed,
+        in_short(records),
+        unprinted,
+        seed=bench.seed,
+        quick=bench.quick,
+    )
     write_whole(out / "index.html", page.encode())
 
 
