@@ -59,8 +59,11 @@ FEW: dict[str, Any] = {
 }
 """The quick form presses one point."""
 
+COMPRESSED = {"ccd.jpeg_quality": 99}
+"""What all numbers of Table I want (`twin.study.reproduce.shifted.QUALITY`)."""
+
 CELL = Unprinted(
-    "standard deviation of the six-axis force sensor",
+    "standard deviation of the six-axis force sensor, compressed as Table I wants it",
     "N",
     (0.005, 0.05, 0.1, 0.15),
     "from a sensor made for 1 N to 1 % of one made for 15 N; its type isn't printed. With 0.3 N "
@@ -91,8 +94,9 @@ def _ways(bench: Bench) -> dict[str, Chain]:
 
 
 def _weighed(deviation_n: float) -> Chain:
-    """Return the paper's chain with another force sensor, in the calibration too."""
-    cell = {"calibration.load_cell_n": deviation_n}
+    """Return the paper's chain with another force sensor, in the calibration too, and with the
+    compression that Table I wants."""
+    cell = {"calibration.load_cell_n": deviation_n, **COMPRESSED}
     return replace(PAPER, overrides=cell, calibrated_by=cell)
 
 
