@@ -453,6 +453,13 @@ def test_the_force_is_drawn_against_time_where_a_press_takes_any(full: RunResult
     assert "at most 0.4 N" in drawn
 
 
+def test_what_round_off_leaves_of_an_error_is_shown_as_nothing(full: RunResult) -> None:
+    score = {"elastic": {"force_error": 6.7e-16, "indentation_error": 1e-4}}
+    shown = page_part(report(replace(full, score=score)), "Errors by stage")
+    assert ">0 %<" in shown
+    assert ">0.01 %<" in shown
+
+
 def page_part(page: str, title: str) -> str:
     """Return what stands under a heading."""
     return page.split(f">{title}<")[1].split("<h2")[0]

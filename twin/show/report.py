@@ -114,6 +114,9 @@ _NAMES = {
 _SHARES = ("_error", "matched", "share", "ratio")
 """Endings of keys that hold a ratio, in percent."""
 
+_ROUND_OFF = 1e-12
+"""Ratios below this are shown as 0: what a sum of doubles leaves says nothing."""
+
 
 def report(result: RunResult) -> str:
     """Return the report of anything from a bare scene to a full run as one HTML page."""
@@ -395,7 +398,7 @@ def _name_of(key: str) -> tuple[str, str]:
 def _amount(key: str, value: float) -> str:
     """Return a number in the unit of its key: ``1.2 %``, ``0.05 mm``, ``3``."""
     if not isinstance(value, int) and key.endswith(_SHARES):
-        return f"{digits(100 * value)} %"
+        return f"{digits(0.0 if abs(value) < _ROUND_OFF else 100 * value)} %"
     unit = _split_unit(key)[1]
     return digits(value) + (f" {unit}" if unit else "")
 
