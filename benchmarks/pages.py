@@ -309,31 +309,36 @@ def _contact() -> dict[str, str]:
 def _draw_contact() -> None:
     """Draw errors against patches across, and against CPU seconds.
 
-    What is compared has its colour, the case its mark; Poisson's ratios other than 0.5 are dashed.
+    A panel a case; what is compared has its colour, and Poisson's ratios other than 0.5 are dashed.
     """
-    figure, (left, right), save = chart("contact.png", nrows=1, ncols=2, figsize=(11, 4.8))
-    import matplotlib.pyplot as plt
     from matplotlib.ticker import NullFormatter, ScalarFormatter
 
     drawn = [one for one in series(stored("contact")) if one[-1]["quantity"] not in NO_ORDER]
-    compared = list(dict.fromkeys((one[-1]["case"], one[-1]["quantity"]) for one in drawn))
-    cases = list(dict.fromkeys(case for case, _ in compared))
-    paired = plt.get_cmap("tab20").colors  # strong and pale by turns
-    colours = dict(zip(compared, [*paired[::2], *paired[1::2]], strict=False))
-    marks = dict(zip(cases, "osD^v<>P", strict=False))
+    groups: dict[str, list[list[Row]]] = {}
     for one in drawn:
-        case, quantity, nu = one[-1]["case"], one[-1]["quantity"], one[-1]["nu"]
-        line = "-" if nu == 0.5 else "--"
-        style = {"color": colours[case, quantity], "marker": marks[case], "ls": line, "ms": 4, "lw": 1.2}
-        errors = [max(abs(row["error"]), 1e-6) for row in one]
-        left.loglog([row["across"] for row in one], errors, label=f"{case}: {quantity}, nu {nu}", **style)
-        right.loglog([row["cpu_s"] for row in one], errors, **style)
-    left.set(xlabel="patches across the contact", ylabel="error over the closed form's value")
-    left.set_xticks(sorted({row["across"] for one in drawn for row in one}))
-    left.xaxis.set_major_formatter(ScalarFormatter())
-    left.xaxis.set_minor_formatter(NullFormatter())
-    right.set(xlabel="CPU seconds of the whole path")
-    figure.legend(loc="outside right center", fontsize=7)
+        case = one[-1]["case"]
+        groups.setdefault("punches" if "punch" in case else case, []).append(one)
+    _, panels, save = chart(
+        "contact.png", nrows=2, ncols=len(groups), figsize=(3.2 * len(groups), 7), sharey=True, squeeze=False
+    )
+    for (name, mine), (upper, lower) in zip(groups.items(), panels.T, strict=True):
+        labels = [f"{one[-1]['case']}: {one[-1]['quantity']}" for one in mine]
+        colours = dict(zip(dict.fromkeys(labels), ("#0072b2", "#d55e00", "#009e73", "#cc79a7"), strict=False))
+        for one, label in zip(mine, labels, strict=True):
+            line = "-" if one[-1]["nu"] == 0.5 else "--"
+            style = {"color": colours[label], "marker": "o", "ls": line, "ms": 4, "lw": 1.2}
+            errors = [max(abs(row["error"]), 1e-6) for row in one]
+            upper.loglog([row["across"] for row in one], errors, **style)
+            words = label if name == "punches" else one[-1]["quantity"]
+            lower.loglog([row["cpu_s"] for row in one], errors, label=f"{words}, nu {one[-1]['nu']}", **style)
+        upper.set(title=name, xlabel="patches across the contact")
+        upper.set_xticks(sorted({row["across"] for one in mine for row in one}))
+        upper.xaxis.set_major_formatter(ScalarFormatter())
+        upper.xaxis.set_minor_formatter(NullFormatter())
+        lower.set(xlabel="CPU seconds of the whole path")
+        lower.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), fontsize=7)
+    for first in panels[:, 0]:
+        first.set_ylabel("error over the closed form's value")
     save()
 
 
