@@ -19,6 +19,7 @@ from standard_bodies import write_stl
 import twin
 from twin.errors import InputError, RecipeError, TwinError
 from twin.files import write_whole
+from twin.study.batch.draw import with_values
 from twin.study.batch.pool import only_writer
 from twin.study.check import check_path
 from twin.study.dataset import create
@@ -390,3 +391,16 @@ def test_time_is_estimated_from_cpu_seconds_of_samples_and_sensors(monkeypatch: 
     few = create.estimate(small_scene(columns=("force_n",), vary={}), 3)
     assert "about 14 s with 1 worker" in few[-2]
     assert "the same one" in few[-1]
+
+
+@pytest.mark.parametrize("u", [0.0, 0.5, 1 - 1e-9])
+def test_what_the_realistic_dataset_draws_is_allowed_and_changes_pictures_alone(u: float) -> None:
+    """All axes at their low end, middle and high end: a range beyond a key's would fail every other sensor."""
+    scene = twin.load_scene("dataset_realistic")
+    axes = Plan(scene, 1).sensor_axes
+    drawn = with_values(scene, {key: axis.at(np.full(axis.takes, u)) for key, axis in axes.items()})
+    push = twin.Traction.disk(centre_mm=(1, 0), radius_mm=1.5, force_n=(0.05, 0, 0.2))
+    plain, real = twin.Sensor(scene), twin.Sensor(drawn)
+    np.testing.assert_array_equal(real.actual.markers.points, plain.actual.markers.points)
+    np.testing.assert_array_equal(real.motion(push).displacement_mm, plain.motion(push).displacement_mm)
+    assert np.abs(real.picture(push).astype(float) - plain.picture(push)).mean() > 5

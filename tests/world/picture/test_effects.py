@@ -13,6 +13,7 @@ from twin.parts.part import identity
 from twin.world.picture.ccd import expose, fixed_pattern
 from twin.world.picture.lamps import lamps_at
 from twin.world.picture.render import Renderer, method_for
+from twin.world.picture.stock_scene import marker_surfaces
 
 
 def light_of(scene, variant=SPLAT):
@@ -176,6 +177,13 @@ def test_a_glossy_ball_sends_as_much_light_to_the_camera_as_a_mirror_does():
     mirrored = (across**2 + along**2) / 2 / 4
     lambert = 2 / (3 * np.pi) * (np.sin(angle) + (np.pi - angle) * np.cos(angle))
     assert gloss / matt == pytest.approx(mirrored / lambert, rel=0.05)
+
+
+def test_a_lost_marker_of_a_shade_of_its_own_is_no_glossy_surface():
+    lost = np.full(3, np.nan)
+    markers = replace(beads([(0, 0, 6), lost]), colour=np.array([[0.5] * 3, [0.4] * 3]), gloss=np.full((2, 2), 1.6))
+    (only,) = marker_surfaces(markers).values()
+    assert_array_equal(only.colours, 0.5)
 
 
 def test_gloss_is_refused_where_it_is_not_drawn():

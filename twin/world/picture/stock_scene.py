@@ -130,6 +130,8 @@ def marker_surfaces(markers: Ellipsoids) -> dict[str, Triangles]:
     """Return the markers by name; those with gloss are one surface for each colour, too."""
     if markers.gloss is None:
         return {"markers": marker_triangles(markers)}
+    markers = markers.rows(markers.present)
+    assert markers.gloss is not None
     look = np.column_stack([markers.gloss, markers.colour * (markers.gloss[:, :1] > 0)])
     kinds, which = np.unique(look, axis=0, return_inverse=True)
     surfaces = {}
