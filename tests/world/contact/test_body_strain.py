@@ -131,13 +131,16 @@ def somewhere():
 
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
 RUBBER = Material(law="neo_hookean")
+SHEARED = (twin.Step(force_n=(None, None, 0.5)), twin.Step(force_n=(None, None, 0.5), move_mm=(0.1, None, None)))
 GUIDED = {"steps": (twin.Step(force_n=(None, None, 0.5), torque_nmm=0.0),), "force_n": None}
 
 
 @pytest.mark.parametrize(
     ("press", "rubber", "words"),
     [
-        ({"friction": 0.5}, {}, "friction"),
+        ({"friction": 0.5}, {}, "friction = 0.5: friction 0 and inf are solved"),
+        ({"friction": float("inf"), "force_n": None, "indentation_mm": 0.1}, {}, "where a force presses it"),
+        ({"friction": float("inf"), "steps": SHEARED, "force_n": None}, {}, "forces and torques move it"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "upright probes"),
         (GUIDED, {}, "guided along their way"),
         ({}, {"poisson_ratio": 0.4}, "poisson_ratio"),
@@ -148,6 +151,30 @@ def test_what_is_not_solved_on_curved_bodies_is_refused_with_its_cause(press, ru
     material = RUBBER.model_copy(update=rubber)
     with pytest.raises(InputError, match=f"material.law = neo_hookean.*{words}"):
         body_strain.BodyStrain(given, FINGER, material, somewhere, PLACES)
+
+
+@pytest.mark.slow
+def test_sphere_that_sticks_and_is_sheared_is_another_codes():
+    """Pressed, then pulled along x; the other code holds its own points to its own sphere."""
+    truth = json.loads((Path(__file__).parents[2] / "reference" / "stuck_neohooke.json").read_text())
+    places = np.array(truth["places_mm"])
+    forces = [(0.0, 0.0, truth["steps"][0]["force_n"][1])]
+    forces.append((truth["steps"][1]["force_n"][0], 0.0, truth["steps"][1]["force_n"][1]))
+    steps = tuple(twin.Step(force_n=force) for force in forces)
+    press = twin.Press(probe=Sphere(diameter_mm=truth["diameter_mm"]), friction=float("inf"), steps=steps)
+    straight, bent = made("linear", "block_bare").press(press), made(name="block_bare").press(press)
+    for before, after, step in zip(straight.path, bent.path, truth["steps"], strict=True):
+        assert after.force_n == pytest.approx(before.force_n, abs=1e-9)
+        linear = np.array(step["linear_mm"])
+        most, change = largest(linear), np.array(step["strained_mm"]) - linear
+        more = after.load.strained
+        off = largest(more.displacement(places) - change) / most
+        assert off < largest(change) / most / 5
+        assert off < more.error.markers < 2e-2
+    for axis, asked, linear in ((2, 0, 0), (0, 1, 1)):
+        wanted = truth["motion_mm"][asked] / truth["motion_linear_mm"][linear] - 1.0
+        found = bent.path[asked].move_mm[axis] / straight.path[asked].move_mm[axis] - 1.0
+        assert found == pytest.approx(wanted, abs=1.5e-2)
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
-"""What linear theory leaves out of straight presses on a curved body, of square pillars and of
-several probes on a block: as `twin.world.contact.finite_strain.FiniteStrain`, on a mesh of the
-whole body.
+"""What linear theory leaves out of presses on a curved body, of square pillars, of several probes
+and of a probe that sticks on a block: as `twin.world.contact.finite_strain.FiniteStrain`, on a mesh
+of the whole body.
 
 The displacement under a press is
 
@@ -11,15 +11,22 @@ under the same force. The mesh is the body's coarsest one, refined under the pro
 of flat faces. Its own error is in both answers and mostly cancels. The linear answer's Newton steps
 begin at the contact of `pressing`, those of the other one at the linear answer.
 
+A probe that sticks takes both answers along its path, in the same few parts of every step: what
+this division leaves is in both, too. In a part what touches first slides freely; then it is held
+from where it touched (`twin.world.contact.whole_body`), and the part is solved again.
+
 A flat face's rim is rounded by a tenth of its half width at least, on which the difference hardly
 depends.
 
 Validity: rigid spheres, upright cylinders, pillars and cones, pressed along their ways without
-friction on a block, a finger or a dome, several of them by forces; nu from 0.45.
+friction on a block, a finger or a dome, several of them by forces; one that sticks, pressed by a
+force and moved by forces and torques; nu from 0.45. Where such a probe is guided it keeps the force
+of linear theory, and `BodyStrain.error` states what is amiss with it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,11 +39,13 @@ from twin.parts.material import Material
 from twin.parts.press import Press
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
 from twin.world.contact.contact_state import ContactState, Share
+from twin.world.contact.friction_law import STICKS_FROM
 from twin.world.contact.probe_gap import MOTIONS, Approach, Z, approach_of, half_extent
 from twin.world.contact.whole_body import (
     Equilibrated,
     Rubber,
     SurfaceTouch,
+    newly_anchored,
     pressed_further,
     rows_of,
 )
@@ -53,15 +62,17 @@ _REACH = 1.6
 @dataclass(frozen=True)
 class _Fineness:
     """The longest edge under the probe over the contact's radius, its growth away from there,
-    mm/mm, and the longest edge at a flat face's rim."""
+    mm/mm, the longest edge at a flat face's rim, and into how many parts the first step of a path
+    with friction is divided, and a later one."""
 
     edge: float
     growth: float
     rim: float
+    parts: tuple[int, int]
 
 
-_FINE = _Fineness(0.85, 0.8, 0.3)
-_COARSE = _Fineness(1.1, 0.9, 0.4)
+_FINE = _Fineness(0.85, 0.8, 0.3, (4, 2))
+_COARSE = _Fineness(1.1, 0.9, 0.4, (3, 1))
 """The mesh of the answer, and the one that tells the error."""
 
 LEAST_RIM = 0.1
@@ -73,12 +84,16 @@ _LAST_STEP = 3e-3
 """Newton's steps end at one that moves nothing by more than the second, a share of the largest
 displacement; what is left then is below the first."""
 
+_PART_STEP = 1.5e-2
+"""The same within a part of a path with friction."""
+
 _ERROR_OVER_CHANGE = 1.1
 _FLAT_OVER_CHANGE = 1.5
 """The error over the change to the coarser mesh, and that under a flat face (docs/validity.md)."""
 
 MOST_STEPS = 12
-"""Newton's steps at most."""
+_LET_GO = 5
+"""Newton's steps at most, and after how many of them points that lift off lose their anchors."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +136,7 @@ class BodyStrain:
     `twin.world.contact.finite_strain.FiniteStrain`. It takes about 2 s under a sphere, 3 to 20 s
     under others; with ``coarse`` the others are refused. With ``like`` the mesh is that of a nearly
     equal press, so that the answers differ by the press alone, and the steps begin at its answers.
+    A probe that sticks needs ``path``, all its states, and takes ``like`` from the state before.
 
     Raises
     ------
@@ -138,11 +154,12 @@ class BodyStrain:
         *,
         coarse: bool = False,
         like: BodyStrain | None = None,
+        path: Sequence[ContactState] = (),
     ) -> None:
         presses = (press.model_copy(update={"also": ()}), *press.also)
         approaches = [_rounded(approach_of(one, body)) for one in presses]
         self.axes = tuple(approach.axes for approach in approaches)
-        problem = _unsolved(press, body, material, state, self.axes)
+        problem = _unsolved(press, body, material, state, self.axes, path)
         if not problem and coarse:
             problem = _too_slow(press, body)
         if problem:
@@ -153,9 +170,21 @@ class BodyStrain:
         self._body = body
         self._material = material
         self._state = state
-        self._contacts: list[tuple[Approach, Floats, float]] = [
-            (approach, _centre(one), one.contact_radius_mm)
-            for approach, one in zip(approaches, _probes(state), strict=True)
+        self._path = tuple(path) or (state,)
+        self._number = next(n for n, one in enumerate(self._path) if one is state)
+        self._sticks = press.friction > 0.0
+        self._controls = [
+            one.in_own_axes(axes) for one, axes in zip(presses, self.axes, strict=True)
+        ]
+        self._contacts: list[tuple[Approach, list[tuple[Floats, float]]]] = [
+            (
+                approach,
+                [
+                    (_centre(one), one.contact_radius_mm)
+                    for one in (_probes(there)[number] for there in self._history(state))
+                ],
+            )
+            for number, approach in enumerate(approaches)
         ]
         if like is not None:
             self._contacts = like._contacts
@@ -163,8 +192,7 @@ class BodyStrain:
         self._pair: _Pair = self._solved(
             _COARSE if coarse else _FINE, None if like is None else like._pair
         )
-        self.moved = np.zeros((len(presses), MOTIONS))
-        self.moved[:, Z] = self._pair.finite.deep - self._pair.linear.deep
+        self.moved = self._pair.finite.pose - self._pair.linear.pose
         self.wider = self._pair.wider
 
     @property
@@ -186,12 +214,19 @@ class BodyStrain:
         other = self._solved(_COARSE)
         moved = _read(other.places(self._watched), other.change)
         there = largest(moved - self.displacement(self._watched)) / largest(self._linear_there)
-        deeper = other.finite.deep - other.linear.deep - self.moved[:, Z]
+        deeper = (other.finite.pose - other.linear.pose - self.moved)[:, Z]
         deep = np.array([one.indentation_mm for one in _probes(self._state)])
         sunk = float(np.max(np.abs(deeper) / deep))
-        flat = any(approach.is_flat for approach, _, _ in self._contacts)
+        flat = any(approach.is_flat for approach, _ in self._contacts)
         factor = _FLAT_OVER_CHANGE if flat else _ERROR_OVER_CHANGE
-        return Share(indentation=factor * sunk + _TOLERANCE, markers=factor * there + _TOLERANCE)
+        along = slice(0, Z + 1)  # where a probe is guided it keeps the force of linear theory
+        guided = (self._pair.finite.force - self._pair.linear.force)[0, along]
+        force = self._pair.linear.force[0, along]
+        return Share(
+            force=float(np.linalg.norm(guided) / np.linalg.norm(force)) if self._sticks else 0.0,
+            indentation=factor * sunk + _TOLERANCE,
+            markers=factor * there + _TOLERANCE,
+        )
 
     @cached_property
     def linear_error(self) -> float:
@@ -205,9 +240,15 @@ class BodyStrain:
 
     def _below_contact(self) -> Points:
         """Return places below the contact, up to its radius deep."""
-        _, centre, size = self._contacts[0]
+        _, near = self._contacts[0]
+        centre, size = near[-1]
         inward = self._body.piece_normals(centre[None])[0, 0]
         return np.asarray(centre + size * np.linspace(0.3, 1.0, 8)[:, None] * inward)
+
+    def _history(self, state: ContactState) -> Sequence[ContactState]:
+        """Return the states on whose way friction makes the last one depend."""
+        whole = [one for one in self._path if one.load.terms]
+        return whole if self._sticks else (state,)
 
     def _solved(self, fineness: _Fineness, like: _Pair | None = None) -> _Pair:
         """Return both answers on a mesh, or on that of other ones, from where the steps begin."""
@@ -215,13 +256,14 @@ class BodyStrain:
         # Mesh and contact.
         def wanted(points: Points) -> Floats:
             edges = np.full(len(points), np.inf)
-            for approach, centre, size in self._contacts:
-                away = np.linalg.norm(points - centre, axis=1) - size
-                here = fineness.edge * size + fineness.growth * np.maximum(away, 0.0)
-                edges = np.minimum(edges, here)
-                if approach.is_flat:
-                    at_rim = fineness.rim * size + fineness.growth * _from_rim(points, approach)
-                    edges = np.minimum(edges, at_rim)
+            for approach, near in self._contacts:
+                for centre, size in near:
+                    away = np.linalg.norm(points - centre, axis=1) - size
+                    here = fineness.edge * size + fineness.growth * np.maximum(away, 0.0)
+                    edges = np.minimum(edges, here)
+                    if approach.is_flat:
+                        away = np.maximum(_from_rim(points, approach), 0.0)
+                        edges = np.minimum(edges, fineness.rim * size + fineness.growth * away)
             return edges
 
         if like is None:
@@ -229,62 +271,198 @@ class BodyStrain:
             rubber = Rubber(mesh, self._body, self._material)
         else:
             rubber = like.rubber
-        probes = _probes(self._state)
-        own = [axes @ one.move_mm for axes, one in zip(self.axes, probes, strict=True)]
         touches = [
-            SurfaceTouch(rubber.mesh, self._body, approach, place[:Z], centre, _REACH * size)
-            for (approach, centre, size), place in zip(self._contacts, own, strict=True)
-        ]
-        along = [float(axes[Z] @ one.force_n) for axes, one in zip(self.axes, probes, strict=True)]
-        force = np.array(along) / self._material.youngs_modulus_mpa
-
-        # The linear answer, and from there the one at finite strain.
-        if like is None:
-            under = [
-                _under_patches(one, touch.rest_mm)
-                for one, touch in zip(probes, touches, strict=True)
-            ]
-            active = np.concatenate(under)
-            start = Equilibrated(
-                unknowns=np.zeros(rubber.size),
-                deep=np.array([place[Z] for place in own]),
-                pressure=np.zeros(len(active)),
-                active=active,
+            SurfaceTouch(
+                rubber.mesh,
+                self._body,
+                approach,
+                self._sticks,
+                [(centre, _REACH * size) for centre, size in near],
             )
-        else:
-            start = like.linear
-        linear = self._settled(rubber, touches, start, force, linear=True)
-        if like is None:
-            lift = np.concatenate([touch.lift for touch in touches])
-            start = replace(linear, pressure=linear.pressure * lift)
-        else:
-            start = like.finite
-        finite = self._settled(rubber, touches, start, force, linear=False)
+            for approach, near in self._contacts
+        ]
+        pair = self._along(rubber, touches, fineness, like)
+        self._check_reach(touches, pair)
+        return pair
+
+    def _given(self, number: int) -> tuple[Bools, Floats]:
+        """Return which motions (p, 6) forces hold at the end of a step, and these over Young's
+        modulus, or the motions."""
+        probes = zip(self._controls, self.axes, _probes(self._path[number]), strict=True)
+        by_force, given = [], []
+        for controls, axes, there in probes:
+            forces, values = controls[number if len(self._path) > 1 else -1]
+            held = np.array(forces)
+            forced = np.array(values) / self._material.youngs_modulus_mpa
+            pose = np.concatenate([axes @ there.move_mm, axes @ np.radians(there.turns_deg)])
+            if not self._sticks:  # under the same force, whatever holds the probe
+                held[Z] = True
+                forced[Z] = axes[Z] @ there.force_n / self._material.youngs_modulus_mpa
+            by_force.append(held)
+            given.append(np.where(held, forced, pose))
+        return np.array(by_force), np.array(given)
+
+    def _along(
+        self,
+        rubber: Rubber,
+        touches: list[SurfaceTouch],
+        fineness: _Fineness,
+        like: _Pair | None,
+    ) -> _Pair:
+        """Return both answers at the end of the path so far."""
+        count = sum(len(touch.rest_mm) for touch in touches)
+        none = Equilibrated.at_rest(rubber.size, len(touches), count)
+        linear = finite = none
+        first = self._number
+        if self._sticks:
+            first = 0
+            if like is not None:
+                linear, finite, first = like.linear, like.finite, self._number
+        for number in range(first, self._number + 1):
+            by_force, given = self._given(number)
+            if not self._sticks:
+                linear, finite = self._at_once(rubber, touches, like, none, by_force, given)
+                continue
+            parts = fineness.parts[min(number, 1)]
+            begin = np.where(by_force, linear.force, linear.pose)
+            for part in range(1, parts + 1):
+                share = (part / parts) ** self._powers(by_force, number)
+                now = begin + share * (given - begin)
+                last = linear
+                guess = linear
+                if number == 0:
+                    guess = self._grown(touches, linear, share)
+                to = _LAST_STEP if part == parts else _PART_STEP
+                linear = self._stuck_on(
+                    rubber, touches, linear, guess, by_force, now, to, linear=True
+                )
+                lift = np.concatenate([touch.lift for touch in touches])
+                guess = replace(
+                    finite,
+                    unknowns=finite.unknowns + linear.unknowns - last.unknowns,
+                    pose=finite.pose + linear.pose - last.pose,
+                    pressure=np.maximum(
+                        finite.pressure + (linear.pressure - last.pressure) * lift, 0.0
+                    ),
+                )
+                finite = self._stuck_on(
+                    rubber, touches, finite, guess, by_force, now, to, linear=False
+                )
         wider = [
             touch.spread_mm(finite.pressure[rows]) / touch.spread_mm(linear.pressure[rows])
             for touch, rows in zip(touches, rows_of(touches), strict=True)
         ]
         return _Pair(rubber=rubber, linear=linear, finite=finite, wider=np.array(wider))
 
+    def _powers(self, by_force: Bools, number: int) -> Floats:
+        """Return the powers of the share of a step with which what is given grows: parts are equal
+        in the contact's radius."""
+        powers = np.ones(by_force.shape)
+        if number == 0:
+            for own, held, (approach, _) in zip(powers, by_force, self._contacts, strict=True):
+                if not approach.is_flat:
+                    force, motion = (2.0, 1.0) if isinstance(approach.probe, Cone) else (3.0, 2.0)
+                    own[:] = np.where(held, force, motion)
+        return powers
+
+    def _grown(
+        self, touches: list[SurfaceTouch], before: Equilibrated, share: Floats
+    ) -> Equilibrated:
+        """Return where the steps of a part of the first step begin in the linear answer: its depth
+        and contact by linear theory."""
+        pose, active = before.pose.copy(), []
+        for own, part, axes, there, touch in zip(
+            pose, share, self.axes, _probes(self._path[0]), touches, strict=True
+        ):
+            own[Z] = part[Z] ** (2.0 / 3.0) * float(axes[Z] @ there.move_mm)
+            gap, _ = touch.rest_gap(np.zeros(MOTIONS))
+            active.append(gap <= 0.5 * own[Z])
+        none = np.zeros(len(before.pressure))
+        return replace(before, pose=pose, active=np.concatenate(active), pressure=none)
+
+    def _at_once(
+        self,
+        rubber: Rubber,
+        touches: list[SurfaceTouch],
+        like: _Pair | None,
+        none: Equilibrated,
+        by_force: Bools,
+        given: Floats,
+    ) -> tuple[Equilibrated, Equilibrated]:
+        """Return both answers without friction."""
+        if like is None:
+            probes = _probes(self._state)
+            under = [
+                _under_patches(one, touch.rest_mm)
+                for one, touch in zip(probes, touches, strict=True)
+            ]
+            own = [axes @ one.move_mm for axes, one in zip(self.axes, probes, strict=True)]
+            pose = none.pose.copy()
+            pose[:, : Z + 1] = own
+            start = replace(none, pose=pose, active=np.concatenate(under))
+        else:
+            start = like.linear
+        linear = self._settled(rubber, touches, start, by_force, given, linear=True)
+        if like is None:
+            lift = np.concatenate([touch.lift for touch in touches])
+            start = replace(linear, pressure=linear.pressure * lift)
+        else:
+            start = like.finite
+        return linear, self._settled(rubber, touches, start, by_force, given, linear=False)
+
+    def _stuck_on(
+        self,
+        rubber: Rubber,
+        touches: list[SurfaceTouch],
+        before: Equilibrated,
+        guess: Equilibrated,
+        by_force: Bools,
+        given: Floats,
+        to: float,
+        *,
+        linear: bool,
+    ) -> Equilibrated:
+        """Return the end of a part of a step: first what touches in it slides freely, then friction
+        holds it from where it touched."""
+        held, wanted = by_force, given
+        if not before.anchors.on.any():
+            held = by_force & (np.arange(MOTIONS) == Z)
+            wanted = np.where(by_force & ~held, guess.pose, given)
+        free = self._settled(rubber, touches, guess, held, wanted, _PART_STEP, linear=linear)
+        start = newly_anchored(rubber, touches, before, free, linear=linear)
+        return self._settled(rubber, touches, start, by_force, given, to, linear=linear)
+
     def _settled(
         self,
         rubber: Rubber,
         touches: list[SurfaceTouch],
         state: Equilibrated,
-        force: Floats,
+        by_force: Bools,
+        given: Floats,
+        to: float = _LAST_STEP,
         *,
         linear: bool,
     ) -> Equilibrated:
         """Take Newton's steps until one moves nothing."""
         problem: Exception | None = None
         still = False
+        taken = 0
+
+        def after(one: Equilibrated) -> Equilibrated:
+            nonlocal taken
+            taken += 1
+            if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
+                held = one.anchors.on & (one.pressure > 0.0)
+                one = replace(one, anchors=replace(one.anchors, on=held))
+            return pressed_further(rubber, touches, one, by_force, given, linear=linear)
+
         try:
             state, still = newton(
-                lambda one: pressed_further(rubber, touches, one, force, linear=linear),
+                after,
                 lambda one: rubber.displacement(one.unknowns),
                 state,
                 MOST_STEPS,
-                _LAST_STEP,
+                to,
             )
         except (NotSettled, SolveError) as found:
             problem = found
@@ -294,16 +472,21 @@ class BodyStrain:
                 f"did not converge in {MOST_STEPS}: press with less force, with a larger probe, or "
                 "set material.law = linear"
             ) from problem
-        for touch, rows, (_, centre, size) in zip(
-            touches, rows_of(touches), self._contacts, strict=True
-        ):
-            away = np.linalg.norm(touch.rest_mm - centre, axis=1)
-            if away[state.pressure[rows] > 0.0].max() > _REACH * size:
-                raise ContactError(
-                    f"contact: at finite strain it grows beyond {_REACH:g} times its size by "
-                    "linear theory: press with less force, or set material.law = linear"
-                )
         return state
+
+    def _check_reach(self, touches: list[SurfaceTouch], pair: _Pair) -> None:
+        """Raise a ContactError where points touch that are as far off as any that may."""
+        for state in (pair.linear, pair.finite):
+            for touch, rows, (_, near) in zip(
+                touches, rows_of(touches), self._contacts, strict=True
+            ):
+                on = touch.rest_mm[state.pressure[rows] > 0.0]
+                away = [np.linalg.norm(on - centre, axis=1) / size for centre, size in near]
+                if np.min(away, axis=0).max() > _REACH:
+                    raise ContactError(
+                        f"contact: at finite strain it grows beyond {_REACH:g} times its size by "
+                        "linear theory: press with less force, or set material.law = linear"
+                    )
 
 
 def _under_patches(state: ContactState, points: Points) -> Bools:
@@ -351,12 +534,17 @@ def _centre(state: ContactState) -> Floats:
 def _too_slow(press: Press, body: Body) -> str:
     """Return why a press isn't solved to tell the error of linear theory alone: it takes more than
     3 s; empty if it is."""
-    single = not press.also and isinstance(press.probe, Sphere)
+    single = not press.also and isinstance(press.probe, Sphere) and press.friction == 0.0
     return "" if single and not isinstance(body, Block) else "such a press takes 3 to 20 s"
 
 
 def _unsolved(
-    press: Press, body: Body, material: Material, state: ContactState, axes: tuple[Floats, ...]
+    press: Press,
+    body: Body,
+    material: Material,
+    state: ContactState,
+    axes: tuple[Floats, ...],
+    path: Sequence[ContactState],
 ) -> str:
     """Return why a press isn't solved at finite strain, and what is; empty if it is."""
     if not isinstance(body, Block | Finger | Dome):
@@ -371,11 +559,22 @@ def _unsolved(
         if not isinstance(one.probe, Sphere | Cylinder | Pillar | Cone):
             kind = one.probe.kind
             return f"press.probe.kind = {kind}: spheres, cylinders, pillars, cones are solved"
-        if one.friction > 0.0:
-            return f"press.friction = {one.friction:g}: friction 0 is solved"
         if any(one.tilt_deg) and not isinstance(one.probe, Sphere):
             return "press.tilt_deg: upright probes are solved"
-        if np.any(there.turns_deg) or held[:, np.arange(MOTIONS) != Z].any():
+        if one.friction > 0.0:
+            if press.also:
+                return "press.also: several probes are solved without friction"
+            if one.friction < STICKS_FROM:
+                return f"press.friction = {one.friction:g}: friction 0 and inf are solved"
+            if not held[:, Z].all():
+                return "press: a probe that sticks is solved where a force presses it"
+            given = [np.where(held, 0.0, value) for held, value in one.in_own_axes(own)]
+            if np.any(given):
+                return "press.steps: a probe that sticks is solved where forces and torques move it"
+            before = path[: next((n for n, other in enumerate(path) if other is state), 0)]
+            if not all(other.load.terms for other in before):
+                return "press.steps: a probe that sticks is solved until it is lifted"
+        elif np.any(there.turns_deg) or held[:, np.arange(MOTIONS) != Z].any():
             return "press: probes that are guided along their way and don't turn are solved"
         if press.also and not held[:, Z].all():
             return "press.also: several probes are solved where forces press them all"

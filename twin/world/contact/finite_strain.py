@@ -25,7 +25,7 @@ the sides and on curved bodies a mesh of the whole body takes the slab's place
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -375,6 +375,7 @@ def _strain_of(
     *,
     coarse: bool = False,
     like: FiniteStrain | BodyStrain | None = None,
+    path: Sequence[ContactState] = (),
 ) -> FiniteStrain | BodyStrain:
     """Return what linear theory leaves out of a state of a press: on a slab of revolution where
     that will do, else on a mesh of the whole body.
@@ -386,7 +387,7 @@ def _strain_of(
     from twin.world.contact.body_strain import BodyStrain
 
     near = like if isinstance(like, BodyStrain) else None
-    return BodyStrain(press, body, material, state, watched, coarse=coarse, like=near)
+    return BodyStrain(press, body, material, state, watched, coarse=coarse, like=near, path=path)
 
 
 def measured_linearity(
@@ -447,11 +448,14 @@ def at_finite_strain(
     axes = approach_of(press, body).axes
     controls = press.in_own_axes(axes)
     path: list[ContactState] = []
+    more: FiniteStrain | BodyStrain | None = None
     for one, (by_force, _) in zip(state.path, controls, strict=False):
         if not one.load.terms:
             path.append(one)
             continue
-        found = _Found(one, _strain_of(press, body, material, one, watched), 0.0, axes)
+        before = more if press.friction > 0.0 else None
+        more = _strain_of(press, body, material, one, watched, like=before, path=state.path)
+        found = _Found(one, more, 0.0, axes)
         if not by_force[Z]:
             found = _held_by_motion(found, press, body, material, watched, solve)
         path.append(_strained(found, one, material.law, judge))

@@ -286,7 +286,7 @@ def rotation_of(turn: Floats) -> Floats:
     return np.asarray(np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross)
 
 
-def _turning_of(turn: Floats) -> Floats:
+def turning_of(turn: Floats) -> Floats:
     """Return the (3, 3) matrix that takes a change of a rotation vector to the turn that it makes
     (left Jacobian)."""
     if np.max(np.abs(turn)) < _NO_TURN:
@@ -466,7 +466,7 @@ class Approach:
             return gap, _slopes(own, along, gap, normal, _IDENTITY, _IDENTITY)
         turned = rotation_of(turn)
         gap, normal = self.shape.met(own @ turned, along @ turned)
-        return gap, _slopes(own, along, gap, normal, turned, _turning_of(turn))
+        return gap, _slopes(own, along, gap, normal, turned, turning_of(turn))
 
 
 @njit(cache=True)

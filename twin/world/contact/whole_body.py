@@ -1,5 +1,4 @@
-"""A whole body of rubber on a coarse mesh, pressed by rigid probes without friction: linear or at
-finite strain.
+"""A whole body of rubber on a coarse mesh, pressed by rigid probes: linear or at finite strain.
 
 **Rubber.** Quadratic displacement and linear pressure on tetrahedra; the stress is a
 `twin.world.elasticity.strain_law.StrainLaw`, whose tangent at rest is linear theory.
@@ -16,24 +15,36 @@ film of rubber 10 um thick on the probe, in both answers: stiffer ones make the 
 neighbouring points alternate, and double the error that the mesh leaves. The probes' places are
 unknowns.
 
+**Sticking.** A point that has touched is held by a spring as stiff to its place on the probe, in
+the plane of the probe's surface (`Anchors`); in the linear answer its gap is that of a point that
+moves with the probe, too.
+
 **Steps.** `pressed_further` takes Newton's, with an active set of points.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
 from twin.parts.body import Body
 from twin.parts.material import Material
-from twin.world.contact.probe_gap import MOTIONS, Approach, Z
+from twin.world.contact.probe_gap import (
+    ABOUT_X,
+    MOTIONS,
+    Approach,
+    Z,
+    rotation_of,
+    turning_of,
+)
 from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.mixed_rubber import MixedRubber, gathered, summed
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors
@@ -60,9 +71,8 @@ _STEEPEST = 0.05
 """A probe's surface whose normal has a smaller part along its way doesn't touch."""
 
 _KRYLOV = 20
-_KRYLOV_RESIDUALS = 1e-3, 1e-2
-"""Most iterations with a kept factor, and the relative residuals at which they end: of the forces
-out of balance, and of those that follow the probe."""
+_KRYLOV_RESIDUAL = 1e-3
+"""Most iterations with a kept factor, and the relative residual at which they end."""
 
 _STRAINED = 0.03
 """Elements with no larger change of F, or pressure over the shear modulus, resist as at rest as far
@@ -80,7 +90,7 @@ class Rubber(MixedRubber):
 
     def __init__(self, mesh: Mesh, body: Body, material: Material) -> None:
         super().__init__(material)
-        self._factors: dict[bool, Factor] = {}
+        self._factors: dict[bool, tuple[Factor, Bools]] = {}
         self.mesh = mesh
         places, weights = tet_quadrature()
         slopes = tet_shapes(places)[1]
@@ -101,27 +111,50 @@ class Rubber(MixedRubber):
         nodes = np.arange(len(mesh.points))
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
 
-    def followed(self, matrix: Any, right: Floats, *, linear: bool) -> Floats:
-        """Return the solution (n, 1 + p) of a tangent for what is out of balance and for what
-        follows every probe; 0 where it is held.
+    def internal(self, unknowns: Floats, *, linear: bool) -> Floats:
+        """Return the forces with which the rubber resists."""
+        return np.asarray(self.at_rest @ unknowns) if linear else self.resistance(unknowns)
+
+    def solved(
+        self,
+        unknowns: Floats,
+        springs: Floats,
+        rows: Ints,
+        motions: Bools,
+        balance: Floats,
+        step: Floats,
+        *,
+        linear: bool,
+    ) -> Floats:
+        """Return Newton's step (n + m,) of the unknowns and the probes' motions (m,), some of which
+        are free, after a ``step`` of the others.
 
         The last factor, one of linear theory and one at finite strain, is kept as the
         preconditioner of GMRES. Where that needs too many iterations, the matrix is factored.
         """
-        free = self._free
-        own = matrix[free][:, free]
-        out = np.zeros_like(right)
+        size = len(balance)
+        tangent = (self.at_rest if linear else self.tangent(unknowns)).tocsr()
+        pointer = np.concatenate([tangent.indptr, np.full(size - self.size, tangent.nnz)])
+        whole = csr_matrix((tangent.data, tangent.indices, pointer), shape=(size, size))
+        whole = whole + summed(springs, rows, size)
+        right = -(balance + whole @ step)
+        free = np.concatenate([self._free, self.size + np.flatnonzero(motions)])
+        own = whole[free][:, free]
         kept = self._factors.get(linear)
         found = None
-        if kept is not None:
-            balance, follow = _KRYLOV_RESIDUALS
-            residuals = balance, *[follow] * (right.shape[1] - 1)
-            found = kept.solve_near(own, right[free], residuals, _KRYLOV)
+        if kept is not None and np.array_equal(kept[1], motions):
+            found = kept[0].solve_near(own, right[free, None], (_KRYLOV_RESIDUAL,), _KRYLOV)
         if found is None:
-            factor = Factor(own, self._scale[free], node=self._node[free])
-            self._factors[linear] = factor
-            found = factor.solve(right[free], self._residual)
-        out[free] = found
+            more = size - self.size
+            scale = np.concatenate([self._scale, np.zeros(more)])[free]
+            node = np.concatenate([self._node, self._node.max() + 1 + np.arange(more)])[free]
+            factor = Factor((own + own.T) / 2.0 if linear else own, scale, node=node)
+            self._factors[linear] = factor, motions
+            found = factor.solve_near(own, right[free, None], (_KRYLOV_RESIDUAL,), _KRYLOV)
+            if found is None:
+                raise NotSettled("contact: at finite strain a Newton step is not solved")
+        out = np.zeros(size)
+        out[free] = found[:, 0]
         return out
 
     def _strained(self, unknowns: Floats, some: Ints) -> tuple[Floats, Floats, Floats, Floats]:
@@ -144,8 +177,26 @@ class Rubber(MixedRubber):
         return gathered(self._row, both, self.size)
 
     @cached_property
-    def _rest_blocks(self) -> Floats:
-        return self._blocks(np.zeros(self.size), np.arange(len(self._row)))
+    def _pattern(self) -> tuple[Any, Ints]:
+        """The sparse matrix of the sum of the elements' blocks, and where (m, 34, 34) their entries
+        are in it."""
+        whole = summed(np.ones((len(self._row), 34, 34)), self._row, self.size)
+        whole.sort_indices()
+        keys = np.repeat(np.arange(self.size), np.diff(whole.indptr)) * self.size + whole.indices
+        wanted = self._row[:, :, None] * self.size + self._row[:, None, :]
+        return whole, np.searchsorted(keys, wanted)
+
+    def _added(self, blocks: Floats, some: Ints) -> Floats:
+        """Return the entries of the sum of some elements' blocks."""
+        whole, place = self._pattern
+        return gathered(place[some], blocks, whole.nnz)
+
+    @cached_property
+    def _rest(self) -> tuple[Floats, Floats]:
+        """The blocks at rest, and the entries of their sum."""
+        every = np.arange(len(self._row))
+        blocks = self._blocks(np.zeros(self.size), every)
+        return blocks, self._added(blocks, every)
 
     def tangent(self, unknowns: Floats) -> Any:
         """Return the sparse symmetric slope of `resistance`; that at rest where the strain is
@@ -154,9 +205,12 @@ class Rubber(MixedRubber):
         change = np.abs(gradient - np.eye(3)).max(axis=(1, 2, 3))
         change = np.maximum(change, np.abs(pressure).max(axis=1) / self._shear)
         strained = np.flatnonzero(change > _STRAINED)
-        blocks = self._rest_blocks.copy()
-        blocks[strained] = self._blocks(unknowns, strained)
-        return summed(blocks, self._row, self.size)
+        blocks, entries = self._rest
+        if len(strained):
+            more = self._blocks(unknowns, strained) - blocks[strained]
+            entries = entries + self._added(more, strained)
+        whole, _ = self._pattern
+        return csr_matrix((entries, whole.indices, whole.indptr), shape=whole.shape)
 
     def _blocks(self, unknowns: Floats, some: Ints) -> Floats:
         """Return the slopes (m, 34, 34) of some elements (m,)."""
@@ -192,6 +246,68 @@ class Rubber(MixedRubber):
         return block
 
 
+@dataclass(frozen=True)
+class Met:
+    """How the points (q,) of a surface meet a probe.
+
+    Attributes
+    ----------
+    gap
+        (q,) mm; inf where the probe can't be met.
+    push
+        (q, 3) its slope by the points' places: the direction of the force per pressure.
+    bend
+        (q, 3, 3) the slope of ``push`` by the points' places, 1/mm.
+    per_motion
+        (q, 6) the gap's slope by the probe's place.
+    lift
+        (q, 6) the probe's force and torque per pressure.
+    normal
+        (q, 3) the normal of the plane in which friction acts.
+    away
+        (q, 3) how far the points are from their anchors, global axes, mm.
+    carry
+        (q, 3, 6) how the probe carries its points.
+    """
+
+    gap: Floats
+    push: Floats
+    bend: Floats
+    per_motion: Floats
+    lift: Floats
+    normal: Floats
+    away: Floats
+    carry: Floats
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Where the points (q,) of a surface hold on to the probe.
+
+    Attributes
+    ----------
+    on
+        (q,) which do.
+    place
+        (q, 3) mm: in the probe's own axes; in the linear answer, the displacement over the probe's.
+    closed
+        (q,) the linear answer's gap of those, had they always moved with the probe, mm.
+    """
+
+    on: Bools
+    place: Floats
+    closed: Floats
+
+    @classmethod
+    def none(cls, count: int) -> Anchors:
+        """Return those of points that touch nothing."""
+        return cls(np.zeros(count, bool), np.zeros((count, 3)), np.zeros(count))
+
+    def of(self, rows: slice) -> Anchors:
+        """Return those of some points."""
+        return Anchors(self.on[rows], self.place[rows], self.closed[rows])
+
+
 class SurfaceTouch:
     """The integration points (q,) of the sensing surface that a probe may touch.
 
@@ -201,10 +317,10 @@ class SurfaceTouch:
         The body and its mesh.
     approach
         The probe at first touch; ``lift`` (q,) is the force along its way per pressure.
-    aside_mm
-        (2,) how far it has moved since, along its own x and y.
-    centre, reach_mm
-        (3,) and mm: faces with points so near to the centre may touch.
+    sticks
+        Whether points that touch it move with it from then on.
+    near
+        Centres (3,) and reaches, mm: faces with points so near to one of them may touch.
     """
 
     def __init__(
@@ -212,72 +328,116 @@ class SurfaceTouch:
         mesh: Mesh,
         body: Body,
         approach: Approach,
-        aside_mm: Floats,
-        centre: Floats,
-        reach_mm: float,
+        sticks: bool,
+        near: Sequence[tuple[Floats, float]],
     ) -> None:
         faces = mesh.faces[mesh.piece == 0]
         places, share = triangle_quadrature()
         values, slopes = triangle_shapes(places)
         corner = mesh.points[faces]
         points = np.einsum("qa,fai->fqi", values, corner)
-        near = np.linalg.norm(points - centre, axis=2).min(axis=1) <= reach_mm
-        along = np.einsum("qaj,fai->fqji", slopes, corner[near])
+        used = np.zeros(len(faces), bool)
+        for centre, reach_mm in near:
+            used |= np.linalg.norm(points - centre, axis=2).min(axis=1) <= reach_mm
+        along = np.einsum("qaj,fai->fqji", slopes, corner[used])
         area = np.linalg.norm(np.cross(along[:, :, 0], along[:, :, 1]), axis=2) * share
-        self.rest_mm = points[near].reshape(-1, 3)
+        self.rest_mm = points[used].reshape(-1, 3)
         self.area_mm2 = area.ravel()
-        self.nodes = np.repeat(faces[near], len(places), axis=0)
-        self.weights = np.tile(values, (int(near.sum()), 1))
+        self.nodes = np.repeat(faces[used], len(places), axis=0)
+        self.weights = np.tile(values, (int(used.sum()), 1))
         self.inward = body.piece_normals(self.rest_mm)[:, 0]
+        self.sticks = sticks
         self._approach = approach
         self.lift = self.inward @ approach.axes[Z]
-        self._aside = aside_mm
+        none = np.zeros(3)
+        frames = np.broadcast_to(np.eye(3), (len(self.inward), 3, 3))
+        self._carry = approach.jacobian(self.rest_mm, frames, none)
 
-    def gaps(
-        self, displacement: Floats, deep: float, *, linear: bool
-    ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """Return the gaps of the points under a probe so deep.
+    def shift(self, displacement: Floats) -> Floats:
+        """Return the (q, 3) displacement of the points."""
+        return np.asarray(np.einsum("qa,qai->qi", self.weights, displacement[self.nodes]))
 
-        Returns
-        -------
-        gap
-            (q,) mm; inf where the probe can't be met.
-        push
-            (q, 3) its slope by the points' places: the direction of the force per pressure.
-        bend
-            (q, 3, 3) the slope of ``push`` by the points' places, 1/mm.
-        per_depth
-            (q,) the gap's slope by the probe's depth.
-        lift
-            (q,) the force along the probe's way per pressure.
+    def place(self, displacement: Floats, pose: Floats, *, linear: bool) -> Floats:
+        """Return where the points (q, 3) are on the probe: see `Anchors.place`."""
+        shift = self.shift(displacement)
+        if linear:
+            return np.asarray(shift - self._carry @ pose)
+        own = (self.rest_mm + shift - self._approach.axis_mm) @ self._approach.axes.T
+        return np.asarray((own - pose[: Z + 1]) @ rotation_of(pose[ABOUT_X:]))
+
+    def rest_gap(self, pose: Floats) -> tuple[Floats, Floats]:
+        """Return the linear answer's gaps (q,) of the undeformed surface, and their slopes (q, 6).
+
+        With friction the surface near a probe moves sideways with it.
         """
-        shift = np.einsum("qa,qai->qi", self.weights, displacement[self.nodes])
+        if not self.sticks:
+            return self._approach.gap(self.rest_mm, self.inward, pose)
+        lowered = np.where(np.arange(MOTIONS) == Z, pose, 0.0)
+        gap, slope = self._approach.gap(self.rest_mm, self.inward, lowered)
+        along = np.einsum("qi,qim->qm", self.inward, self._carry)
+        slope = np.where(np.arange(MOTIONS) == Z, slope, -along)
+        return gap - along @ (pose - lowered), slope
+
+    def anchored_gap(self, pose: Floats) -> Floats:
+        """Return the gap at place 0 of points that touch at a place and move with the probe."""
+        return np.asarray(
+            self.rest_gap(pose)[0] + np.einsum("qi,qim,m->q", self.inward, self._carry, pose)
+        )
+
+    def meet(self, displacement: Floats, pose: Floats, anchors: Anchors, *, linear: bool) -> Met:
+        """Return how the points meet the probe at a place (6,)."""
+        shift = self.shift(displacement)
         axes = self._approach.axes
         none = np.zeros((len(shift), 3, 3))
         if linear:
-            pose = np.zeros(MOTIONS)
-            pose[:Z] = self._aside
-            pose[Z] = deep
-            gap, slope = self._approach.gap(self.rest_mm, self.inward, pose)
-            gap = gap + np.einsum("qi,qi->q", self.inward, shift)
-            return gap, self.inward, none, slope[:, Z], self.lift
-        own = (self.rest_mm + shift - self._approach.axis_mm) @ axes.T
-        own = own - np.array([*self._aside, deep])
+            gap, slope = self.rest_gap(pose)
+            lift = np.einsum("qi,qim->qm", self.inward, self._carry)
+            if self.sticks:
+                gap = np.where(anchors.on, anchors.closed - lift @ pose, gap)
+                slope = np.where(anchors.on[:, None], -lift, slope)
+            return Met(
+                gap=gap + np.einsum("qi,qi->q", self.inward, shift),
+                push=self.inward,
+                bend=none,
+                per_motion=slope,
+                lift=lift,
+                normal=self.inward,
+                away=shift - self._carry @ pose - anchors.place,
+                carry=self._carry,
+            )
+        turned = rotation_of(pose[ABOUT_X:])
+        place = self.rest_mm + shift
+        aside = pose[: Z + 1] @ axes
+        own = ((place - self._approach.axis_mm - aside) @ axes.T) @ turned
         upright = np.broadcast_to([0.0, 0.0, 1.0], own.shape)
 
-        def met(points: Points) -> tuple[Floats, Floats]:
+        def met(points: Points) -> tuple[Floats, Floats, Floats]:
             gap, normal = self._approach.shape.met(points, upright)
             gap = np.where(normal[:, Z] > _STEEPEST, gap, np.inf)
-            return gap, normal / np.maximum(normal[:, Z:], _STEEPEST)
+            return gap, normal / np.maximum(normal[:, Z:], _STEEPEST), normal
 
-        gap, push = met(own)
+        gap, push, normal = met(own)
         for axis in range(Z):
             nudge = _NUDGE_MM * np.eye(3)[axis]
-            (above, more), (below, less) = met(own + nudge), met(own - nudge)
+            (above, more, _), (below, less, _) = met(own + nudge), met(own - nudge)
             sound = np.isfinite(gap) & np.isfinite(above) & np.isfinite(below)
             none[sound, :, axis] = ((more - less) / (2.0 * _NUDGE_MM))[sound]
-        bend = axes.T @ none @ axes
-        return gap, push @ axes, bend, np.full(len(gap), -1.0), np.ones(len(gap))
+        outer = turned.T @ axes  # the probe's own axes as rows
+        push = push @ outer
+        frames = np.broadcast_to(np.eye(3), (len(shift), 3, 3))
+        carry = self._approach.jacobian(place, frames, aside)
+        carry[:, :, ABOUT_X:] = carry[:, :, ABOUT_X:] @ turning_of(pose[ABOUT_X:])
+        lift = np.einsum("qi,qim->qm", push, carry)
+        return Met(
+            gap=gap,
+            push=push,
+            bend=outer.T @ none @ outer,
+            per_motion=-lift,
+            lift=lift,
+            normal=normal @ outer,
+            away=(own - anchors.place) @ outer,
+            carry=carry,
+        )
 
     def spread_mm(self, pressure: Floats) -> float:
         """Return the root mean square distance of the pressure from its middle, mm."""
@@ -288,14 +448,42 @@ class SurfaceTouch:
 
 @dataclass(frozen=True)
 class Equilibrated:
-    """A state: the rubber's unknowns, the (p,) probes' depths, mm, and of the points (q,) that may
-    touch, those of one probe after the other, the pressures over Young's modulus, and whether they
-    were sought."""
+    """A state of a body and probes (p,).
+
+    Attributes
+    ----------
+    unknowns
+        The rubber's.
+    pose
+        (p, 6) the probes' places, mm and radians.
+    pressure
+        (q,) of the points that may touch, those of one probe after the other, over Young's modulus.
+    active
+        (q,) whether they were sought.
+    anchors
+        Where these hold on to the probes.
+    force
+        (p, 6) the forces and torques on the body, over Young's modulus.
+    """
 
     unknowns: Floats
-    deep: Floats
+    pose: Floats
     pressure: Floats
     active: Bools
+    anchors: Anchors
+    force: Floats
+
+    @classmethod
+    def at_rest(cls, size: int, probes: int, points: int) -> Equilibrated:
+        """Return the state in which nothing touches."""
+        return cls(
+            unknowns=np.zeros(size),
+            pose=np.zeros((probes, MOTIONS)),
+            pressure=np.zeros(points),
+            active=np.zeros(points, bool),
+            anchors=Anchors.none(points),
+            force=np.zeros((probes, MOTIONS)),
+        )
 
 
 def rows_of(touches: Sequence[SurfaceTouch]) -> list[slice]:
@@ -304,65 +492,133 @@ def rows_of(touches: Sequence[SurfaceTouch]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 
+def _stuck(met: Met, anchors: Anchors) -> tuple[Floats, Floats]:
+    """Return (q, 3) the friction on the body over Young's modulus, and its (q, 3, 3) resistance to
+    motion."""
+    normal = met.normal
+    across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
+    resistance = np.where(anchors.on, _SPRING, 0.0)[:, None, None] * across
+    return -np.einsum("qij,qj->qi", resistance, met.away), resistance
+
+
 def pressed_further(
     rubber: Rubber,
     touches: Sequence[SurfaceTouch],
     state: Equilibrated,
-    force: Floats,
+    by_force: Bools,
+    given: Floats,
     *,
     linear: bool,
 ) -> Equilibrated:
     """Return the state after one Newton step of rubber, probes and pressures together.
 
-    ``force`` (p,) are those along the probes' ways over Young's modulus, mm2.
+    ``given`` (p, 6) are forces over Young's modulus, mm2, where ``by_force`` (p, 6), else places.
     """
     # Which points touch?
     moved = rubber.displacement(state.unknowns)
-    near = [
-        touch.gaps(moved, float(deep), linear=linear)
-        for touch, deep in zip(touches, state.deep, strict=True)
+    parts = [
+        touch.meet(moved, pose, state.anchors.of(rows), linear=linear)
+        for touch, pose, rows in zip(touches, state.pose, rows_of(touches), strict=True)
     ]
-    gap, push, bend, per_depth, lift = (np.concatenate(part) for part in zip(*near, strict=True))
-    weighed = state.pressure - _GAP_WEIGHT * (gap + state.pressure / _SPRING)
+    met = Met(
+        **{name: np.concatenate([vars(one)[name] for one in parts]) for name in vars(parts[0])}
+    )
+    weighed = state.pressure - _GAP_WEIGHT * (met.gap + state.pressure / _SPRING)
     active = weighed > 0.0 if state.pressure.any() else state.active
-    active = active & np.isfinite(gap)
+    active = active & np.isfinite(met.gap)
     if not all(active[rows].any() for rows in rows_of(touches)):
         raise NotSettled("contact: at finite strain the probe touches nothing: press further")
     on = np.flatnonzero(active)
-    gap, push, per_depth, lift = gap[on], push[on], per_depth[on], lift[on]
+    rubbed, resistance = _stuck(met, state.anchors)
     weight = np.concatenate([touch.weights for touch in touches])[on]
     area = np.concatenate([touch.area_mm2 for touch in touches])[on]
     nodes = np.concatenate([touch.nodes for touch in touches])[on]
-    row = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(on), 18)
     owner = np.repeat(np.arange(len(touches)), [len(touch.rest_mm) for touch in touches])[on]
-    own_probe = (owner[:, None] == np.arange(len(touches))).astype(float)
+    first = rubber.size + MOTIONS * owner[:, None]
+    row = np.hstack(
+        [(3 * nodes[:, :, None] + np.arange(3)).reshape(len(on), 18), first + np.arange(MOTIONS)]
+    )
+    size = rubber.size + MOTIONS * len(touches)
 
-    def nodal(forces: Floats) -> Floats:
-        spread = np.einsum("qa,qi->qai", weight, forces)
-        return np.bincount(row.ravel(), spread.ravel(), rubber.size).astype(float)
+    # Springs between the rubber's nodes and the probes' places: across the gap and in its plane.
+    def spread(vectors: Floats, motions: Floats) -> Floats:
+        at_nodes = (weight[:, :, None] * vectors[:, None, :]).reshape(len(on), 18)
+        return np.hstack([at_nodes, motions])
 
-    # Rubber on springs, once under what is out of balance and once per depth of every probe.
-    spring = _SPRING * push[:, :, None] * push[:, None, :]
-    spring -= state.pressure[on, None, None] * bend[on]
-    spring *= area[:, None, None]
-    block = np.einsum("qa,qb,qij->qaibj", weight, weight, spring).reshape(len(on), 18, 18)
-    tangent = rubber.at_rest if linear else rubber.tangent(state.unknowns)
-    right = -(tangent @ state.unknowns) if linear else -rubber.resistance(state.unknowns)
-    own = right + nodal(-(_SPRING * area * gap)[:, None] * push)
-    follow = [nodal(-(_SPRING * area * per_depth * one)[:, None] * push) for one in own_probe.T]
-    springs = summed(block, row, rubber.size)
-    found = rubber.followed(tangent + springs, np.column_stack([own, *follow]), linear=linear)
+    carried = spread(met.push[on], -met.lift[on])
+    slope = spread(met.push[on], met.per_motion[on])
+    block = (_SPRING * area)[:, None, None] * carried[:, :, None] * slope[:, None, :]
+    across = np.stack(
+        [
+            spread(np.broadcast_to(one, (len(on), 3)), -met.carry[on, i])
+            for i, one in enumerate(np.eye(3))
+        ],
+        axis=1,
+    )
+    turning = resistance[on] - state.pressure[on, None, None] * met.bend[on]
+    block += across.swapaxes(1, 2) @ ((area[:, None, None] * turning) @ across)
+    out = (_SPRING * area * met.gap[on])[:, None] * carried
+    out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed[on])
+    balance = gathered(row, out, size)
+    balance[: rubber.size] += rubber.internal(state.unknowns, linear=linear)
+    free = by_force.ravel()
+    force = np.where(by_force, given, 0.0).ravel()
+    balance[rubber.size :] -= force
 
-    # The probes move until the pressures carry the forces.
-    def closed(step: Floats) -> Floats:
-        return np.asarray(np.einsum("qi,qa,qai->q", push, weight, rubber.displacement(step)[nodes]))
-
-    still = -_SPRING * (gap + closed(found[:, 0]))
-    by_probe = np.column_stack([closed(one) for one in found[:, 1:].T])
-    per_motion = -_SPRING * (per_depth[:, None] * own_probe + by_probe)
-    carried = (area * lift)[:, None] * own_probe
-    motion = np.linalg.solve(carried.T @ per_motion, force - carried.T @ still)
+    # The step.
+    step = np.zeros(size)
+    step[rubber.size :] = np.where(by_force, 0.0, given - state.pose).ravel()
+    step += rubber.solved(state.unknowns, block, row, free, balance, step, linear=linear)
     pressure = np.zeros(len(active))
-    pressure[on] = still + per_motion @ motion
-    unknowns = state.unknowns + found[:, 0] + found[:, 1:] @ motion
-    return Equilibrated(unknowns, state.deep + motion, pressure, active)
+    change = np.einsum("qr,qr->q", slope, step[row])
+    pressure[on] = -_SPRING * (met.gap[on] + change)
+    pulled = rubbed[on] - np.einsum("qij,qjr,qr->qi", resistance[on], across, step[row])
+    forces = area[:, None] * (pressure[on, None] * met.lift[on])
+    forces += area[:, None] * np.einsum("qi,qim->qm", pulled, met.carry[on])
+    total = np.zeros((len(touches), MOTIONS))
+    np.add.at(total, owner, forces)
+    return replace(
+        state,
+        unknowns=state.unknowns + step[: rubber.size],
+        pose=state.pose + step[rubber.size :].reshape(-1, MOTIONS),
+        pressure=pressure,
+        active=active,
+        force=total,
+    )
+
+
+def newly_anchored(
+    rubber: Rubber,
+    touches: Sequence[SurfaceTouch],
+    before: Equilibrated,
+    free: Equilibrated,
+    *,
+    linear: bool,
+) -> Equilibrated:
+    """Return the state ``before`` a part of a step with anchors for the points that touch within
+    it; ``free`` is its end if these slide freely. Anchors of points that lift off are given up.
+
+    A point slides until the probe has come as near as it was away, which under a smooth probe goes
+    as the power 2/3 of its gap (1/2 from rest).
+    """
+    on = before.anchors.on & (free.pressure > 0.0)
+    first, last = rubber.displacement(before.unknowns), rubber.displacement(free.unknowns)
+    place, closed = before.anchors.place.copy(), before.anchors.closed.copy()
+    for number, (touch, rows) in enumerate(zip(touches, rows_of(touches), strict=True)):
+        new = (free.pressure[rows] > 0.0) & ~before.anchors.on[rows]
+        if not new.any():
+            continue
+        met = touch.meet(first, before.pose[number], before.anchors.of(rows), linear=linear)
+        gap = np.maximum(met.gap, 0.0)
+        finite = new & np.isfinite(gap)
+        most = max(float(gap[finite].max(initial=0.0)), 1e-300)
+        power = 2.0 / 3.0 if before.pressure[rows].any() else 0.5
+        way = np.where(finite, np.where(finite, gap, 0.0) / most, 1.0) ** power
+        way[gap < 1e-9] = 0.0
+        start = touch.place(first, before.pose[number], linear=linear)
+        end = touch.place(last, free.pose[number], linear=linear)
+        held = start + way[:, None] * (end - start)
+        place[rows] = np.where(new[:, None], held, place[rows])
+        closed[rows] = np.where(new, touch.anchored_gap(free.pose[number]), closed[rows])
+        on[rows] |= new
+    return replace(free, anchors=Anchors(on, place, closed))
