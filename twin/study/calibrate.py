@@ -177,8 +177,8 @@ def sensor_digest(scene: Scene) -> str:
 
 
 def _by_linear_theory(scene: Scene) -> Scene:
-    """Return the scene with the law by which calibration presses are solved: they stick, and
-    sticking probes are not solved at finite strain."""
+    """Return the scene with the law by which calibration presses are solved: the sensor's software
+    is linear, and sticking probes at finite strain take 10 s each."""
     material = scene.material.model_copy(update={"law": "linear", "law_ratios": ()})
     return scene.model_copy(update={"material": material})
 

@@ -142,6 +142,7 @@ GUIDED = {"steps": (twin.Step(force_n=(None, None, 0.5), torque_nmm=0.0),), "for
         ({"friction": float("inf"), "force_n": None, "indentation_mm": 0.1}, {}, "where a force presses it"),
         ({"friction": float("inf"), "steps": SHEARED, "force_n": None}, {}, "forces and torques move it"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "upright probes"),
+        ({"friction": float("inf")}, {}, "a sphere that sticks to a block is solved"),
         (GUIDED, {}, "guided along their way"),
         ({}, {"poisson_ratio": 0.4}, "poisson_ratio"),
     ],

@@ -1,6 +1,6 @@
 """What linear theory leaves out of presses on a curved body, of square pillars, of several probes
-and of a probe that sticks on a block: as `twin.world.contact.finite_strain.FiniteStrain`, on a mesh
-of the whole body.
+and of a sphere that sticks to a block: as `twin.world.contact.finite_strain.FiniteStrain`, on a
+mesh of the whole body.
 
 The displacement under a press is
 
@@ -19,9 +19,9 @@ A flat face's rim is rounded by a tenth of its half width at least, on which the
 depends.
 
 Validity: rigid spheres, upright cylinders, pillars and cones, pressed along their ways without
-friction on a block, a finger or a dome, several of them by forces; one that sticks, pressed by a
-force and moved by forces and torques; nu from 0.45. Where such a probe is guided it keeps the force
-of linear theory, and `BodyStrain.error` states what is amiss with it.
+friction on a block, a finger or a dome, several of them by forces; one sphere that sticks to a
+block, pressed and moved by forces and torques; nu from 0.45. Where that sphere is guided it keeps
+the force of linear theory, and `BodyStrain.error` states what is amiss with it.
 """
 
 from __future__ import annotations
@@ -534,7 +534,9 @@ def _centre(state: ContactState) -> Floats:
 def _too_slow(press: Press, body: Body) -> str:
     """Return why a press isn't solved to tell the error of linear theory alone: it takes more than
     3 s; empty if it is."""
-    single = not press.also and isinstance(press.probe, Sphere) and press.friction == 0.0
+    if press.friction > 0.0:
+        return f"press.friction = {press.friction:g}: such a press takes about 10 s"
+    single = not press.also and isinstance(press.probe, Sphere)
     return "" if single and not isinstance(body, Block) else "such a press takes 3 to 20 s"
 
 
@@ -571,6 +573,8 @@ def _unsolved(
             given = [np.where(held, 0.0, value) for held, value in one.in_own_axes(own)]
             if np.any(given):
                 return "press.steps: a probe that sticks is solved where forces and torques move it"
+            if not (isinstance(body, Block) and isinstance(one.probe, Sphere)):
+                return "press.friction = inf: a sphere that sticks to a block is solved"
             before = path[: next((n for n, other in enumerate(path) if other is state), 0)]
             if not all(other.load.terms for other in before):
                 return "press.steps: a probe that sticks is solved until it is lifted"
