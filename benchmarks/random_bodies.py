@@ -5,7 +5,8 @@ closed STL bodies (pads with fillets, caps, wedges, towers, brackets). It presse
 with and without friction. Each case is drawn from its number alone, runs in a process of its own, and is ended after
 `MOST_S`. Exit code 1 if any raises what is no `TwinError`, takes too long, leaves a number that is not finite or pieces
 of force that don't add up. ``--finer`` solves each case again, to a third of the error and on twice the patches, and
-prints how far the first answer is off (force, indentation, displacements) beside what it states.
+prints how far the first answer is off beside what it states: force, indentation, tractions, and displacements under the
+same load.
 """
 
 import contextlib
@@ -23,17 +24,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from benchmarks.random_recipes import Table
 from benchmarks.record import at_least, parser_of
-from twin.arrays import Floats
+from twin.arrays import Floats, Points
 from twin.errors import TwinError
 from twin.geometry.objects import object_triangles
-from twin.parts.load import Rectangles
+from twin.parts.body import Body
+from twin.parts.load import Load, Rectangles
 from twin.study.recipe import validate_scene
 from twin.study.sensor import Sensor
+from twin.world.contact.contact_state import ContactState
 
 COUNT, MOST_S = 60, 60
 """Cases unless said, and CPU seconds that one may take."""
@@ -270,8 +274,34 @@ def drawn(number: int, folder: Path) -> tuple[str, Table]:
     return f"{probe} on {body}", recipe
 
 
-def solved(recipe: Table) -> dict[str, Any]:
-    """Press, and return what the press says of itself, and the field at points under it."""
+def points_under(body: Body, state: ContactState) -> Points:
+    """Return points within two radii of a contact, from 0.1 mm deep."""
+    rng = np.random.default_rng(1)
+    middle = np.mean([term.centre_mm.mean(axis=0) for term in state.load.terms if isinstance(term, Rectangles)], axis=0)
+    reach = 2.0 * state.contact_radius_mm
+    chart = body.chart_of(middle[None]) + rng.uniform(-reach, reach, (40 * POINTS, 2))
+    points = body.chart_points(chart, rng.uniform(0.1, 1.0 + reach, len(chart)))
+    depth = body.piece_distances(points)
+    return points[(depth > 0.0999).all(axis=1) & body.contains(points, -0.0999)][:POINTS]
+
+
+def traction_change(one: Load, other: Load) -> float:
+    """Return the RMS difference of two loads' tractions over their RMS, on the patches of the first."""
+    (a, *_), (b, *_) = ([term for term in load.terms if isinstance(term, Rectangles)] for load in (one, other))
+    here, there = (term.force_n / term.half_mm.prod(axis=1)[:, None] for term in (a, b))
+    middle = b.centre_mm.mean(axis=0)
+    plane = np.linalg.svd(b.centre_mm - middle, full_matrices=False)[2][:2].T
+    known = LinearNDInterpolator((b.centre_mm - middle) @ plane, there)((a.centre_mm - middle) @ plane)
+    inside = np.isfinite(known).all(axis=1)
+    weight = a.half_mm.prod(axis=1)[inside, None]
+    return float(np.sqrt((weight * (here - known)[inside] ** 2).sum() / (weight * here[inside] ** 2).sum()))
+
+
+def solved(recipe: Table, known: tuple[Load, Points] | None = None) -> tuple[dict[str, Any], Load, Points]:
+    """Press, and return what the press says of itself, its load, and points under it.
+
+    The field at these points, or that of a known load at known ones, is in what is said.
+    """
     said: dict[str, Any] = {}
     began = time.process_time()
     with warnings.catch_warnings(record=True) as caught:
@@ -283,22 +313,16 @@ def solved(recipe: Table) -> dict[str, Any]:
         error = state.error
         assert error is not None
         said["error_s"] = time.process_time() - began
-        rng = np.random.default_rng(1)
         patches = [term for term in state.load.terms if isinstance(term, Rectangles)]
-        middle = np.mean([term.centre_mm.mean(axis=0) for term in patches], axis=0)
-        reach = 2.0 * state.contact_radius_mm
-        chart = body.chart_of(middle[None]) + rng.uniform(-reach, reach, (40 * POINTS, 2))
-        points = body.chart_points(chart, rng.uniform(0.1, 1.0 + reach, len(chart)))
-        depth = body.piece_distances(points)
-        points = points[(depth > 0.0999).all(axis=1) & body.contains(points, -0.0999)][:POINTS]
-        found = sensor.ladder.displacement(points, sensor.rectangles(state.load.moving))
+        load, points = known or (state.load, points_under(body, state))
+        found = sensor.ladder.displacement(points, sensor.rectangles(load.moving))
     said |= {
         "cpu_s": time.process_time() - began,
         "force_n": state.force_n.tolist(), "indentation_mm": state.indentation_mm, "complete": state.complete,
         "reason": state.reason, "points": points.tolist(), "moved_mm": found.displacement_mm.tolist(),
-        "stated": [error.force, error.indentation, found.error],
-        "of_body": [error.body.force, error.body.indentation],
-        "of_patches": [error.patches.force, error.patches.indentation],
+        "stated": [error.force, error.indentation, error.traction, found.error],
+        "of_body": [error.body.force, error.body.indentation, error.body.traction],
+        "of_patches": [error.patches.force, error.patches.indentation, error.patches.traction],
         "warned": sorted({f"{w.category.__name__}: {w.message}" for w in caught}),
     }  # fmt: skip
     pieces = np.sum([term.force_n.sum(axis=0) for term in patches], axis=0)
@@ -307,7 +331,7 @@ def solved(recipe: Table) -> dict[str, Any]:
     numbers = [*said["force_n"], said["indentation_mm"], *np.ravel(said["moved_mm"]), *said["stated"]]
     if not np.isfinite(numbers).all():
         raise AssertionError(f"not finite: {numbers}")
-    return said
+    return said, state.load, points
 
 
 def finer_recipe(recipe: Table) -> Table:
@@ -324,15 +348,16 @@ def outcome(number: int, finer: bool) -> dict[str, Any]:
         try:
             said["what"], recipe = drawn(number, Path(folder))
             said |= {"body": recipe["body"], "press": recipe["press"], "material": recipe["material"]}
-            one = solved(recipe)
+            one, load, points = solved(recipe)
             said |= {"result": "computed" if one["complete"] else "stopped"} | one | {"asked": recipe["accuracy"]}
             if finer:
-                other = solved(finer_recipe(recipe))
+                other, finer_load, _ = solved(finer_recipe(recipe), (load, points))
                 u, v = np.array(one["moved_mm"]), np.array(other["moved_mm"])
                 force = np.array(other["force_n"])
                 said["off"] = [
                     float(np.linalg.norm(np.subtract(one["force_n"], force)) / np.linalg.norm(force)),
                     abs(one["indentation_mm"] / other["indentation_mm"] - 1.0),
+                    traction_change(load, finer_load),
                     float(np.abs(u - v).max() / np.abs(v).max()) if len(u) else 0.0,
                 ]
                 said["finer_stated"], said["finer_cpu_s"] = other["stated"], other["cpu_s"]

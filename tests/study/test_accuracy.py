@@ -1,5 +1,6 @@
 """What a scene asks for in accuracy, and what is said where it is not met."""
 
+import re
 import warnings
 
 import numpy as np
@@ -7,6 +8,8 @@ import pytest
 
 from twin.errors import AccuracyWarning
 from twin.parts.load import Traction
+from twin.parts.press import Press
+from twin.parts.probe import Object
 from twin.study.recipe import load_scene
 from twin.study.run import run
 from twin.study.sensor import Sensor
@@ -41,6 +44,42 @@ def test_a_press_on_few_patches_warns_of_them():
     sensor = Sensor(load_scene("kamiyama_pillar", few))
     with pytest.warns(AccuracyWarning, match=r"0\.002 is asked.*raise accuracy\.contact_patches \(8\)"):
         sensor.press().error  # noqa: B018
+
+
+def letter(depth_mm):
+    probe = Object(shape="letter", width_mm=8.0)
+    return Press(probe=probe, at_mm=(0, 0), indentation_mm=depth_mm)
+
+
+def warnings_of(do):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", AccuracyWarning)
+        do()
+    return [str(one.message) for one in told]
+
+
+def test_a_press_whose_patches_cut_sharp_edges_warns_of_its_force_at_once():
+    sensor = Sensor(load_scene("block_bare", {"accuracy.contact_patches": 8}))
+    few = warnings_of(lambda: sensor.press(letter(0.05)))
+    assert any(re.search(r"force 0\.\d+.*by the patches: raise accuracy.contact_patches \(8\)", one)
+               for one in few)  # fmt: skip
+    assert warnings_of(lambda: sensor.press(letter(0.05))) == []  # once
+    enough = Sensor(load_scene("block_bare", {"accuracy.displacement": 0.2}))
+    assert warnings_of(lambda: enough.press(letter(0.05)).error) == []
+
+
+def test_a_press_warns_of_its_force_after_a_load_warned_of_displacements():
+    sensor = Sensor(load_scene("block_bare", {"accuracy.displacement": 1e-5}))
+    sensor_warns = warnings_of(lambda: sensor.displacement(POINTS, Traction.disk((10, 5), 1.5, (1, 0, 1))))
+    assert len(sensor_warns) == 1
+    assert "displacements" in sensor_warns[0]
+    assert any("force 0." in one for one in warnings_of(lambda: sensor.press(letter(0.05))))
+
+
+@pytest.mark.parametrize("name", ["kamiyama_pillar", "object_letter"])
+def test_shipped_presses_meet_what_their_scenes_ask(name):
+    sensor = Sensor(load_scene(name))
+    assert warnings_of(lambda: sensor.press().error) == []
 
 
 class Rung:

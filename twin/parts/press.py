@@ -35,6 +35,9 @@ Turns = tuple[Angle | None, Angle | None, Angle | None]
 BY_AXIS = ("force_n", "move_mm", "torque_nmm", "turn_deg")
 """Keys of a step whose values may be written by axis, such as {z = 1}."""
 
+FEWEST_PATCHES, MOST_PATCHES = 6, 40
+"""Contact patches that a contact may have across."""
+
 PATCHES_ACROSS = 16
 """Default number of contact patches across a contact's diameter."""
 

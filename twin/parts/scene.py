@@ -28,7 +28,7 @@ from twin.parts.markers import MarkerLayer, grid_axes, stiff_problems
 from twin.parts.material import Cover, Material
 from twin.parts.methods import CentreMethod, Method, WeightRule
 from twin.parts.part import LEAST_MM, Part
-from twin.parts.press import INCREMENTS, PATCHES_ACROSS, Press
+from twin.parts.press import FEWEST_PATCHES, INCREMENTS, MOST_PATCHES, PATCHES_ACROSS, Press
 from twin.parts.probe import width_mm
 from twin.parts.vary import CUT, Distribution, flat
 
@@ -66,7 +66,9 @@ class Accuracy(Part):
     displacement: Annotated[float, Field(ge=1e-5, le=0.2)] | Literal["auto"] = 5e-3
     centroid_px: Annotated[float, Field(ge=1e-4, le=1)] | Literal["auto"] = "auto"
     paths: Annotated[int, Field(ge=1, le=100_000)] = 64
-    contact_patches: Annotated[int, Field(ge=6, le=40)] | Literal["auto"] = PATCHES_ACROSS
+    contact_patches: Annotated[int, Field(ge=FEWEST_PATCHES, le=MOST_PATCHES)] | Literal["auto"] = (
+        PATCHES_ACROSS
+    )
     contact_increments: Annotated[int, Field(ge=1, le=64)] = INCREMENTS
     surface_table: bool = False
 

@@ -9,7 +9,7 @@ from twin.errors import InputError
 from twin.parts.body import Block, Finger
 from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
-from twin.world.elasticity import interpolated
+from twin.world.elasticity import compliance, interpolated
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.interpolated import PATCH, SurfaceTable
@@ -132,3 +132,35 @@ def test_answers_between_the_patches_are_as_near_to_solves_as_they_say():
         assert error < bound
         assert error < told + 5e-4  # the solves themselves are that rough
         assert table.answer(points, load)[1] > told
+
+
+NARROW = Block(width_mm=40, length_mm=8, thickness_mm=6)
+
+
+def grid(columns, rows, half, turned=False):
+    place = [half * (2 * np.arange(count) - count + 1) for count in (columns, rows)]
+    x, y = (one.ravel() for one in np.meshgrid(*place))
+    keep = np.abs(x / x.max()) + np.abs(y / y.max()) < 1.2 if turned else np.full(len(x), True)
+    centre = np.column_stack([x, y, 0 * x])[keep]
+    return Rectangles(
+        centre_mm=centre,
+        frames=NARROW.frames(centre),
+        half_mm=np.full((len(centre), 2), half),
+        force_n=np.random.default_rng(3).uniform(0, 1, (len(centre), 3)),
+    )
+
+
+BESIDE = [(grid(15, 15, 0.25), 4e-3), (grid(18, 18, 0.2, turned=True), 5e-4), (grid(100, 4, 0.15), 5e-4)]
+
+
+@pytest.mark.parametrize(("patches", "least"), BESIDE)
+def test_contacts_up_to_an_edge_or_longer_than_a_region_are_interpolated_as_if_solved(patches, least, monkeypatch):
+    def fail(*_):
+        raise AssertionError("every patch is solved")
+
+    monkeypatch.setattr(compliance, "patch_corrections", fail)
+    stiff = Compliance(NARROW, RUBBER, level="sketch", table=False)
+    matrix = stiff.to_points(patches.centre_mm, patches, reused=True)
+    solved = stiff.displacement(patches.centre_mm, patches)
+    off = (matrix @ patches.force_n.ravel()).reshape(-1, 3) - solved
+    assert np.abs(off).max() < least * np.abs(solved).max()

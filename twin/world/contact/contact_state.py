@@ -248,6 +248,9 @@ class Share:
         return Share(**{name: factor * getattr(self, name) for name in vars(Share())})
 
 
+_NOTHING = Share()
+
+
 @dataclass(frozen=True, kw_only=True)
 class PressError(Share):
     """How far a press may be off, all causes together: the module describes the estimate.
@@ -273,10 +276,14 @@ class PressError(Share):
 
     @classmethod
     def of(
-        cls, *, body: Share, patches: Share, increments: Share, strain: Share | None = None
+        cls,
+        *,
+        body: Share = _NOTHING,
+        patches: Share = _NOTHING,
+        increments: Share = _NOTHING,
+        strain: Share = _NOTHING,
     ) -> PressError:
         """Return all causes together."""
-        strain = strain or Share()
         whole = body.plus(patches).plus(increments).plus(strain)
         return cls(**vars(whole), body=body, patches=patches, increments=increments, strain=strain)
 
@@ -693,8 +700,18 @@ class Estimates:
             body=self._body(state, other, step), patches=patches, increments=increments
         )
         if self._watched is not None:
-            self._watched.judge(error)
+            known = error if state.complete else PressError.of(body=error.body)
+            self._watched.judge(known)
         return error
+
+    def judge_at_once(self, state: ContactState, step: int) -> None:
+        """Judge a state by what its patches alone leave, which takes no other solve."""
+        if self._watched is None or not state.load.terms:
+            return
+        patches = self._cut(state, step, Share())
+        if any(0 < len(one.pressure_mpa) < _FEWEST_COMPARED for one in (state, *state.also)):
+            patches = replace(patches, traction=1.0)
+        self._watched.judge(PressError.of(patches=patches))
 
     def _recovering(self, state: ContactState, step: int) -> PressError:
         """Return the error where no probe touches: of the motion that relaxing rubber still has."""

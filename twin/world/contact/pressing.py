@@ -20,7 +20,7 @@ import numpy as np
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, InputError, NotSettled
 from twin.parts.body import Body
-from twin.parts.press import INCREMENTS, Press
+from twin.parts.press import FEWEST_PATCHES, INCREMENTS, MOST_PATCHES, Press
 from twin.parts.probe import Cylinder, Pillar, Probe, Sphere
 from twin.theory.relaxation import Relaxation
 from twin.world.contact.active_set import Equilibrium
@@ -569,7 +569,6 @@ def _frictionless(
 
 __all__ = ["ContactState", "SurfaceCompliance", "press"]
 
-_ACROSS_RANGE = (6, 40)
 
 _MOST = 10_000
 _MOST_RUBBED = 6_000
@@ -629,10 +628,10 @@ def press(
         does not converge. Its ``last_state`` is the state before the step that was refused, if
         there is one.
     """
-    low, high = _ACROSS_RANGE
-    if not low <= patches_across <= high:
+    if not FEWEST_PATCHES <= patches_across <= MOST_PATCHES:
         raise InputError(
-            f"contact: {patches_across} patches across the contact; allowed are {low} to {high}"
+            f"contact: {patches_across} patches across the contact; allowed are "
+            f"{FEWEST_PATCHES} to {MOST_PATCHES}"
         )
     presses = (press, *press.also)
     if not any(step.seconds for step in press.path):
@@ -667,6 +666,7 @@ def press(
         replace(state, estimate=partial(estimates.of, step=step))
         for step, state in enumerate(states)
     ]
+    estimates.judge_at_once(states[-1], len(states) - 1)
     return replace(states[-1], path=tuple(states), complete=not reason, reason=reason)
 
 

@@ -17,6 +17,7 @@ Within a tenth of the body's height of a held face there is no bound: both are o
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from functools import cached_property
 from typing import Literal
@@ -58,10 +59,12 @@ from twin.world.elasticity.interpolated import (
     KEPT_POINTS,
     SHARE,
     AdjointFields,
+    EdgeRegion,
     Region,
     SurfaceTable,
     patch_corrections,
     worth_a_region,
+    worth_an_edge_region,
 )
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.interpolate import Locator, Recovery
@@ -330,20 +333,16 @@ class Compliance:
     def _solved_corrections(
         self, known: PointCache, rectangles: Rectangles, reused: bool
     ) -> Floats:
-        """Return (n, 3, k, 3) by the fewest solves: a region for patches close together, else by
-        patch or by point."""
+        """Return (n, 3, k, 3) by the fewest solves: a region for patches close together, or for
+        many that more will follow, else by patch or by point."""
         places = known.placed(self._locator)
         if self._surface_table is not None and self._surface_table.covers(rectangles):
             return self._surface_table.corrections(places, rectangles)
-        if worth_a_region(rectangles, reused=reused):
-            if self._region is not None and self._region.covers(rectangles):
-                return self._region.corrections(places, rectangles)
-            try:
-                self._region = Region(self.system, self.body, rectangles)
-                return self._region.corrections(places, rectangles)
-            except InputError:
-                # so near to the end of the surface that the region would run over it
-                pass
+        near = worth_a_region(rectangles, reused=reused)
+        if near or (reused and worth_an_edge_region(rectangles)):
+            if self._region is None or not self._region.covers(rectangles):
+                self._region = _region(self.system, self.body, rectangles, near)
+            return self._region.corrections(places, rectangles)
         if FEW * len(known) >= len(rectangles):  # fields, unlike readings, serve points that move
             return patch_corrections(self.system, self.body, places, rectangles)
         adjoint = self._point_caches.make_sole(
@@ -537,6 +536,15 @@ class Compliance:
             return correction(self.system, self.body, [load])[:, :, 0]
         forces = consistent_forces(self.body, self.mesh, self._locator, load)
         return self.system.solve(forces[:, :, None])[:, :, 0]
+
+
+def _region(system: TaylorHood, body: Body, rectangles: Rectangles, near: bool) -> Region:
+    """Return a region around rectangles that lie near each other; else, or where it would run over
+    the end of the surface, one within them."""
+    if near:
+        with contextlib.suppress(InputError):
+            return Region(system, body, rectangles)
+    return EdgeRegion(system, body, rectangles)
 
 
 def _digest(*arrays: Floats) -> str:

@@ -2,7 +2,8 @@
 
 Where a patch moves, its correction w changes smoothly. So w is solved for probe patches at the
 nodes of a grid and interpolated in the patch's place, the force being held in the patch's own
-frame: `Region` on a Chebyshev grid around one contact, `SurfaceTable` on a grid of cubic B-splines
+frame: `Region` on a Chebyshev grid around one contact, `EdgeRegion` on some of the patches of a
+contact beside the end of the surface, `SurfaceTable` on a grid of cubic B-splines
 over the middle of a curved body's sensing surface. `AdjointFields` are the reverse: solved for the
 points, after which any number of patches are products. Fields are kept on disk.
 
@@ -20,9 +21,11 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebpts1
+from numpy.polynomial.chebyshev import chebpts1, chebvander2d
+from scipy.linalg import qr
+from scipy.spatial import Delaunay
 
-from twin.arrays import Bools, Floats, Points, Progress, grid_points
+from twin.arrays import Bools, Floats, Ints, Points, Progress, grid_points
 from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles, Traction
@@ -40,6 +43,9 @@ then .3 % off."""
 
 MOST = 9
 """Nodes per direction at most."""
+
+INDEPENDENT = 1e-6
+"""Least part of a polynomial that no other makes up on the patches, over the largest."""
 
 ROOM = 0.3
 """Share of its size by which a region is made larger on every side, for contact that grows or
@@ -85,16 +91,7 @@ class Region:
             for a, b in zip(self._low, self._high, strict=True)
         ]
         half = SNAP_SIZE ** np.round(np.log(rectangles.half_mm.mean(axis=0)) / math.log(SNAP_SIZE))
-        probes = self._probes(body, half)
-        axes = probes.frames.transpose(0, 2, 1)
-        self._fields = cached_field(
-            field_key(system, body, probes.centre_mm, probes.half_mm),
-            lambda: np.concatenate(
-                [field for _, field in _solved(system, body, probes, axes)], axis=2
-            ),
-            (len(system.mesh.points), 3, 3 * len(probes)),
-            single=True,
-        )
+        self._fields = _fields_of(system, body, self._probes(body, half))
 
     def covers(self, rectangles: Rectangles) -> bool:
         """Return whether all patches lie in the region."""
@@ -104,9 +101,7 @@ class Region:
     def corrections(self, places: Places, rectangles: Rectangles) -> Floats:
         """Return (n, 3, k, 3): w in mm/N at ``places`` (n), for E = 1 MPa, per unit global force on
         each rectangle."""
-        offsets, k = self._offsets(rectangles), len(rectangles)
-        along = [axis.basis(offset) for axis, offset in zip(self._axes, offsets.T, strict=True)]
-        weight = tensor_product(*along)
+        weight, k = self._weights(self._offsets(rectangles)), len(rectangles)
         values = places.matrix(len(self._system.mesh.points)) @ self._fields.reshape(
             len(self._fields), -1
         )
@@ -115,6 +110,11 @@ class Region:
 
     def _offsets(self, rectangles: Rectangles) -> Floats:
         return np.asarray((rectangles.centre_mm - self._centre) @ self._frame[:2].T)
+
+    def _weights(self, offsets: Floats) -> Floats:
+        """Return (k, p): the weights of the p probe patches at offsets (k, 2)."""
+        along = [axis.basis(offset) for axis, offset in zip(self._axes, offsets.T, strict=True)]
+        return tensor_product(*along)
 
     def _probes(self, body: Body, half_mm: Floats) -> Rectangles:
         offsets = grid_points(*(axis.nodes for axis in self._axes))
@@ -133,6 +133,59 @@ class Region:
         )
 
 
+class EdgeRegion(Region):
+    """A region up to the end of the sensing surface, of any outline.
+
+    The probe patches are some of the rectangles themselves, in between which polynomials are
+    interpolated: approximate Fekete points of products of Chebyshev polynomials (A. Sommariva and
+    M. Vianello, Computers and Mathematics with Applications 57, 2009). Outside of their hull there
+    is no interpolation. Error: 2e-4 of the largest displacement and less (a wedge, narrow blocks),
+    2 to 6e-3 where patches lie within 0.5 mm of a free edge, where the meshes' own error is larger.
+    """
+
+    def __init__(self, system: TaylorHood, body: Body, rectangles: Rectangles) -> None:
+        self._system = system
+        self._centre = rectangles.centre_mm.mean(axis=0)
+        self._frame = body.frames(body.chart_points(body.chart_of(self._centre[None])))[0]
+        offsets = self._offsets(rectangles)
+        self._low, self._high = offsets.min(axis=0), offsets.max(axis=0)
+        # The patches may tell fewer polynomials apart than there are, such as those in two rows.
+        self._degrees = (_nodes(self._high - self._low) - 1).tolist()
+        products = self._products(offsets)
+        _, triangle, order = qr(products.T, mode="economic", pivoting=True)
+        known = np.abs(np.diag(triangle)) > INDEPENDENT * abs(triangle[0, 0])
+        chosen = order[: len(known)][known]
+        self._hull = Delaunay(offsets) if np.linalg.matrix_rank(offsets) == 2 else None
+        self._to_probes = np.linalg.pinv(products[chosen], rcond=INDEPENDENT)
+        self._fields = _fields_of(system, body, rectangles[chosen])
+
+    def covers(self, rectangles: Rectangles) -> bool:
+        """Return whether all patches lie in the hull of those that the region was made of."""
+        if self._hull is None:
+            return False
+        return bool((self._hull.find_simplex(self._offsets(rectangles), tol=1e-9) >= 0).all())
+
+    def _weights(self, offsets: Floats) -> Floats:
+        return np.asarray(self._products(offsets) @ self._to_probes)
+
+    def _products(self, offsets: Floats) -> Floats:
+        """Return (k, p): the products of polynomials at offsets (k, 2)."""
+        middle, half = (self._low + self._high) / 2, (self._high - self._low) / 2
+        scaled = (offsets - middle) / np.maximum(half, 1e-300)
+        return chebvander2d(scaled[:, 0], scaled[:, 1], self._degrees)
+
+
+def _fields_of(system: TaylorHood, body: Body, probes: Rectangles) -> Floats:
+    """Return the (N, 3, 3 p) corrections under unit forces along the axes of p patches."""
+    axes = probes.frames.transpose(0, 2, 1)
+    return cached_field(
+        field_key(system, body, probes.centre_mm, probes.half_mm),
+        lambda: np.concatenate([field for _, field in _solved(system, body, probes, axes)], axis=2),
+        (len(system.mesh.points), 3, 3 * len(probes)),
+        single=True,
+    )
+
+
 def worth_a_region(rectangles: Rectangles, *, reused: bool = False) -> bool:
     """Return whether patches are many, and close enough together, for interpolation to save solves.
 
@@ -143,6 +196,19 @@ def worth_a_region(rectangles: Rectangles, *, reused: bool = False) -> bool:
     nodes = 3 + np.ceil(np.maximum(size, GRAIN_MM / 2) / GRAIN_MM)
     count = np.minimum(nodes, MOST).prod()
     return bool(nodes.max() <= 2 * MOST and len(rectangles) > (count / 4 if reused else count))
+
+
+def worth_an_edge_region(rectangles: Rectangles) -> bool:
+    """Return whether patches are so many more than its polynomials that an `EdgeRegion` saves
+    solves."""
+    size = np.sort(np.ptp(rectangles.centre_mm, axis=0))[1:]
+    return bool(len(rectangles) > 2 * _nodes(size).prod())
+
+
+def _nodes(size_mm: Floats) -> Ints:
+    """Return (2,) the polynomials along each direction that an `EdgeRegion` of a size (2,) has."""
+    nodes = 3 + np.ceil(size_mm / GRAIN_MM).astype(int)
+    return np.asarray(np.minimum(nodes, MOST if nodes.max() <= 2 * MOST else 2 * MOST))
 
 
 def patch_corrections(
