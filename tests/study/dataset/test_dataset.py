@@ -273,6 +273,15 @@ def test_what_can_not_vary_is_refused_by_name(key: str, words: str, tmp_path: Pa
     assert not (tmp_path / "d").exists()
 
 
+@pytest.mark.parametrize(("low", "high", "end"), [(0.45, 0.6, "high"), (-0.7, 0.45, "low")])
+def test_a_range_that_reaches_beyond_what_is_allowed_is_refused_first(
+    low: float, high: float, end: str, tmp_path: Path
+) -> None:
+    vary = {"material.poisson_ratio": {"low": low, "high": high}}
+    with pytest.raises(RecipeError, match=rf"{end} ends of the ranges.*poisson_ratio"):
+        make(tmp_path / "d", 1, small_scene(vary=vary))
+
+
 def test_pictures_are_png_that_other_readers_open(tmp_path: Path) -> None:
     scene = small_scene(columns=("picture", "marker_visible", "marker_outline_pressed_px", "marker_pressed_px"))
     make(tmp_path / "d", 3, scene)

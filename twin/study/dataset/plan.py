@@ -201,7 +201,15 @@ class Plan:
             # a value that is not allowed is the sample's failure, not the dataset's
             if not all(line.startswith(f"{self.load_table}.") for line in problem.problems):
                 raise
-        with_values(scene, self.sensor_values(range(1))[0], self.sensor_axes)
+        first = self.sensor_values(range(1))[0]
+        ranges = {key: axis for key, axis in self.sensor_axes.items() if isinstance(axis, Uniform)}
+        for end in (0.0, 1.0):
+            ends = {key: axis.at(np.full(axis.takes, end)) for key, axis in ranges.items()}
+            try:
+                with_values(scene, {**first, **ends}, self.sensor_axes)
+            except RecipeError as problem:
+                at = f"at the {'high' if end else 'low'} ends of the ranges in [vary]: "
+                raise RecipeError([at + line for line in problem.problems]) from None
         _ = self.columns
 
 
