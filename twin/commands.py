@@ -766,6 +766,10 @@ def reconstruct(
     camera: Annotated[
         bool | None, Parameter(help="Follow the camera's bend (needed for large motion).")
     ] = None,
+    frames_per_second: Annotated[
+        float | None,
+        Parameter(help="Rate of the frames: takes into account how the calibrated rubber relaxes."),
+    ] = None,
 ) -> None:
     """Track the markers of recorded frames and reconstruct the forces.
 
@@ -799,6 +803,7 @@ def reconstruct(
         friction=friction,
         robust=robust,
         camera=camera,
+        frames_per_second=frames_per_second,
     )
 
 

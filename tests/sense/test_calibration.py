@@ -44,6 +44,22 @@ def test_files_of_the_first_version_are_read(tmp_path):
     assert np.isnan(read.condition)
 
 
+def test_how_the_rubber_relaxes_is_read(tmp_path):
+    assert CALIBRATION.relaxation is None
+    told = dataclasses.replace(CALIBRATION, provenance=json.dumps({"relaxation": [[0.1, 0.3], [0.2, 5]]}))
+    write_calibration(told, tmp_path / "finger.npz")
+    read = read_calibration(tmp_path / "finger.npz").relaxation
+    assert read is not None
+    assert read.share.tolist() == [0.1, 0.2]
+    assert read.time_s.tolist() == [0.3, 5]
+
+
+@pytest.mark.parametrize("terms", [None, 3, "ab", [1, 2], [[0.5, 1], [0.5, 2]], [[-0.1, 1]], [[0.1, 0]], [[0.1]]])
+def test_terms_of_no_rubber_are_refused(terms):
+    with pytest.raises(InputError, match=r"calibration: relaxation = .* must be pairs of a share"):
+        dataclasses.replace(CALIBRATION, provenance=json.dumps({"relaxation": terms}))
+
+
 def test_damaged_files(tmp_path):
     path = tmp_path / "c.npz"
     with pytest.raises(InputError, match="does not exist"):

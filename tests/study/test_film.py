@@ -9,10 +9,13 @@ from PIL import Image, ImageSequence
 import twin
 from twin.errors import InputError, RecipeError
 from twin.parts.press import Step
+from twin.sense.calibration import read_calibration
 from twin.sense.track import Tracker
+from twin.study.calibrate import calibrate_to_file
 from twin.study.film import PARTS, at_frames, film_to_folder, in_parts, write_film
-from twin.study.recorded import frames, read_picture
+from twin.study.recorded import frames, read_picture, reconstruct_frames
 from twin.study.sensor import Sensor
+from twin.theory.relaxation import Hereditary
 
 QUICK = {"accuracy.contact_patches": 6, "accuracy.centroid_px": 0.1, "camera.width_px": 320, "camera.height_px": 240,
          "camera.focal_px": 907.4, "ccd.noise": False}  # fmt: skip
@@ -98,6 +101,38 @@ def test_a_film_has_the_truth_of_its_frames_and_the_tracker_reads_it_back(tmp_pa
         assert np.isfinite(off).mean() > 0.95
         assert np.sqrt(np.nanmean(off**2)) < 0.03
     assert np.abs(true).max() > 3
+
+
+def test_forces_on_a_film_of_rubber_that_relaxes_are_the_true_ones(tmp_path: Path) -> None:
+    """Held and let go: taken for those of elastic rubber, they rise as the rubber creeps, and remain."""
+    steps = tuple(
+        Step(force_n=(None, None, force), seconds=seconds)
+        for force, seconds in ((0.2, 0.2), (0.2, 1.4), (0.0, 0.2), (0.0, 0.2))
+    )
+    scene = twin.load_scene(
+        "gelpad_creep", FILMED | {"ccd.frames_per_second": 5, "ccd.noise": False, "tolerance": {"preset": "none"}}
+    )
+    scene = scene.model_copy(update={"press": scene.press.model_copy(update={"steps": steps})})
+    film_to_folder(scene, tmp_path)
+    calibrate_to_file(scene, tmp_path / "gel.npz")
+    known = read_calibration(tmp_path / "gel.npz")
+    assert known.relaxation is not None
+    rubber = known.relaxation
+    rest, pictures = read_picture(tmp_path / "rest.png"), frames([str(tmp_path / "frames")], None, None, None)
+    fields = [one.field for one in reconstruct_frames(rest, known, pictures, method="local")]
+    history = Hereditary(rubber)
+    truth = np.load(tmp_path / "truth.npz")
+    np.testing.assert_allclose(truth["force_n"][:, 2], [0, *[0.2] * 8, 0, 0], atol=1e-7)
+    creep = [rubber.ramp_creep(time_s - 0.2, 0.2) for time_s in truth["time_s"][1:]]
+    back = [0.0] * 8 + [float(rubber.creep(time_s - 1.6)) for time_s in truth["time_s"][9:]]
+    elastic = 0.2 * (np.array([0, *creep]) - [0, *back])
+    assert elastic[8] > 0.225
+    assert elastic[9] > 0.015
+    seen = [one.total_force_n[2] for one in fields]
+    assert seen == pytest.approx(elastic, abs=0.006)
+    found = [one.relaxed(history, 0.2).total_force_n[2] for one in fields]
+    assert found == pytest.approx(truth["force_n"][:, 2], abs=0.006)
+    assert found[9:] == pytest.approx([0, 0], abs=0.004)
 
 
 def test_an_interrupted_film_keeps_its_frames_and_their_truth(tmp_path: Path) -> None:

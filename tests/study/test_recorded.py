@@ -23,6 +23,7 @@ from twin.sense.calibration import write_calibration
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import track
 from twin.study.recorded import Frame, frames, reconstruct_frames
+from twin.theory.relaxation import Relaxation
 
 SIZE, OFFSET, FORCE = (320, 260), np.array([159.5, 129.5]), np.array([0.2, -0.1, 1.5])
 
@@ -149,6 +150,54 @@ def test_a_recording_that_starts_at_rest(long_recording, options):
             assert one.field.sd_total_n[2] > 5e-4, "a small force can't be excluded"
 
 
+RUBBER = Relaxation(np.array([0.2, 0.1]), np.array([0.05, 0.6]))
+CREPT = json.dumps({"relaxation": [[0.2, 0.05], [0.1, 0.6]]})
+
+
+@pytest.mark.parametrize("failed", [(), (6, 7)])
+def test_forces_of_rubber_that_relaxes_are_the_integral_over_those_before(long_recording, failed):
+    """f(t) = int G(t - s) dq(s), q linear between the frames that are found; the first comes suddenly."""
+    rest, calibration, pictures = long_recording
+    pictures = [None if number in failed else one for number, one in enumerate(pictures)][3:]
+    elastic = felt(rest, calibration, pictures)
+    known = replace(calibration, provenance=CREPT)
+    found = felt(rest, known, pictures, frames_per_second=10.0)
+    good = [number for number, one in enumerate(found) if one.field]
+    assert len(good) == len(pictures) - len(failed)
+    columns = [f"{kind}{axis}_{unit}" for kind, unit in (("f", "n"), ("t", "nmm"), ("sum_f", "n")) for axis in "xyz"]
+
+    def values(result):
+        row = result.row(30)
+        return np.concatenate([[row[name] for name in columns], row["force_n"].ravel()])
+
+    at, q = np.array(good) / 10.0, np.array([values(elastic[number]) for number in good])
+    for k, number in enumerate(good):
+        wanted = RUBBER.modulus(at[k]) * q[0]
+        for j in range(k):
+            share = (np.arange(2000) + 0.5) / 2000
+            mean = RUBBER.modulus(at[k] - at[j] - share * (at[j + 1] - at[j])).mean()
+            wanted = wanted + mean * (q[j + 1] - q[j])
+        assert values(found[number]) == pytest.approx(wanted, abs=1e-6)
+    assert abs(values(found[-1])[2]) > 10 * abs(q[-1, 2]), "markers at rest so soon after a press are pulled back"
+
+
+def test_a_recording_in_time(folder):
+    known = replace(sensor()[2], provenance=CREPT)
+    write_calibration(known, folder / "crept.npz")
+    both = ["rest.png", "press4.png", "press4.png", "--calibration", "crept.npz", "--out", "crept.csv"]
+    done = twin(*both, cwd=folder)
+    assert "they rise while held and remain when gone; give --frames-per-second" in done.stderr
+    elastic = [float(row["fz_n"]) for row in rows(folder / "crept.csv")]
+    done = twin(*both, "--frames-per-second", "0.01", cwd=folder)
+    assert ", of rubber that relaxes\n" in done.stderr
+    assert "give --frames" not in done.stderr
+    first, second = [float(row["fz_n"]) for row in rows(folder / "crept.csv")]
+    assert first == pytest.approx(elastic[0], rel=1e-6)
+    assert second == pytest.approx(0.7 * elastic[1], rel=1e-5)
+    for name in ("crept.npz", "crept.csv"):
+        (folder / name).unlink()
+
+
 def test_a_frame_does_not_depend_on_those_before_it(long_recording):
     rest, calibration, frames = long_recording
     at_rest, pressed = (track(rest, frames[at], calibration.layout) for at in (0, 6))
@@ -250,6 +299,8 @@ def test_overlay_pictures(folder):
         (["none.png", "press1.png", "--calibration", "flat.npz"], 2, "no such picture"),
         (["press1.png", "press1.png", "--calibration", "flat.npz", "--weight", "much"], 2, "--weight"),
         (["rest.png", "press1.png", "--calibration", "flat.npz", "--method", "best"], 2, "method"),
+        (["rest.png", "press1.png", "--calibration", "flat.npz", "--frames-per-second", "30"], 2, "how its rubber"),
+        (["rest.png", "press1.png", "--calibration", "flat.npz", "--frames-per-second", "0"], 2, "above 0"),
     ],
 )
 def test_what_can_not_be_used_is_said(folder, arguments, code, words):

@@ -49,7 +49,8 @@ def test_a_table_is_read(tmp_path):
 
 
 def test_the_recorded_rest_picture_gives_the_layout(tmp_path):
-    wanted = load_scene("kamiyama_pillar", {"calibration.method": "halfspace"})
+    terms = [{"share": 0.1, "time_s": 0.3}]
+    wanted = load_scene("kamiyama_pillar", {"calibration.method": "halfspace", "material.relaxation": terms})
     layout = Sensor(wanted).layout_px
     random = np.random.default_rng(0)
     made = {name: points + random.uniform(-1, 1, points.shape) for name, points in layout.items()}
@@ -60,6 +61,8 @@ def test_the_recorded_rest_picture_gives_the_layout(tmp_path):
     calibration = read_calibration(tmp_path / "c.npz")
     assert np.abs(calibration.layout_px - np.concatenate(list(made.values()))).max() < 0.1
     assert calibration.facts["reconstruction"]["method"] == wanted.reconstruction.method
+    assert calibration.relaxation is not None
+    assert (calibration.relaxation.share, calibration.relaxation.time_s) == ([0.1], [0.3])
     Image.fromarray(expose(drawn, 2)).save(tmp_path / "rest.jpg", quality=95)
     with pytest.raises(InputError, match=r"must hold one of rest\.png"):
         calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
@@ -82,6 +85,7 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
     """Pictures drawn for a sensor that is a tenth stiffer than its drawing: the calibration must come out so."""
     stiffer, grid = 1.1, {"columns": 2, "rows": 1, "pitch_mm": 4.0}
     sites = {f"reconstruction.sites.{key}": value for key, value in grid.items()}
+    sites["material.relaxation"] = [{"share": 0.1, "time_s": 0.3}]
     wanted = load_scene("kamiyama_pillar", {"calibration.method": "sato", "calibration.press_force_n": 3.0, **sites})
     sensor = Sensor(wanted)
     half_mm = FOOTPRINT * hertz_radius(wanted, 3.0)
@@ -103,6 +107,7 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
             lines.append(",".join([name, *(f"{v:g}" for v in (*centre, *force))]))
     (tmp_path / "presses.csv").write_text("\n".join(lines) + "\n")
     assert "sato" in calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
+    assert read_calibration(tmp_path / "c.npz").relaxation is None, "how long presses were held isn't known"
     made = read_calibration(tmp_path / "c.npz").transfer
     nominal = stiffer * transfer
     share = [float((made[:, k] @ nominal[:, k]) / (nominal[:, k] @ nominal[:, k])) for k in range(made.shape[1])]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twin.theory.relaxation import Relaxation
+from twin.theory.relaxation import Hereditary, Relaxation
 
 RUBBER = Relaxation(np.array([0.2, 0.1, 0.3]), np.array([0.1, 1.0, 30.0]))
 
@@ -45,3 +45,45 @@ def test_a_stress_that_swings_loses_what_the_loss_modulus_tells():
     lost = np.sum((stress[-201:-1] + stress[-200:]) / 2 * np.diff(strain))
     modulus = RUBBER.dynamic_modulus(frequency)
     assert lost == pytest.approx(np.pi * modulus.imag / abs(modulus) ** 2, rel=1e-3)
+
+
+def relaxed(at, elastic):
+    """Forces at (m,) times from the (m,) elastic ones."""
+    history = Hereditary(RUBBER)
+    steps = np.diff(at, prepend=at[0])
+    return np.array([history.after(step, np.array([one]))[0] for step, one in zip(steps, elastic, strict=True)])
+
+
+UNEVEN = np.concatenate([[0.0, 0.01], np.geomspace(0.02, 400.0, 30)])
+
+
+def test_a_shape_that_is_held_relaxes():
+    assert relaxed(UNEVEN, np.full(len(UNEVEN), 3.0)) == pytest.approx(3.0 * RUBBER.modulus(UNEVEN), rel=1e-13)
+
+
+def test_a_shape_that_moves_linearly_is_exact_however_seldom_it_is_seen():
+    """f = rate int_0^t G(s) ds, and G - 1 + sum g integrates to sum g tau (1 - exp(-t/tau))."""
+    at = np.array([0.0, 0.7, 5.0, 40.0])
+    late = (RUBBER.share * RUBBER.time_s) @ -np.expm1(-at / RUBBER.time_s[:, None])
+    wanted = 2.0 * ((1.0 - RUBBER.share.sum()) * at + late)
+    assert relaxed(at, 2.0 * at) == pytest.approx(wanted, rel=1e-13)
+
+
+def test_a_force_that_is_held_and_let_go_is_found_from_the_creep():
+    """Rubber creeps while the force is held, and creeps back after that: the force is none at once."""
+    held, after = np.linspace(0.0, 3.0, 1501), np.linspace(0.0, 5.0, 2501)
+    elastic = np.concatenate([RUBBER.creep(held), RUBBER.creep(3.0 + after) - RUBBER.creep(after)])
+    assert elastic[1500] > 1.4
+    assert elastic[1501] > 0.4, "what elastic rubber would show at once after the release"
+    found = relaxed(np.concatenate([held, 3.0 + after]), elastic)
+    assert found == pytest.approx(np.repeat([1.0, 0.0], [1501, 2501]), abs=2e-5)
+
+
+def test_a_shape_that_swings_is_ahead_by_the_loss_angle():
+    frequency = 1.7
+    at = np.linspace(0.0, 400.0, 20001)
+    found = relaxed(at, np.sin(frequency * at))[-1000:]
+    modulus = complex(RUBBER.dynamic_modulus(frequency))
+    wanted = abs(modulus) * np.sin(frequency * at[-1000:] + np.angle(modulus))
+    assert np.angle(modulus) > 0.1
+    assert found == pytest.approx(wanted, abs=1e-4)

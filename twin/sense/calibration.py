@@ -19,6 +19,7 @@ from twin.errors import InputError, TwinError
 from twin.files import read_arrays, write_whole
 from twin.parts.camera import Camera
 from twin.theory.optics import project
+from twin.theory.relaxation import Relaxation
 
 VERSION = 2
 READABLE = (1, 2)
@@ -59,7 +60,7 @@ class Calibration:
     method
         Where the transfer comes from.
     provenance
-        JSON text: how it was made, with a digest of the nominal scene.
+        JSON text: how it was made, with a digest of the nominal scene; see `relaxation`.
     compliance
         (3n, 3k) mm/N, marker motion per site force, where the camera's bend is to be followed; else
         (0, 0).
@@ -141,6 +142,7 @@ class Calibration:
                 json.loads(getattr(self, name))
             except (ValueError, RecursionError) as problem:
                 raise InputError(f"calibration: {name} must be JSON text ({problem})") from None
+        self.relaxation  # noqa: B018  bad terms are refused here
         if self.has_camera:
             self._optics  # noqa: B018  a bad camera is refused here
 
@@ -149,6 +151,24 @@ class Calibration:
         """What `provenance` holds; empty where that is no table."""
         stored = json.loads(self.provenance)
         return stored if isinstance(stored, dict) else {}
+
+    @cached_property
+    def relaxation(self) -> Relaxation | None:
+        """How the rubber relaxes from the modulus of `transfer`; None if that isn't known.
+
+        The terms stand in `provenance`, as ``relaxation``: pairs of share and time, s.
+        """
+        terms = self.facts.get("relaxation", [])
+        try:
+            share, time_s = np.array(terms, np.float64).reshape(len(terms), 2).T
+        except (ValueError, TypeError):
+            share, time_s = np.full((2, 1), np.nan)
+        if not ((share > 0).all() and share.sum() < 1 and (time_s > 0).all()):
+            raise InputError(
+                f"calibration: relaxation = {terms} must be pairs of a share (above 0, less than "
+                "1 together) and a time above 0 s"
+            )
+        return Relaxation(share, time_s) if len(share) else None
 
     @cached_property
     def calibrated(self) -> Bools:

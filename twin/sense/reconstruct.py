@@ -59,6 +59,7 @@ from twin.sense.calibration import Calibration
 from twin.sense.inverse import METHODS, Problem, problem_of
 from twin.sense.regularisation import RULES, Factors
 from twin.sense.track import Found
+from twin.theory.relaxation import Hereditary
 
 DECADE = 0.1
 """Under constraints an automatic weight is rounded to this in its logarithm, so that what was
@@ -139,6 +140,31 @@ class Field(Table):
         names = [f"sd_f{axis}_n" for axis in "xyz"]
         spread = dict(zip(names, self.sd_force_n.T, strict=True))
         return site_columns(self.site_mm, self.force_n) | spread
+
+    def relaxed(self, history: Hereditary, seconds: float) -> Field:
+        """Return the field with the forces of rubber that relaxes.
+
+        The displacements of a picture follow from the forces before it, too. `reconstruct` takes
+        them for those of elastic rubber: what it finds rises under a force that is held, and stays
+        after the force has gone. Standard deviations stay as they are: those of the relaxed forces
+        are lower. Bounds that `reconstruct` was given hold for its own forces only.
+
+        Parameters
+        ----------
+        history
+            What the rubber remembers, of all fields of a sequence; it is updated.
+        seconds
+            Time since the last field, s; 0 for the first one.
+        """
+        count = self.force_n.size
+        parts = (self.force_n.ravel(), self.total_force_n, self.total_torque_nmm)
+        forces = history.after(seconds, np.concatenate(parts))
+        return replace(
+            self,
+            force_n=forces[:count].reshape(-1, 3),
+            total_force_n=forces[count:-3],
+            total_torque_nmm=forces[-3:],
+        )
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the field on matplotlib axes, new ones if none are given, and return them."""

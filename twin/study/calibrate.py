@@ -409,6 +409,7 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
         "method": scene.calibration.method,
         "scene": scene.title,
         "youngs_modulus_mpa": scene.material.youngs_modulus_mpa,
+        "relaxation": [(term.share, term.time_s) for term in scene.material.relaxation],
         "seed": scene.seed,
         "versions": {name: version(name) for name in PACKAGES},
     }
@@ -533,6 +534,8 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
                 progress(f"tracking, press {number} of {count}", 0.3 * number / count)
         presses = _measured(scene, np.zeros(count, np.int64), force_n, found)
         made = _by_presses(sensor, places_mm, presses)
+        # How long each press was held isn't known, so neither is how far the rubber had relaxed.
+        made = replace(made, provenance=json.dumps(made.facts | {"relaxation": []}))
         text += f", {count} presses"
     if scene.calibration.method != "fitted":
         made = replace(made, layout_px=np.where(known[:, None], rest_px, made.layout_px))

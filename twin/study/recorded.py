@@ -36,6 +36,7 @@ from twin.sense.calibration import Calibration, read_calibration
 from twin.sense.inverse import METHODS
 from twin.sense.reconstruct import Bump, Field, camera_bump, check_options, reconstruct
 from twin.sense.track import Found, Tracker
+from twin.theory.relaxation import Hereditary
 
 PICTURES = (".png", ".bmp", ".jpg", ".jpeg")
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
@@ -320,12 +321,19 @@ class _FrameResult:
 
 
 def reconstruct_frames(
-    rest: Picture, calibration: Calibration, sequence: Iterable[Frame], **options: Any
+    rest: Picture,
+    calibration: Calibration,
+    sequence: Iterable[Frame],
+    *,
+    frames_per_second: float | None = None,
+    **options: Any,
 ) -> Iterator[_FrameResult]:
     """Yield the result of every frame of a sequence.
 
     ``rest`` is the picture without load; ``options`` are those of
-    `twin.sense.reconstruct.reconstruct`.
+    `twin.sense.reconstruct.reconstruct`. With ``frames_per_second`` forces are those of the
+    calibration's rubber as it relaxes (`twin.sense.reconstruct.Field.relaxed`); over frames that
+    fail, displacements are taken to change linearly.
 
     Raises
     ------
@@ -343,8 +351,10 @@ def reconstruct_frames(
         )
     doubt = _other_sensor(tracker.rest.rest_px, calibration)
     before: Field | None = None
+    history = None if frames_per_second is None else _history(calibration, frames_per_second)
+    last: int | None = None
     # Each frame starts from the field of the one before. After a failure nothing is carried over.
-    for frame in sequence:
+    for number, frame in enumerate(sequence):
         started = time.perf_counter()
         found = None
         field = None
@@ -355,6 +365,9 @@ def reconstruct_frames(
                 found = tracker.track(frame.picture)
                 field = before = reconstruct(found, calibration, previous=before, **options)
                 bump = camera_bump(found, calibration)
+                if history is not None and frames_per_second is not None:
+                    since = 0 if last is None else number - last
+                    field, last = field.relaxed(history, since / frames_per_second), number
                 doubts = [doubt, *_doubts(found, field, bump, int(known.sum()))]
                 reason = "; ".join(filter(None, doubts))
             except InputError as problem:
@@ -371,6 +384,21 @@ def reconstruct_frames(
             bump=bump if field else None,
             seconds=time.perf_counter() - started,
         )
+
+
+def _history(calibration: Calibration, frames_per_second: float) -> Hereditary:
+    """Return what the calibration's rubber remembers before the first frame."""
+    if not 0 < frames_per_second <= 1e6:
+        raise InputError(
+            f"--frames-per-second {frames_per_second:g}: must lie above 0 and up to 1e6"
+        )
+    if calibration.relaxation is None:
+        raise InputError(
+            "--frames-per-second: this calibration doesn't say how its rubber relaxes. Calibrate a "
+            "recipe with [[material.relaxation]] by its design (a fit to recorded presses knows "
+            "none), or leave the option out"
+        )
+    return Hereditary(calibration.relaxation)
 
 
 def _other_sensor(rest_px: Pixels, calibration: Calibration) -> str:
@@ -544,6 +572,7 @@ def reconstruct_recording(
     overlay: Path | None = None,
     size: str | None = None,
     layout: str | None = None,
+    frames_per_second: float | None = None,
     **options: Any,
 ) -> None:
     """Reconstruct recorded frames: print a row of each and a summary, write table and drawings.
@@ -556,6 +585,8 @@ def reconstruct_recording(
         Table, and frames with the motion drawn in; see `_TableFile` and `_OverlayFile`.
     size, layout
         ``WxH`` and format of raw frames.
+    frames_per_second
+        See `reconstruct_frames`.
     options
         Of `twin.sense.reconstruct.reconstruct`; None stands for what the calibration's recipe says.
 
@@ -580,13 +611,24 @@ def reconstruct_recording(
         options["camera"],
         known,
     )
+    if frames_per_second is not None:
+        _history(known, frames_per_second)
     # Frames come one at a time: results are written as they come, and memory stays bounded.
     table = _TableFile(out, known.site_mm) if out else None
     drawing = _OverlayFile(overlay) if overlay else None
     pictures = frames(sources, sys.stdin.buffer, size, layout)
-    results = reconstruct_frames(read_picture(rest), known, pictures, **options)
+    results = reconstruct_frames(
+        read_picture(rest), known, pictures, frames_per_second=frames_per_second, **options
+    )
     print(f"calibration {_described(known)}", file=sys.stderr)
-    print(f"forces      {_described_options(options)}", file=sys.stderr)
+    in_time = "" if frames_per_second is None else ", of rubber that relaxes"
+    print(f"forces      {_described_options(options)}{in_time}", file=sys.stderr)
+    if known.relaxation is not None and frames_per_second is None:
+        print(
+            "twin: the rubber of this calibration relaxes, and forces are found as if it didn't: "
+            "they rise while held and remain when gone; give --frames-per-second",
+            file=sys.stderr,
+        )
     if len(known.layout) == 1 and not METHODS[options["method"]].local:
         print(
             f"twin: one layer of markers and method {options['method']}: forces into the surface "

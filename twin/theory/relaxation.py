@@ -90,3 +90,48 @@ class Relaxation:
         size = np.sqrt(self.share / self.time_s)
         rate, vectors = np.linalg.eigh(np.outer(size, size) - np.diag(1.0 / self.time_s))
         return (vectors.T @ size) ** 2 / -rate, -1.0 / rate
+
+
+class Hereditary:
+    """Turns elastic forces q, which follow each other in time, into those of rubber that relaxes.
+
+    Elastic forces are those under which rubber of the instantaneous modulus that doesn't relax
+    would have the same shape. The rubber was never loaded before the first of them.
+
+    Parameters
+    ----------
+    relaxation
+        The Prony series.
+
+    Notes
+    -----
+    f(t) = int G(t - s)/G0 dq(s) = q - sum g_i (q - H_i), H_i = int exp(-(t - s)/tau_i) dq(s)
+    (J. D. Ferry, 1980, chapter 3). Exact where q changes linearly in between.
+
+    Examples
+    --------
+    A shape that is held:
+
+    >>> import numpy as np
+    >>> from twin.theory.relaxation import Hereditary, Relaxation
+    >>> history = Hereditary(Relaxation(np.array([0.2]), np.array([1.0])))
+    >>> [round(float(history.after(seconds, np.ones(1))[0]), 3) for seconds in (0.0, 1.0, 1e9)]
+    [1.0, 0.874, 0.8]
+    """
+
+    def __init__(self, relaxation: Relaxation) -> None:
+        self._relaxation = relaxation
+        self._elastic: Floats | None = None
+        self._kept: Floats = np.zeros((len(relaxation.share), 0))
+
+    def after(self, seconds: float, elastic: Floats) -> Floats:
+        """Return the (m,) forces at the end of an interval from the (m,) elastic ones there."""
+        share, time_s = self._relaxation.share, self._relaxation.time_s
+        before = self._elastic
+        if before is None:
+            before = np.zeros_like(elastic)
+            self._kept = np.zeros((len(share), len(elastic)))
+        kept, mean = fading(seconds / time_s)
+        self._kept = kept[:, None] * self._kept + mean[:, None] * (elastic - before)
+        self._elastic = elastic.copy()
+        return np.asarray((1.0 - share.sum()) * elastic + share @ self._kept)
