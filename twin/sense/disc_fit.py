@@ -198,6 +198,10 @@ EVEN, LEVEL_TILT = 2.8, 3.0
 brightness, have changed by chance (in 49 and 89 of 50 and 90). What hides a part of a marker, or a
 shadow that moves over it, moves its centre by about as much: what exceeds this is stated."""
 
+TILTS = 0.5
+"""Share of the motion by a changed slope of brightness that is an error of the centre: between what
+it is of beads in a block (.25) and of prints in shadow on the finger (.6 to .85)."""
+
 USUAL = 0.25
 """Share of the markers that fit better than what is called usual."""
 
@@ -671,7 +675,7 @@ def _edge_sds(
     tilted = np.fmax(tilted - chance, 0.0)
     if not templates.coherent:  # a shape of its own, of another noise: maybe compressed since
         tilted[fitted[:, RESHAPED] == OWN_SHAPE] = 0.0
-    beyond += tilted
+    beyond += TILTS**2 * tilted
     if templates.coherent:
         beyond += np.fmax(fitted[:, DIFFERENCE], 0.0) ** 2
     covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)

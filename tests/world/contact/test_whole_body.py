@@ -7,7 +7,7 @@ from stretched_rubber import LAWS, every_law, nominal_stress
 import twin
 from twin.parts.body import Block, Finger
 from twin.world.contact.probe_gap import approach_of
-from twin.world.contact.whole_body import Rubber, SurfaceTouch
+from twin.world.contact.whole_body import Anchors, Rubber, SurfaceTouch
 from twin.world.mesh.body_mesh import body_mesh
 
 BODY = Block(width_mm=6, length_mm=5, thickness_mm=4)
@@ -81,23 +81,27 @@ def test_gap_and_push_have_their_slopes(direction, linear):
     at = (-2.0, 3.0, *body.surface_from_above(np.array([[-2.0, 3.0]]))[0, 2:])
     press = twin.Press(probe=twin.Sphere(diameter_mm=3), at_mm=at, direction=direction, indentation_mm=0.5)
     approach = approach_of(press, body)
-    touch = SurfaceTouch(mesh, body, approach, np.array([0.1, -0.05]), approach.touch_mm, 0.5)
+    touch = SurfaceTouch(mesh, body, approach, False, [(approach.touch_mm, 0.5)])
     moved = 0.05 * np.sin(mesh.points)
+    pose = np.array([0.1, -0.05, 0.4, 0.02, -0.03, 0.01])
+    anchors = Anchors.none(len(touch.rest_mm))
+    step = 1e-5
 
-    def gaps(shift, deep=0.4):
-        return touch.gaps(moved + shift, deep, linear=linear)
+    def meet(shift=0.0, motion=0.0):
+        return touch.meet(moved + shift, pose + motion, anchors, linear=linear)
 
     def slope_of(name, more, less):
-        return (more[name][some] - less[name][some]) / (2.0 * step)
+        return (getattr(more, name)[some] - getattr(less, name)[some]) / (2.0 * step)
 
-    gap, push, bend, per_depth, _ = gaps(0.0)
-    some = np.abs(gap) < 0.3
+    here = meet()
+    some = np.abs(here.gap) < 0.3
     assert some.sum() > 5
-    step = 1e-5
-    deeper = slope_of(0, gaps(0.0, 0.4 + step), gaps(0.0, 0.4 - step))
-    assert per_depth[some] == pytest.approx(deeper, abs=1e-6)
+    for motion in range(6):
+        nudge = step * np.eye(6)[motion]
+        around = meet(motion=nudge), meet(motion=-nudge)
+        assert here.per_motion[some, motion] == pytest.approx(slope_of("gap", *around), abs=2e-5)
     for axis in range(3):
         nudge = step * np.eye(3)[axis]
-        around = gaps(nudge), gaps(-nudge)
-        assert push[some, axis] == pytest.approx(slope_of(0, *around), abs=1e-6)
-        assert bend[some][:, :, axis] == pytest.approx(slope_of(1, *around), abs=1e-4)
+        around = meet(nudge), meet(-nudge)
+        assert here.push[some, axis] == pytest.approx(slope_of("gap", *around), abs=1e-6)
+        assert here.bend[some][:, :, axis] == pytest.approx(slope_of("push", *around), abs=1e-4)
