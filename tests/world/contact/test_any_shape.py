@@ -6,11 +6,13 @@ from presses import pressed, settled
 from scipy.special import ellipe, ellipk
 from standard_bodies import write_stl
 
+import twin
 from benchmarks.flat import HalfSpace
 from twin.geometry.closed import PROBE_SIZE_MM, closed_surface
 from twin.geometry.objects import object_triangles
 from twin.parts.press import Press
 from twin.parts.probe import Object, Pillar, Stl
+from twin.study.recipe import validate_scene
 
 DEPTH = 0.2
 MODULUS = 1.0 / (1.0 - 0.5**2)
@@ -207,3 +209,24 @@ def test_a_letter_is_pressed_however_it_is_turned(tilt, across):
     off = abs(state.force_n[2] / force - 1.0)
     assert off < 0.7 / across
     assert off <= state.error.force < 0.2
+
+
+@pytest.mark.slow
+def test_a_contact_has_the_same_patches_whatever_lies_in_the_cache(tmp_path, monkeypatch):
+    """A wide object on a thin block, before and after another press has made the block's table."""
+    monkeypatch.setenv("TWIN_CACHE", str(tmp_path))
+    press = twin.Press(probe=twin.Object(shape="grating", width_mm=9.9), indentation_mm=0.08)
+    table = {
+        "body": {"shape": "block", "width_mm": 20, "length_mm": 18, "thickness_mm": 1.2},
+        "material": {"youngs_modulus_mpa": 1.0, "poisson_ratio": 0.49},
+    }
+
+    def pressed(across):
+        scene = validate_scene({**table, "accuracy": {"contact_patches": across}}, "thin block")
+        return twin.Sensor(scene).press(press)
+
+    first = pressed(12)
+    pressed(16)
+    again = pressed(12)
+    assert len(first.pressure_mpa) == len(again.pressure_mpa) > 1500
+    assert first.force_n[2] == pytest.approx(again.force_n[2], rel=1e-6)

@@ -687,7 +687,7 @@ class Estimates:
         patches = increments = Share.unknown()
         if other is not None:
             change = self._change(state, other)
-            factor = _error_over_change(self._times_as_wide(state, other))
+            factor = self._error_over_change(state, other)
             patches = self._cut(state, step, change.times(factor))
             patches = replace(
                 patches, traction=change.traction
@@ -736,12 +736,25 @@ class Estimates:
         across = self._job.setups[0].across
         return across // 2 if across // 2 >= _FEWEST_COMPARED else 2 * across
 
-    def _times_as_wide(self, state: ContactState, other: ContactState) -> float:
-        """Return the width of the other patches over that of the state's: twice or half, but under
-        objects, whose largest number of patches may end both alike."""
-        if any(setup.is_free_form for setup in self._job.setups):
-            return _patch_mm(other) / _patch_mm(state)
-        return 2.0 if self._other_across < self._job.setups[0].across else 0.5
+    def _error_over_change(self, state: ContactState, other: ContactState) -> float:
+        """Return the error over the change with the other patches: twice or half as wide, but
+        under objects, whose largest number of patches may end both alike.
+
+        A power law goes through what is known of twice and half the width. Under objects it is the
+        less steep, down to first order, the sharper their edges are.
+        """
+        free = [one.is_free_form for one in self._job.setups]
+        wider = 2.0 if self._other_across < self._job.setups[0].across else 0.5
+        sharp = 0.0
+        if any(free):
+            wider = _patch_mm(other) / _patch_mm(state)
+            parts = zip(free, (state, *state.also), strict=True)
+            sharp = max(_sharpness(one) for own, one in parts if own and len(one.pressure_mpa))
+        ratio = max(wider, 1.0 / wider, _ALIKE)
+        known = _NARROWER if wider < 1.0 else _WIDER
+        smooth = known * (2.0**_ORDER - 1.0) / (ratio**_ORDER - 1.0)
+        first = (ratio if wider < 1.0 else 1.0) / (ratio - 1.0)
+        return float(smooth + sharp * max(first - smooth, 0.0))
 
     @cached_property
     def _other(self) -> list[ContactState]:
@@ -946,26 +959,23 @@ def _patch_mm(state: ContactState) -> float:
     return math.sqrt(state.area_mm2 / max(1, len(state.pressure_mpa)))
 
 
-def _error_over_change(wider: float) -> float:
-    """Return the error over the change with patches so many times as wide: a power law through
-    what is known of twice and half the width."""
-    ratio = max(wider, 1.0 / wider, _ALIKE)
-    known = _NARROWER if wider < 1.0 else _WIDER
-    return float(known * (2.0**_ORDER - 1.0) / (ratio**_ORDER - 1.0))
-
-
 def _edge_error(state: ContactState) -> float:
     """Return the error of the force as patches cut sharp edges, where pressure doesn't vanish."""
+    side = 2.0 * _joined(Load(state.load.terms[:1])).half_mm.mean(axis=0).max()
+    return float(_EDGE * _sharpness(state) * side / math.sqrt(state.area_mm2 / math.pi))
+
+
+def _sharpness(state: ContactState) -> float:
+    """Return how sharp the edges of a contact are by its pressure there: 0 where that vanishes, 1
+    where it is no less than elsewhere."""
     from scipy.spatial import cKDTree
 
     load = _joined(Load(state.load.terms[:1]))
-    side = 2.0 * load.half_mm.mean(axis=0)
-    flat = _flattened(load, load) / side.max()
+    flat = _flattened(load, load) / (2.0 * load.half_mm.mean(axis=0).max())
     inner = np.array([len(near) for near in cKDTree(flat).query_ball_point(flat, 1.1)]) == 5
-    mean = float(state.pressure_mpa.mean())
-    border = float(state.pressure_mpa[~inner].mean()) if not inner.all() else 0.0
-    sharp = min(1.0, (border / mean) ** 4)
-    return float(_EDGE * sharp * side.max() / math.sqrt(state.area_mm2 / math.pi))
+    if inner.all():
+        return 0.0
+    return min(1.0, float(state.pressure_mpa[~inner].mean() / state.pressure_mpa.mean()) ** 4)
 
 
 def _count(state: ContactState) -> int:

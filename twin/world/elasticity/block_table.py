@@ -95,13 +95,8 @@ class Table:
 
     def covers(self, load: Rectangles, poisson_ratio: float) -> bool:
         """Tell whether the table holds for these forces and nu, at points of its box."""
-        frames = load.frames
-        reach = np.abs(load.centre_mm[:, :2]) + (
-            load.half_mm[:, :, None] * np.abs(frames[:, :2, :2])
-        ).sum(axis=1)
-        flat = bool((frames[:, 2, 2] > 1.0 - 1e-12).all())
         low, high = NU_RANGE if self.poisson_ratio is None else (self.poisson_ratio,) * 2
-        return flat and low <= poisson_ratio <= high and bool((reach <= self.window_mm).all())
+        return low <= poisson_ratio <= high and _lies_within(load, self.window_mm)
 
     def at(self, poisson_ratio: float) -> TableAtNu:
         """Return the table of one nu."""
@@ -300,6 +295,15 @@ def _window_of(body: Block) -> tuple[tuple[float, float], tuple[float, float, fl
         box = np.maximum(box, sides - OFF_SIDES[1] * thickness)
         deep = DEEP
     return (float(window[0]), float(window[1])), (float(box[0]), float(box[1]), deep * thickness)
+
+
+def _lies_within(load: Rectangles, window_mm: tuple[float, float]) -> bool:
+    """Tell whether patches lie level, and within half sizes of a window."""
+    frames = load.frames
+    reach = np.abs(load.centre_mm[:, :2]) + (
+        load.half_mm[:, :, None] * np.abs(frames[:, :2, :2])
+    ).sum(axis=1)
+    return bool((frames[:, 2, 2] > 1.0 - 1e-12).all() and (reach <= window_mm).all())
 
 
 def find_table(
@@ -592,6 +596,11 @@ class Tables:
         if self._table is None or not self._table.covers(load, self._nu):
             return None
         return self._at_nu if self._at_nu and self._at_nu.contains(points) else None
+
+    def make_for(self, load: Rectangles) -> None:
+        """Make them as `make` does, if they hold for a load."""
+        if isinstance(self._body, Block) and _lies_within(load, _window_of(self._body)[0]):
+            self.make()
 
     @property
     def level(self) -> Level:

@@ -391,12 +391,14 @@ class Compliance:
         them.
 
         None where no table covers all ``patches`` and their middles, between which the nodes must
-        lie: the correction is a polynomial only there.
+        lie: the correction is a polynomial only there. A table that would is made, so that a
+        contact has the same patches whether or not one lies in the cache.
         """
         if not self._subtracted:
             return None
         known = self._checked(patches.centre_mm, patches)
-        table = self._table_of_many(known, patches, reused=True)
+        self._tables.make_for(patches)
+        table = self._tables.covering(known, patches)
         if table is None:
             return None
         matrix = table.corrections(PointCache(nodes.centre_mm), nodes)
