@@ -12,7 +12,7 @@ and volume.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -92,21 +92,74 @@ class Relaxation:
         return (vectors.T @ size) ** 2 / -rate, -1.0 / rate
 
 
-class Hereditary:
-    """Turns elastic forces q, which follow each other in time, into those of rubber that relaxes.
+@dataclass(frozen=True, kw_only=True)
+class RubberMemory:
+    """What n terms of a Prony series remember of elastic forces q.
 
     Elastic forces are those under which rubber of the instantaneous modulus that doesn't relax
-    would have the same shape. The rubber was never loaded before the first of them.
+    would have the same shape.
+
+    Attributes
+    ----------
+    relaxation
+        The series.
+    elastic
+        (...) q, of forces or torques of any number.
+    kept
+        (n, ...) H_i, the part of q that each term has not forgotten.
+
+    Notes
+    -----
+    Forces are the convolution of the changes of q with the relaxation function,
+
+        f(t) = int G(t - s)/G0 dq(s) = q - sum g_i (q - H_i),  H_i = int exp(-(t - s)/tau_i) dq(s)
+
+    (J. D. Ferry, 1980, chapter 3). While q changes linearly during an interval, this is exact:
+    f = share q + left with a number and an array that are known before it. So an interval's contact
+    is an elastic one, for the forces f/share and the gaps of a surface that the memory alone has
+    moved by -C left/share, where C is the compliance at the instantaneous modulus. A constant
+    contact that is held by motion has constant q, so its force relaxes exactly.
+    """
+
+    relaxation: Relaxation
+    elastic: Floats
+    kept: Floats
+
+    @classmethod
+    def at_rest(cls, relaxation: Relaxation, shape: tuple[int, ...]) -> RubberMemory:
+        """Return the memory of rubber that was never loaded."""
+        kept = np.zeros((len(relaxation.share), *shape))
+        return cls(relaxation=relaxation, elastic=np.zeros(shape), kept=kept)
+
+    def over(self, seconds: float) -> tuple[float, Floats]:
+        """Return ``share`` and ``left`` (...): after an interval the forces are share q + left."""
+        kept, mean = fading(seconds / self.relaxation.time_s)
+        share = self.relaxation.share
+        left = np.tensordot(share * kept, self.kept, 1) - (share @ mean) * self.elastic
+        return float(1.0 - share @ (1.0 - mean)), left
+
+    def after(self, seconds: float, forces: Floats) -> RubberMemory:
+        """Return the memory after an interval at whose end the forces are (...)."""
+        share, left = self.over(seconds)
+        return self.after_elastic(seconds, (forces - left) / share)
+
+    def after_elastic(self, seconds: float, elastic: Floats) -> RubberMemory:
+        """Return the memory after an interval at whose end the elastic forces are (...)."""
+        kept, mean = fading(seconds / self.relaxation.time_s)
+        per_term = (len(kept), *(1,) * elastic.ndim)
+        changed = kept.reshape(per_term) * self.kept
+        changed += mean.reshape(per_term) * (elastic - self.elastic)
+        return replace(self, elastic=elastic, kept=changed)
+
+
+class Hereditary:
+    """Turns elastic forces, which follow each other in time, into those of rubber that relaxes: see
+    `RubberMemory`. The rubber was never loaded before the first of them.
 
     Parameters
     ----------
     relaxation
         The Prony series.
-
-    Notes
-    -----
-    f(t) = int G(t - s)/G0 dq(s) = q - sum g_i (q - H_i), H_i = int exp(-(t - s)/tau_i) dq(s)
-    (J. D. Ferry, 1980, chapter 3). Exact where q changes linearly in between.
 
     Examples
     --------
@@ -121,17 +174,11 @@ class Hereditary:
 
     def __init__(self, relaxation: Relaxation) -> None:
         self._relaxation = relaxation
-        self._elastic: Floats | None = None
-        self._kept: Floats = np.zeros((len(relaxation.share), 0))
+        self._memory: RubberMemory | None = None
 
     def after(self, seconds: float, elastic: Floats) -> Floats:
         """Return the (m,) forces at the end of an interval from the (m,) elastic ones there."""
-        share, time_s = self._relaxation.share, self._relaxation.time_s
-        before = self._elastic
-        if before is None:
-            before = np.zeros_like(elastic)
-            self._kept = np.zeros((len(share), len(elastic)))
-        kept, mean = fading(seconds / time_s)
-        self._kept = kept[:, None] * self._kept + mean[:, None] * (elastic - before)
-        self._elastic = elastic.copy()
-        return np.asarray((1.0 - share.sum()) * elastic + share @ self._kept)
+        memory = self._memory or RubberMemory.at_rest(self._relaxation, elastic.shape)
+        share, left = memory.over(seconds)
+        self._memory = memory.after_elastic(seconds, elastic.copy())
+        return np.asarray(share * elastic + left)

@@ -38,14 +38,13 @@ from twin.errors import ContactError, NotSettled
 from twin.parts.load import Load
 from twin.parts.press import INCREMENTS
 from twin.parts.probe import Cone
-from twin.theory.relaxation import Relaxation
+from twin.theory.relaxation import Relaxation, RubberMemory
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, pushes_for_depth, solve
 from twin.world.contact.contact_search import ContactProblem, Control
 from twin.world.contact.coulomb import solve_coulomb
 from twin.world.contact.friction_law import LAW
 from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence
 from twin.world.contact.probe_gap import MOTIONS, TURN, X, Y, Z
-from twin.world.contact.rubber_memory import RubberMemory
 from twin.world.contact.surface_patches import Patches
 
 
@@ -245,7 +244,7 @@ class FrictionalContact:
             force_n=np.zeros((k, 3)),
             slid_mm=np.zeros((p, 2)),
             lifted=np.zeros(p, bool),
-            memory=RubberMemory.at_rest(self.relaxation, k) if self.relaxation else None,
+            memory=RubberMemory.at_rest(self.relaxation, (k, 3)) if self.relaxation else None,
         )
         gap, _ = self.gap(nothing, nothing.pose)
         touched = gap <= 1e-9
@@ -276,7 +275,7 @@ class FrictionalContact:
         """Return the elastic forces under one probe, global axes."""
         _, rows, _ = self.contacts.rows[number]
         grid = self.contacts.grids[number]
-        own = memory.elastic_n[rows]
+        own = memory.elastic[rows]
         moving = np.flatnonzero(own.any(axis=1))
         force = np.einsum("kij,ki->kj", grid.frames[moving], own[moving])
         return Load((grid.rectangles(force, moving),)) if len(moving) else Load()
@@ -293,7 +292,7 @@ class FrictionalContact:
         if memory is not None:
             for _ in range(parts):
                 memory = memory.after((time_s - history.time_s) / parts, force)
-            displacement = self.influence.apply(memory.elastic_n)
+            displacement = self.influence.apply(memory.elastic)
         return replace(
             history,
             time_s=time_s,
