@@ -1104,16 +1104,17 @@ def force_line(
             x, y = (level if k == axis else None for k in range(2))
             path.append(Step(force_n=(x, y, down)))
     rig = chain.rig(bench)
+    sides = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
+    places = [(x * aside_mm, y * aside_mm) for x, y in sides]
+    pressed = {
+        place: rig.press(
+            Press(probe=Cylinder(diameter_mm=10), at_mm=place, friction=np.inf, steps=tuple(path))
+        ).path[-steps:]
+        for place in dict.fromkeys(places[:repeats])
+    }
     applied, measured = [], []
     for repeat in range(repeats):
-        x, y = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)][repeat % 5]
-        press = Press(
-            probe=Cylinder(diameter_mm=10),
-            at_mm=(x * aside_mm, y * aside_mm),
-            friction=np.inf,
-            steps=tuple(path),
-        )
-        for number, state in enumerate(rig.press(press).path[-steps:]):
+        for number, state in enumerate(pressed[places[repeat % len(places)]]):
             exposure = first + 1000 * axis + 100 * repeat + number
             rig.motion(state.load)  # kept; its error is noted
             field = chain.solved(bench, rig, chain.film(rig, state.load, exposure))
