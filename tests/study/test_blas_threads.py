@@ -43,9 +43,7 @@ def seen_inside(call: Callable[[], Any]) -> set[int]:
     return found
 
 
-@pytest.mark.parametrize(
-    "name", ["displacement", "motion", "press", "picture", "picture_truth", "run", "step", "track"]
-)
+@pytest.mark.parametrize("name", ["displacement", "motion", "press", "picture", "run", "step", "track"])
 def test_a_python_programs_calls_take_one_thread_and_leave_its_own(name: str) -> None:
     scene = twin.load_scene("kamiyama_pillar", SMALL)
     sensor = twin.Sensor(scene)
@@ -57,7 +55,6 @@ def test_a_python_programs_calls_take_one_thread_and_leave_its_own(name: str) ->
         "motion": lambda: sensor.motion(LOAD),
         "press": sensor.press,
         "picture": lambda: sensor.picture(None),
-        "picture_truth": lambda: sensor.picture_truth(None),
         "run": lambda: run(scene, want={"displacement"}),
         "step": lambda: environment.step(None),
         "track": lambda: track(rest, rest, layout),

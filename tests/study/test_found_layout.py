@@ -19,7 +19,8 @@ def check_scene(name):
     """Every marker that shows whole is found under the number that the scene gives it, and nothing else."""
     sensor = twin.Sensor(twin.load_scene(name))
     found = twin.find_layout(sensor.picture(None))
-    truth = sensor.picture_truth(None)
+    centres = sensor.project(sensor.ellipsoids(None).centres)
+    outlines = sensor.renderer.outlines(sensor.ellipsoids(None))
     scene = sensor.nominal
     assert len(found.layers) == len(scene.markers)
     start = 0
@@ -28,13 +29,13 @@ def check_scene(name):
         rows = slice(start, start + layer.columns * layer.rows)
         places[key], start = rows, rows.stop
     for layer in found.layers.values():
-        off = {key: np.median(cKDTree(truth.centre_px[rows]).query(layer.centre_px)[0]) for key, rows in places.items()}
+        off = {key: np.median(cKDTree(centres[rows]).query(layer.centre_px)[0]) for key, rows in places.items()}
         key = min(off, key=off.get)
         rows, drawn = places[key], scene.markers[key]
-        distance, spot = cKDTree(truth.centre_px[rows]).query(layer.centre_px)
+        distance, spot = cKDTree(centres[rows]).query(layer.centre_px)
         assert distance.max() < 0.3 * layer.pitch_px, key
         assert len(set(spot)) == len(spot)
-        seen = np.flatnonzero(truth.visible[rows] > 0.95)
+        seen = np.flatnonzero(outlines.visible[rows] > 0.95)
         assert not (set(seen) - set(spot)), key
         assert (layer.columns, layer.rows) == (drawn.columns, drawn.rows)
         assert np.array_equal(layer.index @ [drawn.rows, 1], spot), "columns from the left, rows from the bottom"

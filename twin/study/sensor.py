@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from twin.world.picture.ccd import Pattern
     from twin.world.picture.cover import CoverMotion
     from twin.world.picture.ellipsoids import Ellipsoids
-    from twin.world.picture.render import Outlines, PictureTruth, Renderer
+    from twin.world.picture.render import Renderer
+    from twin.world.picture.splat import Outlines
 
 SATURATED = 0.01
 """Share of saturated pixels above which a picture causes a warning."""
@@ -677,21 +678,6 @@ class Sensor:
             )
             warnings.warn(self.saturation, AccuracyWarning, stacklevel=4)
         return picture
-
-    @one_blas_thread()
-    def picture_truth(self, load: Load | ContactState | Motion | None) -> PictureTruth:
-        """Return the truth of `picture`: by pixel the marker, its depth and its motion.
-
-        Raises
-        ------
-        RecipeError
-            The scene has no camera.
-        """
-        names = list(self.nominal.markers)
-        layers = [names.index(name) for name in self.actual.markers.layer.tolist()]
-        return self.renderer.truth(
-            self.ellipsoids(load), self.ellipsoids(None), np.array(layers, np.int64)
-        )
 
     @cached_property
     def pattern(self) -> Pattern | None:

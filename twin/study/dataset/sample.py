@@ -44,7 +44,8 @@ if TYPE_CHECKING:
     from twin.parts.press import Press
     from twin.world.contact.contact_state import ContactState
     from twin.world.elasticity.compliance import Compliance
-    from twin.world.picture.render import Outlines, Renderer
+    from twin.world.picture.render import Renderer
+    from twin.world.picture.splat import Outlines
 
 _Row = dict[str, Any]
 _Bytes = bytes | bytearray | memoryview

@@ -14,17 +14,14 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from twin.arrays import Floats, Ints, Pixels, Singles, frozen
+from twin.arrays import Singles
 from twin.errors import MissingCapability, RecipeError
 from twin.parts.scene import Scene
-from twin.theory.optics import Sight, project
 from twin.world.picture.backend import FORCE, Variant, choose_variant
 from twin.world.picture.camera_rays import PUPIL_WEIGHTS, look, through_the_pupil
 from twin.world.picture.ccd import white_level
@@ -32,8 +29,8 @@ from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import brightest
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
-from twin.world.picture.picture_job import WEIGHT, Indices, PictureJob, Shader, View, make_job
-from twin.world.picture.splat import Shaded, Splat
+from twin.world.picture.picture_job import PictureJob, Shader, View, make_job
+from twin.world.picture.splat import Outlines, Splat
 
 if TYPE_CHECKING:
     from twin.world.picture.path_tracer import PathTracer
@@ -45,10 +42,6 @@ RENDERERS: dict[str, Callable[[View, float, float], Shader]] = {
 }
 """What makes each renderer, by its name: of the camera's rays, the length of the renderer's unit in
 mm, and the share of light that comes from all around."""
-
-_HIDDEN = 0.01
-"""A smaller share of an outline that is seen counts as none: edges just behind edges leave such
-specks."""
 
 _ERROR_PX = {"splat": (0.0215, 0.0095, 0.0052, 0.0038), "traced": (0.033, 0.0148, 0.0107, 0.0096)}
 """The largest error of an intensity centroid for k = 1 to 4; beyond, the splat's falls as 1/k."""
@@ -62,71 +55,6 @@ _FINEST = 16
 
 _SHADOW_PX = 0.2
 """The most that a shadow moves a centroid."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outlines:
-    """Visible outlines of the markers, in their one order.
-
-    Attributes
-    ----------
-    centroid_px
-        (n, 2) coverage centroid of what is seen of each marker; NaN where nothing is.
-    visible
-        (n,) share of the whole outline that is seen: 1 free, 0 hidden, lost or outside the picture.
-    area_px
-        (n,) area that is seen, px^2.
-    """
-
-    centroid_px: Pixels
-    visible: Floats
-    area_px: Floats
-
-
-@dataclass(frozen=True, kw_only=True)
-class PictureTruth:
-    """The truth of a picture; arrays over markers are in their one order.
-
-    Attributes
-    ----------
-    marker
-        (height, width) number of the marker that the middle of each pixel shows, -1 for none.
-    layer
-        (height, width) number of its layer in the scene's order, -1 for none.
-    z_mm
-        (height, width) height z of the place that is seen, NaN where no marker is.
-    centre_px
-        (n, 2) projected centres; NaN where the camera doesn't see the place: ``Sight.of`` has why.
-    outline_px
-        (n, 2) coverage centroids of the visible outlines; NaN where nothing is seen.
-    visible
-        (n,) share of each outline that is seen.
-    area_px
-        (n,) area that is seen, px^2.
-    flow_px
-        (n, 2) motion since rest of the centres in the picture.
-    outline_flow_px
-        (n, 2) motion since rest of the outlines' centroids: what a tracker can find.
-    depth_mm
-        (n,) distance of the centres from the base, along z.
-    sight
-        (n,) numbers of `twin.theory.optics.Sight`.
-    centroid_error_px
-        Bound on the error of the picture's intensity centroids.
-    """
-
-    marker: Indices
-    layer: NDArray[np.int8]
-    z_mm: Singles
-    centre_px: Pixels
-    outline_px: Pixels
-    visible: Floats
-    area_px: Floats
-    flow_px: Pixels
-    outline_flow_px: Pixels
-    depth_mm: Floats
-    sight: Ints
-    centroid_error_px: float
 
 
 class Renderer:
@@ -253,10 +181,10 @@ class Renderer:
             return self.radiance(markers, cover), self.outlines(markers)
         job = self._job(markers, self.subpixels)
         traced = self._shader is not self._splat
-        shaded = self._splat.look(job, bright=not traced)
-        marks, free = self._shader.shade(job) if traced else (shaded.light, shaded.free)
-        light = self._over_cover(job, marks, free, self._cover_factor(cover))
-        return light, _outlines(job, shaded)
+        marks, free, outlines = self._splat.look(job, bright=not traced)
+        if traced:
+            marks, free = self._shader.shade(job)
+        return self._over_cover(job, marks, free, self._cover_factor(cover)), outlines
 
     def _cover_factor(self, cover: CoverMotion | None) -> Singles | None:
         """Return (height, width, k) factors on the cover's light, None at rest."""
@@ -291,39 +219,7 @@ class Renderer:
             Another k than the picture's.
         """
         job = self._job(markers, subpixels or self.subpixels, shadows=False)
-        return _outlines(job, self._splat.look(job, bright=False))
-
-    def truth(self, markers: Ellipsoids, rest: Ellipsoids, layer: Ints) -> PictureTruth:
-        """Return the truth that goes with a picture of the markers.
-
-        Parameters
-        ----------
-        markers, rest
-            The markers now and at rest.
-        layer
-            (n,) numbers of the markers' layers.
-        """
-        camera = self.scene.camera
-        assert camera is not None
-        base = self.scene.body.base_z_mm
-        optics = (camera, self.scene.material.refractive_index, base)
-        marker, z_mm = self._splat.front(self._job(markers, 1))
-        here, there = self.outlines(markers), self.outlines(rest)
-        centre = project(markers.centres, *optics)
-        return PictureTruth(
-            marker=frozen(marker),
-            layer=frozen(np.where(marker >= 0, layer[marker], -1).astype(np.int8)),
-            z_mm=frozen(z_mm),
-            centre_px=frozen(centre),
-            outline_px=here.centroid_px,
-            visible=here.visible,
-            area_px=here.area_px,
-            flow_px=frozen(centre - project(rest.centres, *optics)),
-            outline_flow_px=frozen(here.centroid_px - there.centroid_px),
-            depth_mm=frozen(base - markers.centres[:, 2]),
-            sight=frozen(Sight.of(markers.centres, *optics)),
-            centroid_error_px=self.centroid_error_px,
-        )
+        return self._splat.look(job, bright=False)[2]
 
     def _job(self, markers: Ellipsoids, subpixels: int, *, shadows: bool = True) -> PictureJob:
         return make_job(
@@ -382,23 +278,6 @@ class PathRenderer(Renderer):
     ) -> tuple[Singles, Outlines]:
         """See `Renderer`."""
         return self.radiance(markers, cover), self.outlines(markers)
-
-
-def _outlines(job: PictureJob, shaded: Shaded) -> Outlines:
-    k = job.subpixels
-    area = shaded.seen / (k * k * WEIGHT)
-    expected = shaded.whole / (k * k * WEIGHT)
-    first_order = np.pi * np.sqrt(np.linalg.det(job.conjugate))
-    expected = np.where(job.cut, np.maximum(expected, first_order), expected)
-    seen = np.where(area >= _HIDDEN * expected, shaded.seen, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        centroid = np.rint(job.centres_px) + (shaded.moments / seen[:, None] + 0.5) / k - 0.5
-        centroid = np.where(seen[:, None] > 0, centroid, np.nan)
-        visible = np.where(seen > 0, np.minimum(area / expected, 1.0), 0.0)
-    area = np.where(seen > 0, area, 0.0)
-    for array in (centroid, visible, area):
-        frozen(array)
-    return Outlines(centroid_px=centroid, visible=visible, area_px=area)
 
 
 def subpixels_for(centroid_px: float | str, method: str = "splat") -> int:

@@ -31,9 +31,13 @@ from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Singles
+from twin.arrays import Floats, Ints, Pixels, Singles, frozen
 from twin.compiled import in_parts, njit
 from twin.world.picture.picture_job import INTO, OPAQUE, WEIGHT, Indices, PictureJob, View
+
+_HIDDEN = 0.01
+"""A smaller share of an outline that is seen counts as none: edges just behind edges leave such
+specks."""
 
 _INTERIOR = 3
 """The grid of an edge is so many times finer than inside an outline."""
@@ -93,28 +97,22 @@ Approach = tuple[
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shaded:
-    """What a job's pixels show.
+class Outlines:
+    """Visible outlines of the markers, in their one order.
 
     Attributes
     ----------
-    light
-        (m, 3) light from markers.
-    free
-        (m,) share of each pixel that they leave free.
-    whole, seen
-        (n,) coverage of every marker, all of it and what nothing hides, in sub-pixels times
-        ``WEIGHT``.
-    moments
-        (n, 2) columns and rows of what is seen, from the sub-pixels' corners of the pixel nearest
-        the marker.
+    centroid_px
+        (n, 2) coverage centroid of what is seen of each marker; NaN where nothing is.
+    visible
+        (n,) share of the whole outline that is seen: 1 free, 0 hidden, lost or outside the picture.
+    area_px
+        (n,) area that is seen, px^2.
     """
 
-    light: Singles
-    free: Singles
-    whole: Ints
-    seen: Ints
-    moments: Ints
+    centroid_px: Pixels
+    visible: Floats
+    area_px: Floats
 
 
 class Splat:
@@ -127,103 +125,64 @@ class Splat:
         self._ambient = ambient
 
     def shade(self, job: PictureJob) -> tuple[Singles, Singles]:
-        """Return (m, 3) light from markers in the job's pixels, and (m,) the share of each that
-        they leave free."""
-        shaded = self.look(job)
-        return shaded.light, shaded.free
+        """See `twin.world.picture.picture_job.Shader`."""
+        return self.look(job)[:2]
 
-    def look(self, job: PictureJob, *, bright: bool = True, separate: bool = True) -> Shaded:
-        """Return light and outlines.
-
-        Parameters
-        ----------
-        job
-            The job.
-        bright
-            False leaves the light out.
-        separate
-            False shades all pixels as if each could show several markers: slower, for comparison.
-        """
+    def look(self, job: PictureJob, *, bright: bool = True) -> tuple[Singles, Singles, Outlines]:
+        """Return light and free shares as `shade` does, and the outlines; without ``bright`` the
+        outlines alone count."""
         k = job.subpixels
         light = np.empty((len(job.pixels), 3), np.float32)
         free = np.empty(len(job.pixels), np.float32)
         grids = (k, max(k // _INTERIOR, 1), self._ambient, bright)
-        single = _rows_of_six(job.metric).astype(np.float32)
-        lit = _lit(job)
+        # What both kernels need: markers, their light, and the pixels nearest to them.
+        metric = np.ascontiguousarray(job.metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+        nearest = np.rint(job.centres_px).astype(np.int64)
+        tinted = (job.tints.astype(np.float32), job.even)
+        shadows = (job.occluder_first, job.occluder_members)
+        lit = (job.colour, job.lamps, *tinted, *shadows, nearest, *grids)
+        placed = (self._corners, job.base, job.centres)
+        singles = metric.astype(np.float32)
+        own = int(job.isolated[-1])
+        longest = int(np.diff(job.first).max(initial=1))
 
         def isolated(_: int, begin: int, end: int) -> Any:
             tallies = np.zeros((len(job), 4))
-            work = np.zeros(_ROWS * _BATCH, np.float32)
-            chosen = np.empty((2, _BATCH), np.int64)
-            lists = (job.pixels, job.isolated, self._corners, job.base, job.centres, single)
-            _shade_isolated(begin, end, *lists, *lit, *grids, work, chosen, light, free, tallies)
+            work = (np.zeros(_ROWS * _BATCH, np.float32), np.empty((2, _BATCH), np.int64))
+            lists = (job.pixels, job.isolated)
+            out = (light, free, tallies)
+            _shade_isolated(begin, end, *lists, *placed, singles, *lit, *work, *out)
             return tallies
 
-        own = int(job.isolated[-1]) if separate else 0
-        parts = in_parts(len(job), isolated) if separate else []
-        parts += self._overlapping(job, own, grids, light, free, _NO_INDICES, _NO_SINGLES)
-        tallies: Floats = np.sum(parts, axis=0)
-        whole, seen, columns, rows = tallies.astype(np.int64).T
-        return Shaded(
-            light=light, free=free, whole=whole, seen=seen, moments=np.column_stack([columns, rows])
-        )
-
-    def front(self, job: PictureJob) -> tuple[Indices, Singles]:
-        """Return (height, width) numbers of the markers that the middles of pixels show, -1 for
-        none, and the heights z of those places, mm, NaN for none."""
-        count = len(job.pixels)
-        shown = np.full(count, -1, np.int32)
-        heights = np.full(count, np.nan, np.float32)
-        light = np.empty((count, 3), np.float32)
-        free = np.empty(count, np.float32)
-        self._overlapping(job, 0, (1, 1, self._ambient, False), light, free, shown, heights)
-        shape = (self._corners.shape[1] - 1, self._corners.shape[2] - 1)
-        marker = np.full(shape, -1, np.int32)
-        z_mm = np.full(shape, np.nan, np.float32)
-        marker.ravel()[job.pixels] = shown
-        base_mm = job.base * job.unit_mm + job.behind_mm
-        z_mm.ravel()[job.pixels] = (heights - job.base) * job.unit_mm + base_mm
-        return marker, z_mm
-
-    def _overlapping(
-        self,
-        job: PictureJob,
-        own: int,
-        grids: tuple[int, int, float, bool],
-        light: Singles,
-        free: Singles,
-        marker: Indices,
-        height: Singles,
-    ) -> list[Any]:
-        """Shade the pixels from ``own`` on, and return tallies."""
-        room = int(np.diff(job.first).max(initial=1))
-        lists = (job.pixels, job.first, job.members, self._corners, job.base, job.centres)
-        lit = (_rows_of_six(job.metric), *_lit(job))
-
-        def work(_: int, begin: int, end: int) -> Any:
+        def overlapping(_: int, begin: int, end: int) -> Any:
             tallies = np.zeros((len(job), 4))
-            scratch = (np.empty((2, room), np.int64), np.empty((room, 7)))
-            out = (light, free, tallies, marker, height)
-            _shade_overlapping(own + begin, own + end, *lists, *lit, *grids, *scratch, *out)
+            work = (np.empty((2, longest), np.int64), np.empty((longest, 7)))
+            lists = (job.pixels, job.first, job.members)
+            out = (light, free, tallies)
+            _shade_overlapping(own + begin, own + end, *lists, *placed, metric, *lit, *work, *out)
             return tallies
 
-        return in_parts(len(job.pixels) - own, work)
+        parts = in_parts(len(job), isolated) + in_parts(len(job.pixels) - own, overlapping)
+        return light, free, _outlines(job, np.sum(parts, axis=0).astype(np.int64))
 
 
-_NO_INDICES = np.zeros(0, np.int32)
-_NO_SINGLES = np.zeros(0, np.float32)
-
-
-def _lit(job: PictureJob) -> tuple[Any, ...]:
-    """Return what both kernels need of markers' light, and the pixels nearest the markers."""
-    nearest = np.rint(job.centres_px).astype(np.int64)
-    tinted = (job.tints.astype(np.float32), job.even)
-    return job.colour, job.lamps, *tinted, job.occluder_first, job.occluder_members, nearest
-
-
-def _rows_of_six(metric: Floats) -> Floats:
-    """Return (n, 6) entries m00, m11, m22, m01, m02, m12 of symmetric matrices."""
-    return np.ascontiguousarray(metric[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+def _outlines(job: PictureJob, tallies: Ints) -> Outlines:
+    """Return outlines from (n, 4) tallies: coverage of each marker, all of it and what nothing
+    hides, in sub-pixels times `WEIGHT`; and columns and rows of the latter, from the sub-pixels'
+    corners of the pixel nearest the marker."""
+    k = job.subpixels
+    whole, seen = tallies[:, 0], tallies[:, 1]
+    area = seen / (k * k * WEIGHT)
+    expected = whole / (k * k * WEIGHT)
+    first_order = np.pi * np.sqrt(np.linalg.det(job.conjugate))
+    expected = np.where(job.cut, np.maximum(expected, first_order), expected)
+    seen = np.where(area >= _HIDDEN * expected, seen, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        centroid = np.rint(job.centres_px) + (tallies[:, 2:] / seen[:, None] + 0.5) / k - 0.5
+        centroid = np.where(seen[:, None] > 0, centroid, np.nan)
+        visible = np.where(seen > 0, np.minimum(area / expected, 1.0), 0.0)
+    area = np.where(seen > 0, area, 0.0)
+    return Outlines(centroid_px=frozen(centroid), visible=frozen(visible), area_px=frozen(area))
 
 
 @njit(cache=True, nogil=True, fastmath=_REORDER)
@@ -638,14 +597,11 @@ def _shade_overlapping(
     light: Singles,
     free: Singles,
     tallies: Floats,
-    front: Indices,
-    height: Singles,
 ) -> None:
     """Write light, free share and tallies of pixels ``begin`` to ``end``.
 
-    Without ``bright`` only tallies count. ``front`` and ``height`` take the nearest marker that a
-    ray meets and the height of that place, unless they are empty. ``lists`` (2, longest) and
-    ``hit`` (longest, 7) are work arrays.
+    Without ``bright`` only tallies count. ``lists`` (2, longest) and ``hit`` (longest, 7) are work
+    arrays.
     """
     width = corners.shape[2] - 1
     leds = lamps.shape[1]
@@ -728,8 +684,6 @@ def _shade_overlapping(
                 at = order[number]
                 marker = near[at]
                 covers = 1.0 if simple else hit[at, 0]
-                if len(front) and covers >= 0.5 and front[j] < 0:  # the ray meets the ellipsoid
-                    front[j], height[j] = marker, hit[at, 3]
                 # 3. Tallies.
                 if not simple:
                     seen = np.rint(covers * clear * WEIGHT)
