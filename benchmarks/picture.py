@@ -19,8 +19,8 @@ from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
 from twin.theory.optics import project
 from twin.world.picture.backend import Variant, choose_variant
-from twin.world.picture.ccd import expose, fixed_pattern
-from twin.world.picture.ellipsoids import Ellipsoids, ellipsoids
+from twin.world.picture.ccd import Pattern, expose
+from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.render import Renderer
 
 SCENES = ("kamiyama_pillar", "sato_press")
@@ -68,7 +68,7 @@ def _exposures(name: str, scene: Scene, markers: Ellipsoids, presets: tuple[str,
     rows = []
     for preset in presets:
         ccd = Ccd.model_validate({"preset": preset})
-        pattern = fixed_pattern(ccd, (light.shape[0], light.shape[1]), np.random.default_rng(1))
+        pattern = Pattern.drawn(ccd, (light.shape[0], light.shape[1]), np.random.default_rng(1))
         cost, _ = _timed(lambda: expose(light, ccd, np.random.default_rng(0), pattern))  # noqa: B023
         rows.append({"scene": name, "method": f"ccd, {preset}", "milliseconds": cost[0], "cpu_ms": cost[1]})
     return rows
@@ -91,7 +91,7 @@ def _markers(scene: Scene) -> Ellipsoids:
     """Return the markers with print errors, so that they meet the pixel grid in all ways."""
     count = sum(layer.columns * layer.rows for layer in scene.markers.values())
     jitter = np.random.default_rng(1).normal(0, 0.03, (count, 2))
-    return ellipsoids(place(scene.body, scene.markers, jitter), scene.markers)
+    return Ellipsoids.of(place(scene.body, scene.markers, jitter), scene.markers)
 
 
 def _pixels(scene: Scene, markers: Ellipsoids) -> np.ndarray:

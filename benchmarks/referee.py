@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -19,9 +20,9 @@ from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
 from twin.world.picture.backend import choose_variant
-from twin.world.picture.ellipsoids import Ellipsoids, ellipsoids
+from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.render import Renderer
-from twin.world.picture.stock_scene import as_xml, marker_triangles, middle_of_window, stock_scene
+from twin.world.picture.stock_scene import write_stock_scene
 
 CORE = 3
 """Half width, px, of the window in the middle of a marker that tells its brightness."""
@@ -62,7 +63,7 @@ def _compared(scene: Scene, count: int, samples: int) -> dict[str, Any]:
 
     Brightness takes so many samples a pixel, places take `SAMPLES_A_PASS`.
     """
-    markers = ellipsoids(place(scene.body, scene.markers), scene.markers)
+    markers = Ellipsoids.of(place(scene.body, scene.markers), scene.markers)
     bare = scene.model_copy(update={"cover": None})
     renderer = Renderer(bare, markers, SPLAT, subpixels=8)
     outlines, light = renderer.outlines(markers), renderer.radiance(markers).astype(float)
@@ -112,20 +113,31 @@ def path_traced(
 
 def _written(folder: Path, scene: Scene, markers: Ellipsoids, corner: Ints, size: int, glowing: int | None) -> Path:
     """Write the scene as the program exports it, for a part of the picture; return the file."""
-    table = stock_scene(scene, 1.0, {"markers": marker_triangles(markers)})
-    table["sensor"]["film"] |= {
-        "crop_offset_x": int(corner[0]), "crop_offset_y": int(corner[1]), "crop_width": size, "crop_height": size,
-    }  # fmt: skip
+    if glowing is not None:
+        markers = replace(markers, colour=np.where(np.arange(len(markers))[:, None] == glowing, np.ones(3), 0.0))
+    file = write_stock_scene(folder, "scene", scene.model_copy(update={"cover": None}), 1.0, markers)
+    tree = ElementTree.parse(file)
+    film = tree.find("sensor/film")
+    assert film is not None
+    crop = {"offset_x": int(corner[0]), "offset_y": int(corner[1]), "width": size, "height": size}
+    for key, value in crop.items():
+        ElementTree.SubElement(film, "integer", name=f"crop_{key}", value=str(value))
     if glowing is not None:
         # One marker shines in the dark: its colour is its light, and nothing is sent back.
-        table = {key: value for key, value in table.items() if not key.startswith("led")}
-        paint = table["markers"]["bsdf"]["inner"]
-        table["markers"]["emitter"] = {"type": "area", "radiance": paint["reflectance"]}
-        paint["reflectance"] = {"type": "rgb", "value": [0.0] * 3}
-        markers = replace(markers, colour=np.where(np.arange(len(markers))[:, None] == glowing, np.ones(3), 0.0))
-    (folder / "markers.ply").write_bytes(marker_triangles(markers).as_ply(middle_of_window(scene)))
-    (folder / "scene.xml").write_text(as_xml(table))
-    return folder / "scene.xml"
+        root = tree.getroot()
+        for led in [shape for shape in root if shape.get("id", "").startswith("led")]:
+            root.remove(led)
+        shape = root.find("shape[@id='scene_markers']")
+        paint = root.find("shape[@id='scene_markers']/bsdf/bsdf")
+        assert shape is not None
+        assert paint is not None
+        colour = paint[0]
+        paint.remove(colour)
+        ElementTree.SubElement(paint, "rgb", name="reflectance", value="0 0 0")
+        ElementTree.SubElement(shape, "emitter", type="area").append(colour)
+        colour.set("name", "radiance")
+    tree.write(file)
+    return file
 
 
 def _some(scene: Scene, visible: Floats, places: Pixels, count: int) -> list[int]:

@@ -458,7 +458,6 @@ class Ccd(Part):
     @model_validator(mode="after")
     def _fits_a_frame(self) -> Ccd:
         exposure_ms = self.spelt_out().exposure_ms
-        assert exposure_ms is not None
         if self.frames_per_second is None:
             if self.readout_ms:
                 raise ValueError(f"readout_ms = {self.readout_ms:g}: give frames_per_second, too")
@@ -470,7 +469,28 @@ class Ccd(Part):
             )
         return self
 
-    def spelt_out(self) -> Ccd:
-        """Return the same CCD with the preset's numbers filled in."""
+    def spelt_out(self) -> Any:
+        """Return the same CCD with the preset's numbers filled in: none of them is None."""
         preset = PRESETS[self.preset]
         return self.model_copy(update={k: v for k, v in preset.items() if getattr(self, k) is None})
+
+    @property
+    def response(self) -> Floats:
+        """(3, 3) matrix from red, green and blue light to the camera's channels.
+
+        The rows of an even crosstalk sum to 1 before the quantum efficiencies, which count relative
+        to the largest.
+        """
+        efficiency = np.asarray(self.spelt_out().quantum_efficiency, float)
+        mixing = np.array(self.crosstalk)
+        if isinstance(self.crosstalk, float):
+            mixing = np.full((3, 3), self.crosstalk) + (1 - 3 * self.crosstalk) * np.eye(3)
+        response: Floats = mixing * (efficiency / efficiency.max())[:, None]
+        return response
+
+    @property
+    def white_level(self) -> float:
+        """Light, as a share of full wells, whose count is ``white_dn``, times ``exposure``."""
+        full = self.spelt_out()
+        share = max(self.white_dn - full.black_dn, 1.0) / (255 - full.black_dn)
+        return float(share**full.gamma) * self.exposure

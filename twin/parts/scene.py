@@ -373,6 +373,19 @@ class Scene(Part):
         }
 
     @property
+    def imaging(self) -> tuple[Camera, Light]:
+        """Camera and light of a scene that has pictures."""
+        assert self.camera is not None
+        assert self.light is not None
+        return self.camera, self.light
+
+    @property
+    def optics(self) -> tuple[Camera, float, float]:
+        """What `twin.theory.optics` takes of a scene with a camera: that, the refractive index, and
+        the height of the base, mm."""
+        return self.imaging[0], self.material.refractive_index, self.body.base_z_mm
+
+    @property
     def load(self) -> Load:
         """What the tractions push with."""
         return sum((each.load() for each in self.tractions), Load())

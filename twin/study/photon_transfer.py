@@ -20,7 +20,7 @@ import numpy as np
 from twin.arrays import Floats
 from twin.errors import RecipeError
 from twin.parts.camera import Ccd
-from twin.world.picture.ccd import expose, fixed_pattern, response_matrix
+from twin.world.picture.ccd import Pattern, expose
 
 SIZE_PX = (512, 512)
 """Pixels that are measured: variances are then known to 0.3 %."""
@@ -112,8 +112,8 @@ def photon_transfer(ccd: Ccd, seed: int = 1) -> PhotonTransfer:
     off = {"gamma": 1.0, "psf_px": 0.0, "black_dn": black, "bayer": "none", "interlace": False}
     chip = ccd.model_copy(update={**off, "bandwidth_mhz": "off", "jpeg_quality": "off"})
     rng = np.random.default_rng(seed)
-    pattern = fixed_pattern(chip, SIZE_PX, rng)
-    response = response_matrix(chip).sum(axis=1)
+    pattern = Pattern.drawn(chip, SIZE_PX, rng)
+    response = chip.response.sum(axis=1)
     channel = int(np.argmax(response))
 
     def flat(level: float) -> Floats:

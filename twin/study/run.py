@@ -244,10 +244,9 @@ class _Chain:
         # Refuse what can't be rendered on this machine before anything is solved.
         with self.stage("design"):
             if "picture" in self.needed:
-                from twin.world.picture.backend import forced_variant, require_memory
+                from twin.world.picture.backend import check_machine
 
-                require_memory(scene)
-                forced_variant()  # refuses a wrong name before the press is solved
+                check_machine(scene)
         # The truth: the load of the press, or given tractions, and the motion of the markers.
         with self.stage("contact"):
             load = scene.load

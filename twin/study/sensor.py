@@ -291,10 +291,10 @@ class Sensor:
         """The camera's view of the actual sensor."""
         if self.nominal.camera is None:
             raise RecipeError("this scene has no [camera] table, so there is no picture of it")
-        from twin.world.picture.backend import require_memory
+        from twin.world.picture.backend import check_machine
         from twin.world.picture.render import Renderer
 
-        require_memory(self.actual.scene)
+        check_machine(self.actual.scene)
         return Renderer(self.actual.scene, self.ellipsoids(None))
 
     def rectangles(self, load: Load | ContactState) -> Rectangles:
@@ -665,11 +665,12 @@ class Sensor:
     def exposed(self, radiance: Singles, exposure: int, before: Singles | None = None) -> Picture:
         """Return the CCD picture of light on the sensor; ``before`` is that of the field
         before."""
-        from twin.world.picture.ccd import expose, saturated_share
+        from twin.world.picture.ccd import expose
 
         noise = stream(self.nominal.seed, Purpose.EXPOSURE, exposure)
         picture = expose(radiance, self.nominal.ccd, noise, self.pattern, before)
-        share = saturated_share(picture)
+        full = picture == 255
+        share = float((full[:, :, 0] | full[:, :, 1] | full[:, :, 2]).mean())
         if share > SATURATED and self.saturation is None:
             self.saturation = (
                 f"{100 * share:.2g} % of the pixels are saturated, where markers are lost or "
@@ -682,13 +683,13 @@ class Sensor:
     @cached_property
     def pattern(self) -> Pattern | None:
         """The fixed pattern of the CCD's pixels; None for an even CCD."""
-        from twin.world.picture.ccd import fixed_pattern
+        from twin.world.picture.ccd import Pattern
 
         camera = self.nominal.camera
         if camera is None:
             return None
         own = stream(self.nominal.seed, Purpose.SENSOR_PATTERN)
-        return fixed_pattern(self.nominal.ccd, (camera.height_px, camera.width_px), own)
+        return Pattern.drawn(self.nominal.ccd, (camera.height_px, camera.width_px), own)
 
     def _linear_only(self) -> str:
         """Return what needs a linear body: covers, beads or the cover's picture; empty if nothing
@@ -709,15 +710,15 @@ class Sensor:
 
     def ellipsoids(self, load: Load | ContactState | Motion | None) -> Ellipsoids:
         """Return the actual markers' shapes under a load."""
-        from twin.world.picture.ellipsoids import ellipsoids
+        from twin.world.picture.ellipsoids import Ellipsoids
 
-        markers = self.actual.markers
-        layers = self.actual.scene.markers
         motion = self._moved(load)
-        if motion is None:
-            return ellipsoids(markers, layers, prints=self.actual.prints)
-        return ellipsoids(
-            markers, layers, motion.displacement_mm, motion.gradient, self.actual.prints
+        return Ellipsoids.of(
+            self.actual.markers,
+            self.actual.scene.markers,
+            motion.displacement_mm if motion is not None else None,
+            motion.gradient if motion is not None else None,
+            self.actual.prints,
         )
 
     def project(self, points_mm: Points, which: Literal["actual", "nominal"] = "actual") -> Pixels:
@@ -736,7 +737,7 @@ class Sensor:
         if scene.camera is None:
             return np.zeros((0, 2))
         points = _as_points(points_mm)
-        return project(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
+        return project(points, *scene.optics)
 
     @cached_property
     def layout_px(self) -> dict[str, Pixels]:

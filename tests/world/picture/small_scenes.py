@@ -10,7 +10,7 @@ from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.theory.optics import project
 from twin.world.picture.backend import Variant, choose_variant
-from twin.world.picture.ellipsoids import Ellipsoids, ellipsoids
+from twin.world.picture.ellipsoids import Ellipsoids
 
 SPLAT = Variant(name="splat", library=None, reason="runs everywhere")
 RED, BLUE = (0.9, 0.1, 0.1), (0.1, 0.15, 0.9)
@@ -33,7 +33,7 @@ def finger(**keys):
 
 
 def rest_of(scene):
-    return ellipsoids(place(scene.body, scene.markers), scene.markers)
+    return Ellipsoids.of(place(scene.body, scene.markers), scene.markers)
 
 
 def seen_at(points, scene):

@@ -17,7 +17,7 @@ from twin.study.recipe import load_scene
 from twin.study.run import run
 from twin.study.sensor import Sensor
 from twin.world.picture import backend
-from twin.world.picture.backend import REMEDY, choose_variant
+from twin.world.picture.backend import REMEDY, check_machine, choose_variant
 
 LARGE = {"camera.width_px": 8192, "camera.height_px": 8192}
 
@@ -160,42 +160,46 @@ def test_every_library_of_this_machine_is_survived(file):
     assert child.stdout.strip() == choose_variant(candidates=[file]).name
 
 
-def test_no_camera_takes_nothing_and_a_pupil_takes_a_view_for_every_point(monkeypatch):
-    monkeypatch.setattr(backend, "free_bytes", lambda: 0)
-    backend.require_memory(load_scene("block_bare"))
+@pytest.fixture(name="free")
+def _free(tmp_path, monkeypatch):
+    """A function that sets the free memory, kB, and the limit of a container, bytes."""
+
+    def files(available_kb, limit="max"):
+        (tmp_path / "meminfo").write_text(f"MemTotal: 9000 kB\nMemAvailable: {available_kb} kB\n")
+        (tmp_path / "max").write_text(f"{limit}\n")
+
+    monkeypatch.setattr(backend, "MEMORY_FILES", (tmp_path / "meminfo", tmp_path / "max"))
+    return files
+
+
+def test_a_pupil_takes_a_view_for_every_point_and_no_camera_takes_nothing(free):
+    free(0)
+    check_machine(load_scene("block_bare"))
     needed = []
     for aperture in (0, 0.5):
         with pytest.raises(MissingCapability) as refused:
-            backend.require_memory(load_scene("kamiyama_pillar", {**LARGE, "camera.aperture_mm": aperture}))
+            check_machine(load_scene("kamiyama_pillar", {**LARGE, "camera.aperture_mm": aperture}))
         needed.append(float(str(refused.value).split(" GB")[0].split()[-1]))
     assert 3.5 < needed[1] / needed[0] < 5
 
 
-def test_free_memory_is_the_least_of_the_systems_figures(monkeypatch, tmp_path):
-    (tmp_path / "meminfo").write_text("MemTotal: 9000 kB\nMemAvailable: 5000 kB\n")
-    (tmp_path / "max").write_text("max\n")
-    monkeypatch.setattr(backend, "MEMORY_FILES", (tmp_path / "meminfo", tmp_path / "max"))
-    assert backend.free_bytes() == 5000 * 1024
-    (tmp_path / "max").write_text("1000000\n")
-    assert backend.free_bytes() == 1_000_000
-
-
-def test_a_picture_without_memory_is_refused_before_anything_is_computed(monkeypatch, tmp_path):
-    monkeypatch.setattr(backend, "free_bytes", lambda: 8_000_000_000)
+def test_a_picture_without_memory_is_refused_before_anything_is_computed(monkeypatch, tmp_path, free):
     monkeypatch.setattr(Sensor, "press", lambda *_, **__: pytest.fail("pressed"))
-    with pytest.raises(
-        MissingCapability, match=r"camera.width_px = 8192.* about 9.3 GB.* 8.0 GB are free .*fewer pixels"
-    ):
-        run(load_scene("kamiyama_pillar", LARGE))
+    for given in ((8_000_000,), (20_000_000, 8_192_000_000)):  # the least of what the system states
+        free(*given)
+        with pytest.raises(
+            MissingCapability, match=r"camera.width_px = 8192.* about 9.3 GB.* 8.2 GB are free .*fewer pixels"
+        ):
+            run(load_scene("kamiyama_pillar", LARGE))
     with pytest.raises(MissingCapability, match=r"aperture_mm = 0 "):
         Sensor(load_scene("kamiyama_pillar", {**LARGE, "camera.aperture_mm": 0.5})).picture(None)
-    monkeypatch.setattr(backend, "free_bytes", lambda: 100_000_000)
+    free(100_000)
     scene = load_scene("dataset_kamiyama", {"dataset.samples_per_shard": 5})
     with pytest.raises(MissingCapability, match=r"4 pictures at once .*fewer --workers"):
         create_dataset(scene, tmp_path / "set", samples=20, workers=8)
     assert not (tmp_path / "set").exists()
 
 
-def test_a_scene_of_many_pixels_runs_where_no_picture_is_wanted(monkeypatch):
-    monkeypatch.setattr(backend, "free_bytes", lambda: 1_000_000)
+def test_a_scene_of_many_pixels_runs_where_no_picture_is_wanted(free):
+    free(1000)
     assert run(load_scene("kamiyama_pillar", {**LARGE, "press.friction": 0.0}), {"displacement"}).truth is not None

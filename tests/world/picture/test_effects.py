@@ -10,10 +10,10 @@ from small_scenes import SPLAT, beads, block, changed, mitsuba, rest_of
 from twin.errors import RecipeError
 from twin.parts.camera import Ccd, Dust, Light
 from twin.parts.part import identity
-from twin.world.picture.ccd import expose, fixed_pattern
-from twin.world.picture.lamps import lamps_at
+from twin.world.picture.ccd import Pattern, expose
+from twin.world.picture.lamps import Lamps
 from twin.world.picture.render import Renderer, method_for
-from twin.world.picture.stock_scene import marker_surfaces
+from twin.world.picture.stock_scene import surfaces
 
 
 def light_of(scene, variant=SPLAT):
@@ -126,7 +126,7 @@ def test_paths_see_the_same_dust():
 def exposed(light, number, **keys):
     """Return a grey picture of a CCD of 20 000 electrons, 100 to the count, with no noise but what is asked."""
     ccd = Ccd(preset="ideal", noise=True, full_well_e=25500, crosstalk=0.0, **keys)
-    pattern = fixed_pattern(ccd, (200, 300), np.random.default_rng(1))
+    pattern = Pattern.drawn(ccd, (200, 300), np.random.default_rng(1))
     return expose(np.full((200, 300, 3), light, np.float32), ccd, np.random.default_rng(number), pattern)
 
 
@@ -168,7 +168,7 @@ def test_a_glossy_ball_sends_as_much_light_to_the_camera_as_a_mirror_does():
     path = scene.model_copy(update={"renderer": "path"})
     renderers = [Renderer(scene, white, SPLAT), Renderer(path, black, mitsuba())]
     matt, gloss = ((r.radiance(m) / r.exposure).sum() for r, m in zip(renderers, (white, black), strict=True))
-    towards = lamps_at(white.centres, scene).place[0, 0] - white.centres[0]
+    towards = Lamps.at(white.centres, scene).place[0, 0] - white.centres[0]
     angle = np.arccos(towards[2] / np.linalg.norm(towards))
     one, two = 1.41 * np.cos(angle / 2), 2.5 * np.sqrt(1 - (1.41 / 2.5 * np.sin(angle / 2)) ** 2)
     across = (one - two) / (one + two)
@@ -182,7 +182,7 @@ def test_a_glossy_ball_sends_as_much_light_to_the_camera_as_a_mirror_does():
 def test_a_lost_marker_of_a_shade_of_its_own_is_no_glossy_surface():
     lost = np.full(3, np.nan)
     markers = replace(beads([(0, 0, 6), lost]), colour=np.array([[0.5] * 3, [0.4] * 3]), gloss=np.full((2, 2), 1.6))
-    (only,) = marker_surfaces(markers).values()
+    (only,) = surfaces(block(), markers, None, None).values()
     assert_array_equal(only.colours, 0.5)
 
 

@@ -10,10 +10,10 @@ from twin.parts.camera import Layer, Light
 from twin.study.recipe import load_scene
 from twin.theory.optics import air_tangents, rays, transmission
 from twin.world.picture.backend import RAYS_BYTES
-from twin.world.picture.camera_rays import look
+from twin.world.picture.camera_rays import View
 from twin.world.picture.cover import Background, CoverMotion, cover_light
-from twin.world.picture.lamps import Lamps, brightest, irradiance, lamps_at, virtual_images
-from twin.world.picture.picture_job import make_job
+from twin.world.picture.lamps import Lamps, brightest
+from twin.world.picture.picture_job import PictureJob
 
 UP = np.array([[0.0, 0.0, 1.0]])
 SMALL = {"camera.width_px": 160, "camera.height_px": 120}
@@ -31,12 +31,12 @@ def scene(index=1.41, glass=1.49, led=(10.0, 5.0, 70.0)):
 
 def test_without_refraction_light_falls_with_the_squared_distance():
     points = np.array([[0.0, 0, 3], [20, -10, 6], [10, 5, 0]])
-    lamps = lamps_at(points, scene(1.0, 1.0))
+    lamps = Lamps.at(points, scene(1.0, 1.0))
     assert_allclose(lamps.place, np.broadcast_to([10, 5, 70], (3, 1, 3)), atol=1e-9)
     towards = np.array([10.0, 5, 70]) - points
     distance = np.linalg.norm(towards, axis=1)
     cosine = towards[:, 2] / distance
-    assert_allclose(irradiance(points, towards / distance[:, None], lamps), cosine / distance**2, rtol=1e-9)
+    assert_allclose(lamps.irradiance(points, towards / distance[:, None]), cosine / distance**2, rtol=1e-9)
 
 
 def test_refraction_keeps_the_light_of_the_led():
@@ -46,37 +46,36 @@ def test_refraction_keeps_the_light_of_the_led():
     r = np.linspace(0.005, 150, 4000)
     points = np.column_stack([r, 0 * r, np.full(len(r), 39.9)])
     up = np.tile([0.0, 0, 1], (len(r), 1))
-    flux = np.sum(2 * np.pi * r * irradiance(points, up, lamps_at(points, made)))
+    flux = np.sum(2 * np.pi * r * Lamps.at(points, made).irradiance(points, up))
     # Fresnel's reflection takes 6 % of evenly spread light beyond the 3 % of normal incidence.
     assert flux * (r[1] - r[0]) == pytest.approx(np.pi * 0.94, rel=0.02)
 
 
 def test_the_image_on_the_axis_is_the_paraxial_one():
     points = np.array([[10.0, 5.0, 4.0]])
-    lamps = lamps_at(points, scene())
+    lamps = Lamps.at(points, scene())
     apparent = 36 + 1.41 * (10 / 1.49 + 20)
     assert_allclose(lamps.place[0, 0], [10, 5, 4 + apparent], atol=1e-6)
 
 
 def test_images_stand_along_the_rays_of_the_cameras_closed_form():
     layers = (Layer(index=1.49, thickness_mm=2.0), Layer(index=1.6, thickness_mm=0.5))
-    index = 1.41
-    base = 10.0
-    rng = np.random.default_rng(1)
-    points = rng.uniform([-8, -8, 0], [8, 8, 10], (30, 3))
-    lights = np.array([[4.0, 4, 12.5], [-20, 3, 13], [0, 0, 60]])
-    place, power, crossing, leaving = virtual_images(points, lights, layers, index, base)
+    lights = np.array([[4.0, 4, 42.5], [-20, 3, 43], [0, 0, 90]])
+    made = changed(scene(), camera={"layers": layers}, light={"positions_mm": tuple(map(tuple, lights))})
+    points = np.random.default_rng(1).uniform([-8, -8, 30], [8, 8, 40], (30, 3))
+    lamps = Lamps.at(points, made)
     for j, light in enumerate(lights):
-        aside, depth = light[:2] - points[:, :2], base - points[:, 2]
+        aside, depth = light[:2] - points[:, :2], 40 - points[:, 2]
         reach = np.linalg.norm(aside, axis=1)
-        p = air_tangents(reach, depth, index, layers, np.full(30, light[2] - 12.5))
-        assert_allclose(leaving[:, j], 1 / np.sqrt(1 + p**2), rtol=1e-9)
-        assert_allclose(power[:, j], index**2 * transmission(p, index, layers), rtol=1e-9)
-        tangent = p / np.sqrt(index**2 + (index**2 - 1) * p**2)
-        ray = np.column_stack([aside * (tangent / reach)[:, None], np.ones(30)])
-        assert_allclose(crossing[:, j], points + ray * depth[:, None], atol=1e-9)
+        p = air_tangents(reach, depth, 1.41, layers, np.full(30, light[2] - 42.5))
         lit = np.isfinite(p)  # no ray leads from a light that touches the layers to all places
-        assert_allclose(np.cross(ray, place[:, j] - points)[lit], 0, atol=1e-7)
+        leaving = 1 / np.sqrt(1 + p**2)
+        assert_allclose(
+            lamps.power[:, j], np.where(lit, 1.41**2 * transmission(p, 1.41, layers) * leaving, 0), rtol=1e-9
+        )
+        tangent = p / np.sqrt(1.41**2 + (1.41**2 - 1) * p**2)
+        ray = np.column_stack([aside * (tangent / reach)[:, None], np.ones(30)])
+        assert_allclose(np.cross(ray, lamps.place[:, j] - points)[lit], 0, atol=1e-7)
         assert lit.any()
         assert lit.all() or j == 0
 
@@ -87,7 +86,7 @@ def test_the_cover_sends_its_albedo_back():
     directions = np.array([[0.0, 0, -1], [0.9, 0, -np.sqrt(0.19)], [0, 0, -1], [0, 0, -1]])
     light = cover_light(origins, directions, made, 1.0)
     below = np.array([[0.0, 0, 0.2]])
-    expected = 0.3 + 0.7 * irradiance(below, UP, lamps_at(below, made))
+    expected = 0.3 + 0.7 * Lamps.at(below, made).irradiance(below, UP)
     assert_allclose(light[0], expected * np.array([0.2, 0.1, 0.05]), rtol=1e-6)
     assert (light[1:] == 0).all()  # out of the side wall, no ray, beside the body
     bare = made.model_copy(update={"cover": None})
@@ -97,7 +96,7 @@ def test_the_cover_sends_its_albedo_back():
 def test_the_cover_ends_where_its_own_pixels_do():
     # Light is interpolated from every fourth pixel, but not over the finger's cut back face.
     made = load_scene("sato_press", SMALL | {"camera.focal_px": 57})
-    view = look(made, 1.0)
+    view = View.of(made, 1.0)
     row, column = np.indices((120, 160)).reshape(2, -1)
     pixels = np.column_stack([column, row]).astype(float)
     back = rays(pixels, made.camera, made.material.refractive_index, made.body.base_z_mm)
@@ -111,7 +110,7 @@ def test_the_cover_ends_where_its_own_pixels_do():
 
 def test_the_estimated_memory_of_rays_holds_what_is_kept_of_them():
     made = load_scene("kamiyama_pillar", SMALL | {"light.radius_mm": 0.5})
-    arrays = [each for each in vars(look(made, 0.01)).values() if isinstance(each, np.ndarray)]
+    arrays = [each for each in vars(View.of(made, 0.01)).values() if isinstance(each, np.ndarray)]
     kept = sum(each.nbytes for each in arrays)
     assert 0.7 * RAYS_BYTES < kept / (160 * 120) < RAYS_BYTES
 
@@ -125,8 +124,8 @@ def test_shadow_candidates_contain_every_true_shadow(height):
     places = ((25.0, 20.0, height), (-25.0, 20.0, height))
     made = changed(scene(), light={"positions_mm": places})
     given = {"unit_mm": 0.5, "full_power": 1.0, "subpixels": 1}
-    view = look(made, 1.0)
-    job = make_job(markers, made, view, **given)
+    view = View.of(made, 1.0)
+    job = PictureJob.of(markers, made, view, **given)
     for led in range(2):
         lit = job.lamps[:, led, 3] > 0
         towards = job.lamps[:, led, :3] - job.centres
@@ -143,16 +142,16 @@ def test_shadow_candidates_contain_every_true_shadow(height):
     listed = np.diff(job.occluder_first) > 0
     assert not listed[14:16].any()
     assert 0.02 < listed.mean() < (0.9 if height > 50 else 1)
-    assert not make_job(markers, made, view, **given, shadows=False).occluder_first.any()
+    assert not PictureJob.of(markers, made, view, **given, shadows=False).occluder_first.any()
 
 
 def test_the_brightest_marker_sets_the_exposure():
     made = scene()
     markers = beads([(10.0, 5, 3), (-30, 5, 3)], colour=np.eye(3)[:2])
     top, white = brightest(markers, made)
-    lamps = lamps_at(markers.centres, made)
+    lamps = Lamps.at(markers.centres, made)
     nearest = Lamps(place=lamps.place[:1], power=lamps.power[:1])
-    assert top == pytest.approx(irradiance(markers.centres[:1], UP, nearest)[0])
+    assert top == pytest.approx(nearest.irradiance(markers.centres[:1], UP)[0])
     assert white == pytest.approx(1 - 2 * made.ccd.crosstalk)
 
 
@@ -161,7 +160,7 @@ def test_an_led_in_the_body_shines_unrefracted_along_minus_z():
     points = np.array([[0.0, 0, 3], [20, -10, 6], [10, 5, 25]])
     towards = np.array([10.0, 5, 20]) - points
     distance = np.linalg.norm(towards, axis=1)
-    lit = irradiance(points, towards / distance[:, None], lamps_at(points, made))
+    lit = Lamps.at(points, made).irradiance(points, towards / distance[:, None])
     assert_allclose(lit, np.maximum(towards[:, 2], 0) / distance**3, rtol=1e-12)
     assert lit[2] == 0  # above the LED
 
@@ -172,7 +171,7 @@ def test_an_emission_profile_replaces_the_power_law():
     table = tuple((float(a), float(np.cos(np.deg2rad(a)) ** 3)) for a in angles)
     points = np.array([[0.0, 0, 3], [40, -10, 6], [10, 5, 0]])
     kinds = ({"exponent": 3.0}, {"profile": table})
-    found = [lamps_at(points, changed(made, light=keys)).power for keys in kinds]
+    found = [Lamps.at(points, changed(made, light=keys)).power for keys in kinds]
     assert_allclose(found[1], found[0], rtol=2e-4)
     for bad, named in ((((0, 1),), "at least two"), (((0, 1), (0, 2)), "rise"), (((0, -1), (90, 1)), "above 0")):
         with pytest.raises(RecipeError, match=named):
@@ -182,24 +181,24 @@ def test_an_emission_profile_replaces_the_power_law():
 def test_a_disc_of_light_is_the_integral_over_it():
     disc = changed(scene(1.0, 1.0, (0.0, 0.0, 55.0)), light={"radius_mm": 6.0})
     points, up = np.array([[0.0, 0, 30], [8, 3, 20]]), np.tile([0.0, 0, 1], (2, 1))
-    lamps = lamps_at(points, disc)
+    lamps = Lamps.at(points, disc)
     assert lamps.power.shape == (2, 7)
     r = np.repeat((np.arange(200) + 0.5) / 200 * 6, 64)
     a = np.tile(np.arange(64) / 64 * 2 * np.pi, 200)
     places = np.column_stack([r * np.cos(a), r * np.sin(a), np.full_like(r, 55.0)])
-    for point, lit in zip(points, irradiance(points, up, lamps), strict=True):
+    for point, lit in zip(points, lamps.irradiance(points, up), strict=True):
         towards = places - point
         share = towards[:, 2] ** 2 / np.linalg.norm(towards, axis=1) ** 4
         exact = np.average(share, weights=r)
         assert lit == pytest.approx(exact, rel=2e-4)
     # On the axis in closed form: E = 1 / (d^2 + R^2) for a Lambertian disc of intensity 1.
-    on_axis = irradiance(points[:1], UP, lamps_at(points[:1], disc))[0]
+    on_axis = Lamps.at(points[:1], disc).irradiance(points[:1], UP)[0]
     assert on_axis == pytest.approx(1 / (25**2 + 36), rel=1e-4)
 
 
 def test_an_led_inside_the_plate_is_refused():
     with pytest.raises(RecipeError, match="positions_mm"):
-        lamps_at(np.zeros((1, 3)), scene(led=(0.0, 0.0, 45.0)))
+        Lamps.at(np.zeros((1, 3)), scene(led=(0.0, 0.0, 45.0)))
 
 
 def test_a_cover_that_moves_and_tilts_is_lit_like_one_that_stands_so():
@@ -218,9 +217,9 @@ def test_a_cover_that_moves_and_tilts_is_lit_like_one_that_stands_so():
     assert factor.shape == (480, 640, 1)
     middle = np.array([[0.0, 0.0, 0.2]])
     normal = np.array([[-tilt, 0.0, 1.0]]) / np.hypot(1, tilt)
-    before = irradiance(middle, UP, lamps_at(middle, made))
+    before = Lamps.at(middle, made).irradiance(middle, UP)
     lifted = middle + np.array([0.0, 0, height])
-    after = irradiance(lifted, normal, lamps_at(lifted, made))
+    after = Lamps.at(lifted, made).irradiance(lifted, normal)
     assert factor[239:241, 319:321].mean() == pytest.approx((after / before)[0], rel=1e-4)
     still = ground.change(CoverMotion(displacement_mm=0 * moved, gradient=0 * gradient))
     assert_allclose(still, 1, atol=1e-6)
@@ -232,7 +231,7 @@ def test_the_window_mirrors_a_disc_of_light_where_and_as_bright_as_it_stands():
     plain = scene(1.41, 1.0, (3.0, 0.0, 70.0))
     made = changed(plain, camera=camera, light={"radius_mm": 0.5})
     top = 0.01
-    veil = look(made, top).veil[:, :, 0]
+    veil = View.of(made, top).veil[:, :, 0]
     # Down 60 mm and up 30 mm: 3 mm aside are 66.7 px, a radius of 0.5 mm 11.1 px.
     per_mm = 2000 / 90
     share = veil / veil.max()
@@ -248,14 +247,14 @@ def test_the_window_mirrors_a_disc_of_light_where_and_as_bright_as_it_stands():
 
 def test_points_and_leds_in_the_body_have_no_mirror_image():
     made = scene()
-    assert look(made, 1.0).veil is None
+    assert View.of(made, 1.0).veil is None
     inside = {"radius_mm": 5.0, "positions_mm": ((0.0, 0.0, 20.0),)}
-    assert look(changed(made, light=inside), 1.0).veil is None
+    assert View.of(changed(made, light=inside), 1.0).veil is None
 
 
 def test_every_interface_mirrors_and_none_makes_light():
     """A plate of glass adds a fainter, nearer image; matched to the body, it moves the one."""
-    veil = look(changed(scene(led=(8.0, 0.0, 70.0)), light={"radius_mm": 0.3}), 0.01).veil[:, :, 0]
+    veil = View.of(changed(scene(led=(8.0, 0.0, 70.0)), light={"radius_mm": 0.3}), 0.01).veil[:, :, 0]
     levels = [veil[240, 319 + round(500 * 8 / reach)] for reach in (70, 70 + 20 / 1.49)]
     straight = [((1.49 - 1) / 2.49) ** 2, (1 - (0.49 / 2.49) ** 2) ** 2 * (0.08 / 2.9) ** 2]
     assert levels[1] / levels[0] == pytest.approx(straight[1] / straight[0], rel=0.02)
@@ -263,7 +262,7 @@ def test_every_interface_mirrors_and_none_makes_light():
 
 def test_a_lens_that_sees_the_horizon_shows_no_glare_there():
     made = load_scene("sato_press", {"light.radius_mm": 0.4})
-    veil = look(made, 0.01).veil[:, :, 0]
+    veil = View.of(made, 0.01).veil[:, :, 0]
     rows, columns = np.indices(veil.shape)
     away = np.hypot(rows - 239.5, columns - 319.5) / made.camera.focal_px
     # Mirrored by the window: 5.26 to 6.06 mm aside over 1.5 mm of air, at 74.1 to 76.1 deg.

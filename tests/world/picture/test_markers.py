@@ -7,7 +7,7 @@ from standard_bodies import FINGER
 
 from twin.errors import InputError
 from twin.parts.markers import MarkerLayer, Prints, place
-from twin.world.picture.ellipsoids import PRINT_THICKNESS, ellipsoids
+from twin.world.picture.ellipsoids import PRINT_THICKNESS, Ellipsoids
 
 LAYERS = {
     "red": MarkerLayer(kind="print", depth_mm=0.5, pitch_mm=2.5, diameter_mm=0.5, columns=3, rows=3, colour=(1, 0, 0)),
@@ -25,7 +25,7 @@ def metric(axes):
 
 
 def test_at_rest_prints_lie_in_their_level_set_and_beads_are_round(markers):
-    found = ellipsoids(markers, LAYERS)
+    found = Ellipsoids.of(markers, LAYERS)
     normals = markers.normals[:9]
     across = np.einsum("ni,nij,nj->n", normals, metric(found.axes)[:9], normals)
     assert_allclose(np.sqrt(across), PRINT_THICKNESS * 0.25, rtol=1e-12)
@@ -39,7 +39,7 @@ def test_at_rest_prints_lie_in_their_level_set_and_beads_are_round(markers):
 def test_strain_stretches_prints_and_only_turns_beads(markers):
     gradient = np.random.default_rng(0).normal(0, 0.1, (13, 3, 3))
     moved = np.random.default_rng(1).normal(0, 0.1, (13, 3))
-    rest, found = ellipsoids(markers, LAYERS), ellipsoids(markers, LAYERS, moved, gradient)
+    rest, found = Ellipsoids.of(markers, LAYERS), Ellipsoids.of(markers, LAYERS, moved, gradient)
     assert_allclose(found.centres - rest.centres, moved, atol=1e-14)
     assert_allclose(found.axes[:9], (np.eye(3) + gradient[:9]) @ rest.axes[:9], atol=1e-14)
     assert_allclose(metric(found.axes)[9:], metric(rest.axes)[9:], atol=1e-14)
@@ -49,7 +49,7 @@ def test_a_bead_turns_by_the_antisymmetric_part(markers):
     angle = 0.3
     spin = np.zeros((13, 3, 3))
     spin[:, 1, 0], spin[:, 0, 1] = angle, -angle
-    turned = ellipsoids(markers, LAYERS, None, spin).axes[9] / 0.3
+    turned = Ellipsoids.of(markers, LAYERS, None, spin).axes[9] / 0.3
     c, s = np.cos(angle), np.sin(angle)
     assert_allclose(turned, [[c, -s, 0], [s, c, 0], [0, 0, 1]], atol=1e-14)
 
@@ -57,7 +57,7 @@ def test_a_bead_turns_by_the_antisymmetric_part(markers):
 def test_a_lost_marker_keeps_its_row(markers):
     moved = np.zeros((13, 3))
     moved[4] = np.nan
-    found = ellipsoids(markers, LAYERS, moved)
+    found = Ellipsoids.of(markers, LAYERS, moved)
     assert len(found) == 13
     assert found.present.sum() == 12
     assert not found.present[4]
@@ -66,8 +66,8 @@ def test_a_lost_marker_keeps_its_row(markers):
 def test_prints_of_their_own_size_shade_and_absence(markers):
     size, shade = np.linspace(0.9, 1.1, 13), np.linspace(0.5, 1.2, 13)
     missing = np.arange(13) == 3
-    found = ellipsoids(markers, LAYERS, prints=Prints(size=size, shade=shade, missing=missing))
-    plain = ellipsoids(markers, LAYERS)
+    found = Ellipsoids.of(markers, LAYERS, prints=Prints(size=size, shade=shade, missing=missing))
+    plain = Ellipsoids.of(markers, LAYERS)
     assert_array_equal(found.present, ~missing)
     assert_allclose(found.axes[~missing], (plain.axes * size[:, None, None])[~missing])
     assert_allclose(found.colour, np.clip(plain.colour * shade[:, None], 0, 1))
@@ -75,4 +75,4 @@ def test_prints_of_their_own_size_shade_and_absence(markers):
 
 def test_rows_must_match(markers):
     with pytest.raises(InputError, match="one row per marker"):
-        ellipsoids(markers, LAYERS, np.zeros((12, 3)))
+        Ellipsoids.of(markers, LAYERS, np.zeros((12, 3)))

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from small_scenes import SPLAT, beads, block, changed, finger, mitsuba, rest_of, seen_at
 
 from twin.errors import MissingCapability
-from twin.world.picture.lamps import irradiance, lamps_at
+from twin.world.picture.lamps import Lamps
 from twin.world.picture.render import Renderer, method_for
 
 
@@ -36,7 +36,7 @@ def integrated(scene, markers):
         places = centre + unit @ axes.T
         normals = unit @ np.linalg.inv(axes)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        bright = irradiance(places, normals, lamps_at(places, scene))[ball.faces].mean(axis=1)
+        bright = Lamps.at(places, scene).irradiance(places, normals)[ball.faces].mean(axis=1)
         one, two, three = (seen_at(places, scene)[ball.faces[:, k]] for k in range(3))
         (x, y), (u, v) = (two - one).T, (three - one).T
         # Rows grow downwards: what faces the camera turns the other way round in the picture.

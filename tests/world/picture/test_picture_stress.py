@@ -8,7 +8,7 @@ from twin.errors import RecipeError
 from twin.parts.camera import Ccd
 from twin.parts.markers import place
 from twin.world.picture.ccd import expose
-from twin.world.picture.ellipsoids import Ellipsoids, ellipsoids
+from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.render import Renderer
 
 
@@ -99,7 +99,7 @@ def test_a_print_strained_by_half_is_half_as_long_again():
     gradient[0] = np.diag([0.5, -0.2, -0.3])
     gradient[0, 0, 1] = 0.5
     renderer = Renderer(scene, rest_of(scene), SPLAT, subpixels=6)
-    strained = ellipsoids(markers, scene.markers, None, gradient)
+    strained = Ellipsoids.of(markers, scene.markers, None, gradient)
     areas = [renderer.outlines(m).area_px[0] for m in (rest_of(scene), strained)]
     # Seen from straight behind, the area grows by the determinant in the plane: 1.5 times 0.8.
     assert areas[1] / areas[0] == pytest.approx(1.2, abs=0.02)

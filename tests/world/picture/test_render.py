@@ -14,21 +14,20 @@ from small_scenes import SPLAT, beads, block, changed, finger, mitsuba, rest_of,
 from twin.errors import RecipeError
 from twin.parts.markers import place
 from twin.parts.scene import Accuracy
-from twin.world.picture.camera_rays import look, through_the_pupil
-from twin.world.picture.ccd import response_matrix
-from twin.world.picture.ellipsoids import ellipsoids
-from twin.world.picture.lamps import brightest, lamps_at
+from twin.world.picture.camera_rays import View, through_the_pupil
+from twin.world.picture.ellipsoids import Ellipsoids
+from twin.world.picture.lamps import Lamps, brightest
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
-from twin.world.picture.picture_job import make_job
-from twin.world.picture.render import Renderer, subpixels_for
+from twin.world.picture.picture_job import PictureJob
+from twin.world.picture.render import Renderer
 from twin.world.picture.splat import Splat
 
 
 def job_of(scene, markers, k):
     """Return the job of a picture, and the arguments of a renderer for it."""
     top, _ = brightest(markers, scene)
-    view = look(scene, top)
-    job = make_job(markers, scene, view, unit_mm=0.25, full_power=top, subpixels=k)
+    view = View.of(scene, top)
+    job = PictureJob.of(markers, scene, view, unit_mm=0.25, full_power=top, subpixels=k)
     return job, (view, 0.25, scene.light.ambient)
 
 
@@ -84,7 +83,7 @@ def test_motion_in_millimetres_is_motion_in_pixels_without_mirror(scene, rendere
 
 def test_moved_markers_leave_nothing_of_the_picture_before(scene, renderer):
     renderer.radiance(rest_of(scene))
-    moved = ellipsoids(place(scene.body, scene.markers), scene.markers, np.full((10, 3), 0.2))
+    moved = Ellipsoids.of(place(scene.body, scene.markers), scene.markers, np.full((10, 3), 0.2))
     fresh = Renderer(scene, rest_of(scene), renderer.variant).radiance(moved)
     assert_array_equal(renderer.radiance(moved), fresh)
 
@@ -126,7 +125,7 @@ def test_dark_markers_on_a_bright_ground_are_exposed_by_the_ground(scene):
     lit = changed(scene, cover={"albedo": (0.8, 0.7, 0.6)}).model_copy(update={"markers": dark})
     renderer = Renderer(lit, rest_of(lit), SPLAT)
     radiance = renderer.radiance(rest_of(lit))
-    channels = 255 * (radiance @ response_matrix(lit.ccd).T)
+    channels = 255 * (radiance @ lit.ccd.response.T)
     assert (channels > lit.ccd.white_dn + 0.5).any(axis=2).mean() <= 0.01
     assert channels.max() > 0.95 * lit.ccd.white_dn
     row, column = np.rint(renderer.outlines(rest_of(lit)).centroid_px[0, ::-1]).astype(int)
@@ -137,7 +136,7 @@ def test_a_marker_shadows_the_one_behind_it(scene, variant):
     led = np.array([20.0, 0, 105])
     lit = changed(scene, light={"positions_mm": (tuple(led),), "ambient": 0.1})
     renderer = Renderer(lit, rest_of(lit), variant)
-    image = lamps_at(np.array([[0.0, 0, 3]]), lit).place[0, 0]
+    image = Lamps.at(np.array([[0.0, 0, 3]]), lit).place[0, 0]
     on_the_way = np.array([0, 0, 3]) + 3 * (image - [0, 0, 3]) / (image[2] - 3)
     row, column = 45, 59
     alone = renderer.radiance(beads([(0, 0, 3)]))[row, column, 0]
@@ -223,22 +222,20 @@ def test_without_camera_there_is_no_renderer(scene):
         Renderer(bare, rest_of(scene), SPLAT)
 
 
-def test_accuracy_chooses_the_grid():
-    assert subpixels_for("auto") == 3
-    wanted = [subpixels_for(e) for e in (0.1, 0.02, 0.006, 0.004, 1e-9)]
-    assert wanted == sorted(wanted)
-    assert wanted[0] == 1
-    assert wanted[-1] == 16
-
-
 def test_a_number_takes_the_cheapest_way_that_meets_it(scene, monkeypatch):
     monkeypatch.delenv("TWIN_VARIANT", raising=False)
-    for asked in (0.3, 0.05, 0.01):
+    grids = []
+    for asked in (0.3, 0.1, 0.05, 0.02, 0.01, 0.006, 0.004):
         wanted = scene.model_copy(update={"accuracy": Accuracy(centroid_px=asked)})
         renderer = Renderer(wanted, rest_of(wanted))
         assert renderer.variant.name == "splat"
         assert renderer.centroid_error_px <= asked
         assert renderer.shadows == (asked < 0.28)
+        grids.append(renderer.subpixels)
+    assert grids == sorted(grids)
+    assert grids[0] == 1
+    finest = Renderer(scene.model_copy(update={"accuracy": Accuracy(centroid_px=1e-4)}), rest_of(scene))
+    assert (finest.subpixels, Renderer(scene, rest_of(scene), SPLAT).subpixels) == (16, 3)
 
 
 @pytest.mark.parametrize("make", [block, finger])
@@ -340,7 +337,7 @@ def test_moving_markers_compiles_nothing_again():
     rng = np.random.default_rng(0)
 
     def picture():
-        renderer.radiance(ellipsoids(points, scene.markers, rng.uniform(-0.2, 0.2, (len(points), 3))))
+        renderer.radiance(Ellipsoids.of(points, scene.markers, rng.uniform(-0.2, 0.2, (len(points), 3))))
 
     for _ in range(3):
         picture()

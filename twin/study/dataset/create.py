@@ -88,9 +88,9 @@ def create_dataset(
     plan = Plan(scene, samples)
     plan.check()
     if "picture" in plan.needs and scheduler is None:
-        from twin.world.picture.backend import require_memory
+        from twin.world.picture.backend import check_machine
 
-        require_memory(scene, at_once=min(workers, plan.shards))
+        check_machine(scene, at_once=min(workers, plan.shards))
     if plan.alike:
         warnings.warn(plan.alike, stacklevel=2)
     reach(scheduler)

@@ -127,20 +127,6 @@ class Variant:
     reason: str
 
 
-def forced_variant() -> str:
-    """Return the variant that ``$TWIN_VARIANT`` names, "" where it is unset.
-
-    Raises
-    ------
-    InputError
-        It names none.
-    """
-    name = os.environ.get(FORCE) or ""
-    if name and name not in VARIANTS:
-        raise InputError(f"{FORCE} is {name!r}; it must be one of {', '.join(VARIANTS)}, or unset")
-    return name
-
-
 def choose_variant(force: str | None = None, candidates: Iterable[str] | None = None) -> Variant:
     """Choose how to render: Mitsuba on a GPU, else with LLVM, else ``splat``; prepare the
     environment for it.
@@ -156,16 +142,12 @@ def choose_variant(force: str | None = None, candidates: Iterable[str] | None = 
     Raises
     ------
     InputError
-        An unknown variant is forced.
+        ``$TWIN_VARIANT`` names no variant.
     MissingCapability
         ``llvm_ad_rgb`` is forced and no library for it works, or ``cuda_ad_rgb`` and there is no
         GPU that does.
     """
-    name = force or forced_variant()
-    if name and name not in VARIANTS:
-        raise InputError(
-            f"{name!r} is no way of rendering: it must be one of {', '.join(VARIANTS)}"
-        )
+    name = force or _named_variant()
     if name and not name.endswith("_ad_rgb"):  # no variant of Mitsuba's: it needs nothing here
         return Variant(name=name, library=None, reason=f"{name} was chosen by name")
     if name != "llvm_ad_rgb" and (driver := _working_driver()):
@@ -193,16 +175,37 @@ def choose_variant(force: str | None = None, candidates: Iterable[str] | None = 
     )
 
 
-def _required_bytes(scene: Scene) -> int:
-    """Return the approximate memory of a picture of the scene, bytes; 0 without a camera."""
+def check_machine(scene: Scene, at_once: int = 1) -> None:
+    """Raise an error if ``at_once`` pictures of the scene can't be made on this machine.
+
+    Raises
+    ------
+    InputError
+        ``$TWIN_VARIANT`` names no variant.
+    MissingCapability
+        Memory is lacking, with the size and what makes it smaller.
+    """
+    _named_variant()
     camera = scene.camera
     if camera is None:
-        return 0
+        return
     views = 1 if camera.aperture_mm == 0 else 1 + PUPIL_POINTS
-    return camera.width_px * camera.height_px * (_LIGHT_BYTES + views * RAYS_BYTES)
+    pixels = camera.width_px * camera.height_px
+    needed = at_once * pixels * (_LIGHT_BYTES + views * RAYS_BYTES)
+    free = _free_bytes()
+    if free is None or needed <= free:
+        return
+    pupil = ", camera.aperture_mm = 0 (a quarter of it)" if camera.aperture_mm > 0 else ""
+    workers = ", fewer --workers" if at_once > 1 else ""
+    raise MissingCapability(
+        f"camera.width_px = {camera.width_px}, camera.height_px = {camera.height_px}: "
+        f"{f'{at_once} pictures at once take' if at_once > 1 else 'a picture takes'} about "
+        f"{needed / 1e9:,.1f} GB of memory, of which {free / 1e9:,.1f} GB are free here: take "
+        f"fewer pixels{pupil}{workers}, or a machine with more memory"
+    )
 
 
-def free_bytes() -> int | None:
+def _free_bytes() -> int | None:
     """Return the bytes that this process may still take; None where the system has no figure."""
     found = []
     for file in MEMORY_FILES:
@@ -219,36 +222,19 @@ def free_bytes() -> int | None:
     return min(found, default=None)
 
 
-def require_memory(scene: Scene, at_once: int = 1) -> None:
-    """Raise an error if this machine lacks memory for ``at_once`` pictures of the scene.
-
-    Raises
-    ------
-    MissingCapability
-        With the size and what makes it smaller.
-    """
-    needed = at_once * _required_bytes(scene)
-    free = free_bytes()
-    if free is None or needed <= free:
-        return
-    camera = scene.camera
-    assert camera is not None
-    pupil = ", camera.aperture_mm = 0 (a quarter of it)" if camera.aperture_mm > 0 else ""
-    workers = ", fewer --workers" if at_once > 1 else ""
-    raise MissingCapability(
-        f"camera.width_px = {camera.width_px}, camera.height_px = {camera.height_px}: "
-        f"{f'{at_once} pictures at once take' if at_once > 1 else 'a picture takes'} about "
-        f"{needed / 1e9:,.1f} GB of memory, of which {free / 1e9:,.1f} GB are free here: take "
-        f"fewer pixels{pupil}{workers}, or a machine with more memory"
-    )
+def _named_variant() -> str:
+    """Return the variant that ``$TWIN_VARIANT`` names, "" where it is unset."""
+    name = os.environ.get(FORCE) or ""
+    if name and name not in VARIANTS:
+        raise InputError(f"{FORCE} is {name!r}; it must be one of {', '.join(VARIANTS)}, or unset")
+    return name
 
 
 def _working_driver() -> str | None:
     """Return NVIDIA's driver where there is one on which Mitsuba works."""
-    found = [
-        *filter(None, [os.environ.get(DRIVER)]),
-        *(path for place in DRIVERS for path in glob.glob(place)),
-    ]
+    named = os.environ.get(DRIVER)
+    found = [named] if named else []
+    found += [path for place in DRIVERS for path in glob.glob(place)]
     return next((path for path in found if _verdict(path, "cuda_ad_rgb") == "good"), None)
 
 
@@ -275,27 +261,20 @@ def _verdict(library: str, variant: str = "llvm_ad_rgb") -> str:
         facts = os.stat(library)
     except OSError as problem:
         return problem.strerror or "unreadable"
-    identity = (
-        library,
-        str(facts.st_size),
-        str(facts.st_mtime_ns),
-        version("mitsuba"),
-        version("drjit"),
-        sys.version[:6],
-    )
-    key = "|".join(identity)
+    programs = (version("mitsuba"), version("drjit"), sys.version[:6])
+    key = "|".join([library, str(facts.st_size), str(facts.st_mtime_ns), *programs])
     store = cache_folder() / "llvm.json"
     known = _stored(store)
-    if key not in known:
+    if key in known:
+        return known[key]
+    verdict = _try(library, variant)
+    if verdict.startswith(_CRASHED):
+        # A child may also end because something outside stopped it: stored only if it repeats.
         verdict = _try(library, variant)
-        if verdict.startswith(_CRASHED):
-            # A child may also end because something outside stopped it: stored only if it repeats.
-            verdict = _try(library, variant)
-        if verdict.startswith(_UNTRIED):
-            return verdict
-        _store(store, {**_stored(store), key: verdict})
-        return verdict
-    return known[key]
+    if not verdict.startswith(_UNTRIED):
+        with contextlib.suppress(TwinError):  # a full disk is no error
+            write_whole(store, json.dumps({**_stored(store), key: verdict}, indent=1).encode())
+    return verdict
 
 
 def _try(library: str, variant: str = "llvm_ad_rgb") -> str:
@@ -327,9 +306,3 @@ def _stored(store: Path) -> dict[str, str]:
     except (OSError, ValueError):
         return {}
     return {str(k): str(v) for k, v in known.items()} if isinstance(known, dict) else {}
-
-
-def _store(store: Path, known: dict[str, str]) -> None:
-    """Write the verdicts; a full disk is no error."""
-    with contextlib.suppress(TwinError):
-        write_whole(store, json.dumps(known, indent=1).encode())

@@ -22,6 +22,7 @@ on the axis, which is exact for a pinhole lens that looks along z.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -29,7 +30,7 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Pixels, Singles
 from twin.errors import RecipeError
-from twin.parts.camera import Camera
+from twin.parts.camera import Camera, Ccd
 from twin.parts.scene import Scene
 from twin.theory.lens import lens_inverse
 from twin.theory.optics import (
@@ -42,8 +43,7 @@ from twin.theory.optics import (
     transmission,
 )
 from twin.world.picture.cover import cover_light, stretch
-from twin.world.picture.lamps import Lamps, irradiance
-from twin.world.picture.picture_job import View
+from twin.world.picture.lamps import Lamps
 
 PUPIL_WEIGHTS = np.concatenate([[0.25], np.full(6, 0.125)])
 """Weights of the pupil's points: a rule exact for polynomials of degree 5 on a disc (Stroud S2
@@ -58,37 +58,82 @@ _AT_ONCE = 400_000
 _GRAZING = 1e-3
 """Cosine below which an LED looks no brighter."""
 
+_EXPOSED = 0.99
+"""Share of the ground's pixels that are no brighter than the level that sets the exposure."""
 
-def look(scene: Scene, top: float) -> View:
-    """Return the view of the scene's camera at a gain of 1.
 
-    Parameters
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """The rays of a camera in a body, computed once.
+
+    Attributes
     ----------
-    scene
-        With camera and light.
-    top
-        The irradiance that counts as 1, of `twin.world.picture.lamps.brightest`.
+    corners
+        (height + 1, width + 1, 4) rays through the pixel corners (column - 1/2, row - 1/2): x and y
+        on the base plane, mm, and dx/d(-z), dy/d(-z).
+    sees
+        (height, width) whether all four corners of a pixel have rays that enter the body through
+        its base.
+    vignette
+        (height, width) light on the sensor that a surface of brightness 1 makes: the gain times the
+        share that passes the interfaces and the lens, which is 1 on the axis.
+    cover
+        (height, width, 3) light from the cover behind the markers, vignette included.
+    veil
+        (height, width, k) light of mirrored LEDs in front of all, k of `Light.tints`, or None.
     """
-    camera = scene.camera
-    assert camera is not None
-    width, height = camera.width_px, camera.height_px
-    corners = np.empty((height + 1, width + 1, 4))
-    sees = np.empty((height, width), bool)
-    vignette = np.empty((height, width), np.float32)
-    veil = _glare(scene, top)
-    for first, last, grid in _bands(camera):
-        rays_here, inside, passed = _corner_rays(grid, scene)
-        shape = (last - first + 1, width + 1)
-        corners[first : last + 1] = rays_here.reshape(*shape, 4)
-        sees[first:last] = _pixelwise(inside.reshape(shape), np.logical_and)
-        vignette[first:last] = 0.25 * _pixelwise(passed.reshape(shape), np.add)
-    if camera.dust is not None:
-        share, light = _dust(corners, scene)
-        vignette *= 1 - share
-        glare = 0.0 if veil is None else veil * (1 - share)[:, :, None]
-        veil = (light * share[:, :, None] * _outside(scene, top) + glare).astype(np.float32)
-    cover = _cover_picture(scene, top, sees) * (vignette * sees)[:, :, None]
-    return View(corners=corners, sees=sees, vignette=vignette, cover=cover, veil=veil)
+
+    corners: Floats
+    sees: Bools
+    vignette: Singles
+    cover: Singles
+    veil: Singles | None
+
+    @staticmethod
+    def of(scene: Scene, top: float) -> View:
+        """Return the view of a scene's camera at a gain of 1.
+
+        Parameters
+        ----------
+        scene
+            With camera and light.
+        top
+            The irradiance that counts as 1, of `twin.world.picture.lamps.brightest`.
+        """
+        camera, _ = scene.imaging
+        width, height = camera.width_px, camera.height_px
+        corners = np.empty((height + 1, width + 1, 4))
+        sees = np.empty((height, width), bool)
+        vignette = np.empty((height, width), np.float32)
+        veil = _glare(scene, top)
+        for first, last, grid in _bands(camera):
+            rays_here, inside, passed = _corner_rays(grid, scene)
+            shape = (last - first + 1, width + 1)
+            corners[first : last + 1] = rays_here.reshape(*shape, 4)
+            sees[first:last] = _pixelwise(inside.reshape(shape), np.logical_and)
+            vignette[first:last] = 0.25 * _pixelwise(passed.reshape(shape), np.add)
+        if camera.dust is not None:
+            share, light = _dust(corners, scene)
+            vignette *= 1 - share
+            glare = 0.0 if veil is None else veil * (1 - share)[:, :, None]
+            veil = (light * share[:, :, None] * _outside(scene, top) + glare).astype(np.float32)
+        cover = _cover_picture(scene, top, sees) * (vignette * sees)[:, :, None]
+        return View(corners=corners, sees=sees, vignette=vignette, cover=cover, veil=veil)
+
+    def times(self, gain: float) -> View:
+        """Return the view with all of its light times a gain."""
+        factor = np.float32(gain)
+        veil = None if self.veil is None else factor * self.veil
+        return replace(self, vignette=factor * self.vignette, cover=factor * self.cover, veil=veil)
+
+    def ground_light(self, ccd: Ccd) -> float:
+        """Return the light in a CCD's brightest channel that 99 % of the pixels do not exceed
+        without markers.
+
+        One pixel in a hundred may be brighter, so that mirrored LEDs don't set the exposure.
+        """
+        ground = self.cover if self.veil is None else self.cover + self.veil
+        return float(np.quantile((ground @ ccd.response.T).max(axis=2), _EXPOSED))
 
 
 def _dust(corners: Floats, scene: Scene) -> tuple[Floats, Floats]:
@@ -96,10 +141,8 @@ def _dust(corners: Floats, scene: Scene) -> tuple[Floats, Floats]:
     to the camera, k of `Light.tints`; times `_outside`."""
     from scipy.spatial import KDTree
 
-    camera, light = scene.camera, scene.light
-    assert camera is not None
+    camera, light = scene.imaging
     assert camera.dust is not None
-    assert light is not None
     # Where each pixel's ray crosses the outer face, and how far from the nearest speck.
     ahead = corners[:, :, 2:] * scene.material.refractive_index
     ahead /= np.sqrt(1 + (corners[:, :, 2:] ** 2).sum(axis=2) - (ahead**2).sum(axis=2))[:, :, None]
@@ -119,7 +162,7 @@ def _dust(corners: Floats, scene: Scene) -> tuple[Floats, Floats]:
     tints, _ = light.tints()
     up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
     bright = np.zeros((*share.shape, len(tints)))
-    bright[seen] = np.column_stack([irradiance(points, up, lamps.times(tint)) for tint in tints])
+    bright[seen] = np.column_stack([lamps.times(tint).irradiance(points, up) for tint in tints])
     return share, camera.dust.albedo * bright
 
 
@@ -129,9 +172,7 @@ def _glare(scene: Scene, top: float) -> Singles | None:
     It is in the units of a marker's brightness, 1 for white in the brightest marker's place, before
     the camera's vignetting and the gain.
     """
-    camera, light = scene.camera, scene.light
-    assert camera is not None
-    assert light is not None
+    camera, light = scene.imaging
     if light.radius_mm == 0:
         return None
     channels = len(light.tints()[1])
@@ -146,12 +187,10 @@ def _glare(scene: Scene, top: float) -> Singles | None:
 def _outside(scene: Scene, top: float) -> np.float32:
     """Return what light that never entered the body counts: a surface's brightness in it is
     relative to light that has passed the interfaces twice, straight, and spreads as it leaves."""
-    assert scene.camera is not None
-    assert scene.light is not None
-    layers = scene.camera.layers
-    indices = [scene.material.refractive_index, *(layer.index for layer in layers), 1.0]
+    camera, light = scene.imaging
+    indices = [scene.material.refractive_index, *(layer.index for layer in camera.layers), 1.0]
     through = np.prod([1 - ((one - two) / (one + two)) ** 2 for one, two in pairwise(indices)])
-    return np.float32((1 - scene.light.ambient) * (indices[0] / through) ** 2 / top)
+    return np.float32((1 - light.ambient) * (indices[0] / through) ** 2 / top)
 
 
 def through_the_pupil(scene: Scene) -> list[Camera]:
@@ -213,10 +252,8 @@ def _bands(camera: Camera) -> Iterator[tuple[int, int, Pixels]]:
 def _corner_rays(grid: Pixels, scene: Scene) -> tuple[Floats, Bools, Floats]:
     """Return rays of `View.corners`, whether they enter the body through its base, and the share
     that passes."""
-    camera = scene.camera
-    assert camera is not None
-    index, base = scene.material.refractive_index, scene.body.base_z_mm
-    origins, directions = rays(grid, camera, index, base)
+    camera, index, _ = scene.optics
+    origins, directions = rays(grid, *scene.optics)
     tangents = directions[:, :2] / -directions[:, 2:]
     inside = np.isfinite(tangents[:, 0]) & scene.body.contains(np.nan_to_num(origins), -1e-6)
     sine = np.linalg.norm(directions[:, :2], axis=1) * index
@@ -229,13 +266,10 @@ def _corner_rays(grid: Pixels, scene: Scene) -> tuple[Floats, Bools, Floats]:
 def _cover_picture(scene: Scene, top: float, sees: Bools) -> Singles:
     """Return (height, width, 3) light of the cover: interpolated between nodes, but exact where it
     ends between them."""
-    camera = scene.camera
-    assert camera is not None
-    optics = (camera, scene.material.refractive_index, scene.body.base_z_mm)
     height, width = sees.shape
     columns, rows = _nodes(width), _nodes(height)
     nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    light = cover_light(*rays(nodes, *optics), scene, top).reshape(len(rows), len(columns), 3)
+    light = cover_light(*rays(nodes, *scene.optics), scene, top).reshape(len(rows), len(columns), 3)
     cover = np.empty((height, width, 3), np.float32)
     for c in range(3):
         cover[:, :, c] = stretch(rows, height) @ light[:, :, c] @ stretch(columns, width).T
@@ -249,7 +283,7 @@ def _cover_picture(scene: Scene, top: float, sees: Bools) -> Singles:
     rim = np.argwhere(unlike[np.ix_(row, column)] & sees)
     for begin in range(0, len(rim), _AT_ONCE):
         some = rim[begin : begin + _AT_ONCE]
-        origins, directions = rays(some[:, ::-1].astype(float), *optics)
+        origins, directions = rays(some[:, ::-1].astype(float), *scene.optics)
         cover[some[:, 0], some[:, 1]] = cover_light(origins, directions, scene, top)
     return cover
 
@@ -273,9 +307,7 @@ def _mirrored(corners: Pixels, shape: tuple[int, int], scene: Scene) -> Floats:
     A ray of tangent p in air goes down to an interface and up again to the height of an LED; a
     layer moves it aside twice.
     """
-    camera, light = scene.camera, scene.light
-    assert camera is not None
-    assert light is not None
+    camera, light = scene.imaging
     body_index = scene.material.refractive_index
     layers = camera.layers
     # The rays of the pixels' corners, and the light of an LED along each.

@@ -18,7 +18,7 @@ import numpy as np
 from twin.arrays import Floats, Ints, Points, Singles
 from twin.parts.scene import Scene
 from twin.theory.optics import rays
-from twin.world.picture.lamps import irradiance, lamps_at
+from twin.world.picture.lamps import Lamps
 
 _STEP_PX = 16
 """Distance between the rays of the grid."""
@@ -59,8 +59,7 @@ class Background:
     """
 
     def __init__(self, scene: Scene, top: float) -> None:
-        assert scene.camera is not None
-        camera = scene.camera
+        camera, _ = scene.imaging
         self._scene, self._top = scene, top
         self._size = (camera.height_px, camera.width_px)
         self._columns, self._rows = (
@@ -68,9 +67,7 @@ class Background:
             for size in (camera.width_px, camera.height_px)
         )
         nodes = np.stack(np.meshgrid(self._columns, self._rows), axis=-1).reshape(-1, 2)
-        origins, directions = rays(
-            nodes, camera, scene.material.refractive_index, scene.body.base_z_mm
-        )
+        origins, directions = rays(nodes, *scene.optics)
         points, normals = _cover_places(origins, directions, scene)
         self._met = np.isfinite(points[:, 0])
         self._along = directions[self._met]
@@ -169,10 +166,9 @@ def _cover_places(origins: Points, directions: Floats, scene: Scene) -> tuple[Po
 def _brightness(points: Points, normals: Floats, scene: Scene, top: float) -> Floats:
     """Return (n, k) light that white places of the cover send back, a share of even light
     included."""
-    assert scene.light is not None
-    ambient = scene.light.ambient
-    tints, even = scene.light.tints()
-    lamps = lamps_at(points, scene)
-    direct = [irradiance(points, normals, lamps.times(tint)) / top for tint in tints]
-    bright: Floats = (1 - ambient) * np.column_stack(direct) + ambient * even
+    _, light = scene.imaging
+    tints, even = light.tints()
+    lamps = Lamps.at(points, scene)
+    direct = [lamps.times(tint).irradiance(points, normals) / top for tint in tints]
+    bright: Floats = (1 - light.ambient) * np.column_stack(direct) + light.ambient * even
     return bright

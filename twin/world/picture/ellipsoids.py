@@ -61,75 +61,70 @@ class Ellipsoids:
             gloss=None if self.gloss is None else self.gloss[which],
         )
 
+    @staticmethod
+    def of(
+        markers: MarkerSet,
+        layers: Mapping[str, MarkerLayer],
+        displacement: Points | None = None,
+        gradient: Floats | None = None,
+        prints: Prints | None = None,
+    ) -> Ellipsoids:
+        """Return markers that move with the body.
 
-def ellipsoids(
-    markers: MarkerSet,
-    layers: Mapping[str, MarkerLayer],
-    displacement: Points | None = None,
-    gradient: Floats | None = None,
-    prints: Prints | None = None,
-) -> Ellipsoids:
-    """Move markers with the body.
+        A bead moves by u and turns by the antisymmetric part of the gradient; a print is a thin
+        disc in its level set, mapped by F = I + du/dx.
 
-    Parameters
-    ----------
-    markers
-        The markers at rest.
-    layers
-        Their layers by name.
-    displacement
-        (n, 3) displacement u of the centres, mm; NaN marks a lost marker; None at rest.
-    gradient
-        (n, 3, 3) displacement gradients du_i/dx_j there; None: markers are carried without turning
-        or straining.
-    prints
-        How single markers differ from their layer; None: not at all.
+        Parameters
+        ----------
+        markers, layers
+            The markers at rest, and their layers by name.
+        displacement
+            (n, 3) displacement u of the centres, mm; NaN marks a lost marker; None at rest.
+        gradient
+            (n, 3, 3) displacement gradients du_i/dx_j there; None: markers are carried without
+            turning or straining.
+        prints
+            How single markers differ from their layer; None: not at all.
 
-    Returns
-    -------
-    The ellipsoids. A bead moves by u and turns by the antisymmetric part of the gradient; a print
-    is a thin disc in its level set, mapped by F = I + du/dx.
-
-    Raises
-    ------
-    InputError
-        Arrays of another length than the markers.
-    """
-    n = len(markers)
-    u = np.zeros((n, 3)) if displacement is None else np.asarray(displacement, float)
-    g = np.zeros((n, 3, 3)) if gradient is None else np.asarray(gradient, float)
-    if u.shape != (n, 3) or g.shape != (n, 3, 3):
-        raise InputError(
-            f"displacement {u.shape} and gradient {g.shape} must be ({n}, 3) and ({n}, 3, 3): one "
-            "row per marker"
-        )
-    axes = np.zeros((n, 3, 3))
-    colour = np.zeros((n, 3))
-    gloss = np.zeros((n, 2))
-    # A bead stays a sphere and turns with the rubber; a print strains with it.
-    for name, layer in layers.items():
-        rows = markers.of(name)
-        radius = layer.diameter_mm / 2
-        if layer.kind == "bead":
-            axes[rows] = radius * _turn(g[rows])
-        else:
-            disc = _level_frames(markers.normals[rows]) * (
-                radius * np.array([1.0, 1.0, PRINT_THICKNESS])
+        Raises
+        ------
+        InputError
+            Arrays of another length than the markers.
+        """
+        n = len(markers)
+        u = np.zeros((n, 3)) if displacement is None else np.asarray(displacement, float)
+        g = np.zeros((n, 3, 3)) if gradient is None else np.asarray(gradient, float)
+        if u.shape != (n, 3) or g.shape != (n, 3, 3):
+            raise InputError(
+                f"displacement {u.shape} and gradient {g.shape} must be ({n}, 3) and ({n}, 3, 3): "
+                "one row per marker"
             )
-            axes[rows] = (np.eye(3) + g[rows]) @ disc
-        colour[rows] = layer.colour
-        gloss[rows] = layer.gloss or 0.0
-    # Deviations of single markers: size, shade, or no marker at all.
-    if prints is not None:
-        axes *= prints.size[:, None, None]
-        axes[prints.missing] = np.nan
-        colour = np.clip(colour * prints.shade[:, None], 0, 1)
-    return Ellipsoids(
-        centres=frozen(markers.points + u),
-        axes=frozen(axes),
-        colour=frozen(colour),
-        gloss=frozen(gloss) if gloss.any() else None,
-    )
+        axes = np.zeros((n, 3, 3))
+        colour = np.zeros((n, 3))
+        gloss = np.zeros((n, 2))
+        # A bead stays a sphere and turns with the rubber; a print strains with it.
+        for name, layer in layers.items():
+            rows = markers.of(name)
+            radius = layer.diameter_mm / 2
+            if layer.kind == "bead":
+                axes[rows] = radius * _turn(g[rows])
+            else:
+                sizes = radius * np.array([1.0, 1.0, PRINT_THICKNESS])
+                disc = _level_frames(markers.normals[rows]) * sizes
+                axes[rows] = (np.eye(3) + g[rows]) @ disc
+            colour[rows] = layer.colour
+            gloss[rows] = layer.gloss or 0.0
+        # Deviations of single markers: size, shade, or no marker at all.
+        if prints is not None:
+            axes *= prints.size[:, None, None]
+            axes[prints.missing] = np.nan
+            colour = np.clip(colour * prints.shade[:, None], 0, 1)
+        return Ellipsoids(
+            centres=frozen(markers.points + u),
+            axes=frozen(axes),
+            colour=frozen(colour),
+            gloss=frozen(gloss) if gloss.any() else None,
+        )
 
 
 def _turn(gradient: Floats) -> Floats:

@@ -20,10 +20,8 @@ import numpy as np
 
 from twin.arrays import Floats, Points
 from twin.errors import RecipeError
-from twin.parts.camera import Layer
 from twin.parts.scene import Scene
 from twin.theory.optics import air_tangents, sideways, transmission
-from twin.world.picture.ccd import response_matrix
 from twin.world.picture.ellipsoids import Ellipsoids
 
 
@@ -43,94 +41,63 @@ class Lamps:
     place: Floats
     power: Floats
 
+    @staticmethod
+    def at(points: Points, scene: Scene) -> Lamps:
+        """Return each LED's virtual image for each of (n, 3) points in the body.
+
+        Raises
+        ------
+        RecipeError
+            An LED lies within a layer or outside the body.
+        """
+        _, light = scene.imaging
+        leds, share = light.points()
+        within = scene.body.contains(leds, 0.0)
+        place = np.empty((len(points), len(leds), 3))
+        power = np.empty((len(points), len(leds)))
+        if within.any():
+            towards = points[:, None] - leds[within]
+            cosine = -towards[:, :, 2] / np.maximum(np.linalg.norm(towards, axis=2), 1e-9)
+            place[:, within] = leds[within]
+            power[:, within] = light.emission(cosine)
+        if not within.all():
+            place[:, ~within], power[:, ~within] = _refracted(points, leds[~within], scene)
+        return Lamps(place=place, power=power * share)
+
     def times(self, shares: Floats) -> Lamps:
         """Return the lamps with (leds,) shares of their powers."""
         return replace(self, power=self.power * shares)
 
-
-def lamps_at(points: Points, scene: Scene) -> Lamps:
-    """Return each LED's virtual image for each of (n, 3) points in the body.
-
-    Raises
-    ------
-    RecipeError
-        An LED lies within a layer or outside the body.
-    """
-    assert scene.light is not None
-    leds, share = scene.light.points()
-    within = scene.body.contains(leds, 0.0)
-    place = np.empty((len(points), len(leds), 3))
-    power = np.empty((len(points), len(leds)))
-    if within.any():
-        towards = points[:, None] - leds[within]
-        cosine = -towards[:, :, 2] / np.maximum(np.linalg.norm(towards, axis=2), 1e-9)
-        place[:, within] = leds[within]
-        power[:, within] = scene.light.emission(cosine)
-    if not within.all():
-        place[:, ~within], power[:, ~within] = _refracted(points, leds[~within], scene)
-    return Lamps(place=place, power=power * share)
+    def irradiance(self, points: Points, normals: Floats) -> Floats:
+        """Return (n,) unshadowed irradiance at points with unit normals."""
+        towards = self.place - points[:, None]
+        cosine = np.maximum(np.einsum("nli,ni->nl", towards, normals), 0.0)
+        total: Floats = np.sum(self.power * cosine / np.linalg.norm(towards, axis=2) ** 3, axis=1)
+        return total
 
 
 def _refracted(points: Points, leds: Points, scene: Scene) -> tuple[Floats, Floats]:
     """Return (n, leds, 3) places and (n, leds) powers of the images of (leds, 3) LEDs in air, of
-    intensity 1."""
-    assert scene.camera is not None
-    assert scene.light is not None
-    layers = scene.camera.layers
-    index = scene.material.refractive_index
-    base = scene.body.base_z_mm
+    intensity 1.
+
+    A cone dp of an LED's rays, of intensity 1, fills a ring dr of the body: the flux through a
+    surface across the ray is E = sin(a) sin(a) da / (r dr cos(b)), a and b the angles in air and
+    body, times Fresnel's transmission.
+    """
+    camera, index, base = scene.optics
+    layers = camera.layers
     back = base + sum(layer.thickness_mm for layer in layers)
     if (leds[:, 2] < back - 1e-9).any():
         raise RecipeError(
             f"light.positions_mm: z = {leds[:, 2].min():.6g} mm must be at least {back:.6g} mm, "
             "behind the base and the layers, or in the body: move the LED back"
         )
-    place, power, crossing, leaving = virtual_images(points, leds, layers, index, base)
-    inside = scene.body.contains(np.nan_to_num(crossing).reshape(-1, 3), -1e-6)
-    arrives = np.isfinite(power) & inside.reshape(power.shape)
-    power = np.where(arrives, power * scene.light.emission(leaving), 0.0)
-    return np.where(arrives[:, :, None], place, [0.0, 0.0, 2 * base]), power
-
-
-def virtual_images(
-    points: Points, lights: Points, layers: tuple[Layer, ...], index: float, base_z_mm: float
-) -> tuple[Points, Floats, Points, Floats]:
-    """Return where lights in air seem to stand, from each of the points in the body.
-
-    Parameters
-    ----------
-    points
-        (n, 3) in the body, mm.
-    lights
-        (m, 3) in air, behind the layers, mm.
-    layers, index, base_z_mm
-        The layers, the body's refractive index, and the height of its base.
-
-    Returns
-    -------
-    place
-        (n, m, 3) a virtual source there of ``power`` makes the irradiance that the light does, mm.
-    power
-        (n, m) of a light of intensity 1 in all directions.
-    crossing
-        (n, m, 3) where its ray enters the body, mm.
-    leaving
-        (n, m) cosine of the angle to z at which it leaves the light. All are NaN where no ray leads
-        there.
-
-    Notes
-    -----
-    A cone dp of a light's rays, of intensity 1, fills a ring dr of the body: the flux through a
-    surface across the ray is E = sin(a) sin(a) da / (r dr cos(b)), a and b the angles in air and
-    body, times Fresnel's transmission.
-    """
-    n, m = len(points), len(lights)
-    back = base_z_mm + sum(layer.thickness_mm for layer in layers)
-    aside = (lights[None, :, :2] - points[:, None, :2]).reshape(-1, 2)
+    shape = len(points), len(leds)
+    aside = (leds[None, :, :2] - points[:, None, :2]).reshape(-1, 2)
     reach = np.sqrt(aside[:, 0] ** 2 + aside[:, 1] ** 2)
-    depth = np.repeat(np.maximum(base_z_mm - points[:, 2], 0.0), m)
-    air = np.tile(np.maximum(lights[:, 2] - back, 0.0), n)
-    with np.errstate(divide="ignore", invalid="ignore"):  # where no ray leads to the light
+    depth = np.repeat(np.maximum(base - points[:, 2], 0.0), len(leds))
+    air = np.tile(np.maximum(leds[:, 2] - back, 0.0), len(points))
+    with np.errstate(divide="ignore", invalid="ignore"):  # where no ray leads to the LED
         p = air_tangents(reach, depth, index, layers, air)
         _, slope = sideways(p, depth, index, layers, air)
         cosine_air = 1 / np.sqrt(1 + p * p)
@@ -142,26 +109,17 @@ def virtual_images(
         over = np.where(off, p / distance_aside, 1 / slope)
         distance = index / np.sqrt(cosine_air**3 * over / (slope * cosine))
         ray = np.column_stack([aside * (sine / distance_aside)[:, None], cosine])
-        start = np.repeat(points, m, axis=0)
+        start = np.repeat(points, len(leds), axis=0)
         place = start + ray * distance[:, None]
+        # The ray has to enter the body through its base.
         across = start[:, :2] + ray[:, :2] * (depth / cosine)[:, None]
         crossing = np.column_stack([across, start[:, 2] + depth])
     # The image's distance squared times the spread is the index squared.
     power = index * index * transmission(p, index, layers)
-    return (
-        place.reshape(n, m, 3),
-        power.reshape(n, m),
-        crossing.reshape(n, m, 3),
-        cosine_air.reshape(n, m),
-    )
-
-
-def irradiance(points: Points, normals: Floats, lamps: Lamps) -> Floats:
-    """Return (n,) unshadowed irradiance at points with unit normals."""
-    towards = lamps.place - points[:, None]
-    cosine = np.maximum(np.einsum("nli,ni->nl", towards, normals), 0.0)
-    total: Floats = np.sum(lamps.power * cosine / np.linalg.norm(towards, axis=2) ** 3, axis=1)
-    return total
+    arrives = np.isfinite(power) & scene.body.contains(np.nan_to_num(crossing), -1e-6)
+    power = np.where(arrives, power * scene.imaging[1].emission(cosine_air), 0.0)
+    place = np.where(arrives[:, None], place, [0.0, 0.0, 2 * base])
+    return place.reshape(*shape, 3), power.reshape(shape)
 
 
 def brightest(rest: Ellipsoids, scene: Scene) -> tuple[float, float]:
@@ -176,9 +134,9 @@ def brightest(rest: Ellipsoids, scene: Scene) -> tuple[float, float]:
     RecipeError
         No LED reaches any marker.
     """
-    assert scene.light is not None
+    _, light = scene.imaging
     markers = rest.rows(rest.present)
-    lamps = lamps_at(markers.centres, scene)
+    lamps = Lamps.at(markers.centres, scene)
     towards = lamps.place - markers.centres[:, None]
     unit = towards / np.linalg.norm(towards, axis=2, keepdims=True)
     total = np.sum(unit * (lamps.power / np.sum(towards**2, axis=2))[:, :, None], axis=1)
@@ -190,8 +148,8 @@ def brightest(rest: Ellipsoids, scene: Scene) -> tuple[float, float]:
     flat = sizes[:, 2] < 0.5 * sizes[:, 0]
 
     def best(lights: Lamps) -> Floats:
-        round_ones = [irradiance(markers.centres, normals, lights) for normals in candidates]
-        flat_ones = irradiance(markers.centres, face, lights)
+        round_ones = [lights.irradiance(markers.centres, normals) for normals in candidates]
+        flat_ones = lights.irradiance(markers.centres, face)
         return np.where(flat, flat_ones, np.max(round_ones, axis=0, initial=0.0))
 
     top = float(best(lamps).max(initial=0.0))
@@ -199,8 +157,7 @@ def brightest(rest: Ellipsoids, scene: Scene) -> tuple[float, float]:
         raise RecipeError(
             "light.positions_mm: no LED reaches any marker: move the LEDs over the base"
         )
-    ambient = scene.light.ambient
-    tints, even = scene.light.tints()
+    tints, even = light.tints()
     direct = np.column_stack([best(lamps.times(tint)) / top for tint in tints])
-    light = markers.colour * ((1 - ambient) * direct + ambient * even)
-    return top, max(float(np.max(light @ response_matrix(scene.ccd).T)), 1e-6)
+    bright = markers.colour * ((1 - light.ambient) * direct + light.ambient * even)
+    return top, max(float(np.max(bright @ scene.ccd.response.T)), 1e-6)

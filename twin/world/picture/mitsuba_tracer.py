@@ -33,7 +33,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twin.arrays import Floats, Singles
-from twin.world.picture.picture_job import INTO, OPAQUE, PictureJob, View
+from twin.world.picture.camera_rays import View
+from twin.world.picture.picture_job import INTO, OPAQUE, PictureJob
 
 _NOWHERE = np.array([1e5, 1e5, -1.0, 1e-3, 1e-3, 1e-3, 0, 0, 0, 1], np.float32)
 """An ellipsoid that no ray meets."""

@@ -28,16 +28,10 @@ import numpy as np
 
 from twin.arrays import Singles
 from twin.parts.scene import Scene
-from twin.world.picture.camera_rays import PUPIL_WEIGHTS
+from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
-from twin.world.picture.picture_job import View
-from twin.world.picture.stock_scene import (
-    Triangles,
-    cover_triangles,
-    marker_surfaces,
-    window_interfaces,
-)
+from twin.world.picture.stock_scene import Triangles, surfaces, window
 
 _LENGTH = 12
 """Interactions that a path is followed through."""
@@ -77,28 +71,27 @@ class PathTracer:
     """
 
     def __init__(self, scene: Scene, views: Sequence[View], top: float, paths: int) -> None:
-        assert scene.camera is not None
-        assert scene.light is not None
+        camera, _ = scene.imaging
         self._scene = scene
         self._top = top
         self._background = None if scene.cover is None else Background(scene, top)
-        self._shape = (scene.camera.height_px, scene.camera.width_px, 3)
-        size = scene.camera.width_px * scene.camera.height_px
+        self._shape = (camera.height_px, camera.width_px, 3)
+        size = camera.width_px * camera.height_px
         # The sampler takes squares: it would round other counts up, and say so for each pass.
         self._paths = max(min(isqrt(_AT_ONCE // size), isqrt(paths - 1) + 1), 1) ** 2
         self._passes = -(-paths // self._paths)
-        self._fixed = self._optics(views) | self._window()
+        # The window's interfaces send some light back into the body.
+        interfaces = {
+            name: {**table, "to_world": mi.ScalarTransform4f(table["to_world"])}
+            for name, table in window(scene)[0].items()
+        }
+        self._fixed = self._optics(views) | interfaces
 
     def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
         """Return the (height, width, 3) light of the LEDs on the sensor, 1 filling its wells."""
-        surfaces = marker_surfaces(markers)
-        if self._background is not None:
-            assert self._scene.cover is not None
-            albedo = self._scene.cover.albedo
-            surfaces["cover"] = cover_triangles(self._background, cover, albedo)
-        made = mi.load_dict(
-            self._fixed | {name: _mesh(each, self._scene) for name, each in surfaces.items()}
-        )
+        parts = surfaces(self._scene, markers, self._background, cover)
+        meshes = {name: _mesh(surface, self._scene) for name, surface in parts.items()}
+        made = mi.load_dict(self._fixed | meshes)
         film = np.zeros(self._shape, np.float32)
         for number in range(self._passes):
             film += np.array(mi.render(made, spp=self._paths, seed=number)) / self._passes
@@ -107,8 +100,7 @@ class PathTracer:
 
     def _optics(self, views: Sequence[View]) -> dict[str, Any]:
         """Return integrator, camera and LEDs."""
-        camera = self._scene.camera
-        assert camera is not None
+        camera, _ = self._scene.imaging
         film = {
             "type": "hdrfilm",
             "width": camera.width_px,
@@ -127,23 +119,6 @@ class PathTracer:
             "sensor": _FoldedCamera(parts, views, self._scene.body.base_z_mm),
             "leds": _FoldedLeds(mi.Properties("folded_leds"), self._scene),
         }
-
-    def _window(self) -> dict[str, Any]:
-        """Return the interfaces behind the body, which send some light back into it."""
-        camera = self._scene.camera
-        assert camera is not None
-        low, high = self._scene.body.bounds_mm
-        middle = [(a + b) / 2 for a, b in zip(low[:2], high[:2], strict=True)]
-        half = max(b - a for a, b in zip(low, high, strict=True))
-        table = {}
-        for n, (height, inner, outer) in enumerate(window_interfaces(self._scene, camera.layers)):
-            place = mi.ScalarTransform4f().translate([*middle, height]).scale([half, half, 1])
-            table[f"interface{n}"] = {
-                "type": "rectangle",
-                "to_world": place,
-                "bsdf": {"type": "dielectric", "int_ior": inner, "ext_ior": outer},
-            }
-        return table
 
 
 class _FoldedCamera(mi.Sensor):
@@ -218,27 +193,26 @@ class _FoldedLeds(mi.Emitter):
 
     Notes
     -----
-    The irradiance is that of `twin.world.picture.lamps.virtual_images`, here at each place that a
+    The irradiance is that of `twin.world.picture.lamps.Lamps.at`, here at each place that a
     path meets instead of each marker's centre.
     """
 
     def __init__(self, parts: Any, scene: Scene) -> None:
         super().__init__(parts)
         self.m_flags = mi.EmitterFlags.DeltaPosition
-        assert scene.camera is not None
-        assert scene.light is not None
-        places, shares = scene.light.points()
+        camera, light = scene.imaging
+        places, shares = light.points()
         within = scene.body.contains(places, 0.0)
         rows = np.column_stack([places, np.where(within, -1.0, 1.0) * shares * len(places)])
         self._count = len(places)
         self._leds = mi.Float(rows.astype(np.float32).ravel())
-        tints = np.broadcast_to(scene.light.tints()[0].T, (len(places), 3))
+        tints = np.broadcast_to(light.tints()[0].T, (len(places), 3))
         self._tints = mi.Float(tints.astype(np.float32).ravel())
         self._index = scene.material.refractive_index
         self._base = scene.body.base_z_mm
-        self._layers = [(layer.thickness_mm, layer.index) for layer in scene.camera.layers]
+        self._layers = [(layer.thickness_mm, layer.index) for layer in camera.layers]
         self._back = self._base + sum(thickness for thickness, _ in self._layers)
-        emission = scene.light.emission(np.linspace(-1, 1, _ANGLES + 1))
+        emission = light.emission(np.linspace(-1, 1, _ANGLES + 1))
         self._emission = mi.Float(emission.astype(np.float32))
         # Where light may enter the body, cell by cell of its base.
         low, high = (np.array(corner[:2]) for corner in scene.body.bounds_mm)

@@ -14,7 +14,7 @@ Units: the median marker radius is 1, and z = 0 lies just behind all markers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 
 from twin.arrays import Bools, Floats, Ints, Pixels, Singles
 from twin.compiled import njit
-from twin.parts.camera import Ccd
 from twin.parts.scene import Scene
 from twin.theory.optics import project_with_jacobian
-from twin.world.picture.ccd import response_matrix
+from twin.world.picture.camera_rays import View
 from twin.world.picture.ellipsoids import Ellipsoids
-from twin.world.picture.lamps import lamps_at
+from twin.world.picture.lamps import Lamps
 
 Indices = NDArray[np.int32]
 
@@ -56,53 +55,6 @@ _ROOM_PX = 1.2
 _EDGE_SEARCH = 1.2
 """Sub-pixels: a ray reaches half a diagonal, 0.71, and an ellipsoid grows by less than its axes
 between them."""
-
-
-_EXPOSED = 0.99
-"""Share of the ground's pixels that are no brighter than the level that sets the exposure."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class View:
-    """The rays of a camera in a body, computed once.
-
-    Attributes
-    ----------
-    corners
-        (height + 1, width + 1, 4) rays through the pixel corners (column - 1/2, row - 1/2): x and y
-        on the base plane, mm, and dx/d(-z), dy/d(-z).
-    sees
-        (height, width) whether all four corners of a pixel have rays that enter the body through
-        its base.
-    vignette
-        (height, width) light on the sensor that a surface of brightness 1 makes: the gain times the
-        share that passes the interfaces and the lens, which is 1 on the axis.
-    cover
-        (height, width, 3) light from the cover behind the markers, vignette included.
-    veil
-        (height, width, k) light of mirrored LEDs in front of all, k of `Light.tints`, or None.
-    """
-
-    corners: Floats
-    sees: Bools
-    vignette: Singles
-    cover: Singles
-    veil: Singles | None
-
-    def times(self, gain: float) -> View:
-        """Return the view with all of its light times a gain."""
-        factor = np.float32(gain)
-        veil = None if self.veil is None else factor * self.veil
-        return replace(self, vignette=factor * self.vignette, cover=factor * self.cover, veil=veil)
-
-    def ground_light(self, ccd: Ccd) -> float:
-        """Return the light in a CCD's brightest channel that 99 % of the pixels do not exceed
-        without markers.
-
-        One pixel in a hundred may be brighter, so that mirrored LEDs don't set the exposure.
-        """
-        ground = self.cover if self.veil is None else self.cover + self.veil
-        return float(np.quantile((ground @ response_matrix(ccd).T).max(axis=2), _EXPOSED))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,6 +127,100 @@ class PictureJob:
     def __len__(self) -> int:
         return len(self.centres)
 
+    @staticmethod
+    def of(
+        markers: Ellipsoids,
+        scene: Scene,
+        view: View,
+        *,
+        unit_mm: float,
+        full_power: float,
+        subpixels: int,
+        shadows: bool = True,
+    ) -> PictureJob:
+        """Prepare a picture.
+
+        Parameters
+        ----------
+        markers
+            The markers as they are now.
+        scene, view
+            The actual scene, and its camera's rays.
+        unit_mm
+            Length of the renderer's unit.
+        full_power
+            The irradiance that counts as 1.
+        subpixels
+            k of the k x k rays in a pixel.
+        shadows
+            Whether markers shadow each other.
+        """
+        # Lost markers keep their row: they get a tiny ellipsoid that nothing sees.
+        base = scene.body.base_z_mm
+        here = markers.present
+        centres = np.where(here[:, None], markers.centres, [0.0, 0.0, base])
+        axes = np.where(here[:, None, None], markers.axes, 1e-3 * np.eye(3))
+
+        # Outlines to first order: J maps the ellipsoid's semi-axes to the picture.
+        centres_px, jacobian = project_with_jacobian(markers.centres, *scene.optics)
+        seen = here & np.isfinite(centres_px).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
+        centres_px = np.where(seen[:, None], centres_px, 0.0)
+        jacobian = np.where(seen[:, None, None], jacobian, np.eye(2, 3))
+        mapped = jacobian @ axes
+        conjugate = np.where(seen[:, None, None], mapped @ np.swapaxes(mapped, 1, 2), np.eye(2))
+        half = _MARGIN * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + _ROOM_PX
+        size = np.array([view.sees.shape[1], view.sees.shape[0]])
+        cut = seen & ((centres_px < half) | (centres_px + half > size - 1)).any(axis=1)
+        pixels, isolated, first, members = _near_pixels(
+            centres_px, conjugate, half, seen, view.sees
+        )
+
+        # Mitsuba's rays start just behind the markers, and its search for edges needs larger ones.
+        stretch = np.sqrt(_least_eigenvalues(jacobian @ np.swapaxes(jacobian, 1, 2)))
+        pad_mm = np.where(seen, _EDGE_SEARCH / subpixels / stretch, 0.0)
+        thick = np.sqrt(np.sum(axes[:, 2] ** 2, axis=1))
+        top_mm = np.where(seen, np.minimum(centres[:, 2] + 1.02 * (thick + pad_mm), base), -np.inf)
+        behind_mm = float(np.max(top_mm, initial=0.0))
+
+        # Lamps and shadows: which markers may lie between a marker and each lamp.
+        lamps = Lamps.at(centres, scene)
+        place = (lamps.place - [0.0, 0.0, behind_mm]) / unit_mm
+        power = lamps.power / (full_power * unit_mm**2)
+        tints, even = scene.imaging[1].tints()
+        # Gershgorin's bound on the largest eigenvalue of A^T A: the longest semi-axis, squared.
+        gram = np.swapaxes(axes, 1, 2) @ axes
+        longest = np.sqrt(np.abs(gram).sum(axis=2).max(axis=1, initial=0.0))
+        wanted = here[:, None] & (lamps.power > 0) & shadows
+        occluder_first, occluder_members = _occluders(
+            np.where(here[:, None], centres, np.nan), longest, lamps.place, wanted
+        )
+        # Lengths are in units of ``unit_mm``, so that single precision is enough.
+        scaled = axes / unit_mm
+        return PictureJob(
+            pixels=pixels,
+            isolated=isolated,
+            first=first,
+            members=members,
+            centres_px=centres_px,
+            conjugate=conjugate,
+            cut=cut,
+            subpixels=subpixels,
+            unit_mm=unit_mm,
+            behind_mm=behind_mm,
+            base=(base - behind_mm) / unit_mm,
+            centres=np.where(here[:, None], (centres - [0.0, 0.0, behind_mm]) / unit_mm, _ABSENT),
+            axes=scaled,
+            metric=_metric(scaled),
+            pad=pad_mm / unit_mm,
+            top=(top_mm - behind_mm) / unit_mm,
+            lamps=np.concatenate([place, power[:, :, None]], axis=2),
+            tints=tints,
+            even=even,
+            occluder_first=occluder_first,
+            occluder_members=occluder_members,
+            colour=markers.colour,
+        )
+
 
 class Shader(Protocol):
     """A renderer of jobs, made for one `View`."""
@@ -182,101 +228,6 @@ class Shader(Protocol):
     def shade(self, job: PictureJob) -> tuple[Singles, Singles]:
         """Return (m, 3) light from markers in the job's pixels, 1 for white in the brightest
         marker's place, and (m,) the share of each pixel that they leave free."""
-
-
-def make_job(
-    markers: Ellipsoids,
-    scene: Scene,
-    view: View,
-    *,
-    unit_mm: float,
-    full_power: float,
-    subpixels: int,
-    shadows: bool = True,
-) -> PictureJob:
-    """Prepare a picture of the markers.
-
-    Parameters
-    ----------
-    markers
-        The markers as they are now.
-    scene, view
-        The actual scene, and its camera's rays.
-    unit_mm
-        Length of the renderer's unit.
-    full_power
-        The irradiance that counts as 1.
-    subpixels
-        k of the k x k rays in a pixel.
-    shadows
-        Whether markers shadow each other.
-    """
-    # Lost markers keep their row: they get a tiny ellipsoid that nothing sees.
-    assert scene.camera is not None
-    base = scene.body.base_z_mm
-    here = markers.present
-    centres = np.where(here[:, None], markers.centres, [0.0, 0.0, base])
-    axes = np.where(here[:, None, None], markers.axes, 1e-3 * np.eye(3))
-
-    # Outlines to first order: J maps the ellipsoid's semi-axes to the picture.
-    optics = (scene.camera, scene.material.refractive_index, base)
-    centres_px, jacobian = project_with_jacobian(markers.centres, *optics)
-    seen = here & np.isfinite(centres_px).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
-    centres_px = np.where(seen[:, None], centres_px, 0.0)
-    jacobian = np.where(seen[:, None, None], jacobian, np.eye(2, 3))
-    mapped = jacobian @ axes
-    conjugate = np.where(seen[:, None, None], mapped @ np.swapaxes(mapped, 1, 2), np.eye(2))
-    half = _MARGIN * np.sqrt(np.diagonal(conjugate, axis1=1, axis2=2)) + _ROOM_PX
-    size = np.array([view.sees.shape[1], view.sees.shape[0]])
-    cut = seen & ((centres_px < half) | (centres_px + half > size - 1)).any(axis=1)
-    pixels, isolated, first, members = _near_pixels(centres_px, conjugate, half, seen, view.sees)
-
-    # Mitsuba's rays start just behind the markers, and its search for edges needs larger ones.
-    stretch = np.sqrt(_least_eigenvalues(jacobian @ np.swapaxes(jacobian, 1, 2)))
-    pad_mm = np.where(seen, _EDGE_SEARCH / subpixels / stretch, 0.0)
-    thick = np.sqrt(np.sum(axes[:, 2] ** 2, axis=1))
-    top_mm = np.where(seen, np.minimum(centres[:, 2] + 1.02 * (thick + pad_mm), base), -np.inf)
-    behind_mm = float(np.max(top_mm, initial=0.0))
-
-    # Lamps and shadows: which markers may lie between a marker and each lamp.
-    lamps = lamps_at(centres, scene)
-    place = (lamps.place - [0.0, 0.0, behind_mm]) / unit_mm
-    power = lamps.power / (full_power * unit_mm**2)
-    assert scene.light is not None
-    tints, even = scene.light.tints()
-    # Gershgorin's bound on the largest eigenvalue of A^T A: the longest semi-axis, squared.
-    gram = np.swapaxes(axes, 1, 2) @ axes
-    longest = np.sqrt(np.abs(gram).sum(axis=2).max(axis=1, initial=0.0))
-    wanted = here[:, None] & (lamps.power > 0) & shadows
-    occluder_first, occluder_members = _occluders(
-        np.where(here[:, None], centres, np.nan), longest, lamps.place, wanted
-    )
-    # Lengths are in units of ``unit_mm``, so that single precision is enough.
-    scaled = axes / unit_mm
-    return PictureJob(
-        pixels=pixels,
-        isolated=isolated,
-        first=first,
-        members=members,
-        centres_px=centres_px,
-        conjugate=conjugate,
-        cut=cut,
-        subpixels=subpixels,
-        unit_mm=unit_mm,
-        behind_mm=behind_mm,
-        base=(base - behind_mm) / unit_mm,
-        centres=np.where(here[:, None], (centres - [0.0, 0.0, behind_mm]) / unit_mm, _ABSENT),
-        axes=scaled,
-        metric=_metric(scaled),
-        pad=pad_mm / unit_mm,
-        top=(top_mm - behind_mm) / unit_mm,
-        lamps=np.concatenate([place, power[:, :, None]], axis=2),
-        tints=tints,
-        even=even,
-        occluder_first=occluder_first,
-        occluder_members=occluder_members,
-        colour=markers.colour,
-    )
 
 
 def _occluders(

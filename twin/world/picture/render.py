@@ -23,13 +23,12 @@ from twin.arrays import Singles
 from twin.errors import MissingCapability, RecipeError
 from twin.parts.scene import Scene
 from twin.world.picture.backend import FORCE, Variant, choose_variant
-from twin.world.picture.camera_rays import PUPIL_WEIGHTS, look, through_the_pupil
-from twin.world.picture.ccd import white_level
+from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View, through_the_pupil
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.lamps import brightest
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
-from twin.world.picture.picture_job import PictureJob, Shader, View, make_job
+from twin.world.picture.picture_job import PictureJob, Shader
 from twin.world.picture.splat import Outlines, Splat
 
 if TYPE_CHECKING:
@@ -107,11 +106,11 @@ class Renderer:
         self.variant = variant or method_for(scene)
         needed = isinstance(wanted, str) or wanted < _centroid_error(1, False, self.variant.name)
         self.shadows = needed if shadows is None else shadows
-        self.subpixels = subpixels or subpixels_for(wanted, self.variant.name)
+        self.subpixels = subpixels or _subpixels_for(wanted, self.variant.name)
         self._top, white = brightest(rest, scene)
         self._unit = float(np.median([layer.diameter_mm / 2 for layer in scene.markers.values()]))
-        view = look(scene, self._top)
-        self._gain = gain or white_level(scene.ccd) / max(white, view.ground_light(scene.ccd))
+        view = View.of(scene, self._top)
+        self._gain = gain or scene.ccd.white_level / max(white, view.ground_light(scene.ccd))
         self._view = view.times(self._gain)
         self._splat = Splat(self._view, self._unit, scene.light.ambient)
         pupil = through_the_pupil(scene)
@@ -222,7 +221,7 @@ class Renderer:
         return self._splat.look(job, bright=False)[2]
 
     def _job(self, markers: Ellipsoids, subpixels: int, *, shadows: bool = True) -> PictureJob:
-        return make_job(
+        return PictureJob.of(
             markers,
             self.scene,
             self._view,
@@ -280,7 +279,7 @@ class PathRenderer(Renderer):
         return self.radiance(markers, cover), self.outlines(markers)
 
 
-def subpixels_for(centroid_px: float | str, method: str = "splat") -> int:
+def _subpixels_for(centroid_px: float | str, method: str) -> int:
     """Return the k whose largest centroid error is ``centroid_px``; ``auto`` is 3, below the noise
     of one exposure."""
     if isinstance(centroid_px, str):
@@ -289,7 +288,7 @@ def subpixels_for(centroid_px: float | str, method: str = "splat") -> int:
     return next(enough, _FINEST)
 
 
-def _centroid_error(subpixels: int, shadows: bool, method: str = "splat") -> float:
+def _centroid_error(subpixels: int, shadows: bool, method: str) -> float:
     """Return a bound on the error of intensity centroids, px.
 
     Notes

@@ -33,7 +33,8 @@ import numpy as np
 
 from twin.arrays import Floats, Ints, Pixels, Singles, frozen
 from twin.compiled import in_parts, njit
-from twin.world.picture.picture_job import INTO, OPAQUE, WEIGHT, Indices, PictureJob, View
+from twin.world.picture.camera_rays import View
+from twin.world.picture.picture_job import INTO, OPAQUE, WEIGHT, Indices, PictureJob
 
 _HIDDEN = 0.01
 """A smaller share of an outline that is seen counts as none: edges just behind edges leave such

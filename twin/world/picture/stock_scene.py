@@ -12,7 +12,7 @@ no sides, and the even share of light (``light.ambient``) has no source, so it i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -23,7 +23,7 @@ import trimesh
 from twin.arrays import Floats, Ints, Points
 from twin.errors import RecipeError
 from twin.files import write_whole
-from twin.parts.camera import Camera, Layer
+from twin.parts.camera import Camera
 from twin.parts.scene import Scene
 from twin.theory.optics import air_gap, reflection, tilt_matrix
 from twin.world.picture.cover import Background, CoverMotion
@@ -108,62 +108,85 @@ class Triangles:
         return "\n".join(head).encode() + corners.astype("<f4").tobytes() + faces.tobytes()
 
 
-def marker_triangles(markers: Ellipsoids) -> Triangles:
-    """Return all markers that are there as one surface."""
+def _marker_triangles(markers: Ellipsoids) -> Triangles:
+    """Return all markers that are there as one surface, in the gloss of the first."""
     ball = trimesh.creation.icosphere(subdivisions=_SUBDIVISIONS)
     # A ball of triangles within the sphere shows too little: enlarged to the sphere's area.
     unit = np.asarray(ball.vertices) * np.sqrt(4 * np.pi / ball.area)
-    there = markers.rows(markers.present)
-    places = there.centres[:, None] + unit @ np.swapaxes(there.axes, 1, 2)
-    normals = unit @ np.linalg.inv(there.axes)
+    places = markers.centres[:, None] + unit @ np.swapaxes(markers.axes, 1, 2)
+    normals = unit @ np.linalg.inv(markers.axes)
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    faces = ball.faces[None] + len(unit) * np.arange(len(there))[:, None, None]
+    faces = ball.faces[None] + len(unit) * np.arange(len(markers))[:, None, None]
+    gloss = None if markers.gloss is None else tuple(markers.gloss[0].tolist())
     return Triangles(
         places=places.reshape(-1, 3),
         normals=normals.reshape(-1, 3),
         faces=faces.reshape(-1, 3),
-        colours=np.repeat(there.colour, len(unit), axis=0),
+        colours=np.repeat(markers.colour, len(unit), axis=0),
+        gloss=gloss if gloss and gloss[0] else None,
     )
 
 
-def marker_surfaces(markers: Ellipsoids) -> dict[str, Triangles]:
-    """Return the markers by name; those with gloss are one surface for each colour, too."""
-    if markers.gloss is None:
-        return {"markers": marker_triangles(markers)}
-    markers = markers.rows(markers.present)
-    assert markers.gloss is not None
-    look = np.column_stack([markers.gloss, markers.colour * (markers.gloss[:, :1] > 0)])
-    kinds, which = np.unique(look, axis=0, return_inverse=True)
-    surfaces = {}
-    for n, (index, roughness, *_) in enumerate(kinds.tolist()):
-        some = marker_triangles(markers.rows(which.ravel() == n))
-        surfaces[f"markers{n}"] = replace(some, gloss=(index, roughness) if index else None)
-    return surfaces
+def surfaces(
+    scene: Scene, markers: Ellipsoids, background: Background | None, cover: CoverMotion | None
+) -> dict[str, Triangles]:
+    """Return markers and cover by name.
+
+    Markers are one surface, or with gloss one for each of its kinds and colours.
+
+    Parameters
+    ----------
+    scene, markers
+        The actual scene, and the markers as they are now.
+    background, cover
+        The cover that the camera sees, None without one, and how its places have moved.
+    """
+    there = markers.rows(markers.present)
+    if there.gloss is None:
+        found = {"markers": _marker_triangles(there)}
+    else:
+        look = np.column_stack([there.gloss, there.colour * (there.gloss[:, :1] > 0)])
+        kinds, which = np.unique(look, axis=0, return_inverse=True)
+        found = {
+            f"markers{n}": _marker_triangles(there.rows(which.ravel() == n))
+            for n in range(len(kinds))
+        }
+    if background is not None:
+        assert scene.cover is not None
+        places = background.points
+        normals = background.normals
+        if cover is not None:
+            places = places + cover.displacement_mm
+            normals = cover.turned(normals)
+        found["cover"] = Triangles(
+            places=places,
+            normals=normals,
+            faces=background.triangles,
+            colours=np.tile(scene.cover.albedo, (len(places), 1)),
+        )
+    return found
 
 
-def cover_triangles(
-    background: Background, motion: CoverMotion | None, albedo: tuple[float, float, float]
-) -> Triangles:
-    """Return the cover that the camera sees, moved by a press."""
-    places = background.points
-    normals = background.normals
-    if motion is not None:
-        places = places + motion.displacement_mm
-        normals = motion.turned(normals)
-    colours = np.tile(albedo, (len(places), 1))
-    return Triangles(places=places, normals=normals, faces=background.triangles, colours=colours)
-
-
-def window_interfaces(scene: Scene, layers: tuple[Layer, ...]) -> list[tuple[float, float, float]]:
-    """Return height, mm, and the indices below and above, of each interface from the base on."""
-    height = scene.body.base_z_mm
-    below = scene.material.refractive_index
-    found = []
-    for thickness, above in [*((layer.thickness_mm, layer.index) for layer in layers), (0.0, 1.0)]:
-        found.append((height, below, above))
+def window(scene: Scene, down_mm: float = 0.0) -> tuple[dict[str, Any], float]:
+    """Return Mitsuba's tables of the window's interfaces, from the rubber outwards, with z smaller
+    by ``down_mm``; and the share of straight light that all of them pass."""
+    camera, below, height = scene.optics
+    low, high = scene.body.bounds_mm
+    half = max(b - a for a, b in zip(low, high, strict=True))
+    middle = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
+    layers = [(layer.thickness_mm, layer.index) for layer in camera.layers]
+    table = {}
+    through = 1.0
+    for n, (thickness, above) in enumerate([*layers, (0.0, 1.0)]):
+        through *= 1 - float(reflection(0.0, below, above))
+        table[f"interface{n}"] = {
+            "type": "rectangle",
+            "to_world": _matrix(half * np.eye(3), (*middle, height - down_mm)),
+            "bsdf": {"type": "dielectric", "int_ior": below, "ext_ior": above},
+        }
         height += thickness
         below = above
-    return found
+    return table, through
 
 
 def middle_of_window(scene: Scene) -> float:
@@ -171,73 +194,8 @@ def middle_of_window(scene: Scene) -> float:
 
     Mitsuba starts a ray behind an interface by a share of its coordinates: near 0 that is least.
     """
-    assert scene.camera is not None
-    return scene.body.base_z_mm + sum(layer.thickness_mm for layer in scene.camera.layers) / 2
-
-
-def stock_scene(scene: Scene, exposure: float, parts: Mapping[str, Triangles]) -> dict[str, Any]:
-    """Return a scene as nested tables of Mitsuba's plug-ins.
-
-    Parameters
-    ----------
-    scene
-        With camera and light.
-    exposure
-        Of `twin.world.picture.render.Renderer.exposure`: pixels are then in its units.
-    parts
-        Surfaces, by the names of their PLY files without the ending.
-
-    Raises
-    ------
-    RecipeError
-        Stock Mitsuba has no such lens, or no such LED.
-    """
-    camera, light = scene.camera, scene.light
-    assert camera is not None
-    assert light is not None
-    check_stock(scene)
-    down = middle_of_window(scene)
-    table: dict[str, Any] = {
-        "integrator": {"type": "path", "max_depth": 24, "rr_depth": 100},
-        "sensor": _sensor(scene, camera, down),
-    }
-    # Interfaces from the rubber outwards, and the share of straight light that all of them pass.
-    low, high = scene.body.bounds_mm
-    half = max(b - a for a, b in zip(low, high, strict=True))
-    through = 1.0
-    interfaces = window_interfaces(scene, camera.layers)
-    for n, (height, below, above) in enumerate(interfaces):
-        through *= 1 - float(reflection(0.0, below, above))
-        table[f"interface{n}"] = {
-            "type": "rectangle",
-            "to_world": _matrix(
-                half * np.eye(3), ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, height - down)
-            ),
-            "bsdf": {"type": "dielectric", "int_ior": below, "ext_ior": above},
-        }
-    # An LED of intensity 1 as a disc, times what makes a pixel's light 1 where it fills the well:
-    # the program counts brightness before the window spreads it, and relative to straight light.
-    radius = light.radius_mm or _LED_MM
-    index = scene.material.refractive_index
-    radiance = (1 - light.ambient) * exposure * (index / through / radius) ** 2
-    for n, (place, power) in enumerate(zip(light.positions_mm, light.powers, strict=True)):
-        table[f"led{n}"] = {
-            "type": "disk",
-            "to_world": _matrix(radius * np.diag([1, -1, -1]), (*place[:2], place[2] - down)),
-            "emitter": {"type": "area", "radiance": _rgb(radiance * power)},
-        }
-    for name, surface in parts.items():
-        table[name] = {"type": "ply", "filename": f"{name}.ply", "bsdf": surface.paint(scene)}
-    return table
-
-
-def as_xml(table: Mapping[str, Any]) -> str:
-    """Return a scene's tables in Mitsuba's XML."""
-    root = ElementTree.Element("scene", version="3.0.0")
-    for key, value in table.items():
-        _add(root, key, value, "id")
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+    camera, _, base = scene.optics
+    return base + sum(layer.thickness_mm for layer in camera.layers) / 2
 
 
 def write_stock_scene(
@@ -254,27 +212,56 @@ def write_stock_scene(
     ----------
     folder, name
         The folder, which exists, and the files' first word.
-    scene, exposure
-        See `stock_scene`.
+    scene
+        With camera and light.
+    exposure
+        Of `twin.world.picture.render.Renderer.exposure`: pixels are then in its units.
     markers, cover
         The markers, and how the places of the cover's `Background` have moved.
+
+    Raises
+    ------
+    RecipeError
+        Stock Mitsuba has no such lens, or no such LED.
     """
-    surfaces = marker_surfaces(markers)
-    if scene.cover is not None:
-        surfaces["cover"] = cover_triangles(Background(scene, 1.0), cover, scene.cover.albedo)
-    parts = {f"{name}_{part}": surface for part, surface in surfaces.items()}
-    made = as_xml(stock_scene(scene, exposure, parts))
-    for part, surface in parts.items():
-        write_whole(folder / f"{part}.ply", surface.as_ply(middle_of_window(scene)))
+    check_stock(scene)
+    camera, light = scene.imaging
+    down = middle_of_window(scene)
+    interfaces, through = window(scene, down)
+    table: dict[str, Any] = {
+        "integrator": {"type": "path", "max_depth": 24, "rr_depth": 100},
+        "sensor": _sensor(scene, camera, down),
+        **interfaces,
+    }
+    # An LED of intensity 1 as a disc, times what makes a pixel's light 1 where it fills the well:
+    # the program counts brightness before the window spreads it, and relative to straight light.
+    radius = light.radius_mm or _LED_MM
+    index = scene.material.refractive_index
+    radiance = (1 - light.ambient) * exposure * (index / through / radius) ** 2
+    for n, (place, power) in enumerate(zip(light.positions_mm, light.powers, strict=True)):
+        table[f"led{n}"] = {
+            "type": "disk",
+            "to_world": _matrix(radius * np.diag([1, -1, -1]), (*place[:2], place[2] - down)),
+            "emitter": {"type": "area", "radiance": _rgb(radiance * power)},
+        }
+    background = Background(scene, 1.0) if scene.cover is not None else None
+    for part, surface in surfaces(scene, markers, background, cover).items():
+        file = f"{name}_{part}"
+        table[file] = {"type": "ply", "filename": f"{file}.ply", "bsdf": surface.paint(scene)}
+        write_whole(folder / f"{file}.ply", surface.as_ply(down))
+    # The tables in Mitsuba's XML.
+    root = ElementTree.Element("scene", version="3.0.0")
+    for key, value in table.items():
+        _add(root, key, value, "id")
+    ElementTree.indent(root)
+    made = ElementTree.tostring(root, encoding="unicode") + "\n"
     write_whole(folder / f"{name}.xml", made.encode())
     return folder / f"{name}.xml"
 
 
 def check_stock(scene: Scene) -> None:
     """Raise a `RecipeError` where stock Mitsuba lacks the lens or the LEDs of a scene."""
-    camera, light = scene.camera, scene.light
-    assert camera is not None
-    assert light is not None
+    camera, light = scene.imaging
     off = np.abs(
         np.subtract(camera.centre_px, [(camera.width_px - 1) / 2, (camera.height_px - 1) / 2])
     )
