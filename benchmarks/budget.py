@@ -34,7 +34,7 @@ from twin.streams import Purpose, stream
 from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
-from twin.theory.optics import projection_jacobian
+from twin.theory.optics import project_with_jacobian
 from twin.world.picture.ccd import expose
 from twin.world.picture.render import Renderer
 
@@ -207,7 +207,7 @@ def _exact(press: Press, found: Found) -> Found:
 def own_transfer(sensor: Sensor, sites: Rectangles) -> Floats:
     """Return (2n, 3k) the transfer matrix at some sites by the made sensor's own body, markers and camera, px/N."""
     scene, points = sensor.actual.scene, sensor.actual.markers.points
-    slope = projection_jacobian(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)
+    slope = project_with_jacobian(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)[1]
     return from_compliance(sensor.compliance.to_points(points, sites), slope)
 
 

@@ -35,7 +35,7 @@ from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.reproduce.reproduction_run import source_hash
 from twin.study.sensor import Actual, Sensor, make, on_surface
-from twin.theory.optics import project, projection_jacobian
+from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.coated import CoveredCompliance
 from twin.world.elasticity.fem import Layer
 
@@ -113,9 +113,9 @@ class Truth:
     def _through(self, one: Actual, compliance: Floats) -> Floats:
         """Return (2n, q) px/N of a sensor's (n, 3, q) mm/N at the nominal modulus."""
         scene = one.scene
-        slope = projection_jacobian(
+        slope = project_with_jacobian(
             one.markers.points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
-        )
+        )[1]
         return np.asarray((slope @ compliance).reshape(2 * len(slope), -1) / self._stiffer(one))
 
     def bumps(self, seed: int) -> tuple[list[Measured], Load]:

@@ -29,7 +29,7 @@ from twin.arrays import Floats, Ints
 from twin.parts.body import Body
 from twin.world.contact.probe_gap import Approach
 from twin.world.elasticity.factor import Factor
-from twin.world.mesh.elements import triangle_quadrature, triangle_shapes
+from twin.world.mesh.elements import quadrature, shapes
 from twin.world.mesh.quadratic_mesh import Mesh
 
 BULK = 1e4
@@ -119,8 +119,8 @@ class Contact:
     @staticmethod
     def on(mesh: Mesh, body: Body, approach: Approach, linear: bool) -> Contact:
         """Return the contact of a probe with the points of the sensing surface that lie under it at rest."""
-        places, share = triangle_quadrature()
-        values, slopes = triangle_shapes(places)
+        places, share = quadrature(2)
+        values, slopes = shapes(places)
         faces = mesh.faces[mesh.piece == 0]
         corner = mesh.points[faces]
         points = np.einsum("qa,fai->fqi", values, corner)

@@ -12,15 +12,15 @@ import pytest
 from standard_bodies import BLOCK, DOME, relative_error, traction_of
 
 from twin.files import MESHES
-from twin.parts.load import Traction
+from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.world.elasticity.compliance import Compliance
-from twin.world.elasticity.discretise import join, tile
+from twin.world.elasticity.discretise import tile
 from twin.world.mesh.body_mesh import mesh_key
-from twin.world.mesh.quadratic_mesh import load_mesh, read_mesh
-from twin.world.mesh.quality import quality
-from twin.world.mesh.sizing import WORLD, default_sizing
+from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quality import Quality
+from twin.world.mesh.sizing import WORLD, Sizing
 
 REFERENCE = np.load(Path(__file__).parent.parent / "reference" / "dome.npz")
 CASES = json.loads(str(REFERENCE["cases"]))
@@ -30,7 +30,7 @@ CASES = json.loads(str(REFERENCE["cases"]))
 def compliance(level, nu):
     """Return the dome's compliance on a shipped mesh."""
     material = Material(youngs_modulus_mpa=0.5, poisson_ratio=nu)
-    return Compliance(DOME, material, read_mesh(MESHES / f"dome.{level}.npz"), level=level)
+    return Compliance(DOME, material, Mesh.read(MESHES / f"dome.{level}.npz"), level=level)
 
 
 def error(level, case):
@@ -43,11 +43,11 @@ def error(level, case):
 @pytest.mark.parametrize("level", ["nominal", *WORLD])
 def test_shipped_meshes_pass_the_gates_and_are_the_ones_that_would_be_made(level):
     path = MESHES / f"dome.{level}.npz"
-    measured = quality(read_mesh(path), DOME)
+    measured = Quality.of(Mesh.read(path), DOME)
     assert not measured.failures()
     assert measured.least_dihedral_deg > 12
     assert abs(measured.volume_error) < 1e-4
-    assert load_mesh(path)[1]["key"] == mesh_key(DOME, default_sizing(DOME, level))
+    assert Mesh.load(path)[1]["key"] == mesh_key(DOME, Sizing.of(DOME, level))
 
 
 @pytest.mark.slow
@@ -89,7 +89,7 @@ def test_a_push_on_the_apex_moves_nothing_sideways_there_and_a_twist_only_turns(
 @pytest.mark.slow
 def test_small_patches_answer_each_other_alike():
     centres = DOME.chart_points(np.array([[0.0, 0], [3, 1], [-2, 4], [5, -2]]))
-    patches = join([tile(Traction.rectangle(tuple(c), (0.3, 0.3), (0, 0, 1)), DOME, 0.3) for c in centres])
+    patches = Rectangles.joined([tile(Traction.rectangle(tuple(c), (0.3, 0.3), (0, 0, 1)), DOME, 0.3) for c in centres])
     stiff = compliance("nominal", 0.5)
     stiff.surface(patches)
     assert 0 < stiff.asymmetry < 2e-3

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from stl_shapes import bracket, solid_box, solid_bracket, solid_dome
 
-from twin.geometry.closed import closed_surface
+from twin.geometry.closed import Surface
 from twin.geometry.pieces import TriangleTree
 from twin.parts.body import Block
 
@@ -148,4 +148,4 @@ def test_a_surface_knows_its_dents(tmp_path):
     solid = solid_bracket(tmp_path)
     on = np.array([[0.0, 0, 0], [6, 0, 2], [3, 0, 4]])
     assert_allclose(solid.stands_out(on, np.array([[0.0, 0, 1], [-1, 0, 0], [0, 0, -1]])), [0, 0, 8])
-    assert closed_surface(bracket(), "it").volume_mm3 == pytest.approx(960)
+    assert Surface.welded(bracket(), "it").volume_mm3 == pytest.approx(960)

@@ -12,7 +12,7 @@ from twin.errors import RecipeError
 from twin.parts.body import Solid
 from twin.study.recipe import dump_scene, load_scene, validate_scene
 from twin.world.mesh.body_mesh import mesh_key
-from twin.world.mesh.sizing import default_sizing, rim_points
+from twin.world.mesh.sizing import Sizing, rim_points
 
 RECIPE = """
 [body]
@@ -53,7 +53,7 @@ def test_keys_follow_the_content_and_not_the_place(tmp_path):
     (tmp_path / "other").mkdir()
     one = solid_box(tmp_path, 30, 20, 10)
     moved = one.model_dump() | {"file": str(shutil.copy(one.file, tmp_path / "other" / "moved.stl"))}
-    sizing = default_sizing(one, "coarse")
+    sizing = Sizing.of(one, "coarse")
     assert mesh_key(one, sizing) == mesh_key(Solid(**moved), sizing)
     assert mesh_key(one, sizing) != mesh_key(solid_box(tmp_path / "other", 30, 20, 10.1), sizing)
     narrow = one.model_dump() | {"sensing": SENSING_BELOW | {"within_deg": 20}}

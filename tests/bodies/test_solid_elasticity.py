@@ -20,16 +20,16 @@ from benchmarks.layered import Layered, bump_displacement
 from twin.cli import main
 from twin.errors import InputError
 from twin.files import MESHES
-from twin.geometry.closed import closed_surface
+from twin.geometry.closed import Surface
 from twin.parts.body import Block, Solid
-from twin.parts.load import Traction
+from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
 from twin.world.elasticity.compliance import Compliance
-from twin.world.elasticity.discretise import join, tile
+from twin.world.elasticity.discretise import tile
 from twin.world.mesh.body_mesh import body_mesh, build_mesh, fewer
-from twin.world.mesh.quadratic_mesh import read_mesh
-from twin.world.mesh.quality import quality
-from twin.world.mesh.sizing import default_sizing
+from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quality import Quality
+from twin.world.mesh.sizing import Sizing
 from twin.world.mesh.snap import snapped_mesh
 
 RUBBER = Material(youngs_modulus_mpa=0.5, poisson_ratio=0.5)
@@ -57,15 +57,15 @@ def test_a_box_of_triangles_moves_as_the_block(tmp_path):
     solid = solid_box(tmp_path, 12, 10, 8)
     mine, theirs = disturbed_mesh(solid), disturbed_mesh(BLOCK)
     np.testing.assert_allclose(mine.points, theirs.points, atol=1e-12)
-    assert not quality(mine, solid).failures()
-    assert np.abs(quality(mine, solid).volume_error) < 1e-12
+    assert not Quality.of(mine, solid).failures()
+    assert np.abs(Quality.of(mine, solid).volume_error) < 1e-12
     points = np.random.default_rng(2).uniform([-5, -4, 0.3], [5, 4, 7], (60, 3))
     assert apart(moved(solid, mine, LOADS, points), moved(BLOCK, theirs, LOADS, points)) < 1e-9
 
 
 def test_a_facetted_dome_on_the_domes_mesh_is_off_by_its_facets_only(tmp_path):
     coarse, fine = (solid_dome(tmp_path, edge) for edge in (1.5, 0.75))
-    dome, mesh = coarse[1], read_mesh(MESHES / "dome.sketch.npz")
+    dome, mesh = coarse[1], Mesh.read(MESHES / "dome.sketch.npz")
     points = dome.chart_points(np.random.default_rng(3).uniform(-4, 4, (60, 2)), 1.0)
     loads = [Traction.bump((0, 0), 2, (0, 0, 1)), Traction.bump((2.5, 1), 2, (1, 0, 0))]
     true = moved(dome, mesh, loads, points)
@@ -81,9 +81,9 @@ def test_nodes_stay_where_the_pressed_part_ends_within_a_rounding(tmp_path):
     solid, dome = solid_dome(tmp_path, 0.75)
     capped = Solid(**solid.model_dump() | {"sensing": {"normal": (0, 0, -1), "within_deg": 35}})
     assert capped.pieces == ("sensing", "side_1", "held")
-    mesh = read_mesh(MESHES / "dome.sketch.npz")
+    mesh = Mesh.read(MESHES / "dome.sketch.npz")
     own = snapped_mesh(capped, mesh.points[: mesh.corners], mesh.tets[:, :4])
-    assert not quality(own, capped).failures()
+    assert not Quality.of(own, capped).failures()
     middle = own.points[own.faces[:, :3]].mean(axis=1)
     from_top = np.degrees(np.arccos(dome.piece_normals(middle)[:, 0, 2]))
     free = middle[:, 2] < 6.9
@@ -92,11 +92,11 @@ def test_nodes_stay_where_the_pressed_part_ends_within_a_rounding(tmp_path):
 
 
 def test_a_finely_cut_surface_is_described_by_fewer_triangles():
-    pad = closed_surface(rounded_pad(0.8), "it")
+    pad = Surface.welded(rounded_pad(0.8), "it")
     assert len(pad.triangles) > 20_000
     vertices, triangles = fewer(pad.vertices, pad.triangles, 0.01)
     assert len(triangles) < 2_000
-    few = closed_surface(vertices[triangles], "it")
+    few = Surface.welded(vertices[triangles], "it")
     assert few.volume_mm3 == pytest.approx(pad.volume_mm3, rel=1e-4)
     assert fewer(few.vertices, few.triangles, 1e-9)[1] is few.triangles
 
@@ -156,9 +156,9 @@ def test_a_dome_meshed_from_its_file_is_off_by_the_square_of_its_facets(own_cach
 @pytest.mark.parametrize("edge_mm", [None, 0.8], ids=["strips", "even"])
 def test_a_pad_with_fillets_is_meshed_whatever_its_triangles(own_cache, edge_mm):
     solid = solid_pad(own_cache, edge_mm)
-    sizing = default_sizing(solid, "sketch")
+    sizing = Sizing.of(solid, "sketch")
     mesh, measured = build_mesh(solid, sizing)
-    assert not quality(mesh, solid).failures()
+    assert not Quality.of(mesh, solid).failures()
     assert measured.unknowns < 1.6 * sizing.unknowns
 
 
@@ -166,13 +166,13 @@ def test_a_pad_with_fillets_is_meshed_whatever_its_triangles(own_cache, edge_mm)
 def test_a_body_with_a_dent_is_meshed_and_both_methods_agree(own_cache):
     solid = solid_bracket(own_cache)
     mesh = body_mesh(solid, "coarse")
-    assert not quality(mesh, solid).failures()
+    assert not Quality.of(mesh, solid).failures()
     points = np.concatenate([solid.chart_points(np.array([[-4.0, -4], [0, 0], [4, 3]]), 1.0), [[-3, 0, 8], [3, 1, 3]]])
     loads = [Traction.bump((1, 0), 3, force) for force in ((0, 0, 1), (1, 0, 0))]
     apart_by = apart(moved(solid, mesh, loads, points), moved(solid, mesh, loads, points, method="direct"))
     assert apart_by < 5e-3
     places = ((-3, 0), (2, 2), (3, -3))
-    patches = join([tile(Traction.rectangle(place, (1, 1), (0, 0, 1)), solid) for place in places])
+    patches = Rectangles.joined([tile(Traction.rectangle(place, (1, 1), (0, 0, 1)), solid) for place in places])
     stiff = Compliance(solid, RUBBER, mesh)
     stiff.surface(patches)
     assert stiff.asymmetry < 3e-3

@@ -11,7 +11,7 @@ from stl_shapes import box, bracket, facetted_dome, write_text_stl
 
 from twin.cli import main
 from twin.errors import InputError
-from twin.geometry.closed import closed_surface, read_triangles
+from twin.geometry.closed import Surface, read_triangles
 
 BOX = box(12, 10, 8)
 
@@ -142,7 +142,7 @@ def test_a_binary_file_whose_header_says_solid_is_read(tmp_path):
 
 @pytest.mark.parametrize(("corners", "volume", "vertices"), [(BOX, 960, 8), (bracket(), 960, 12)])
 def test_a_good_surface_is_welded_and_its_volume_is_exact(corners, volume, vertices):
-    surface = closed_surface(corners, "it")
+    surface = Surface.welded(corners, "it")
     assert surface.volume_mm3 == pytest.approx(volume, rel=1e-12)
     assert len(surface.vertices) == vertices
     assert len(surface.triangles) == len(corners)
@@ -151,9 +151,9 @@ def test_a_good_surface_is_welded_and_its_volume_is_exact(corners, volume, verti
 def test_corners_that_differ_by_rounding_are_welded():
     dome = facetted_dome(DOME, 1.0)
     noise = np.random.default_rng(1).uniform(-1e-6, 1e-6, dome.shape)
-    exact = closed_surface(dome, "it")
-    rounded = closed_surface(dome + noise, "it")
+    exact = Surface.welded(dome, "it")
+    rounded = Surface.welded(dome + noise, "it")
     assert len(rounded.vertices) == len(exact.vertices)
     assert rounded.volume_mm3 == pytest.approx(exact.volume_mm3, rel=1e-6)
     with pytest.raises(InputError, match="not watertight"):
-        closed_surface(dome + 1e3 * noise, "it")
+        Surface.welded(dome + 1e3 * noise, "it")

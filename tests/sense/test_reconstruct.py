@@ -15,7 +15,7 @@ from twin.sense.inverse import METHODS
 from twin.sense.reconstruct import camera_bump, reconstruct
 from twin.sense.regularisation import Factors
 from twin.sense.transfer import from_compliance
-from twin.theory.optics import project, projection_jacobian
+from twin.theory.optics import project, project_with_jacobian
 
 FLAT, FINGER, SMALL = flat_sensor(), finger_sensor(), flat_sensor(8, 6)
 
@@ -256,7 +256,7 @@ def test_large_motion_through_the_camera(options):
     bent = dataclasses.replace(
         calibration,
         layout_px=project(markers, camera, index, base_mm),
-        transfer=from_compliance(compliance, projection_jacobian(markers, camera, index, base_mm)),
+        transfer=from_compliance(compliance, project_with_jacobian(markers, camera, index, base_mm)[1]),
         compliance=compliance.astype(np.float32), marker_mm=markers,
         camera=json.dumps({"camera": camera.model_dump(mode="json"), "body_index": index, "base_z_mm": base_mm}),
     )  # fmt: skip

@@ -15,7 +15,7 @@ from twin.theory.optics import (
     Sight,
     air_tangents,
     project,
-    projection_jacobian,
+    project_with_jacobian,
     rays,
     sideways,
     tilt_matrix,
@@ -73,7 +73,7 @@ def test_points_come_back_from_their_pixels(camera, base, half):
 def assert_derivative(points, camera, base, step, near):
     ahead, behind = ([project(points + s * step * axis, camera, RUBBER, base) for axis in np.eye(3)] for s in (1, -1))
     numeric = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * step)
-    assert_near(numeric, projection_jacobian(points, camera, RUBBER, base), near)
+    assert_near(numeric, project_with_jacobian(points, camera, RUBBER, base)[1], near)
 
 
 @pytest.mark.parametrize(("camera", "base", "half"), CASES)
@@ -96,7 +96,7 @@ def test_magnification_on_the_axis_is_the_focal_length_over_the_apparent_distanc
     # A slab of index n looks n times thinner: 40 - z of rubber, 10 of glass, 58.85 of air.
     for z in (0.0, 4.5, 20.0):
         apparent = (40 - z) / RUBBER + 10 / 1.49 + 58.85
-        jacobian = projection_jacobian(np.array([[0.0, 0.0, z]]), FLAT, RUBBER, 40.0)[0]
+        jacobian = project_with_jacobian(np.array([[0.0, 0.0, z]]), FLAT, RUBBER, 40.0)[1][0]
         assert_allclose(jacobian[:, :2], np.diag([1, -1]) * 1814.8 / apparent, rtol=1e-12)
         assert_allclose(jacobian[:, 2], 0, atol=1e-12)
 
@@ -202,7 +202,7 @@ def test_a_pupil_inside_the_layers_is_refused():
 
 def test_no_points_give_no_pixels():
     assert project(np.zeros((0, 3)), FLAT, RUBBER, 40.0).shape == (0, 2)
-    assert projection_jacobian(np.zeros((0, 3)), FLAT, RUBBER, 40.0).shape == (0, 2, 3)
+    assert project_with_jacobian(np.zeros((0, 3)), FLAT, RUBBER, 40.0)[1].shape == (0, 2, 3)
 
 
 def test_lenses_agree_with_opencv():

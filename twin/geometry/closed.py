@@ -213,83 +213,86 @@ class Surface:
     triangles: Ints
     volume_mm3: float
 
+    @staticmethod
+    def read(file: str, size_mm: tuple[float, float] = SIZE_MM) -> Surface:
+        """Return the checked surface of an STL file, which is kept while the file stays as it is.
 
-def read_surface(file: str, size_mm: tuple[float, float] = SIZE_MM) -> Surface:
-    """Return the checked surface of an STL file, which is kept while the file stays as it is.
+        Raises
+        ------
+        InputError
+            The file can't be read, or see `welded`.
+        """
+        path = Path(file)
+        try:
+            state = path.stat()
+        except OSError as problem:
+            raise InputError(
+                f"{path.name}: can't be read ({problem.strerror}); check the path"
+            ) from None
+        return _read_once(file, size_mm, state.st_mtime_ns, state.st_size)
 
-    Raises
-    ------
-    InputError
-        The file can't be read, or see `closed_surface`.
-    """
-    path = Path(file)
-    try:
-        state = path.stat()
-    except OSError as problem:
-        raise InputError(
-            f"{path.name}: can't be read ({problem.strerror}); check the path"
-        ) from None
-    return _read_once(file, size_mm, state.st_mtime_ns, state.st_size)
+    @staticmethod
+    def welded(corners: Floats, name: str, size_mm: tuple[float, float] = SIZE_MM) -> Surface:
+        """Weld triangles (m, 3, 3) into a closed surface.
+
+        Raises
+        ------
+        InputError
+            The surface is too small or too large, open, wound both ways or inwards, in several
+            parts, or too thin; the message begins with ``name``.
+        """
+        # Size: STL files carry no unit, so a wrong one shows here.
+        size = float(np.max(np.ptp(corners.reshape(-1, 3), axis=0)))
+        if not size_mm[0] <= size <= size_mm[1]:
+            raise InputError(
+                f"{name}: the longest side is {size:.6g} mm (allowed: {size_mm[0]:g} to "
+                f"{size_mm[1]:g} mm); STL files carry no unit: export it in millimetres"
+            )
+        # Join corners that are exactly equal; only if the surface stays open, also those that are
+        # nearly equal.
+        vertices, triangles = _welded(corners, 0.0)
+        if len(_open_edges(triangles)):
+            vertices, triangles = _welded(
+                corners, _WELD * float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)))
+            )
+        _refuse_open(vertices, triangles, name)
+        _refuse_parts(vertices, triangles, name)
+        # Triangles without area have no normal.
+        a, b, c = (vertices[triangles[:, k]] for k in range(3))
+        double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        longest = np.max(
+            [np.linalg.norm(q - p, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0
+        )
+        flat = double_area < 1e-7 * longest**2
+        if flat.any():
+            x, y, z = a[np.argmax(flat)]
+            raise InputError(
+                f"{name}: {int(flat.sum())} triangles have no area, the first at ({x:.4g}, "
+                f"{y:.4g}, {z:.4g}) mm; clean the surface (merge needles) and export it again"
+            )
+        # The divergence theorem: the volume is negative where the normals point inwards.
+        volume = float(np.einsum("ij,ij->", np.cross(a, b), c)) / 6.0
+        if volume < 0.0:
+            raise InputError(
+                f"{name}: the triangles are wound inwards (volume {volume:.4g} mm3, allowed: above "
+                "0); flip the normals and export it again"
+            )
+        # Twice the volume over the surface is the mean thickness of a plate.
+        thickness = 4.0 * volume / float(double_area.sum())
+        thinnest = THINNEST_MM * size_mm[0] / SIZE_MM[0]
+        if thickness < thinnest:
+            raise InputError(
+                f"{name}: the mean thickness (twice the volume over the surface) is "
+                f"{thickness:.3g} mm (allowed: at least {thinnest:g} mm); a shell is no body: "
+                "close it into a solid one"
+            )
+        return Surface(vertices=frozen(vertices), triangles=frozen(triangles), volume_mm3=volume)
 
 
 @lru_cache(maxsize=8)
 def _read_once(file: str, size_mm: tuple[float, float], _changed: int, _size: int) -> Surface:
     path = Path(file)
-    return closed_surface(read_triangles(path), path.name, size_mm)
-
-
-def closed_surface(corners: Floats, name: str, size_mm: tuple[float, float] = SIZE_MM) -> Surface:
-    """Weld triangles (m, 3, 3) into a closed surface.
-
-    Raises
-    ------
-    InputError
-        The surface is too small, too large, open, wound both ways or inwards, in several parts, or
-        too thin. ``name`` is the surface's name in the message.
-    """
-    # Size: STL files carry no unit, so a wrong one shows here.
-    size = float(np.max(np.ptp(corners.reshape(-1, 3), axis=0)))
-    if not size_mm[0] <= size <= size_mm[1]:
-        raise InputError(
-            f"{name}: the longest side is {size:.6g} mm (allowed: {size_mm[0]:g} to {size_mm[1]:g} "
-            "mm); STL files carry no unit: export it in millimetres"
-        )
-    # Join corners that are exactly equal; only if the surface stays open, also those that are
-    # nearly equal.
-    vertices, triangles = _welded(corners, 0.0)
-    if len(_open_edges(triangles)):
-        vertices, triangles = _welded(
-            corners, _WELD * float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0)))
-        )
-    _refuse_open(vertices, triangles, name)
-    _refuse_parts(vertices, triangles, name)
-    # Triangles without area have no normal.
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    longest = np.max([np.linalg.norm(q - p, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
-    flat = double_area < 1e-7 * longest**2
-    if flat.any():
-        x, y, z = a[np.argmax(flat)]
-        raise InputError(
-            f"{name}: {int(flat.sum())} triangles have no area, the first at ({x:.4g}, {y:.4g}, "
-            f"{z:.4g}) mm; clean the surface (merge needles) and export it again"
-        )
-    # The divergence theorem: the volume is negative where the normals point inwards.
-    volume = float(np.einsum("ij,ij->", np.cross(a, b), c)) / 6.0
-    if volume < 0.0:
-        raise InputError(
-            f"{name}: the triangles are wound inwards (volume {volume:.4g} mm3, allowed: above 0); "
-            "flip the normals and export it again"
-        )
-    # Twice the volume over the surface is the mean thickness of a plate.
-    thickness = 4.0 * volume / float(double_area.sum())
-    thinnest = THINNEST_MM * size_mm[0] / SIZE_MM[0]
-    if thickness < thinnest:
-        raise InputError(
-            f"{name}: the mean thickness (twice the volume over the surface) is {thickness:.3g} mm "
-            f"(allowed: at least {thinnest:g} mm); a shell is no body: close it into a solid one"
-        )
-    return Surface(vertices=frozen(vertices), triangles=frozen(triangles), volume_mm3=volume)
+    return Surface.welded(read_triangles(path), path.name, size_mm)
 
 
 def _welded(corners: Floats, distance_mm: float) -> tuple[Points, Ints]:

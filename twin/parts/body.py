@@ -436,9 +436,9 @@ class Solid(StlFile, Body):
 
     @cached_property
     def _surface(self) -> Surface:
-        from twin.geometry.closed import Surface, read_surface
+        from twin.geometry.closed import Surface
 
-        read = read_surface(self.file)
+        read = Surface.read(self.file)
         moved = frozen(read.vertices - self.origin_mm)
         return Surface(vertices=moved, triangles=read.triangles, volume_mm3=read.volume_mm3)
 

@@ -7,6 +7,7 @@ loads add with ``+``.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Literal, Protocol
@@ -51,6 +52,18 @@ class Rectangles:
 
     def __getitem__(self, part: slice) -> Rectangles:
         return Rectangles(**{name: array[part] for name, array in vars(self).items()})
+
+    @staticmethod
+    def joined(parts: Sequence[Rectangles]) -> Rectangles:
+        """Return all rectangles of ``parts`` in one, in their order."""
+        if len(parts) == 1:
+            return parts[0]
+        none = {"centre_mm": (0, 3), "frames": (0, 3, 3), "half_mm": (0, 2), "force_n": (0, 3)}
+        arrays = {
+            name: np.concatenate([np.zeros(shape), *(getattr(part, name) for part in parts)])
+            for name, shape in none.items()
+        }
+        return Rectangles(**arrays)
 
     @property
     def corner_mm(self) -> Floats:

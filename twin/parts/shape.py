@@ -21,7 +21,7 @@ from pydantic import Field, field_validator, model_validator
 
 from twin.arrays import Bools, Chart, Floats, Ints, Points
 from twin.errors import InputError
-from twin.geometry.closed import read_surface
+from twin.geometry.closed import Surface
 from twin.parts.part import Part
 
 
@@ -217,7 +217,7 @@ class StlFile(Part):
     @classmethod
     def _is_a_closed_surface(cls, file: str) -> str:
         try:
-            read_surface(file, cls.largest_mm)
+            Surface.read(file, cls.largest_mm)
         except InputError as problem:
             raise ValueError(str(problem)) from None
         return file

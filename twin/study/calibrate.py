@@ -36,7 +36,7 @@ from twin.streams import Purpose, stream
 from twin.study.recorded import PICTURES, read_picture
 from twin.study.sensor import Sensor, on_surface
 from twin.theory.contact import hertz
-from twin.theory.optics import projection_jacobian
+from twin.theory.optics import project_with_jacobian
 
 if TYPE_CHECKING:
     from twin.parts.load import Rectangles
@@ -217,9 +217,9 @@ def _through_camera(sensor: Sensor, compliance: Floats) -> Floats:
     scene = sensor.nominal
     markers = sensor.nominal_markers.points
     assert scene.camera is not None
-    jacobian = projection_jacobian(
+    jacobian = project_with_jacobian(
         markers, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
-    )
+    )[1]
     return from_compliance(compliance, jacobian)
 
 

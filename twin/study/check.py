@@ -164,7 +164,7 @@ def describe_meshes(
     """Return a line for each of the body's meshes: size and worst quality; make them again, or
     export, if asked."""
     from twin.world.mesh.body_mesh import body_mesh
-    from twin.world.mesh.quality import quality
+    from twin.world.mesh.quality import Quality
     from twin.world.mesh.sizing import Level
 
     lines = []
@@ -175,10 +175,8 @@ def describe_meshes(
     for level in levels:
         mesh = body_mesh(scene.body, level, rebuild=rebuild, progress=progress)
         if export is not None and level == "standard":
-            from twin.world.mesh.quadratic_mesh import export_mesh
-
-            export_mesh(mesh, scene.body, export)
-        worst = quality(mesh, scene.body)
+            mesh.export(scene.body, export)
+        worst = Quality.of(mesh, scene.body)
         failures = worst.failures()
         state = (
             "; ".join(failures)
@@ -232,7 +230,7 @@ def examine() -> tuple[list[str], list[str]]:
     for name, use in OPTIONAL.items():
         lines.append(f"{name:11s} {_version(name) or 'not installed (optional): ' + use}")
     if not missing:
-        from twin.world.elasticity.factor import available_solvers
+        from twin.world.elasticity.factor import Factor
         from twin.world.picture.backend import choose_variant
 
         try:
@@ -240,7 +238,7 @@ def examine() -> tuple[list[str], list[str]]:
             lines.append(f"renderer    {variant.name}: {variant.reason}")
         except MissingCapability as problem:
             missing.append(str(problem))
-        lines.append(f"solver      {', '.join(available_solvers())}")
+        lines.append(f"solver      {', '.join(Factor.solvers())}")
     lines.append(
         f"GL          "
         f"{'found' if _loads(*GL) else 'not found: only interactive 3-D windows need it'}"

@@ -22,7 +22,7 @@ from twin.parts.load import Rectangles
 from twin.parts.scene import Scene
 from twin.sense.fit_design import Fit
 from twin.theory import halfspace
-from twin.theory.optics import project, projection_jacobian
+from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.compliance import Compliance
 
 FOOTPRINT_PCT = 10.0
@@ -239,7 +239,7 @@ class FittedDesign:
     def _seen_slope(self, points: Points, camera: Camera) -> Floats:
         scene = self.scene
         index = scene.material.refractive_index
-        return projection_jacobian(points, camera, index, scene.body.base_z_mm)
+        return project_with_jacobian(points, camera, index, scene.body.base_z_mm)[1]
 
 
 def hertz_shares() -> tuple[Floats, Floats]:

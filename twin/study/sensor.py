@@ -411,13 +411,14 @@ class Sensor:
         gather
             Whether patches may be gathered.
         """
-        from twin.world.elasticity.discretise import gathered, join
+        from twin.parts.load import Rectangles
+        from twin.world.elasticity.discretise import gathered
 
         points = self.actual.markers.points
         if load.crept is not None:
             patches = tuple(self.rectangles(Load((term,))) for term in load.crept.terms)
-        whole = join(patches)
-        few = join([gathered(points, group) for group in patches]) if gather else whole
+        whole = Rectangles.joined(patches)
+        few = Rectangles.joined([gathered(points, group) for group in patches]) if gather else whole
         moved, error = self.compliance.answer(points, few)
         gradient = np.zeros((len(points), 3, 3))
         if strained or self.stiff_beads is not None:
@@ -786,9 +787,10 @@ def _covered(
     cover = scene.cover
     if cover is None or not cover.has_own_material:
         return None
-    from twin.world.elasticity.coated import CoveredCompliance, own_layer
+    from twin.world.elasticity.coated import CoveredCompliance
+    from twin.world.elasticity.fem import Layer
 
-    layer = own_layer(scene.material, cover)
+    layer = Layer.of_cover(scene.material, cover)
     if layer is None:
         return None
     return CoveredCompliance(

@@ -29,9 +29,14 @@ from scipy.special import jv
 
 from twin.arrays import Floats, Points, for_kernel, grid_points
 from twin.compiled import njit
+from twin.parts.body import Body
 from twin.parts.load import Rectangles
 from twin.parts.material import shear_modulus
 from twin.theory.halfspace import rectangle_slopes, rectangle_terms
+
+THICK = 2.5
+"""Longest side of a block over its thickness from which on it counts as a layer: that of the block
+that estimates were fitted to."""
 
 REACH = 12.0
 """Distance of a force, over the thickness, from which on the layer is at rest."""
@@ -63,6 +68,16 @@ class BondedLayer:
 
     thickness_mm: float
     poisson_ratio: float
+
+    @classmethod
+    def of(cls, body: Body, poisson_ratio: float) -> BondedLayer | None:
+        """Return the endless layer that a flat body is a piece of; None for other bodies, and for
+        thick ones."""
+        low, high = np.array(body.bounds_mm)
+        thickness = body.layer_mm
+        if thickness is None or np.max((high - low)[:2]) <= THICK * thickness:
+            return None
+        return cls(thickness_mm=thickness, poisson_ratio=poisson_ratio)
 
     @cached_property
     def _grid(self) -> Floats:

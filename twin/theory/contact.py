@@ -28,7 +28,7 @@ from twin.parts.material import plane_strain_modulus
 
 
 @dataclass(frozen=True, kw_only=True)
-class HertzContact:
+class _HertzContact:
     """A rigid sphere pressed without friction on a half-space.
 
     Attributes
@@ -65,7 +65,7 @@ def hertz(
     poisson_ratio: float,
     force_n: float | None = None,
     indentation_mm: float | None = None,
-) -> HertzContact:
+) -> _HertzContact:
     """Return Hertz's contact of a rigid sphere for a given force or a given indentation.
 
     Parameters
@@ -102,7 +102,7 @@ def hertz(
     else:
         a = math.sqrt(radius_mm * given)
         force = 4.0 * modulus * a**3 / (3.0 * radius_mm)
-    return HertzContact(
+    return _HertzContact(
         radius_mm=radius_mm,
         contact_radius_mm=a,
         indentation_mm=a * a / radius_mm,

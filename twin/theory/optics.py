@@ -113,23 +113,16 @@ def project(points: Points, camera: Camera, body_index: float, base_z_mm: float)
     return lens(towards @ tilt_matrix(camera), camera)
 
 
-def projection_jacobian(
+def project_with_jacobian(
     points: Points, camera: Camera, body_index: float, base_z_mm: float
-) -> Floats:
-    """Return (n, 2, 3) derivatives of `project` with respect to the points, px/mm; NaN where
+) -> tuple[Pixels, Floats]:
+    """Return `project`, and its (n, 2, 3) derivatives with respect to the points, px/mm; NaN where
     `project` is NaN.
 
     Notes
     -----
     Analytic: the implicit derivative of Snell's sum, then the chain rule through tilt and lens.
     """
-    return project_with_jacobian(points, camera, body_index, base_z_mm)[1]
-
-
-def project_with_jacobian(
-    points: Points, camera: Camera, body_index: float, base_z_mm: float
-) -> tuple[Pixels, Floats]:
-    """Return `project` and `projection_jacobian` for the price of one."""
     towards, p, aside = _leave(points, camera, body_index, base_z_mm)
     slope = _leaving_slopes(points, p, aside, camera, body_index, base_z_mm)
     turn = tilt_matrix(camera)
@@ -210,13 +203,6 @@ class Sight(IntEnum):
             [Sight.LOST, Sight.BEHIND_BASE, Sight.TOTAL_REFLECTION, Sight.OUTSIDE_LENS],
             Sight.SEEN,
         )
-
-
-def axis_cosine(pixels: Pixels, camera: Camera) -> Floats:
-    """Return (n,) cosines of the angles between pixels' directions and the optical axis; NaN where
-    there is none."""
-    cosine: Floats = -lens_inverse(pixels, camera)[:, 2]
-    return cosine
 
 
 def air_gap(camera: Camera, base_z_mm: float) -> float:

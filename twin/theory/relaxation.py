@@ -20,7 +20,7 @@ import numpy as np
 from twin.arrays import Floats, frozen
 
 
-def fading(x: Floats) -> tuple[Floats, Floats]:
+def _fading(x: Floats) -> tuple[Floats, Floats]:
     """Return exp(-x) and its mean from 0 to x, for x (n,) from 0."""
     mean = np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
     return np.exp(-x), mean
@@ -68,7 +68,7 @@ class Relaxation:
         """Return the strain, over the final stress / G0, a time after a stress has grown linearly
         for some ``seconds``."""
         share, late_s = self.retardation
-        mean = fading(seconds / late_s)[1]
+        mean = _fading(seconds / late_s)[1]
         return float(1.0 + share @ (1.0 - mean * np.exp(-since_s / late_s)))
 
     def dynamic_modulus(self, frequency: Floats | float) -> np.ndarray:
@@ -133,7 +133,7 @@ class RubberMemory:
 
     def over(self, seconds: float) -> tuple[float, Floats]:
         """Return ``share`` and ``left`` (...): after an interval the forces are share q + left."""
-        kept, mean = fading(seconds / self.relaxation.time_s)
+        kept, mean = _fading(seconds / self.relaxation.time_s)
         share = self.relaxation.share
         left = np.tensordot(share * kept, self.kept, 1) - (share @ mean) * self.elastic
         return float(1.0 - share @ (1.0 - mean)), left
@@ -145,7 +145,7 @@ class RubberMemory:
 
     def after_elastic(self, seconds: float, elastic: Floats) -> RubberMemory:
         """Return the memory after an interval at whose end the elastic forces are (...)."""
-        kept, mean = fading(seconds / self.relaxation.time_s)
+        kept, mean = _fading(seconds / self.relaxation.time_s)
         per_term = (len(kept), *(1,) * elastic.ndim)
         changed = kept.reshape(per_term) * self.kept
         changed += mean.reshape(per_term) * (elastic - self.elastic)

@@ -7,7 +7,7 @@ from small_sweep import small
 from twin.study.sweep.designs import designs_of
 from twin.study.sweep.fidelities import closed
 from twin.theory.limit import design_limit
-from twin.theory.optics import projection_jacobian
+from twin.theory.optics import project_with_jacobian
 
 NOISE_PX = 0.05
 
@@ -21,7 +21,7 @@ def test_pixels_become_millimetres_by_the_projection(focal_px):
     depth = np.array([layer.depth_mm for layer in scene.markers.values()])
     middle = np.column_stack([*np.tile(camera.pupil_mm[:2], (len(depth), 1)).T, depth])
     index, base = scene.material.refractive_index, scene.body.base_z_mm
-    px_per_mm = projection_jacobian(middle, camera, index, base)[:, 0, 0]
+    px_per_mm = project_with_jacobian(middle, camera, index, base)[1][:, 0, 0]
     limit = design_limit(
         depth_mm=depth[None],
         pitch_mm=np.array([[layer.pitch_mm for layer in scene.markers.values()]]),

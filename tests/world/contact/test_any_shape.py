@@ -8,7 +8,7 @@ from standard_bodies import write_stl
 
 import twin
 from benchmarks.flat import HalfSpace
-from twin.geometry.closed import PROBE_SIZE_MM, closed_surface
+from twin.geometry.closed import PROBE_SIZE_MM, Surface
 from twin.geometry.objects import object_triangles
 from twin.parts.press import Press
 from twin.parts.probe import Object, Pillar, Stl
@@ -127,7 +127,7 @@ VOLUMES = {
 
 @pytest.mark.parametrize("shape", VOLUMES)
 def test_an_object_is_closed_and_as_large_as_told(shape):
-    surface = closed_surface(object_triangles(shape, 8.0), shape, PROBE_SIZE_MM)
+    surface = Surface.welded(object_triangles(shape, 8.0), shape, PROBE_SIZE_MM)
     assert surface.volume_mm3 == pytest.approx(VOLUMES[shape], rel=0.03)
     assert np.ptp(surface.vertices[:, 0]) == pytest.approx(8.0)
     low, high = surface.vertices[:, :2].min(axis=0), surface.vertices[:, :2].max(axis=0)

@@ -22,18 +22,16 @@ from twin.world.elasticity.block_table import (
     STANDARD,
     STEP,
     USABLE,
+    Table,
     find_table,
-    make_table,
-    read_table,
     table_between,
     table_path,
-    write_table,
 )
 from twin.world.elasticity.cache import PointCache
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
-from twin.world.elasticity.factor import factorisations
-from twin.world.mesh.quadratic_mesh import read_mesh
+from twin.world.elasticity.factor import Factor
+from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.snap import drawn_to_rim
 
 LOADS = (
@@ -49,8 +47,8 @@ def points():
 
 @pytest.mark.parametrize("role", ROLES)
 def test_shipped_table_is_made_of_the_shipped_mesh(role):
-    mesh = drawn_to_rim(read_mesh(MESHES / f"kamiyama_block.{SHIPPED[role]}.npz"), STANDARD)
-    table = read_table(table_path(STANDARD, role))
+    mesh = drawn_to_rim(Mesh.read(MESHES / f"kamiyama_block.{SHIPPED[role]}.npz"), STANDARD)
+    table = Table.read(table_path(STANDARD, role))
     assert table.digest == mesh.digest(), "run python -m twin.world.elasticity.block_table"
     assert table.error < USABLE
     assert find_table(STANDARD, role) is not None
@@ -63,10 +61,10 @@ def test_table_equals_a_solve_and_factors_nothing(nu):
     tabulated = Compliance(STANDARD, material, level="nominal")
     solved = Compliance(STANDARD, material, level="nominal", table=False)
     for load in LOADS:
-        tiles, before = tile(load, STANDARD), factorisations()
+        tiles, before = tile(load, STANDARD), Factor.made
         got, slopes = tabulated.displacement(points(), tiles), tabulated.gradient(points(), tiles)
         matrix = tabulated.to_points(points(), tiles)
-        assert factorisations() == before
+        assert Factor.made == before
         expected = solved.displacement(points(), tiles)
         assert_near(got, expected, 1e-3)
         expected = solved.gradient(points(), tiles)
@@ -85,7 +83,7 @@ def test_point_forces_are_the_limit_of_small_squares():
 
 
 def test_outside_its_range_the_table_steps_back():
-    table = read_table(table_path(STANDARD, "nominal"))
+    table = Table.read(table_path(STANDARD, "nominal"))
     inside, load = np.array([[0.0, 0.0, 5.0]]), tile(LOADS[0], STANDARD)
     assert table.covers(load, 0.4)
     assert table.at(0.4).contains(PointCache(inside))
@@ -99,12 +97,12 @@ def test_outside_its_range_the_table_steps_back():
 def test_a_table_is_small_and_written_as_it_was_read(role, tmp_path):
     path = table_path(STANDARD, role)
     assert path.stat().st_size < 45_000
-    table = read_table(path)
+    table = Table.read(path)
 
     def through_a_file(coefficients):
         one = replace(table, coefficients=coefficients)
-        write_table(one, tmp_path / "t.npz")
-        return read_table(tmp_path / "t.npz").coefficients
+        one.write(tmp_path / "t.npz")
+        return Table.read(tmp_path / "t.npz").coefficients
 
     assert_allclose(through_a_file(table.coefficients), table.coefficients, rtol=1e-12)
     step = STEP * np.abs(table.coefficients).max()
@@ -120,7 +118,7 @@ def test_damaged_table_is_refused_and_solved_around(tmp_path, monkeypatch, damag
     path = tmp_path / "t.npz"
     path.write_bytes(damage(table_path(STANDARD, "nominal").read_bytes()))
     with pytest.raises(InputError, match="not a table"):
-        read_table(path)
+        Table.read(path)
     monkeypatch.setattr("twin.world.elasticity.block_table.table_path", lambda *_: path)
     with pytest.warns(UserWarning, match="solving without the table"):
         assert find_table(STANDARD, "nominal") is None
@@ -133,7 +131,7 @@ def test_a_table_whose_error_is_no_number_is_refused(tmp_path, damaged):
     words = str(arrays.pop("words")).replace('"error": ', damaged)
     np.savez(tmp_path / "t.npz", words=np.array(words), **arrays)
     with pytest.raises(InputError, match="not a table"):
-        read_table(tmp_path / "t.npz")
+        Table.read(tmp_path / "t.npz")
 
 
 def test_foreign_sizes_are_refused(tmp_path):
@@ -142,7 +140,7 @@ def test_foreign_sizes_are_refused(tmp_path):
     words = str(arrays.pop("words")).replace('"sizes": [5', '"sizes": [7')
     np.savez(tmp_path / "t.npz", words=np.array(words), **arrays)
     with pytest.raises(InputError, match="made for other sizes"):
-        read_table(tmp_path / "t.npz")
+        Table.read(tmp_path / "t.npz")
 
 
 @pytest.mark.parametrize(
@@ -151,8 +149,8 @@ def test_foreign_sizes_are_refused(tmp_path):
 )
 def test_table_can_be_made_anew(level, close, error):
     """That of a coarser mesh is as far off as the mesh."""
-    mesh = drawn_to_rim(read_mesh(MESHES / f"kamiyama_block.{level}.npz"), STANDARD)
-    made, shipped = make_table(STANDARD, mesh), read_table(table_path(STANDARD, "nominal"))
+    mesh = drawn_to_rim(Mesh.read(MESHES / f"kamiyama_block.{level}.npz"), STANDARD)
+    made, shipped = Table.make(STANDARD, mesh), Table.read(table_path(STANDARD, "nominal"))
     assert_near(shipped.coefficients, made.coefficients, close)
     assert error[0] <= made.error <= error[1]
 
@@ -163,7 +161,7 @@ def test_another_block_gets_its_table_when_many_compliances_are_asked_for(tmp_pa
     half = Block(width_mm=50, length_mm=45, thickness_mm=20)
 
     def small(body, level, progress=None):
-        mesh = read_mesh(MESHES / f"kamiyama_block.{level}.npz")
+        mesh = Mesh.read(MESHES / f"kamiyama_block.{level}.npz")
         return replace(mesh, points=mesh.points / 2.0)
 
     monkeypatch.setattr("twin.world.elasticity.block_table.cache_folder", lambda: tmp_path)
@@ -176,9 +174,9 @@ def test_another_block_gets_its_table_when_many_compliances_are_asked_for(tmp_pa
     inside = points() / 2.0
     matrix = stiff.to_points(inside, many)
     assert table_path(half, "truth", 0.45).exists()
-    before = factorisations()
+    before = Factor.made
     got = Compliance(half, stiff.material).displacement(inside, many)
-    assert factorisations() == before
+    assert Factor.made == before
     twice = rectangles(2 * centre, 0.3, force)
     expected = 2.0 * Compliance(STANDARD, stiff.material).displacement(points(), twice)
     assert_near(got, expected, 6e-4)
@@ -198,10 +196,10 @@ def test_no_table_is_made_of_an_oblong_block(size, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_the_table_of_a_thin_block_holds_what_the_layer_leaves(tmp_path):
     """Beside it the layer's closed field: together they are a solve on the mesh of the table."""
-    mesh = read_mesh(MESHES / "kamiyama_block.nominal.npz")
+    mesh = Mesh.read(MESHES / "kamiyama_block.nominal.npz")
     pad = Block(width_mm=100, length_mm=90, thickness_mm=8)
     mesh = replace(mesh, points=mesh.points * [1.0, 1.0, 0.2])
-    tables = [make_table(pad, mesh, poisson_ratio=0.48), make_table(pad, mesh)]
+    tables = [Table.make(pad, mesh, poisson_ratio=0.48), Table.make(pad, mesh)]
     rubber = Material(youngs_modulus_mpa=0.5, poisson_ratio=0.48)
     solved = Compliance(pad, rubber, mesh)
     places = points() * [1.2, 1.2, 0.15]
@@ -212,18 +210,18 @@ def test_the_table_of_a_thin_block_holds_what_the_layer_leaves(tmp_path):
     moved, slope = solved.displacement(places, many), solved.gradient(places, many)
     for made in tables:
         assert made.error < USABLE / 2
-        write_table(made, tmp_path / "pad.npz")
-        table = read_table(tmp_path / "pad.npz")
+        made.write(tmp_path / "pad.npz")
+        table = Table.read(tmp_path / "pad.npz")
         assert table.poisson_ratio == made.poisson_ratio
         tabled = Compliance(pad, rubber, table=table)
-        before = factorisations()
+        before = Factor.made
         assert_near(tabled.displacement(places, many), moved, 1e-4)
         assert_near(tabled.gradient(places, many), slope, 1e-3)
         matrix = tabled.to_points(places, many)
         assert_near((matrix @ many.force_n.ravel()).reshape(-1, 3), moved, 1e-4)
         normal = tabled.normal_surface(many)
         assert_near(normal, tabled.surface(many)[2::3, 2::3], 1e-6)
-        assert factorisations() == before
+        assert Factor.made == before
 
 
 PRESSES = (
@@ -267,12 +265,12 @@ def test_an_interpolated_block_is_a_solved_one_and_factors_nothing():
     for thickness, nu in ((30.0, 0.5), (40.3, 0.45), (50.0, 0.5)):
         body, material = block(thickness), Material(youngs_modulus_mpa=1.0, poisson_ratio=nu)
         table = table_between(body, "nominal", 30.0, 50.0)
-        before = factorisations()
+        before = Factor.made
         got = [
             Compliance(body, material, level="nominal", table=table).displacement(points, tile(load, body))
             for load in PRESSES
         ]
-        assert factorisations() == before
+        assert Factor.made == before
         solved = Compliance(body, material, level="nominal", table=False)
         for load, moved in zip(PRESSES, got, strict=True):
             wanted = solved.displacement(points, tile(load, body))

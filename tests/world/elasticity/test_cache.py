@@ -17,9 +17,9 @@ from twin.parts.material import Material
 from twin.world.elasticity import cache
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
-from twin.world.elasticity.factor import factorisations
+from twin.world.elasticity.factor import Factor
 from twin.world.mesh import elements
-from twin.world.mesh.quadratic_mesh import read_mesh
+from twin.world.mesh.quadratic_mesh import Mesh
 
 POINTS = np.array([[0.0, 0.0, 1.0], [1.0, -1.0, 2.0]])
 
@@ -31,7 +31,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def stiff(nu=0.5):
-    mesh = read_mesh(MESHES / "sato_finger.sketch.npz")
+    mesh = Mesh.read(MESHES / "sato_finger.sketch.npz")
     return Compliance(FINGER, Material(poisson_ratio=nu), mesh, level="sketch")
 
 
@@ -44,9 +44,9 @@ def patches():
 
 
 def solves(action):
-    before = factorisations()
+    before = Factor.made
     result = action()
-    return result, factorisations() - before
+    return result, Factor.made - before
 
 
 def test_a_second_process_reads_what_the_first_solved(folder):

@@ -12,9 +12,10 @@ from twin.parts.material import Cover, Material
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor
 from twin.theory import halfspace
-from twin.world.elasticity.coated import CoveredCompliance, LocalModel, own_layer
+from twin.world.elasticity.coated import CoveredCompliance, _LocalModel
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
+from twin.world.elasticity.fem import Layer
 
 RUBBER = Material(youngs_modulus_mpa=1.0, poisson_ratio=0.5)
 REFERENCE = Path(__file__).parents[2] / "reference" / "covered_finger.npz"
@@ -22,7 +23,7 @@ AROUND = np.stack(np.meshgrid([-3, -1, -0.4, 0, 0.3, 1], [-2, 0, 0.5, 1.5]), -1)
 
 
 def covered(body, cover, material=RUBBER):
-    return CoveredCompliance(body, material, cover.thickness_mm, own_layer(material, cover), level="sketch")
+    return CoveredCompliance(body, material, cover.thickness_mm, Layer.of_cover(material, cover), level="sketch")
 
 
 def flat_error(stiff, cover, radius, force, depths):
@@ -66,8 +67,8 @@ def test_moduli_scale_and_equal_ones_are_no_cover():
     np.testing.assert_allclose(twice, once / 2, rtol=1e-8)
     bare = Compliance(FINGER, RUBBER, level="nominal").displacement(points, load)
     assert 0.5 < np.linalg.norm(once) / np.linalg.norm(bare) < 0.98
-    assert own_layer(RUBBER, Cover(youngs_modulus_mpa=1.0, poisson_ratio=0.5)) is None
-    assert own_layer(RUBBER, Cover()) is own_layer(RUBBER, None) is None
+    assert Layer.of_cover(RUBBER, Cover(youngs_modulus_mpa=1.0, poisson_ratio=0.5)) is None
+    assert Layer.of_cover(RUBBER, Cover()) is Layer.of_cover(RUBBER, None) is None
 
 
 def test_only_a_cover_of_another_material_changes_the_sensor():
@@ -86,7 +87,7 @@ def test_a_region_is_made_once_and_patches_on_it_are_reciprocal():
     patches = tile(Traction.rectangle((1.0, 0.5), (1.2, 1.2), (0, 0, 1)), FINGER, 0.4)
     matrix = stiff.surface(patches)
     patch = stiff.local_model(patches, each=True)
-    assert isinstance(patch, LocalModel)
+    assert isinstance(patch, _LocalModel)
     assert patch.asymmetry < 0.03  # the edge of the mesh is as large as a patch here
     assert np.linalg.eigvalsh(matrix).min() > 0
     assert stiff.local_model(patches, each=True) is patch
@@ -101,7 +102,9 @@ def test_finger_agrees_with_an_independent_code(case):
     """NGSolve, order 3 on curved elements of both: bump 1 mm, cover ten times stiffer."""
     with np.load(REFERENCE) as file:
         points, expected = file["points"], file[case]
-    stiff = CoveredCompliance(FINGER, RUBBER, 0.2, own_layer(RUBBER, Cover(youngs_modulus_mpa=10.0)), level="nominal")
+    stiff = CoveredCompliance(
+        FINGER, RUBBER, 0.2, Layer.of_cover(RUBBER, Cover(youngs_modulus_mpa=10.0)), level="nominal"
+    )
     force = (0, 0, 1) if case == "normal" else (1, 0, 0)
     got, estimate = stiff.answer(points, tile(Traction.bump((1.0, 0.5), 1.0, force), FINGER))
     error = relative_error(got, expected)

@@ -10,7 +10,7 @@ from twin.parts.material import Material
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.correction_loads import nodal_forces
 from twin.world.elasticity.discretise import tile
-from twin.world.mesh.quadratic_mesh import read_mesh
+from twin.world.mesh.quadratic_mesh import Mesh
 
 CHART = np.vstack([[0.0, 0.0], np.random.default_rng(3).uniform([-5, -8], [8, 8], (14, 2))])
 KINDS = ("disk", "bump", "rectangle", "twist")
@@ -26,7 +26,7 @@ def traction(kind, centre, radius, force):
 
 @pytest.fixture(scope="module")
 def stiff():
-    return Compliance(FINGER, Material(youngs_modulus_mpa=0.5), read_mesh(MESHES / "sato_finger.nominal.npz"))
+    return Compliance(FINGER, Material(youngs_modulus_mpa=0.5), Mesh.read(MESHES / "sato_finger.nominal.npz"))
 
 
 def assert_width_does_not_matter(stiff, place, kind, axis, radii, bound=0.01):

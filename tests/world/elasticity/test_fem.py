@@ -7,22 +7,22 @@ from standard_bodies import BLOCK, FINGER, assert_near, forces_on, nearest_node,
 
 from twin.errors import InputError, OutOfBodyError
 from twin.files import MESHES
-from twin.world.elasticity.factor import available_solvers
+from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh.interpolate import Locator, require_inside
-from twin.world.mesh.quadratic_mesh import read_mesh
+from twin.world.mesh.quadratic_mesh import Mesh
 
 BODIES = {"kamiyama_block": BLOCK, "sato_finger": FINGER}
 
 
 @pytest.fixture(scope="module", params=list(BODIES))
 def mesh(request):
-    return read_mesh(MESHES / f"{request.param}.nominal.npz")
+    return Mesh.read(MESHES / f"{request.param}.nominal.npz")
 
 
 @pytest.fixture(scope="module")
 def finger_mesh():
-    return read_mesh(MESHES / "sato_finger.nominal.npz")
+    return Mesh.read(MESHES / "sato_finger.nominal.npz")
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_patch_test(mesh, nu):
     assert_near(solved, linear, 1e-10)
 
 
-@pytest.mark.parametrize("solver", available_solvers())
+@pytest.mark.parametrize("solver", Factor.solvers())
 def test_reaction_balances_the_load_and_solvers_agree(finger_mesh, finger, solver):
     forces = forces_on(finger_mesh, nearest_node(finger_mesh), np.eye(3))
     other = TaylorHood(finger_mesh, 0.5, solver)
@@ -69,7 +69,7 @@ def test_poisson_ratio_is_limited(finger_mesh):
 @pytest.mark.parametrize("name", list(BODIES))
 def test_quadratic_fields_are_read_exactly_and_outside_points_are_named(name):
     """Elements hold linear fields exactly; the block's flat elements quadratic ones too."""
-    body, mesh = BODIES[name], read_mesh(MESHES / f"{name}.nominal.npz")
+    body, mesh = BODIES[name], Mesh.read(MESHES / f"{name}.nominal.npz")
     rng = np.random.default_rng(8)
     low, high = (np.array(b) for b in body.bounds_mm)
     points = rng.uniform(low, high, (4000, 3))

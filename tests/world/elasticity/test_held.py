@@ -11,7 +11,7 @@ from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh.body_mesh import body_mesh, mesh_key
-from twin.world.mesh.sizing import default_sizing, rim_points
+from twin.world.mesh.sizing import Sizing, rim_points
 
 FREE = FINGER
 HELD = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2, back="held")
@@ -23,7 +23,7 @@ def mesh():
 
 
 def test_only_a_held_back_asks_for_another_mesh():
-    sizing = default_sizing(FREE, "nominal")
+    sizing = Sizing.of(FREE, "nominal")
     told = {**FREE.model_dump(), "back": "free"}
     assert mesh_key(Finger(**told), sizing) == mesh_key(FREE, sizing) != mesh_key(HELD, sizing)
 

@@ -15,9 +15,9 @@ from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.correction_loads import nodal_forces
-from twin.world.elasticity.discretise import join, tile
+from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.fem import TaylorHood
-from twin.world.mesh.quadratic_mesh import read_mesh
+from twin.world.mesh.quadratic_mesh import Mesh
 
 PUSH = (0.3, -0.5, 1.0)
 SIDES = ("width_mm", "length_mm", "thickness_mm")
@@ -33,7 +33,7 @@ def stiffness(body, modulus, mesh):
 @pytest.fixture(scope="module")
 def both():
     return {
-        name: stiffness(BODIES[name], 1.0, read_mesh(MESHES / f"{file}.sketch.npz")) for name, file in FILES.items()
+        name: stiffness(BODIES[name], 1.0, Mesh.read(MESHES / f"{file}.sketch.npz")) for name, file in FILES.items()
     }
 
 
@@ -171,7 +171,7 @@ def test_a_load_over_the_whole_face_is_the_sum_of_its_quarters(block):
     points = np.array([[1.0, 2.0, 3.0], [40.0, -30.0, 9.0], [0.0, 0.0, 30.0]])
     quarter = tuple(np.array(PUSH) / 4)
     centres = [(x, y) for x in (-25.0, 25.0) for y in (-22.5, 22.5)]
-    parts = join([square(centre, (50, 45), force=quarter) for centre in centres])
+    parts = Rectangles.joined([square(centre, (50, 45), force=quarter) for centre in centres])
     one, other = (block.displacement(points, each) for each in (square((0, 0), (100, 90)), parts))
     assert_allclose(one, other, atol=0.01 * np.abs(one).max())
 

@@ -11,9 +11,9 @@ from twin.world.elasticity.fem import Layer, TaylorHood
 from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.cover_mesh import with_cover
-from twin.world.mesh.elements import TET_EDGES, boundary_triangles, signed_volumes, tet_quadrature, tet_shapes
-from twin.world.mesh.quadratic_mesh import read_mesh, write_mesh
-from twin.world.mesh.quality import dihedral_angles, enclosed_volume, jacobian_ratios, offsets, open_edges, quality
+from twin.world.mesh.elements import TET_EDGES, boundary_triangles, quadrature, shapes, signed_volumes
+from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quality import Quality, dihedral_angles, enclosed_volume, jacobian_ratios, offsets, open_edges
 
 
 @pytest.fixture(scope="module", params=list(BODIES))
@@ -28,8 +28,8 @@ def mesh(body):
 
 def volume(mesh, region):
     """Return the volume of a region's curved elements."""
-    places, weights = tet_quadrature()
-    slopes = tet_shapes(places)[1]
+    places, weights = quadrature(3)
+    slopes = shapes(places)[1]
     nodes = mesh.points[mesh.tets[mesh.region == region]]
     determinants = np.linalg.det(np.einsum("mai,qaj->mqij", nodes, slopes))
     return float(np.einsum("q,mq->", weights, determinants))
@@ -102,8 +102,8 @@ def test_equal_materials_make_a_covered_body_a_bare_one(body, mesh, nu):
 
 def test_regions_are_stored_and_read_back(tmp_path, body, mesh):
     covered = with_cover(mesh, body, 0.2)
-    write_mesh(covered, tmp_path / "covered.npz", {})
-    again = read_mesh(tmp_path / "covered.npz")
+    covered.write(tmp_path / "covered.npz", {})
+    again = Mesh.read(tmp_path / "covered.npz")
     assert np.array_equal(again.region, covered.region)
     assert again.digest() == covered.digest() != mesh.digest()
 
@@ -127,11 +127,11 @@ def test_refined_mesh_is_fine_whole_and_on_the_surface(body, edge, local):
     middle = ends.mean(axis=2) if local else np.repeat(mesh.points[mesh.tets[:, :4]].mean(axis=1)[:, None], 6, axis=1)
     # moving onto the surface may stretch an edge
     assert np.all(length <= 1.1 * wanted(middle.reshape(-1, 3)).reshape(-1, 6))
-    got = quality(mesh, body)
+    got = Quality.of(mesh, body)
     assert got.open_edges == got.unclassified == 0
     assert got.largest_offset_mm < 1e-9
     assert got.least_volume_mm3 > 0
-    assert abs(got.volume_error) <= max(1.2 * abs(quality(coarse, body).volume_error), 1e-12)
+    assert abs(got.volume_error) <= max(1.2 * abs(Quality.of(coarse, body).volume_error), 1e-12)
     least, before = (dihedral_angles(m.points, m.tets).min() for m in (mesh, coarse))
     assert least > 0.3 * before
     assert refined(coarse, body, wanted, local=local).digest() == mesh.digest()

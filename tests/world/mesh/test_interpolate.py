@@ -7,7 +7,7 @@ import pytest
 from standard_bodies import BLOCK, FINGER
 
 from twin.world.mesh.body_mesh import body_mesh
-from twin.world.mesh.elements import tet_shapes
+from twin.world.mesh.elements import shapes
 from twin.world.mesh.interpolate import Locator, Recovery
 
 POINTS = 60_000
@@ -20,11 +20,11 @@ def test_points_are_read_from_their_own_element(body):
     corners = mesh.points[mesh.tets[:, :4]]
     volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
     drawn = mesh.tets[rng.choice(len(volume), POINTS, p=volume / volume.sum())]
-    shapes, _ = tet_shapes(rng.dirichlet(np.full(4, 0.5), POINTS)[:, 1:])
-    points = np.einsum("qa,qai->qi", shapes, mesh.points[drawn])
+    values, _ = shapes(rng.dirichlet(np.full(4, 0.5), POINTS)[:, 1:])
+    points = np.einsum("qa,qai->qi", values, mesh.points[drawn])
     field = (mesh.points**3).sum(axis=1)
     read = Locator(mesh).locate(points).values(field)
-    assert np.abs(read - (shapes * field[drawn]).sum(axis=1)).max() < 1e-10 * np.abs(field).max()
+    assert np.abs(read - (values * field[drawn]).sum(axis=1)).max() < 1e-10 * np.abs(field).max()
 
 
 def cubic(at):

@@ -16,9 +16,9 @@ from twin.parts.body import Block, Finger, Solid
 from twin.world.mesh import body_mesh as making
 from twin.world.mesh.body_mesh import body_mesh, build_mesh, mesh_key
 from twin.world.mesh.elements import TET_EDGES, TRIANGLE_EDGES
-from twin.world.mesh.quadratic_mesh import export_mesh, load_mesh, read_mesh, write_mesh
-from twin.world.mesh.quality import dihedral_angles, enclosed_volume, offsets, quality
-from twin.world.mesh.sizing import WantedEdge, default_sizing
+from twin.world.mesh.quadratic_mesh import Mesh
+from twin.world.mesh.quality import Quality, dihedral_angles, enclosed_volume, offsets
+from twin.world.mesh.sizing import Sizing, WantedEdge
 from twin.world.mesh.snap import snapped_mesh
 from twin.world.mesh.tetrahedralise import remeshed
 
@@ -43,7 +43,7 @@ def path(request):
 
 @pytest.fixture
 def shipped(path):
-    return read_mesh(path), *FILES[path.stem]
+    return Mesh.read(path), *FILES[path.stem]
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def own_cache(tmp_path, monkeypatch):
 
 def test_shipped_meshes_pass_the_gates_and_are_small_enough_to_factor(shipped):
     mesh, body, level = shipped
-    measured = quality(mesh, body)
+    measured = Quality.of(mesh, body)
     assert not measured.failures()
     assert measured.least_dihedral_deg > 12
     assert measured.unknowns == mesh.unknowns == 3 * len(mesh.points) + mesh.corners
@@ -95,7 +95,7 @@ def test_volume_and_held_area_are_exact_on_the_block_and_near_on_the_finger(ship
 
 
 def test_quadratic_faces_carry_the_finger_s_volume_far_better_than_straight_ones():
-    mesh = read_mesh(MESHES / "sato_finger.standard.npz")
+    mesh = Mesh.read(MESHES / "sato_finger.standard.npz")
     straight = mesh.points.copy()
     straight[mesh.faces[:, 3:]] = mesh.points[mesh.faces[:, TRIANGLE_EDGES]].mean(axis=2)
     curved_error, straight_error = (
@@ -110,7 +110,7 @@ def test_edges_are_graded_to_the_clamped_rim(shipped):
     pairs = np.unique(np.sort(mesh.tets[:, TET_EDGES].reshape(-1, 2), axis=1), axis=0)
     ends = mesh.points[pairs]
     length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-    wanted = WantedEdge(body, default_sizing(body, level))(ends.mean(axis=1))
+    wanted = WantedEdge(body, Sizing.of(body, level))(ends.mean(axis=1))
     assert 0.6 < np.median(length / wanted) < 1.4
     assert np.corrcoef(np.log(length), np.log(wanted))[0, 1] > 0.35
 
@@ -122,19 +122,19 @@ def test_truth_and_nominal_never_share_a_mesh(body):
 
 def test_shipped_files_say_how_they_were_made(shipped, path):
     mesh, body, level = shipped
-    stored = load_mesh(path)[1]
-    assert stored["key"] == mesh_key(body, default_sizing(body, level))
+    stored = Mesh.load(path)[1]
+    assert stored["key"] == mesh_key(body, Sizing.of(body, level))
     assert stored["digest"] == mesh.digest()
     assert stored["quality"]["unknowns"] == mesh.unknowns
 
 
 def test_the_key_follows_geometry_and_sizing_but_not_the_recipe_s_sources():
-    sizing = default_sizing(BLOCK, "standard")
+    sizing = Sizing.of(BLOCK, "standard")
     key = mesh_key(BLOCK, sizing)
     assert key == mesh_key(BLOCK.model_copy(update={"source": "somewhere"}), sizing)
     assert key != mesh_key(BLOCK.model_copy(update={"thickness_mm": 40.001}), sizing)
     assert key != mesh_key(BLOCK, replace(sizing, growth=0.45))
-    assert key != mesh_key(BLOCK, default_sizing(BLOCK, "nominal"))
+    assert key != mesh_key(BLOCK, Sizing.of(BLOCK, "nominal"))
 
 
 def test_snapping_undoes_a_disturbed_surface():
@@ -158,7 +158,7 @@ def test_mid_side_nodes_are_in_vtk_order_and_halfway_on_flat_bodies():
 
 @pytest.mark.parametrize("of_file", [False, True])
 def test_arrays_are_read_only(of_file):
-    mesh = read_mesh(MESHES / "sato_finger.nominal.npz") if of_file else small_mesh()
+    mesh = Mesh.read(MESHES / "sato_finger.nominal.npz") if of_file else small_mesh()
     for array in (mesh.points, mesh.tets, mesh.faces, mesh.piece):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
@@ -169,12 +169,12 @@ def test_arrays_are_read_only(of_file):
 
 @pytest.fixture
 def written(tmp_path):
-    write_mesh(small_mesh(jitter_mm=0.1), tmp_path / "m.npz", {"key": "k"})
+    small_mesh(jitter_mm=0.1).write(tmp_path / "m.npz", {"key": "k"})
     return tmp_path / "m.npz"
 
 
 def test_a_file_round_trip_keeps_every_bit(written):
-    again = read_mesh(written)
+    again = Mesh.read(written)
     assert again.digest() == small_mesh(jitter_mm=0.1).digest()
     assert again.points.dtype == np.float64
     assert again.tets.dtype == again.faces.dtype == again.piece.dtype == np.int64
@@ -187,7 +187,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
 
     monkeypatch.setattr(np, "savez_compressed", full_disk)
     with pytest.raises(TwinError, match="No space"):
-        write_mesh(small_mesh(), tmp_path / "m.npz", {})
+        small_mesh().write(tmp_path / "m.npz", {})
     assert list(tmp_path.iterdir()) == []
 
 
@@ -222,7 +222,7 @@ DAMAGES = {
 def test_a_broken_or_foreign_file_is_refused_with_its_name_and_the_remedy(written, damage):
     DAMAGES[damage](written)
     with pytest.raises(InputError, match=r"m\.npz: not a whole mesh file .*--rebuild"):
-        read_mesh(written)
+        Mesh.read(written)
 
 
 TURNED = [0, 2, 1, 3, 4, 5, 6, 7, 8, 9]
@@ -242,9 +242,9 @@ TURNED = [0, 2, 1, 3, 4, 5, 6, 7, 8, 9]
 )
 def test_arrays_that_make_no_mesh_are_refused(tmp_path, change, message):
     mesh = small_mesh()
-    write_mesh(replace(mesh, **change(mesh)), tmp_path / "m.npz", {})
+    replace(mesh, **change(mesh)).write(tmp_path / "m.npz", {})
     with pytest.raises(InputError, match=message):
-        read_mesh(tmp_path / "m.npz")
+        Mesh.read(tmp_path / "m.npz")
 
 
 def test_arrays_that_were_swapped_under_the_digest_are_refused(written):
@@ -253,12 +253,12 @@ def test_arrays_that_were_swapped_under_the_digest_are_refused(written):
     arrays["piece"] = arrays["piece"][::-1]
     np.savez(written, **arrays)
     with pytest.raises(InputError, match="digest"):
-        read_mesh(written)
+        Mesh.read(written)
 
 
 def test_a_missing_file_says_how_to_make_it(tmp_path):
     with pytest.raises(InputError, match=r"no such mesh file.*twin mesh"):
-        read_mesh(tmp_path / "none.npz")
+        Mesh.read(tmp_path / "none.npz")
 
 
 # --- cache and mesher -----------------------------------------------------------------------------
@@ -270,7 +270,7 @@ def test_a_body_is_built_once_then_cached_and_a_broken_entry_is_mended(own_cache
     def build(body, sizing, *, progress=None):
         built.append(body)
         mesh = small_mesh(jitter_mm=0.1)
-        return mesh, quality(mesh, body)
+        return mesh, Quality.of(mesh, body)
 
     monkeypatch.setattr(making, "build_mesh", build)
     first = body_mesh(SMALL, "standard")
@@ -316,7 +316,7 @@ def test_what_no_stretched_mesh_fits_is_meshed(no_mesher, body):
 )
 def test_a_shipped_mesh_is_stretched_to_another_size(no_mesher, body):
     mesh = body_mesh(body, "coarse")
-    assert not quality(mesh, body).failures()
+    assert not Quality.of(mesh, body).failures()
     a, b, c, d = (mesh.points[mesh.tets[:, i]] for i in range(4))
     straight = np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))).sum() / 6.0
     near = 1e-9 if isinstance(body, Block) else 0.02
@@ -335,7 +335,7 @@ def test_the_first_good_try_is_taken_and_bad_ones_are_told(monkeypatch, small_so
     tries, lines = iter([0.9, 0.1]), []
     monkeypatch.setattr(making, "tetrahedralise", lambda *_, **__: block_boxes(SMALL, (3, 3, 3)))
     monkeypatch.setattr(making, "remeshed", lambda *_: block_boxes(SMALL, (3, 3, 3), next(tries)))
-    sizing = replace(default_sizing(small_solid, "standard"), unknowns=small_mesh().unknowns)
+    sizing = replace(Sizing.of(small_solid, "standard"), unknowns=small_mesh().unknowns)
     mesh, measured = build_mesh(small_solid, sizing, progress=lambda line, share: lines.append(line))
     assert measured.failures() == []
     np.testing.assert_allclose(mesh.points, small_mesh(jitter_mm=0.1).points, atol=1e-12)
@@ -346,7 +346,7 @@ def test_the_first_good_try_is_taken_and_bad_ones_are_told(monkeypatch, small_so
 def test_a_build_gives_up_with_the_reason_when_no_try_is_good(monkeypatch, small_solid):
     for step in ("tetrahedralise", "remeshed"):
         monkeypatch.setattr(making, step, lambda *_, **__: block_boxes(SMALL, (3, 3, 3)))
-    sizing = replace(default_sizing(small_solid, "standard"), unknowns=1_000_000)
+    sizing = replace(Sizing.of(small_solid, "standard"), unknowns=1_000_000)
     with pytest.raises(MeshError, match=r"none of 30 meshes of the solid.*wanted: 1000000"):
         build_mesh(small_solid, sizing)
 
@@ -360,7 +360,7 @@ def test_needles_and_flat_elements_are_mended_the_same_every_time():
     for one, other in zip(*made, strict=True):
         np.testing.assert_array_equal(one, other)
     body = snapped_mesh(SMALL, *made[0])
-    assert not quality(body, SMALL).failures()
+    assert not Quality.of(body, SMALL).failures()
     assert enclosed_volume(body.points, body.faces) == pytest.approx(216, rel=1e-12)
 
 
@@ -373,7 +373,7 @@ def test_a_mesh_that_can_t_be_read_is_refused_not_mended():
 @pytest.mark.parametrize("size", [(6, 6, 6), (60, 6, 5), (8, 8, 30), (40, 40, 2), (25, 24, 4)])
 def test_a_block_s_mesh_is_made_by_rule(size):
     body = Block(**dict(zip(("width_mm", "length_mm", "thickness_mm"), size, strict=True)))
-    sizing = default_sizing(body, "coarse")
+    sizing = Sizing.of(body, "coarse")
     mesh, measured = build_mesh(body, sizing)
     assert measured.failures() == []
     assert measured.least_dihedral_deg > 20
@@ -390,7 +390,7 @@ def test_a_real_build_through_the_guarded_mesher_passes_and_is_cached(own_cache,
         lines.append(line)
 
     mesh = body_mesh(body, "nominal", rebuild=True, progress=progress)
-    measured, count = quality(mesh, body), len(lines)
+    measured, count = Quality.of(mesh, body), len(lines)
     assert not measured.failures()
     assert measured.volume_error == pytest.approx(0, abs=1e-12)
     assert count
@@ -401,7 +401,7 @@ def test_a_real_build_through_the_guarded_mesher_passes_and_is_cached(own_cache,
 @pytest.mark.slow
 @pytest.mark.parametrize("body", [FINGER, Finger(radius_mm=6, barrel_mm=10, skirt_mm=1)])
 def test_a_finger_is_rebuilt_within_the_gates(own_cache, body):
-    measured = quality(body_mesh(body, "nominal", rebuild=True), body)
+    measured = Quality.of(body_mesh(body, "nominal", rebuild=True), body)
     assert not measured.failures()
     assert abs(measured.volume_error) < 5e-5
 
@@ -411,11 +411,11 @@ def test_of_two_that_make_a_mesh_at_once_both_take_the_first(own_cache, monkeypa
     made, quicker = [], []
 
     def build(body, sizing, progress):
-        mesh = read_mesh(MESHES / "kamiyama_block.nominal.npz")
+        mesh = Mesh.read(MESHES / "kamiyama_block.nominal.npz")
         made.append(mine := replace(mesh, points=mesh.points * (1.0 + len(made))))
         if len(made) == 1:  # while the first is at it, a second begins and ends
             quicker.append(body_mesh(body, "nominal"))
-        return mine, quality(mine, body)
+        return mine, Quality.of(mine, body)
 
     monkeypatch.setattr(making, "build_mesh", build)
     found = body_mesh(FITS_NONE, "nominal").digest()
@@ -424,11 +424,11 @@ def test_of_two_that_make_a_mesh_at_once_both_take_the_first(own_cache, monkeypa
 
 def test_the_exported_mesh_has_the_bodys_volume(tmp_path):
     mesh = body_mesh(FINGER, "nominal")
-    export_mesh(mesh, FINGER, tmp_path / "deep" / "finger.vtu")
+    mesh.export(FINGER, tmp_path / "deep" / "finger.vtu")
     grid = pyvista.read(tmp_path / "deep" / "finger.vtu")
     assert grid.n_cells == len(mesh.tets)
     # straight tetrahedra cut the curved corners
     assert grid.volume == pytest.approx(FINGER.volume_mm3, rel=0.02)
     assert grid.point_data["depth_mm"].min() == pytest.approx(0, abs=1e-9)
     with pytest.raises(InputError, match=r"exported as \.vtu"):
-        export_mesh(mesh, FINGER, tmp_path / "finger.stl")
+        mesh.export(FINGER, tmp_path / "finger.stl")

@@ -11,9 +11,9 @@ from standard_bodies import forces_on, on_boundary
 from twin.errors import InputError, MeshError, SolveError
 from twin.parts.body import Block
 from twin.world.elasticity.fem import Layer, TaylorHood
-from twin.world.mesh.elements import TET_EDGES, tet_shapes
+from twin.world.mesh.elements import TET_EDGES, shapes
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import enclosed_volume, jacobian_ratios, open_edges, quality
+from twin.world.mesh.quality import Quality, enclosed_volume, jacobian_ratios, open_edges
 from twin.world.mesh.snap import snapped_mesh
 
 CUBE = Block(width_mm=5, length_mm=5, thickness_mm=5)
@@ -37,7 +37,7 @@ def figures(corners):
     faces = [[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [1, 2, 3, 5, 9, 8], [0, 3, 2, 7, 9, 6]]
     whole = {"faces": np.array(faces), "piece": np.zeros(4, int)}
     mesh = Mesh(points=with_middles(corners), tets=ONE_TET, corners=4, **whole)
-    return quality(mesh, CUBE)
+    return Quality.of(mesh, CUBE)
 
 
 def test_angles_and_scaled_jacobians_of_known_tetrahedra():
@@ -55,7 +55,7 @@ def test_shape_gradients_reproduce_quadratics():
     x, y, z = with_middles(CORNER).T
     values = x**2 + 3 * y * z - 2 * z
     r, s, t = place = (0.2, 0.3, 0.4)
-    slopes = tet_shapes(np.array([place]))[1][0]
+    slopes = shapes(np.array([place]))[1][0]
     assert_allclose(values @ slopes, [2 * r, 3 * t, 3 * s - 2], atol=1e-14)
 
 
@@ -68,7 +68,7 @@ def test_the_jacobian_ratio_of_one_moved_middle_has_its_closed_form():
 
 
 def test_a_straight_cube_passes_every_figure(cube):
-    measured = quality(cube, CUBE)
+    measured = Quality.of(cube, CUBE)
     assert measured.failures() == []
     assert measured.volume_error == pytest.approx(0, abs=1e-14)
     assert measured.least_volume_mm3 == pytest.approx(125 / 6)
@@ -111,7 +111,7 @@ FAULTS = {
 @pytest.mark.parametrize("name", FAULTS)
 def test_each_gate_closes_on_its_fault(cube, name):
     message, fault = FAULTS[name]
-    assert any(message in line for line in quality(replace(cube, **fault(cube)), CUBE).failures())
+    assert any(message in line for line in Quality.of(replace(cube, **fault(cube)), CUBE).failures())
 
 
 def test_open_edges_are_counted(cube):

@@ -10,7 +10,7 @@ from twin.parts.material import Material
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
 from twin.world.mesh.body_mesh import body_mesh
-from twin.world.mesh.elements import tet_quadrature, tet_shapes
+from twin.world.mesh.elements import quadrature, shapes
 from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.snap import RIM_SHARE, drawn_to_rim
 
@@ -24,7 +24,7 @@ def body(request):
 
 def jacobians(mesh):
     """Return (m, q) determinants of the elements' maps at the quadrature points."""
-    slopes = tet_shapes(tet_quadrature()[0])[1]
+    slopes = shapes(quadrature(3)[0])[1]
     return np.linalg.det(np.einsum("tai,qaj->tqij", mesh.points[mesh.tets], slopes))
 
 
@@ -52,7 +52,7 @@ def test_only_middles_of_edges_from_the_rim_move_and_stay_in_their_faces(body):
 
 def test_elements_keep_their_volume_and_never_fold(body):
     plain, drawn = meshes(body)
-    weights = tet_quadrature()[1]
+    weights = quadrature(3)[1]
     before, after = (jacobians(mesh) for mesh in (plain, drawn))
     assert after.min() > 0.0
     assert (after @ weights).sum() == pytest.approx((before @ weights).sum(), rel=2e-4)

@@ -55,8 +55,7 @@ def _pin_meshes(meta: Path, progress: Progress | None) -> None:
     from twin.world.elasticity.block_table import find_table, table_path
     from twin.world.elasticity.compliance import Compliance
     from twin.world.mesh.body_mesh import body_mesh, mesh_file, mesh_key, shipped_mesh
-    from twin.world.mesh.quadratic_mesh import write_mesh
-    from twin.world.mesh.sizing import WORLD, default_sizing
+    from twin.world.mesh.sizing import WORLD, Sizing
 
     there = load_scene(meta / "scene.toml")
     base = Sensor(there, progress).compliance
@@ -68,10 +67,8 @@ def _pin_meshes(meta: Path, progress: Progress | None) -> None:
         levels |= {*WORLD[-2:]}  # for the audit: the finest, and the one for its error
     for each in sorted(levels, key=WORLD.index):
         mesh = body_mesh(body, each, progress=progress)
-        key = mesh_key(body, default_sizing(body, each))
-        write_mesh(
-            mesh, meta / mesh_file(key), {"key": key, "level": each, "body": body.geometry()}
-        )
+        key = mesh_key(body, Sizing.of(body, each))
+        mesh.write(meta / mesh_file(key), {"key": key, "level": each, "body": body.geometry()})
     if isinstance(body, Block):
         for role in ("truth", "check"):
             if find_table(body, role, make=True, progress=progress) is not None:

@@ -246,12 +246,12 @@ def _truth_of(
     ``slips`` are the slipping patches of each of the load's terms; None without a probe.
     ``picture`` makes that of an exposure over motion; None: the load's own.
     """
-    from twin.world.elasticity.discretise import join
+    from twin.parts.load import Rectangles
 
     sensor = made.sensor
     needs = made.plan.needs
     groups = [sensor.rectangles(Load((term,))) for term in load.terms] or [sensor.rectangles(load)]
-    patches = join(groups)
+    patches = Rectangles.joined(groups)
     row: _Row = {
         "force_n": patches.total_force_n,
         "torque_nmm": patches.total_torque_nmm,
@@ -506,6 +506,6 @@ def _finest_mesh_file(body: Body) -> str:
     """Return the name of the file of the body's finest mesh, which is there for bodies that ship
     with one."""
     from twin.world.mesh.body_mesh import mesh_file, mesh_key
-    from twin.world.mesh.sizing import WORLD, default_sizing
+    from twin.world.mesh.sizing import WORLD, Sizing
 
-    return mesh_file(mesh_key(body, default_sizing(body, WORLD[-1])))
+    return mesh_file(mesh_key(body, Sizing.of(body, WORLD[-1])))

@@ -43,7 +43,7 @@ from twin.streams import Purpose, stream
 from twin.study.calibrate import calibrate_by_presses, calibration_of, half_space_compliance
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
-from twin.theory.optics import projection_jacobian
+from twin.theory.optics import project_with_jacobian
 from twin.world.contact.pressing import ContactState
 
 if TYPE_CHECKING:
@@ -631,9 +631,9 @@ def _unstrained(moved_mm: Floats) -> Motion:
 
 def _image_scale(scene: Scene, points: Floats) -> Floats:
     assert scene.camera is not None
-    return projection_jacobian(
+    return project_with_jacobian(
         points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm
-    )
+    )[1]
 
 
 class Bench:

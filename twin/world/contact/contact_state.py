@@ -45,7 +45,6 @@ from twin.world.contact.contact_search import (
 from twin.world.contact.friction_law import effective_coefficient
 from twin.world.contact.probe_gap import ABOUT_X, MOTIONS, TURN, Z
 from twin.world.contact.surface_patches import Patches
-from twin.world.elasticity.discretise import join
 
 _RAYS = 60
 _ALONG = 240
@@ -990,7 +989,7 @@ def _alike(one: ContactState, other: ContactState) -> bool:
 
 
 def _joined(load: Load) -> Rectangles:
-    return join([term for term in load.terms if isinstance(term, Rectangles)])
+    return Rectangles.joined([term for term in load.terms if isinstance(term, Rectangles)])
 
 
 def _over(change: Floats | float, whole: Floats | float) -> float:

@@ -40,7 +40,7 @@ from twin.parts.load import Rectangles
 from twin.theory import halfspace
 from twin.world.contact.saddle_point import DIRECT
 from twin.world.contact.surface_patches import Patches
-from twin.world.elasticity.tensor_basis import SIZES, lagrange
+from twin.world.elasticity.tensor_basis import SIZES, Axis
 
 NODES = (6, max(SIZES[1:5]))
 """Chebyshev nodes along each side; the last are as many as the table's polynomials have terms."""
@@ -393,7 +393,9 @@ class LatticeInfluence(_Preconditioned):
     @cached_property
     def _sides(self) -> tuple[Floats, Floats]:
         """(nu, m) and (nv, m) Lagrange's polynomials of the nodes along either side."""
-        u, v = (lagrange(_nodes(n, self._nodes)).basis(np.arange(float(n))) for n in self._shape)
+        u, v = (
+            Axis.lagrange(_nodes(n, self._nodes)).basis(np.arange(float(n))) for n in self._shape
+        )
         return u, v
 
     @cached_property

@@ -346,9 +346,9 @@ def _shape_of(
 @lru_cache(maxsize=8)
 def _stl_shape(file: str, _sha256: str, tilt_deg: tuple[float, float, float]) -> _Triangles:
     """Return the surface of an STL file, tilted."""
-    from twin.geometry.closed import PROBE_SIZE_MM, read_surface
+    from twin.geometry.closed import PROBE_SIZE_MM, Surface
 
-    surface = read_surface(file, PROBE_SIZE_MM)
+    surface = Surface.read(file, PROBE_SIZE_MM)
     return _tilted(surface.vertices[surface.triangles], tilt_deg)
 
 

@@ -48,13 +48,7 @@ from twin.world.contact.probe_gap import (
 from twin.world.elasticity.factor import Factor
 from twin.world.elasticity.mixed_rubber import MixedRubber, gathered, summed
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors
-from twin.world.mesh.elements import (
-    inverses,
-    tet_quadrature,
-    tet_shapes,
-    triangle_quadrature,
-    triangle_shapes,
-)
+from twin.world.mesh.elements import inverses, quadrature, shapes
 from twin.world.mesh.quadratic_mesh import Mesh
 
 _SPRING = 100.0
@@ -92,8 +86,8 @@ class Rubber(MixedRubber):
         super().__init__(material)
         self._factors: dict[bool, tuple[Factor, Bools]] = {}
         self.mesh = mesh
-        places, weights = tet_quadrature()
-        slopes = tet_shapes(places)[1]
+        places, weights = quadrature(3)
+        slopes = shapes(places)[1]
         self._shares = np.column_stack([1.0 - places.sum(axis=1), places])
         jacobian = np.einsum("mai,qaj->mqij", mesh.points[mesh.tets], slopes, optimize=True)
         inverse, determinant = inverses(jacobian)
@@ -332,8 +326,8 @@ class SurfaceTouch:
         near: Sequence[tuple[Floats, float]],
     ) -> None:
         faces = mesh.faces[mesh.piece == 0]
-        places, share = triangle_quadrature()
-        values, slopes = triangle_shapes(places)
+        places, share = quadrature(2)
+        values, slopes = shapes(places)
         corner = mesh.points[faces]
         points = np.einsum("qa,fai->fqi", values, corner)
         used = np.zeros(len(faces), bool)

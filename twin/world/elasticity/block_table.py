@@ -42,15 +42,15 @@ from twin.files import MESHES, cache_folder, is_pinned, pinned, read_arrays, wri
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
+from twin.theory.bonded_layer import BondedLayer
 from twin.world.elasticity.cache import PointCache, require_table
-from twin.world.elasticity.correction import bonded_layer, correction
-from twin.world.elasticity.discretise import join
+from twin.world.elasticity.correction import correction
 from twin.world.elasticity.fem import TaylorHood
-from twin.world.elasticity.tensor_basis import SIZES, Axis, chebyshev, tensor_product
+from twin.world.elasticity.tensor_basis import SIZES, Axis, tensor_product
 from twin.world.mesh.body_mesh import body_mesh, mesh_key
 from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.sizing import Level, default_sizing
+from twin.world.mesh.sizing import Level, Sizing
 from twin.world.mesh.snap import RIM_SHARE, drawn_to_rim
 
 NU_RANGE = (0.0, 0.5)
@@ -58,7 +58,7 @@ MANY_LOADS = 25
 """Loads at the same points from which on the table is worth a product with the points'
 polynomials."""
 
-_NU = chebyshev(SIZES[0], *NU_RANGE)
+_NU = Axis.chebyshev(SIZES[0], *NU_RANGE)
 
 _GAUSS = np.polynomial.legendre.leggauss(3)
 _MIDDLE = np.polynomial.legendre.leggauss(1)
@@ -105,6 +105,120 @@ class Table:
             weights = _NU.basis(np.array([poisson_ratio]))[0]
         coefficients = np.tensordot(weights, self.coefficients, 1)
         return TableAtNu(coefficients=coefficients, window_mm=self.window_mm, box_mm=self.box_mm)
+
+    @staticmethod
+    def make(
+        body: Block,
+        mesh: Mesh,
+        progress: Progress | None = None,
+        poisson_ratio: float | None = None,
+    ) -> Table:
+        """Return the table of a block, of one nu or of all, with its error under a load that it is
+        not made of."""
+        window, box = _window_of(body)
+        axes = _axes(window, box)
+        quarter = [axis.nodes[axis.nodes > -1e-12] for axis in axes[1:3]]
+        loads = [_point_force(body, x, y) for x in quarter[0] for y in quarter[1]]
+        points = grid_points(*(axis.nodes for axis in axes[3:]))
+        matrix = Locator(mesh).locate(points).matrix(len(mesh.points))
+        whole = Rectangles.joined(loads)
+        every = axes[0].nodes if poisson_ratio is None else np.array([poisson_ratio])
+        samples = np.empty((len(every), SIZES[1], SIZES[2], 3, 3, *SIZES[3:]))
+        for n, nu in enumerate(every):
+            if progress:
+                progress(f"table of the block's response, nu = {nu:.2f}", n / len(every))
+            system = TaylorHood(mesh, float(nu))
+            fields = correction(system, body, loads, [np.eye(3)[None]] * len(loads), 1e-7)
+            values = matrix @ fields.reshape(len(fields), -1)
+            layer = BondedLayer.of(body, float(nu))
+            if layer is not None and _is_compact(body):
+                values += layer.compliance(points, whole, 1.0).reshape(values.shape)
+            values = values.reshape(*SIZES[3:], 3, len(quarter[0]), len(quarter[1]), 3)
+            samples[n] = _mirrored(np.transpose(values, (4, 5, 6, 3, 0, 1, 2)))
+        for axis, place in zip(axes, (0, 1, 2, 5, 6, 7), strict=True):
+            if place or poisson_ratio is None:
+                samples = axis.coefficients(samples, place)
+        table = Table(
+            coefficients=np.where(_kept(len(every)), samples, 0.0),
+            window_mm=window,
+            box_mm=box,
+            digest=mesh.digest(),
+            error=0.0,
+            poisson_ratio=poisson_ratio,
+        )
+        return Table(**{**vars(table), "error": _error(table, body, system)})
+
+    def write(self, path: Path) -> None:
+        """Write the coefficients that symmetry allows, in steps, and what they are made of.
+
+        Why byte by byte: nearly all of the steps are few, so their upper bytes are zeros, which
+        compress to nothing.
+        """
+        count = len(self.coefficients)
+        allowed = self.coefficients[_kept(count)]
+        step = STEP * float(np.abs(allowed).max())
+        steps = np.rint(allowed / step).astype(np.int32)
+        folded = ((steps << 1) ^ (steps >> 31)).astype("<u4")
+        words = json.dumps(
+            {
+                "digest": self.digest,
+                "sizes": [count, *SIZES[1:]],
+                "nu_range": NU_RANGE if self.poisson_ratio is None else [self.poisson_ratio] * 2,
+                "window_mm": self.window_mm,
+                "box_mm": self.box_mm,
+                "error": self.error,
+                "step": step,
+            }
+        )
+        planes = np.ascontiguousarray(folded.view(np.uint8).reshape(-1, 4).T)
+        write_whole(
+            path, lambda file: np.savez_compressed(file, planes=planes, words=np.array(words))
+        )
+
+    @staticmethod
+    def read(path: Path) -> Table:
+        """Read a table.
+
+        Raises
+        ------
+        InputError
+            The file is not a table of this program's sizes.
+        """
+        try:
+            file = read_arrays(path, ("words", "planes"))
+            words = json.loads(str(file["words"]))
+            planes, step = file["planes"], float(words["step"])
+            lengths = [*words["window_mm"], *words["box_mm"]]
+            numbers = np.array([step, words["error"], *lengths], float)
+            low, high = words["nu_range"]
+            one = low == high
+            expected = [1 if one else SIZES[0], *SIZES[1:]]
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as problem:
+            raise InputError(
+                f"{path} is not a table of corrections ({problem}): make it again"
+            ) from problem
+        if words.get("sizes") != expected or not (one or (low, high) == NU_RANGE):
+            raise InputError(
+                f"{path} was made for other sizes: make it again with python -m "
+                "twin.world.elasticity.block_table"
+            )
+        allowed = _kept(expected[0])
+        require_table(path, planes, (4, int(allowed.sum())), np.uint8)
+        require_table(path, numbers, (7,), np.float64)
+        folded = np.ascontiguousarray(planes.T).view("<u4").ravel()
+        coefficients = np.zeros(allowed.shape)
+        coefficients[allowed] = step * (
+            (folded >> 1).astype(np.int64) ^ -(folded & 1).astype(np.int64)
+        )
+        frozen(coefficients)
+        return Table(
+            coefficients=coefficients,
+            window_mm=tuple(words["window_mm"]),
+            box_mm=tuple(words["box_mm"]),
+            digest=words["digest"],
+            error=words["error"],
+            poisson_ratio=low if one else None,
+        )
 
 
 @dataclass(kw_only=True, eq=False)
@@ -321,7 +435,7 @@ def find_table(
     without it, if a file is damaged. A table whose `Table.error` is above ``usable`` counts as
     absent.
     """
-    if not isinstance(body, Block) or not (_is_compact(body) or bonded_layer(body, NU_RANGE[1])):
+    if not isinstance(body, Block) or not (_is_compact(body) or BondedLayer.of(body, NU_RANGE[1])):
         return None
     usable *= CHECK if role == "check" else 1.0
     path = table_path(body, role)
@@ -332,9 +446,9 @@ def find_table(
         return _usable(held, usable) if (held := pinned(path.name)) else None
     if make and not path.exists() and not _is_standard(body):
         mesh = drawn_to_rim(body_mesh(body, MADE[role], progress=progress), body)
-        table = make_table(body, mesh, progress, poisson_ratio)
+        table = Table.make(body, mesh, progress, poisson_ratio)
         with suppress(TwinError):  # a full disk costs the table, for which solves stand in
-            write_table(table, path)
+            table.write(path)
     return _usable(path, usable)
 
 
@@ -343,7 +457,7 @@ def table_path(body: Block, role: Role, poisson_ratio: float | None = None) -> P
     the cache for others."""
     if _is_standard(body):
         return MESHES / f"kamiyama_block.{role}.table.npz"
-    key = mesh_key(body, default_sizing(body, MADE[role]))
+    key = mesh_key(body, Sizing.of(body, MADE[role]))
     every = NU_RANGE if poisson_ratio is None else poisson_ratio
     kind = [every, THIN, OBLONG, OFF_SIDES, DEEP]
     found = json.dumps([key, RIM_SHARE, SIZES, kind, WINDOW, BOX, STEP])
@@ -364,7 +478,7 @@ def _usable(path: Path, most: float) -> Table | None:
     if not path.exists():
         return None
     try:
-        table = read_table(path)
+        table = Table.read(path)
     except InputError as problem:  # the table only saves time, so a damaged one must not stop a run
         warnings.warn(
             f"{problem}; solving without the table, which takes a few seconds longer", stacklevel=2
@@ -373,50 +487,11 @@ def _usable(path: Path, most: float) -> Table | None:
     return table if table.error <= most else None
 
 
-def make_table(
-    body: Block, mesh: Mesh, progress: Progress | None = None, poisson_ratio: float | None = None
-) -> Table:
-    """Solve for all forces and nu of a block's table, or for one nu, and measure its error under a
-    load that it is not made of."""
-    window, box = _window_of(body)
-    axes = _axes(window, box)
-    quarter = [axis.nodes[axis.nodes > -1e-12] for axis in axes[1:3]]
-    loads = [_point_force(body, x, y) for x in quarter[0] for y in quarter[1]]
-    points = grid_points(*(axis.nodes for axis in axes[3:]))
-    matrix = Locator(mesh).locate(points).matrix(len(mesh.points))
-    whole = join(loads)
-    every = axes[0].nodes if poisson_ratio is None else np.array([poisson_ratio])
-    samples = np.empty((len(every), SIZES[1], SIZES[2], 3, 3, *SIZES[3:]))
-    for n, nu in enumerate(every):
-        if progress:
-            progress(f"table of the block's response, nu = {nu:.2f}", n / len(every))
-        system = TaylorHood(mesh, float(nu))
-        fields = correction(system, body, loads, [np.eye(3)[None]] * len(loads), 1e-7)
-        values = matrix @ fields.reshape(len(fields), -1)
-        layer = bonded_layer(body, float(nu))
-        if layer is not None and _is_compact(body):
-            values += layer.compliance(points, whole, 1.0).reshape(values.shape)
-        values = values.reshape(*SIZES[3:], 3, len(quarter[0]), len(quarter[1]), 3)
-        samples[n] = _mirrored(np.transpose(values, (4, 5, 6, 3, 0, 1, 2)))
-    for axis, place in zip(axes, (0, 1, 2, 5, 6, 7), strict=True):
-        if place or poisson_ratio is None:
-            samples = axis.coefficients(samples, place)
-    table = Table(
-        coefficients=np.where(_kept(len(every)), samples, 0.0),
-        window_mm=window,
-        box_mm=box,
-        digest=mesh.digest(),
-        error=0.0,
-        poisson_ratio=poisson_ratio,
-    )
-    return Table(**{**vars(table), "error": _error(table, body, system)})
-
-
 def _axes(window: tuple[float, float], box: tuple[float, float, float]) -> list[Axis]:
     """Return the interpolations in nu, in the force's x and y, and in the point's x, y and z."""
     ends = [(-half, half) for half in (*window, *box[:2])]
     return [
-        chebyshev(size, low, high)
+        Axis.chebyshev(size, low, high)
         for size, (low, high) in zip(SIZES, [NU_RANGE, *ends, (0.0, box[2])], strict=True)
     ]
 
@@ -465,7 +540,7 @@ def _error(table: Table, body: Block, system: TaylorHood) -> float:
     solved = Locator(system.mesh).locate(points).values(correction(system, body, [load])[:, :, 0])
     known = halfspace.displacement(points, load, 1.0, nu)
     made = table.at(nu).displacement(PointCache(points), load)
-    if (layer := bonded_layer(body, nu)) is not None:
+    if (layer := BondedLayer.of(body, nu)) is not None:
         of_layer = layer.displacement(points, load, 1.0)
         known += of_layer
         if _is_compact(body):
@@ -490,83 +565,14 @@ def _point_force(
     )
 
 
-def write_table(table: Table, path: Path) -> None:
-    """Write the coefficients that symmetry allows, in steps, and what they are made of.
-
-    Why byte by byte: nearly all of the steps are few, so their upper bytes are zeros, which
-    compress to nothing.
-    """
-    count = len(table.coefficients)
-    allowed = table.coefficients[_kept(count)]
-    step = STEP * float(np.abs(allowed).max())
-    steps = np.rint(allowed / step).astype(np.int32)
-    folded = ((steps << 1) ^ (steps >> 31)).astype("<u4")
-    words = json.dumps(
-        {
-            "digest": table.digest,
-            "sizes": [count, *SIZES[1:]],
-            "nu_range": NU_RANGE if table.poisson_ratio is None else [table.poisson_ratio] * 2,
-            "window_mm": table.window_mm,
-            "box_mm": table.box_mm,
-            "error": table.error,
-            "step": step,
-        }
-    )
-    planes = np.ascontiguousarray(folded.view(np.uint8).reshape(-1, 4).T)
-    write_whole(path, lambda file: np.savez_compressed(file, planes=planes, words=np.array(words)))
-
-
-def read_table(path: Path) -> Table:
-    """Read a table.
-
-    Raises
-    ------
-    InputError
-        The file is not a table of this program's sizes.
-    """
-    try:
-        file = read_arrays(path, ("words", "planes"))
-        words = json.loads(str(file["words"]))
-        planes, step = file["planes"], float(words["step"])
-        lengths = [*words["window_mm"], *words["box_mm"]]
-        numbers = np.array([step, words["error"], *lengths], float)
-        low, high = words["nu_range"]
-        one = low == high
-        expected = [1 if one else SIZES[0], *SIZES[1:]]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as problem:
-        raise InputError(
-            f"{path} is not a table of corrections ({problem}): make it again"
-        ) from problem
-    if words.get("sizes") != expected or not (one or (low, high) == NU_RANGE):
-        raise InputError(
-            f"{path} was made for other sizes: make it again with python -m "
-            "twin.world.elasticity.block_table"
-        )
-    allowed = _kept(expected[0])
-    require_table(path, planes, (4, int(allowed.sum())), np.uint8)
-    require_table(path, numbers, (7,), np.float64)
-    folded = np.ascontiguousarray(planes.T).view("<u4").ravel()
-    coefficients = np.zeros(allowed.shape)
-    coefficients[allowed] = step * ((folded >> 1).astype(np.int64) ^ -(folded & 1).astype(np.int64))
-    frozen(coefficients)
-    return Table(
-        coefficients=coefficients,
-        window_mm=tuple(words["window_mm"]),
-        box_mm=tuple(words["box_mm"]),
-        digest=words["digest"],
-        error=words["error"],
-        poisson_ratio=low if one else None,
-    )
-
-
 def _main(roles: list[str]) -> None:
     """Make the shipped tables of the named roles, all if none is named."""
     for role in ROLES:
         if not roles or role in roles:
             mesh = drawn_to_rim(body_mesh(STANDARD, SHIPPED[role]), STANDARD)
             path = table_path(STANDARD, role)
-            write_table(make_table(STANDARD, mesh), path)
-            print(f"{path}: {path.stat().st_size} bytes, error {read_table(path).error:.1e}")
+            Table.make(STANDARD, mesh).write(path)
+            print(f"{path}: {path.stat().st_size} bytes, error {Table.read(path).error:.1e}")
 
 
 class Tables:
@@ -687,7 +693,7 @@ def table_between(body: Block, role: Role, low_mm: float, high_mm: float) -> Tab
         return None
     modes, digest, error = found
     window, box = _window_of(body)
-    weights = chebyshev(len(modes), low_mm, high_mm).basis(np.array([body.thickness_mm]))[0]
+    weights = Axis.chebyshev(len(modes), low_mm, high_mm).basis(np.array([body.thickness_mm]))[0]
     return Table(
         coefficients=np.tensordot(weights, modes, axes=1),
         window_mm=window,
@@ -704,7 +710,7 @@ def _tables(
     """Return the coefficients of a range as polynomials in the thickness, the mesh's digest and the
     error to expect."""
     tables = []
-    thicknesses = chebyshev(FEW if high_mm <= NARROW * low_mm else MANY, low_mm, high_mm)
+    thicknesses = Axis.chebyshev(FEW if high_mm <= NARROW * low_mm else MANY, low_mm, high_mm)
     for thickness in thicknesses.nodes:
         body = Block(width_mm=width_mm, length_mm=length_mm, thickness_mm=float(thickness))
         table = find_table(body, role, make=True, usable=GOOD)

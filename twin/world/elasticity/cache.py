@@ -2,10 +2,9 @@
 (`PointCaches`).
 
 A field is stored under a hash of all that it depends on: mesh, materials, what is held, the load,
-and the code that solves. It is read back memory-mapped, so a second run of a scene needs neither a
-factorisation nor a solve. The oldest fields are deleted when all take more than `LIMIT_BYTES`. If
-the cache can't be written, only time is lost. Sets of points are compared, not hashed: equality of
-two arrays is certain and takes a few microseconds.
+and the code that solves. A second run of a scene so needs neither a factorisation nor a solve. The
+oldest fields are deleted when all take more than `LIMIT_BYTES`. Sets of points are compared, not
+hashed: equality is certain and takes a few microseconds.
 """
 
 from __future__ import annotations

@@ -1,33 +1,25 @@
 """Which mesh a displacement comes from: the levels of a body, and bodies under a cover.
 
 **Levels.** `Ladder` begins with the cheapest level that may reach the requested accuracy
-(`EXPECTED` in `twin.world.elasticity.error_law`). It goes on to finer levels while the estimated
-error of a result is too large, and returns the result with the least error. Each level is made at
-first use.
+(`EXPECTED` in `twin.world.elasticity.error_law`), goes on to finer ones while the estimated error
+is too large, and returns the result with the least error.
 
-**Places.** What a load leaves out of balance on a free face beside it is as wide as their
-distance, and on a curved surface as the load itself. A level's elements may be longer than that.
-Then the level's mesh is refined there (`LOCAL`), for loads in that place: cheaper than a finer
-mesh of the whole body, and more exact.
+**Places.** What a load leaves out of balance on a free face is as wide as their distance, and on a
+curved surface as the load itself. Where a level's elements are longer than that, its mesh is
+refined there (`LOCAL`): cheaper than a finer mesh of the whole body, and more exact.
 
-**Cover.** `CoveredCompliance` is the compliance of a body under a cover of another modulus. Every
-region that is pressed has a mesh of its own (`twin.world.mesh.cover_mesh`): the half-space of the
-cover is right above the interface only, and what it leaves is as steep there as the load itself, so
-elements under the load must be about as small as the load.
-
-Under a cover stiffer than the body the half-space field is subtracted: it describes what happens
-within the cover, whatever the load's size. Under a softer cover it is many times larger than the
-result, and the correction would have to cancel it. There plain Taylor-Hood is better: with a tenth
-of the body's modulus its measured error is 0.2 to 0.9 %, instead of 1.7 to 8 %.
-
-The error is estimated from the difference to another mesh, `COARSER` times as coarse under the load
-and made from a coarser mesh of the body. There is no estimate before the solve.
+**Cover.** Every region of a covered body that is pressed has a mesh of its own
+(`twin.world.mesh.cover_mesh`): the half-space of the cover is right above the interface only, and
+what it leaves is as steep there as the load, so elements under the load must be about as small.
+Under a softer cover the half-space field is many times larger than the result, and the correction
+would have to cancel it: plain Taylor-Hood is better there (a tenth of the body's modulus: 0.2 to
+0.9 % off, instead of 1.7 to 8 %). The error is estimated from the difference to another mesh,
+`COARSER` times as coarse under the load; there is no estimate before the solve.
 
 Validity: under bumps 2 to 4 mm wide, points below covers of a tenth and of ten times the body's
 modulus, and on the surface of stiffer ones, are 0.3 to 2 % off. The surface of softer covers is up
 to 4 % off sideways and up to 18 % along the normal, and the estimate shows it. Contact needs a
-solve for every patch: a press with 8 patches across takes a minute of processor time, and the time
-grows with the square of the number of patches.
+solve for every patch: minutes.
 """
 
 from __future__ import annotations
@@ -42,7 +34,7 @@ import numpy as np
 from twin.arrays import Floats, Points, Progress
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
-from twin.parts.material import Cover, Material
+from twin.parts.material import Material
 from twin.world.elasticity.cache import PointCache
 from twin.world.elasticity.compliance import Compliance, Method
 from twin.world.elasticity.error_law import EXPECTED, unbounded
@@ -52,7 +44,7 @@ from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.cover_mesh import with_cover
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.sizing import WORLD, Level, default_sizing
+from twin.world.mesh.sizing import WORLD, Level, Sizing
 from twin.world.mesh.snap import drawn_to_rim
 
 FINE = 0.6
@@ -80,9 +72,7 @@ STIFF_TRUST, SOFT_TRUST = 0.75, 0.55
 than the body."""
 
 UNSEEN = 2e-3
-"""Error that the two meshes share: both are halved in the same way, and both take the cover for one
-layer of prisms."""
-
+"""Error that the two meshes share: both take the cover for one layer of prisms."""
 
 LOCAL: dict[Level, float] = {"sketch": 1.5, "coarse": 1.0, "standard": 0.7, "fine": 0.55}
 """Longest edge where a level is refined for a load, over the distance from the load, or the width
@@ -102,25 +92,7 @@ HOPE = 0.25
 """Least error of a level, over the expected one: wide loads have less."""
 
 
-def own_layer(material: Material, cover: Cover | None) -> Layer | None:
-    """Return what a cover is made of where that is not what the body is made of, else None."""
-    if cover is None:
-        return None
-    modulus = (
-        material.youngs_modulus_mpa
-        if cover.youngs_modulus_mpa is None
-        else cover.youngs_modulus_mpa
-    )
-    nu = material.poisson_ratio if cover.poisson_ratio is None else cover.poisson_ratio
-    same = modulus == material.youngs_modulus_mpa and nu == material.poisson_ratio
-    return (
-        None
-        if same
-        else Layer(modulus_ratio=modulus / material.youngs_modulus_mpa, poisson_ratio=nu)
-    )
-
-
-class LocalModel(Compliance):
+class _LocalModel(Compliance):
     """The compliance of a covered body on a mesh that is fine in one place, the cover (made of
     ``layer``) being its region 1."""
 
@@ -189,7 +161,7 @@ class CoveredCompliance:
         self.level: Level = level
         self._fine = fine
         self._progress = progress
-        self._models: list[tuple[Points, float, float, LocalModel]] = []
+        self._models: list[tuple[Points, float, float, _LocalModel]] = []
 
     @cached_property
     def _coarser(self) -> CoveredCompliance:
@@ -205,11 +177,9 @@ class CoveredCompliance:
             progress=self._progress,
         )
 
-    def local_model(self, load: Rectangles, *, each: bool = False) -> LocalModel:
-        """Return the model whose mesh is fine under ``load``: one made before, or a new one.
-
-        Fine enough for all rectangles together, or for ``each`` of them as far as `ACROSS` allows.
-        """
+    def local_model(self, load: Rectangles, *, each: bool = False) -> _LocalModel:
+        """Return the model, an old or a new one, whose mesh is fine enough under ``load``: for all
+        rectangles together, or for ``each`` of them as far as `ACROSS` allows."""
         low, high = load.centre_mm.min(axis=0), load.centre_mm.max(axis=0)
         centre = (low + high) / 2.0
         reach = np.linalg.norm(load.centre_mm - centre, axis=1) + np.linalg.norm(
@@ -232,7 +202,7 @@ class CoveredCompliance:
             ),
         )
         mesh = drawn_to_rim(with_cover(fine, self.body, self.thickness_mm), self.body)
-        model = LocalModel(self.body, self.material, mesh, self.layer)
+        model = _LocalModel(self.body, self.material, mesh, self.layer)
         self._models.append((centre, room, edge, model))
         return model
 
@@ -246,9 +216,8 @@ class CoveredCompliance:
         """Return `displacement`, and its estimated largest error over the largest displacement;
         raises like it.
 
-        A share of the difference to the result on a coarser mesh, plus `UNSEEN`: against the
-        layered half-space and an independent code one to four times the true error
-        (`tests/world/elasticity/test_coated.py`).
+        A share of the difference to the result on a coarser mesh, plus `UNSEEN`: one to four times
+        the true error against the layered half-space and an independent code.
         """
         moved, errors = self.displacement_errors(points, load)
         largest = np.linalg.norm(errors, axis=2).max(axis=1, initial=0.0)
@@ -311,8 +280,7 @@ class Ladder:
     covered
         The body's only level where its cover is of another modulus.
     surface_table
-        Whether the cheapest level that is expected to do has a table of a curved body's surface:
-        see `Compliance`.
+        Whether the cheapest level that is expected to do has a `SurfaceTable`.
     progress
         Called when a mesh or a table has to be made.
     """
@@ -393,7 +361,7 @@ class Ladder:
         body = self._body
         if len(load) == 0:
             return load.centre_mm, math.inf
-        edge = default_sizing(body, level).fine_mm
+        edge = Sizing.of(body, level).fine_mm
         size = float(np.linalg.norm(np.ptp(load.centre_mm, axis=0), axis=0)) / 2.0
         size += float(load.half_mm.max(initial=0.0))
         width = np.full(len(load), np.inf)

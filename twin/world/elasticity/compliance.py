@@ -3,12 +3,8 @@
 A body is factored once, at the first load that needs it; every further press, marker layout or
 calibration is a product. The default method is the half-space field of the load in closed form plus
 the smooth correction of the finite body (`twin.world.elasticity.correction`); ``direct`` is plain
-Taylor-Hood.
-
-`Compliance.expected_error` is known before anything is solved, from the load's place; the estimate
-of `Compliance.answer` afterwards, from the difference to another level's result. `Ladder`
-takes the cheapest level that is expected to meet a requested accuracy and goes on to finer ones
-where the estimate is above it; where none meets it, the result of the least estimate is returned.
+Taylor-Hood. `Compliance.expected_error` is known before anything is solved, from the load's place;
+the estimate of `Compliance.answer` afterwards, from the difference to another level's result.
 
 Validity: linear elasticity, small strain, quasi-static. The correction is smooth on the scale of
 the mesh; loads nearer to a free edge than an element are less accurate, and both errors grow there.
@@ -19,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+from dataclasses import replace
 from functools import cached_property
 from typing import Literal
 
@@ -40,11 +37,8 @@ from twin.world.elasticity.cache import (
     field_key,
 )
 from twin.world.elasticity.correction import (
-    bonded_layer,
-    consistent_forces,
     correction,
-    direct_columns,
-    require_half_space,
+    direct_fields,
 )
 from twin.world.elasticity.discretise import require_on_surface
 from twin.world.elasticity.error_law import (
@@ -76,7 +70,7 @@ _TILE = 128
 """Rows and columns at a time: two tiles stay in the fast memory."""
 
 
-def make_symmetric(matrix: Floats) -> float:
+def _make_symmetric(matrix: Floats) -> float:
     """Replace a (n, n) matrix by the mean of it and its transpose; return its largest asymmetry
     before, over its largest entry (0 of a matrix of zeros)."""
     largest, differ = 0.0, 0.0
@@ -106,19 +100,17 @@ class Compliance:
     body, material
         What it is. Young's modulus only scales the result.
     mesh
-        Its mesh; if not given, that of ``level`` is read or made at first use.
+        Its mesh; if not given, that of ``level`` (see `twin.world.mesh.sizing.Level`).
     level
-        See `twin.world.mesh.sizing.Level`: truth and sensor never share one.
+        Truth and sensor never share one.
     method
         ``subtracted`` or ``direct``.
     table
-        Whether a table of the body, shipped or cached, may replace solves; a given mesh has none.
-        Or the table to use.
+        Whether a table of the body may replace solves (never with a given mesh), or the table.
     compared
         Of a given mesh: the same body on the mesh by which the error is estimated.
     surface_table
-        Whether to make, and keep, a `SurfaceTable` of a curved body, at its first load: a minute or
-        two, for many.
+        Whether to make a `SurfaceTable` of a curved body at its first load: a minute or two.
     progress
         Called when a mesh or a table of the surface has to be made.
     """
@@ -179,7 +171,7 @@ class Compliance:
         """The layer whose field is known."""
         if not (self._subtracted and self.one_material):
             return None
-        return bonded_layer(self.body, self.material.poisson_ratio)
+        return BondedLayer.of(self.body, self.material.poisson_ratio)
 
     def _layer_beside(self, table: TableAtNu | None) -> BondedLayer | None:
         """Return the layer whose field a correction, solved or by ``table``, leaves out."""
@@ -309,7 +301,12 @@ class Compliance:
         if 0 in shape:
             return np.zeros(shape)
         if not self._subtracted:
-            fields = direct_columns(self.system, self.body, self._locator, rectangles)
+            units = [
+                replace(rectangles[i : i + 1], force_n=force[None])
+                for i in range(len(rectangles))
+                for force in np.eye(3)
+            ]
+            fields = direct_fields(self.system, self.body, self._locator, units)
             return (known.placed(self._locator).values(fields) / self._modulus).reshape(shape)
         if table := self._table_of_many(known, rectangles, reused=reused):
             w = table.corrections(known, rectangles).reshape(shape)
@@ -358,12 +355,12 @@ class Compliance:
         the largest entry, it was from that before it was made so. Raises like `displacement`.
         """
         matrix = self.to_points(rectangles.centre_mm, rectangles, reused=True)
-        self.asymmetry = make_symmetric(matrix)
+        self.asymmetry = _make_symmetric(matrix)
         return matrix
 
     def normal_surface(self, rectangles: Rectangles) -> Floats | None:
         """Return the normal part (k, k) of `surface`, mm/N: a ninth of the work, and all that
-        contact without friction needs. None off a plane that a table covers."""
+        frictionless contact needs. None off a plane that a table covers."""
         if not self._subtracted or np.any(rectangles.frames - np.eye(3)):
             return None
         known = self._checked(rectangles.centre_mm, rectangles)
@@ -375,7 +372,7 @@ class Compliance:
         if (layer := self._layer_beside(table)) is not None:
             whole = layer.compliance(known.points, rectangles, self._modulus)
             matrix += whole[2::3, 2::3]
-        self.asymmetry = make_symmetric(matrix)
+        self.asymmetry = _make_symmetric(matrix)
         return matrix
 
     def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
@@ -390,9 +387,9 @@ class Compliance:
         """Return (3 n, 3 n) mm/N: the correction at the middles of ``nodes`` under unit forces on
         them.
 
-        None where no table covers all ``patches`` and their middles, between which the nodes must
-        lie: the correction is a polynomial only there. A table that would is made, so that a
-        contact has the same patches whether or not one lies in the cache.
+        None where no table covers all ``patches``, between which the nodes must lie: the correction
+        is a polynomial only there. A table that would cover them is made, so that a contact has the
+        same patches whatever lies in the cache.
         """
         if not self._subtracted:
             return None
@@ -408,8 +405,7 @@ class Compliance:
         """Return `displacement` and its estimated largest error over the largest displacement.
 
         The parts of the error are those of `twin.world.elasticity.error_law`; on all reference
-        cases the estimate is one to three times the true error. Validity: the law of
-        `expected_error` where the mesh was given. Raises like `displacement`.
+        cases the estimate is one to three times the true error. Raises like `displacement`.
         """
         moved, errors = self._moved_and_errors(points, load)
         return moved, sum(map(_largest, errors)) / _largest(moved) if errors else 0.0
@@ -490,8 +486,8 @@ class Compliance:
         self._point_caches.keep(points)
 
     def expected_error(self, load: Rectangles, table: TableAtNu | None = None) -> float:
-        """Return the error to be expected before anything is solved, with a table that of the mesh
-        which it was made of: see `twin.world.elasticity.error_law`."""
+        """Return the error to be expected before anything is solved, with a ``table`` that of its
+        mesh: see `twin.world.elasticity.error_law`."""
         if not self._subtracted:
             return DIRECT
         tabled = table is not None and self.level != "nominal"
@@ -512,9 +508,7 @@ class Compliance:
     def _checked(self, points: Points, load: Rectangles) -> PointCache:
         known = self._point_caches.of(points)
         if len(load) and load is not self._sound:
-            require_on_surface(self.body, load)
-            if self._subtracted:
-                require_half_space(self.body, load)
+            require_on_surface(self.body, load, half_space=self._subtracted)
             self._sound = load
         return known
 
@@ -536,8 +530,7 @@ class Compliance:
     def _solve(self, load: Rectangles) -> Floats:
         if self._subtracted:
             return correction(self.system, self.body, [load])[:, :, 0]
-        forces = consistent_forces(self.body, self.mesh, self._locator, load)
-        return self.system.solve(forces[:, :, None])[:, :, 0]
+        return direct_fields(self.system, self.body, self._locator, [load])[:, :, 0]
 
 
 def _region(system: TaylorHood, body: Body, rectangles: Rectangles, near: bool) -> Region:

@@ -3,11 +3,11 @@
 The known part is the half-space field of the load, on thin flat bodies with that of an endless
 bonded layer. A load's field is steep near the load, where the closed form is exact; what a finite
 body adds is smooth and needs few elements: 7 000 unknowns with the subtraction beat 50 000 without.
-The closed form holds where the body lies behind every load's plane, which `require_half_space`
+The closed form holds where the body lies behind every load's plane, which `require_on_surface`
 tests. Under a cover of another modulus the half-space is made of the cover; at the interface w is
 then as steep as the field.
 
-`consistent_forces` drives plain Taylor-Hood without the half-space, for soft covers and as an
+`direct_fields` is plain Taylor-Hood without the half-space, for soft covers and as an
 independent check: it resolves only loads wider than the mesh's faces.
 """
 
@@ -15,11 +15,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from twin.arrays import Floats, coordinates, grid_points
+from twin.arrays import Floats, grid_points
 from twin.errors import InputError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
@@ -30,40 +29,6 @@ from twin.world.elasticity.factor import GOAL
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh.interpolate import Locator
 from twin.world.mesh.quadratic_mesh import Mesh
-
-STANDS_OUT_MM = 1e-3
-"""How far a body may reach over a load's plane: corners in a file are rounded."""
-
-FLAT = 2.5
-"""Longest side of the reference block over its thickness. Edges of meshes are shares of the longest
-side, so that elements of flatter blocks are coarser, over their thickness, than any that estimates
-were fitted to."""
-
-
-def require_half_space(body: Body, load: Rectangles) -> None:
-    """Raise an `InputError` unless the body lies behind the plane of every rectangle."""
-    if body.is_convex or len(load) == 0:
-        return
-    out = body.stands_out(load.centre_mm, load.frames[:, 2])
-    worst = int(np.argmax(out))
-    if out[worst] > STANDS_OUT_MM:
-        place = coordinates(load.centre_mm[worst])
-        raise InputError(
-            f"the body reaches {out[worst]:.3g} mm over the surface's tangent plane at ({place}) "
-            f"mm (allowed: {STANDS_OUT_MM:g} mm), so the half-space part of the field does not "
-            "hold there: press where nothing stands out, or use Compliance(..., method='direct'), "
-            "which needs a mesh that is fine under the load"
-        )
-
-
-def bonded_layer(body: Body, poisson_ratio: float) -> BondedLayer | None:
-    """Return the endless layer that a flat body is a piece of; None for other bodies, and for
-    thick ones."""
-    low, high = np.array(body.bounds_mm)
-    thickness = body.layer_mm
-    if thickness is None or np.max((high - low)[:2]) <= FLAT * thickness:
-        return None
-    return BondedLayer(thickness_mm=thickness, poisson_ratio=poisson_ratio)
 
 
 def correction(
@@ -101,7 +66,7 @@ def unbalanced(
     mesh, top = system.mesh, system.under_load
     shares = np.array([of.shear_ratio / top.shear_ratio for of in system.made_of])
     swelling = (top.softness - shares * [of.softness for of in system.made_of])[mesh.region]
-    layer = bonded_layer(body, top.poisson_ratio) if len(system.made_of) == 1 else None
+    layer = BondedLayer.of(body, top.poisson_ratio) if len(system.made_of) == 1 else None
     forces, held, swollen = [], [], []
     for load, cases in zip(
         loads, columns or [load.force_n[:, :, None] for load in loads], strict=True
@@ -126,17 +91,21 @@ PIECE_MM, MOST_PIECES = 0.5, 60
 """Largest distance of the points at which a rectangle acts, and most of them along one side."""
 
 
-def consistent_forces(body: Body, mesh: Mesh, locator: Locator, load: Rectangles) -> Floats:
-    """Return the (N, 3) nodal forces in N that do the same work as ``load`` on every field of the
-    elements.
+def direct_fields(
+    system: TaylorHood, body: Body, locator: Locator, loads: Sequence[Rectangles]
+) -> Floats:
+    """Return (N, 3, m) displacement fields in mm for E = 1 MPa under m loads, without a half-space.
 
-    Each rectangle acts at a grid of points, moved onto the surface; totals are kept.
-
-    Raises
-    ------
-    InputError
-        The load misses the surface.
+    Each rectangle acts at a grid of points, moved onto the surface; totals are kept. Raises an
+    `InputError` where a load misses the surface.
     """
+    forces = [_consistent_forces(body, system.mesh, locator, load) for load in loads]
+    return system.solve(np.stack(forces, axis=2))
+
+
+def _consistent_forces(body: Body, mesh: Mesh, locator: Locator, load: Rectangles) -> Floats:
+    """Return the (N, 3) nodal forces, N, that do the same work as ``load`` on the elements'
+    fields."""
     points, forces = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for centre, frame, half, force in zip(
         load.centre_mm, load.frames, load.half_mm, load.force_n, strict=True
@@ -155,19 +124,6 @@ def consistent_forces(body: Body, mesh: Mesh, locator: Locator, load: Rectangles
             f"the load puts {total} N on the mesh, wanted are {wanted} N: it misses the surface"
         )
     return nodal
-
-
-def direct_columns(
-    system: TaylorHood, body: Body, locator: Locator, rectangles: Rectangles
-) -> Floats:
-    """Return (N, 3, 3 k) fields in mm for E = 1 MPa under unit global forces on each rectangle.
-    Raises likewise."""
-    forces = []
-    for i in range(len(rectangles)):
-        for force in np.eye(3):
-            unit = replace(rectangles[i : i + 1], force_n=force[None])
-            forces.append(consistent_forces(body, system.mesh, locator, unit))
-    return system.solve(np.stack(forces, axis=2))
 
 
 def _middles(half: float) -> Floats:

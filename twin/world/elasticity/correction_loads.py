@@ -35,13 +35,7 @@ from twin.parts.load import Rectangles
 from twin.theory import halfspace
 from twin.theory.bonded_layer import BondedLayer
 from twin.theory.halfspace import GAUSS_2, rectangle_slopes
-from twin.world.mesh.elements import (
-    TET_EDGES,
-    TET_FACES,
-    tet_shapes,
-    triangle_quadrature,
-    triangle_shapes,
-)
+from twin.world.mesh.elements import TET_EDGES, quadrature, shapes
 from twin.world.mesh.quadratic_mesh import Mesh
 
 FAR = 6.0
@@ -186,7 +180,7 @@ def _skin(mesh: Mesh, body: Body, shares: Floats) -> _Skin:
         ),
         np.concatenate([np.zeros(len(faces)), np.where(level, depth.mean(axis=1), 0.0)]),
         np.concatenate(
-            [shares[regions_behind(mesh, faces)], shares[sides[:, 0]] - shares[sides[:, 1]]]
+            [shares[mesh.regions_behind(faces)], shares[sides[:, 0]] - shares[sides[:, 1]]]
         ),
         np.arange(len(faces) + len(inner)) >= len(faces),
     )
@@ -221,7 +215,7 @@ def _add_exactly(
 def _interfaces(mesh: Mesh) -> tuple[Ints, Ints]:
     """Return the faces (f, 6) between regions, normals out of the first, and the two regions (f,
     2)."""
-    corners, owner = _all_faces(mesh)
+    corners, owner = mesh.outward_faces()
     key = np.sort(corners, axis=1)
     _, first, inverse, count = np.unique(
         key, axis=0, return_index=True, return_inverse=True, return_counts=True
@@ -236,12 +230,6 @@ def _interfaces(mesh: Mesh) -> tuple[Ints, Ints]:
     )
 
 
-def _all_faces(mesh: Mesh) -> tuple[Ints, Ints]:
-    """Return the corners (4 m, 3) of all elements' faces, turned outward, and the elements (4
-    m,)."""
-    return mesh.tets[:, TET_FACES].reshape(-1, 3), np.repeat(np.arange(len(mesh.tets)), 4)
-
-
 def _with_middles(mesh: Mesh, corners: Ints, owner: Ints) -> Ints:
     """Return faces (f, 6) with the middle nodes of their elements' edges."""
     edges = TET_EDGES
@@ -249,18 +237,6 @@ def _with_middles(mesh: Mesh, corners: Ints, owner: Ints) -> Ints:
     sides = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
     which = np.argmax(np.all(sides[:, :, None] == ends[:, None], axis=3), axis=2)
     return np.hstack([corners, np.take_along_axis(mesh.tets[owner, 4:], which, axis=1)])
-
-
-def regions_behind(mesh: Mesh, faces: Ints) -> Ints:
-    """Return the region (f,) behind boundary faces."""
-    if not np.any(mesh.region):
-        return np.zeros(len(faces), np.int64)
-    corners, owner = _all_faces(mesh)
-    scale = np.array([mesh.corners**2, mesh.corners, 1])
-    keys = np.sort(corners, axis=1) @ scale
-    order = np.argsort(keys)
-    at = np.searchsorted(keys[order], np.sort(faces[:, :3], axis=1) @ scale)
-    return np.asarray(mesh.region[owner[order[at]]])
 
 
 NEAR = 2.2
@@ -362,11 +338,11 @@ def _quadrature(
     nodes (q, 6)."""
     faces = surface.faces
     face, triangles = _split(points, surface, centres, radii, finest)
-    places, weights = triangle_quadrature()
+    places, weights = quadrature(2)
     where = triangles[:, :1] + places[:, :1] * (triangles[:, 1:2] - triangles[:, :1])
     where = (where + places[:, 1:] * (triangles[:, 2:] - triangles[:, :1])).reshape(-1, 2)
     face = np.repeat(face, len(places))
-    values, slopes = triangle_shapes(where)
+    values, slopes = shapes(where)
     nodes = points[faces[face]]
     tangents = np.einsum("qam,qai->qmi", slopes, nodes)
     sides = triangles[:, 1:] - triangles[:, :1]
@@ -462,7 +438,7 @@ def _split(
     triangles = np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (len(faces), 1, 1))
     done: list[tuple[Ints, Floats]] = []
     for level in range(LEVELS + 1):
-        values = triangle_shapes(triangles.reshape(-1, 2))[0].reshape(-1, 3, 6)
+        values = shapes(triangles.reshape(-1, 2))[0].reshape(-1, 3, 6)
         corners = np.einsum("tca,tai->tci", values, points[faces[face]])
         corners = surface.nearest(corners.reshape(-1, 3), np.repeat(face, 3))[0].reshape(-1, 3, 3)
         size = np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1)
@@ -693,7 +669,7 @@ def dilation(
         return out
     element, shares = _pieces(mesh, wrong, load)
     corners = np.einsum("pc,ecs->eps", _RULE, shares)
-    values, slopes = tet_shapes(corners.reshape(-1, 4)[:, 1:])
+    values, slopes = shapes(corners.reshape(-1, 4)[:, 1:])
     element = np.repeat(element, len(_RULE))
     nodes = mesh.points[mesh.tets[element]]
     points = np.einsum("qa,qai->qi", values, nodes)
@@ -721,7 +697,7 @@ def _pieces(mesh: Mesh, elements: Ints, load: Rectangles) -> tuple[Ints, Floats]
     shares = np.tile(np.eye(4), (len(elements), 1, 1))
     done: list[tuple[Ints, Floats]] = []
     for level in range(_DILATION_LEVELS + 1):
-        values = tet_shapes(shares.reshape(-1, 4)[:, 1:])[0].reshape(-1, 4, 10)
+        values = shapes(shares.reshape(-1, 4)[:, 1:])[0].reshape(-1, 4, 10)
         corner = np.einsum("eca,eai->eci", values, mesh.points[mesh.tets[elements]])
         size = np.max(
             [

@@ -17,7 +17,6 @@ length a are off by about rho^-m, rho = z/a + sqrt(1 + (z/a)^2) (Bernstein's ell
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -43,6 +42,10 @@ SAMPLES = 5
 ON_SURFACE_MM = 1e-3
 """How far off the sensing surface a 3-D centre may be; it is then moved onto it."""
 
+STANDS_OUT_MM = 1e-3
+"""How far a body may reach over a load's plane: corners in a file are rounded."""
+
+
 EDGE_MM, OVERHANG = 1e-4, 0.25
 """How near to another face a rectangle's centre may be, and which share of its half side may hang
 over that face: what is nearer or hangs over pushes partly on nothing, and the half-space's
@@ -64,19 +67,7 @@ def tile(load: Load, body: Body, spacing_mm: float | None = None) -> Rectangles:
         term if isinstance(term, Rectangles) else _tile_one(term, body, spacing_mm)
         for term in load.terms
     ]
-    return join(parts)
-
-
-def join(parts: Sequence[Rectangles]) -> Rectangles:
-    """Return all rectangles of ``parts`` in one, in their order."""
-    if len(parts) == 1:
-        return parts[0]
-    return Rectangles(
-        centre_mm=np.concatenate([np.zeros((0, 3)), *(p.centre_mm for p in parts)]),
-        frames=np.concatenate([np.zeros((0, 3, 3)), *(p.frames for p in parts)]),
-        half_mm=np.concatenate([np.zeros((0, 2)), *(p.half_mm for p in parts)]),
-        force_n=np.concatenate([np.zeros((0, 3)), *(p.force_n for p in parts)]),
-    )
+    return Rectangles.joined(parts)
 
 
 def _footprint_centre(traction: Traction, body: Body) -> Points:
@@ -109,12 +100,12 @@ def _footprint_centre(traction: Traction, body: Body) -> Points:
     )
 
 
-def require_on_surface(body: Body, load: Rectangles) -> None:
+def require_on_surface(body: Body, load: Rectangles, *, half_space: bool = True) -> None:
     """Raise an `InputError` unless every rectangle is made of finite numbers and lies on the
     sensing surface.
 
     Where the sensing surface is curved, corners in the tangent plane may hang over its end a little
-    (`OVERHANG`).
+    (`OVERHANG`). With ``half_space`` the body must lie behind the plane of every rectangle too.
     """
     for what, values, unit in (
         ("force", load.force_n, "N"),
@@ -145,14 +136,31 @@ def require_on_surface(body: Body, load: Rectangles) -> None:
             f"(allowed: {EDGE_MM:g} mm and "
             "more): on an edge a part of the load would miss the body; move it inwards"
         )
-    if (inside >= np.hypot(*load.half_mm.T)).all():
-        return
-    out = _overhang(body, load)
+    fits = (inside >= np.hypot(*load.half_mm.T)).all()
+    out = np.zeros(len(load)) if fits else _overhang(body, load)
     if np.any(out > OVERHANG):
         first = int(np.argmax(out))
         raise InputError(
             f"{_named(load, first)} hangs over the end of the sensing surface by {out[first]:.2g} "
             f"of its half side (allowed: {OVERHANG:g}): move it inwards or make it smaller"
+        )
+    if half_space:
+        _require_half_space(body, load)
+
+
+def _require_half_space(body: Body, load: Rectangles) -> None:
+    """Raise an `InputError` unless the body lies behind the plane of every rectangle."""
+    if body.is_convex or len(load) == 0:
+        return
+    out = body.stands_out(load.centre_mm, load.frames[:, 2])
+    worst = int(np.argmax(out))
+    if out[worst] > STANDS_OUT_MM:
+        place = coordinates(load.centre_mm[worst])
+        raise InputError(
+            f"the body reaches {out[worst]:.3g} mm over the surface's tangent plane at ({place}) "
+            f"mm (allowed: {STANDS_OUT_MM:g} mm), so the half-space part of the field does not "
+            "hold there: press where nothing stands out, or use Compliance(..., method='direct'), "
+            "which needs a mesh that is fine under the load"
         )
 
 
@@ -281,7 +289,7 @@ def _flat_twist(traction: Traction, centre: Points, frame: Floats, radius: float
     force = 0.5 * traction.torque_nmm * area * arm / np.sum(area * arm**2)
     along = _plane(centre, frame, offsets, half, np.outer(-force, frame[0]))
     across = _plane(centre, frame, offsets[:, ::-1], half[:, ::-1], np.outer(force, frame[1]))
-    return join([along, across])
+    return Rectangles.joined([along, across])
 
 
 def _number(traction: Traction, half: Floats, spacing_mm: float | None) -> Ints:

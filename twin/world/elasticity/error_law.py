@@ -1,17 +1,14 @@
 """The error of a displacement: expected before a solve (`EXPECTED`), and estimated after it.
 
 The estimate has up to four parts (`error_shares`): a share of the difference to another level's
-result; a share of the displacement itself, which that difference does not show; on curved bodies a
-share of the difference to a smoother evaluation of the same field (`twin.world.mesh.interpolate`);
-and, where a body is loaded near another free face, what all meshes miss there alike
-(`missed_at_edges`). Why the smoother evaluation: on curved bodies the largest errors are those of
-few elements near the load, and the other mesh has other elements there.
+result; a share of the displacement itself, which that difference does not show; on curved bodies,
+whose largest errors are those of few elements near the load, a share of the difference to a
+smoother evaluation of the same field (`twin.world.mesh.interpolate`); and, where a body is loaded
+near another free face, what all meshes miss there alike (`missed_at_edges`).
 
-All were fitted to independent converged solutions (repeated by ``benchmarks/elasticity.py``), and
-to the finest level under 60 bumps 1.2 to 6 mm wide at as many places of the finger, in six
-directions each, and 54 disks 1.5 to 12 mm wide at 6 of the block; near edges to mirrored loads 1
-and 4 mm wide and to the difference of two meshes. ``benchmarks/estimates.py`` tests them with
-random loads.
+The constants were fitted to independent converged solutions (``benchmarks/elasticity.py``), to the
+finest level under 60 bumps on the finger and 54 disks on the block, and near edges to mirrored
+loads. ``benchmarks/estimates.py`` tests them with random loads.
 
 Validity: the two reference bodies. Other bodies are meshed by the same rules: flat ones count as
 blocks, curved ones as fingers.
@@ -36,12 +33,10 @@ DIRECT = 0.3
 @dataclass(frozen=True)
 class _Expected:
     """Displacement error over the largest displacement: far inside, a fifth of the body's height
-    from an edge, at most.
+    from an edge, at most; and the shares of `error_shares`.
 
-    An estimate is ``trust`` times the difference to the level ``against``, plus ``rough`` times
-    that to a smoother reading, plus ``unseen``: what levels share and so can't tell (how a load is
-    cut into rectangles, where tractions are read), and the error of the solutions that the estimate
-    was checked against.
+    ``unseen`` holds what levels share (how a load is cut into rectangles, where tractions are
+    read), and the error of the solutions that the estimate was checked against.
     """
 
     inside: float
@@ -78,8 +73,7 @@ coefficients, and of the truth itself."""
 
 CUT = 1.45e-6
 """Error of displacement at points 0.5 mm deep, by cutting a flat load: times Young's modulus, over
-the sum of the sizes of the rectangles' forces; 1/mm. Disks and twists 1.5 to 12 mm wide, against
-sums of point forces."""
+the sum of the sizes of the rectangles' forces; 1/mm."""
 
 TRUTH_TABLE, BETWEEN = 0.25, 3.5e-4
 """Share of the difference of the standard block's two finer tables that is taken for the truth's
@@ -91,8 +85,7 @@ NOMINAL_TABLE = 1.4
 
 RIM = 0.1
 """Distance from a held face, over the body's height, within which the error of a load has no bound:
-the subtracted field is steep on the clamp there, which no mesh follows, and what two meshes make of
-it is alike."""
+no mesh follows the subtracted field on the clamp there."""
 
 MISSED, TOWARDS = 0.27, 2.5
 """Displacement by what elements far longer than a load's distance d to a free face miss of the
@@ -123,8 +116,8 @@ def expected_error(body: Body, level: Level, load: Rectangles) -> float:
     deep and deeper.
 
     The mean over the load's force of a law in the least distance d to another face: constant far
-    from it, then ``at_fifth`` (height / (5 d))^power up to ``most`` (see `_Expected`); within a
-    factor of three, mostly above. The share of the force that has no bound (`unbounded`) is added.
+    from it, then ``at_fifth`` (height / (5 d))^power up to ``most``; within a factor of three,
+    mostly above. The share of the force that has no bound (`unbounded`) is added.
     """
     law = EXPECTED[body.is_flat, level]
     if len(load) == 0:
@@ -138,12 +131,8 @@ def expected_error(body: Body, level: Level, load: Rectangles) -> float:
 
 
 def unbounded(body: Body, load: Rectangles) -> float:
-    """Return the share of a load's force that is so near to a held face (`RIM`) that its error has
-    no bound.
-
-    Added to an estimate, which is relative to the largest displacement, it means that nothing may
-    be right.
-    """
+    """Return the share of a load's force so near to a held face (`RIM`) that its error, relative to
+    the largest displacement, has no bound."""
     return _mean(load, _on_rim(body, _away(body, load)))
 
 
@@ -157,14 +146,9 @@ def missed_at_edges(body: Body, points: Points, load: Rectangles, edge_mm: Float
     meshes miss alike, so that their difference does not show it.
 
     The constants were fitted to displacements 0.1 to 1 mm deep under disks of 0.5 to 2 mm radius, 1
-    to 5 mm from an edge of blocks of 100 x 90 x 40, 60 x 6 x 5, 8 x 8 x 30 and 40 x 40 x 2 mm at nu
-    = 1/2, on meshes ``coarse`` and ``standard`` (h / d of 0.6 to 4), against meshes refined around
-    the load. At nu = 0.3 they were tried on two. On the finger `RESOLVED` is less:
-    under bumps of 0.5 and 1 mm radius, 1 to 3.5 mm from its back edge, at points down to 0.14 mm
-    from the edge and 0.1 mm deep, 40 of 63 estimates on ``coarse`` to ``fine`` were below the
-    error, 0.33 of it at least, without this. With it 3 are (0.73, 0.83, 0.94; all 3.5 mm from the
-    edge), the median is 2.0 and the largest 4.7. Two of these three are pushes around the finger,
-    which are as far below without any edge near (0.81 and 0.94 on ``coarse``).
+    to 5 mm from an edge of four blocks at nu = 1/2 (h / d of 0.6 to 4), against meshes refined
+    around the load. On the finger, 1 to 3.5 mm from its back edge, 3 of 63 estimates are then below
+    the error (0.73 of it at least), the median is 2.0 times the error and the largest 4.7.
 
     Parameters
     ----------
@@ -229,9 +213,11 @@ def error_shares(
     table: Literal["truth", "nominal"] | None = None,
     between: float = 0.0,
 ) -> tuple[float, float, float]:
-    """Return trust, rough and unseen: the error of a level's displacement over the largest one is
-    trust times its difference to the other level's (or the check table's), plus rough times its
-    difference to a smoother reading of the same field (both relative), plus unseen.
+    """Return trust, rough and unseen.
+
+    The error of a level's displacement over the largest one is trust times its difference to the
+    other level's (or the check table's), plus rough times its difference to a smoother reading of
+    the same field (both relative), plus unseen.
 
     Parameters
     ----------
@@ -242,10 +228,9 @@ def error_shares(
     direct
         Whether the displacements are of the direct method.
     refined
-        Whether they are of the level's mesh refined at the load, and compared with another so
-        refined.
+        Whether both meshes are refined at the load.
     table
-        Role of the table that they are from, if any.
+        Role of the table that the displacements are from, if any.
     between
         Of a table: its correction over the largest displacement, times `Tables.between`.
     """

@@ -1,21 +1,20 @@
 """The one place that factors and solves sparse systems.
 
-Why the shift: at nu = 1/2 the Taylor-Hood matrix is indefinite with a zero block, and factoring it
-needs pivoting, which destroys the sparsity. Subtracting a tiny multiple of the pressure mass from
-that block makes the matrix quasi-definite, so that any symmetric order factors without pivoting (R.
-J. Vanderbei 1995, SIAM J. Optim. 5); a few steps of refinement against the true matrix then remove
-the shift's effect. SciPy's SuperLU does this everywhere, in METIS's nested dissection of the nodes
-(G. Karypis and V. Kumar 1998), which halves the time and the memory of its own minimum degree
-order; Intel's Pardiso is faster still where ``pypardiso`` is installed. Both give the same
-solutions, and every solve's residual is checked, because sparse solvers have been seen to return
-garbage silently."""
+At nu = 1/2 the Taylor-Hood matrix is indefinite with a zero block, and factoring it needs pivoting,
+which destroys the sparsity. Subtracting a tiny multiple of the pressure mass from that block makes
+the matrix quasi-definite, so that any symmetric order factors without pivoting (R. J. Vanderbei
+1995, SIAM J. Optim. 5); a few steps of refinement against the true matrix remove the shift's
+effect. SciPy's SuperLU does this everywhere, in METIS's nested dissection of the nodes (G. Karypis
+and V. Kumar 1998), which halves the time and the memory of its own order; Intel's Pardiso is
+faster where ``pypardiso`` is installed. Every residual is checked, because sparse solvers have been
+seen to return garbage silently."""
 
 from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
 from importlib.util import find_spec
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -34,26 +33,12 @@ GOAL, LIMIT, STEPS = 1e-12, 1e-9, 8
 number of steps."""
 
 ROUNDING = 1e-4
-"""Weight of the solution relative to the right-hand side in the relative residual: where layers
-differ a million times in stiffness the solution is a million times longer, and round-off alone
-leaves more than the limit of the right side."""
+"""Weight of the solution in the relative residual: where layers differ a million times in stiffness
+the solution is a million times longer, and round-off alone exceeds the limit of the right side."""
 
 LENIENCE = 1e3
-"""How many times the residual may exceed its limit for a long solution at most: beyond it load and
-answer are no more in balance to a millionth. Without this bound a body that can drift is "solved"
-to 1e14 mm."""
-
-_count = {"factorisations": 0}
-
-
-def factorisations() -> int:
-    """Return how many matrices this process has factored."""
-    return _count["factorisations"]
-
-
-def available_solvers() -> tuple[Solver, ...]:
-    """Return the solvers of this machine, fastest first."""
-    return ("pardiso", "superlu") if find_spec("pypardiso") else ("superlu",)
+"""How many times the residual may exceed its limit for a long solution at most: without this bound
+a body that can drift is "solved" to 1e14 mm."""
 
 
 class Factor:
@@ -81,6 +66,14 @@ class Factor:
         ``pardiso`` is requested and not installed.
     """
 
+    made: ClassVar[int] = 0
+    """How many matrices this process has factored."""
+
+    @staticmethod
+    def solvers() -> tuple[Solver, ...]:
+        """Return the solvers of this machine, fastest first."""
+        return ("pardiso", "superlu") if find_spec("pypardiso") else ("superlu",)
+
     def __init__(
         self,
         matrix: Any,
@@ -101,9 +94,9 @@ class Factor:
         scaling = diags(self._root)
         self._matrix = (scaling @ matrix @ scaling).tocsr()
         shifted = self._matrix - diags(SHIFT * pressure_scale * self._root**2)
-        self.solver: Solver = available_solvers()[0] if solver == "auto" else solver
+        self.solver: Solver = self.solvers()[0] if solver == "auto" else solver
         self.residual = 0.0
-        _count["factorisations"] += 1
+        Factor.made += 1
         if self.solver == "pardiso":
             self._apply = _pardiso(shifted)
         else:

@@ -30,10 +30,9 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints
 from twin.errors import InputError
-from twin.parts.material import compressibility, shear_modulus
-from twin.world.elasticity.correction_loads import regions_behind
+from twin.parts.material import Cover, Material, compressibility, shear_modulus
 from twin.world.elasticity.factor import GOAL, Factor, Solver
-from twin.world.mesh.elements import inverses, tet_quadrature, tet_shapes
+from twin.world.mesh.elements import inverses, quadrature, shapes
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import require_finite, require_solvable
 
@@ -55,6 +54,17 @@ class Layer:
 
     modulus_ratio: float
     poisson_ratio: float
+
+    @classmethod
+    def of_cover(cls, material: Material, cover: Cover | None) -> Layer | None:
+        """Return what a cover is made of, None where it is made of the body's ``material``."""
+        if cover is None:
+            return None
+        modulus, nu = material.youngs_modulus_mpa, material.poisson_ratio
+        own = modulus if cover.youngs_modulus_mpa is None else cover.youngs_modulus_mpa
+        own_nu = nu if cover.poisson_ratio is None else cover.poisson_ratio
+        same = own == modulus and own_nu == nu
+        return None if same else cls(modulus_ratio=own / modulus, poisson_ratio=own_nu)
 
     @property
     def shear_ratio(self) -> float:
@@ -144,7 +154,7 @@ class TaylorHood:
     def under_load(self) -> Layer:
         """What the sensing surface is made of."""
         pressed = self.mesh.faces[self.mesh.piece == 0]
-        return self.made_of[int(np.max(regions_behind(self.mesh, pressed), initial=0))]
+        return self.made_of[int(np.max(self.mesh.regions_behind(pressed), initial=0))]
 
     @property
     def pressures(self) -> int:
@@ -293,8 +303,8 @@ def _element_matrices(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the parts of the matrix of elements with ``nodes`` (m, 10, 3): (m, 10, 10, 3, 3), (m,
     4, 10, 1, 3) and (m, 4, 4, 1, 1)."""
-    places, weights = tet_quadrature()
-    slopes = tet_shapes(places)[1]
+    places, weights = quadrature(3)
+    slopes = shapes(places)[1]
     shares = np.column_stack([1.0 - places.sum(axis=1), places])
     jacobian = np.einsum("mai,qaj->mqij", nodes, slopes, optimize=True)
     inverse, determinant = inverses(jacobian)

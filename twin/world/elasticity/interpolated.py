@@ -33,9 +33,9 @@ from twin.world.elasticity.cache import cached_field, field_key
 from twin.world.elasticity.correction import correction, unbalanced
 from twin.world.elasticity.discretise import onto_surface
 from twin.world.elasticity.fem import TaylorHood
-from twin.world.elasticity.tensor_basis import Axis, lagrange, splines, tensor_product
+from twin.world.elasticity.tensor_basis import Axis, tensor_product
 from twin.world.mesh.interpolate import Places, Weighted
-from twin.world.mesh.sizing import default_sizing
+from twin.world.mesh.sizing import Sizing
 
 GRAIN_MM = 1.2
 """Region per node beyond the first three; on the reference finger the field of a whole contact is
@@ -85,7 +85,7 @@ class Region:
             SNAP_MM * np.ceil((high + room) / SNAP_MM),
         )
         self._axes = [
-            lagrange(
+            Axis.lagrange(
                 (a + b) / 2 + (b - a) / 2 * chebpts1(min(3 + math.ceil((b - a) / GRAIN_MM), MOST))
             )
             for a, b in zip(self._low, self._high, strict=True)
@@ -307,8 +307,8 @@ class SurfaceTable:
 
     def __init__(self, system: TaylorHood, body: Body, progress: Progress | None = None) -> None:
         self._system, self._body = system, body
-        self._half = np.array(default_sizing(body, "standard").window_mm)
-        axes = [splines(np.linspace(-half, half, NODES)) for half in self._half]
+        self._half = np.array(Sizing.of(body, "standard").window_mm)
+        axes = [Axis.splines(np.linspace(-half, half, NODES)) for half in self._half]
         self._weights = {step: [_weights(axis, step) for axis in axes] for step in (1, 2)}
         chart = grid_points(*(axis.nodes for axis in axes))
         points = body.chart_points(chart)
@@ -429,7 +429,7 @@ def _weights(axis: Axis, step: int) -> Callable[[Floats], Floats]:
     other node has it."""
     if step == 1:
         return axis.basis
-    coarse = splines(axis.nodes[::step])
+    coarse = Axis.splines(axis.nodes[::step])
     from_nodes = np.linalg.solve(coarse.basis(coarse.nodes), axis.basis(coarse.nodes))
     return lambda places: np.asarray(coarse.basis(places) @ from_nodes)
 

@@ -36,6 +36,38 @@ class Axis:
     nodes: Floats
     basis: Callable[[Floats], Floats]
 
+    @classmethod
+    def chebyshev(cls, count: int, low: float = -1.0, high: float = 1.0) -> Axis:
+        """Return the interpolation by ``count`` Chebyshev polynomials from ``low`` to ``high``."""
+
+        def basis(places: Floats) -> Floats:
+            return np.asarray(chebvander((2.0 * places - low - high) / (high - low), count - 1))
+
+        return cls(nodes=(low + high + (high - low) * chebpts1(count)) / 2.0, basis=basis)
+
+    @classmethod
+    def lagrange(cls, nodes: Floats) -> Axis:
+        """Return the interpolation whose coefficients are the values at the nodes themselves."""
+        between = nodes[:, None] - nodes[None, :]
+        np.fill_diagonal(between, 1.0)
+        index = np.arange(len(nodes))
+
+        def basis(places: Floats) -> Floats:
+            ratio = (places[:, None, None] - nodes[None, None, :]) / between
+            ratio[:, index, index] = 1.0
+            return np.asarray(ratio.prod(axis=2))
+
+        return cls(nodes=nodes, basis=basis)
+
+    @classmethod
+    def splines(cls, nodes: Floats) -> Axis:
+        """Return the interpolation by the cubic B-splines whose knots are the nodes, without the
+        second and the last but one ("not a knot")."""
+        from scipy.interpolate import BSpline
+
+        knots = np.concatenate([np.full(4, nodes[0]), nodes[2:-2], np.full(4, nodes[-1])])
+        return cls(nodes=nodes, basis=BSpline(knots, np.eye(len(nodes)), 3))
+
     def from_nodes(self) -> Floats:
         """Return the (n, n) matrix that takes values at the nodes to the basis' coefficients."""
         return np.asarray(np.linalg.inv(self.basis(self.nodes)))
@@ -52,35 +84,3 @@ def tensor_product(*factors: Floats) -> Floats:
     for factor in factors[1:]:
         product = (product[:, :, None] * factor[:, None, :]).reshape(len(factor), -1)
     return product
-
-
-def chebyshev(count: int, low: float = -1.0, high: float = 1.0) -> Axis:
-    """Return the interpolation by ``count`` Chebyshev polynomials from ``low`` to ``high``."""
-
-    def basis(places: Floats) -> Floats:
-        return np.asarray(chebvander((2.0 * places - low - high) / (high - low), count - 1))
-
-    return Axis(nodes=(low + high + (high - low) * chebpts1(count)) / 2.0, basis=basis)
-
-
-def lagrange(nodes: Floats) -> Axis:
-    """Return the interpolation whose coefficients are the values at the nodes themselves."""
-    between = nodes[:, None] - nodes[None, :]
-    np.fill_diagonal(between, 1.0)
-    index = np.arange(len(nodes))
-
-    def basis(places: Floats) -> Floats:
-        ratio = (places[:, None, None] - nodes[None, None, :]) / between
-        ratio[:, index, index] = 1.0
-        return np.asarray(ratio.prod(axis=2))
-
-    return Axis(nodes=nodes, basis=basis)
-
-
-def splines(nodes: Floats) -> Axis:
-    """Return the interpolation by the cubic B-splines whose knots are the nodes, without the second
-    and the last but one ("not a knot")."""
-    from scipy.interpolate import BSpline
-
-    knots = np.concatenate([np.full(4, nodes[0]), nodes[2:-2], np.full(4, nodes[-1])])
-    return Axis(nodes=nodes, basis=BSpline(knots, np.eye(len(nodes)), 3))

@@ -34,16 +34,9 @@ from twin.geometry.pieces import TriangleTree, sharpest_edge
 from twin.parts.body import Block, Body
 from twin.parts.part import without_later
 from twin.world.mesh.bisection import block_mesh
-from twin.world.mesh.quadratic_mesh import FORMAT, Mesh, load_mesh, read_mesh, write_mesh
-from twin.world.mesh.quality import Quality, open_edges, quality, worst_place
-from twin.world.mesh.sizing import (
-    Level,
-    Sizing,
-    WantedEdge,
-    background,
-    default_sizing,
-    surface_samples,
-)
+from twin.world.mesh.quadratic_mesh import FORMAT, Mesh
+from twin.world.mesh.quality import Quality, open_edges, worst_place
+from twin.world.mesh.sizing import Level, Sizing, WantedEdge, background, surface_samples
 from twin.world.mesh.snap import onto_sheets, snapped_mesh
 from twin.world.mesh.tetrahedralise import Request, remeshed, tetrahedralise
 
@@ -75,14 +68,14 @@ def body_mesh(
     With ``rebuild`` a new one is made even if there is one, and put into the cache. Raises a
     `MeshError` if no mesh passes the quality gates, or the mesher fails.
     """
-    sizing = default_sizing(body, level)
+    sizing = Sizing.of(body, level)
     key = mesh_key(body, sizing)
     if is_pinned():
         if (path := pinned(mesh_file(key))) is None:
             raise MeshError(
                 f"mesh of level {level}: not among the given ones, and no other is made"
             )
-        return read_mesh(path)
+        return Mesh.read(path)
     cached = cache_folder() / mesh_file(key)
     if not rebuild:
         for path in [cached, *sorted(MESHES.glob(f"*.{level}.npz"))]:
@@ -102,7 +95,7 @@ def body_mesh(
         "quality": asdict(measured),
     }
     with suppress(TwinError):  # a full disk costs the time to make it again
-        write_mesh(mesh, cached, provenance, first=not (rebuild or damaged))
+        mesh.write(cached, provenance, first=not (rebuild or damaged))
     # another process may have been first: all that is made of this body is then made of that one's
     # mesh
     return _matching(cached, key) or mesh
@@ -110,7 +103,7 @@ def body_mesh(
 
 def shipped_mesh(body: Body, level: Level) -> Mesh | None:
     """Return the mesh of exactly this body that ships with the program, None if there is none."""
-    key = mesh_key(body, default_sizing(body, level))
+    key = mesh_key(body, Sizing.of(body, level))
     found = (_matching(path, key) for path in sorted(MESHES.glob(f"*.{level}.npz")))
     return next((mesh for mesh in found if mesh is not None), None)
 
@@ -127,11 +120,11 @@ def _stretched(body: Body, level: Level) -> Mesh | None:
     A block is any other block stretched along its axes; other shapes must be scaled copies.
     """
     for path in sorted(MESHES.glob(f"*.{level}.npz")):
-        mesh, provenance = load_mesh(path)
+        mesh, provenance = Mesh.load(path)
         ratio = _ratio(without_later(provenance["body"]), without_later(body.geometry()))
         if ratio is not None:
             made = replace(mesh, points=frozen(mesh.points * ratio))
-            if not quality(made, body).failures(stricter=ALL_ALIKE):
+            if not Quality.of(made, body).failures(stricter=ALL_ALIKE):
                 return made
     return None
 
@@ -155,7 +148,7 @@ def _matching(path: Path, key: str) -> Mesh | None:
     if not path.exists():
         return None
     try:
-        mesh, provenance = load_mesh(path)
+        mesh, provenance = Mesh.load(path)
     except InputError:
         return None
     return mesh if provenance.get("key") == key else None
@@ -292,7 +285,7 @@ def build_mesh(
     """
     if isinstance(body, Block):
         mesh = block_mesh(body, sizing)
-        return mesh, quality(mesh, body)
+        return mesh, Quality.of(mesh, body)
     _refuse_sharp(body)
     allowed_s = LIMIT_S * max(1.0, sizing.unknowns / LIMIT_UNKNOWNS)
     end_s = _spent_s() + allowed_s
@@ -317,7 +310,7 @@ def build_mesh(
             failures.append(str(problem))
             place = _narrowest(*surface)
             continue
-        measured = quality(mesh, body)
+        measured = Quality.of(mesh, body)
         ratio = measured.unknowns / aim
         faults = measured.failures()
         if not faults and 1 / SPARE <= measured.unknowns / sizing.unknowns <= SPARE:

@@ -58,19 +58,10 @@ def inverses(matrices: Floats) -> tuple[Floats, Floats]:
         return rows / determinant[..., None, None], determinant
 
 
-def tet_shapes(places: Floats) -> tuple[Floats, Floats]:
-    """Return the values (q, 10) and gradients (q, 10, 3) of a tetrahedron's shape functions at
-    reference ``places`` (q, 3)."""
-    return _shapes(places, TET_EDGES)
-
-
-def triangle_shapes(places: Floats) -> tuple[Floats, Floats]:
-    """Return the values (q, 6) and gradients (q, 6, 2) of a triangle's shape functions at reference
-    ``places`` (q, 2)."""
-    return _shapes(places, TRIANGLE_EDGES)
-
-
-def _shapes(places: Floats, edges: Ints) -> tuple[Floats, Floats]:
+def shapes(places: Floats) -> tuple[Floats, Floats]:
+    """Return the values (q, n) and gradients (q, n, axes) of the shape functions at reference
+    ``places`` (q, axes): of a tetrahedron (3 axes, n = 10) or a triangle (2 axes, n = 6)."""
+    edges = TET_EDGES if places.shape[1] == 3 else TRIANGLE_EDGES
     axes = places.shape[1]
     share = np.column_stack([1.0 - places.sum(axis=1), places])
     slope = np.vstack([-np.ones(axes), np.eye(axes)])
@@ -81,9 +72,11 @@ def _shapes(places: Floats, edges: Ints) -> tuple[Floats, Floats]:
     return values, np.concatenate([corner, middle], axis=1)
 
 
-def tet_quadrature() -> tuple[Floats, Floats]:
-    """Return places (14, 3) and weights (14,), exact to degree 5 (N. J. Walkington 2000); weights
-    sum to 1/6."""
+def quadrature(axes: int) -> tuple[Floats, Floats]:
+    """Return places (q, axes) and weights (q,) of a rule exact to degree 5: in a tetrahedron (3
+    axes, 14 places, N. J. Walkington 2000) or a triangle (2 axes, 7 places, J. Radon 1948)."""
+    if axes == 2:
+        return _in_triangle()
     places, weights = [], []
     for a, weight in (
         (0.31088591926330060980, 0.11268792571801585080),
@@ -103,9 +96,7 @@ def tet_quadrature() -> tuple[Floats, Floats]:
     return np.array(places), np.array(weights)
 
 
-def triangle_quadrature() -> tuple[Floats, Floats]:
-    """Return places (7, 2) and weights (7,), exact to degree 5 (J. Radon 1948); weights sum to
-    1/2."""
+def _in_triangle() -> tuple[Floats, Floats]:
     root = np.sqrt(15.0)
     places, weights = [[1 / 3, 1 / 3]], [0.225 / 2]
     for sign in (-1.0, 1.0):

@@ -22,7 +22,7 @@ import numpy as np
 from twin.arrays import Floats, Ints, Points, coordinates, frozen
 from twin.errors import MeshError, OutOfBodyError
 from twin.parts.body import Body
-from twin.world.mesh.elements import TET_EDGES, inverses, tet_shapes
+from twin.world.mesh.elements import TET_EDGES, inverses, shapes
 from twin.world.mesh.quadratic_mesh import Mesh
 
 _CANDIDATES = (4, 24, 400)
@@ -143,7 +143,7 @@ class Locator:
         self._straight = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
         self._first = corners[:, 0]
         nodes = mesh.points[mesh.tets]
-        slopes = tet_shapes(np.vstack([np.zeros(3), np.eye(3)]))[1]
+        slopes = shapes(np.vstack([np.zeros(3), np.eye(3)]))[1]
         self._linear = np.einsum("mai,aj->mij", nodes, slopes[0])
         self._bend = np.einsum("mai,kaj->mijk", nodes, slopes[1:] - slopes[0])
         size = np.abs(self._linear).max(axis=(1, 2))
@@ -192,7 +192,7 @@ class Locator:
             raise MeshError(
                 f"no element of the mesh holds the point {points[first]} mm: rebuild the mesh"
             )
-        values, slopes = tet_shapes(local)
+        values, slopes = shapes(local)
         nodes = mesh.tets[best]
         jacobian = np.einsum("qai,qaj->qij", mesh.points[nodes], slopes)
         slopes = slopes @ inverses(jacobian)[0]

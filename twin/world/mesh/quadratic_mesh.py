@@ -19,7 +19,7 @@ from twin.arrays import Bools, Ints, Points, frozen
 from twin.errors import InputError
 from twin.files import read_arrays, write_whole
 from twin.parts.body import Body
-from twin.world.mesh.elements import signed_volumes
+from twin.world.mesh.elements import TET_FACES, signed_volumes
 
 FORMAT = 1
 """Version of the file format and of the way meshes are made; part of every key."""
@@ -66,6 +66,22 @@ class Mesh:
         on[self.faces[np.isin(self.piece, pieces)]] = True
         return on
 
+    def outward_faces(self) -> tuple[Ints, Ints]:
+        """Return the corners (4 m, 3) of all elements' faces, turned outward, and the elements (4
+        m,)."""
+        return self.tets[:, TET_FACES].reshape(-1, 3), np.repeat(np.arange(len(self.tets)), 4)
+
+    def regions_behind(self, faces: Ints) -> Ints:
+        """Return the region (f,) behind boundary faces."""
+        if not np.any(self.region):
+            return np.zeros(len(faces), np.int64)
+        corners, owner = self.outward_faces()
+        scale = np.array([self.corners**2, self.corners, 1])
+        keys = np.sort(corners, axis=1) @ scale
+        order = np.argsort(keys)
+        at = np.searchsorted(keys[order], np.sort(faces[:, :3], axis=1) @ scale)
+        return np.asarray(self.region[owner[order[at]]])
+
     def digest(self) -> str:
         """Return the SHA-256 of the arrays: equal for equal meshes, whatever file they came
         from."""
@@ -88,70 +104,99 @@ class Mesh:
         """Three displacements at every node and one pressure at every corner."""
         return 3 * len(self.points) + self.corners
 
+    def write(self, path: Path, provenance: dict[str, Any], *, first: bool = False) -> None:
+        """Write the mesh, and how it was made (plain JSON values), to an ``.npz`` file.
 
-def write_mesh(mesh: Mesh, path: Path, provenance: dict[str, Any], *, first: bool = False) -> None:
-    """Write a mesh, and how it was made (plain JSON values), to an ``.npz`` file, under a temporary
-    name first.
-
-    With ``first`` a file that another process has written by then is kept. Raises a `TwinError` if
-    the file can't be written.
-    """
-    text = json.dumps({**provenance, "format": FORMAT, "digest": mesh.digest()}, sort_keys=True)
-    arrays: dict[str, Any] = {
-        "points": mesh.points,
-        "tets": mesh.tets.astype(np.int32),
-        "corners": np.int64(mesh.corners),
-        "faces": mesh.faces.astype(np.int32),
-        "piece": mesh.piece.astype(np.int32),
-        "region": mesh.region.astype(np.int32),
-        "provenance": np.array(text),
-    }
-    write_whole(
-        path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays), first=first
-    )
-
-
-def read_mesh(path: Path) -> Mesh:
-    """Return the mesh of a file; raises like `load_mesh`."""
-    return load_mesh(path)[0]
-
-
-def load_mesh(path: Path) -> tuple[Mesh, dict[str, Any]]:
-    """Return a whole mesh and how it was made: key, body, sizing, quality, format and digest.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, truncated, of another kind, or its arrays don't make a mesh.
-    """
-    try:
-        file: dict[str, Any] = {**read_arrays(path)}
-        mesh = Mesh(
-            points=frozen(np.asarray(file["points"], np.float64)),
-            tets=frozen(np.asarray(file["tets"], np.int64)),
-            corners=int(file["corners"]),
-            faces=frozen(np.asarray(file["faces"], np.int64)),
-            piece=frozen(np.asarray(file["piece"], np.int64)),
-            region=frozen(np.asarray(file.get("region", []), np.int64)),
+        With ``first`` a file that is there by then is kept. Raises a `TwinError` if the file can't
+        be written.
+        """
+        text = json.dumps({**provenance, "format": FORMAT, "digest": self.digest()}, sort_keys=True)
+        arrays: dict[str, Any] = {
+            "points": self.points,
+            "tets": self.tets.astype(np.int32),
+            "corners": np.int64(self.corners),
+            "faces": self.faces.astype(np.int32),
+            "piece": self.piece.astype(np.int32),
+            "region": self.region.astype(np.int32),
+            "provenance": np.array(text),
+        }
+        write_whole(
+            path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays), first=first
         )
-        provenance = json.loads(str(file["provenance"]))
-    except FileNotFoundError:
-        raise InputError(
-            f"{path}: there is no such mesh file; make it with `twin mesh SCENE`"
-        ) from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as problem:
-        raise InputError(
-            f"{path}: not a whole mesh file ({type(problem).__name__}: {problem}); make it again "
-            "with `twin mesh SCENE --rebuild`"
-        ) from problem
-    problem_text = _problem(mesh)
-    if not problem_text and (
-        not isinstance(provenance, dict) or provenance.get("digest") != mesh.digest()
-    ):
-        problem_text = "its arrays don't match the digest stored with them"
-    if problem_text:
-        raise InputError(f"{path}: {problem_text}; make it again with `twin mesh SCENE --rebuild`")
-    return mesh, provenance
+
+    @staticmethod
+    def read(path: Path) -> Mesh:
+        """Return the mesh of a file; raises like `load`."""
+        return Mesh.load(path)[0]
+
+    @staticmethod
+    def load(path: Path) -> tuple[Mesh, dict[str, Any]]:
+        """Return a whole mesh and how it was made: key, body, sizing, quality, format and digest.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, truncated, of another kind, or its arrays don't make a mesh.
+        """
+        try:
+            file: dict[str, Any] = {**read_arrays(path)}
+            mesh = Mesh(
+                points=frozen(np.asarray(file["points"], np.float64)),
+                tets=frozen(np.asarray(file["tets"], np.int64)),
+                corners=int(file["corners"]),
+                faces=frozen(np.asarray(file["faces"], np.int64)),
+                piece=frozen(np.asarray(file["piece"], np.int64)),
+                region=frozen(np.asarray(file.get("region", []), np.int64)),
+            )
+            provenance = json.loads(str(file["provenance"]))
+        except FileNotFoundError:
+            raise InputError(
+                f"{path}: there is no such mesh file; make it with `twin mesh SCENE`"
+            ) from None
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            RecursionError,
+        ) as problem:
+            raise InputError(
+                f"{path}: not a whole mesh file ({type(problem).__name__}: {problem}); make it "
+                "again with `twin mesh SCENE --rebuild`"
+            ) from problem
+        problem_text = _problem(mesh)
+        if not problem_text and (
+            not isinstance(provenance, dict) or provenance.get("digest") != mesh.digest()
+        ):
+            problem_text = "its arrays don't match the digest stored with them"
+        if problem_text:
+            raise InputError(
+                f"{path}: {problem_text}; make it again with `twin mesh SCENE --rebuild`"
+            )
+        return mesh, provenance
+
+    def export(self, body: Body, path: Path) -> None:
+        """Write VTK's unstructured grid (.vtu), with the nodes' depth below the sensing surface.
+
+        Raises
+        ------
+        InputError
+            The name does not end in .vtu, or the file can't be written.
+        """
+        if path.suffix != ".vtu":
+            raise InputError(f"{path}: a mesh is exported as .vtu")
+        import pyvista
+
+        grid = pyvista.UnstructuredGrid(
+            {_VTK_QUADRATIC_TETRA: np.asarray(self.tets)}, np.array(self.points)
+        )
+        grid.point_data["depth_mm"] = body.depth(self.points)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            grid.save(path)
+        except OSError as problem:
+            raise InputError(f"{path}: can't be written ({problem.strerror or problem})") from None
 
 
 def _problem(mesh: Mesh) -> str:
@@ -184,26 +229,3 @@ def _problem(mesh: Mesh) -> str:
 
 
 _VTK_QUADRATIC_TETRA = 24
-
-
-def export_mesh(mesh: Mesh, body: Body, path: Path) -> None:
-    """Write a mesh with the depth of its nodes below the sensing surface.
-
-    Raises
-    ------
-    InputError
-        The name does not end in .vtu, or the file can't be written.
-    """
-    if path.suffix != ".vtu":
-        raise InputError(f"{path}: a mesh is exported as .vtu")
-    import pyvista
-
-    grid = pyvista.UnstructuredGrid(
-        {_VTK_QUADRATIC_TETRA: np.asarray(mesh.tets)}, np.array(mesh.points)
-    )
-    grid.point_data["depth_mm"] = body.depth(mesh.points)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        grid.save(path)
-    except OSError as problem:
-        raise InputError(f"{path}: can't be written ({problem.strerror or problem})") from None

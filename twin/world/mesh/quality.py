@@ -24,11 +24,9 @@ from twin.world.mesh.elements import (
     TET_EDGES,
     TET_FACES,
     boundary_triangles,
+    quadrature,
+    shapes,
     signed_volumes,
-    tet_quadrature,
-    tet_shapes,
-    triangle_quadrature,
-    triangle_shapes,
 )
 from twin.world.mesh.quadratic_mesh import Mesh
 
@@ -86,6 +84,24 @@ class Quality:
     volume_error: float
     unknowns: int
 
+    @staticmethod
+    def of(mesh: Mesh, body: Body) -> Quality:
+        """Measure a mesh of a body."""
+        corner_tets = mesh.tets[:, :4]
+        angles = dihedral_angles(mesh.points, corner_tets)
+        return Quality(
+            least_volume_mm3=float(np.min(signed_volumes(mesh.points, corner_tets))),
+            least_dihedral_deg=float(np.min(angles)),
+            largest_dihedral_deg=float(np.max(angles)),
+            least_scaled_jacobian=float(np.min(_scaled_jacobians(mesh.points, corner_tets))),
+            least_jacobian_ratio=float(np.min(jacobian_ratios(mesh.points, mesh.tets))),
+            largest_offset_mm=max(0.0, float(np.max(offsets(mesh, body)))),
+            open_edges=open_edges(mesh.faces),
+            unclassified=_unclassified(mesh, body),
+            volume_error=enclosed_volume(mesh.points, mesh.faces) / body.volume_mm3 - 1,
+            unknowns=mesh.unknowns,
+        )
+
     def failures(self, *, stricter: float = 1.0) -> list[str]:
         """Return one line for every gate that is not passed: figure and allowed range; the limits
         of shape are ``stricter`` times as high."""
@@ -106,24 +122,6 @@ class Quality:
             for name, figure, sign, limit in gates
             if not passes[sign](figure, limit)
         ]
-
-
-def quality(mesh: Mesh, body: Body) -> Quality:
-    """Measure a mesh of a body."""
-    corner_tets = mesh.tets[:, :4]
-    angles = dihedral_angles(mesh.points, corner_tets)
-    return Quality(
-        least_volume_mm3=float(np.min(signed_volumes(mesh.points, corner_tets))),
-        least_dihedral_deg=float(np.min(angles)),
-        largest_dihedral_deg=float(np.max(angles)),
-        least_scaled_jacobian=float(np.min(_scaled_jacobians(mesh.points, corner_tets))),
-        least_jacobian_ratio=float(np.min(jacobian_ratios(mesh.points, mesh.tets))),
-        largest_offset_mm=max(0.0, float(np.max(offsets(mesh, body)))),
-        open_edges=open_edges(mesh.faces),
-        unclassified=_unclassified(mesh, body),
-        volume_error=enclosed_volume(mesh.points, mesh.faces) / body.volume_mm3 - 1,
-        unknowns=mesh.unknowns,
-    )
 
 
 def worst_place(mesh: Mesh, *, crowded: bool = False) -> Points:
@@ -204,8 +202,8 @@ def enclosed_volume(points: Points, faces: Ints) -> float:
 
     The integrand x . (dx/dr x dx/ds) is a quartic, which the quadrature integrates exactly.
     """
-    places, weights = triangle_quadrature()
-    values, slopes = triangle_shapes(places)
+    places, weights = quadrature(2)
+    values, slopes = shapes(places)
     nodes = points[faces]
     total = 0.0
     for weight, value, slope in zip(weights, values, slopes, strict=True):
@@ -263,7 +261,7 @@ def _require_nodes(mesh: Mesh) -> None:
 
 
 def _require_volumes(mesh: Mesh) -> None:
-    least = np.min(list(_determinants(mesh.points, mesh.tets, tet_quadrature()[0])), axis=0)
+    least = np.min(list(_determinants(mesh.points, mesh.tets, quadrature(3)[0])), axis=0)
     wrong = ~(least > 0.0)
     if wrong.any():
         worst = int(np.argmin(least))
@@ -280,7 +278,7 @@ def _determinants(points: Points, tets: Ints, places: Floats) -> Iterator[Floats
     """Yield the (m,) determinants of the elements' maps at each of the reference places (q, 3),
     mm3."""
     nodes = points[tets]
-    for slope in tet_shapes(places)[1]:
+    for slope in shapes(places)[1]:
         a, b, c = np.einsum("mai,aj->jmi", nodes, slope, optimize=True)
         yield np.einsum("mi,mi->m", a, np.cross(b, c))
 

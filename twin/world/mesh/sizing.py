@@ -60,6 +60,35 @@ class Sizing:
     window_mm: tuple[float, float]
     unknowns: int
 
+    @staticmethod
+    def of(body: Body, level: Level) -> Sizing:
+        """Return the sizing of a body's mesh.
+
+        Notes
+        -----
+        Lengths are proportions of the body; `unknowns` sets their scale. On the block a mesh's
+        error is mostly one shift of the whole sensing face: under 4 mm patches the red layer is
+        0.1 % off at 28 000 unknowns and 0.25 % at 9 500. A finer window under the load is no help.
+        """
+        low, high = np.array(body.bounds_mm)
+        if body.is_flat:
+            shares, size, growth = _FLAT[level], float(np.max(high - low)), 0.8
+            window = (
+                float(min(16.0, 0.4 * (high - low)[0])),
+                float(min(12.0, 0.4 * (high - low)[1])),
+            )
+        else:
+            shares, size, growth = _CURVED[level], float(np.min((high - low)[:2])) / 2.0, 0.4
+            window = (0.875 * size, 0.875 * size)
+        return Sizing(
+            coarse_mm=shares.coarse * size,
+            fine_mm=shares.fine * size,
+            rim_mm=shares.rim * size,
+            growth=growth,
+            window_mm=window,
+            unknowns=shares.unknowns,
+        )
+
     def scaled(self, factor: float) -> Sizing:
         """Return the sizing with every edge length times ``factor``; growth and window stay."""
         edges = ("coarse_mm", "fine_mm", "rim_mm")
@@ -91,33 +120,6 @@ _CURVED: dict[Level, _Shares] = {
     "standard": _Shares(0.225, 0.1375, 0.1125, 28000),
     "fine": _Shares(0.15, 0.085, 0.06, 80000),
 }
-
-
-def default_sizing(body: Body, level: Level) -> Sizing:
-    """Return the sizing of a body's mesh.
-
-    Notes
-    -----
-    Lengths are proportions of the body; `Sizing.unknowns` sets their scale. On the block a mesh's
-    error is mostly one shift of the whole sensing face, the slab's shear stiffness: under 4 mm
-    patches the red layer is 0.1 % off at 28 000 unknowns and 0.25 % at 9 500. A finer window under
-    the load doesn't help there, so there is none.
-    """
-    low, high = np.array(body.bounds_mm)
-    if body.is_flat:
-        shares, size, growth = _FLAT[level], float(np.max(high - low)), 0.8
-        window = (float(min(16.0, 0.4 * (high - low)[0])), float(min(12.0, 0.4 * (high - low)[1])))
-    else:
-        shares, size, growth = _CURVED[level], float(np.min((high - low)[:2])) / 2.0, 0.4
-        window = (0.875 * size, 0.875 * size)
-    return Sizing(
-        coarse_mm=shares.coarse * size,
-        fine_mm=shares.fine * size,
-        rim_mm=shares.rim * size,
-        growth=growth,
-        window_mm=window,
-        unknowns=shares.unknowns,
-    )
 
 
 def surface_samples(body: Body, spacing_mm: float) -> Points:

@@ -35,7 +35,6 @@ from twin.parts.scene import Scene
 from twin.theory.lens import lens_inverse
 from twin.theory.optics import (
     air_gap,
-    axis_cosine,
     project,
     rays,
     reflection,
@@ -259,7 +258,7 @@ def _corner_rays(grid: Pixels, scene: Scene) -> tuple[Floats, Bools, Floats]:
     sine = np.linalg.norm(directions[:, :2], axis=1) * index
     passed = transmission(sine / np.sqrt(np.maximum(1 - sine**2, 1e-12)), index, camera.layers)
     if camera.vignetting > 0:
-        passed = passed * np.clip(axis_cosine(grid, camera), 0, 1) ** camera.vignetting
+        passed = passed * np.clip(-lens_inverse(grid, camera)[:, 2], 0, 1) ** camera.vignetting
     return np.nan_to_num(np.column_stack([origins[:, :2], tangents])), inside, np.nan_to_num(passed)
 
 
