@@ -1,8 +1,7 @@
 """The bodies of recipes: block, dome, finger, and a solid given by an STL file.
 
-An STL file has no names for its faces. So a solid's recipe picks what is held and what is pressed
-by a plane, a box or a direction (`Region`). The digest of the file is stored when the recipe is
-read, so that a run never mixes two versions of the file.
+An STL file has no names for its faces, so a solid's recipe picks what is held and what is pressed
+by a plane, a box or a direction (`Solid.Region`).
 
 Validity: a solid's surface is the file's triangles, not the curved surface that they may stand for
 (`twin.geometry.pieces`). Its surface coordinates are x and y, so that the pitch of markers and
@@ -13,7 +12,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -21,7 +20,7 @@ from pydantic import Field, model_validator
 from twin.arrays import Bools, Chart, Floats, Ints, Points, frozen
 from twin.geometry.closed import FLAT, SIZE_MM
 from twin.parts.part import Part
-from twin.parts.shape import Body, StlFile
+from twin.parts.shape import Body, Bounds, StlFile
 
 if TYPE_CHECKING:
     from twin.geometry.closed import Surface
@@ -97,7 +96,7 @@ class Block(Body):
         return points
 
     @property
-    def bounds_mm(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    def bounds_mm(self) -> Bounds:
         a, b = self.width_mm / 2, self.length_mm / 2
         return (-a, -b, 0.0), (a, b, self.thickness_mm)
 
@@ -186,7 +185,7 @@ class Dome(Body):
         return np.column_stack([x, y, np.where(z <= self.height_mm, z, np.nan)])
 
     @property
-    def bounds_mm(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    def bounds_mm(self) -> Bounds:
         a = self.base_radius_mm
         return (-a, -a, 0.0), (a, a, self.height_mm)
 
@@ -284,7 +283,7 @@ class Finger(Body):
         return self.radius_mm + self.skirt_mm
 
     @property
-    def bounds_mm(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    def bounds_mm(self) -> Bounds:
         r = self.radius_mm
         return (-self.barrel_mm, -r, 0.0), (r, r, self.base_z_mm)
 
@@ -309,79 +308,6 @@ WINDOW_MM = 1e-2
 _ORIGIN_MM = 1e-3
 
 
-class PlaneRegion(Part):
-    """Triangles whose corners all lie within ``within_mm`` of a plane and that face along its
-    ``normal``.
-
-    Attributes
-    ----------
-    point_mm
-        A point of the plane.
-    normal
-        Out of the body; any length.
-    within_mm
-        Distance allowed.
-    """
-
-    point_mm: Vector
-    normal: Vector
-    within_mm: float = Field(default=0.01, gt=0, le=10)
-
-
-class BoxRegion(Part):
-    """Triangles whose corners all lie in a box."""
-
-    low_mm: Vector
-    high_mm: Vector
-
-
-class Region(Part):
-    """Triangles of a surface, picked by everything that is given here at once.
-
-    Attributes
-    ----------
-    plane, box
-        See `PlaneRegion` and `BoxRegion`.
-    normal, within_deg
-        Triangles whose outward normal is at most ``within_deg`` from ``normal``.
-    """
-
-    plane: PlaneRegion | None = None
-    box: BoxRegion | None = None
-    normal: Vector | None = None
-    within_deg: float = Field(default=45, gt=0, le=180)
-
-    @model_validator(mode="after")
-    def _picks_something(self) -> Region:
-        if self.plane is None and self.box is None and self.normal is None:
-            raise ValueError("give at least one of plane, box and normal")
-        for normal in (self.normal, self.plane.normal if self.plane else None):
-            if normal is not None and not any(normal):
-                raise ValueError("normal must not be (0, 0, 0): give the outward direction")
-        return self
-
-    def picks(self, corners: Floats) -> Bools:
-        """Return (m,) which of the triangles (m, 3, 3) are in the region."""
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        chosen = np.ones(len(corners), bool)
-        if self.plane is not None:
-            outward = np.array(self.plane.normal) / np.linalg.norm(self.plane.normal)
-            near = (
-                np.abs((corners - self.plane.point_mm) @ outward).max(axis=1)
-                <= self.plane.within_mm
-            )
-            chosen &= near & (normal @ outward > 0.5)
-        if self.box is not None:
-            chosen &= ((corners >= self.box.low_mm) & (corners <= self.box.high_mm)).all(
-                axis=(1, 2)
-            )
-        if self.normal is not None:
-            outward = np.array(self.normal) / np.linalg.norm(self.normal)
-            chosen &= normal @ outward >= np.cos(np.radians(self.within_deg)) - 1e-12
-        return chosen
-
-
 class Solid(StlFile, Body):
     """The inside of a closed STL surface.
 
@@ -398,6 +324,72 @@ class Solid(StlFile, Body):
     sensing
         What may be pressed.
     """
+
+    class Region(Part):
+        """Triangles of a surface, picked by everything that is given here at once.
+
+        Attributes
+        ----------
+        plane, box
+            Triangles whose corners all lie near a plane, or in a box.
+        normal, within_deg
+            Triangles whose outward normal is at most ``within_deg`` from ``normal``.
+        """
+
+        class Plane(Part):
+            """Triangles whose corners all lie within ``within_mm`` of a plane and that face along
+            its ``normal``.
+
+            Attributes
+            ----------
+            point_mm
+                A point of the plane.
+            normal
+                Out of the body; any length.
+            within_mm
+                Distance allowed.
+            """
+
+            point_mm: Vector
+            normal: Vector
+            within_mm: float = Field(default=0.01, gt=0, le=10)
+
+        class Box(Part):
+            """Triangles whose corners all lie in a box."""
+
+            low_mm: Vector
+            high_mm: Vector
+
+        plane: Plane | None = None
+        box: Box | None = None
+        normal: Vector | None = None
+        within_deg: float = Field(default=45, gt=0, le=180)
+
+        @model_validator(mode="after")
+        def _picks_something(self) -> Self:
+            if self.plane is None and self.box is None and self.normal is None:
+                raise ValueError("give at least one of plane, box and normal")
+            for normal in (self.normal, self.plane.normal if self.plane else None):
+                if normal is not None and not any(normal):
+                    raise ValueError("normal must not be (0, 0, 0): give the outward direction")
+            return self
+
+        def picks(self, corners: Floats) -> Bools:
+            """Return (m,) which of the triangles (m, 3, 3) are in the region."""
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+            chosen = np.ones(len(corners), bool)
+            if self.plane is not None:
+                outward = np.array(self.plane.normal) / np.linalg.norm(self.plane.normal)
+                away = np.abs((corners - self.plane.point_mm) @ outward).max(axis=1)
+                chosen &= (away <= self.plane.within_mm) & (normal @ outward > 0.5)
+            if self.box is not None:
+                inside = (corners >= self.box.low_mm) & (corners <= self.box.high_mm)
+                chosen &= inside.all(axis=(1, 2))
+            if self.normal is not None:
+                outward = np.array(self.normal) / np.linalg.norm(self.normal)
+                chosen &= normal @ outward >= np.cos(np.radians(self.within_deg)) - 1e-12
+            return chosen
 
     largest_mm = SIZE_MM
 
@@ -514,14 +506,9 @@ class Solid(StlFile, Body):
 
     def sheets_of(self, corners: Floats, piece: Ints) -> Ints:
         faces, nodes = corners.shape[:2]
-        away = (
-            np.abs(self.sheet_distances(corners.reshape(-1, 3)))
-            .reshape(faces, nodes, -1)
-            .max(axis=1)
-        )
-        return np.asarray(
-            np.argmin(np.where(self._pieces_of_sheets.T[piece], away, np.inf), axis=1)
-        )
+        away = np.abs(self.sheet_distances(corners.reshape(-1, 3))).reshape(faces, nodes, -1)
+        shared = self._pieces_of_sheets.T[piece]
+        return np.asarray(np.argmin(np.where(shared, away.max(axis=1), np.inf), axis=1))
 
     @property
     def held_pieces(self) -> tuple[int, ...]:
@@ -573,11 +560,9 @@ class Solid(StlFile, Body):
         return np.concatenate([rim, self._pieces.dents(CREASE_DEG)])
 
     def geometry(self) -> dict[str, Any]:
-        regions = {
-            name: getattr(self, name).model_dump(exclude_defaults=True)
-            for name in ("held", "sensing")
-        }
-        return {"shape": self.shape, "sha256": self.sha256, "origin_mm": self.origin_mm, **regions}
+        kept = self.model_dump(include={"shape", "sha256", "origin_mm"})
+        regions = self.model_dump(include={"held", "sensing"}, exclude_defaults=True)
+        return kept | regions
 
     def piece_distances(self, points: Points) -> Floats:
         return self._pieces.distances_and_normals(points)[0]
@@ -590,9 +575,8 @@ class Solid(StlFile, Body):
         depth = np.broadcast_to(np.asarray(depth_mm, float), len(chart))
         points = self.surface_from_above(chart)
         missing = np.isnan(points[:, 2])
-        points[missing, 2] = (
-            self.bounds_mm[0][2] - 1.0
-        )  # outside the body, which the caller then reports
+        # Outside the body, which the caller then reports.
+        points[missing, 2] = self.bounds_mm[0][2] - 1.0
         for _ in range(60):
             distance, normal = self._pieces.distances_and_normals(points)
             step = (depth - distance[:, 0]) / np.maximum(normal[:, 0, 2], 0.05)
@@ -611,13 +595,9 @@ class Solid(StlFile, Body):
         return points
 
     @property
-    def bounds_mm(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    def bounds_mm(self) -> Bounds:
         low, high = self._surface.vertices.min(axis=0), self._surface.vertices.max(axis=0)
-        return (float(low[0]), float(low[1]), float(low[2])), (
-            float(high[0]),
-            float(high[1]),
-            float(high[2]),
-        )
+        return tuple(low.tolist()), tuple(high.tolist())
 
     @property
     def volume_mm3(self) -> float:

@@ -37,32 +37,6 @@ class Layer(Part):
     thickness_mm: Size
 
 
-class Dust(Part):
-    """Specks on the outer face of the window, lit by LEDs in air.
-
-    Attributes
-    ----------
-    count, seed
-        How many lie over the body's extent, and what draws their places: the same for every
-        picture and every sensor.
-    size_mm
-        Diameter of each. Specks narrower than half a pixel are not seen; through a wide pupil one
-        out of focus is seven fainter ones.
-    albedo
-        Diffuse reflectance; 0 is black.
-    """
-
-    count: int = Field(ge=1, le=100_000)
-    size_mm: Size = 0.1
-    albedo: Share = 0.3
-    seed: int = Field(default=1, ge=0, le=2**63 - 1)
-
-    def places(self, low: Sequence[float], high: Sequence[float]) -> Pixels:
-        """Return (count, 2) places between two corners, mm."""
-        drawn = np.random.default_rng(self.seed).uniform(low[:2], high[:2], (self.count, 2))
-        return np.asarray(drawn)
-
-
 class Camera(Part):
     """A camera in air that looks along -z through the base, the layers in front of it being flat
     and normal to z.
@@ -101,6 +75,31 @@ class Camera(Part):
     dust
         Specks on the outermost of them; None for a clean window.
     """
+
+    class Dust(Part):
+        """Specks on the outer face of the window, lit by LEDs in air.
+
+        Attributes
+        ----------
+        count, seed
+            How many lie over the body's extent, and what draws their places: the same for every
+            picture and every sensor.
+        size_mm
+            Diameter of each. Specks narrower than half a pixel are not seen; through a wide pupil
+            one out of focus is seven fainter ones.
+        albedo
+            Diffuse reflectance; 0 is black.
+        """
+
+        count: int = Field(ge=1, le=100_000)
+        size_mm: Size = 0.1
+        albedo: Share = 0.3
+        seed: int = Field(default=1, ge=0, le=2**63 - 1)
+
+        def places(self, low: Sequence[float], high: Sequence[float]) -> Pixels:
+            """Return (count, 2) places between two corners, mm."""
+            drawn = np.random.default_rng(self.seed).uniform(low[:2], high[:2], (self.count, 2))
+            return np.asarray(drawn)
 
     width_px: int = Field(default=640, ge=1, le=8192)
     height_px: int = Field(default=480, ge=1, le=8192)

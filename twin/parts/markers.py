@@ -155,44 +155,9 @@ def place(
     RecipeError
         A marker sticks out of the body, or beads are wider than their pitch.
     """
-    _refuse_overlapping_beads(layers)
-    # All layers in one array, in their order.
-    charts = [layer.chart() for layer in layers.values()]
-    chart = np.concatenate(charts) if charts else np.zeros((0, 2))
-    if jitter_mm is not None:
-        chart = chart + jitter_mm
-    sizes = [len(c) for c in charts]
-    values = list(layers.values())
-    depth = np.repeat([v.depth_mm for v in values], sizes) if values else np.zeros(0)
-    radius = (
-        np.repeat([v.diameter_mm / 2 if v.kind == "bead" else 0.0 for v in values], sizes)
-        if values
-        else depth
-    )
-    names = np.repeat(list(layers), sizes) if values else np.zeros(0, "U1")
-    points = body.chart_points(chart, depth)
-    # A marker must lie inside the body, and a bead whole.
-    room = body.piece_distances(points).min(axis=1) - radius if len(points) else np.zeros(0)
-    off_surface = np.abs(body.depth(points) - depth) > 1e-6 if len(points) else np.zeros(0, bool)
-    bad = (room < 0) | off_surface
-    if bad.any():
-        first = int(np.flatnonzero(bad)[0])
-        x, y, z = points[first]
-        raise RecipeError(
-            f"markers.{names[first]}: {int(bad.sum())} of {len(points)} markers lie outside the "
-            f"body, the first at ({x:.3g}, {y:.3g}, {z:.3g}) mm: reduce depth_mm, pitch_mm, "
-            "columns, rows or diameter_mm"
-        )
-    normals = body.piece_normals(points)[:, 0] if len(points) else np.zeros((0, 3))
-    return MarkerSet(
-        layer=frozen(names),
-        chart=frozen(chart),
-        points=frozen(points),
-        normals=frozen(np.array(normals)),
-    )
-
-
-def _refuse_overlapping_beads(layers: Mapping[str, MarkerLayer]) -> None:
+    if not layers:
+        none = frozen(np.zeros((0, 3)))
+        return MarkerSet(layer=np.zeros(0, "U1"), chart=none[:, :2], points=none, normals=none)
     for name, layer in layers.items():
         many = max(layer.columns, layer.rows) > 1
         if layer.kind == "bead" and many and layer.diameter_mm > layer.pitch_mm:
@@ -201,6 +166,33 @@ def _refuse_overlapping_beads(layers: Mapping[str, MarkerLayer]) -> None:
                 f"their pitch, pitch_mm = {layer.pitch_mm:g} mm (allowed: up to that): reduce "
                 "diameter_mm, or set them farther apart"
             )
+    # All layers in one array, in their order.
+    charts = [layer.chart() for layer in layers.values()]
+    sizes = [len(chart) for chart in charts]
+    chart = np.concatenate(charts)
+    if jitter_mm is not None:
+        chart = chart + jitter_mm
+    names = np.repeat(list(layers), sizes)
+    depth = np.repeat([layer.depth_mm for layer in layers.values()], sizes)
+    radii = [layer.diameter_mm / 2 if layer.kind == "bead" else 0.0 for layer in layers.values()]
+    points = body.chart_points(chart, depth)
+    # A marker must lie inside the body, and a bead whole.
+    room = body.piece_distances(points).min(axis=1) - np.repeat(radii, sizes)
+    bad = (room < 0) | (np.abs(body.depth(points) - depth) > 1e-6)
+    if bad.any():
+        first = int(np.flatnonzero(bad)[0])
+        x, y, z = points[first]
+        raise RecipeError(
+            f"markers.{names[first]}: {int(bad.sum())} of {len(points)} markers lie outside the "
+            f"body, the first at ({x:.3g}, {y:.3g}, {z:.3g}) mm: reduce depth_mm, pitch_mm, "
+            "columns, rows or diameter_mm"
+        )
+    return MarkerSet(
+        layer=frozen(names),
+        chart=frozen(chart),
+        points=frozen(points),
+        normals=frozen(np.array(body.piece_normals(points)[:, 0])),
+    )
 
 
 LEAST_GAP = 4.0
@@ -288,16 +280,10 @@ def _gaps(name: str, layers: Mapping[str, MarkerLayer]) -> list[tuple[str, float
         gaps.append(("each other", layer.pitch_mm))
     for other, neighbour in layers.items():
         if other != name:
-            sideways = [
-                float(np.abs(one[:, None] - two).min())
-                for one, two in zip(_axes(layer), _axes(neighbour), strict=True)
-            ]
-            gaps.append(
-                (
-                    f"those of markers.{other}",
-                    math.hypot(*sideways, layer.depth_mm - neighbour.depth_mm),
-                )
-            )
+            axes = zip(_axes(layer), _axes(neighbour), strict=True)
+            sideways = [float(np.abs(one[:, None] - two).min()) for one, two in axes]
+            gap = math.hypot(*sideways, layer.depth_mm - neighbour.depth_mm)
+            gaps.append((f"those of markers.{other}", gap))
     return gaps
 
 

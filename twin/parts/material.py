@@ -13,21 +13,6 @@ from twin.parts.part import LEAST_MM, LEAST_MPA, Part, Share
 Modulus = TypeVar("Modulus", float, Floats)
 
 
-class Term(Part):
-    """One term of a Prony series.
-
-    Attributes
-    ----------
-    share
-        By which share of the instantaneous modulus it relaxes.
-    time_s
-        Its time constant, s.
-    """
-
-    share: float = Field(gt=0, lt=1)
-    time_s: float = Field(ge=1e-6, le=1e9)
-
-
 class Material(Part):
     """The rubber.
 
@@ -51,6 +36,20 @@ class Material(Part):
     refractive_index
         Of the transparent rubber, for the camera's rays.
     """
+
+    class Term(Part):
+        """One term of a Prony series.
+
+        Attributes
+        ----------
+        share
+            By which share of the instantaneous modulus it relaxes.
+        time_s
+            Its time constant, s.
+        """
+
+        share: float = Field(gt=0, lt=1)
+        time_s: float = Field(ge=1e-6, le=1e9)
 
     youngs_modulus_mpa: float = Field(default=1.0, ge=LEAST_MPA, le=1e6)
     poisson_ratio: float = Field(default=0.5, ge=-0.5, le=0.5)

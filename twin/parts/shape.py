@@ -1,12 +1,8 @@
-"""What every body is: its shape as level sets, so that surface, cover, marker layers and meshes all
-read one formula.
+"""What every body is: its shape as level sets, shared by surface, cover, marker layers and meshes.
 
-Why level sets: depth below the outer sensing surface is an exact distance for both sensors, so the
-marker layers, the cover and the snapping of mesh nodes need no triangles, and a new body is one
-class with three formulas.
-
-An `StlFile` is a shape that a closed surface in a file gives. It stores the digest of its file and
-checks it.
+Depth below the sensing surface is an exact distance, so marker layers, the cover and the snapping
+of mesh nodes need no triangles, and a new body is one class with a few formulas. An `StlFile` is a
+shape that a closed surface in a file gives; it stores the digest of its file and checks it.
 """
 
 from __future__ import annotations
@@ -24,6 +20,8 @@ from twin.errors import InputError
 from twin.geometry.closed import Surface
 from twin.parts.part import Part
 
+Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
+
 
 class Body(Part):
     """A solid, held on some pieces of its boundary, pressed on another."""
@@ -36,8 +34,7 @@ class Body(Part):
 
     @abstractmethod
     def piece_distances(self, points: Points) -> Floats:
-        """Return (n, pieces) distances in mm to every boundary piece, positive on the inner
-        side."""
+        """Return (n, pieces) distances, mm, to every boundary piece, positive inside."""
 
     @abstractmethod
     def piece_normals(self, points: Points) -> Floats:
@@ -50,8 +47,7 @@ class Body(Part):
 
     @abstractmethod
     def chart_of(self, points: Points) -> Chart:
-        """Return the (n, 2) arc lengths (s, t) of the surface points above ``points``: inverse of
-        `chart_points`."""
+        """Return the (n, 2) arc lengths (s, t) of the surface points above ``points``."""
 
     @abstractmethod
     def surface_from_above(self, xy: Floats) -> Points:
@@ -60,7 +56,7 @@ class Body(Part):
 
     @property
     @abstractmethod
-    def bounds_mm(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    def bounds_mm(self) -> Bounds:
         """Lowest and highest corner of the box around the body, mm."""
 
     @property
@@ -70,11 +66,10 @@ class Body(Part):
 
     @property
     def sensing_sheets(self) -> Bools:
-        """(sheets,) whether each smooth sheet of the boundary is pressed, in the order of
-        `sheet_distances`.
+        """(sheets,) whether each smooth sheet of the boundary is pressed.
 
-        Sheets are what mesh nodes are moved onto: they meet at sharp edges only, while the border
-        between two pieces may cross a rounding. Of a body given by formulas they are the pieces.
+        Mesh nodes are moved onto sheets: they meet at sharp edges only, while the border between
+        two pieces may cross a rounding. Of a body given by formulas they are the pieces.
         """
         return np.asarray(np.arange(len(self.pieces)) == 0)
 
@@ -85,7 +80,7 @@ class Body(Part):
         return False
 
     def sheet_distances(self, points: Points) -> Floats:
-        """Return (n, sheets) distances in mm to every sheet, positive on the inner side."""
+        """Return (n, sheets) distances, mm, to every sheet, positive inside."""
         return self.piece_distances(points)
 
     def sheet_normals(self, points: Points) -> Floats:
@@ -97,8 +92,7 @@ class Body(Part):
         return sheet
 
     def sheets_of(self, corners: Floats, piece: Ints) -> Ints:
-        """Return (f,) the sheet of boundary faces whose nodes (f, k, 3) lie on it, of which the
-        piece is known."""
+        """Return (f,) the sheets of boundary faces, from their nodes (f, k, 3) and pieces (f,)."""
         return piece
 
     @property
@@ -127,11 +121,8 @@ class Body(Part):
         return True
 
     def is_level_around(self, x_mm: float, y_mm: float, reach_mm: float) -> bool:
-        """Return whether the sensing surface is the plane z = 0 over a square, ``reach_mm`` from
-        (x, y) to either side.
-
-        False where it isn't, or isn't known to be.
-        """
+        """Return whether the sensing surface is known to be the plane z = 0 over a square,
+        ``reach_mm`` from (x, y) to either side."""
         if not self.is_convex:
             return False
         corners = np.array(
@@ -147,19 +138,17 @@ class Body(Part):
 
     @property
     def own_surface(self) -> tuple[Points, Ints] | None:
-        """Vertices (n, 3) and outward triangles (m, 3) of a body given by them; None where formulas
-        give it."""
+        """Vertices (n, 3) and outward triangles (m, 3) of a body given by them, else None."""
         return None
 
     @property
     def own_rim(self) -> Floats | None:
         """Ends (e, 2, 3) of the edges where stress is singular, of a body given by triangles: where
-        what is held meets what is free, and where the surface is folded inwards."""
+        held meets free, and where the surface is folded inwards."""
         return None
 
     def geometry(self) -> dict[str, Any]:
-        """Return what the shape depends on, as plain values: all numbers without where they come
-        from."""
+        """Return what the shape depends on, as plain values."""
         return self.model_dump(exclude={"source", "assumed"})
 
     @property
@@ -225,16 +214,12 @@ class StlFile(Part):
     @model_validator(mode="before")
     @classmethod
     def _carries_a_digest(cls, table: Any) -> Any:
-        """Fill in the digest of the file, so that hashes and copies of the description stand for
-        its content."""
-        if (
-            isinstance(table, dict)
-            and isinstance(table.get("file"), str)
-            and not table.get("sha256")
-        ):
-            path = Path(table["file"])
-            if path.is_file():
-                return {**table, "sha256": _digest(path)}
+        """Fill in the digest of the file, so that hashes of the description stand for its
+        content."""
+        if isinstance(table, dict) and not table.get("sha256"):
+            file = table.get("file")
+            if isinstance(file, str) and Path(file).is_file():
+                return {**table, "sha256": _digest(Path(file))}
         return table
 
     @model_validator(mode="after")

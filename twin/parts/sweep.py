@@ -10,7 +10,7 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from twin.arrays import Floats
 from twin.parts.part import Part, keys_of
-from twin.parts.vary import Follows
+from twin.parts.vary import Follows, flat
 
 Fidelity = Literal["closed", "linear", "full"]
 FIDELITIES: tuple[Fidelity, ...] = ("closed", "linear", "full")
@@ -86,16 +86,13 @@ class Range(Part):
 
     def at(self, u: Floats) -> list[Any]:
         """Return the values of (m,) numbers in [0, 1]."""
-        value = (
-            self.low * (self.high / self.low) ** u
-            if self.log
-            else self.low + (self.high - self.low) * u
-        )
+        value = self.low + (self.high - self.low) * u
+        if self.log:
+            value = self.low * (self.high / self.low) ** u
         value = np.clip(value, self.low, self.high)
-        # a grid's values are round numbers in files, not 1.7000000000000002
-        return (
-            [int(v) for v in np.rint(value)] if self.whole else [float(f"{v:.12g}") for v in value]
-        )
+        if self.whole:
+            return [int(v) for v in np.rint(value)]
+        return [float(f"{v:.12g}") for v in value]  # round numbers, not 1.7000000000000002
 
 
 def _kind(value: Any) -> str | None:
@@ -113,89 +110,6 @@ Axis = Annotated[
         custom_error_message="must be a list, or {low, high, steps, log}",
     ),
 ]
-
-
-class Loads(Part):
-    """What pushes on every design: square patches under even traction, the same for all designs of
-    a sweep.
-
-    Attributes
-    ----------
-    force_n
-        Force of a press along the inward normal.
-    size_mm
-        Side of the patch.
-    shear
-        Tangential force over the normal one, in a direction of its own for every press.
-    presses
-        Presses at quasi-random places; one more, at the middle and without shear, is for the
-        widths.
-    region_mm
-        Half sides of the region of the presses; six tenths of the scene's sites if not given.
-    pair_mm
-        Distance of the two pushes that the full chain is shown.
-    exposures
-        Pictures of every load in the full chain: more tell its noise from its bias.
-    """
-
-    force_n: float = Field(default=1.0, gt=0, le=100)
-    size_mm: float = Field(default=1.0, gt=0, le=20)
-    shear: float = Field(default=0.3, ge=0, le=2)
-    presses: int = Field(default=5, ge=1, le=100)
-    region_mm: tuple[float, float] | None = None
-    pair_mm: float = Field(default=2.0, gt=0, le=50)
-    exposures: int = Field(default=1, ge=1, le=100)
-
-    @field_validator("region_mm")
-    @classmethod
-    def _positive(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
-        if value is not None and min(value) < 0:
-            raise ValueError("both must be 0 mm or more")
-        return value
-
-
-class Confirm(Part):
-    """How many designs, the best first, go on to the next fidelity.
-
-    Attributes
-    ----------
-    linear
-        After the closed form; all if not given.
-    full
-        After the linear information (or the closed form).
-    """
-
-    linear: int | None = Field(default=None, ge=1)
-    full: int = Field(default=5, ge=1)
-
-
-class Limits(Part):
-    """When a design is dropped as impossible, with the reason kept.
-
-    Attributes
-    ----------
-    overlap
-        Largest share of markers that may overlap another one's picture.
-    seen
-        Least share of markers that must be inside the picture.
-    """
-
-    overlap: float = Field(default=0.1, ge=0, le=1)
-    seen: float = Field(default=0.5, ge=0, le=1)
-
-
-class Cost(Part):
-    """What a design costs, in any unit.
-
-    Attributes
-    ----------
-    marker, megapixel, base
-        Of each marker, of a million camera pixels, and of everything else.
-    """
-
-    marker: float = Field(default=1.0, ge=0)
-    megapixel: float = Field(default=100.0, ge=0)
-    base: float = Field(default=0.0, ge=0)
 
 
 class Sweep(Part):
@@ -237,6 +151,84 @@ class Sweep(Part):
         What is asked, by metric, and how much each counts; see `METRICS`.
     """
 
+    class Loads(Part):
+        """What pushes on every design: square patches under even traction, the same for all.
+
+        Attributes
+        ----------
+        force_n
+            Force of a press along the inward normal.
+        size_mm
+            Side of the patch.
+        shear
+            Tangential force over the normal one, in a direction of its own for every press.
+        presses
+            Presses at quasi-random places; one more, at the middle and without shear, is for the
+            widths.
+        region_mm
+            Half sides of the region of the presses; six tenths of the scene's sites if not given.
+        pair_mm
+            Distance of the two pushes that the full chain is shown.
+        exposures
+            Pictures of every load in the full chain: more tell its noise from its bias.
+        """
+
+        force_n: float = Field(default=1.0, gt=0, le=100)
+        size_mm: float = Field(default=1.0, gt=0, le=20)
+        shear: float = Field(default=0.3, ge=0, le=2)
+        presses: int = Field(default=5, ge=1, le=100)
+        region_mm: tuple[float, float] | None = None
+        pair_mm: float = Field(default=2.0, gt=0, le=50)
+        exposures: int = Field(default=1, ge=1, le=100)
+
+        @field_validator("region_mm")
+        @classmethod
+        def _positive(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+            if value is not None and min(value) < 0:
+                raise ValueError("both must be 0 mm or more")
+            return value
+
+    class Confirm(Part):
+        """How many designs, the best first, go on to the next fidelity.
+
+        Attributes
+        ----------
+        linear
+            After the closed form; all if not given.
+        full
+            After the linear information (or the closed form).
+        """
+
+        linear: int | None = Field(default=None, ge=1)
+        full: int = Field(default=5, ge=1)
+
+    class Limits(Part):
+        """When a design is dropped as impossible, with the reason kept.
+
+        Attributes
+        ----------
+        overlap
+            Largest share of markers that may overlap another one's picture.
+        seen
+            Least share of markers that must be inside the picture.
+        """
+
+        overlap: float = Field(default=0.1, ge=0, le=1)
+        seen: float = Field(default=0.5, ge=0, le=1)
+
+    class Cost(Part):
+        """What a design costs, in any unit.
+
+        Attributes
+        ----------
+        marker, megapixel, base
+            Of each marker, of a million camera pixels, and of everything else.
+        """
+
+        marker: float = Field(default=1.0, ge=0)
+        megapixel: float = Field(default=100.0, ge=0)
+        base: float = Field(default=0.0, ge=0)
+
     title: str = ""
     scene: str
     seed: int = Field(default=1, ge=0, le=2**63 - 1)
@@ -261,12 +253,18 @@ class Sweep(Part):
     @field_validator("axes", "derived", mode="before")
     @classmethod
     def _by_dotted_key(cls, value: Any) -> Any:
-        return _flat(value) if isinstance(value, Mapping) else value
+        if not isinstance(value, Mapping):
+            return value
+        marks = ("values", "low", "high", "follows")
+        found = flat(value, lambda table: any(mark in table for mark in marks))
+        return {k: {"values": v} if isinstance(v, list | tuple) else v for k, v in found.items()}
 
     @field_validator("set", mode="before")
     @classmethod
     def _values_by_dotted_key(cls, value: Any) -> Any:
-        return _leaves(value) if isinstance(value, Mapping) else value
+        if not isinstance(value, Mapping):
+            return value
+        return _leaves(value)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Sweep:
@@ -307,24 +305,6 @@ class Sweep(Part):
             for axis in self.axes.values()
         ]
         return int(np.prod(sizes, dtype=object))
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return axes and derived keys by dotted key, however the tables that hold them are nested."""
-    found: dict[str, Any] = {}
-    for key, value in table.items():
-        name = f"{prefix}{key}"
-        if key in ("source", "assumed"):
-            continue
-        if isinstance(value, list | tuple):
-            found[name] = {"values": value}
-        elif isinstance(value, Mapping) and not any(
-            k in value for k in ("values", "low", "high", "follows")
-        ):
-            found |= _flat(value, f"{name}.")
-        else:
-            found[name] = value
-    return found
 
 
 def _leaves(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

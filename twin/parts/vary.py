@@ -7,7 +7,7 @@ stratified sampling differ only in where the u come from. Its kind follows from 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -252,17 +252,22 @@ _CLASSES: dict[str, type[Part]] = {
 }
 
 
-def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return distributions by dotted key, however the tables that hold them are nested."""
+def flat(
+    table: Mapping[str, Any],
+    is_whole: Callable[[Mapping[str, Any]], bool] = lambda table: _kind(table) is not None,
+    prefix: str = "",
+) -> dict[str, Any]:
+    """Return values by dotted key, however the tables that hold them are nested: distributions, or
+    other tables that ``is_whole`` keeps."""
     found: dict[str, Any] = {}
     for key, value in table.items():
         if key in ("source", "assumed"):  # of a table that only holds others
             continue
-        holds = isinstance(value, Mapping) and _kind(value) is None
-        # one that holds nothing is kept, so that it is refused: it can only be a distribution
-        # without its keys
-        inner = (flat(value, f"{prefix}{key}.") if holds else {}) or {f"{prefix}{key}": value}
-        for name, what in inner.items():
+        inner: dict[str, Any] = {}
+        if isinstance(value, Mapping) and not is_whole(value):
+            inner = flat(value, is_whole, f"{prefix}{key}.")
+        # An empty table is kept, so that it is refused.
+        for name, what in (inner or {f"{prefix}{key}": value}).items():
             both = isinstance(found.get(name), Mapping) and isinstance(what, Mapping)
             found[name] = {**found[name], **what} if both else what
     return found
@@ -270,29 +275,30 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _nested(value: Any) -> None:
     """Raise ValueError if distributions inside a plain value are wrong."""
-    if isinstance(value, Mapping):
-        kind = _kind(value)
-        if kind == "[follows]":
-            raise ValueError("follows can't stand inside another distribution")
-        if kind is not None:
-            try:
-                _CLASSES[kind].model_validate(value)
-            except ValidationError as problem:
-                first = problem.errors()[0]
-                key = ".".join(str(k) for k in first["loc"])
-                raise ValueError(f"{key}: {in_words(first)}".lstrip(": ")) from None
-        else:
-            for inner in value.values():
-                _nested(inner)
+    if not isinstance(value, Mapping):
+        return
+    kind = _kind(value)
+    if kind == "[follows]":
+        raise ValueError("follows can't stand inside another distribution")
+    if kind is None:
+        for inner in value.values():
+            _nested(inner)
+        return
+    try:
+        _CLASSES[kind].model_validate(value)
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        key = ".".join(str(k) for k in first["loc"])
+        raise ValueError(f"{key}: {in_words(first)}".lstrip(": ")) from None
 
 
 def _made(value: Any) -> Any:
     """Return a plain value with the distributions inside it made."""
-    if isinstance(value, Mapping) and _kind(value) is not None:
-        return _CLASSES[_kind(value) or ""].model_validate(value)
-    return (
-        {key: _made(inner) for key, inner in value.items()} if isinstance(value, Mapping) else value
-    )
+    if not isinstance(value, Mapping):
+        return value
+    if kind := _kind(value):
+        return _CLASSES[kind].model_validate(value)
+    return {key: _made(inner) for key, inner in value.items()}
 
 
 def _takes(value: Any) -> int:

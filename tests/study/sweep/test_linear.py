@@ -9,7 +9,7 @@ from small_sweep import small
 
 from twin.arrays import Floats
 from twin.parts.scene import Scene, Sites
-from twin.parts.sweep import Loads
+from twin.parts.sweep import Sweep
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
@@ -120,5 +120,5 @@ def test_two_pushes_are_resolved_by_sites_from_where_a_site_lies_between_them(pi
     """By hand: at 2 mm pushes of 1 mm need a site under each, from 3 mm on; at .75 mm 1.5 mm apart
     dip by 2/3, 1 mm apart not at all. Between two distances the dip is interpolated to .2."""
     grid = Sites(columns=15, rows=12, pitch_mm=pitch)
-    assert resolved_by_sites(grid, Loads(size_mm=1.0, pair_mm=2.0)) == pytest.approx(least)
-    assert resolved_by_sites(Sites(columns=3, rows=3, pitch_mm=9.0), Loads(pair_mm=2.0)) == np.inf
+    assert resolved_by_sites(grid, Sweep.Loads(size_mm=1.0, pair_mm=2.0)) == pytest.approx(least)
+    assert resolved_by_sites(Sites(columns=3, rows=3, pitch_mm=9.0), Sweep.Loads(pair_mm=2.0)) == np.inf

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from small_scenes import SPLAT, beads, block, changed, mitsuba, rest_of
 
 from twin.errors import RecipeError
-from twin.parts.camera import Ccd, Dust, Light
+from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.part import identity
 from twin.world.picture.ccd import Pattern, expose
 from twin.world.picture.lamps import Lamps
@@ -79,7 +79,7 @@ def test_leds_without_a_colour_each_are_refused():
 
 
 def dusty(**keys):
-    return changed(block(), camera={"dust": Dust(count=4000, size_mm=0.2, **keys)}, light={"ambient": 0.0})
+    return changed(block(), camera={"dust": Camera.Dust(count=4000, size_mm=0.2, **keys)}, light={"ambient": 0.0})
 
 
 def test_black_dust_hides_discs_where_a_pinhole_sees_it():

@@ -22,7 +22,7 @@ from twin.errors import InputError, RecipeError, did_you_mean
 from twin.files import SCENES
 from twin.parts.part import Part, in_words, unit_of
 from twin.parts.scene import Scene
-from twin.parts.sweep import Confirm, Cost, Limits, Loads, Range, Sweep, Values
+from twin.parts.sweep import Range, Sweep, Values
 from twin.streams import Purpose, stream
 from twin.study.batch.draw import Table, look_up, plain_table, put
 from twin.study.recipe import SWEEP, load_scene, nothing_named, read_recipe, validate_scene
@@ -283,10 +283,10 @@ def _line(error: dict[str, Any]) -> str:
     if error["type"] == "extra_forbidden":
         tables: dict[str, type[Part]] = {
             "axes": Range,
-            "loads": Loads,
-            "confirm": Confirm,
-            "limits": Limits,
-            "cost": Cost,
+            "loads": Sweep.Loads,
+            "confirm": Sweep.Confirm,
+            "limits": Sweep.Limits,
+            "cost": Sweep.Cost,
         }
         known = tables.get(keys[0], Sweep).model_fields
         every = f"known are {', '.join(known)}"

@@ -41,7 +41,7 @@ from twin.parts.body import Block
 from twin.parts.load import Rectangles
 from twin.parts.methods import Method
 from twin.parts.scene import Reconstruction, Scene, Sites
-from twin.parts.sweep import GF, Loads, Sweep
+from twin.parts.sweep import GF, Sweep
 from twin.sense.inverse import METHODS, in_classes
 from twin.sense.regularisation import RULES, Spectrum
 from twin.streams import Purpose, stream
@@ -553,7 +553,7 @@ def _require_cover(scene: Scene, pushes: Pushes) -> None:
         )
 
 
-def resolved_by_sites(grid: Sites, loads: Loads) -> float:
+def resolved_by_sites(grid: Sites, loads: Sweep.Loads) -> float:
     """Return the least distance, mm, at which an estimate without any error shows two pushes along
     s; inf for none.
 

@@ -21,7 +21,7 @@ from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.scene import Scene
-from twin.parts.sweep import Loads, Range, Sweep, Values
+from twin.parts.sweep import Range, Sweep, Values
 from twin.streams import Purpose, stream
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Pushes:
         )
 
     @classmethod
-    def of(cls, body: Body, loads: Loads, half_mm: tuple[float, float], seed: int) -> Pushes:
+    def of(cls, body: Body, loads: Sweep.Loads, half_mm: tuple[float, float], seed: int) -> Pushes:
         """Return the pushes of a sweep on a body: presses at quasi-random places of a region with
         half sides ``half_mm``.
 
