@@ -18,7 +18,7 @@ from twin.arrays import Floats
 from twin.blas_threads import one_thread
 from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
-from twin.study.sweep.designs import designs_of
+from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import closed
 from twin.study.sweep.sweep_report import write_report
 from twin.study.sweep.sweep_run import Swept, run_sweep
@@ -99,8 +99,8 @@ def _rate(what: str, designs: int, cpu: float, wall: float) -> dict[str, Any]:
 
 
 def _closed(count: int) -> dict[str, Any]:
-    designs = designs_of(*_sweep(FLAT, count=count))
-    closed(designs_of(*_sweep(FLAT, count=100)))
+    designs = Designs.of(*_sweep(FLAT, count=count))
+    closed(Designs.of(*_sweep(FLAT, count=100)))
     with one_thread():
         clock = Clock()
         closed(designs)

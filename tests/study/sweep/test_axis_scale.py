@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_sweep import small
 
-from twin.study.sweep.designs import designs_of
+from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import closed
 from twin.theory.limit import design_limit
 from twin.theory.optics import project_with_jacobian
@@ -16,7 +16,7 @@ NOISE_PX = 0.05
 def test_pixels_become_millimetres_by_the_projection(focal_px):
     axes = {"camera.focal_px": [focal_px, 2 * focal_px]}
     sweep, scene = small(axes=axes, derived={}, noise_px=NOISE_PX)
-    found, _ = closed(designs_of(sweep, scene))
+    found, _ = closed(Designs.of(sweep, scene))
     camera = scene.camera.model_copy(update={"focal_px": focal_px})
     depth = np.array([layer.depth_mm for layer in scene.markers.values()])
     middle = np.column_stack([*np.tile(camera.pupil_mm[:2], (len(depth), 1)).T, depth])

@@ -5,20 +5,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 from small_sweep import TABLE, small
 
 from twin.errors import InputError, RecipeError
+from twin.files import SCENES
 from twin.parts.sweep import Sweep
 from twin.study.recipe import shipped_scenes
-from twin.study.sweep.designs import designs_of, kept_count, load_sweep, shipped_sweeps, sweep_of
+from twin.study.sweep.designs import Designs, load_sweep
 from twin.study.sweep.fidelities import closed
-from twin.study.sweep.loads import thickness_range
-from twin.study.sweep.sweep_run import check
+from twin.study.sweep.loads import Bodies
+from twin.study.sweep.sweep_run import estimate, looked_over
 
 
 def test_a_grid_is_every_combination_with_what_follows() -> None:
     sweep, scene = small()
-    designs = designs_of(sweep, scene)
+    designs = Designs.of(sweep, scene)
     assert len(designs) == sweep.size == 6
     assert designs.columns["markers.*.pitch_mm"] == [1.2, 1.5, 1.8] * 2
     assert designs.columns["markers.red.depth_mm"] == [5.0] * 3 + [6.0] * 3
@@ -26,7 +28,7 @@ def test_a_grid_is_every_combination_with_what_follows() -> None:
 
 def test_a_design_is_a_scene_with_its_values_in_every_layer_and_as_wide_as_before() -> None:
     sweep, scene = small()
-    made = designs_of(sweep, scene).scene_of(0)
+    made = Designs.of(sweep, scene).scene_of(0)
     for name, layer in made.markers.items():
         was = scene.markers[name]
         assert layer.pitch_mm == 1.2
@@ -37,15 +39,20 @@ def test_a_design_is_a_scene_with_its_values_in_every_layer_and_as_wide_as_befor
 
 
 def test_counts_follow_the_pitch_by_even_numbers_and_never_vanish() -> None:
-    assert kept_count(21, 1.5, np.array([1.5, 1.0, 3.0, 100.0])).tolist() == [21, 31, 11, 1]
-    assert kept_count(20, 1.5, np.array([1.5, 1.0, 3.0, 100.0])).tolist() == [20, 30, 10, 2]
+    axes = {"markers.*.pitch_mm": [1.5, 1.0, 3.0, 100.0]}
+    counts = {"markers.red.columns": 21, "markers.red.rows": 20}
+    designs = Designs.of(*small(axes=axes, derived={}, set=counts))
+    columns, rows = designs.marker_counts("red")
+    assert (columns.tolist(), rows.tolist()) == ([21, 31, 11, 1], [20, 30, 10, 2])
+    made = [designs.scene_of(number).markers["red"] for number in range(2)]
+    assert [(layer.columns, layer.rows) for layer in made] == [(21, 20), (31, 30)]
 
 
 @pytest.mark.parametrize("sampling", ["latin", "sobol", "random"])
 def test_sampling_fills_the_axes_and_is_known_from_the_seed(sampling: str) -> None:
     axes = {"markers.blue.depth_mm": {"low": 1.0, "high": 4.0, "log": True}, "ccd.preset": ["ideal", "industrial"]}
     sweep, scene = small(axes=axes, derived={}, sampling=sampling, count=64)
-    one, again = designs_of(sweep, scene), designs_of(sweep, scene)
+    one, again = Designs.of(sweep, scene), Designs.of(sweep, scene)
     assert one.columns == again.columns
     depth = np.array(one.columns["markers.blue.depth_mm"])
     assert depth.min() >= 1
@@ -57,7 +64,7 @@ def test_sampling_fills_the_axes_and_is_known_from_the_seed(sampling: str) -> No
 def test_impossible_designs_are_dropped_with_their_reason() -> None:
     axes = {"markers.*.diameter_mm": [0.5, 1.6], "markers.blue.depth_mm": [0.2, 3.0, 39.9]}
     sweep, scene = small(axes=axes, derived={})
-    reason = closed(designs_of(sweep, scene))[1].tolist()
+    reason = closed(Designs.of(sweep, scene))[1].tolist()
     assert [bool(r) for r in reason] == [True, False, True, True, True, True]
     assert "sticks out" in reason[0]
     assert "thick" in reason[2]
@@ -77,7 +84,7 @@ def test_impossible_designs_are_dropped_with_their_reason() -> None:
 )
 def test_keys_that_are_not_there_are_said_before_anything_is_done(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(RecipeError, match=said):
-        designs_of(*small(**{"derived": {}, **changes}))
+        Designs.of(*small(**{"derived": {}, **changes}))
 
 
 def test_every_wrong_key_of_a_file_is_said_with_the_file(tmp_path: Path) -> None:
@@ -113,27 +120,33 @@ def test_every_wrong_key_of_a_file_is_said_with_the_file(tmp_path: Path) -> None
         ({**TABLE, "fidelity": ["exact"]}, "closed"),
     ],
 )
-def test_bad_sweeps_are_refused_with_file_and_key(table: dict[str, Any], said: str) -> None:
+def test_bad_sweeps_are_refused_with_file_and_key(table: dict[str, Any], said: str, tmp_path: Path) -> None:
     with pytest.raises(RecipeError, match=said) as problem:
-        sweep_of(table, "here.toml")
+        load_sweep(_written(table, tmp_path))
     assert "here.toml" in str(problem.value)
+
+
+def _written(table: dict[str, Any], folder: Path) -> Path:
+    (folder / "here.toml").write_text(tomli_w.dumps(table))
+    return folder / "here.toml"
 
 
 def test_what_a_sweep_does_not_model_is_refused() -> None:
     sweep, scene = small()
     with pytest.raises(RecipeError, match="every design would have to be pressed"):
-        check(sweep, scene.model_copy(update={"calibration": scene.calibration.model_copy(update={"method": "sato"})}))
+        estimate(
+            sweep, scene.model_copy(update={"calibration": scene.calibration.model_copy(update={"method": "sato"})})
+        )
 
 
 def test_shipped_sweeps_are_sound_and_are_not_scenes(tmp_path: Path) -> None:
-    assert {"sweep_kamiyama_depth_pitch", "sweep_sato_pitch_diameter", "sweep_lens", "sweep_youngs_modulus"} <= set(
-        shipped_sweeps()
-    )
-    assert not set(shipped_sweeps()) & set(shipped_scenes())
-    for name in shipped_sweeps():
+    shipped = {path.stem for path in SCENES.glob("sweep_*.toml")}
+    assert {"sweep_kamiyama_depth_pitch", "sweep_sato_pitch_diameter", "sweep_lens", "sweep_youngs_modulus"} <= shipped
+    assert not shipped & set(shipped_scenes())
+    for name in shipped:
+        assert looked_over(Path(name))[0] == f"{name}: ok"
         sweep, scene = load_sweep(name)
-        check(sweep, scene)
-        designs = designs_of(sweep, scene)
+        designs = Designs.of(sweep, scene)
         assert (closed(designs)[1] == "").any()
         designs.scene_of(0)
         assert isinstance(sweep, Sweep)
@@ -144,14 +157,14 @@ def test_shipped_sweeps_are_sound_and_are_not_scenes(tmp_path: Path) -> None:
 def test_many_thicknesses_of_a_block_are_interpolated_between_their_ends_and_few_are_not() -> None:
     key = "body.thickness_mm"
     many, _ = small(axes={key: {"low": 30.0, "high": 50.0}}, derived={}, sampling="latin", count=40)
-    assert thickness_range(many) == (30.0, 50.0)
+    assert Bodies.of(many).thickness_mm == (30.0, 50.0)
     few, _ = small(axes={key: {"low": 30.0, "high": 50.0, "steps": 5}}, derived={})
-    assert thickness_range(few) is None
+    assert Bodies.of(few).thickness_mm is None
     listed, _ = small(axes={key: [30.0 + n for n in range(20)]}, derived={})
-    assert thickness_range(listed) == (30.0, 49.0)
+    assert Bodies.of(listed).thickness_mm == (30.0, 49.0)
     axes = {"markers.blue.depth_mm": {"low": 1.0, "high": 2.0}}
     follows, _ = small(
         axes=axes, derived={key: {"follows": "markers.blue.depth_mm", "times": -10.0, "plus": 60.0}}, sampling="sobol"
     )
-    assert thickness_range(follows) == (40.0, 50.0)
-    assert thickness_range(small()[0]) is None
+    assert Bodies.of(follows).thickness_mm == (40.0, 50.0)
+    assert Bodies.of(small()[0]).thickness_mm is None

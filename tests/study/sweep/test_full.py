@@ -13,8 +13,8 @@ from twin.parts.scene import Scene
 from twin.parts.sweep import Sweep
 from twin.study.doubts import View
 from twin.study.sweep import fidelities
-from twin.study.sweep.designs import designs_of
-from twin.study.sweep.fidelities import cost, full, noise_of
+from twin.study.sweep.designs import Designs
+from twin.study.sweep.fidelities import cost, full, linear
 from twin.study.sweep.loads import Bodies, Pushes
 from twin.world.picture import ccd
 from twin.world.picture.render import Renderer
@@ -32,7 +32,7 @@ def _design(exposures: int, preset: str) -> tuple[Sweep, Scene]:
     axes = {"markers.blue.depth_mm": [2.0], "markers.*.pitch_mm": [1.6], "ccd.preset": [preset]}
     loads = {"size_mm": 2.0, "pair_mm": 4.0, "presses": 1, "exposures": exposures}
     sweep, scene = small(axes=axes, loads=loads)
-    return sweep, designs_of(sweep, scene).scene_of(0)
+    return sweep, Designs.of(sweep, scene).scene_of(0)
 
 
 def test_without_noise_exposures_are_alike_and_leave_no_doubt() -> None:
@@ -48,8 +48,10 @@ def test_without_noise_exposures_are_alike_and_leave_no_doubt() -> None:
 def test_noise_over_exposures_is_that_of_theory_and_its_standard_error_that_by_which_others_differ() -> None:
     few, many = _figures(4, "industrial"), _figures(8, "industrial")
     sweep, design = _design(8, "industrial")
+    pushes = Pushes.of(design.body, sweep.loads, (2.0, 1.5), 1)
+    expected = linear(design, View.of(design), sweep, BODIES, pushes)[0]["noise_px"]
     # were all exposures to share one zero, this would be less by the root of two
-    assert many["noise_px"] == pytest.approx(np.median(noise_of(design, View.of(design), sweep)), rel=0.15)
+    assert many["noise_px"] == pytest.approx(expected, rel=0.15)
     for name, left in (("total_force_error", "total_force_error_noise_se"), ("fwhm_mm", "fwhm_noise_se_mm")):
         assert 0.0 < few[left] < 0.5 * few[name]
         # Student's t of the three degrees that four exposures have exceeds 5.84 in 1 of 100

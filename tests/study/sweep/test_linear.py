@@ -15,9 +15,9 @@ from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
 from twin.streams import Purpose, stream
 from twin.study.calibrate import nominal_calibration
-from twin.study.doubts import View
+from twin.study.doubts import View, shift_sd
 from twin.study.sensor import Sensor
-from twin.study.sweep.fidelities import Shown, linear, noise_of, resolved_by_sites
+from twin.study.sweep.fidelities import Shown, linear, resolved_by_sites
 from twin.study.sweep.loads import Bodies, Pushes
 
 
@@ -77,7 +77,9 @@ def software() -> _Software:
     pushes, bodies = Pushes.of(scene.body, sweep.loads, (2.0, 1.5), 1), Bodies()
     moved = bodies.moved(scene, "truth", points, pushes.patches) @ pushes.loads[0].ravel()
     shift = sensor.project(points + moved.reshape(-1, 3)) - sensor.project(points)
-    noise = noise_of(scene, view, sweep)
+    noise = np.zeros(len(points))
+    for name in scene.markers:
+        noise[view.markers.of(name)] = shift_sd(scene, name, view.diameter_px[view.markers.of(name)])
     calibration = nominal_calibration(sensor, compliance)
     found = Found(
         rest_px=view.pixels,

@@ -44,6 +44,48 @@ class Designs:
     scene: Scene
     columns: Mapping[str, list[Any]]
 
+    @classmethod
+    def of(cls, sweep: Sweep, scene: Scene) -> Designs:
+        """Return all designs of a sweep.
+
+        Raises
+        ------
+        RecipeError
+            An axis names a key that the scene does not have, or a key follows what is not a number.
+        """
+        _check_keys(sweep, scene)
+        return cls.at(sweep, scene, _unit(sweep) if sweep.sampling != "grid" else None)
+
+    @classmethod
+    def at(cls, sweep: Sweep, scene: Scene, u: Floats | None) -> Designs:
+        """Return the designs at (m, axes) numbers in [0, 1), axes in their order; the grid's if
+        None."""
+        if u is None:
+            grids = [axis.grid(sweep.count) for axis in sweep.axes.values()]
+            places = np.indices([len(grid) for grid in grids]).reshape(len(grids), -1).tolist()
+            lists = [[grid[k] for k in place] for grid, place in zip(grids, places, strict=True)]
+        else:
+            lists = [axis.at(u[:, number]) for number, axis in enumerate(sweep.axes.values())]
+        columns = dict(zip(sweep.axes, lists, strict=True))
+        table = plain_table(scene)
+        for key, rule in sweep.derived.items():
+            followed: list[Any] | None = columns.get(rule.follows)
+            if followed is None:
+                followed = next(
+                    (columns[name] for name in columns if _matches(name, rule.follows)), None
+                )
+            if followed is None:
+                followed = [look_up(table, rule.follows)] * len(next(iter(columns.values())))
+            try:
+                columns[key] = [
+                    float(f"{rule.times * float(v) + rule.plus:.12g}") for v in followed
+                ]
+            except (TypeError, ValueError):
+                raise RecipeError(
+                    f"derived.{key}: follows '{rule.follows}', which is not a number"
+                ) from None
+        return cls(sweep, scene, columns)
+
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
 
@@ -64,14 +106,40 @@ class Designs:
         return np.full(len(self), float(otherwise))
 
     def scene_of(self, number: int, base: Table | None = None) -> Scene:
-        """Return a design's scene.
+        """Return a design's scene: the base's plain table with its values, layers keeping their
+        extent.
 
         Raises
         ------
         RecipeError
             A value is not allowed, or the scene has no such key.
         """
-        return scene_of(self.sweep, base or plain_table(self.scene), self.values(number))
+        base = base or plain_table(self.scene)
+        table = copy.deepcopy(base)
+        for name, column in self.columns.items():
+            for key in _spelt_out(name, table):
+                put(table, key, column[number])
+        for name, layer in table.get("markers", {}).items() if self.sweep.keep_extent else ():
+            was = base["markers"][name]
+            pitch = float(layer["pitch_mm"])
+            for count in ("columns", "rows"):
+                if pitch > 0 and not self.swept(f"markers.{name}.{count}"):
+                    layer[count] = int(_kept_count(was[count], was["pitch_mm"], np.array(pitch)))
+        return validate_scene(table, "design")
+
+    def marker_counts(self, layer: str) -> tuple[Floats, Floats]:
+        """Return (m,) columns and (m,) rows of a layer's markers, which keep its extent where the
+        sweep says so."""
+        own = self.scene.markers[layer]
+        pitch = self.numbers(f"markers.{layer}.pitch_mm", own.pitch_mm)
+
+        def counts(name: str, own_count: int) -> Floats:
+            key = f"markers.{layer}.{name}"
+            if self.sweep.keep_extent and not self.swept(key):
+                return _kept_count(own_count, own.pitch_mm, pitch)
+            return self.numbers(key, own_count)
+
+        return counts("columns", own.columns), counts("rows", own.rows)
 
 
 def _matches(name: str, key: str) -> bool:
@@ -92,46 +160,6 @@ def _spelt_out(name: str, table: Table) -> list[str]:
             for each in (look_up(table, key) if part == "*" and key else [part])
         ]
     return keys
-
-
-def designs_of(sweep: Sweep, scene: Scene) -> Designs:
-    """Return all designs of a sweep.
-
-    Raises
-    ------
-    RecipeError
-        An axis names a key that the scene does not have, or a key follows what is not a number.
-    """
-    _check_keys(sweep, scene)
-    return designs_at(sweep, scene, _unit(sweep) if sweep.sampling != "grid" else None)
-
-
-def designs_at(sweep: Sweep, scene: Scene, u: Floats | None) -> Designs:
-    """Return the designs at (m, axes) numbers in [0, 1), axes in their order; the grid's if
-    None."""
-    if u is None:
-        grids = [axis.grid(sweep.count) for axis in sweep.axes.values()]
-        places = np.indices([len(grid) for grid in grids]).reshape(len(grids), -1).tolist()
-        lists = [[grid[k] for k in place] for grid, place in zip(grids, places, strict=True)]
-    else:
-        lists = [axis.at(u[:, number]) for number, axis in enumerate(sweep.axes.values())]
-    columns = dict(zip(sweep.axes, lists, strict=True))
-    table = plain_table(scene)
-    for key, rule in sweep.derived.items():
-        followed: list[Any] | None = columns.get(rule.follows)
-        if followed is None:
-            followed = next(
-                (columns[name] for name in columns if _matches(name, rule.follows)), None
-            )
-        if followed is None:
-            followed = [look_up(table, rule.follows)] * len(next(iter(columns.values())))
-        try:
-            columns[key] = [float(f"{rule.times * float(v) + rule.plus:.12g}") for v in followed]
-        except (TypeError, ValueError):
-            raise RecipeError(
-                f"derived.{key}: follows '{rule.follows}', which is not a number"
-            ) from None
-    return Designs(sweep, scene, columns)
 
 
 def _unit(sweep: Sweep) -> Floats:
@@ -204,34 +232,11 @@ def _wrong_words(sweep: Sweep, table: Table, name: str, key: str) -> list[str]:
     return found
 
 
-def scene_of(sweep: Sweep, base: Table, values: Mapping[str, Any]) -> Scene:
-    """Return the scene of a design: the base's plain table with the design's values, layers keeping
-    their extent."""
-    table = copy.deepcopy(base)
-    named = (*sweep.axes, *sweep.derived)
-    for name in named:
-        for key in _spelt_out(name, table):
-            put(table, key, values[name])
-    for name, layer in table.get("markers", {}).items() if sweep.keep_extent else ():
-        was = base["markers"][name]
-        pitch = float(layer["pitch_mm"])
-        for count in ("columns", "rows"):
-            swept = any(_matches(axis, f"markers.{name}.{count}") for axis in named)
-            if pitch > 0 and not swept:
-                layer[count] = int(kept_count(was[count], was["pitch_mm"], np.array(pitch)))
-    return validate_scene(table, "design")
-
-
-def kept_count(count: int, pitch_mm: float, new_pitch_mm: Floats) -> Floats:
+def _kept_count(count: int, pitch_mm: float, new_pitch_mm: Floats) -> Floats:
     """Return how many markers at another pitch are about as wide as ``count`` were: of the same
     parity, at least 1."""
     more = np.rint(((count - 1) * pitch_mm / new_pitch_mm - (count - 1)) / 2)
     return np.asarray(np.maximum(count + 2 * more, 1 + (count - 1) % 2))
-
-
-def shipped_sweeps() -> dict[str, Path]:
-    """Return the shipped sweeps by name."""
-    return {path.stem: path for path in sorted(SCENES.glob(f"{SWEEP}*.toml"))}
 
 
 def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> tuple[Sweep, Scene]:
@@ -247,7 +252,7 @@ def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> 
         There is no such file.
     """
     path = _find(str(name))
-    sweep = sweep_of(read_recipe(path), str(path))
+    sweep = _sweep_of(read_recipe(path), str(path))
     sweep = sweep.model_copy(update={"set": {**sweep.set, **(overrides or {})}})
     near = path.parent / sweep.scene
     base = near if near.is_file() else sweep.scene
@@ -262,7 +267,7 @@ def load_sweep(name: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     return sweep, scene
 
 
-def sweep_of(table: dict[str, Any], where: str) -> Sweep:
+def _sweep_of(table: dict[str, Any], where: str) -> Sweep:
     """Return the sweep of a table read from ``where``."""
     if "axes" not in table and table.keys() & Scene.model_fields.keys() - Sweep.model_fields.keys():
         raise RecipeError("is a scene, not a sweep over designs: give it to twin run", where)
@@ -307,4 +312,6 @@ def _find(name: str) -> Path:
     for candidate in (Path(os.path.expanduser(name)), *shipped):
         if os.path.isfile(candidate):
             return candidate
-    raise InputError(nothing_named(name, list(shipped_sweeps()), "sweep"))
+    raise InputError(
+        nothing_named(name, [path.stem for path in sorted(SCENES.glob(f"{SWEEP}*.toml"))], "sweep")
+    )

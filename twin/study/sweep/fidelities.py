@@ -48,7 +48,7 @@ from twin.streams import Purpose, stream
 from twin.study.calibrate import half_space_compliance, nominal_calibration
 from twin.study.doubts import View, shift_sd
 from twin.study.sensor import Motion, Sensor, make, on_surface
-from twin.study.sweep.designs import Designs, kept_count
+from twin.study.sweep.designs import Designs
 from twin.study.sweep.loads import PAIRS, Bodies, Pushes
 from twin.theory.limit import design_limit
 from twin.theory.optics import project
@@ -111,13 +111,7 @@ def closed(designs: Designs) -> tuple[dict[str, Floats], np.ndarray]:
         depth = designs.numbers(f"markers.{name}.depth_mm", layer.depth_mm)
         pitch = designs.numbers(f"markers.{name}.pitch_mm", layer.pitch_mm)
         diameter = designs.numbers(f"markers.{name}.diameter_mm", layer.diameter_mm)
-        kept = sweep.keep_extent
-        columns, rows = (
-            kept_count(each, layer.pitch_mm, pitch)
-            if kept and not designs.swept(f"markers.{name}.{key}")
-            else designs.numbers(f"markers.{name}.{key}", each)
-            for key, each in (("columns", layer.columns), ("rows", layer.rows))
-        )
+        columns, rows = designs.marker_counts(name)
         markers += columns * rows
         radius = diameter / 2 if layer.kind == "bead" else np.zeros(count)
         for bad, why in (
@@ -208,7 +202,7 @@ def linear(
     grid = scene.reconstruction.sites
     sites = on_surface(scene.body, grid.chart(), grid.pitch_mm / 2, "reconstruction.sites")
     _require_cover(scene, pushes)
-    expected = noise_of(scene, view, sweep)
+    expected = _noise_of(scene, view, sweep)
     used = view.usable & (expected > 0) & np.isfinite(expected)
     if used.sum() < 2:
         raise RecipeError(
@@ -246,7 +240,7 @@ def linear(
     return figures, {"site_mm": sites.centre_mm, "middle_n": np.asarray(force[:, :, 0, 0])}
 
 
-def noise_of(scene: Scene, view: View, sweep: Sweep) -> Floats:
+def _noise_of(scene: Scene, view: View, sweep: Sweep) -> Floats:
     """Return (n,) standard deviations of the markers' shifts, per axis, px."""
     if sweep.noise_px is not None:
         return np.full(len(view.markers), sweep.noise_px)

@@ -153,8 +153,8 @@ class Bodies:
     Attributes
     ----------
     thickness_mm
-        Ends of the range between which a block's thickness is interpolated, see `thickness_range`;
-        None: each is prepared.
+        Ends of the range between which a block's thickness is interpolated, see `of`; None: each
+        is prepared.
     asked, made
         How often a compliance was needed, and how many were prepared; the others were reused or
         interpolated.
@@ -167,12 +167,55 @@ class Bodies:
     def __post_init__(self) -> None:
         self._kept: dict[str, Compliance] = {}
 
+    @classmethod
+    def of(cls, sweep: Sweep) -> Bodies:
+        """Return a sweep's bodies: thicknesses of a block are interpolated where there are many.
+
+        Why not always: the tables of a range take as long as some ten bodies, and a body of its
+        own is 2e-4 more accurate.
+        """
+        key = "body.thickness_mm"
+        rule = sweep.derived.get(key)
+        axis = sweep.axes.get(rule.follows if rule is not None else key)
+        if isinstance(axis, Range):
+            count = axis.steps if sweep.sampling == "grid" else sweep.count
+            ends = [axis.low, axis.high]
+        elif isinstance(axis, Values) and all(isinstance(v, int | float) for v in axis.values):
+            count = len(set(axis.values))
+            ends = [min(axis.values), max(axis.values)]
+        else:
+            return cls()
+        low, high = sorted(
+            end * rule.times + rule.plus if rule is not None else end for end in ends
+        )
+        return cls((low, high) if count > MANY_BODIES and low < high else None)
+
+    @staticmethod
+    def refuse(scene: Scene) -> None:
+        """Refuse what a sweep does not model.
+
+        Raises
+        ------
+        RecipeError
+            Stiff beads, or a cover of its own modulus.
+        """
+        if any(layer.stiff for layer in scene.markers.values()):
+            raise RecipeError(
+                "markers.stiff: sweeps take beads as points that the rubber carries; set "
+                "it to false"
+            )
+        if scene.cover is not None and scene.cover.has_own_material:
+            raise RecipeError(
+                "cover: sweeps have no cover of its own modulus; leave youngs_modulus_mpa and "
+                "poisson_ratio out"
+            )
+
     def unit(self, scene: Scene, role: str, patches: Rectangles) -> Compliance:
         """Return the compliance for E = 1 MPa of a scene's body: ``truth`` or ``nominal``."""
         from twin.world.elasticity.coated import Ladder
         from twin.world.elasticity.compliance import Compliance
 
-        refuse(scene)
+        self.refuse(scene)
         nu = scene.material.poisson_ratio
         where = hashlib.sha256(patches.centre_mm.tobytes() + patches.half_mm.tobytes()).hexdigest()
         accuracy = scene.displacement_error if role == "truth" else 0
@@ -211,47 +254,6 @@ class Bodies:
         made = self.unit(scene, role, patches).to_points(points, patches)
         made /= scene.material.youngs_modulus_mpa
         return made
-
-
-def thickness_range(sweep: Sweep) -> tuple[float, float] | None:
-    """Return between which thicknesses those of a sweep's blocks are interpolated; None if they are
-    few or don't vary.
-
-    Why not always: the tables of a range take as long as some ten bodies, and a body of its own is
-    2e-4 more accurate.
-    """
-    key = "body.thickness_mm"
-    rule = sweep.derived.get(key)
-    axis = sweep.axes.get(rule.follows if rule is not None else key)
-    if isinstance(axis, Range):
-        count = axis.steps if sweep.sampling == "grid" else sweep.count
-        ends = [axis.low, axis.high]
-    elif isinstance(axis, Values) and all(isinstance(v, int | float) for v in axis.values):
-        count = len(set(axis.values))
-        ends = [min(axis.values), max(axis.values)]
-    else:
-        return None
-    low, high = sorted(end * rule.times + rule.plus if rule is not None else end for end in ends)
-    return (low, high) if count > MANY_BODIES and low < high else None
-
-
-def refuse(scene: Scene) -> None:
-    """Refuse what a sweep does not model.
-
-    Raises
-    ------
-    RecipeError
-        Stiff beads, or a cover of its own modulus.
-    """
-    if any(layer.stiff for layer in scene.markers.values()):
-        raise RecipeError(
-            "markers.stiff: sweeps take beads as points that the rubber carries; set it to false"
-        )
-    if scene.cover is not None and scene.cover.has_own_material:
-        raise RecipeError(
-            "cover: sweeps have no cover of its own modulus; leave youngs_modulus_mpa and "
-            "poisson_ratio out"
-        )
 
 
 def _halton(count: int, rng: np.random.Generator) -> Floats:

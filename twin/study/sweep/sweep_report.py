@@ -20,7 +20,7 @@ from twin.parts.sweep import METRICS
 from twin.show.html_page import digits, figure, page, table, two_columns
 from twin.show.svg_plots import Axes, dots, drawing, force_field, line, path
 from twin.study.recipe import dump_scene
-from twin.study.sweep.designs import designs_at
+from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import closed
 from twin.study.sweep.sweep_run import Store, Swept, agreement, expected, metric
 
@@ -138,7 +138,7 @@ def _sensitivities(done: Swept) -> list[tuple[str, str, float, float, float]]:
     axes = list(sweep.axes)
 
     def metrics(u: Floats) -> Floats:
-        found = closed(designs_at(sweep, scene, np.clip(np.asarray(u).T, 0.0, 1.0)))[0]
+        found = closed(Designs.at(sweep, scene, np.clip(np.asarray(u).T, 0.0, 1.0)))[0]
         values = np.log(np.stack([found[name] for name in EXPLAINED]))
         values[~np.isfinite(values)] = np.nan
         if not np.isfinite(values).any(axis=1).all():
@@ -503,7 +503,7 @@ def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> list[str]:
             )
             parts.append(_field(two, kept["site_mm"], kept["pair_n"]))
         elif done.fidelity[number] == "linear":
-            kept = expected(designs.sweep, designs.scene, designs.values(number))
+            kept = expected(designs, number)
             title = "Expected estimate of the push in the middle"
             parts.append(_field(title, kept["site_mm"], kept["middle_n"]))
         cards.append(

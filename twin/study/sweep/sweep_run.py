@@ -1,10 +1,10 @@
 """Run a sweep: from its recipe to a ranked table of designs.
 
 `run_sweep` computes the cheap fidelity for all designs and the expensive ones for the best, which
-`scores` ranks. Instead of a grid of designs it can search for the best design. `estimate` predicts
+a score ranks. Instead of a grid of designs it can search for the best design. `estimate` predicts
 the time, and `check` tests the recipe first.
 
-Only this process writes into the folder, under a lock. Rows are stored: ``rows.jsonl`` grows by
+Only this process writes into the folder, under a lock. _Rows are stored: ``rows.jsonl`` grows by
 whole lines, and a kill cuts off one line at most. A row's key is a hash of all that it depends on
 (design, scene, loads, fidelity, versions), so an interrupted or changed sweep reuses the rows that
 are there. A worker knows the sweep by the job's files only; each body that it keeps serves one set
@@ -56,9 +56,9 @@ from twin.study.batch.pool import (
 )
 from twin.study.doubts import View
 from twin.study.recipe import dump_scene, load_scene
-from twin.study.sweep.designs import Designs, designs_at, designs_of, load_sweep, scene_of
+from twin.study.sweep.designs import Designs, load_sweep
 from twin.study.sweep.fidelities import Shown, closed, cost, full, linear, resolved_by_sites
-from twin.study.sweep.loads import REGION, Bodies, Pushes, refuse, thickness_range
+from twin.study.sweep.loads import REGION, Bodies, Pushes
 
 Row = dict[str, Any]
 
@@ -76,8 +76,8 @@ SHOWN = ("picture", "site_mm", "middle_n", "pair_n")
 
 
 @dataclass(frozen=True)
-class Rows:
-    """Rows of a task.
+class _Rows:
+    """_Rows of a task.
 
     Attributes
     ----------
@@ -103,13 +103,17 @@ class _Workshop:
         self.sweep = Sweep.model_validate(job["sweep"])
         self.stage: str = job["stage"]
         self.chunk: int = job["chunk"]
-        self.values: list[dict[str, Any]] = job["designs"]
         self.scene = load_scene(folder / "scene.toml")
+        self.designs = _designs(self.sweep, self.scene, job["designs"])
         self.base = plain_table(self.scene)
-        self.bodies = Bodies(thickness_mm=thickness_range(self.sweep))
+        self.bodies = Bodies.of(self.sweep)
         self._pushes: dict[str, Pushes] = {}
 
-    def row(self, values: dict[str, Any]) -> tuple[Row, bytes | None]:
+    def numbers(self, task: int) -> range:
+        """Return the numbers of a task's designs."""
+        return range(task * self.chunk, min((task + 1) * self.chunk, len(self.designs)))
+
+    def row(self, number: int) -> tuple[Row, bytes | None]:
         """Return a design's row; what goes wrong with it is its status."""
         started = time.perf_counter()
         row: Row = {"status": "ok", "error": ""}
@@ -117,7 +121,7 @@ class _Workshop:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                figures, shown = self._judge(scene_of(self.sweep, self.base, values))
+                figures, shown = self._judge(self.designs.scene_of(number, self.base))
             row |= figures
         except RecipeError as problem:
             row |= {"status": "dropped", "error": "; ".join(problem.problems)}
@@ -156,13 +160,13 @@ class _Workshop:
 _workshop = lru_cache(maxsize=1)(_Workshop)
 
 
-def make_rows(folder: Path, task: int) -> Rows:
+def make_rows(folder: Path, task: int) -> _Rows:
     """Return the rows of a task of the job whose files are in ``folder``."""
     shop = _workshop(folder)
     before = shop.bodies.asked, shop.bodies.made
-    done = [shop.row(values) for values in shop.values[task * shop.chunk : (task + 1) * shop.chunk]]
+    done = [shop.row(number) for number in shop.numbers(task)]
     asked, made = shop.bodies.asked - before[0], shop.bodies.made - before[1]
-    return Rows([row for row, _ in done], [shown for _, shown in done], asked, made)
+    return _Rows([row for row, _ in done], [shown for _, shown in done], asked, made)
 
 
 def _job_of(
@@ -179,11 +183,17 @@ def _job_of(
     return Job(files=files, work=f"{__name__}:{make_rows.__name__}")
 
 
-def expected(sweep: Sweep, scene: Scene, values: dict[str, Any]) -> Shown:
+def expected(designs: Designs, number: int) -> Shown:
     """Return what the page shows of a design by its linear information."""
-    design = scene_of(sweep, plain_table(scene), values)
-    bodies = Bodies(thickness_mm=thickness_range(sweep))
-    return linear(design, View.of(design), sweep, bodies, _pushes(sweep, scene, design))[1]
+    sweep, design = designs.sweep, designs.scene_of(number)
+    pushes = _pushes(sweep, designs.scene, design)
+    return linear(design, View.of(design), sweep, Bodies.of(sweep), pushes)[1]
+
+
+def _designs(sweep: Sweep, scene: Scene, values: Sequence[dict[str, Any]]) -> Designs:
+    """Return the designs that have these values."""
+    columns = {key: [each[key] for each in values] for key in values[0]}
+    return Designs(sweep, scene, columns)
 
 
 def _pushes(sweep: Sweep, scene: Scene, design: Scene) -> Pushes:
@@ -334,7 +344,7 @@ def _identity(sweep: Sweep, scene: Scene) -> str:
         list(sweep.derived),
         plain_table(scene) | {"title": ""},
         versions(),
-        thickness_range(sweep),
+        Bodies.of(sweep).thickness_mm,
     ]
     return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
@@ -384,7 +394,7 @@ class Swept:
     status, error, fidelity
         (m,) ok, dropped or failed; why; the last fidelity.
     score
-        (m,) see `scores`, at the best fidelity.
+        (m,) the distance to the targets, at the best fidelity.
     order
         The designs that are ok, the best first, those of the last fidelity before all others.
     keys
@@ -412,7 +422,7 @@ class Swept:
         return int((self.status == "failed").sum())
 
 
-def check(sweep: Sweep, scene: Scene) -> None:
+def _check(sweep: Sweep, scene: Scene) -> None:
     """Refuse a sweep that can't be run.
 
     Raises
@@ -447,7 +457,7 @@ def check(sweep: Sweep, scene: Scene) -> None:
         )
     if problems:
         raise RecipeError(problems)
-    refuse(scene)
+    Bodies.refuse(scene)
 
 
 def run_sweep(
@@ -470,8 +480,8 @@ def run_sweep(
         The folder can't be written, another process is writing there, or the scheduler can't be
         reached.
     """
-    check(sweep, scene)
-    designs = designs_of(sweep, scene)
+    _check(sweep, scene)
+    designs = Designs.of(sweep, scene)
     reach(scheduler)
     make_folder(folder)
     with only_writer(folder / "writer.lock"):
@@ -515,9 +525,9 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
         if stage == "closed":
             continue
         # the first stage takes all designs, a later one the best of the stage before
-        rank = scores(sweep, done.columns) if number else np.zeros(count)
+        rank = _scores(sweep, done.columns) if number else np.zeros(count)
         most = sweep.confirm.linear if stage == "linear" else sweep.confirm.full
-        chosen = best_first(rank, done.status == "ok", most if number else None)
+        chosen = _best_first(rank, done.status == "ok", most if number else None)
         values = [designs.values(int(n)) for n in chosen]
         rows = runner.rows(stage, values)
         done.fidelity[chosen] = stage
@@ -526,7 +536,7 @@ def _sweep_designs(designs: Designs, runner: _Runner) -> Swept:
         _put(done.columns, stage, chosen, rows, count)
         if stage == "full":
             done.keys = {int(n): runner.key(stage, v) for n, v in zip(chosen, values, strict=True)}
-    done.score = scores(sweep, done.columns)
+    done.score = _scores(sweep, done.columns)
     depth = np.array([FIDELITIES.index(f) for f in done.fidelity])
     order = np.lexsort((done.score, -depth))
     done.order = order[(done.status == "ok")[order]]
@@ -565,7 +575,7 @@ def _coarse(done: Swept) -> tuple[Bools, list[str]]:
     return coarse, [
         f"{int(coarse.sum())} of {int((~np.isnan(found)).sum())} designs resolve two points as "
         "near as their sites can, so that this distance does not rank them: "
-        f"{advice(float(sites[coarse].max()), wanted)}"
+        f"{_advice(float(sites[coarse].max()), wanted)}"
     ]
 
 
@@ -596,7 +606,7 @@ def _notes(done: Swept, runner: _Runner, coarse: Bools) -> list[str]:
     return notes
 
 
-def advice(sites_mm: float, wanted_mm: float) -> str:
+def _advice(sites_mm: float, wanted_mm: float) -> str:
     """Return what the sites resolve, and what to set where that is less than what is wanted."""
     least = f"the sites' pitch resolves two points from {sites_mm:.3g} mm on"
     if sites_mm <= wanted_mm:
@@ -626,7 +636,7 @@ def metric(columns: Mapping[str, Floats], name: str, upto: str = "full") -> Floa
     return found
 
 
-def scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
+def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
     """Return (m,) distances to the targets, the less the better: a weighted sum of log(metric /
     target).
 
@@ -647,7 +657,7 @@ def scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
     return total if total is not None else np.full(count, np.inf)
 
 
-def best_first(score: Floats, allowed: Bools, at_most: int | None) -> Ints:
+def _best_first(score: Floats, allowed: Bools, at_most: int | None) -> Ints:
     """Return the numbers of the allowed designs, the best first; equal ones in their order."""
     order = np.argsort(score, kind="stable")
     return order[allowed[order]][:at_most]
@@ -683,7 +693,7 @@ def _optimised(designs: Designs, runner: _Runner) -> Designs:
     def judged(u: Floats) -> Floats:
         points = np.clip(np.atleast_2d(np.asarray(u).T), 0.0, 1.0).reshape(-1, len(sweep.axes))
         evaluated.append(points)
-        return _scored(sweep, designs_at(sweep, scene, points), stage, runner)
+        return _scored(sweep, Designs.at(sweep, scene, points), stage, runner)
 
     found = differential_evolution(
         judged,
@@ -697,11 +707,11 @@ def _optimised(designs: Designs, runner: _Runner) -> Designs:
         rng=np.random.default_rng(sweep.seed),
         tol=1e-4,
     )
-    descend(judged, np.clip(found.x, 0.0, 1.0), evaluated, sweep.count)
-    return designs_at(sweep, scene, np.concatenate(evaluated))
+    _descend(judged, np.clip(found.x, 0.0, 1.0), evaluated, sweep.count)
+    return Designs.at(sweep, scene, np.concatenate(evaluated))
 
 
-def descend(
+def _descend(
     judged: Callable[[Floats], Floats], start: Floats, evaluated: list[Floats], most: int
 ) -> None:
     """Go down the gradient from a design until nothing is gained or ``most`` designs have been
@@ -732,7 +742,7 @@ def _scored(sweep: Sweep, designs: Designs, stage: str, runner: _Runner) -> Floa
         rows = runner.rows("linear", [designs.values(int(n)) for n in numbers])
         ok[numbers] = [row["status"] == "ok" for row in rows]
         _put(columns, "linear", numbers, rows, len(designs))
-    score = scores(sweep, columns)
+    score = _scores(sweep, columns)
     return np.where(ok & np.isfinite(score), np.minimum(score, WORST / 2), WORST)
 
 
@@ -810,8 +820,8 @@ def looked_over(path: Path) -> list[str]:
 
 def _overview(sweep: Sweep, scene: Scene) -> tuple[list[str], Ints, Designs]:
     """Return lines about a sweep's designs, the numbers of those that are possible, and all."""
-    check(sweep, scene)
-    designs = designs_of(sweep, scene)
+    _check(sweep, scene)
+    designs = Designs.of(sweep, scene)
     found = closed(designs)[1]
     good = np.flatnonzero(found == "")
     lines = [
@@ -827,7 +837,7 @@ def _overview(sweep: Sweep, scene: Scene) -> tuple[list[str], Ints, Designs]:
         if least > target:
             lines.append(
                 f"warning     targets.two_point_mm = {target:g} can't be met: "
-                f"{advice(least, target)}"
+                f"{_advice(least, target)}"
             )
     return lines, good, designs
 
