@@ -1,18 +1,14 @@
-"""What this machine can do: the renderer, the memory for a picture, and threads.
+"""What this machine can do: the renderer, and the memory for a picture.
 
 Renderers: ``cuda_ad_rgb`` is Mitsuba on an NVIDIA GPU, ``llvm_ad_rgb`` Mitsuba on the processor and
-``splat`` a renderer without Mitsuba (`twin.world.picture.splat`). Mitsuba on the processor needs a
-system libLLVM of version 19 or later; with LLVM 15 or 16 it aborts the process, which no ``except``
-can catch. So each library is tried once in a process of its own, and the verdict is stored with the
-library's path, size and time.
+``splat`` a renderer without Mitsuba. Mitsuba on the processor needs a system libLLVM of version 19
+or later; with LLVM 15 or 16 it aborts the process, which no ``except`` can catch. So each library
+is tried once in a process of its own, and the verdict is stored with its path, size and time.
 
 Memory: a scene may have 8192 x 8192 pixels, which take 9 GB, and four times as much through a wide
 pupil. Linux ends a process that takes more memory than there is without any message, so the need is
 estimated before a picture is computed. Measured on pictures of 9 and 17 million pixels with
 tracking: 127 to 144 bytes a pixel through a point, 577 through a pupil.
-
-Threads: compiled kernels release Python's lock, so a thread pool shares their work. numba's own
-threads are not used: its default layer ends the process when two threads call it at once.
 """
 
 from __future__ import annotations

@@ -1,18 +1,16 @@
 """The rays that end in the camera's pixels: directions in the body, what they lose, and glare.
 
 Rays go through pixel corners only: they are smooth, so linear interpolation inside a pixel is off
-by less than 1e-3 px even for a fisheye, and the cost doesn't grow with the number of sub-pixel
-rays.
+by less than 1e-3 px even for a fisheye.
 
-Glare is light of the LEDs' discs that base, layers and air mirror straight into the camera. It lies
-like a veil over markers and cover and depends on nothing that moves. An interface of plastic or
-rubber and air sends back 4 % of a disc's brightness, which is more than a lit marker has.
+Glare is light of the LEDs' discs that base, layers and air mirror straight into the camera, a veil
+over markers and cover that depends on nothing that moves. An interface of plastic or rubber and air
+sends back 4 % of a disc's brightness, which is more than a lit marker has.
 
 A wide pupil is the mean of pictures through points of it, each shifted so that they agree where the
-lens is focused. Each point has its own refracted rays, so blur grows with the distance from the
-focus, and occlusion and shadows stay right. The blur of a point is a disc of diameter aperture
-times (px per mm there) times |depth - focus depth| over the focus depth, depths as they appear in
-air.
+lens is focused. Each point has its own refracted rays, so occlusion and shadows stay right. The
+blur of a point is a disc of diameter aperture times (px per mm there) times |depth - focus depth|
+over the focus depth, depths as they appear in air.
 
 Validity: glare by one reflection, of discs whose images are wider than a pixel, LEDs in air; points
 of the pupil stay single up to blur discs of some 5 px; the shift that agrees at the focus is taken

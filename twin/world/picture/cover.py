@@ -2,8 +2,7 @@
 
 A press tilts the black cover and moves it towards the camera, so that it takes other light. Both
 are smooth, so they are computed on a coarse grid of rays and multiply the picture of the cover at
-rest. LEDs all around the lens, as in the shipped scenes, make up for each other: there a bulge
-changes even a grey cover by a count or less.
+rest. Where LEDs stand all around the lens, a bulge changes even a grey cover by a count or less.
 
 Validity: the change is first order in the displacement; detail finer than the grid, at the rim of a
 contact, is smoothed; the cover takes no shadows, as it is nearly black.

@@ -1,9 +1,8 @@
 """The markers of a deformed body as ellipsoids, which is what the camera sees.
 
-Why ellipsoids: a strained ellipsoid is again an ellipsoid, the renderer intersects it exactly, and
-all markers move by one assignment to an array. The motion of the markers is given: either that of
-points of the rubber, or that of stiff beads (`twin.world.elasticity.rigid_beads`). A stiff bead
-stays round and turns with the rubber. As it has one colour, the turn is not visible.
+A strained ellipsoid is again an ellipsoid, and the renderer intersects it exactly. The motion of
+the markers is given: that of points of the rubber, or of stiff beads
+(`twin.world.elasticity.rigid_beads`).
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 """The light that each LED sends to places in the body.
 
 The LEDs stand in air behind the base, where refraction bends and spreads their light, or in the
-body, where it does neither. Each place sees an LED in air at a virtual image: another direction and
-distance than in air. Both are exact at a marker's centre here; across one marker the LED is a point
-source at its virtual image, which is what the renderer shades and shadows with.
-
-Why per marker and not one paraxial image per LED: in the finger LEDs shine in at grazing angles,
-where the paraxial image would light markers that Snell's law keeps dark.
+body, where it does neither. Each place sees an LED in air at a virtual image, which is exact at a
+marker's centre here; across one marker the LED is a point source there. (In the finger LEDs shine
+in at grazing angles, where one paraxial image would light markers that Snell's law keeps dark.)
 
 Validity: LEDs are points or seven points on a disc; single scattering plus an even ambient share,
 no light between markers; LEDs in the body are not seen themselves.

@@ -7,14 +7,12 @@ those on a ray; camera and shadow rays are traced on a fixed k x k grid in every
 marker. Moving markers rewrites that shape's numbers: nothing is rebuilt or recompiled. It must be
 one shape: OptiX leaves out the rays into a second scene of the same kernel, with a line in the log.
 
-Why not plain hits: a hard edge on a k x k grid is off by 0.15 k^-1.5 R^-0.5 px in the centroid of a
-disc of R px, which is as much as the camera's noise. So camera rays look for ellipsoids that are
-larger by a sub-pixel, and the share that the true one covers follows from the ray's distance to its
-silhouette: ten times smaller errors for the same rays. Shadow rays meet the same larger ellipsoids,
-and are dark where they meet the true one.
-
-Why a fixed grid and no sampler: random samples make centroids 3 to 5 times worse. Why our own loop:
-the sum over LEDs is analytic, and stock path tracing is some ten times slower at equal error.
+Plain hits have hard edges: on a k x k grid the centroid of a disc of R px is off by 0.15 k^-1.5
+R^-0.5 px, as much as the camera's noise. So rays look for ellipsoids that are larger by a
+sub-pixel, and the share that the true one covers follows from the ray's distance to its silhouette:
+ten times smaller errors for the same rays. Shadow rays meet the same larger ellipsoids, and are
+dark where they meet the true one. Random samples instead of the grid make centroids 3 to 5 times
+worse; stock path tracing instead of the sum over LEDs is some ten times slower at equal error.
 
 Rays start just behind the markers that they may meet, because the intersection with an ellipsoid
 loses digits in float32 when it is thin or far: rays from the base lose up to a third of a thin
@@ -77,8 +75,7 @@ class MitsubaTracer:
             self._mi.set_variant(self._variant)
 
     def shade(self, job: PictureJob) -> tuple[Singles, Singles]:
-        """Return (m, 3) light from markers in the job's pixels, and (m,) the share of each that
-        they leave free."""
+        """See `twin.world.picture.picture_job.Shader`."""
         if not len(job.pixels):
             return np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
         # Upload the scene: markers a little larger than they are, which all rays look for.
@@ -110,38 +107,21 @@ class MitsubaTracer:
             # Go on behind it with what light it leaves free, until nothing is left.
             onward = mi.Ray3f(dr.select(going, ray(found.t + _STEP), ray.o), ray.d)
             clear = clear - share
-            return (
-                onward,
-                going & (clear > OPAQUE),
-                mi.UInt32(marker),
-                depth + 1,
-                place,
-                light,
-                clear,
-            )
+            going = going & (clear > OPAQUE)
+            return onward, going, mi.UInt32(marker), depth + 1, place, light, clear
 
         def one_sample(sample: Any, light: Any, free: Any) -> Any:
             ray, place = self._ray(pixel, sample, k, begin)
             # All pixels at once, one sub-pixel after the other.
-            state = (
-                ray,
-                mi.Bool(True),
-                mi.UInt32(len(job)),
-                mi.UInt32(0),
-                place,
-                light,
-                mi.Float(1),
-            )
+            none = mi.UInt32(len(job))
+            state = (ray, mi.Bool(True), none, mi.UInt32(0), place, light, mi.Float(1))
             state = dr.while_loop(
                 state, lambda _, going, last, depth, *__: going & (depth < _DEPTH), one_marker
             )
             return sample + 1, state[5], free + state[6]
 
-        state = (
-            mi.UInt32(0),
-            dr.zeros(mi.Vector3f, len(job.pixels)),
-            dr.zeros(mi.Float, len(job.pixels)),
-        )
+        lanes = len(job.pixels)
+        state = (mi.UInt32(0), dr.zeros(mi.Vector3f, lanes), dr.zeros(mi.Float, lanes))
         _, light, free = dr.while_loop(state, lambda sample, *_: sample < k * k, one_sample)
         dr.eval(light, free)
         share = np.float32(1 / (k * k))
@@ -156,23 +136,10 @@ class MitsubaTracer:
         mi = self._mi
         m = job.metric
         s = np.linalg.inv(job.conjugate)
-        columns: list[Any] = [
-            job.centres,
-            m[:, 0, 0],
-            m[:, 1, 1],
-            m[:, 2, 2],
-            m[:, 0, 1],
-            m[:, 0, 2],
-            m[:, 1, 2],
-        ]
-        columns += [
-            job.centres_px,
-            s[:, 0, 0],
-            s[:, 0, 1],
-            s[:, 1, 1],
-            np.zeros((len(job), 2)),
-        ]
-        table: Floats = np.column_stack(columns)
+        six = m[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        three = s[:, [0, 0, 1], [0, 1, 1]]
+        empty = np.zeros((len(job), 2))
+        table: Floats = np.column_stack([job.centres, six, job.centres_px, three, empty])
         pixel = mi.UInt32(_aligned(job.pixels.astype(np.uint32)))
         begin = mi.Vector2f(*(mi.Float(_aligned(column)) for column in _starts(job).T))
         return pixel, begin, mi.Float(_aligned(table.astype(np.float32).ravel()))

@@ -1,13 +1,10 @@
 """The job of one picture: markers, virtual lamps, and which of them meet in which pixel.
 
 A job has everything that depends on where the markers are, in the renderer's units, whichever
-renderer draws it. A renderer is an object with one function, `Shader.shade`;
-`twin.world.picture.splat` and `twin.world.picture.mitsuba_tracer` have one each.
-
-Two searches spare the renderer its own. Each pixel has a list of the markers whose outlines come
-near, from the projection's Jacobian at each centre. Each marker and lamp have a list of the markers
-that may stand between them: one marker in three has another before an LED, and then mostly one or
-two.
+renderer draws it (`Shader`). Two searches spare the renderer its own. Each pixel has a list of the
+markers whose outlines come near, from the projection's Jacobian at each centre. Each marker and
+lamp have a list of the markers that may stand between them: one marker in three has another before
+an LED, and then mostly one or two.
 
 Units: the median marker radius is 1, and z = 0 lies just behind all markers.
 """
@@ -142,10 +139,8 @@ class PictureJob:
 
         Parameters
         ----------
-        markers
-            The markers as they are now.
-        scene, view
-            The actual scene, and its camera's rays.
+        markers, scene, view
+            The markers as they are now, the actual scene, and its camera's rays.
         unit_mm
             Length of the renderer's unit.
         full_power
@@ -236,24 +231,11 @@ def _occluders(
     """Return, for each marker and lamp, the markers that may shadow it; too many when in doubt,
     never too few.
 
-    Parameters
-    ----------
-    centres, radii
-        (n, 3) and (n,) spheres around the markers, mm; rows that aren't finite are no markers.
-    places
-        (n, lamps, 3) lamps as each marker sees them.
-    wanted
-        (n, lamps) the pairs that matter.
+    ``centres`` (n, 3) and ``radii`` (n,) are spheres around the markers, none where not finite;
+    ``places`` (n, lamps, 3) lamps as each marker sees them; ``wanted`` (n, lamps) the pairs that
+    matter. The list of marker i and lamp l, number i * lamps + l, begins at that entry of the first
+    result (n * lamps + 1,) in the second.
 
-    Returns
-    -------
-    first
-        (n * lamps + 1,) where the list of marker i and lamp l, number i * lamps + l, begins.
-    members
-        Numbers of markers.
-
-    Notes
-    -----
     Two markers are in each other's way only if the second's centre is within both radii of the way
     to the lamp, and not farther than the lamp. The way is cut where it leaves the heights of all
     markers. A grid of about one marker a cell spares a search through all.

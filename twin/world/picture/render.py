@@ -1,8 +1,7 @@
 """The picture as light: markers by a renderer over the cover, seen through folded optics.
 
 `Renderer` sets exposure and view, and lays markers over the cover; a shader of `RENDERERS` draws
-them: Mitsuba where it runs, or the splat, which needs no Mitsuba. `PathRenderer` has the whole
-picture made by Mitsuba's path integrator (`twin.world.picture.path_tracer`). Outlines come from the
+them. `PathRenderer` has the whole picture made by Mitsuba's path integrator. Outlines come from the
 splat in closed form, whatever draws the picture, and are its truth.
 
 Validity: markers at least a sub-pixel in radius. Defocus is the mean of pictures through points of
@@ -142,9 +141,7 @@ class Renderer:
         """What draws the markers; the splat of the outlines, if the splat draws them."""
         if self.variant.name == "splat":
             return self._splat
-        assert self.scene.light is not None
-        made = RENDERERS[self.variant.name]
-        return made(self._view, self._unit, self.scene.light.ambient)
+        return RENDERERS[self.variant.name](self._view, self._unit, self.scene.imaging[1].ambient)
 
     @cached_property
     def background(self) -> Background | None:
@@ -156,9 +153,6 @@ class Renderer:
         """Return the (height, width, 3) light on the sensor, 1 filling its wells.
 
         ``cover`` has how the places of `background` have moved; None: they are at rest.
-
-        The exposure is set at rest, where the brighter of the brightest marker and the ground has
-        ``ccd.white_dn`` (before blur and noise).
         """
         factor = self._cover_factor(cover)
         if not self._pupils:
@@ -174,22 +168,17 @@ class Renderer:
     def seen(
         self, markers: Ellipsoids, cover: CoverMotion | None = None
     ) -> tuple[Singles, Outlines]:
-        """Return `radiance` and `outlines` of one job, and of one pass where the splat draws the
-        picture."""
-        if self._pupils:
+        """Return `radiance` and `outlines`, in one pass where the splat draws the picture."""
+        if self._pupils or self._shader is not self._splat:
             return self.radiance(markers, cover), self.outlines(markers)
         job = self._job(markers, self.subpixels)
-        traced = self._shader is not self._splat
-        marks, free, outlines = self._splat.look(job, bright=not traced)
-        if traced:
-            marks, free = self._shader.shade(job)
+        marks, free, outlines = self._splat.look(job)
         return self._over_cover(job, marks, free, self._cover_factor(cover)), outlines
 
     def _cover_factor(self, cover: CoverMotion | None) -> Singles | None:
         """Return (height, width, k) factors on the cover's light, None at rest."""
-        if cover is None or self.background is None:
-            return None
-        return self.background.change(cover)
+        background = self.background
+        return None if cover is None or background is None else background.change(cover)
 
     def _over_cover(
         self, job: PictureJob, marks: Singles, free: Singles, factor: Singles | None
@@ -208,15 +197,8 @@ class Renderer:
         return light
 
     def outlines(self, markers: Ellipsoids, subpixels: int | None = None) -> Outlines:
-        """Return centroid, share and area of what the picture shows of each marker, in closed form.
-
-        Parameters
-        ----------
-        markers
-            The markers.
-        subpixels
-            Another k than the picture's.
-        """
+        """Return centroid, share and area of what the picture shows of each marker, in closed form;
+        ``subpixels`` is another k than the picture's."""
         job = self._job(markers, subpixels or self.subpixels, shadows=False)
         return self._splat.look(job, bright=False)[2]
 
@@ -256,8 +238,7 @@ class PathRenderer(Renderer):
     def radiance(self, markers: Ellipsoids, cover: CoverMotion | None = None) -> Singles:
         """Return `Renderer.radiance` by paths from the LEDs; the even share of light, which has
         none, in closed form."""
-        assert self.scene.light is not None
-        share = np.float32(self.scene.light.ambient)
+        share = np.float32(self.scene.imaging[1].ambient)
         light = (1 - share) * self._path_tracer.radiance(markers, cover)
         if share > 0:
             light += share * self._evenly_lit.radiance(markers)
@@ -268,8 +249,7 @@ class PathRenderer(Renderer):
     @cached_property
     def _evenly_lit(self) -> Renderer:
         """The same camera and exposure where all light comes from all around."""
-        assert self.scene.light is not None
-        light = self.scene.light.model_copy(update={"ambient": 1.0})
+        light = self.scene.imaging[1].model_copy(update={"ambient": 1.0})
         return self._like(choose_variant("splat"), light=light, renderer="splat")
 
     def seen(
@@ -280,8 +260,8 @@ class PathRenderer(Renderer):
 
 
 def _subpixels_for(centroid_px: float | str, method: str) -> int:
-    """Return the k whose largest centroid error is ``centroid_px``; ``auto`` is 3, below the noise
-    of one exposure."""
+    """Return the least k whose error is at most ``centroid_px``; ``auto`` is 3, below the noise of
+    one exposure."""
     if isinstance(centroid_px, str):
         return 3
     enough = (k for k in range(1, _FINEST) if _centroid_error(k, True, method) <= centroid_px)
@@ -291,11 +271,8 @@ def _subpixels_for(centroid_px: float | str, method: str) -> int:
 def _centroid_error(subpixels: int, shadows: bool, method: str) -> float:
     """Return a bound on the error of intensity centroids, px.
 
-    Notes
-    -----
     Measured for both sensors (picture benchmark), most of it from the edges of shadows. Those of
-    Mitsuba's rays are hard, so that finer grids than 4 x 4 were not always better there. Without
-    shadows centroids are up to 0.2 px off.
+    Mitsuba's rays are hard, so that finer grids than 4 x 4 were not always better there.
     """
     bounds = _ERROR_PX["splat" if method == "splat" else "traced"]
     beyond = min(len(bounds) / subpixels, 1.0) if method == "splat" else 1.0
@@ -327,11 +304,8 @@ def method_for(scene: Scene) -> Variant:
         return choose_variant("splat")
     wanted = scene.accuracy.centroid_px
     if asked == "auto" and not isinstance(wanted, str) and not os.environ.get(FORCE):
-        return Variant(
-            name="splat",
-            library=None,
-            reason=f"cheapest for accuracy.centroid_px = {wanted:g}",
-        )
+        why = f"cheapest for accuracy.centroid_px = {wanted:g}"
+        return Variant(name="splat", library=None, reason=why)
     chosen = choose_variant()
     if asked != "auto" and not chosen.name.endswith("_ad_rgb"):
         raise MissingCapability(

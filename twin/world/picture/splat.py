@@ -3,19 +3,17 @@
 An ellipsoid's own metric M makes it a unit ball. A ray's least distance to the centre in that
 metric is below 1 where it meets the ellipsoid; how much of a sub-pixel is covered follows from that
 distance and how fast it changes from pixel to pixel. So edges are smooth and centroids need few
-rays. Shading is smooth inside an outline, so a pixel there takes fewer rays than one on an edge.
-The edge of a shadow is smoothed in the same way, by the distance of the way to the lamp.
+rays; inside an outline shading is smooth, and fewer still do. The edge of a shadow is smoothed in
+the same way, by the distance of the way to the lamp.
 
 Pixels near one outline only, nine in ten, go many at once through loops that the compiler turns
 into vector instructions (`_shade_isolated`); pixels near several meet their candidates one by one,
 front to back (`_shade_overlapping`). The first takes a quarter of the second's time (12 ms against
-49 ms a picture of 636 markers) and is the only reason for two. Both use the same formulas; a test
-holds them together.
+49 ms a picture of 636 markers) and is the only reason for two. A test holds them together.
 
 Rays go down and are relative to the ellipsoid's centre: (fx + dx t, fy + dy t, -t). Formulas keep
 the precision of their arguments, so their constants are singles: next to a Python float numba would
-take every single for a double and halve the lanes of vector instructions. Relative to the centre,
-singles leave a ray's distance good to a millionth of the radius.
+take every single for a double and halve the lanes of vector instructions.
 
 Threads work on separate pixels, and tallies are whole numbers below 2^24: the number of threads
 changes no bit.
@@ -193,12 +191,10 @@ def _six(row: Any) -> Six:
 
 @njit(cache=True, nogil=True, fastmath=_REORDER)
 def _approach(ray: Four, m: Six, step: Four) -> Approach:
-    """Return how a ray (fx, fy, dx, dy) passes an ellipsoid of metric ``m``.
-
-    Its distance to the centre in the metric, that distance's change along column and row (``step``:
-    how far aside the rays one column and one row on go, at the centre's height), the nearest point
-    (3), the metric times the ray's direction (3), that direction's square, and the steepest change.
-    """
+    """Return how a ray (fx, fy, dx, dy) passes an ellipsoid of metric ``m``: its distance to the
+    centre in the metric, that distance's change along column and row (``step``: how far aside the
+    rays one column and one row on go, at the centre's height), the nearest point (3), the metric
+    times the ray's direction (3), that direction's square, and the steepest change."""
     m00, m11, m22, m01, m02, m12 = m
     fx, fy, dx, dy = ray
     ax, ay, az = m00 * dx + m01 * dy - m02, m01 * dx + m11 * dy - m12, m02 * dx + m12 * dy - m22
@@ -222,10 +218,9 @@ def _candidate(met: Approach, m: Six, step: Four, k: Number) -> tuple[Number, Nu
     """Return two numbers, positive if any of a pixel's k x k sub-pixels may show the ellipsoid, and
     if all of them do.
 
-    The distance is the norm of a map that is nearly linear over a pixel. A norm is convex: it falls
-    nowhere below its tangent, and rises at most by the map's norm times half a diagonal. Pixels
-    count as full from another one inwards: next to the outline shading still bends, and one ray at
-    their middle misses its mean.
+    The distance is the norm of a nearly linear map. A norm is convex: it falls nowhere below its
+    tangent, and rises at most by the map's norm times half a diagonal. Pixels count as full from
+    another one inwards: next to the outline one ray at their middle misses the mean of shading.
     """
     miss, one, two = met[0], met[1], met[2]
     ax = met[6]

@@ -1,9 +1,8 @@
 """A scene of stock Mitsuba: what our renderers fold, as it stands in the world.
 
 Camera and LEDs are in air, the window is dielectric interfaces, markers and cover are triangles.
-Only plug-ins that come with Mitsuba are used, so that any path integrator can make the picture, and
-other programs can read the parts. LEDs are found by chance only: such pictures take thousands of
-paths a pixel where `twin.world.picture.path_tracer` takes 64.
+Any path integrator can make the picture, with thousands of paths a pixel where
+`twin.world.picture.path_tracer` takes 64: LEDs are found by chance only.
 
 Validity: a pinhole or thin lens without distortion; LEDs that shine by the cosine. The rubber has
 no sides, and the even share of light (``light.ambient``) has no source, so it is left out.
