@@ -47,14 +47,11 @@ def test_the_surface_is_level_where_the_pieces_say_so(body):
     assert {quick for quick, _ in said} == ({True, False} if body.is_flat else {False})
 
 
-def test_chart_depth_is_the_depth(body):
-    chart = np.random.default_rng(3).uniform(-6, 6, (50, 2))
-    assert_allclose(body.depth(body.chart_points(chart, 0.7)), 0.7, atol=1e-12)
-
-
-def test_chart_of_inverts_the_chart(body):
+def test_the_chart_has_an_inverse_and_the_depth(body):
     chart = np.random.default_rng(5).uniform(-7, 7, (200, 2))
-    assert_allclose(body.chart_of(body.chart_points(chart, 0.4)), chart, atol=1e-9)
+    points = body.chart_points(chart, 0.4)
+    assert_allclose(body.chart_of(points), chart, atol=1e-9)
+    assert_allclose(body.depth(points), 0.4, atol=1e-12)
 
 
 def test_chart_measures_arc_length_from_the_origin(body):
@@ -80,16 +77,14 @@ def test_markers_keep_the_order_layer_s_t():
     assert markers.points[4:, 2].tolist() == [3] * 4
 
 
-def test_a_marker_outside_the_body_is_refused():
-    layer = MarkerLayer(depth_mm=1, pitch_mm=9, diameter_mm=0.5, columns=5, rows=1, colour=(1, 0, 0))
-    with pytest.raises(RecipeError, match="2 of 5 markers lie outside"):
-        place(BODIES[0], {"red": layer})
-
-
-def test_a_bead_that_sticks_out_is_refused():
-    layer = MarkerLayer(depth_mm=0.2, pitch_mm=1, diameter_mm=0.5, columns=1, rows=1, colour=(1, 0, 0))
-    with pytest.raises(RecipeError, match="outside the body"):
-        place(BODIES[0], {"red": layer})
+@pytest.mark.parametrize(
+    ("depth", "pitch", "columns", "words"),
+    [(1, 9, 5, "2 of 5 markers lie outside"), (0.2, 1, 1, "outside the body"), (1, 0.4, 2, "wider than their pitch")],
+)
+def test_markers_outside_the_body_and_beads_that_overlap_are_refused(depth, pitch, columns, words):
+    grid = {"depth_mm": depth, "pitch_mm": pitch, "columns": columns, "rows": 1}
+    with pytest.raises(RecipeError, match=words):
+        place(BODIES[0], {"red": MarkerLayer(diameter_mm=0.5, colour=(1, 0, 0), **grid)})
 
 
 def test_the_fingers_back_is_free_unless_held():

@@ -60,3 +60,14 @@ def changed(scene, **tables):
     """Return a scene with keys of its tables changed."""
     made = {name: getattr(scene, name).model_copy(update=keys) for name, keys in tables.items()}
     return scene.model_copy(update=made)
+
+
+def measured(picture, places, channels=0, half=9):
+    """Return (n, 2) centroids and (n,) sums about places, each in a channel of the picture."""
+    steps = np.arange(-half, half + 1)
+    centroids, light = [], []
+    for (column, row), channel in zip(np.rint(places).astype(int), np.broadcast_to(channels, len(places)), strict=True):
+        part = picture[row - half : row + half + 1, column - half : column + half + 1, channel].astype(float)
+        centroids.append([part.sum(axis=0) @ steps, part.sum(axis=1) @ steps] / part.sum() + (column, row))
+        light.append(part.sum())
+    return np.array(centroids), np.array(light)

@@ -79,17 +79,11 @@ def test_squares_gives_its_authors_words():
 
 
 @pytest.mark.parametrize("gamma", [0.7, 1.0, 2.2])
-def test_counts_are_those_of_the_exact_gamma_curve(gamma):
-    light = np.linspace(0, 1, 300 * 400 * 3, dtype=np.float32).reshape(300, 400, 3)
-    exact = 255 * light.astype(float) ** (1 / gamma)
-    assert np.abs(expose(light, ideal(gamma=gamma), rng()) - exact).max() < 0.505
-
-
-def test_an_ideal_ccd_only_rounds():
-    light = np.linspace(-0.1, 1.2, 30 * 40 * 3, dtype=np.float32).reshape(30, 40, 3)
-    counts = expose(light, IDEAL, rng())
+def test_an_ideal_ccd_only_rounds_the_exact_curve(gamma):
+    light = np.linspace(-0.1, 1.2, 300 * 400 * 3, dtype=np.float32).reshape(300, 400, 3)
+    counts = expose(light, ideal(gamma=gamma), rng())
     assert counts.dtype == np.uint8
-    assert_array_equal(counts, np.rint(255 * np.clip(light, 0, 1)))
+    assert np.abs(counts - 255 * np.clip(light, 0, 1).astype(float) ** (1 / gamma)).max() < 0.505
 
 
 def test_same_seed_same_bytes_and_the_light_is_left_alone():
@@ -156,11 +150,6 @@ def test_white_level_is_exposed_to_white_dn(gamma):
     assert expose(even(ccd.white_level, 4), ccd, rng())[0, 0, 0] == 180
 
 
-def test_a_grey_picture_is_refused():
-    with pytest.raises(InputError, match="height, width, 3"):
-        expose(np.zeros((4, 4), np.float32), Ccd(), rng())
-
-
 @pytest.mark.parametrize("preset", ["ideal", "industrial", "kamiyama_ntsc", "sato_60fps"])
 def test_the_number_of_threads_changes_no_byte(preset, monkeypatch):
     light = np.random.default_rng(1).uniform(0, 1, (61, 80, 3)).astype(np.float32)
@@ -179,8 +168,13 @@ def test_the_pattern_is_one_sensors_and_only_if_there_is_noise():
     assert_array_equal(one.gain, two.gain)
     assert Pattern.drawn(Ccd(), (20, 30), rng()) is None
     assert Pattern.drawn(Ccd(preset="ideal", prnu_pct=1.0), (20, 30), rng()) is None
-    with pytest.raises(InputError, match=r"pattern has shape \(20, 30, 3\)"):
-        expose(even(0.5), ccd, rng(), one)
+    for light, keys, named in (
+        (even(0.5), {"pattern": one}, r"pattern has shape \(20, 30, 3\)"),
+        (even(0.5), {"before": even(0.5, 15)}, "light before"),
+        (np.zeros((4, 4), np.float32), {}, "height, width, 3"),
+    ):
+        with pytest.raises(InputError, match=named):
+            expose(light, ccd, rng(), **keys)
 
 
 def test_wells_fill_and_black_stays_above_nothing():
@@ -219,8 +213,6 @@ def test_interlaced_fields_see_two_moments_and_the_mean_of_two_lines():
     counts = expose(moved, ccd, rng(), before=still)
     assert (counts[::2] == 51).all()
     assert (counts[1::2] == 153).all()
-    with pytest.raises(InputError, match="light before"):
-        expose(moved, ccd, rng(), before=even(0.2, 15))
 
 
 def test_composite_video_blurs_colour_more_than_brightness():

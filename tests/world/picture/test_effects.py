@@ -48,17 +48,14 @@ def test_light_of_coloured_leds_adds_up(make):
     assert (together.max(axis=(0, 1)) > 0).all()
 
 
-def test_red_leds_light_the_red_channel_only_and_even_light_has_their_colour():
-    plain, red = light_of(block())[1], light_of(lit(*[(0.5, 0.0, 0.0)] * 4, ambient=0.2, radius_mm=0.0))[1]
-    assert_allclose(red[:, :, 0], 0.5 * plain[:, :, 0], rtol=1e-4)
+def test_red_leds_light_the_red_channel_only_and_white_ones_power_is_taken_up_by_the_exposure():
+    plain, per_power = light_of(block())
+    _, red = light_of(lit(*[(0.5, 0.0, 0.0)] * 4, ambient=0.2, radius_mm=0.0))  # even light has their colour
+    assert_allclose(red[:, :, 0], 0.5 * per_power[:, :, 0], rtol=1e-4)
     assert_array_equal(red[:, :, 1:], 0)
-
-
-def test_the_power_of_white_leds_is_taken_up_by_the_exposure():
-    light, per_power = light_of(lit(*[(3.0, 3.0, 3.0)] * 4))
-    plain, per_one = light_of(lit(*[(1.0, 1.0, 1.0)] * 4))
+    light, strong = light_of(lit(*[(3.0, 3.0, 3.0)] * 4, ambient=0.2, radius_mm=0.0))
     assert_allclose(light, plain, rtol=1e-5)
-    assert_allclose(per_power, 3 * per_one, rtol=1e-5)
+    assert_allclose(strong, 3 * per_power, rtol=1e-5)
 
 
 def test_paths_meet_coloured_leds_too():
@@ -189,10 +186,7 @@ def test_a_lost_marker_of_a_shade_of_its_own_is_no_glossy_surface():
 def test_gloss_is_refused_where_it_is_not_drawn():
     red = block().markers["red"].model_copy(update={"gloss": (1.59, 0.1)})
     scene = block().model_copy(update={"markers": {"red": red}})
-    for renderer, one in (
-        ("splat", scene),
-        ("auto", scene),
-        ("path", changed(scene, material={"refractive_index": 1.6})),
-    ):
+    dense = changed(scene, material={"refractive_index": 1.6})
+    for renderer, one in (("splat", scene), ("auto", scene), ("path", dense)):
         with pytest.raises(RecipeError, match=r"markers.red.gloss = \(1.59, 0.1\): needs renderer = 'path'"):
             method_for(one.model_copy(update={"renderer": renderer}))

@@ -29,16 +29,6 @@ def scene(index=1.41, glass=1.49, led=(10.0, 5.0, 70.0)):
     )
 
 
-def test_without_refraction_light_falls_with_the_squared_distance():
-    points = np.array([[0.0, 0, 3], [20, -10, 6], [10, 5, 0]])
-    lamps = Lamps.at(points, scene(1.0, 1.0))
-    assert_allclose(lamps.place, np.broadcast_to([10, 5, 70], (3, 1, 3)), atol=1e-9)
-    towards = np.array([10.0, 5, 70]) - points
-    distance = np.linalg.norm(towards, axis=1)
-    cosine = towards[:, 2] / distance
-    assert_allclose(lamps.irradiance(points, towards / distance[:, None]), cosine / distance**2, rtol=1e-9)
-
-
 def test_refraction_keeps_the_light_of_the_led():
     # All light of cos^1 emission is pi; a wide plane collects what is not reflected.
     wide = {"width_mm": 500, "length_mm": 500}
@@ -155,14 +145,16 @@ def test_the_brightest_marker_sets_the_exposure():
     assert white == pytest.approx(1 - 2 * made.ccd.crosstalk)
 
 
-def test_an_led_in_the_body_shines_unrefracted_along_minus_z():
-    made = scene(led=(10.0, 5.0, 20.0))
+@pytest.mark.parametrize("height", [20.0, 70.0])
+def test_an_led_in_the_body_or_without_refraction_shines_straight_along_minus_z(height):
+    led = (10.0, 5.0, height)
+    made = scene(led=led) if height < 40 else scene(1.0, 1.0, led)
     points = np.array([[0.0, 0, 3], [20, -10, 6], [10, 5, 25]])
-    towards = np.array([10.0, 5, 20]) - points
+    towards = np.array(led) - points
     distance = np.linalg.norm(towards, axis=1)
     lit = Lamps.at(points, made).irradiance(points, towards / distance[:, None])
-    assert_allclose(lit, np.maximum(towards[:, 2], 0) / distance**3, rtol=1e-12)
-    assert lit[2] == 0  # above the LED
+    assert_allclose(lit, np.maximum(towards[:, 2], 0) / distance**3, rtol=1e-9)
+    assert (lit[2] == 0) == (height < 25)  # above the LED
 
 
 def test_an_emission_profile_replaces_the_power_law():

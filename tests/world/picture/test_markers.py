@@ -43,24 +43,12 @@ def test_strain_stretches_prints_and_only_turns_beads(markers):
     assert_allclose(found.centres - rest.centres, moved, atol=1e-14)
     assert_allclose(found.axes[:9], (np.eye(3) + gradient[:9]) @ rest.axes[:9], atol=1e-14)
     assert_allclose(metric(found.axes)[9:], metric(rest.axes)[9:], atol=1e-14)
-
-
-def test_a_bead_turns_by_the_antisymmetric_part(markers):
-    angle = 0.3
+    # By the antisymmetric part: here a turn about z.
     spin = np.zeros((13, 3, 3))
-    spin[:, 1, 0], spin[:, 0, 1] = angle, -angle
+    spin[:, 1, 0], spin[:, 0, 1] = 0.3, -0.3
+    c, s = np.cos(0.3), np.sin(0.3)
     turned = Ellipsoids.of(markers, LAYERS, None, spin).axes[9] / 0.3
-    c, s = np.cos(angle), np.sin(angle)
     assert_allclose(turned, [[c, -s, 0], [s, c, 0], [0, 0, 1]], atol=1e-14)
-
-
-def test_a_lost_marker_keeps_its_row(markers):
-    moved = np.zeros((13, 3))
-    moved[4] = np.nan
-    found = Ellipsoids.of(markers, LAYERS, moved)
-    assert len(found) == 13
-    assert found.present.sum() == 12
-    assert not found.present[4]
 
 
 def test_prints_of_their_own_size_shade_and_absence(markers):
@@ -73,6 +61,9 @@ def test_prints_of_their_own_size_shade_and_absence(markers):
     assert_allclose(found.colour, np.clip(plain.colour * shade[:, None], 0, 1))
 
 
-def test_rows_must_match(markers):
+def test_a_lost_marker_keeps_its_row_and_rows_must_match(markers):
+    moved = np.zeros((13, 3))
+    moved[4] = np.nan
+    assert_array_equal(Ellipsoids.of(markers, LAYERS, moved).present, np.arange(13) != 4)
     with pytest.raises(InputError, match="one row per marker"):
-        Ellipsoids.of(markers, LAYERS, np.zeros((12, 3)))
+        Ellipsoids.of(markers, LAYERS, moved[:12])

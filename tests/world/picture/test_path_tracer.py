@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose
-from small_scenes import SPLAT, beads, block, changed, finger, mitsuba, rest_of, seen_at
+from small_scenes import SPLAT, beads, block, changed, finger, measured, mitsuba, rest_of, seen_at
 
 from twin.errors import MissingCapability
 from twin.world.picture.lamps import Lamps
@@ -45,27 +45,14 @@ def integrated(scene, markers):
     return np.array(centroids)
 
 
-def measured(picture, places, half=18):
-    """Return (n, 2) centroids and (n,) sums of a picture's first channel about places."""
-    steps = np.arange(-half, half + 1)
-    centroids = []
-    light = []
-    for column, row in np.rint(places).astype(int):
-        part = picture[row - half : row + half + 1, column - half : column + half + 1, 0]
-        moment = np.array([part.sum(axis=0) @ steps, part.sum(axis=1) @ steps])
-        centroids.append(moment / part.sum() + (column, row))
-        light.append(part.sum())
-    return np.array(centroids), np.array(light)
-
-
 @pytest.mark.parametrize(("make", "which", "paths"), [(block, [0, 3, 5], 256), (finger, [0, 7, 12, 24], 64)])
 def test_a_marker_alone_is_as_bright_as_its_surface_is_lit(make, which, paths):
     scene, markers = dark(make(), which)
     expected = integrated(scene, markers)
-    centroid, light = measured(path_traced(scene, markers, paths), expected)
+    centroid, light = measured(path_traced(scene, markers, paths), expected, half=18)
     assert_allclose(centroid, expected, atol=0.02)
     splat = Renderer(scene, markers, SPLAT, subpixels=6).radiance(markers)
-    assert_allclose(light, measured(splat, expected)[1], rtol=0.01)
+    assert_allclose(light, measured(splat, expected, half=18)[1], rtol=0.01)
 
 
 def test_no_count_of_paths_is_rounded_with_a_warning(capfd):
