@@ -171,10 +171,10 @@ def shard(inside: Path, table: Callable[[Any], Any]) -> None:
 
 
 def _resum(inside: Path) -> None:
-    from twin.study.dataset.plan import Places, sums
+    from twin.study.dataset.plan import Places
 
     places = Places(inside / "data")
-    places.sums.write_text("".join(f"{digest}  {name}\n" for name, digest in sums(places.folder).items()))
+    places.sums.write_text("".join(f"{digest}  {name}\n" for name, digest in places.sums_of_files().items()))
 
 
 @spoiling

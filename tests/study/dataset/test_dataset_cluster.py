@@ -171,6 +171,11 @@ def only_some_return(folder: Path, number: int) -> int:
     return 10 * number
 
 
+def ran(job: Job, numbers: Iterable[int]) -> Iterator[Done]:
+    with pool.Pool(2) as both:
+        yield from both.run(job, numbers)
+
+
 def test_what_a_killed_copy_leaves_is_done_by_others(monkeypatch: pytest.MonkeyPatch) -> None:
     left: list[int] = []
 
@@ -184,13 +189,13 @@ def test_what_a_killed_copy_leaves_is_done_by_others(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(pool, "workers_here", nullcontext)
     monkeypatch.setattr(pool, "tasks_on_cluster", others)
     job = Job(files={}, work=f"{__name__}:only_some_return")
-    done = {one.number: one for one in pool.run_tasks(job, range(20), workers=2)}
+    done = {one.number: one for one in ran(job, range(20))}
     assert sorted(done) == [*range(20)]
     assert 3 in left
     assert len(left) < 20
     assert all(done[number].result == ("others" if number in left else 10 * number) for number in {*done} - {5})
     left.clear()
-    done = {one.number: one for one in pool.run_tasks(job, [4, 5, 6], workers=2)}
+    done = {one.number: one for one in ran(job, [4, 5, 6])}
     assert done[5].problem == "ValueError: five"
     assert (done[4].result, done[6].result) == (40, 60)
 

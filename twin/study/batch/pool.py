@@ -151,6 +151,10 @@ class Scheduler:
                 f"--scheduler {self.address}: must start with tls:// where --tls files are given"
             )
 
+    def reach(self) -> None:
+        """Connect to it, before anything is written for it; `InputError` where that fails."""
+        connected(self).close()
+
 
 class Pool:
     """This process, processes on this machine that start when they pay, or a cluster.
@@ -314,20 +318,6 @@ def end_if_too_long() -> None:
     """Give up a first task in this process that takes long; tasks call it between their parts."""
     if time.process_time() > _limit_s[0]:
         raise _TooLong
-
-
-def run_tasks(
-    job: Job, numbers: Iterable[int], *, workers: int = 1, scheduler: Scheduler | None = None
-) -> Iterator[Done]:
-    """Compute the tasks of one job and yield them as they finish: see `Pool`."""
-    with Pool(workers, scheduler) as pool:
-        yield from pool.run(job, numbers)
-
-
-def reach(scheduler: Scheduler | None) -> None:
-    """Connect to a scheduler, if there is one, before anything is written for it."""
-    if scheduler is not None:
-        connected(scheduler).close()
 
 
 @contextmanager

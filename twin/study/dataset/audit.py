@@ -12,7 +12,7 @@ import numpy as np
 from twin.arrays import Progress
 from twin.errors import InputError, RecipeError
 from twin.study.batch.pool import Job, Pool
-from twin.study.dataset.plan import Places, Plan, listed, read_info, sums
+from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.reader import DatasetReader, readable
 
 WORK = "twin.study.dataset.sample:audit_sample"
@@ -78,7 +78,7 @@ def check_dataset(folder: Path) -> list[str]:
         It is no dataset, or it was never finished.
     """
     places = Places(folder)
-    info = read_info(places)
+    info = places.read_info()
     if not places.sums.is_file():
         raise InputError(
             f"{folder}: has no meta/SHA256SUMS, so it was not finished; give the same command again"
@@ -126,7 +126,7 @@ def check_dataset(folder: Path) -> list[str]:
 
 
 def _checksums(places: Places) -> list[str]:
-    wanted, found = listed(places.sums), sums(places.folder)
+    wanted, found = places.listed(places.sums), places.sums_of_files()
     problems = [f"{name}: missing" for name in sorted(set(wanted) - set(found))]
     problems += [f"{name}: not in SHA256SUMS" for name in sorted(set(found) - set(wanted))]
     changed = [name for name in sorted(set(found) & set(wanted)) if found[name] != wanted[name]]

@@ -23,10 +23,10 @@ from twin.blas_threads import one_thread
 from twin.errors import InputError
 from twin.files import make_folder, write_json, write_whole
 from twin.parts.scene import Scene
-from twin.study.batch.pool import Done, Job, Pool, Scheduler, counted, only_writer, reach, unpacked
+from twin.study.batch.pool import Done, Job, Pool, Scheduler, counted, only_writer, unpacked
 from twin.study.dataset.audit import audit, audited
 from twin.study.dataset.export import write_card
-from twin.study.dataset.plan import Places, Plan, listed, sha256, sums
+from twin.study.dataset.plan import Places, Plan, sha256
 from twin.study.dataset.prepare import job_of, prepare, resumed
 from twin.study.dataset.reader import readable
 from twin.study.dataset.sample import audit_sample, make_shard
@@ -93,7 +93,8 @@ def create_dataset(
         check_machine(scene, at_once=min(workers, plan.shards))
     if plan.alike:
         warnings.warn(plan.alike, stacklevel=2)
-    reach(scheduler)
+    if scheduler is not None:
+        scheduler.reach()
     places = Places(folder)
     make_folder(folder)
     make_folder(places.meta)
@@ -215,7 +216,7 @@ def _resume(places: Places) -> dict[str, str]:
 
     Why: a damaged file may still open, and its new checksum would then hide the damage.
     """
-    known = {**listed(places.sums), **listed(places.written)}
+    known = {**places.listed(places.sums), **places.listed(places.written)}
     whole = {}
     for name, digest in known.items():
         path = places.folder / name
@@ -266,7 +267,7 @@ def _finish(
         found = {"of": plan.samples, **audit(plan, job, failed, pool, progress)}
         write_json(kept, found)
     write_card(plan, places, found, len(failed))
-    _write_list(places.sums, sums(places.folder, written))
+    _write_list(places.sums, places.sums_of_files(written))
     places.written.unlink(missing_ok=True)
 
 

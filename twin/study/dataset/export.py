@@ -22,7 +22,7 @@ from twin.files import make_folder, write_json, write_whole
 from twin.parts.material import Material
 from twin.study.dataset.audit import FIGURES
 from twin.study.dataset.columns import Column, bare
-from twin.study.dataset.plan import Places, Plan, read_info
+from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.reader import DatasetReader
 
 FORMATS = ("hdf5", "coco", "webdataset")
@@ -223,7 +223,7 @@ def write_card(plan: Plan, places: Places, audit: dict[str, Any], failed: int) -
 def _card_text(plan: Plan, places: Places, audit: dict[str, Any], failed: int) -> str:
     """Return the card: Markdown under the header that dataset hubs read."""
     scene = plan.scene
-    info = read_info(places)
+    info = places.read_info()
     sensors = plan.sensor_of(plan.samples - 1) + 1
     varies = "".join(f"* `{key}`: {_in_words(axis)}\n" for key, axis in sorted(scene.vary.items()))
     figures = "".join(

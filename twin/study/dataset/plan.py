@@ -158,6 +158,18 @@ class Plan:
         loads = [_valid(Footprint, one, f"tractions.{i}").load() for i, one in enumerate(table)]
         return sum(loads, Load())
 
+    @staticmethod
+    def drawn_values(axes: Mapping[str, Distribution], values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return drawn values under the names of their columns."""
+        row: dict[str, Any] = {}
+        for key, value in values.items():
+            kind = _kind(axes[key])
+            if kind == "text":
+                row[_name(key)] = json.dumps(bare(value), sort_keys=True)
+            else:
+                row[_name(key)] = np.array(value, float) if kind == "numbers" else float(value)
+        return row
+
     def check(self) -> None:
         """Refuse what can't vary, and keys that the scene does not have.
 
@@ -261,27 +273,54 @@ class Places:
         """File of a shard's sensors."""
         return self.sensors / f"part-{number:05d}.parquet"
 
+    def read_info(self) -> dict[str, Any]:
+        """Return info.json, or raise `InputError` if there is none or it can't be read."""
+        try:
+            facts: dict[str, Any] = json.loads(self.info.read_text())
+        except FileNotFoundError:
+            raise InputError(f"{self.folder}: has no meta/info.json, so it is no dataset") from None
+        except (OSError, ValueError, RecursionError) as problem:
+            raise InputError(f"{self.info}: can't be read ({problem})") from None
+        if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+            found = facts.get("format") if isinstance(facts, dict) else None
+            raise InputError(f"{self.info}: format {found}; this program reads {FORMAT}")
+        lists = [facts.get(name) for name in ("columns", "sensor_columns")]
+        whole = all(isinstance(each, list) and all(map(_is_column, each)) for each in lists)
+        if not (
+            whole
+            and isinstance(facts.get("samples"), int)
+            and isinstance(facts.get("content"), str)
+        ):
+            raise InputError(
+                f"{self.info}: columns, sensor_columns, samples or content are missing or damaged"
+            )
+        return facts
 
-def read_info(places: Places) -> dict[str, Any]:
-    """Return info.json, or raise `InputError` if there is none or it can't be read."""
-    try:
-        facts: dict[str, Any] = json.loads(places.info.read_text())
-    except FileNotFoundError:
-        raise InputError(f"{places.folder}: has no meta/info.json, so it is no dataset") from None
-    except (OSError, ValueError, RecursionError) as problem:
-        raise InputError(f"{places.info}: can't be read ({problem})") from None
-    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
-        found = facts.get("format") if isinstance(facts, dict) else None
-        raise InputError(f"{places.info}: format {found}; this program reads {FORMAT}")
-    lists = [facts.get(name) for name in ("columns", "sensor_columns")]
-    whole = all(isinstance(each, list) and all(map(_is_column, each)) for each in lists)
-    if not (
-        whole and isinstance(facts.get("samples"), int) and isinstance(facts.get("content"), str)
-    ):
-        raise InputError(
-            f"{places.info}: columns, sensor_columns, samples or content are missing or damaged"
-        )
-    return facts
+    def sums_of_files(self, known: Mapping[str, str] | None = None) -> dict[str, str]:
+        """Return the SHA-256 of every file of a dataset, by relative path; ``known`` ones are not
+        computed again."""
+        found = {}
+        for path in sorted(self.folder.rglob("*")):
+            name = path.relative_to(self.folder).as_posix()
+            if path.is_file() and name not in (
+                "meta/SHA256SUMS",
+                "meta/writer.lock",
+                "meta/written.sha256",
+            ):
+                found[name] = (known or {}).get(name) or sha256(path)
+        return found
+
+    @staticmethod
+    def listed(file: Path) -> dict[str, str]:
+        """Return the checksums in a file that ``sha256sum`` reads, by path; none without a file."""
+        if not file.is_file():
+            return {}
+        lines = [
+            line.split("  ", 1)
+            for line in file.read_text(errors="replace").splitlines()
+            if "  " in line
+        ]
+        return {name: digest for digest, name in lines}
 
 
 def _is_column(entry: Any) -> bool:
@@ -296,34 +335,6 @@ def sha256(path: Path) -> str:
     """Return the SHA-256 of a file's contents."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def sums(folder: Path, known: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the SHA-256 of every file of a dataset, by relative path; ``known`` ones are not
-    computed again."""
-    found = {}
-    for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        if path.is_file() and name not in (
-            "meta/SHA256SUMS",
-            "meta/writer.lock",
-            "meta/written.sha256",
-        ):
-            found[name] = (known or {}).get(name) or sha256(path)
-    return found
-
-
-def listed(file: Path) -> dict[str, str]:
-    """Return the checksums in a file that ``sha256sum`` reads, by path; none if there is no such
-    file."""
-    if not file.is_file():
-        return {}
-    lines = [
-        line.split("  ", 1)
-        for line in file.read_text(errors="replace").splitlines()
-        if "  " in line
-    ]
-    return {name: digest for digest, name in lines}
 
 
 def _chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:
@@ -371,18 +382,6 @@ def _available(column: Column, scene: Scene, has: set[Need]) -> bool:
 def _drawn_columns(axes: Mapping[str, Distribution]) -> tuple[Column, ...]:
     """Return a column for every key that varies: a number, numbers, or JSON for anything else."""
     return tuple(Column(_name(key), _kind(axes[key]), f"drawn {key}") for key in sorted(axes))
-
-
-def drawn_values(axes: Mapping[str, Distribution], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return drawn values under the names of their columns."""
-    row: dict[str, Any] = {}
-    for key, value in values.items():
-        kind = _kind(axes[key])
-        if kind == "text":
-            row[_name(key)] = json.dumps(bare(value), sort_keys=True)
-        else:
-            row[_name(key)] = np.array(value, float) if kind == "numbers" else float(value)
-    return row
 
 
 def _name(key: str) -> str:

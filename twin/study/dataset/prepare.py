@@ -19,7 +19,7 @@ from twin.parts.probe import Stl
 from twin.parts.scene import Scene
 from twin.parts.vary import Choice
 from twin.study.batch.pool import Job, versions
-from twin.study.dataset.plan import FORMAT, Places, Plan, read_info, sha256
+from twin.study.dataset.plan import FORMAT, Places, Plan, sha256
 from twin.study.recipe import dump_scene
 
 _WORK = "twin.study.dataset.sample:make_shard"
@@ -122,7 +122,7 @@ def resumed(plan: Plan, places: Places) -> Plan:
     """Return the plan of a dataset that was begun; `InputError` if it is not the same one."""
     from twin.study.recipe import load_scene
 
-    facts = read_info(places)
+    facts = places.read_info()
     if not (isinstance(facts.get("meshes"), dict) and {"versions", "renderer"} <= facts.keys()):
         raise InputError(
             f"{places.info}: meshes, versions or renderer are missing or damaged; copy it again"

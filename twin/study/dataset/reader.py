@@ -21,7 +21,7 @@ from twin.files import LARGEST_PX, write_whole
 from twin.parts.camera import Camera
 from twin.show import html_page
 from twin.show.html_page import two_columns
-from twin.study.dataset.plan import Places, read_info
+from twin.study.dataset.plan import Places
 from twin.theory.optics import project
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class DatasetReader:
         self._decode = decode
 
         self.places = Places(Path(folder))
-        self.info: dict[str, Any] = read_info(self.places)
+        self.info: dict[str, Any] = self.places.read_info()
         self._kinds = {c["name"]: c["kind"] for c in self.info["columns"]}
         self._sensor_kinds = {c["name"]: c["kind"] for c in self.info["sensor_columns"]}
         self.columns = tuple(columns) if columns is not None else tuple(self._kinds)

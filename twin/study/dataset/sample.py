@@ -35,7 +35,7 @@ from twin.streams import Purpose
 from twin.study.batch.draw import Table, with_values
 from twin.study.batch.pool import end_if_too_long
 from twin.study.dataset.columns import bare, in_cells, parquet
-from twin.study.dataset.plan import MOST_STEPS, Plan, drawn_values
+from twin.study.dataset.plan import MOST_STEPS, Plan
 from twin.study.film import Exposures, at_frames
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor, on_surface
@@ -99,7 +99,7 @@ class _MadeSensor:
             "actual": json.dumps(_actual(scene), sort_keys=True),
             "marker_layer": json.dumps(layers),
             "marker_rest_mm": markers.points,
-            **drawn_values(self.plan.sensor_axes, self.values),
+            **self.plan.drawn_values(self.plan.sensor_axes, self.values),
         }
         if scene.camera is not None and "motion" in needs:
             row["marker_rest_px"] = sensor.project(markers.points)
@@ -159,7 +159,7 @@ def _rows_of_sample(made: _MadeSensor, sample: int, values: Table) -> list[_Row]
     """Return the rows of a sample: one, or one per step."""
     plan = made.plan
     base: _Row = {"index": sample, "step": 0, "sensor": made.number, "status": "ok"}
-    base |= drawn_values(plan.press_axes, values)
+    base |= plan.drawn_values(plan.press_axes, values)
     try:
         table = plan.press_table(values)
         base["press"] = json.dumps(bare(table), sort_keys=True)
@@ -404,7 +404,7 @@ def make_shard(folder: Path, shard: int) -> ShardBytes:
                 sensors.setdefault(number, {"sensor": number, "seed": seed})
                 row: _Row = {"index": sample, "step": 0, "sensor": number, "status": "failed"}
                 row["error"] = f"sensor {number}: {problem}"
-                new = [row | drawn_values(plan.press_axes, values)]
+                new = [row | plan.drawn_values(plan.press_axes, values)]
             if new[0]["status"] == "failed":
                 failed = failed + 1
                 reason = reason or f"sample {sample}: {new[0]['error']}"

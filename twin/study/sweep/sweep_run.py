@@ -45,12 +45,12 @@ from twin.parts.scene import Scene
 from twin.parts.sweep import FIDELITIES, METRICS, Sweep
 from twin.study.batch.draw import plain_table
 from twin.study.batch.pool import (
+    Done,
     Job,
+    Pool,
     Scheduler,
     counted,
     only_writer,
-    reach,
-    run_tasks,
     unpacked,
     versions,
 )
@@ -271,7 +271,7 @@ class Store:
 
 
 class _Runner:
-    """Runs designs of one sweep (`twin.study.batch.pool.run_tasks`), and keeps their rows."""
+    """Runs designs of one sweep (`twin.study.batch.pool.Pool`), and keeps their rows."""
 
     def __init__(
         self,
@@ -293,32 +293,33 @@ class _Runner:
         """Return the rows of designs, computing those that are not there."""
         keys = [self.key(stage, each) for each in values]
         missing = {k: v for k, v in zip(keys, values, strict=True) if not self._is_whole(stage, k)}
-        names = list(missing)
-        chunk = max(1, min(CHUNK[stage], -(-len(names) // self._workers)))
-        tasks = range(-(-len(names) // chunk))
-        job = _job_of(self.sweep, self.scene, stage, list(missing.values()), chunk)
-        workers = min(self._workers, max(1, len(tasks)))
-        started = time.perf_counter()
-        finished = run_tasks(job, tasks, workers=workers, scheduler=self._scheduler)
-        for done in finished if len(tasks) else ():
-            mine = names[done.number * chunk : (done.number + 1) * chunk]
-            if done.problem is not None:
-                self.store.lose(mine, done.problem)
-                continue
-            found = done.result
-            shown = {k: data for k, data in zip(mine, found.shown, strict=True) if data is not None}
-            self.store.add(dict(zip(mine, found.rows, strict=True)), shown)
-            self.asked += found.asked
-            self.made += found.made
-            self.fresh += len(mine)
-            if self._progress is not None:
-                ready = sum(key in self.store for key in names)
-                rate = ready / max(time.perf_counter() - started, 1e-9)
-                self._progress(
-                    f"{stage}: {ready}/{len(names)} designs, {rate:.3g}/s",
-                    min(0.98, ready / max(len(names), 1)),
-                )
+        if missing:
+            names = list(missing)
+            chunk = max(1, min(CHUNK[stage], -(-len(names) // self._workers)))
+            tasks = range(-(-len(names) // chunk))
+            job = _job_of(self.sweep, self.scene, stage, list(missing.values()), chunk)
+            started = time.perf_counter()
+            with Pool(min(self._workers, len(tasks)), self._scheduler) as pool:
+                for done in pool.run(job, tasks):
+                    self._keep(done, names[done.number * chunk : (done.number + 1) * chunk])
+                    if self._progress is not None:
+                        ready = sum(key in self.store for key in names)
+                        rate = ready / max(time.perf_counter() - started, 1e-9)
+                        words = f"{stage}: {ready}/{len(names)} designs, {rate:.3g}/s"
+                        self._progress(words, min(0.98, ready / len(names)))
         return [self.store[key] for key in keys]
+
+    def _keep(self, done: Done, keys: Sequence[str]) -> None:
+        """Keep the rows of a finished task."""
+        if done.problem is not None:
+            self.store.lose(keys, done.problem)
+            return
+        found = done.result
+        shown = {k: data for k, data in zip(keys, found.shown, strict=True) if data is not None}
+        self.store.add(dict(zip(keys, found.rows, strict=True)), shown)
+        self.asked += found.asked
+        self.made += found.made
+        self.fresh += len(keys)
 
     def _is_whole(self, stage: str, key: str) -> bool:
         """Return whether a row is there, and of the full chain also what the page shows."""
@@ -482,7 +483,8 @@ def run_sweep(
     """
     _check(sweep, scene)
     designs = Designs.of(sweep, scene)
-    reach(scheduler)
+    if scheduler is not None:
+        scheduler.reach()
     make_folder(folder)
     with only_writer(folder / "writer.lock"):
         for stale in folder.rglob(".*.part"):
