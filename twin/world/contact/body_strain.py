@@ -1,17 +1,11 @@
 """What linear theory leaves out of presses on a curved body, of square pillars, of several probes
-and of a sphere that sticks to a block: as `twin.world.contact.finite_strain.FiniteStrain`, on a
-mesh of the whole body.
+and of a sphere that sticks to a block, on a mesh of the whole body.
 
-The displacement under a press is
+The mesh is the body's coarsest one, refined under the probes and at the rims of flat faces. The
+linear solution's Newton steps begin at the contact of `pressing`, those of the other one at the
+linear solution.
 
-    linear answer (`twin.world.contact.pressing`)
-        + [finite-strain answer - linear contact answer, both on one coarse mesh],
-
-under the same force. The mesh is the body's coarsest one, refined under the probes and at the rims
-of flat faces. Its own error is in both answers and mostly cancels. The linear answer's Newton steps
-begin at the contact of `pressing`, those of the other one at the linear answer.
-
-A probe that sticks takes both answers along its path, in the same few parts of every step: what
+A probe that sticks takes both solutions along its path, in the same few parts of every step: what
 this division leaves is in both, too. In a part what touches first slides freely; then it is held
 from where it touched (`twin.world.contact.whole_body`), and the part is solved again.
 
@@ -33,27 +27,27 @@ from functools import cached_property
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points
-from twin.errors import ContactError, InputError, NotSettled, SolveError
+from twin.errors import InputError
 from twin.parts.body import Block, Body, Dome, Finger
 from twin.parts.material import Material
 from twin.parts.press import Press
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
 from twin.world.contact.contact_state import ContactState, Share
 from twin.world.contact.friction_law import STICKS_FROM
+from twin.world.contact.mixed_rubber import FiniteStrain, Solutions, check_reach, with_edge
 from twin.world.contact.probe_gap import MOTIONS, Approach, Z, approach_of, half_extent
 from twin.world.contact.whole_body import (
+    LAST_STEP,
+    PART_STEP,
     Equilibrated,
     Rubber,
+    RubberContact,
     SurfaceTouch,
-    newly_anchored,
-    pressed_further,
-    rows_of,
 )
-from twin.world.elasticity.mixed_rubber import largest, newton
 from twin.world.elasticity.strain_law import LEAST_POISSON
 from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
-from twin.world.mesh.interpolate import Locator, Places
+from twin.world.mesh.interpolate import Locator
 
 _REACH = 1.6
 """Points so far from the contact's middle, over its radius, may touch."""
@@ -73,76 +67,43 @@ class _Fineness:
 
 _FINE = _Fineness(0.85, 0.8, 0.3, (4, 2))
 _COARSE = _Fineness(1.1, 0.9, 0.4, (3, 1))
-"""The mesh of the answer, and the one that tells the error."""
+"""The mesh of the displacement, and the one that estimates its error."""
 
-LEAST_RIM = 0.1
+_LEAST_RIM = 0.1
 """Least radius of a flat face's rim over its half width: a sharper one is solved with this radius,
 on which what linear theory leaves out hardly depends (docs/validity.md)."""
 
 _TOLERANCE = 1e-3
-_LAST_STEP = 3e-3
-"""Newton's steps end at one that moves nothing by more than the second, a share of the largest
-displacement; what is left then is below the first."""
-
-_PART_STEP = 1.5e-2
-"""The same within a part of a path with friction."""
+"""What Newton's steps leave, over the largest displacement."""
 
 _ERROR_OVER_CHANGE = 1.1
 _FLAT_OVER_CHANGE = 1.5
 """The error over the change to the coarser mesh, and that under a flat face (docs/validity.md)."""
 
-MOST_STEPS = 12
-_LET_GO = 5
-"""Newton's steps at most, and after how many of them points that lift off lose their anchors."""
 
-
-@dataclass(frozen=True)
-class _Pair:
-    """The linear and the finite-strain answer on one mesh."""
-
-    rubber: Rubber
+@dataclass(frozen=True, kw_only=True)
+class _Pair(Solutions):
+    contact: RubberContact
     linear: Equilibrated
     finite: Equilibrated
-    wider: Floats
-
-    @cached_property
-    def linear_mm(self) -> Points:
-        """(N, 3) the linear displacement of the nodes, mm."""
-        return self.rubber.displacement(self.linear.unknowns)
-
-    @cached_property
-    def change(self) -> Points:
-        """(N, 3) what linear theory leaves out at the nodes, mm."""
-        return self.rubber.displacement(self.finite.unknowns) - self.linear_mm
-
-    @cached_property
-    def _locator(self) -> Locator:
-        return Locator(self.rubber.mesh)
-
-    def places(self, points: Points) -> Places:
-        """Return where points (n, 3) are in the mesh."""
-        return self._locator.locate(points)
 
 
-def _read(places: Places, field: Points) -> Points:
-    """Return (n, 3) the values of a field (N, 3) of the nodes."""
-    return np.asarray(np.einsum("qa,qai->qi", places.weights, field[places.nodes]))
-
-
-class BodyStrain:
+class BodyStrain(FiniteStrain):
     """What linear theory leaves out of one state of a press on a whole body.
 
-    Parameters, attributes and errors are those of
-    `twin.world.contact.finite_strain.FiniteStrain`. It takes about 2 s under a sphere, 3 to 20 s
-    under others; with ``coarse`` the others are refused. With ``like`` the mesh is that of a nearly
-    equal press, so that the answers differ by the press alone, and the steps begin at its answers.
-    A probe that sticks needs ``path``, all its states, and takes ``like`` from the state before.
+    Parameters and errors are those of `twin.world.contact.round_slab.SlabStrain`. It takes about 2
+    s under a sphere, 3 to 20 s under others; with ``coarse`` the others are refused. With ``like``
+    the mesh is that of a nearly equal press, so that the solutions differ by the press alone, and
+    the steps begin at its solutions. A probe that sticks needs ``path``, all its states, and takes
+    ``like`` from the state before.
 
     Raises
     ------
     InputError
         The press is not of the kind that is solved at finite strain.
     """
+
+    _pair: _Pair
 
     def __init__(
         self,
@@ -158,8 +119,8 @@ class BodyStrain:
     ) -> None:
         presses = (press.model_copy(update={"also": ()}), *press.also)
         approaches = [_rounded(approach_of(one, body)) for one in presses]
-        self.axes = tuple(approach.axes for approach in approaches)
-        problem = _unsolved(press, body, material, state, self.axes, path)
+        axes = tuple(approach.axes for approach in approaches)
+        problem = _unsolved(press, body, material, state, axes, path)
         if not problem and coarse:
             problem = _too_slow(press, body)
         if problem:
@@ -167,91 +128,51 @@ class BodyStrain:
                 f"material.law = {material.law}: {problem} at finite strain; change it, or set "
                 "material.law = linear"
             )
+        self.axes = axes
         self._body = body
         self._material = material
-        self._state = state
         self._path = tuple(path) or (state,)
         self._number = next(n for n, one in enumerate(self._path) if one is state)
         self._sticks = press.friction > 0.0
-        self._controls = [
-            one.in_own_axes(axes) for one, axes in zip(presses, self.axes, strict=True)
-        ]
+        self._controls = [one.in_own_axes(own) for one, own in zip(presses, axes, strict=True)]
+        self._like = like
+        touching = [one for one in self._path if one.load.terms] if self._sticks else [state]
         self._contacts: list[tuple[Approach, list[tuple[Floats, float]]]] = [
             (
                 approach,
                 [
                     (_centre(one), one.contact_radius_mm)
-                    for one in (_probes(there)[number] for there in self._history(state))
+                    for one in (_probes(there)[number] for there in touching)
                 ],
             )
             for number, approach in enumerate(approaches)
         ]
         if like is not None:
             self._contacts = like._contacts
-        self._watched = watched if len(watched) else self._below_contact()
-        self._pair: _Pair = self._solved(
-            _COARSE if coarse else _FINE, None if like is None else like._pair
-        )
-        self.moved = self._pair.finite.pose - self._pair.linear.pose
-        self.wider = self._pair.wider
-
-    @property
-    def indentation_mm(self) -> float:
-        """How much deeper the first probe sinks than by linear theory, mm."""
-        return float(self.moved[0, Z])
-
-    def displacement(self, points: Points) -> Points:
-        """Return (n, 3) what to add to the linear displacement of points (n, 3), mm."""
-        return _read(self._pair.places(points), self._pair.change)
-
-    def gradient(self, points: Points) -> Floats:
-        """Return (n, 3, 3) what to add to the gradients du_i/dx_j."""
-        return self._pair.places(points).gradients(self._pair.change)
+        if len(watched) == 0:  # below the contact, up to its radius deep
+            centre, size = self._contacts[0][1][-1]
+            inward = body.piece_normals(centre[None])[0, 0]
+            watched = centre + size * np.linspace(0.3, 1.0, 8)[:, None] * inward
+        flat = any(approach.is_flat for approach in approaches)
+        factor = _FLAT_OVER_CHANGE if flat else _ERROR_OVER_CHANGE
+        self._first = _COARSE if coarse else _FINE
+        super().__init__(axes, state, watched, self._solved, factor, _TOLERANCE)
 
     @cached_property
     def error(self) -> Share:
-        """How far this may be off, over the linear answer: what a coarser mesh changes."""
-        other = self._solved(_COARSE)
-        moved = _read(other.places(self._watched), other.change)
-        there = largest(moved - self.displacement(self._watched)) / largest(self._linear_there)
-        deeper = (other.finite.pose - other.linear.pose - self.moved)[:, Z]
-        deep = np.array([one.indentation_mm for one in _probes(self._state)])
-        sunk = float(np.max(np.abs(deeper) / deep))
-        flat = any(approach.is_flat for approach, _ in self._contacts)
-        factor = _FLAT_OVER_CHANGE if flat else _ERROR_OVER_CHANGE
-        along = slice(0, Z + 1)  # where a probe is guided it keeps the force of linear theory
-        guided = (self._pair.finite.force - self._pair.linear.force)[0, along]
+        """How far this may be off; where a probe that sticks is guided, it keeps the force of
+        linear theory."""
+        if not self._sticks:
+            return super().error
+        along = slice(0, Z + 1)
         force = self._pair.linear.force[0, along]
-        return Share(
-            force=float(np.linalg.norm(guided) / np.linalg.norm(force)) if self._sticks else 0.0,
-            indentation=factor * sunk + _TOLERANCE,
-            markers=factor * there + _TOLERANCE,
-        )
+        guided = self._pair.finite.force[0, along] - force
+        return replace(super().error, force=float(np.linalg.norm(guided) / np.linalg.norm(force)))
 
-    @cached_property
-    def linear_error(self) -> float:
-        """How far linear theory is off at the watched points, over the largest displacement."""
-        return largest(self.displacement(self._watched)) / largest(self._linear_there)
-
-    @cached_property
-    def _linear_there(self) -> Points:
-        """The mesh's linear displacement of the watched points: the scale of errors."""
-        return _read(self._pair.places(self._watched), self._pair.linear_mm)
-
-    def _below_contact(self) -> Points:
-        """Return places below the contact, up to its radius deep."""
-        _, near = self._contacts[0]
-        centre, size = near[-1]
-        inward = self._body.piece_normals(centre[None])[0, 0]
-        return np.asarray(centre + size * np.linspace(0.3, 1.0, 8)[:, None] * inward)
-
-    def _history(self, state: ContactState) -> Sequence[ContactState]:
-        """Return the states on whose way friction makes the last one depend."""
-        whole = [one for one in self._path if one.load.terms]
-        return whole if self._sticks else (state,)
-
-    def _solved(self, fineness: _Fineness, like: _Pair | None = None) -> _Pair:
-        """Return both answers on a mesh, or on that of other ones, from where the steps begin."""
+    def _solved(self, coarser: bool) -> _Pair:
+        """Return both solutions on a mesh; where a press is nearly equal, on its own."""
+        fineness = _COARSE if coarser else self._first
+        like = None if coarser or self._like is None else self._like._pair
 
         # Mesh and contact.
         def wanted(points: Points) -> Floats:
@@ -268,22 +189,51 @@ class BodyStrain:
 
         if like is None:
             mesh = refined(body_mesh(self._body, "sketch"), self._body, wanted, local=True)
-            rubber = Rubber(mesh, self._body, self._material)
+            touches = [
+                SurfaceTouch(
+                    mesh,
+                    self._body,
+                    approach,
+                    self._sticks,
+                    [(centre, _REACH * size) for centre, size in near],
+                )
+                for approach, near in self._contacts
+            ]
+            contact = RubberContact(Rubber(mesh, self._body, self._material), touches)
         else:
-            rubber = like.rubber
-        touches = [
-            SurfaceTouch(
-                rubber.mesh,
-                self._body,
-                approach,
-                self._sticks,
-                [(centre, _REACH * size) for centre, size in near],
-            )
-            for approach, near in self._contacts
-        ]
-        pair = self._along(rubber, touches, fineness, like)
-        self._check_reach(touches, pair)
-        return pair
+            contact = like.contact
+        if self._sticks:
+            linear, finite = self._along(contact, fineness, like)
+        else:
+            linear, finite = self._at_once(contact, like)
+        wider = []
+        for touch, rows, (_, near) in zip(
+            contact.touches, contact.rows, self._contacts, strict=True
+        ):
+            for one in (linear, finite):
+                on = touch.rest_mm[one.pressure[rows] > 0.0]
+                away = [np.linalg.norm(on - centre, axis=1) / size for centre, size in near]
+                check_reach(np.min(away, axis=0), _REACH)
+            spread = touch.spread_mm(finite.pressure[rows])
+            wider.append(spread / touch.spread_mm(linear.pressure[rows]))
+        locator = Locator(contact.rubber.mesh)
+
+        def read(points: Points, field: Floats) -> tuple[Points, Floats]:
+            places = locator.locate(points)
+            values = np.einsum("qa,qai->qi", places.weights, field[places.nodes])
+            return np.asarray(values), places.gradients(field)
+
+        linear_mm = contact.rubber.displacement(linear.unknowns)
+        return _Pair(
+            read=read,
+            linear_mm=linear_mm,
+            change=contact.rubber.displacement(finite.unknowns) - linear_mm,
+            moved=finite.pose - linear.pose,
+            wider=np.array(wider),
+            contact=contact,
+            linear=linear,
+            finite=finite,
+        )
 
     def _given(self, number: int) -> tuple[Bools, Floats]:
         """Return which motions (p, 6) forces hold at the end of a step, and these over Young's
@@ -303,190 +253,69 @@ class BodyStrain:
         return np.array(by_force), np.array(given)
 
     def _along(
-        self,
-        rubber: Rubber,
-        touches: list[SurfaceTouch],
-        fineness: _Fineness,
-        like: _Pair | None,
-    ) -> _Pair:
-        """Return both answers at the end of the path so far."""
-        count = sum(len(touch.rest_mm) for touch in touches)
-        none = Equilibrated.at_rest(rubber.size, len(touches), count)
-        linear = finite = none
-        first = self._number
-        if self._sticks:
-            first = 0
-            if like is not None:
-                linear, finite, first = like.linear, like.finite, self._number
+        self, contact: RubberContact, fineness: _Fineness, like: _Pair | None
+    ) -> tuple[Equilibrated, Equilibrated]:
+        """Return both solutions at the end of the path so far of a probe that sticks."""
+        linear = finite = contact.at_rest()
+        first = 0
+        if like is not None:
+            linear, finite, first = like.linear, like.finite, self._number
         for number in range(first, self._number + 1):
             by_force, given = self._given(number)
-            if not self._sticks:
-                linear, finite = self._at_once(rubber, touches, like, none, by_force, given)
-                continue
             parts = fineness.parts[min(number, 1)]
             begin = np.where(by_force, linear.force, linear.pose)
             for part in range(1, parts + 1):
-                share = (part / parts) ** self._powers(by_force, number)
+                # Parts of the first step are equal in the contact's radius.
+                share = (part / parts) ** (np.where(by_force, 3.0, 2.0) if number == 0 else 1.0)
                 now = begin + share * (given - begin)
                 last = linear
-                guess = linear
-                if number == 0:
-                    guess = self._grown(touches, linear, share)
-                to = _LAST_STEP if part == parts else _PART_STEP
-                linear = self._stuck_on(
-                    rubber, touches, linear, guess, by_force, now, to, linear=True
-                )
-                lift = np.concatenate([touch.lift for touch in touches])
+                guess = self._grown(contact, linear, share) if number == 0 else linear
+                to = LAST_STEP if part == parts else PART_STEP
+                linear = contact.stuck(linear, guess, by_force, now, to, linear=True)
+                pressure = finite.pressure + (linear.pressure - last.pressure) * contact.lift
                 guess = replace(
                     finite,
                     unknowns=finite.unknowns + linear.unknowns - last.unknowns,
                     pose=finite.pose + linear.pose - last.pose,
-                    pressure=np.maximum(
-                        finite.pressure + (linear.pressure - last.pressure) * lift, 0.0
-                    ),
+                    pressure=np.maximum(pressure, 0.0),
                 )
-                finite = self._stuck_on(
-                    rubber, touches, finite, guess, by_force, now, to, linear=False
-                )
-        wider = [
-            touch.spread_mm(finite.pressure[rows]) / touch.spread_mm(linear.pressure[rows])
-            for touch, rows in zip(touches, rows_of(touches), strict=True)
-        ]
-        return _Pair(rubber=rubber, linear=linear, finite=finite, wider=np.array(wider))
+                finite = contact.stuck(finite, guess, by_force, now, to, linear=False)
+        return linear, finite
 
-    def _powers(self, by_force: Bools, number: int) -> Floats:
-        """Return the powers of the share of a step with which what is given grows: parts are equal
-        in the contact's radius."""
-        powers = np.ones(by_force.shape)
-        if number == 0:
-            for own, held, (approach, _) in zip(powers, by_force, self._contacts, strict=True):
-                if not approach.is_flat:
-                    force, motion = (2.0, 1.0) if isinstance(approach.probe, Cone) else (3.0, 2.0)
-                    own[:] = np.where(held, force, motion)
-        return powers
-
-    def _grown(
-        self, touches: list[SurfaceTouch], before: Equilibrated, share: Floats
-    ) -> Equilibrated:
-        """Return where the steps of a part of the first step begin in the linear answer: its depth
-        and contact by linear theory."""
-        pose, active = before.pose.copy(), []
-        for own, part, axes, there, touch in zip(
-            pose, share, self.axes, _probes(self._path[0]), touches, strict=True
-        ):
-            own[Z] = part[Z] ** (2.0 / 3.0) * float(axes[Z] @ there.move_mm)
-            gap, _ = touch.rest_gap(np.zeros(MOTIONS))
-            active.append(gap <= 0.5 * own[Z])
-        none = np.zeros(len(before.pressure))
-        return replace(before, pose=pose, active=np.concatenate(active), pressure=none)
+    def _grown(self, contact: RubberContact, before: Equilibrated, share: Floats) -> Equilibrated:
+        """Return where the steps of a part of the first step begin in the linear solution: its
+        depth and contact by linear theory."""
+        pose = before.pose.copy()
+        deep = share[0, Z] ** (2.0 / 3.0) * float(self.axes[0][Z] @ self._path[0].move_mm)
+        pose[0, Z] = deep
+        gap, _ = contact.touches[0].rest_gap(np.zeros(MOTIONS))
+        return replace(before, pose=pose, active=gap <= 0.5 * deep, pressure=0.0 * before.pressure)
 
     def _at_once(
-        self,
-        rubber: Rubber,
-        touches: list[SurfaceTouch],
-        like: _Pair | None,
-        none: Equilibrated,
-        by_force: Bools,
-        given: Floats,
+        self, contact: RubberContact, like: _Pair | None
     ) -> tuple[Equilibrated, Equilibrated]:
-        """Return both answers without friction."""
+        """Return both solutions without friction."""
+        by_force, given = self._given(self._number)
         if like is None:
+            start = contact.at_rest()
             probes = _probes(self._state)
             under = [
                 _under_patches(one, touch.rest_mm)
-                for one, touch in zip(probes, touches, strict=True)
+                for one, touch in zip(probes, contact.touches, strict=True)
             ]
-            own = [axes @ one.move_mm for axes, one in zip(self.axes, probes, strict=True)]
-            pose = none.pose.copy()
-            pose[:, : Z + 1] = own
-            start = replace(none, pose=pose, active=np.concatenate(under))
+            pose = start.pose.copy()
+            pose[:, : Z + 1] = [
+                axes @ one.move_mm for axes, one in zip(self.axes, probes, strict=True)
+            ]
+            start = replace(start, pose=pose, active=np.concatenate(under))
         else:
             start = like.linear
-        linear = self._settled(rubber, touches, start, by_force, given, linear=True)
+        linear = contact.settled(start, by_force, given, LAST_STEP, linear=True)
         if like is None:
-            lift = np.concatenate([touch.lift for touch in touches])
-            start = replace(linear, pressure=linear.pressure * lift)
+            start = replace(linear, pressure=linear.pressure * contact.lift)
         else:
             start = like.finite
-        return linear, self._settled(rubber, touches, start, by_force, given, linear=False)
-
-    def _stuck_on(
-        self,
-        rubber: Rubber,
-        touches: list[SurfaceTouch],
-        before: Equilibrated,
-        guess: Equilibrated,
-        by_force: Bools,
-        given: Floats,
-        to: float,
-        *,
-        linear: bool,
-    ) -> Equilibrated:
-        """Return the end of a part of a step: first what touches in it slides freely, then friction
-        holds it from where it touched."""
-        held, wanted = by_force, given
-        if not before.anchors.on.any():
-            held = by_force & (np.arange(MOTIONS) == Z)
-            wanted = np.where(by_force & ~held, guess.pose, given)
-        free = self._settled(rubber, touches, guess, held, wanted, _PART_STEP, linear=linear)
-        start = newly_anchored(rubber, touches, before, free, linear=linear)
-        return self._settled(rubber, touches, start, by_force, given, to, linear=linear)
-
-    def _settled(
-        self,
-        rubber: Rubber,
-        touches: list[SurfaceTouch],
-        state: Equilibrated,
-        by_force: Bools,
-        given: Floats,
-        to: float = _LAST_STEP,
-        *,
-        linear: bool,
-    ) -> Equilibrated:
-        """Take Newton's steps until one moves nothing."""
-        problem: Exception | None = None
-        still = False
-        taken = 0
-
-        def after(one: Equilibrated) -> Equilibrated:
-            nonlocal taken
-            taken += 1
-            if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
-                held = one.anchors.on & (one.pressure > 0.0)
-                one = replace(one, anchors=replace(one.anchors, on=held))
-            return pressed_further(rubber, touches, one, by_force, given, linear=linear)
-
-        try:
-            state, still = newton(
-                after,
-                lambda one: rubber.displacement(one.unknowns),
-                state,
-                MOST_STEPS,
-                to,
-            )
-        except (NotSettled, SolveError) as found:
-            problem = found
-        if not still:
-            raise NotSettled(
-                f"contact: at finite strain (material.law = {self._material.law}) Newton's steps "
-                f"did not converge in {MOST_STEPS}: press with less force, with a larger probe, or "
-                "set material.law = linear"
-            ) from problem
-        return state
-
-    def _check_reach(self, touches: list[SurfaceTouch], pair: _Pair) -> None:
-        """Raise a ContactError where points touch that are as far off as any that may."""
-        for state in (pair.linear, pair.finite):
-            for touch, rows, (_, near) in zip(
-                touches, rows_of(touches), self._contacts, strict=True
-            ):
-                on = touch.rest_mm[state.pressure[rows] > 0.0]
-                away = [np.linalg.norm(on - centre, axis=1) / size for centre, size in near]
-                if np.min(away, axis=0).max() > _REACH:
-                    raise ContactError(
-                        f"contact: at finite strain it grows beyond {_REACH:g} times its size by "
-                        "linear theory: press with less force, or set material.law = linear"
-                    )
+        return linear, contact.settled(start, by_force, given, LAST_STEP, linear=False)
 
 
 def _under_patches(state: ContactState, points: Points) -> Bools:
@@ -504,8 +333,7 @@ def _rounded(approach: Approach) -> Approach:
     probe = approach.probe
     if not isinstance(probe, Cylinder | Pillar):
         return approach
-    edge = max(probe.edge_mm, LEAST_RIM * min(half_extent(probe)))
-    return replace(approach, probe=probe.model_copy(update={"edge_mm": edge}))
+    return with_edge(approach, max(probe.edge_mm, _LEAST_RIM * min(half_extent(probe))))
 
 
 def _from_rim(points: Points, approach: Approach) -> Floats:
@@ -532,8 +360,8 @@ def _centre(state: ContactState) -> Floats:
 
 
 def _too_slow(press: Press, body: Body) -> str:
-    """Return why a press isn't solved to tell the error of linear theory alone: it takes more than
-    3 s; empty if it is."""
+    """Return why a press isn't solved for the error of linear theory alone: it takes more than 3 s;
+    empty if it is."""
     if press.friction > 0.0:
         return f"press.friction = {press.friction:g}: such a press takes about 10 s"
     single = not press.also and isinstance(press.probe, Sphere)

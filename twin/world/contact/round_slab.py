@@ -1,5 +1,9 @@
-"""A coarse slab of rubber, a body of revolution, pressed by a rigid probe along its axis, without
-friction: linear or at finite strain.
+"""What linear theory leaves out of a straight press on a block: large strain, the turning of the
+surface, and contact with the deformed instead of the undeformed surface.
+
+Near the probe a block is a slab as thick, and what linear theory leaves out decays like the third
+power of the distance, so that the slab may end where it likes: it is solved as a body of
+revolution, in a few tenths of a second.
 
 **Rubber.** Quadratic displacement (radial, along z) and linear pressure on rectangles; the stress
 is a `twin.world.elasticity.strain_law.StrainLaw`, whose tangent at rest is linear theory.
@@ -9,17 +13,23 @@ along z.
 
     pressure = -k g > 0, or pressure = 0 and g > 0;  the pressures sum to the given force.
 
-In the linear answer g is measured at the undeformed place, as `twin.world.contact.pressing` does,
+In the linear solution g is measured at the undeformed place, as `twin.world.contact.pressing` does,
 in the other one at the deformed place, with forces along the probe's normal. The springs k are a
-film of rubber 2 um thick on the probe, in both answers. The probe's place is an unknown.
+film of rubber 2 um thick on the probe, in both. The probe's place is an unknown.
 
-**Steps.** `stepped` takes Newton's, with an active set of points.
+**Steps.** Newton's, with an active set of points. Those of the linear solution begin at the
+indentation and the contact of `pressing`, those of the other one at the linear solution.
+
+A cylinder's rim is resolved; a sharp one is solved as one rounded by a fiftieth of the diameter.
+
+Validity: one rigid sphere, cylinder, or cone, pressed straight and without friction on a block, its
+axis five contact radii or more from the sides; nu from 0.45.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,18 +37,46 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
+from twin.parts.body import Block, Body
 from twin.parts.material import Material
-from twin.world.contact.probe_gap import Shape, Z
-from twin.world.elasticity.mixed_rubber import MixedRubber, gathered, summed
-from twin.world.elasticity.strain_law import cofactor_slope, cofactors
+from twin.parts.press import Press
+from twin.parts.probe import Cone, Cylinder, Sphere
+from twin.world.contact.contact_state import ContactState
+from twin.world.contact.mixed_rubber import (
+    FiniteStrain,
+    MixedRubber,
+    Solutions,
+    check_reach,
+    gathered,
+    newton,
+    summed,
+    with_edge,
+)
+from twin.world.contact.probe_gap import MOTIONS, Shape, Z, approach_of
+from twin.world.elasticity.factor import Factor
+from twin.world.elasticity.strain_law import LEAST_POISSON
 
 _SPRING = 500.0
 _GAP_WEIGHT = 2.0
 """Pressure per overlap, and what a pressure is weighed against a gap with, over Young's modulus,
 1/mm."""
 
+_LEAST_EDGE = 0.02
+"""Least radius of a cylinder's rim over its diameter: a sharper one is solved with this radius, on
+which what linear theory leaves out hardly depends (docs/validity.md)."""
+
+_ROUND_EDGE = 0.08
+"""From this radius over the diameter, elements of equal size resolve a rim as they do a sphere."""
+
+_FROM_SIDES = 5.0
+"""Least distance of the probe's axis from the block's sides over the contact's radius."""
+
+_REACH = 1.6
+"""Points so far from the axis, over the contact's radius, may touch."""
+
+_UNDER = 14
 _GROWTH = 1.3
-"""How much larger each element is than the last one, away from those of equal size."""
+"""Elements from the axis to `_REACH`, and how much larger each one beyond is than the last."""
 
 _RIM_REACH = 1.2
 _ON_RIM = 3
@@ -46,11 +84,186 @@ _RIM_GROWTH = 1.5
 """Under a cylinder's rim: the reach of points that may touch over its radius, elements along the
 rim, and their growth on both sides."""
 
-GAUSS_POINTS = 3
+_COARSER = 0.7
+_ERROR_OVER_CHANGE = 0.6
+_TIP_OVER_CHANGE = 1.5
+_RIM_OVER_CHANGE = 2.0
+"""How many times as many elements the mesh has that estimates the error; error over the change to
+it, the same under a cone's tip and where the rim has its own mesh. Fitted to 22 presses whose error
+is known, by another code or by a mesh of four times the elements (docs/validity.md)."""
+
+_TOLERANCE = 1e-4
+_STEPS = 20
+"""Newton's steps end at one that moves nothing by more than this share of the largest displacement;
+their largest number."""
+
+LOAD_STEPS = 5
+"""Equal steps of the force where Newton's steps fail from the linear solution."""
+
+_RESIDUAL = 1e-9
+"""Of a linear solution, relative."""
+
+_NUDGE_MM = 1e-4
+
+_POINTS = 3
 """Integration points on an element's side."""
 
-_PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+_PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS)
 """Gauss's places and weights on an element's side, -1 to 1."""
+
+
+class SlabStrain(FiniteStrain):
+    """What linear theory leaves out of a press, on a slab of revolution.
+
+    Parameters
+    ----------
+    press, body
+        The press; `solves` is True for it.
+    material
+        Its law is not linear.
+    state
+        The press by linear theory: a state in its path.
+    watched
+        (n, 3) points inside the body for which the error counts, mm.
+    coarse
+        Whether a coarser mesh and no load steps do: half of the time, for the size alone.
+
+    Raises
+    ------
+    ContactError
+        Newton's steps don't converge: cause and remedy.
+    """
+
+    def __init__(
+        self,
+        press: Press,
+        body: Body,
+        material: Material,
+        state: ContactState,
+        watched: Points,
+        *,
+        coarse: bool = False,
+    ) -> None:
+        approach = approach_of(press, body)
+        place = approach.axis_mm + state.move_mm
+        self._axis = place[:Z]
+        self._approach = approach
+        self._rim = None
+        self._material = material
+        self._coarse = coarse
+        low, high = np.array(body.bounds_mm)
+        self._thick_mm = float(high[Z] - low[Z])
+        across, along, _ = high - low
+        over_change = _ERROR_OVER_CHANGE
+        probe = press.probe
+        if isinstance(probe, Cylinder) and probe.edge_mm < _ROUND_EDGE * probe.diameter_mm:
+            self._rim = probe
+            over_change = _RIM_OVER_CHANGE
+        elif isinstance(probe, Cone):
+            over_change = _TIP_OVER_CHANGE
+        if len(watched) == 0:  # as deep as the contact is wide, from the axis to thrice its radius
+            deep = state.contact_radius_mm
+            watched = np.tile([*self._axis, deep], (13, 1))
+            watched[:, 0] += deep * np.linspace(0.0, 3.0, 13)
+
+        def solve(coarser: bool) -> Solutions:
+            # The coarser slab ends at the block's nearest side.
+            wide = _to_side_mm(body, place) if coarser else math.sqrt(across * along / math.pi)
+            return self._solved(state, _COARSER if coarser or coarse else 1.0, wide)
+
+        super().__init__((approach.axes,), state, watched, solve, over_change, _TOLERANCE)
+
+    @staticmethod
+    def solves(press: Press, body: Body, material: Material, state: ContactState) -> bool:
+        """Return whether a press is of the kind that is solved on a slab: see the module."""
+        return (
+            not press.also
+            and isinstance(body, Block)
+            and isinstance(press.probe, Sphere | Cylinder | Cone)
+            and press.friction == 0.0
+            and not np.any(state.turns_deg)
+            and not any(press.tilt_deg)
+            and press.direction in (None, (0, 0, 1))
+            and material.poisson_ratio >= LEAST_POISSON
+            and _to_side_mm(body, approach_of(press, body).axis_mm + state.move_mm)
+            >= _FROM_SIDES * state.contact_radius_mm
+        )
+
+    def _solved(self, state: ContactState, share: float, radius_mm: float) -> Solutions:
+        """Return both solutions on a slab of a radius, in so large a share of the elements."""
+        size = state.contact_radius_mm
+        approach = self._approach
+        if self._rim is not None:
+            # The coarser solution's sharp rim is twice as round: it shows what the rounding costs.
+            least = _LEAST_EDGE * self._rim.diameter_mm
+            edge = self._rim.edge_mm
+            if edge < least:
+                edge = least if share == 1.0 else 2.0 * least
+                approach = with_edge(approach, edge)
+            grid = _rim_grid(edge, self._rim.diameter_mm / 2.0, share, radius_mm, self._thick_mm)
+        else:
+            count = round(share * _UNDER)
+            edge = _REACH * size / count
+            z_mm = _graded(edge, _GROWTH, self._thick_mm, count // 2)
+            grid = Grid(_graded(edge, _GROWTH, radius_mm, count), z_mm, count)
+        slab = Slab(grid, self._material)
+        touch = _Touch(grid, approach.shape)
+        force = float(state.force_n[Z]) / self._material.youngs_modulus_mpa
+        none = np.zeros(len(touch.rest_mm))
+        start = _Balance(np.zeros(slab.size), state.indentation_mm, none, touch.rest_mm < size)
+        linear = self.settled(slab, touch, start, force, linear=True)
+        finite = self._finite(slab, touch, linear, force)
+        linear_mm = slab.displacement(linear.unknowns)
+        moved = np.zeros((1, MOTIONS))
+        moved[0, Z] = finite.place - linear.place
+        wider = touch.rms_radius(finite.pressure) / touch.rms_radius(linear.pressure)
+        return Solutions(
+            read=lambda points, field: grid.read_about(self._axis, points, field),
+            linear_mm=linear_mm,
+            change=slab.displacement(finite.unknowns) - linear_mm,
+            moved=moved,
+            wider=np.array([wider]),
+        )
+
+    def _finite(self, slab: Slab, touch: _Touch, linear: _Balance, force: float) -> _Balance:
+        """Return the finite-strain solution: from the linear one at once, else in load steps."""
+        try:
+            return self.settled(slab, touch, linear, force, linear=False)
+        except NotSettled:
+            if self._coarse:
+                raise
+        first = 1.0 / LOAD_STEPS
+        state = replace(
+            linear,
+            unknowns=first * linear.unknowns,
+            place=first * linear.place,
+            pressure=first * linear.pressure,
+        )
+        for part in np.linspace(first, 1.0, LOAD_STEPS):
+            state = self.settled(slab, touch, state, part * force, linear=False)
+        return state
+
+    def settled(
+        self, slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear: bool
+    ) -> _Balance:
+        """Take Newton's steps until one moves nothing."""
+        state = newton(
+            lambda one: _stepped(slab, touch, one, force, linear=linear),
+            lambda one: slab.displacement(one.unknowns),
+            state,
+            _STEPS,
+            _TOLERANCE,
+            self._material.law,
+        )
+        last = touch.rest_mm[-_POINTS:][state.pressure[-_POINTS:] > 0.0]
+        check_reach(last * math.inf, _REACH)
+        return state
+
+
+def _to_side_mm(body: Body, place: Floats) -> float:
+    """Return how far a place is from the nearest side of a block, mm."""
+    low, high = np.array(body.bounds_mm)
+    return float(np.concatenate([place - low, high - place])[[0, 1, 3, 4]].min())
 
 
 def _shapes(place: Floats) -> tuple[Floats, Floats, Floats]:
@@ -60,25 +273,6 @@ def _shapes(place: Floats) -> tuple[Floats, Floats, Floats]:
     values = np.column_stack([x * (x - 1.0) / 2.0, 1.0 - x * x, x * (x + 1.0) / 2.0])
     slopes = np.column_stack([x - 0.5, -2.0 * x, x + 0.5])
     return values, slopes, np.column_stack([1.0 - x, 1.0 + x]) / 2.0
-
-
-@dataclass(frozen=True)
-class RoundedRim:
-    """A cylinder's flat face of a radius with a rounded rim: `Shape` for lines along z."""
-
-    flat_mm: float
-    edge_mm: float
-
-    def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
-        """See `twin.world.contact.probe_gap.Shape`."""
-        r = np.hypot(points[:, 0], points[:, 1])
-        over = np.maximum(r - self.flat_mm, 0.0) / self.edge_mm
-        met = over < 1.0 - 1e-6
-        rise = np.sqrt(1.0 - np.where(met, over, 0.0) ** 2)
-        height = points[:, Z] + self.edge_mm * (1.0 - rise)
-        aside = np.where(met, over, 0.0) / np.maximum(r, 1e-300)
-        normal = np.column_stack([aside * points[:, 0], aside * points[:, 1], rise])
-        return np.where(met, height, np.inf), np.where(met[:, None], normal, along)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +311,30 @@ class Grid:
         along_z = (value[0][:, :, None] * slope[1][:, None, :]).reshape(-1, 9)
         return nodes, values, np.stack([along_r, along_z], axis=2)
 
+    def read_about(self, axis: Floats, points: Points, field: Floats) -> tuple[Points, Floats]:
+        """Return the values (n, 3) and gradients (n, 3, 3) of a field (N, 2) at points (n, 3).
+
+        The slab stands about an axis (x, y); beyond its rim the values are 0.
+        """
+        away = points[:, :Z] - axis
+        r = np.linalg.norm(away, axis=1)
+        out = np.where(r[:, None] > 0.0, away / np.maximum(r, 1e-300)[:, None], [1.0, 0.0])
+        place = np.column_stack([r, points[:, Z]])
+        nodes, shapes, slopes = self.read(np.minimum(place, [self.r_mm[-1], self.z_mm[-1]]))
+        own = np.einsum("na,nai->ni", shapes, field[nodes])
+        own[r > self.r_mm[-1]] = 0.0
+        along = np.einsum("nai,naj->nij", field[nodes], slopes)
+        axes = np.zeros((len(points), 3, 3))  # rows: r, about, z
+        axes[:, 0, :Z] = out
+        axes[:, 1, 0] = -out[:, 1]
+        axes[:, 1, 1] = out[:, 0]
+        axes[:, 2, 2] = 1.0
+        gradient = np.zeros((len(points), 3, 3))
+        gradient[:, ::2, ::2] = along
+        gradient[:, 1, 1] = np.where(r > 0, own[:, 0] / np.maximum(r, 1e-12), along[:, 0, 0])
+        values = np.column_stack([out * own[:, :1], own[:, 1]])
+        return values, np.asarray(axes.transpose(0, 2, 1) @ gradient @ axes)
+
 
 class Slab(MixedRubber):
     """Rubber of E = 1 MPa in the shape of a slab of revolution, held below.
@@ -125,7 +343,6 @@ class Slab(MixedRubber):
     """
 
     _axes = 2
-    _residual = 1e-9
 
     def __init__(self, grid: Grid, material: Material) -> None:
         super().__init__(material)
@@ -177,53 +394,39 @@ class Slab(MixedRubber):
         corner_node = number[::2, ::2].ravel()
         self._node = np.concatenate([np.repeat(number.ravel(), 2), corner_node])
 
-    def _strained(self, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return F, cof F, J and the pressure at the integration points of the elements."""
-        own = unknowns[self._row]
-        added = np.einsum("md,mqdk->mqk", own[:, :18], self._part, optimize=True)
-        gradient = added.reshape(*added.shape[:2], 3, 3) + np.eye(3)
-        return gradient, *cofactors(gradient), own[:, 18:] @ self._shares.T
-
-    def resistance(self, unknowns: Floats) -> Floats:
-        """Return the forces with which the rubber resists, and what is amiss with its volume."""
-        gradient, cofactor, ratio, pressure = self._strained(unknowns)
-        stress = self._shear * self._law.stress(gradient, cofactor, ratio)
-        stress += pressure[..., None, None] * cofactor
-        stress *= self._volume[..., None, None]
-        flat = stress.reshape(*stress.shape[:2], 9)
-        force = np.einsum("mqdk,mqk->md", self._part, flat, optimize=True)
-        swollen = ((ratio - 1.0 - self._softness * pressure) * self._volume) @ self._shares
-        both = np.hstack([force, swollen])
-        return gathered(self._row, both, self.size)
-
     def tangent(self, unknowns: Floats) -> Any:
         """Return the sparse symmetric slope of `resistance`."""
-        gradient, cofactor, ratio, pressure = self._strained(unknowns)
-        cofactor_change = cofactor_slope(gradient)
-        slope = self._shear * self._law.slope(gradient, cofactor, ratio, cofactor_change)
-        slope += pressure[..., None, None, None, None] * cofactor_change
-        slope *= self._volume[..., None, None, None, None]
-        count, places = self._volume.shape
-        part = self._part
+        return summed(self._blocks(unknowns, np.arange(len(self._row))), self._row, self.size)
+
+    def solve(self, matrix: Any, right: Floats) -> Floats:
+        """Return the solution (n, m) of a tangent for ``right`` (n, m); 0 where it is held."""
+        out = np.zeros_like(right)
+        free = self._free
+        factor = Factor(matrix[free][:, free], self._scale[free], node=self._node[free])
+        out[free] = factor.solve(right[free], _RESIDUAL)
+        return out
+
+    def _gradient(self, moved: Floats, some: Ints) -> Floats:
+        added = np.einsum("md,mqdk->mqk", moved, self._part[some], optimize=True)
+        return np.asarray(added.reshape(*added.shape[:2], 3, 3) + np.eye(3))
+
+    def _forces(self, stress: Floats) -> Floats:
+        flat = stress.reshape(*stress.shape[:2], 9)
+        return np.asarray(np.einsum("mqdk,mqk->md", self._part, flat, optimize=True))
+
+    def _stiffness(self, slope: Floats, some: Ints) -> Floats:
+        part = self._part[some]
+        count, places = part.shape[:2]
         half = part @ slope.reshape(count, places, 9, 9)
-        block = np.empty((count, 22, 22))
-        flat = (count, -1, 18)
-        block[:, :18, :18] = half.transpose(0, 2, 1, 3).reshape(count, 18, -1) @ part.swapaxes(
-            2, 3
-        ).reshape(flat)
-        weighted = self._volume[..., None] * self._shares
-        along = (part @ cofactor.reshape(count, places, 9, 1))[..., 0]
-        volume = along.swapaxes(1, 2) @ weighted
-        block[:, :18, 18:] = volume
-        block[:, 18:, :18] = volume.swapaxes(1, 2)
-        block[:, 18:, 18:] = -self._softness * (self._shares.T @ weighted)
-        return summed(block, self._row, self.size)
+        along = part.swapaxes(2, 3).reshape(count, -1, 18)
+        return np.asarray(half.transpose(0, 2, 1, 3).reshape(count, 18, -1) @ along)
+
+    def _swelling(self, cofactor: Floats, some: Ints) -> Floats:
+        part = self._part[some]
+        return np.asarray((part @ cofactor.reshape(*part.shape[:2], 9, 1))[..., 0])
 
 
-_NUDGE_MM = 1e-4
-
-
-class Touch:
+class _Touch:
     """The integration points (q,) of the slab's surface that a probe may touch."""
 
     def __init__(self, grid: Grid, shape: Shape) -> None:
@@ -265,7 +468,7 @@ class Touch:
 
 
 @dataclass(frozen=True)
-class Balance:
+class _Balance:
     """A state: the slab's unknowns, the probe's place along z, mm, the (q,) pressures over Young's
     modulus, and the points at which they were sought."""
 
@@ -275,7 +478,7 @@ class Balance:
     active: Bools
 
 
-def stepped(slab: Slab, touch: Touch, state: Balance, force: float, *, linear: bool) -> Balance:
+def _stepped(slab: Slab, touch: _Touch, state: _Balance, force: float, *, linear: bool) -> _Balance:
     """Return the state after one Newton step of slab, probe and pressures together."""
     gap, push, curvature = touch.gaps(slab.displacement(state.unknowns), state.place, linear=linear)
     weighed = state.pressure - _GAP_WEIGHT * (gap + state.pressure / _SPRING)
@@ -285,7 +488,7 @@ def stepped(slab: Slab, touch: Touch, state: Balance, force: float, *, linear: b
         raise NotSettled("contact: at finite strain the probe touches nothing: press further")
     on = np.flatnonzero(active)
     tangent = slab.at_rest if linear else slab.tangent(state.unknowns)
-    right = -(tangent @ state.unknowns) if linear else -slab.resistance(state.unknowns)
+    right = -slab.internal(state.unknowns, linear=linear)
     weight = touch.weights[on]
     area = touch.area_mm2[on]
     push = push[on]
@@ -314,31 +517,21 @@ def stepped(slab: Slab, touch: Touch, state: Balance, force: float, *, linear: b
     pressure = np.zeros(len(active))
     pressure[on] = still + motion * per_motion
     unknowns = state.unknowns + both[:, 0] - motion * both[:, 1]
-    return Balance(unknowns, state.place + motion, pressure, active)
+    return _Balance(unknowns, state.place + motion, pressure, active)
 
 
-def graded_line(first: float, even: int, end: float) -> Floats:
+def _graded(first: float, growth: float, end: float, even: int = 0) -> Floats:
     """Return places from 0 to ``end``: ``even`` elements of a length, then each larger than the
-    last."""
-    lengths = [first] * even
-    while sum(lengths) < end:
-        lengths.append(lengths[-1] * _GROWTH)
-    places = np.concatenate([[0.0], np.cumsum(lengths)])
-    grown = places[even:] - places[even]
-    stretched = grown * (end - places[even]) / grown[-1]
-    return np.concatenate([places[:even], places[even] + stretched])
-
-
-def _graded(first: float, growth: float, end: float) -> Floats:
-    """Return places from 0 to ``end``: elements of about ``first``, each larger than the last."""
-    lengths = [first]
+    last one, and all these stretched to end there."""
+    lengths = [first] * max(even, 1)
     while sum(lengths) < end:
         lengths.append(lengths[-1] * growth)
     places = np.concatenate([[0.0], np.cumsum(lengths)])
-    return np.asarray(places * end / places[-1])
+    grown = places[even:] - places[even]
+    return np.concatenate([places[:even], places[even] + grown * (end - places[even]) / grown[-1]])
 
 
-def rim_grid(edge: float, outside: float, share: float, radius_mm: float, thick_mm: float) -> Grid:
+def _rim_grid(edge: float, outside: float, share: float, radius_mm: float, thick_mm: float) -> Grid:
     """Return a grid that is finest under a cylinder's rim, where the contact ends.
 
     ``edge`` and ``outside`` are the radii of the rim and of the cylinder, ``share`` the relative

@@ -8,18 +8,18 @@
     pressure = -k g > 0, or pressure = 0 and g > 0;  the forces along each probe's way sum to the
     given one.
 
-In the linear answer g is measured at the undeformed place along the surface's normal, where the
+In the linear solution g is measured at the undeformed place along the surface's normal, where the
 force acts, too, as `twin.world.contact.pressing` does. In the other one it is measured at the
 deformed place, along the probe's way, with forces along the probe's normal. The springs k are a
-film of rubber 10 um thick on the probe, in both answers: stiffer ones make the pressures of
+film of rubber 10 um thick on the probe, in both: stiffer ones make the pressures of
 neighbouring points alternate, and double the error that the mesh leaves. The probes' places are
 unknowns.
 
 **Sticking.** A point that has touched is held by a spring as stiff to its place on the probe, in
-the plane of the probe's surface (`Anchors`); in the linear answer its gap is that of a point that
+the plane of the probe's surface ; in the linear solution its gap is that of a point that
 moves with the probe, too.
 
-**Steps.** `pressed_further` takes Newton's, with an active set of points.
+**Steps.** `RubberContact.settled` takes Newton's, with an active set of points.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
 from twin.parts.body import Body
 from twin.parts.material import Material
+from twin.world.contact.mixed_rubber import MixedRubber, gathered, newton, summed
 from twin.world.contact.probe_gap import (
     ABOUT_X,
     MOTIONS,
@@ -46,8 +47,6 @@ from twin.world.contact.probe_gap import (
     turning_of,
 )
 from twin.world.elasticity.factor import Factor
-from twin.world.elasticity.mixed_rubber import MixedRubber, gathered, summed
-from twin.world.elasticity.strain_law import cofactor_slope, cofactors
 from twin.world.mesh.elements import inverses, quadrature, shapes
 from twin.world.mesh.quadratic_mesh import Mesh
 
@@ -72,6 +71,15 @@ _STRAINED = 0.03
 """Elements with no larger change of F, or pressure over the shear modulus, resist as at rest as far
 as the slopes of Newton's steps go."""
 
+LAST_STEP = 3e-3
+PART_STEP = 1.5e-2
+"""Newton's steps end at one that moves nothing by more than this share of the largest displacement
+(what is left then is below a thousandth); within a part of a path with friction, than this."""
+
+MOST_STEPS = 12
+_LET_GO = 5
+"""Newton's steps at most, and after how many of them points that lift off lose their anchors."""
+
 
 class Rubber(MixedRubber):
     """Rubber of E = 1 MPa in the shape of a mesh, held on the body's held pieces.
@@ -80,7 +88,6 @@ class Rubber(MixedRubber):
     """
 
     _axes = 3
-    _residual = 1e-6
 
     def __init__(self, mesh: Mesh, body: Body, material: Material) -> None:
         super().__init__(material)
@@ -104,10 +111,6 @@ class Rubber(MixedRubber):
         self._scale = gathered(self._row[:, 30:], tenth, self.size)
         nodes = np.arange(len(mesh.points))
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
-
-    def internal(self, unknowns: Floats, *, linear: bool) -> Floats:
-        """Return the forces with which the rubber resists."""
-        return np.asarray(self.at_rest @ unknowns) if linear else self.resistance(unknowns)
 
     def solved(
         self,
@@ -151,24 +154,25 @@ class Rubber(MixedRubber):
         out[free] = found[:, 0]
         return out
 
-    def _strained(self, unknowns: Floats, some: Ints) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return F, cof F, J and the pressure at the integration points of some elements."""
-        own = unknowns[self._row[some]]
-        moved = own[:, None, :30].reshape(-1, 1, 10, 3)
-        gradient = moved.swapaxes(2, 3) @ self._slopes[some] + np.eye(3)
-        return gradient, *cofactors(gradient), own[:, 30:] @ self._shares.T
+    def _gradient(self, moved: Floats, some: Ints) -> Floats:
+        own = moved[:, None].reshape(-1, 1, 10, 3)
+        return np.asarray(own.swapaxes(2, 3) @ self._slopes[some] + np.eye(3))
 
-    def resistance(self, unknowns: Floats) -> Floats:
-        """Return the forces with which the rubber resists, and what is amiss with its volume."""
-        every = np.arange(len(self._row))
-        gradient, cofactor, ratio, pressure = self._strained(unknowns, every)
-        stress = self._shear * self._law.stress(gradient, cofactor, ratio)
-        stress += pressure[..., None, None] * cofactor
-        stress *= self._volume[..., None, None]
-        force = (self._slopes @ stress.swapaxes(2, 3)).sum(axis=1).reshape(-1, 30)
-        swollen = ((ratio - 1.0 - self._softness * pressure) * self._volume) @ self._shares
-        both = np.hstack([force, swollen])
-        return gathered(self._row, both, self.size)
+    def _forces(self, stress: Floats) -> Floats:
+        return np.asarray((self._slopes @ stress.swapaxes(2, 3)).sum(axis=1).reshape(-1, 30))
+
+    def _stiffness(self, slope: Floats, some: Ints) -> Floats:
+        slopes = self._slopes[some]
+        count, places = slopes.shape[:2]
+        # d P_ik / d F_jl between the shapes a and b: first a's slope along k, then b's along l
+        turned = slope.transpose(0, 1, 3, 2, 4, 5).reshape(count, places, 3, 27)
+        half = (slopes @ turned).reshape(count, places, 90, 3).transpose(0, 2, 1, 3)
+        along = slopes.transpose(0, 1, 3, 2).reshape(count, places * 3, 10)
+        stiff = (half.reshape(count, 90, places * 3) @ along).reshape(count, 10, 3, 3, 10)
+        return np.asarray(stiff.transpose(0, 1, 2, 4, 3).reshape(count, 30, 30))
+
+    def _swelling(self, cofactor: Floats, some: Ints) -> Floats:
+        return (self._slopes[some] @ cofactor.swapaxes(2, 3)).reshape(*cofactor.shape[:2], 30)
 
     @cached_property
     def _pattern(self) -> tuple[Any, Ints]:
@@ -189,7 +193,7 @@ class Rubber(MixedRubber):
     def _rest(self) -> tuple[Floats, Floats]:
         """The blocks at rest, and the entries of their sum."""
         every = np.arange(len(self._row))
-        blocks = self._blocks(np.zeros(self.size), every)
+        blocks = self._chunked_blocks(np.zeros(self.size), every)
         return blocks, self._added(blocks, every)
 
     def tangent(self, unknowns: Floats) -> Any:
@@ -201,105 +205,44 @@ class Rubber(MixedRubber):
         strained = np.flatnonzero(change > _STRAINED)
         blocks, entries = self._rest
         if len(strained):
-            more = self._blocks(unknowns, strained) - blocks[strained]
+            more = self._chunked_blocks(unknowns, strained) - blocks[strained]
             entries = entries + self._added(more, strained)
         whole, _ = self._pattern
         return csr_matrix((entries, whole.indices, whole.indptr), shape=whole.shape)
 
-    def _blocks(self, unknowns: Floats, some: Ints) -> Floats:
-        """Return the slopes (m, 34, 34) of some elements (m,)."""
-        block = np.empty((len(some), 34, 34))
-        for start in range(0, len(some), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            block[part] = self._chunk_blocks(unknowns, some[part])
-        return block
-
-    def _chunk_blocks(self, unknowns: Floats, some: Ints) -> Floats:
-        """Return the slopes (m, 34, 34) of some elements."""
-        gradient, cofactor, ratio, pressure = self._strained(unknowns, some)
-        volume = self._volume[some]
-        slopes = self._slopes[some]
-        count, places = volume.shape
-        cofactor_change = cofactor_slope(gradient)
-        slope = self._shear * self._law.slope(gradient, cofactor, ratio, cofactor_change)
-        slope += pressure[..., None, None, None, None] * cofactor_change
-        slope *= volume[..., None, None, None, None]
-        # d P_ik / d F_jl between the shapes a and b: first a's slope along k, then b's along l
-        turned = slope.transpose(0, 1, 3, 2, 4, 5).reshape(count, places, 3, 27)
-        half = (slopes @ turned).reshape(count, places, 90, 3).transpose(0, 2, 1, 3)
-        along = slopes.transpose(0, 1, 3, 2).reshape(count, places * 3, 10)
-        stiff = (half.reshape(count, 90, places * 3) @ along).reshape(count, 10, 3, 3, 10)
-        block = np.empty((count, 34, 34))
-        block[:, :30, :30] = stiff.transpose(0, 1, 2, 4, 3).reshape(count, 30, 30)
-        weighted = volume[..., None] * self._shares
-        swelling = (slopes @ cofactor.swapaxes(2, 3)).reshape(count, places, 30)
-        by_volume = swelling.swapaxes(1, 2) @ weighted
-        block[:, :30, 30:] = by_volume
-        block[:, 30:, :30] = by_volume.swapaxes(1, 2)
-        block[:, 30:, 30:] = -self._softness * (self._shares.T @ weighted)
-        return block
+    def _chunked_blocks(self, unknowns: Floats, some: Ints) -> Floats:
+        parts = range(0, len(some), _CHUNK)
+        return np.concatenate([self._blocks(unknowns, some[n : n + _CHUNK]) for n in parts])
 
 
 @dataclass(frozen=True)
-class Met:
-    """How the points (q,) of a surface meet a probe.
+class _Met:
+    """How the points (q,) of a surface meet a probe."""
 
-    Attributes
-    ----------
-    gap
-        (q,) mm; inf where the probe can't be met.
-    push
-        (q, 3) its slope by the points' places: the direction of the force per pressure.
-    bend
-        (q, 3, 3) the slope of ``push`` by the points' places, 1/mm.
-    per_motion
-        (q, 6) the gap's slope by the probe's place.
-    lift
-        (q, 6) the probe's force and torque per pressure.
-    normal
-        (q, 3) the normal of the plane in which friction acts.
-    away
-        (q, 3) how far the points are from their anchors, global axes, mm.
-    carry
-        (q, 3, 6) how the probe carries its points.
-    """
-
-    gap: Floats
-    push: Floats
-    bend: Floats
-    per_motion: Floats
-    lift: Floats
-    normal: Floats
-    away: Floats
-    carry: Floats
+    gap: Floats  # (q,) mm; inf where the probe can't be met
+    push: Floats  # (q, 3) its slope by the points' places: the direction of the force per pressure
+    bend: Floats  # (q, 3, 3) the slope of ``push`` by the points' places, 1/mm
+    per_motion: Floats  # (q, 6) the gap's slope by the probe's place
+    lift: Floats  # (q, 6) the probe's force and torque per pressure
+    normal: Floats  # (q, 3) of the plane in which friction acts
+    away: Floats  # (q, 3) how far the points are from their anchors, global axes, mm
+    carry: Floats  # (q, 3, 6) how the probe carries its points
 
 
 @dataclass(frozen=True)
-class Anchors:
-    """Where the points (q,) of a surface hold on to the probe.
+class _Anchors:
+    """Where the points (q,) of a surface hold on to the probe."""
 
-    Attributes
-    ----------
-    on
-        (q,) which do.
-    place
-        (q, 3) mm: in the probe's own axes; in the linear answer, the displacement over the probe's.
-    closed
-        (q,) the linear answer's gap of those, had they always moved with the probe, mm.
-    """
-
-    on: Bools
-    place: Floats
-    closed: Floats
+    on: Bools  # (q,) which do
+    place: Floats  # (q, 3) mm: on the probe, see `SurfaceTouch.place`
+    closed: Floats  # (q,) linear gap of those, had they always moved with the probe, mm
 
     @classmethod
-    def none(cls, count: int) -> Anchors:
-        """Return those of points that touch nothing."""
+    def none(cls, count: int) -> _Anchors:
         return cls(np.zeros(count, bool), np.zeros((count, 3)), np.zeros(count))
 
-    def of(self, rows: slice) -> Anchors:
-        """Return those of some points."""
-        return Anchors(self.on[rows], self.place[rows], self.closed[rows])
+    def of(self, rows: slice) -> _Anchors:
+        return _Anchors(self.on[rows], self.place[rows], self.closed[rows])
 
 
 class SurfaceTouch:
@@ -340,31 +283,32 @@ class SurfaceTouch:
         self.nodes = np.repeat(faces[used], len(places), axis=0)
         self.weights = np.tile(values, (int(used.sum()), 1))
         self.inward = body.piece_normals(self.rest_mm)[:, 0]
-        self.sticks = sticks
+        self._sticks = sticks
         self._approach = approach
         self.lift = self.inward @ approach.axes[Z]
         none = np.zeros(3)
         frames = np.broadcast_to(np.eye(3), (len(self.inward), 3, 3))
         self._carry = approach.jacobian(self.rest_mm, frames, none)
 
-    def shift(self, displacement: Floats) -> Floats:
+    def _shift(self, displacement: Floats) -> Floats:
         """Return the (q, 3) displacement of the points."""
         return np.asarray(np.einsum("qa,qai->qi", self.weights, displacement[self.nodes]))
 
     def place(self, displacement: Floats, pose: Floats, *, linear: bool) -> Floats:
-        """Return where the points (q, 3) are on the probe: see `Anchors.place`."""
-        shift = self.shift(displacement)
+        """Return where the points (q, 3) are in the probe's own axes, mm; in the linear solution,
+        their displacement over the probe's."""
+        shift = self._shift(displacement)
         if linear:
             return np.asarray(shift - self._carry @ pose)
         own = (self.rest_mm + shift - self._approach.axis_mm) @ self._approach.axes.T
         return np.asarray((own - pose[: Z + 1]) @ rotation_of(pose[ABOUT_X:]))
 
     def rest_gap(self, pose: Floats) -> tuple[Floats, Floats]:
-        """Return the linear answer's gaps (q,) of the undeformed surface, and their slopes (q, 6).
+        """Return the undeformed surface's gaps (q,) in the linear solution, and slopes (q, 6).
 
         With friction the surface near a probe moves sideways with it.
         """
-        if not self.sticks:
+        if not self._sticks:
             return self._approach.gap(self.rest_mm, self.inward, pose)
         lowered = np.where(np.arange(MOTIONS) == Z, pose, 0.0)
         gap, slope = self._approach.gap(self.rest_mm, self.inward, lowered)
@@ -378,18 +322,21 @@ class SurfaceTouch:
             self.rest_gap(pose)[0] + np.einsum("qi,qim,m->q", self.inward, self._carry, pose)
         )
 
-    def meet(self, displacement: Floats, pose: Floats, anchors: Anchors, *, linear: bool) -> Met:
-        """Return how the points meet the probe at a place (6,)."""
-        shift = self.shift(displacement)
+    def meet(
+        self, displacement: Floats, pose: Floats, anchors: _Anchors | None = None, *, linear: bool
+    ) -> _Met:
+        """Return how the points meet the probe at a place (6,), by default without anchors."""
+        anchors = _Anchors.none(len(self.rest_mm)) if anchors is None else anchors
+        shift = self._shift(displacement)
         axes = self._approach.axes
         none = np.zeros((len(shift), 3, 3))
         if linear:
             gap, slope = self.rest_gap(pose)
             lift = np.einsum("qi,qim->qm", self.inward, self._carry)
-            if self.sticks:
+            if self._sticks:
                 gap = np.where(anchors.on, anchors.closed - lift @ pose, gap)
                 slope = np.where(anchors.on[:, None], -lift, slope)
-            return Met(
+            return _Met(
                 gap=gap + np.einsum("qi,qi->q", self.inward, shift),
                 push=self.inward,
                 bend=none,
@@ -422,7 +369,7 @@ class SurfaceTouch:
         carry = self._approach.jacobian(place, frames, aside)
         carry[:, :, ABOUT_X:] = carry[:, :, ABOUT_X:] @ turning_of(pose[ABOUT_X:])
         lift = np.einsum("qi,qim->qm", push, carry)
-        return Met(
+        return _Met(
             gap=gap,
             push=push,
             bend=outer.T @ none @ outer,
@@ -464,155 +411,190 @@ class Equilibrated:
     pose: Floats
     pressure: Floats
     active: Bools
-    anchors: Anchors
+    anchors: _Anchors
     force: Floats
 
-    @classmethod
-    def at_rest(cls, size: int, probes: int, points: int) -> Equilibrated:
+
+class RubberContact:
+    """Rubber and the points of its surface that each of the probes (p,) may touch."""
+
+    def __init__(self, rubber: Rubber, touches: Sequence[SurfaceTouch]) -> None:
+        self.rubber = rubber
+        self.touches = touches
+        counts = [len(touch.rest_mm) for touch in touches]
+        ends = np.cumsum([0, *counts])
+        self.rows = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        self.lift = np.concatenate([touch.lift for touch in touches])
+        self._owner = np.repeat(np.arange(len(touches)), counts)
+        self._size = rubber.size + MOTIONS * len(touches)
+        self._weight = np.concatenate([touch.weights for touch in touches])
+        self._area = np.concatenate([touch.area_mm2 for touch in touches])
+        nodes = np.concatenate([touch.nodes for touch in touches])
+        moved = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), 18)
+        motions = rubber.size + MOTIONS * self._owner[:, None] + np.arange(MOTIONS)
+        self._row = np.hstack([moved, motions])
+
+    def at_rest(self) -> Equilibrated:
         """Return the state in which nothing touches."""
-        return cls(
-            unknowns=np.zeros(size),
-            pose=np.zeros((probes, MOTIONS)),
+        none = np.zeros((len(self.touches), MOTIONS))
+        points = len(self._owner)
+        return Equilibrated(
+            unknowns=np.zeros(self.rubber.size),
+            pose=none,
             pressure=np.zeros(points),
             active=np.zeros(points, bool),
-            anchors=Anchors.none(points),
-            force=np.zeros((probes, MOTIONS)),
+            anchors=_Anchors.none(points),
+            force=none,
         )
 
+    def settled(
+        self, state: Equilibrated, by_force: Bools, given: Floats, to: float, *, linear: bool
+    ) -> Equilibrated:
+        """Return the state after Newton's steps, which end at one that moves nothing.
 
-def rows_of(touches: Sequence[SurfaceTouch]) -> list[slice]:
-    """Return where the points of each probe are among those of all."""
-    ends = np.cumsum([0, *(len(touch.rest_mm) for touch in touches)])
-    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        ``given`` (p, 6) are forces over Young's modulus, mm2, where ``by_force`` (p, 6), else
+        places; ``to`` is `LAST_STEP` or `PART_STEP`.
+        """
+        taken = 0
+
+        def after(one: Equilibrated) -> Equilibrated:
+            nonlocal taken
+            taken += 1
+            if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
+                held = one.anchors.on & (one.pressure > 0.0)
+                one = replace(one, anchors=replace(one.anchors, on=held))
+            return self._step(one, by_force, given, linear=linear)
+
+        def displacement(one: Equilibrated) -> Points:
+            return self.rubber.displacement(one.unknowns)
+
+        return newton(after, displacement, state, MOST_STEPS, to, self.rubber.law_name)
+
+    def stuck(
+        self,
+        before: Equilibrated,
+        guess: Equilibrated,
+        by_force: Bools,
+        given: Floats,
+        to: float,
+        *,
+        linear: bool,
+    ) -> Equilibrated:
+        """Return the end of a part of a step: first what touches in it slides freely, from a
+        ``guess``, then friction holds it from where it touched."""
+        held, wanted = by_force, given
+        if not before.anchors.on.any():
+            held = by_force & (np.arange(MOTIONS) == Z)
+            wanted = np.where(by_force & ~held, guess.pose, given)
+        free = self.settled(guess, held, wanted, PART_STEP, linear=linear)
+        start = self._anchored(before, free, linear=linear)
+        return self.settled(start, by_force, given, to, linear=linear)
+
+    def _step(
+        self, state: Equilibrated, by_force: Bools, given: Floats, *, linear: bool
+    ) -> Equilibrated:
+        """Return the state after one Newton step of rubber, probes and pressures together."""
+        # Which points touch?
+        rubber = self.rubber
+        moved = rubber.displacement(state.unknowns)
+        parts = [
+            touch.meet(moved, pose, state.anchors.of(rows), linear=linear)
+            for touch, pose, rows in zip(self.touches, state.pose, self.rows, strict=True)
+        ]
+        met = _Met(
+            **{name: np.concatenate([vars(one)[name] for one in parts]) for name in vars(parts[0])}
+        )
+        weighed = state.pressure - _GAP_WEIGHT * (met.gap + state.pressure / _SPRING)
+        active = weighed > 0.0 if state.pressure.any() else state.active
+        active = active & np.isfinite(met.gap)
+        if not all(active[rows].any() for rows in self.rows):
+            raise NotSettled("contact: at finite strain the probe touches nothing: press further")
+        on = np.flatnonzero(active)
+        rubbed, resistance = _stuck(met, state.anchors)
+        weight, area, row = self._weight[on], self._area[on], self._row[on]
+
+        # Springs between the rubber's nodes and the probes' places: across the gap and in its plane
+        def spread(vectors: Floats, motions: Floats) -> Floats:
+            at_nodes = (weight[:, :, None] * vectors[:, None, :]).reshape(len(on), 18)
+            return np.hstack([at_nodes, motions])
+
+        carried = spread(met.push[on], -met.lift[on])
+        slope = spread(met.push[on], met.per_motion[on])
+        block = (_SPRING * area)[:, None, None] * carried[:, :, None] * slope[:, None, :]
+        across = np.stack(
+            [
+                spread(np.broadcast_to(one, (len(on), 3)), -met.carry[on, i])
+                for i, one in enumerate(np.eye(3))
+            ],
+            axis=1,
+        )
+        turning = resistance[on] - state.pressure[on, None, None] * met.bend[on]
+        block += across.swapaxes(1, 2) @ ((area[:, None, None] * turning) @ across)
+        out = (_SPRING * area * met.gap[on])[:, None] * carried
+        out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed[on])
+        balance = gathered(row, out, self._size)
+        balance[: rubber.size] += rubber.internal(state.unknowns, linear=linear)
+        balance[rubber.size :] -= np.where(by_force, given, 0.0).ravel()
+
+        # The step.
+        step = np.zeros(self._size)
+        step[rubber.size :] = np.where(by_force, 0.0, given - state.pose).ravel()
+        step += rubber.solved(
+            state.unknowns, block, row, by_force.ravel(), balance, step, linear=linear
+        )
+        pressure = np.zeros(len(active))
+        change = np.einsum("qr,qr->q", slope, step[row])
+        pressure[on] = -_SPRING * (met.gap[on] + change)
+        pulled = rubbed[on] - np.einsum("qij,qjr,qr->qi", resistance[on], across, step[row])
+        forces = area[:, None] * (pressure[on, None] * met.lift[on])
+        forces += area[:, None] * np.einsum("qi,qim->qm", pulled, met.carry[on])
+        total = np.zeros_like(state.pose)
+        np.add.at(total, self._owner[on], forces)
+        return replace(
+            state,
+            unknowns=state.unknowns + step[: rubber.size],
+            pose=state.pose + step[rubber.size :].reshape(-1, MOTIONS),
+            pressure=pressure,
+            active=active,
+            force=total,
+        )
+
+    def _anchored(self, before: Equilibrated, free: Equilibrated, *, linear: bool) -> Equilibrated:
+        """Return the state ``before`` a part of a step with anchors for the points that touch
+        within it; ``free`` is its end if these slide freely. Anchors of points that lift off are
+        given up.
+
+        A point slides until the probe has come as near as it was away, which under a smooth probe
+        goes as the power 2/3 of its gap (1/2 from rest).
+        """
+        on = before.anchors.on & (free.pressure > 0.0)
+        first = self.rubber.displacement(before.unknowns)
+        last = self.rubber.displacement(free.unknowns)
+        place, closed = before.anchors.place.copy(), before.anchors.closed.copy()
+        for number, (touch, rows) in enumerate(zip(self.touches, self.rows, strict=True)):
+            new = (free.pressure[rows] > 0.0) & ~before.anchors.on[rows]
+            if not new.any():
+                continue
+            met = touch.meet(first, before.pose[number], before.anchors.of(rows), linear=linear)
+            gap = np.maximum(met.gap, 0.0)
+            finite = new & np.isfinite(gap)
+            most = max(float(gap[finite].max(initial=0.0)), 1e-300)
+            power = 2.0 / 3.0 if before.pressure[rows].any() else 0.5
+            way = np.where(finite, np.where(finite, gap, 0.0) / most, 1.0) ** power
+            way[gap < 1e-9] = 0.0
+            start = touch.place(first, before.pose[number], linear=linear)
+            end = touch.place(last, free.pose[number], linear=linear)
+            held = start + way[:, None] * (end - start)
+            place[rows] = np.where(new[:, None], held, place[rows])
+            closed[rows] = np.where(new, touch.anchored_gap(free.pose[number]), closed[rows])
+            on[rows] |= new
+        return replace(free, anchors=_Anchors(on, place, closed))
 
 
-def _stuck(met: Met, anchors: Anchors) -> tuple[Floats, Floats]:
+def _stuck(met: _Met, anchors: _Anchors) -> tuple[Floats, Floats]:
     """Return (q, 3) the friction on the body over Young's modulus, and its (q, 3, 3) resistance to
     motion."""
     normal = met.normal
     across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
     resistance = np.where(anchors.on, _SPRING, 0.0)[:, None, None] * across
     return -np.einsum("qij,qj->qi", resistance, met.away), resistance
-
-
-def pressed_further(
-    rubber: Rubber,
-    touches: Sequence[SurfaceTouch],
-    state: Equilibrated,
-    by_force: Bools,
-    given: Floats,
-    *,
-    linear: bool,
-) -> Equilibrated:
-    """Return the state after one Newton step of rubber, probes and pressures together.
-
-    ``given`` (p, 6) are forces over Young's modulus, mm2, where ``by_force`` (p, 6), else places.
-    """
-    # Which points touch?
-    moved = rubber.displacement(state.unknowns)
-    parts = [
-        touch.meet(moved, pose, state.anchors.of(rows), linear=linear)
-        for touch, pose, rows in zip(touches, state.pose, rows_of(touches), strict=True)
-    ]
-    met = Met(
-        **{name: np.concatenate([vars(one)[name] for one in parts]) for name in vars(parts[0])}
-    )
-    weighed = state.pressure - _GAP_WEIGHT * (met.gap + state.pressure / _SPRING)
-    active = weighed > 0.0 if state.pressure.any() else state.active
-    active = active & np.isfinite(met.gap)
-    if not all(active[rows].any() for rows in rows_of(touches)):
-        raise NotSettled("contact: at finite strain the probe touches nothing: press further")
-    on = np.flatnonzero(active)
-    rubbed, resistance = _stuck(met, state.anchors)
-    weight = np.concatenate([touch.weights for touch in touches])[on]
-    area = np.concatenate([touch.area_mm2 for touch in touches])[on]
-    nodes = np.concatenate([touch.nodes for touch in touches])[on]
-    owner = np.repeat(np.arange(len(touches)), [len(touch.rest_mm) for touch in touches])[on]
-    first = rubber.size + MOTIONS * owner[:, None]
-    row = np.hstack(
-        [(3 * nodes[:, :, None] + np.arange(3)).reshape(len(on), 18), first + np.arange(MOTIONS)]
-    )
-    size = rubber.size + MOTIONS * len(touches)
-
-    # Springs between the rubber's nodes and the probes' places: across the gap and in its plane.
-    def spread(vectors: Floats, motions: Floats) -> Floats:
-        at_nodes = (weight[:, :, None] * vectors[:, None, :]).reshape(len(on), 18)
-        return np.hstack([at_nodes, motions])
-
-    carried = spread(met.push[on], -met.lift[on])
-    slope = spread(met.push[on], met.per_motion[on])
-    block = (_SPRING * area)[:, None, None] * carried[:, :, None] * slope[:, None, :]
-    across = np.stack(
-        [
-            spread(np.broadcast_to(one, (len(on), 3)), -met.carry[on, i])
-            for i, one in enumerate(np.eye(3))
-        ],
-        axis=1,
-    )
-    turning = resistance[on] - state.pressure[on, None, None] * met.bend[on]
-    block += across.swapaxes(1, 2) @ ((area[:, None, None] * turning) @ across)
-    out = (_SPRING * area * met.gap[on])[:, None] * carried
-    out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed[on])
-    balance = gathered(row, out, size)
-    balance[: rubber.size] += rubber.internal(state.unknowns, linear=linear)
-    free = by_force.ravel()
-    force = np.where(by_force, given, 0.0).ravel()
-    balance[rubber.size :] -= force
-
-    # The step.
-    step = np.zeros(size)
-    step[rubber.size :] = np.where(by_force, 0.0, given - state.pose).ravel()
-    step += rubber.solved(state.unknowns, block, row, free, balance, step, linear=linear)
-    pressure = np.zeros(len(active))
-    change = np.einsum("qr,qr->q", slope, step[row])
-    pressure[on] = -_SPRING * (met.gap[on] + change)
-    pulled = rubbed[on] - np.einsum("qij,qjr,qr->qi", resistance[on], across, step[row])
-    forces = area[:, None] * (pressure[on, None] * met.lift[on])
-    forces += area[:, None] * np.einsum("qi,qim->qm", pulled, met.carry[on])
-    total = np.zeros((len(touches), MOTIONS))
-    np.add.at(total, owner, forces)
-    return replace(
-        state,
-        unknowns=state.unknowns + step[: rubber.size],
-        pose=state.pose + step[rubber.size :].reshape(-1, MOTIONS),
-        pressure=pressure,
-        active=active,
-        force=total,
-    )
-
-
-def newly_anchored(
-    rubber: Rubber,
-    touches: Sequence[SurfaceTouch],
-    before: Equilibrated,
-    free: Equilibrated,
-    *,
-    linear: bool,
-) -> Equilibrated:
-    """Return the state ``before`` a part of a step with anchors for the points that touch within
-    it; ``free`` is its end if these slide freely. Anchors of points that lift off are given up.
-
-    A point slides until the probe has come as near as it was away, which under a smooth probe goes
-    as the power 2/3 of its gap (1/2 from rest).
-    """
-    on = before.anchors.on & (free.pressure > 0.0)
-    first, last = rubber.displacement(before.unknowns), rubber.displacement(free.unknowns)
-    place, closed = before.anchors.place.copy(), before.anchors.closed.copy()
-    for number, (touch, rows) in enumerate(zip(touches, rows_of(touches), strict=True)):
-        new = (free.pressure[rows] > 0.0) & ~before.anchors.on[rows]
-        if not new.any():
-            continue
-        met = touch.meet(first, before.pose[number], before.anchors.of(rows), linear=linear)
-        gap = np.maximum(met.gap, 0.0)
-        finite = new & np.isfinite(gap)
-        most = max(float(gap[finite].max(initial=0.0)), 1e-300)
-        power = 2.0 / 3.0 if before.pressure[rows].any() else 0.5
-        way = np.where(finite, np.where(finite, gap, 0.0) / most, 1.0) ** power
-        way[gap < 1e-9] = 0.0
-        start = touch.place(first, before.pose[number], linear=linear)
-        end = touch.place(last, free.pose[number], linear=linear)
-        held = start + way[:, None] * (end - start)
-        place[rows] = np.where(new[:, None], held, place[rows])
-        closed[rows] = np.where(new, touch.anchored_gap(free.pose[number]), closed[rows])
-        on[rows] |= new
-    return replace(free, anchors=Anchors(on, place, closed))

@@ -1,0 +1,213 @@
+"""Rubber at finite strain: closed forms of the laws, homogeneous stretch of both meshes, and slopes."""
+
+import math
+
+import numpy as np
+import pytest
+
+import twin
+from twin.parts.body import Block, Finger
+from twin.parts.material import Material
+from twin.world.contact.probe_gap import approach_of
+from twin.world.contact.round_slab import Grid, Slab
+from twin.world.contact.whole_body import Rubber, SurfaceTouch
+from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
+from twin.world.mesh.body_mesh import body_mesh
+
+LAWS = [
+    Material(law="neo_hookean"),
+    Material(law="neo_hookean", poisson_ratio=0.47),
+    Material(law="mooney_rivlin", law_ratios=(0.6,)),
+    Material(law="yeoh", law_ratios=(0.3, 0.1)),
+]
+every_law = pytest.mark.parametrize("material", LAWS, ids=lambda one: f"{one.law}-{one.poisson_ratio}")
+both_meshes = pytest.mark.parametrize("kind", ["slab", "body"])
+
+TURN = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+TURN *= np.linalg.det(TURN)
+BODY = Block(width_mm=6, length_mm=5, thickness_mm=4)
+RADIUS, THICK = 5.0, 3.0
+GRID = Grid(RADIUS * np.array([0, 0.08, 0.16, 0.24, 0.32, 0.6, 1.0]), np.array([0, 0.3, 0.6, 0.9, 1.7, THICK]), 4)
+
+
+def energy_slopes(material, first):
+    """Return dW/dI1 and dW/dI2 for a shear modulus of 1 at an I1, by the textbook's constants."""
+    ratios = material.law_ratios
+    if material.law == "mooney_rivlin":
+        return 0.5 / (1.0 + ratios[0]), 0.5 * ratios[0] / (1.0 + ratios[0])
+    if material.law == "yeoh":
+        return 0.5 * (1.0 + 2.0 * ratios[0] * (first - 3.0) + 3.0 * ratios[1] * (first - 3.0) ** 2), 0.0
+    return 0.5, 0.0
+
+
+def stress_at(law, gradient, pressure):
+    """Return P for a shear modulus of 1."""
+    cofactor, ratio = cofactors(gradient)
+    return law.stress(gradient, cofactor, ratio) + pressure * cofactor
+
+
+@every_law
+@pytest.mark.parametrize("shear", [0.1, 1.0])
+def test_simple_shear_is_the_closed_form(material, shear):
+    """Cauchy's stresses 2 (W1 + W2) g, and 2 W1 g^2 and -2 W2 g^2 as differences of normal ones (Rivlin 1948)."""
+    gradient = np.eye(3)
+    gradient[0, 1] = shear
+    cauchy = stress_at(strain_law(material), gradient, 0.3) @ gradient.T
+    first, second = energy_slopes(material, 3.0 + shear**2)
+    assert cauchy[0, 1] == pytest.approx(2.0 * (first + second) * shear, rel=1e-12)
+    assert cauchy[0, 0] - cauchy[2, 2] == pytest.approx(2.0 * first * shear**2, rel=1e-11)
+    assert cauchy[1, 1] - cauchy[2, 2] == pytest.approx(-2.0 * second * shear**2, rel=1e-11, abs=1e-12)
+
+
+@pytest.mark.parametrize("material", LAWS[::2], ids=lambda one: one.law)
+def test_torsion_of_a_cylinder_is_the_closed_form(material):
+    """Torque pi t a^4 (W1 + W2) and axial force -pi t^2 a^4 (W1 + 2 W2) / 2 at t a = 1 (Rivlin 1949)."""
+    law = strain_law(material)
+    twist, radius = 0.5, 2.0
+    at, weight = np.polynomial.legendre.leggauss(8)
+    r = radius * (1.0 + at) / 2.0
+    weight = weight * radius / 2.0
+    gradient = np.zeros((len(r), 3, 3)) + np.eye(3)  # axes: r, about, z
+    gradient[:, 1, 2] = twist * r
+    cauchy = stress_at(law, gradient, 0.0) @ gradient.transpose(0, 2, 1)
+    # radial balance d(srr)/dr = (stt - srr) / r with a free side; sums of srr by parts
+    hoop = cauchy[:, 1, 1] - cauchy[:, 0, 0]
+    axial = cauchy[:, 2, 2] - cauchy[:, 0, 0]
+    first, second = energy_slopes(material, 3.0)
+    torque = 2.0 * np.pi * (weight * r**2) @ cauchy[:, 1, 2]
+    assert torque == pytest.approx(np.pi * twist * radius**4 * (first + second), rel=1e-10)
+    force = 2.0 * np.pi * (weight * r) @ (axial - hoop / 2.0)
+    assert force == pytest.approx(-np.pi / 2.0 * twist**2 * radius**4 * (first + 2.0 * second), rel=1e-10)
+
+
+@every_law
+def test_law_turns_with_the_frame_and_is_linear_theory_at_rest(material):
+    law = strain_law(material)
+    rng = np.random.default_rng(5)
+    gradient = np.eye(3) + 0.3 * rng.standard_normal((3, 3))
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    assert stress_at(law, turn @ gradient, 0.7) == pytest.approx(turn @ stress_at(law, gradient, 0.7), abs=1e-12)
+    assert stress_at(law, turn, 0.0) == pytest.approx(np.zeros((3, 3)), abs=1e-12)
+    cofactor, ratio = cofactors(np.eye(3))
+    small = rng.standard_normal((3, 3))
+    slope = law.slope(np.eye(3), cofactor, ratio, cofactor_slope(np.eye(3)))
+    assert np.einsum("ijkl,kl->ij", slope, small) == pytest.approx(small + small.T, abs=1e-12)
+
+
+@every_law
+def test_slope_of_the_law_is_that_of_its_stress(material):
+    law = strain_law(material)
+    gradient = np.eye(3) + 0.3 * np.random.default_rng(6).standard_normal((3, 3))
+    cofactor, ratio = cofactors(gradient)
+    cofactor_change = cofactor_slope(gradient)
+    slope = law.slope(gradient, cofactor, ratio, cofactor_change) + 0.7 * cofactor_change
+    for k, m in np.ndindex(3, 3):
+        nudge = np.zeros((3, 3))
+        nudge[k, m] = 1e-6
+        change = (stress_at(law, gradient + nudge, 0.7) - stress_at(law, gradient - nudge, 0.7)) / 2e-6
+        assert slope[:, :, k, m] == pytest.approx(change, abs=1e-8)
+
+
+def rubber_of(kind, material):
+    """Return rubber and the places (N, axes) of its nodes."""
+    if kind == "body":
+        rubber = Rubber(body_mesh(BODY, "sketch"), BODY, material)
+        return rubber, rubber.mesh.points
+    lines = [np.interp(np.arange(2 * len(x) - 1) / 2, np.arange(len(x)), x) for x in (GRID.r_mm, GRID.z_mm)]
+    return Slab(GRID, material), np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def put(rubber, moved, pressure=0.0):
+    unknowns = np.full(rubber.size, pressure)
+    unknowns[: moved.size] = moved.ravel()
+    return unknowns
+
+
+@both_meshes
+@pytest.mark.parametrize("stretch", [0.5, 0.9, 1.7, 2.0])
+@pytest.mark.parametrize("material", [LAWS[0], *LAWS[2:]], ids=lambda one: one.law)
+def test_homogeneous_stretch_is_in_balance_and_carries_the_closed_form(kind, material, stretch):
+    """A patch test at large strain, of the body also turned: the nominal stress is
+    2 (l - l^-2) (W1 + W2 / l) (Treloar 1975), the sides are free, E = 1 MPa."""
+    rubber, points = rubber_of(kind, material)
+    z = points[:, -1]
+    ends = np.isclose(z, z.min()) | np.isclose(z, z.max())
+    side = np.isclose(points[:, 0], points[:, 0].max())
+    if kind == "slab":
+        gradient, area = np.diag([stretch**-0.5, stretch]), math.pi * RADIUS**2
+        free = ~ends & (points[:, 0] > 0.0)
+    else:
+        gradient, area = TURN @ np.diag([stretch**-0.5, stretch**-0.5, stretch]), 30.0
+        free = ~ends
+        side &= ~ends & (np.abs(points[:, 1]) < 2.5 - 1e-9)  # only nodes that lie on no other side
+    out, along = gradient[:, 0] * stretch**0.5, gradient[:, -1] / stretch
+    moved = points @ (gradient - np.eye(len(out))).T
+    # The pressure under which the sides are free, from what they carry without it.
+    before = rubber.displacement(rubber.resistance(put(rubber, moved)))
+    per_pressure = rubber.displacement(rubber.resistance(put(rubber, moved, 1.0))) - before
+    pressure = -float((before[side] @ out).sum() / (per_pressure[side] @ out).sum())
+    whole = rubber.resistance(put(rubber, moved, pressure))
+    force = rubber.displacement(whole)
+    first, second = energy_slopes(material, stretch**2 + 2.0 / stretch)
+    nominal = 2.0 / 3.0 * (stretch - stretch**-2) * (first + second / stretch)
+    for end, sign in ((z.max(), 1.0), (z.min(), -1.0)):
+        assert force[np.isclose(z, end)].sum(axis=0) @ along == pytest.approx(sign * area * nominal, rel=1e-9)
+    assert np.abs(force[free]).max() < 1e-9
+    assert np.abs(whole[moved.size :]).max() < 1e-10
+
+
+@both_meshes
+@every_law
+def test_tangent_is_symmetric_and_the_slope_of_the_resistance(kind, material):
+    rubber, points = rubber_of(kind, material)
+    rng = np.random.default_rng(2)
+    way = rng.standard_normal(rubber.size)
+    if kind == "body":
+        moved = 0.1 * np.sin(points @ rng.standard_normal((3, 3)))
+        turned = (points + moved) @ TURN.T - points
+        force, after = (rubber.displacement(rubber.resistance(put(rubber, one, 0.2))) for one in (moved, turned))
+        assert after == pytest.approx(force @ TURN.T, abs=1e-10)
+    else:
+        moved = 0.02 * rng.standard_normal(points.shape)
+        for one in (moved, rubber.displacement(way)):
+            one[points[:, 0] == 0.0, 0] = 0.0  # nothing leaves the axis
+    unknowns = put(rubber, moved, 0.2)
+    step = 1e-6
+    slope = (rubber.resistance(unknowns + step * way) - rubber.resistance(unknowns - step * way)) / (2.0 * step)
+    tangent = rubber.tangent(unknowns)
+    assert tangent @ way == pytest.approx(slope, abs=1e-6 * np.abs(slope).max())
+    assert abs(tangent - tangent.T).max() < 1e-12 * abs(tangent).max()
+
+
+@pytest.mark.parametrize("linear", [True, False], ids=["linear", "finite"])
+@pytest.mark.parametrize("direction", [None, "normal"], ids=["down", "normal"])
+def test_gap_and_push_have_their_slopes(direction, linear):
+    body = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
+    mesh = body_mesh(body, "sketch")
+    at = (-2.0, 3.0, *body.surface_from_above(np.array([[-2.0, 3.0]]))[0, 2:])
+    press = twin.Press(probe=twin.Sphere(diameter_mm=3), at_mm=at, direction=direction, indentation_mm=0.5)
+    approach = approach_of(press, body)
+    touch = SurfaceTouch(mesh, body, approach, False, [(approach.touch_mm, 0.5)])
+    moved = 0.05 * np.sin(mesh.points)
+    pose = np.array([0.1, -0.05, 0.4, 0.02, -0.03, 0.01])
+    step = 1e-5
+
+    def meet(shift=0.0, motion=0.0):
+        return touch.meet(moved + shift, pose + motion, linear=linear)
+
+    def slope_of(name, more, less):
+        return (getattr(more, name)[some] - getattr(less, name)[some]) / (2.0 * step)
+
+    here = meet()
+    some = np.abs(here.gap) < 0.3
+    assert some.sum() > 5
+    for motion in range(6):
+        nudge = step * np.eye(6)[motion]
+        around = meet(motion=nudge), meet(motion=-nudge)
+        assert here.per_motion[some, motion] == pytest.approx(slope_of("gap", *around), abs=2e-5)
+    for axis in range(3):
+        nudge = step * np.eye(3)[axis]
+        around = meet(nudge), meet(-nudge)
+        assert here.push[some, axis] == pytest.approx(slope_of("gap", *around), abs=1e-6)
+        assert here.bend[some][:, :, axis] == pytest.approx(slope_of("push", *around), abs=1e-4)

@@ -1,0 +1,297 @@
+"""Rubber at finite strain on any mesh: displacements of nodes and pressures of corners as unknowns,
+sums over elements, Newton's steps, and the difference to linear theory.
+
+`twin.world.contact.round_slab` and `twin.world.contact.whole_body` are the two meshes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+
+from twin.arrays import Floats, Ints, Points
+from twin.errors import ContactError, NotSettled, SolveError
+from twin.parts.material import Material, shear_modulus
+from twin.world.contact.contact_state import ContactState, Share
+from twin.world.contact.probe_gap import Approach, Z
+from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
+
+State = TypeVar("State")
+
+
+class MixedRubber:
+    """Rubber of E = 1 MPa, held at some nodes.
+
+    Its unknowns are the displacements of every node, mm, then the pressures of the corners, MPa. A
+    mesh gives ``_axes`` (displacements of a node), ``_moves`` (the number of displacements),
+    ``_row`` (m, r) (the unknowns of an element, last the pressures), ``_volume`` (m, q) and
+    ``_shares`` (q, corners) of the integration points, ``_free``, ``_scale`` and ``_node`` (the
+    unknowns that are not held, and `Factor`'s arguments for all), and the methods that raise
+    NotImplementedError, for some elements (m,).
+    """
+
+    _axes: int
+    _moves: int
+    _row: Ints
+    _volume: Floats
+    _shares: Floats
+    _free: Ints
+    _scale: Floats
+    _node: Ints
+    size: int
+
+    def __init__(self, material: Material) -> None:
+        nu = material.poisson_ratio
+        self.law_name = material.law
+        self._law = strain_law(material)
+        self._shear = shear_modulus(1.0, nu)
+        self._softness = (1.0 - 2.0 * nu) / (2.0 * self._shear * nu)
+
+    def displacement(self, unknowns: Floats) -> Floats:
+        """Return the displacement (N, axes) of the nodes, mm."""
+        return unknowns[: self._moves].reshape(-1, self._axes)
+
+    def resistance(self, unknowns: Floats) -> Floats:
+        """Return the forces with which the rubber resists, and what is amiss with its volume."""
+        every = np.arange(len(self._row))
+        gradient, cofactor, ratio, pressure = self._strained(unknowns, every)
+        stress = self._shear * self._law.stress(gradient, cofactor, ratio)
+        stress += pressure[..., None, None] * cofactor
+        stress *= self._volume[..., None, None]
+        swollen = ((ratio - 1.0 - self._softness * pressure) * self._volume) @ self._shares
+        return gathered(self._row, np.hstack([self._forces(stress), swollen]), self.size)
+
+    def internal(self, unknowns: Floats, *, linear: bool) -> Floats:
+        """Return the forces with which the rubber resists, by linear theory or at finite strain."""
+        return np.asarray(self.at_rest @ unknowns) if linear else self.resistance(unknowns)
+
+    def tangent(self, unknowns: Floats) -> Any:
+        """Return the sparse symmetric slope of `resistance`."""
+        raise NotImplementedError
+
+    @cached_property
+    def at_rest(self) -> Any:
+        """The tangent of linear theory."""
+        return self.tangent(np.zeros(self.size))
+
+    def _gradient(self, moved: Floats, some: Ints) -> Floats:
+        """Return F (m, q, 3, 3) from the displacements."""
+        raise NotImplementedError
+
+    def _forces(self, stress: Floats) -> Floats:
+        """Return (m, r) the forces of the stress (m, q, 3, 3) times the volume."""
+        raise NotImplementedError
+
+    def _stiffness(self, slope: Floats, some: Ints) -> Floats:
+        """Return (m, r, r) the slopes of the forces from that of the stress."""
+        raise NotImplementedError
+
+    def _swelling(self, cofactor: Floats, some: Ints) -> Floats:
+        """Return (m, q, r) the slopes of J by the displacements."""
+        raise NotImplementedError
+
+    def _strained(self, unknowns: Floats, some: Ints) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return F, cof F, J and the pressure at the integration points of some elements."""
+        own = unknowns[self._row[some]]
+        corners = self._shares.shape[1]
+        gradient = self._gradient(own[:, :-corners], some)
+        return gradient, *cofactors(gradient), own[:, -corners:] @ self._shares.T
+
+    def _blocks(self, unknowns: Floats, some: Ints) -> Floats:
+        """Return the slopes (m, r, r) of some elements (m,)."""
+        gradient, cofactor, ratio, pressure = self._strained(unknowns, some)
+        volume = self._volume[some]
+        cofactor_change = cofactor_slope(gradient)
+        slope = self._shear * self._law.slope(gradient, cofactor, ratio, cofactor_change)
+        slope += pressure[..., None, None, None, None] * cofactor_change
+        slope *= volume[..., None, None, None, None]
+        weighted = volume[..., None] * self._shares
+        by_volume = self._swelling(cofactor, some).swapaxes(1, 2) @ weighted
+        moves = by_volume.shape[1]
+        size = self._row.shape[1]
+        block = np.empty((len(some), size, size))
+        block[:, :moves, :moves] = self._stiffness(slope, some)
+        block[:, :moves, moves:] = by_volume
+        block[:, moves:, :moves] = by_volume.swapaxes(1, 2)
+        block[:, moves:, moves:] = -self._softness * (self._shares.T @ weighted)
+        return block
+
+
+def gathered(rows: Ints, parts: Floats, size: int) -> Floats:
+    """Return the (size,) sum of parts at ``rows``, of as many numbers."""
+    return np.bincount(rows.ravel(), parts.ravel(), size).astype(float)
+
+
+def summed(blocks: Floats, rows: Ints, size: int) -> Any:
+    """Return the sparse (size, size) sum of blocks (m, r, r) at rows (m, r)."""
+    from scipy.sparse import csr_matrix
+
+    wide = rows.shape[1]
+    i = np.repeat(rows, wide, axis=1).ravel()
+    j = np.tile(rows, (1, wide)).ravel()
+    return csr_matrix((blocks.ravel(), (i, j)), shape=(size, size))
+
+
+def largest(vectors: Floats) -> float:
+    """Return the length of the longest of vectors (n, axes)."""
+    return float(np.linalg.norm(vectors, axis=1).max())
+
+
+def with_edge(approach: Approach, edge_mm: float) -> Approach:
+    """Return a probe at first touch whose face has a rim of another radius."""
+    return replace(approach, probe=approach.probe.model_copy(update={"edge_mm": edge_mm}))
+
+
+def check_reach(away: Floats, reach: float) -> None:
+    """Raise a ContactError where points touch that are as far ``away`` as any that may.
+
+    Both are distances over the contact's radius by linear theory.
+    """
+    if away.max(initial=0.0) > reach:
+        raise ContactError(
+            f"contact: at finite strain it grows beyond {reach:g} times its size by linear "
+            "theory: press with less force, or set material.law = linear"
+        )
+
+
+def newton(
+    after: Callable[[State], State],
+    displacement: Callable[[State], Floats],
+    state: State,
+    steps: int,
+    tolerance: float,
+    law: str,
+) -> State:
+    """Take Newton's steps until one moves no node by more than ``tolerance`` of the largest
+    displacement.
+
+    Raises
+    ------
+    NotSettled
+        ``steps`` don't suffice, or one fails; names the ``law`` and the remedy.
+    """
+    problem: Exception | None = None
+    try:
+        for _ in range(steps):
+            before = displacement(state)
+            state = after(state)
+            moved = displacement(state)
+            step = largest(moved - before) / largest(moved)
+            if step < tolerance:
+                return state
+            if not math.isfinite(step):
+                break
+    except (NotSettled, SolveError) as found:
+        problem = found
+    raise NotSettled(
+        f"contact: at finite strain (material.law = {law}) Newton's steps did not converge in "
+        f"{steps}: press with less force, with a larger or rounder probe, or set "
+        "material.law = linear"
+    ) from problem
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solutions:
+    """The linear and the finite-strain solution on one coarse mesh, whose own error is in both and
+    mostly cancels.
+
+    Attributes
+    ----------
+    read
+        Returns the values (n, 3) and the gradients du_i/dx_j (n, 3, 3) at points of a field of the
+        nodes.
+    linear_mm, change
+        (N, axes) the linear displacement of the nodes, and what it leaves out, mm.
+    moved, wider
+        See `FiniteStrain`.
+    """
+
+    read: Callable[[Points, Floats], tuple[Points, Floats]]
+    linear_mm: Floats
+    change: Floats
+    moved: Floats
+    wider: Floats
+
+
+class FiniteStrain:
+    """What linear theory leaves out of one state of a press.
+
+    Parameters
+    ----------
+    axes
+        The own axes (3, 3) of every probe.
+    state
+        The press by linear theory.
+    watched
+        (n, 3) points inside the body for which the error counts, mm.
+    solve
+        Returns the solutions on the mesh that counts, or on a coarser one that estimates its error.
+    over_change, tolerance
+        The error over the change to the coarser mesh, and what Newton's steps leave.
+
+    Attributes
+    ----------
+    moved
+        (p, 6) how much farther every probe moves than by linear theory, along and about its own
+        axes, mm and radians.
+    wider
+        (p,) radius of its contact over that by linear theory.
+    """
+
+    def __init__(
+        self,
+        axes: tuple[Floats, ...],
+        state: ContactState,
+        watched: Points,
+        solve: Callable[[bool], Solutions],
+        over_change: float,
+        tolerance: float,
+    ) -> None:
+        self.axes = axes
+        self._state = state
+        self._watched = watched
+        self._solve = solve
+        self._over_change = over_change
+        self._tolerance = tolerance
+        self._pair = solve(False)
+        self.moved = self._pair.moved
+        self.wider = self._pair.wider
+
+    @property
+    def indentation_mm(self) -> float:
+        """How much deeper the first probe sinks than by linear theory, mm."""
+        return float(self.moved[0, Z])
+
+    def displacement(self, points: Points) -> Points:
+        """Return (n, 3) what to add to the linear displacement of points (n, 3), mm."""
+        return self._pair.read(points, self._pair.change)[0]
+
+    def gradient(self, points: Points) -> Floats:
+        """Return (n, 3, 3) what to add to the gradients du_i/dx_j."""
+        return self._pair.read(points, self._pair.change)[1]
+
+    @cached_property
+    def linear_error(self) -> float:
+        """How far linear theory is off at the watched points, over the largest displacement."""
+        return largest(self.displacement(self._watched)) / self._largest_mm
+
+    @cached_property
+    def _largest_mm(self) -> float:
+        return largest(self._pair.read(self._watched, self._pair.linear_mm)[0])
+
+    @cached_property
+    def error(self) -> Share:
+        """How far this may be off, over the linear displacement: what a coarser mesh changes."""
+        other = self._solve(True)
+        missed = other.read(self._watched, other.change)[0] - self.displacement(self._watched)
+        deep = np.array([one.indentation_mm for one in (self._state, *self._state.also)])
+        sunk = float(np.max(np.abs((other.moved - self.moved)[:, Z]) / deep))
+        return Share(
+            indentation=self._over_change * sunk + self._tolerance,
+            markers=self._over_change * (largest(missed) / self._largest_mm) + self._tolerance,
+        )
