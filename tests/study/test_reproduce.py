@@ -2,8 +2,10 @@
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree
 
@@ -13,12 +15,15 @@ from threadpoolctl import threadpool_info
 
 from benchmarks.truth import MODULUS_MPA, half_space
 from twin.errors import InputError, TwinError
+from twin.parts.load import Traction
 from twin.sense.track import track_frame
 from twin.show.reproduction_page import reproduction
 from twin.study.reproduce.bench import (
     KAMIYAMA,
     MADE,
     OUR_TRACKER,
+    PILLAR_PRESS,
+    WAYS,
     Bench,
     Chain,
     Outcome,
@@ -26,17 +31,11 @@ from twin.study.reproduce.bench import (
     Record,
     Trial,
     Unprinted,
-    agreeing,
-    compared,
-    displaced,
-    measured,
-    pillar_press,
-    sensor_hash,
+    Way,
     settled,
 )
 from twin.study.reproduce.design_limits import width_mm
-from twin.study.reproduce.flat_figures import impulse
-from twin.study.reproduce.reproduction_run import ENTRIES, chosen, reproduce
+from twin.study.reproduce.reproduction_run import ENTRIES, reproduce
 
 FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
 
@@ -77,13 +76,18 @@ def test_a_quantity_is_compared_over_trials_with_causes_off() -> None:
     assert (record.twin, record.n) == (2.0, 2), "what is not defined is no run"
     assert record.spread == pytest.approx(2**0.5)
     assert record.row()["explained_by"] == [{"cause": "noise", "value": 1.5}]
-    assert compared([{half: 5.0}])[0].spread is None
+    assert Record.of_runs([{half: 5.0}])[0].spread is None
 
 
 def test_what_is_not_printed_explains_where_a_plausible_value_gives_the_number() -> None:
-    assert agreeing((0.0, 1.0, 2.0), (0.0, 2.0, 0.0), 1.0, 0.5) == ((0.25, 0.75), (1.25, 1.75)), "it may come back"
-    assert agreeing((0.0, 1.0, 3.0), (0.9, 1.0, 1.1), 1.0, 0.5) == ((0.0, 3.0),), "pieces that touch are one"
-    assert agreeing((0.0, 1.0), (5.0, 5.0), 1.0, 0.5) == ()
+    def intervals(values: tuple[float, ...], numbers: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
+        what = Unprinted("load", "N", values, "a hand")
+        given = Record(quantity=Quantity("q", paper=1.0, near=0.5), twin=5.0, ranges={what: numbers})
+        return given.intervals[what]
+
+    assert intervals((0.0, 1.0, 2.0), (0.0, 2.0, 0.0)) == ((0.25, 0.75), (1.25, 1.75)), "it may come back"
+    assert intervals((0.0, 1.0, 3.0), (0.9, 1.0, 1.1)) == ((0.0, 3.0),), "pieces that touch are one"
+    assert intervals((0.0, 1.0), (5.0, 5.0)) == ()
     load = Unprinted("load", "N", (1.0, 3.0), "a hand")
     quantity = Quantity("q", "px", paper=10.0)
     given = Record(quantity=quantity, twin=5.0, ranges={load: (5.0, 15.0)})
@@ -132,12 +136,6 @@ def test_a_range_is_run_over_some_trials() -> None:
     assert asked == [1.0] * 3 + [2.0] * 3
 
 
-def test_a_displaced_picture_moves_right() -> None:
-    picture = np.zeros((4, 6, 3), np.uint8)
-    picture[:, 2] = 9
-    assert displaced(picture, 3)[0, :, 0].tolist() == [0, 0, 0, 0, 0, 9]
-
-
 def test_a_shift_is_what_it_says_in_the_picture() -> None:
     rig = Bench().rig("kamiyama")
     points = rig.sensor.actual.markers.points
@@ -145,19 +143,34 @@ def test_a_shift_is_what_it_says_in_the_picture() -> None:
     np.testing.assert_allclose(moved, np.tile([3.0, -1.0], (len(points), 1)), atol=1e-6)
 
 
-def test_markers_rendered_again_are_shifted_by_the_protocols_pixels_along_x() -> None:
-    shift = measured(Bench(), KAMIYAMA, "re-rendered", Chain(paper="kamiyama")).shift_px
+@pytest.mark.parametrize("way", WAYS)
+def test_markers_are_shifted_by_the_protocols_pixels_along_x(way: Way) -> None:
+    shift = KAMIYAMA.tracked(Bench(), way, Chain(paper="kamiyama")).shift_px
     assert np.nanmean(shift, axis=0) == pytest.approx([KAMIYAMA.shift_px, 0.0], abs=0.1)
 
 
-def test_names_choose_entries() -> None:
-    assert [e.name for e in chosen(())] == list(ENTRIES)
-    assert [e.name for e in chosen(("kamiyama/fig-7", "kamiyama/table-1"))] == ["kamiyama/table-1", "kamiyama/fig-7"]
-    assert all(e.name.startswith("sato/") for e in chosen(("sato",)))
-    assert "beyond/limits" not in [e.name for e in chosen(("all",), quick=True)]
-    assert [e.name for e in chosen(("beyond/limits",), quick=True)] == ["beyond/limits"]
+def test_names_choose_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+
+    def made(name: str) -> Callable[[Bench], Outcome]:
+        return lambda _: done.append(name) or Outcome(records=())  # type: ignore[func-returns-value]
+
+    entries = {name: replace(entry, run=made(name)) for name, entry in ENTRIES.items()}
+    monkeypatch.setattr("twin.study.reproduce.reproduction_run.ENTRIES", entries)
+
+    def ran(*names: str, quick: bool = False) -> list[str]:
+        done.clear()
+        with TemporaryDirectory(dir=tmp_path) as folder:
+            reproduce(names, Path(folder), quick=quick)
+        return list(done)
+
+    assert ran() == list(ENTRIES)
+    assert ran("kamiyama/fig-7", "kamiyama/table-1") == ["kamiyama/table-1", "kamiyama/fig-7"]
+    assert all(name.startswith("sato/") for name in ran("sato"))
+    assert "beyond/limits" not in ran("all", quick=True)
+    assert ran("beyond/limits", quick=True) == ["beyond/limits"]
     with pytest.raises(InputError, match="did you mean 'kamiyama/table-1'"):
-        chosen(("kamiyama/table1",))
+        ran("kamiyama/table1")
 
 
 def test_the_same_seed_gives_the_same_records_and_one_sensor_each(tmp_path: Path) -> None:
@@ -170,7 +183,7 @@ def test_the_same_seed_gives_the_same_records_and_one_sensor_each(tmp_path: Path
     assert {r["name"] for r in records} == set(FAST)
     wanted = {"name", "source", "quantity", "unit", "paper", "twin", "spread", "n", "explained_by"}
     assert all(wanted <= set(r) for r in records)
-    assert {json.dumps(r["sensor_hash"]) for r in records} == {json.dumps({"kamiyama": sensor_hash("kamiyama")})}
+    assert {json.dumps(r["sensor_hash"]) for r in records} == {json.dumps({"kamiyama": Bench.sensor_hash("kamiyama")})}
     page = (tmp_path / "one" / "index.html").read_text()
     assert page.count("data:image/svg+xml;base64,") == len(FAST)
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
@@ -220,7 +233,7 @@ def test_an_entry_says_what_its_loads_cost_in_accuracy() -> None:
     bench.begin("kamiyama/fig-9", 0.0, 1.0)
     assert not bench.validity
     rig = bench.rig("kamiyama")
-    motion = rig.motion(rig.press(pillar_press()).load)
+    motion = rig.motion(rig.press(PILLAR_PRESS).load)
     assert f"up to {100 * motion.error:.2g} % of its largest off" in bench.validity
     assert "linear theory" in bench.validity
     bench.begin("kamiyama/fig-10", 0.0, 1.0)
@@ -251,7 +264,7 @@ def test_the_quick_form_makes_everything(tmp_path: Path) -> None:
     records = json.loads((tmp_path / "results.json").read_text())
     assert {r["name"] for r in records} == {name for name, entry in ENTRIES.items() if not entry.long}
     for paper in ("kamiyama", "sato"):
-        assert {h for r in records if (h := r["sensor_hash"].get(paper))} == {sensor_hash(paper)}
+        assert {h for r in records if (h := r["sensor_hash"].get(paper))} == {Bench.sensor_hash(paper)}
 
     def twin(name: str, part: str) -> float:
         return float(next(r["twin"] for r in records if r["name"] == name and part in r["quantity"]))
@@ -290,7 +303,7 @@ def test_a_block_that_is_a_half_space_moves_as_the_formula_says() -> None:
     material, some = rig.sensor.actual.scene.material, [0, len(at) // 4, len(at) // 2]
     words = {"kind": "disk", "centre_mm": [0.0, 0.0], "radius_mm": 1.5, "force_n": [0.0, 0.0, 1.0]}
     expected = half_space(at[some], words, material.poisson_ratio) * MODULUS_MPA / material.youngs_modulus_mpa
-    got = rig.half_space_motion(impulse(2)).displacement_mm
+    got = rig.half_space_motion(Traction.disk((0.0, 0.0), 1.5, (0.0, 0.0, 1.0))).displacement_mm
     np.testing.assert_allclose(got[some], expected, atol=0.02 * np.abs(expected).max())
 
 

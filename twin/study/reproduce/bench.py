@@ -128,6 +128,9 @@ APART = 20_000
 PILLAR_N = 3.0
 """Force on the 5 mm pillar, in no paper: the same in every entry."""
 
+PILLAR_PRESS = Press(probe=Cylinder(diameter_mm=5), force_n=(0, 0, PILLAR_N))
+"""Press of Figs. 9 to 13: along z, at the middle."""
+
 PRELOAD_GF = 200.0
 """Largest force of Sato's Fig. 8, along every axis."""
 
@@ -208,7 +211,7 @@ class Unprinted:
 Interval = tuple[float, float]
 
 
-def agreeing(
+def _agreeing(
     values: Sequence[float], numbers: Sequence[float], paper: float, tolerance: float
 ) -> tuple[Interval, ...]:
     """Return the intervals of values whose numbers lie within a tolerance of the paper's, rising.
@@ -315,9 +318,44 @@ class Record:
         if paper is None:
             return {}
         return {
-            what: agreeing(what.values, numbers, paper, self.tolerance)
+            what: _agreeing(what.values, numbers, paper, self.tolerance)
             for what, numbers in self.ranges.items()
         }
+
+    @staticmethod
+    def of_runs(
+        runs: Sequence[Numbers],
+        off: Mapping[str, Numbers] | None = None,
+        ranges: Mapping[Unprinted, Sequence[Numbers]] | None = None,
+    ) -> list[Record]:
+        """Return the records of the numbers of several runs.
+
+        ``off`` has the numbers with one cause switched off, by name; ``ranges`` those at the values
+        of what isn't printed. Runs in which a quantity is not defined don't count.
+        """
+        records = []
+        for quantity in runs[0]:
+            values = np.array([run[quantity] for run in runs], float)
+            known = values[np.isfinite(values)]
+            records.append(
+                Record(
+                    quantity=quantity,
+                    twin=float(known.mean()) if len(known) else float("nan"),
+                    spread=float(known.std(ddof=1)) if len(known) > 1 else None,
+                    n=len(known),
+                    explained_by={
+                        name: float(run[quantity])
+                        for name, run in (off or {}).items()
+                        if quantity in run
+                    },
+                    ranges={
+                        what: [float(run[quantity]) for run in numbers]
+                        for what, numbers in (ranges or {}).items()
+                        if quantity.paper is not None and quantity in numbers[0]
+                    },
+                )
+            )
+        return records
 
     def row(self) -> dict[str, Any]:
         """Return the record as it stands in results.json."""
@@ -401,39 +439,6 @@ def settled(
             verdict = f"partly {verdict}, but not all numbers that depend on it at once"
         out.append({**row, "verdict": verdict})
     return out, list(found.values())
-
-
-def compared(
-    runs: Sequence[Numbers],
-    off: Mapping[str, Numbers] | None = None,
-    ranges: Mapping[Unprinted, Sequence[Numbers]] | None = None,
-) -> list[Record]:
-    """Return the records of the numbers of several runs, with the numbers of a run in which one
-    cause is switched off by name, and those at the values of what isn't printed; runs in which a
-    quantity is not defined don't count."""
-    records = []
-    for quantity in runs[0]:
-        values = np.array([run[quantity] for run in runs], float)
-        known = values[np.isfinite(values)]
-        records.append(
-            Record(
-                quantity=quantity,
-                twin=float(known.mean()) if len(known) else float("nan"),
-                spread=float(known.std(ddof=1)) if len(known) > 1 else None,
-                n=len(known),
-                explained_by={
-                    name: float(run[quantity])
-                    for name, run in (off or {}).items()
-                    if quantity in run
-                },
-                ranges={
-                    what: [float(run[quantity]) for run in numbers]
-                    for what, numbers in (ranges or {}).items()
-                    if quantity.paper is not None and quantity in numbers[0]
-                },
-            )
-        )
-    return records
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -750,10 +755,17 @@ class Bench:
         for what, at in (ranges or {}).items():
             self.progress(what.name)
             ranged[what] = [
-                mean_numbers([at(value, trial) for trial in trials[:RANGED]])
+                _mean_numbers([at(value, trial) for trial in trials[:RANGED]])
                 for value in what.values
             ]
-        return compared([numbers(run) for run in runs], without, ranged), runs, off
+        return Record.of_runs([numbers(run) for run in runs], without, ranged), runs, off
+
+    @staticmethod
+    @cache
+    def sensor_hash(paper: str) -> str:
+        """Return the hash of a paper's resolved sensor: what is built, without press, software and
+        seed."""
+        return _hash(load_scene(SCENES[paper]))
 
     def rig(
         self, paper: str, seed: int | None = None, overrides: Mapping[str, Any] | None = None
@@ -763,7 +775,7 @@ class Bench:
         if self._tabled(paper, given):
             given[TABLE] = True
         scene = load_scene(SCENES[paper], given)
-        if _hash(scene) == sensor_hash(paper):
+        if _hash(scene) == Bench.sensor_hash(paper):
             self.used.add(paper)
         key = json.dumps([paper, given], sort_keys=True, default=str)
         if key not in self._rigs:
@@ -795,16 +807,9 @@ class Bench:
         return self.once(key, lambda: calibrate_by_presses(rig.sensor))
 
 
-def mean_numbers(runs: Sequence[Numbers]) -> Numbers:
+def _mean_numbers(runs: Sequence[Numbers]) -> Numbers:
     """Return the mean of every quantity over runs."""
     return {quantity: float(np.mean([run[quantity] for run in runs])) for quantity in runs[0]}
-
-
-@cache
-def sensor_hash(paper: str) -> str:
-    """Return the hash of a paper's resolved sensor: what is built, without press, software and
-    seed."""
-    return _hash(load_scene(SCENES[paper]))
 
 
 def _hash(scene: Scene) -> str:
@@ -965,11 +970,6 @@ def field_panel(
     return Panel(title=title, draw=draw)
 
 
-def pillar_press() -> Press:
-    """Return the press of Figs. 9 to 13: the 5 mm pillar, along z, at the middle."""
-    return Press(probe=Cylinder(diameter_mm=5), force_n=(0, 0, PILLAR_N))
-
-
 def sphere_press(place_mm: tuple[float, float], gram_force: float) -> Press:
     """Return a press of the 3 mm sphere along z at a place (x, y) above the surface, sticking."""
     force = (None, None, gram_force * GF)
@@ -997,6 +997,27 @@ class Protocol:
     exposure: int
     paper: Mapping[tuple[str, str], tuple[float, float]]
 
+    def tracked(self, bench: Bench, way: Way, chain: Chain, trial: Trial = ONCE) -> Found:
+        """Shift the markers and track them, once for all entries."""
+        rig = chain.rig(bench, trial)
+
+        def work() -> Found:
+            if way == "re-rendered":
+                picture = rig.picture(rig.shifted((self.shift_px, 0.0)), 8)
+            else:  # moved to the right by whole pixels; the left edge is drawn out
+                kept = rig.picture(None, self.exposure)[:, : -self.shift_px]
+                picture = np.pad(kept, ((0, 0), (self.shift_px, 0), (0, 0)), mode="edge")
+            return rig.track(picture, chain.tracker)
+
+        key = ("shifted", id(rig), way, self.exposure, chain.tracker)
+        return bench.once(key, work)
+
+    @staticmethod
+    def samples(found: Found, layer: str) -> Floats:
+        """Return (m, 2) the shifts of a layer's tracked markers, px, x to the right and y up."""
+        shift = found.shift_px[found.layer == layer]
+        return np.asarray(shift[np.isfinite(shift).all(axis=1)] * (1, -1))
+
 
 KAMIYAMA = Protocol(
     sensor="kamiyama",
@@ -1020,35 +1041,6 @@ SATO = Protocol(
         ("blue", "y"): (0.00, 0.10),
     },
 )
-
-
-def displaced(picture: Picture, shift_px: int) -> Picture:
-    """Return a picture moved to the right by whole pixels; its left edge is drawn out."""
-    left = np.repeat(picture[:, :1], shift_px, axis=1)
-    return np.concatenate([left, picture[:, :-shift_px]], axis=1)
-
-
-def measured(
-    bench: Bench, protocol: Protocol, way: Way, chain: Chain, trial: Trial = ONCE
-) -> Found:
-    """Shift the markers and track them, once for all entries."""
-    rig = chain.rig(bench, trial)
-
-    def work() -> Found:
-        if way == "digital":
-            picture = displaced(rig.picture(None, protocol.exposure), protocol.shift_px)
-        else:
-            picture = rig.picture(rig.shifted((protocol.shift_px, 0.0)), 8)
-        return rig.track(picture, chain.tracker)
-
-    key = ("shifted", id(rig), way, protocol.exposure, chain.tracker)
-    return bench.once(key, work)
-
-
-def samples(found: Found, layer: str) -> Floats:
-    """Return (m, 2) the shifts of a layer's tracked markers, px, x to the right and y up."""
-    shift = found.shift_px[found.layer == layer]
-    return np.asarray(shift[np.isfinite(shift).all(axis=1)] * (1, -1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -1079,47 +1071,48 @@ class ForceLine:
         """Largest difference of a reading from the applied force."""
         return float(np.abs(self.measured_gf - self.applied_gf).max())
 
+    @classmethod
+    def of(
+        cls,
+        bench: Bench,
+        chain: Chain,
+        axis: int,
+        steps: int,
+        repeats: int,
+        first: int = FIRST_EXPOSURE,
+        aside_mm: float = 0.0,
+    ) -> ForceLine:
+        """Take the 10 mm cylinder's path through pictures and the inverse, ``repeats`` times.
 
-def force_line(
-    bench: Bench,
-    chain: Chain,
-    axis: int,
-    steps: int,
-    repeats: int,
-    first: int = FIRST_EXPOSURE,
-    aside_mm: float = 0.0,
-) -> ForceLine:
-    """Take the 10 mm cylinder's path through pictures and the inverse, ``repeats`` times with noise
-    of their own: 200 gf down and then sideways, or down in steps; it sticks.
+        Each has noise of its own: 200 gf down and then sideways, or down in steps; it sticks.
 
-    The first repeat is at the apex, the others ``aside_mm`` from it, each to another side.
-    """
-    levels = [PRELOAD_GF * (k + 1) / steps * GF for k in range(steps)]
-    down = PRELOAD_GF * GF
-    if axis == 2:
-        path = [Step(force_n=(None, None, level)) for level in levels]
-    else:
-        path = [Step(force_n=(None, None, down))]
-        for level in levels:
-            x, y = (level if k == axis else None for k in range(2))
-            path.append(Step(force_n=(x, y, down)))
-    rig = chain.rig(bench)
-    sides = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
-    places = [(x * aside_mm, y * aside_mm) for x, y in sides]
-    pressed = {
-        place: rig.press(
-            Press(probe=Cylinder(diameter_mm=10), at_mm=place, friction=np.inf, steps=tuple(path))
-        ).path[-steps:]
-        for place in dict.fromkeys(places[:repeats])
-    }
-    applied, measured = [], []
-    for repeat in range(repeats):
-        for number, state in enumerate(pressed[places[repeat % len(places)]]):
-            exposure = first + 1000 * axis + 100 * repeat + number
-            rig.motion(state.load)  # kept; its error is noted
-            field = chain.solved(bench, rig, chain.film(rig, state.load, exposure))
-            noise = stream(rig.scene.seed, Purpose.LOAD_CELL, exposure).standard_normal()
-            cell = rig.scene.calibration.load_cell_n * noise
-            applied.append((state.force_n[axis] + cell) / GF)
-            measured.append(field.total_force_n[axis] / GF)
-    return ForceLine(applied_gf=np.array(applied), measured_gf=np.array(measured))
+        The first repeat is at the apex, the others ``aside_mm`` from it, each to another side.
+        """
+        levels = [PRELOAD_GF * (k + 1) / steps * GF for k in range(steps)]
+        down = PRELOAD_GF * GF
+        if axis == 2:
+            path = [Step(force_n=(None, None, level)) for level in levels]
+        else:
+            path = [Step(force_n=(None, None, down))]
+            for level in levels:
+                x, y = (level if k == axis else None for k in range(2))
+                path.append(Step(force_n=(x, y, down)))
+        rig = chain.rig(bench)
+        sides = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
+        places = [(x * aside_mm, y * aside_mm) for x, y in sides]
+        press = Press(probe=Cylinder(diameter_mm=10), friction=np.inf, steps=tuple(path))
+        pressed = {
+            place: rig.press(press.model_copy(update={"at_mm": place})).path[-steps:]
+            for place in dict.fromkeys(places[:repeats])
+        }
+        applied, measured = [], []
+        for repeat in range(repeats):
+            for number, state in enumerate(pressed[places[repeat % len(places)]]):
+                exposure = first + 1000 * axis + 100 * repeat + number
+                rig.motion(state.load)  # kept; its error is noted
+                field = chain.solved(bench, rig, chain.film(rig, state.load, exposure))
+                noise = stream(rig.scene.seed, Purpose.LOAD_CELL, exposure).standard_normal()
+                cell = rig.scene.calibration.load_cell_n * noise
+                applied.append((state.force_n[axis] + cell) / GF)
+                measured.append(field.total_force_n[axis] / GF)
+        return cls(applied_gf=np.array(applied), measured_gf=np.array(measured))

@@ -30,6 +30,7 @@ from twin.study.reproduce.bench import (
     KAMIYAMA,
     ONCE,
     OUR_TRACKER,
+    PILLAR_PRESS,
     READ_GF,
     RESOLVED,
     SATO,
@@ -37,6 +38,7 @@ from twin.study.reproduce.bench import (
     Bench,
     Chain,
     Entry,
+    ForceLine,
     Numbers,
     Outcome,
     Protocol,
@@ -44,11 +46,6 @@ from twin.study.reproduce.bench import (
     Record,
     Rig,
     Trial,
-    compared,
-    force_line,
-    measured,
-    pillar_press,
-    samples,
     sphere_press,
 )
 from twin.theory.limit import DIP, Limit, design_limit
@@ -234,7 +231,7 @@ def _conclusion(bench: Bench) -> Outcome:
         f"taken it comes near. The forces are {FORCE_N:g} N on discs of 0.5 mm radius, the paper's "
         "tracker being the two-pass centroid; the closed form is of a half-space seen straight on."
     )
-    return Outcome(records=compared([numbers]), panels=(_limit_curves(),), notes=(note,))
+    return Outcome(records=Record.of_runs([numbers]), panels=(_limit_curves(),), notes=(note,))
 
 
 def _limit_curves() -> Panel:
@@ -291,7 +288,9 @@ def _predicted(bench: Bench, name: str, chain: Chain, printed_mm: float | None) 
 
     records = bench.compare(run, dict, chain, ways)[0]
     limits = _limit_numbers(name, _limit_of(chain.rig(bench), noise))
-    return records + compared([{Quantity(f"{name}: noise of a shift", "px"): noise, **limits}])
+    return records + Record.of_runs(
+        [{Quantity(f"{name}: noise of a shift", "px"): noise, **limits}]
+    )
 
 
 def _prediction(bench: Bench) -> Outcome:
@@ -367,7 +366,7 @@ def _half_space(bench: Bench) -> Outcome:
         "No picture here: this is the model itself, the papers' formula against the converged "
         "block of equal rubber."
     )
-    return Outcome(records=compared([numbers]), panels=(panel,), notes=(note,))
+    return Outcome(records=Record.of_runs([numbers]), panels=(panel,), notes=(note,))
 
 
 def _limiting_causes(bench: Bench) -> Outcome:
@@ -413,7 +412,7 @@ def _limiting_causes(bench: Bench) -> Outcome:
         "it at the price of what stands next to it, so read it with the distance at which two are "
         "told apart."
     )
-    return Outcome(records=compared([numbers]), panels=panels, notes=(note,))
+    return Outcome(records=Record.of_runs([numbers]), panels=panels, notes=(note,))
 
 
 def _bars(title: str, across: str, values: Mapping[str, float], limits: list[float]) -> Panel:
@@ -474,7 +473,7 @@ def _sorted_times(
 def _flat_times(bench: Bench) -> Outcome:
     rig = bench.rig("kamiyama")
     count = 20 if bench.quick else TRIALS
-    picture = rig.picture(rig.motion(rig.press(pillar_press()).load), 1)
+    picture = rig.picture(rig.motion(rig.press(PILLAR_PRESS).load), 1)
     fixed = reconstruct(rig.track(picture), rig.calibration, method="smooth").weight
     ways: dict[str, tuple[CentreMethod, dict[str, Any], float]] = {
         "paper's tracker and linear constraint": ("two-pass", {}, FRAME_S),
@@ -566,7 +565,7 @@ HARDWARE = (
         own=Chain(paper="kamiyama", method="norm"),
         ours=Chain(paper="kamiyama", overrides=FINE_SITES, tracker=OUR_TRACKER, method="local"),
         shift=KAMIYAMA,
-        presses={"under the 5 mm pillar": lambda _: pillar_press()},
+        presses={"under the 5 mm pillar": lambda _: PILLAR_PRESS},
         width_mm=None,
         rate_hz=1 / FRAME_S,
         note="Runs are made sensors. A field error is over the sites of each chain, finer ones "
@@ -646,8 +645,8 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
     def tracked(chain: Chain, trial: Trial) -> Numbers:
         """Return the deviation, mean over layers and axes; neither sites nor inverse matter."""
         camera = INDUSTRIAL if chain == industrial else {}
-        found = measured(bench, shift, "re-rendered", replace(chain, overrides=camera), trial)
-        spreads = [samples(found, layer).std(axis=0, ddof=1) for layer in ("red", "blue")]
+        found = shift.tracked(bench, "re-rendered", replace(chain, overrides=camera), trial)
+        spreads = [Protocol.samples(found, layer).std(axis=0, ddof=1) for layer in ("red", "blue")]
         return {deviation: float(np.mean(spreads))}
 
     trackers = {name: chain for name, chain in others.items() if name != DEFAULT}
@@ -681,7 +680,7 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
 
     limit = _limit_of(ours.rig(bench), _shift_noise_px(bench, ours))
     records += bench.compare(widths, dict, ours, others, trials)[0]
-    records += compared([_limit_numbers(paper, limit)])
+    records += Record.of_runs([_limit_numbers(paper, limit)])
 
     bench.progress(f"{paper}, magnitude", 0.6)
     least = "smallest difference of force"
@@ -695,7 +694,7 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
         """Return Fig. 8's resolution along an axis, of two repeats."""
         name = f"sato, {'xyz'[axis]}: {least} two readings tell apart at 95 %"
         first = FIRST_EXPOSURE + 5000 + trial.exposures
-        found = force_line(bench, chain, axis, 10, 2, first)
+        found = ForceLine.of(bench, chain, axis, 10, 2, first)
         return {Quantity(name, "gf", paper=READ_GF, ours=True): found.resolution_gf}
 
     if paper == "kamiyama":

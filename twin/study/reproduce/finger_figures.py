@@ -36,9 +36,7 @@ from twin.study.reproduce.bench import (
     Trial,
     Unprinted,
     arrow_panel,
-    compared,
     field_panel,
-    force_line,
     sphere_press,
 )
 from twin.study.sensor import Motion
@@ -143,10 +141,10 @@ def _calibration(bench: Bench) -> Outcome:
             f"error of H at the {len(rows)} {name}, against the same presses without noise"
         )
         means = {cause: {error: float(e[rows].mean())} for cause, e in variants.items()}
-        records += compared([{error: each} for each in errors[rows].tolist()], means)
+        records += Record.of_runs([{error: each} for each in errors[rows].tolist()], means)
     # Numbers that the paper prints, and the picture of the errors.
     columns = made.transfer[np.isfinite(made.transfer).all(axis=1)]
-    records += compared(
+    records += Record.of_runs(
         [
             {
                 Quantity("presses", paper=None if bench.quick else 75.0): 3.0 * len(made.site_mm),
@@ -173,7 +171,7 @@ def _figure_6(bench: Bench) -> Outcome:
     rigs = [PAPER.rig(bench, trial) for trial in trials]
     sensor = bench.rig("sato").sensor
     points = sensor.sites.centre_mm
-    width, found = compared([rig.rest_numbers(15.0, 5.0) for rig in rigs])
+    width, found = Record.of_runs([rig.rest_numbers(15.0, 5.0) for rig in rigs])
     pressed = Quantity("points where force is applied", paper=25.0)
     picture = rigs[0].picture(None, 0)
     marks = sensor.project(points, "nominal")
@@ -184,7 +182,7 @@ def _figure_6(bench: Bench) -> Outcome:
         ),
     )
     note = "The paper gives 15 px in section II D and 10 to 20 px in section IV."
-    records = (width, *compared([{pressed: float(len(points))}]), found)
+    records = (width, *Record.of_runs([{pressed: float(len(points))}]), found)
     return Outcome(records=records, panels=panels, notes=(note,))
 
 
@@ -236,7 +234,7 @@ def _figure_8(bench: Bench) -> Outcome:
         def line(way: Chain, trial: Trial, axis: int = axis, aside_mm: float = 0.0) -> ForceLine:
             times = 1 if way.calibrated_by == QUIET else repeats
             first = FIRST_EXPOSURE + trial.exposures
-            return force_line(bench, way, axis, steps, times, first, aside_mm)
+            return ForceLine.of(bench, way, axis, steps, times, first, aside_mm)
 
         def numbers(run: ForceLine, name: str = name) -> Numbers:
             scatter = ((run.measured_gf - run.measured_gf.mean()) ** 2).sum()
@@ -425,7 +423,7 @@ def _figure_9(bench: Bench) -> Outcome:
             for name, way in _ways(bench).items()
             if way.tracker is None
         }
-        records += compared([{dip: _dip(bench, PAPER, 5.0)}], off_dip)
+        records += Record.of_runs([{dip: _dip(bench, PAPER, 5.0)}], off_dip)
     return Outcome(records=records, panels=panels, notes=(note,))
 
 

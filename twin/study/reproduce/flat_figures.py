@@ -23,6 +23,7 @@ from twin.study.reproduce.bench import (
     OUR_TRACKER_INSTEAD,
     PAPERS_TRACKER,
     PILLAR_N,
+    PILLAR_PRESS,
     QUIET,
     Bench,
     Chain,
@@ -36,9 +37,7 @@ from twin.study.reproduce.bench import (
     Trial,
     Unprinted,
     arrow_panel,
-    compared,
     field_panel,
-    pillar_press,
 )
 
 PITCH_MM, BAND_MM, SHAPE_BAND_MM = 1.5, 0.8, 4.0
@@ -91,7 +90,7 @@ ROW = Unprinted(
 OURS = "inverse, tracker and block: this project's"
 
 
-def impulse(axis: int, at_mm: tuple[float, float] = (0.0, 0.0), sign: float = 1.0) -> Load:
+def _impulse(axis: int, at_mm: tuple[float, float] = (0.0, 0.0), sign: float = 1.0) -> Load:
     """Return a narrow traction along one axis, standing for an impulse."""
     force = [0.0, 0.0, 0.0]
     force[axis] = sign * IMPULSE_N
@@ -135,7 +134,7 @@ def _figure_6(bench: Bench) -> Outcome:
         picture_panel(title="The picture at rest", picture=picture),
         picture_panel(title=split_title, picture=split),
     )
-    return Outcome(records=compared([numbers(rig) for rig in rigs]), panels=panels)
+    return Outcome(records=Record.of_runs([numbers(rig) for rig in rigs]), panels=panels)
 
 
 def _pitch_px(rig: Rig, name: str, at: Floats) -> float:
@@ -178,7 +177,7 @@ def _figure_9(bench: Bench) -> Outcome:
         return numbers(NORM.shot(bench, press, trial).found)
 
     records, runs, _ = bench.compare(
-        lambda chain, trial: chain.shot(bench, pillar_press(), trial).found,
+        lambda chain, trial: chain.shot(bench, PILLAR_PRESS, trial).found,
         numbers,
         NORM,
         _causes(bench, NORM, NO_BLOCK),
@@ -201,7 +200,7 @@ def _figure_9(bench: Bench) -> Outcome:
         "lower than the one stated."
     )
     return Outcome(
-        records=[*records, *compared([{harder: moved[0] / moved[1]}])],
+        records=[*records, *Record.of_runs([{harder: moved[0] / moved[1]}])],
         panels=(panel,),
         notes=(note,),
     )
@@ -242,7 +241,7 @@ def _pillar_field(bench: Bench, label: str, chain: Chain) -> Outcome:
 
     ours = replace(PUSHES, tracker=OUR_TRACKER, calibrated_by="compliance")
     records, runs, _ = bench.compare(
-        bench.pressing(pillar_press()),
+        bench.pressing(PILLAR_PRESS),
         numbers,
         chain,
         _causes(bench, chain, KNOWN_BLOCK) | {OURS: ours},
@@ -272,7 +271,7 @@ def _figure_10(bench: Bench) -> Outcome:
         }
 
     records, free, _ = bench.compare(
-        bench.pressing(pillar_press()),
+        bench.pressing(PILLAR_PRESS),
         numbers,
         FREE,
         {NO_NOISE: replace(FREE, overrides=QUIET)},
@@ -284,7 +283,7 @@ def _figure_10(bench: Bench) -> Outcome:
 def _figure_13(bench: Bench) -> Outcome:
     """Show the field before camera calibration and the one after it."""
     before = _pillar_field(bench, "least norm, before camera calibration", BLIND)
-    after = NORM.shot(bench, pillar_press()).field
+    after = NORM.shot(bench, PILLAR_PRESS).field
     panel = field_panel("After camera calibration (Fig. 11)", after, 2.5)
     return Outcome(records=before.records, panels=[*before.panels, panel])
 
@@ -408,11 +407,11 @@ def _figure_16(bench: Bench) -> Outcome:
 
         def work() -> tuple[Rig, Found, list[Found]]:
             pairs = [
-                impulse(0, (distance / 2, 0.0)) + impulse(0, (-distance / 2, 0.0), -1.0)
+                _impulse(0, (distance / 2, 0.0)) + _impulse(0, (-distance / 2, 0.0), -1.0)
                 for distance in apart
             ]
             moved = [chain.film(rig, pair, 2 + number) for number, pair in enumerate(pairs)]
-            return rig, chain.film(rig, impulse(2), 1), moved
+            return rig, chain.film(rig, _impulse(2), 1), moved
 
         return bench.once(("impulses", id(rig), chain.tracker, chain.half_space), work)
 
@@ -456,7 +455,7 @@ def _figure_16(bench: Bench) -> Outcome:
         ranges={} if bench.quick else {ROW: on_row},
     )
     best = Quantity("distance of the two impulses at the largest cosine along the x axis", "mm")
-    records += compared([{best: apart[int(np.argmax(runs[0][AXIS]))]}])
+    records += Record.of_runs([{best: apart[int(np.argmax(runs[0][AXIS]))]}])
     panel = curve_panel(
         title="Two x-impulses against one z-force",
         curves=[
@@ -494,7 +493,7 @@ def _figure_17(bench: Bench) -> Outcome:
             fewer["markers.red.rows"] = 10
             rig = bench.rig("kamiyama", overrides={**fewer, **chain.overrides})
             for axis in IMPULSES:
-                moved = chain.film(rig, impulse(axis), 1)
+                moved = chain.film(rig, _impulse(axis), 1)
                 red = moved.layer == "red"
                 scale = np.linalg.norm(rig.image_scale[red][:, :, 0], axis=1)
                 found[axis, depth] = np.nan_to_num(moved.shift_px[red] / scale[:, None]).ravel()
@@ -532,7 +531,7 @@ def _figure_17(bench: Bench) -> Outcome:
         across="depth (mm)",
         up="movement (µm)",
     )
-    return Outcome(records=compared([numbers(found)], off), panels=(panel,))
+    return Outcome(records=Record.of_runs([numbers(found)], off), panels=(panel,))
 
 
 _PROTOCOL = (

@@ -27,7 +27,7 @@ from twin.blas_threads import one_thread
 from twin.errors import InputError, TwinError, did_you_mean
 from twin.files import make_folder, write_whole
 from twin.study.recipe import load_scene
-from twin.study.reproduce.bench import FITTED, SCENES, Bench, Entry, sensor_hash, settled
+from twin.study.reproduce.bench import FITTED, SCENES, Bench, Entry, settled
 from twin.study.reproduce.design_limits import DESIGN_LIMITS, in_short
 from twin.study.reproduce.finger_figures import FINGER_FIGURES
 from twin.study.reproduce.flat_figures import FLAT_FIGURES
@@ -54,7 +54,7 @@ ENTRIES: dict[str, Entry] = {
 assert ENTRIES.keys() == _FOUND.keys(), "every entry has its place in the order"
 
 
-def chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
+def _chosen(names: Sequence[str], quick: bool = False) -> list[Entry]:
     """Return the entries that ``names`` mean: ``all``, a paper, or entries by name; in the papers'
     order.
 
@@ -108,7 +108,7 @@ def reproduce(
     InputError
         There is no such entry, or the folder can't be written.
     """
-    wanted = chosen(names, quick)
+    wanted = _chosen(names, quick)
     make_folder(out)
     make_folder(out / "entries")
     bench = Bench(seed=seed, quick=quick, progress=progress)
@@ -151,7 +151,7 @@ def _run(out: Path, entry: Entry, bench: Bench) -> None:
     about = {"name": entry.name, "source": entry.source}
     sensor = {
         "sensor": entry.name.split("/")[0],
-        "sensor_hash": {name: sensor_hash(name) for name in sorted(bench.used)},
+        "sensor_hash": {name: Bench.sensor_hash(name) for name in sorted(bench.used)},
     }
     picture = drawn(outcome.panels) if outcome.panels else b""
     table = {
@@ -229,7 +229,7 @@ def _publish(out: Path, bench: Bench, failed: dict[str, str]) -> None:
         file = _picture(out, table["name"])
         pictures[table["name"]] = file.read_bytes() if file.is_file() else b""
     facts = {
-        paper: {"scene": scene, "hash": sensor_hash(paper), "fitted": list(FITTED[paper])}
+        paper: {"scene": scene, "hash": Bench.sensor_hash(paper), "fitted": list(FITTED[paper])}
         for paper, scene in SCENES.items()
     }
     page = reproduction(

@@ -34,10 +34,6 @@ from twin.study.reproduce.bench import (
     Unprinted,
     Way,
     arrow_panel,
-    compared,
-    mean_numbers,
-    measured,
-    samples,
 )
 
 SECOND = (
@@ -86,7 +82,7 @@ def _ranges(
     own = Chain(paper=protocol.sensor)
 
     def filmed(chain: Chain, trial: Trial) -> Numbers:
-        return numbers(measured(bench, protocol, way, chain, trial))
+        return numbers(protocol.tracked(bench, way, chain, trial))
 
     def balanced(value: float, trial: Trial) -> Numbers:
         most = max(value, 1.0)
@@ -113,7 +109,7 @@ def _compared(
 ) -> tuple[list[Record], list[Found], dict[str, Found]]:
     """Return `Bench.compare` of the test, with the paper's tracker."""
     return bench.compare(
-        lambda chain, trial: measured(bench, protocol, way, chain, trial),
+        lambda chain, trial: protocol.tracked(bench, way, chain, trial),
         numbers,
         Chain(paper=protocol.sensor),
         causes,
@@ -126,7 +122,7 @@ def _moments(found: Found, protocol: Protocol, label: str, *, paper: bool) -> Nu
     """Return averages and standard deviations by layer and axis, with the paper's or without."""
     numbers: dict[Quantity, float] = {}
     for (layer, axis), (average, deviation) in protocol.paper.items():
-        along = samples(found, layer)[:, AXES.index(axis)]
+        along = Protocol.samples(found, layer)[:, AXES.index(axis)]
         name = f"{label} tracker: {layer} {axis}"
         mean = Quantity(f"{name} average", "px")
         spread = Quantity(f"{name} standard deviation", "px")
@@ -150,15 +146,15 @@ def _table(bench: Bench, protocol: Protocol) -> Outcome:
 
         compare, runs, off = _compared(bench, protocol, way, theirs, _causes(protocol))
         if way == "digital" and protocol.exposure == 0:
-            off[SECOND] = measured(bench, replace(protocol, exposure=7), way, own)
+            off[SECOND] = replace(protocol, exposure=7).tracked(bench, way, own)
             without = {name: theirs(run) for name, run in off.items()}
-            compare = compared([theirs(run) for run in runs], without)
+            compare = Record.of_runs([theirs(run) for run in runs], without)
         records += compare
         ours = replace(own, tracker=OUR_TRACKER)
         trials = bench.trials(protocol.sensor, pressed=False)
-        found = [measured(bench, protocol, way, ours, trial) for trial in trials]
+        found = [protocol.tracked(bench, way, ours, trial) for trial in trials]
         label = f"{way} shift, this project's"
-        better += compared([_moments(run, protocol, label, paper=False) for run in found])
+        better += Record.of_runs([_moments(run, protocol, label, paper=False) for run in found])
     panels = _histograms(bench, protocol, "x")
     return Outcome(records=[*records, *better], panels=panels, notes=(_note(protocol),))
 
@@ -175,7 +171,7 @@ def _note(protocol: Protocol) -> str:
 
 
 def _histograms(bench: Bench, protocol: Protocol, axis: str) -> list[Panel]:
-    found = {way: measured(bench, protocol, way, Chain(paper=protocol.sensor)) for way in WAYS}
+    found = {way: protocol.tracked(bench, way, Chain(paper=protocol.sensor)) for way in WAYS}
     middle = protocol.shift_px if axis == "x" else 0.0
     return [_histogram(protocol, axis, middle, layer, found) for layer in ("red", "blue")]
 
@@ -183,7 +179,7 @@ def _histograms(bench: Bench, protocol: Protocol, axis: str) -> list[Panel]:
 def _histogram(
     protocol: Protocol, axis: str, middle: float, layer: str, found: Mapping[Way, Found]
 ) -> Panel:
-    shifts = {way: samples(f, layer)[:, AXES.index(axis)] for way, f in found.items()}
+    shifts = {way: Protocol.samples(f, layer)[:, AXES.index(axis)] for way, f in found.items()}
     reach = max(0.1, 1.1 * max(float(np.abs(s - middle).max()) for s in shifts.values()))
 
     def draw(axes: Any) -> None:
@@ -223,21 +219,20 @@ def _figure_8(bench: Bench) -> Outcome:
     for way in WAYS:
 
         def numbers(found: Found, way: Way = way, share: float = 1.0) -> Numbers:
-            return {
-                Quantity(f"{way} shift: largest deviation, {layer} {axis}", "px", paper=0.4): float(
-                    np.quantile(
-                        np.abs(samples(found, layer)[:, number] - (3.0, 0.0)[number]), share
-                    )
-                )
-                for layer in ("blue", "red")
-                for number, axis in enumerate(AXES)
-            }
+            most = {}
+            for layer in ("blue", "red"):
+                off = np.abs(Protocol.samples(found, layer) - (KAMIYAMA.shift_px, 0.0))
+                for axis, values in zip(AXES, off.T, strict=True):
+                    name = f"{way} shift: largest deviation, {layer} {axis}"
+                    most[Quantity(name, "px", paper=0.4)] = float(np.quantile(values, share))
+            return most
 
         _, runs, off = _compared(bench, KAMIYAMA, way, numbers, _causes(KAMIYAMA))
-        read = mean_numbers([numbers(run, share=SHARE) for run in runs])
+        shares = Record.of_runs([numbers(run, share=SHARE) for run in runs])
+        read = {record.quantity: record.twin for record in shares}
         bands.append(f"{np.mean([*read.values()]):.2g} px {way}")
         without = {BAND: read, **{name: numbers(run) for name, run in off.items()}}
-        records += compared([numbers(run) for run in runs], without)
+        records += Record.of_runs([numbers(run) for run in runs], without)
     panels = _histograms(bench, KAMIYAMA, "x") + _histograms(bench, KAMIYAMA, "y")
     note = (
         "With standard deviations of 0.19 to 0.25 px no distribution of some 300 markers is likely "
