@@ -559,7 +559,7 @@ def view(
         Path | None,
         Parameter(
             help="Page to write (default: view.html in the run's folder; SCENE.html or "
-            "DATASET.html here), or a film: .gif or .png."
+            "DATASET.html here), or a film: .gif, .png or .mp4."
         ),
     ] = None,
     window: Annotated[
@@ -572,8 +572,8 @@ def view(
     The body is deformed, with its marker layers, tractions, and which patches stick or slip; every
     step of the press's path is a frame. Drag to turn, wheel to come nearer.
 
-    An --out that ends in .gif or .png is an animated picture instead: what the camera sees along
-    the path.
+    An --out that ends in .gif, .png or .mp4 (H.264; pip install imageio-ffmpeg) is a film instead:
+    what the camera sees along the path.
 
     With --window the same is shown in a window, with sliders for the step and for how large
     displacements are shown.
@@ -617,7 +617,7 @@ def view(
         page = out or Path(f"{_file_name(find_scene(path), set_)}.html")
     if page.suffix.lower() not in {*PAGES, *FILMS}:
         raise InputError(
-            f"--out {page}: allowed are .html for a page, {' and '.join(sorted(FILMS))} for a film"
+            f"--out {page}: allowed are .html for a page, {', '.join(FILMS)} for a film"
         )
     # Show the body in a window, or write the page or the film.
     scene = _load(str(folder / "scene.toml") if folder.is_dir() else path, set_)

@@ -48,10 +48,27 @@ def test_the_film_begins_at_rest_and_moves_on(tmp_path: Path) -> None:
     assert np.all(np.diff(changed) > 0), "the further it is pressed, the more the picture differs"
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # ffmpeg's pipes
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_film_as_h264_holds_the_pictures_of_the_animated_one(tmp_path: Path) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    sensor = Sensor(twin.load_scene("kamiyama_pillar", QUICK | {"camera.width_px": 321}))
+    for name in ("press.mp4", "press.png"):
+        write_film(sensor, tmp_path / name)
+    assert b"avc1" in (tmp_path / "press.mp4").read_bytes(), "H.264"
+    film = [frame.picture for frame in frames([str(tmp_path / "press.mp4")], None, None, None)]
+    assert len(film) == PARTS + 10, "the last one stays"
+    with Image.open(tmp_path / "press.png") as shown:
+        for seen, frame in zip(film, ImageSequence.Iterator(shown), strict=False):
+            off = seen[:, :321].astype(int) - np.asarray(frame.convert("RGB"))
+            assert np.abs(off).mean() < 5  # colours have half the resolution
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["press.mp4", "press.png"]
+
+
 def test_what_has_no_film_is_said(tmp_path: Path) -> None:
     with pytest.raises(RecipeError, match="camera"):
         write_film(Sensor(twin.load_scene("finger_bare")), tmp_path / "film.gif")
-    with pytest.raises(InputError, match=r"\.gif or \.png"):
+    with pytest.raises(InputError, match=r"\.gif, \.png, \.mp4"):
         write_film(Sensor(twin.load_scene("kamiyama_pillar")), tmp_path / "film.avi")
 
 

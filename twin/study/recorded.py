@@ -254,10 +254,25 @@ def _video_frames(path: Path) -> Iterator[Frame]:
 
 
 class VideoWriter:
-    """Writes pictures to a video file at 60 frames a second; whole only after `close`."""
+    """Writes pictures to a video file (H.264 where the name ends in .mp4), which has its name only
+    after `close`.
 
-    def __init__(self, path: Path, size: tuple[int, int]) -> None:
-        self._sink = _ffmpeg().write_frames(str(path), size, fps=60, macro_block_size=1, quality=8)
+    Parameters
+    ----------
+    path, size
+        The file, and its pictures' width and height; an odd one is made even by a row or column.
+    rate
+        Frames a second.
+    """
+
+    require = staticmethod(_ffmpeg)
+
+    def __init__(self, path: Path, size: tuple[int, int], rate: float = 60.0) -> None:
+        self._path = path
+        self._part = path.with_name(f".{os.getpid()}.{path.name}")
+        even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"]
+        keys = {"fps": rate, "macro_block_size": 1, "quality": 8, "output_params": even}
+        self._sink = _ffmpeg().write_frames(str(self._part), size, **keys)
         self._sink.send(None)
 
     def add(self, picture: Picture) -> None:
@@ -265,11 +280,13 @@ class VideoWriter:
         try:
             self._sink.send(np.ascontiguousarray(picture))
         except (OSError, StopIteration) as problem:
-            raise TwinError(f"the overlay video can't be written ({problem})") from None
+            raise TwinError(f"{self._path}: the video can't be written ({problem})") from None
 
     def close(self) -> None:
         """Finish the file."""
         self._sink.close()
+        if self._part.exists():
+            os.replace(self._part, self._path)
 
 
 @dataclass(frozen=True, kw_only=True)
