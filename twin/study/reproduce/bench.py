@@ -111,7 +111,7 @@ OUR_TRACKER_INSTEAD = "tracker: this project's instead of the paper's"
 SMOOTH = "inverse: smooth instead of the pseudo-inverse"
 NO_LENS = "lens: seen from far away"
 NO_BLOCK = "finite block: a half-space is filmed instead"
-KNOWN_BLOCK = "finite block: the sensor is told of the real block instead of a half-space"
+KNOWN_BLOCK = "finite block: the sensor knows the real block instead of a half-space"
 """Causes, in the words of the page."""
 
 QUIET: dict[str, Any] = {"ccd.noise": False}

@@ -89,11 +89,11 @@ FLAT_CHANGES: dict[str, dict[str, Any]] = {
     "noise off": {"ccd.noise": False},
     "markers 3 and 1.5 mm deep": _layers({"depth_mm": 3.0}, {"depth_mm": 1.5}),
     "markers 1 mm apart": CLOSER,
-    "told of the real block": DRAWN,
+    "by the real block": DRAWN,
     "made exactly as drawn": {"tolerance.preset": "none"},
 }
 FINGER_CHANGES: dict[str, dict[str, Any]] = {
-    "as published, told of its drawing": DRAWN,
+    "as published, by its drawing": DRAWN,
     "noise off": DRAWN | {"ccd.noise": False},
     "markers 1 mm apart": FINER,
     "markers 1.0 and 2.0 mm deep": DRAWN | {"markers.red.depth_mm": 1.0},
@@ -401,7 +401,7 @@ def _limiting_causes(bench: Bench) -> Outcome:
             }
         drawn = (
             ("width of a narrow force", "full width at half maximum", width, "fwhm_normal_mm"),
-            ("two forces told apart", "least distance", apart, "two_point_mm"),
+            ("two forces resolved", "least distance", apart, "two_point_mm"),
         )
         for title, across, values, key in drawn:
             marks = [float(getattr(limit, key)[0]) for limit in limits.values()]
@@ -410,7 +410,7 @@ def _limiting_causes(bench: Bench) -> Outcome:
         "The limits are of a half-space seen straight on, by two layers with noise but no print "
         "errors. The width of one force can come out below: the finger's pseudo-inverse sharpens "
         "it at the price of what stands next to it, so read it with the distance at which two are "
-        "told apart."
+        "resolved."
     )
     return Outcome(records=Record.of_runs([numbers]), panels=panels, notes=(note,))
 
@@ -686,13 +686,13 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
     least = "smallest difference of force"
 
     def reading(chain: Chain, trial: Trial) -> Numbers:
-        name = f"{paper}, z: {least} two readings of one press tell apart at 95 %"
+        name = f"{paper}, z: {least} two readings of one press resolve at 95 %"
         resolution = _resolution_gf(bench, press(chain.rig(bench, trial)), chain, trial)
         return {Quantity(name, "gf", ours=True): resolution}
 
     def line(axis: int, chain: Chain, trial: Trial) -> Numbers:
         """Return Fig. 8's resolution along an axis, of two repeats."""
-        name = f"sato, {'xyz'[axis]}: {least} two readings tell apart at 95 %"
+        name = f"sato, {'xyz'[axis]}: {least} two readings resolve at 95 %"
         first = FIRST_EXPOSURE + 5000 + trial.exposures
         found = ForceLine.of(bench, chain, axis, 10, 2, first)
         return {Quantity(name, "gf", paper=READ_GF, ours=True): found.resolution_gf}
@@ -838,14 +838,14 @@ def in_short(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
             f"pillar, and the forces sum to {pushed[1]} of the applied one.",
             f"A marker's shift is good to {flat['shift'][0]} px with its own software. A narrow "
             f"force comes out {flat['width'][0]} mm wide, and two must be {flat['apart'][0]} mm "
-            "apart to be told apart: its markers lie 3 and 6 mm deep, and its noise is high.",
+            "apart to be resolved: its markers lie 3 and 6 mm deep, and its noise is high.",
             f"It can't give the pressure under a 5 mm pillar: the field is off by "
             f"{flat['field'][0]} of itself.",
         ],
         "What the finger can and can't do": [
-            f"As a force sensor it tells {gram[0][0]}, {gram[1][0]} and {gram[2][0]} gf apart "
+            f"As a force sensor it resolves {gram[0][0]}, {gram[1][0]} and {gram[2][0]} gf "
             "along x, y and z (the paper: 30).",
-            f"A narrow force comes out {finger['width'][0]} mm wide, and two are told apart at "
+            f"A narrow force comes out {finger['width'][0]} mm wide, and two are resolved at "
             f"{finger['apart'][0]} mm, on the points where it was calibrated.",
             f"Between those points it can't give a field: the error is {between[0]} of the field, "
             f"on a point {finger['field'][0]}.",
@@ -855,14 +855,14 @@ def in_short(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
             "computed from the drawing instead of 75 presses, and an inverse that allows forces "
             "only where a first solution has some.",
             f"Shifts are then good to {flat['shift'][1]} and {finger['shift'][1]} px, two forces "
-            f"are told apart at {flat['apart'][1]} and {finger['apart'][1]} mm, and the finger "
+            f"are resolved at {flat['apart'][1]} and {finger['apart'][1]} mm, and the finger "
             f"reads {gram[0][1]}, {gram[1][1]} and {gram[2][1]} gf; its field between the points "
             f"is off by {between[1]}.",
             "A camera without video or compression measures shifts to "
-            f"{flat['shift'][2]} and {finger['shift'][2]} px and tells two forces apart at "
+            f"{flat['shift'][2]} and {finger['shift'][2]} px and resolves two forces at "
             f"{flat['apart'][2]} and {finger['apart'][2]} mm; from there on the markers' depth and "
             "pitch are the limit.",
-            f"The flat sensor with that camera and markers 1 mm apart, 1 and 2 mm deep, tells "
+            f"The flat sensor with that camera and markers 1 mm apart, 1 and 2 mm deep, resolves "
             f"forces {best} mm apart (its authors wanted 2).",
         ],
     }

@@ -238,7 +238,7 @@ def _figure_8(bench: Bench) -> Outcome:
 
         def numbers(run: ForceLine, name: str = name) -> Numbers:
             scatter = ((run.measured_gf - run.measured_gf.mean()) ** 2).sum()
-            resolution = "resolution: smallest difference two readings tell apart at 95 %"
+            resolution = "resolution: smallest difference two readings resolve at 95 %"
             n = f"(n times {repeats} repeats)"
             return {
                 Quantity(f"{name}: slope of measured over applied force {n}"): run.fit[0],

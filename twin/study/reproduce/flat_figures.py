@@ -468,7 +468,7 @@ def _figure_16(bench: Bench) -> Outcome:
     note = (
         "According to the paper the two make quite the same movement (a cosine of 1), in a figure "
         "of unknown range. On the middle row of one layer they do, over as much of it as the table "
-        "states; both layers at once tell them apart (which is why the sensor has two), and so "
+        "states; both layers at once differ (which is why the sensor has two), and so "
         "does the plane, as the pair moves the markers on both sides of it the other way."
     )
     return Outcome(records=records, panels=(panel,), notes=(note,))

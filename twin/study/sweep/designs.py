@@ -128,8 +128,8 @@ class Designs:
         return validate_scene(table, "design")
 
     def marker_counts(self, layer: str) -> tuple[Floats, Floats]:
-        """Return (m,) columns and (m,) rows of a layer's markers, which keep its extent where the
-        sweep says so."""
+        """Return (m,) columns and (m,) rows of a layer's markers, which keep its extent if the
+        sweep wants that."""
         own = self.scene.markers[layer]
         pitch = self.numbers(f"markers.{layer}.pitch_mm", own.pitch_mm)
 

@@ -259,7 +259,7 @@ def _verdict(done: Swept) -> str:
 
 
 def _as_asked(name: str, value: float, target: float) -> str:
-    """Return a metric beside its target in words."""
+    """Return a metric and its target in words."""
     head, unit, scale = _named(name), "", 1
     if name in FIGURES:
         head, _, scale = FIGURES[name]
