@@ -30,11 +30,12 @@ from twin.sense.calibration import Calibration
 from twin.sense.fit_design import Fit, Presses, fit
 from twin.sense.reconstruct import reconstruct
 from twin.sense.transfer import fill_between, from_presses
-from twin.study.calibrate import FOOTPRINT, calibration_press, hertz_radius, optics
+from twin.study.calibrate import FOOTPRINT, calibration_press, optics
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.reproduce.reproduction_run import source_hash
-from twin.study.sensor import Actual, Sensor, make, on_surface
+from twin.study.sensor import Sensor, make, on_surface
+from twin.theory.contact import hertz
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.coated import CoveredCompliance
 from twin.world.elasticity.fem import Layer
@@ -58,7 +59,17 @@ def design() -> Scene:
     return load_scene("sato_press", overrides={"tolerance.distortion": 0.01, "calibration.method": "compliance"})
 
 
-def sensors(scene: Scene, count: int = SENSORS) -> list[Actual]:
+def hertz_radius(scene: Scene, force_n: float) -> float:
+    """Return the nominal contact radius of the calibration sphere, mm."""
+    return hertz(
+        radius_mm=scene.calibration.press_probe_mm / 2,
+        youngs_modulus_mpa=scene.material.youngs_modulus_mpa,
+        poisson_ratio=scene.material.poisson_ratio,
+        force_n=force_n,
+    ).contact_radius_mm
+
+
+def sensors(scene: Scene, count: int = SENSORS) -> list[Any]:
     """Return made sensors."""
     return [make(scene.model_copy(update={"seed": 100 + number})) for number in range(count)]
 
@@ -74,7 +85,7 @@ class Measured:
 class Truth:
     """Loads on all sensors, each solved once and kept on disk, until the program's sources change."""
 
-    def __init__(self, scene: Scene, made: list[Actual], covered: bool) -> None:
+    def __init__(self, scene: Scene, made: list[Any], covered: bool) -> None:
         self.scene, self.made, self.covered = scene, made, covered
         material = scene.material.model_copy(update={"poisson_ratio": NU})
         plain = scene.model_copy(
@@ -110,7 +121,7 @@ class Truth:
     def _split(self, columns: Floats) -> Floats:
         return columns.reshape(len(self.made), -1, *columns.shape[1:])
 
-    def _through(self, one: Actual, compliance: Floats) -> Floats:
+    def _through(self, one: Any, compliance: Floats) -> Floats:
         """Return (2n, q) px/N of a sensor's (n, 3, q) mm/N at the nominal modulus."""
         scene = one.scene
         slope = project_with_jacobian(
@@ -168,7 +179,7 @@ class Truth:
             print(f"{what} {kind} {key}", file=sys.stderr, flush=True)
         return np.asarray(np.load(path))
 
-    def _stiffer(self, one: Actual) -> float:
+    def _stiffer(self, one: Any) -> float:
         return one.scene.material.youngs_modulus_mpa / self.scene.material.youngs_modulus_mpa
 
     def _measured(self, force: Floats, moved: Floats) -> Measured:
@@ -180,7 +191,7 @@ class Truth:
         ]
         return Measured(forces, np.stack(shifts))
 
-    def _project(self, one: Actual, points: Floats) -> Floats:
+    def _project(self, one: Any, points: Floats) -> Floats:
         scene = one.scene
         return project(points, scene.camera, scene.material.refractive_index, scene.body.base_z_mm)  # type: ignore[arg-type]
 

@@ -266,7 +266,6 @@ def make(folder: Path, readers: Iterable[str]) -> None:
     from twin.study.calibrate import calibrate_to_file
     from twin.study.dataset.create import create_dataset
     from twin.study.recipe import dump_scene
-    from twin.study.recorded import VideoWriter
     from twin.study.run import run
 
     folder.mkdir(parents=True)
@@ -296,11 +295,14 @@ def make(folder: Path, readers: Iterable[str]) -> None:
     create_dataset(twin.load_scene("kamiyama_pillar", {**SMALL, **VARY}), base / "data", 2)
     (base / "dataset.toml").write_text((base / "data" / "meta" / "scene.toml").read_text())
     try:
-        film = VideoWriter(base / "film.mp4", (160, 120))
+        import imageio_ffmpeg
+
+        film = imageio_ffmpeg.write_frames(str(base / "film.mp4"), (160, 120), macro_block_size=1)
+        film.send(None)
         for picture in (result.rest, result.pressed, result.pressed):
-            film.add(picture)
+            film.send(np.ascontiguousarray(picture))
         film.close()
-    except twin.errors.MissingCapability:
+    except ImportError:
         (base / "film.mp4").write_bytes(b"no encoder here")
     for name in readers:
         shutil.copytree(base, folder / name)

@@ -12,7 +12,6 @@ import matplotlib.pyplot as plt
 import twin
 from twin.errors import MissingCapability
 from twin.files import write_whole
-from twin.show.body_view import body_page
 from twin.study.view import body_view
 
 
@@ -207,7 +206,7 @@ def make_gallery(folder: Path) -> None:
             text += [plate.said, _shown(plate, folder)]
     text += ["## Bodies", "Turn them in the browser:"]
     for scene in BODIES:
-        page = body_page(body_view(twin.Sensor(twin.load_scene(scene))))
+        page = body_view(twin.Sensor(twin.load_scene(scene))).page()
         write_whole(folder / "pages" / f"{scene}.html", lambda f, page=page: f.write(page.encode()))
         text += [f'- <a href="../{scene}.html">{scene}</a> (`twin view {scene}`)']
     (folder / "gallery.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")

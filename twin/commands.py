@@ -432,7 +432,7 @@ def scenes(
     twin scenes --new mine --size-mm 30 20 5 --modulus-mpa 0.15 --pitch-mm 1.5 --fov-deg 60
     """
     if new is not None:
-        from twin.study.new_scene import Pad, write_new_scene
+        from twin.study.new_scene import Pad
 
         pad = Pad(
             size_mm=size_mm,
@@ -446,7 +446,7 @@ def scenes(
             focal_mm=focal_mm,
             resolution=resolution,
         )
-        print("\n".join(write_new_scene(new, pad)))
+        print("\n".join(pad.write(new)))
         return
     from twin.study.recipe import load_scene, shipped_scenes
 
@@ -600,11 +600,11 @@ def view(
 
         print(view_dataset(folder, out or Path(f"{folder.name or 'dataset'}.html")))
         return
-    from twin.files import make_folder
+    from twin.files import make_folder, write_whole
     from twin.study.film import FILMS, write_film
     from twin.study.recipe import find_scene
     from twin.study.sensor import Sensor
-    from twin.study.view import view_scene
+    from twin.study.view import body_view
 
     # The page of a run goes into the run's folder, that of a scene into the current one.
     if folder.is_dir() and not (folder / "scene.toml").is_file():
@@ -624,19 +624,21 @@ def view(
     bar = _progress()
     sensor = Sensor(scene, bar)
     if window:
-        from twin.show.body_view import require_window, show_body
-        from twin.study.view import body_view
+        from twin.show.body_view import require_window
 
         require_window()
         shown = body_view(sensor)
         if bar is not None:
             bar("done", 1.0)
-        show_body(shown)
+        shown.show()
         return
     make_folder(page.parent)
-    write = write_film if page.suffix.lower() in FILMS else view_scene
     with _scene_named(path):
-        print(write(sensor, page))
+        if page.suffix.lower() in FILMS:
+            print(write_film(sensor, page))
+        else:
+            write_whole(page, body_view(sensor).page().encode())
+            print(f"written to {page}; open it in a browser")
     if bar is not None:
         bar("done", 1.0)
 

@@ -123,7 +123,7 @@ def _read(file: str) -> tuple[bytes, set[str]]:
     return hashlib.sha256(source).digest(), {each for each in named if os.path.isfile(each)}
 
 
-class Compiling(event.Listener):  # type: ignore[misc]
+class _Compiling(event.Listener):  # type: ignore[misc]
     """Watches numba compile: holds the garbage collector, and prints a line on stderr.
 
     Why hold the collector: a compilation makes millions of objects that live until its end, and
@@ -192,14 +192,14 @@ class Compiling(event.Listener):  # type: ignore[misc]
         self._second = None
 
 
-COMPILING = Compiling()
+COMPILING = _Compiling()
 event.register("numba:compile", COMPILING)
 
 
 @contextmanager
 def compiled_ahead(module: str) -> Iterator[None]:
     """Within the block, have a second process run a module once compiling takes long (see
-    `Compiling`): what it compiles is stored when this process comes to it."""
+    `_Compiling`): what it compiles is stored when this process comes to it."""
     COMPILING.ahead = module
     try:
         yield

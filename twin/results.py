@@ -210,6 +210,55 @@ class RunResult:
             "centre error": f"{centre:.2g} mm" if centre is not None else "",
         }
 
+    def summary(self) -> str:
+        """Return the lines that ``twin run`` prints: contact, warnings, errors and times."""
+        score, facts = self.score or {}, self.facts
+        lines = []
+        if (contact := facts.get("contact")) is not None:
+            lines.append(
+                f"contact     {contact['force_n'][2]:.4g} N along z, indentation "
+                f"{contact['indentation_mm']:.3g} mm"
+            )
+        validity = facts.get("validity", {})
+        warned = (*validity.get("warnings", ()), *facts.get("warnings", ()))
+        lines += [f"warning     {warning}" for warning in warned]
+        lines += [f"note        {note}" for note in validity.get("notes", ())]
+        if "renderer" in facts:
+            lines.append(f"renderer    {facts['renderer']}")
+        if "tracking" in self.timings:
+            for stage in ("tracking", "force"):
+                if score.get(stage) is None and stage in score.get("reasons", {}):
+                    lines.append(f"{stage:11s} failed: {score['reasons'][stage]}")
+        tracking, force = score.get("tracking"), score.get("force")
+        if tracking and tracking.get("matched") is not None:
+            sd = tracking.get("sd_px")
+            spread = f"SD {sd:.3f} px" if sd is not None else "no SD, too few markers"
+            lines.append(f"tracking    {spread}, {100 * tracking['matched']:.1f} % matched")
+        if force:
+            lines += self._force_lines(force)
+        long = [f"{name} {seconds:.1f}" for name, seconds in self.timings.items() if seconds >= 0.1]
+        total = f"time        {sum(self.timings.values()):.1f} s"
+        return "\n".join([*lines, ": ".join(filter(None, (total, ", ".join(long))))])
+
+    def _force_lines(self, force: dict[str, Any]) -> list[str]:
+        """Return the errors of total force, centre and field that are defined."""
+        lines = []
+        if force["total_force_error"] is not None:
+            lines.append(f"total force {100 * force['total_force_error']:.1f} % off")
+            if self.estimate is not None and len(self.estimate.force_n):
+                sites = self.estimate.force_n.sum(axis=0)
+                total = self.estimate.total_force_n
+                if not np.allclose(sites, total, rtol=1e-6, atol=1e-9):
+                    lines.append(
+                        f"sites' sum  {100 * force['sites_force_error']:.1f} % off: Fz "
+                        f"{sites[2]:.4g} N, the total of the unbounded solve {total[2]:.4g} N"
+                    )
+        if force["centre_error_mm"] is not None:
+            lines.append(f"centre      {force['centre_error_mm']:.3g} mm off")
+        if force["field_error"] is not None:
+            lines.append(f"force field {100 * force['field_error']:.0f} % off")
+        return lines
+
     def plot(self) -> Any:
         """Draw what the run computed in a new matplotlib figure.
 

@@ -119,7 +119,7 @@ def test_without_its_sources_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) ->
 def test_the_first_run_says_once_that_it_compiles_also_off_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", stderr := io.StringIO())
     monkeypatch.setattr(twin.compiled, "SHOWN_AFTER_S", 1e-9)
-    told = twin.compiled.Compiling()
+    told = type(twin.compiled.COMPILING)()
     for home in ("elsewhere", "twin.somewhere", "twin.somewhere"):
         function = SimpleNamespace(py_func=SimpleNamespace(__module__=home))
         inner = event.Event("numba:compile", event.EventStatus.START, {"dispatcher": function})

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import twin
-from twin.show.body_view import BodyFrame, BodyView, body_page
+from twin.show.body_view import BodyFrame, BodyView
 from twin.study.sensor import Sensor
-from twin.study.view import body_view, view_scene
+from twin.study.view import body_view
 
 
 @pytest.fixture(scope="module")
@@ -74,12 +74,10 @@ def test_the_page_holds_the_arrays_and_no_markup_of_the_title() -> None:
         patch_mm=np.zeros((0, 4, 3)), patch_displacement_mm=np.zeros((0, 3)), traction_mpa=np.zeros((0, 3)),
         slip=np.zeros(0, bool),
     )  # fmt: skip
-    page = body_page(
-        BodyView(
-            title="<b>&", corner_mm=np.eye(3), triangle=np.array([[0, 1, 2]]), marker_mm=np.full((1, 3), 0.25),
-            marker_layer=np.array(["red"]), layer_radius_mm={"red": 0.25}, frames=(frame,),
-        )
-    )  # fmt: skip
+    page = BodyView(
+        title="<b>&", corner_mm=np.eye(3), triangle=np.array([[0, 1, 2]]), marker_mm=np.full((1, 3), 0.25),
+        marker_layer=np.array(["red"]), layer_radius_mm={"red": 0.25}, frames=(frame,),
+    ).page()  # fmt: skip
     assert "<b>" not in page
     assert page.count("</script>") == 2
     assert not re.search(r"(src|href)\s*=|https?://", page), "nothing is fetched"
@@ -91,7 +89,7 @@ def test_the_page_holds_the_arrays_and_no_markup_of_the_title() -> None:
 @pytest.mark.skipif(not shutil.which("chromium"), reason="needs a browser: apt install chromium")
 def test_a_browser_paints_it(tmp_path: Path) -> None:
     page, picture = tmp_path / "view.html", tmp_path / "view.png"
-    view_scene(Sensor(twin.load_scene("finger_bare")), page)
+    page.write_text(body_view(Sensor(twin.load_scene("finger_bare"))).page())
     browser = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--window-size=900,700"]
     said = subprocess.run([*browser, "--dump-dom", page.as_uri()], capture_output=True, text=True, check=True)
     assert int(re.search(r'data-painted="(\d+)"', said.stdout)[1]) > 300

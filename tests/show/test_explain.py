@@ -2,7 +2,7 @@
 
 import copy
 
-from twin.show.explain import LIMITS, Finding, explain
+from twin.show.explain import LIMITS, explain
 
 SCORE = {
     "elastic": {"largest_displacement_mm": 0.3, "force_error": 5e-17, "contact_over_probe_radius": None},
@@ -13,7 +13,7 @@ SCORE = {
 ONE_LAYER = "[material]\npoisson_ratio = 0.5\n[markers.dots]\ndepth_mm = 0.5\n"
 
 
-def found(score: dict, scene: str = "") -> dict[str, Finding]:
+def found(score: dict, scene: str = "") -> dict:
     return {one.key: one for one in explain(score, scene)}
 
 

@@ -58,8 +58,7 @@ def test_it_draws_markers_and_what_sticks_and_slips(tmp_path: Path) -> None:
         pytest.skip("OpenGL does not draw here")
     code = (
         "import sys\nfrom pathlib import Path\nfrom test_window import view_of\n"
-        "from twin.show.body_view import show_body\n"
-        "show_body(view_of([False, True]), Path(sys.argv[1])); show_body(view_of([]), Path(sys.argv[2]))"
+        "view_of([False, True]).show(Path(sys.argv[1])); view_of([]).show(Path(sys.argv[2]))"
     )
     pictures = [tmp_path / "touched.png", tmp_path / "untouched.png"]
     subprocess.run([sys.executable, "-c", code, *map(str, pictures)], check=True, cwd=Path(__file__).parent)

@@ -16,7 +16,6 @@ from benchmarks.fuzz_files import LAUGHS, READERS, Reader, npy_header, png, png_
 from twin.errors import InputError
 from twin.files import read_arrays, write_json
 from twin.study.batch.pool import only_writer
-from twin.study.calibrate import read_presses
 from twin.study.check import check_path
 from twin.study.dataset.plan import FORMAT
 from twin.study.dataset.reader import DatasetReader, decoded, open_dataset
@@ -146,9 +145,3 @@ def test_results_of_other_shapes_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "truth.npz", **arrays)
     with pytest.raises(InputError, match="has shape"):
         check_path(str(tmp_path))
-
-
-def test_a_force_beyond_all_bounds_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "presses.csv").write_text("frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\na.png,0,0,,0,0,1e300\n")
-    with pytest.raises(InputError, match="line 2: fz_n"):
-        read_presses(tmp_path)

@@ -24,7 +24,7 @@ from benchmarks.random_scenes import (
 )
 from twin.errors import ContactError, RecipeError
 from twin.parts.press import Cone, Press
-from twin.study.doubts import shift_bound
+from twin.study.doubts import noise_bound
 from twin.study.recipe import dump_scene, load_scene
 from twin.study.sensor import Sensor, make
 
@@ -152,4 +152,4 @@ def test_black_markers_on_black_ground_have_no_bound_and_no_error() -> None:
     black = {f"markers.{name}.colour": [0.0, 0.0, 0.0] for name in ("red", "blue")}
     black["cover.albedo"] = [0.0, 0.0, 0.0]
     scene = load_scene("kamiyama_pillar", black)
-    assert np.isinf(shift_bound(scene, "red", np.array([5.0, 10.0]))).all()
+    assert np.isinf(noise_bound(scene)).all()

@@ -7,15 +7,15 @@ import pytest
 from PIL import Image, ImageSequence
 
 import twin
+from twin.cli import main
 from twin.errors import InputError, RecipeError
 from twin.parts.press import Step
 from twin.sense.calibration import read_calibration
 from twin.sense.track import Tracker
 from twin.study.calibrate import calibrate_to_file
-from twin.study.film import PARTS, at_frames, film_to_folder, in_parts, write_film
-from twin.study.recorded import frames, read_picture, reconstruct_frames
+from twin.study.film import PARTS, at_frames, film_to_folder, write_film
+from twin.study.recorded import read_picture
 from twin.study.sensor import Sensor
-from twin.theory.relaxation import Hereditary
 
 QUICK = {"accuracy.contact_patches": 6, "accuracy.centroid_px": 0.1, "camera.width_px": 320, "camera.height_px": 240,
          "camera.focal_px": 907.4, "ccd.noise": False}  # fmt: skip
@@ -23,9 +23,10 @@ QUICK = {"accuracy.contact_patches": 6, "accuracy.centroid_px": 0.1, "camera.wid
 
 def test_a_path_in_parts_comes_to_the_same_ends() -> None:
     scene = twin.load_scene("kamiyama_shear", {"accuracy.contact_patches": 6})
+    steps = tuple(step.model_copy(update={"seconds": 1.0}) for step in scene.press.path)
+    press = scene.press.model_copy(update={"steps": steps, "force_n": None, "indentation_mm": None})
     sensor = Sensor(scene)
-    quarters = [[0.25, 0.5, 0.75, 1.0]] * len(scene.press.path)
-    whole, parted = sensor.press(), sensor.press(in_parts(scene.press, quarters))
+    whole, parted = sensor.press(), sensor.press(at_frames(press, 4)[0])
     assert len(parted.path) == 4 * len(whole.path)
     for number, end in enumerate(whole.path, start=1):
         same = parted.path[4 * number - 1]
@@ -51,12 +52,13 @@ def test_the_film_begins_at_rest_and_moves_on(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # ffmpeg's pipes
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_a_film_as_h264_holds_the_pictures_of_the_animated_one(tmp_path: Path) -> None:
-    pytest.importorskip("imageio_ffmpeg")
+    package = pytest.importorskip("imageio_ffmpeg")
     sensor = Sensor(twin.load_scene("kamiyama_pillar", QUICK | {"camera.width_px": 321}))
     for name in ("press.mp4", "press.png"):
         write_film(sensor, tmp_path / name)
     assert b"avc1" in (tmp_path / "press.mp4").read_bytes(), "H.264"
-    film = [frame.picture for frame in frames([str(tmp_path / "press.mp4")], None, None, None)]
+    facts, *film = package.read_frames(str(tmp_path / "press.mp4"))
+    film = [np.frombuffer(data, np.uint8).reshape(*facts["size"][::-1], 3) for data in film]
     assert len(film) == PARTS + 10, "the last one stays"
     with Image.open(tmp_path / "press.png") as shown:
         for seen, frame in zip(film, ImageSequence.Iterator(shown), strict=False):
@@ -109,7 +111,7 @@ def test_a_film_has_the_truth_of_its_frames_and_the_tracker_reads_it_back(tmp_pa
     assert truth["patch_slip"][last].mean() == pytest.approx(truth["slip_share"][4], abs=1e-9)
     # What the software sees is where the markers are in the middle of each exposure.
     tracker = Tracker(read_picture(tmp_path / "film" / "rest.png"), Sensor(scene).layout_px)
-    seen = [one.picture for one in frames([str(tmp_path / "film" / "frames")], None, None, None)]
+    seen = [read_picture(path) for path in sorted((tmp_path / "film" / "frames").iterdir())]
     assert len(seen) == 5
     for number, picture in enumerate(seen):
         shift = tracker.track(picture).shift_px
@@ -135,9 +137,15 @@ def test_forces_on_a_film_of_rubber_that_relaxes_are_the_true_ones(tmp_path: Pat
     known = read_calibration(tmp_path / "gel.npz")
     assert known.relaxation is not None
     rubber = known.relaxation
-    rest, pictures = read_picture(tmp_path / "rest.png"), frames([str(tmp_path / "frames")], None, None, None)
-    fields = [one.field for one in reconstruct_frames(rest, known, pictures, method="local")]
-    history = Hereditary(rubber)
+    both = [str(tmp_path / name) for name in ("rest.png", "frames")]
+    both += ["--calibration", str(tmp_path / "gel.npz"), "--method", "local", "--out", str(tmp_path / "forces.npz")]
+
+    def forces(*options: str) -> np.ndarray:
+        with pytest.raises(SystemExit) as ended:
+            main(["reconstruct", *both, *options])
+        assert ended.value.code == 0
+        return np.load(tmp_path / "forces.npz")["fz_n"]
+
     truth = np.load(tmp_path / "truth.npz")
     np.testing.assert_allclose(truth["force_n"][:, 2], [0, *[0.2] * 8, 0, 0], atol=1e-7)
     creep = [rubber.ramp_creep(time_s - 0.2, 0.2) for time_s in truth["time_s"][1:]]
@@ -145,9 +153,8 @@ def test_forces_on_a_film_of_rubber_that_relaxes_are_the_true_ones(tmp_path: Pat
     elastic = 0.2 * (np.array([0, *creep]) - [0, *back])
     assert elastic[8] > 0.225
     assert elastic[9] > 0.015
-    seen = [one.total_force_n[2] for one in fields]
-    assert seen == pytest.approx(elastic, abs=0.006)
-    found = [one.relaxed(history, 0.2).total_force_n[2] for one in fields]
+    assert forces() == pytest.approx(elastic, abs=0.006)
+    found = forces("--frames-per-second", "5")
     assert found == pytest.approx(truth["force_n"][:, 2], abs=0.006)
     assert found[9:] == pytest.approx([0, 0], abs=0.004)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from twin.sense.fit_design import fit
-from twin.study.fitted_design import FittedDesign, hertz_shares
+from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.sensor import make, on_surface
 from twin.theory.optics import project
@@ -54,7 +54,7 @@ def test_nothing_is_fitted_that_the_tolerances_give_no_room():
 
 
 def test_footprint_has_the_second_moment_of_hertz():
-    offsets, shares = hertz_shares()
+    offsets, shares = FittedDesign.hertz_shares()
     assert shares.sum() == pytest.approx(1.0)
     assert shares @ offsets**2 == pytest.approx([0.2, 0.2], abs=0.01)
 

@@ -40,8 +40,7 @@ def test_a_folder_of_photographed_presses_is_fitted(tmp_path):
     told = {"seed": 12, "calibration.presses": None, "calibration.file": None, "calibration.method": "fitted"}
     scene = load_scene("kamiyama_pillar", told)
     sensor = Sensor(scene)
-    half_mm = calibrate.FOOTPRINT * calibrate.hertz_radius(scene, scene.calibration.press_force_n)
-    places = on_surface(scene.body, np.array([(4.0, 3.0), (-5.0, -2.0)]), half_mm, "places")
+    places = on_surface(scene.body, np.array([(4.0, 3.0), (-5.0, -2.0)]), 0.5, "places")
     Image.fromarray(sensor.picture(None, exposure=50)).save(tmp_path / "rest.png")
     rows = [["frame", "x_mm", "y_mm", "z_mm", "fx_n", "fy_n", "fz_n"]]
     random = np.random.default_rng(0)

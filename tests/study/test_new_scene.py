@@ -7,7 +7,7 @@ import pytest
 import twin
 from twin.cli import main
 from twin.study.doubts import View, doubts
-from twin.study.new_scene import Pad, write_new_scene
+from twin.study.new_scene import Pad
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,7 @@ from twin.study.new_scene import Pad, write_new_scene
     ],
 )
 def test_what_is_written_is_a_scene_without_doubts(pad: Pad, tmp_path: Path) -> None:
-    (line,) = write_new_scene(tmp_path / "mine", pad)
+    (line,) = pad.write(tmp_path / "mine")
     assert line.startswith(str(tmp_path / "mine.toml"))
     scene = twin.load_scene(tmp_path / "mine.toml")
     assert not doubts(scene)
@@ -37,7 +37,7 @@ def test_what_is_written_is_a_scene_without_doubts(pad: Pad, tmp_path: Path) -> 
 
 
 def test_a_chip_and_a_lens_give_the_angle(tmp_path: Path) -> None:
-    write_new_scene(tmp_path / "a", Pad(sensor_mm=4.8, focal_mm=6))
+    Pad(sensor_mm=4.8, focal_mm=6).write(tmp_path / "a")
     camera = twin.load_scene(tmp_path / "a.toml").camera
     assert camera is not None
     assert camera.focal_px == pytest.approx(640 * 6 / 4.8, rel=1e-3)
@@ -76,5 +76,5 @@ def test_wrong_numbers_are_told(
 def test_a_file_that_is_there_is_kept(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("precious")
     with pytest.raises(twin.TwinError, match="is there already"):
-        write_new_scene(tmp_path / "mine", Pad())
+        Pad().write(tmp_path / "mine")
     assert (tmp_path / "mine.toml").read_text() == "precious"

@@ -19,10 +19,11 @@ from half_space_sensor import _sensor, disk, grid, jacobian, shifts
 
 from benchmarks.discs import expose, scene
 from twin.cli import main
+from twin.errors import InputError
 from twin.sense.calibration import write_calibration
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import track
-from twin.study.recorded import Frame, frames, reconstruct_frames
+from twin.study.recorded import VIDEOS, read_picture
 from twin.theory.relaxation import Relaxation
 
 SIZE, OFFSET, FORCE = (320, 260), np.array([159.5, 129.5]), np.array([0.2, -0.1, 1.5])
@@ -130,24 +131,39 @@ def long_recording():
     return rest, calibration, frames
 
 
-def felt(rest, calibration, pictures, **options):
-    named = [Frame(name=str(number), picture=picture, problem="") for number, picture in enumerate(pictures)]
-    return list(reconstruct_frames(rest, calibration, named, **options))
+def felt(folder, rest, calibration, pictures, *options):
+    """Return the table of pictures, by column; None stands for a picture that can't be read."""
+    folder.mkdir(exist_ok=True)
+    write_calibration(calibration, folder / "known.npz")
+    for name, picture in (("rest", rest), *enumerate(pictures)):
+        (folder / f"{name}.png").unlink(missing_ok=True)
+        if picture is not None:
+            Image.fromarray(picture).save(folder / f"{name}.png")
+    names = [f"{number}.png" for number in range(len(pictures))]
+    twin("rest.png", *names, "--calibration", "known.npz", "--out", "felt.npz", *options, cwd=folder)
+    return dict(np.load(folder / "felt.npz"))
 
 
-@pytest.mark.parametrize("options", [{}, {"weight": "likelihood"}, {"weight": "gcv"}, {"push_only": True}])
-def test_a_recording_that_starts_at_rest(long_recording, options):
+def columns(table, kind, unit="n"):
+    return np.stack([table[f"{kind}{axis}_{unit}"] for axis in "xyz"], axis=1)
+
+
+FREE = ("--method", "smooth", "--no-push-only")
+
+
+@pytest.mark.parametrize("options", [FREE, (*FREE, "--weight", "likelihood"), (*FREE, "--weight", "gcv"), FREE[:2]])
+def test_a_recording_that_starts_at_rest(long_recording, options, tmp_path):
     """Noise alone in the first frames must not set how strongly the frames after them are smoothed."""
     rest, calibration, frames = long_recording
     rng = np.random.default_rng(3)
     noisy = np.clip(np.rint(frames[-3] + rng.normal(0, 1, frames[-3].shape)), 0, 255).astype(np.uint8)
-    for share, one in zip((*SHARES, SHARES[-3]), felt(rest, calibration, [*frames, noisy], **options), strict=True):
-        off = one.field.total_force_n - share * FORCE
-        assert one.reason == ""
-        assert np.linalg.norm(off) < 0.05 * share * np.linalg.norm(FORCE) + 0.03
-        if share == 0:
-            assert (np.abs(off) < 4 * one.field.sd_total_n).all(), "zero within its stated error"
-            assert one.field.sd_total_n[2] > 5e-4, "a small force can't be excluded"
+    table = felt(tmp_path, rest, calibration, [*frames, noisy], *options)
+    share = np.array([*SHARES, SHARES[-3]])
+    off, sd = columns(table, "f") - share[:, None] * FORCE, columns(table, "sd_f")
+    assert set(table["reason"]) == {""}
+    assert (np.linalg.norm(off, axis=1) < 0.05 * share * np.linalg.norm(FORCE) + 0.03).all()
+    assert (np.abs(off) < 4 * sd)[share == 0].all(), "zero within its stated error"
+    assert (sd[share == 0, 2] > 5e-4).all(), "a small force can't be excluded"
 
 
 RUBBER = Relaxation(np.array([0.2, 0.1]), np.array([0.05, 0.6]))
@@ -155,30 +171,29 @@ CREPT = json.dumps({"relaxation": [[0.2, 0.05], [0.1, 0.6]]})
 
 
 @pytest.mark.parametrize("failed", [(), (6, 7)])
-def test_forces_of_rubber_that_relaxes_are_the_integral_over_those_before(long_recording, failed):
+def test_forces_of_rubber_that_relaxes_are_the_integral_over_those_before(long_recording, failed, tmp_path):
     """f(t) = int G(t - s) dq(s), q linear between the frames that are found; the first comes suddenly."""
     rest, calibration, pictures = long_recording
     pictures = [None if number in failed else one for number, one in enumerate(pictures)][3:]
-    elastic = felt(rest, calibration, pictures)
+
+    def values(table):
+        parts = [columns(table, "f"), columns(table, "t", "nmm"), columns(table, "sum_f")]
+        return np.hstack([*parts, table["force_n"].reshape(len(pictures), -1)])
+
+    elastic = values(felt(tmp_path, rest, calibration, pictures, *FREE))
     known = replace(calibration, provenance=CREPT)
-    found = felt(rest, known, pictures, frames_per_second=10.0)
-    good = [number for number, one in enumerate(found) if one.field]
+    table = felt(tmp_path, rest, known, pictures, *FREE, "--frames-per-second", "10")
+    found, good = values(table), np.flatnonzero(table["ok"])
     assert len(good) == len(pictures) - len(failed)
-    columns = [f"{kind}{axis}_{unit}" for kind, unit in (("f", "n"), ("t", "nmm"), ("sum_f", "n")) for axis in "xyz"]
-
-    def values(result):
-        row = result.row(30)
-        return np.concatenate([[row[name] for name in columns], row["force_n"].ravel()])
-
-    at, q = np.array(good) / 10.0, np.array([values(elastic[number]) for number in good])
+    at, q = good / 10.0, elastic[good]
     for k, number in enumerate(good):
         wanted = RUBBER.modulus(at[k]) * q[0]
         for j in range(k):
             share = (np.arange(2000) + 0.5) / 2000
             mean = RUBBER.modulus(at[k] - at[j] - share * (at[j + 1] - at[j])).mean()
             wanted = wanted + mean * (q[j + 1] - q[j])
-        assert values(found[number]) == pytest.approx(wanted, abs=1e-6)
-    assert abs(values(found[-1])[2]) > 10 * abs(q[-1, 2]), "markers at rest so soon after a press are pulled back"
+        assert found[number] == pytest.approx(wanted, abs=1e-6)
+    assert abs(found[-1, 2]) > 10 * abs(q[-1, 2]), "markers at rest so soon after a press are pulled back"
 
 
 def test_a_recording_in_time(folder):
@@ -207,25 +222,24 @@ def test_a_frame_does_not_depend_on_those_before_it(long_recording):
     assert after.weight == alone.weight
 
 
-def test_another_sensors_calibration_is_doubted(long_recording):
+def test_another_sensors_calibration_is_doubted(long_recording, tmp_path):
     """Another pitch, half of a layer's markers, another depth of one layer, another sensor of the same design."""
     rest, calibration, frames = long_recording
     layout, middle = calibration.layout_px, calibration.layout_px.mean(axis=0)
     blue = (calibration.layer == "blue")[:, None]
     rng = np.random.default_rng(4)
-    assert felt(rest, calibration, frames[6:7])[0].reason == ""
+    assert felt(tmp_path, rest, calibration, frames[6:7])["reason"] == [""]
     measured = replace(calibration, provenance='{"rest": "measured"}')
-    assert felt(rest, measured, frames[6:7])[0].reason == ""
+    assert felt(tmp_path, rest, measured, frames[6:7])["reason"] == [""]
     others = [
         replace(calibration, layout_px=middle + 1.05 * (layout - middle)),
         replace(calibration, layout_px=np.where(blue, middle + 1.02 * (layout - middle), layout)),
         replace(measured, layout_px=layout + rng.normal(0, 0.6, layout.shape)),
     ]
     for other in others:
-        for one in felt(rest, other, frames[5:7]):
-            assert "twin calibrate" in one.reason
+        assert all("twin calibrate" in reason for reason in felt(tmp_path, rest, other, frames[5:7])["reason"])
     half = replace(calibration, layout_px=layout + np.where(blue, [200.0, 0.0], 0.0))
-    assert "calibration's 83 markers" in felt(rest, half, frames[6:7])[0].reason
+    assert "calibration's 83 markers" in felt(tmp_path, rest, half, frames[6:7])["reason"][0]
 
 
 def test_a_bad_frame_is_told_and_the_sequence_goes_on(folder):
@@ -310,76 +324,74 @@ def test_what_can_not_be_used_is_said(folder, arguments, code, words):
     assert "Traceback" not in done.stderr
 
 
-def of_files(*paths):
-    return list(frames([str(path) for path in paths], io.BytesIO(), None, None))
-
-
 def test_a_video_needs_the_extra_package(folder, monkeypatch):
-    from twin.errors import MissingCapability
-
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(MissingCapability, match=r"pip install imageio-ffmpeg"):
-        of_files(folder / "film.mp4")
+    done = twin("rest.png", "film.mp4", "--calibration", "flat.npz", cwd=folder)
+    assert done.returncode == 4
+    assert "pip install imageio-ffmpeg" in done.stderr
 
 
 @pytest.mark.parametrize("kind", ["EPS", "GIF", "TIFF", "PPM"])
 def test_only_pictures_of_the_allowed_formats_are_decoded_whatever_their_name(tmp_path, kind):
     """Pillow chooses the decoder by content: an EPS file starts Ghostscript."""
-    from twin.errors import InputError
-    from twin.study.recorded import read_picture
 
     Image.new("RGB", (8, 8)).save(tmp_path / "frame_001.png", kind)
     with pytest.raises(InputError, match="allowed are PNG, BMP and JPEG"):
         read_picture(tmp_path / "frame_001.png")
 
 
-@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")  # its pipes
-def test_a_list_of_films_under_the_name_of_a_film_reads_no_other_file(tmp_path):
-    pytest.importorskip("imageio_ffmpeg")
-    from twin.study.recorded import VIDEOS, VideoWriter
+def write_film(path, pictures):
+    package = pytest.importorskip("imageio_ffmpeg")
+    height, width = pictures[0].shape[:2]
+    film = package.write_frames(str(path), (width, height), fps=60, macro_block_size=1, quality=8)
+    film.send(None)
+    for picture in pictures:
+        film.send(np.ascontiguousarray(picture))
+    film.close()
 
-    for kind in sorted({*VIDEOS} - {".webm"}):  # written by another codec; its container is Matroska
-        film = VideoWriter(tmp_path / f"other{kind}", (64, 48))
-        for _ in range(3):
-            film.add(np.zeros((48, 64, 3), np.uint8))
-        film.close()
-        assert all(frame.picture is not None for frame in of_files(tmp_path / f"other{kind}")), kind
-    (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile other.mp4\n")
-    (tmp_path / "hls.mp4").write_text("#EXTM3U\n#EXTINF:1,\nother.mpg\n#EXT-X-ENDLIST\n")
-    for name in ("list.mp4", "hls.mp4"):
-        (only,) = of_files(tmp_path / name)
-        assert only.picture is None
-        assert "can't be read as a video" in only.problem
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")  # its pipes
+def test_a_list_of_films_under_the_name_of_a_film_reads_no_other_file(folder):
+    films = [f"other{kind}" for kind in sorted({*VIDEOS} - {".webm"})]  # that has another codec in the same container
+    for name in films:
+        write_film(folder / name, [np.zeros((48, 64, 3), np.uint8)] * 3)
+    (folder / "list.mp4").write_text("ffconcat version 1.0\nfile other.mp4\n")
+    (folder / "hls.mp4").write_text("#EXTM3U\n#EXTINF:1,\nother.mpg\n#EXT-X-ENDLIST\n")
+    twin("rest.png", *films, "list.mp4", "hls.mp4", "--calibration", "flat.npz", "--out", "films.csv", cwd=folder)
+    table = rows(folder / "films.csv")
+    assert [row["frame"] for row in table] == [
+        *(f"{film}:{n}" for film in films for n in range(3)),
+        "list.mp4",
+        "hls.mp4",
+    ]
+    assert ["can't be read as a video" in row["reason"] for row in table] == [False] * 3 * len(films) + [True, True]
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")  # its pipes
 def test_a_film_in_and_a_film_out(folder):
     """A video file of the recording, written and read by the extra package."""
-    pytest.importorskip("imageio_ffmpeg")
-    from twin.study.recorded import VideoWriter
-
-    film = VideoWriter(folder / "film.mp4", SIZE)
-    for number in range(1, 5):
-        film.add(np.array(Image.open(folder / f"press{number}.png")))
-    film.close()
+    write_film(folder / "film.mp4", [read_picture(folder / f"press{number}.png") for number in range(1, 5)])
     options = ["--calibration", "flat.npz", "--out", "film.csv", "--overlay", "drawn.mp4"]
     done = twin("rest.png", "film.mp4", *options, cwd=folder)
     assert done.returncode == 0, done.stderr
     for share, row in zip((0.25, 0.5, 0.75, 1.0), rows(folder / "film.csv"), strict=True):
         force = np.array([float(row[f"f{axis}_n"]) for axis in "xyz"])
         assert force == pytest.approx(share * FORCE, abs=0.3)  # a lossy codec's noise
-    drawn = of_files(folder / "drawn.mp4")
-    assert [frame.problem for frame in drawn] == [""] * 4
-    assert drawn[0].picture.shape == (SIZE[1], SIZE[0], 3)
+    import imageio_ffmpeg
+
+    facts, *drawn = imageio_ffmpeg.read_frames(str(folder / "drawn.mp4"))
+    assert (facts["size"], len(drawn)) == (SIZE, 4)
     (folder / "cut.mp4").write_bytes((folder / "film.mp4").read_bytes()[:700])
     done = twin("rest.png", "cut.mp4", "--calibration", "flat.npz", cwd=folder)
     assert done.returncode == 3
     assert "can't be read as a video" in done.stderr
 
 
-def test_a_folder_is_read_as_it_was_counted(tmp_path):
+def test_a_folder_is_read_as_it_was_counted(folder):
     names = ["f9.png", "f10.png", "f099.png", "f0100.png", "g1_2.png", "g1_10.png", "rest.png"]
+    (folder / "counted").mkdir()
     for name in reversed(names):
-        (tmp_path / name).touch()
-    assert [frame.name for frame in of_files(tmp_path)] == names
+        (folder / "counted" / name).touch()
+    twin("rest.png", "counted", "--calibration", "flat.npz", "--out", "counted.csv", cwd=folder)
+    assert [row["frame"] for row in rows(folder / "counted.csv")] == names

@@ -7,17 +7,29 @@ from PIL import Image
 from benchmarks.discs import expose, scene
 from twin.errors import InputError
 from twin.sense.calibration import read_calibration
-from twin.study.calibrate import (
-    FOOTPRINT,
-    calibrate_to_file,
-    hertz_radius,
-    nominal_transfer,
-    read_presses,
-)
+from twin.study.calibrate import calibrate_to_file, calibration_of
 from twin.study.recipe import load_scene
 from twin.study.sensor import Sensor, on_surface
 
 HEAD = "frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\n"
+
+
+def drawn_at_rest(wanted, shift=0.0, seed=1):
+    """Return a picture of the design's markers at their places, each up to ``shift`` px off, and these places."""
+    random = np.random.default_rng(0)
+    made = {
+        name: points + random.uniform(-shift, shift, points.shape) for name, points in Sensor(wanted).layout_px.items()
+    }
+    drawn = scene((640, 480), [(made["red"], 0), (made["blue"], 2)], 10.0)
+    return Image.fromarray(expose(drawn, seed)), np.concatenate(list(made.values()))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recording")
+    wanted = load_scene("kamiyama_pillar", {"calibration.method": "fitted"})
+    drawn_at_rest(wanted)[0].save(folder / "rest.png")
+    return wanted, folder
 
 
 @pytest.mark.parametrize(
@@ -28,51 +40,39 @@ HEAD = "frame,x_mm,y_mm,z_mm,fx_n,fy_n,fz_n\n"
         ("frame,x_mm\na.png,1\n", "lacks the columns y_mm"),
         (HEAD + "a.png,1,2,,0,0,one\n", "line 2: fz_n = 'one'"),
         (HEAD + "a.png,1,nan,0,0,0,1\n", "y_mm = 'nan'"),
+        (HEAD + "a.png,0,0,,0,0,1e300\n", "line 2: fz_n"),
         (HEAD + ",1,2,0,0,0,1\n", "frame is empty"),
         (b"\xff\xfe\x00\x01", "can't be read|lacks"),
+        # a force in grams, in a table with blanks and without z
+        (HEAD + "rest.png, 0, 0, , 0, 0, 200\n", r"press 1 has 200 N.*Forces are in N"),
     ],
 )
-def test_a_bad_table_is_told_by_line_and_column(tmp_path, text, words):
+def test_a_bad_table_is_told_by_line_and_column(recording, text, words):
+    wanted, folder = recording
+    (folder / "presses.csv").unlink(missing_ok=True)
     if text is not None:
-        data = text if isinstance(text, bytes) else text.encode()
-        (tmp_path / "presses.csv").write_bytes(data)
+        (folder / "presses.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(InputError, match=words):
-        read_presses(tmp_path)
-
-
-def test_a_table_is_read(tmp_path):
-    (tmp_path / "presses.csv").write_text(HEAD + "a.png, 1, 2, , 0.1, 0, 1\nb.png,1,2,0,0,0,2\n")
-    frames, place_mm, force_n = read_presses(tmp_path)
-    assert frames == ["a.png", "b.png"]
-    assert np.isnan(place_mm[0, 2])
-    assert force_n.tolist() == [[0.1, 0, 1], [0, 0, 2]]
+        calibrate_to_file(wanted, folder / "c.npz", folder=folder)
 
 
 def test_the_recorded_rest_picture_gives_the_layout(tmp_path):
     terms = [{"share": 0.1, "time_s": 0.3}]
     wanted = load_scene("kamiyama_pillar", {"calibration.method": "halfspace", "material.relaxation": terms})
-    layout = Sensor(wanted).layout_px
-    random = np.random.default_rng(0)
-    made = {name: points + random.uniform(-1, 1, points.shape) for name, points in layout.items()}
-    drawn = scene((640, 480), [(made["red"], 0), (made["blue"], 2)], 10.0)
-    Image.fromarray(expose(drawn, 1)).save(tmp_path / "rest.png")
+    picture, places_px = drawn_at_rest(wanted, 1.0)
+    picture.save(tmp_path / "rest.png")
     line = calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
     assert "halfspace" in line
     calibration = read_calibration(tmp_path / "c.npz")
-    assert np.abs(calibration.layout_px - np.concatenate(list(made.values()))).max() < 0.1
+    assert np.abs(calibration.layout_px - places_px).max() < 0.1
     assert calibration.facts["reconstruction"]["method"] == wanted.reconstruction.method
     assert calibration.relaxation is not None
     assert (calibration.relaxation.share, calibration.relaxation.time_s) == ([0.1], [0.3])
-    Image.fromarray(expose(drawn, 2)).save(tmp_path / "rest.jpg", quality=95)
+    drawn_at_rest(wanted, 1.0, 2)[0].save(tmp_path / "rest.jpg", quality=95)
     with pytest.raises(InputError, match=r"must hold one of rest\.png"):
         calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
     (tmp_path / "rest.png").unlink()
     calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
-    # a force in grams
-    fitted = wanted.model_copy(update={"calibration": wanted.calibration.model_copy(update={"method": "fitted"})})
-    (tmp_path / "presses.csv").write_text(HEAD + "rest.jpg,0,0,0,0,0,200\n")
-    with pytest.raises(InputError, match=r"press 1 has 200 N.*Forces are in N"):
-        calibrate_to_file(fitted, tmp_path / "c.npz", folder=tmp_path)
     Image.fromarray(np.full((480, 640, 3), 30, np.uint8)).save(tmp_path / "rest.jpg")
     with pytest.raises(InputError, match="0 of the design's"):
         calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
@@ -88,9 +88,9 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
     sites["material.relaxation"] = [{"share": 0.1, "time_s": 0.3}]
     wanted = load_scene("kamiyama_pillar", {"calibration.method": "sato", "calibration.press_force_n": 3.0, **sites})
     sensor = Sensor(wanted)
-    half_mm = FOOTPRINT * hertz_radius(wanted, 3.0)
-    places = on_surface(wanted.body, wanted.reconstruction.sites.chart(), half_mm, "places")
-    transfer = nominal_transfer(sensor, places) / stiffer
+    places = on_surface(wanted.body, wanted.reconstruction.sites.chart(), 1.0, "places")
+    by_design = load_scene("kamiyama_pillar", {"calibration.method": "compliance", **sites})
+    transfer = calibration_of(Sensor(by_design)).transfer / stiffer
     layout, lines = sensor.layout_px, [HEAD.strip()]
     cut = len(layout["red"])
     rest = np.concatenate(list(layout.values()))

@@ -11,7 +11,7 @@ import twin
 from twin.errors import InputError
 from twin.parts.camera import Camera
 from twin.study.environment import Observation
-from twin.study.ros import camera_info, ros_messages
+from twin.study.ros import ros_messages
 
 CAMERA = Camera(width_px=4, height_px=3, focal_px=100, aspect=1.1, principal_px=(1.0, 2.0), pupil_mm=(0, 0, 100))
 
@@ -80,17 +80,20 @@ def test_they_are_ros_messages_and_survive_its_serialisation(seen: Observation) 
             assert back.wrench.force.x == table["wrench"]["force"]["x"]
 
 
-def test_a_lens_comes_under_ros_s_own_names() -> None:
+def test_a_lens_comes_under_ros_s_own_names(seen: Observation) -> None:
+    def camera_info(camera: Camera) -> dict[str, Any]:
+        return ros_messages(seen, camera)["camera_info"][1]
+
     sato = twin.load_scene("sato_press").camera
-    assert camera_info(sato, {})["distortion_model"] == "equidistant"
-    bent = camera_info(CAMERA.model_copy(update={"distortion": (0.1, 0.2, 0.01, 0.02)}), {})
+    assert camera_info(sato)["distortion_model"] == "equidistant"
+    bent = camera_info(CAMERA.model_copy(update={"distortion": (0.1, 0.2, 0.01, 0.02)}))
     assert (bent["distortion_model"], bent["d"].tolist()) == ("plumb_bob", [0.1, 0.2, 0.01, 0.02, 0.0])
     assert bent["k"].tolist() == pytest.approx([100, 0, 1, 0, 110, 2, 0, 0, 1])
-    assert len(camera_info(CAMERA.model_copy(update={"distortion": (0.0,) * 8}), {})["d"]) == 8
+    assert len(camera_info(CAMERA.model_copy(update={"distortion": (0.0,) * 8}))["d"]) == 8
 
 
 def test_what_ros_has_no_word_for_is_refused(seen: Observation) -> None:
     with pytest.raises(InputError, match="stamp_ns = -1"):
         ros_messages(seen, CAMERA, stamp_ns=-1)
     with pytest.raises(InputError, match="lens"):
-        camera_info(CAMERA.model_copy(update={"lens": "stereographic"}), {})
+        ros_messages(seen, CAMERA.model_copy(update={"lens": "stereographic"}))

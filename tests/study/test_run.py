@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ import pytest
 import twin
 from twin.errors import RecipeError
 from twin.results import RESULT_FILES, Estimate, RunResult, Truth
-from twin.study.run import run_to_folder, summary, tracking_doubt
+from twin.sense.track import Found
+from twin.study.calibrate import calibration_of
+from twin.study.run import run_to_folder
 
 SMALL = {
     "camera.width_px": 160, "camera.height_px": 120, "camera.focal_px": 450,
@@ -170,20 +173,20 @@ def test_two_points_are_in_the_truth() -> None:
 
 
 @pytest.mark.parametrize("name", ["sato_press", "sato_paper"])
-def test_shipped_calibrations_are_of_the_scenes_that_name_them(name: str) -> None:
-    """A new key of a scene must not make them look like another sensor's: calibrating anew takes minutes."""
-    from twin.study.calibrate import sensor_digest
-
+def test_shipped_calibrations_are_of_the_scenes_that_name_them(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new key of a scene must not make them look like another sensor's: calibrating again takes minutes."""
+    monkeypatch.setattr("twin.study.calibrate.calibrate_by_presses", None)
     scene = twin.load_scene(name)
+    found = calibration_of(twin.Sensor(scene))
     with np.load(scene.calibration.file) as kept:
-        assert json.loads(str(kept["provenance"]))["digest"] == sensor_digest(scene)
+        assert json.loads(str(kept["provenance"])) == found.facts
 
 
 TRACKING = {"sd_px": 0.01, "matched": 1.0, "markers": 200}
 FORCE = {"total_force_error": 0.055, "sites_force_error": 0.2, "centre_error_mm": 0.0315, "field_error": 0.44}
 
 
-def run_of(tracking: dict[str, Any], sites: list[float]) -> RunResult:
+def summary_of(sites: list[float]) -> str:
     force = np.array([[0.0, 0.0, push] for push in sites])
     estimate = Estimate(
         marker_rest_px=np.zeros((0, 2)),
@@ -193,18 +196,12 @@ def run_of(tracking: dict[str, Any], sites: list[float]) -> RunResult:
         total_force_n=np.array([0.0, 0.0, -0.045]),
         total_torque_nmm=np.zeros(3),
     )
-    doubt = tracking_doubt(tracking)
-    return RunResult(
-        scene_toml="",
-        estimate=estimate,
-        score={"tracking": tracking, "force": FORCE},
-        facts={"warnings": [doubt]} if doubt else {},
-        timings={"tracking": 1.0},
-    )
+    score = {"tracking": TRACKING, "force": FORCE}
+    return RunResult(scene_toml="", estimate=estimate, score=score, timings={"tracking": 1.0}).summary()
 
 
 def test_total_centre_and_field_are_printed() -> None:
-    text = summary(run_of(TRACKING, [0.005, -0.05]), Path("out"))
+    text = summary_of([0.005, -0.05])
     for figure in ("5.5 % off", "0.0315 mm off", "44 % off"):
         assert figure in text
     assert "sites' sum" not in text, "without bounds it is the total"
@@ -212,12 +209,18 @@ def test_total_centre_and_field_are_printed() -> None:
 
 
 def test_under_bounds_both_totals_are_printed() -> None:
-    text = summary(run_of(TRACKING, [0.5, 0.187]), Path("out"))
+    text = summary_of([0.5, 0.187])
     assert "0.687 N" in text
     assert "-0.045 N" in text
 
 
-def test_few_markers_are_warned_of() -> None:
-    text = summary(run_of({"sd_px": None, "matched": 0.005, "markers": 200}, [-0.045]), Path("out"))
-    assert "only 1 of the 200 markers" in text
+def test_few_markers_are_warned_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nearly_blind(*given: Any, **options: Any) -> Found:
+        found = track(*given, **options)
+        return replace(found, shift_px=np.where(np.arange(59)[:, None] == 20, found.shift_px, np.nan))
+
+    track = twin.track
+    monkeypatch.setattr("twin.sense.track.track", nearly_blind)
+    text = run_to_folder(twin.load_scene("kamiyama_pillar", SMALL), tmp_path, {"tracking", "score"})
+    assert re.search(r"warning     only 1 of the \d+ markers in full sight", text)
     assert "tracking    no SD" in text

@@ -9,7 +9,7 @@ import twin
 from twin.errors import RecipeError
 from twin.files import SCENES
 from twin.sense.calibration import read_calibration
-from twin.study.calibrate import sensor_digest
+from twin.study.calibrate import calibration_of
 from twin.study.recipe import load_scene
 
 DRAWN = {"tolerance.preset": "none"}
@@ -83,5 +83,6 @@ def test_layers_are_soft_unless_said_and_old_calibrations_stay_valid() -> None:
         assert not any(layer.stiff for layer in scene.markers.values())
     stored = json.loads(read_calibration(SCENES / "sato_calibration.npz").provenance)
     for law in ("linear", "neo_hookean"):  # calibration presses stick: they are linear theory's by every law
-        assert stored["digest"] == sensor_digest(load_scene("sato_press", {"material.law": law}))
-    assert sensor_digest(load_scene("kamiyama_pillar", STIFF)) != sensor_digest(load_scene("kamiyama_pillar"))
+        assert calibration_of(twin.Sensor(load_scene("sato_press", {"material.law": law}))).facts == stored
+    digests = [calibration_of(twin.Sensor(load_scene("kamiyama_pillar", keys))).facts["digest"] for keys in ({}, STIFF)]
+    assert digests[0] != digests[1]

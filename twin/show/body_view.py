@@ -1,9 +1,9 @@
 """The deformed body in 3D: as a page that turns in any browser, or in a window.
 
-`body_page` is the page of ``twin view``, `hand_page` that of ``twin run --live``, in which the
+`BodyView.page` is the page of ``twin view``, `hand_page` that of ``twin run --live``, in which the
 probe is moved by hand. Both draw on a plain canvas, far triangles first, and load nothing from
-elsewhere. `show_body` opens a window, which needs a display and a working OpenGL. `require_window`
-tests both in a child process, because a broken OpenGL ends the process that calls it.
+elsewhere. `BodyView.show` opens a window; `require_window` tests for display and OpenGL in a child
+process, because a broken OpenGL ends the process that calls it.
 """
 
 from __future__ import annotations
@@ -65,27 +65,81 @@ class BodyView:
     layer_radius_mm: dict[str, float]
     frames: tuple[BodyFrame, ...]
 
+    def page(self) -> str:
+        """Return the page of ``twin view``."""
+        middle, zoom = _home(self)
+        names = list(self.layer_radius_mm)
+        data = {
+            "middle": middle,
+            "zoom": zoom,
+            "corner": _packed(self.corner_mm, "<f4"),
+            "triangle": _packed(self.triangle, "<i4"),
+            "marker": _packed(self.marker_mm, "<f4"),
+            "layer": _packed(
+                np.array([names.index(str(name)) for name in self.marker_layer], int), "<i4"
+            ),
+            "layers": [
+                {"colour": COLOURS.get(name, OTHER), "radius": self.layer_radius_mm[name]}
+                for name in names
+            ],
+            "frames": [_frame(frame) for frame in self.frames],
+        }
+        return _filled("body_view.html", self.title, data)
 
-def body_page(view: BodyView) -> str:
-    """Return the page."""
-    middle, zoom = _home(view)
-    names = list(view.layer_radius_mm)
-    data = {
-        "middle": middle,
-        "zoom": zoom,
-        "corner": _packed(view.corner_mm, "<f4"),
-        "triangle": _packed(view.triangle, "<i4"),
-        "marker": _packed(view.marker_mm, "<f4"),
-        "layer": _packed(
-            np.array([names.index(str(name)) for name in view.marker_layer], int), "<i4"
-        ),
-        "layers": [
-            {"colour": COLOURS.get(name, OTHER), "radius": view.layer_radius_mm[name]}
-            for name in names
-        ],
-        "frames": [_frame(frame) for frame in view.frames],
-    }
-    return _filled("body_view.html", view.title, data)
+    def show(self, picture: Path | None = None) -> None:
+        """Show a body until its window is closed, or draw its last step to a file ``picture``.
+
+        Sliders choose the step of the path and how many times larger displacements are shown.
+        """
+        import pyvista
+
+        plotter: Any = pyvista.Plotter(
+            off_screen=picture is not None, title=self.title, window_size=[1100, 800]
+        )
+        step = len(self.frames) - 1
+        times = 1.0
+
+        # The two sliders redraw the body at another step, or at another magnification.
+        def to_step(value: float) -> None:
+            nonlocal step
+            step = round(value)
+            _draw(plotter, pyvista, self, self.frames[step], times)
+
+        def to_times(value: float) -> None:
+            nonlocal times
+            times = value
+            _draw(plotter, pyvista, self, self.frames[step], times)
+
+        # Look from the side of the base, and from below the sensing surface.
+        to_step(step)
+        middle, zoom = _home(self)
+        plotter.view_vector((0.5, -1.0, -0.7), viewup=(0, 0, -1))
+        plotter.set_focus(middle)
+        plotter.camera.zoom(zoom)
+        if picture is not None:
+            plotter.screenshot(picture)
+            plotter.close()
+            return
+        if len(self.frames) > 1:
+            plotter.add_slider_widget(
+                to_step,
+                [0, len(self.frames) - 1],
+                value=step,
+                title="step",
+                fmt="%.0f",
+                pointa=(0.05, 0.08),
+                pointb=(0.40, 0.08),
+            )
+        plotter.add_slider_widget(
+            to_times,
+            [0.0, MOST_TIMES],
+            value=times,
+            title="displacement, times",
+            fmt="%.1f",
+            pointa=(0.60, 0.08),
+            pointb=(0.95, 0.08),
+        )
+        plotter.show()
 
 
 def _filled(template: str, title: str, data: Mapping[str, Any]) -> str:
@@ -181,62 +235,6 @@ def require_window() -> None:
             "--window needs a display that works and OpenGL, which does not draw here (on Debian: "
             f"apt install libgl1 libglx-mesa0): {instead}"
         )
-
-
-def show_body(view: BodyView, picture: Path | None = None) -> None:
-    """Show a body until its window is closed, or draw its last step to a file ``picture``.
-
-    Sliders choose the step of the path and how many times larger displacements are shown.
-    """
-    import pyvista
-
-    plotter: Any = pyvista.Plotter(
-        off_screen=picture is not None, title=view.title, window_size=[1100, 800]
-    )
-    step = len(view.frames) - 1
-    times = 1.0
-
-    # The two sliders redraw the body at another step, or at another magnification.
-    def to_step(value: float) -> None:
-        nonlocal step
-        step = round(value)
-        _draw(plotter, pyvista, view, view.frames[step], times)
-
-    def to_times(value: float) -> None:
-        nonlocal times
-        times = value
-        _draw(plotter, pyvista, view, view.frames[step], times)
-
-    # Look from the side of the base, and from below the sensing surface.
-    to_step(step)
-    middle, zoom = _home(view)
-    plotter.view_vector((0.5, -1.0, -0.7), viewup=(0, 0, -1))
-    plotter.set_focus(middle)
-    plotter.camera.zoom(zoom)
-    if picture is not None:
-        plotter.screenshot(picture)
-        plotter.close()
-        return
-    if len(view.frames) > 1:
-        plotter.add_slider_widget(
-            to_step,
-            [0, len(view.frames) - 1],
-            value=step,
-            title="step",
-            fmt="%.0f",
-            pointa=(0.05, 0.08),
-            pointb=(0.40, 0.08),
-        )
-    plotter.add_slider_widget(
-        to_times,
-        [0.0, MOST_TIMES],
-        value=times,
-        title="displacement, times",
-        fmt="%.1f",
-        pointa=(0.60, 0.08),
-        pointb=(0.95, 0.08),
-    )
-    plotter.show()
 
 
 def _draw(plotter: Any, pyvista: Any, view: BodyView, frame: BodyFrame, times: float) -> None:

@@ -81,7 +81,7 @@ _ROUND_OFF = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class _Finding:
     """One number of a run, explained.
 
     Attributes
@@ -109,7 +109,7 @@ class Finding:
         return f"{self.verdict or '-':5s} {self.sentence}{behind}"
 
 
-def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[Finding]:
+def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[_Finding]:
     """Explain the numbers of a run.
 
     Parameters
@@ -136,14 +136,14 @@ def explain(score: Mapping[str, Any], scene_toml: str = "") -> list[Finding]:
             reason = reasons.get(key)
             if reason is not None:
                 said = f"{name.removesuffix('_mm').replace('_', ' ')}: not defined, as {reason}."
-                found.append(Finding(key=key, value=None, unit="", sentence=said, verdict=""))
+                found.append(_Finding(key=key, value=None, unit="", sentence=said, verdict=""))
             continue
         amount, unit = _amount(key, value)
         text = sentence.format(amount)
         verdict = _verdict(key, value)
         if key == "force.total_force_error" and verdict != "good":
             text = f"{text} {one_layer(scene_toml)}".rstrip()
-        found.append(Finding(key=key, value=value, unit=unit, sentence=text, verdict=verdict))
+        found.append(_Finding(key=key, value=value, unit=unit, sentence=text, verdict=verdict))
     return found
 
 

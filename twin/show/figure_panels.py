@@ -17,14 +17,6 @@ _COLUMNS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Panel:
-    """A drawing with a title; ``draw`` puts it on matplotlib axes."""
-
-    title: str
-    draw: Callable[[Any], object]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Curve:
     """A line, or dots, through (n,) points; ``style`` as matplotlib has it."""
 
@@ -34,39 +26,48 @@ class Curve:
     style: str = "-"
 
 
-def curve_panel(
-    title: str,
-    curves: Sequence[Curve],
-    across: str,
-    up: str,
-    *,
-    levels: Mapping[str, float] | None = None,
-    logarithmic: bool = False,
-) -> Panel:
-    """Return the drawing of curves over one axis; ``levels`` are horizontal lines by name."""
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """A drawing with a title; ``draw`` puts it on matplotlib axes."""
 
-    def draw(axes: Any) -> None:
-        for curve in curves:
-            axes.plot(curve.x, np.asarray(curve.y, float), curve.style, ms=4, label=curve.label)
-        for label, value in (levels or {}).items():
-            axes.axhline(value, color=_INK, ls="--", lw=1, label=label)
-        if logarithmic:
-            axes.set_yscale("log")
-        axes.set(xlabel=across, ylabel=up)
+    title: str
+    draw: Callable[[Any], object]
 
-    return Panel(title=title, draw=draw)
+    @classmethod
+    def curves(
+        cls,
+        title: str,
+        curves: Sequence[Curve],
+        across: str,
+        up: str,
+        *,
+        levels: Mapping[str, float] | None = None,
+        logarithmic: bool = False,
+    ) -> Panel:
+        """Return the drawing of curves over one axis; ``levels`` are horizontal lines by name."""
 
+        def draw(axes: Any) -> None:
+            for curve in curves:
+                axes.plot(curve.x, np.asarray(curve.y, float), curve.style, ms=4, label=curve.label)
+            for label, value in (levels or {}).items():
+                axes.axhline(value, color=_INK, ls="--", lw=1, label=label)
+            if logarithmic:
+                axes.set_yscale("log")
+            axes.set(xlabel=across, ylabel=up)
 
-def picture_panel(title: str, picture: Picture, marks_px: Pixels | None = None) -> Panel:
-    """Return the drawing of a CCD picture, (h, w, 3) uint8, with (n, 2) places marked on it, px."""
+        return cls(title=title, draw=draw)
 
-    def draw(axes: Any) -> None:
-        axes.imshow(picture, interpolation="none")
-        if marks_px is not None:
-            axes.plot(*np.transpose(marks_px), "wx", ms=4)
-        axes.set(xlabel="column (px)", ylabel="row (px)")
+    @classmethod
+    def picture(cls, title: str, picture: Picture, marks_px: Pixels | None = None) -> Panel:
+        """Return the drawing of a CCD picture (h, w, 3) uint8 with (n, 2) marked places, px."""
 
-    return Panel(title=title, draw=draw)
+        def draw(axes: Any) -> None:
+            axes.imshow(picture, interpolation="none")
+            if marks_px is not None:
+                axes.plot(*np.transpose(marks_px), "wx", ms=4)
+            axes.set(xlabel="column (px)", ylabel="row (px)")
+
+        return cls(title=title, draw=draw)
 
 
 _INK, _PAPER = "#1d2126", "#fcfcfa"

@@ -6,8 +6,6 @@ A page is one file without scripts that loads nothing. It fits light and dark sc
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -16,15 +14,6 @@ from string import Template
 from typing import Any
 
 import numpy as np
-
-from twin.arrays import Picture
-
-PICTURE_BYTES = 1_000_000
-"""Largest PNG put into the page: two of them, in base64, and the drawings stay below 3 MB
-together."""
-
-WIDEST_PX = 1280
-"""Wider pictures are shown smaller at once: none is shown wider than half of a page."""
 
 
 def digits(value: float) -> str:
@@ -135,19 +124,3 @@ def page(
         + "\n".join(parts)
         + f"\n{details}{body}</main></body></html>\n"
     )
-
-
-def data_uri(picture: Picture) -> tuple[str, float]:
-    """Return a picture as a data URI, and the share of its width and height that was kept to bound
-    the page's size."""
-    from PIL import Image
-
-    image = Image.fromarray(picture)
-    step = -(-image.width // WIDEST_PX)
-    while True:
-        file = io.BytesIO()
-        # level 1: noisy pictures compress no better above it, and take five times as long
-        (image.reduce(step) if step > 1 else image).save(file, "PNG", compress_level=1)
-        if file.tell() <= PICTURE_BYTES or step >= min(image.size):
-            return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}", 1 / step
-        step += 1

@@ -8,6 +8,8 @@ its closed form.
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -23,8 +25,8 @@ from twin.display import nice, spacing
 from twin.parts.part import UNITS
 from twin.results import RunResult, Touch, Truth
 from twin.show.explain import LIMITS, one_layer
-from twin.show.html_page import cleaned, data_uri, digits, figure, finite, page, table, two_columns
-from twin.show.svg_plots import Axes, arrows, crosses, dots, drawing, force_field, line
+from twin.show.html_page import cleaned, digits, figure, finite, page, table, two_columns
+from twin.show.svg_plots import Axes, force_field
 
 _STAGES = ("elastic", "tracking", "force")
 """Order of the stages in the table of errors; others follow."""
@@ -199,7 +201,7 @@ def _pictures(result: RunResult) -> str:
         ("Pressed", "Camera picture of the markers while the probe presses", result.pressed),
     ):
         if picture is not None:
-            uri, shown = data_uri(picture)
+            uri, shown = _data_uri(picture)
             height, width = picture.shape[:2]
             smaller = f", shown at {digits(100 * shown)} % of its size" if shown < 1 else ""
             style = f' style="filter:brightness({gain:g})"' if gain > 1 else ""
@@ -209,6 +211,30 @@ def _pictures(result: RunResult) -> str:
     if result.rest is not None and result.pressed is not None:
         figures += _difference(result.rest, result.pressed)
     return two_columns(figures)
+
+
+_PICTURE_BYTES = 1_000_000
+"""Largest PNG put into the page: two of them, in base64, and the drawings stay below 3 MB
+together."""
+
+_WIDEST_PX = 1280
+"""Wider pictures are shown smaller at once: none is shown wider than half of a page."""
+
+
+def _data_uri(picture: Picture) -> tuple[str, float]:
+    """Return a picture as a data URI, and the share of its width and height that was kept to bound
+    the page's size."""
+    from PIL import Image
+
+    image = Image.fromarray(picture)
+    step = -(-image.width // _WIDEST_PX)
+    while True:
+        file = io.BytesIO()
+        # level 1: noisy pictures compress no better above it, and take five times as long
+        (image.reduce(step) if step > 1 else image).save(file, "PNG", compress_level=1)
+        if file.tell() <= _PICTURE_BYTES or step >= min(image.size):
+            return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}", 1 / step
+        step += 1
 
 
 _BRIGHT = 240.0
@@ -236,7 +262,7 @@ def _difference(rest: Picture, pressed: Picture) -> list[str]:
     if largest <= 0:
         return []
     grey = np.clip(128 + 127 * moved / largest, 0, 255).astype(np.uint8)
-    uri, _ = data_uri(grey)
+    uri, _ = _data_uri(grey)
     image = (
         f'<img src="{uri}" width="{width}" height="{height}" '
         'alt="Difference of the pressed picture and the rest picture">'
@@ -265,9 +291,9 @@ def _course(course: Mapping[str, Any] | None) -> str:
     points = np.column_stack([course["time_s"], course["z_n"]])
     most, top = points.max(axis=0).tolist()
     axes = Axes(left=0.0, right=1.02 * most, bottom=0.0, top=1.08 * (top or 1.0), height=200)
-    content = line(axes, points, "profile truth") + dots(axes, points, "profile-dot truth", 2.4)
+    content = axes.line(points, "profile truth") + axes.dots(points, "profile-dot truth", 2.4)
     say = f"Force along z against time, at most {digits(top)} N"
-    svg = drawing(axes, content, "time (s)", "force along z (N)", say)
+    svg = axes.drawing(content, "time (s)", "force along z (N)", say)
     return figure(svg, "True force at the end of every step.", "single")
 
 
@@ -530,20 +556,19 @@ def _window(seen: _Sighting, size_px: tuple[int, int] | None) -> Axes:
 def _shifts(seen: _Sighting, axes: Axes, scale: float, name: str, style: str, mask: Bools) -> str:
     lost = int((mask & seen.lost).sum())
     content = (
-        arrows(axes, seen.true_rest_px[mask], scale * seen.true_shift_px[mask], f"truth {style}")
-        + dots(axes, seen.place_px[mask], f"dot {style}", 1.4)
-        + arrows(
-            axes,
+        axes.arrows(seen.true_rest_px[mask], scale * seen.true_shift_px[mask], f"truth {style}")
+        + axes.dots(seen.place_px[mask], f"dot {style}", 1.4)
+        + axes.arrows(
             seen.tracked_rest_px[mask],
             scale * seen.tracked_shift_px[mask],
             f"tracked {style}",
         )
-        + crosses(axes, seen.place_px[mask & seen.lost])
+        + axes.crosses(seen.place_px[mask & seen.lost])
     )
     markers = f"{int(mask.sum())} markers"
     say = f"Shifts of the {name} layer in the picture, {markers}, {lost} not tracked"
     caption = f"{escape(name)} layer, {markers}" + (f", {lost} not tracked (×)" if lost else "")
-    return figure(drawing(axes, content, "column (px)", "row (px)", say), caption)
+    return figure(axes.drawing(content, "column (px)", "row (px)", say), caption)
 
 
 def _error_map(seen: _Sighting, axes: Axes) -> str:
@@ -559,7 +584,7 @@ def _error_map(seen: _Sighting, axes: Axes) -> str:
     content = ""
     for _, style, mask in _layers(seen.layer):
         kept = mask & fine
-        content += arrows(axes, seen.true_rest_px[kept], scale * error[kept], f"tracked {style}")
+        content += axes.arrows(seen.true_rest_px[kept], scale * error[kept], f"tracked {style}")
     gross = int((size > _GROSS_PX).sum())
     left_out = f"; {gross} above {digits(_GROSS_PX)} px are left out" if gross else ""
     say = (
@@ -571,7 +596,7 @@ def _error_map(seen: _Sighting, axes: Axes) -> str:
         f"is; root mean square "
         f"{digits(usual)} px per axis{left_out}. Noise looks random here, a bias ordered."
     )
-    return figure(drawing(axes, content, "column (px)", "row (px)", say), caption, "single")
+    return figure(axes.drawing(content, "column (px)", "row (px)", say), caption, "single")
 
 
 def _motion(result: RunResult) -> str:
@@ -595,11 +620,11 @@ def _in_body(truth: Truth) -> str:
     scale = _magnification(axes, truth.marker_layer, places, size)
     figures = []
     for name, style, mask in _layers(truth.marker_layer):
-        content = arrows(axes, places[mask], scale * steps[mask], f"tracked {style}")
-        content += dots(axes, places[mask], f"dot {style}", 1.4)
+        content = axes.arrows(places[mask], scale * steps[mask], f"tracked {style}")
+        content += axes.dots(places[mask], f"dot {style}", 1.4)
         say = f"Displacement of the {name} markers along x and y, {int(mask.sum())} markers"
         caption = f"{escape(name)} layer, {int(mask.sum())} markers"
-        figures.append(figure(drawing(axes, content, "x (mm)", "y (mm)", say), caption))
+        figures.append(figure(axes.drawing(content, "x (mm)", "y (mm)", say), caption))
     note = _scale_note(
         scale, size, "mm", "Seen from the camera: x to the right, y up, z towards you."
     )
@@ -670,14 +695,14 @@ def _maps(result: RunResult, sites: Points, fields: list[tuple[str, Floats]]) ->
             ((x, y),) = axes.place(np.array([middle]))
             reach = radius * axes.per_unit
             content += f'<circle class="contact" cx="{x:.1f}" cy="{y:.1f}" r="{reach:.1f}"/>'
-        content += dots(axes, sites[:, :2], "site", 0.9) + pushed
+        content += axes.dots(sites[:, :2], "site", 0.9) + pushed
         peak = int(np.argmax(np.abs(force[:, 2])))
         where = f"({digits(float(sites[peak, 0]))}, {digits(float(sites[peak, 1]))}) mm"
         say = (
             f"Force field, {name}: largest force along z {digits(float(force[peak, 2]))} N at "
             f"{where}"
         )
-        panels.append(figure(drawing(axes, content, "x (mm)", "y (mm)", say), name.capitalize()))
+        panels.append(figure(axes.drawing(content, "x (mm)", "y (mm)", say), name.capitalize()))
     top = digits(normal)
     bar = (
         f'<div class="ramp"><span>−{top} N</span><span class="colours"></span><span>{top} '
@@ -724,16 +749,16 @@ def _profile(sites: Points, fields: list[tuple[str, Floats]]) -> str:
         height=200,
     )
     zero = np.array([[axes.left, 0.0], [axes.right, 0.0]])
-    content = line(axes, zero, "zero")
+    content = axes.line(zero, "zero")
     for name, force in fields:
         points = np.column_stack([x, force[row, 2]])
-        content += line(axes, points, f"profile {name}") + dots(
-            axes, points, f"profile-dot {name}", 2.4
+        content += axes.line(points, f"profile {name}") + axes.dots(
+            points, f"profile-dot {name}", 2.4
         )
     at = digits(float(sites[strongest, 1]))
     keys = " ".join(f'<span class="key {name}-line">{name}</span>' for name, _ in fields)
-    svg = drawing(
-        axes, content, "x (mm)", "force along z (N)", f"Force along z on the sites at y = {at} mm"
+    svg = axes.drawing(
+        content, "x (mm)", "force along z (N)", f"Force along z on the sites at y = {at} mm"
     )
     return figure(svg, f"Through the contact, y = {at} mm. {keys}", "single")
 
@@ -792,7 +817,7 @@ def _map(one: Touch) -> str:
     content = "".join(boxes)
     if one.friction > 0 and largest > 0:
         length = 4.0 * float(np.median(one.half_mm)) / largest
-        content += arrows(axes, one.place_mm, one.shear_mpa * length, "force")
+        content += axes.arrows(one.place_mm, one.shear_mpa * length, "force")
     share = float(np.prod(one.half_mm, axis=1)[stuck].sum() / np.prod(one.half_mm, axis=1).sum())
     if one.friction == 0:
         caption = f"Patches under the {one.probe}; without friction all of them slide."
@@ -806,9 +831,7 @@ def _map(one: Touch) -> str:
         f"Map of stick and slip under the {one.probe}, {len(one.slip)} patches, "
         f"{int(stuck.sum())} stick"
     )
-    return figure(
-        drawing(axes, content, "along the surface (mm)", "across that (mm)", say), caption
-    )
+    return figure(axes.drawing(content, "along the surface (mm)", "across that (mm)", say), caption)
 
 
 def _pressure(one: Touch) -> str:
@@ -818,16 +841,14 @@ def _pressure(one: Touch) -> str:
     right = float(max(distance.max(), shown[:, 0].max(initial=0.0))) * 1.05
     top = float(max(one.pressure_mpa.max(), shown[:, 1].max(initial=0.0))) * 1.08
     axes = Axes(left=0.0, right=right, bottom=0.0, top=top, height=260)
-    content = line(axes, shown, "profile truth") if len(shown) else ""
-    content += dots(
-        axes, np.column_stack([distance, one.pressure_mpa]), "profile-dot estimate", 2.0
-    )
+    content = axes.line(shown, "profile truth") if len(shown) else ""
+    content += axes.dots(np.column_stack([distance, one.pressure_mpa]), "profile-dot estimate", 2.0)
     keys = '<span class="key estimate-line">this press</span>'
     if len(shown):
         keys += f' <span class="key truth-line">{one.expected_name}, same force</span>'
     peak = digits(float(one.pressure_mpa.max()))
     say = f"Pressure of every patch against its distance from the middle, at most {peak} N/mm²"
-    svg = drawing(axes, content, "from the contact's middle (mm)", "pressure (N/mm²)", say)
+    svg = axes.drawing(content, "from the contact's middle (mm)", "pressure (N/mm²)", say)
     return figure(svg, f"Pressure of each patch. {keys}")
 
 

@@ -77,8 +77,117 @@ class Axes:
         """View units per data unit along the horizontal axis."""
         return (VIEW - LEFT - RIGHT) / abs(self.right - self.left)
 
+    def drawing(self, content: str, across: str, up: str, label: str) -> str:
+        """Return the SVG of ``content`` with frame, ticks and axis names.
 
-def ticks(low: float, high: float, about: int = 6) -> list[float]:
+        Parameters
+        ----------
+        content
+            What `arrows`, `cells` and the like returned.
+        across, up
+            Names of the axes, with units.
+        label
+            Words in place of the drawing for a reader who can't see it.
+        """
+        height = self.height + TOP + BOTTOM
+        floor = TOP + self.height
+        right = VIEW - RIGHT
+        marks, text = [], []
+        for value in _ticks(self.left, self.right):
+            x, _ = self.place(np.array([[value, self.top]]))[0]
+            marks.append(f"M{x:.1f} {floor:.1f}v4")
+            text.append(
+                f'<text x="{x:.1f}" y="{floor + 18:.1f}" text-anchor="middle">{value:g}</text>'
+            )
+        upwards = {value: f"{value:g}" for value in _ticks(self.bottom, self.top, 5)}
+        more = WIDE * max(0, max(map(len, upwards.values()), default=0) - FIT)
+        for value, words in upwards.items():
+            _, y = self.place(np.array([[self.left, value]]))[0]
+            marks.append(f"M{LEFT} {y:.1f}h-4")
+            text.append(f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{words}</text>')
+        middle = TOP + self.height / 2
+        text.append(
+            f'<text x="{(LEFT + right) / 2}" y="{height - 5:.1f}" '
+            f'text-anchor="middle">{escape(across)}</text>'
+        )
+        turned = (
+            f'x="{14 - more}" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 '
+            f'{14 - more} {middle:.1f})"'
+        )
+        text.append(f"<text {turned}>{escape(up)}</text>")
+        frame = f"M{LEFT} {TOP}H{right}V{floor:.1f}H{LEFT}z{''.join(marks)}"
+        return (
+            f'<svg viewBox="{-more} 0 {VIEW + more} {height:.0f}" role="img" '
+            f'aria-label="{escape(label)}">{content}'
+            f'<path class="frame" d="{frame}"/>{"".join(text)}</svg>'
+        )
+
+    def arrows(self, tails: Floats, vectors: Floats, style: str) -> str:
+        """Return one path that holds all arrows.
+
+        ``tails`` and ``vectors`` (n, 2) are data coordinates and the (magnified) arrows; rows with
+        NaN are left out. ``style`` is the path's class.
+        """
+        known = np.isfinite(tails).all(axis=1) & np.isfinite(vectors).all(axis=1)
+        starts = self.place(tails[known])
+        ends = self.place(tails[known] + vectors[known])
+        steps = []
+        for (x0, y0), (x1, y1) in zip(starts.tolist(), ends.tolist(), strict=True):
+            dx, dy = x1 - x0, y1 - y0
+            length = math.hypot(dx, dy)
+            if length < SHORTEST:
+                continue
+            # a head of 40 degrees, shorter on short arrows so that it never hides the shaft
+            head = min(0.35 * length, 5.0) / length
+            a, b = head * dx, head * dy
+            steps.append(
+                f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}m{-a - 0.36 * b:.1f} "
+                f"{-b + 0.36 * a:.1f}L{x1:.1f} {y1:.1f}l{-a + 0.36 * b:.1f} {-b - 0.36 * a:.1f}"
+            )
+        return path(steps, style)
+
+    def crosses(self, points: Floats) -> str:
+        """Return one path with an x at each of the (n, 2) ``points``, which were lost."""
+        steps = [
+            f"M{x - 3.0:.1f} {y - 3.0:.1f}l6 6m0 -6l-6 6"
+            for x, y in self.place(points[np.isfinite(points).all(axis=1)]).tolist()
+        ]
+        return path(steps, "lost")
+
+    def dots(self, points: Floats, style: str, radius: float) -> str:
+        """Return one path with a filled circle at each of the (n, 2) ``points``."""
+        steps = [
+            f"M{x - radius:.1f} {y:.1f}a{radius:g} {radius:g} 0 1 0 {2 * radius:g} 0"
+            f"a{radius:g} {radius:g} 0 1 0 {-2 * radius:g} 0"
+            for x, y in self.place(points[np.isfinite(points).all(axis=1)]).tolist()
+        ]
+        return path(steps, style)
+
+    def line(self, points: Floats, style: str) -> str:
+        """Return a polyline through the (n, 2) ``points``."""
+        steps = " ".join(f"{x:.1f},{y:.1f}" for x, y in self.place(points).tolist())
+        return f'<polyline class="{style}" points="{steps}"/>'
+
+    def cells(self, centres: Floats, side: float, values: Floats, largest: float) -> str:
+        """Return a square for each of the (n, 2) ``centres``, the more opaque the larger its value.
+
+        Classes are ``push`` and ``pull`` by sign. Colour is opacity over the page's own background,
+        so that nothing looks like nothing in light and dark.
+        """
+        half = side * self.per_unit / 2
+        squares = []
+        for (x, y), value in zip(self.place(centres).tolist(), values.tolist(), strict=True):
+            share = min(abs(value) / largest, 1.0) if largest > 0 else 0.0
+            if share >= 0.005:
+                squares.append(
+                    f'<rect class="{"push" if value > 0 else "pull"}" x="{x - half:.2f}" '
+                    f'y="{y - half:.2f}" '
+                    f'width="{2 * half:.2f}" height="{2 * half:.2f}" fill-opacity="{share:.2f}"/>'
+                )
+        return "".join(squares)
+
+
+def _ticks(low: float, high: float, about: int = 6) -> list[float]:
     """Return round values between ``low`` and ``high``, roughly ``about`` of them."""
     low, high = min(low, high), max(low, high)
     step = nice((high - low) / about * 1.5)
@@ -87,119 +196,9 @@ def ticks(low: float, high: float, about: int = 6) -> list[float]:
     return [round(k * step, 12) for k in range(first, last + 1)]
 
 
-def drawing(axes: Axes, content: str, across: str, up: str, label: str) -> str:
-    """Return the SVG of ``content`` with frame, ticks and axis names.
-
-    Parameters
-    ----------
-    axes
-        The window.
-    content
-        What `arrows`, `_cells` and the like returned.
-    across, up
-        Names of the axes, with units.
-    label
-        Words in place of the drawing for a reader who can't see it.
-    """
-    height = axes.height + TOP + BOTTOM
-    floor = TOP + axes.height
-    right = VIEW - RIGHT
-    marks, text = [], []
-    for value in ticks(axes.left, axes.right):
-        x, _ = axes.place(np.array([[value, axes.top]]))[0]
-        marks.append(f"M{x:.1f} {floor:.1f}v4")
-        text.append(f'<text x="{x:.1f}" y="{floor + 18:.1f}" text-anchor="middle">{value:g}</text>')
-    upwards = {value: f"{value:g}" for value in ticks(axes.bottom, axes.top, 5)}
-    more = WIDE * max(0, max(map(len, upwards.values()), default=0) - FIT)
-    for value, words in upwards.items():
-        _, y = axes.place(np.array([[axes.left, value]]))[0]
-        marks.append(f"M{LEFT} {y:.1f}h-4")
-        text.append(f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{words}</text>')
-    middle = TOP + axes.height / 2
-    text.append(
-        f'<text x="{(LEFT + right) / 2}" y="{height - 5:.1f}" '
-        f'text-anchor="middle">{escape(across)}</text>'
-    )
-    turned = (
-        f'x="{14 - more}" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 '
-        f'{14 - more} {middle:.1f})"'
-    )
-    text.append(f"<text {turned}>{escape(up)}</text>")
-    frame = f"M{LEFT} {TOP}H{right}V{floor:.1f}H{LEFT}z{''.join(marks)}"
-    return (
-        f'<svg viewBox="{-more} 0 {VIEW + more} {height:.0f}" role="img" '
-        f'aria-label="{escape(label)}">{content}'
-        f'<path class="frame" d="{frame}"/>{"".join(text)}</svg>'
-    )
-
-
 def path(steps: Sequence[str], style: str) -> str:
     """Return one path of SVG steps, of a class; empty without steps."""
     return f'<path class="{style}" d="{"".join(steps)}"/>' if steps else ""
-
-
-def arrows(axes: Axes, tails: Floats, vectors: Floats, style: str) -> str:
-    """Return one path that holds all arrows.
-
-    ``tails`` and ``vectors`` (n, 2) are data coordinates and the (magnified) arrows; rows with NaN
-    are left out. ``style`` is the path's class.
-    """
-    known = np.isfinite(tails).all(axis=1) & np.isfinite(vectors).all(axis=1)
-    starts = axes.place(tails[known])
-    ends = axes.place(tails[known] + vectors[known])
-    steps = []
-    for (x0, y0), (x1, y1) in zip(starts.tolist(), ends.tolist(), strict=True):
-        dx, dy = x1 - x0, y1 - y0
-        length = math.hypot(dx, dy)
-        if length < SHORTEST:
-            continue
-        # a head of 40 degrees, shorter on short arrows so that it never hides the shaft
-        head = min(0.35 * length, 5.0) / length
-        a, b = head * dx, head * dy
-        steps.append(
-            f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}m{-a - 0.36 * b:.1f} "
-            f"{-b + 0.36 * a:.1f}L{x1:.1f} {y1:.1f}l{-a + 0.36 * b:.1f} {-b - 0.36 * a:.1f}"
-        )
-    return path(steps, style)
-
-
-def crosses(axes: Axes, points: Floats) -> str:
-    """Return one path with an x at each of the (n, 2) ``points``, which were lost."""
-    steps = [
-        f"M{x - 3.0:.1f} {y - 3.0:.1f}l6 6m0 -6l-6 6"
-        for x, y in axes.place(points[np.isfinite(points).all(axis=1)]).tolist()
-    ]
-    return path(steps, "lost")
-
-
-def dots(axes: Axes, points: Floats, style: str, radius: float) -> str:
-    """Return one path with a filled circle at each of the (n, 2) ``points``."""
-    steps = [
-        f"M{x - radius:.1f} {y:.1f}a{radius:g} {radius:g} 0 1 0 {2 * radius:g} 0"
-        f"a{radius:g} {radius:g} 0 1 0 {-2 * radius:g} 0"
-        for x, y in axes.place(points[np.isfinite(points).all(axis=1)]).tolist()
-    ]
-    return path(steps, style)
-
-
-def _cells(axes: Axes, centres: Floats, side: float, values: Floats, largest: float) -> str:
-    """Return a square for each of the (n, 2) ``centres``, the more opaque the larger its value.
-
-    Classes are ``push`` and ``pull`` by sign. Colour is opacity over the page's own background, so
-    that nothing looks like nothing in light and dark; orange and purple differ for every colour
-    vision.
-    """
-    half = side * axes.per_unit / 2
-    squares = []
-    for (x, y), value in zip(axes.place(centres).tolist(), values.tolist(), strict=True):
-        share = min(abs(value) / largest, 1.0) if largest > 0 else 0.0
-        if share >= 0.005:
-            squares.append(
-                f'<rect class="{"push" if value > 0 else "pull"}" x="{x - half:.2f}" '
-                f'y="{y - half:.2f}" '
-                f'width="{2 * half:.2f}" height="{2 * half:.2f}" fill-opacity="{share:.2f}"/>'
-            )
-    return "".join(squares)
 
 
 def force_field(
@@ -213,11 +212,5 @@ def force_field(
     """
     (left, low), (right, high) = sites.min(axis=0), sites.max(axis=0)
     axes = Axes.equal(left - side, right + side, low - side, high + side)
-    colours = _cells(axes, sites, side, force[:, 2], largest)
-    return axes, colours, arrows(axes, sites, force[:, :2] * side / per_cell, "force")
-
-
-def line(axes: Axes, points: Floats, style: str) -> str:
-    """Return a polyline through the (n, 2) ``points``."""
-    steps = " ".join(f"{x:.1f},{y:.1f}" for x, y in axes.place(points).tolist())
-    return f'<polyline class="{style}" points="{steps}"/>'
+    colours = axes.cells(sites, side, force[:, 2], largest)
+    return axes, colours, axes.arrows(sites, force[:, :2] * side / per_cell, "force")

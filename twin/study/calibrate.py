@@ -85,7 +85,7 @@ def calibration_of(sensor: Sensor) -> Calibration:
         return _calibrate_by_design(sensor)
     from twin.sense.calibration import read_calibration, write_calibration
 
-    digest = sensor_digest(scene)
+    digest = _sensor_digest(scene)
     cached = cache_folder() / f"calibration-{digest[:32]}.npz"
     given = [Path(scene.calibration.file)] if scene.calibration.file else []
     for path in [*given, cached]:
@@ -167,7 +167,7 @@ def _fitted_numbers(scene: Scene, facts: dict[str, Any]) -> list[str]:
     return lines
 
 
-def sensor_digest(scene: Scene) -> str:
+def _sensor_digest(scene: Scene) -> str:
     """Return a hash of what a calibration by presses depends on: the sensor, not the press."""
     others = {"title", "press", "tractions", "accuracy", "renderer", "dataset", "vary"}
     table = _by_linear_theory(scene).model_dump(mode="json", exclude=others)
@@ -196,7 +196,7 @@ def nominal_calibration(sensor: Sensor, compliance: Floats) -> Calibration:
     return replace(made, marker_mm=sensor.nominal_markers.points, **seen)
 
 
-def nominal_transfer(sensor: Sensor, sites: Rectangles) -> Floats:
+def _nominal_transfer(sensor: Sensor, sites: Rectangles) -> Floats:
     """Return (2n, 3k) px/N: the nominal design's compliance through its camera."""
     return _through_camera(sensor, _nominal_compliance(sensor, sites))
 
@@ -251,7 +251,7 @@ def calibrate_by_presses(sensor: Sensor) -> Calibration:
     sites, grid = scene.reconstruction.sites, scene.calibration.presses
     if grid is None and scene.calibration.method == "sato":
         grid = sites
-    half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
+    half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
     chart = grid.chart() if grid is not None else np.array(FIVE) * np.array(sites.half_mm)
     places = on_surface(scene.body, chart, half_mm, "calibration.presses")
     presses = _press_everywhere(sensor, places)
@@ -310,7 +310,7 @@ def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     wanted = scene.calibration
     normal = places.frames[index, 2]
     radius = wanted.press_probe_mm / 2
-    contact_radius = min(hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
+    contact_radius = min(_hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
     x, y = places.centre_mm[index, :2] - (radius - contact_radius**2 / radius) * normal[:2]
     shear = SHEAR_SHARE * contact_radius
     return Press(
@@ -325,7 +325,7 @@ def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     )
 
 
-def hertz_radius(scene: Scene, force_n: float) -> float:
+def _hertz_radius(scene: Scene, force_n: float) -> float:
     """Return the nominal contact radius of the calibration sphere, mm."""
     return hertz(
         radius_mm=scene.calibration.press_probe_mm / 2,
@@ -346,11 +346,11 @@ def _measured_calibration(
     assert scene.reconstruction is not None
     forces = presses.force_n.reshape(count, 3, 3).transpose(0, 2, 1)
     transfer = from_presses(forces, presses.shift_px.reshape(count, 3, -1))
-    there = nominal_transfer(sensor, places)
+    there = _nominal_transfer(sensor, places)
     errors = left_out(transfer, there, grid.chart())
     sites = scene.reconstruction.sites.chart()
     if grid.chart().tolist() != sites.tolist():
-        here = nominal_transfer(sensor, sensor.sites)
+        here = _nominal_transfer(sensor, sensor.sites)
         transfer = fill_between(transfer, there, here, grid.axes(), sites)
     made = _calibration(sensor, transfer, presses.noise_px)
     return _with_facts(replace(made, left_out=errors), presses, {})
@@ -365,7 +365,7 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
     # Footprint of each press by Hertz, at most as wide as the probe.
     force = scene.calibration.press_force_n * places.frames[:, 2, 2]
     most = scene.calibration.press_probe_mm / 2
-    radius = np.array([min(hertz_radius(scene, float(f)), most) for f in force])
+    radius = np.array([min(_hertz_radius(scene, float(f)), most) for f in force])
     design = FittedDesign(scene, places, radius, progress=sensor.progress)
     found = fit(design, presses)
     # The transfer matrix of the fitted design, at the scene's sites.
@@ -405,7 +405,7 @@ def _calibration(sensor: Sensor, transfer: Floats, noise_px: float) -> Calibrati
     assert scene.reconstruction is not None
     grid = scene.reconstruction.sites
     facts = {
-        "digest": sensor_digest(scene),
+        "digest": _sensor_digest(scene),
         "method": scene.calibration.method,
         "scene": scene.title,
         "youngs_modulus_mpa": scene.material.youngs_modulus_mpa,
@@ -441,7 +441,7 @@ def optics(scene: Scene, camera: Camera) -> str:
     return json.dumps(facts)
 
 
-def read_presses(folder: Path) -> tuple[list[str], Points, Floats]:
+def _read_presses(folder: Path) -> tuple[list[str], Points, Floats]:
     """Read presses.csv: (q,) file names, (q, 3) places, mm (z NaN where left out), forces, N.
 
     An `InputError` names the line that holds what is no number.
@@ -524,7 +524,7 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
     if scene.calibration.method not in BY_PRESSES:
         made = _calibrate_by_design(sensor)
     else:
-        names, places_mm, force_n = read_presses(folder)
+        names, places_mm, force_n = _read_presses(folder)
         count = len(names)
         found = []
         for number, name in enumerate(names, start=1):
@@ -548,7 +548,7 @@ def _check_forces(scene: Scene, force_n: Floats) -> None:
     low, high = scene.body.bounds_mm
     radius = scene.calibration.press_probe_mm / 2
     most = int(size.argmax())
-    depth = hertz_radius(scene, float(size[most])) ** 2 / radius if size[most] > 0 else 0.0
+    depth = _hertz_radius(scene, float(size[most])) ** 2 / radius if size[most] > 0 else 0.0
     if depth > max((high[2] - low[2]) / 2, radius):
         raise InputError(
             f"{TABLE}: press {most + 1} has {size[most]:.4g} N, which by Hertz' law would press a "
@@ -568,7 +568,7 @@ def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibrat
         raise InputError(f"{TABLE}: some presses miss the body")
     _check_forces(scene, presses.force_n)
     charts = scene.body.chart_of(points)
-    half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
+    half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
     # Fitted: any places. Presses nearly at one place share it.
     if scene.calibration.method == "fitted":
         rounded = np.rint(charts / SAME_PLACE_MM).astype(np.int64)

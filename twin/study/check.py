@@ -68,7 +68,7 @@ def check_path(name: str) -> list[str]:
     _mesh_own_body(scene)
     lines = [f"{file}: ok"]
     lines += [f"warning: {doubt}" for doubt in doubts(scene)]
-    bare = unsourced(scene)
+    bare = _unsourced(scene)
     if bare:
         lines.append(f"numbers without source or assumed: {', '.join(bare)}")
     return lines
@@ -87,7 +87,7 @@ def _mesh_own_body(scene: Scene) -> None:
         body_mesh(scene.body, "nominal")
 
 
-def unsourced(part: Part, path: str = "") -> list[str]:
+def _unsourced(part: Part, path: str = "") -> list[str]:
     """Return the dotted keys of all numbers given in a recipe without provenance."""
     found = [f"{path}{key}" for key in part.unsourced()]
     for key in type(part).model_fields:
@@ -102,7 +102,7 @@ def unsourced(part: Part, path: str = "") -> list[str]:
         children = {f"{key}.{name}": child for name, child in named} if named else {key: value}
         for name, child in children.items():
             if isinstance(child, Part):
-                found += unsourced(child, f"{path}{name}.")
+                found += _unsourced(child, f"{path}{name}.")
     return found
 
 

@@ -6,8 +6,8 @@ mN, and the result would be correct and useless. What can't exist at all is refu
 (`twin.parts`).
 
 Several warnings need the nominal view of the scene before any picture is computed: `View.of` has
-the places and sizes of the markers in the picture, `shift_sd` and `shift_bound` the expected noise
-of their shifts.
+the places and sizes of the markers in the picture, `shift_sd` and `noise_bound` the expected
+noise of their shifts.
 
 Validity: usual ranges are those of rubbers, markers and cameras of tactile sensors.
 """
@@ -84,11 +84,11 @@ def shift_sd(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
         The closed form does not hold for this camera.
     """
     kind = scene.markers[layer].kind
-    bound = shift_bound(scene, layer, diameter_px)
+    bound = _shift_bound(scene, layer, diameter_px)
     return np.asarray(np.hypot(_FACTOR[kind] * bound, _MODEL_PX[kind]))
 
 
-def shift_bound(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
+def _shift_bound(scene: Scene, layer: str, diameter_px: Floats) -> Floats:
     """Return the Cramer-Rao bound of `shift_sd`, (n,), px per axis; raises as that does."""
     if not _knows_noise(scene):
         raise RecipeError(
@@ -196,15 +196,15 @@ class View:
 
 
 def noise_bound(scene: Scene) -> Floats | None:
-    """Return (n,) `shift_bound` of all nominal markers, px, NaN where none is known; None where the
-    closed form does not hold."""
+    """Return the (n,) Cramer-Rao bounds of all nominal markers' shifts, px per axis, NaN where
+    none is known; None where the closed form does not hold."""
     if scene.camera is None or not _knows_noise(scene) or not scene.ccd.spelt_out().noise:
         return None
     view = View.of(scene)
     bound = np.full(len(view.markers), np.nan)
     for name in scene.markers:
         rows = view.markers.layer == name
-        bound[rows] = shift_bound(scene, name, np.nan_to_num(view.diameter_px[rows]))
+        bound[rows] = _shift_bound(scene, name, np.nan_to_num(view.diameter_px[rows]))
     return np.where(np.isfinite(view.diameter_px), bound, np.nan)
 
 

@@ -48,7 +48,7 @@ _KEPT = 8
 """States whose motion is kept."""
 
 
-def in_parts(press: Press, ends: Sequence[Sequence[float]]) -> Press:
+def _in_parts(press: Press, ends: Sequence[Sequence[float]]) -> Press:
     """Return the press with every step of its path, and of further probes', in parts.
 
     Forces and torques grow from those of the step before, motions, turns and seconds are shared
@@ -77,7 +77,7 @@ def in_parts(press: Press, ends: Sequence[Sequence[float]]) -> Press:
                     seconds=step.seconds * (end - begin),
                 )
             )
-    also = tuple(in_parts(other, ends) for other in press.also)
+    also = tuple(_in_parts(other, ends) for other in press.also)
     changes = {"steps": tuple(steps), "force_n": None, "indentation_mm": None, "also": also}
     return Press.model_validate(press.model_copy(update=changes).model_dump())
 
@@ -127,7 +127,7 @@ def at_frames(press: Press, frames_per_second: float) -> tuple[Press, Floats]:
         [(time - begin) / (end - begin) if end > begin else 1.0 for time in inner]
         for inner, (begin, end) in zip(times, pairwise(ends_s), strict=True)
     ]
-    return in_parts(press, shares), np.concatenate(times)
+    return _in_parts(press, shares), np.concatenate(times)
 
 
 class Exposures:
@@ -281,7 +281,7 @@ def write_film(sensor: Sensor, out: Path) -> str:
     progress = sensor.progress or _silent
     progress("contact", 0.1)
     shares = [(part + 1) / PARTS for part in range(PARTS)]
-    state = sensor.press(in_parts(scene.press, [shares] * len(scene.press.path)))
+    state = sensor.press(_in_parts(scene.press, [shares] * len(scene.press.path)))
     if not state.complete:
         raise ContactError(f"press: {state.reason}")
     pictures = [sensor.picture(None)]

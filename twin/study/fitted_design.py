@@ -204,7 +204,9 @@ class FittedDesign:
         rest = np.einsum("mpri,r->pmi", rest.reshape(len(rest), len(self.places), -1, 3), weights)
         out = []
         for index, radius in enumerate(self.radius_mm):
-            fine, share = self._squares(index, radius * (1 + found["footprint"]), hertz_shares())
+            fine, share = self._squares(
+                index, radius * (1 + found["footprint"]), self.hertz_shares()
+            )
             near = halfspace.compliance(markers, fine, modulus, nu_now)
             near = np.einsum("mri,r->mi", near.reshape(3 * len(markers), -1, 3), share)
             out.append((near + rest[index]) / (1 + found["youngs_modulus"]))
@@ -236,25 +238,25 @@ class FittedDesign:
         )
         return squares, share
 
+    @staticmethod
+    def hertz_shares() -> tuple[Floats, Floats]:
+        """Return Hertz's pressure on a disc as shares of squares.
+
+        Returns
+        -------
+        Offsets (s, 2) of the squares' centres from the disc's, in its radii, and the shares (s,) of
+        the force on them, whose sum is 1. The squares are `CUTS` to the disc's diameter.
+        """
+        sub = 6
+        fine = (np.arange(CUTS * sub) + 0.5) / (CUTS * sub) * 2 - 1
+        pressure = np.sqrt(np.maximum(1 - fine[:, None] ** 2 - fine[None, :] ** 2, 0.0))
+        cells = pressure.reshape(CUTS, sub, CUTS, sub).sum(axis=(1, 3))
+        axis = (np.arange(CUTS) + 0.5) / CUTS * 2 - 1
+        offsets = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+        keep = cells.ravel() > 0
+        return offsets[keep], cells.ravel()[keep] / cells.sum()
+
     def _seen_slope(self, points: Points, camera: Camera) -> Floats:
         scene = self.scene
         index = scene.material.refractive_index
         return project_with_jacobian(points, camera, index, scene.body.base_z_mm)[1]
-
-
-def hertz_shares() -> tuple[Floats, Floats]:
-    """Return Hertz's pressure on a disc as shares of squares.
-
-    Returns
-    -------
-    Offsets (s, 2) of the squares' centres from the disc's, in its radii, and the shares (s,) of the
-    force on them, whose sum is 1. The squares are `CUTS` to the disc's diameter.
-    """
-    sub = 6
-    fine = (np.arange(CUTS * sub) + 0.5) / (CUTS * sub) * 2 - 1
-    pressure = np.sqrt(np.maximum(1 - fine[:, None] ** 2 - fine[None, :] ** 2, 0.0))
-    cells = pressure.reshape(CUTS, sub, CUTS, sub).sum(axis=(1, 3))
-    axis = (np.arange(CUTS) + 0.5) / CUTS * 2 - 1
-    offsets = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    keep = cells.ravel() > 0
-    return offsets[keep], cells.ravel()[keep] / cells.sum()

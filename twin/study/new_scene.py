@@ -62,30 +62,29 @@ class Pad:
     focal_mm: float | None = None
     resolution: tuple[int, int] = (640, 480)
 
+    def write(self, path: Path) -> list[str]:
+        """Write a recipe, and return lines about it: the file, and what is unlikely in it.
 
-def write_new_scene(path: Path, pad: Pad) -> list[str]:
-    """Write a recipe, and return lines about it: the file, and what is unlikely in it.
-
-    Raises
-    ------
-    InputError
-        Numbers out of their range, dots that don't fit, or a file of this name.
-    """
-    target = path if path.suffix == ".toml" else path.with_name(path.name + ".toml")
-    if target.exists():
-        raise InputError(f"{target}: is there already; give another name, or move it away")
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: there is no folder {target.parent}; make it first")
-    text = _recipe_of(pad)
-    table = tomllib.loads(text)
-    scene = validate_scene(table, str(target))
-    place(scene.body, scene.markers)
-    write_whole(target, text.encode())
-    dots = [f"{layer.columns} x {layer.rows} {name}" for name, layer in scene.markers.items()]
-    return [
-        f"{target}: {', '.join(dots)}; now: twin run {target}",
-        *(f"warning: {line}" for line in doubts(scene)),
-    ]
+        Raises
+        ------
+        InputError
+            Numbers out of their range, dots that don't fit, or a file of this name.
+        """
+        target = path if path.suffix == ".toml" else path.with_name(path.name + ".toml")
+        if target.exists():
+            raise InputError(f"{target}: is there already; give another name, or move it away")
+        if not target.parent.is_dir():
+            raise InputError(f"{target}: there is no folder {target.parent}; make it first")
+        text = _recipe_of(self)
+        table = tomllib.loads(text)
+        scene = validate_scene(table, str(target))
+        place(scene.body, scene.markers)
+        write_whole(target, text.encode())
+        dots = [f"{layer.columns} x {layer.rows} {name}" for name, layer in scene.markers.items()]
+        return [
+            f"{target}: {', '.join(dots)}; now: twin run {target}",
+            *(f"warning: {line}" for line in doubts(scene)),
+        ]
 
 
 def _in_range(option: str, value: float, unit: str, low: float, high: float, remedy: str) -> None:

@@ -43,7 +43,7 @@ _LINEAR = (0.05, 0.95)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhotonTransfer:
+class _PhotonTransfer:
     """What flat fields tell of a chip.
 
     Attributes
@@ -88,7 +88,7 @@ class PhotonTransfer:
         return float(self.saturation_e / least)
 
 
-def photon_transfer(ccd: Ccd, seed: int = 1) -> PhotonTransfer:
+def photon_transfer(ccd: Ccd, seed: int = 1) -> _PhotonTransfer:
     """Measure a chip by EMVA 1288.
 
     Parameters
@@ -142,7 +142,7 @@ def photon_transfer(ccd: Ccd, seed: int = 1) -> PhotonTransfer:
         for stack, level in zip(stacks, (0.0, 0.5), strict=True)
     ]
     prnu = np.sqrt(max(spreads[1] - spreads[0], 0.0)) / (stacks[1].mean() - stacks[0].mean())
-    return PhotonTransfer(
+    return _PhotonTransfer(
         gain_dn_e=gain,
         dark_variance_dn2=float(variance[0]),
         dark_noise_e=float(np.sqrt(dark) / gain) if variance[0] >= LEAST_DARK_DN2 else float("nan"),

@@ -85,7 +85,7 @@ _FIELD = "force_n"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Frame:
+class _Frame:
     """A frame, its file name (with the number in a video or a pipe), or the problem with it."""
 
     name: str
@@ -131,7 +131,7 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
 def _check_sources(
     sources: Sequence[str], overlay: Path | None, size: str | None, layout: str | None
 ) -> None:
-    """Refuse, before any work, what `frames` or `_OverlayFile` would refuse later.
+    """Refuse, before any work, what `_frames` or `_OverlayFile` would refuse later.
 
     Raises
     ------
@@ -150,9 +150,9 @@ def _check_sources(
         )
 
 
-def frames(
+def _frames(
     sources: Sequence[str], stream: IO[bytes], size: str | None, layout: str | None
-) -> Iterator[Frame]:
+) -> Iterator[_Frame]:
     """Yield the frames of files, folders and videos, in order; ``-`` is raw frames from ``stream``.
 
     Raises `InputError` without frames, or for ``-`` without its size and format, and
@@ -175,7 +175,7 @@ def frames(
         inside = [each for each in path.iterdir() if each.suffix.lower() in (*PICTURES, *VIDEOS)]
         if not inside:
             problem = f"the folder holds no pictures ({', '.join(PICTURES)})"
-            yield Frame(name=source, problem=problem)
+            yield _Frame(name=source, problem=problem)
         for file in sorted(inside, key=_in_number):
             yield from _of_file(file)
 
@@ -185,14 +185,14 @@ def _in_number(path: Path) -> tuple[tuple[str, int], ...]:
     return tuple((text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", path.name))
 
 
-def _of_file(path: Path) -> Iterator[Frame]:
+def _of_file(path: Path) -> Iterator[_Frame]:
     if path.suffix.lower() in VIDEOS:
         yield from _video_frames(path)
         return
     try:
-        yield Frame(name=path.name, picture=read_picture(path))
+        yield _Frame(name=path.name, picture=read_picture(path))
     except InputError as problem:
-        yield Frame(name=path.name, problem=str(problem).removeprefix(f"{path}: "))
+        yield _Frame(name=path.name, problem=str(problem).removeprefix(f"{path}: "))
 
 
 def _raw_layout(size: str | None, layout: str | None) -> tuple[int, int, int]:
@@ -210,7 +210,7 @@ def _raw_layout(size: str | None, layout: str | None) -> tuple[int, int, int]:
     return width, height, _RAW_FORMATS[layout]
 
 
-def _raw_frames(stream: IO[bytes], width: int, height: int, depth: int) -> Iterator[Frame]:
+def _raw_frames(stream: IO[bytes], width: int, height: int, depth: int) -> Iterator[_Frame]:
     """Yield frames of raw bytes; a last one that is cut short is a problem."""
     count = width * height * depth
     shape = (height, width, 3) if depth == 3 else (height, width)
@@ -218,9 +218,9 @@ def _raw_frames(stream: IO[bytes], width: int, height: int, depth: int) -> Itera
     while data := stream.read(count):
         if len(data) < count:
             problem = f"the pipe ended after {len(data)} of {count} bytes of a frame"
-            yield Frame(name=str(number), problem=problem)
+            yield _Frame(name=str(number), problem=problem)
             return
-        yield Frame(name=str(number), picture=np.frombuffer(data, np.uint8).reshape(shape))
+        yield _Frame(name=str(number), picture=np.frombuffer(data, np.uint8).reshape(shape))
         number += 1
 
 
@@ -235,11 +235,11 @@ def _ffmpeg() -> Any:
     return imageio_ffmpeg
 
 
-def _video_frames(path: Path) -> Iterator[Frame]:
+def _video_frames(path: Path) -> Iterator[_Frame]:
     """Yield the frames of a video file; ffmpeg may open this file alone, and only as a film."""
     package = _ffmpeg()
     if not path.is_file():
-        yield Frame(name=path.name, problem="there is no such video")
+        yield _Frame(name=path.name, problem="there is no such video")
         return
     try:
         only = ["-protocol_whitelist", "file", "-format_whitelist", _CONTAINERS]
@@ -248,9 +248,9 @@ def _video_frames(path: Path) -> Iterator[Frame]:
             width, height = next(reader)["size"]
             for number, data in enumerate(reader):
                 picture = np.frombuffer(data, np.uint8).reshape(height, width, 3)
-                yield Frame(name=f"{path.name}:{number}", picture=picture)
+                yield _Frame(name=f"{path.name}:{number}", picture=picture)
     except (OSError, RuntimeError, StopIteration, ValueError, KeyError) as problem:
-        yield Frame(name=path.name, problem=f"can't be read as a video ({type(problem).__name__})")
+        yield _Frame(name=path.name, problem=f"can't be read as a video ({type(problem).__name__})")
 
 
 class VideoWriter:
@@ -337,10 +337,10 @@ class _FrameResult:
         }
 
 
-def reconstruct_frames(
+def _reconstruct_frames(
     rest: Picture,
     calibration: Calibration,
-    sequence: Iterable[Frame],
+    sequence: Iterable[_Frame],
     *,
     frames_per_second: float | None = None,
     **options: Any,
@@ -597,13 +597,13 @@ def reconstruct_recording(
     Parameters
     ----------
     rest, sources, calibration
-        The picture without load, see `frames`, and the calibration's file.
+        The picture without load, see `_frames`, and the calibration's file.
     out, overlay
         Table, and frames with the motion drawn in; see `_TableFile` and `_OverlayFile`.
     size, layout
         ``WxH`` and format of raw frames.
     frames_per_second
-        See `reconstruct_frames`.
+        See `_reconstruct_frames`.
     options
         Of `twin.sense.reconstruct.reconstruct`; None stands for what the calibration's recipe says.
 
@@ -633,8 +633,8 @@ def reconstruct_recording(
     # Frames come one at a time: results are written as they come, and memory stays bounded.
     table = _TableFile(out, known.site_mm) if out else None
     drawing = _OverlayFile(overlay) if overlay else None
-    pictures = frames(sources, sys.stdin.buffer, size, layout)
-    results = reconstruct_frames(
+    pictures = _frames(sources, sys.stdin.buffer, size, layout)
+    results = _reconstruct_frames(
         read_picture(rest), known, pictures, frames_per_second=frames_per_second, **options
     )
     print(f"calibration {_described(known)}", file=sys.stderr)

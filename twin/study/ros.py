@@ -68,7 +68,7 @@ def ros_messages(
     truth = observation.truth
     return {
         "image": ("sensor_msgs/msg/Image", _image(there, observation.picture)),
-        "camera_info": ("sensor_msgs/msg/CameraInfo", camera_info(camera, there)),
+        "camera_info": ("sensor_msgs/msg/CameraInfo", _camera_info(camera, there)),
         "wrench": _wrench(here, observation.total_force_n, observation.total_torque_nmm),
         "wrench_true": _wrench(here, truth.total_force_n, truth.total_torque_nmm),
         "force_field": (
@@ -78,7 +78,7 @@ def ros_messages(
     }
 
 
-def camera_info(camera: Camera, header: Table) -> Table:
+def _camera_info(camera: Camera, header: Table) -> Table:
     """Return the fields of sensor_msgs/msg/CameraInfo.
 
     Raises

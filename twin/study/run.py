@@ -13,7 +13,6 @@ score          what the scene has of the above       score.json
 report         the same                              report.html
 =============  ====================================  =============================
 
-`summary` makes the lines that ``twin run`` prints at the end.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import math
 import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,7 +44,6 @@ from twin.study.sensor import Motion, Sensor
 from twin.theory.contact import hertz, largest_strain_and_turn, punch_pressure
 
 if TYPE_CHECKING:
-    from twin.sense.calibration import Calibration
     from twin.sense.reconstruct import Field
     from twin.sense.track import Found
     from twin.world.contact.pressing import ContactState
@@ -124,7 +122,7 @@ def run(
     elif overrides:
         raise InputError("overrides belong to a scene's name or path: give them to load_scene")
     wanted = frozenset(want) if want is not None else WANTED
-    return _only(_chain(scene, wanted, want is not None, progress).result(), wanted)
+    return _only(_computed(*_checked(scene, wanted, want is not None, progress)), wanted)
 
 
 def run_to_folder(
@@ -138,14 +136,12 @@ def run_to_folder(
         A step of the press after the first has no equilibrium or does not converge: the files,
         and the facts in score.json, are those of the state before it.
     """
-    # Compute, then write only what is wanted.
     wanted = frozenset(want)
-    chain = _chain(scene, wanted, wanted != WANTED, progress)
+    sensor, needed = _checked(scene, wanted, wanted != WANTED, progress)
     make_folder(folder)
     RunResult.refuse_other_files(folder)
-    chain.keep_last = True
-    with compiled_ahead("twin.sense.compile_ahead" if "tracking" in chain.needed else ""):
-        result = chain.result()
+    with compiled_ahead("twin.sense.compile_ahead" if "tracking" in needed else ""):
+        result = _computed(sensor, needed, keep_last=True)
     page = ""
     if "report" in wanted:
         from twin.show.report import report
@@ -161,14 +157,15 @@ def run_to_folder(
     # A path that stopped early has results, and an exit code of its own.
     if (reason := result.facts.get("contact", {}).get("incomplete")) is not None:
         raise SomeFailed(f"press: {reason}; what belongs to that state is in {folder}")
-    return summary(result, folder)
+    return f"{result.summary()}\nwritten to  {folder}"
 
 
 @one_blas_thread()
-def _chain(
+def _checked(
     scene: Scene, wanted: frozenset[str], by_name: bool, progress: Progress | None
-) -> _Chain:
-    """Return the stages of ``wanted``, checked; ``by_name``: the scene must have all of it."""
+) -> tuple[Sensor, frozenset[str]]:
+    """Return the sensor and the parts that are needed; ``by_name``: the scene must have all that is
+    wanted."""
     if unknown := sorted(wanted - WANTED):
         raise RecipeError(
             f"want: unknown {', '.join(unknown)}; allowed are {', '.join(sorted(WANTED))}"
@@ -176,7 +173,7 @@ def _chain(
     sensor = Sensor(scene, progress)
     needed = _needed(scene, wanted, by_name)
     sensor.actual  # noqa: B018  refuses a marker outside the body
-    return _Chain(sensor, needed, progress)
+    return sensor, needed
 
 
 def _needed(scene: Scene, wanted: frozenset[str], by_name: bool) -> frozenset[str]:
@@ -211,209 +208,168 @@ def _only(result: RunResult, wanted: frozenset[str]) -> RunResult:
     )
 
 
-@dataclass
-class _Chain:
-    """The stages of one run, with the results that later stages need.
-
-    With ``keep_last`` a step without equilibrium leaves the state before it, else the error.
-    """
-
-    sensor: Sensor
-    needed: frozenset[str]
-    progress: Progress | None
-    keep_last: bool = False
-    state: ContactState | None = None
-    calibration: Calibration | None = None
-    forces: Field | None = None
-    timings: dict[str, float] = field(default_factory=dict)
-    failures: dict[str, str] = field(default_factory=dict)
+@one_blas_thread()
+def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -> RunResult:
+    """Compute the stages that are needed. With ``keep_last`` a step without equilibrium leaves the
+    state before it, else the error."""
+    scene = sensor.nominal
+    timings: dict[str, float] = {}
+    stages = [name for name, needs in _STAGES.items() if needs in needed]
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        if self.progress is not None:
-            stages = [each for each, needs in _STAGES.items() if needs in self.needed]
-            self.progress(name, stages.index(name) / len(stages))
+    def stage(name: str) -> Iterator[None]:
+        if sensor.progress is not None:
+            sensor.progress(name, stages.index(name) / len(stages))
         started = time.perf_counter()
         yield
-        self.timings[name] = time.perf_counter() - started
+        timings[name] = time.perf_counter() - started
 
-    @one_blas_thread()
-    def result(self) -> RunResult:
-        sensor = self.sensor
-        scene = self.sensor.nominal
-        # Refuse what can't be rendered on this machine before anything is solved.
-        with self.stage("design"):
-            if "picture" in self.needed:
-                from twin.world.picture.backend import check_machine
+    # Refuse what can't be rendered on this machine before anything is solved.
+    with stage("design"):
+        if "picture" in needed:
+            from twin.world.picture.backend import check_machine
 
-                check_machine(scene)
-        # The truth: the load of the press, or given tractions, and the motion of the markers.
-        with self.stage("contact"):
-            load = scene.load
-            if scene.press is not None and not scene.tractions:
-                self.state = self._pressed()
-                load = self.state.load
-        with self.stage("displacement"):
-            motion = sensor.motion(load)
-        patches = sensor.rectangles(load)
-        truth = self._truth(motion, patches)
-        # The pictures, and the shifts that the software finds in them.
-        rest = pressed = found = None
-        if "picture" in self.needed:
-            with self.stage("rest picture"):
-                rest = sensor.picture(None)
-            with self.stage("pressed picture"):
-                pressed = sensor.picture(motion)
-            with self.stage("outlines"):
-                truth = self._with_outlines(truth, motion)
-            if "tracking" in self.needed:
-                from twin.sense.track import track
+            check_machine(scene)
+    # The truth: the load of the press, or given tractions, and the motion of the markers.
+    state = None
+    with stage("contact"):
+        if scene.press is not None and not scene.tractions:
+            state = _pressed(sensor, keep_last)
+        load = scene.load if state is None else state.load
+    with stage("displacement"):
+        motion = sensor.motion(load)
+    patches = sensor.rectangles(load)
+    truth = _truth(sensor, motion, patches)
+    # The pictures, and the shifts that the software finds in them.
+    rest = pressed = found = None
+    failures: dict[str, str] = {}
+    if "picture" in needed:
+        with stage("rest picture"):
+            rest = sensor.picture(None)
+        with stage("pressed picture"):
+            pressed = sensor.picture(motion)
+        with stage("outlines"):
+            truth = _with_outlines(sensor, truth, motion)
+        if "tracking" in needed:
+            from twin.sense.track import track
 
-                with self.stage("tracking"):
-                    COMPILING.wait_for_second()
-                    try:
-                        found = track(rest, pressed, sensor.layout_px, method=scene.tracking.method)
-                    except InputError as problem:  # truth and pictures are still useful
-                        self.failures |= {"tracking": str(problem), "force": "nothing was tracked"}
-        # The forces that the software computes, which may be none.
-        if "forces" in self.needed and found is not None:
-            self._reconstruct(found)
-        estimate = _estimate(found, self.forces)
-        # How far the truth itself is off, and how far linear theory carries.
-        if self.state is not None:
-            with self.stage("contact error"):
-                self.state.error  # noqa: B018  computed at first use
-        if self.state is not None and "score" in self.needed:
-            with self.stage("linearity"):
-                self.state = replace(self.state, validity=sensor.validity(self.state))
-        with self.stage("score"):
-            score = self._score(truth, motion, patches, estimate)
-        return RunResult(
-            scene_toml=dump_scene(scene),
-            truth=truth,
-            estimate=estimate,
-            rest=rest,
-            pressed=pressed,
-            score=score,
-            touches=_touches(scene, self.state),
-            facts=self._facts(truth, score),
-            timings=self.timings,
-        )
-
-    def _pressed(self) -> ContactState:
-        from twin.world.contact.contact_state import ContactState
-
-        try:
-            return self.sensor.press()
-        except ContactError as problem:
-            if self.keep_last and isinstance(problem.last_state, ContactState):
-                return problem.last_state
-            raise
-
-    def _truth(self, motion: Motion, patches: Rectangles) -> Truth:
-        sensor = self.sensor
-        markers = self.sensor.actual.markers
-        return Truth(
-            marker_rest_mm=markers.points,
-            marker_displacement_mm=motion.displacement_mm,
-            marker_layer=markers.layer,
-            marker_rest_px=sensor.project(markers.points),
-            marker_pressed_px=sensor.project(markers.points + motion.displacement_mm),
-            marker_outline_rest_px=np.zeros((0, 2)),
-            marker_outline_pressed_px=np.zeros((0, 2)),
-            marker_visible=np.zeros(0, bool),
-            surface_mm=patches.centre_mm,
-            surface_force_n=patches.force_n,
-            total_force_n=patches.total_force_n,
-            total_torque_nmm=patches.total_torque_nmm,
-        )
-
-    def _with_outlines(self, truth: Truth, motion: Motion) -> Truth:
-        sensor = self.sensor
-        rest = sensor.renderer.outlines(sensor.ellipsoids(None))
-        pressed = sensor.renderer.outlines(sensor.ellipsoids(motion))
-        return replace(
-            truth,
-            marker_outline_rest_px=rest.centroid_px,
-            marker_outline_pressed_px=pressed.centroid_px,
-            marker_visible=(rest.visible >= UNOCCLUDED) & (pressed.visible >= UNOCCLUDED),
-        )
-
-    def _reconstruct(self, found: Found) -> None:
+            with stage("tracking"):
+                COMPILING.wait_for_second()
+                try:
+                    found = track(rest, pressed, sensor.layout_px, method=scene.tracking.method)
+                except InputError as problem:  # truth and pictures are still useful
+                    failures |= {"tracking": str(problem), "force": "nothing was tracked"}
+    # The forces that the software computes, which may be none.
+    calibration = forces = None
+    if "forces" in needed and found is not None and scene.reconstruction is not None:
         from twin.sense.reconstruct import reconstruct
         from twin.study.calibrate import calibration_of
 
-        wanted = self.sensor.nominal.reconstruction
-        assert wanted is not None
-        with self.stage("calibration"):
-            self.calibration = calibration_of(self.sensor)
-        with self.stage("reconstruction"):
+        with stage("calibration"):
+            calibration = calibration_of(sensor)
+        with stage("reconstruction"):
             try:
-                self.forces = reconstruct(found, self.calibration, **wanted.options())
+                forces = reconstruct(found, calibration, **scene.reconstruction.options())
             except InputError as problem:
-                self.failures["force"] = str(problem)
-
-    def _score(
-        self, truth: Truth, motion: Motion, patches: Rectangles, estimate: Estimate | None
-    ) -> dict[str, Any]:
-        """Return ``score.json``'s errors by stage."""
+                failures["force"] = str(problem)
+    estimate = _estimate(found, forces)
+    # How far the truth itself is off, and how far linear theory carries.
+    if state is not None:
+        with stage("contact error"):
+            state.error  # noqa: B018  computed at first use
+        if "score" in needed:
+            with stage("linearity"):
+                state = replace(state, validity=sensor.validity(state))
+    # The errors by stage.
+    with stage("score"):
         from twin.judge.score import field_score, score, tracking_score
 
-        # Errors of the truth itself: displacement, contact, linear theory.
-        state = self.state
-        moved = np.linalg.norm(truth.marker_displacement_mm, axis=1)
-        pressed, reasons = _press_error(state)
-        strained, unknown = _linearity(motion, state)
-        elastic = {
-            "displacement_error": motion.error,
-            "largest_displacement_mm": float(moved.max()) if len(moved) else None,
-            "contact_residual": state.residual if state is not None else None,
-            **_creep_error(state),
-            **pressed,
-            **strained,
-            "reasons": reasons | unknown,
-        }
-        # Errors of what the software made of the pictures.
+        bound_px = noise_bound(scene) if "picture" in needed else None
         tracking = force = None
         if estimate is not None:
+            shift_px = truth.marker_outline_pressed_px - truth.marker_outline_rest_px
             tracking = tracking_score(
-                estimate.marker_shift_px,
-                truth.marker_outline_pressed_px - truth.marker_outline_rest_px,
-                truth.marker_visible,
-                bound_px=noise_bound(self.sensor.nominal),
+                estimate.marker_shift_px, shift_px, truth.marker_visible, bound_px=bound_px
             )
-        if estimate is not None and len(estimate.site_mm):
-            frames = self.calibration.site_frames if self.calibration is not None else None
-            force = field_score(estimate, patches, frames)
-        found = score(elastic=elastic, tracking=tracking, force=force)
-        found["reasons"] |= self.failures
-        return found
+            if len(estimate.site_mm):
+                frames = None if calibration is None else calibration.site_frames
+                force = field_score(estimate, patches, frames)
+        errors = score(
+            elastic=_elastic_errors(truth, motion, state), tracking=tracking, force=force
+        )
+        errors["reasons"] |= failures
+    # What the report and the summary show with them.
+    facts: dict[str, Any] = {"seed": scene.seed, "shared": _shared_by_truth_and_estimate(scene)}
+    warned = doubts(scene)
+    if "picture" in needed and (state is not None or scene.tractions):
+        shift_px = truth.marker_pressed_px - truth.marker_rest_px
+        noise_px = (tracking or {}).get("sd_px")
+        if bound_px is not None and np.isfinite(bound_px).any():
+            noise_px = float(np.nanmedian(bound_px))
+        warned += unseen(scene, shift_px, noise_px)
+    if warned := [*warned, *_tracking_doubt(tracking)]:
+        facts["warnings"] = warned
+    if state is not None:
+        facts |= _press_facts(state) | _course(scene, state)
+    if calibration is not None and forces is not None:
+        sites = len(calibration.site_mm)
+        facts["calibration"] = {"method": scene.calibration.method, "sites": sites}
+        facts["weight"] = forces.weight
+    if "picture" in needed:
+        facts["renderer"] = sensor.renderer.drawn_by
+        if sensor.saturation is not None:
+            facts["picture_warnings"] = [sensor.saturation]
+    return RunResult(
+        scene_toml=dump_scene(scene),
+        truth=truth,
+        estimate=estimate,
+        rest=rest,
+        pressed=pressed,
+        score=errors,
+        touches=_touches(scene, state),
+        facts=facts,
+        timings=timings,
+    )
 
-    def _facts(self, truth: Truth, score: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the facts that the report shows with the score."""
-        scene = self.sensor.nominal
-        state = self.state
-        pictured = "picture" in self.needed
-        facts: dict[str, Any] = {"seed": scene.seed, "shared": _shared_by_truth_and_estimate(scene)}
-        warned = doubts(scene)
-        if pictured and (state is not None or scene.tractions):
-            shift = truth.marker_pressed_px - truth.marker_rest_px
-            warned += unseen(scene, shift, _noise_px(scene, score))
-        if doubt := tracking_doubt(score.get("tracking")):
-            warned.append(doubt)
-        if warned:
-            facts["warnings"] = warned
-        if state is not None:
-            facts |= _press_facts(state) | _course(scene, state)
-        if self.calibration is not None and self.forces is not None:
-            sites = len(self.calibration.site_mm)
-            facts["calibration"] = {"method": scene.calibration.method, "sites": sites}
-            facts["weight"] = self.forces.weight
-        if pictured:
-            facts["renderer"] = self.sensor.renderer.drawn_by
-            if self.sensor.saturation is not None:
-                facts["picture_warnings"] = [self.sensor.saturation]
-        return facts
+
+def _pressed(sensor: Sensor, keep_last: bool) -> ContactState:
+    from twin.world.contact.contact_state import ContactState
+
+    try:
+        return sensor.press()
+    except ContactError as problem:
+        if keep_last and isinstance(problem.last_state, ContactState):
+            return problem.last_state
+        raise
+
+
+def _truth(sensor: Sensor, motion: Motion, patches: Rectangles) -> Truth:
+    markers = sensor.actual.markers
+    return Truth(
+        marker_rest_mm=markers.points,
+        marker_displacement_mm=motion.displacement_mm,
+        marker_layer=markers.layer,
+        marker_rest_px=sensor.project(markers.points),
+        marker_pressed_px=sensor.project(markers.points + motion.displacement_mm),
+        marker_outline_rest_px=np.zeros((0, 2)),
+        marker_outline_pressed_px=np.zeros((0, 2)),
+        marker_visible=np.zeros(0, bool),
+        surface_mm=patches.centre_mm,
+        surface_force_n=patches.force_n,
+        total_force_n=patches.total_force_n,
+        total_torque_nmm=patches.total_torque_nmm,
+    )
+
+
+def _with_outlines(sensor: Sensor, truth: Truth, motion: Motion) -> Truth:
+    rest = sensor.renderer.outlines(sensor.ellipsoids(None))
+    pressed = sensor.renderer.outlines(sensor.ellipsoids(motion))
+    return replace(
+        truth,
+        marker_outline_rest_px=rest.centroid_px,
+        marker_outline_pressed_px=pressed.centroid_px,
+        marker_visible=(rest.visible >= UNOCCLUDED) & (pressed.visible >= UNOCCLUDED),
+    )
 
 
 def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
@@ -431,24 +387,16 @@ def _estimate(found: Found | None, forces: Field | None) -> Estimate | None:
     )
 
 
-def tracking_doubt(tracking: Mapping[str, Any] | None) -> str:
-    """Return a warning where few of the unoccluded markers were found; empty otherwise."""
+def _tracking_doubt(tracking: Mapping[str, Any] | None) -> list[str]:
+    """Return a warning where few of the unoccluded markers were found."""
     if not tracking or not tracking["markers"] or tracking["matched"] >= FEW:
-        return ""
+        return []
     found = round(tracking["matched"] * tracking["markers"])
-    return (
+    return [
         f"only {found} of the {tracking['markers']} markers in full sight were found in the "
         "pressed picture: the forces rest on these alone. Press less, or look at exposure and "
         "contrast in rest.png and pressed.png"
-    )
-
-
-def _noise_px(scene: Scene, score: Mapping[str, Any]) -> float | None:
-    """Return the noise of a marker's shift, px: by closed form, else as measured."""
-    bound = noise_bound(scene)
-    if bound is not None and np.isfinite(bound).any():
-        return float(np.median(bound[np.isfinite(bound)]))
-    return (score.get("tracking") or {}).get("sd_px")
+    ]
 
 
 def _press_facts(state: ContactState) -> dict[str, Any]:
@@ -489,37 +437,41 @@ def _course(scene: Scene, state: ContactState) -> dict[str, Any]:
     return {"course": course}
 
 
-def _press_error(state: ContactState | None) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return a press's errors of all causes, and the reasons of those that are unknown."""
-    error = state.error if state is not None else None
-    names = ("force", "indentation", "traction", "markers")
-    figures = {f"{name}_error": getattr(error, name, None) for name in names}
-    why = "nothing is pressed" if error is None else "the press doesn't settle on other patches"
-    unknown = {
-        name: why for name, value in figures.items() if value is None or not math.isfinite(value)
-    }
-    return figures | dict.fromkeys(unknown), unknown
-
-
-def _creep_error(state: ContactState | None) -> dict[str, Any]:
-    """Return how far a total force is off that takes the motion of relaxing rubber for elastic."""
-    if state is None or state.load.crept is None or not state.load.terms:
-        return {}
-    true, elastic = (
-        sum(term.force_n.sum(axis=0) for term in load.terms if isinstance(term, Rectangles))
-        for load in (state.load, state.load.crept)
-    )
-    return {"creep_error": float(np.linalg.norm(elastic - true) / np.linalg.norm(true))}
-
-
-def _linearity(motion: Motion, state: ContactState | None) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return strain, turn and the error of linear theory, and the reasons of what is unknown."""
-    names = ("contact_over_probe_radius", "linearisation_error")
-    figures = {name: getattr(state.validity, name) if state else None for name in names}
-    why = "the probe is flat" if state else "nothing is pressed"
-    reasons = {name: why for name, value in figures.items() if value is None}
+def _elastic_errors(truth: Truth, motion: Motion, state: ContactState | None) -> dict[str, Any]:
+    """Return the errors of the truth itself, and the reasons of those that are unknown."""
+    moved = np.linalg.norm(truth.marker_displacement_mm, axis=1)
     strain, turn = largest_strain_and_turn(motion.gradient)
-    return {"largest_strain": strain, "largest_turn_deg": turn, **figures}, reasons
+    figures: dict[str, Any] = {
+        "displacement_error": motion.error,
+        "largest_displacement_mm": float(moved.max()) if len(moved) else None,
+        "contact_residual": None if state is None else state.residual,
+        "largest_strain": strain,
+        "largest_turn_deg": turn,
+    }
+    if state is not None and state.load.crept is not None and state.load.terms:
+        # A total force that takes the motion of rubber that relaxes for elastic.
+        true, elastic = (
+            sum(term.force_n.sum(axis=0) for term in load.terms if isinstance(term, Rectangles))
+            for load in (state.load, state.load.crept)
+        )
+        figures["creep_error"] = float(np.linalg.norm(elastic - true) / np.linalg.norm(true))
+    reasons = {}
+    error = None if state is None else state.error
+    for name in ("force", "indentation", "traction", "markers"):
+        value = getattr(error, name, None)
+        if value is None or not math.isfinite(value):
+            value = None
+            reasons[f"{name}_error"] = (
+                "nothing is pressed"
+                if error is None
+                else "the press doesn't settle on other patches"
+            )
+        figures[f"{name}_error"] = value
+    for name in ("contact_over_probe_radius", "linearisation_error"):
+        figures[name] = None if state is None else getattr(state.validity, name)
+        if figures[name] is None:
+            reasons[name] = "nothing is pressed" if state is None else "the probe is flat"
+    return figures | {"reasons": reasons}
 
 
 def _touches(scene: Scene, state: ContactState | None) -> tuple[Touch, ...]:
@@ -576,59 +528,6 @@ def _closed_form(
             pressure = punch_pressure(distance, probe.diameter_mm / 2, push_n)
             return np.column_stack([distance, pressure]), "flat punch on a half-space"
     return np.zeros((0, 2)), ""
-
-
-def summary(result: RunResult, folder: Path) -> str:
-    """Return the text that is printed for a run whose files are in ``folder``."""
-    lines = []
-    score = result.score or {}
-    facts = result.facts
-    if (contact := facts.get("contact")) is not None:
-        lines.append(
-            f"contact     {contact['force_n'][2]:.4g} N along z, indentation "
-            f"{contact['indentation_mm']:.3g} mm"
-        )
-    validity = facts.get("validity", {})
-    warned = (*validity.get("warnings", ()), *facts.get("warnings", ()))
-    lines += [f"warning     {warning}" for warning in warned]
-    lines += [f"note        {note}" for note in validity.get("notes", ())]
-    if "renderer" in facts:
-        lines.append(f"renderer    {facts['renderer']}")
-    tracking, force = score.get("tracking"), score.get("force")
-    if "tracking" in result.timings:
-        for stage in ("tracking", "force"):
-            if score.get(stage) is None and stage in score.get("reasons", {}):
-                lines.append(f"{stage:11s} failed: {score['reasons'][stage]}")
-    if tracking and tracking.get("matched") is not None:
-        sd = tracking.get("sd_px")
-        spread = f"SD {sd:.3f} px" if sd is not None else "no SD, too few markers"
-        lines.append(f"tracking    {spread}, {100 * tracking['matched']:.1f} % matched")
-    if force:
-        lines += _force_lines(force, result.estimate)
-    long = [f"{stage} {seconds:.1f}" for stage, seconds in result.timings.items() if seconds >= 0.1]
-    total = f"time        {sum(result.timings.values()):.1f} s"
-    lines += [": ".join(filter(None, (total, ", ".join(long)))), f"written to  {folder}"]
-    return "\n".join(lines)
-
-
-def _force_lines(force: Mapping[str, Any], estimate: Estimate | None) -> list[str]:
-    """Return the errors of total force, centre and field that are defined."""
-    lines = []
-    if force["total_force_error"] is not None:
-        lines.append(f"total force {100 * force['total_force_error']:.1f} % off")
-        if estimate is not None and len(estimate.force_n):
-            sites = estimate.force_n.sum(axis=0)
-            total = estimate.total_force_n
-            if not np.allclose(sites, total, rtol=1e-6, atol=1e-9):
-                lines.append(
-                    f"sites' sum  {100 * force['sites_force_error']:.1f} % off: Fz "
-                    f"{sites[2]:.4g} N, the total of the unbounded solve {total[2]:.4g} N"
-                )
-    if force["centre_error_mm"] is not None:
-        lines.append(f"centre      {force['centre_error_mm']:.3g} mm off")
-    if force["field_error"] is not None:
-        lines.append(f"force field {100 * force['field_error']:.0f} % off")
-    return lines
 
 
 def _shared_by_truth_and_estimate(scene: Scene) -> list[str]:

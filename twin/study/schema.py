@@ -24,7 +24,7 @@ from twin.parts.scene import Scene
 SCHEMA_FILE = SCENES / "scene.schema.json"
 
 
-def schema_text() -> str:
+def _schema_text() -> str:
     """Return the schema file's text: the JSON schema (draft 2020-12) of a scene file."""
     schema = Scene.model_json_schema()
     for definition in [schema, *schema["$defs"].values()]:
@@ -57,7 +57,7 @@ def schema_text() -> str:
 
 
 if __name__ == "__main__":
-    SCHEMA_FILE.write_text(schema_text())
+    SCHEMA_FILE.write_text(_schema_text())
 
 
 def complaints(problem: ValidationError, table: Mapping[str, Any]) -> list[str]:

@@ -65,7 +65,7 @@ _AWAY = "move the load away from the edges of the sensing surface"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Actual:
+class _Actual:
     """One made sensor: the scene with the actual numbers in place of the nominal ones, (n, 2) print
     errors of the markers along the surface, mm, all markers at their actual rest places, and the
     deviations of single markers (None without any).
@@ -99,13 +99,13 @@ class Motion:
     cover: CoverMotion | None = None
 
 
-def make(nominal: Scene) -> Actual:
+def make(nominal: Scene) -> _Actual:
     """Draw the actual sensor of ``nominal`` from its tolerances and seed."""
     tolerance = nominal.tolerance
     count = sum(layer.columns * layer.rows for layer in nominal.markers.values())
     if tolerance.preset == "none":
         markers = place(nominal.body, nominal.markers)
-        return Actual(scene=nominal, jitter_mm=frozen(np.zeros((count, 2))), markers=markers)
+        return _Actual(scene=nominal, jitter_mm=frozen(np.zeros((count, 2))), markers=markers)
     # The order of the draws is fixed: another order would change every stored result.
     rng = stream(nominal.seed, Purpose.TOLERANCE)
 
@@ -146,7 +146,7 @@ def make(nominal: Scene) -> Actual:
     changes = {"material": material, "cover": cover, "markers": layers, "camera": camera}
     noise = stream(nominal.seed, Purpose.PRINT).standard_normal((count, 2))
     jitter = tolerance.print_mm * np.clip(noise, -CUT, CUT)
-    return Actual(
+    return _Actual(
         scene=nominal.model_copy(update=changes),
         jitter_mm=frozen(jitter),
         markers=place(nominal.body, layers, jitter),
@@ -238,7 +238,7 @@ class Sensor:
         return self.nominal._repr_html_()
 
     @cached_property
-    def actual(self) -> Actual:
+    def actual(self) -> _Actual:
         """The sensor as it was made."""
         return make(self.nominal)
 

@@ -4,13 +4,11 @@ sticks or slips."""
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twin.arrays import Ints, Points
-from twin.files import write_whole
 from twin.parts.load import Rectangles
 from twin.show.body_view import BodyFrame, BodyView
 from twin.show.html_page import cleaned
@@ -178,11 +176,3 @@ def _inside(sensor: Sensor, points: Points) -> Points:
         short = np.minimum(distance[np.arange(len(points)), worst], 0.0)
         points = points - short[:, None] * body.piece_normals(points)[np.arange(len(points)), worst]
     return points
-
-
-def view_scene(sensor: Sensor, out: Path) -> str:
-    """Write the page of a sensor's scene and return a line about it."""
-    from twin.show.body_view import body_page
-
-    write_whole(out, body_page(body_view(sensor)).encode())
-    return f"written to {out}; open it in a browser"

@@ -22,7 +22,7 @@ from twin.parts.press import Press
 from twin.parts.sweep import GF
 from twin.sense.reconstruct import Field, reconstruct
 from twin.sense.track import track_frame
-from twin.show.figure_panels import Curve, Panel, curve_panel
+from twin.show.figure_panels import Curve, Panel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import (
     FEWER,
@@ -249,7 +249,7 @@ def _limit_curves() -> Panel:
         depth = np.tile([red, blue], (len(noise_px), 1))
         limit = _limits(depth, np.full(depth.shape, pitch), noise_mm, 1.0, 0.5)
         curves.append(Curve(label=name, x=np.log10(noise_px), y=limit.two_point_mm))
-    return curve_panel(
+    return Panel.curves(
         title="Two-point limit of a design, whatever the software",
         curves=curves,
         across="log10 of a shift's noise (px)",
@@ -320,7 +320,7 @@ def _narrow_forces(bench: Bench, chains: Mapping[str, Chain]) -> Panel:
             x, push = _along_x(used.narrow(bench, (0.0,), FORCE_N, 60), magnitude=True)
             label = f"{name.split(',')[0]}, {way}"
             curves.append(Curve(label=label, x=x, y=push / np.abs(push).max(), style="o-"))
-    return curve_panel(
+    return Panel.curves(
         title="A narrow force of 1 N",
         curves=curves,
         across="x (mm)",
@@ -356,7 +356,7 @@ def _half_space(bench: Bench) -> Outcome:
             curve = 1e3 * moved[row, axis]
             label = f"f{name}: {world}"
             curves.append(Curve(label=label, x=points[row, 0], y=curve, style=style))
-    panel = curve_panel(
+    panel = Panel.curves(
         title="Blue layer along the x axis, 1 N on 4 x 4 mm: motion along the force",
         curves=curves,
         across="x (mm)",
@@ -457,7 +457,7 @@ def _sorted_times(
 ) -> Panel:
     """Draw the sorted times of every way by name."""
     count = len(next(iter(curves.values())))
-    return curve_panel(
+    return Panel.curves(
         title=f"{count} {across}s, sorted",
         curves=[
             Curve(label=name, x=np.arange(float(count)), y=np.sort(times))

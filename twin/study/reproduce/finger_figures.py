@@ -13,7 +13,7 @@ import numpy as np
 from twin.arrays import Floats, Ints
 from twin.judge.resolution import full_width
 from twin.sense.calibration import Calibration
-from twin.show.figure_panels import Curve, Panel, curve_panel, picture_panel
+from twin.show.figure_panels import Curve, Panel
 from twin.study.reproduce.bench import (
     FEWER,
     FIRST_EXPOSURE,
@@ -153,7 +153,7 @@ def _calibration(bench: Bench) -> Outcome:
             }
         ]
     )
-    panel = curve_panel(
+    panel = Panel.curves(
         title="Error of H by site, sorted",
         curves=[
             Curve(label=name, x=np.arange(float(len(e))), y=np.sort(e), style="o-")
@@ -176,8 +176,8 @@ def _figure_6(bench: Bench) -> Outcome:
     picture = rigs[0].picture(None, 0)
     marks = sensor.project(points, "nominal")
     panels = (
-        picture_panel(title="The picture at rest", picture=picture),
-        picture_panel(
+        Panel.picture(title="The picture at rest", picture=picture),
+        Panel.picture(
             title="The 25 points where force is applied", picture=picture, marks_px=marks
         ),
     )
@@ -273,7 +273,7 @@ def _figure_8(bench: Bench) -> Outcome:
             Curve(label="as applied", x=reach, y=reach, style=":"),
         )
         panels.append(
-            curve_panel(
+            Panel.curves(
                 title=f"Along {name}", across="applied (gf)", up="measured (gf)", curves=curves
             )
         )
@@ -405,7 +405,7 @@ def _figure_9(bench: Bench) -> Outcome:
             x, y = _curve(*off[SMOOTH])
             curves.append(Curve(label=f"{label}, smooth inverse", x=x, y=y, style=":"))
         panels.append(
-            curve_panel(
+            Panel.curves(
                 title=f"{place.capitalize()}: magnitude against distance from the press",
                 curves=curves,
                 across="distance (mm)",

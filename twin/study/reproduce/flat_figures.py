@@ -13,7 +13,7 @@ from twin.parts.load import Load, Traction
 from twin.parts.press import Cylinder, Pillar, Press, Step
 from twin.sense.reconstruct import Field
 from twin.sense.track import Found
-from twin.show.figure_panels import Curve, Panel, curve_panel, picture_panel
+from twin.show.figure_panels import Curve, Panel
 from twin.study.reproduce.bench import (
     KNOWN_BLOCK,
     NO_BLOCK,
@@ -131,8 +131,8 @@ def _figure_6(bench: Bench) -> Outcome:
     split = np.stack([red, np.zeros_like(red), blue], axis=2).astype(np.uint8)
     split_title = "Red minus blue: positive part red, negative part blue"
     panels = (
-        picture_panel(title="The picture at rest", picture=picture),
-        picture_panel(title=split_title, picture=split),
+        Panel.picture(title="The picture at rest", picture=picture),
+        Panel.picture(title=split_title, picture=split),
     )
     return Outcome(records=Record.of_runs([numbers(rig) for rig in rigs]), panels=panels)
 
@@ -322,7 +322,7 @@ def _figure_14(bench: Bench) -> Outcome:
     applied = np.array(widths)
     published = np.array([record.twin for record in records])
     panels = (
-        curve_panel(
+        Panel.curves(
             title="Push along x, each over its largest",
             curves=[
                 Curve(label=f"{width:g} mm wide", x=x, y=push / push.max())
@@ -331,7 +331,7 @@ def _figure_14(bench: Bench) -> Outcome:
             across="x (mm)",
             up="push",
         ),
-        curve_panel(
+        Panel.curves(
             title="Width recovered",
             curves=[
                 Curve(label="as applied", x=applied, y=applied, style=":"),
@@ -456,7 +456,7 @@ def _figure_16(bench: Bench) -> Outcome:
     )
     best = Quantity("distance of the two impulses at the largest cosine along the x axis", "mm")
     records += Record.of_runs([{best: apart[int(np.argmax(runs[0][AXIS]))]}])
-    panel = curve_panel(
+    panel = Panel.curves(
         title="Two x-impulses against one z-force",
         curves=[
             Curve(label=what, x=np.array(apart), y=np.array(values), style="o-")
@@ -517,7 +517,7 @@ def _figure_17(bench: Bench) -> Outcome:
     bench.progress("with causes off", 0.5)
     ways = _causes(bench, TRACKED, NO_BLOCK)
     off = {name: numbers(fields(way, (3.0, 6.0))) for name, way in ways.items()}
-    panel = curve_panel(
+    panel = Panel.curves(
         title="Largest movement against the markers' depth",
         curves=[
             Curve(

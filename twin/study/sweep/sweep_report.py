@@ -18,7 +18,7 @@ from twin.parts.part import Part, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import METRICS
 from twin.show.html_page import digits, figure, page, table, two_columns
-from twin.show.svg_plots import Axes, dots, drawing, force_field, line, path
+from twin.show.svg_plots import Axes, force_field, path
 from twin.study.recipe import dump_scene
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import closed
@@ -326,16 +326,16 @@ def _front(
     shown = (x >= left) & (x <= right) & (y >= bottom) & (y <= top)
     step = max(1, int(shown.sum()) // MOST_DOTS)
     points = np.column_stack([x, y])
-    content = dots(axes, points[shown][::step], "dot other", 2.2)
+    content = axes.dots(points[shown][::step], "dot other", 2.2)
     on = points[shown & on_front]
     on = on[np.argsort(on[:, 0])]
     if len(on):
-        content += line(axes, on, "profile estimate") + dots(axes, on, "dot red", 3.2)
+        content += axes.line(on, "profile estimate") + axes.dots(on, "dot red", 3.2)
     for k, wanted in enumerate(targets):
         if np.isfinite(wanted):
             upright, level = [[wanted, bottom], [wanted, top]], [[left, wanted], [right, wanted]]
-            content += line(axes, np.array(level if k else upright), "contact")
-    svg = drawing(axes, content, *names, f"{names[1]} against {names[0]} of all designs")
+            content += axes.line(np.array(level if k else upright), "contact")
+    svg = axes.drawing(content, *names, f"{names[1]} against {names[0]} of all designs")
     caption = (
         "Each dot is a design; red ones are bettered by none in both. The worst twentieth lies "
         f"outside. {_said(names, target, targets)}"
@@ -425,7 +425,7 @@ def _map(
         parts.append(_border(axes, edges, allowed <= target, "contact"))
         parts.append(_border(axes, edges, binned <= target, "force"))
     words = f"{label} over {across} and {up}"
-    svg = drawing(axes, "".join(parts), across, up, words)
+    svg = axes.drawing("".join(parts), across, up, words)
     border = ""
     if np.isfinite(target):
         border = (
@@ -520,7 +520,7 @@ def _field(name: str, sites: Points, force: Floats) -> str:
     side = float(apart.min()) if len(apart) else 1.0
     largest = float(np.abs(force[:, 2]).max()) or 1.0
     axes, colours, pushed = force_field(sites[:, :2], force, side, largest, largest / 1.5)
-    svg = drawing(axes, colours + pushed, "x (mm)", "y (mm)", f"Force field, {name}")
+    svg = axes.drawing(colours + pushed, "x (mm)", "y (mm)", f"Force field, {name}")
     return figure(svg, f"{escape(name)}; darkest is {digits(largest)} N a site")
 
 
