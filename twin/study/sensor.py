@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.arrays import Chart, Floats, Picture, Pixels, Points, Progress, Singles, frozen
 from twin.blas_threads import one_blas_thread
-from twin.errors import AccuracyWarning, InputError, RecipeError, require
+from twin.errors import AccuracyWarning, ContactError, InputError, RecipeError, require
 from twin.parts.body import Body
 from twin.parts.load import Load, Rectangles, Strained
 from twin.parts.markers import MarkerSet, Prints, place
@@ -544,7 +544,7 @@ class Sensor:
         ContactError
             There is no equilibrium, or the contact leaves the sensing surface.
         """
-        from twin.world.contact.contact_state import Watched
+        from twin.world.contact.contact_state import ContactState, Watched
         from twin.world.contact.pressing import press as solve
 
         # Check the request.
@@ -584,12 +584,12 @@ class Sensor:
                 relaxation=self.relaxation,
             )
 
-        # Solve the contact by linear theory, then correct it for finite strain.
-        state = linear(wanted)
-        if actual.scene.material.law != "linear":
+        def corrected(state: ContactState) -> ContactState:
+            if actual.scene.material.law == "linear":
+                return state
             from twin.world.contact.finite_strain import at_finite_strain
 
-            state = at_finite_strain(
+            return at_finite_strain(
                 wanted,
                 actual.scene.body,
                 actual.scene.material,
@@ -598,6 +598,15 @@ class Sensor:
                 self._warn_if_press_inaccurate,
                 linear,
             )
+
+        # Solve the contact by linear theory, then correct it for finite strain.
+        try:
+            state = linear(wanted)
+        except ContactError as problem:
+            if isinstance(problem.last_state, ContactState):
+                problem.last_state = corrected(problem.last_state)
+            raise
+        state = corrected(state)
         if self._may_be_inaccurate(state.load):
             state.error  # noqa: B018  warns if it is
         return state

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import twin
-from twin.errors import NotSettled, TwinError
+from twin.errors import ContactError, NotSettled, TwinError
 from twin.parts.body import Finger
 from twin.parts.material import Material
 from twin.parts.probe import Cone, Cylinder, Object, Pillar, Sphere
@@ -161,6 +161,23 @@ def test_probe_held_by_a_motion_carries_the_force_of_another_code():
     assert largest(moved[1] - moved[0]) < 1e-4 * largest(moved[0])
 
 
+@pytest.mark.parametrize(
+    ("probe", "refused", "words"),
+    [(BALL, (0.3, 0.0, 1.0), "balanced"), (Cylinder(diameter_mm=5), (None, None, 9.0), "did not converge in 20")],
+)
+def test_step_that_is_refused_leaves_the_state_before_it_with_its_strain(probe, refused, words):
+    """Without friction nothing holds the first one aside; the other one fails at finite strain only."""
+    steps = (twin.Step(force_n=(None, None, 1.0)), twin.Step(force_n=refused))
+    sensor = made()
+    with pytest.raises(ContactError, match=words) as caught:
+        sensor.press(twin.Press(probe=probe, steps=steps))
+    last = caught.value.last_state
+    assert not last.complete
+    assert "step 2 of 2 was refused" in last.reason
+    once = sensor.press(twin.Press(probe=probe, force_n=(0, 0, 1.0)))
+    assert sensor.displacement(PLACES, last) == pytest.approx(sensor.displacement(PLACES, once), abs=1e-9)
+
+
 def test_loads_that_no_press_made_are_refused():
     sensor = made()
     load = twin.Traction.disk((0, 0), 2.0, (0, 0, 1.0))
@@ -308,7 +325,7 @@ def somewhere():
 @pytest.mark.parametrize(
     ("press", "rubber", "words"),
     [
-        ({"friction": 0.5}, {}, "friction = 0.5: friction 0 and inf are solved"),
+        ({"friction": 0.5}, {}, "friction = 0.5: 0, and inf under a sphere on a block, are"),
         ({"friction": STICKY, "force_n": None, "indentation_mm": 0.1}, {}, "where a force presses it"),
         ({"friction": STICKY, "steps": SHEARED, "force_n": None}, {}, "forces and torques move it"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "upright probes"),

@@ -135,6 +135,8 @@ class BodyStrain(FiniteStrain):
         self._number = next(n for n, one in enumerate(self._path) if one is state)
         self._sticks = press.friction > 0.0
         self._controls = [one.in_own_axes(own) for one, own in zip(presses, axes, strict=True)]
+        if not path:
+            self._controls = [steps[-1:] for steps in self._controls]
         self._like = like
         touching = [one for one in self._path if one.load.terms] if self._sticks else [state]
         self._contacts: list[tuple[Approach, list[tuple[Floats, float]]]] = [
@@ -241,7 +243,7 @@ class BodyStrain(FiniteStrain):
         probes = zip(self._controls, self.axes, _probes(self._path[number]), strict=True)
         by_force, given = [], []
         for controls, axes, there in probes:
-            forces, values = controls[number if len(self._path) > 1 else -1]
+            forces, values = controls[number]
             held = np.array(forces)
             forced = np.array(values) / self._material.youngs_modulus_mpa
             pose = np.concatenate([axes @ there.move_mm, axes @ np.radians(there.turns_deg)])
@@ -395,7 +397,10 @@ def _unsolved(
             if press.also:
                 return "press.also: several probes are solved without friction"
             if one.friction < STICKS_FROM:
-                return f"press.friction = {one.friction:g}: friction 0 and inf are solved"
+                return (
+                    f"press.friction = {one.friction:g}: 0, and inf under a sphere on a block, are "
+                    "solved"
+                )
             if not held[:, Z].all():
                 return "press: a probe that sticks is solved where a force presses it"
             given = [np.where(held, 0.0, value) for held, value in one.in_own_axes(own)]

@@ -123,7 +123,7 @@ def at_finite_strain(
     Loads and the pressures of patches stay those of the linear solution, on the undeformed surface;
     `Load.strained` is the difference. ``judge`` is called with every estimated error; ``solve``
     returns the linear solution of another press; the others are those of `SlabStrain`, with what
-    it raises, and `BodyStrain`.
+    it raises, and `BodyStrain`. A ContactError has the state before the step that fails.
     """
     axes = approach_of(press, body).axes
     controls = press.in_own_axes(axes)
@@ -134,10 +134,20 @@ def at_finite_strain(
             path.append(one)
             continue
         before = more if press.friction > 0.0 else None
-        more = _strain_of(press, body, material, one, watched, like=before, path=state.path)
-        found = _Found(one, more, 0.0, axes)
-        if not by_force[Z]:
-            found = _held_by_motion(found, press, body, material, watched, solve)
+        try:
+            more = _strain_of(press, body, material, one, watched, like=before, path=state.path)
+            found = _Found(one, more, 0.0, axes)
+            if not by_force[Z]:
+                found = _held_by_motion(found, press, body, material, watched, solve)
+        except ContactError as problem:
+            if path:
+                reason = (
+                    f"step {len(path) + 1} of {len(controls)} was refused, the state before it is "
+                    f"kept; {problem}"
+                )
+                last = replace(path[-1], path=tuple(path), complete=False, reason=reason)
+                problem.last_state = last
+            raise
         path.append(_strained(found, one, material.law, judge))
     return replace(path[-1], path=tuple(path), complete=state.complete, reason=state.reason)
 
