@@ -26,7 +26,7 @@ from benchmarks.truth import COARSE, Quarter, Words, half_space
 from twin.arrays import Points
 from twin.errors import InputError
 from twin.parts.load import Rectangles, Traction
-from twin.world.elasticity import correction_loads
+from twin.world.elasticity import correction
 from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
 from twin.world.mesh.sizing import Level
@@ -114,12 +114,12 @@ def cases(body: str, loads: str = "given") -> Iterator[tuple[float, Points, Rect
 @contextmanager
 def finer() -> Iterator[None]:
     """Halve the pieces of face under a load, and the cells that it is merged into far from it."""
-    before = correction_loads.FINEST, correction_loads.CELLS
-    correction_loads.FINEST, correction_loads.CELLS = before[0] / 2.0, before[1] * 2.0
+    before = correction.FINEST, correction.CELLS
+    correction.FINEST, correction.CELLS = before[0] / 2.0, before[1] * 2.0
     try:
         yield
     finally:
-        correction_loads.FINEST, correction_loads.CELLS = before
+        correction.FINEST, correction.CELLS = before
 
 
 def ratios(body: str) -> dict[tuple[str, Level], list[float]]:

@@ -12,7 +12,7 @@ from twin.errors import RecipeError
 from twin.parts.body import Solid
 from twin.study.recipe import dump_scene, load_scene, validate_scene
 from twin.world.mesh.body_mesh import mesh_key
-from twin.world.mesh.sizing import Sizing, rim_points
+from twin.world.mesh.sizing import Sizing, WantedEdge
 
 RECIPE = """
 [body]
@@ -84,7 +84,7 @@ def test_what_is_held_may_have_edges(tmp_path):
     assert [solid.pieces[k] for k in solid.held_pieces] == ["held"]
     both = Solid(**solid.model_dump() | {"held": {"normal": (-1, 0, 1), "within_deg": 50}})
     assert [both.pieces[k] for k in both.held_pieces] == ["held_1", "held"]
-    rim = rim_points(both, 0.5)
+    rim = WantedEdge(both, Sizing.of(both, "sketch")).rim_mm
     assert_allclose(both.piece_distances(rim)[:, list(both.held_pieces)].min(axis=1), 0, atol=1e-9)
     free = [k for k in range(len(both.pieces)) if k not in both.held_pieces]
     assert_allclose(both.piece_distances(rim)[:, free].min(axis=1), 0, atol=1e-9)

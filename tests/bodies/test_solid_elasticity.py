@@ -25,7 +25,8 @@ from twin.parts.body import Block, Solid
 from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
 from twin.world.elasticity.compliance import Compliance
-from twin.world.elasticity.discretise import tile
+from twin.world.elasticity.discretise import require_on_surface, tile
+from twin.world.elasticity.error_law import missed_at_edges
 from twin.world.mesh.body_mesh import body_mesh, build_mesh, fewer
 from twin.world.mesh.quadratic_mesh import Mesh
 from twin.world.mesh.quality import Quality
@@ -197,3 +198,13 @@ def test_only_a_pad_held_on_all_of_its_base_and_nowhere_else_is_a_layer(tmp_path
     assert Solid(**sides).layer_mm is None
     assert solid_bracket(tmp_path).layer_mm is None
     assert solid_pad(tmp_path).layer_mm is None
+
+
+def test_beside_a_dent_errors_are_of_the_faces_that_are_there(tmp_path):
+    """The leg's inner face lies 4 mm above the pad's, which its plane cuts at x = 0."""
+    solid = solid_bracket(tmp_path)
+    for x in np.linspace(-3.0, 3.0, 61):
+        load = tile(Traction.rectangle((x, 0.3), (0.2, 0.2), (0, 0, 1)), solid)
+        require_on_surface(solid, load, half_space=False)
+        missed = missed_at_edges(solid, np.array([[x, 0.3, 0.0]]), load, np.array([4.0]))
+        assert np.linalg.norm(missed) < 0.05  # mm, of E = 1 MPa

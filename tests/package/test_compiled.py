@@ -16,7 +16,7 @@ from numba.core import event
 import twin
 import twin.compiled
 import twin.theory.halfspace
-import twin.world.elasticity.correction_loads
+import twin.world.elasticity.correction
 import twin.world.elasticity.fem
 
 HELPER = "from twin.compiled import njit\nSIZE = 2.0\n\n@njit(cache=True)\ndef helper(x):\n    return SIZE * x\n"

@@ -1,9 +1,7 @@
 """Read STL files (binary or text), and make a closed, outward wound surface of one.
 
-Nothing in a file is trusted: the size is compared with the declared count before anything is read,
-text is counted before any number in it is parsed, and every number is checked. An open or wrongly
-wound surface raises an error that names the fault. It is not repaired, because a repaired surface
-may enclose another body than the user drew.
+Nothing in a file is trusted: size, count and every number are checked before use. An open or
+wrongly wound surface is not repaired, because that may enclose another body than the user drew.
 
 Validity: a surface that passes may still intersect itself; the mesher's check of the volume finds
 that.
@@ -56,7 +54,7 @@ _CONVERTED = ("an OBJ file", "a PLY file", "an OFF file")
 """Formats that trimesh, which this program brings along, converts."""
 
 
-def read_triangles(path: Path) -> Floats:
+def _read_triangles(path: Path) -> Floats:
     """Return the (m, 3, 3) corners of every triangle of an STL file, in the file's unit (mm for
     this program).
 
@@ -292,7 +290,7 @@ class Surface:
 @lru_cache(maxsize=8)
 def _read_once(file: str, size_mm: tuple[float, float], _changed: int, _size: int) -> Surface:
     path = Path(file)
-    return Surface.welded(read_triangles(path), path.name, size_mm)
+    return Surface.welded(_read_triangles(path), path.name, size_mm)
 
 
 def _welded(corners: Floats, distance_mm: float) -> tuple[Points, Ints]:

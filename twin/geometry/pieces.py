@@ -1,12 +1,10 @@
 """Level sets of a triangulated surface: signed distances to its pieces, and their gradients.
 
 Meshes are snapped to one smooth piece at a time, and to the edges where two meet. Beyond its own
-border a piece continues in the plane of its last triangle, as the plane or sphere of a parametric
-body does; otherwise points near a sharp edge would be drawn along the edge's rounding. In a body
-with dents such a plane may cut through other parts, so inside it the plain distance is taken.
-
-The side of the surface follows from normals averaged by angle over the nearest corner or edge (J.
-A. Baerentzen, H. Aanaes, 2005), which is right for every closed surface.
+border a piece continues in the plane of its last triangle; otherwise points near a sharp edge would
+be drawn along the edge's rounding. In a body with dents such a plane may cut through other parts,
+so inside it the plain distance is taken. The side of the surface follows from normals averaged by
+angle over the nearest corner or edge (J. A. Baerentzen, H. Aanaes, 2005).
 
 Validity: distances are those to the triangles, exactly. A curved surface cut into triangles of edge
 h lies up to h^2 / (8 R) from the drawn one (R its radius of curvature), and its normals are off by
@@ -25,6 +23,9 @@ from twin.geometry.closed import FLAT, Surface
 
 FACE = 0
 """Feature of a triangle's nearest place that lies on its face."""
+
+FEW = 4
+"""Triangles up to which trying every one is faster than VTK's search, point by point."""
 
 _TOUCHING_MM = 1e-9
 _PARALLEL = 1e-12
@@ -58,6 +59,9 @@ class TriangleTree:
     def nearest(self, points: Points) -> tuple[Ints, Points, Ints]:
         """Return for (n, 3) points the nearest triangle (n,), the nearest place (n, 3) and its
         feature (n,): 0 the triangle's face, 1 to 3 its corners, 4 to 6 its edges 01, 12, 20."""
+        points = np.asarray(points, float)
+        if len(self._corners) <= FEW:
+            return self._nearest_of_all(points)
         from vtkmodules.vtkCommonCore import reference
         from vtkmodules.vtkCommonDataModel import vtkGenericCell
 
@@ -66,10 +70,22 @@ class TriangleTree:
         found: Any = reference(0)
         part, squared = reference(0), reference(0.0)
         triangle = np.empty(len(points), np.int64)
-        for row, point in enumerate(np.asarray(points, float).tolist()):
+        for row, point in enumerate(points.tolist()):
             self._locator.FindClosestPoint(point, place, cell, found, part, squared)
             triangle[row] = found.get()
-        return triangle, *_onto_triangles(np.asarray(points, float), self._corners[triangle])
+        return triangle, *_onto_triangles(points, self._corners[triangle])
+
+    def _nearest_of_all(self, points: Points) -> tuple[Ints, Points, Ints]:
+        """Return what `nearest` does, by trying every triangle."""
+        triangle, feature = np.zeros((2, len(points)), np.int64)
+        place, least = np.empty((len(points), 3)), np.full(len(points), np.inf)
+        for number, corners in enumerate(self._corners):
+            found, where = _onto_triangles(points, np.broadcast_to(corners, (len(points), 3, 3)))
+            squared = np.sum((points - found) ** 2, axis=1)
+            nearer = squared < least
+            triangle[nearer], feature[nearer] = number, where[nearer]
+            place[nearer], least[nearer] = found[nearer], squared[nearer]
+        return triangle, place, feature
 
     def first_along(self, points: Points, along: Floats) -> tuple[Ints, Floats]:
         """Return the triangle (n,) that whole lines through (n, 3) points along (n, 3) meet first,

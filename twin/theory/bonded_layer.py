@@ -2,16 +2,12 @@
 face.
 
 A layer 0 <= z <= H is free at z = 0 and held at z = H. Its field is the half-space field u0 of the
-same forces plus a smooth correction v: v has no traction at z = 0 and v = -u0 at z = H. For one
+same forces plus a smooth correction v, which has no traction at z = 0 and is -u0 at z = H. For one
 wave number k both are sums of waves that decay or grow with depth like exp(-k z) and exp(k z),
-times 1 or z (L. M. Burmister 1945, J. Appl. Phys. 16), so that four amplitudes follow from four
-linear equations, at every Poisson's ratio up to 1/2. The field of a point force is the Hankel
-integral over k. It depends on r/H, z/H and Poisson's ratio alone, so it is integrated once on a
-grid in (r, z) and interpolated from there.
-
-Why: where a layer is thin, v varies over one thickness below the load, and a mesh of the whole body
-would need elements smaller than that everywhere. With v known, the mesh carries only what the
-body's sides change.
+times 1 or z (L. M. Burmister 1945, J. Appl. Phys. 16): four amplitudes follow from four linear
+equations, at every Poisson's ratio up to 1/2. The field of a point force is the Hankel integral
+over k. It depends on r/H, z/H and Poisson's ratio alone, so it is integrated once on a grid in
+(r, z) and interpolated. With v known, the mesh of a thin body carries only what its sides change.
 
 Validity: small strain, homogeneous and isotropic. Within `REACH` thicknesses of a force v is
 interpolated to about 2e-6 / (G H) mm/N; farther away the layer is taken to be at rest, v = -u0,
@@ -149,11 +145,10 @@ class BondedLayer:
         """Return places (c, 3) of point forces that stand for uniform rectangles, and their shares
         of each (c, k).
 
-        Gauss points on every rectangle: v is analytic within one thickness of every force at least,
-        so that n points on the half side a are exact to about (H/a + sqrt(1 + (H/a)^2))^(-2 n).
-        Where a load has more of them than a grid with `_NODES` points per thickness has nodes,
-        every one is replaced by its polynomial's nodes: v is interpolated in the place of the
-        force.
+        v is analytic within one thickness of every force at least, so that n Gauss points on the
+        half side a are exact to about (H/a + sqrt(1 + (H/a)^2))^(-2 n). Where there are more of
+        them than nodes of a grid with `_NODES` per thickness, v is interpolated on that grid in the
+        place of the force.
         """
         # Gauss points on every rectangle, more of them on wide ones.
         number = 1

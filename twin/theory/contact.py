@@ -1,18 +1,16 @@
 """Contact of a rigid probe with an elastic half-space: Hertz, flat punches and cones; and how far
 linear theory is off under a press.
 
-Every formula of contact is from K. L. Johnson, *Contact Mechanics* (Cambridge, 1985); sections are
-named with each function. The half-space has Young's modulus E and Poisson's ratio nu; the probe is
-rigid, so that Johnson's E* is the plane-strain modulus E / (1 - nu^2). Lengths are in mm, forces in
-N, moduli and pressures in MPa.
+Formulas of contact are from K. L. Johnson, *Contact Mechanics* (Cambridge, 1985), whose sections
+are named. The half-space has Young's modulus E and Poisson's ratio nu; the probe is rigid, so that
+Johnson's E* is the plane-strain modulus E / (1 - nu^2). Lengths are in mm, forces in N, moduli and
+pressures in MPa.
 
-The law of linear theory's error is first order: the terms that are dropped are products of two
-gradients, so the relative error goes with the strain. Its strain is the mean contact pressure over
-Young's modulus, which a press knows whatever its markers do. The factors are the largest that
-neo-Hookean rubber showed in ``benchmarks/validity.py`` under the papers' presses, rounded up
-(docs/validity.md has the table): an upper edge, up to five times what was found under a sphere.
-`Material.law` replaces it by what is found under the press itself. Validity: the presses, the
-markers and the rubber of that study, to which the factors were fitted.
+Linear theory drops products of two gradients, so its relative error goes with the strain: the mean
+contact pressure over Young's modulus, times the largest factors that neo-Hookean rubber showed in
+``benchmarks/validity.py`` under the papers' presses (docs/validity.md), up to five times what was
+found under a sphere. `Material.law` replaces it by what is found under the press itself. Validity:
+the presses, the markers and the rubber of that study.
 """
 
 from __future__ import annotations

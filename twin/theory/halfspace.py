@@ -22,10 +22,9 @@ The kernels work in the frame of the load and return everything divided by c, pe
 1 - 2 nu; -nu/pi n . f with n_j = x_j / r^3 is lambda div u, which stays finite at nu = 1/2.
 
 Validity: small strain, linear isotropic rubber, points on or below every rectangle's plane, sides
-of 1e-30 to 1e30 mm. Infinite values on a rectangle's edges at the surface are given as finite. A
-real body is not a half-space: on the 40 mm block these formulas alone are 9 to 17 % wrong, so they
-are the first half of the answer (`twin.world.elasticity.compliance` adds the rest), or the model
-that a sensor believes in.
+of 1e-30 to 1e30 mm. Infinite values on a rectangle's edges at the surface are given as finite. On
+the 40 mm block these formulas alone are 9 to 17 % wrong: `twin.world.elasticity.compliance` adds
+the rest.
 """
 
 from __future__ import annotations

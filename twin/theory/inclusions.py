@@ -1,18 +1,14 @@
 """Rigid beads in incompressible rubber under a free flat surface: how they move and what they do to
 their neighbours.
 
-Markers are passive points unless declared stiff. A hard bead differs in two ways. It can't
-strain, so it moves with the mean of the field over its surface, and it pushes back on the rubber
-around it, which moves the other beads.
+A hard bead can't strain, so it moves with the mean of the field over its surface, and it pushes
+back on the rubber around it, which moves the other beads.
 
-Why the mean over the surface: a rigid sphere that is pushed through an endless elastic body has the
-same traction all over its surface, F / (4 pi a^2), because the field of an even shell of point
-forces, (1 + a^2/6 laplacian) G F, is the same everywhere on the shell: on r = a the parts along the
-radius cancel. The reciprocal theorem with a bead that carries no force then gives the mean over the
-surface, u + a^2/6 laplacian(u), exactly, as displacements are biharmonic. This is Faxen's first law
-for slow flow, and holds at every Poisson's ratio. The factor 1/10 belongs to the mean over the
-volume and to the strain that the bead feels (his law of the stresslet), not to the motion of the
-bead.
+A rigid sphere that is pushed through an endless elastic body has the same traction all over its
+surface, F / (4 pi a^2). The reciprocal theorem with a bead that carries no force then gives the
+mean over the surface, u + a^2/6 laplacian(u), exactly, as displacements are biharmonic: Faxen's
+first law, at every Poisson's ratio. (The factor 1/10 belongs to the mean over the volume and to the
+strain that the bead feels, his law of the stresslet.)
 
 References: Faxen 1922 (Annalen der Physik 68, 89); Batchelor 1970 (Journal of Fluid Mechanics 41,
 545, the stresslet); Mindlin 1936 (Physics 7, 195, point force below a free surface).

@@ -17,15 +17,13 @@ transfer function, and its Hankel transform the picture of a point force.
 
 Sampling: markers p apart sample waves up to pi / p, and the picture of a point that is made of
 these is sin(pi x / p) / (pi x / p), `SAMPLED` p wide. Where noise and sampling both matter their
-widths add like those of one picture smeared by the other: in squares. For a bound that no sensor
-beats there is a floor instead.
+widths add in squares; a bound that no sensor beats has a floor instead, which is put in by hand.
 
-Why two layers: for depths a < b the determinant of A is k (b - a) exp(-k (a + b)) / (2 G k)^2, so
-one layer alone can't separate a push from a shear.
+For depths a < b the determinant of A is k (b - a) exp(-k (a + b)) / (2 G k)^2: one layer alone
+can't separate a push from a shear.
 
-Validity: a half-space seen straight on, layers wider than what is resolved; markers no wider than
-their pitch. The floor of 1.41 pitches is put in by hand. Real bodies and lenses: the linear
-information of a sweep.
+Validity: a half-space seen straight on, layers wider than what is resolved, markers no wider than
+their pitch.
 
 `centre_bound` is the limit of a single marker's centre in a picture: the Cramer-Rao bound of a
 blurred disc."""
@@ -76,8 +74,7 @@ class Limit:
     two_point_mm
         (m,) least distance of two equal pushes between which the estimate dips by `DIP`.
     force_sd_n
-        (m,) standard deviation of the size of one push over the prior's disc at a known place. (A
-        shear moves markers everywhere, so that its size depends on how far the layers reach.)
+        (m,) standard deviation of the size of one push over the prior's disc at a known place.
     """
 
     fwhm_normal_mm: Floats
@@ -236,13 +233,12 @@ def centre_bound(diameter_px: Floats, contrast: float, psf_px: float, noise: flo
     -----
     A disc of radius R and contrast A, blurred by a Gaussian g of standard deviation s small against
     R, changes only at its rim: df/dx = A cos(angle) g(r - R). With noise of standard deviation n
-    there, the Fisher information of x is
+    there, the Fisher information of x is (H. Cramer 1946)
 
-        I = int (df/dx)^2 / n^2 = A^2 / n^2  pi R  int g^2 dr = A^2 R sqrt(pi) / (2 s n^2),
+        I = int (df/dx)^2 / n^2 = A^2 / n^2  pi R  int g^2 dr = A^2 R sqrt(pi) / (2 s n^2).
 
-    and no unbiased estimate of x has a smaller standard deviation than I^(-1/2) (H. Cramer 1946). A
-    square pixel adds 1/12 to s^2. Validity: R well above s (at R = 2 s it is 3 % off), one channel,
-    markers apart, a disc of even brightness; `twin.study.doubts` has what real ones add.
+    A square pixel adds 1/12 to s^2. Validity: R well above s (at R = 2 s it is 3 % off), one
+    channel, markers apart, a disc of even brightness; `twin.study.doubts` has what real ones add.
     """
     radius = np.asarray(diameter_px, float) / 2
     blur = np.sqrt(np.asarray(psf_px, float) ** 2 + PIXEL_VARIANCE)

@@ -2,20 +2,16 @@
 
 The formulas are in docs/theory.md. All interfaces are normal to z, so a chief ray stays in one
 vertical plane and p, the tangent of its angle in air, fixes it (Snell's law; Born & Wolf,
-Principles of Optics, sec. 1.5).
-
-Why p and not the sine: the sum over the layers is concave and increasing in p, so Newton's
+Principles of Optics, sec. 1.5). The sum over the layers is concave and increasing in p, so Newton's
 iteration from the paraxial value climbs to the root without ever passing it, at grazing angles too.
 
 The camera's axes are right = +x, up = +y, backward = +z before its small tilts, so column grows
 with x and row with -y: a camera that looks along -z sees the body without a mirror.
 
 Validity: geometric optics of a thin pupil; no polarisation; the base and the layers stay flat.
-Inside the body rays lean to z by less than the critical angle, where total reflection begins: no
-camera behind flat layers sees more.
+Inside the body rays lean to z by less than the critical angle, where total reflection begins.
 
-Rays are traced one at a time by compiled code: a few hundred points take Newton's iteration some
-hundred whole-array steps, each of which costs more than the arithmetic in it.
+Rays are traced one at a time by compiled code: whole-array steps cost more than their arithmetic.
 """
 
 from __future__ import annotations

@@ -114,11 +114,10 @@ class RubberMemory:
 
         f(t) = int G(t - s)/G0 dq(s) = q - sum g_i (q - H_i),  H_i = int exp(-(t - s)/tau_i) dq(s)
 
-    (J. D. Ferry, 1980, chapter 3). While q changes linearly during an interval, this is exact:
-    f = share q + left with a number and an array that are known before it. So an interval's contact
-    is an elastic one, for the forces f/share and the gaps of a surface that the memory alone has
-    moved by -C left/share, where C is the compliance at the instantaneous modulus. A constant
-    contact that is held by motion has constant q, so its force relaxes exactly.
+    (J. D. Ferry, 1980, chapter 3). While q changes linearly during an interval, f = share q + left
+    exactly, with a number and an array that are known before it. So an interval's contact is an
+    elastic one, for the forces f/share and the gaps of a surface that the memory alone has moved by
+    -C left/share, where C is the compliance at the instantaneous modulus.
     """
 
     relaxation: Relaxation

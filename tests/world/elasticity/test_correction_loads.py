@@ -8,8 +8,9 @@ from twin.files import MESHES
 from twin.parts.load import Traction
 from twin.parts.material import Material
 from twin.world.elasticity.compliance import Compliance
-from twin.world.elasticity.correction_loads import nodal_forces
+from twin.world.elasticity.correction import unbalanced
 from twin.world.elasticity.discretise import tile
+from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh.quadratic_mesh import Mesh
 
 CHART = np.vstack([[0.0, 0.0], np.random.default_rng(3).uniform([-5, -8], [8, 8], (14, 2))])
@@ -67,5 +68,5 @@ def test_tractions_of_the_rest_and_flux_through_the_base_balance_the_load(stiff,
     """sigma n of the half-space has no total over a closed surface: what is left is the load."""
     centre = tuple(FINGER.chart_points(CHART[place : place + 1])[0])
     tiles = tile(Traction.bump(centre, radius, (0.3, -0.5, 1.0)), FINGER)
-    forces = nodal_forces(stiff.mesh, LOOSE["finger"], tiles, tiles.force_n[:, :, None], nu)
+    forces = unbalanced(TaylorHood(stiff.mesh, nu), LOOSE["finger"], [tiles])[0]
     np.testing.assert_allclose(forces.sum(axis=0)[:, 0], (0.3, -0.5, 1.0), atol=5e-3)

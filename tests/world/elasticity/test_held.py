@@ -11,7 +11,7 @@ from twin.world.elasticity.compliance import Compliance
 from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh.body_mesh import body_mesh, mesh_key
-from twin.world.mesh.sizing import Sizing, rim_points
+from twin.world.mesh.sizing import Sizing, WantedEdge
 
 FREE = FINGER
 HELD = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2, back="held")
@@ -29,9 +29,9 @@ def test_only_a_held_back_asks_for_another_mesh():
 
 
 def test_rim_runs_around_a_held_back():
-    back = np.abs(rim_points(HELD, 0.3)[:, 0] + 8.0) < 1e-9
-    assert np.any(rim_points(HELD, 0.3)[back, 2] < 0.5)
-    assert not np.any(rim_points(FREE, 0.3)[:, 2] < 9.9)
+    free, held = (WantedEdge(body, Sizing.of(body, "nominal")).rim_mm for body in (FREE, HELD))
+    assert np.any(held[np.abs(held[:, 0] + 8.0) < 1e-9, 2] < 0.5)
+    assert not np.any(free[:, 2] < 9.9)
 
 
 def test_held_nodes_stay_and_reactions_balance(mesh):

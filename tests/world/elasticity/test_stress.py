@@ -14,7 +14,7 @@ from twin.parts.load import Rectangles, Traction
 from twin.parts.material import Material
 from twin.theory import halfspace
 from twin.world.elasticity.compliance import Compliance
-from twin.world.elasticity.correction_loads import nodal_forces
+from twin.world.elasticity.correction import unbalanced
 from twin.world.elasticity.discretise import tile
 from twin.world.elasticity.fem import TaylorHood
 from twin.world.mesh.quadratic_mesh import Mesh
@@ -53,7 +53,7 @@ def square(centre, width, body=BLOCK, force=PUSH):
 
 def imbalance(name, stiff, load):
     """How far the half-space's tractions on all faces are from adding up to the load, over it."""
-    forces = nodal_forces(stiff.mesh, LOOSE[name], load, load.force_n[:, :, None], 0.5)
+    forces = unbalanced(TaylorHood(stiff.mesh, 0.5), LOOSE[name], [load])[0]
     total = load.force_n.sum(axis=0)
     return np.linalg.norm(forces.sum(axis=0)[:, 0] - total) / np.linalg.norm(total)
 

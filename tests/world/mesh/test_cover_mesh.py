@@ -13,7 +13,7 @@ from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.cover_mesh import with_cover
 from twin.world.mesh.elements import TET_EDGES, boundary_triangles, quadrature, shapes, signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import Quality, dihedral_angles, enclosed_volume, jacobian_ratios, offsets, open_edges
+from twin.world.mesh.quality import Quality, dihedral_angles, offsets, open_edges
 
 
 @pytest.fixture(scope="module", params=list(BODIES))
@@ -45,7 +45,7 @@ def assert_conforms(mesh, body):
     assert open_edges(mesh.faces) == 0
     assert np.min(signed_volumes(mesh.points, mesh.tets)) > 0
     total = sum(volume(mesh, region) for region in (0, 1, 2))
-    assert enclosed_volume(mesh.points, mesh.faces) == pytest.approx(total, rel=1e-9)
+    assert mesh.enclosed_volume() == pytest.approx(total, rel=1e-9)
     edges = np.sort(mesh.tets[:, TET_EDGES].reshape(-1, 2), axis=1)
     pairs = np.unique(np.column_stack([edges, mesh.tets[:, 4:].reshape(-1)]), axis=0)
     ends = np.unique(pairs[:, :2], axis=0)
@@ -61,7 +61,7 @@ def test_cover_is_exact(body, mesh, thickness):
     assert set(np.round(body.depth(covered.points[within]) / thickness, 9)) == {0.0, 1.0}
     inner = np.unique(covered.tets[covered.region == 0])
     assert body.depth(covered.points[inner]).min() > thickness - 0.02
-    assert jacobian_ratios(covered.points, covered.tets).min() > 0.2
+    assert covered.jacobian_ratios().min() > 0.2
     if body is BLOCK:
         exact, near = body.width_mm * body.length_mm * thickness, 1e-9
     else:

@@ -17,7 +17,7 @@ from twin.world.mesh import body_mesh as making
 from twin.world.mesh.body_mesh import body_mesh, build_mesh, mesh_key
 from twin.world.mesh.elements import TET_EDGES, TRIANGLE_EDGES
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import Quality, dihedral_angles, enclosed_volume, offsets
+from twin.world.mesh.quality import Quality, dihedral_angles, offsets
 from twin.world.mesh.sizing import Sizing, WantedEdge
 from twin.world.mesh.snap import snapped_mesh
 from twin.world.mesh.tetrahedralise import remeshed
@@ -85,13 +85,13 @@ def test_faces_point_out_of_their_piece_and_close_the_body(shipped):
 def test_volume_and_held_area_are_exact_on_the_block_and_near_on_the_finger(shipped):
     mesh, body, _ = shipped
     near = 2e-5 if body is FINGER else 1e-12
-    volume = enclosed_volume(mesh.points, mesh.faces)
+    volume = mesh.enclosed_volume()
     assert volume == pytest.approx(body.volume_mm3, rel=near)
     held = mesh.faces[mesh.piece == len(body.pieces) - 1]
     # a cone's flux through z = 1 is its area
     lifted = (mesh.points - [0, 0, body.base_z_mm]) * [1, 1, 0] + [0, 0, 1]
     footprint = 2 * 8 * 8 + np.pi * 64 / 2 if body is FINGER else 9000.0
-    assert 3 * enclosed_volume(lifted, held) == pytest.approx(footprint, rel=near)
+    assert 3 * replace(mesh, points=lifted, faces=held).enclosed_volume() == pytest.approx(footprint, rel=near)
 
 
 def test_quadratic_faces_carry_the_finger_s_volume_far_better_than_straight_ones():
@@ -99,7 +99,8 @@ def test_quadratic_faces_carry_the_finger_s_volume_far_better_than_straight_ones
     straight = mesh.points.copy()
     straight[mesh.faces[:, 3:]] = mesh.points[mesh.faces[:, TRIANGLE_EDGES]].mean(axis=2)
     curved_error, straight_error = (
-        abs(enclosed_volume(points, mesh.faces) / FINGER.volume_mm3 - 1) for points in (mesh.points, straight)
+        abs(replace(mesh, points=points).enclosed_volume() / FINGER.volume_mm3 - 1)
+        for points in (mesh.points, straight)
     )
     assert straight_error > 1e-3
     assert curved_error < straight_error / 100
@@ -140,7 +141,7 @@ def test_the_key_follows_geometry_and_sizing_but_not_the_recipe_s_sources():
 def test_snapping_undoes_a_disturbed_surface():
     mesh = small_mesh(jitter_mm=0.3)
     assert np.max(offsets(mesh, SMALL)) < 1e-12
-    assert enclosed_volume(mesh.points, mesh.faces) == pytest.approx(216, rel=1e-13)
+    assert mesh.enclosed_volume() == pytest.approx(216, rel=1e-13)
     faces_at = np.sum(np.abs(SMALL.piece_distances(mesh.points)) < 1e-12, axis=1)
     assert np.sum(faces_at == 3) == 8
     assert np.bincount(mesh.piece).tolist() == [18] * 6
@@ -361,7 +362,7 @@ def test_needles_and_flat_elements_are_mended_the_same_every_time():
         np.testing.assert_array_equal(one, other)
     body = snapped_mesh(SMALL, *made[0])
     assert not Quality.of(body, SMALL).failures()
-    assert enclosed_volume(body.points, body.faces) == pytest.approx(216, rel=1e-12)
+    assert body.enclosed_volume() == pytest.approx(216, rel=1e-12)
 
 
 def test_a_mesh_that_can_t_be_read_is_refused_not_mended():

@@ -13,7 +13,7 @@ from twin.parts.body import Block
 from twin.world.elasticity.fem import Layer, TaylorHood
 from twin.world.mesh.elements import TET_EDGES, shapes
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import Quality, enclosed_volume, jacobian_ratios, open_edges
+from twin.world.mesh.quality import Quality, open_edges
 from twin.world.mesh.snap import snapped_mesh
 
 CUBE = Block(width_mm=5, length_mm=5, thickness_mm=5)
@@ -32,12 +32,15 @@ def with_middles(corners):
     return np.concatenate([corners, corners[TET_EDGES].mean(axis=1)])
 
 
+def one_tet(nodes):
+    """Return the mesh of one tetrahedron of ten nodes."""
+    faces = [[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [1, 2, 3, 5, 9, 8], [0, 3, 2, 7, 9, 6]]
+    return Mesh(points=nodes, tets=ONE_TET, corners=4, faces=np.array(faces), piece=np.zeros(4, int))
+
+
 def figures(corners):
     """Return the quality of one straight tetrahedron."""
-    faces = [[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [1, 2, 3, 5, 9, 8], [0, 3, 2, 7, 9, 6]]
-    whole = {"faces": np.array(faces), "piece": np.zeros(4, int)}
-    mesh = Mesh(points=with_middles(corners), tets=ONE_TET, corners=4, **whole)
-    return Quality.of(mesh, CUBE)
+    return Quality.of(one_tet(with_middles(corners)), CUBE)
 
 
 def test_angles_and_scaled_jacobians_of_known_tetrahedra():
@@ -61,10 +64,10 @@ def test_shape_gradients_reproduce_quadratics():
 
 def test_the_jacobian_ratio_of_one_moved_middle_has_its_closed_form():
     nodes = with_middles(CORNER)
-    assert jacobian_ratios(nodes, ONE_TET)[0] == pytest.approx(1)
+    assert one_tet(nodes).jacobian_ratios()[0] == pytest.approx(1)
     # x = r + .05 * 4 (1 - r - s - t) r: determinant 1 + .2 (1 - 2 r - s - t), from .8 to 1.2
     nodes[4, 0] += 0.05
-    assert jacobian_ratios(nodes, ONE_TET)[0] == pytest.approx(0.8 / 1.2)
+    assert one_tet(nodes).jacobian_ratios()[0] == pytest.approx(0.8 / 1.2)
 
 
 def test_a_straight_cube_passes_every_figure(cube):
@@ -81,7 +84,7 @@ def test_curved_faces_enclose_their_exact_volume(cube):
     middle = np.intersect1d(top[0, 3:], top[1, 3:])
     # bulges both top faces: twice the integral of a middle's shape function, area / 3
     points[middle, 2] -= 1.0
-    assert enclosed_volume(points, cube.faces) == pytest.approx(125 + 25 / 3)
+    assert replace(cube, points=points).enclosed_volume() == pytest.approx(125 + 25 / 3)
 
 
 def moved(mesh, node, by):

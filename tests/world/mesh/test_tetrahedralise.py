@@ -16,7 +16,7 @@ from twin.errors import InputError, MeshError
 from twin.parts.body import Block
 from twin.world.mesh.body_mesh import outer_surface
 from twin.world.mesh.elements import signed_volumes
-from twin.world.mesh.sizing import Sizing, WantedEdge, background, rim_points
+from twin.world.mesh.sizing import Sizing, WantedEdge
 from twin.world.mesh.snap import onto_sheets
 from twin.world.mesh.tetrahedralise import Request, tetrahedralise
 
@@ -26,7 +26,7 @@ BLOCK = Block(width_mm=10, length_mm=8, thickness_mm=6)
 @pytest.fixture(scope="module")
 def request_of_block():
     vertices, triangles = outer_surface(BLOCK, 1.0)
-    points, tets, edge = background(BLOCK, Sizing.of(BLOCK, "nominal"))
+    points, tets, edge = WantedEdge(BLOCK, Sizing.of(BLOCK, "nominal")).background()
     return Request(
         vertices=vertices,
         triangles=triangles,
@@ -82,11 +82,11 @@ def test_projection_reaches_surface_edge_and_corner_of_the_finger():
 def test_wanted_edges_at_rim_and_window_and_their_growth():
     sizing = Sizing.of(FINGER, "standard")
     wanted = WantedEdge(FINGER, sizing)
-    rim = rim_points(FINGER, 0.2)
+    rim = wanted.rim_mm
     on_rim = np.abs(FINGER.piece_distances(rim))
     assert np.max(on_rim[:, -1]) < 1e-9
     assert np.max(np.min(on_rim[:, :-1], axis=1)) < 1e-9
-    assert np.max(wanted(rim)) < sizing.rim_mm + sizing.growth * 0.2
+    assert np.max(wanted(rim)) < sizing.rim_mm + 1e-9
     assert wanted(np.zeros((1, 3)))[0] == pytest.approx(sizing.fine_mm, abs=0.01)
     inside = np.random.default_rng(0).uniform((-8, -8, 0), (8, 8, 10), (4000, 3))
     edge = wanted(inside)
@@ -97,7 +97,7 @@ def test_wanted_edges_at_rim_and_window_and_their_growth():
 
 @pytest.mark.parametrize("body", [BLOCK, FINGER])
 def test_the_background_grid_pads_the_body_and_fills_its_box(body):
-    points, tets, edge = background(body, Sizing.of(body, "nominal"))
+    points, tets, edge = WantedEdge(body, Sizing.of(body, "nominal")).background()
     low, high = np.array(body.bounds_mm)
     assert np.all(points.min(axis=0) < low)
     assert np.all(points.max(axis=0) > high)

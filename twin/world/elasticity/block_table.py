@@ -4,20 +4,18 @@ On a flat face the correction w of a point force varies smoothly with the force'
 place and nu. It is kept as the coefficients of products of Chebyshev polynomials T_n(nu) T_a(x')
 T_b(y') T_i(x) T_j(y) T_k(z), (x', y') the force's place in a window of the sensing face, (x, y, z)
 the point's in a box under it. The block's two mirror planes remove three coefficients of four. w is
-solved at the polynomials' Chebyshev nodes; forces of one quarter suffice, the others are mirrored.
+solved at the Chebyshev nodes; forces of one quarter suffice, the others are mirrored.
 
 A table has one of three roles: ``truth``; ``check``, from a coarser mesh, whose difference from it
 estimates its error; and ``nominal``, the sensor's own. The standard block's tables are shipped
 (``python -m twin.world.elasticity.block_table`` makes them), others are made when a contact needs
 many compliances, and cached: of one nu for a press, of all for a dataset. The table of a thin block
-holds what the bonded layer's field leaves of w: w itself varies over a thickness, the rest only
-near the sides, which its window and box keep off. Between blocks of several thicknesses a table is
-interpolated (`table_between`): in coordinates stretched with the block, coefficients vary smoothly
-with the thickness, and all tables come from one mesh that is stretched.
+holds what the bonded layer's field leaves of w, which varies only near the sides. Between blocks of
+several thicknesses a table is interpolated (`table_between`).
 
 Validity: forces in the window, points in the box, nu in [0, 0.5] or the one that it was made for,
-the block and mesh that the table was made of; `Table.covers` tests it, and everything
-else is solved. Between thicknesses: blocks of one width and length, ranges up to `WIDEST`.
+the block and mesh that the table was made of (`Table.covers`). Between thicknesses: blocks of one
+width and length, ranges up to `WIDEST`.
 """
 
 from __future__ import annotations
@@ -151,8 +149,7 @@ class Table:
     def write(self, path: Path) -> None:
         """Write the coefficients that symmetry allows, in steps, and what they are made of.
 
-        Why byte by byte: nearly all of the steps are few, so their upper bytes are zeros, which
-        compress to nothing.
+        Byte by byte: most steps are few, so that their upper bytes are zeros, which compress.
         """
         count = len(self.coefficients)
         allowed = self.coefficients[_kept(count)]
@@ -384,16 +381,14 @@ has."""
 
 THIN, OBLONG = 4.6, 1.5
 """Largest ratios of a block's longest side to its thickness, and to its other side, for which a
-table holds all of w. Beyond them its error would be above 8e-4 and 2e-3 (measured on twelve
-blocks)."""
+table holds all of w: beyond, its error is above 8e-4 and 2e-3 (twelve blocks)."""
 
 OFF_SIDES, DEEP = (2.0, 1.2), 0.75
 """Of a thin block: distance from its sides of the window and of the box, and the box's depth, over
-the thickness. Errors are then below 4e-4 (measured on five pads up to 20 thicknesses wide)."""
+the thickness. Errors are below 4e-4 (five pads up to 20 thicknesses wide)."""
 
 CHECK = 4.0
-"""How many times larger it may be in a check, which only estimates an error: that of a coarser mesh
-is rougher."""
+"""How many times larger the error may be in a check, that of a coarser and rougher mesh."""
 
 _CASE = ((0.37, -0.59), (0.31, 0.47, 1.0))
 """A load that no table is made of: its place in the window, and its force."""
@@ -431,9 +426,8 @@ def find_table(
 ) -> Table | None:
     """Return the table of a block: the stored one, else (with ``make``) a new one; None without.
 
-    Making takes some seconds, for one ``poisson_ratio`` alone a fifth of them. Warns, and goes on
-    without it, if a file is damaged. A table whose `Table.error` is above ``usable`` counts as
-    absent.
+    Making takes some seconds, for one ``poisson_ratio`` alone a fifth of them. A damaged file warns
+    and counts as absent, like a table whose `Table.error` is above ``usable``.
     """
     if not isinstance(body, Block) or not (_is_compact(body) or BondedLayer.of(body, NU_RANGE[1])):
         return None
@@ -498,11 +492,7 @@ def _axes(window: tuple[float, float], box: tuple[float, float, float]) -> list[
 
 def _mirrored(quarter: Floats) -> Floats:
     """Return (x', y', force, displacement, x, y, z) for all places of the force from those with x',
-    y' >= 0.
-
-    The field of a mirrored force is the mirrored field: components across the mirror change sign,
-    of force and field.
-    """
+    y' >= 0: across a mirror, components of force and field along its normal change sign."""
     whole = quarter
     for axis, size in ((0, SIZES[1]), (1, SIZES[2])):
         sign = np.where(np.arange(3) == axis, -1.0, 1.0)

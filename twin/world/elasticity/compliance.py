@@ -14,7 +14,6 @@ Within a tenth of the body's height of a held face there is no bound: both are o
 from __future__ import annotations
 
 import contextlib
-import hashlib
 from dataclasses import replace
 from functools import cached_property
 from typing import Literal
@@ -57,8 +56,6 @@ from twin.world.elasticity.interpolated import (
     Region,
     SurfaceTable,
     patch_corrections,
-    worth_a_region,
-    worth_an_edge_region,
 )
 from twin.world.mesh.body_mesh import body_mesh
 from twin.world.mesh.interpolate import Locator, Recovery
@@ -139,7 +136,7 @@ class Compliance:
         self._given_compared = compared
         self._progress = progress
         self._use_surface = surface_table
-        self._fields: dict[str, Floats] = {}
+        self._fields: dict[tuple[bytes, ...], Floats] = {}
         self._point_caches = PointCaches(body)
         self._sound: Rectangles | None = None
         self._region: Region | None = None
@@ -323,7 +320,7 @@ class Compliance:
         self, known: PointCache, rectangles: Rectangles, *, reused: bool
     ) -> TableAtNu | None:
         """Return the table that covers patches and points; it is made where that is worth it."""
-        if worth_a_region(rectangles, reused=reused):
+        if Region.pays(rectangles, reused=reused):
             self._tables.make()
         return self._tables.covering(known, rectangles)
 
@@ -335,8 +332,8 @@ class Compliance:
         places = known.placed(self._locator)
         if self._surface_table is not None and self._surface_table.covers(rectangles):
             return self._surface_table.corrections(places, rectangles)
-        near = worth_a_region(rectangles, reused=reused)
-        if near or (reused and worth_an_edge_region(rectangles)):
+        near = Region.pays(rectangles, reused=reused)
+        if near or EdgeRegion.pays(rectangles, reused=reused):
             if self._region is None or not self._region.covers(rectangles):
                 self._region = _region(self.system, self.body, rectangles, near)
             return self._region.corrections(places, rectangles)
@@ -516,7 +513,7 @@ class Compliance:
         """Return the nodal field (N, 3) for E = 1 MPa: the correction, or everything with the
         direct method."""
         parts = (load.centre_mm, load.frames, load.half_mm, load.force_n)
-        key = _digest(*parts)
+        key = tuple(part.tobytes() for part in parts)
         if key not in self._fields:
             while len(self._fields) >= REMEMBERED:
                 self._fields.pop(next(iter(self._fields)))
@@ -540,14 +537,6 @@ def _region(system: TaylorHood, body: Body, rectangles: Rectangles, near: bool) 
         with contextlib.suppress(InputError):
             return Region(system, body, rectangles)
     return EdgeRegion(system, body, rectangles)
-
-
-def _digest(*arrays: Floats) -> str:
-    sha = hashlib.sha1(usedforsecurity=False)
-    for array in arrays:
-        sha.update(repr(array.shape).encode())
-        sha.update(np.ascontiguousarray(array).tobytes())
-    return sha.hexdigest()
 
 
 def _largest(moved: Points) -> float:

@@ -4,14 +4,13 @@ On a flat face a rectangle stays one rectangle, exactly; disks and twists become
 follow the circle, bumps a fine grid. On a curved body every footprint is cut along the normal at
 its centre into a grid of tiles, each in its own tangent plane on the true surface. Totals of force
 and torque are exact; the grain of the tiles dies out within a tile's width below the surface, like
-exp(-2 pi depth / width). The number of tiles is bounded: a bump of 44 mm radius in tiles of .88 mm
-moves points .3 mm deep 2e-5 of the largest off.
+exp(-2 pi depth / width). A bump of 44 mm radius in tiles of .88 mm, the widest, moves points .3 mm
+deep 2e-5 of the largest off.
 
 `gathered` replaces hundreds of patches on a flat face by few point forces for points deep under
-them: the field of a point force is interpolated in the force's place at Chebyshev nodes (the far
-field of a kernel-independent fast multipole method: W. Fong and E. Darve, J. Comput. Phys. 228
-(2009) 8712). From a depth z the field ends at complex places z off the box, so m nodes over a half
-length a are off by about rho^-m, rho = z/a + sqrt(1 + (z/a)^2) (Bernstein's ellipse).
+them: the field of a point force is interpolated in the force's place at Chebyshev nodes (W. Fong
+and E. Darve, J. Comput. Phys. 228 (2009) 8712). From a depth z, m nodes over a half length a are
+off by about rho^-m, rho = z/a + sqrt(1 + (z/a)^2) (Bernstein's ellipse).
 """
 
 from __future__ import annotations
@@ -45,6 +44,9 @@ ON_SURFACE_MM = 1e-3
 STANDS_OUT_MM = 1e-3
 """How far a body may reach over a load's plane: corners in a file are rounded."""
 
+
+HAIR_MM = 1e-6
+"""Depth at which distances from faces are measured, of bodies with dents."""
 
 EDGE_MM, OVERHANG = 1e-4, 0.25
 """How near to another face a rectangle's centre may be, and which share of its half side may hang
@@ -100,6 +102,17 @@ def _footprint_centre(traction: Traction, body: Body) -> Points:
     )
 
 
+def within(body: Body, load: Rectangles) -> Points:
+    """Return (k, 3) the rectangles' centres, mm, from where a body's faces are as far as they are.
+
+    Of a body with dents they are a hair below the surface: on it the plane of a face that lies
+    beyond a dent counts as the face (`twin.geometry.pieces`).
+    """
+    if body.is_convex:
+        return load.centre_mm
+    return np.asarray(load.centre_mm + HAIR_MM * load.frames[:, 2])
+
+
 def require_on_surface(body: Body, load: Rectangles, *, half_space: bool = True) -> None:
     """Raise an `InputError` unless every rectangle is made of finite numbers and lies on the
     sensing surface.
@@ -120,7 +133,7 @@ def require_on_surface(body: Body, load: Rectangles, *, half_space: bool = True)
                 f"rectangle {first}: its {what} {values[first]} {unit} is not finite: check the "
                 "load"
             )
-    distances = body.piece_distances(load.centre_mm)
+    distances = body.piece_distances(within(body, load))
     inside = distances[:, 1:].min(axis=1)
     off = (np.abs(distances[:, 0]) > ON_SURFACE_MM) | (inside < -ON_SURFACE_MM)
     if off.any():
@@ -355,8 +368,8 @@ def _grid(
 def _sharpened(force: Floats, cells: Ints, number: Ints) -> Floats:
     """Return the forces (n, 3) of grid ``cells`` less a twelfth of their Laplacian.
 
-    Averaging a smooth traction over a tile and spreading it evenly over the tile widen it by side^2
-    / 12 each; taking that off makes the tiles' error fourth order in their side instead of second.
+    A tile averages a smooth traction and spreads it evenly, which widens it by side^2 / 12 each;
+    with that taken off the tiles' error is of fourth order in their side.
     """
     grid = np.zeros((number[0] + 2, number[1] + 2, 3))
     place = np.unravel_index(cells, tuple(number))

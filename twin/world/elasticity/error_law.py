@@ -24,6 +24,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Points
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
+from twin.world.elasticity.discretise import within
 from twin.world.mesh.sizing import Level
 
 DIRECT = 0.3
@@ -103,9 +104,6 @@ REFINED = 1.6
 """``trust`` on flat bodies where a level and the one against it are refined in the same places, one
 1.5 times less."""
 
-_STEP_MM = 1e-4
-"""Step of the differences by which the normals of faces are found."""
-
 _REACH = 1.0 / np.sqrt(3.0)
 """How far from its centre a rectangle is taken to be, over its half diagonal: as far as its 2 x 2
 Gauss points."""
@@ -162,16 +160,11 @@ def missed_at_edges(body: Body, points: Points, load: Rectangles, edge_mm: Float
         return missed
     resolved = RESOLVED[body.is_flat]
     free = [piece for piece in range(1, len(body.pieces)) if piece not in body.held_pieces]
-    to_faces = body.piece_distances(load.centre_mm)[:, free]
+    centre = within(body, load)
+    to_faces = body.piece_distances(centre)[:, free]
     away = np.maximum(to_faces, load.half_mm.max(axis=1)[:, None])
     depth = body.piece_distances(points)[:, free]
-    normal = np.stack(
-        [
-            (body.piece_distances(load.centre_mm + step)[:, free] - to_faces) / _STEP_MM
-            for step in _STEP_MM * np.eye(3)
-        ],
-        axis=2,
-    )
+    normal = body.piece_normals(centre)[:, free]
     for k, face in np.argwhere(edge_mm[:, None] > resolved * away):
         d, force, n = away[k, face], load.force_n[k], normal[k, face]
         long = (edge_mm[k] / d) ** 2
@@ -191,7 +184,7 @@ def _away(body: Body, load: Rectangles) -> Floats:
     """Return (k, pieces) distances of the rectangles' nearer Gauss points from the body's faces,
     mm."""
     return np.asarray(
-        body.piece_distances(load.centre_mm) - _REACH * np.hypot(*load.half_mm.T)[:, None]
+        body.piece_distances(within(body, load)) - _REACH * np.hypot(*load.half_mm.T)[:, None]
     )
 
 

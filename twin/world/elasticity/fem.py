@@ -7,14 +7,15 @@ bulk modulus) at the corners; for all virtual v and q
     integral 2 G dev e(u) : e(v) + p div v = integral t . v over the surface,
     integral q div u - p q / kappa = 0.
 
-Why this pair: 1/kappa = 3 (1 - 2 nu) / E is zero at nu = 1/2, so incompressible rubber is solved as
-such, without locking (P. Hood and C. Taylor 1974); splitting off the bulk modulus instead of Lame's
-lambda keeps the same form for every nu in [-1/2, 1/2]. Everything is computed for a body of E = 1
-MPa; displacements go with 1/E.
+1/kappa = 3 (1 - 2 nu) / E is zero at nu = 1/2, so incompressible rubber is solved as such, without
+locking (P. Hood and C. Taylor 1974), and the form is the same for every nu in [-1/2, 1/2].
+Everything is computed for a body of E = 1 MPa; displacements go with 1/E. Layers (a cover, a base)
+have moduli of their own. Tension jumps where moduli do, so pressures are doubled there.
 
-Layers (a cover, a base) have moduli of their own. Tension jumps where moduli do, so pressures are
-doubled there: one for each side of the interface. A continuous pressure would smear the jump over
-an element on either side.
+A sparse solver does not notice an unsolvable system: a body that is held nowhere has been "solved"
+to 1e14 mm with a small residual, and an element turned inside out gives a plausible field. So both
+are looked for first. Parts joined at a single node or edge count as one part: where they can turn
+about it, the solver finds their imbalance.
 
 Validity: small strain, isotropic materials, each homogeneous within its region of the mesh.
 """
@@ -28,13 +29,16 @@ from typing import Any
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints
-from twin.errors import InputError
+from twin.arrays import Bools, Floats, Ints, coordinates
+from twin.errors import InputError, MeshError, SolveError
 from twin.parts.material import Cover, Material, compressibility, shear_modulus
 from twin.world.elasticity.factor import GOAL, Factor, Solver
-from twin.world.mesh.elements import inverses, quadrature, shapes
+from twin.world.mesh.elements import inverses, quadrature, shapes, signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import require_finite, require_solvable
+
+STRAIGHT = 1e-6
+"""Held nodes of a part count as lying on one line when they leave it by less than this share of
+their extent."""
 
 _CHUNK = 1000
 """Elements that are integrated at once."""
@@ -169,8 +173,10 @@ class TaylorHood:
     @cached_property
     def factor(self) -> Factor:
         """The factored system of the free unknowns."""
-        require_solvable(self.mesh, self.held)
-        tenths = np.repeat(_volumes(self.mesh) / 10.0 * 0.5 / self._shear, 4)
+        _require_solvable(self.mesh, self.held)
+        tenths = np.repeat(
+            np.abs(signed_volumes(self.mesh.points, self.mesh.tets)) / 10.0 * 0.5 / self._shear, 4
+        )
         schur = np.bincount(self.pressure.ravel(), tenths)
         scale = np.concatenate([np.zeros(3 * len(self.mesh.points)), schur])
         corner = np.empty(self.pressures, np.int64)
@@ -204,8 +210,7 @@ class TaylorHood:
         Raises
         ------
         MeshError, SolveError
-            See `twin.world.mesh.quality.require_solvable` and
-            `twin.world.elasticity.factor.Factor.solve`.
+            See `twin.world.elasticity.factor.Factor.solve`.
         InputError
             A force or a given displacement is not finite.
         """
@@ -229,14 +234,14 @@ class TaylorHood:
         """Return the right-hand side of the free unknowns, and the (n, m) unknowns with the held
         ones in place."""
         nodes, columns = len(self.mesh.points), force.shape[2]
-        require_finite(self.mesh, force, "force", "N")
+        _require_finite(self.mesh, force, "force", "N")
         right = np.zeros((3 * nodes + self.pressures, columns))
         right[: 3 * nodes] = force.reshape(3 * nodes, columns)
         if dilation is not None:
             right[3 * nodes :] = dilation
         solution = np.zeros_like(right)
         if held_to is not None:
-            require_finite(self.mesh, held_to, "given displacement", "mm")
+            _require_finite(self.mesh, held_to, "given displacement", "mm")
             solution[: 3 * nodes] = np.where(self.held[:, None, None], held_to, 0.0).reshape(
                 3 * nodes, columns
             )
@@ -280,6 +285,108 @@ class TaylorHood:
         nodes = len(self.mesh.points)
         out = (self._matrix @ self._solve(force))[: 3 * nodes].reshape(force.shape) - force
         return np.asarray(out[self.held].sum(axis=0))
+
+
+def _require_solvable(mesh: Mesh, held: Bools) -> None:
+    """Raise unless the mesh is a body, every part of which is held at nodes ``held`` (N,).
+
+    Raises
+    ------
+    MeshError
+        A node is not finite or belongs to no element, or an element is flat or turned inside out.
+    SolveError
+        The body, or a part of it, is held nowhere, or so that it can still turn.
+    """
+    _require_nodes(mesh)
+    _require_volumes(mesh)
+    _require_held(mesh, held)
+
+
+def _require_finite(mesh: Mesh, values: Floats, what: str, unit: str) -> None:
+    """Raise an `InputError` that names the first node where nodal ``values`` (N, 3, m) are not
+    finite."""
+    if np.isfinite(values).all():
+        return
+    wrong = ~np.isfinite(values).all(axis=(1, 2))
+    first = int(np.argmax(wrong))
+    column = int(np.argmin(np.isfinite(values[first]).all(axis=0)))
+    raise InputError(
+        f"the {what} at node {first}, at ({coordinates(mesh.points[first])}) mm, is "
+        f"{values[first, :, column]} {unit} in load case {column} ({wrong.sum()} nodes have one "
+        "that is not finite): check the load"
+    )
+
+
+def _require_nodes(mesh: Mesh) -> None:
+    wrong = ~np.isfinite(mesh.points).all(axis=1)
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        raise MeshError(
+            f"node {first} of the mesh is at {mesh.points[first]} mm ({wrong.sum()} nodes are not "
+            "finite): make the mesh again"
+        )
+    used = np.zeros(len(mesh.points), bool)
+    used[mesh.tets] = True
+    if not used.all():
+        first = int(np.argmin(used))
+        raise MeshError(
+            f"node {first} of the mesh, at ({coordinates(mesh.points[first])}) mm, belongs to no "
+            f"element ({(~used).sum()} of {len(used)} nodes are like that): leave such nodes out"
+        )
+
+
+def _require_volumes(mesh: Mesh) -> None:
+    least = np.min(list(mesh.determinants(quadrature(3)[0])), axis=0)
+    wrong = ~(least > 0.0)
+    if wrong.any():
+        worst = int(np.argmin(least))
+        middle = mesh.points[mesh.tets[worst, :4]].mean(axis=0)
+        raise MeshError(
+            f"element {worst} of the mesh, near ({coordinates(middle)}) mm, is flat or turned "
+            f"inside out: the determinant of its map goes down to {least[worst]:.3g} mm3, allowed "
+            f"is above 0 ({wrong.sum()} of {len(least)} elements are): mend the mesh or make it "
+            "again"
+        )
+
+
+def _require_held(mesh: Mesh, held: Bools) -> None:
+    part = _parts(mesh)
+    parts = int(part.max()) + 1
+    for number in range(parts):
+        own = part == number
+        points = mesh.points[own & held]
+        if _pins(points):
+            continue
+        where = coordinates(mesh.points[own].mean(axis=0))
+        what = "the body" if parts == 1 else f"part {number} of the mesh, near ({where}) mm,"
+        line = f"is held by {len(points)} nodes on one line only, and can turn"
+        how = "is held nowhere" if len(points) == 0 else line
+        raise SolveError(
+            f"{what} {how}, so no load on it has an equilibrium: hold at least one face of every "
+            f"part, or join the {'parts' if parts > 1 else 'body to something'}"
+        )
+
+
+def _parts(mesh: Mesh) -> Ints:
+    """Return (N,) which connected part of the mesh every node belongs to."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    size = mesh.tets.shape[1]
+    first, other = np.repeat(mesh.tets[:, 0], size - 1), mesh.tets[:, 1:].ravel()
+    graph = csr_matrix(
+        (np.ones(len(first), np.int8), (first, other)), shape=(len(mesh.points),) * 2
+    )
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def _pins(points: Floats) -> bool:
+    """Tell whether holding these points (n, 3) stops every motion: three of them are not on one
+    line."""
+    if len(points) < 3:
+        return False
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] > STRAIGHT * spread[0])
 
 
 def _check(made_of: Sequence[Layer], mesh: Mesh) -> None:
@@ -336,10 +443,3 @@ def _summed(blocks: Floats, rows: Ints, columns: Ints, shape: tuple[int, int]) -
     ends = np.searchsorted(row, np.arange(shape[0] + 1))
     whole = (shape[0] * size[0], shape[1] * size[1])
     return bsr_matrix((data.reshape(-1, *size), column, ends), shape=whole).tocsr()
-
-
-def _volumes(mesh: Mesh) -> Floats:
-    """Return (m,) volumes of the elements, taken as flat, mm3; a tenth of it is a pressure mass's
-    diagonal."""
-    a, b, c, d = (mesh.points[mesh.tets[:, i]] for i in range(4))
-    return np.asarray(np.abs(np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))) / 6.0)

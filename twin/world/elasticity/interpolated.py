@@ -3,16 +3,14 @@
 Where a patch moves, its correction w changes smoothly. So w is solved for probe patches at the
 nodes of a grid and interpolated in the patch's place, the force being held in the patch's own
 frame: `Region` on a Chebyshev grid around one contact, `EdgeRegion` on some of the patches of a
-contact beside the end of the surface, `SurfaceTable` on a grid of cubic B-splines
-over the middle of a curved body's sensing surface. `AdjointFields` are the reverse: solved for the
-points, after which any number of patches are products. Fields are kept on disk.
+contact beside the end of the surface, `SurfaceTable` on a grid of cubic B-splines over the middle
+of a curved sensing surface. `AdjointFields` are the reverse: solved for the points, after which any
+number of patches are products.
 
-The error of a `SurfaceTable` is estimated for every load from every other node. On the reference
-finger it is a few parts in ten thousand of the largest displacement under loads 2 to 4 mm wide, up
-to two in a thousand, and five under single patches.
-
-Validity of a `SurfaceTable`: patches on the true surface, in the window, no wider than the grid's
-spacing. Twists, whose forces nearly cancel, are left to a solve.
+The error of a `SurfaceTable` is estimated from every other node: on the reference finger a few
+parts in ten thousand of the largest displacement under loads 2 to 4 mm wide, up to two in a
+thousand, and five under single patches. Validity: patches on the true surface, in the window, no
+wider than the grid's spacing. Twists, whose forces nearly cancel, are left to a solve.
 """
 
 from __future__ import annotations
@@ -52,8 +50,7 @@ ROOM = 0.3
 moves."""
 
 PROBE_GOAL = 1e-6
-"""Relative residual that is enough for what is interpolated to a few parts in a thousand: it saves
-the refinement."""
+"""Relative residual that is enough for what is interpolated to a few parts in a thousand."""
 
 SNAP_MM, SNAP_SIZE = 0.5, 1.1
 """Grid to which a region's place and ends are rounded, and ratio to whose powers its patches' sizes
@@ -92,6 +89,16 @@ class Region:
         ]
         half = SNAP_SIZE ** np.round(np.log(rectangles.half_mm.mean(axis=0)) / math.log(SNAP_SIZE))
         self._fields = _fields_of(system, body, self._probes(body, half))
+
+    @staticmethod
+    def pays(rectangles: Rectangles, *, reused: bool = False) -> bool:
+        """Return whether patches are many, and close enough together, for interpolation to save
+        solves; with ``reused``, when finer grids in the same place follow, a quarter will do."""
+        size = np.sort(np.ptp(rectangles.centre_mm, axis=0))[1:] * (1.0 + 2.0 * ROOM)
+        nodes = 3 + np.ceil(np.maximum(size, GRAIN_MM / 2) / GRAIN_MM)
+        count = np.minimum(nodes, MOST).prod()
+        enough = len(rectangles) > (count / 4 if reused else count)
+        return bool(nodes.max() <= 2 * MOST and enough)
 
     def covers(self, rectangles: Rectangles) -> bool:
         """Return whether all patches lie in the region."""
@@ -136,11 +143,10 @@ class Region:
 class EdgeRegion(Region):
     """A region up to the end of the sensing surface, of any outline.
 
-    The probe patches are some of the rectangles themselves, in between which polynomials are
-    interpolated: approximate Fekete points of products of Chebyshev polynomials (A. Sommariva and
-    M. Vianello, Computers and Mathematics with Applications 57, 2009). Outside of their hull there
-    is no interpolation. Error: 2e-4 of the largest displacement and less (a wedge, narrow blocks),
-    2 to 6e-3 where patches lie within 0.5 mm of a free edge, where the meshes' own error is larger.
+    Polynomials are interpolated between some of the rectangles themselves: approximate Fekete
+    points of products of Chebyshev polynomials (A. Sommariva and M. Vianello, Computers and
+    Mathematics with Applications 57, 2009), within their hull. Error: 2e-4 of the largest
+    displacement and less, 2 to 6e-3 within 0.5 mm of a free edge, where the meshes' own is larger.
     """
 
     def __init__(self, system: TaylorHood, body: Body, rectangles: Rectangles) -> None:
@@ -158,6 +164,12 @@ class EdgeRegion(Region):
         self._hull = Delaunay(offsets) if np.linalg.matrix_rank(offsets) == 2 else None
         self._to_probes = np.linalg.pinv(products[chosen], rcond=INDEPENDENT)
         self._fields = _fields_of(system, body, rectangles[chosen])
+
+    @staticmethod
+    def pays(rectangles: Rectangles, *, reused: bool = False) -> bool:
+        """Return whether patches are so many more than the polynomials that this saves solves."""
+        size = np.sort(np.ptp(rectangles.centre_mm, axis=0))[1:]
+        return reused and bool(len(rectangles) > 2 * _nodes(size).prod())
 
     def covers(self, rectangles: Rectangles) -> bool:
         """Return whether all patches lie in the hull of those that the region was made of."""
@@ -186,25 +198,6 @@ def _fields_of(system: TaylorHood, body: Body, probes: Rectangles) -> Floats:
     )
 
 
-def worth_a_region(rectangles: Rectangles, *, reused: bool = False) -> bool:
-    """Return whether patches are many, and close enough together, for interpolation to save solves.
-
-    A contact's first and coarse grid is followed by finer ones in the same place: with ``reused`` a
-    quarter will do.
-    """
-    size = np.sort(np.ptp(rectangles.centre_mm, axis=0))[1:] * (1.0 + 2.0 * ROOM)
-    nodes = 3 + np.ceil(np.maximum(size, GRAIN_MM / 2) / GRAIN_MM)
-    count = np.minimum(nodes, MOST).prod()
-    return bool(nodes.max() <= 2 * MOST and len(rectangles) > (count / 4 if reused else count))
-
-
-def worth_an_edge_region(rectangles: Rectangles) -> bool:
-    """Return whether patches are so many more than its polynomials that an `EdgeRegion` saves
-    solves."""
-    size = np.sort(np.ptp(rectangles.centre_mm, axis=0))[1:]
-    return bool(len(rectangles) > 2 * _nodes(size).prod())
-
-
 def _nodes(size_mm: Floats) -> Ints:
     """Return (2,) the polynomials along each direction that an `EdgeRegion` of a size (2,) has."""
     nodes = 3 + np.ceil(size_mm / GRAIN_MM).astype(int)
@@ -214,11 +207,8 @@ def _nodes(size_mm: Floats) -> Ints:
 def patch_corrections(
     system: TaylorHood, body: Body, places: Places, rectangles: Rectangles
 ) -> Floats:
-    """Return (n, 3, k, 3) like `Region.corrections`, every patch being solved for itself; the
-    fields are kept on disk.
-
-    Patches whose fields would fill more than `KEPT_BYTES` are solved again each time.
-    """
+    """Return (n, 3, k, 3) like `Region.corrections`, every patch being solved for itself. The
+    fields are kept on disk, unless they fill more than `KEPT_BYTES`."""
     axes = np.broadcast_to(np.eye(3), (len(rectangles), 3, 3))
     parts = _solved(system, body, rectangles, axes)
     matrix = places.matrix(len(system.mesh.points))

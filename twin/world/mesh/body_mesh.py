@@ -2,15 +2,14 @@
 a new one.
 
 A block is cut into tetrahedra by rule (`twin.world.mesh.bisection`); other bodies need the mesher,
-fTetWild. Its mesh is only the start: Mmg, which is fast, remakes it in the wanted sizes and mends
-bad elements. All lengths are scaled together until the number of unknowns is right. As the mesher
-is not deterministic, a mesh is made once, checked, and kept under a key made of the geometry and
-the wanted sizes.
+fTetWild, whose mesh Mmg then remakes in the wanted sizes. All lengths are scaled together until the
+number of unknowns is right. As the mesher is not deterministic, a mesh is made once, checked, and
+kept under a key made of the geometry and the wanted sizes.
 
 The mesher starts from closed triangles. Bodies given by formulas must be convex: theirs is the
-convex hull of exact surface points, with edges and corners. It only has to be near, as the result
-is snapped to the level sets. A body that brings its own triangles may have dents; where fewer
-triangles describe it as well, those are meshed.
+convex hull of exact surface points, which only has to be near, as the result is snapped to the
+level sets. A body that brings its own triangles may have dents; where fewer triangles describe it
+as well, those are meshed.
 """
 
 from __future__ import annotations
@@ -34,9 +33,10 @@ from twin.geometry.pieces import TriangleTree, sharpest_edge
 from twin.parts.body import Block, Body
 from twin.parts.part import without_later
 from twin.world.mesh.bisection import block_mesh
+from twin.world.mesh.elements import signed_volumes
 from twin.world.mesh.quadratic_mesh import FORMAT, Mesh
-from twin.world.mesh.quality import Quality, open_edges, worst_place
-from twin.world.mesh.sizing import Level, Sizing, WantedEdge, background, surface_samples
+from twin.world.mesh.quality import Quality, dihedral_angles, open_edges
+from twin.world.mesh.sizing import Level, Sizing, WantedEdge, surface_samples
 from twin.world.mesh.snap import onto_sheets, snapped_mesh
 from twin.world.mesh.tetrahedralise import Request, remeshed, tetrahedralise
 
@@ -62,11 +62,9 @@ def body_mesh(
     """Return a body's mesh: the cached or shipped one if its key matches, else a shipped one
     stretched, else a new one.
 
-    Stretching (`_stretched`) saves the minute that meshing takes, and makes bodies of a sweep share
-    their mesh's error.
-
-    With ``rebuild`` a new one is made even if there is one, and put into the cache. Raises a
-    `MeshError` if no mesh passes the quality gates, or the mesher fails.
+    A stretched one saves the minute that meshing takes, and bodies of a sweep share its error. With
+    ``rebuild`` a new one is made and put into the cache. Raises a `MeshError` if no mesh passes the
+    quality gates, or the mesher fails.
     """
     sizing = Sizing.of(body, level)
     key = mesh_key(body, sizing)
@@ -168,9 +166,8 @@ def fewer(vertices: Points, triangles: Ints, within_mm: float) -> tuple[Points, 
     if none is found.
 
     Edges are contracted in the order of the quadric error that this makes (M. Garland and P. S.
-    Heckbert 1997, VTK's filter with its regularisation, without which plane faces take minutes).
-    The mesher's time grows with the number of triangles: 25,000 of a pad took it 81 s of the
-    processor, 800 of the same pad 4 s.
+    Heckbert 1997), by VTK's filter with its regularisation, without which plane faces take minutes.
+    The mesher takes 81 s for 25,000 triangles of a pad, and 4 s for 800.
     """
     import pyvista
     from vtkmodules.vtkFiltersCore import vtkQuadricDecimation
@@ -267,9 +264,8 @@ _POWER = 2.3
 converges slower."""
 
 _ENVELOPE = 0.05
-"""How far the raw surface may stray, in finest wanted edges: snapping mends it, and a tighter
-envelope forces small elements on curved pieces (at half of it the finger gets half as many unknowns
-again, in three times the time)."""
+"""How far the raw surface may stray, in finest wanted edges: snapping mends it, and half of it
+gives the finger half as many unknowns again."""
 
 
 def build_mesh(
@@ -335,7 +331,7 @@ def build_mesh(
         if not faults:
             return mesh, measured
         failures.append("; ".join(faults))
-        place = coordinates(worst_place(mesh, crowded=ratio > _MOST))
+        place = coordinates(_worst_place(mesh, crowded=ratio > _MOST))
     if spare:  # sound, but of another size than wanted
         return min(spare, key=lambda pair: abs(math.log(pair[1].unknowns / sizing.unknowns)))
     raise MeshError(
@@ -344,6 +340,18 @@ def build_mesh(
         f"at is ({place}) mm: take out what is thin, narrow or pointed there (walls, slits, "
         "steps, needles much smaller than the body), or draw it larger"
     )
+
+
+def _worst_place(mesh: Mesh, *, crowded: bool) -> Points:
+    """Return (3,) the middle of the element with the smallest dihedral angle, or of the smallest
+    one, mm."""
+    tets = mesh.tets[:, :4]
+    figure = (
+        signed_volumes(mesh.points, tets)
+        if crowded
+        else dihedral_angles(mesh.points, tets).min(axis=1)
+    )
+    return np.asarray(mesh.points[tets[np.argmin(figure)]].mean(axis=0))
 
 
 def _spent_s() -> float:
@@ -401,7 +409,7 @@ def _start(
     time."""
     coarser = (sizing.unknowns / START_UNKNOWNS) ** (1 / _POWER)
     sizing = sizing.scaled(max(1.0, coarser))
-    points, tets, edge_mm = background(body, sizing)
+    points, tets, edge_mm = WantedEdge(body, sizing).background()
     diagonal = float(np.linalg.norm(np.ptp(np.array(body.bounds_mm), axis=0)))
     request = Request(
         vertices=surface[0],

@@ -1,9 +1,8 @@
 """A body's mesh with its cover as a layer of elements of its own.
 
-A cover of 0.2 mm is thinner than the elements, so marking elements by their middles would mark a
-third of it wrongly. The body's mesh is squeezed below the cover's depth, along the depth normals,
-and prisms grow back to the surface, each cut into three quadratic tetrahedra. The thickness is
-exact, the layer shares its nodes with the body, and curved faces keep their curvature.
+A cover of 0.2 mm is thinner than the elements. So the body's mesh is squeezed below the cover's
+depth, along the depth normals, and prisms grow back to the surface, each cut into three quadratic
+tetrahedra: the thickness is exact, and curved faces keep their curvature.
 
 Validity: the sensing surface and its depth normals must be smooth, and the cover much thinner than
 the body, or squeezed elements turn inside out, which is refused.
@@ -20,8 +19,7 @@ from twin.errors import MeshError
 from twin.parts.body import Body
 from twin.world.mesh.elements import TET_EDGES, signed_volumes
 from twin.world.mesh.quadratic_mesh import Mesh
-from twin.world.mesh.quality import jacobian_ratios
-from twin.world.mesh.snap import node_sheets, onto_sheets
+from twin.world.mesh.snap import onto_sheets
 
 _LEAST_RATIO = 0.2
 """Least over largest determinant of the quadratic map that an element of a layered mesh may
@@ -42,7 +40,7 @@ def with_cover(mesh: Mesh, body: Body, thickness_mm: float) -> Mesh:
         The cover is too thick for the body, or squeezed elements turn inside out.
     """
     made = _extruded(_squeezed(mesh, body, thickness_mm), body)
-    worst = float(np.min(jacobian_ratios(made.points, made.tets)))
+    worst = float(np.min(made.jacobian_ratios()))
     if not (worst >= _LEAST_RATIO and np.min(signed_volumes(made.points, made.tets)) > 0):
         raise MeshError(
             f"with a cover of {thickness_mm:g} mm an element's Jacobian ratio is {worst:.3g} "
@@ -76,7 +74,7 @@ def _squeezed(mesh: Mesh, body: Body, depth_mm: float) -> Mesh:
         )
     inward = depth_mm * (1.0 - depth / deepest)
     points = mesh.points + inward[:, None] * body.piece_normals(mesh.points)[:, 0]
-    on = node_sheets(mesh, body)
+    on = mesh.node_sheets(body)
     corners = onto_sheets(body, points[: mesh.corners], on[: mesh.corners], depth_mm=depth_mm)
     points[: mesh.corners] = corners
     edges = mesh.tets[:, :4][:, TET_EDGES]
@@ -98,7 +96,7 @@ def _extruded(mesh: Mesh, body: Body) -> Mesh:
     faces, corners = mesh.faces[chosen], mesh.corners
     nodes = np.unique(faces)
     near = nodes[nodes < corners]
-    far_points = onto_sheets(body, mesh.points[nodes], node_sheets(mesh, body)[nodes])
+    far_points = onto_sheets(body, mesh.points[nodes], mesh.node_sheets(body)[nodes])
     ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, first = np.unique(ends, axis=0, return_index=True)
     middle = faces[:, 3:].reshape(-1)[first]

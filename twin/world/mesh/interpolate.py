@@ -3,12 +3,10 @@
 `Locator` finds the element that holds a point. `Recovery` fits a cubic polynomial to the nodal
 values around a point by weighted least squares and evaluates it there: patch recovery (O. C.
 Zienkiewicz and J. Z. Zhu 1992), of values as in Z. Zhang and A. Naga (2005). Quadratic elements are
-wrong by a cubic, so the difference of the two estimates the elements' own error at that place,
-without another mesh or solve.
+wrong by a cubic, so the difference of the two estimates the elements' own error at that place.
 
-Validity of that estimate: it sees what single elements miss of a field, not what all of them have
-wrong together (the singularity of a clamped rim moves whole regions alike), and nothing narrower
-than a few elements.
+Validity of that estimate: it does not see what all elements have wrong together (the singularity of
+a clamped rim moves whole regions alike), nor anything narrower than a few elements.
 """
 
 from __future__ import annotations

@@ -1,25 +1,22 @@
-"""Quadratic tetrahedral meshes: the arrays of a `Mesh`, its file, and its export.
-
-`write_mesh` and `read_mesh` store a mesh with its provenance. `export_mesh` writes VTK's
-unstructured grid (.vtu), which ParaView and pyvista open.
-"""
+"""Quadratic tetrahedral meshes: the arrays of a `Mesh`, its file, and its export."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from twin.arrays import Bools, Ints, Points, frozen
+from twin.arrays import Bools, Floats, Ints, Points, frozen
 from twin.errors import InputError
 from twin.files import read_arrays, write_whole
 from twin.parts.body import Body
-from twin.world.mesh.elements import TET_FACES, signed_volumes
+from twin.world.mesh.elements import TET_FACES, quadrature, shapes, signed_volumes
 
 FORMAT = 1
 """Version of the file format and of the way meshes are made; part of every key."""
@@ -65,6 +62,42 @@ class Mesh:
         on = np.zeros(len(self.points), bool)
         on[self.faces[np.isin(self.piece, pieces)]] = True
         return on
+
+    def node_sheets(self, body: Body) -> Bools:
+        """Return (n, sheets): which of the body's sheets meet at each node."""
+        sheet = body.sheets_of(self.points[self.faces], self.piece)
+        on = np.zeros((len(self.points), len(body.sensing_sheets)), dtype=bool)
+        on[self.faces.ravel(), np.repeat(sheet, self.faces.shape[1])] = True
+        return on
+
+    def determinants(self, places: Floats) -> Iterator[Floats]:
+        """Yield the (m,) determinants of the elements' maps at each of the reference places (q, 3),
+        mm3."""
+        nodes = self.points[self.tets]
+        for slope in shapes(places)[1]:
+            a, b, c = np.einsum("mai,aj->jmi", nodes, slope, optimize=True)
+            yield np.einsum("mi,mi->m", a, np.cross(b, c))
+
+    def jacobian_ratios(self) -> Floats:
+        """Return (m,) ratios of the least to the largest determinant of the quadratic map, a cubic
+        that the lattice of 20 points determines."""
+        lattice = np.array([p for p in product(range(4), repeat=3) if sum(p) <= 3]) / 3.0
+        values = list(self.determinants(lattice))
+        least, largest = np.min(values, axis=0), np.max(values, axis=0)
+        flat = np.full(len(self.tets), -np.inf)  # or inside out
+        return np.asarray(np.divide(least, largest, out=flat, where=largest > 0))
+
+    def enclosed_volume(self) -> float:
+        """Return the volume inside the quadratic faces, mm3: a third of the flux of x through
+        them, a quartic, which the quadrature integrates exactly."""
+        places, weights = quadrature(2)
+        values, slopes = shapes(places)
+        nodes = self.points[self.faces]
+        total = 0.0
+        for weight, value, slope in zip(weights, values, slopes, strict=True):
+            normal = np.cross(*np.einsum("na,fnk->afk", slope, nodes))
+            total += weight * float(np.einsum("n,fnk,fk->", value, nodes, normal))
+        return total / 3
 
     def outward_faces(self) -> tuple[Ints, Ints]:
         """Return the corners (4 m, 3) of all elements' faces, turned outward, and the elements (4

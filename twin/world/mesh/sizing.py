@@ -1,11 +1,9 @@
-"""Which edge length is wanted where in a body's mesh, and the background grid for the
-mesher.
+"""Which edge length is wanted where in a body's mesh, and the background grid for the mesher.
 
-Why graded so: the mesh carries the smooth correction that is left of the elastic field once the
-load's closed-form half-space field is subtracted. It is rough in two places only: at the clamped
-rim, where the held piece meets the free sides and stress is singular, and (on curved bodies) below
-the surface that is pressed. Everything else may be coarse, and must be, for a direct solver's cost
-climbs steeply with the number of unknowns.
+The mesh carries the smooth correction that is left of the elastic field once the load's closed-form
+field is subtracted. It is rough at the clamped rim, where stress is singular, and (on curved
+bodies) below the surface that is pressed. All else must be coarse: a direct solver's cost climbs
+steeply with the number of unknowns.
 """
 
 from __future__ import annotations
@@ -149,7 +147,7 @@ def _along(edges: Floats, spacing_mm: float) -> Points:
     return np.asarray(ends[:, 0] * (1.0 - share) + ends[:, 1] * share)
 
 
-def rim_points(body: Body, spacing_mm: float) -> Points:
+def _rim_points(body: Body, spacing_mm: float) -> Points:
     """Return points (n, 3), mm, on the clamped rim: the curves where held pieces meet the
     others."""
     if body.own_rim is not None:
@@ -168,7 +166,13 @@ def rim_points(body: Body, spacing_mm: float) -> Points:
 
 
 class WantedEdge:
-    """The wanted edge length as a function of position, with its two distance trees built once."""
+    """The wanted edge length of a body's mesh as a function of position.
+
+    Attributes
+    ----------
+    rim_mm
+        (n, 3) points on the clamped rim: the curves where held pieces meet the others.
+    """
 
     def __init__(self, body: Body, sizing: Sizing) -> None:
         from scipy.spatial import cKDTree
@@ -180,7 +184,9 @@ class WantedEdge:
         window = window[body.contains(window, -1e-6)]
         self._sizing = sizing
         self._window = cKDTree(window)
-        self._rim = cKDTree(rim_points(body, spacing))
+        self.rim_mm = _rim_points(body, spacing)
+        self._body = body
+        self._rim = cKDTree(self.rim_mm)
 
     def __call__(self, points: Points) -> Floats:
         """Return the (n,) wanted edge lengths, mm, at (n, 3) points, mm."""
@@ -193,13 +199,12 @@ class WantedEdge:
         )
         return np.asarray(np.minimum(wanted, sizing.coarse_mm))
 
-
-def background(body: Body, sizing: Sizing) -> tuple[Points, Ints, Floats]:
-    """Return points (n, 3) and tetrahedra (m, 4) of a background mesh that pads the body by a cell,
-    and the (n,) wanted edge lengths there, mm."""
-    low, high = np.array(body.bounds_mm)
-    step = float(np.max(high - low)) / _GRID_CELLS
-    counts = np.ceil((high - low) / step).astype(int) + 3
-    axes = [low[axis] + step * (np.arange(counts[axis]) - 1) for axis in range(3)]
-    points, tets = kuhn_grid(*axes)
-    return points, tets, WantedEdge(body, sizing)(points)
+    def background(self) -> tuple[Points, Ints, Floats]:
+        """Return points (n, 3) and tetrahedra (m, 4) of a background mesh that pads the body by a
+        cell, and the (n,) wanted edge lengths there, mm."""
+        low, high = np.array(self._body.bounds_mm)
+        step = float(np.max(high - low)) / _GRID_CELLS
+        counts = np.ceil((high - low) / step).astype(int) + 3
+        axes = [low[axis] + step * (np.arange(counts[axis]) - 1) for axis in range(3)]
+        points, tets = kuhn_grid(*axes)
+        return points, tets, self(points)

@@ -3,9 +3,8 @@
 The mesher keeps the surface only within an envelope (sharp edges come out rounded), while the level
 sets are exact. Boundary nodes move onto the smooth sheet of their faces, nodes between sheets onto
 the edge or corner where those meet, and the mid-side nodes follow, which turns a chord error of
-h^2 / (8 R) into one of fourth order. A border between two pieces that crosses a rounding is no
-edge of the surface: it runs along the faces' own edges, and every face belongs to the piece at its
-middle. (Nodes drawn onto such a border left elements without volume.)
+h^2 / (8 R) into one of fourth order. A border between two pieces that crosses a rounding is no edge
+of the surface: every face belongs to the piece at its middle.
 """
 
 from __future__ import annotations
@@ -65,11 +64,10 @@ def drawn_to_rim(mesh: Mesh, body: Body) -> Mesh:
     -----
     Where a held face meets a free one at a right angle, the displacement goes like r^l, l between
     0.59 (nu = 1/2) and 1 (nu = 0): M. L. Williams 1952, J. Appl. Mech. 19, 526. Ordinary quadratic
-    elements miss it and make the whole body too stiff. An edge from the rim whose middle node
-    stands at a quarter of its length holds r^(1/2) exactly (R. S. Barsoum 1976, Int. J. Numer.
-    Meth. Eng. 10, 25); at `RIM_SHARE` it holds nearly the same, and its map is still invertible at
-    the rim. Measured against the reference fields at equal unknowns: the finger's largest error
-    falls from 0.56 to 0.26 % (6 072 unknowns), the block's from 0.28 to 0.10 % (3 771).
+    elements miss it. With the middle node at a quarter of the edge an element holds r^(1/2) exactly
+    (R. S. Barsoum 1976, Int. J. Numer. Meth. Eng. 10, 25); at `RIM_SHARE` nearly so, and its map is
+    still invertible at the rim. At equal unknowns the finger's largest error falls from 0.56 to
+    0.26 %, the block's from 0.28 to 0.10 %.
     """
     others = [piece for piece in np.unique(mesh.piece) if piece not in body.held_pieces]
     rim = mesh.nodes_on(body.held_pieces) & mesh.nodes_on(others)
@@ -85,7 +83,7 @@ def drawn_to_rim(mesh: Mesh, body: Body) -> Mesh:
                 + RIM_SHARE * (2.0 * RIM_SHARE - 1.0) * end
                 + 4.0 * RIM_SHARE * (1.0 - RIM_SHARE) * between
             )
-    on = node_sheets(mesh, body)
+    on = mesh.node_sheets(body)
     moved = np.any(points != mesh.points, axis=1)
     points[moved] = onto_sheets(body, points[moved], on[moved])
     return replace(mesh, points=frozen(points))
@@ -136,12 +134,6 @@ def _classify(body: Body, points: Points, triangles: Ints) -> Ints:
     turned = 1 + np.einsum("fpk,fk->fp", body.sheet_normals(corner.mean(axis=1)), outward)
     cost = distance / np.maximum(longest, _NO_AREA)[:, None] + turned
     return np.asarray(np.argmin(cost, axis=1), np.int64)
-
-
-def node_sheets(mesh: Mesh, body: Body) -> Bools:
-    """Return (n, sheets): which of the body's sheets meet at each node."""
-    sheet = body.sheets_of(mesh.points[mesh.faces], mesh.piece)
-    return _sheets_at(body, mesh.faces, sheet, len(mesh.points))
 
 
 def _sheets_at(body: Body, nodes: Ints, sheet: Ints, count: int) -> Bools:

@@ -1,11 +1,8 @@
 """Tetrahedra inside a closed surface, by pytetwild in a guarded child process.
 
-Why a child: the mesher holds the interpreter's lock and ignores signals until it is done, writes
-into the current folder, and ends the process on bad input. A child with a folder of its own, one
-thread and a time limit can be killed at any moment, and nothing it does reaches the caller but two
-arrays, which are checked before and after.
-
-Run as ``python -m twin.world.mesh.tetrahedralise IN.npz OUT.npz`` this module *is* the child.
+The mesher holds the interpreter's lock and ignores signals until it is done, writes into the
+current folder, and ends the process on bad input. So it runs as a child with a folder of its own,
+one thread and a time limit: ``python -m twin.world.mesh.tetrahedralise IN.npz OUT.npz``.
 """
 
 from __future__ import annotations
