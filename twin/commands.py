@@ -478,7 +478,7 @@ def check(
     ] = None,
     camera: Annotated[
         bool,
-        Parameter(help="Measure the scene's camera chip by EMVA 1288, beside what it states."),
+        Parameter(help="Measure the scene's camera chip by EMVA 1288, and compare what it states."),
     ] = False,
     json_: Json = False,
     set_: Overrides = (),

@@ -189,7 +189,7 @@ def plot_forces(
 
 
 _DISTINCT = 0.95
-"""Share of the patches whose pressures are told apart by colour."""
+"""Share of the patches whose pressures have colours of their own."""
 
 
 def plot_patches(ax: Any, corner_mm: Floats, pressure_mpa: Floats, slip: Bools) -> Any:

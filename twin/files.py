@@ -136,6 +136,18 @@ def make_folder(folder: Path) -> None:
             part.unlink(missing_ok=True)
 
 
+@contextmanager
+def temporary_folder(name: str) -> Iterator[Path]:
+    """Make a temporary folder for the block, and remove those of killed processes of this name."""
+    place = Path(tempfile.gettempdir())
+    for old in place.glob(f"{name}-*-*"):
+        process = old.name.removeprefix(f"{name}-").partition("-")[0]
+        if process.isdecimal() and not _is_alive(int(process)):
+            shutil.rmtree(old, ignore_errors=True)
+    with tempfile.TemporaryDirectory(prefix=f"{name}-{os.getpid()}-") as made:
+        yield Path(made)
+
+
 def _is_alive(process: int) -> bool:
     try:
         os.kill(process, 0)

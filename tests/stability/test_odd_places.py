@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import twin
+from twin.files import temporary_folder
 from twin.study.recipe import dump_scene
 
 SMALL: dict[str, Any] = {
@@ -139,3 +140,14 @@ def test_two_at_once_on_one_new_cache_say_the_same(folder: Path) -> None:
     one, other = moved(folder / "a"), moved(folder / "b")
     assert np.abs(one - other).max() < 1e-6 * np.abs(one).max()  # each may have made its own table, rounded otherwise
     assert not list((folder / "cache").rglob("*.part"))
+
+
+def test_temporary_folders_of_killed_processes_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    gone = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
+    left, alive = tmp_path / f"twin-job-{gone.stdout.strip()}-a", tmp_path / f"twin-job-{os.getpid()}-b"
+    left.mkdir()
+    alive.mkdir()
+    with temporary_folder("twin-job") as folder:
+        assert sorted(tmp_path.iterdir()) == sorted([alive, folder])
+    assert list(tmp_path.iterdir()) == [alive]

@@ -120,10 +120,16 @@ def test_in_time_rubber_creeps_from_step_to_step() -> None:
     held = environment.step(load, 0.7)
     assert held.truth.marker_displacement_mm == pytest.approx(creep(0.7) * elastic, abs=1e-9 * size)
     assert held.truth.total_force_n[2] == pytest.approx(1.0)
-    gone = environment.step(None, 0.0).truth.marker_displacement_mm
+    assert creep(0.7) > 1.15
+    assert held.total_force_n == pytest.approx([0, 0, 1], abs=0.06), "the software knows how its rubber relaxes"
+    lifted = environment.step(None, 0.0)
+    assert lifted.total_force_n == pytest.approx([0, 0, 0], abs=0.06)
+    gone = lifted.truth.marker_displacement_mm
     assert gone == pytest.approx((creep(0.7) - 1.0) * elastic, abs=1e-9 * size)
     environment.reset()
-    ramp = environment.step(load, 0.7).truth.marker_displacement_mm
+    pushed = environment.step(load, 0.7)
+    assert pushed.total_force_n == pytest.approx([0, 0, 1], abs=0.06)
+    ramp = pushed.truth.marker_displacement_mm
     mean = np.mean([creep(0.7 * (i + 0.5) / 1000) for i in range(1000)])
     assert ramp == pytest.approx(mean * elastic, abs=1e-6 * size)
     # A press goes on where it was, and no other one follows it.

@@ -160,11 +160,13 @@ def test_forces_on_a_film_of_rubber_that_relaxes_are_the_true_ones(tmp_path: Pat
 
 
 def test_an_interrupted_film_keeps_its_frames_and_their_truth(tmp_path: Path) -> None:
+    folder = tmp_path / "film"
+
     def stop(what: str, _: float) -> None:
         if what.startswith("picture 3"):
+            assert len(np.load(folder / "truth.npz")["time_s"]) >= 1, "a killed process would keep it"
             raise KeyboardInterrupt
 
-    folder = tmp_path / "film"
     with pytest.raises(KeyboardInterrupt):
         film_to_folder(sliding(), folder, stop)
     assert [path.name for path in sorted((folder / "frames").iterdir())] == ["000000.png", "000001.png"]

@@ -217,3 +217,13 @@ def test_every_kind_of_press_is_read_written_and_fits_the_schema(name: str, tmp_
         (tmp_path / "mine.stl").unlink()
         with pytest.raises(RecipeError, match=r"press.probe.file.*no such file"):
             load_scene(recipe)
+
+
+def test_what_is_missing_is_described(tmp_path: Path) -> None:
+    write_stl(tmp_path / "mine.stl", np.zeros((4, 3, 3)))
+    solid = '[body]\nshape = "solid"\nfile = "mine.stl"\n[material]\nyoungs_modulus_mpa = 0.2\n'
+    (tmp_path / "mine.toml").write_text(f"{solid}[press]\nforce_n = {{z = 1}}\n")
+    with pytest.raises(RecipeError) as told:
+        load_scene(tmp_path / "mine.toml")
+    assert "body.held: missing; give a table with keys of plane, box, normal, within_deg" in str(told.value)
+    assert "press.probe: missing; give a table with kind = 'sphere' or kind = " in str(told.value)

@@ -88,7 +88,7 @@ _STYLE = {
         ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK
     ),
 }
-"""Matplotlib's settings: six colours (Okabe and Ito's) that the colour-blind tell apart."""
+"""Matplotlib's settings: six colours (Okabe and Ito's) that the colour-blind distinguish."""
 
 _DARK = (
     f"<style>@media (prefers-color-scheme: dark) {{ text, [style*='fill: {_INK}'] {{ fill: #e6e8ea "

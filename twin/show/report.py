@@ -117,7 +117,7 @@ _SHARES = ("_error", "matched", "share", "ratio")
 """Endings of keys that hold a ratio, in percent."""
 
 _ROUND_OFF = 1e-12
-"""Ratios below this are shown as 0: what a sum of doubles leaves says nothing."""
+"""Ratios below this are shown as 0: what a sum of doubles leaves is round-off."""
 
 
 def report(result: RunResult) -> str:

@@ -148,7 +148,7 @@ def calibrate_to_file(
 
 
 def _fitted_numbers(scene: Scene, facts: dict[str, Any]) -> list[str]:
-    """Return lines on the rubber and the layers that a fit found, beside those of the drawing."""
+    """Return lines on the rubber and the layers that a fit found, and those of the drawing."""
     modulus, nu = scene.material.youngs_modulus_mpa, scene.material.poisson_ratio
     drawn = {
         "youngs_modulus": ("Young's modulus", modulus, modulus, " MPa"),

@@ -5,8 +5,9 @@ and rest picture are made once for the sensor. A step then costs the contact, tw
 picture and its tracking.
 
 A step starts from the rest state, at once, unless it is given ``seconds``: it then follows the
-steps before, and rubber that relaxes remembers these. The result of any other step depends only on
-its load and on the number of its exposure. A path with friction is one press of several steps.
+steps before, and rubber that relaxes remembers these, in the truth and in the recovered forces. The
+result of any other step depends only on its load and on the number of its exposure. A path with
+friction is one press of several steps.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from twin.arrays import Floats, Picture, Pixels, Points, Progress
 from twin.blas_threads import one_blas_thread
 from twin.errors import ContactError, InputError, RecipeError
@@ -22,6 +25,7 @@ from twin.parts.load import Load
 from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.study.sensor import Sensor
+from twin.theory.relaxation import Hereditary
 
 if TYPE_CHECKING:
     from twin.sense.calibration import Calibration
@@ -130,6 +134,7 @@ class Environment:
         self._loads: list[tuple[Load, float]] = []
         self._press: Press | None = None
         self._made: tuple[Calibration, Tracker] | None = None
+        self._history: Hereditary | None = None
 
     def reset(self) -> Observation:
         """Begin again at rest: exposures count from 1. Returns what the sensor feels under no
@@ -163,6 +168,7 @@ class Environment:
         if seconds is None:
             self._loads = []
             self._press = None
+            self._history = None
         elif not 0.0 <= seconds < math.inf:
             raise InputError(f"seconds = {seconds!r}: give 0 or more")
         elif isinstance(load, Press):
@@ -176,7 +182,7 @@ class Environment:
                 raise ContactError(f"press: {state.reason}")
             self._press = load if seconds is not None else None
             load = state.load
-        return self._feel(load if load is not None else Load(), state)
+        return self._feel(load if load is not None else Load(), state, seconds)
 
     def _followed(self, press: Press, seconds: float) -> Press:
         """Return the press before with the steps of one that follows in some seconds."""
@@ -216,7 +222,7 @@ class Environment:
             weight = creep
         return replace(load, crept=Load(tuple(terms)))
 
-    def _feel(self, load: Load, state: ContactState | None) -> Observation:
+    def _feel(self, load: Load, state: ContactState | None, seconds: float | None) -> Observation:
         from twin.judge.score import field_score, into_cells
         from twin.sense.reconstruct import reconstruct
 
@@ -237,6 +243,17 @@ class Environment:
                 "follow?"
             )
         field = reconstruct(found, calibration, **options.options())
+        if seconds is not None and calibration.relaxation is not None:
+            if self._history is None:
+                self._history = Hereditary(calibration.relaxation)
+                at_rest = replace(
+                    field,
+                    force_n=np.zeros_like(field.force_n),
+                    total_force_n=np.zeros(3),
+                    total_torque_nmm=np.zeros(3),
+                )
+                at_rest.relaxed(self._history, 0.0)
+            field = field.relaxed(self._history, seconds)
         # The truth, and the error against it.
         rest = sensor.actual.markers.points
         truth = _Happened(

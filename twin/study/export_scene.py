@@ -26,7 +26,7 @@ def export_scene(scene: Scene, out: Path, progress: Progress | None = None) -> l
     renderer = sensor.renderer  # refuses a scene without a camera
     check_stock(actual)
     exposure = renderer.exposure
-    # The states: at rest, and pressed if the scene says by what.
+    # The states: at rest, and pressed if the scene has a press or tractions.
     motions: dict[str, Motion | None] = {"rest": None}
     if scene.tractions or scene.press is not None:
         load = scene.load if scene.tractions else sensor.press().load

@@ -9,6 +9,7 @@ solved states along straight lines in time.
 from __future__ import annotations
 
 import io
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -43,6 +44,9 @@ _SAME_S = 1e-9
 """Times are the same within this."""
 
 MOST_FRAMES = 100_000
+
+_WRITE_EVERY = 20.0
+"""Truth is written again after this many times as long as writing it took."""
 
 _KEPT = 8
 """States whose motion is kept."""
@@ -311,7 +315,8 @@ def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None)
     """Film a scene's press; return a few lines about it.
 
     ``folder`` gets ``rest.png``, ``frames/000000.png`` and so on, their truth in ``truth.npz`` (see
-    `_truth`), and ``scene.toml``. An interrupt keeps the frames so far, and their truth.
+    `_truth`), and ``scene.toml``. An interrupt keeps the frames so far, and their truth; a
+    killed process keeps the truth of most of them.
 
     Raises
     ------
@@ -322,7 +327,7 @@ def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None)
     SomeFailed
         The press has no equilibrium in some step: what is before it is filmed.
     """
-    # Refuse what can't be filmed, solve the press at every frame's time, begin the folder anew.
+    # Refuse what can't be filmed, solve the press at every frame's time, empty the folder.
     _refuse_filmless(scene)
     rate = scene.ccd.frames_per_second
     if rate is None:
@@ -351,6 +356,16 @@ def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None)
     )
     count = int(exposures.time_s[-1] * rate + _SAME_S) + 1
     rows: list[dict[str, Any]] = []
+
+    def write_truth() -> dict[str, Any]:
+        truth = _truth(sensor, rows)
+        write_whole(folder / "truth.npz", lambda file: np.savez_compressed(file, **truth))
+        return truth
+
+    # A killed film keeps its truth up to the last write, which takes a twentieth of the time.
+    (folder / "truth.npz").unlink(missing_ok=True)
+    written = time.monotonic()
+    took = 0.0
     try:
         for number in range(count):
             progress(f"picture {number + 1} of {count}", 0.1 + 0.89 * number / count)
@@ -360,10 +375,13 @@ def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None)
             row = _row(sensor, exposures.motion(time_s), states[at - 1] if at else None)
             write_whole(pictures / f"{number:06d}.png", png_bytes(picture))
             rows.append(row | {"time_s": time_s})
+            if (begun := time.monotonic()) - written > _WRITE_EVERY * took:
+                write_truth()
+                written = time.monotonic()
+                took = written - begun
     finally:
         if rows:
-            truth = _truth(sensor, rows)
-            write_whole(folder / "truth.npz", lambda file: np.savez_compressed(file, **truth))
+            truth = write_truth()
     progress("done", 1.0)
     if not state.complete:
         raise SomeFailed(f"press: {state.reason}; the {count} pictures before are in {folder}")

@@ -74,7 +74,7 @@ def layout_to_files(
     if scene is not None and (pitch_mm or depth_mm):
         raise InputError("--scene gives pitches and depths: leave --pitch-mm and --depth-mm out")
     if scene is not None and scene.camera is None:
-        raise RecipeError("this scene has no [camera] table, so it tells no pitch in a picture")
+        raise RecipeError("this scene has no [camera] table, so it gives no pitch in a picture")
     image = read_picture(picture)
     height, width = image.shape[:2]
     if scene is not None and scene.camera is not None:
@@ -279,7 +279,7 @@ def _shares(counts: np.ndarray) -> str:
 
 
 def _draw_layout(picture: Picture, found: FoundLayout) -> Picture:
-    """Return a picture with a ring around every dot, in its layer's colour, and column,row beside
+    """Return a picture with a ring around every dot, in its layer's colour, with column,row below
     it; rings without numbers are spots on no grid."""
     from PIL import Image, ImageDraw
 

@@ -199,7 +199,7 @@ def _recipe_of(pad: Pad) -> str:
     _in_range("fov-deg", fov, "deg", 5, 120, "the full angle of the picture's width")
     distance = max(6.0, 1.04 * max(sides)) if pad.camera_mm is None else pad.camera_mm
     _in_range("camera-mm", distance, "mm", 2, 1000, "from the back of the pad to the lens")
-    # The camera behind its plate, the dots that it sees, and LEDs beside it.
+    # The camera behind its plate, the dots that it sees, and LEDs around it.
     plate = min(3.0, distance / 4)
     focal = pad.resolution[0] / 2 / math.tan(math.radians(fov / 2))
     layers = _layers(pad)

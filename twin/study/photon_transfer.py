@@ -44,7 +44,7 @@ _LINEAR = (0.05, 0.95)
 
 @dataclass(frozen=True, kw_only=True)
 class _PhotonTransfer:
-    """What flat fields tell of a chip.
+    """What flat fields show of a chip.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class _PhotonTransfer:
 
     @property
     def dynamic_range(self) -> float:
-        """Saturation over the least signal that is told from darkness (sec. 6.6), as a ratio."""
+        """Saturation over the least signal that differs from darkness (sec. 6.6), as a ratio."""
         least = np.sqrt(self.dark_noise_e**2 + _ROUNDING_DN2 / self.gain_dn_e**2 + 0.25) + 0.5
         return float(self.saturation_e / least)
 
@@ -173,7 +173,7 @@ def _black_dn(ccd: Ccd) -> float:
 
 
 def check_chip(ccd: Ccd) -> list[str]:
-    """Return what `photon_transfer` finds beside what the recipe states, a line each.
+    """Return what `photon_transfer` finds, and what the recipe states, a line each.
 
     Raises
     ------

@@ -423,7 +423,7 @@ def _other_sensor(rest_px: Pixels, calibration: Calibration) -> str:
     calibration's, or nothing.
 
     Every layer is compared up to a shift, which a remounted camera causes, and a small affine
-    change, which other depths and a turned camera cause. Measured rest places also tell apart
+    change, which other depths and a turned camera cause. Measured rest places also distinguish
     sensors of one design. Stiffness does not show in a rest picture.
     """
     remedy = (
@@ -605,7 +605,7 @@ def reconstruct_recording(
     frames_per_second
         See `_reconstruct_frames`.
     options
-        Of `twin.sense.reconstruct.reconstruct`; None stands for what the calibration's recipe says.
+        Of `twin.sense.reconstruct.reconstruct`; None is the value in the calibration's recipe.
 
     Raises
     ------
@@ -923,7 +923,7 @@ class _OverlayFile:
 def _overlay(picture: Picture, found: Found | None, text: str, times: float) -> Picture:
     """Return an (h, w, 3) or (h, w) picture in colour, with a line of text and, if markers were
     found, a line from every one's rest place (dot) along its motion, ``times`` as long; those
-    without a shift are circles. Colours tell the states."""
+    without a shift are circles. Colours show the states."""
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(picture).convert("RGB")

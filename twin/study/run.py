@@ -311,6 +311,14 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
         facts["warnings"] = warned
     if state is not None:
         facts |= _press_facts(state) | _course(scene, state)
+    if state is not None and forces is not None and "creep_error" in errors["elastic"]:
+        notes = facts["validity"]["notes"]
+        facts["validity"]["notes"] = (
+            *notes,
+            "one picture doesn't show what the rubber remembers: forces are found as if it didn't "
+            f"relax, {100 * errors['elastic']['creep_error']:.2g} % off by that alone. twin run "
+            "--film, then twin reconstruct --frames-per-second, takes it into account",
+        )
     if calibration is not None and forces is not None:
         sites = len(calibration.site_mm)
         facts["calibration"] = {"method": scene.calibration.method, "sites": sites}

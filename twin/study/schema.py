@@ -118,8 +118,7 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
             )
         return f"{dotted}: unknown key; {hint}"
     if error["type"] == "missing":
-        unit = unit_of(last)
-        return f"{dotted}: missing; give a value" + (f" in {unit}" if unit else "")
+        return f"{dotted}: missing; {_wanted(keys, table)}"
     message = in_words(error)
     if error["type"] == "tuple_type" and last in ("force_n", "move_mm"):
         message = "must name its components, such as {z = 1}"
@@ -138,6 +137,20 @@ def _line(error: dict[str, Any], table: Mapping[str, Any]) -> str:
     return f"{dotted} = {shown}{' ' + unit if unit else ''}: {message}" + (
         f" (allowed: {allowed})" if allowed else ""
     )
+
+
+def _wanted(keys: list[Any], table: Mapping[str, Any]) -> str:
+    """Return what a missing value may be."""
+    holder = _model_at(keys[:-1], table)
+    field = holder.model_fields.get(str(keys[-1])) if holder is not None else None
+    kinds = _models_in(field.annotation) if field is not None else []
+    if len(kinds) > 1:
+        tags = [(key, kind.model_fields[key].default) for kind in kinds for key in _tags(kind)]
+        return "give a table with " + " or ".join(f"{key} = '{word}'" for key, word in tags)
+    if kinds:
+        return f"give a table with keys of {', '.join(_known_keys(keys, table))}"
+    unit = unit_of(str(keys[-1]))
+    return "give a value" + (f" in {unit}" if unit else "")
 
 
 def _dotted(keys: list[Any]) -> str:
@@ -244,12 +257,26 @@ def _choose(annotation: Any, value: Any) -> Any:
         annotation = typing.get_args(annotation)[0]
     if typing.get_origin(annotation) in {typing.Union, types.UnionType}:
         members = [_choose(a, value) for a in typing.get_args(annotation) if a is not type(None)]
-        models = [m for m in members if isinstance(m, type) and issubclass(m, BaseModel)]
+        models = _models_in(annotation)
         tag = (value.get("kind") or value.get("shape")) if isinstance(value, Mapping) else None
         for model in models:
-            if tag in [
-                model.model_fields[k].default for k in ("kind", "shape") if k in model.model_fields
-            ]:
+            if tag in [model.model_fields[key].default for key in _tags(model)]:
                 return model
         return models[0] if models else members[0]
     return annotation
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Return the descriptions that a value may follow."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if typing.get_origin(annotation) is typing.Annotated:
+        return _models_in(typing.get_args(annotation)[0])
+    if typing.get_origin(annotation) in {typing.Union, types.UnionType}:
+        return [model for each in typing.get_args(annotation) for model in _models_in(each)]
+    return []
+
+
+def _tags(model: type[BaseModel]) -> list[str]:
+    """Return the keys whose value names a description among others."""
+    return [key for key in ("kind", "shape") if key in model.model_fields]

@@ -30,7 +30,6 @@ import platform
 import signal
 import socket
 import sys
-import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -42,6 +41,7 @@ from typing import Any
 
 from twin.blas_threads import one_thread
 from twin.errors import InputError, MissingCapability
+from twin.files import temporary_folder
 
 Work = Callable[[Path, int], Any]
 """Computes task number n of the job whose files are in a folder."""
@@ -323,8 +323,7 @@ def end_if_too_long() -> None:
 @contextmanager
 def unpacked(job: Job) -> Iterator[Path]:
     """Write a job's files into a temporary folder."""
-    with tempfile.TemporaryDirectory(prefix="twin-job-") as name:
-        folder = Path(name)
+    with temporary_folder("twin-job") as folder:
         for path, data in job.files.items():
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_bytes(data)
