@@ -313,7 +313,7 @@ def _listening(port: int) -> _Server:
             f"--port {port}: allowed are whole numbers from 1 to 65535, and 0 for any that is free"
         )
     try:
-        return _Server((HOST, port), Handler)
+        return _Server((HOST, port), _Handler)
     except OSError as problem:
         raise InputError(
             f"--port {port}: can't be listened on ({problem.strerror}); give another"
@@ -378,7 +378,7 @@ class _Server(ThreadingHTTPServer):
         """Say nothing of a browser that went away in the middle of an answer."""
 
 
-class Handler(BaseHTTPRequestHandler):
+class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     timeout = IDLE_S
     server: _Server

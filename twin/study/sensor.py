@@ -308,12 +308,10 @@ class Sensor:
 
     @one_blas_thread()
     def displacement(self, points_mm: Points, load: Load | ContactState) -> Points:
-        """Return the (n, 3) displacement in mm of (n, 3) points inside the body.
+        """Return the (n, 3) displacement, mm, of (n, 3) points ``points_mm`` inside the body.
 
         Parameters
         ----------
-        points_mm
-            (n, 3) points, mm.
         load
             A load, or the state of a press, whose forces are applied. The state may be that of
             another sensor, if its forces lie on this one's sensing surface.
