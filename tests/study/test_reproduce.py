@@ -119,21 +119,23 @@ def test_a_range_is_run_over_some_trials() -> None:
     quantity = Quantity("q", paper=1.0)
     asked: list[float] = []
 
-    def at(value: float, trial: Trial) -> dict[Quantity, float]:
+    def at(value: float) -> Callable[[Chain, Trial], float]:
         asked.append(value)
-        return {quantity: value * (trial.seed or 0)}
+        return lambda _, trial: value * (trial.seed or 0)
 
+    noisy = Unprinted("noise", "e", (3.0,), "a CCD")
     trials = [Trial(seed=seed) for seed in range(1, 6)]
     (record,), _, _ = Bench().compare(
-        lambda _, trial: float(trial.seed or 0),
+        lambda chain, trial: float(trial.seed or 0) + 100 * len(chain.overrides),
         lambda run: {quantity: run},
         Chain(paper="sato"),
         {},
         trials,
-        {load: at},
+        {load: at, noisy: lambda value: Chain(paper="sato", overrides={"ccd.read_noise_e": value})},
     )
     assert (record.twin, record.ranges[load]) == (3.0, [2.0, 4.0])
-    assert asked == [1.0] * 3 + [2.0] * 3
+    assert record.ranges[noisy] == [102.0], "a value gives another chain, or another way to measure"
+    assert asked == [1.0, 2.0]
 
 
 def test_a_shift_is_what_it_says_in_the_picture() -> None:

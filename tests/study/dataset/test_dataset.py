@@ -165,6 +165,16 @@ def test_a_sample_is_known_from_seed_and_number_alone(sampling: str) -> None:
     assert Plan(small_scene(dataset__sampling=sampling, seed=2), 100).press_values(range(40, 60)) != many
 
 
+@pytest.mark.parametrize("sampling", ["stratified", "random"])
+def test_what_is_drawn_for_sensors_tells_nothing_of_the_presses(sampling: str) -> None:
+    vary = {"press.friction": {"low": 0.0, "high": 1.0}, "material.youngs_modulus_mpa": {"low": 1.0, "high": 2.0}}
+    plan = Plan(small_scene(vary=vary, dataset__sampling=sampling), 64)
+    presses = [values["press.friction"] for values in plan.press_values(range(64))]
+    sensors = [values["material.youngs_modulus_mpa"] - 1.0 for values in plan.sensor_values(range(64))]
+    assert not np.isclose(presses, sensors).any()
+    assert abs(np.corrcoef(presses, sensors)[0, 1]) < (0.4 if sampling == "random" else 0.1)
+
+
 def test_stratified_draws_are_more_even_than_random_ones() -> None:
     spread = {}
     for sampling in ("stratified", "random"):

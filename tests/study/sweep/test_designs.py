@@ -16,6 +16,8 @@ from twin.study.sweep.designs import Designs, load_sweep
 from twin.study.sweep.fidelities import closed
 from twin.study.sweep.loads import Bodies
 from twin.study.sweep.sweep_run import estimate, looked_over
+from twin.theory.limit import design_limit
+from twin.theory.optics import project_with_jacobian
 
 
 def test_a_grid_is_every_combination_with_what_follows() -> None:
@@ -168,3 +170,30 @@ def test_many_thicknesses_of_a_block_are_interpolated_between_their_ends_and_few
     )
     assert Bodies.of(follows).thickness_mm == (40.0, 50.0)
     assert Bodies.of(small()[0]).thickness_mm is None
+
+
+@pytest.mark.parametrize("focal_px", [1800.0, 3600.0])
+def test_pixels_become_millimetres_by_the_projection(focal_px: float) -> None:
+    """The noise in mm is that in px over the camera's scale, at each layer's depth."""
+    axes = {"camera.focal_px": [focal_px, 2 * focal_px]}
+    sweep, scene = small(axes=axes, derived={}, noise_px=0.05)
+    found, _ = closed(Designs.of(sweep, scene))
+    camera = scene.camera.model_copy(update={"focal_px": focal_px})
+    depth = np.array([layer.depth_mm for layer in scene.markers.values()])
+    middle = np.column_stack([*np.tile(camera.pupil_mm[:2], (len(depth), 1)).T, depth])
+    index, base = scene.material.refractive_index, scene.body.base_z_mm
+    px_per_mm = project_with_jacobian(middle, camera, index, base)[1][:, 0, 0]
+    limit = design_limit(
+        depth_mm=depth[None],
+        pitch_mm=np.array([[layer.pitch_mm for layer in scene.markers.values()]]),
+        noise_mm=0.05 / px_per_mm[None],
+        youngs_modulus_mpa=scene.material.youngs_modulus_mpa,
+        poisson_ratio=scene.material.poisson_ratio,
+        force_n=sweep.loads.force_n,
+        radius_mm=sweep.loads.size_mm / np.sqrt(np.pi),
+        sampling="squares",
+    )
+    assert found["two_point_mm"][0] == pytest.approx(limit.two_point_mm[0], rel=1e-6)
+    assert found["fwhm_mm"][0] == pytest.approx(limit.fwhm_normal_mm[0], rel=1e-6)
+    assert found["resolution_gf"][0] * 9.80665e-3 == pytest.approx(limit.force_sd_n[0], rel=1e-6)
+    assert found["resolution_gf"][1] < 0.8 * found["resolution_gf"][0]

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 Need = Literal["load", "contact", "motion", "picture", "outlines", "sites"]
-Kind = Literal["integer", "number", "text", "flag", "png", "numbers", "vectors", "pixels", "flags"]
+Kind = Literal["integer", "number", "text", "png", "numbers", "vectors", "pixels", "flags"]
 """``numbers``, ``flags``: a list; ``vectors``: lists of (x, y, z); ``pixels``: of (column, row)."""
 
 _SPLIT = 6
@@ -145,7 +145,6 @@ def arrow_type(kind: Kind) -> pa.DataType:
         "integer": pa.int64(),
         "number": pa.float64(),
         "text": pa.string(),
-        "flag": pa.bool_(),
         "png": pa.binary(),
         "numbers": pa.list_(pa.float64()),
         "flags": pa.list_(pa.bool_()),

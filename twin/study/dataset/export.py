@@ -381,7 +381,6 @@ _TYPES = {
     "integer": "sc:Integer",
     "number": "sc:Float",
     "text": "sc:Text",
-    "flag": "sc:Boolean",
     "png": "sc:ImageObject",
     **_LISTS,
 }

@@ -729,13 +729,14 @@ class Bench:
         chain: Chain,
         causes: Mapping[str, Chain],
         trials: Sequence[Trial] | None = None,
-        ranges: Mapping[Unprinted, Callable[[float, Trial], Numbers]] | None = None,
+        ranges: Mapping[Unprinted, Callable[[float], Chain | Callable[[Chain, Trial], T]]]
+        | None = None,
     ) -> tuple[list[Record], list[T], dict[str, T]]:
         """Measure a chain in several trials, and once with every cause switched off.
 
         ``measure`` makes a run, of which ``numbers`` are taken; ``causes`` are the chains in which
         one cause is switched off, by its name; trials are by default the paper's; ``ranges`` give
-        the numbers at a value of what isn't printed, over `RANGED` of the trials.
+        the chain, or the way to measure, at a value of what isn't printed, over `RANGED` trials.
 
         Returns
         -------
@@ -752,12 +753,13 @@ class Bench:
             off[name] = measure(way, ONCE)
         without = {name: numbers(run) for name, run in off.items()}
         ranged: dict[Unprinted, list[Numbers]] = {}
-        for what, at in (ranges or {}).items():
+        for what, given in (ranges or {}).items():
             self.progress(what.name)
-            ranged[what] = [
-                _mean_numbers([at(value, trial) for trial in trials[:RANGED]])
-                for value in what.values
-            ]
+            ranged[what] = []
+            for at in map(given, what.values):
+                way, how = (at, measure) if isinstance(at, Chain) else (chain, at)
+                found = [numbers(how(way, trial)) for trial in trials[:RANGED]]
+                ranged[what].append(_mean_numbers(found))
         return Record.of_runs([numbers(run) for run in runs], without, ranged), runs, off
 
     @staticmethod

@@ -3,7 +3,7 @@ resolution of magnitude (Fig. 8) and place (Fig. 9)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -247,13 +247,8 @@ def _figure_8(bench: Bench) -> Outcome:
                 Quantity(f"{name}: {WIDEST} {n}", "gf"): run.widest_gf,
             }
 
-        def weighed(
-            deviation: float, trial: Trial, line: Any = line, numbers: Any = numbers
-        ) -> Numbers:
-            return dict(numbers(line(_weighed(deviation), trial)))
-
-        def placed(aside: float, trial: Trial, line: Any = line, numbers: Any = numbers) -> Numbers:
-            return dict(numbers(line(PAPER, trial, aside_mm=aside)))
+        def placed(aside: float, line: Any = line) -> Callable[[Chain, Trial], ForceLine]:
+            return partial(line, aside_mm=aside)
 
         # Compare with the paper, and with each cause off.
         found, runs, _ = bench.compare(
@@ -262,7 +257,7 @@ def _figure_8(bench: Bench) -> Outcome:
             PAPER,
             _ways(bench),
             bench.trials("sato", count=FEWER),
-            {} if bench.quick else {CELL: weighed, ASIDE: placed},
+            {} if bench.quick else {CELL: _weighed, ASIDE: placed},
         )
         records += [_read(record, runs) for record in found]
         reach = np.array([0.0, PRELOAD_GF])
@@ -392,12 +387,7 @@ def _figure_9(bench: Bench) -> Outcome:
             ) -> Numbers:
                 return {width: full_width(*_curve(*run)), jump: _jump(*run)}
 
-            def weighed(
-                deviation: float, trial: Trial, measure: Any = measure, numbers: Any = numbers
-            ) -> Numbers:
-                return dict(numbers(measure(_weighed(deviation), trial)))
-
-            ranges = {} if bench.quick else {CELL: weighed}
+            ranges = {} if bench.quick else {CELL: _weighed}
             found, runs, off = bench.compare(measure, numbers, PAPER, ways, trials, ranges)
             records += found
             x, y = _curve(*runs[0])

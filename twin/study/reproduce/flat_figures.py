@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -170,11 +171,14 @@ def _figure_9(bench: Bench) -> Outcome:
         size = np.linalg.norm(found.shift_px, axis=1)
         return {radial: _radial_share(found), largest: float(np.nanmax(size))}
 
-    def loaded(ratio: float, trial: Trial) -> Numbers:
-        # linear theory knows the force over Young's modulus alone
-        modulus = NORM.rig(bench, trial).scene.material.youngs_modulus_mpa
-        press = Press(probe=Cylinder(diameter_mm=5), force_n=(0.0, 0.0, ratio * modulus))
-        return numbers(NORM.shot(bench, press, trial).found)
+    def loaded(ratio: float) -> Callable[[Chain, Trial], Found]:
+        def measure(chain: Chain, trial: Trial) -> Found:
+            # linear theory knows the force over Young's modulus alone
+            modulus = chain.rig(bench, trial).scene.material.youngs_modulus_mpa
+            press = Press(probe=Cylinder(diameter_mm=5), force_n=(0.0, 0.0, ratio * modulus))
+            return chain.shot(bench, press, trial).found
+
+        return measure
 
     records, runs, _ = bench.compare(
         lambda chain, trial: chain.shot(bench, PILLAR_PRESS, trial).found,
@@ -443,8 +447,8 @@ def _figure_16(bench: Bench) -> Outcome:
             for what, values in run.items()
         }
 
-    def on_row(reach: float, trial: Trial) -> Numbers:
-        return numbers(cosines(TRACKED, trial, ((AXIS, "red", False),), reach))
+    def on_row(reach: float) -> Callable[[Chain, Trial], dict[str, list[float]]]:
+        return partial(cosines, compare=((AXIS, "red", False),), reach=reach)
 
     # Compare with the paper: it calls the two movements the same.
     records, runs, _ = bench.compare(

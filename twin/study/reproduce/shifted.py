@@ -30,7 +30,6 @@ from twin.study.reproduce.bench import (
     Protocol,
     Quantity,
     Record,
-    Trial,
     Unprinted,
     Way,
     arrow_panel,
@@ -76,28 +75,23 @@ def _causes(protocol: Protocol) -> dict[str, Chain]:
 
 
 def _ranges(
-    bench: Bench, protocol: Protocol, way: Way, numbers: Callable[[Found], Numbers]
-) -> dict[Unprinted, Callable[[float, Trial], Numbers]]:
-    """Return what of the capture chain isn't printed, and the numbers of the test by its value."""
+    bench: Bench, protocol: Protocol, way: Way
+) -> dict[Unprinted, Callable[[float], Chain]]:
+    """Return what of the capture chain isn't printed, with the chain by its value."""
     own = Chain(paper=protocol.sensor)
 
-    def filmed(chain: Chain, trial: Trial) -> Numbers:
-        return numbers(protocol.tracked(bench, way, chain, trial))
-
-    def balanced(value: float, trial: Trial) -> Numbers:
+    def balanced(value: float) -> Chain:
         most = max(value, 1.0)
         colours = {"ccd.quantum_efficiency": [value / most, value**0.5 / most, 1.0 / most]}
         noise = {"ccd.read_noise_e": REFITTED[value]}
-        return filmed(replace(own, overrides=colours | noise), trial)
+        return replace(own, overrides=colours | noise)
 
-    def compressed(value: float, trial: Trial) -> Numbers:
-        return filmed(replace(own, overrides={"ccd.jpeg_quality": int(value)}), trial)
+    def compressed(value: float) -> Chain:
+        return replace(own, overrides={"ccd.jpeg_quality": int(value)})
 
     if bench.quick or (protocol is KAMIYAMA and way == "digital"):
         return {}  # a picture displaced in the computer holds one frame and its noise twice
-    if protocol is KAMIYAMA:
-        return {BALANCE: balanced}
-    return {QUALITY: compressed}
+    return {BALANCE: balanced} if protocol is KAMIYAMA else {QUALITY: compressed}
 
 
 def _compared(
@@ -114,7 +108,7 @@ def _compared(
         Chain(paper=protocol.sensor),
         causes,
         bench.trials(protocol.sensor, pressed=False),
-        _ranges(bench, protocol, way, numbers) if causes else {},
+        _ranges(bench, protocol, way) if causes else {},
     )
 
 
