@@ -18,7 +18,7 @@ from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
 from twin.theory.optics import project
-from twin.world.picture.backend import Variant, choose_variant
+from twin.world.picture.backend import Variant
 from twin.world.picture.ccd import Pattern, expose
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.render import Renderer
@@ -51,7 +51,7 @@ def _ours(name: str, scene: Scene, markers: Ellipsoids, grids: tuple[int, ...]) 
         cover = finest.radiance(markers.rows(slice(0, 0)))
         truth = _centroids(finest.radiance(markers) - cover, pixels, markers)
         whole = finest.outlines(markers, 16).centroid_px
-        for variant in [SPLAT] if choose_variant().name == "splat" else [SPLAT, choose_variant()]:
+        for variant in [SPLAT] if Variant.choose().name == "splat" else [SPLAT, Variant.choose()]:
             renderer = Renderer(scene, markers, variant, shadows=shadows)
             for k in grids:
                 renderer.subpixels = k

@@ -19,7 +19,7 @@ from twin.arrays import Floats, Ints, Pixels
 from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.study.recipe import load_scene
-from twin.world.picture.backend import choose_variant
+from twin.world.picture.backend import Variant
 from twin.world.picture.ellipsoids import Ellipsoids
 from twin.world.picture.render import Renderer
 from twin.world.picture.stock_scene import write_stock_scene
@@ -103,7 +103,7 @@ def path_traced(
     """
     import mitsuba as mi
 
-    mi.set_variant(choose_variant("llvm_ad_rgb").name)
+    mi.set_variant(Variant.choose("llvm_ad_rgb").name)
     with TemporaryDirectory() as folder:
         made = mi.load_file(str(_written(Path(folder), scene, markers, middle - half, 2 * half + 1, glowing)))
     passes = [np.array(mi.render(made, spp=SAMPLES_A_PASS, seed=n)) for n in range(samples // SAMPLES_A_PASS)]

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from standard_bodies import assert_near
 
 from twin.errors import RecipeError
-from twin.parts.camera import Camera, Layer
+from twin.parts.camera import Camera
 from twin.theory.lens import lens, lens_inverse, lens_jacobian
 from twin.theory.optics import (
     Sight,
@@ -23,7 +23,7 @@ from twin.theory.optics import (
 )
 
 REFERENCE = Path(__file__).parents[1] / "reference"
-GLASS = Layer(index=1.49, thickness_mm=10)
+GLASS = Camera.Layer(index=1.49, thickness_mm=10)
 FLAT = Camera(focal_px=1814.8, pupil_mm=(0, 0, 108.85), layers=(GLASS,))
 TURNED = Camera(
     focal_px=1814.8, pupil_mm=(1, -2, 108.85), tilt_deg=(0.5, -1, 2), distortion=(-0.1, 0.02), layers=(GLASS,)
@@ -34,12 +34,12 @@ WIDE = Camera(
     pupil_mm=(0.1, 0, 12),
     tilt_deg=(0.5, -1, 2),
     distortion=(-0.02, 0.001),
-    layers=(Layer(index=1.49, thickness_mm=1),),
+    layers=(Camera.Layer(index=1.49, thickness_mm=1),),
 )
 
 
 def bent(kind, focal_px, *distortion):
-    layers = (Layer(index=1.49, thickness_mm=1), Layer(index=1.33, thickness_mm=0.5))
+    layers = (Camera.Layer(index=1.49, thickness_mm=1), Camera.Layer(index=1.33, thickness_mm=0.5))
     pose = {"aspect": 1.05, "pupil_mm": (0.5, 0.2, 13), "tilt_deg": (1, 2, 3), "layers": layers}
     return Camera(lens=kind, focal_px=focal_px, distortion=distortion, **pose)
 
@@ -234,7 +234,7 @@ def test_fields_of_view_up_to_half_the_sky_invert(field_deg, distortion):
         focal_px=320 / half,
         pupil_mm=(0, 0, 12),
         distortion=distortion,
-        layers=(Layer(index=1.49, thickness_mm=1),),
+        layers=(Camera.Layer(index=1.49, thickness_mm=1),),
     )
     angle = np.linspace(0, half, 200)[:, None]
     pixels = lens(np.hstack([np.sin(angle) * [0.6, -0.8], -np.cos(angle)]), camera)
@@ -261,7 +261,9 @@ def test_what_is_not_seen_is_said_why():
 
 def test_any_number_of_layers_is_one_of_the_same_optical_path():
     # A layer cut in two is the same layer everywhere.
-    cut = FLAT.model_copy(update={"layers": (Layer(index=1.49, thickness_mm=4), Layer(index=1.49, thickness_mm=6))})
+    cut = FLAT.model_copy(
+        update={"layers": (Camera.Layer(index=1.49, thickness_mm=4), Camera.Layer(index=1.49, thickness_mm=6))}
+    )
     points = points_in(40, 16, FLAT)
     assert_allclose(project(points, cut, RUBBER, 40.0), project(points, FLAT, RUBBER, 40.0), atol=1e-9)
 

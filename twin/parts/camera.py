@@ -22,21 +22,6 @@ DISTORTIONS: dict[str, tuple[int, ...]] = {"pinhole": (0, 2, 4, 5, 8), "equidist
 """How many coefficients of distortion each may have."""
 
 
-class Layer(Part):
-    """A flat transparent layer between the body's base and the camera.
-
-    Attributes
-    ----------
-    index
-        Refractive index.
-    thickness_mm
-        Thickness along z.
-    """
-
-    index: float = Field(ge=1, le=3)
-    thickness_mm: Size
-
-
 class Camera(Part):
     """A camera in air that looks along -z through the base, the layers in front of it being flat
     and normal to z.
@@ -75,6 +60,20 @@ class Camera(Part):
     dust
         Specks on the outermost of them; None for a clean window.
     """
+
+    class Layer(Part):
+        """A flat transparent layer between the body's base and the camera.
+
+        Attributes
+        ----------
+        index
+            Refractive index.
+        thickness_mm
+            Thickness along z.
+        """
+
+        index: float = Field(ge=1, le=3)
+        thickness_mm: Size
 
     class Dust(Part):
         """Specks on the outer face of the window, lit by LEDs in air.

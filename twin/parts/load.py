@@ -169,18 +169,6 @@ class Traction:
         return _single("twist", centre_mm, _across(radius_mm), (0.0, 0.0, 0.0), torque_nmm)
 
 
-class Strained(Protocol):
-    """What a press at finite strain moves more than linear theory, at places inside the body."""
-
-    def displacement(self, points: Points) -> Points:
-        """Return what to add to the displacements of points (n, 3), mm."""
-        ...
-
-    def gradient(self, points: Points) -> Floats:
-        """Return what to add to the gradients (n, 3, 3) there."""
-        ...
-
-
 @dataclass(frozen=True)
 class Load:
     """A sum of tractions on the sensing surface; loads add with ``+`` and ``sum``.
@@ -208,6 +196,15 @@ class Load:
     >>> len((push + shear).terms)
     2
     """
+
+    class Strained(Protocol):
+        """What a press at finite strain moves more than linear theory, inside the body."""
+
+        def displacement(self, points: Points) -> Points:
+            """Return what to add to the displacements of points (n, 3), mm."""
+
+        def gradient(self, points: Points) -> Floats:
+            """Return what to add to the gradients (n, 3, 3) there."""
 
     terms: tuple[Traction | Rectangles, ...] = ()
     strained: Strained | None = None

@@ -3,9 +3,8 @@
 `MarkerLayer` describes a layer and `place` computes the markers. Their order is the same
 everywhere: layer by layer as in the scene, then along s (about x), then along t (about y).
 
-`stiff_problems` tests whether the correction for stiff beads (`twin.theory.inclusions`) is valid. A
-scene outside its bounds is refused, because a scene with stiff beads needs the per cent that the
-correction is accurate to. The bounds are from docs/inclusions.md.
+A scene with stiff beads needs the per cent that their correction (`twin.theory.inclusions`) is
+accurate to, so one outside its bounds (docs/inclusions.md) is refused.
 """
 
 from __future__ import annotations
@@ -24,14 +23,13 @@ from twin.parts.body import Block, Body
 from twin.parts.material import Cover, Material
 from twin.parts.part import LEAST_MM, Part, Place, Share
 
+LEAST_GAP = 4.0
+"""Distance of a bead's centre to the surface and to other markers, over its radius."""
 
-def grid_axes(columns: int, rows: int, pitch_mm: float) -> tuple[Floats, Floats]:
-    """Return the s and the t of a centred grid, mm."""
-    s, t = (
-        pitch_mm * (np.arange(count, dtype=np.float64) - (count - 1) / 2)
-        for count in (columns, rows)
-    )
-    return s, t
+LEAST_ROOM = 3.0
+"""Distance of a bead from the body's other faces over its depth."""
+
+LEAST_POISSON_RATIO = 0.49
 
 
 class MarkerLayer(Part):
@@ -90,7 +88,81 @@ class MarkerLayer(Part):
     def chart(self) -> Chart:
         """Return the (columns * rows, 2) surface coordinates of the markers, mm, s outer and t
         inner."""
-        return grid_points(*grid_axes(self.columns, self.rows, self.pitch_mm)) + self.offset_mm
+        return grid_points(*self.axes())
+
+    def axes(self) -> tuple[Floats, Floats]:
+        """Return the s and the t of the grid, mm."""
+        s, t = (
+            self.pitch_mm * (np.arange(count, dtype=np.float64) - (count - 1) / 2)
+            for count in (self.columns, self.rows)
+        )
+        return s + self.offset_mm[0], t + self.offset_mm[1]
+
+    @staticmethod
+    def stiff_problems(
+        body: Body,
+        layers: Mapping[str, MarkerLayer],
+        material: Material,
+        cover: Cover | None,
+        shortfall: float,
+    ) -> list[str]:
+        """Return what keeps stiff layers from being corrected, one line each.
+
+        Parameters
+        ----------
+        body, layers, material, cover
+            The sensor as designed.
+        shortfall
+            By how much the made rubber's Poisson's ratio may fall below the designed one.
+        """
+        stiff = {name: layer for name, layer in layers.items() if layer.stiff}
+        if not stiff:
+            return []
+        key = f"markers.{next(iter(stiff))}.stiff"
+        if not isinstance(body, Block):
+            shape = type(body).__name__.lower()
+            return [
+                f"{key} = true: how stiff beads push is known in a block only, this body is a "
+                f"{shape}; leave it out"
+            ]
+        # The reflection at the surface is that of the body's own material.
+        problems = []
+        if cover is not None and (
+            cover.youngs_modulus_mpa not in (None, material.youngs_modulus_mpa)
+            or cover.poisson_ratio not in (None, material.poisson_ratio)
+        ):
+            problems.append(
+                f"{key} = true: a cover of another material than the body's reflects the beads' "
+                "push-back in a way that is not known here: leave out cover.youngs_modulus_mpa and "
+                "cover.poisson_ratio, or stiff"
+            )
+        # The dipole of a rigid bead is that of an incompressible material.
+        poisson_ratio = material.poisson_ratio - shortfall
+        if poisson_ratio < LEAST_POISSON_RATIO:
+            problems.append(
+                f"{key} = true: material.poisson_ratio may be as low as {poisson_ratio:.4g} with "
+                f"its tolerance, but must be {LEAST_POISSON_RATIO} to 0.5: the beads' push-back is "
+                "that of incompressible rubber"
+            )
+        # Beads too near to each other, or to another face than the sensing surface.
+        for name, layer in stiff.items():
+            least = LEAST_GAP * layer.diameter_mm / 2
+            for what, gap in _gaps(name, layers):
+                if gap < least:
+                    problems.append(
+                        f"markers.{name}.stiff = true: its beads' centres are {gap:.3g} mm from "
+                        f"{what}, but must be at least {least:.3g} mm (two diameters): increase "
+                        "depth_mm or pitch_mm, or reduce diameter_mm"
+                    )
+            room = _room(body, layer)
+            wanted = LEAST_ROOM * layer.depth_mm
+            if room < wanted:
+                problems.append(
+                    f"markers.{name}.stiff = true: its beads are {room:.3g} mm from a side or the "
+                    f"base of the body, but must be at least {wanted:.3g} mm (three depths): only "
+                    "the sensing surface reflects the push-back"
+                )
+        return problems
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,82 +267,6 @@ def place(
     )
 
 
-LEAST_GAP = 4.0
-"""Distance of a bead's centre to the surface and to other markers, over its radius."""
-
-LEAST_ROOM = 3.0
-"""Distance of a bead from the body's other faces over its depth."""
-
-LEAST_POISSON_RATIO = 0.49
-
-
-def stiff_problems(
-    body: Body,
-    layers: Mapping[str, MarkerLayer],
-    material: Material,
-    cover: Cover | None,
-    shortfall: float,
-) -> list[str]:
-    """Return what keeps the layers that are stiff from being corrected, one line each; none if none
-    is stiff.
-
-    Parameters
-    ----------
-    body, layers, material, cover
-        The sensor as designed.
-    shortfall
-        By how much the made rubber's Poisson's ratio may fall below the designed one.
-    """
-    stiff = {name: layer for name, layer in layers.items() if layer.stiff}
-    if not stiff:
-        return []
-    key = f"markers.{next(iter(stiff))}.stiff"
-    if not isinstance(body, Block):
-        shape = type(body).__name__.lower()
-        return [
-            f"{key} = true: how stiff beads push is known in a block only, this body is a {shape}; "
-            "leave it out"
-        ]
-    # The reflection at the surface is that of the body's own material.
-    problems = []
-    if cover is not None and (
-        cover.youngs_modulus_mpa not in (None, material.youngs_modulus_mpa)
-        or cover.poisson_ratio not in (None, material.poisson_ratio)
-    ):
-        problems.append(
-            f"{key} = true: a cover of another material than the body's reflects the beads' "
-            "push-back in a way that is not known here: leave out cover.youngs_modulus_mpa and "
-            "cover.poisson_ratio, or stiff"
-        )
-    # The dipole of a rigid bead is that of an incompressible material.
-    poisson_ratio = material.poisson_ratio - shortfall
-    if poisson_ratio < LEAST_POISSON_RATIO:
-        problems.append(
-            f"{key} = true: material.poisson_ratio may be as low as {poisson_ratio:.4g} with its "
-            f"tolerance, but must be {LEAST_POISSON_RATIO} to 0.5: the beads' push-back is that of "
-            "incompressible rubber"
-        )
-    # Beads too near to each other, or to another face than the sensing surface.
-    for name, layer in stiff.items():
-        least = LEAST_GAP * layer.diameter_mm / 2
-        for what, gap in _gaps(name, layers):
-            if gap < least:
-                problems.append(
-                    f"markers.{name}.stiff = true: its beads' centres are {gap:.3g} mm from "
-                    f"{what}, but must be at least {least:.3g} mm (two diameters): increase "
-                    "depth_mm or pitch_mm, or reduce diameter_mm"
-                )
-        room = _room(body, layer)
-        wanted = LEAST_ROOM * layer.depth_mm
-        if room < wanted:
-            problems.append(
-                f"markers.{name}.stiff = true: its beads are {room:.3g} mm from a side or the base "
-                f"of the body, but must be at least {wanted:.3g} mm (three depths): only the "
-                "sensing surface reflects the push-back"
-            )
-    return problems
-
-
 def _gaps(name: str, layers: Mapping[str, MarkerLayer]) -> list[tuple[str, float]]:
     """Return the smallest distance (mm) of a layer's centres to the surface, to each other and to
     each other layer."""
@@ -280,7 +276,7 @@ def _gaps(name: str, layers: Mapping[str, MarkerLayer]) -> list[tuple[str, float
         gaps.append(("each other", layer.pitch_mm))
     for other, neighbour in layers.items():
         if other != name:
-            axes = zip(_axes(layer), _axes(neighbour), strict=True)
+            axes = zip(layer.axes(), neighbour.axes(), strict=True)
             sideways = [float(np.abs(one[:, None] - two).min()) for one, two in axes]
             gap = math.hypot(*sideways, layer.depth_mm - neighbour.depth_mm)
             gaps.append((f"those of markers.{other}", gap))
@@ -290,10 +286,5 @@ def _gaps(name: str, layers: Mapping[str, MarkerLayer]) -> list[tuple[str, float
 def _room(body: Block, layer: MarkerLayer) -> float:
     """Return the smallest distance of a layer's centres to the sides and the base of a block,
     mm."""
-    x, y = (float(np.abs(axis).max()) for axis in _axes(layer))
+    x, y = (float(np.abs(axis).max()) for axis in layer.axes())
     return min(body.width_mm / 2 - x, body.length_mm / 2 - y, body.thickness_mm - layer.depth_mm)
-
-
-def _axes(layer: MarkerLayer) -> tuple[Floats, Floats]:
-    s, t = grid_axes(layer.columns, layer.rows, layer.pitch_mm)
-    return s + layer.offset_mm[0], t + layer.offset_mm[1]

@@ -7,7 +7,7 @@ here too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from functools import cache
 from typing import Annotated, Any, get_args
 
@@ -57,22 +57,15 @@ LATER: tuple[tuple[str, object], ...] = (
 that files stored under a hash of all keys stay valid."""
 
 
-def without_later(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a description's plain keys and values without those that say nothing new (see
-    `LATER`)."""
-    return {
-        key: value
-        for key, value in table.items()
-        if not any(key == k and value == v for k, v in LATER)
-    }
-
-
 def identity(value: Any) -> Any:
-    """Return a plain value as hashes take it, at every depth: without provenance, which is where a
-    number comes from and not what is built, and without keys that say nothing new."""
+    """Return a plain value as hashes take it, at every depth: without provenance, and without keys
+    that say nothing new (see `LATER`)."""
     if isinstance(value, dict):
-        kept = without_later(value).items()
-        return {k: identity(v) for k, v in kept if k not in ("source", "assumed")}
+        kept = {k: v for k, v in value.items() if k not in ("source", "assumed")}
+        new = {
+            k: v for k, v in kept.items() if not any(k == key and v == old for key, old in LATER)
+        }
+        return {k: identity(v) for k, v in new.items()}
     return [identity(v) for v in value] if isinstance(value, list) else value
 
 
@@ -257,15 +250,3 @@ Pixel = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 
 Coefficient = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 """Of a lens's distortion, whatever its power."""
-
-
-def each_file(value: Any, changed: Callable[[str], str]) -> Any:
-    """Return a plain value in which every probe's own file (``kind = "stl"``), however deep, has
-    another name."""
-    if isinstance(value, Mapping):
-        table = {key: each_file(inner, changed) for key, inner in value.items()}
-        own = table.get("kind") == "stl" and isinstance(table.get("file"), str)
-        return {**table, "file": changed(table["file"])} if own else table
-    return (
-        [each_file(inner, changed) for inner in value] if isinstance(value, list | tuple) else value
-    )

@@ -5,9 +5,9 @@ by force (torque) or by motion. A component that is given in ``force_n`` or ``to
 by force, one in ``move_mm`` or ``turn_deg`` by motion, and one in neither stays where it is.
 
 Components count along the global axes; with ``axes = "probe"`` along the probe's own, whose z is
-its direction of approach (`frame_of`). A probe that comes along a global axis can be controlled in
-either; one that comes obliquely and is held by force in some directions and by motion in others
-needs its own axes.
+its direction of approach (`Press.frame_of`). A probe that comes along a global axis can be
+controlled in either; one that comes obliquely and is held by force in some directions and by motion
+in others needs its own axes.
 """
 
 from __future__ import annotations
@@ -150,20 +150,6 @@ _step = lru_cache(maxsize=64)(
 )  # a press spells its path out when it is made, and whenever it is pressed
 
 
-@lru_cache(maxsize=64)
-def frame_of(direction: Vector) -> Floats:
-    """Return the (3, 3) axes, as rows, of a probe that comes along a direction: its own x, y and z.
-
-    x is the global x made perpendicular to z; where the probe comes along the global x, it is the
-    global y.
-    """
-    along = np.array(direction, float) / np.linalg.norm(direction)
-    first = np.array([1.0, 0.0, 0.0]) if abs(along[0]) < 0.999 else np.array([0.0, 1.0, 0.0])
-    first = first - (first @ along) * along
-    first = first / np.linalg.norm(first)
-    return frozen(np.stack([first, np.cross(along, first), along]))
-
-
 class Press(Part):
     """A probe at a place, taken along a path; further probes may be pressed along with it.
 
@@ -179,9 +165,9 @@ class Press(Part):
         normal at the place.
     tilt_deg
         Turn of the probe against its direction of approach before it comes: about its own x, then
-        y, then z, which stay as its direction of approach makes them (`frame_of`).
+        y, then z, which stay as its direction of approach makes them (`Press.frame_of`).
     axes
-        Axes of the components in the steps: ``global``, or the ``probe``'s own (`frame_of`).
+        Axes of the components in the steps: ``global``, or the ``probe``'s own (`Press.frame_of`).
     steps
         The path. ``force_n`` (three numbers) or ``indentation_mm`` (a motion along the direction
         from first touch) are shorthand for a path of one step; without friction a side force of 0
@@ -272,7 +258,7 @@ class Press(Part):
         if self.indentation_mm is not None and self.indentation_mm <= 0:
             raise ValueError("indentation_mm must be greater than 0: a push is +z")
         if self.direction != "normal":
-            self.in_own_axes(frame_of(self.direction or (0.0, 0.0, 1.0)))
+            self.in_own_axes(self.frame_of(self.direction or (0.0, 0.0, 1.0)))
         return self
 
     @model_validator(mode="after")
@@ -294,6 +280,19 @@ class Press(Part):
                 )
         return self
 
+    @staticmethod
+    @lru_cache(maxsize=64)
+    def frame_of(direction: Vector) -> Floats:
+        """Return the (3, 3) axes, as rows, of a probe that comes along a direction: its own z.
+
+        x is the global x, made perpendicular to z; where the probe comes along that, the global y.
+        """
+        along = np.array(direction, float) / np.linalg.norm(direction)
+        first = np.array([1.0, 0.0, 0.0]) if abs(along[0]) < 0.999 else np.array([0.0, 1.0, 0.0])
+        first = first - (first @ along) * along
+        first = first / np.linalg.norm(first)
+        return frozen(np.stack([first, np.cross(along, first), along]))
+
     @property
     def path(self) -> tuple[Step, ...]:
         """The steps, shorthand spelt out; that of ``indentation_mm`` along the probe's own z."""
@@ -313,7 +312,7 @@ class Press(Part):
         Parameters
         ----------
         frame
-            (3, 3) the probe's own axes, as rows (`frame_of`).
+            (3, 3) the probe's own axes, as rows (`Press.frame_of`).
 
         Raises
         ------

@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from twin.arrays import Chart, Floats, grid_points
@@ -24,7 +25,7 @@ from twin.display import html_table, one_line
 from twin.parts.body import AnyBody
 from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.load import Footprint, Load
-from twin.parts.markers import MarkerLayer, grid_axes, stiff_problems
+from twin.parts.markers import MarkerLayer
 from twin.parts.material import Cover, Material
 from twin.parts.methods import CentreMethod, Method, WeightRule
 from twin.parts.part import LEAST_MM, Part
@@ -153,7 +154,11 @@ class Sites(Part):
 
     def axes(self) -> tuple[Floats, Floats]:
         """Return the s and the t of the grid, mm."""
-        return grid_axes(self.columns, self.rows, self.pitch_mm)
+        s, t = (
+            self.pitch_mm * (np.arange(count, dtype=np.float64) - (count - 1) / 2)
+            for count in (self.columns, self.rows)
+        )
+        return s, t
 
     @property
     def half_mm(self) -> tuple[float, float]:
@@ -433,7 +438,7 @@ class Scene(Part):
                     "markers: a scene with a camera needs at least one [markers.<layer>] table"
                 )
         shortfall = CUT * self.tolerance.poisson_ratio if self.tolerance.preset != "none" else 0.0
-        if problems := stiff_problems(
+        if problems := MarkerLayer.stiff_problems(
             self.body, self.markers, self.material, self.cover, shortfall
         ):
             raise ValueError("; ".join(problems))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import abstractmethod
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -231,3 +232,15 @@ class StlFile(Part):
                 "the file was changed; leave sha256 out to take the new one"
             )
         return self
+
+    @staticmethod
+    def renamed(value: Any, changed: Callable[[str], str]) -> Any:
+        """Return a plain value in which every probe's own file (``kind = "stl"``), however deep,
+        has another name."""
+        if isinstance(value, Mapping):
+            table = {key: StlFile.renamed(inner, changed) for key, inner in value.items()}
+            own = table.get("kind") == "stl" and isinstance(table.get("file"), str)
+            return {**table, "file": changed(table["file"])} if own else table
+        if isinstance(value, list | tuple):
+            return [StlFile.renamed(inner, changed) for inner in value]
+        return value

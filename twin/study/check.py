@@ -231,10 +231,10 @@ def examine() -> tuple[list[str], list[str]]:
         lines.append(f"{name:11s} {_version(name) or 'not installed (optional): ' + use}")
     if not missing:
         from twin.world.elasticity.factor import Factor
-        from twin.world.picture.backend import choose_variant
+        from twin.world.picture.backend import Variant
 
         try:
-            variant = choose_variant()
+            variant = Variant.choose()
             lines.append(f"renderer    {variant.name}: {variant.reason}")
         except MissingCapability as problem:
             missing.append(str(problem))

@@ -22,9 +22,9 @@ from pydantic import ValidationError
 
 from twin.errors import InputError, RecipeError, did_you_mean, require
 from twin.files import MESHES, SCENES
-from twin.parts.part import each_file
 from twin.parts.press import BY_AXIS
 from twin.parts.scene import Scene
+from twin.parts.shape import StlFile
 from twin.parts.vary import flat
 
 Table = dict[str, Any]
@@ -212,7 +212,7 @@ def _find_files(table: Table, path: Path, folders: Sequence[Path]) -> None:
     _read_intrinsics(table, folders)
     if isinstance(table.get("vary"), dict):
         key = "vary.press.probe"
-        table["vary"] = each_file(
+        table["vary"] = StlFile.renamed(
             flat(table["vary"]), lambda file: found({"file": file}, key)["file"]
         )
 

@@ -34,7 +34,7 @@ from twin.compiled import COMPILING, compiled_ahead
 from twin.errors import ContactError, InputError, RecipeError, SomeFailed
 from twin.files import make_folder, write_whole
 from twin.parts.load import Rectangles
-from twin.parts.press import Press, Sphere, frame_of
+from twin.parts.press import Press, Sphere
 from twin.parts.probe import Cylinder
 from twin.parts.scene import Scene
 from twin.results import Estimate, RunResult, Touch, Truth
@@ -497,7 +497,7 @@ def _touches(scene: Scene, state: ContactState | None) -> tuple[Touch, ...]:
         # drawing.
         middle = np.average(patches.centre_mm, axis=0, weights=own.pressure_mpa)
         inward = patches.frames[np.argmin(np.linalg.norm(patches.centre_mm - middle, axis=1)), 2]
-        axes = frame_of(tuple(inward))
+        axes = Press.frame_of(tuple(inward))
         push_n = float(patches.total_force_n @ inward)
         expected, name = _closed_form(scene, press, own, push_n)
         found.append(

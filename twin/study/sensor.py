@@ -19,7 +19,7 @@ from twin.arrays import Chart, Floats, Picture, Pixels, Points, Progress, Single
 from twin.blas_threads import one_blas_thread
 from twin.errors import AccuracyWarning, ContactError, InputError, RecipeError, require
 from twin.parts.body import Body
-from twin.parts.load import Load, Rectangles, Strained
+from twin.parts.load import Load, Rectangles
 from twin.parts.markers import MarkerSet, Prints, place
 from twin.parts.press import MOST_PATCHES, Press
 from twin.parts.scene import Scene
@@ -330,7 +330,7 @@ class Sensor:
         more = self._strained(load)
         return found.displacement_mm + (more.displacement(points) if more is not None else 0.0)
 
-    def _strained(self, load: Load) -> Strained | None:
+    def _strained(self, load: Load) -> Load.Strained | None:
         """Return what is to be added to the linear answer under a load; None by linear theory.
 
         Raises
@@ -764,7 +764,7 @@ class Sensor:
         )
 
 
-def _with(more: Strained | None, points: Points, motion: Motion) -> Motion:
+def _with(more: Load.Strained | None, points: Points, motion: Motion) -> Motion:
     """Return a motion of points (n, 3) with what linear theory leaves out of it."""
     if more is None:
         return motion

@@ -26,7 +26,7 @@ import numpy as np
 from twin.arrays import Floats, Ints, Pixels, Points, frozen
 from twin.compiled import njit
 from twin.errors import RecipeError
-from twin.parts.camera import Camera, Layer
+from twin.parts.camera import Camera
 from twin.theory.lens import lens, lens_inverse, lens_jacobian, stretches
 
 _ITERATIONS = 60
@@ -223,7 +223,7 @@ def sideways(
     p: Floats,
     depth_mm: Floats,
     body_index: float,
-    layers: tuple[Layer, ...],
+    layers: tuple[Camera.Layer, ...],
     air_mm: Floats | float,
 ) -> tuple[Floats, Floats]:
     """Return how far rays move sideways between a depth in the body and the pupil, and the
@@ -259,7 +259,7 @@ def air_tangents(
     reach_mm: Floats,
     depth_mm: Floats,
     body_index: float,
-    layers: tuple[Layer, ...],
+    layers: tuple[Camera.Layer, ...],
     air_mm: Floats | float,
 ) -> Floats:
     """Return (n,) tangents in air of the rays that move ``reach_mm`` sideways: the inverse of
@@ -279,7 +279,7 @@ def air_tangents(
     return out
 
 
-def transmission(p: Floats, body_index: float, layers: tuple[Layer, ...]) -> Floats:
+def transmission(p: Floats, body_index: float, layers: tuple[Camera.Layer, ...]) -> Floats:
     """Return (n,) shares of unpolarised light that pass all interfaces between air and body, 1 =
     straight through.
 

@@ -28,7 +28,7 @@ from standard_bodies import BLOCK, FINGER, write_stl
 from benchmarks.contact_theory import cone_indentation, punch_stiffness, rocking_stiffness, tangential_stiffness
 from twin.errors import ContactError, NotSettled, RecipeError
 from twin.parts.material import plane_strain_modulus
-from twin.parts.press import Press, Step, frame_of
+from twin.parts.press import Press, Step
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere, Stl
 from twin.theory import halfspace
 from twin.theory.contact import cone_contact_radius, hertz
@@ -67,7 +67,7 @@ SHAPES = {
 @pytest.mark.parametrize("tilt", [UPRIGHT, (12.0, -8.0, 30.0)])
 def test_slopes_are_the_derivatives_of_gaps(name, tilt):
     rng = np.random.default_rng(3)
-    frame = frame_of((0.2, -0.1, 1.0))
+    frame = Press.frame_of((0.2, -0.1, 1.0))
     there = approach(SHAPES[name], BLOCK, np.array([1.0, 2.0]), frame, tilt)
     points = there.touch_mm + rng.normal(scale=0.4, size=(90, 3)) * [1, 1, 0.1]
     normals = np.array([0.0, 0.0, 1.0]) + 0.1 * rng.normal(size=(90, 3))

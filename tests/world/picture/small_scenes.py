@@ -9,7 +9,7 @@ import pytest
 from twin.parts.markers import place
 from twin.parts.scene import Scene
 from twin.theory.optics import project
-from twin.world.picture.backend import Variant, choose_variant
+from twin.world.picture.backend import Variant
 from twin.world.picture.ellipsoids import Ellipsoids
 
 SPLAT = Variant(name="splat", library=None, reason="runs everywhere")
@@ -50,7 +50,7 @@ def beads(centres, radius_mm=0.25, colour=RED):
 
 
 def mitsuba():
-    variant = choose_variant()
+    variant = Variant.choose()
     if variant.name == "splat":
         pytest.skip(variant.reason)
     return variant

@@ -17,7 +17,7 @@ from twin.study.recipe import load_scene
 from twin.study.run import run
 from twin.study.sensor import Sensor
 from twin.world.picture import backend
-from twin.world.picture.backend import REMEDY, check_machine, choose_variant
+from twin.world.picture.backend import REMEDY, Variant, check_machine
 
 LARGE = {"camera.width_px": 8192, "camera.height_px": 8192}
 
@@ -56,21 +56,21 @@ def _verdicts(monkeypatch):
 def test_a_file_that_is_no_library_is_refused_and_remembered(tmp_path, monkeypatch):
     fake = library(tmp_path)
     for candidates in ([], [fake]):
-        chosen = choose_variant(candidates=candidates)
+        chosen = Variant.choose(candidates=candidates)
         assert chosen.name == "splat"
         assert REMEDY in chosen.reason
         assert "\n" not in chosen.reason
     assert list(json.loads((tmp_path / "llvm.json").read_text()).values()) == ["not a library of LLVM 16 or later"]
     monkeypatch.setattr(backend.subprocess, "run", lambda *_, **__: pytest.fail("tried twice"))
-    assert choose_variant(candidates=[fake]).name == "splat"
+    assert Variant.choose(candidates=[fake]).name == "splat"
     Path(fake).write_bytes(b"another file of the same name")
     with pytest.raises(pytest.fail.Exception, match="tried twice"):
-        choose_variant(candidates=[fake])
+        Variant.choose(candidates=[fake])
 
 
 def test_a_library_that_kills_its_process_leaves_ours_alive(tmp_path, monkeypatch):
     monkeypatch.setattr(backend, "PROBE", "import os; print('good', 19, flush=True); os.abort()")
-    chosen = choose_variant(candidates=[library(tmp_path)])
+    chosen = Variant.choose(candidates=[library(tmp_path)])
     assert chosen.name == "splat"
     assert "ends with code" in chosen.reason
 
@@ -80,7 +80,7 @@ def test_a_try_that_was_stopped_from_outside_is_repeated_before_it_is_stored(tmp
     good, codes = library(tmp_path, 19), [-6, 0]
     child = lambda *_, **__: SimpleNamespace(returncode=codes.pop(0), stdout="good 19")  # noqa: E731
     monkeypatch.setattr(backend.subprocess, "run", child)
-    assert choose_variant(candidates=[good]).name == "llvm_ad_rgb"
+    assert Variant.choose(candidates=[good]).name == "llvm_ad_rgb"
     assert list(json.loads((tmp_path / "llvm.json").read_text()).values()) == ["good"]
 
 
@@ -90,7 +90,7 @@ def test_a_try_that_was_stopped_from_outside_is_repeated_before_it_is_stored(tmp
 )
 def test_verdicts_are_stored_but_not_of_a_library_that_hangs(line, why, stored, tmp_path, verdicts):
     verdicts["llvm_ad_rgb"] = (0, line)
-    chosen = choose_variant(candidates=[library(tmp_path)])
+    chosen = Variant.choose(candidates=[library(tmp_path)])
     assert chosen.name == "splat"
     assert why in chosen.reason
     assert (tmp_path / "llvm.json").exists() == stored
@@ -98,13 +98,13 @@ def test_verdicts_are_stored_but_not_of_a_library_that_hangs(line, why, stored, 
 
 def test_old_and_missing_libraries_are_refused_without_a_try(verdicts):
     for file, why in (("/nowhere/libLLVM-15.so.1", "older than 19"), ("/nowhere/libLLVM.so", "No such file")):
-        assert why in choose_variant(candidates=[file]).reason
+        assert why in Variant.choose(candidates=[file]).reason
 
 
 def test_a_good_library_is_handed_to_drjit(tmp_path, verdicts):
     good = library(tmp_path, 19)
     (tmp_path / "llvm.json").write_text("{not json")  # a broken store is no obstacle
-    assert choose_variant(candidates=["/nowhere/libLLVM.so", good]).name == "llvm_ad_rgb"
+    assert Variant.choose(candidates=["/nowhere/libLLVM.so", good]).name == "llvm_ad_rgb"
     assert os.environ[backend.LIBRARY] == good
 
 
@@ -114,41 +114,41 @@ def test_a_gpu_on_which_mitsuba_works_goes_first_and_another_is_passed_by(tmp_pa
     for code, name in ((-6, "splat"), (0, "cuda_ad_rgb")):
         (tmp_path / "llvm.json").unlink(missing_ok=True)
         verdicts["cuda_ad_rgb"] = (code, "good 0")
-        assert choose_variant(candidates=[]).name == name
+        assert Variant.choose(candidates=[]).name == name
     monkeypatch.setattr(backend, "DRIVERS", ())
     monkeypatch.setenv(backend.DRIVER, str(tmp_path / "libcuda.so.1"))  # the driver that the user names
-    assert str(tmp_path) in choose_variant(candidates=[]).reason
-    assert choose_variant("splat", candidates=[]).name == "splat"
+    assert str(tmp_path) in Variant.choose(candidates=[]).reason
+    assert Variant.choose("splat", candidates=[]).name == "splat"
     with pytest.raises(MissingCapability, match="libllvm19"):
-        choose_variant("llvm_ad_rgb", candidates=[])
+        Variant.choose("llvm_ad_rgb", candidates=[])
 
 
 def test_a_gpu_that_is_wanted_must_be_there(monkeypatch, verdicts):
     verdicts["cuda_ad_rgb"] = (1, "")
     monkeypatch.setenv(backend.FORCE, "cuda_ad_rgb")
     with pytest.raises(MissingCapability, match=r"ends with code 1.*unset TWIN_VARIANT"):
-        choose_variant()
+        Variant.choose()
     assert any("unset TWIN_VARIANT" in line for line in examine()[1])
     verdicts["cuda_ad_rgb"] = (0, "good 0")
-    assert choose_variant().name == "cuda_ad_rgb"
+    assert Variant.choose().name == "cuda_ad_rgb"
 
 
 def test_the_environment_forces_a_variant(monkeypatch):
     monkeypatch.setenv(backend.FORCE, "splat")
-    assert choose_variant(candidates=[]).reason == "splat was chosen by name"
+    assert Variant.choose(candidates=[]).reason == "splat was chosen by name"
     monkeypatch.setenv(backend.FORCE, "vulkan")
     with pytest.raises(InputError, match="llvm_ad_rgb, cuda_ad_rgb, splat"):
-        choose_variant()
+        Variant.choose()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", sorted({os.path.realpath(p) for p in glob.glob("/usr/lib/*/libLLVM*.so*")}))
 def test_every_library_of_this_machine_is_survived(file):
-    called = f"backend.choose_variant(candidates=[{file!r}]).name"
+    called = f"backend.Variant.choose(candidates=[{file!r}]).name"
     command = f"from twin.world.picture import backend; backend.DRIVERS = (); print({called})"
     child = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, timeout=120)
     assert child.returncode == 0, child.stderr
-    assert child.stdout.strip() == choose_variant(candidates=[file]).name
+    assert child.stdout.strip() == Variant.choose(candidates=[file]).name
 
 
 @pytest.fixture(name="free")

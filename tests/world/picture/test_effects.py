@@ -12,7 +12,7 @@ from twin.parts.camera import Camera, Ccd, Light
 from twin.parts.part import identity
 from twin.world.picture.ccd import Pattern, expose
 from twin.world.picture.lamps import Lamps
-from twin.world.picture.render import Renderer, method_for
+from twin.world.picture.render import Renderer
 from twin.world.picture.stock_scene import surfaces
 
 
@@ -189,4 +189,4 @@ def test_gloss_is_refused_where_it_is_not_drawn():
     dense = changed(scene, material={"refractive_index": 1.6})
     for renderer, one in (("splat", scene), ("auto", scene), ("path", dense)):
         with pytest.raises(RecipeError, match=r"markers.red.gloss = \(1.59, 0.1\): needs renderer = 'path'"):
-            method_for(one.model_copy(update={"renderer": renderer}))
+            Renderer.method(one.model_copy(update={"renderer": renderer}))

@@ -6,13 +6,13 @@ from numpy.testing import assert_allclose
 from small_scenes import beads, block, changed
 
 from twin.errors import RecipeError
-from twin.parts.camera import Layer, Light
+from twin.parts.camera import Camera, Light
 from twin.study.recipe import load_scene
 from twin.theory.optics import air_tangents, rays, transmission
 from twin.world.picture.backend import RAYS_BYTES
 from twin.world.picture.camera_rays import View
 from twin.world.picture.cover import Background, CoverMotion, cover_light
-from twin.world.picture.lamps import Lamps, brightest
+from twin.world.picture.lamps import Lamps
 from twin.world.picture.picture_job import PictureJob
 
 UP = np.array([[0.0, 0.0, 1.0]])
@@ -49,7 +49,7 @@ def test_the_image_on_the_axis_is_the_paraxial_one():
 
 
 def test_images_stand_along_the_rays_of_the_cameras_closed_form():
-    layers = (Layer(index=1.49, thickness_mm=2.0), Layer(index=1.6, thickness_mm=0.5))
+    layers = (Camera.Layer(index=1.49, thickness_mm=2.0), Camera.Layer(index=1.6, thickness_mm=0.5))
     lights = np.array([[4.0, 4, 42.5], [-20, 3, 43], [0, 0, 90]])
     made = changed(scene(), camera={"layers": layers}, light={"positions_mm": tuple(map(tuple, lights))})
     points = np.random.default_rng(1).uniform([-8, -8, 30], [8, 8, 40], (30, 3))
@@ -138,7 +138,7 @@ def test_shadow_candidates_contain_every_true_shadow(height):
 def test_the_brightest_marker_sets_the_exposure():
     made = scene()
     markers = beads([(10.0, 5, 3), (-30, 5, 3)], colour=np.eye(3)[:2])
-    top, white = brightest(markers, made)
+    top, white = Lamps.brightest(markers, made)
     lamps = Lamps.at(markers.centres, made)
     nearest = Lamps(place=lamps.place[:1], power=lamps.power[:1])
     assert top == pytest.approx(nearest.irradiance(markers.centres[:1], UP)[0])

@@ -10,7 +10,7 @@ from small_scenes import SPLAT, beads, block, changed, finger, measured, mitsuba
 
 from twin.errors import MissingCapability
 from twin.world.picture.lamps import Lamps
-from twin.world.picture.render import Renderer, method_for
+from twin.world.picture.render import Renderer
 
 
 def path_traced(scene, markers, paths):
@@ -86,4 +86,4 @@ def test_a_marker_lights_its_neighbour_and_shadows_the_cover():
 def test_where_mitsuba_does_not_work_a_path_traced_scene_is_refused(monkeypatch):
     monkeypatch.setenv("TWIN_VARIANT", "splat")
     with pytest.raises(MissingCapability, match="renderer = 'path' needs Mitsuba"):
-        method_for(block().model_copy(update={"renderer": "path"}))
+        Renderer.method(block().model_copy(update={"renderer": "path"}))

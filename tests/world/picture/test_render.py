@@ -14,9 +14,9 @@ from small_scenes import SPLAT, beads, block, changed, finger, measured, mitsuba
 from twin.errors import RecipeError
 from twin.parts.markers import place
 from twin.parts.scene import Accuracy
-from twin.world.picture.camera_rays import View, through_the_pupil
+from twin.world.picture.camera_rays import View
 from twin.world.picture.ellipsoids import Ellipsoids
-from twin.world.picture.lamps import Lamps, brightest
+from twin.world.picture.lamps import Lamps
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
 from twin.world.picture.picture_job import PictureJob
 from twin.world.picture.render import Renderer
@@ -25,7 +25,7 @@ from twin.world.picture.splat import Splat
 
 def job_of(scene, markers, k):
     """Return the job of a picture, and the arguments of a renderer for it."""
-    top, _ = brightest(markers, scene)
+    top, _ = Lamps.brightest(markers, scene)
     view = View.of(scene, top)
     job = PictureJob.of(markers, scene, view, unit_mm=0.25, full_power=top, subpixels=k)
     return job, (view, 0.25, scene.light.ambient)
@@ -198,7 +198,7 @@ def test_a_lens_focused_on_what_it_cant_see_is_refused(scene, key, value, words)
     with pytest.raises(RecipeError, match="camera"):
         Renderer(scene.model_copy(update={"camera": None}), rest_of(scene), SPLAT)
     with pytest.raises(RecipeError, match=words):
-        through_the_pupil(changed(scene, camera={"aperture_mm": 1.0, key: value}))
+        View.pupil_cameras(changed(scene, camera={"aperture_mm": 1.0, key: value}))
 
 
 def test_vignetting_dims_by_the_cosine_to_its_power(scene):

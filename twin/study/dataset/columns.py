@@ -19,8 +19,9 @@ from twin.arrays import Bools, Floats
 from twin.errors import ContactError
 from twin.parts.body import Body
 from twin.parts.load import Rectangles
-from twin.parts.part import each_file, unit_of
+from twin.parts.part import unit_of
 from twin.parts.scene import Sites
+from twin.parts.shape import StlFile
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -134,7 +135,7 @@ SENSOR = _columns(
 
 def bare(value: Any) -> Any:
     """Return a plain value with the files of probes by their names alone, wherever they lie."""
-    return each_file(value, lambda file: Path(file).name)
+    return StlFile.renamed(value, lambda file: Path(file).name)
 
 
 def arrow_type(kind: Kind) -> pa.DataType:

@@ -14,9 +14,9 @@ from twin.arrays import Progress
 from twin.errors import InputError
 from twin.files import write_json, write_whole
 from twin.parts.body import Block, Solid
-from twin.parts.part import each_file
 from twin.parts.probe import Stl
 from twin.parts.scene import Scene
+from twin.parts.shape import StlFile
 from twin.parts.vary import Choice
 from twin.study.batch.pool import Job, versions
 from twin.study.dataset.plan import FORMAT, Places, Plan, sha256
@@ -111,9 +111,9 @@ def _renderer(scene: Scene, needs: frozenset[str]) -> str:
     """Return the variant that renders, with its library; nothing if no picture is wanted."""
     if scene.camera is None or not needs & {"picture", "outlines"}:
         return ""
-    from twin.world.picture.render import method_for
+    from twin.world.picture.render import Renderer
 
-    variant = method_for(scene)
+    variant = Renderer.method(scene)
     tracer = "path " if scene.renderer == "path" else ""
     return f"{tracer}{variant.name} {Path(variant.library or '').name}".strip()
 
@@ -196,7 +196,7 @@ def _portable(scene: Scene) -> tuple[Scene, dict[str, Path]]:
         also = tuple(_renamed(each, named) for each in scene.press.also)
         changes["press"] = _renamed(scene.press, named).model_copy(update={"also": also})
     changes["vary"] = {
-        key: Choice(**{**axis.model_dump(), "choice": each_file(axis.choice, named)})
+        key: Choice(**{**axis.model_dump(), "choice": StlFile.renamed(axis.choice, named)})
         if isinstance(axis, Choice)
         else axis
         for key, axis in scene.vary.items()

@@ -32,7 +32,7 @@ from twin.arrays import Bools, Floats, Points
 from twin.compiled import njit
 from twin.errors import InputError
 from twin.parts.body import Body
-from twin.parts.press import Press, frame_of
+from twin.parts.press import Press
 from twin.parts.probe import Cone, Cylinder, Object, Pillar, Probe, Sphere, Stl
 
 if TYPE_CHECKING:
@@ -618,7 +618,7 @@ def approach_of(press: Press, body: Body) -> Approach:
         if press.direction == "normal"
         else np.array(press.direction or (0.0, 0.0, 1.0), float)
     )
-    axes = frame_of(tuple(along))
+    axes = Press.frame_of(tuple(along))
     along = axes[2]
     if along @ inward <= 0.05:
         raise InputError(

@@ -31,7 +31,7 @@ from twin.errors import InputError, MeshError, TwinError
 from twin.files import MESHES, cache_folder, is_pinned, pinned
 from twin.geometry.pieces import TriangleTree, sharpest_edge
 from twin.parts.body import Block, Body
-from twin.parts.part import without_later
+from twin.parts.part import identity
 from twin.world.mesh.bisection import block_mesh
 from twin.world.mesh.elements import signed_volumes
 from twin.world.mesh.quadratic_mesh import FORMAT, Mesh
@@ -44,7 +44,7 @@ from twin.world.mesh.tetrahedralise import Request, remeshed, tetrahedralise
 def mesh_key(body: Body, sizing: Sizing) -> str:
     """Return the SHA-256 of what a mesh depends on: the body's geometry (not its sources), the
     sizing, the format."""
-    geometry = without_later(body.geometry())
+    geometry = identity(body.geometry())
     text = json.dumps(
         {"body": geometry, "sizing": asdict(sizing), "format": FORMAT}, sort_keys=True
     )
@@ -119,7 +119,7 @@ def _stretched(body: Body, level: Level) -> Mesh | None:
     """
     for path in sorted(MESHES.glob(f"*.{level}.npz")):
         mesh, provenance = Mesh.load(path)
-        ratio = _ratio(without_later(provenance["body"]), without_later(body.geometry()))
+        ratio = _ratio(identity(provenance["body"]), identity(body.geometry()))
         if ratio is not None:
             made = replace(mesh, points=frozen(mesh.points * ratio))
             if not Quality.of(made, body).failures(stricter=ALL_ALIKE):

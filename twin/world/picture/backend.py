@@ -122,53 +122,56 @@ class Variant:
     library: str | None
     reason: str
 
+    @staticmethod
+    def choose(force: str | None = None, candidates: Iterable[str] | None = None) -> Variant:
+        """Choose how to render: Mitsuba on a GPU, else with LLVM, else ``splat``; prepare the
+        environment for it.
 
-def choose_variant(force: str | None = None, candidates: Iterable[str] | None = None) -> Variant:
-    """Choose how to render: Mitsuba on a GPU, else with LLVM, else ``splat``; prepare the
-    environment for it.
+        Parameters
+        ----------
+        force
+            A variant's name; None: ``$TWIN_VARIANT``, or the best.
+        candidates
+            libLLVM files to consider; None: ``$DRJIT_LIBLLVM_PATH``, then the usual places, newest
+            first.
 
-    Parameters
-    ----------
-    force
-        A variant's name; None: ``$TWIN_VARIANT``, or the best.
-    candidates
-        libLLVM files to consider; None: ``$DRJIT_LIBLLVM_PATH``, then the usual places, newest
-        first.
-
-    Raises
-    ------
-    InputError
-        ``$TWIN_VARIANT`` names no variant.
-    MissingCapability
-        ``llvm_ad_rgb`` is forced and no library for it works, or ``cuda_ad_rgb`` and there is no
-        GPU that does.
-    """
-    name = force or _named_variant()
-    if name and not name.endswith("_ad_rgb"):  # no variant of Mitsuba's: it needs nothing here
-        return Variant(name=name, library=None, reason=f"{name} was chosen by name")
-    if name != "llvm_ad_rgb" and (driver := _working_driver()):
-        return Variant(name="cuda_ad_rgb", library=None, reason=f"{driver} and Mitsuba on it work")
-    if name == "cuda_ad_rgb":
-        if (verdict := _try("", name)) != "good":  # Dr.Jit may find another driver
-            raise MissingCapability(
-                f"cuda_ad_rgb was chosen by name, but no GPU can be used here ({verdict}): install "
-                f"NVIDIA's driver, set {DRIVER} to its libcuda, or unset {FORCE} for the best way "
-                "that works"
+        Raises
+        ------
+        InputError
+            ``$TWIN_VARIANT`` names no variant.
+        MissingCapability
+            A variant of Mitsuba's is forced and no library or GPU for it works.
+        """
+        name = force or _named_variant()
+        if name and not name.endswith("_ad_rgb"):  # no variant of Mitsuba's: it needs nothing here
+            return Variant(name=name, library=None, reason=f"{name} was chosen by name")
+        if name != "llvm_ad_rgb" and (driver := _working_driver()):
+            return Variant(
+                name="cuda_ad_rgb", library=None, reason=f"{driver} and Mitsuba on it work"
             )
-        return Variant(name=name, library=None, reason=f"{name} was chosen by name")
-    refused = []
-    for library in _libraries() if candidates is None else candidates:
-        verdict = _verdict(library)
-        if verdict == "good":
-            os.environ[LIBRARY] = library
-            return Variant(name="llvm_ad_rgb", library=library, reason=f"{library} works")
-        refused.append(f"{library}: {verdict}")
-    why = f"no libLLVM works ({'; '.join(refused)})" if refused else "there is no libLLVM here"
-    if name:
-        raise MissingCapability(f"llvm_ad_rgb was chosen by name, but {why}: {REMEDY}")
-    return Variant(
-        name="splat", library=None, reason=f"pictures are made without Mitsuba, as {why}: {REMEDY}"
-    )
+        if name == "cuda_ad_rgb":
+            if (verdict := _try("", name)) != "good":  # Dr.Jit may find another driver
+                raise MissingCapability(
+                    f"cuda_ad_rgb was chosen by name, but no GPU can be used here ({verdict}): "
+                    f"install NVIDIA's driver, set {DRIVER} to its libcuda, or unset {FORCE} for "
+                    "the best way that works"
+                )
+            return Variant(name=name, library=None, reason=f"{name} was chosen by name")
+        refused = []
+        for library in _libraries() if candidates is None else candidates:
+            verdict = _verdict(library)
+            if verdict == "good":
+                os.environ[LIBRARY] = library
+                return Variant(name="llvm_ad_rgb", library=library, reason=f"{library} works")
+            refused.append(f"{library}: {verdict}")
+        why = f"no libLLVM works ({'; '.join(refused)})" if refused else "there is no libLLVM here"
+        if name:
+            raise MissingCapability(f"llvm_ad_rgb was chosen by name, but {why}: {REMEDY}")
+        return Variant(
+            name="splat",
+            library=None,
+            reason=f"pictures are made without Mitsuba, as {why}: {REMEDY}",
+        )
 
 
 def check_machine(scene: Scene, at_once: int = 1) -> None:

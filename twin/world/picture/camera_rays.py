@@ -95,7 +95,7 @@ class View:
         scene
             With camera and light.
         top
-            The irradiance that counts as 1, of `twin.world.picture.lamps.brightest`.
+            The irradiance that counts as 1, of `twin.world.picture.lamps.Lamps.brightest`.
         """
         camera, _ = scene.imaging
         width, height = camera.width_px, camera.height_px
@@ -116,6 +116,52 @@ class View:
             veil = (light * share[:, :, None] * _outside(scene, top) + glare).astype(np.float32)
         cover = _cover_picture(scene, top, sees) * (vignette * sees)[:, :, None]
         return View(corners=corners, sees=sees, vignette=vignette, cover=cover, veil=veil)
+
+    @staticmethod
+    def pupil_cameras(scene: Scene) -> list[Camera]:
+        """Return cameras of no aperture at points of the scene's pupil, in the order of
+        `PUPIL_WEIGHTS`; none if the pupil is a point.
+
+        Notes
+        -----
+        The seven points are the middle and a hexagon at sqrt(2/3) of the radius.
+
+        Raises
+        ------
+        RecipeError
+            The lens is focused on what it can't see.
+        """
+        camera = scene.camera
+        if camera is None or camera.aperture_mm == 0:
+            return []
+        if not camera.focus_z_mm < camera.pupil_mm[2]:
+            raise RecipeError(
+                f"camera.focus_z_mm = {camera.focus_z_mm:g} mm: what the lens shows sharply must "
+                f"lie in front of it (below camera.pupil_mm's z = {camera.pupil_mm[2]:g} mm); move "
+                "it, or set aperture_mm = 0"
+            )
+        # Seven points of the pupil: a quadrature of the disc, the middle and a ring.
+        around = np.arange(6) * np.pi / 3
+        ring = np.sqrt(2 / 3) * np.column_stack([np.cos(around), np.sin(around)])
+        points = camera.aperture_mm / 2 * np.concatenate([np.zeros((1, 2)), ring])
+        focus = np.array([[camera.pupil_mm[0], camera.pupil_mm[1], camera.focus_z_mm]])
+        optics = (scene.material.refractive_index, scene.body.base_z_mm)
+        sharp = camera.model_copy(update={"aperture_mm": 0.0})
+        here = project(focus, sharp, *optics)[0]
+        if not np.isfinite(here).all():
+            raise RecipeError(
+                "camera.tilt_deg: the lens doesn't see the place below its pupil where it is "
+                f"focused (z = {camera.focus_z_mm:g} mm); turn it there, or set aperture_mm = 0"
+            )
+        # One camera for each point, its principal point moved so that all see the place in focus on
+        # the same pixel.
+        cameras = []
+        for x, y in points.tolist():
+            pupil = (camera.pupil_mm[0] + x, camera.pupil_mm[1] + y, camera.pupil_mm[2])
+            moved = sharp.model_copy(update={"pupil_mm": pupil})
+            column, row = np.asarray(camera.centre_px) + here - project(focus, moved, *optics)[0]
+            cameras.append(moved.model_copy(update={"principal_px": (float(column), float(row))}))
+        return cameras
 
     def times(self, gain: float) -> View:
         """Return the view with all of its light times a gain."""
@@ -188,52 +234,6 @@ def _outside(scene: Scene, top: float) -> np.float32:
     indices = [scene.material.refractive_index, *(layer.index for layer in camera.layers), 1.0]
     through = np.prod([1 - ((one - two) / (one + two)) ** 2 for one, two in pairwise(indices)])
     return np.float32((1 - light.ambient) * (indices[0] / through) ** 2 / top)
-
-
-def through_the_pupil(scene: Scene) -> list[Camera]:
-    """Return cameras of no aperture at points of the scene's pupil, in the order of
-    `PUPIL_WEIGHTS`; none if the pupil is a point.
-
-    Notes
-    -----
-    The seven points are the middle and a hexagon at sqrt(2/3) of the radius.
-
-    Raises
-    ------
-    RecipeError
-        The lens is focused on what it can't see.
-    """
-    camera = scene.camera
-    if camera is None or camera.aperture_mm == 0:
-        return []
-    if not camera.focus_z_mm < camera.pupil_mm[2]:
-        raise RecipeError(
-            f"camera.focus_z_mm = {camera.focus_z_mm:g} mm: what the lens shows sharply must lie "
-            f"in front of it (below camera.pupil_mm's z = {camera.pupil_mm[2]:g} mm); move it, or "
-            "set aperture_mm = 0"
-        )
-    # Seven points of the pupil: a quadrature of the disc, the middle and a ring.
-    around = np.arange(6) * np.pi / 3
-    ring = np.sqrt(2 / 3) * np.column_stack([np.cos(around), np.sin(around)])
-    points = camera.aperture_mm / 2 * np.concatenate([np.zeros((1, 2)), ring])
-    focus = np.array([[camera.pupil_mm[0], camera.pupil_mm[1], camera.focus_z_mm]])
-    optics = (scene.material.refractive_index, scene.body.base_z_mm)
-    sharp = camera.model_copy(update={"aperture_mm": 0.0})
-    here = project(focus, sharp, *optics)[0]
-    if not np.isfinite(here).all():
-        raise RecipeError(
-            "camera.tilt_deg: the lens doesn't see the place below its pupil where it is focused "
-            f"(z = {camera.focus_z_mm:g} mm); turn it there, or set aperture_mm = 0"
-        )
-    # One camera for each point. Its principal point is moved so that all see the place in focus on
-    # the same pixel.
-    cameras = []
-    for x, y in points.tolist():
-        pupil = (camera.pupil_mm[0] + x, camera.pupil_mm[1] + y, camera.pupil_mm[2])
-        moved = sharp.model_copy(update={"pupil_mm": pupil})
-        column, row = np.asarray(camera.centre_px) + here - project(focus, moved, *optics)[0]
-        cameras.append(moved.model_copy(update={"principal_px": (float(column), float(row))}))
-    return cameras
 
 
 def _bands(camera: Camera) -> Iterator[tuple[int, int, Pixels]]:

@@ -118,7 +118,7 @@ def cover_light(origins: Points, directions: Floats, scene: Scene, top: float) -
     scene
         With camera and light.
     top
-        The irradiance that counts as 1, of `twin.world.picture.lamps.brightest`.
+        The irradiance that counts as 1, of `twin.world.picture.lamps.Lamps.brightest`.
     """
     light = np.zeros((len(origins), 3))
     if scene.cover is not None:

@@ -61,6 +61,47 @@ class Lamps:
             place[:, ~within], power[:, ~within] = _refracted(points, leds[~within], scene)
         return Lamps(place=place, power=power * share)
 
+    @staticmethod
+    def brightest(rest: Ellipsoids, scene: Scene) -> tuple[float, float]:
+        """Return the largest irradiance on a marker at rest, and the most light in a channel that
+        leaves one.
+
+        The second number is in units of what white paper sends back in the brightest marker's
+        place. Both fix the exposure at rest: a press doesn't change the camera's gain.
+
+        Raises
+        ------
+        RecipeError
+            No LED reaches any marker.
+        """
+        _, light = scene.imaging
+        markers = rest.rows(rest.present)
+        lamps = Lamps.at(markers.centres, scene)
+        towards = lamps.place - markers.centres[:, None]
+        unit = towards / np.linalg.norm(towards, axis=2, keepdims=True)
+        total = np.sum(unit * (lamps.power / np.sum(towards**2, axis=2))[:, :, None], axis=1)
+        total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+        candidates = [total, *np.moveaxis(unit, 1, 0)]
+        # A flat marker shows its face, a round one also the side that is turned to the light.
+        turned, sizes, _ = np.linalg.svd(markers.axes)
+        face = turned[:, :, 2] * np.where(turned[:, 2, 2] < 0, -1.0, 1.0)[:, None]
+        flat = sizes[:, 2] < 0.5 * sizes[:, 0]
+
+        def best(lights: Lamps) -> Floats:
+            round_ones = [lights.irradiance(markers.centres, normals) for normals in candidates]
+            flat_ones = lights.irradiance(markers.centres, face)
+            return np.where(flat, flat_ones, np.max(round_ones, axis=0, initial=0.0))
+
+        top = float(best(lamps).max(initial=0.0))
+        if top <= 0:
+            raise RecipeError(
+                "light.positions_mm: no LED reaches any marker: move the LEDs over the base"
+            )
+        tints, even = light.tints()
+        direct = np.column_stack([best(lamps.times(tint)) / top for tint in tints])
+        bright = markers.colour * ((1 - light.ambient) * direct + light.ambient * even)
+        return top, max(float(np.max(bright @ scene.ccd.response.T)), 1e-6)
+
     def times(self, shares: Floats) -> Lamps:
         """Return the lamps with (leds,) shares of their powers."""
         return replace(self, power=self.power * shares)
@@ -117,44 +158,3 @@ def _refracted(points: Points, leds: Points, scene: Scene) -> tuple[Floats, Floa
     power = np.where(arrives, power * scene.imaging[1].emission(cosine_air), 0.0)
     place = np.where(arrives[:, None], place, [0.0, 0.0, 2 * base])
     return place.reshape(*shape, 3), power.reshape(shape)
-
-
-def brightest(rest: Ellipsoids, scene: Scene) -> tuple[float, float]:
-    """Return the largest irradiance on a marker at rest, and the most light in a channel that
-    leaves one.
-
-    The second number is in units of what white paper sends back in the brightest marker's place.
-    The exposure is fixed by both at rest, so that a press doesn't change the camera's gain.
-
-    Raises
-    ------
-    RecipeError
-        No LED reaches any marker.
-    """
-    _, light = scene.imaging
-    markers = rest.rows(rest.present)
-    lamps = Lamps.at(markers.centres, scene)
-    towards = lamps.place - markers.centres[:, None]
-    unit = towards / np.linalg.norm(towards, axis=2, keepdims=True)
-    total = np.sum(unit * (lamps.power / np.sum(towards**2, axis=2))[:, :, None], axis=1)
-    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
-    candidates = [total, *np.moveaxis(unit, 1, 0)]
-    # A flat marker shows its face, a round one also the side that is turned to the light.
-    turned, sizes, _ = np.linalg.svd(markers.axes)
-    face = turned[:, :, 2] * np.where(turned[:, 2, 2] < 0, -1.0, 1.0)[:, None]
-    flat = sizes[:, 2] < 0.5 * sizes[:, 0]
-
-    def best(lights: Lamps) -> Floats:
-        round_ones = [lights.irradiance(markers.centres, normals) for normals in candidates]
-        flat_ones = lights.irradiance(markers.centres, face)
-        return np.where(flat, flat_ones, np.max(round_ones, axis=0, initial=0.0))
-
-    top = float(best(lamps).max(initial=0.0))
-    if top <= 0:
-        raise RecipeError(
-            "light.positions_mm: no LED reaches any marker: move the LEDs over the base"
-        )
-    tints, even = light.tints()
-    direct = np.column_stack([best(lamps.times(tint)) / top for tint in tints])
-    bright = markers.colour * ((1 - light.ambient) * direct + light.ambient * even)
-    return top, max(float(np.max(bright @ scene.ccd.response.T)), 1e-6)

@@ -65,7 +65,7 @@ class PathTracer:
     views
         The camera's rays, or those through each point of its pupil, with their exposure.
     top
-        The irradiance that counts as 1, of `twin.world.picture.lamps.brightest`.
+        The irradiance that counts as 1, of `twin.world.picture.lamps.Lamps.brightest`.
     paths
         Paths a pixel.
     """

@@ -21,11 +21,11 @@ import numpy as np
 from twin.arrays import Singles
 from twin.errors import MissingCapability, RecipeError
 from twin.parts.scene import Scene
-from twin.world.picture.backend import FORCE, Variant, choose_variant
-from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View, through_the_pupil
+from twin.world.picture.backend import FORCE, Variant
+from twin.world.picture.camera_rays import PUPIL_WEIGHTS, View
 from twin.world.picture.cover import Background, CoverMotion
 from twin.world.picture.ellipsoids import Ellipsoids
-from twin.world.picture.lamps import brightest
+from twin.world.picture.lamps import Lamps
 from twin.world.picture.mitsuba_tracer import MitsubaTracer
 from twin.world.picture.picture_job import PictureJob, Shader
 from twin.world.picture.splat import Outlines, Splat
@@ -102,18 +102,54 @@ class Renderer:
         self.scene = scene
         self._rest = rest
         wanted = scene.accuracy.centroid_px
-        self.variant = variant or method_for(scene)
+        self.variant = variant or self.method(scene)
         needed = isinstance(wanted, str) or wanted < _centroid_error(1, False, self.variant.name)
         self.shadows = needed if shadows is None else shadows
         self.subpixels = subpixels or _subpixels_for(wanted, self.variant.name)
-        self._top, white = brightest(rest, scene)
+        self._top, white = Lamps.brightest(rest, scene)
         self._unit = float(np.median([layer.diameter_mm / 2 for layer in scene.markers.values()]))
         view = View.of(scene, self._top)
         self._gain = gain or scene.ccd.white_level / max(white, view.ground_light(scene.ccd))
         self._view = view.times(self._gain)
         self._splat = Splat(self._view, self._unit, scene.light.ambient)
-        pupil = through_the_pupil(scene)
+        pupil = View.pupil_cameras(scene)
         self._pupils = [self._like(self.variant, camera=camera) for camera in pupil]
+
+    @staticmethod
+    def method(scene: Scene) -> Variant:
+        """Return how to render a scene: as its ``renderer`` says.
+
+        With ``auto``, and no variant named in the environment, a number in ``accuracy.centroid_px``
+        takes the cheapest way, and ``auto`` there Mitsuba where it works.
+
+        Raises
+        ------
+        MissingCapability
+            The scene asks for Mitsuba, which doesn't work here.
+        RecipeError
+            It asks for gloss where that is not drawn.
+        """
+        asked = scene.renderer
+        index = scene.material.refractive_index
+        for name, layer in scene.markers.items():
+            if layer.gloss and (asked != "path" or layer.gloss[0] <= index):
+                raise RecipeError(
+                    f"markers.{name}.gloss = {layer.gloss}: needs renderer = 'path', the only one "
+                    f"that draws it, and an index above the rubber's {index:g}"
+                )
+        if asked == "splat":
+            return Variant.choose("splat")
+        wanted = scene.accuracy.centroid_px
+        if asked == "auto" and not isinstance(wanted, str) and not os.environ.get(FORCE):
+            why = f"cheapest for accuracy.centroid_px = {wanted:g}"
+            return Variant(name="splat", library=None, reason=why)
+        chosen = Variant.choose()
+        if asked != "auto" and not chosen.name.endswith("_ad_rgb"):
+            raise MissingCapability(
+                f"renderer = {asked!r} needs Mitsuba, but {chosen.reason}; or take renderer = "
+                "'splat'"
+            )
+        return chosen
 
     def _like(self, variant: Variant, **tables: Any) -> Renderer:
         """Return a renderer of the same exposure of a scene with other tables."""
@@ -250,7 +286,7 @@ class PathRenderer(Renderer):
     def _evenly_lit(self) -> Renderer:
         """The same camera and exposure where all light comes from all around."""
         light = self.scene.imaging[1].model_copy(update={"ambient": 1.0})
-        return self._like(choose_variant("splat"), light=light, renderer="splat")
+        return self._like(Variant.choose("splat"), light=light, renderer="splat")
 
     def seen(
         self, markers: Ellipsoids, cover: CoverMotion | None = None
@@ -277,38 +313,3 @@ def _centroid_error(subpixels: int, shadows: bool, method: str) -> float:
     bounds = _ERROR_PX["splat" if method == "splat" else "traced"]
     beyond = min(len(bounds) / subpixels, 1.0) if method == "splat" else 1.0
     return bounds[min(subpixels, len(bounds)) - 1] * beyond + (0.0 if shadows else _SHADOW_PX)
-
-
-def method_for(scene: Scene) -> Variant:
-    """Return how to render a scene: as its ``renderer`` says.
-
-    With ``auto``, and no variant named in the environment, a number in ``accuracy.centroid_px``
-    takes the cheapest way, and ``auto`` there Mitsuba where it works.
-
-    Raises
-    ------
-    MissingCapability
-        The scene asks for Mitsuba, which doesn't work here.
-    RecipeError
-        It asks for gloss where that is not drawn.
-    """
-    asked = scene.renderer
-    index = scene.material.refractive_index
-    for name, layer in scene.markers.items():
-        if layer.gloss and (asked != "path" or layer.gloss[0] <= index):
-            raise RecipeError(
-                f"markers.{name}.gloss = {layer.gloss}: needs renderer = 'path', the only one that "
-                f"draws it, and an index above the rubber's {index:g}"
-            )
-    if asked == "splat":
-        return choose_variant("splat")
-    wanted = scene.accuracy.centroid_px
-    if asked == "auto" and not isinstance(wanted, str) and not os.environ.get(FORCE):
-        why = f"cheapest for accuracy.centroid_px = {wanted:g}"
-        return Variant(name="splat", library=None, reason=why)
-    chosen = choose_variant()
-    if asked != "auto" and not chosen.name.endswith("_ad_rgb"):
-        raise MissingCapability(
-            f"renderer = {asked!r} needs Mitsuba, but {chosen.reason}; or take renderer = 'splat'"
-        )
-    return chosen
