@@ -140,13 +140,7 @@ class BodyStrain(FiniteStrain):
         self._like = like
         touching = [one for one in self._path if one.load.terms] if self._sticks else [state]
         self._contacts: list[tuple[Approach, list[tuple[Floats, float]]]] = [
-            (
-                approach,
-                [
-                    (_centre(one), one.contact_radius_mm)
-                    for one in (_probes(there)[number] for there in touching)
-                ],
-            )
+            (approach, [_place(_probes(there)[number]) for there in touching])
             for number, approach in enumerate(approaches)
         ]
         if like is not None:
@@ -240,9 +234,10 @@ class BodyStrain(FiniteStrain):
     def _given(self, number: int) -> tuple[Bools, Floats]:
         """Return which motions (p, 6) forces hold at the end of a step, and these over Young's
         modulus, or the motions."""
-        probes = zip(self._controls, self.axes, _probes(self._path[number]), strict=True)
         by_force, given = [], []
-        for controls, axes, there in probes:
+        for controls, axes, there in zip(
+            self._controls, self.axes, _probes(self._path[number]), strict=True
+        ):
             forces, values = controls[number]
             held = np.array(forces)
             forced = np.array(values) / self._material.youngs_modulus_mpa
@@ -298,24 +293,18 @@ class BodyStrain(FiniteStrain):
     ) -> tuple[Equilibrated, Equilibrated]:
         """Return both solutions without friction."""
         by_force, given = self._given(self._number)
-        if like is None:
-            start = contact.at_rest()
-            probes = _probes(self._state)
-            under = [
-                _under_patches(one, touch.rest_mm)
-                for one, touch in zip(probes, contact.touches, strict=True)
-            ]
-            pose = start.pose.copy()
-            pose[:, : Z + 1] = [
-                axes @ one.move_mm for axes, one in zip(self.axes, probes, strict=True)
-            ]
-            start = replace(start, pose=pose, active=np.concatenate(under))
-        else:
+        if like is not None:
             start = like.linear
-        linear = contact.settled(start, by_force, given, LAST_STEP, linear=True)
-        if like is None:
-            start = replace(linear, pressure=linear.pressure * contact.lift)
         else:
+            start = contact.at_rest()
+            pose, under = start.pose.copy(), []
+            for number, one in enumerate(_probes(self._state)):
+                pose[number, : Z + 1] = self.axes[number] @ one.move_mm
+                under.append(_under_patches(one, contact.touches[number].rest_mm))
+            start = replace(start, pose=pose, active=np.concatenate(under))
+        linear = contact.settled(start, by_force, given, LAST_STEP, linear=True)
+        start = replace(linear, pressure=linear.pressure * contact.lift)
+        if like is not None:
             start = like.finite
         return linear, contact.settled(start, by_force, given, LAST_STEP, linear=False)
 
@@ -343,22 +332,23 @@ def _from_rim(points: Points, approach: Approach) -> Floats:
     own = np.abs((points - approach.axis_mm) @ approach.axes.T)
     half = np.array(half_extent(approach.probe))
     if isinstance(approach.probe, Cylinder):
-        beside = np.hypot(own[:, 0], own[:, 1]) - half[0]
+        away = np.hypot(own[:, 0], own[:, 1]) - half[0]
     else:
-        beside = np.max(own[:, :Z] - half, axis=1)
+        away = np.max(own[:, :Z] - half, axis=1)
         out = np.linalg.norm(np.maximum(own[:, :Z] - half, 0.0), axis=1)
-        beside = np.where(beside > 0.0, out, beside)
-    return np.asarray(np.hypot(beside, own[:, Z]))
+        away = np.where(away > 0.0, out, away)
+    return np.asarray(np.hypot(away, own[:, Z]))
 
 
 def _probes(state: ContactState) -> tuple[ContactState, ...]:
     return (state, *state.also)
 
 
-def _centre(state: ContactState) -> Floats:
+def _place(state: ContactState) -> tuple[Floats, float]:
+    """Return the middle (3,) and the radius of a contact, mm."""
     patches = state.patches
     assert patches is not None
-    return np.asarray(patches.centre_mm.mean(axis=0))
+    return np.asarray(patches.centre_mm.mean(axis=0)), state.contact_radius_mm
 
 
 def _too_slow(press: Press, body: Body) -> str:

@@ -154,13 +154,10 @@ def at_finite_strain(
 
 @dataclass(frozen=True)
 class _Found:
-    """A linear solution, what it leaves out, d ln force / d ln indentation where a motion holds the
-    probe, else 0, and the probe's own axes (3, 3)."""
-
     linear: ContactState
-    more: FiniteStrain
-    stiffening: float
-    axes: Floats
+    more: FiniteStrain  # what that leaves out
+    stiffening: float  # d ln force / d ln indentation where a motion holds the probe, else 0
+    axes: Floats  # (3, 3) the probe's own
 
     @property
     def deep_mm(self) -> float:
@@ -198,13 +195,8 @@ def _held_by_motion(
             return replace(found, stiffening=stiffening)
         force = found.force_n * math.exp(stiffening * aside)
         step = Step(force_n=(None, None, force), move_mm=(float(x), float(y), None))
-        one = Press(
-            probe=press.probe,
-            at_mm=press.at_mm,
-            direction=press.direction,
-            axes="probe",
-            steps=(step,),
-        )
+        place = {"at_mm": press.at_mm, "direction": press.direction}
+        one = Press(probe=press.probe, axes="probe", steps=(step,), **place)
         linear = solve(one).path[-1]
         more = _strain_of(one, body, material, linear, watched, like=found.more)
         after = _Found(linear, more, stiffening, found.axes)

@@ -286,9 +286,9 @@ class SurfaceTouch:
         self._sticks = sticks
         self._approach = approach
         self.lift = self.inward @ approach.axes[Z]
-        none = np.zeros(3)
-        frames = np.broadcast_to(np.eye(3), (len(self.inward), 3, 3))
-        self._carry = approach.jacobian(self.rest_mm, frames, none)
+        self._frames = np.broadcast_to(np.eye(3), (len(self.inward), 3, 3))
+        self._carry = approach.jacobian(self.rest_mm, self._frames, np.zeros(3))
+        self._along = np.einsum("qi,qim->qm", self.inward, self._carry)
 
     def _shift(self, displacement: Floats) -> Floats:
         """Return the (q, 3) displacement of the points."""
@@ -312,15 +312,12 @@ class SurfaceTouch:
             return self._approach.gap(self.rest_mm, self.inward, pose)
         lowered = np.where(np.arange(MOTIONS) == Z, pose, 0.0)
         gap, slope = self._approach.gap(self.rest_mm, self.inward, lowered)
-        along = np.einsum("qi,qim->qm", self.inward, self._carry)
-        slope = np.where(np.arange(MOTIONS) == Z, slope, -along)
-        return gap - along @ (pose - lowered), slope
+        slope = np.where(np.arange(MOTIONS) == Z, slope, -self._along)
+        return gap - self._along @ (pose - lowered), slope
 
     def anchored_gap(self, pose: Floats) -> Floats:
         """Return the gap at place 0 of points that touch at a place and move with the probe."""
-        return np.asarray(
-            self.rest_gap(pose)[0] + np.einsum("qi,qim,m->q", self.inward, self._carry, pose)
-        )
+        return np.asarray(self.rest_gap(pose)[0] + self._along @ pose)
 
     def meet(
         self, displacement: Floats, pose: Floats, anchors: _Anchors | None = None, *, linear: bool
@@ -332,16 +329,14 @@ class SurfaceTouch:
         none = np.zeros((len(shift), 3, 3))
         if linear:
             gap, slope = self.rest_gap(pose)
-            lift = np.einsum("qi,qim->qm", self.inward, self._carry)
-            if self._sticks:
-                gap = np.where(anchors.on, anchors.closed - lift @ pose, gap)
-                slope = np.where(anchors.on[:, None], -lift, slope)
+            gap = np.where(anchors.on, anchors.closed - self._along @ pose, gap)
+            slope = np.where(anchors.on[:, None], -self._along, slope)
             return _Met(
                 gap=gap + np.einsum("qi,qi->q", self.inward, shift),
                 push=self.inward,
                 bend=none,
                 per_motion=slope,
-                lift=lift,
+                lift=self._along,
                 normal=self.inward,
                 away=shift - self._carry @ pose - anchors.place,
                 carry=self._carry,
@@ -365,8 +360,7 @@ class SurfaceTouch:
             none[sound, :, axis] = ((more - less) / (2.0 * _NUDGE_MM))[sound]
         outer = turned.T @ axes  # the probe's own axes as rows
         push = push @ outer
-        frames = np.broadcast_to(np.eye(3), (len(shift), 3, 3))
-        carry = self._approach.jacobian(place, frames, aside)
+        carry = self._approach.jacobian(place, self._frames, aside)
         carry[:, :, ABOUT_X:] = carry[:, :, ABOUT_X:] @ turning_of(pose[ABOUT_X:])
         lift = np.einsum("qi,qim->qm", push, carry)
         return _Met(
@@ -389,30 +383,14 @@ class SurfaceTouch:
 
 @dataclass(frozen=True)
 class Equilibrated:
-    """A state of a body and probes (p,).
+    """A state of a body and probes (p,)."""
 
-    Attributes
-    ----------
-    unknowns
-        The rubber's.
-    pose
-        (p, 6) the probes' places, mm and radians.
-    pressure
-        (q,) of the points that may touch, those of one probe after the other, over Young's modulus.
-    active
-        (q,) whether they were sought.
-    anchors
-        Where these hold on to the probes.
-    force
-        (p, 6) the forces and torques on the body, over Young's modulus.
-    """
-
-    unknowns: Floats
-    pose: Floats
-    pressure: Floats
-    active: Bools
-    anchors: _Anchors
-    force: Floats
+    unknowns: Floats  # the rubber's
+    pose: Floats  # (p, 6) the probes' places, mm and radians
+    pressure: Floats  # (q,) of the points of one probe after the other, over Young's modulus
+    active: Bools  # (q,) whether they were sought
+    anchors: _Anchors  # where these hold on to the probes
+    force: Floats  # (p, 6) forces and torques on the body, over Young's modulus
 
 
 class RubberContact:
@@ -510,28 +488,27 @@ class RubberContact:
         if not all(active[rows].any() for rows in self.rows):
             raise NotSettled("contact: at finite strain the probe touches nothing: press further")
         on = np.flatnonzero(active)
-        rubbed, resistance = _stuck(met, state.anchors)
-        weight, area, row = self._weight[on], self._area[on], self._row[on]
+        # Springs in the plane of the probe's surface hold anchored points.
+        across = np.eye(3) - met.normal[:, :, None] * met.normal[:, None, :]
+        resistance = np.where(state.anchors.on, _SPRING, 0.0)[:, None, None] * across
+        rubbed = -np.einsum("qij,qj->qi", resistance, met.away)
+        resistance, rubbed = resistance[on], rubbed[on]
+        pressed, area, row = state.pressure[on], self._area[on], self._row[on]
 
         # Springs between the rubber's nodes and the probes' places: across the gap and in its plane
         def spread(vectors: Floats, motions: Floats) -> Floats:
-            at_nodes = (weight[:, :, None] * vectors[:, None, :]).reshape(len(on), 18)
+            at_nodes = (self._weight[on, :, None] * vectors[:, None, :]).reshape(len(on), 18)
             return np.hstack([at_nodes, motions])
 
         carried = spread(met.push[on], -met.lift[on])
         slope = spread(met.push[on], met.per_motion[on])
         block = (_SPRING * area)[:, None, None] * carried[:, :, None] * slope[:, None, :]
-        across = np.stack(
-            [
-                spread(np.broadcast_to(one, (len(on), 3)), -met.carry[on, i])
-                for i, one in enumerate(np.eye(3))
-            ],
-            axis=1,
-        )
-        turning = resistance[on] - state.pressure[on, None, None] * met.bend[on]
+        axes = np.broadcast_to(np.eye(3), (len(on), 3, 3))
+        across = np.stack([spread(axes[:, i], -met.carry[on, i]) for i in range(3)], axis=1)
+        turning = resistance - pressed[:, None, None] * met.bend[on]
         block += across.swapaxes(1, 2) @ ((area[:, None, None] * turning) @ across)
         out = (_SPRING * area * met.gap[on])[:, None] * carried
-        out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed[on])
+        out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed)
         balance = gathered(row, out, self._size)
         balance[: rubber.size] += rubber.internal(state.unknowns, linear=linear)
         balance[rubber.size :] -= np.where(by_force, given, 0.0).ravel()
@@ -545,7 +522,7 @@ class RubberContact:
         pressure = np.zeros(len(active))
         change = np.einsum("qr,qr->q", slope, step[row])
         pressure[on] = -_SPRING * (met.gap[on] + change)
-        pulled = rubbed[on] - np.einsum("qij,qjr,qr->qi", resistance[on], across, step[row])
+        pulled = rubbed - np.einsum("qij,qjr,qr->qi", resistance, across, step[row])
         forces = area[:, None] * (pressure[on, None] * met.lift[on])
         forces += area[:, None] * np.einsum("qi,qim->qm", pulled, met.carry[on])
         total = np.zeros_like(state.pose)
@@ -589,12 +566,3 @@ class RubberContact:
             closed[rows] = np.where(new, touch.anchored_gap(free.pose[number]), closed[rows])
             on[rows] |= new
         return replace(free, anchors=_Anchors(on, place, closed))
-
-
-def _stuck(met: _Met, anchors: _Anchors) -> tuple[Floats, Floats]:
-    """Return (q, 3) the friction on the body over Young's modulus, and its (q, 3, 3) resistance to
-    motion."""
-    normal = met.normal
-    across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
-    resistance = np.where(anchors.on, _SPRING, 0.0)[:, None, None] * across
-    return -np.einsum("qij,qj->qi", resistance, met.away), resistance
