@@ -47,6 +47,7 @@ from twin.sense.centre import (
 )
 from twin.sense.colour import LUMA
 from twin.sense.match import GATE, TRUST, Neighbourhood
+from twin.sense.shape_fit import Expected, fit_shapes, fit_visible
 from twin.sense.soft_window import SoftWindow
 from twin.sense.template import (
     CENTRE_X,
@@ -84,13 +85,9 @@ from twin.sense.template import (
     VAR_X,
     VAR_Y,
     Templates,
-    disc,
-    doubtful,
     gather,
-    inverse_form,
     slope_terms,
 )
-from twin.sense.visible_part import Expected, fit_visible
 
 USUAL_BLUR_PX = 2.0
 """Half width of a sharp lens' blur with the pixel's, px (.75 px standard deviation): where the
@@ -110,9 +107,6 @@ real (a tenth of the precision), and much where a neighbour's shadow feigns them
 
 SAMPLE = 40
 """About how many markers give the layer's blur and bulge."""
-
-TURNS = 12
-"""Most steps of a shape's fit at rest."""
 
 WHITE = 1.3
 """Noise that leaves residuals up to so many times as large, squared, as it has in single pixels
@@ -596,7 +590,7 @@ def _own_shapes(
     picture: Picture, templates: Templates, rows: Ints, places: Pixels, spacing_px: float
 ) -> tuple[Floats, float]:
     """Return the shapes of the markers ``rows`` in another picture than that at rest, and centres,
-    px, as rows of `_shapes`, NaN for others; and the radius that their fits need, px.
+    px, as rows of `fit_shapes`, NaN for others; and the radius that their fits need, px.
 
     Blur and outline are even about the centre, and brightness that falls off to one side is odd:
     these keep the slopes that they have at rest.
@@ -609,7 +603,7 @@ def _own_shapes(
     reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
     seen = (picture, templates.own, templates.others, places)
     bulge = float(np.nanmedian(known[:, 5]))
-    shape = _shapes(*seen, radius, blur, bulge, False, True, templates.noise, reach)
+    shape = fit_shapes(*seen, radius, reach, templates.noise, blur, bulge, free_blur=True)
     shape[:, 3:6] = known[:, 3:6]
     return shape, reach
 
@@ -767,12 +761,12 @@ def _make_templates(
         few = np.where(np.cumsum(np.isfinite(radius)) % every == 0, radius, np.nan)
         reach = 0.65 * diameter + 2.0 * USUAL_BLUR_PX + MARGIN_PX
         seen = (picture, own, others, centres)
-        first = _shapes(*seen, few, USUAL_BLUR_PX, 0.0, True, True, noise, reach)
+        first = fit_shapes(*seen, few, reach, noise, USUAL_BLUR_PX, free_bulge=True, free_blur=True)
         good = np.isfinite(first[:, 0])
         blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
         bulge = float(np.median(first[good, 5])) if good.any() else 0.0
         reach = 0.65 * diameter + 2.0 * blur + MARGIN_PX
-        shape = _shapes(*seen, radius, blur, bulge, False, False, noise, reach)
+        shape = fit_shapes(*seen, radius, reach, noise, blur, bulge)
     good = np.isfinite(shape[:, 0])
     if good.any():
         shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
@@ -837,247 +831,6 @@ def _share_slopes(
     return shared
 
 
-PARAMETERS = 11
-"""Centre x, y, ground, level, level's slope x, y, bulge, growth, stretch along the axes and the
-diagonals, blur."""
-
-WEAK = 1e-4
-"""Pull of every parameter towards its start, relative to its own information."""
-
-
-@njit(cache=True, fastmath=True)
-def _equations(signal, use, place, shift, p, form, limit, bulge, free, rows, matrix, right):
-    """Fill the normal equations of one step: the lower triangle of ``matrix``, and ``right``.
-
-    ``place`` (2, m) plus ``shift`` are offsets from the centre, ``p`` the `PARAMETERS`, ``limit``
-    the squared residual at which a pixel counts a quarter, ``free`` whether bulge and blur are
-    fitted.
-    ``rows`` (`PARAMETERS` + 3, m) is room for derivatives, residuals and weights of the pixels. One
-    whole row is multiplied with another, for the vector unit: twice as fast as pixel by pixel.
-    """
-    xx, xy, yy = form
-    root, per_blur = 1e-3 * math.sqrt(xx), 1.0 / p[10]
-    ground, level, level_x, level_y, round_part = p[2], p[3], p[4], p[5], p[6]
-    fixed_bulge = 0.0 if free[0] else bulge
-    free_bulge, free_blur = 1.0 if free[0] else 0.0, 1.0 if free[1] else 0.0
-    along_x, along_y, full, slope_x, slope_y = rows[0], rows[1], rows[3], rows[4], rows[5]
-    bulging, growth, stretch, skew = rows[6], rows[7], rows[8], rows[9]
-    wider, residuals, weight, weighted = rows[10], rows[11], rows[12], rows[13]
-    for i in range(len(signal)):
-        rows[2, i] = 1.0
-        x, y = place[0, i] + shift[0], place[1, i] + shift[1]
-        ax, ay = xx * x + xy * y, xy * x + yy * y
-        squared = ax * x + ay * y
-        steep = math.sqrt(ax * ax + ay * ay) + 1e-9
-        radius = math.sqrt(squared)
-        inside = (1.0 - radius) * (radius + 1e-3) / (steep + root)
-        v = min(max(inside * per_blur, -1.0), 1.0)
-        v2 = v * v
-        cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
-        curved = min(squared, 1.0)
-        light = level + level_x * x + level_y * y + round_part * curved
-        tilt = light * 15 / 16 * (1.0 - v2) * (1.0 - v2) * per_blur
-        nx, ny = ax / steep, ay / steep
-        residual = signal[i] - ground - light * cover
-        trust = 1.0 / (1.0 + residual * residual / limit)
-        weight[i] = use[i] * trust * trust
-        along_x[i] = tilt * nx
-        along_y[i] = tilt * ny
-        full[i] = cover * (1.0 + fixed_bulge * curved)
-        slope_x[i] = cover * x
-        slope_y[i] = cover * y
-        bulging[i] = free_bulge * cover * curved
-        growth[i] = tilt
-        stretch[i] = tilt * (nx * nx - ny * ny)
-        skew[i] = tilt * 2.0 * nx * ny
-        wider[i] = -free_blur * tilt * v
-        residuals[i] = residual
-    for a in range(PARAMETERS):
-        row = rows[a]
-        for i in range(len(signal)):
-            weighted[i] = weight[i] * row[i]
-        for b in range(a + 1):
-            other, entry = rows[b], 0.0
-            for i in range(len(signal)):
-                entry += weighted[i] * other[i]
-            matrix[a, b] = entry
-        right[a] = 0.0
-        for i in range(len(signal)):
-            right[a] += weighted[i] * residuals[i]
-
-
-@njit(cache=True)
-def _solve(matrix, right):
-    """Solve a symmetric positive system in place (Cholesky); whether it is one."""
-    count = len(right)
-    for i in range(count):
-        for j in range(i + 1):
-            s = matrix[i, j]
-            for k in range(j):
-                s -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if s <= 0.0:
-                    return False
-                matrix[i, i] = math.sqrt(s)
-            else:
-                matrix[i, j] = s / matrix[j, j]
-    for i in range(count):
-        s = right[i]
-        for k in range(i):
-            s -= matrix[i, k] * right[k]
-        right[i] = s / matrix[i, i]
-    for i in range(count - 1, -1, -1):
-        s = right[i]
-        for k in range(i + 1, count):
-            s -= matrix[k, i] * right[k]
-        right[i] = s / matrix[i, i]
-    return True
-
-
-def _shapes(
-    picture: Picture,
-    own: Singles,
-    others: Singles,
-    start: Pixels,
-    radius: Floats,
-    blur: float,
-    bulge: float,
-    free_bulge: bool,
-    free_blur: bool,
-    noise: Floats,
-    reach: float,
-) -> Floats:
-    """Fit every marker's whole picture, out to ``reach`` px; rows of (n, 11): `SHAPE` numbers,
-    centre x, y, ground.
-
-    Bulge (relative) and blur are fitted for each marker if they are free, else as given. Rows are
-    NaN where the fit failed, or ``start`` or ``radius`` are.
-    """
-    offset, _ = disc(reach)
-    pixels = offset.shape[1]
-    shape = np.full((len(start), SHAPE + 3), np.nan)
-    _fit_shapes(
-        picture,
-        own,
-        others,
-        start,
-        radius,
-        blur,
-        bulge,
-        free_bulge,
-        free_blur,
-        noise,
-        offset,
-        NO_RUNS,
-        offset.astype(float),
-        np.empty(pixels, np.float32),
-        np.empty(pixels, np.float32),
-        np.empty((PARAMETERS + 3, pixels)),
-        np.empty((PARAMETERS, PARAMETERS)),
-        np.empty((3, PARAMETERS)),
-        shape,
-    )
-    return shape
-
-
-@njit(cache=True)
-def _fit_shapes(
-    image,
-    own,
-    others,
-    start,
-    radius,
-    blur,
-    bulge,
-    free_bulge,
-    free_blur,
-    noise,
-    offset,
-    one_by_one,
-    place,
-    signal,
-    use,
-    rows,
-    matrix,
-    vectors,
-    out,
-):
-    """Fill ``out`` of `_shapes`; rows stay as they are where a fit failed.
-
-    ``place`` is ``offset`` as floats; ``signal`` to ``vectors`` are work arrays.
-    """
-    colour, free = (own[0], own[1], own[2], own[3]), (free_bulge, free_blur)
-    right, p, pull = vectors[0], vectors[1], vectors[2]
-    for k in range(len(start)):
-        if not math.isfinite(start[k, 0] + start[k, 1] + radius[k]):
-            continue
-        cx, cy, r = start[k, 0], start[k, 1], radius[k]
-        sxx, sxy, syy = r, 0.0, r
-        column, row = int(np.rint(cx)), int(np.rint(cy))
-        gather(image, colour, others, column, row, offset, one_by_one, signal, use)
-        for a in range(PARAMETERS):
-            p[a] = 0.0
-        p[3], p[10] = signal[len(signal) // 2], blur
-        fine, moved = True, 1.0
-        for turn in range(TURNS):
-            limit = doubtful(noise[1], p[3], moved)
-            p[6] = p[6] if free_bulge else bulge * p[3]
-            form = inverse_form(sxx, sxy, syy, 1.0)
-            shift = (column - cx, row - cy)
-            _equations(signal, use, place, shift, p, form, limit, bulge, free, rows, matrix, right)
-            if not free_bulge:
-                matrix[6, 6] = 1.0
-            if not free_blur:
-                matrix[10, 10] = 1.0
-            # a weak pull towards no slope, no bulge, round and the usual blur: small markers leave
-            # these open
-            size = max(p[3], 1.0)
-            for a in range(PARAMETERS):
-                pull[a] = 0.0
-            pull[4] = pull[5] = 4.0 * (r / size) ** 2
-            pull[6] = 4.0 / size**2
-            pull[8] = pull[9] = 4.0 / r**2
-            pull[10] = 1.0
-            for a in range(PARAMETERS):
-                matrix[a, a] += pull[a] + WEAK * matrix[a, a] + 1e-9
-            right[4] -= pull[4] * p[4]
-            right[5] -= pull[5] * p[5]
-            right[6] -= pull[6] * p[6] if free_bulge else 0.0
-            right[10] -= pull[10] * (p[10] - blur) if free_blur else 0.0
-            if not _solve(matrix, right):
-                fine = False
-                break
-            most = 0.5 * r
-            cx += min(max(right[0], -most), most)
-            cy += min(max(right[1], -most), most)
-            for a in range(2, 7):
-                p[a] += right[a]
-            grow = min(max(right[7], -0.2 * r), 0.2 * r)
-            stretch = min(max(right[8], -0.2 * r), 0.2 * r)
-            skew = min(max(right[9], -0.2 * r), 0.2 * r)
-            sxx, sxy, syy = sxx + grow + stretch, sxy + skew, syy + grow - stretch
-            p[10] = min(max(p[10] + min(max(right[10], -0.4), 0.4), 0.7), 1.2 * r)
-            if not (
-                p[3] > 0.0
-                and min(sxx, syy) > 0.4 * r
-                and max(sxx, syy) < 1.6 * r
-                and abs(sxy) < 0.5 * r
-            ):
-                fine = False
-                break
-            moved = math.sqrt(right[0] ** 2 + right[1] ** 2 + grow * grow)
-            if turn > 1 and moved < 3e-3:
-                break
-        if not fine or abs(cx - start[k, 0]) > r or abs(cy - start[k, 1]) > r:
-            continue
-        fit = out[k]
-        fit[0], fit[1], fit[2] = sxx, sxy, syy
-        fit[3], fit[4] = p[4] / p[3], p[5] / p[3]
-        fit[5] = p[6] / p[3] if free_bulge else bulge
-        fit[6], fit[7] = p[10], p[3]
-        fit[SHAPE], fit[SHAPE + 1], fit[SHAPE + 2] = cx, cy, p[2]
-
-
 def _noise_variances(
     picture: Picture, own: Singles, centres: Pixels, radius: float, blur: float
 ) -> Floats:
@@ -1086,50 +839,25 @@ def _noise_variances(
 
     Neither a slope nor a marker's round shading changes a 2 x 2 difference.
     """
-    variances = np.full((len(centres), 2), np.nan)
-    signal, use = np.empty(4, np.float32), np.empty(4, np.float32)
-    nothing = np.zeros((0, 4), np.float32)
-    square = np.array([[0, 1, 0, 1], [0, 0, 1, 1]])
     reach = int(np.ceil(1.3 * radius + blur + 4.0))
-    lists = (nothing, square, NO_RUNS, signal, use)
-    _add_noise(picture, own, *lists, centres, radius, blur, reach, variances)
-    return variances
-
-
-@njit(cache=True)
-def _add_noise(
-    image, own, others, square, one_by_one, signal, use, centre, radius, blur, reach, out
-):
-    """Fill ``out`` of `_noise_variances`; ``signal`` and ``use`` (4,) are work arrays."""
-    rows, columns = image.shape[0], image.shape[1]
-    colour = (own[0], own[1], own[2], own[3])
-    form = radius * radius / max(radius**4, 1e-6)
     inner = (1.0 - blur / radius) ** 2 if radius > blur else 0.0
     outer = (1.0 + (blur + 0.5) / radius) ** 2
-    for k in range(len(centre)):
-        x0, y0 = centre[k, 0], centre[k, 1]
-        if not math.isfinite(x0 + y0):
-            continue
-        inside, around, inside_sum, around_sum = 0, 0, 0.0, 0.0
-        middle_x, middle_y = int(np.rint(x0)), int(np.rint(y0))
-        for y in range(max(middle_y - reach, 0), min(middle_y + reach, rows - 2) + 1):
-            for x in range(max(middle_x - reach, 0), min(middle_x + reach, columns - 2) + 1):
-                least, largest = 1e9, 0.0
-                for j in range(2):
-                    for i in range(2):
-                        dx, dy = x + i - x0, y + j - y0
-                        f = form * (dx * dx + dy * dy)
-                        least, largest = min(least, f), max(largest, f)
-                if least > outer or largest < inner:
-                    gather(image, colour, others, x, y, square, one_by_one, signal, use)
-                    twist = signal[0] - signal[1] - signal[2] + signal[3]
-                    if largest < inner:
-                        inside += 1
-                        inside_sum += 0.25 * twist * twist
-                    else:
-                        around += 1
-                        around_sum += 0.25 * twist * twist
-        if around > 2:
-            out[k, 0] = around_sum / around
-        if inside > 2:
-            out[k, 1] = inside_sum / inside
+    side = np.arange(-reach, reach + 2)
+    offset = np.stack(np.meshgrid(side, side)).reshape(2, -1)
+    signal, use = np.empty((2, offset.shape[1]), np.float32)
+    nothing = np.zeros((0, 4), np.float32)
+    variances = np.full((len(centres), 2), np.nan)
+    for k in np.flatnonzero(np.isfinite(centres).all(axis=1)):
+        column, row = (int(v) for v in np.rint(centres[k]))
+        gather(picture, tuple(own), nothing, column, row, offset, NO_RUNS, signal, use)
+        away = (offset[0] + column - centres[k, 0]) ** 2 + (offset[1] + row - centres[k, 1]) ** 2
+        here, away, use_ = (v.reshape(len(side), -1) for v in (signal, away / radius**2, use))
+        twist = here[:-1, :-1] - here[:-1, 1:] - here[1:, :-1] + here[1:, 1:]
+        corners = [away[:-1, :-1], away[:-1, 1:], away[1:, :-1], away[1:, 1:]]
+        inside = np.maximum.reduce(corners) < inner
+        around = (np.minimum.reduce(corners) > outer) & ~inside
+        seen = (use_[:-1, :-1] > 0) & (use_[1:, 1:] > 0)
+        for which, part in enumerate((around & seen, inside & seen)):
+            if np.count_nonzero(part) > 2:
+                variances[k, which] = (0.25 * twist[part].astype(float) ** 2).mean()
+    return variances

@@ -1,6 +1,8 @@
-"""The fit of a marker of which a part is hidden, by the part in sight.
+"""The fits of a marker's whole picture, and of the part of it that is in sight.
 
-A marker that the picture's frame cuts is measured likewise.
+`fit_shapes` fits every marker at rest, which gives its template, and later those that no longer
+look as at rest: outline, brightness and blur. `fit_visible` fits markers of which a part is hidden,
+or cut off by the picture's frame.
 
 A marker that lacks light on one side is either partly hidden or smaller than it was. Its own
 picture does not say which, so its neighbours' do: the outline, blur and brightness are expected to
@@ -11,11 +13,11 @@ blur reaches, and the others are fitted. The stated deviation follows from the p
 from how well outline and brightness are known: with an edge on one side alone an error of the size
 is an error of the place.
 
-Validity: something of the ground's colour in front of the marker; a fifth of the edge's information
-left. What is brighter than the ground, as a glint, is not recognised: such fits are refused by
-their residuals.
+Validity of `fit_visible`: something of the ground's colour in front of the marker; a fifth of the
+edge's information left. What is brighter than the ground, as a glint, is not recognised: such fits
+are refused by their residuals.
 
-Why not compiled: few markers of few pictures need it.
+Why not compiled: after the rest picture few markers of few pictures need it.
 """
 
 from __future__ import annotations
@@ -24,8 +26,174 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints, Picture, Pixels
-from twin.sense.template import IMPERFECT, Templates, disc, slope_terms
+from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles
+from twin.sense.template import (
+    IMPERFECT,
+    NO_RUNS,
+    OUTLIER_SD,
+    SHAPE,
+    Templates,
+    disc,
+    gather,
+    slope_terms,
+)
+
+TURNS = 12
+"""Most steps of a shape's fit."""
+
+WEAK = 1e-4
+"""Pull of every parameter towards its start, relative to its own information."""
+
+TOGETHER = 64
+"""Markers that are fitted at once."""
+
+
+def fit_shapes(
+    picture: Picture,
+    own: Singles,
+    others: Singles,
+    start_px: Pixels,
+    radius_px: Floats,
+    reach_px: float,
+    noise: Floats,
+    blur_px: float,
+    bulge: float = 0.0,
+    *,
+    free_bulge: bool = False,
+    free_blur: bool = False,
+) -> Floats:
+    """Fit markers by all their pixels out to ``reach_px``.
+
+    Parameters
+    ----------
+    picture, own, others, noise
+        See `twin.sense.template.Templates`.
+    start_px, radius_px
+        (n, 2) centres and (n,) radii to start from, px; NaN rows are left out.
+    blur_px, bulge
+        Half width of the blur, px, and relative bulge: where the fit starts if they are free.
+
+    Returns
+    -------
+    (n, `SHAPE` + 3): the shape, then centre x, y, px, and ground; NaN where a fit failed.
+    """
+    out = np.full((len(start_px), SHAPE + 3), np.nan)
+    known = np.flatnonzero(np.isfinite(start_px.sum(axis=1) + radius_px))
+    offset, _ = disc(reach_px)
+    colour = tuple(own)
+    for rows in np.split(known, range(TOGETHER, len(known), TOGETHER)):
+        start, radius = start_px[rows], radius_px[rows]
+        middle = np.rint(start).astype(np.int64)
+        signal, use = np.empty((2, len(rows), offset.shape[1]), np.float32)
+        for k, (column, row) in enumerate(middle):
+            gather(picture, colour, others, column, row, offset, NO_RUNS, signal[k], use[k])
+        # centre x, y; ground; level, its slope x, y and bulge; growth, stretch along the axes and
+        # the diagonals; blur
+        p = np.zeros((len(rows), 11))
+        p[:, :2], p[:, 3], p[:, 10] = start, signal[:, offset.shape[1] // 2], blur_px
+        moved, live, fine = np.ones(len(rows)), np.arange(len(rows)), np.ones(len(rows), np.bool_)
+        for turn in range(TURNS):
+            now, r, size = p[live], radius[live], np.maximum(p[live, 3], 1.0)
+            if not free_bulge:
+                now[:, 6] = bulge * now[:, 3]
+            limit = OUTLIER_SD**2 * (noise[1] + (IMPERFECT * now[:, 3]) ** 2)
+            limit += (0.5 * now[:, 3] * np.minimum(moved[live], 2.0)) ** 2
+            place = offset - (now[:, :2] - middle[live])[:, :, None]
+            slopes, residual = _whole_marker(signal[live], place, now, r, bulge, free_bulge)
+            if not free_blur:
+                slopes[:, 10] = 0.0
+            weight = use[live] / (1.0 + residual**2 / limit[:, None]) ** 2
+            weighted = slopes * weight[:, None]
+            matrix = weighted @ np.swapaxes(slopes, 1, 2)
+            right = (weighted @ residual[:, :, None])[:, :, 0]
+            # a weak pull towards no slope, no bulge, round and the usual blur: small markers leave
+            # these open
+            pull = np.zeros_like(now)
+            pull[:, 4:6], pull[:, 6] = 4.0 * ((r / size) ** 2)[:, None], 4.0 / size**2
+            pull[:, 8:10], pull[:, 10] = 4.0 / r[:, None] ** 2, 1.0
+            away = now - np.array([0.0] * 10 + [blur_px])
+            away[:, 7:10] = 0.0
+            right -= pull * away * np.array([1.0] * 6 + [free_bulge] + [1.0] * 4)
+            diagonal = matrix[:, range(11), range(11)]
+            diagonal[:, [6, 10]] += [not free_bulge, not free_blur]
+            matrix[:, range(11), range(11)] = diagonal + pull + WEAK * diagonal + 1e-9
+            step = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+            most = np.stack(
+                [0.5 * r] * 2 + [np.full(len(r), np.inf)] * 5 + [0.2 * r] * 3 + [0 * r + 0.4], 1
+            )
+            now += np.clip(step, -most, most)
+            now[:, 10] = np.clip(now[:, 10], 0.7, 1.2 * r)
+            p[live] = now
+            moved[live] = np.sqrt(
+                step[:, 0] ** 2 + step[:, 1] ** 2 + np.clip(step[:, 7], -0.2 * r, 0.2 * r) ** 2
+            )
+            axes = _axes(now, r)
+            good = (now[:, 3] > 0.0) & (axes[:, [0, 2]].min(axis=1) > 0.4 * r)
+            good &= (axes[:, [0, 2]].max(axis=1) < 1.6 * r) & (np.abs(axes[:, 1]) < 0.5 * r)
+            fine[live[~good]] = False
+            live = live[good & ~((turn > 1) & (moved[live] < 3e-3))]
+            if not len(live):
+                break
+        fine &= (np.abs(p[:, :2] - start) <= radius[:, None]).all(axis=1)
+        level = p[:, 3:4]
+        round_part = p[:, 6:7] / level if free_bulge else np.full_like(level, bulge)
+        shape = [_axes(p, radius), p[:, 4:6] / level, round_part, p[:, 10:11], level]
+        out[rows[fine]] = np.concatenate([*shape, p[:, :2], p[:, 2:3]], axis=1)[fine]
+    return out
+
+
+def _axes(p: Floats, radius: Floats) -> Floats:
+    """Return (k, 3) semi-axes xx, xy, yy of discs grown and stretched, px."""
+    return radius[:, None] * [1.0, 0.0, 1.0] + p[:, 7:10] @ STRETCHES
+
+
+def _whole_marker(
+    signal: Singles, place: Floats, p: Floats, radius: Floats, bulge: float, free_bulge: bool
+) -> tuple[Floats, Floats]:
+    """Return (k, 11, m) derivatives of the model by the parameters of `fit_shapes`, and (k, m) what
+    it leaves; ``place`` (k, 2, m) are offsets from the centres."""
+    xx, xy, yy = _inverse_form(_axes(p, radius))
+    x, y = place[:, 0], place[:, 1]
+    ax, ay = xx * x + xy * y, xy * x + yy * y
+    squared = ax * x + ay * y
+    steep = np.sqrt(ax * ax + ay * ay) + 1e-9
+    away, blur = np.sqrt(squared), p[:, 10:]
+    inside = (1.0 - away) * (away + 1e-3) / (steep + 1e-3 * np.sqrt(xx))
+    cover, fall, v = _profile(inside / blur)
+    curved = np.minimum(squared, 1.0)
+    ground, level, slope_x, slope_y, round_part = (p[:, i : i + 1] for i in range(2, 7))
+    light = level + slope_x * x + slope_y * y + round_part * curved
+    tilt = light * fall / blur
+    nx, ny = ax / steep, ay / steep
+    slopes = np.empty((*signal.shape[:1], 11, *signal.shape[1:]))
+    slopes[:, 0], slopes[:, 1], slopes[:, 2] = tilt * nx, tilt * ny, 1.0
+    slopes[:, 3] = cover if free_bulge else cover * (1.0 + bulge * curved)
+    slopes[:, 4], slopes[:, 5] = cover * x, cover * y
+    slopes[:, 6] = cover * curved if free_bulge else 0.0
+    slopes[:, 7], slopes[:, 8] = tilt, tilt * (nx * nx - ny * ny)
+    slopes[:, 9], slopes[:, 10] = tilt * 2.0 * nx * ny, -tilt * v
+    return slopes, signal - ground - light * cover
+
+
+def _inverse_form(axes: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the (k, 1) xx, xy, yy of the inverse squares of symmetric matrices (k, 3)."""
+    xx, xy, yy = axes.T[:, :, None]
+    a, b, c = xx * xx + xy * xy, xy * (xx + yy), yy * yy + xy * xy
+    determinant = np.maximum(a * c - b * b, 1e-6)
+    return c / determinant, -b / determinant, a / determinant
+
+
+def _profile(distance: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the covered share at a distance inside the edge, in half widths of the blur, its
+    derivative, and the distance, cut off at 1."""
+    v = np.clip(distance, -1.0, 1.0)
+    v2 = v * v
+    cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
+    return cover, 15 / 16 * (1.0 - v2) ** 2, v
+
+
+STRETCHES = np.array([[1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Growth, stretch along the axes and the diagonals, as changes of the semi-axes xx, xy, yy."""
 
 FREE = 7
 """Centre x, y, ground, level; growth, stretch along the axes and the diagonals."""
@@ -34,7 +202,7 @@ NARROWER = 0.6
 """Missing light counts less above a limit, which falls by this factor with every step from half
 the brightness on: first it may be that the start is wrong, later that a part is hidden."""
 
-FIRST, LATER, TURNS = 8, 11, 20
+FIRST, LATER, LAST = 8, 11, 20
 """Steps after which pixels are left out, and looked at again; and the most steps."""
 
 LACKS = 3.0
@@ -45,7 +213,7 @@ BESIDE_PX, BESIDE, AROUND_PX, AROUND = 1.5, 0.45, 2.1, 0.6
 """How far neighbours are, and around a hidden pixel those that are not used as the blur reaches
 them: px, and shares of the blur's half width where that is more."""
 
-OUTLIER_SD, SETTLED_PX, LARGEST_STEP = 6.0, 2e-3, 0.4
+SETTLED_PX, LARGEST_STEP = 2e-3, 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,11 +296,11 @@ def fit_visible(
     change, hidden = np.zeros((len(rows), 3)), np.zeros(signal.shape, np.bool_)
     radius = np.sqrt(np.maximum(expected.axes[:, 0] * expected.axes[:, 2], 0.25))
     most = LARGEST_STEP * radius[:, None]
-    for turn in range(TURNS):
+    for turn in range(LAST):
         # the model and its slopes along the parameters
         terms = slope_terms(centre, picture.shape)
         slope = known[:, 3:5] + terms @ templates.slopes.T
-        axes = expected.axes + change @ [[1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
+        axes = expected.axes + change @ STRETCHES
         cover, light, tilt, normal = _model(place - centre[:, None], axes, slope, known, expected)
         model, tilt = cover * light, level[:, None] * tilt
         residual = signal - ground[:, None] - level[:, None] * model
@@ -219,18 +387,11 @@ def _model(
     """Return, at offsets (k, m, 2) from the centres, the covered share, the light on it, the slope
     of the edge and its normal; as `twin.sense.template` has it, for a level of 1."""
     dx, dy = off[:, :, 0], off[:, :, 1]
-    xx, xy, yy = axes.T
-    a, b, c = xx * xx + xy * xy, xy * (xx + yy), yy * yy + xy * xy
-    determinant = np.maximum(a * c - b * b, 1e-6)
-    form_xx, form_xy, form_yy = (
-        f[:, None] for f in (c / determinant, -b / determinant, a / determinant)
-    )
-    ax, ay = form_xx * dx + form_xy * dy, form_xy * dx + form_yy * dy
+    xx, xy, yy = _inverse_form(axes)
+    ax, ay = xx * dx + xy * dy, xy * dx + yy * dy
     squared = ax * dx + ay * dy + 1e-6
     steep = np.sqrt(ax * ax + ay * ay + 1e-8)
-    v = np.clip((np.sqrt(squared) - squared) / steep / expected.blur[:, None], -1.0, 1.0)
-    v2 = v * v
-    cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
+    blur = expected.blur[:, None]
+    cover, fall, _ = _profile((np.sqrt(squared) - squared) / steep / blur)
     light = 1.0 + slope[:, :1] * dx + slope[:, 1:] * dy + known[:, 5:6] * np.minimum(squared, 1.0)
-    tilt = light * (1.0 - v2) ** 2 * 15 / 16 / expected.blur[:, None]
-    return cover, light, tilt, (ax / steep, ay / steep)
+    return cover, light, light * fall / blur, (ax / steep, ay / steep)
