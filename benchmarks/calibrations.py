@@ -27,7 +27,7 @@ from twin.files import cache_folder
 from twin.parts.load import Load, Rectangles, Traction
 from twin.parts.scene import Scene, Sites
 from twin.sense.calibration import Calibration
-from twin.sense.fit_design import Fit, Presses, fit
+from twin.sense.fit_design import Fit, Presses
 from twin.sense.reconstruct import reconstruct
 from twin.sense.transfer import fill_between, from_presses
 from twin.study.calibrate import FOOTPRINT, calibration_press, optics
@@ -259,7 +259,7 @@ def study(numbers: Any, covered: bool, counts: tuple[int, ...], single: bool = F
         twin = FittedDesign(scene, places, np.array(radius))
         for number in numbers:
             presses = measured(truth, number, chart, single)
-            found = fit(twin, presses) if chart else drawn(twin)
+            found = Fit.of(twin, presses) if chart else drawn(twin)
             case = {"places": count, "covered": covered, "sensor": number}
             if single:
                 case["way"] = SINGLE.format(count)

@@ -14,10 +14,10 @@ from benchmarks.clock import repeated
 from twin.arrays import Floats
 from twin.blas_threads import one_thread
 from twin.judge.resolution import dip, full_width, two_point_distance
-from twin.judge.score import field_errors, into_cells
+from twin.judge.score import into_cells
 from twin.parts.load import Traction
 from twin.sense.calibration import Calibration
-from twin.sense.inverse import problem_of
+from twin.sense.inverse import Problem
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import Found
 from twin.study.calibrate import calibration_of
@@ -106,7 +106,7 @@ def way(calibration: Calibration, loads: list[Any], name: str) -> dict[str, Any]
             shift[bad] += random.choice([-10.0, 10.0], (len(bad), 2))
             found = as_found(calibration, shift)
         estimate = reconstruct(found, calibration, **WAYS[name])
-        field.append(field_errors(estimate.force_n, cells)["all"])
+        field.append(np.linalg.norm(estimate.force_n - cells) / np.linalg.norm(cells))
         total.append(np.linalg.norm(estimate.total_force_n - force) / np.linalg.norm(force))
         push = np.where(estimate.force_n[:, 2] > 0.2 * estimate.force_n[:, 2].max(), estimate.force_n[:, 2], 0.0)
         centre.append(np.linalg.norm(push @ calibration.site_mm[:, :2] / push.sum() - place))
@@ -132,7 +132,7 @@ def weights(calibration: Calibration, loads: list[Any]) -> dict[str, Any]:
     """Return how far the automatic weight's field error is above the best possible one's."""
     ratios = []
     for found, cells, _, _ in loads:
-        problem = problem_of(found, calibration, "smooth")
+        problem = Problem.of(found, calibration, "smooth")
         factors, data = problem.factors, problem.whiten(found.shift_px)
 
         def error(weight: float, factors: Any = factors, data: Floats = data, cells: Floats = cells) -> float:

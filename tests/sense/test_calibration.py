@@ -8,7 +8,7 @@ from half_space_sensor import cell_compliance, finger_sensor
 from twin.errors import InputError
 from twin.parts.camera import Camera
 from twin.parts.scene import Sites
-from twin.sense.calibration import LATER, Calibration, read_calibration, write_calibration
+from twin.sense.calibration import LATER, Calibration, read_calibration
 from twin.sense.transfer import fill_between, from_compliance, from_presses
 
 MARKERS, SEEN, CALIBRATION = finger_sensor()
@@ -22,7 +22,7 @@ def test_round_trip_on_disk(tmp_path):
         camera=json.dumps({"camera": CAMERA.model_dump(mode="json"), "body_index": 1.41, "base_z_mm": 10.0}),
     )  # fmt: skip
     path = tmp_path / "finger.npz"
-    write_calibration(told, path)
+    told.write(path)
     read = read_calibration(path)
     for field in dataclasses.fields(Calibration):
         assert np.array_equal(getattr(read, field.name), getattr(told, field.name)), field.name
@@ -47,7 +47,7 @@ def test_files_of_the_first_version_are_read(tmp_path):
 def test_how_the_rubber_relaxes_is_read(tmp_path):
     assert CALIBRATION.relaxation is None
     told = dataclasses.replace(CALIBRATION, provenance=json.dumps({"relaxation": [[0.1, 0.3], [0.2, 5]]}))
-    write_calibration(told, tmp_path / "finger.npz")
+    told.write(tmp_path / "finger.npz")
     read = read_calibration(tmp_path / "finger.npz").relaxation
     assert read is not None
     assert read.share.tolist() == [0.1, 0.2]
@@ -64,7 +64,7 @@ def test_damaged_files(tmp_path):
     path = tmp_path / "c.npz"
     with pytest.raises(InputError, match="does not exist"):
         read_calibration(path)
-    write_calibration(CALIBRATION, path)
+    CALIBRATION.write(path)
     whole = path.read_bytes()
     for damaged in (b"", b"not a file", whole[: len(whole) // 2], whole[:200] + bytes(200) + whole[400:]):
         path.write_bytes(damaged)

@@ -7,7 +7,7 @@ import pytest
 from half_space_sensor import compliance, grid
 
 from twin.errors import InputError
-from twin.sense.fit_design import Presses, fit
+from twin.sense.fit_design import Fit, Presses
 from twin.sense.transfer import left_out
 
 PLACES = np.array([[0.0, 0, 0], [3, 3, 0], [-3, 3, 0], [3, -3, 0], [-3, -3, 0]])
@@ -68,7 +68,7 @@ def test_parameters_are_found_within_their_stated_deviations():
     off = []
     for seed in range(12):
         truth = random.normal(0, 1, 3)
-        found = fit(Drawing(), measured(truth, seed))
+        found = Fit.of(Drawing(), measured(truth, seed))
         spread = np.sqrt(np.diag(found.covariance))
         off.append((found.scaled - truth) / spread)
         assert (spread[:2] < [0.2, 0.3]).all(), "the presses tell more than the drawing"
@@ -80,20 +80,20 @@ def test_parameters_are_found_within_their_stated_deviations():
 def test_no_noise_no_error_and_what_the_design_cannot_express_is_model_error():
     truth = np.array([1.0, -0.7, 0.4])
     quiet = dataclasses.replace(measured(truth, 3, noise=1e-4, cell=0.0), noise_px=1e-4)
-    assert fit(Drawing(), quiet).scaled == pytest.approx(truth, abs=0.05)
+    assert Fit.of(Drawing(), quiet).scaled == pytest.approx(truth, abs=0.05)
     noisy = measured(np.zeros(3), 5)
     bent = noisy.shift_px + 0.3 * np.sin(40 * np.arange(61 * 2)).reshape(61, 2)
-    found = fit(Drawing(), dataclasses.replace(noisy, shift_px=bent))
+    found = Fit.of(Drawing(), dataclasses.replace(noisy, shift_px=bent))
     assert found.model_px == pytest.approx(0.3 / np.sqrt(2), rel=0.15)
 
 
 def test_leaving_a_place_out_tells_a_place_that_is_different():
     told = measured(np.array([0.5, 0.5, 0.5]), 6)
-    even = fit(Drawing(), told)
+    even = Fit.of(Drawing(), told)
     assert even.left_out.shape == (5,)
     wrong = told.shift_px.copy()
     wrong[told.place == 2] *= 1.3
-    odd = fit(Drawing(), dataclasses.replace(told, shift_px=wrong))
+    odd = Fit.of(Drawing(), dataclasses.replace(told, shift_px=wrong))
     assert odd.left_out[2] > 1.7 * np.delete(odd.left_out, 2).max()
     assert odd.left_out[2] > 2 * even.left_out[2]
 
@@ -104,7 +104,7 @@ def test_lost_markers_and_a_single_place():
     told.shift_px[1, 10:14] = np.nan
     told.rest_px[30] = np.nan
     told.shift_px[:, 30] = np.nan
-    found = fit(Drawing(), told)
+    found = Fit.of(Drawing(), told)
     assert found.scaled[:2] == pytest.approx(truth[:2], abs=0.6)
 
 
@@ -115,7 +115,7 @@ def test_wrong_presses():
         ({"shift_px": told.shift_px * np.nan}, "no marker"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
-            fit(Drawing(), dataclasses.replace(told, **change))
+            Fit.of(Drawing(), dataclasses.replace(told, **change))
 
 
 def test_left_out_places_of_measured_transfer():

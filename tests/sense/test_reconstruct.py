@@ -3,6 +3,7 @@ camera's bend and bumps."""
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from twin.errors import InputError
 from twin.judge.score import force_score
 from twin.parts.camera import Camera
 from twin.sense.inverse import METHODS
-from twin.sense.reconstruct import camera_bump, reconstruct
+from twin.sense.reconstruct import Bump, reconstruct
 from twin.sense.regularisation import Factors
 from twin.sense.transfer import from_compliance
 from twin.theory.optics import project, project_with_jacobian
@@ -22,11 +23,8 @@ FLAT, FINGER, SMALL = flat_sensor(), finger_sensor(), flat_sensor(8, 6)
 
 def scored(field, points, forces):
     torque = np.cross(points, forces).sum(axis=0)
-    return force_score(
-        site_mm=field.site_mm, force_n=field.force_n, total_force_n=field.total_force_n,
-        total_torque_nmm=field.total_torque_nmm, surface_mm=points, surface_force_n=forces,
-        true_force_n=forces.sum(axis=0), true_torque_nmm=torque,
-    )  # fmt: skip
+    truth = {"centre_mm": points, "force_n": forces, "total_force_n": forces.sum(axis=0), "total_torque_nmm": torque}
+    return force_score(field, SimpleNamespace(**truth))
 
 
 def test_noise_free_field_is_recovered():
@@ -284,10 +282,10 @@ def test_a_bump_is_found_and_a_force_is_none(sensor, strength, case):
         force = strength * np.array([4.0, 0.0, 4.0])
     points, forces = disk(random.uniform(-0.5, 0.5, 2) * markers[:, :2].max(), 4.0, force)
     motion = shifts(markers, seen, points, forces)
-    still = camera_bump(as_found(motion, calibration, sd=0.012, seed=case), calibration)
+    still = Bump.of(as_found(motion, calibration, sd=0.012, seed=case), calibration)
     assert not still.certain
     assert np.abs(still.shift_px).max() < max(0.1, 4 * still.sd_px)
-    bumped = camera_bump(as_found(motion + np.array([3.0, -1.0]), calibration, sd=0.012, seed=case), calibration)
+    bumped = Bump.of(as_found(motion + np.array([3.0, -1.0]), calibration, sd=0.012, seed=case), calibration)
     assert bumped.certain
     assert bumped.shift_px == pytest.approx([3.0, -1.0], abs=max(0.1, 4 * bumped.sd_px))
 
@@ -366,6 +364,6 @@ def test_too_many_lost_markers_have_their_own(factorised):
 def test_bumps_weigh_alike():
     in_sequence, alone, calibration = sequence_and_alone(FINGER)
     moved = [dataclasses.replace(f, shift_px=f.shift_px + np.array([3.0, -1.0])) for f in (in_sequence, alone)]
-    bumps = [camera_bump(found, calibration) for found in moved]
+    bumps = [Bump.of(found, calibration) for found in moved]
     assert bumps[0].shift_px == pytest.approx(bumps[1].shift_px, abs=bumps[1].sd_px)
     assert bumps[0].sd_px == pytest.approx(bumps[1].sd_px, rel=0.3)

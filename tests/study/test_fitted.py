@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from twin.sense.fit_design import fit
+from twin.sense.fit_design import Fit
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.sensor import make, on_surface
@@ -74,7 +74,7 @@ def test_five_presses_beat_the_drawing():
         presses = measured(truth, number, PLACES[5])
         off = []
         for found, rest in (
-            (fit(twin, presses), presses.rest_px),
+            (Fit.of(twin, presses), presses.rest_px),
             (drawn(twin), np.full_like(presses.rest_px, np.nan)),
         ):
             markers, _ = twin.markers_of(found.scaled, rest)

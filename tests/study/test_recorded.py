@@ -20,7 +20,6 @@ from half_space_sensor import _sensor, disk, grid, jacobian, shifts
 from benchmarks.discs import expose, scene
 from twin.cli import main
 from twin.errors import InputError
-from twin.sense.calibration import write_calibration
 from twin.sense.reconstruct import reconstruct
 from twin.sense.track import track
 from twin.study.recorded import VIDEOS, read_picture
@@ -41,7 +40,7 @@ def folder(tmp_path_factory):
     """A recording: rest, four presses of growing force, their calibration."""
     place = tmp_path_factory.mktemp("recording")
     markers, seen, calibration = sensor()
-    write_calibration(calibration, place / "flat.npz")
+    calibration.write(place / "flat.npz")
     points, forces = disk([0.5, 0.2], 4.0, FORCE)
     motion = shifts(markers, seen, points, forces)
     for number in range(5):
@@ -62,13 +61,13 @@ def twin(*arguments, cwd):
 def test_forces_are_solved_for_as_the_calibrated_recipe_says(folder):
     stored = {"reconstruction": {"method": "norm", "push_only": True, "friction": 0.5}}
     known = replace(sensor()[2], provenance=json.dumps(stored))
-    write_calibration(known, folder / "own.npz")
+    known.write(folder / "own.npz")
     both = ["rest.png", "press2.png", "--calibration", "own.npz"]
     assert "method norm, weight auto, friction up to 0.5, pushes only" in twin(*both, cwd=folder).stderr
     assert "method smooth, weight auto\n" in twin(*both, "--method", "smooth", "--no-push-only", cwd=folder).stderr
     assert "method pinv, weight auto\n" in twin(*both, "--method", "pinv", cwd=folder).stderr
     one = replace(known, layer=np.repeat("red", len(known.layer)))
-    write_calibration(one, folder / "one.npz")
+    one.write(folder / "one.npz")
     said = twin("rest.png", "press2.png", "--calibration", "one.npz", cwd=folder).stderr
     assert "one layer of markers and method norm: forces into the surface come out far too small" in said
     for file in ("own.npz", "one.npz"):
@@ -134,7 +133,7 @@ def long_recording():
 def felt(folder, rest, calibration, pictures, *options):
     """Return the table of pictures, by column; None stands for a picture that can't be read."""
     folder.mkdir(exist_ok=True)
-    write_calibration(calibration, folder / "known.npz")
+    calibration.write(folder / "known.npz")
     for name, picture in (("rest", rest), *enumerate(pictures)):
         (folder / f"{name}.png").unlink(missing_ok=True)
         if picture is not None:
@@ -198,7 +197,7 @@ def test_forces_of_rubber_that_relaxes_are_the_integral_over_those_before(long_r
 
 def test_a_recording_in_time(folder):
     known = replace(sensor()[2], provenance=CREPT)
-    write_calibration(known, folder / "crept.npz")
+    known.write(folder / "crept.npz")
     both = ["rest.png", "press4.png", "press4.png", "--calibration", "crept.npz", "--out", "crept.csv"]
     done = twin(*both, cwd=folder)
     assert "they rise while held and remain when gone; give --frames-per-second" in done.stderr

@@ -14,7 +14,6 @@ import numpy as np
 
 from twin.arrays import Bools, Floats, Pixels, Points
 from twin.errors import InputError
-from twin.parts.load import Rectangles
 
 GROSS_PX = 1.0
 """A shift wrong by more than this is a mistaken marker, not noise: counted apart, and left out of
@@ -170,25 +169,40 @@ def _tracking_part(shift: Pixels, true: Pixels) -> tuple[Score, dict[str, str]]:
     return result, reasons
 
 
-def force_score(
-    *,
-    site_mm: Points,
-    force_n: Floats,
-    total_force_n: Floats,
-    total_torque_nmm: Floats,
-    surface_mm: Points,
-    surface_force_n: Floats,
-    true_force_n: Floats,
-    true_torque_nmm: Floats,
-    frames: Floats | None = None,
-) -> Score:
+class _Forces(Protocol):
+    """A reconstructed field, or the estimate of a run; its totals are those of the linear solve."""
+
+    @property
+    def site_mm(self) -> Points: ...
+    @property
+    def force_n(self) -> Floats: ...
+    @property
+    def total_force_n(self) -> Floats: ...
+    @property
+    def total_torque_nmm(self) -> Floats: ...
+
+
+class _Patches(Protocol):
+    """What really presses, such as `twin.parts.load.Rectangles`."""
+
+    @property
+    def centre_mm(self) -> Points: ...
+    @property
+    def force_n(self) -> Floats: ...
+    @property
+    def total_force_n(self) -> Floats: ...
+    @property
+    def total_torque_nmm(self) -> Floats: ...
+
+
+def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None) -> Score:
     """Score a reconstructed force field.
 
     Parameters
     ----------
-    site_mm, force_n, total_force_n, total_torque_nmm
+    field
         Estimate: (k, 3) sites, mm, their forces, N, and its (3,) totals, N and N mm.
-    surface_mm, surface_force_n, true_force_n, true_torque_nmm
+    patches
         Truth: (m, 3) surface points, mm, their forces, N, and the (3,) totals.
     frames
         (k, 3, 3) the sites' frames, the inward normal last; z is the normal if not given.
@@ -220,10 +234,13 @@ def force_score(
     )
     reasons: dict[str, str] = {}
     # Check the shapes and refuse numbers that are not finite.
-    truth, estimate = np.asarray(surface_force_n, float), np.asarray(force_n, float)
+    truth, estimate = np.asarray(patches.force_n, float), np.asarray(field.force_n, float)
+    surface_mm, site_mm = patches.centre_mm, field.site_mm
+    total_force_n, total_torque_nmm = field.total_force_n, field.total_torque_nmm
     _same_points(surface_mm, truth, "surface")
     _same_points(site_mm, estimate, "site")
-    force, torque = np.asarray(true_force_n, float), np.asarray(true_torque_nmm, float)
+    force = np.asarray(patches.total_force_n, float)
+    torque = np.asarray(patches.total_torque_nmm, float)
     numbers = (estimate, truth, total_force_n, total_torque_nmm, force, torque, site_mm, surface_mm)
     if not all(np.isfinite(v).all() for v in numbers):
         return {
@@ -233,7 +250,7 @@ def force_score(
     # Error of the field: the truth is summed into the cells of the estimate's sites.
     cells = into_cells(site_mm, surface_mm, truth)
     size = float(np.linalg.norm(force))
-    for part, value in field_errors(estimate, cells, frames).items():
+    for part, value in _field_errors(estimate - cells, cells, frames).items():
         key = "field_error" if part == "all" else f"field_error_{part}"
         result[key] = value
         if value is None:
@@ -272,30 +289,9 @@ def force_score(
     return {**result, "reasons": reasons}
 
 
-def field_errors(
-    estimate_n: Floats, truth_n: Floats, frames: Floats | None = None
-) -> dict[str, float | None]:
-    """Return relative errors of a force field in the 2-norm: ``all``, ``normal`` and
-    ``tangential``.
-
-    Parameters
-    ----------
-    estimate_n, truth_n
-        (k, 3) forces at the sites, N; truth as `into_cells` sums it.
-    frames
-        (k, 3, 3) sites' frames, the inward normal last; z is the normal if not given.
-
-    Returns
-    -------
-    dict
-        Each error over the size of the same part of the truth; None where that is zero.
-    """
-    truth = np.asarray(truth_n, float)
-    if np.shape(estimate_n) != truth.shape or truth.ndim != 2 or truth.shape[1] != 3:
-        raise InputError(
-            f"forces must be (k, 3) at the same sites, got {np.shape(estimate_n)} and {truth.shape}"
-        )
-    error = np.asarray(estimate_n, float) - truth
+def _field_errors(error: Floats, truth: Floats, frames: Floats | None) -> dict[str, float | None]:
+    """Return the size of a field's (k, 3) error over the truth's, in all, along the normal, and
+    tangentially; None where the truth is zero."""
     if frames is not None:
         error, truth = (np.einsum("kij,kj->ki", frames, part) for part in (error, truth))
     parts = {"all": slice(0, 3), "normal": slice(2, 3), "tangential": slice(0, 2)}
@@ -305,34 +301,6 @@ def field_errors(
         name: float(np.linalg.norm(error[:, part])) / sizes[name] if sizes[name] > floor else None
         for name, part in parts.items()
     }
-
-
-class _Field(Protocol):
-    """A reconstructed field, or the estimate of a run."""
-
-    @property
-    def site_mm(self) -> Points: ...
-    @property
-    def force_n(self) -> Floats: ...
-    @property
-    def total_force_n(self) -> Floats: ...
-    @property
-    def total_torque_nmm(self) -> Floats: ...
-
-
-def field_score(field: _Field, patches: Rectangles, frames: Floats | None = None) -> Score:
-    """Return `force_score` of a field against the patches that really press."""
-    return force_score(
-        site_mm=field.site_mm,
-        force_n=field.force_n,
-        total_force_n=field.total_force_n,
-        total_torque_nmm=field.total_torque_nmm,
-        surface_mm=patches.centre_mm,
-        surface_force_n=patches.force_n,
-        true_force_n=patches.total_force_n,
-        true_torque_nmm=patches.total_torque_nmm,
-        frames=frames,
-    )
 
 
 def into_cells(site_mm: Points, surface_mm: Points, surface_force_n: Floats) -> Floats:

@@ -224,19 +224,17 @@ class Calibration:
         names = dict.fromkeys(str(name) for name in self.layer)
         return {name: np.asarray(self.layout_px[self.layer == name]) for name in names}
 
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write a calibration file (npz), whole or not at all."""
+        arrays = {f.name: np.asarray(getattr(self, f.name)) for f in fields(Calibration)}
 
-def write_calibration(calibration: Calibration, path: str | os.PathLike[str]) -> None:
-    """Write a calibration file (npz), whole or not at all."""
-    target = Path(path)
-    arrays = {f.name: np.asarray(getattr(calibration, f.name)) for f in fields(Calibration)}
+        def write(stream: IO[bytes]) -> None:
+            np.savez_compressed(stream, allow_pickle=False, version=np.array(VERSION), **arrays)
 
-    def write(stream: IO[bytes]) -> None:
-        np.savez_compressed(stream, allow_pickle=False, version=np.array(VERSION), **arrays)
-
-    try:
-        write_whole(target, write)
-    except TwinError as problem:
-        raise InputError(f"calibration file {problem}") from None
+        try:
+            write_whole(Path(path), write)
+        except TwinError as problem:
+            raise InputError(f"calibration file {problem}") from None
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Calibration:

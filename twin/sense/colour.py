@@ -36,9 +36,11 @@ UNSPLIT_COSINE = 0.97
 signal."""
 
 
-def as_picture(image: NDArray[np.generic], what: str) -> Picture:
+def as_picture(
+    image: NDArray[np.generic], what: str, blocks: tuple[int, int] | None = None
+) -> Picture:
     """Return ``image`` as a contiguous (h, w, 3) uint8 picture; a grey one is repeated in all
-    channels.
+    channels, colours that are repeated in ``blocks`` (`colour_blocks`) are interpolated.
 
     Raises
     ------
@@ -59,6 +61,8 @@ def as_picture(image: NDArray[np.generic], what: str) -> Picture:
             "drop the others"
         )
     picture = np.ascontiguousarray(picture)
+    if blocks is not None:
+        return _interpolate_colours(picture, blocks)
     # one type for the compiled kernels
     return picture if picture.flags.writeable else picture.copy()
 
@@ -86,7 +90,7 @@ def colour_blocks(picture: Picture) -> tuple[int, int] | None:
     return first[0], first[1]
 
 
-def interpolate_colours(picture: Picture, blocks: tuple[int, int]) -> Picture:
+def _interpolate_colours(picture: Picture, blocks: tuple[int, int]) -> Picture:
     """Return the picture with its repeated colours interpolated linearly between the ``blocks``.
 
     Why: steps every other pixel look like edges, and move a marker's by up to .3 px.
@@ -162,22 +166,12 @@ def estimate_channels(
     samples = _contrasts(rest_image, layout, spacing_px, polarity)
     if samples is None:
         return dict.fromkeys(layout, grey)
-    colours = colour_directions(samples, len(layout))
-    if colours is None:
-        return dict.fromkeys(layout, as_weights(samples.mean(axis=0)))
+    weights = projections(samples, len(layout))
+    if len(weights) == 1:
+        return dict.fromkeys(layout, weights[0])
     if pair is not None and len(layout) == len(pair):
-        return _assign(rest_image, layout, list(pair), spacing_px)
-    weights = [
-        as_weights(colour - np.mean([other for j, other in enumerate(colours) if j != i], axis=0))
-        for i, colour in enumerate(colours)
-    ]
+        weights = list(pair)
     return _assign(rest_image, layout, weights, spacing_px)
-
-
-def as_weights(direction: Floats) -> Weights:
-    """Return a direction in colour as a projection whose largest magnitude is 1."""
-    red, green, blue = (float(v) for v in direction / max(np.abs(direction).max(), 1e-12))
-    return red, green, blue
 
 
 def _contrasts(
@@ -229,7 +223,22 @@ def _shading(part: Picture, size_px: float) -> Floats:
     return np.asarray(zoom(middle, scale, order=1, mode="nearest", grid_mode=True))
 
 
-def colour_directions(samples: Floats, count: int) -> Floats | None:
+def projections(samples: Floats, count: int) -> list[Weights]:
+    """Return the projections (r, g, b) that show one of ``count`` colours (n, 3) each and hide the
+    others, the largest magnitude 1; one for all where they can't be separated."""
+    colours = _directions(samples, count)
+    if colours is None:
+        return [_as_weights(samples.mean(axis=0))]
+    others = [np.mean(np.delete(colours, i, axis=0), axis=0) for i in range(count)]
+    return [_as_weights(colour - other) for colour, other in zip(colours, others, strict=True)]
+
+
+def _as_weights(direction: Floats) -> Weights:
+    red, green, blue = (float(v) for v in direction / max(np.abs(direction).max(), 1e-12))
+    return red, green, blue
+
+
+def _directions(samples: Floats, count: int) -> Floats | None:
     """Return the (count, 3) unit directions of the colours, or None where they can't be
     separated."""
     if count == 1:

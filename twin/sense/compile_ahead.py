@@ -17,7 +17,7 @@ _LAYERS = {"red": (0, 0.0), "blue": (2, 10.0)}
 """Channel of each layer's colour, and how far it lies from the first, px."""
 
 
-def dots(moved_px: float) -> Picture:
+def _dots(moved_px: float) -> Picture:
     """Return a picture (120, 160, 3) of two layers of dots that have moved along the rows."""
     row, column = np.mgrid[0:120, 0:160]
     picture = np.full((120, 160, 3), 15.0)
@@ -28,14 +28,9 @@ def dots(moved_px: float) -> Picture:
     return picture.astype(np.uint8)
 
 
-def main() -> None:
-    """Track the dots."""
+if __name__ == "__main__":
     rows = np.arange(10.0, 100.0, _PITCH_PX)
     columns = np.arange(10.0, 140.0, _PITCH_PX)
     places = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     layout = {name: places + aside for name, (_, aside) in _LAYERS.items()}
-    track(dots(0.0), dots(1.5), layout)
-
-
-if __name__ == "__main__":
-    main()
+    track(_dots(0.0), _dots(1.5), layout)

@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 
 from twin.arrays import Floats, Ints, Picture, Pixels, frozen
 from twin.errors import InputError
-from twin.sense.colour import Signal, Weights, as_picture, as_weights, colour_directions
+from twin.sense.colour import Signal, Weights, as_picture, projections
 from twin.sense.detect import CUT, Blobs, find_blobs
 
 COARSE_PX = 60
@@ -230,12 +230,10 @@ def _colourings(away: NDArray[np.float32], noise: float) -> Iterator[list[Weight
             return
         samples = away[strength > max(0.3 * top, 3.0 * noise)]
         samples = samples[:: max(1, len(samples) // 4000)].astype(float)
-        pair = colour_directions(samples, 2)
-        if pair is not None:
-            nearest = np.argmax(samples @ pair.T, axis=1)
-            if min(np.bincount(nearest, minlength=2)) > 0.03 * len(samples):
-                yield [as_weights(pair[0] - pair[1]), as_weights(pair[1] - pair[0])]
-        yield [as_weights(samples.mean(axis=0))]
+        pair = projections(samples, 2)
+        if len(pair) == 2 and 0.03 < np.mean(samples @ pair[0] > 0.0) < 0.97:
+            yield pair
+        yield projections(samples, 1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -127,37 +127,37 @@ class Fit:
     model_px: float
     left_out: Floats
 
+    @classmethod
+    def of(cls, design: Design, presses: Presses) -> Fit:
+        """Fit a design to measured presses and the rest picture.
 
-def fit(design: Design, presses: Presses) -> Fit:
-    """Fit a design to measured presses and the rest picture.
-
-    Raises
-    ------
-    InputError
-        There are no presses, shapes don't agree, or no marker was seen both at rest and under a
-        press.
-    """
-    _check(presses)
-    scaled, model = np.zeros(len(design.names)), FIRST_MODEL_PX
-    for _ in range(ROUNDS):
-        residuals = _Residuals(design, presses, float(np.hypot(presses.noise_px, model)))
-        scaled, slope = _gauss_newton(residuals, scaled)
-        left = residuals.press_residual_px(scaled)
-        size = float(np.sqrt(np.nanmean(left**2)))
-        before, model = (
-            model,
-            float(np.sqrt(max(size**2 - presses.noise_px**2, (0.2 * presses.noise_px) ** 2))),
+        Raises
+        ------
+        InputError
+            There are no presses, shapes don't agree, or no marker was seen both at rest and under a
+            press.
+        """
+        _check(presses)
+        scaled, model = np.zeros(len(design.names)), FIRST_MODEL_PX
+        for _ in range(ROUNDS):
+            residuals = _Residuals(design, presses, float(np.hypot(presses.noise_px, model)))
+            scaled, slope = _gauss_newton(residuals, scaled)
+            left = residuals.press_residual_px(scaled)
+            size = float(np.sqrt(np.nanmean(left**2)))
+            before, model = (
+                model,
+                float(np.sqrt(max(size**2 - presses.noise_px**2, (0.2 * presses.noise_px) ** 2))),
+            )
+            if abs(model - before) < 0.1 * before:
+                break
+        return cls(
+            names=design.names,
+            scaled=scaled,
+            covariance=np.asarray(np.linalg.inv(slope.T @ slope), float),
+            residual_px=size,
+            model_px=model,
+            left_out=_left_out(residuals, scaled, slope),
         )
-        if abs(model - before) < 0.1 * before:
-            break
-    return Fit(
-        names=design.names,
-        scaled=scaled,
-        covariance=np.asarray(np.linalg.inv(slope.T @ slope), float),
-        residual_px=size,
-        model_px=model,
-        left_out=_left_out(residuals, scaled, slope),
-    )
 
 
 def _check(presses: Presses) -> None:

@@ -1,6 +1,6 @@
 """The inverse problem of one picture: marker shifts in, forces out, for one weight.
 
-`problem_of` weighs the markers by their noise and sets up the least squares of the picture. What is
+`Problem.of` weighs the markers by their noise and sets up the least squares of the picture. What is
 kept small, and how, is listed in `METHODS`; `twin.sense.reconstruct` solves.
 
 **Weights of the markers** are those of the rest picture. Standard deviations differ a little from
@@ -134,6 +134,39 @@ class Problem:
     base: _Base
     factors: Factors
 
+    @classmethod
+    def of(cls, found: Found, calibration: Calibration, method: Method) -> Problem:
+        """Return the whitened problem; factorised again only where markers or their relative noise
+        changed.
+
+        Raises
+        ------
+        InputError
+            Motion and calibration don't belong together, or fewer than 2 markers are left.
+        """
+        if not np.array_equal(found.layer, calibration.layer):
+            raise InputError(
+                f"the tracked markers ({len(found.layer)}) aren't the calibration's "
+                f"({len(calibration.layer)}): track with calibration.layout"
+            )
+        used = np.asarray(found.seen & calibration.calibrated)
+        if used.sum() < 2:
+            raise InputError(
+                f"only {int(used.sum())} of {len(used)} markers were found in both pictures, at "
+                f"least 2 are needed: check exposure, layout and channels"
+            )
+        known, noise, share = _weights(found, calibration, used, METHODS[method].weighted)
+        base = _base(calibration, METHODS[method], known, noise)
+        singular = base.factors.singular / float(noise.mean())
+        return cls(
+            calibration=calibration,
+            used=used,
+            known=known,
+            noise_px=noise,
+            base=base,
+            factors=replace(base.factors, singular=singular, share=np.repeat(share, 2)),
+        )
+
     @property
     def size_px(self) -> float:
         """Mean noise, px."""
@@ -183,39 +216,6 @@ def _into_frames(matrix: Floats, frames: Floats) -> Floats:
     blocks = matrix.reshape(count, 3, count, 3)
     return np.asarray(
         np.einsum("iab,ibjd,jcd->iajc", frames, blocks, frames, optimize=True).reshape(matrix.shape)
-    )
-
-
-def problem_of(found: Found, calibration: Calibration, method: Method) -> Problem:
-    """Return the whitened problem; factorised again only where markers or their relative noise
-    changed.
-
-    Raises
-    ------
-    InputError
-        Motion and calibration don't belong together, or fewer than 2 markers are left.
-    """
-    if not np.array_equal(found.layer, calibration.layer):
-        raise InputError(
-            f"the tracked markers ({len(found.layer)}) aren't the calibration's "
-            f"({len(calibration.layer)}): track with calibration.layout"
-        )
-    used = np.asarray(found.seen & calibration.calibrated)
-    if used.sum() < 2:
-        raise InputError(
-            f"only {int(used.sum())} of {len(used)} markers were found in both pictures, at "
-            f"least 2 are needed: check exposure, layout and channels"
-        )
-    known, noise, share = _weights(found, calibration, used, METHODS[method].weighted)
-    base = _base(calibration, METHODS[method], known, noise)
-    singular = base.factors.singular / float(noise.mean())
-    return Problem(
-        calibration=calibration,
-        used=used,
-        known=known,
-        noise_px=noise,
-        base=base,
-        factors=replace(base.factors, singular=singular, share=np.repeat(share, 2)),
     )
 
 

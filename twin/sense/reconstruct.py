@@ -1,5 +1,5 @@
 """From marker motion to the force field: `reconstruct`; and the motion of a bumped camera:
-`camera_bump`.
+`Bump`.
 
 Why the totals come from the linear solve, also where the field is held to pushes or to friction
 cones: sums of such a field are biased, those of the linear estimate hardly are. Why the differences
@@ -56,7 +56,7 @@ from twin.display import (
 from twin.errors import InputError, require
 from twin.parts.methods import Method, WeightRule
 from twin.sense.calibration import Calibration
-from twin.sense.inverse import METHODS, Problem, problem_of
+from twin.sense.inverse import METHODS, Problem
 from twin.sense.regularisation import RULES, Factors
 from twin.sense.track import Found
 from twin.theory.relaxation import Hereditary
@@ -246,7 +246,7 @@ def reconstruct(
     require(found, Found, "the motion", "make it with twin.track")
     require(calibration, Calibration, "the calibration", "read one with twin.read_calibration")
     check_options(method, weight, push_only, friction, camera, calibration)
-    problem = problem_of(found, calibration, method)
+    problem = Problem.of(found, calibration, method)
     whole = problem.whiten(found.shift_px)
     if METHODS[method].local:
         linear, sd_force = _solved_locally(problem, whole, weight, robust, camera)
@@ -356,7 +356,7 @@ RAYLEIGH_MEDIAN = 1.1774
 """Median length of a vector of two normal components, over their standard deviation."""
 
 
-def excess(
+def _excess(
     residual: Floats, share: Floats, freedom: float, *, leave_out: bool
 ) -> tuple[Floats, Bools]:
     """Return what to take off the data, and which vectors it concerns.
@@ -454,7 +454,7 @@ def _solved(
         if robust:
             residual = whole - bend - factors.predicted(data, whitened)
             freedom = factors.freedom(whitened)
-            off, wrong = excess(residual, factors.share, freedom, leave_out=count >= SOFT)
+            off, wrong = _excess(residual, factors.share, freedom, leave_out=count >= SOFT)
         if count > (SOFT if robust else 0) and np.abs(off + bend - before).max() < SETTLED:
             break
     return _Linear(problem=problem, whole=whole, off=off, bend=bend, weight=whitened, wrong=wrong)
@@ -554,32 +554,32 @@ class Bump:
     shift_px: Floats
     sd_px: float
 
+    @classmethod
+    def of(cls, found: Found, calibration: Calibration) -> Bump:
+        """Estimate the shift that all markers share in addition to the forces.
+
+        Raises
+        ------
+        InputError
+            Motion and calibration don't belong together, or fewer than 2 markers are left.
+        """
+        problem = Problem.of(found, calibration, "smooth")
+        data, factors = problem.whiten(found.shift_px), problem.factors
+        shared = np.column_stack(
+            [problem.whiten(np.tile(axis, (len(found.shift_px), 1))) for axis in np.eye(2)]
+        )
+        usual = np.median(found.shift_px[problem.used], axis=0)
+        weight = factors.weight("auto", data - shared @ usual)
+        left = shared - factors.predicted(shared, weight)
+        weighed = factors.share[:, None] * left
+        normal = weighed.T @ shared
+        estimate = np.asarray(np.linalg.solve(normal, weighed.T @ data), np.float64)
+        scale = factors.noise_scale(data - shared @ estimate, weight)
+        sd = scale * float(np.sqrt(np.linalg.inv(normal).diagonal().max()))
+        return cls(shift_px=estimate, sd_px=sd)
+
     @property
     def certain(self) -> bool:
         """Whether it is too long to be noise or forces."""
         length = float(np.hypot(*self.shift_px))
         return length > LEAST_PX and length > EXPLAINS * self.sd_px
-
-
-def camera_bump(found: Found, calibration: Calibration) -> Bump:
-    """Estimate the shift that all markers share in addition to the forces.
-
-    Raises
-    ------
-    InputError
-        Motion and calibration don't belong together, or fewer than 2 markers are left.
-    """
-    problem = problem_of(found, calibration, "smooth")
-    data, factors = problem.whiten(found.shift_px), problem.factors
-    shared = np.column_stack(
-        [problem.whiten(np.tile(axis, (len(found.shift_px), 1))) for axis in np.eye(2)]
-    )
-    usual = np.median(found.shift_px[problem.used], axis=0)
-    weight = factors.weight("auto", data - shared @ usual)
-    left = shared - factors.predicted(shared, weight)
-    weighed = factors.share[:, None] * left
-    normal = weighed.T @ shared
-    estimate = np.asarray(np.linalg.solve(normal, weighed.T @ data), np.float64)
-    scale = factors.noise_scale(data - shared @ estimate, weight)
-    sd = scale * float(np.sqrt(np.linalg.inv(normal).diagonal().max()))
-    return Bump(shift_px=estimate, sd_px=sd)

@@ -23,7 +23,6 @@ from twin.sense.colour import (
     as_picture,
     colour_blocks,
     estimate_channels,
-    interpolate_colours,
     project,
 )
 from twin.sense.detect import Blobs, find_blobs
@@ -90,7 +89,7 @@ def analyse_rest(
     picture = as_picture(rest_image, "the rest picture")
     blocks = colour_blocks(picture)
     if blocks is not None:
-        picture = interpolate_colours(picture, blocks)
+        picture = as_picture(picture, "the rest picture", blocks)
     drawn = _checked_layout(layout)
     _check_options(drawn, diameter_px, polarity, channels, method)
     size = min(spacing(p) for p in drawn.values())

@@ -15,7 +15,7 @@ that of the filled data: with a tenth of the finger's markers lost it is .91 tim
 measured ones alone, by which forces move by a tenth of their standard deviation.
 
 Validity: the other markers must nearly determine the forces by themselves
-(`twin.sense.inverse.problem_of` factorises again where more data are concerned)."""
+(`twin.sense.inverse.Problem` factorises again where more data are concerned)."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ def fit_shapes(
 
 def _axes(p: Floats, radius: Floats) -> Floats:
     """Return (k, 3) semi-axes xx, xy, yy of discs grown and stretched, px."""
-    return radius[:, None] * [1.0, 0.0, 1.0] + p[:, 7:10] @ STRETCHES
+    return np.asarray(radius[:, None] * [1.0, 0.0, 1.0] + p[:, 7:10] @ STRETCHES)
 
 
 def _whole_marker(

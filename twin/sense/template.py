@@ -277,14 +277,14 @@ def _sums(
 
 
 @njit(cache=True)
-def doubtful(noise, level, step):
+def _doubtful(noise, level, step):
     """Return the squared residual at which a pixel counts a quarter; wide while the centre still
     moves by ``step``."""
     return OUTLIER_SD**2 * (noise + (IMPERFECT * level) ** 2) + (0.5 * level * min(step, 2.0)) ** 2
 
 
 @njit(cache=True)
-def inverse_form(xx, xy, yy, scale):
+def _inverse_form(xx, xy, yy, scale):
     """Return the inverse square of a symmetric matrix of semi-axes (times ``scale``): xx, xy,
     yy."""
     a = scale * scale * (xx * xx + xy * xy)
@@ -365,9 +365,9 @@ def _fit_centres(
             slope_x += slopes[0, 3] * u * u + slopes[0, 4] * u * v + slopes[0, 5] * v * v
             slope_y = mark[4] + slopes[1, 0] + slopes[1, 1] * u + slopes[1, 2] * v
             slope_y += slopes[1, 3] * u * u + slopes[1, 4] * u * v + slopes[1, 5] * v * v
-            fxx, fxy, fyy = inverse_form(xx, xy, yy, scale)
+            fxx, fxy, fyy = _inverse_form(xx, xy, yy, scale)
             left = SHARE * total[14] / total[0] if turn > 0 else 0.0
-            narrow = 1.0 / doubtful(
+            narrow = 1.0 / _doubtful(
                 max(noise[1], left), level, math.sqrt(step) if turn > 0 else 1.0
             )
             _sums(
@@ -456,7 +456,7 @@ def _fit_centres(
         unlike = smallest < (1.0 - SMALLER * LEAST_SPREAD) * largest
         fit[DOUBTED] = 1.0 if doubted or unlike else 0.0
         if doubted:
-            form = inverse_form(xx, xy, yy, scale)
+            form = _inverse_form(xx, xy, yy, scale)
             light = (slope_x, slope_y, mark[5])
             centre = (cx - column, cy - row)
             _edge(signal, use, place, centre, form, light, blur, level, here, narrow, fit)

@@ -21,7 +21,7 @@ from twin.display import Table, html_table, new_axes, one_line, plot_shifts
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
-from twin.sense.colour import Weights, as_picture, interpolate_colours
+from twin.sense.colour import Weights, as_picture
 from twin.sense.reference import Rest, analyse_rest
 
 CACHE_LINE = 64
@@ -297,7 +297,7 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
             f"start_px must be {rest.rest_px.shape} px, one row a marker, got {np.shape(start_px)}"
         )
     if rest.blocks is not None:
-        picture = interpolate_colours(picture, rest.blocks)
+        picture = as_picture(picture, "the picture", rest.blocks)
     shift = np.full(rest.rest_px.shape, np.nan)
     sd = np.full(len(rest.rest_px), np.nan)
     state = np.full(len(rest.rest_px), MISSING, np.uint8)

@@ -83,7 +83,7 @@ def calibration_of(sensor: Sensor) -> Calibration:
     scene = sensor.nominal
     if scene.calibration.method not in BY_PRESSES:
         return _calibrate_by_design(sensor)
-    from twin.sense.calibration import read_calibration, write_calibration
+    from twin.sense.calibration import read_calibration
 
     digest = _sensor_digest(scene)
     cached = cache_folder() / f"calibration-{digest[:32]}.npz"
@@ -101,7 +101,7 @@ def calibration_of(sensor: Sensor) -> Calibration:
         )
     made = calibrate_by_presses(sensor)
     with suppress(InputError):  # a full disk costs the time to calibrate again
-        write_calibration(made, cached)
+        made.write(cached)
     return made
 
 
@@ -120,7 +120,6 @@ def calibrate_to_file(
     InputError
         Files that can't be used; fewer than half of the design's markers at rest.
     """
-    from twin.sense.calibration import write_calibration
 
     if scene.reconstruction is None or scene.camera is None:
         table = "reconstruction" if scene.reconstruction is None else "camera"
@@ -140,7 +139,7 @@ def calibrate_to_file(
         text = f"{len(made.transfer) // 2} markers"
     facts = made.facts | {"reconstruction": scene.reconstruction.options()}
     made = replace(made, provenance=json.dumps(facts))
-    write_calibration(made, out)
+    made.write(out)
     if progress is not None:
         progress("done", 1.0)
     line = f"{out}: {scene.calibration.method}, {len(made.site_mm)} sites, {text}"
@@ -358,7 +357,7 @@ def _measured_calibration(
 
 def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) -> Calibration:
     """Return the calibration by the nominal design fitted to presses and to the rest picture."""
-    from twin.sense.fit_design import fit
+    from twin.sense.fit_design import Fit
     from twin.study.fitted_design import FittedDesign
 
     scene = sensor.nominal
@@ -367,7 +366,7 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
     most = scene.calibration.press_probe_mm / 2
     radius = np.array([min(_hertz_radius(scene, float(f)), most) for f in force])
     design = FittedDesign(scene, places, radius, progress=sensor.progress)
-    found = fit(design, presses)
+    found = Fit.of(design, presses)
     # The transfer matrix of the fitted design, at the scene's sites.
     markers, _ = design.markers_of(found.scaled, presses.rest_px)
     compliance = design.compliance(found.scaled, markers, sensor.sites)

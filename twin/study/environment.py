@@ -223,7 +223,7 @@ class Environment:
         return replace(load, crept=Load(tuple(terms)))
 
     def _feel(self, load: Load, state: ContactState | None, seconds: float | None) -> Observation:
-        from twin.judge.score import field_score, into_cells
+        from twin.judge.score import force_score, into_cells
         from twin.sense.reconstruct import reconstruct
 
         sensor = self.sensor
@@ -265,7 +265,7 @@ class Environment:
             total_torque_nmm=patches.total_torque_nmm,
             state=state,
         )
-        error = field_score(field, patches)
+        error = force_score(field, patches)
         error.pop("reasons")
         return Observation(
             picture=picture,

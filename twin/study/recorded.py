@@ -34,7 +34,7 @@ from twin.files import LARGEST_PX, make_folder, png_bytes, write_whole
 from twin.parts.scene import Reconstruction
 from twin.sense.calibration import Calibration, read_calibration
 from twin.sense.inverse import METHODS
-from twin.sense.reconstruct import Bump, Field, camera_bump, check_options, reconstruct
+from twin.sense.reconstruct import Bump, Field, check_options, reconstruct
 from twin.sense.track import Found, Tracker
 from twin.theory.relaxation import Hereditary
 
@@ -381,7 +381,7 @@ def _reconstruct_frames(
             try:
                 found = tracker.track(frame.picture)
                 field = before = reconstruct(found, calibration, previous=before, **options)
-                bump = camera_bump(found, calibration)
+                bump = Bump.of(found, calibration)
                 if history is not None and frames_per_second is not None:
                     since = 0 if last is None else number - last
                     field, last = field.relaxed(history, since / frames_per_second), number

@@ -282,7 +282,7 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
                 state = replace(state, validity=sensor.validity(state))
     # The errors by stage.
     with stage("score"):
-        from twin.judge.score import field_score, score, tracking_score
+        from twin.judge.score import force_score, score, tracking_score
 
         bound_px = noise_bound(scene) if "picture" in needed else None
         tracking = force = None
@@ -293,7 +293,7 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
             )
             if len(estimate.site_mm):
                 frames = None if calibration is None else calibration.site_frames
-                force = field_score(estimate, patches, frames)
+                force = force_score(estimate, patches, frames)
         errors = score(
             elastic=_elastic_errors(truth, motion, state), tracking=tracking, force=force
         )

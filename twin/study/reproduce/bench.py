@@ -28,7 +28,7 @@ import numpy as np
 
 from twin.arrays import Floats, Picture, Progress
 from twin.display import plot_forces, plot_shifts
-from twin.judge.score import field_score, into_cells
+from twin.judge.score import force_score, into_cells
 from twin.parts.load import Load, Traction
 from twin.parts.methods import CentreMethod, Method
 from twin.parts.part import identity
@@ -849,7 +849,7 @@ class Shot:
 
     def score(self, name: str) -> float:
         """Return one number of the judge's score of the field; NaN where it is not defined."""
-        score = field_score(self.field, self.rig.sensor.rectangles(self.state.load))
+        score = force_score(self.field, self.rig.sensor.rectangles(self.state.load))
         return float("nan") if score[name] is None else float(score[name])
 
 
