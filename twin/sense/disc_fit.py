@@ -50,10 +50,11 @@ from twin.sense.match import GATE, TRUST, Neighbourhood
 from twin.sense.shape_fit import Expected, fit_shapes, fit_visible
 from twin.sense.soft_window import SoftWindow
 from twin.sense.template import (
+    CENTRE,
     CENTRE_X,
     CENTRE_Y,
+    COLUMNS,
     DIFFERENCE,
-    DIRECTIONS,
     DOUBTED,
     EDGE,
     FITS,
@@ -75,15 +76,12 @@ from twin.sense.template import (
     SMALLER,
     SQUARES,
     STEP,
-    THIRD_X,
-    THIRD_Y,
-    TILTED_X,
-    TILTED_Y,
+    THIRD,
+    TILTED,
     UNEVEN,
     UNUSUAL,
     VAR_TILTED,
-    VAR_X,
-    VAR_Y,
+    VARIANCE,
     Templates,
     gather,
     slope_terms,
@@ -94,16 +92,15 @@ USUAL_BLUR_PX = 2.0
 search starts."""
 
 SMOOTHER, LEAST_LUMA = 0.8, 0.2
-"""Brightness replaces a layer's colour where it shows this share of the contrast (blue's doesn't),
-and edges at rest lie nearer to the model by this factor: their third harmonic is as far off as
-centres are (`_coherence`)."""
+"""Brightness replaces a layer's colour where it has this share of the contrast (blue's has not),
+and third harmonics of edges at rest (`_coherence`) are smaller by this factor."""
 
 SHOWS = 0.3
 """Another layer shows where it has this share of its usual level."""
 
 OWN_SLOPE = 0.3
-"""A marker's own slope, over its radius, counts above this: smaller ones cost little where they are
-real (a tenth of the precision), and much where a neighbour's shadow feigns them and then moves."""
+"""A marker's own slope, over its radius, counts above this: a neighbour's shadow feigns smaller
+ones, and then moves."""
 
 SAMPLE = 40
 """About how many markers give the layer's blur and bulge."""
@@ -126,23 +123,20 @@ brightness, above which it is no picture of that marker. Noise that hangs togeth
 capture unit's colour) is usual."""
 
 HIDES = 0.28
-"""A marker that lacks more of its light somewhere, and whose edge fits worse than at rest
-(`FITS`), is partly hidden: its visible part's centre is not its own. Shadows in the shipped
-finger lack up to .26; where a tenth of a marker's width is hidden, .31 (10 px wide) and .55 (15 px)
-are lacking."""
+"""A marker that lacks more of its light somewhere, and whose edge fits worse than at rest (`FITS`),
+is partly hidden. Shadows in the shipped finger lack up to .26; where a tenth of a marker's width is
+hidden, .31 (10 px wide) and .55 (15 px) are lacking."""
 
 RESHAPES = 1.25
-"""A marker that no longer looks as at rest does so with an outline and blur of its own if what that
-leaves exceeds the usual by less (by chance 1.17 in one of 20). Of markers 10 px wide that have a
-fiftieth of their area hidden one in 40 leaves less, with more hidden none."""
+"""A marker has an outline and blur of its own if what that fit leaves exceeds the usual by less. Of
+markers 10 px wide of which a fiftieth is hidden one in 40 leaves less, with more hidden none."""
 
 STRETCHED, BLURRED = 1.4, 2.5
 """Largest growth of a marker's semi-axis, and of the blur, that a shape of its own reaches to."""
 
 KNOWN_OUTLINE, KNOWN_LEVEL, OPEN_LEVEL = 0.005, 0.02, 0.2
-"""Standard deviations of a marker's outline and brightness about its neighbours', as shares of
-the radius and the brightness, where the neighbours do not scatter at all; and of the brightness of
-a marker that was cut by the picture's frame at rest."""
+"""Least standard deviations of a marker's outline and brightness about its neighbours', as shares
+of radius and brightness; and of the brightness of one that the frame cut at rest."""
 
 NORMAL_MEDIAN = 0.455
 """Median of the square of a normal number, over its variance."""
@@ -152,8 +146,7 @@ NORMAL = 0.7413
 
 SHADOW_MOVES = 4.0
 """A marker is not taken for partly hidden while its squared residuals exceed the usual ones by less
-than this factor times what they did at rest: another layer's shadow on it moves, and is then missed
-at the old place and at the new one, twice as strongly where they meet."""
+than this factor times what they did at rest: a shadow that moves is missed twice."""
 
 DIFFERS = 2.5
 """Standard deviations from its neighbours' beyond which an outline is not their common strain."""
@@ -179,33 +172,30 @@ WORST_FITS = 0.98
 """A marker cut by the frame may fit as badly as this share of the whole ones."""
 
 DOUBT = 4.0
-"""A doubted marker's variance (`UNUSUAL`) grows by so much of the excess of its residuals.
-Residuals beyond the noise hang together over several pixels, hence more than in proportion."""
+"""A doubted marker's variance (`UNUSUAL`) grows by so much of the excess of its residuals."""
 
 CHANCE = 4.0
-"""Standard deviations up to which a fit that moves when one side of the edge is left out
-(`ONE_SIDED`) has moved by chance. None of 8,000 whole markers exceeds 3.4; where a tenth of the
-width of markers 8 to 10 px wide is hidden the least is 7.8 (of wider ones `HIDES` finds it)."""
+"""Standard deviations up to which a fit moves by chance when one side of the edge is left out
+(`ONE_SIDED`): whole markers up to 3.4, with a tenth of the width hidden from 7.8 on."""
 
 EVEN, LEVEL_TILT = 2.8, 3.0
 """Standard deviations up to which an edge's third harmonic, and the motion by a changed slope of
-brightness, have changed by chance (in 49 and 89 of 50 and 90). What hides a part of a marker, or a
-shadow that moves over it, moves its centre by about as much: what exceeds this is stated."""
+brightness, change by chance (49 of 50, 89 of 90). What exceeds this is stated."""
 
 TILTS = 0.5
-"""Share of the motion by a changed slope of brightness that is an error of the centre: between what
-it is of beads in a block (.25) and of prints in shadow on the finger (.6 to .85)."""
+"""Share of the motion by a changed slope of brightness that is an error of the centre: of beads in
+a block .25, of prints in shadow on the finger .6 to .85."""
 
 USUAL = 0.25
 """Share of the markers that fit better than what is called usual."""
 
 MORE_UNUSUAL = 1.12
-"""Where most markers have changed their shape, what is usual is taken to be more by up to this
-factor: larger outlines reach over more of the ground's texture. More than that is a misfit."""
+"""Largest factor by which residuals are usual where most markers have changed their shape: larger
+outlines reach over more of the ground's texture."""
 
 OUTLYING = 3.0
-"""A third harmonic of more medians counts as one of so many (two standard deviations): of a layer
-under another's moving shadows up to a quarter may have more, of compressed pictures none has."""
+"""A third harmonic of more medians counts as one of so many: under moving shadows up to a quarter
+of a layer may have more."""
 
 LEAST_SCORES = 4
 """From so many numbers on a median is taken."""
@@ -284,25 +274,17 @@ class DiscFit(SoftWindow):
         cut = here._cut(fitted, start)
         if cut.any():
             fitted[cut] = here._fit(picture, start, around.lead)[cut]
-        templates = replace(
-            templates,
-            misfit=fitted[:, MISFIT].copy(),
-            third=np.ascontiguousarray(fitted[:, THIRD_X : THIRD_Y + 1]),
-            fitting=fitted[:, FITTING].copy(),
-            one_sided=np.ascontiguousarray(fitted[:, ONE_SIDED : ONE_SIDED + DIRECTIONS]),
-            tilted=fitted[:, TILTED_X : TILTED_Y + 1].copy(),
-            var_tilted=fitted[:, VAR_TILTED].copy(),
-        )
+        templates = replace(templates, rest=fitted.copy())
         good = (fitted[:, EDGE] > LEAST_EDGE) & (fitted[:, LEVEL] >= spots.look.contrast_dn)
         good &= ~cut | (fitted[:, RESHAPED] == PART_IN_SIGHT)
         sd = np.where(good, _centre_sds(fitted, templates.usual_misfit), np.nan)
         if cut.any() and (good & ~cut).any():
             # what whole outlines' third harmonics exceed the noise by is unknown of those cut
             square = np.nanmedian(templates.third[good & ~cut] ** 2) / NORMAL_MEDIAN
-            noise = np.nanmedian(fitted[good & ~cut, VAR_X : VAR_Y + 1])
+            noise = np.nanmedian(fitted[good & ~cut, VARIANCE])
             sd[cut] = np.hypot(sd[cut], np.sqrt(max(square - 2.0 * noise, 0.0)))
         covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
-        rest_px = np.where(good[:, None], fitted[:, CENTRE_X : CENTRE_Y + 1], np.nan)
+        rest_px = np.where(good[:, None], fitted[:, CENTRE], np.nan)
         return cls(
             **known
             | {
@@ -337,7 +319,7 @@ class DiscFit(SoftWindow):
         doubted |= cut
         if not (odd | doubted).any():
             return fitted
-        places = for_kernel(fitted[:, CENTRE_X : CENTRE_Y + 1])
+        places = for_kernel(fitted[:, CENTRE])
         if 2 * odd.sum() > np.isfinite(places[:, 0]).sum():
             templates = replace(templates, noise=_noise_now(picture, templates, places))
             fitted = templates.fit(picture, places)
@@ -371,8 +353,8 @@ class DiscFit(SoftWindow):
         templates = replace(templates, usual_misfit=now)
         doubted &= taken | cut | self._unusual(fitted, misfit, now)[1]
         if doubted.any():
-            near = np.hypot(*(fitted[:, CENTRE_X : CENTRE_Y + 1] - start_px).T) < radius
-            fitted[cut & ~near, CENTRE_X : CENTRE_Y + 1] = start_px[cut & ~near]
+            near = np.hypot(*(fitted[:, CENTRE] - start_px).T) < radius
+            fitted[cut & ~near, CENTRE] = start_px[cut & ~near]
             self._fit_parts(picture, templates, fitted, doubted, cut, axes, blur)
         return fitted
 
@@ -382,7 +364,7 @@ class DiscFit(SoftWindow):
         height, width = self.look.picture_px
         cut = ~((fitted[:, EDGE] >= WHOLE_EDGE) & (fitted[:, SCALE] >= SHRUNK))
         rows = np.flatnonzero(cut)
-        place = np.stack([fitted[rows, CENTRE_X : CENTRE_Y + 1], start_px[rows]])
+        place = np.stack([fitted[rows, CENTRE], start_px[rows]])
         gap = np.fmin(place + 0.5, [width - 0.5, height - 0.5] - place)
         gap = np.fmin.reduce(gap, axis=(0, 2))
         cut[rows] = gap < np.sqrt(self.templates.shape[rows, 0] * self.templates.shape[rows, 2])
@@ -395,15 +377,15 @@ class DiscFit(SoftWindow):
         ``misfit`` (n,) is the least that a fit has left, ``now`` what is usual in this picture.
         """
         templates, scale = self.templates, fitted[:, SCALE]
-        odd = misfit > UNUSUAL * np.fmax(templates.misfit, now)
-        fits = fitted[:, FITTING] / templates.fitting
+        odd = misfit > UNUSUAL * np.fmax(templates.rest[:, MISFIT], now)
+        fits = fitted[:, FITTING] / templates.rest[:, FITTING]
         low, middle, high = (_quantile(scale, share) for share in (0.25, 0.5, 0.75))
         least = middle - SMALLER * max(NORMAL * (high - low), LEAST_SPREAD)
         doubted = odd | (fits < FITS * min(_quantile(fits, 0.5), 1.0)) | (scale < least)
         if not templates.coherent:
-            square = ((fitted[:, THIRD_X : THIRD_Y + 1] - templates.third) ** 2).sum(axis=1)
-            doubted |= square > 2.0 * UNEVEN**2 * (fitted[:, VAR_X] + fitted[:, VAR_Y])
-        lacked = np.fmax(templates.misfit - RESHAPES * templates.usual_misfit, 0.0)
+            square = ((fitted[:, THIRD] - templates.third) ** 2).sum(axis=1)
+            doubted |= square > 2.0 * UNEVEN**2 * (fitted[:, VARIANCE].sum(axis=1))
+        lacked = np.fmax(templates.rest[:, MISFIT] - RESHAPES * templates.usual_misfit, 0.0)
         return odd, doubted & (misfit > now + SHADOW_MOVES * lacked)
 
     def _fit_parts(
@@ -454,7 +436,7 @@ class DiscFit(SoftWindow):
             blur=templates.shape[rows, 6] * usual[:, 4],
             bare=cut[rows],
         )
-        start = fitted[rows, CENTRE_X : CENTRE_Y + 1]
+        start = fitted[rows, CENTRE]
         part = fit_visible(picture, templates, rows, start, expected)
         limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part.pixels, 1))
         if fine.any():
@@ -469,9 +451,9 @@ class DiscFit(SoftWindow):
         fitted[refused, SHORTFALL], fitted[refused, FITTING] = 1.0, 0.0
         rows = rows[good]
         out = np.full((len(rows), fitted.shape[1]), np.nan)
-        out[:, CENTRE_X : CENTRE_Y + 1] = part.centre_px[good]
+        out[:, CENTRE] = part.centre_px[good]
         out[:, LEVEL], out[:, GROUND] = part.level[good], part.ground[good]
-        out[:, VAR_X : VAR_Y + 1] = part.sd_px[good, None] ** 2
+        out[:, VARIANCE] = part.sd_px[good, None] ** 2
         out[:, PIXELS], out[:, MISFIT] = part.pixels[good], part.misfit[good]
         out[:, SQUARES] = part.misfit[good] * part.pixels[good] * templates.noise[0]
         out[:, STEP], out[:, SHORTFALL] = part.step_px[good], 0.0
@@ -523,7 +505,7 @@ class DiscFit(SoftWindow):
             self.around.rest_px,
             templates.level,
             templates.usual_misfit,
-            templates.fitting,
+            templates.rest[:, FITTING],
             self.look.diameter_px,
             self.look.contrast_dn,
             self.look.picture_px,
@@ -612,7 +594,7 @@ def _centre_sds(fitted: Floats, usual_misfit: float) -> Floats:
     """Return (n,) standard deviations of fitted centres, per axis, px: the noise's, more where the
     fit is bad; NaN where there was none."""
     bad = np.maximum(fitted[:, MISFIT] / usual_misfit - UNUSUAL, 0.0)
-    variance = 0.5 * (fitted[:, VAR_X] + fitted[:, VAR_Y])
+    variance = 0.5 * (fitted[:, VARIANCE].sum(axis=1))
     return np.asarray(np.sqrt(variance * (1.0 + DOUBT * bad) + SD_FLOOR_PX**2))
 
 
@@ -629,7 +611,7 @@ def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
     ``third`` is that of the edge at rest; ``seen`` and ``sd`` say which fits count, and the
     standard deviations of their shifts, px.
     """
-    moved = np.abs(fitted[:, THIRD_X : THIRD_Y + 1] - third)
+    moved = np.abs(fitted[:, THIRD] - third)
     counts = seen & np.isfinite(moved[:, 0])
     if 2 * int(counts.sum()) < LEAST_SCORES:
         return 1.0
@@ -649,22 +631,22 @@ def _edge_sds(
     limit = factor if factor > COHERENT else 1.0
     moved = np.zeros(len(fitted))
     looked = np.flatnonzero(np.isfinite(fitted[:, ONE_SIDED]))
-    edge = fitted[looked, ONE_SIDED:RESHAPED]
-    change = np.abs(edge - templates.one_sided[looked])
+    rest = templates.rest
+    change = np.abs(fitted - rest)[looked, ONE_SIDED:RESHAPED]
     moved[looked] = np.where(np.isfinite(change), change, 0.0).max(axis=1)
     beyond = np.maximum(moved**2 - 2.0 * (CHANCE * limit * rest_sd) ** 2, 0.0)
     part = fitted[:, RESHAPED] == PART_IN_SIGHT
     if part.any():
         sd = np.where(part, sd / min(factor, max(np.sqrt(templates.usual_misfit), 1.0)), sd)
         # an outline that is irregular at rest misleads where only a part of it is in sight
-        beyond[part] = np.nan_to_num(np.abs(templates.one_sided[part])).max(axis=1) ** 2
+        beyond[part] = np.nan_to_num(np.abs(rest[part, ONE_SIDED:RESHAPED])).max(axis=1) ** 2
     sd = factor * sd
-    uneven = ((fitted[:, THIRD_X : THIRD_Y + 1] - templates.third) ** 2).sum(axis=1)
+    uneven = ((fitted[:, THIRD] - templates.third) ** 2).sum(axis=1)
     beyond += np.fmax(uneven - (EVEN * sd) ** 2, 0.0) * templates.third_weakened**2
     # a shadow that moves over a marker is a slope of brightness that it did not have at rest
-    tilted = ((fitted[:, TILTED_X : TILTED_Y + 1] - templates.tilted) ** 2).sum(axis=1)
+    tilted = ((fitted - rest)[:, TILTED] ** 2).sum(axis=1)
     noisier = _quantile(fitted[:, MISFIT], USUAL) / templates.usual_misfit
-    chance = fitted[:, VAR_TILTED] * max(noisier, 1.0) + templates.var_tilted
+    chance = fitted[:, VAR_TILTED] * max(noisier, 1.0) + rest[:, VAR_TILTED]
     chance *= (LEVEL_TILT * limit) ** 2
     tilted = np.fmax(tilted - chance, 0.0)
     if not templates.coherent:  # a shape of its own, of another noise: maybe compressed since
@@ -774,6 +756,8 @@ def _make_templates(
     slopes = _share_slopes(shape, places, good, picture.shape)
     axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1) + shape[:, 6]
     reach = float(np.nanmax(axes, initial=3.0)) + MARGIN_PX
+    unknown = np.zeros((count, COLUMNS))
+    unknown[:, [MISFIT, FITTING]] = 1.0
     templates = Templates(
         own=own,
         others=others,
@@ -785,12 +769,7 @@ def _make_templates(
         level=shape[:, 7].copy(),
         reach_px=reach,
         coherent=False,
-        misfit=np.ones(count),
-        third=np.zeros((count, 2)),
-        fitting=np.ones(count),
-        one_sided=np.zeros((count, DIRECTIONS)),
-        tilted=np.zeros((count, 2)),
-        var_tilted=np.zeros(count),
+        rest=unknown,
     )
     fitted = templates.fit(picture, places)
     misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
@@ -802,7 +781,7 @@ def _make_templates(
         level=fitted[:, LEVEL],
         coherent=usual > WHITE,
     )
-    return settled, np.ascontiguousarray(fitted[:, CENTRE_X : CENTRE_Y + 1])
+    return settled, np.ascontiguousarray(fitted[:, CENTRE])
 
 
 def _share_slopes(
@@ -850,7 +829,7 @@ def _noise_variances(
     for k in np.flatnonzero(np.isfinite(centres).all(axis=1)):
         column, row = (int(v) for v in np.rint(centres[k]))
         gather(picture, tuple(own), nothing, column, row, offset, NO_RUNS, signal, use)
-        away = (offset[0] + column - centres[k, 0]) ** 2 + (offset[1] + row - centres[k, 1]) ** 2
+        away = np.square(offset.T - (centres[k] - (column, row))).sum(axis=1)
         here, away, use_ = (v.reshape(len(side), -1) for v in (signal, away / radius**2, use))
         twist = here[:-1, :-1] - here[:-1, 1:] - here[1:, :-1] + here[1:, 1:]
         corners = [away[:-1, :-1], away[:-1, 1:], away[1:, :-1], away[1:, 1:]]

@@ -127,6 +127,8 @@ DIRECTIONS = 8
 RESHAPED = ONE_SIDED + DIRECTIONS
 DOUBTED, DIFFERENCE, TILTED_X, TILTED_Y, VAR_TILTED = range(RESHAPED + 1, RESHAPED + 6)
 COLUMNS = VAR_TILTED + 1
+CENTRE, VARIANCE = slice(CENTRE_X, CENTRE_Y + 1), slice(VAR_X, VAR_Y + 1)
+THIRD, TILTED = slice(THIRD_X, THIRD_Y + 1), slice(TILTED_X, TILTED_Y + 1)
 """What `Templates.fit` gives for a marker: centre, level, ground, scale against the template;
 variances of the centre; share of the edge in sight; sum of squared residuals over how many pixels;
 last step in px; squared residuals over their expected size; share of the edge in sight that fits;
@@ -560,11 +562,8 @@ class Templates:
         Radius of what is looked at around a marker, px.
     coherent
         Whether residuals at rest are those of noise that hangs together over pixels.
-    misfit, third, fitting, one_sided, tilted, var_tilted
-        At rest: (n,) squared residuals over what the noise explains; (n, 2) third harmonic of the
-        edge, px; (n,) share of the edge that fits; (n, `DIRECTIONS`) how far the centre moves
-        without one side of the edge, px; (n, 2) how far with a fitted slope, px, and (n,) its
-        variance.
+    rest
+        (n, `COLUMNS`) `fit` of the rest picture.
     """
 
     own: Singles
@@ -577,17 +576,17 @@ class Templates:
     level: Floats
     reach_px: float
     coherent: bool
-    misfit: Floats
-    third: Floats
-    fitting: Floats
-    one_sided: Floats
-    tilted: Floats
-    var_tilted: Floats
+    rest: Floats
 
     @property
     def blur_px(self) -> Floats:
         """(n,) standard deviation of the blur, px: of a biweight, half its width over root 7."""
         return np.asarray(self.shape[:, 6] / np.sqrt(7.0))
+
+    @cached_property
+    def third(self) -> Floats:
+        """(n, 2) third harmonic of the edge at rest, px."""
+        return np.ascontiguousarray(self.rest[:, THIRD])
 
     @cached_property
     def third_weakened(self) -> Floats:
