@@ -291,7 +291,7 @@ def transmission(p: Floats, body_index: float, layers: tuple[Camera.Layer, ...])
     Notes
     -----
     `reflection` at each interface in turn, relative to normal incidence, which the exposure takes
-    up. Reflections to and fro between interfaces are left out.
+    up; without reflections to and fro.
     """
     indices = [body_index, *(layer.index for layer in layers), 1.0]
     share = np.ones_like(p)

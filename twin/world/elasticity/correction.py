@@ -170,10 +170,10 @@ def _distant(
     vector a.
 
     A point force's stress is radial, -3 (f . x) x x / (2 pi r^5), plus k = 1 - 2 nu times a plane
-    part that has no component along the normal n (Boussinesq, Cerruti; H is the potential of
-    `twin.theory.halfspace`): the traction 1 / (2 pi) [A_i (x . f) / r^3 - H_imj A_m f_j], i
-    and m in the plane. With s = 1 / (r + z) its derivatives there are H_imj = p (d_im x_j + d_ij
-    x_m + d_mj x_i) - w x_i x_m x_j and H_imz = d_im s / r - v x_i x_m.
+    part without a component along the normal n (Boussinesq, Cerruti; H is the potential of
+    `twin.theory.halfspace`): the traction 1 / (2 pi) [A_i (x . f) / r^3 - H_imj A_m f_j], i and m
+    in the plane. With s = 1 / (r + z), H_imj = p (d_im x_j + d_ij x_m + d_mj x_i) - w x_i x_m x_j
+    and H_imz = d_im s / r - v x_i x_m.
     """
     tx, ty, tz = 0.0, 0.0, 0.0
     radial, plane = 1.5 / math.pi, 0.5 * k / math.pi
@@ -226,21 +226,9 @@ def _distant(
 
 @dataclass(frozen=True)
 class _Skin:
-    """Faces and the true surfaces behind them.
-
-    Attributes
-    ----------
-    body
-        The body whose level sets the surfaces are.
-    faces
-        (f, 6) quadratic triangles.
-    sheet, depth_mm
-        (f,) smooth sheet of the body's surface that each lies on, and how far below it.
-    weight
-        (f,) how many times the half-space's traction is out of balance there.
-    inside
-        (f,) whether each is an interface.
-    """
+    """Faces (f, 6) and the true surfaces behind them: the sheet (f,) of the body's surface that
+    each lies on and how far below it, how many times the half-space's traction is out of balance
+    there, and whether each is an interface."""
 
     body: Body
     faces: Ints
@@ -309,12 +297,8 @@ def _add_exactly(
     poisson_ratio: float,
     out: Floats,
 ) -> None:
-    """Add every point's traction -sigma n, spread by the shape functions (q, 6), to the nodal
-    forces (N, 3, m).
-
-    In closed form all over: under a load the interface carries all of it, where a free face carries
-    next to nothing.
-    """
+    """Add every point's traction -sigma n to the nodal forces (N, 3, m) in closed form: under a
+    load an interface carries all of it, where a free face carries next to nothing."""
     for case in range(columns.shape[2]):
         load = Rectangles(
             centre_mm=centre, frames=frames, half_mm=half, force_n=columns[:, :, case]
@@ -469,8 +453,7 @@ def _from_afar(load: Rectangles, columns: Floats) -> tuple[Rectangles, Floats]:
     """Return point forces (c) and their values (c, 3, m) that stand for a load at a distance.
 
     Four in every rectangle, for a wide one's spread counts far away too; those of a fine load are
-    merged into cells. Loads of few rectangles, several cases at once, and neighbours that pull in
-    opposite directions are not merged.
+    merged into cells, unless neighbours pull in opposite directions.
     """
     corners = np.array([(s, t) for t in GAUSS_2 for s in GAUSS_2])
     offsets = np.einsum("sa,ka,kai->ksi", corners, load.half_mm, load.frames[:, :2])

@@ -329,8 +329,7 @@ def _grid(
     body: Body,
     spacing_mm: float | None,
 ) -> Rectangles:
-    """Return tiles in their own tangent planes on the true surface; weights are integrals over the
-    true area."""
+    """Return tiles in their own tangent planes; weights are integrals over the true area."""
     number = _number(traction, half, spacing_mm)
     side = 2.0 * half / number
     s, t = ((np.arange(n) + 0.5) * d - h for n, d, h in zip(number, side, half, strict=True))

@@ -2,10 +2,8 @@
 
 An edge is cut only when it is the longest of every element around it, so elements always fit
 together; where a neighbour has a longer edge, that one is cut first (M.-C. Rivara 1997, Int. J.
-Numer. Meth. Eng. 40). Angles stay bounded and the result is the same every time.
-
-A block is cut into a few cells, and each of these into six tetrahedra, which are halved to the
-wanted edges: a second's work; the smallest angle is 20 degrees and more on all proportions.
+Numer. Meth. Eng. 40): angles stay bounded. A block's first cells are six tetrahedra each, which are
+halved to the wanted edges; the smallest angle is 20 degrees and more on all proportions.
 """
 
 from __future__ import annotations

@@ -199,12 +199,11 @@ def fewer(vertices: Points, triangles: Ints, within_mm: float) -> tuple[Points, 
 
 
 def outer_surface(body: Body, spacing_mm: float) -> tuple[Points, Ints]:
-    """Return vertices (n, 3), mm, and triangles (m, 3), normals pointing out, of the surface of a
-    body: its own, or the hull of points ``spacing_mm`` apart on curved pieces.
+    """Return vertices (n, 3), mm, and outward triangles (m, 3) of a body's surface: its own or
+    fewer ones within `WITHIN` of the spacing, or the hull of points ``spacing_mm`` apart on it.
 
-    The body's own triangles may be replaced by fewer ones, nowhere farther from them than `WITHIN`
-    of the spacing. Raises a `MeshError` if the triangles are not closed, or their volume differs by
-    more than 1 % from the body's.
+    Raises a `MeshError` if these are not closed, or their volume differs by more than 1 % from the
+    body's.
     """
     if body.own_surface is not None:
         return fewer(*body.own_surface, WITHIN * spacing_mm)
@@ -387,12 +386,8 @@ def _narrowest(vertices: Points, triangles: Ints) -> str:
 
 
 def _next_scale(tried: list[tuple[float, float]]) -> float:
-    """Return the scale to try next, from scales and the unknowns they gave over the wanted ones.
-
-    The usual power law until there is one scale with too many unknowns and one with too few, then
-    the place between the two best of them: on bodies whose coarse part is a few elements thick the
-    law is far steeper, and swings.
-    """
+    """Return the scale to try next, from scales and the unknowns they gave over the wanted ones: by
+    a power law, then between the best scale with too many unknowns and that with too few."""
     over, under = [t for t in tried if t[1] > 1], [t for t in tried if t[1] <= 1]
     if not over or not under:
         scale, ratio = tried[-1]

@@ -118,9 +118,9 @@ def onto_sheets(body: Body, points: Points, on: Bools, *, depth_mm: float = 0.0)
 def _classify(body: Body, points: Points, triangles: Ints) -> Ints:
     """Return (f,) the sheet each boundary triangle lies on.
 
-    Distance alone can't separate the sheets of a small triangle on a rounded edge. So the cost of a
-    sheet is its largest distance at the corners in units of the longest edge, plus 1 - cosine of
-    the angle between the normals.
+    Distance alone can't separate the sheets of a small triangle on a rounded edge. The cost of a
+    sheet is the largest distance of a corner over the longest edge, plus 1 - cosine of the angle
+    between the normals.
     """
     corner = points[triangles]
     distance = (

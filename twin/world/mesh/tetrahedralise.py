@@ -103,9 +103,8 @@ def remeshed(points: Points, tets: Ints, edge_mm: Floats, surface_mm: float) -> 
     """Return tetrahedra, ``points`` (k, 3) and ``tets`` (l, 4), of the same body with other edges.
 
     By Mmg (C. Dapogny, C. Dobrzynski, P. Frey 2014, J. Comput. Phys. 262, 358), which splits,
-    contracts and swaps edges and moves points, on the surface too, until elements have the wanted
-    size and a good shape. The same input gives the same result. Where `tetrahedralise` left
-    elements of 12 degrees on fillets, elements of 15 to 23 degrees remain.
+    contracts and swaps edges and moves points, on the surface too. The same input gives the same
+    result. Where `tetrahedralise` left elements of 12 degrees on fillets, those of 15 to 23 remain.
 
     Parameters
     ----------
