@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def twin(*arguments: str, cwd: Path | None = None, **environment: str) -> subpro
         (["export", "data", "--format", "coco", "--out", "x", "-s", "seed=2"], "-s: belongs to a scene"),
         (["run", "FOLDER"], "is a folder"),
         (["view", "FOLDER"], "holds neither scene.toml"),
-        (["view", "kamiyama_pillar", "--out", "x.pdf"], "allowed are .html for a page, .gif and .png for a film"),
+        (["view", "kamiyama_pillar", "--out", "x.pdf"], "allowed are .html for a page, .gif, .png, .mp4 for a film"),
         (["view", "kamiyama_pillar", "--window", "--out", "x.html"], "leave --out, or --window, away"),
         (["view", "kamiyama_pillar", "--out", "FILE/x.html"], "FILE: the output folder can't be made"),
         (["run", "block_bare", "--out", "FILE"], "output folder can't be made"),
@@ -192,11 +193,11 @@ def test_other_settings_and_other_scenes_are_written_under_other_names(
         "kamiyama_pillar,seed=3,tolerance.preset=none",
     ]
     assert all(re.fullmatch(r"[\w.=,+-]+", folder.name) for folder in folders)
-    pages: list[Path] = []
-    monkeypatch.setattr("twin.study.view.view_scene", lambda _, page: pages.append(page) or "")
+    monkeypatch.setattr("twin.study.view.body_view", lambda _: SimpleNamespace(page=lambda: "a page"))
     for scene, overrides in (("first_press", ()), ("block_bare", ()), ("block_bare", ("seed=3",))):
         view(scene, set_=overrides)
-    assert [page.name for page in pages] == ["first_press.html", "block_bare.html", "block_bare,seed=3.html"]
+    pages = {page.name for page in tmp_path.glob("*.html")}
+    assert pages == {"first_press.html", "block_bare.html", "block_bare,seed=3.html"}
 
 
 def test_an_unwritable_cache_is_replaced_by_a_temporary_one_with_a_warning(tmp_path: Path) -> None:
