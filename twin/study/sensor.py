@@ -542,7 +542,8 @@ class Sensor:
         ContactError
             There is no equilibrium, or the contact leaves the sensing surface.
         """
-        from twin.world.contact.contact_state import ContactState, Watched
+        from twin.world.contact.contact_state import ContactState
+        from twin.world.contact.press_error import Watched
         from twin.world.contact.pressing import press as solve
 
         # Check the request.

@@ -22,7 +22,7 @@ from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step
 from twin.theory import halfspace
 from twin.theory.contact import hertz
 from twin.world.contact import contact_search, pressing
-from twin.world.contact.surface_patches import Box, Footprint, Plane, candidate_patches
+from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.5])
@@ -350,7 +350,7 @@ def test_patches_tile_the_curved_surface(at, area):
     """Under a square of 3 mm: exactly on the barrel; on the tip against the slope integrated."""
     plane = Plane(origin_mm=np.array([*at, 0.0]), axes=np.eye(3))
     box = Box(u0=-1.5, u1=1.5, v0=-1.5, v1=1.5)
-    patches = candidate_patches(FINGER, Footprint(half_mm=(1.5, 1.5), is_round=False), plane, box, (16, 16))
+    patches = Patches.under(FINGER, Footprint(half_mm=(1.5, 1.5), is_round=False), plane, box, (16, 16))
     if area is None:
         steps = (np.arange(400) + 0.5) / 400 * 3 - 1.5
         x, y = np.meshgrid(at[0] + steps, at[1] + steps)

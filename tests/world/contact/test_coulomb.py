@@ -1,4 +1,4 @@
-"""Coulomb's law against a slow iteration of another kind; the limit load against closed forms."""
+"""Coulomb's law against a slow iteration of another kind."""
 
 import math
 from dataclasses import replace
@@ -12,7 +12,6 @@ from twin.errors import ContactError
 from twin.world.contact.active_set import UnilateralProblem
 from twin.world.contact.coulomb import solve_coulomb
 from twin.world.contact.influence import DenseInfluence
-from twin.world.contact.load_step import limit_load_share
 
 K = 9
 CAP_N = 0.1
@@ -100,18 +99,3 @@ def test_more_than_friction_carries_is_refused():
     problem = random_problem(1, by_force=True, given=np.array([2.5, 0.0, 2.5, 0.0]))
     with pytest.raises(ContactError):
         solve_coulomb(problem, np.zeros((K, 3)), PUSHED)
-
-
-def test_limit_load_of_a_ring():
-    """All of the pressure at one radius: mu P sideways, mu P r about the axis, less for both."""
-    turn = np.arange(60) * math.pi / 30
-    carried = jacobian_of(3.0 * np.array([-np.sin(turn), np.cos(turn)]))
-
-    def share(x, torque):
-        wanted = np.array([x, 0.0, 2.0, torque])
-        return limit_load_share(carried, np.full(60, 2.0 / 60), np.full(60, 0.8 / 60), np.ones(4, bool), wanted)
-
-    assert share(0.8, 0.0) == pytest.approx(1.0, rel=2e-3)
-    assert share(0.0, -2.4) == pytest.approx(1.0, rel=2e-3)
-    assert share(0.0, 0.0) == pytest.approx(0.0, abs=1e-12)
-    assert max(0.5, 0.7) < share(0.4, 0.7 * 2.4) < 1.2

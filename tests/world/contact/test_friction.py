@@ -1,6 +1,7 @@
 """Coulomb's friction against partial slip in closed form, and what holds for any coefficient."""
 
 import math
+import re
 from contextlib import nullcontext
 
 import numpy as np
@@ -28,6 +29,7 @@ from benchmarks.contact_theory import bonded_punch_stiffness, oblique_motion, sh
 from twin.errors import ContactError, NotSettled
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step
 from twin.world.contact import load_step
+from twin.world.contact.contact_problem import FrictionalContact
 
 BALL = Sphere(diameter_mm=30)
 MU, PUSH = 0.5, 0.5
@@ -186,6 +188,20 @@ def test_a_sphere_that_is_lifted_over_is_pressed_anew_where_it_is(friction):
     assert_allclose(over.force_n[:2], 0.0, atol=1e-3 * over.force_n[2])
 
 
+def test_a_sheared_push_takes_few_newton_steps(monkeypatch):
+    """From a push without friction, with the shear of Cattaneo and Mindlin: 5; without it 7."""
+    steps, real = [], load_step.solve_coulomb
+
+    def counting(*arguments):
+        found = real(*arguments)
+        steps.append(found.steps)
+        return found
+
+    monkeypatch.setattr(load_step, "solve_coulomb", counting)
+    pressed(ball(30, friction=0.4, steps=(pushed(0.12),)), across=12, increments=1)
+    assert steps[0] <= 5
+
+
 def test_many_small_steps_are_taken_in_few_parts_each(monkeypatch):
     """Each part is solved under a `Control` of its own; a step that changes nothing takes none."""
     steps, step, control = [], load_step.load_step, load_step.Control
@@ -225,27 +241,27 @@ DRAG = push(PUSH, move_mm=(0.4, None, None))
 @pytest.mark.parametrize(("jump", "settles"), [(6e-3, True), (6e-2, False)])
 def test_a_slide_that_jumps_as_a_patch_comes_and_goes(jump, settles, monkeypatch):
     """Over half a patch: where a slide jumps less than the model resolves, either end will do."""
-    there, slide = [False], load_step.common_slide
+    there, slide = [False], FrictionalContact.common_slide
 
     def jumping(grid, *given):
         there[0] = not there[0]
         return slide(grid, *given) + there[0] * jump * float(grid.patches.half_mm.min())
 
-    monkeypatch.setattr(load_step, "common_slide", jumping)
+    monkeypatch.setattr(FrictionalContact, "common_slide", jumping)
     with nullcontext() if settles else pytest.raises(NotSettled, match="does not settle"):
         rubbed(DRAG, across=8, increments=1)
 
 
 def test_a_slide_that_jumps_where_it_ends_is_met_in_between(monkeypatch):
     """By 1.6 % of half a patch, down where the probe slid far and up where not: 0.8 % off both."""
-    slide = load_step.common_slide
+    slide = FrictionalContact.common_slide
 
     def jumping(grid, memory, *given):
         moved = slide(grid, memory, *given)
         jump = 1.6e-2 * float(grid.patches.half_mm.min())
         return moved + jump * (memory.slid_mm < moved + 0.5 * jump)
 
-    monkeypatch.setattr(load_step, "common_slide", jumping)
+    monkeypatch.setattr(FrictionalContact, "common_slide", jumping)
     (state,) = rubbed(DRAG, across=8, increments=1)
     assert state.slip.any()
     assert state.residual <= 1e-8
@@ -299,12 +315,31 @@ def test_refusals(words, probe, steps):
         rubbed(*steps, probe=probe)
 
 
+def carried_share(torque, x=0.0):
+    """Return the limit load's share that a refusal states, of a torque over what a sphere's friction carries, 3 pi / 16
+    mu P a, and a side force over mu P."""
+    radius = pressed(ball(30, force_n=(0, 0, PUSH))).contact_radius_mm
+    most = 3.0 * math.pi / 16.0 * MU * PUSH * radius
+    with pytest.raises(ContactError, match=CARRY) as refused:
+        rubbed(pushed(), pushed(x * MU * PUSH, torque=torque * most))
+    return float(re.search(r"are (\S+) times", str(refused.value))[1])
+
+
+@pytest.mark.parametrize(("torque", "x", "near"), [(1.3, 0.0, 1.3), (-1.3, 0.0, 1.3), (0.95, 0.7, 1.2)])
+def test_a_refusal_states_what_friction_can_carry(torque, x, near):
+    assert carried_share(torque, x) == pytest.approx(near, rel=0.03 if x == 0.0 else 0.1)
+
+
 def test_a_force_at_the_edge_of_the_cone_is_refused_in_its_terms(monkeypatch):
     """The share is an estimate: where every patch slips, one just under 1 names the cause too."""
-    monkeypatch.setattr(load_step, "limit_load_share", lambda *_: 0.97)
-    words = r"are 0\.97 times what friction 0\.5 can carry on this surface"
-    with pytest.raises(ContactError, match=words):
-        rubbed(pushed(), pushed(torque=0.3))
+    law = load_step.LAW
+
+    class Larger:
+        def bound(self, *given):
+            return 1.3 / 0.975 * law.bound(*given)
+
+    monkeypatch.setattr(load_step, "LAW", Larger())
+    assert 0.95 < carried_share(1.3) < 1.0
 
 
 def test_a_tip_that_is_lifted_and_pressed_again_grips_as_before():

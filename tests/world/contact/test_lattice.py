@@ -1,19 +1,21 @@
-"""Compliance between equal patches by convolution, against the matrix that it stands for."""
+"""Compliance by convolution against the matrix that it stands for, and systems with it by GMRES against elimination."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from presses import STUCK, ball, pressed, pushed
-from standard_bodies import BLOCK
+from presses import STUCK, HalfSpace, ball, pressed, punch, pushed
+from standard_bodies import BLOCK, FINGER
 
 from twin.parts.load import Rectangles
 from twin.parts.material import Material
 from twin.parts.press import Cone, Pillar, Press, Step
 from twin.theory import halfspace
-from twin.world.contact import contact_search
-from twin.world.contact.influence import DenseInfluence, LatticeInfluence, lattice
-from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane, candidate_patches
+from twin.world.contact import influence as storage
+from twin.world.contact.influence import DenseInfluence, LatticeInfluence
+from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
 from twin.world.elasticity.compliance import Compliance
+
+lattice = LatticeInfluence.between
 
 
 def plane(x, y):
@@ -23,13 +25,16 @@ def plane(x, y):
 UPRIGHT = plane(4.0, -3.0)
 
 
+LEVEL, SQUARE = plane(0.0, 0.0), Box(u0=-1, u1=1, v0=-1, v1=1)
+
+
 def elastic(nu):
     return Compliance(BLOCK, Material(youngs_modulus_mpa=0.5, poisson_ratio=nu))
 
 
 def patches(across=(16, 13)):
     box = Box(u0=-1.0, u1=1.5, v0=-0.9, v1=1.1)
-    return candidate_patches(BLOCK, None, UPRIGHT, box, across)
+    return Patches.under(BLOCK, None, UPRIGHT, box, across)
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.5])
@@ -78,8 +83,7 @@ def test_what_is_no_lattice_has_none():
     cut, body = patches(), elastic(0.5)
     assert lattice(patches((6, 6)), body) is None  # few
     assert lattice(cut, object()) is None  # a body that doesn't know what depends on the offset
-    box = Box(u0=-1, u1=1, v0=-1, v1=1)
-    far = candidate_patches(BLOCK, None, plane(40.0, 0.0), box, (14, 14))
+    far = Patches.under(BLOCK, None, plane(40.0, 0.0), SQUARE, (14, 14))
     assert lattice(far, body) is None  # beyond the table
     moved = np.array(cut.centre_mm)
     moved[3, 0] += 1e-3
@@ -89,11 +93,11 @@ def test_what_is_no_lattice_has_none():
 @pytest.fixture
 def on_both(monkeypatch):
     """Return the states of a press on a lattice and on a matrix, pair by pair."""
-    made, plain = [], contact_search.lattice
+    made, plain = [], lattice
 
     def states(wanted, nu, across, **more):
         def walked(storage):
-            monkeypatch.setattr(contact_search, "lattice", storage)
+            monkeypatch.setattr(LatticeInfluence, "between", staticmethod(storage))
             state = pressed(wanted, on=elastic(nu), e=0.5, nu=nu, across=across, **more)
             return *state.path, *state.also
 
@@ -151,8 +155,68 @@ def test_balls_in_one_plane_share_a_lattice(places, on_both):
 def test_the_normal_part_of_a_compliance_is_that_of_the_whole(nu):
     """Graded cells under a sharp face, which no lattice holds; off the plane there is none."""
     face, box = Footprint(half_mm=(2.0, 1.5), is_round=False), Box(u0=-2, u1=2, v0=-1.5, v1=1.5)
-    cut = candidate_patches(BLOCK, face, UPRIGHT, box, (12, 10)).unloaded
+    cut = Patches.under(BLOCK, face, UPRIGHT, box, (12, 10)).unloaded
     body = elastic(nu)
     assert_allclose(body.normal_surface(cut), body.surface(cut)[2::3, 2::3], rtol=1e-11)
     frames = cut.frames[:, [1, 0, 2]] * [[1.0], [-1.0], [1.0]]
     assert body.normal_surface(Rectangles(**{**vars(cut), "frames": frames})) is None
+
+
+# --- Newton steps by GMRES and its preconditioner, against elimination ----------------------------
+
+PATH = (pushed(z=0.3), pushed(0.05, 0.03, 0.3), pushed(0.05, 0.03, 0.3, torque=0.02))
+ASIDE = {"at_mm": (-3, 1), "steps": PATH}
+
+
+@pytest.mark.parametrize(
+    ("body", "nu", "wanted"),
+    [
+        (BLOCK, 0.3, ball(3, friction=0.5, **ASIDE)),
+        (BLOCK, 0.5, punch(2, friction=0.25, **ASIDE)),  # graded cells
+        pytest.param(FINGER, 0.5, ball(3, friction=0.5, **ASIDE), marks=pytest.mark.slow),
+    ],
+)
+def test_a_path_is_that_of_elimination(body, nu, wanted, monkeypatch):
+    def walked(direct):
+        monkeypatch.setattr(storage, "DIRECT", direct)
+        return pressed(wanted, body, nu=nu, across=10, increments=2)
+
+    fast, slow = walked(30), walked(10**6)
+    assert 0 < slow.slip.sum() < len(slow.slip)
+    for one, other in zip(fast.path, slow.path, strict=True):
+        assert_array_equal(one.slip, other.slip)
+        near = 1e-8 * other.peak_pressure_mpa
+        assert_allclose(one.traction_mpa, other.traction_mpa, atol=near)
+        assert_allclose(one.move_mm, other.move_mm, atol=1e-9)
+
+
+def test_the_gathered_block_of_a_matrix_serves_sets_that_lost_and_gained_patches():
+    rng, k = np.random.default_rng(4), 40
+    root = rng.normal(size=(3 * k, 3 * k))
+    matrix = (1e-3 * (root + root.T) + 2e-2 * np.eye(3 * k)).reshape(k, 3, k, 3)
+    influence, force = DenseInfluence(matrix), rng.normal(size=(k, 3))
+    few = np.arange(8, 14)  # too small a part of the block
+    for rows in (np.arange(5, 25), np.r_[7:26, 30], np.r_[0:7, 9:26], few):
+        influence.select(rows)
+        own = np.einsum("kalb,bl->ak", matrix[rows][:, :, rows], force[rows].T)
+        found = influence.product(force[rows].T.astype(np.float32)) * influence.unit
+        assert_allclose(found, own, atol=3e-6 * np.abs(own).max())
+
+
+def undone(back, force):
+    return np.linalg.norm(back - force) < 0.3 * np.linalg.norm(force)
+
+
+def test_two_balls_on_a_curved_body_have_an_inverse_each():
+    """Their patches have the same places in planes of their own: one lattice would mix them up."""
+    grids = [Patches.under(BLOCK, None, LEVEL, SQUARE, (8, 8)) for _ in range(2)]
+    one = HalfSpace(1.0, 0.3).surface(grids[0].unloaded)
+    n = 2 * len(one) // 3
+    whole = np.kron(np.eye(2), one).reshape(n, 3, n, 3)
+    influence = DenseInfluence(whole, grids, 0.3)
+    force, rows = np.random.default_rng(5).normal(size=(n, 3)), np.arange(n)
+    influence.select(rows)
+    moved = influence.product(force.T.astype(np.float32))
+    assert undone(influence.approx_solve(moved[..., None])[..., 0].T, force)
+    push = influence.approx_push(rows, influence.normal_displacement(force[:, 2]))
+    assert undone(push, force[:, 2])

@@ -1,5 +1,5 @@
-"""The unilateral contact problem: tractions that only push, gaps that never close below zero, a
-rigid probe.
+"""Contact without friction, or that sticks: tractions that only push, and gaps that never close
+below zero.
 
 Unknown are the forces f of the patches in contact, in each patch's frame (first side, second side,
 inward normal), and the probe's place q, one number for each rigid motion, where it is held by
@@ -11,16 +11,14 @@ axes or how many probes there are. For the set A of patches in contact, of which
     T^T f = given           for each component of q that is held by force
     f = 0 elsewhere, and f_n >= 0 on A, u_n + gap >= 0 off A
 
-with u = K f. Why one linear system and not a search for the place: forces and place then meet their
-conditions together to round-off, and the set A settles in a few primal-dual (semi-smooth Newton)
-steps; M. Hintermueller, K. Ito and K. Kunisch, SIAM J. Optim. 13 (2002) 865. The exact gap is
-linearised at each step.
+with u = K f. Forces and place meet their conditions together, and the set A settles in a few
+primal-dual (semi-smooth Newton) steps; M. Hintermueller, K. Ito and K. Kunisch, SIAM J. Optim. 13
+(2002) 865. The exact gap is linearised at each step.
 
-A sticking patch can be pulled off by the shear around it and, once free, be pushed back: the
-conditions above then have no solution, and the set repeats itself. From there on a patch that lets
-go no longer sticks (it may come back, and slides), which leaves a problem that has one; if the set
-still repeats, patches that pull leave before others come, and at last it changes by one patch at a
-time.
+A sticking patch can be pulled off by the shear around it and, once free, be pushed back: then there
+is no solution, and the set repeats itself. From there on a patch that lets go no longer sticks (it
+may come back, and slides); if the set still repeats, patches that pull leave before others come,
+and at last it changes by one patch at a time.
 """
 
 from __future__ import annotations
@@ -31,11 +29,11 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints
+from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
 from twin.world.contact.friction_law import LAW, FrictionLaw
 from twin.world.contact.influence import Influence
-from twin.world.contact.saddle_point import DIRECT, SaddlePoint, eliminate
+from twin.world.contact.saddle_point import DIRECT, SaddlePoint
 
 GapOfPlace = Callable[[Floats], tuple[Floats, Floats]]
 TOLERANCE = 1e-8
@@ -197,14 +195,12 @@ def _linear_solve(
     rows = np.concatenate([3 * touching + 2, 3 * stuck, 3 * stuck + 1])
     normal = len(touching)
     jacobian = problem.contact_jacobian.reshape(3 * k, -1)[rows]
-    # A component that these patches don't resist at all (a sphere's x on a barrel) stays put; the
-    # balance is checked.
+    # What these patches don't resist (a sphere's x on a barrel) stays put; the balance is checked.
     free = np.flatnonzero(problem.by_force & (np.abs(jacobian).max(axis=0) > _FELT))
     if len(stuck):
         block = problem.influence.block(touching).reshape(3 * normal, -1)
-        own = (
-            np.searchsorted(3 * touching, rows, side="right") - 1
-        )  # the patch's number among those in contact
+        # The patch's number among those in contact.
+        own = np.searchsorted(3 * touching, rows, side="right") - 1
         within = 3 * own + rows % 3
         matrix = block[np.ix_(within, within)]
     else:
@@ -218,7 +214,9 @@ def _linear_solve(
         ]
     )
     try:
-        found, moved = eliminate(matrix, motion, jacobian[:, free].T, right, problem.given[free])
+        found, moved = SaddlePoint.eliminate(
+            matrix, motion, jacobian[:, free].T, right, problem.given[free]
+        )
     except np.linalg.LinAlgError as singular:
         raise ContactError(
             "contact: no place balances the given forces, as a component that is held by force can "
@@ -258,8 +256,8 @@ def _iterated(
     fixed = np.where(problem.by_force, pose, problem.given)
     push = np.where(active, force[:, 2], 0.0)
     lever_arm = problem.lever_arm[free]
-    system = _normal_system(
-        influence, touching, slope[:, free] / lever_arm, (jacobian[:, free] / lever_arm).T
+    system = influence.normal_system(
+        touching, slope[:, free] / lever_arm, (jacobian[:, free] / lever_arm).T
     )
     # Before solving, remove the forces of the patches that left.
     left = np.flatnonzero(~active & (force[:, 2] != 0.0))
@@ -275,39 +273,11 @@ def _iterated(
     return _normal_forces(push), fixed
 
 
-def _normal_system(influence: Influence, rows: Ints, motion: Floats, pull: Floats) -> SaddlePoint:
-    """Return the system of the normal forces on some patches, lengths over the compliance's
-    unit."""
-    unit = influence.unit
-
-    def product(x: Floats) -> Floats:
-        push = np.zeros(len(influence))
-        push[rows] = x
-        return np.asarray(influence.normal_displacement(push)[rows] / unit)
-
-    def approx_solve(y: Floats) -> Floats:
-        return unit * np.stack([influence.approx_push(rows, column) for column in y.T], axis=1)
-
-    return SaddlePoint(product=product, approx_solve=approx_solve, motion=motion, pull=pull)
-
-
 def _normal_forces(push: Floats) -> Floats:
     """Return (k, 3) forces of which only the normal ones (k,) are not 0."""
     force = np.zeros((len(push), 3))
     force[:, 2] = push
     return force
-
-
-def pushes_for_depth(influence: Influence, rows: Ints, depth: Floats) -> Floats:
-    """Return (n,) the normal forces on some patches that move these by ``depth`` (n,), mm, along
-    their normals."""
-    n = len(rows)
-    if n > DIRECT:
-        system = _normal_system(influence, rows, np.zeros((n, 0)), np.zeros((0, n)))
-        found = system.solve(depth / influence.unit, np.zeros(0), _HELD)
-        if found is not None:
-            return found[0]
-    return np.asarray(np.linalg.solve(influence.normal_block(rows, rows), depth))
 
 
 def solve(problem: UnilateralProblem, active: Bools, pose: Floats) -> Equilibrium:
@@ -365,9 +335,8 @@ def solve(problem: UnilateralProblem, active: Bools, pose: Floats) -> Equilibriu
         met = curved <= _MET * scale or (curved >= 0.5 * left and curved <= 0.1 * TOLERANCE * scale)
         left = curved
         settled = np.array_equal(following, active)
-        reachable = np.isfinite(
-            gap[active]
-        ).all()  # what the probe has moved away from leaves in the next step
+        # What the probe has moved away from leaves in the next step.
+        reachable = np.isfinite(gap[active]).all()
         if settled and ((met and reachable) or not active.any()):
             return _checked(problem, active, force, pose, sunk, opening, released, step)
         repeats = following.tobytes() + problem.sticking.tobytes() in seen
@@ -413,13 +382,6 @@ def _next_set(active: Bools, push_mm: Floats, opening: Floats, slack: float, mod
     return following
 
 
-def _normal_only(sunk: Floats) -> Floats:
-    """Return (k, 3) displacements of which only the normal ones (k,) are known."""
-    moved = np.full((len(sunk), 3), np.nan)
-    moved[:, 2] = sunk
-    return moved
-
-
 def _checked(
     problem: UnilateralProblem,
     active: Bools,
@@ -432,7 +394,10 @@ def _checked(
 ) -> Equilibrium:
     total = problem.total(force)
     lever_arm = problem.lever_arm
-    displacement = problem.displacement(force) if problem.sideways else _normal_only(sunk)
+    displacement = np.full_like(force, np.nan)
+    displacement[:, 2] = sunk
+    if problem.sideways:
+        displacement = problem.displacement(force)
     depth = float(np.nanmax(np.abs(displacement), initial=0.0)) or 1.0
     push = float(np.max(force[:, 2], initial=0.0)) or 1.0
     load = float(np.max(np.abs(total / lever_arm))) or 1.0

@@ -1,7 +1,4 @@
-"""The contact problem of one or several probes on one body, and the search for their contacts.
-
-Every probe adds six motions to the pose and has patches of its own; the body's compliance couples
-them. So two probes are no special case: the solvers see more patches and more motions.
+"""The search for a probe's contact, and the grids of patches that fit it.
 
 **Search.** A curved body, a flat face over a barrel, or a large contact are far from Hertz's disc.
 Frictionless solves on about a hundred patches find the contact; the grid grows while the contact
@@ -21,364 +18,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from itertools import accumulate, pairwise
-from typing import Protocol
 
 import numpy as np
 
-from twin.arrays import Bools, Floats, Ints, Points
+from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
-from twin.parts.body import Body
-from twin.parts.load import Rectangles
-from twin.parts.press import PATCHES_ACROSS, Probe
-from twin.parts.probe import Cone, Cylinder, Object, Pillar, Sphere, Stl
+from twin.parts.press import PATCHES_ACROSS
+from twin.parts.probe import Cone, Sphere
 from twin.theory.contact import cone_contact_radius, hertz
-from twin.theory.relaxation import Relaxation
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
-from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence, lattice
-from twin.world.contact.probe_gap import (
-    ABOUT_X,
-    MOTIONS,
-    TURN,
-    Approach,
-    X,
-    Y,
-    Z,
-    approach,
-    half_extent,
-    rotation_of,
-)
-from twin.world.contact.sharp_edges import aligned, edges_along
-from twin.world.contact.surface_patches import (
-    Box,
-    Footprint,
-    Patches,
-    Plane,
-    candidate_patches,
-)
-
-
-class SurfaceCompliance(Protocol):
-    """A body's surface, solved: whatever can say how patches move under forces on patches.
-
-    Attributes
-    ----------
-    one_material
-        Whether a half-space's closed forms give the size of a contact on it.
-    """
-
-    one_material: bool
-
-    def surface(self, rectangles: Rectangles) -> Floats:
-        """Return (3k, 3k) displacements of the patch centres under unit forces on the patches,
-        global axes, mm/N.
-
-        Symmetric (Betti): products read one half of it.
-        """
-        ...
-
-    def to_points(self, points: Points, rectangles: Rectangles) -> Floats:
-        """Return (3n, 3k) displacements of points (n, 3) under unit forces on the patches,
-        likewise."""
-        ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProbeSetup:
-    """A probe over a body.
-
-    Attributes
-    ----------
-    body, compliance
-        The undeformed body, and its surface's compliance.
-    first
-        The probe at first touch of the path; places count from there.
-    across
-        Patches across the contact, or across its pieces.
-    most
-        Patches at most under it, at 16 across; more across allow more.
-    youngs_modulus_mpa, poisson_ratio
-        For the first guess of the contact's size.
-    """
-
-    body: Body
-    compliance: SurfaceCompliance
-    first: Approach
-    across: int
-    most: int
-    youngs_modulus_mpa: float
-    poisson_ratio: float
-
-    @property
-    def probe(self) -> Probe:
-        """The rigid probe."""
-        return self.first.probe
-
-    @cached_property
-    def face(self) -> Footprint | None:
-        """The flat face, seen along the approach, if it bounds the contact."""
-        probe = self.probe
-        if not (self.first.is_flat and isinstance(probe, Cylinder | Pillar)):
-            return None
-        edge = probe.edge_mm
-        upright = float(self.first.tilt[2, 2])
-        # a round face is shortened along its steepest line; a square one's first side by as much
-        # as it is inclined, and the other one so that the area is the right one
-        is_round = isinstance(probe, Cylinder)
-        first = upright if is_round else float(np.hypot(*self.first.tilt[:2, 0]))
-        a, b = half_extent(probe)
-        half = (edge + (a - edge) * first, edge + (b - edge) * upright / first)
-        return Footprint(half_mm=half, is_round=is_round, edge_mm=edge)
-
-    @property
-    def is_free_form(self) -> bool:
-        """Whether contact may be of any shape, in any number of pieces."""
-        return isinstance(self.probe, Stl | Object)
-
-    @property
-    def name(self) -> str:
-        """The probe and where it stands, for messages."""
-        return f"{self.probe.kind} at ({', '.join(f'{c:.4g}' for c in self.first.axis_mm)}) mm"
-
-    def first_touch(self, pose: Floats) -> tuple[Plane, float]:
-        """Return the grid's plane under the probe at a place (6,), and the z from first touch at
-        which it would just touch.
-
-        Raises
-        ------
-        InputError
-            It would miss the sensing surface.
-        """
-        first = self.first
-        there = self._touching(pose)
-        if self.face is None:
-            plane = Plane(origin_mm=there.touch_mm, axes=self.body.frames(there.touch_mm[None])[0])
-        elif not pose[ABOUT_X:].any() and not any(first.tilt_deg):
-            plane = Plane(origin_mm=there.axis_mm, axes=first.axes)
-        else:
-            turned = rotation_of(pose[ABOUT_X:]) @ first.tilt
-            inclined = self.face.is_round and any(first.tilt_deg[:Z])
-            side = turned[:, 2] if inclined else turned[:, 0]
-            side = np.array([side[0], side[1], 0.0]) / np.hypot(side[0], side[1])
-            own = np.stack([side, np.cross([0.0, 0.0, 1.0], side), [0.0, 0.0, 1.0]])
-            plane = Plane(origin_mm=there.axis_mm, axes=own @ first.axes)
-        return plane, self._height(there)
-
-    def touch_z(self, pose: Floats) -> float:
-        """Return the second of what `first_touch` does."""
-        return self._height(self._touching(pose))
-
-    def _height(self, there: Approach) -> float:
-        first = self.first
-        return 0.0 if there is first else float((there.axis_mm - first.axis_mm) @ first.axes[2])
-
-    def _touching(self, pose: Floats) -> Approach:
-        first = self.first
-        (x, y, _, *turns) = pose.tolist()
-        if not (x or y or any(turns)):
-            return first
-        over = first.axis_mm + pose[:Z] @ first.axes[:Z]
-        return approach(self.probe, self.body, over, first.axes, first.tilt_deg, pose[ABOUT_X:])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Control:
-    """What holds the probes: for each one's six motions whether force (torque) does, and the force
-    or place given; and when, in seconds since the path's beginning."""
-
-    by_force: Bools
-    given: Floats
-    time_s: float = 0.0
-
-    @property
-    def pushing(self) -> Bools:
-        """Which components push by force: every z that is held so, with a force that isn't 0."""
-        along_z = np.arange(len(self.given)) % MOTIONS == Z
-        return np.asarray(self.by_force & along_z & (self.given > 0.0))
-
-    def of_probe(self, number: int) -> Control:
-        """Return what holds one of the probes."""
-        motions = slice(MOTIONS * number, MOTIONS * (number + 1))
-        return Control(by_force=self.by_force[motions], given=self.given[motions])
-
-    @classmethod
-    def joined(cls, controls: Sequence[Control], time_s: float = 0.0) -> Control:
-        """Return what holds several probes, one after the other."""
-        return cls(
-            time_s=time_s,
-            by_force=np.concatenate([one.by_force for one in controls]),
-            given=np.concatenate([one.given for one in controls]),
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class LoadProgramme:
-    """Presses that are solved together: every probe, its friction, and its control in every step,
-    in its own axes; and the rubber's relaxation, if the path takes time."""
-
-    setups: tuple[ProbeSetup, ...]
-    friction: Floats
-    steps: tuple[Control, ...]
-    relaxation: Relaxation | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class ContactProblem:
-    """Probes and the patches under each of them.
-
-    Attributes
-    ----------
-    setups
-        The p probes.
-    grids
-        Their patches.
-    """
-
-    setups: tuple[ProbeSetup, ...]
-    grids: tuple[Patches, ...]
-
-    @cached_property
-    def patches(self) -> Patches:
-        """The patches of all probes, k in all."""
-        if len(self.grids) == 1:
-            return self.grids[0]
-        parts = [vars(grid) for grid in self.grids]
-        return Patches(**{name: np.concatenate([one[name] for one in parts]) for name in parts[0]})
-
-    @cached_property
-    def rows(self) -> tuple[tuple[ProbeSetup, slice, slice], ...]:
-        """Every probe with its piece of the patches and of the place."""
-        ends = list(accumulate(map(len, self.grids), initial=0))
-        return tuple(
-            (setup, slice(first, end), slice(MOTIONS * number, MOTIONS * (number + 1)))
-            for number, (setup, (first, end)) in enumerate(
-                zip(self.setups, pairwise(ends), strict=True)
-            )
-        )
-
-    @cached_property
-    def along_z(self) -> Bools:
-        """(6 p,) the components of the place along the probes' directions of approach."""
-        return np.asarray(np.arange(MOTIONS * len(self.setups)) % MOTIONS == Z)
-
-    @cached_property
-    def owner(self) -> Ints:
-        """(k,) which probe each patch belongs to."""
-        return np.repeat(np.arange(len(self.grids)), [len(grid) for grid in self.grids])
-
-    @cached_property
-    def influence(self) -> Influence:
-        """The compliance between patches: a convolution where they are a lattice in a plane, else a
-        matrix."""
-        found = self.influence_on_lattice
-        return found or DenseInfluence(self.compliance, self.grids, self.setups[0].poisson_ratio)
-
-    @cached_property
-    def normal_influence(self) -> Influence:
-        """The same for normal forces and displacements alone, computed faster where the compliance
-        has a ``normal_surface``."""
-        surface = getattr(self.setups[0].compliance, "normal_surface", None)
-        if surface is None or self.influence_on_lattice is not None:
-            return self.influence
-        normal = surface(self.patches.unloaded)
-        if normal is None or not np.isfinite(normal).all():
-            return self.influence
-        return DenseInfluence(normal[:, None, :, None], self.grids, self.setups[0].poisson_ratio)
-
-    @cached_property
-    def influence_on_lattice(self) -> LatticeInfluence | None:
-        """The same where patches are a lattice in a plane; None where not."""
-        return lattice(self.patches, self.setups[0].compliance)
-
-    @cached_property
-    def compliance(self) -> Floats:
-        """(k, 3, k, 3) compliance between patches in their own frames, mm/N."""
-        loads = [grid.unloaded for grid in self.grids]
-        return compliance_between(self.setups[0].compliance, loads, self.patches.frames)
-
-    def contact_jacobian(self, pose: Floats) -> Floats:
-        """Return (k, 3, 6 p): motion of the probes' points at the patches, in their frames, per
-        unit of the place.
-
-        Turns are about the probes' axes at a place, at the height of first touch.
-        """
-        whole = np.zeros((len(self.patches), 3, len(pose)))
-        for (setup, rows, motions), grid in zip(self.rows, self.grids, strict=True):
-            first = setup.first
-            aside = pose[motions][:Z] @ first.axes[:Z]
-            whole[rows, :, motions] = first.jacobian(grid.centre_mm, grid.frames, aside)
-        return whole
-
-    def gap(self, pose: Floats) -> tuple[Floats, Floats]:
-        """Return (k,) gaps, mm, and their (k, 6 p) slopes at a place."""
-        if len(self.grids) == 1:
-            return self.gap_under(0, pose)
-        gap = np.zeros(len(self.patches))
-        slope = np.zeros((len(self.patches), len(pose)))
-        for number, (_, rows, motions) in enumerate(self.rows):
-            gap[rows], slope[rows, motions] = self.gap_under(number, pose[motions])
-        return gap, slope
-
-    def gap_under(self, number: int, pose: Floats) -> tuple[Floats, Floats]:
-        """Return the gaps of the patches under one probe at its place (6,), and their slopes.
-
-        A probe that comes along the normals of all its patches changes their gaps by as much as it
-        comes, and nothing else: what it was at its last place sideways is kept.
-        """
-        grid = self.grids[number]
-        first = self.setups[number].first
-        normals = grid.frames[:, 2]
-        if not self.upright[number]:
-            return first.gap(grid.centre_mm, normals, pose)
-        at_touch = pose.copy()
-        at_touch[Z] = 0.0
-        key, (gap, slope) = self._last.get(number, (b"", (pose, pose)))
-        if key != at_touch.tobytes():
-            gap, slope = first.gap(grid.centre_mm, normals, at_touch)
-            self._last[number] = at_touch.tobytes(), (gap, slope)
-        return gap - pose[Z], slope
-
-    @cached_property
-    def upright(self) -> list[bool]:
-        """Whether each probe comes along the normals of all its patches."""
-        pairs = zip(self.setups, self.grids, strict=True)
-        return [bool((grid.frames[:, 2] == setup.first.axes[2]).all()) for setup, grid in pairs]
-
-    @cached_property
-    def _last(self) -> dict[int, tuple[bytes, tuple[Floats, Floats]]]:
-        return {}
-
-
-def compliance_between(
-    body: SurfaceCompliance, loads: Sequence[Rectangles], frames: Floats
-) -> Floats:
-    """Return the compliance (k, 3, k, 3) between the patches under several probes, in their frames
-    (k, 3, 3), mm/N.
-
-    Raises
-    ------
-    ContactError
-        It is not finite.
-    """
-    k = len(frames)
-    if len(loads) == 1:
-        whole = np.asarray(body.surface(loads[0]))
-    else:  # probe by probe: what is solved for one probe's patches doesn't serve those far away
-        centres = np.concatenate([load.centre_mm for load in loads])
-        whole = np.concatenate([body.to_points(centres, load) for load in loads], axis=1)
-        whole = (whole + whole.T) / 2.0
-    if not np.isfinite(whole).all():
-        raise ContactError(
-            f"contact: the body's compliance is not finite on {k} patches: check mesh and material"
-        )
-    if not np.any(frames - np.eye(3)):
-        return whole.reshape(k, 3, k, 3)
-    half = np.matmul(frames, whole.reshape(k, 3, 3 * k)).reshape(3 * k, 3 * k)
-    turned = np.matmul(frames, np.ascontiguousarray(half.T).reshape(k, 3, 3 * k))
-    return np.ascontiguousarray(turned.reshape(3 * k, 3 * k).T).reshape(k, 3, k, 3)
-
+from twin.world.contact.contact_problem import ContactProblem, Control, ProbeSetup
+from twin.world.contact.probe_gap import ABOUT_X, TURN, X, Y, Z, half_extent
+from twin.world.contact.surface_patches import Box, Patches, Plane
 
 _LONG = 1.5
 _ASKEW = math.sin(math.radians(3.0))
@@ -492,15 +143,8 @@ _NAMES = ("x", "y", "z", "the turn about x", "the turn about y", "the turn about
 def _hold_unfelt_motions(
     contacts: ContactProblem, contact_jacobian: Floats, control: Control, pose: Floats
 ) -> Control:
-    """Hold what frictionless probes can't feel where it is, and refuse forces that they can't
-    transmit.
-
-    Raises
-    ------
-    ContactError
-        A torque about its axis, or a lateral force on a face without slope, is asked of a
-        frictionless probe.
-    """
+    """Hold what frictionless probes can't feel where it is; a ContactError where a torque about the
+    axis, or a lateral force on a face without slope, is given."""
     if not np.any(control.by_force & ~contacts.along_z):
         return control
     by_force = control.by_force.copy()
@@ -700,7 +344,7 @@ def fitted_grids(
     grids = _grids(setups, planes, contacts, math.inf)
     if sum(map(len, grids)) > _DENSE_MOST and any(math.isfinite(one.width_mm) for one in contacts):
         together = ContactProblem(tuple(setups), grids)
-        if not isinstance(together.influence_on_lattice, LatticeInfluence):
+        if together.influence_on_lattice is None:
             grids = _grids(setups, planes, contacts, _DENSE_MOST / len(setups))
     return grids
 
@@ -716,15 +360,14 @@ def _grids(
         margin = max(_PIECES_MARGIN if pieces else _MARGIN, _SPARE / setup.across)
         box = contact.grown(*(margin * size for size in contact.size)).clipped(setup.face)
         allowed = min(most, setup.most * (setup.across / PATCHES_ACROSS) ** 2)
-        box, count = aligned(box, _counts(setup.across, box, contact, allowed))
+        box, count = box.aligned(_counts(setup.across, box, contact, allowed))
         boxes.append(box)
         counts.append(count)
     if len(boxes) > 1:
         boxes, counts = _on_one_lattice(setups, planes, boxes, counts)
     grids = []
     for setup, plane, box, count in zip(setups, planes, boxes, counts, strict=True):
-        grids.append(candidate_patches(setup.body, setup.face, plane, box, count))
-        _check_somewhere(setup, grids[-1])
+        grids.append(setup.patches(plane, box, count))
     return tuple(grids)
 
 
@@ -788,7 +431,13 @@ def find_contact(
     find = _find_overlap if setup.is_free_form else _find_on_grids
     plane, contact, pose = find(setup, control, start, plane, touch_z, may_turn=may_turn)
     if setup.face is None and not isinstance(setup.probe, Sphere | Cone):
-        contact = edges_along(setup.body, setup.first, plane, contact, pose)
+        at = pose
+
+        def gap_at(places: Floats) -> Floats:
+            points, normals, on_body = plane.projected(setup.body, places)
+            return np.where(on_body, setup.first.gap(points, normals, at)[0], np.nan)
+
+        contact = contact.with_edges(gap_at)
     return plane, contact, pose
 
 
@@ -814,10 +463,7 @@ def _find_on_grids(
     turns = _TURNS if may_turn and setup.face is None else 0
     for tried in range(_ROUNDS):
         whole = box.clipped(setup.face)
-        patches = candidate_patches(
-            setup.body, setup.face, plane, whole, _counts(_COARSE, whole, whole)
-        )
-        _check_somewhere(setup, patches)
+        patches = setup.patches(plane, whole, _counts(_COARSE, whole, whole))
         contacts = ContactProblem((setup,), (patches,))
         found = solve_frictionless(contacts, control, pose, np.array([touch_z]))
         pose = found.pose
@@ -846,7 +492,7 @@ def _find_on_grids(
             box = _with_margin(contact, *patches.cell_mm[found.active].max(axis=0))
         else:
             return plane, contact, pose
-    check_inside(setup, patches, found, float(pose[Z]) - touch_z)
+    setup.check_inside(patches, found, float(pose[Z]) - touch_z)
     raise NotSettled(
         f"contact: no grid fits the contact of the {setup.probe.kind} after {_ROUNDS} tries (last: "
         f"{whole.size[0]:.3g} by {whole.size[1]:.3g} mm): press harder, hold x, y and the turns by "
@@ -879,8 +525,7 @@ def _find_overlap(
         contact = cells.bounds(inside)._replace(width_mm=width)
         whole = _with_margin(contact, *cells.cell_mm.max(axis=0))
         counts = _counts(_COARSE, whole, contact, _COARSE_MOST)
-        patches = candidate_patches(setup.body, None, plane, whole, counts)
-        _check_somewhere(setup, patches)
+        patches = setup.patches(plane, whole, counts)
         contacts = ContactProblem((setup,), (patches,))
         found = solve_frictionless(contacts, control, pose, np.array([touch_z]))
         if not found.active.any():
@@ -913,8 +558,7 @@ def _overlap(setup: ProbeSetup, plane: Plane, pose: Floats) -> tuple[Patches, Bo
     whole = Box(u0=u, u1=u, v0=v, v1=v, width_mm=0.0).grown(*(1.1 * reach))
     count = _RASTER
     while True:
-        cells = candidate_patches(setup.body, None, plane, whole, (count, count))
-        _check_somewhere(setup, cells)
+        cells = setup.patches(plane, whole, (count, count))
         gap = first.gap(cells.centre_mm, cells.frames[:, 2], pose)[0]
         inside = gap <= max(0.0, float(gap.min()))
         step = np.array(whole.size) / count
@@ -942,53 +586,3 @@ def _about_nearest(contacts: ContactProblem, whole: Box, pose: Floats) -> Box:
     nearest = contacts.patches.middle_mm[gap <= gap.min() + 1e-12].mean(axis=0)
     u, v = (size / 4 for size in whole.size)
     return Box(u0=nearest[0] - u, u1=nearest[0] + u, v0=nearest[1] - v, v1=nearest[1] + v)
-
-
-def _check_somewhere(setup: ProbeSetup, patches: Patches) -> None:
-    """Raise a ContactError when no patch lies on the sensing surface."""
-    if len(patches) == 0:
-        raise ContactError(
-            f"contact: under the {setup.name} no patch lies on the sensing surface: move it away "
-            "from the edge"
-        )
-
-
-def check_inside(setup: ProbeSetup, patches: Patches, found: Equilibrium, depth: float) -> None:
-    """Refuse contact that runs over the edge of the surface, or a probe that sinks in.
-
-    Raises
-    ------
-    ContactError
-        With place, value and allowed range.
-    """
-    over = found.active & patches.edge
-    if over.any():
-        place = patches.centre_mm[over][0]
-        raise ContactError(
-            "contact: runs over the edge of the sensing surface at "
-            f"({', '.join(f'{c:.3g}' for c in place)}) mm: press further inside, or with less "
-            "force or a smaller probe"
-        )
-    low, high = setup.body.bounds_mm
-    limit = (high[2] - low[2]) / 2
-    what = "half the body's thickness"
-    probe = setup.probe
-    if isinstance(probe, Sphere) and probe.diameter_mm / 2 < limit:
-        limit = probe.diameter_mm / 2
-        what = "the probe's radius"
-    if depth > limit:
-        raise ContactError(
-            f"contact: the {probe.kind} sinks in by {depth:.3g} mm, allowed is up to {limit:.3g} "
-            f"mm ({what}): press with less force, or with a larger probe, or on a stiffer body"
-        )
-    if isinstance(probe, Cone):
-        axes = setup.first.axes
-        pivot = setup.first.axis_mm
-        away = (patches.centre_mm[found.active] - pivot) @ axes[:Z].T - found.pose[:Z]
-        width = 2.0 * float(np.max(np.hypot(away[:, 0], away[:, 1]), initial=0.0))
-        if width > probe.diameter_mm:
-            raise ContactError(
-                f"contact: it reaches {width:.3g} mm across, over the cone's base of "
-                f"{probe.diameter_mm:g} mm: press with less force, or give a larger "
-                "probe.diameter_mm"
-            )

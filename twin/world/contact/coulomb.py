@@ -43,7 +43,7 @@ from twin.compiled import njit
 from twin.errors import ContactError, NotSettled
 from twin.world.contact.active_set import TOLERANCE, Equilibrium, UnilateralProblem
 from twin.world.contact.influence import Influence
-from twin.world.contact.saddle_point import SaddlePoint, eliminate
+from twin.world.contact.saddle_point import SaddlePoint
 
 _AT_BOUND = 1.0 - 1e-9
 """A patch that slipped before stands at its bound, to round-off, and slips on unless its load
@@ -57,30 +57,15 @@ a step may leave."""
 
 @dataclass(frozen=True, kw_only=True)
 class _ContactStatus:
-    """Derivatives of the projection of trial forces on the admissible discs, at the trial.
+    """Derivatives of the projection of trial forces on the admissible discs, at the trial."""
 
-    Attributes
-    ----------
-    touching
-        (n,) indices of the patches in contact.
-    slips
-        (n,) which trial forces lie outside their disc.
-    ahead
-        (n, 2) their directions; of a sticking patch, its own first axis.
-    mu
-        (n,) slope of the bound over the normal force; 0 where it sticks.
-    constant_n
-        (n,) bound minus slope times normal force: 0 under Coulomb's law.
-    share
-        (n,) c, bound over the length of the trial force; 1 where it sticks. A slipping patch turns
-        across its drag by (1 - c) f / r + c w = 0.
-    """
-
-    touching: Ints
-    slips: Bools
-    ahead: Floats
-    mu: Floats
-    constant_n: Floats
+    touching: Ints  # (n,) the patches in contact
+    slips: Bools  # (n,) which trial forces lie outside their disc
+    ahead: Floats  # (n, 2) their directions; of a sticking patch, its own first axis
+    mu: Floats  # (n,) slope of the bound over the normal force; 0 where it sticks
+    constant_n: Floats  # (n,) bound minus slope times normal force: 0 under Coulomb's law
+    # (n,) c, bound over the length of the trial force; 1 where it sticks. A slipping patch turns
+    # across its drag by (1 - c) f / r + c w = 0.
     share: Floats
 
     @cached_property
@@ -150,8 +135,7 @@ class _ContactStatus:
 
 @njit(cache=True)
 def _turn_back(unknowns: Floats, drag: Floats, mu: Floats, third: Ints, out: Floats) -> None:
-    """Set ``out`` (3, n, c) to unknowns (size, c); why compiled: a dozen calls in NumPy on a few
-    hundred vectors."""
+    """Set ``out`` (3, n, c) to unknowns (size, c); compiled, as NumPy takes a dozen calls."""
     n = len(mu)
     for i in range(n):
         for c in range(unknowns.shape[1]):
@@ -181,31 +165,14 @@ def _turn(vectors: Floats, drag: Floats, third: Ints, out: Floats) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _NewtonSystem:
-    """One Newton step's equations.
-
-    Attributes
-    ----------
-    status
-        The n patches in contact and their unknowns.
-    jump
-        (k, 3) known change of the forces of all patches, N.
-    shift
-        (n,) (1 - c) / r of the equations across the drag, mm/N.
-    jacobian
-        (3, n, m) how the probe's points at the patches in contact move with the m motions that are
-        held by force.
-    slope
-        (n, m) how the gaps change with them.
-    lever_arm
-        (m,) their sizes: 1 of a translation, an arm of a turn, mm.
-    """
+    """One Newton step's equations of n patches in contact and m motions that are held by force."""
 
     status: _ContactStatus
-    jump: Floats
-    shift: Floats
-    jacobian: Floats
-    slope: Floats
-    lever_arm: Floats
+    jump: Floats  # (k, 3) known change of the forces of all patches, N
+    shift: Floats  # (n,) (1 - c) / r of the equations across the drag, mm/N
+    jacobian: Floats  # (3, n, m) motion of the probe's points at the patches per motion
+    slope: Floats  # (n, m) how the gaps change with the motions
+    lever_arm: Floats  # (m,) 1 of a translation, an arm of a turn, mm
 
     @cached_property
     def motion(self) -> Floats:
@@ -229,30 +196,17 @@ class _NewtonSystem:
     def solve(
         self, influence: Influence, right: Floats, balance: Floats, share: float
     ) -> tuple[Floats, Floats]:
-        """Return x (size,) and q (m,).
-
-        Parameters
-        ----------
-        influence
-            The compliance between all k patches.
-        right, balance
-            (size,) mm and (m,) N and N mm.
-        share
-            Residual over the right-hand side that may be left, as far as single precision allows
-            it.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            The system is singular.
-        """
+        """Return x (size,) and q (m,) for ``right`` (size,), mm, and ``balance`` (m,), N and N mm;
+        a ``share`` of these may be left. Raises numpy.linalg.LinAlgError where singular."""
         if self.jump.any():
             right = right - self.restrict(influence.apply(self.jump)[self.status.touching].T)
         if self.status.size > influence.direct:
             found = self._iterate(influence, right, balance, share)
             if found is not None:
                 return found
-        return eliminate(self._matrix(influence), self.motion, self.pull, right, balance)
+        return SaddlePoint.eliminate(
+            self._matrix(influence), self.motion, self.pull, right, balance
+        )
 
     def _iterate(
         self, influence: Influence, right: Floats, balance: Floats, share: float

@@ -24,11 +24,6 @@ the largest; under others, patches at the border that carry a thousandth of a ta
 normal force let Newton's steps swing between stick and open."""
 
 
-def effective_coefficient(friction: Floats) -> Floats:
-    """Return the coefficients that presses are solved with: inf from `STICKS_FROM` on."""
-    return np.where(friction >= STICKS_FROM, np.inf, friction)
-
-
 class FrictionLaw(Protocol):
     """The largest tangential force on patches."""
 
@@ -59,7 +54,6 @@ class _CoulombLaw:
         return np.where(push > 0.0, np.where(push > 0.0, push, 1.0) * friction, 0.0)
 
     def slope(self, friction: Floats, push: Floats, area_mm2: Floats) -> Floats:
-        """See `FrictionLaw`."""
         return friction
 
 

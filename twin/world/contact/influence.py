@@ -3,17 +3,16 @@
 **Matrix** (`DenseInfluence`): symmetric, on any body.
 
 **Lattice** (`LatticeInfluence`), for equal patches in a plane: u_i = sum over j of K(i - j) f_j,
-plus a correction that is smooth in both places. Where a table holds it as polynomials
-(`twin.world.elasticity.block_table`), its values at 6 or 8 Chebyshev nodes a side times Lagrange's
-polynomials reproduce it. On a lattice padded to 2 n - 1 places a side the convolution is circular,
-with cosines and sines as eigenvectors. An elastic plane's kernel is even along a side, or odd
-between the normal and a tangential axis (both between two tangential ones), so that six real
-numbers a wave suffice. Products with matrices of waves replace an FFT: faster on a few dozen
-patches a side, and the correction is a few more rows.
+plus a correction that is smooth in both places: its values at 6 or 8 Chebyshev nodes a side times
+Lagrange's polynomials (`twin.world.elasticity.block_table`). On a lattice padded to 2 n - 1 places
+a side the convolution is circular, with cosines and sines as eigenvectors. An elastic plane's
+kernel is even along a side, or odd between the normal and a tangential axis (both between two
+tangential ones), so that six real numbers a wave suffice. Products with matrices of waves replace
+an FFT: faster on a few dozen patches a side, and the correction is a few more rows.
 
 **Preconditioner**: the inverse of a half-space's compliance on the patches' lattice, wave by wave,
 restricted to the patches in contact (E. A. H. Vollebregt, J. Optim. Theory Appl. 162 (2014) 931).
-Six products reduce the residual to a thousandth whatever the number of patches. Graded cells have
+Six products reduce the residual to a thousandth. Graded cells have
 the Cholesky factors of the matrix's normal and tangential blocks instead.
 
 Newton steps work in single precision, which halves the time of a product: the next step measures
@@ -26,6 +25,7 @@ error.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -38,7 +38,7 @@ from twin.arrays import Floats, Ints, Points, frozen
 from twin.compiled import njit
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
-from twin.world.contact.saddle_point import DIRECT
+from twin.world.contact.saddle_point import DIRECT, SaddlePoint
 from twin.world.contact.surface_patches import Patches
 from twin.world.elasticity.tensor_basis import SIZES, Axis
 
@@ -68,17 +68,12 @@ class _PlaneCompliance(Protocol):
     """A surface whose compliance is a function of the offset plus a smooth correction."""
 
     def offset_part(self, points: Points, rectangle: Rectangles) -> Floats:
-        """Return (3 n, 3) mm/N: the part that depends on the offset between a point and the load's
-        middle only."""
+        """Return (3 n, 3) mm/N: the part that depends on the offset from the load's middle."""
         ...
 
     def smooth_part(self, patches: Rectangles, nodes: Rectangles) -> Floats | None:
-        """Return (3 n, 3 n) mm/N: the correction at the middles of ``nodes`` under unit forces on
-        each, global axes.
-
-        None where it isn't a polynomial with the terms of `NODES` along each side over all
-        ``patches``.
-        """
+        """Return (3 n, 3 n) mm/N: the correction between ``nodes``, global axes; None where it is
+        no polynomial with the terms of `NODES` over all ``patches``."""
         ...
 
 
@@ -92,10 +87,7 @@ def _on_lattice(place_mm: Floats, step_mm: Floats) -> Ints | None:
 
 def _spectra_of(kernel: Floats, chosen: Sequence[int] = range(6)) -> Floats:
     """Return (c, nu, nv) the spectra xx, xy, yy, xz, yz, zz, or some, of a kernel (nu, nv, 3, 3) of
-    offsets from 0 on.
-
-    Of its parts only those on and above the diagonal are read, the others follow by reciprocity.
-    """
+    offsets from 0 on; those below the diagonal follow by reciprocity."""
     found = []
     for part in chosen:
         a, b = _AXES[part]
@@ -116,17 +108,11 @@ def _inverse_of(spectra: Floats) -> Floats | None:
 
 
 class _Convolution:
-    """A kernel on a lattice, and a smooth correction.
+    """A kernel on a lattice, its ``spectra`` as of `_spectra_of` or (1, nu, nv) of the normal part
+    alone, and a smooth correction.
 
-    Parameters
-    ----------
-    spectra
-        (6, nu, nv) as of `_spectra_of`; (1, nu, nv) of the normal part alone.
-    precision
-        Of the products.
-    correction, sides
-        (c m m, c m m) what polynomials of m terms along either side, whose values are ``sides``
-        (nu, m) and (nv, m), make of each other, c = 3 axes or the normal alone; None for none.
+    The correction (c m m, c m m) is what polynomials of m terms along either side, whose values are
+    ``sides`` (nu, m) and (nv, m), make of each other, c = 3 axes or the normal alone.
     """
 
     def __init__(
@@ -235,12 +221,8 @@ def _mix(
     f: Floats,
     out: Floats,
 ) -> None:
-    """Set ``out`` (b, 3, u, v) to what the spectra and the correction make of waves and polynomials
-    ``f``.
-
-    Why compiled: mixing six real spectra with three fields is a dozen passes through memory in
-    NumPy, and one here.
-    """
+    """Set ``out`` (b, 3, u, v) to what spectra and correction make of waves and polynomials ``f``;
+    why compiled: in NumPy it is a dozen passes through memory."""
     nu = len(of_u)
     nv = len(of_v)
     for b in range(f.shape[0]):
@@ -277,6 +259,9 @@ def _mix(
 SinglesArray: TypeAlias = Any
 """Array in single precision."""
 
+_HELD = 1e-12
+"""Share of a depth that iteration leaves."""
+
 
 class _Preconditioner(Protocol):
     """Approximate inverse of the compliance over its unit between k patches, restricted to some of
@@ -292,38 +277,100 @@ class _Preconditioner(Protocol):
         ...
 
 
-class _Preconditioned:
-    """What the storages of a compliance do alike with their preconditioner."""
+class Influence(ABC):
+    """Compliance between k patches, in their own frames, mm/N.
 
+    Attributes
+    ----------
+    direct
+        Unknowns of a Newton step up to which elimination is faster than GMRES with this storage.
+    unit
+        The mean compliance of a patch to a force on itself, mm/N.
+    """
+
+    direct: int
     unit: float
     _touching: Ints
 
-    @property
-    def _preconditioner(self) -> _Preconditioner:
-        raise NotImplementedError
+    @abstractmethod
+    def __len__(self) -> int: ...
 
-    def approx_push(self, rows: Ints, depth: Floats) -> Floats:
-        """See `Influence`."""
-        single: SinglesArray = (depth / self.unit).astype(np.float32)
-        return np.asarray(self._preconditioner.push(rows, single), float)
+    @property
+    @abstractmethod
+    def own(self) -> Floats:
+        """(k,) normal displacement of each patch under a unit normal force on it."""
+
+    @property
+    @abstractmethod
+    def _preconditioner(self) -> _Preconditioner: ...
+
+    @abstractmethod
+    def apply(self, force: Floats) -> Floats:
+        """Return the (k, 3) displacements of the patches under forces (k, 3), mm."""
+
+    @abstractmethod
+    def normal_displacement(self, push: Floats) -> Floats:
+        """Return the (k,) normal displacements under normal forces (k,), mm."""
+
+    @abstractmethod
+    def block(self, rows: Ints) -> Floats:
+        """Return the (n, 3, n, 3) compliance between some patches."""
+
+    @abstractmethod
+    def normal_block(self, rows: Ints, columns: Ints) -> Floats:
+        """Return the (n, m) normal displacements of some patches under unit normal forces on
+        others."""
+
+    @abstractmethod
+    def select(self, touching: Ints) -> None:
+        """Choose the n patches in contact, between which `product` and `approx_solve` work in
+        single precision."""
+
+    @abstractmethod
+    def product(self, force: SinglesArray) -> SinglesArray:
+        """Return the (3, n) displacements over the `unit` of the patches in contact under forces
+        (3, n) on them."""
 
     def approx_solve(self, displacement: SinglesArray) -> SinglesArray:
-        """See `Influence`."""
+        """Return (3, n, m) forces under which the patches in contact move by about (3, n, m) over
+        the `unit`."""
         columns = displacement.transpose(2, 0, 1)
         return self._preconditioner.force(self._touching, columns).transpose(1, 2, 0)
 
+    def approx_push(self, rows: Ints, depth: Floats) -> Floats:
+        """Return (n,) normal forces on the patches ``rows`` (n,) that move them by about ``depth``
+        (n,), mm."""
+        single: SinglesArray = (depth / self.unit).astype(np.float32)
+        return np.asarray(self._preconditioner.push(rows, single), float)
+
+    def normal_system(self, rows: Ints, motion: Floats, pull: Floats) -> SaddlePoint:
+        """Return the system of the normal forces on some patches, lengths over the `unit`."""
+
+        def product(x: Floats) -> Floats:
+            push = np.zeros(len(self))
+            push[rows] = x
+            return np.asarray(self.normal_displacement(push)[rows] / self.unit)
+
+        def approx_solve(y: Floats) -> Floats:
+            return self.unit * np.stack([self.approx_push(rows, column) for column in y.T], axis=1)
+
+        return SaddlePoint(product=product, approx_solve=approx_solve, motion=motion, pull=pull)
+
+    def pushes_for_depth(self, rows: Ints, depth: Floats) -> Floats:
+        """Return (n,) the normal forces on some patches that move these by ``depth`` (n,), mm,
+        along their normals."""
+        n = len(rows)
+        if n > DIRECT:
+            system = self.normal_system(rows, np.zeros((n, 0)), np.zeros((0, n)))
+            found = system.solve(depth / self.unit, np.zeros(0), _HELD)
+            if found is not None:
+                return found[0]
+        return np.asarray(np.linalg.solve(self.normal_block(rows, rows), depth))
+
 
 class _LatticeInverse:
-    """Approximate inverse of the compliance over its unit between k patches on a lattice: its
-    kernel's, wave by wave.
-
-    Parameters
-    ----------
-    place
-        (k, 2) whole numbers of steps of each patch along the lattice's sides.
-    inverse
-        (6, nu, nv) as of `_inverse_of`, times the unit.
-    """
+    """Approximate inverse of the compliance over its unit between patches at places (k, 2) of a
+    lattice: its kernel's (6, nu, nv), wave by wave."""
 
     def __init__(self, place: Ints, inverse: Floats) -> None:
         self._cell = place[:, 0] * inverse.shape[2] + place[:, 1]
@@ -337,18 +384,15 @@ class _LatticeInverse:
     def _normal(self) -> _Convolution:
         return _Convolution(self._inverse[_ZZ:], np.float32)
 
-    def force(self, rows: Ints, displacement: Any) -> Any:
-        """Return (m, 3, n) forces on some patches that move these by about (m, 3, n)."""
+    def force(self, rows: Ints, displacement: SinglesArray) -> SinglesArray:
         return self._whole.on_cells(self._cell[rows], displacement)
 
-    def push(self, rows: Ints, depth: Any) -> Any:
-        """Return (n,) normal forces on some patches that move these by about (n,) along their
-        normals."""
+    def push(self, rows: Ints, depth: SinglesArray) -> SinglesArray:
         return self._normal.on_cells(self._cell[rows], depth)
 
 
-class LatticeInfluence(_Preconditioned):
-    """An `twin.world.contact.influence.Influence` of equal patches on a lattice.
+class LatticeInfluence(Influence):
+    """A compliance of equal patches on a lattice, as a convolution.
 
     Parameters
     ----------
@@ -381,6 +425,37 @@ class LatticeInfluence(_Preconditioned):
     def __len__(self) -> int:
         return len(self._cell)
 
+    @classmethod
+    def between(cls, patches: Patches, compliance: object) -> LatticeInfluence | None:
+        """Return the compliance between patches; None where they are no lattice, or few."""
+        if len(patches) < FEWEST or not isinstance(compliance, _PlaneCompliance):
+            return None
+        frame = patches.frames[0]
+        step = 2.0 * patches.half_mm[0]
+        equal = np.ptp(patches.half_mm, axis=0).max() <= _ROUND_OFF * step.min()
+        if not equal or np.any(np.ptp(patches.frames, axis=0)):
+            return None
+        middle = (patches.centre_mm - patches.centre_mm[0]) @ frame.T
+        place = _on_lattice(middle[:, :2], step)
+        if place is None or np.abs(middle[:, 2]).max() > _ROUND_OFF * step.min():
+            return None
+        origin = patches.centre_mm[0] + middle[:, :2].min(axis=0) @ frame[:2]
+        shape = place.max(axis=0) + 1
+        kernel = _kernel(compliance, shape, patches, step)
+        inverse = _inverse_of(_spectra_of(kernel / np.mean(np.diag(kernel[0, 0]))))
+        if inverse is None:
+            return None
+        correction: Floats | None = None
+        for m in NODES:
+            at_nodes = [_nodes(int(n), m) * side for n, side in zip(shape, step, strict=True)]
+            correction = _correction(patches, compliance, at_nodes, origin)
+            if correction is None:
+                return None
+            if _last_term(correction, m) <= _SMALL * float(kernel[0, 0].max()):
+                break
+        smooth = correction if correction is not None and correction.any() else None
+        return cls(place, kernel, inverse, smooth)
+
     @cached_property
     def own(self) -> Floats:
         """(k,) own normal compliances; the correction, a hundredth of them, is left out."""
@@ -412,15 +487,12 @@ class LatticeInfluence(_Preconditioned):
         return _Convolution(_spectra_of(self._kernel, (_ZZ,)), np.float64, correction, self._sides)
 
     def apply(self, force: Floats) -> Floats:
-        """See `Influence`."""
         return self._double.on_cells(self._cell, force.T).T
 
     def normal_displacement(self, push: Floats) -> Floats:
-        """See `Influence`."""
         return self._normal.on_cells(self._cell, push)
 
     def block(self, rows: Ints) -> Floats:
-        """See `Influence`."""
         n = len(rows)
         part = self._by_offset.reshape(-1, 3, 3)[self._offsets(rows, rows)]
         block = np.ascontiguousarray(part.transpose(0, 2, 1, 3))
@@ -444,19 +516,16 @@ class LatticeInfluence(_Preconditioned):
         )
 
     def normal_block(self, rows: Ints, columns: Ints) -> Floats:
-        """See `Influence`."""
         part = self._normal_by_offset[self._offsets(rows, columns)]
         if self._correction is not None:
             part = part + self._weights[rows] @ self._normal_correction @ self._weights[columns].T
         return np.asarray(part)
 
     def select(self, touching: Ints) -> None:
-        """See `Influence`."""
         self._touching = touching
         self._chosen = self._cell[touching]
 
     def product(self, force: Any) -> Any:
-        """See `Influence`."""
         return self._single.on_cells(self._chosen, force) * np.float32(1.0 / self.unit)
 
     @cached_property
@@ -492,53 +561,6 @@ def _nodes(count: int, m: int) -> Floats:
     return np.asarray(half - half * np.cos((np.arange(m) + 0.5) * np.pi / m))
 
 
-def lattice(patches: Patches, compliance: object) -> LatticeInfluence | None:
-    """Return the compliance between patches as a convolution; None where they are no lattice, or
-    few."""
-    if len(patches) < FEWEST or not isinstance(compliance, _PlaneCompliance):
-        return None
-    frame = patches.frames[0]
-    step = 2.0 * patches.half_mm[0]
-    equal = np.ptp(patches.half_mm, axis=0).max() <= _ROUND_OFF * step.min()
-    if not equal or np.any(np.ptp(patches.frames, axis=0)):
-        return None
-    middle = (patches.centre_mm - patches.centre_mm[0]) @ frame.T
-    place = _on_lattice(middle[:, :2], step)
-    if place is None or np.abs(middle[:, 2]).max() > _ROUND_OFF * step.min():
-        return None
-    origin = patches.centre_mm[0] + middle[:, :2].min(axis=0) @ frame[:2]
-    shape = place.max(axis=0) + 1
-    kernel = _kernel(compliance, shape, patches, step)
-    inverse = _inverse_of(_spectra_of(kernel / np.mean(np.diag(kernel[0, 0]))))
-    if inverse is None:
-        return None
-    correction: Floats | None = None
-    for m in NODES:
-        at_nodes = [_nodes(int(n), m) * side for n, side in zip(shape, step, strict=True)]
-        correction = _correction(patches, compliance, at_nodes, origin)
-        if correction is None:
-            return None
-        if _last_term(correction, m) <= _SMALL * float(kernel[0, 0].max()):
-            break
-    smooth = correction if correction is not None and correction.any() else None
-    return LatticeInfluence(place, kernel, inverse, smooth)
-
-
-def _half_space_kernel(shape: Sequence[int], side_mm: Floats, poisson_ratio: float) -> Floats:
-    """Return (nu, nv, 3, 3) the compliance of a half-space by offset, over its mean at the offset
-    0."""
-    steps = np.stack(np.meshgrid(*(np.arange(n) for n in shape), [0.0], indexing="ij"), axis=-1)
-    one = Rectangles(
-        centre_mm=np.zeros((1, 3)),
-        frames=np.eye(3)[None],
-        half_mm=side_mm[None] / 2.0,
-        force_n=np.zeros((1, 3)),
-    )
-    kernel = halfspace.compliance(steps.reshape(-1, 3) * [*side_mm, 1.0], one, 1.0, poisson_ratio)
-    kernel = kernel.reshape(*shape, 3, 3)
-    return np.asarray(kernel / np.mean(np.diag(kernel[0, 0])))
-
-
 def _last_term(correction: Floats, m: int) -> float:
     """Return the largest coefficient of the highest polynomial along any side of a correction (3,
     M, 3, M)."""
@@ -552,12 +574,7 @@ def _kernel(compliance: _PlaneCompliance, shape: Ints, patches: Patches, step: F
     frame = patches.frames[0]
     away = [np.arange(count) * side for count, side in zip(shape, step, strict=True)]
     flat = np.stack(np.meshgrid(*away, indexing="ij"), axis=-1).reshape(-1, 2)
-    one = Rectangles(
-        centre_mm=patches.centre_mm[:1],
-        frames=patches.frames[:1],
-        half_mm=patches.half_mm[:1],
-        force_n=np.zeros((1, 3)),
-    )
+    one = patches.rectangles(np.zeros((1, 3)), np.zeros(1, int))
     kernel = compliance.offset_part(patches.centre_mm[0] + flat @ frame[:2], one).reshape(
         *shape, 3, 3
     )
@@ -592,65 +609,6 @@ _SLACK = 1.3
 """Patches that are kept over those in contact, above which the kept block is gathered again."""
 
 
-class Influence(Protocol):
-    """Compliance between k patches, in their own frames, mm/N."""
-
-    def __len__(self) -> int: ...
-
-    @property
-    def direct(self) -> int:
-        """Unknowns of a Newton step up to which elimination is faster than GMRES with this
-        storage."""
-        ...
-
-    @property
-    def own(self) -> Floats:
-        """(k,) normal displacement of each patch under a unit normal force on it."""
-        ...
-
-    @property
-    def unit(self) -> float:
-        """The mean compliance of a patch to a force on itself, mm/N."""
-        ...
-
-    def apply(self, force: Floats) -> Floats:
-        """Return the (k, 3) displacements of the patches under forces (k, 3), mm."""
-        ...
-
-    def normal_displacement(self, push: Floats) -> Floats:
-        """Return the (k,) normal displacements under normal forces (k,), mm."""
-        ...
-
-    def block(self, rows: Ints) -> Floats:
-        """Return the (n, 3, n, 3) compliance between some patches."""
-        ...
-
-    def normal_block(self, rows: Ints, columns: Ints) -> Floats:
-        """Return the (n, m) normal displacements of some patches under unit normal forces on
-        others."""
-        ...
-
-    def approx_push(self, rows: Ints, depth: Floats) -> Floats:
-        """Return (n,) normal forces on the patches ``rows`` (n,) that move them by about ``depth``
-        (n,)."""
-        ...
-
-    def select(self, touching: Ints) -> None:
-        """Choose the n patches in contact, between which the two methods below work in single
-        precision."""
-        ...
-
-    def product(self, force: SinglesArray) -> SinglesArray:
-        """Return the (3, n) displacements over the `unit` of the patches in contact under forces
-        (3, n) on them."""
-        ...
-
-    def approx_solve(self, displacement: SinglesArray) -> SinglesArray:
-        """Return (3, n, m) forces under which the patches in contact move by about (3, n, m) over
-        the `unit`."""
-        ...
-
-
 class _BlockInverse:
     """The inverses of the normal and of the tangential block of a compliance (k, 3, k, 3) over a
     unit, by Cholesky."""
@@ -675,18 +633,15 @@ class _BlockInverse:
         return None if wrong else factor
 
     def force(self, rows: Ints, displacement: SinglesArray) -> SinglesArray:
-        """See `_Preconditioner`."""
         m = len(displacement)
         whole: SinglesArray = np.zeros((m, 3, len(self._compliance)), np.float32)
         whole[..., rows] = displacement
-        tangential = _factored_solve(self._tangential, whole[:, :2].reshape(m, -1)).reshape(
-            m, 2, -1
-        )
+        tangential = _factored_solve(self._tangential, whole[:, :2].reshape(m, -1))
+        tangential = tangential.reshape(m, 2, -1)
         normal = _factored_solve(self._normal, whole[:, 2])
         return np.concatenate([tangential, normal[:, None]], axis=1)[..., rows]
 
     def push(self, rows: Ints, depth: SinglesArray) -> SinglesArray:
-        """See `_Preconditioner`."""
         whole: SinglesArray = np.zeros((1, len(self._compliance)), np.float32)
         whole[0, rows] = depth
         return _factored_solve(self._normal, whole)[0, rows]
@@ -708,7 +663,6 @@ class _JoinedInverse:
         self._ends = ends
 
     def force(self, rows: Ints, displacement: SinglesArray) -> SinglesArray:
-        """See `_Preconditioner`."""
         pieces = [
             one.force(rows[piece] - first, np.ascontiguousarray(displacement[..., piece]))
             for one, first, piece in self._pieces(rows)
@@ -716,13 +670,10 @@ class _JoinedInverse:
         return np.concatenate(pieces, axis=-1)
 
     def push(self, rows: Ints, depth: SinglesArray) -> SinglesArray:
-        """See `_Preconditioner`."""
-        return np.concatenate(
-            [
-                one.push(rows[piece] - first, depth[piece])
-                for one, first, piece in self._pieces(rows)
-            ]
-        )
+        pushes = [
+            one.push(rows[piece] - first, depth[piece]) for one, first, piece in self._pieces(rows)
+        ]
+        return np.concatenate(pushes)
 
     def _pieces(self, rows: Ints) -> list[tuple[_Preconditioner, int, slice]]:
         """Return every probe's inverse, its first patch, and its piece of the ascending
@@ -741,26 +692,28 @@ def _half_space_inverse(patches: Patches, poisson_ratio: float) -> _LatticeInver
     if place is None:
         return None
     shape = (place.max(axis=0) + 1).tolist()
-    inverse = _inverse_of(
-        _spectra_of(_half_space_kernel(shape, 2.0 * patches.half_mm.mean(axis=0), poisson_ratio))
+    half = patches.half_mm.mean(axis=0)
+    steps = np.stack(np.meshgrid(*(np.arange(n) for n in shape), [0.0], indexing="ij"), axis=-1)
+    one = Rectangles(
+        centre_mm=np.zeros((1, 3)),
+        frames=np.eye(3)[None],
+        half_mm=half[None],
+        force_n=np.zeros((1, 3)),
     )
+    away = steps.reshape(-1, 3) * [*2.0 * half, 1.0]
+    kernel = halfspace.compliance(away, one, 1.0, poisson_ratio).reshape(*shape, 3, 3)
+    inverse = _inverse_of(_spectra_of(kernel / np.mean(np.diag(kernel[0, 0]))))
     return None if inverse is None else _LatticeInverse(place, inverse)
 
 
-class DenseInfluence(_Preconditioned):
-    """A compliance that is stored as a symmetric matrix.
+class DenseInfluence(Influence):
+    """A compliance that is stored as a symmetric ``matrix`` (k, 3, k, 3), mm/N; of the methods for
+    normal forces alone (k, 1, k, 1) will do.
 
-    In a Newton step products take the block of the patches in contact in single precision. Half of
-    that block is kept, packed column by column, so that patches that come are appended. Patches
-    that left stay, without a force on them.
-
-    Parameters
-    ----------
-    matrix
-        (k, 3, k, 3) mm/N; of the methods for normal forces alone (k, 1, k, 1) will do.
-    grids, poisson_ratio
-        The patches under each probe, and the body's Poisson's ratio; without them the
-        preconditioner is made of the matrix.
+    Its preconditioner is made of the patches under each probe and the body's Poisson's ratio, or of
+    the matrix. In a Newton step products take the block of the patches in contact in single
+    precision. Half of it is kept, packed column by column, so that patches that come are appended;
+    those that left stay, without a force on them.
     """
 
     def __init__(
@@ -768,9 +721,8 @@ class DenseInfluence(_Preconditioned):
     ) -> None:
         k = len(matrix)
         self._matrix = matrix
-        self.direct = (
-            2 * DIRECT
-        )  # blocks are read off the matrix, and products cost more than by waves
+        # Blocks are read off the matrix, and products cost more than by waves.
+        self.direct = 2 * DIRECT
         self._of = grids, poisson_ratio
         self.unit = float(np.einsum("iaia->", matrix)) / (k * matrix.shape[1])
         self._place: Ints = np.full(k, -1)
@@ -782,7 +734,6 @@ class DenseInfluence(_Preconditioned):
 
     @cached_property
     def own(self) -> Floats:
-        """See `Influence`."""
         return np.array(np.diagonal(self._matrix[:, -1, :, -1]))
 
     @cached_property
@@ -803,29 +754,23 @@ class DenseInfluence(_Preconditioned):
         return parts[0] if len(parts) == 1 else _JoinedInverse(parts, ends)
 
     def apply(self, force: Floats) -> Floats:
-        """See `Influence`."""
         size = 3 * len(self)
-        return _symmetric_product(self._matrix.reshape(size, size), force.reshape(-1)).reshape(
-            -1, 3
-        )
+        moved = blas.dsymv(1.0, self._matrix.reshape(size, size).T, force.reshape(-1))
+        return np.asarray(moved).reshape(-1, 3)
 
     def normal_displacement(self, push: Floats) -> Floats:
-        """See `Influence`."""
-        return _symmetric_product(self._normal, push)
+        return np.asarray(blas.dsymv(1.0, self._normal.T, push))
 
     def block(self, rows: Ints) -> Floats:
-        """See `Influence`."""
         size = 3 * len(self)
         flat = (3 * rows[:, None] + np.arange(3)).reshape(-1)
         part = self._matrix.reshape(size, size)[np.ix_(flat, flat)]
         return np.asarray(part.reshape(len(rows), 3, len(rows), 3))
 
     def normal_block(self, rows: Ints, columns: Ints) -> Floats:
-        """See `Influence`."""
         return np.asarray(self._normal[np.ix_(rows, columns)])
 
     def select(self, touching: Ints) -> None:
-        """See `Influence`."""
         new = touching[self._place[touching] < 0]
         if len(self._kept) + len(new) > _SLACK * len(touching):
             self._place[:] = -1
@@ -850,14 +795,7 @@ class DenseInfluence(_Preconditioned):
         return (1.0 / self.unit * columns[below]).astype(np.float32)
 
     def product(self, force: SinglesArray) -> SinglesArray:
-        """See `Influence`."""
         kept: SinglesArray = np.zeros(3 * len(self._kept), np.float32)
         kept.reshape(-1, 3)[self._at] = force.T
         moved: SinglesArray = blas.sspmv(len(kept), 1.0, self._packed, kept)
         return np.ascontiguousarray(moved.reshape(-1, 3)[self._at].T)
-
-
-def _symmetric_product(matrix: Floats, vector: Floats) -> Floats:
-    """Return the product of a symmetric matrix with a vector; only one half of the matrix is
-    read."""
-    return np.asarray(blas.dsymv(1.0, matrix.T, vector))

@@ -1,9 +1,4 @@
-"""One step of a path with friction, and the history that it needs.
-
-One grid of patches serves the whole path. A patch stores where it touched or last slipped to, and
-moves with the probe from there. The gap of one that has not touched follows the exact shape of the
-probe as it is lowered; sideways the surface near a probe moves with it. What all patches of a probe
-slip in common is a slide of the whole probe, and gaps are taken where it slid to.
+"""One step of a path with friction, from the history of its patches to their next one.
 
 A step in which patches touch or slip is taken in up to `INCREMENTS` parts, fewer where little
 changes (`_parts`). A part with new patches is solved twice: with the new ones free to slide, and
@@ -29,310 +24,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
 from twin.arrays import Bools, Floats
 from twin.errors import ContactError, NotSettled
-from twin.parts.load import Load
 from twin.parts.press import INCREMENTS
 from twin.parts.probe import Cone
-from twin.theory.relaxation import Relaxation, RubberMemory
-from twin.world.contact.active_set import Equilibrium, UnilateralProblem, pushes_for_depth, solve
-from twin.world.contact.contact_search import ContactProblem, Control
+from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
+from twin.world.contact.contact_problem import ContactHistory, Control, FrictionalContact, Trend
 from twin.world.contact.coulomb import solve_coulomb
 from twin.world.contact.friction_law import LAW
-from twin.world.contact.influence import DenseInfluence, Influence, LatticeInfluence
 from twin.world.contact.probe_gap import MOTIONS, TURN, X, Y, Z
-from twin.world.contact.surface_patches import Patches
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Trend:
-    """What the last step of a path changed: forces (k, 3), place (6 p,), and what was given (6
-    p,)."""
-
-    force_n: Floats
-    pose: Floats
-    given: Floats
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactHistory:
-    """Where each patch touched, or slipped to, and the state that the probes and the body are in.
-
-    Attributes
-    ----------
-    touched, slipping
-        (k,) patches in contact, and which of them slipped last.
-    closed_mm
-        (k,) gap of those at place 0, had they always moved with the probe.
-    offset_mm
-        (k, 2) tangential displacement of those at place 0, likewise.
-    pose
-        (6 p,) the probes' places.
-    total
-        (6 p,) the forces and torques on them.
-    displacement_mm, force_n
-        (k, 3) displacements of the patches and forces on them, in their frames.
-    slid_mm
-        (p, 2) how far each probe slid as a whole, along its own x and y.
-    lifted
-        (p,) probes that are off the body and stay off.
-    dissipated_nmm
-        Work that friction has taken so far, N mm.
-    trend
-        What the last step changed, for a guess at what the next one does.
-    time_s
-        Time since the path's beginning, s.
-    memory
-        What relaxing rubber remembers; None of elastic rubber.
-    moved_mm
-        (k, 3) how far the memory alone moves the patches within a part; None outside.
-    """
-
-    touched: Bools
-    slipping: Bools
-    closed_mm: Floats
-    offset_mm: Floats
-    pose: Floats
-    total: Floats
-    displacement_mm: Floats
-    force_n: Floats
-    slid_mm: Floats
-    lifted: Bools
-    dissipated_nmm: float = 0.0
-    trend: _Trend | None = None
-    time_s: float = 0.0
-    memory: RubberMemory | None = None
-    moved_mm: Floats | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class FrictionalContact:
-    """Patches, and what of them stays the same along the path; ``friction`` (p,) is the coefficient
-    of each probe, ``relaxation`` the rubber's."""
-
-    contacts: ContactProblem
-    friction: Floats
-    relaxation: Relaxation | None = None
-
-    @property
-    def patches(self) -> Patches:
-        """The patches of all probes."""
-        return self.contacts.patches
-
-    @cached_property
-    def influence(self) -> Influence:
-        """The compliance between patches; as a matrix where all stick, whose systems are solved by
-        elimination."""
-        found = self.contacts.influence
-        if isinstance(found, LatticeInfluence) and self.sticks and self.friction.any():
-            return DenseInfluence(found.block(np.arange(len(found))))
-        return found
-
-    @property
-    def sticks(self) -> bool:
-        """Whether every probe with friction sticks whatever the force."""
-        return bool(np.isinf(self.friction[self.friction > 0.0]).all())
-
-    @cached_property
-    def contact_jacobian(self) -> Floats:
-        """(k, 3, 6 p) motion of the probes' points at the patches per unit of the place, about
-        first touch."""
-        return self.contacts.contact_jacobian(np.zeros(MOTIONS * len(self.friction)))
-
-    def untouched(self, history: ContactHistory) -> Bools:
-        """Return (k,) which patches belong to a probe that touches nothing."""
-        none = [not history.touched[rows].any() for _, rows, _ in self.contacts.rows]
-        return np.asarray(np.array(none)[self.contacts.owner])
-
-    def sideways(self, pose: Floats) -> Floats:
-        """Return a place without its motions along the directions of approach."""
-        return np.where(self.contacts.along_z, 0.0, pose)
-
-    def _slid_gap(self, slid_mm: Floats, along_z: Floats) -> tuple[Floats, Floats]:
-        """Return gaps and slopes of probes that were lowered, and slid but not carried the surface
-        along."""
-        gap = np.zeros(len(self.patches))
-        slope = np.zeros((len(self.patches), len(self.contacts.along_z)))
-        for number, (setup, rows, motions) in enumerate(self.contacts.rows):
-            grid = self.contacts.grids[number]
-            first = setup.first
-            lowered = np.zeros(MOTIONS)
-            lowered[Z] = along_z[number]
-            if setup.face is None:
-                lowered[:Z] = slid_mm[number]
-            gap[rows], slope[rows, motions] = self.contacts.gap_under(number, lowered)
-            gap[rows] += grid.frames[:, 2] @ (slid_mm[number] @ first.axes[:Z])
-        return gap, slope
-
-    def gap(self, history: ContactHistory, pose: Floats) -> tuple[Floats, Floats]:
-        """Return (k,) gaps and (k, 6 p) slopes at a place."""
-        gap, slope = self._slid_gap(history.slid_mm, pose[self.contacts.along_z])
-        normal = self.contact_jacobian[:, 2]
-        slope = np.where(self.contacts.along_z, slope, -normal)
-        gap = gap - normal @ self.sideways(pose)
-        stuck = history.touched & (self.friction[self.contacts.owner] > 0.0)
-        gap[stuck] = (
-            history.closed_mm[stuck] + self.moved_gap(history.slid_mm)[stuck] - normal[stuck] @ pose
-        )
-        slope[stuck] = -normal[stuck]
-        if history.moved_mm is not None:
-            gap += history.moved_mm[:, 2]
-        gap[history.lifted[self.contacts.owner]] = np.inf
-        return gap, slope
-
-    def moved_gap(self, slid_mm: Floats) -> Floats:
-        """Return (k,) by how much a slide changes the gaps; inf where the probe slid away."""
-        if not slid_mm.any():
-            return np.zeros(len(self.patches))
-        still = np.zeros(len(self.friction))
-        before = self._slid_gap(np.zeros_like(slid_mm), still)[0]
-        after = self._slid_gap(slid_mm, still)[0]
-        return np.where(
-            np.isfinite(before), after - np.where(np.isfinite(before), before, 0.0), 0.0
-        )
-
-    def offset(self, history: ContactHistory) -> Floats:
-        """Return (k, 2) from where each patch's slip counts.
-
-        After a lift the probe touches again where it now is: its motion sideways counts from there.
-        """
-        here = -np.einsum("kad,d->ka", self.contact_jacobian[:, :2], self.sideways(history.pose))
-        offset = history.offset_mm
-        if history.moved_mm is not None:
-            offset = offset - history.moved_mm[:, :2]
-        return np.where(self.untouched(history)[:, None], here, offset)
-
-    def problem(
-        self, history: ContactHistory, control: Control, held: Bools | None = None
-    ) -> UnilateralProblem:
-        """Return a part's equations; patches in ``held`` feel friction although they had not
-        touched before it."""
-        frictional = history.touched | self.untouched(history) | (False if held is None else held)
-        return UnilateralProblem(
-            influence=self.influence,
-            gap=lambda q: self.gap(history, q),
-            contact_jacobian=self.contact_jacobian,
-            by_force=control.by_force,
-            given=control.given,
-            pushing=control.pushing,
-            area_mm2=self.patches.area_mm2,
-            friction=np.where(frictional, self.friction[self.contacts.owner], 0.0),
-            offset=self.offset(history),
-        )
-
-    def at_first_touch(self) -> ContactHistory:
-        """Return the history of probes that just touch: patches under a flat face on a flat body
-        stick at once.
-
-        A single patch in the middle under a ball doesn't count: alone it would have to hold a probe
-        on a slope.
-        """
-        k = len(self.patches)
-        p = len(self.friction)
-        nothing = ContactHistory(
-            touched=np.zeros(k, bool),
-            slipping=np.zeros(k, bool),
-            closed_mm=np.zeros(k),
-            offset_mm=np.zeros((k, 2)),
-            pose=np.zeros(MOTIONS * p),
-            total=np.zeros(MOTIONS * p),
-            displacement_mm=np.zeros((k, 3)),
-            force_n=np.zeros((k, 3)),
-            slid_mm=np.zeros((p, 2)),
-            lifted=np.zeros(p, bool),
-            memory=RubberMemory.at_rest(self.relaxation, (k, 3)) if self.relaxation else None,
-        )
-        gap, _ = self.gap(nothing, nothing.pose)
-        touched = gap <= 1e-9
-        for _, rows, _ in self.contacts.rows:
-            touched[rows] &= np.count_nonzero(touched[rows]) > 1
-        return replace(nothing, touched=touched, closed_mm=np.where(touched, gap, 0.0))
-
-    def release(self, history: ContactHistory, lifted: Bools) -> ContactHistory:
-        """Return the history of probes (p,) that have been lifted off: they touch again where they
-        then are."""
-        rows = lifted[self.contacts.owner]
-        motions = np.repeat(lifted, MOTIONS)
-        at_rest = -np.einsum("kad,d->ka", self.contact_jacobian, history.pose)
-        here = history.pose.reshape(-1, MOTIONS)[:, :Z]
-        return replace(
-            self.recovered(history, lifted, history.time_s),
-            touched=history.touched & ~rows,
-            slipping=history.slipping & ~rows,
-            total=np.where(motions, 0.0, history.total),
-            slid_mm=np.where(lifted[:, None], here, history.slid_mm),
-            dissipated_nmm=history.dissipated_nmm
-            + _lost_nmm(
-                self, history, history.touched & rows, np.zeros_like(history.force_n), at_rest
-            ),
-        )
-
-    def crept(self, memory: RubberMemory, number: int) -> Load:
-        """Return the elastic forces under one probe, global axes."""
-        _, rows, _ = self.contacts.rows[number]
-        grid = self.contacts.grids[number]
-        own = memory.elastic[rows]
-        moving = np.flatnonzero(own.any(axis=1))
-        force = np.einsum("kij,ki->kj", grid.frames[moving], own[moving])
-        return Load((grid.rectangles(force, moving),)) if len(moving) else Load()
-
-    def recovered(
-        self, history: ContactHistory, lifted: Bools, time_s: float, parts: int = 1
-    ) -> ContactHistory:
-        """Return the history at a time up to which probes (p,) are off the body, and nothing else
-        changes; relaxing rubber recovers."""
-        rows = lifted[self.contacts.owner][:, None]
-        force = np.where(rows, 0.0, history.force_n)
-        displacement = np.zeros_like(force)
-        memory = history.memory
-        if memory is not None:
-            for _ in range(parts):
-                memory = memory.after((time_s - history.time_s) / parts, force)
-            displacement = self.influence.apply(memory.elastic)
-        return replace(
-            history,
-            time_s=time_s,
-            memory=memory,
-            force_n=force,
-            displacement_mm=np.where(rows, displacement, history.displacement_mm),
-        )
-
-
-def _lost_nmm(
-    grid: FrictionalContact, history: ContactHistory, slipped: Bools, force_n: Floats, away: Floats
-) -> float:
-    """Return the work that is lost where patches move over their probe, slipping or as they lift
-    off, N mm.
-
-    Parameters
-    ----------
-    grid, history
-        The patches, and their state before.
-    slipped
-        (k,) which of them move.
-    force_n, away
-        (k, 3) forces afterwards, and displacements over the probes' points at place 0, in the
-        patches' frames.
-
-    Notes
-    -----
-    The mean of the tangential forces before and after times the slip. A patch that stuck slips only
-    once its force has grown to its bound, so that a greater force counts from the start. One that
-    lifts off loses its force on the way: no probe does work on what then snaps back.
-
-    What touched in between has slipped from where it was held; where it slid before that, nothing
-    pressed on it.
-    """
-    before = history.force_n[:, :2]
-    after = force_n[:, :2]
-    grown = ~history.slipping & (np.hypot(*before.T) < np.hypot(*after.T))
-    mean = np.where(grown[:, None], after, (before + after) / 2.0)
-    return -float(np.sum((mean * (away[:, :2] - grid.offset(history)))[slipped]))
-
 
 _FORESEEN = 4.0
 """How many times as far as the last step another may go on in the same way."""
@@ -349,6 +53,9 @@ class _Prediction:
     pose: Floats
     active: Bools
     displacement_mm: Floats | None = None
+
+
+_Guess: TypeAlias = Equilibrium | _Prediction
 
 
 def _extrapolate_step(
@@ -372,9 +79,7 @@ def _extrapolate_step(
     return _Prediction(force_n=force, pose=pose, active=history.touched)
 
 
-def _extrapolate_part(
-    before: Equilibrium | None, now: Equilibrium | None
-) -> Equilibrium | _Prediction | None:
+def _extrapolate_part(before: Equilibrium | None, now: Equilibrium | None) -> _Guess | None:
     """Return what the next part leads to if it changes as the last one did."""
     if before is None or now is None:
         return now
@@ -391,8 +96,8 @@ def _predict(
     problem: UnilateralProblem,
     history: ContactHistory,
     control: Control,
-    guess: Equilibrium | _Prediction | None,
-) -> Equilibrium | _Prediction:
+    guess: _Guess | None,
+) -> _Guess:
     """Return where to start on a part: at a guess that has forces, else at the last forces or a
     push, and sheared."""
     if guess is not None and guess.force_n.any():
@@ -408,15 +113,12 @@ def _predict(
 
 
 def _predict_active(
-    grid: FrictionalContact,
-    history: ContactHistory,
-    pose: Floats,
-    guess: Equilibrium | _Prediction | None,
+    grid: FrictionalContact, history: ContactHistory, pose: Floats, guess: _Guess | None
 ) -> Bools:
     """Return a guess's patches in contact (k,), or the nearest ones where it has none."""
-    return (
-        guess.active if guess is not None and guess.active.any() else _nearest(grid, history, pose)
-    )
+    if guess is not None and guess.active.any():
+        return guess.active
+    return _nearest(grid, history, pose)
 
 
 def _nearest(grid: FrictionalContact, history: ContactHistory, pose: Floats) -> Bools:
@@ -488,65 +190,51 @@ def _predict_shear(problem: UnilateralProblem, force: Floats) -> Floats:
     return force
 
 
-_MOTIONS = 4000
+_DIRECTIONS = 4000
 
 
-def _motions(count: int) -> Floats:
+def _directions(count: int) -> Floats:
     """Return (n, count) unit vectors, spread evenly."""
     if count == 1:
         return np.array([[1.0], [-1.0]])
-    turn = np.arange(_MOTIONS) * math.pi * (3.0 - math.sqrt(5.0))
+    turn = np.arange(_DIRECTIONS) * math.pi * (3.0 - math.sqrt(5.0))
     if count == 2:
-        turn = np.arange(_MOTIONS) * 2.0 * math.pi / _MOTIONS
+        turn = np.arange(_DIRECTIONS) * 2.0 * math.pi / _DIRECTIONS
         return np.column_stack([np.cos(turn), np.sin(turn)])
-    height = 1.0 - 2.0 * (np.arange(_MOTIONS) + 0.5) / _MOTIONS
+    height = 1.0 - 2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
     around = np.sqrt(1.0 - height**2)
     return np.column_stack([around * np.cos(turn), around * np.sin(turn), height])
 
 
-def limit_load_share(
-    contact_jacobian: Floats, normal_n: Floats, bound_n: Floats, by_force: Bools, given: Floats
+def _limit_load_share(
+    jacobian: Floats, normal_n: Floats, bound_n: Floats, by_force: Bools, given: Floats
 ) -> float:
-    """Return the given side forces and torque over the largest of their kind that friction can
-    carry.
+    """Return given side forces and a torque over the largest of their kind that friction carries: 0
+    where none is given; above 1 there is no balance.
 
-    Parameters
-    ----------
-    contact_jacobian
-        (k, 3, 4) motion of the probe's points at the patches, in their frames, per unit of x, y, z
-        and turn.
-    normal_n
-        (k,) normal forces, N.
-    bound_n
-        (k,) the largest tangential forces that friction allows, N.
-    by_force, given
-        (4,) which of x, y, z and turn are held by force, and the forces and the torque.
-
-    Returns
-    -------
-    0 when no force is given; above 1 there is no balance.
+    The (k, 3, 4) jacobian is of x, y, z and turn, as are the (4,) components held ``by_force`` and
+    ``given``; ``normal_n`` and ``bound_n`` (k,) are normal forces and the tangential ones at most.
     """
     free = np.flatnonzero(by_force & (np.arange(4) != Z))
     if len(free) == 0 or not normal_n.any() or np.isinf(bound_n).any():
         return 0.0
-    arm = float(np.abs(contact_jacobian[:, :2, 3]).max()) or 1.0
-    size = np.array([1.0, 1.0, 1.0, 1.0 / arm])[free]
-    motion = _motions(len(free)) * size
-    asked = (given - np.einsum("k,kd->d", normal_n, contact_jacobian[:, 2]))[free]
+    arm = float(np.abs(jacobian[:, :2, 3]).max()) or 1.0
+    motion = _directions(len(free)) * np.array([1.0, 1.0, 1.0, 1.0 / arm])[free]
+    asked = (given - np.einsum("k,kd->d", normal_n, jacobian[:, 2]))[free]
     pushing = normal_n > 0
-    moved = np.einsum("kad,md->mka", contact_jacobian[pushing][:, :2, free], motion)
+    moved = np.einsum("kad,md->mka", jacobian[pushing][:, :2, free], motion)
     taken = np.hypot(moved[..., 0], moved[..., 1]) @ bound_n[pushing]
     return float(np.max(motion @ asked / np.maximum(taken, 1e-300)))
 
 
-SLIDE_LIMIT = 0.05
+_SLIDE_LIMIT = 0.05
 """How far a flat face may slide as a whole, over its smaller width."""
 
-KNOWN_TO = 0.05
-"""How well `twin.world.contact.load_step` knows what friction can carry, over the whole."""
+_KNOWN_TO = 0.05
+"""How well the limit load is known, over the whole."""
 
 _RUBBED = [X, Y, Z, TURN]
-"""The components of a probe's place that `twin.world.contact.load_step` knows."""
+"""The motions that the limit load takes into account."""
 
 
 def _raise_limit_load(
@@ -562,20 +250,20 @@ def _raise_limit_load(
     near = _nearest(grid, history, pose)
     pushed = _predict_frictionless(grid, grid.problem(history, control), history, control, near)
     for number, (_, rows, motions) in enumerate(grid.contacts.rows):
-        contact_jacobian = grid.contact_jacobian[rows, :, motions][..., _RUBBED]
+        jacobian = grid.contact_jacobian[rows, :, motions][..., _RUBBED]
         friction = float(grid.friction[number])
         held = control.by_force[motions][_RUBBED]
         given = control.given[motions][_RUBBED]
-        normal_n, area_mm2 = pushed.force_n[rows, 2], grid.patches.area_mm2[rows]
-        bound_n = LAW.bound(np.full(len(normal_n), friction), normal_n, area_mm2)
-        share = limit_load_share(contact_jacobian, normal_n, bound_n, held, given)
+        normal_n = pushed.force_n[rows, 2]
+        bound_n = LAW.bound(np.full(len(normal_n), friction), normal_n, grid.patches.area_mm2[rows])
+        share = _limit_load_share(jacobian, normal_n, bound_n, held, given)
         if share >= least:
             asked = [f"{value:.4g}" for value in np.where(held, given, 0.0)]
             raise ContactError(
                 f"contact: the forces ({', '.join(asked[:3])}) N and the torque {asked[3]} N mm "
                 f"can't be balanced: sideways and about z they are {share:.4g} times what friction "
                 f"{friction:g} can carry on this surface (allowed is less than 1 times, known to "
-                f"{KNOWN_TO:g}), so that the probe slides: ask for less, push harder, raise "
+                f"{_KNOWN_TO:g}), so that the probe slides: ask for less, push harder, raise "
                 "press.friction, or hold x, y and the turn by motion"
             ) from problem_found
 
@@ -596,7 +284,7 @@ def _refuse_slide(grid: FrictionalContact, history: ContactHistory) -> None:
             what = "beyond the patches, which lie around where it touched first"
         else:
             off = slid
-            allowed = SLIDE_LIMIT * 2 * min(setup.face.half_mm)
+            allowed = _SLIDE_LIMIT * 2 * min(setup.face.half_mm)
             what = "as a whole, while the patches under a flat face stay where they are"
         if off > allowed:
             raise ContactError(
@@ -618,7 +306,7 @@ def _part(
     grid: FrictionalContact,
     history: ContactHistory,
     control: Control,
-    guess: Equilibrium | _Prediction | None,
+    guess: _Guess | None,
     held: Bools | None = None,
 ) -> tuple[ContactHistory, Equilibrium]:
     """Solve one part from a guess; return the state, and the history with how far the probe slid as
@@ -653,7 +341,7 @@ def _elastic_part(
     grid: FrictionalContact,
     history: ContactHistory,
     control: Control,
-    guess: Equilibrium | _Prediction | None,
+    guess: _Guess | None,
     held: Bools | None,
 ) -> tuple[ContactHistory, Equilibrium]:
     """Solve one part as `_part`, of elastic rubber."""
@@ -666,7 +354,7 @@ def _elastic_part(
     share = 1.0
     before = np.zeros_like(history.slid_mm)
     for turn in range(_SLIDE_ROUNDS):
-        slid = start + common_slide(grid, history, problem, found)
+        slid = start + grid.common_slide(history, problem, found)
         off = slid - history.slid_mm
         late = 2 * turn >= _SLIDE_ROUNDS
         flat = all(setup.face is not None for setup in grid.contacts.setups)
@@ -684,7 +372,7 @@ def _elastic_part(
     )
 
 
-def _from_guess(problem: UnilateralProblem, guess: Equilibrium | _Prediction) -> Equilibrium:
+def _from_guess(problem: UnilateralProblem, guess: _Guess) -> Equilibrium:
     """Solve Coulomb's law from a guess, and from a probe that sticks where the guess is too far
     off."""
     try:
@@ -698,36 +386,6 @@ def _from_guess(problem: UnilateralProblem, guess: Equilibrium | _Prediction) ->
         else:
             return solve_coulomb(problem, stuck.force_n, stuck.pose, stuck.displacement_mm)
         raise
-
-
-def common_slide(
-    grid: FrictionalContact, history: ContactHistory, problem: UnilateralProblem, found: Equilibrium
-) -> Floats:
-    """Return (p, 2) mm by which all patches of a probe slipped in common, along its x and y.
-
-    It is 0 where one patch sticks.
-
-    The mean of the least slips, as the least one alone may jump between patches that mirror each
-    other; patches that touched within the part slipped for a part of it only and do not count.
-    """
-    slides = np.zeros_like(history.slid_mm)
-    counted = found.active & (history.touched | grid.untouched(history))
-    for number, (setup, rows, _) in enumerate(grid.contacts.rows):
-        active = np.flatnonzero(counted[rows]) + rows.start
-        if len(active) == 0 or not found.slipping[active].all():
-            continue
-        slip = (
-            found.displacement_mm[active, :2]
-            - problem.contact_jacobian[active, :2] @ found.pose
-            - problem.offset[active]
-        )
-        length = np.hypot(slip[:, 0], slip[:, 1])
-        least = length <= 1.1 * length.min()
-        back = np.einsum("ka,kai->ki", slip[least], grid.patches.frames[active[least], :2]).mean(
-            axis=0
-        )
-        slides[number] = -setup.first.axes[:Z] @ back
-    return slides
 
 
 def _remember(
@@ -758,7 +416,7 @@ def _remember(
         slid_mm=history.slid_mm,
         lifted=history.lifted,
         dissipated_nmm=history.dissipated_nmm
-        + _lost_nmm(grid, history, left | found.slipping, found.force_n, away),
+        + grid.lost_nmm(history, left | found.slipping, found.force_n, away),
     )
 
 
@@ -786,7 +444,7 @@ def _held_on_the_way(
     pushed = np.where(new, free.force_n[:, 2] / share, 0.0)
     sunk = grid.influence.normal_displacement(pushed)
     relief = np.zeros_like(pushed)
-    relief[old] = pushes_for_depth(grid.influence, np.flatnonzero(old), sunk[old])
+    relief[old] = grid.influence.pushes_for_depth(np.flatnonzero(old), sunk[old])
     overlap = (sunk - grid.influence.normal_displacement(relief))[new]
     met = np.isfinite(gap)
     way = np.where(
@@ -804,7 +462,7 @@ def _pass(
     grid: FrictionalContact,
     history: ContactHistory,
     control: Control,
-    guess: Equilibrium | _Prediction | None,
+    guess: _Guess | None,
 ) -> tuple[ContactHistory, Equilibrium]:
     """Solve one part, with the patches that touch within it held by friction from where they
     touched."""
@@ -828,7 +486,7 @@ def _advance(
     grid: FrictionalContact,
     history: ContactHistory,
     control: Control,
-    guess: Equilibrium | _Prediction | None,
+    guess: _Guess | None,
     wanted: Control,
     halvings: int = _HALVINGS,
 ) -> tuple[ContactHistory, Equilibrium]:
@@ -907,9 +565,12 @@ def load_step(
     start = np.where(control.by_force, history.total, history.pose)
 
     def with_trend(then: ContactHistory) -> ContactHistory:
-        force = then.force_n - first.force_n
-        pose = then.pose - first.pose
-        return replace(then, trend=_Trend(force_n=force, pose=pose, given=control.given - start))
+        trend = Trend(
+            force_n=then.force_n - first.force_n,
+            pose=then.pose - first.pose,
+            given=control.given - start,
+        )
+        return replace(then, trend=trend)
 
     if history.touched.any():
         try:
@@ -953,7 +614,7 @@ def load_step(
                 raise
             return history, previous, f"stopped after {part - 1} of {increments} parts: {stopped}"
         except ContactError as refused:
-            _raise_limit_load(grid, history, control, refused, least=1.0 - KNOWN_TO)
+            _raise_limit_load(grid, history, control, refused, least=1.0 - _KNOWN_TO)
             raise
     _refuse_slide(grid, history)
     assert previous is not None, "a step has at least one part"

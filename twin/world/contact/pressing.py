@@ -24,31 +24,24 @@ from twin.parts.press import FEWEST_PATCHES, INCREMENTS, MOST_PATCHES, Press
 from twin.parts.probe import Cylinder, Pillar, Probe, Sphere
 from twin.theory.relaxation import Relaxation
 from twin.world.contact.active_set import Equilibrium
-from twin.world.contact.contact_search import (
+from twin.world.contact.contact_problem import (
+    ContactHistory,
     ContactProblem,
     Control,
+    FrictionalContact,
     LoadProgramme,
     ProbeSetup,
     SurfaceCompliance,
-    check_inside,
+)
+from twin.world.contact.contact_search import (
     closed_form_contact,
     find_contact,
     fitted_grids,
     solve_frictionless,
 )
-from twin.world.contact.contact_state import (
-    ContactState,
-    Estimates,
-    Watched,
-    lifted_state,
-    touching_state,
-)
-from twin.world.contact.friction_law import effective_coefficient
-from twin.world.contact.load_step import (
-    ContactHistory,
-    FrictionalContact,
-    load_step,
-)
+from twin.world.contact.contact_state import ContactState
+from twin.world.contact.load_step import load_step
+from twin.world.contact.press_error import Estimates, Watched
 from twin.world.contact.probe_gap import (
     ABOUT_X,
     ABOUT_Y,
@@ -186,9 +179,7 @@ def _largest_contact(
     programme: LoadProgramme, number: int, plane: Plane, touch_z: float
 ) -> tuple[Plane, Box]:
     """Return the plane of one probe's grid, along its first contact, and the box that holds its
-    contact of every step.
-
-    It is pressed without friction, where it slides to.
+    contact of every step, pressed without friction where it slides to.
 
     A probe with friction on a slope carries part of a force along z by friction: its normal force
     is F n_z, for which a frictionless one that is held sideways needs F n_z^2 along z.
@@ -291,9 +282,7 @@ def _frictional_path(programme: LoadProgramme, increments: int) -> tuple[list[Co
     for _ in range(TRIES):
         contacts = ContactProblem(programme.setups, fitted_grids(programme.setups, planes, boxes))
         states, reached, reason = _path_on_grid(
-            FrictionalContact(
-                contacts, effective_coefficient(programme.friction), programme.relaxation
-            ),
+            FrictionalContact(contacts, programme.effective_friction, programme.relaxation),
             programme,
             increments,
         )
@@ -393,7 +382,7 @@ def _states(
         if found is None or lifted[number]:
             _refuse_untransmitted_forces(control.of_probe(number))
             states.append(
-                lifted_state(
+                ContactState.lifted(
                     setup,
                     history.pose[motions],
                     friction=friction,
@@ -404,9 +393,9 @@ def _states(
         patches = grid.contacts.grids[number]
         own = found.part(rows, motions)
         touch_z = _touch_z(setup, history, number)
-        check_inside(setup, patches, own, float(own.pose[Z]) - touch_z)
+        setup.check_inside(patches, own, float(own.pose[Z]) - touch_z)
         states.append(
-            touching_state(
+            ContactState.touching(
                 setup,
                 patches,
                 own,
@@ -488,7 +477,7 @@ def _frictionless_step(
         if _is_lifted(own, z):
             _refuse_untransmitted_forces(own)
             places[number] = _lifted_place(own, places[number], z)
-            states[number] = lifted_state(setup, places[number])
+            states[number] = ContactState.lifted(setup, places[number])
             continue
         touching.append(number)
         starts.append(places[number])
@@ -503,7 +492,7 @@ def _frictionless_step(
         ):
             own_found = found.part(rows, motions)
             places[number] = own_found.pose
-            states[number] = touching_state(
+            states[number] = ContactState.touching(
                 setup,
                 contacts.grids[each],
                 own_found,
@@ -545,7 +534,7 @@ def _frictionless(
         for (setup, rows, motions), grid, z in zip(
             contacts.rows, contacts.grids, touch_z, strict=True
         ):
-            check_inside(setup, grid, found.part(rows, motions), float(pose[motions][Z]) - z)
+            setup.check_inside(grid, found.part(rows, motions), float(pose[motions][Z]) - z)
         missed = [
             number
             for number, (_, rows, _) in enumerate(contacts.rows)

@@ -50,7 +50,7 @@ divides by them."""
 
 
 @dataclass(frozen=True)
-class RoundedProbe:
+class _Rounded:
     """All places nearer than ``radius_mm`` to a sharp convex body.
 
     Attributes
@@ -68,7 +68,6 @@ class RoundedProbe:
     radius_mm: float
 
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
-        """See `twin.world.contact.probe_gap.Shape`."""
         points = np.ascontiguousarray(points)
         along = np.ascontiguousarray(along)
         distance, normal = _enter(points, along, self.sharp, self.sizes, self.radius_mm)
@@ -188,7 +187,6 @@ class _Ball:
     radius_mm: float
 
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
-        """See `Shape`."""
         radius = self.radius_mm
         x, y, z = points.T
         z = z + radius
@@ -240,7 +238,6 @@ class _Triangles:
         return float(np.linalg.norm(self.corners, axis=2).max())
 
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
-        """See `Shape`."""
         triangle, distance = _tree_of(self).first_along(points, -along)
         a, b, c = (self.corners[np.maximum(triangle, 0), k] for k in range(3))
         normal = np.cross(b - a, c - a)
@@ -264,7 +261,6 @@ class _Tilted:
     rotation: Floats
 
     def met(self, points: Points, along: Floats) -> tuple[Floats, Floats]:
-        """See `Shape`."""
         distance, normal = self.shape.met(points @ self.rotation, along @ self.rotation)
         return distance, normal @ self.rotation.T
 
@@ -332,14 +328,14 @@ def _shape_of(
     if isinstance(probe, Cone):
         # the ball that rounds the tip touches the plane z = 0 with its lowest point
         half = math.radians(probe.apex_deg / 2)
-        shape = RoundedProbe(CONE, (math.sin(half), math.cos(half), -probe.tip_mm), probe.tip_mm)
+        shape = _Rounded(CONE, (math.sin(half), math.cos(half), -probe.tip_mm), probe.tip_mm)
     elif probe.edge_mm == 0.0 and _is_flat(probe, tilt_deg):
         shape = _Face(probe, rim)
     else:
         a, b = half_extent(probe)
         kind = ROUND if isinstance(probe, Cylinder) else SQUARE
         edge = probe.edge_mm
-        shape = RoundedProbe(kind, (a - edge, b - edge, -edge), edge)
+        shape = _Rounded(kind, (a - edge, b - edge, -edge), edge)
     return _Tilted(shape, _tilt_of(tilt_deg)) if any(tilt_deg) else shape
 
 
@@ -513,11 +509,8 @@ _ON_SURFACE_MM = 1e-3
 def _surface_intersection(
     body: Body, direction: Floats
 ) -> Callable[[Points], tuple[Floats, Bools]]:
-    """Return a function that computes where lines along a direction (3,) first meet a body.
-
-    Of (k, 3) points of the lines it returns (k,) how far along the direction the body is met, mm,
-    NaN where it isn't, and (k,) whether on its sensing surface.
-    """
+    """Return a function of (k, 3) points that computes how far along a direction (3,) a body is
+    first met, mm, NaN where it isn't, and whether on its sensing surface."""
     if direction[2] == 1.0:
 
         def from_above(points: Points) -> tuple[Floats, Bools]:

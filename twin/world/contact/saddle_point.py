@@ -79,31 +79,31 @@ class SaddlePoint:
         solution = found.astype(float) * largest
         return solution[:n], solution[n:]
 
+    @staticmethod
+    def eliminate(
+        matrix: Floats, motion: Floats, pull: Floats, right: Floats, balance: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return x (n,) and q (m,) by elimination, C (n, n) being a matrix.
 
-def eliminate(
-    matrix: Floats, motion: Floats, pull: Floats, right: Floats, balance: Floats
-) -> tuple[Floats, Floats]:
-    """Return x (n,) and q (m,) by elimination, C (n, n) being a matrix.
+        Compliances and forces differ by the modulus, so both blocks are scaled to about one.
 
-    Compliances and forces differ in size by the modulus, so both blocks are scaled to about one.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The system is singular.
-    """
-    n = len(right)
-    m = len(balance)
-    whole = np.zeros((n + m, n + m))
-    whole[:n, :n] = matrix
-    whole[:n, n:] = motion
-    whole[n:, :n] = pull
-    typical = float(np.mean(np.abs(np.diag(matrix))))
-    scale = np.concatenate([np.full(n, typical**-0.5), np.full(m, typical**0.5)])
-    whole *= scale
-    whole *= scale[:, None]
-    found = np.linalg.solve(whole, np.concatenate([right, balance]) * scale) * scale
-    return found[:n], found[n:]
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            The system is singular.
+        """
+        n = len(right)
+        m = len(balance)
+        whole = np.zeros((n + m, n + m))
+        whole[:n, :n] = matrix
+        whole[:n, n:] = motion
+        whole[n:, :n] = pull
+        typical = float(np.mean(np.abs(np.diag(matrix))))
+        scale = np.concatenate([np.full(n, typical**-0.5), np.full(m, typical**0.5)])
+        whole *= scale
+        whole *= scale[:, None]
+        found = np.linalg.solve(whole, np.concatenate([right, balance]) * scale) * scale
+        return found[:n], found[n:]
 
 
 def _gmres(

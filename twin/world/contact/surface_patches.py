@@ -9,11 +9,17 @@ Rows of a round footprint end where the row's piece of the disc has its exact ar
 at a footprint's border: the pressure under a sharp edge grows like 1/sqrt(distance), and cells that
 shrink like its inverse carry equal forces. Under a rounded rim that cells resolve the pressure ends
 like a sphere's: equal cells, a lattice on a flat body, serve as well.
+
+A cell touches wholly or not at all. Where a sharp edge of the probe runs along the grid, a whole
+row of cells is cut alike, and forces jump by some per cent from grid to grid. So cells end at such
+edges (`Box.with_edges`, `Box.aligned`). Edges askew to the grid cut every row elsewhere, which
+evens out.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -26,6 +32,27 @@ from twin.parts.load import Rectangles
 
 _LONG = 3.0
 """Length over width of a box from which on no ellipse is cut out of it."""
+
+_RASTER = 64
+"""Places along each side at which edges are looked for."""
+
+_HALVINGS = 10
+"""Bisections of a step of the raster around an edge."""
+
+_JUMP = 0.2
+"""Least jump of the gap at a sharp edge, over the deepest overlap."""
+
+_ALONG = 0.08
+"""Share of the raster's rows that an edge along the grid crosses at least."""
+
+_FINEST, _WIDEST, _STEPS = 0.8, 1.1, 121
+"""Widths of cells that are tried, over the width asked for, and how many."""
+
+_AWAY = 0.1
+"""How far edges may lie from the cells' ends, over their width, for a grid that is aligned."""
+
+_AS_ASKED = 0.03
+"""How much a change of the cells' width counts against a distance from edges."""
 
 _FILLS = 0.85
 """Least extent of a contact over that of its closed form, below which the closed form is not
@@ -54,9 +81,9 @@ class Footprint:
 class Box(NamedTuple):
     """The piece (u0, u1, v0, v1) of a plane in which contact is sought, mm.
 
-    ``width_mm`` is the mean width of the pieces of a contact that fills little of it, of any shape
-    and number; inf of a contact in one piece that fills it. ``edges`` are the places along u and v
-    of the probe's sharp edges across them (`twin.world.contact.sharp_edges`).
+    ``width_mm`` is the mean width of the pieces of a contact that fills little of it; inf of a
+    contact in one piece that fills it. ``edges`` are the places along u and v of the probe's sharp
+    edges across them.
     """
 
     u0: float
@@ -111,6 +138,91 @@ class Box(NamedTuple):
     def grown(self, u: float, v: float) -> Box:
         """Return the box with margins u and v added on either side."""
         return self._replace(u0=self.u0 - u, u1=self.u1 + u, v0=self.v0 - v, v1=self.v1 + v)
+
+    def with_edges(self, gap_at: Callable[[Floats], Floats]) -> Box:
+        """Return the box with the places of a probe's sharp edges along its two sides.
+
+        ``gap_at`` returns the (n,) gaps at places (n, 2) of the plane, NaN off the body.
+        """
+        # 1. Gaps on a raster over the box and a tenth more; where they are negative the probe
+        #    overlaps the body at rest.
+        wide = self.grown(0.1 * self.size[0], 0.1 * self.size[1])
+        u, v = (
+            np.linspace(low, high, _RASTER)
+            for low, high in ((wide.u0, wide.u1), (wide.v0, wide.v1))
+        )
+        places = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1)
+        gap = gap_at(places.reshape(-1, 2)).reshape(_RASTER, _RASTER)
+        inside = gap <= 0.0
+        if not inside.any():
+            return self
+        jump = -_JUMP * float(gap[inside].min())
+        lines: list[tuple[float, ...]] = []
+        for axis in range(2):
+            ahead = np.diff(inside.astype(int), axis=axis) != 0
+            first, second = np.nonzero(ahead)
+            if len(first) == 0:
+                lines.append(())
+                continue
+            one = places[first, second]
+            other = places[first + (axis == 0), second + (axis == 1)]
+            # 2. Bisect: `one` stays on the inner side of an edge, `other` on the outer one.
+            swap = ~inside[first, second]
+            one[swap], other[swap] = other[swap].copy(), one[swap].copy()
+            for _ in range(_HALVINGS):
+                middle = (one + other) / 2.0
+                inner = gap_at(middle) <= 0.0
+                one[inner] = middle[inner]
+                other[~inner] = middle[~inner]
+            # 3. The edge is sharp where the gap jumps; a smooth border moves with the load.
+            outer = gap_at(other)
+            sharp = np.isfinite(outer - gap_at(one)) & (outer - gap_at(one) > jump) | np.isinf(
+                outer
+            )
+            step = float(u[1] - u[0] if axis == 0 else v[1] - v[0])
+            lines.append(_common(((one + other) / 2.0)[sharp, axis], step / 2.0**_HALVINGS))
+        return self._replace(edges=(lines[0], lines[1]))
+
+    def aligned(self, counts: tuple[int, int]) -> tuple[Box, tuple[int, int]]:
+        """Return a box and its cells along u and v, changed so that cells end at the box's edges as
+        far as one width of cells allows that."""
+        u0, u1, across = _side(self.u0, self.u1, counts[0], np.array(self.edges[0]))
+        v0, v1, along = _side(self.v0, self.v1, counts[1], np.array(self.edges[1]))
+        return self._replace(u0=u0, u1=u1, v0=v0, v1=v1), (across, along)
+
+
+def _common(found: Floats, exact: float) -> tuple[float, ...]:
+    """Return the places that many rows have in common, up to ``exact``."""
+    if len(found) == 0:
+        return ()
+    found = np.sort(found)
+    groups = np.split(found, np.flatnonzero(np.diff(found) > 4.0 * exact) + 1)
+    return tuple(float(one.mean()) for one in groups if len(one) >= _ALONG * _RASTER)
+
+
+def _side(low: float, high: float, count: int, edges: Floats) -> tuple[float, float, int]:
+    """Return both ends of a side and the number of its cells."""
+    if len(edges) == 0:
+        return low, high, count
+    asked = (high - low) / count
+    # Try cells of many widths, and exactly those of which a whole number lies between two edges.
+    apart = edges[-1] - edges[0]
+    widths = asked * np.linspace(_FINEST, _WIDEST, _STEPS)
+    between = np.arange(1, 2 + int(apart / (_FINEST * asked)))
+    exact = apart / between
+    widths = np.concatenate([widths, exact[(exact > _FINEST * asked) & (exact < _WIDEST * asked)]])
+    at = (edges - edges[0]) / widths[:, None]
+    off = at - np.rint(at)
+    shift = off.mean(axis=1)
+    away = np.sqrt(np.mean((off - shift[:, None]) ** 2, axis=1))
+    best = int(np.argmin(away + _AS_ASKED * np.abs(widths / asked - 1.0)))
+    if away[best] > _AWAY:
+        return low, high, count
+    width = float(widths[best])
+    start = float(edges[0] + shift[best] * width)
+    first = np.floor((low - start) / width + 1e-6)
+    last = np.ceil((high - start) / width - 1e-6)
+    return start + first * width, start + last * width, int(last - first)
 
 
 def _cell_edges(low: float, high: float, count: int, *, graded: tuple[bool, bool]) -> Floats:
@@ -175,9 +287,6 @@ def _cells(face: Footprint | None, box: Box, across: tuple[int, int]) -> tuple[F
     return np.concatenate(middles), np.concatenate(halves)
 
 
-Corners = tuple[tuple[float, float], tuple[float, float]]
-"""The lowest and the highest corner of a box."""
-
 _STEEP = 0.15
 
 
@@ -197,6 +306,21 @@ class Plane:
         return bool(
             z == 0.0 and self.axes[2, 2] == 1.0 and body.is_level_around(x, y, (1.0 + 1e-6) * reach)
         )
+
+    def projected(self, body: Body, middle: Floats) -> tuple[Points, Floats, Bools]:
+        """Project (n, 2) middles along the normal; return points of the body, inward normals and
+        whether they are on its sensing surface."""
+        along = self.axes[2]
+        points = self.origin_mm + middle @ self.axes[:2]
+        for _ in range(30):
+            normals = body.piece_normals(points)[:, 0]
+            slope = np.maximum(normals @ along, _STEEP)
+            step = -body.depth(points) / slope
+            points = points + step[:, None] * along
+            if np.abs(step).max() < 1e-13 * (1.0 + np.abs(points).max()):
+                break
+        normals = np.array(body.piece_normals(points)[:, 0])
+        return points, normals, (np.abs(body.depth(points)) < 1e-9) & (normals @ along > _STEEP)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,21 +386,55 @@ class Patches:
         u1, v1 = np.max(middle + cell, axis=0, initial=-math.inf).tolist()
         return Box(u0=u0, u1=u1, v0=v0, v1=v1)
 
+    @classmethod
+    def under(
+        cls, body: Body, face: Footprint | None, plane: Plane, box: Box, across: tuple[int, int]
+    ) -> Patches:
+        """Cut the candidate patches under a probe.
 
-def projected(body: Body, plane: Plane, middle: Floats) -> tuple[Points, Floats, Bools]:
-    """Project (n, 2) middles along the plane's normal; return points, inward normals and whether
-    they are on it."""
-    along = plane.axes[2]
-    points = plane.origin_mm + middle @ plane.axes[:2]
-    for _ in range(30):
-        normals = body.piece_normals(points)[:, 0]
-        slope = np.maximum(normals @ along, _STEEP)
-        step = -body.depth(points) / slope
-        points = points + step[:, None] * along
-        if np.abs(step).max() < 1e-13 * (1.0 + np.abs(points).max()):
-            break
-    normals = np.array(body.piece_normals(points)[:, 0])
-    return points, normals, (np.abs(body.depth(points)) < 1e-9) & (normals @ along > _STEEP)
+        Parameters
+        ----------
+        body, face
+            The undeformed body, and the flat face that bounds the contact, if one does.
+        plane
+            Plane of the grid, at the place touched first, or of the face.
+        box
+            The piece of the plane to fill; without a face only the ellipse inscribed in it, unless
+            it is long or the contact has pieces.
+        across
+            Cells along u and v.
+
+        Returns
+        -------
+        Patches on the sensing surface. Cells beyond the body are left out, and their neighbours
+        marked as ``edge``.
+        """
+        middle, cell = _cells(face, box, across)
+        outside, outer = _bordering(middle, cell, box, face)
+        if plane.is_level(body, box):
+            kept = ~outside
+            half = cell[kept]
+            return cls(
+                centre_mm=plane.origin_mm + middle[kept] @ plane.axes[:2],
+                frames=np.tile(plane.axes, (len(half), 1, 1)),
+                half_mm=half,
+                middle_mm=middle[kept],
+                cell_mm=half,
+                border=outer[kept],
+                edge=np.zeros(len(half), bool),
+            )
+        points, frames, half, off = _on_body(body, plane, middle, cell)
+        kept = ~(off | outside)
+        edge = _touching(middle, cell, off) if off.any() else off
+        return cls(
+            centre_mm=points[kept],
+            frames=frames[kept],
+            half_mm=half[kept],
+            middle_mm=middle[kept],
+            cell_mm=cell[kept],
+            border=outer[kept],
+            edge=edge[kept],
+        )
 
 
 def _tangent_rectangles(plane: Plane, cell: Floats, normals: Floats) -> tuple[Floats, Floats]:
@@ -315,7 +473,7 @@ def _on_body(
 ) -> tuple[Points, Floats, Floats, Bools]:
     """Return points, frames and half sizes of cells projected on the body, and (n,) which don't lie
     on it wholly."""
-    points, normals, found = projected(body, plane, middle)
+    points, normals, found = plane.projected(body, middle)
     frames, half = _tangent_rectangles(plane, cell, normals)
     off = ~found
     for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
@@ -327,79 +485,27 @@ def _on_body(
     return points, frames, half, off
 
 
-def candidate_patches(
-    body: Body, face: Footprint | None, plane: Plane, box: Box, across: tuple[int, int]
-) -> Patches:
-    """Cut the candidate patches under a probe.
-
-    Parameters
-    ----------
-    body, face
-        The undeformed body, and the flat face that bounds the contact, if one does.
-    plane
-        Plane of the grid, at the place touched first, or of the face.
-    box
-        The piece of the plane to fill; without a face only the ellipse inscribed in it, unless it
-        is long or the contact has pieces.
-    across
-        Cells along u and v.
-
-    Returns
-    -------
-    Patches on the sensing surface. Cells beyond the body are left out, and their neighbours marked
-    as ``edge``.
-    """
-    middle, cell = _cells(face, box, across)
-    limit = face.half_mm if face is not None else (math.inf, math.inf)
-    corners = (box.u0, box.v0), (box.u1, box.v1)
-    is_round = face is None and not box.is_long and math.isinf(box.width_mm)
-    outside, outer = _bordering(middle, cell, corners, limit, is_round)
-    if plane.is_level(body, box):
-        kept = ~outside
-        half = cell[kept]
-        return Patches(
-            centre_mm=plane.origin_mm + middle[kept] @ plane.axes[:2],
-            frames=np.tile(plane.axes, (len(half), 1, 1)),
-            half_mm=half,
-            middle_mm=middle[kept],
-            cell_mm=half,
-            border=outer[kept],
-            edge=np.zeros(len(half), bool),
-        )
-    points, frames, half, off = _on_body(body, plane, middle, cell)
-    kept = ~(off | outside)
-    edge = _touching(middle, cell, off) if off.any() else off
-    return Patches(
-        centre_mm=points[kept],
-        frames=frames[kept],
-        half_mm=half[kept],
-        middle_mm=middle[kept],
-        cell_mm=cell[kept],
-        border=outer[kept],
-        edge=edge[kept],
-    )
-
-
 def _bordering(
-    middle: Floats, cell: Floats, box: Corners, limit: tuple[float, float], is_round: bool
+    middle: Floats, cell: Floats, box: Box, face: Footprint | None
 ) -> tuple[Bools, Bools]:
     """Return (n,) which cells lie outside the ellipse in a box, and which have a neighbour there,
     or outside the box.
 
-    The ellipse counts where the grid ``is_round``. Beyond a flat face, whose half widths are the
-    ``limit``, there are no neighbours.
+    The ellipse counts where no face bounds a compact contact. Beyond a flat face there are no
+    neighbours.
     """
-    low, high = np.array(box)
-    face = np.array(limit)
-    near = 1e-6 * face.max() if math.isfinite(limit[0]) else 0.0
+    low = np.array((box.u0, box.v0))
+    high = np.array((box.u1, box.v1))
+    limit = np.array(face.half_mm if face is not None else (math.inf, math.inf))
+    near = 1e-6 * limit.max() if face is not None else 0.0
     reach = cell * (1 + 1e-6)
     # Without a face, whose half widths are then infinite, both comparisons hold.
-    open_low = low > near - face
-    open_high = high < face - near
+    open_low = low > near - limit
+    open_high = high < limit - near
     outer = np.any(
         (middle - reach <= low) & open_low | (middle + reach >= high) & open_high, axis=1
     )
-    if not is_round:
+    if face is not None or box.is_long or math.isfinite(box.width_mm):
         return np.zeros(len(middle), bool), outer
     outside = np.sum(((middle - (low + high) / 2) / ((high - low) / 2)) ** 2, axis=1) > 1.0
     return outside, outer | _touching(middle, cell, outside)
