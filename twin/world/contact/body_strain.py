@@ -34,8 +34,9 @@ from twin.parts.press import Press
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
 from twin.world.contact.contact_state import ContactState, Share
 from twin.world.contact.friction_law import STICKS_FROM
-from twin.world.contact.mixed_rubber import FiniteStrain, Solutions, check_reach, with_edge
+from twin.world.contact.mixed_rubber import check_reach, with_edge
 from twin.world.contact.probe_gap import MOTIONS, Approach, Z, approach_of, half_extent
+from twin.world.contact.round_slab import FiniteStrain, Solutions
 from twin.world.contact.whole_body import (
     LAST_STEP,
     PART_STEP,

@@ -32,9 +32,8 @@ from twin.world.contact.contact_state import (
     Share,
     Validity,
 )
-from twin.world.contact.mixed_rubber import FiniteStrain
 from twin.world.contact.probe_gap import Z, approach_of
-from twin.world.contact.round_slab import SlabStrain
+from twin.world.contact.round_slab import FiniteStrain, SlabStrain
 
 _FORCES = 8
 _HELD = 5e-5

@@ -1,5 +1,5 @@
 """Rubber at finite strain on any mesh: displacements of nodes and pressures of corners as unknowns,
-sums over elements, Newton's steps, and the difference to linear theory.
+sums over elements, and Newton's steps.
 
 `twin.world.contact.round_slab` and `twin.world.contact.whole_body` are the two meshes.
 """
@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 
-from twin.arrays import Floats, Ints, Points
+from twin.arrays import Floats, Ints
 from twin.errors import ContactError, NotSettled, SolveError
 from twin.parts.material import Material, shear_modulus
-from twin.world.contact.contact_state import ContactState, Share
-from twin.world.contact.probe_gap import Approach, Z
+from twin.world.contact.probe_gap import Approach
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
 
 State = TypeVar("State")
@@ -193,105 +192,3 @@ def newton(
         f"{steps}: press with less force, with a larger or rounder probe, or set "
         "material.law = linear"
     ) from problem
-
-
-@dataclass(frozen=True, kw_only=True)
-class Solutions:
-    """The linear and the finite-strain solution on one coarse mesh, whose own error is in both and
-    mostly cancels.
-
-    Attributes
-    ----------
-    read
-        Returns the values (n, 3) and the gradients du_i/dx_j (n, 3, 3) at points of a field of the
-        nodes.
-    linear_mm, change
-        (N, axes) the linear displacement of the nodes, and what it leaves out, mm.
-    moved, wider
-        See `FiniteStrain`.
-    """
-
-    read: Callable[[Points, Floats], tuple[Points, Floats]]
-    linear_mm: Floats
-    change: Floats
-    moved: Floats
-    wider: Floats
-
-
-class FiniteStrain:
-    """What linear theory leaves out of one state of a press.
-
-    Parameters
-    ----------
-    axes
-        The own axes (3, 3) of every probe.
-    state
-        The press by linear theory.
-    watched
-        (n, 3) points inside the body for which the error counts, mm.
-    solve
-        Returns the solutions on the mesh that counts, or on a coarser one that estimates its error.
-    over_change, tolerance
-        The error over the change to the coarser mesh, and what Newton's steps leave.
-
-    Attributes
-    ----------
-    moved
-        (p, 6) how much farther every probe moves than by linear theory, along and about its own
-        axes, mm and radians.
-    wider
-        (p,) radius of its contact over that by linear theory.
-    """
-
-    def __init__(
-        self,
-        axes: tuple[Floats, ...],
-        state: ContactState,
-        watched: Points,
-        solve: Callable[[bool], Solutions],
-        over_change: float,
-        tolerance: float,
-    ) -> None:
-        self.axes = axes
-        self._state = state
-        self._watched = watched
-        self._solve = solve
-        self._over_change = over_change
-        self._tolerance = tolerance
-        self._pair = solve(False)
-        self.moved = self._pair.moved
-        self.wider = self._pair.wider
-
-    @property
-    def indentation_mm(self) -> float:
-        """How much deeper the first probe sinks than by linear theory, mm."""
-        return float(self.moved[0, Z])
-
-    def displacement(self, points: Points) -> Points:
-        """Return (n, 3) what to add to the linear displacement of points (n, 3), mm."""
-        return self._pair.read(points, self._pair.change)[0]
-
-    def gradient(self, points: Points) -> Floats:
-        """Return (n, 3, 3) what to add to the gradients du_i/dx_j."""
-        return self._pair.read(points, self._pair.change)[1]
-
-    @cached_property
-    def linear_error(self) -> float:
-        """How far linear theory is off at the watched points, over the largest displacement."""
-        return largest(self.displacement(self._watched)) / self._largest_mm
-
-    @cached_property
-    def _largest_mm(self) -> float:
-        return largest(self._pair.read(self._watched, self._pair.linear_mm)[0])
-
-    @cached_property
-    def error(self) -> Share:
-        """How far this may be off, over the linear displacement: what a coarser mesh changes."""
-        other = self._solve(True)
-        missed = other.read(self._watched, other.change)[0] - self.displacement(self._watched)
-        deep = np.array([one.indentation_mm for one in (self._state, *self._state.also)])
-        sunk = float(np.max(np.abs((other.moved - self.moved)[:, Z]) / deep))
-        return Share(
-            indentation=self._over_change * sunk + self._tolerance,
-            markers=self._over_change * (largest(missed) / self._largest_mm) + self._tolerance,
-        )
