@@ -17,16 +17,18 @@ Validity of `fit_visible`: something of the ground's colour in front of the mark
 edge's information left. What is brighter than the ground, as a glint, is not recognised: such fits
 are refused by their residuals.
 
-Why not compiled: after the rest picture few markers of few pictures need it.
+`fit_visible` is not compiled: few markers of few pictures need it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles
+from twin.compiled import njit
 from twin.sense.template import (
     IMPERFECT,
     NO_RUNS,
@@ -44,8 +46,9 @@ TURNS = 12
 WEAK = 1e-4
 """Pull of every parameter towards its start, relative to its own information."""
 
-TOGETHER = 64
-"""Markers that are fitted at once."""
+PARAMETERS = 11
+"""Centre x, y; ground; level, its slope x, y and bulge; growth, stretch along the axes and the
+diagonals; blur."""
 
 
 def fit_shapes(
@@ -78,101 +81,134 @@ def fit_shapes(
     (n, `SHAPE` + 3): the shape, then centre x, y, px, and ground; NaN where a fit failed.
     """
     out = np.full((len(start_px), SHAPE + 3), np.nan)
-    known = np.flatnonzero(np.isfinite(start_px.sum(axis=1) + radius_px))
+    rows = np.flatnonzero(np.isfinite(start_px.sum(axis=1) + radius_px))
+    start, radius = start_px[rows], radius_px[rows]
+    middle = np.rint(start).astype(np.int64)
     offset, _ = disc(reach_px)
+    signal, use = np.empty((2, len(rows), offset.shape[1]), np.float32)
     colour = tuple(own)
-    for rows in np.split(known, range(TOGETHER, len(known), TOGETHER)):
-        start, radius = start_px[rows], radius_px[rows]
-        middle = np.rint(start).astype(np.int64)
-        signal, use = np.empty((2, len(rows), offset.shape[1]), np.float32)
-        for k, (column, row) in enumerate(middle):
-            gather(picture, colour, others, column, row, offset, NO_RUNS, signal[k], use[k])
-        # centre x, y; ground; level, its slope x, y and bulge; growth, stretch along the axes and
-        # the diagonals; blur
-        p = np.zeros((len(rows), 11))
-        p[:, :2], p[:, 3], p[:, 10] = start, signal[:, offset.shape[1] // 2], blur_px
-        moved, live, fine = np.ones(len(rows)), np.arange(len(rows)), np.ones(len(rows), np.bool_)
-        for turn in range(TURNS):
-            now, r, size = p[live], radius[live], np.maximum(p[live, 3], 1.0)
-            if not free_bulge:
-                now[:, 6] = bulge * now[:, 3]
-            limit = OUTLIER_SD**2 * (noise[1] + (IMPERFECT * now[:, 3]) ** 2)
-            limit += (0.5 * now[:, 3] * np.minimum(moved[live], 2.0)) ** 2
-            place = offset - (now[:, :2] - middle[live])[:, :, None]
-            slopes, residual = _whole_marker(signal[live], place, now, r, bulge, free_bulge)
-            if not free_blur:
-                slopes[:, 10] = 0.0
-            weight = use[live] / (1.0 + residual**2 / limit[:, None]) ** 2
-            weighted = slopes * weight[:, None]
-            matrix = weighted @ np.swapaxes(slopes, 1, 2)
-            right = (weighted @ residual[:, :, None])[:, :, 0]
-            # a weak pull towards no slope, no bulge, round and the usual blur: small markers leave
-            # these open
-            pull = np.zeros_like(now)
-            pull[:, 4:6], pull[:, 6] = 4.0 * ((r / size) ** 2)[:, None], 4.0 / size**2
-            pull[:, 8:10], pull[:, 10] = 4.0 / r[:, None] ** 2, 1.0
-            away = now - np.array([0.0] * 10 + [blur_px])
-            away[:, 7:10] = 0.0
-            right -= pull * away * np.array([1.0] * 6 + [free_bulge] + [1.0] * 4)
-            diagonal = matrix[:, range(11), range(11)]
-            diagonal[:, [6, 10]] += [not free_bulge, not free_blur]
-            matrix[:, range(11), range(11)] = diagonal + pull + WEAK * diagonal + 1e-9
-            step = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
-            most = np.stack(
-                [0.5 * r] * 2 + [np.full(len(r), np.inf)] * 5 + [0.2 * r] * 3 + [0 * r + 0.4], 1
-            )
-            now += np.clip(step, -most, most)
-            now[:, 10] = np.clip(now[:, 10], 0.7, 1.2 * r)
-            p[live] = now
-            moved[live] = np.sqrt(
-                step[:, 0] ** 2 + step[:, 1] ** 2 + np.clip(step[:, 7], -0.2 * r, 0.2 * r) ** 2
-            )
-            axes = _axes(now, r)
-            good = (now[:, 3] > 0.0) & (axes[:, [0, 2]].min(axis=1) > 0.4 * r)
-            good &= (axes[:, [0, 2]].max(axis=1) < 1.6 * r) & (np.abs(axes[:, 1]) < 0.5 * r)
-            fine[live[~good]] = False
-            live = live[good & ~((turn > 1) & (moved[live] < 3e-3))]
-            if not len(live):
-                break
-        fine &= (np.abs(p[:, :2] - start) <= radius[:, None]).all(axis=1)
-        level = p[:, 3:4]
-        round_part = p[:, 6:7] / level if free_bulge else np.full_like(level, bulge)
-        shape = [_axes(p, radius), p[:, 4:6] / level, round_part, p[:, 10:11], level]
-        out[rows[fine]] = np.concatenate([*shape, p[:, :2], p[:, 2:3]], axis=1)[fine]
+    for k, (column, row) in enumerate(middle):
+        gather(picture, colour, others, column, row, offset, NO_RUNS, signal[k], use[k])
+    p = np.zeros((len(rows), PARAMETERS))
+    p[:, :2], p[:, 3], p[:, 10] = start, signal[:, offset.shape[1] // 2], blur_px
+    free, fine = (float(free_bulge), float(free_blur)), np.zeros(len(rows), np.bool_)
+    work = np.empty((PARAMETERS + 1, offset.shape[1]))
+    sums = np.empty((PARAMETERS + 1, PARAMETERS + 1))
+    _fit_shapes(
+        signal, use, middle, offset, radius, noise[1], bulge, blur_px, free, work, sums, p, fine
+    )
+    centre, level = p[:, :2], p[:, 3:4]
+    fine &= (np.abs(centre - start) <= radius[:, None]).all(axis=1)
+    axes = radius[:, None] * [1.0, 0.0, 1.0] + p[:, 7:10] @ STRETCHES
+    round_part = p[:, 6:7] / level if free_bulge else np.full_like(level, bulge)
+    fits = [axes, p[:, 4:6] / level, round_part, p[:, 10:11], level, centre, p[:, 2:3]]
+    out[rows[fine]] = np.concatenate(fits, axis=1)[fine]
     return out
 
 
-def _axes(p: Floats, radius: Floats) -> Floats:
-    """Return (k, 3) semi-axes xx, xy, yy of discs grown and stretched, px."""
-    return np.asarray(radius[:, None] * [1.0, 0.0, 1.0] + p[:, 7:10] @ STRETCHES)
+@njit(cache=True, fastmath=True)
+def _fit_shapes(
+    signal, use, middle, offset, radius, noise, bulge, blur, free, work, sums, parameters, fine
+):
+    """Fit all `PARAMETERS` of every marker, from ``parameters`` on, and set ``fine`` where that
+    went well.
 
-
-def _whole_marker(
-    signal: Singles, place: Floats, p: Floats, radius: Floats, bulge: float, free_bulge: bool
-) -> tuple[Floats, Floats]:
-    """Return (k, 11, m) derivatives of the model by the parameters of `fit_shapes`, and (k, m) what
-    it leaves; ``place`` (k, 2, m) are offsets from the centres."""
-    xx, xy, yy = _inverse_form(_axes(p, radius))
-    x, y = place[:, 0], place[:, 1]
-    ax, ay = xx * x + xy * y, xy * x + yy * y
-    squared = ax * x + ay * y
-    steep = np.sqrt(ax * ax + ay * ay) + 1e-9
-    away, blur = np.sqrt(squared), p[:, 10:]
-    inside = (1.0 - away) * (away + 1e-3) / (steep + 1e-3 * np.sqrt(xx))
-    cover, fall, v = _profile(inside / blur)
-    curved = np.minimum(squared, 1.0)
-    ground, level, slope_x, slope_y, round_part = (p[:, i : i + 1] for i in range(2, 7))
-    light = level + slope_x * x + slope_y * y + round_part * curved
-    tilt = light * fall / blur
-    nx, ny = ax / steep, ay / steep
-    slopes = np.empty((*signal.shape[:1], 11, *signal.shape[1:]))
-    slopes[:, 0], slopes[:, 1], slopes[:, 2] = tilt * nx, tilt * ny, 1.0
-    slopes[:, 3] = cover if free_bulge else cover * (1.0 + bulge * curved)
-    slopes[:, 4], slopes[:, 5] = cover * x, cover * y
-    slopes[:, 6] = cover * curved if free_bulge else 0.0
-    slopes[:, 7], slopes[:, 8] = tilt, tilt * (nx * nx - ny * ny)
-    slopes[:, 9], slopes[:, 10] = tilt * 2.0 * nx * ny, -tilt * v
-    return slopes, signal - ground - light * cover
+    Pixels (k, m) are at ``middle`` (k, 2) plus ``offset`` (2, m). ``free`` are 1 or 0 for
+    bulge and blur. ``work`` (`PARAMETERS` + 1, m) is room for every pixel's weighted derivatives
+    and residual, ``sums`` for their products: a matrix with the right side as its last row.
+    """
+    free_bulge, free_blur = free
+    for k in range(len(signal)):
+        pixels, counts, p, r = signal[k], use[k], parameters[k], radius[k]
+        moved, good = 1.0, True
+        for turn in range(TURNS):
+            if free_bulge == 0.0:
+                p[6] = bulge * p[3]
+            limit = OUTLIER_SD**2 * (noise + (IMPERFECT * p[3]) ** 2)
+            limit += (0.5 * p[3] * min(moved, 2.0)) ** 2
+            axis_x, skew, axis_y = r + p[7] + p[8], p[9], r + p[7] - p[8]
+            xx, yy = axis_y * axis_y + skew * skew, axis_x * axis_x + skew * skew
+            xy = -skew * (axis_x + axis_y)
+            determinant = max(xx * yy - xy * xy, 1e-6)
+            xx, xy, yy = xx / determinant, xy / determinant, yy / determinant
+            root, per_blur, fixed = 1e-3 * math.sqrt(xx), 1.0 / p[10], (1.0 - free_bulge) * bulge
+            apart_x, apart_y, ground, level = middle[k, 0] - p[0], middle[k, 1] - p[1], p[2], p[3]
+            slope_x, slope_y, round_part = p[4], p[5], p[6]
+            for i in range(len(pixels)):
+                x, y = offset[0, i] + apart_x, offset[1, i] + apart_y
+                ax, ay = xx * x + xy * y, xy * x + yy * y
+                squared = ax * x + ay * y
+                steep, away = math.sqrt(ax * ax + ay * ay) + 1e-9, math.sqrt(squared)
+                v = min(max((1.0 - away) * (away + 1e-3) / (steep + root) * per_blur, -1.0), 1.0)
+                v2 = v * v
+                cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
+                curved = min(squared, 1.0)
+                light = level + slope_x * x + slope_y * y + round_part * curved
+                residual = pixels[i] - ground - light * cover
+                trust = counts[i] / (1.0 + residual * residual / limit)
+                tilt = trust * light * 15 / 16 * (1.0 - v2) * (1.0 - v2) * per_blur
+                nx, ny = ax / steep, ay / steep
+                cover *= trust
+                work[0, i], work[1, i], work[2, i] = tilt * nx, tilt * ny, trust
+                work[3, i] = cover * (1.0 + fixed * curved)
+                work[4, i], work[5, i], work[6, i] = (
+                    cover * x,
+                    cover * y,
+                    free_bulge * cover * curved,
+                )
+                work[7, i], work[8, i] = tilt, tilt * (nx * nx - ny * ny)
+                work[9, i], work[10, i] = tilt * 2.0 * nx * ny, -free_blur * tilt * v
+                work[11, i] = trust * residual
+            for a in range(PARAMETERS + 1):
+                for b in range(a + 1):
+                    total = 0.0
+                    for i in range(len(pixels)):
+                        total += work[a, i] * work[b, i]
+                    sums[a, b] = total
+            # a weak pull towards no slope, no bulge, round and the usual blur: small markers leave
+            # these open
+            for a in range(PARAMETERS):
+                sums[a, a] += WEAK * sums[a, a] + 1e-9
+            size = max(level, 1.0)
+            for a in range(4, 6):
+                sums[a, a] += 4.0 * (r / size) ** 2
+                sums[11, a] -= 4.0 * (r / size) ** 2 * p[a]
+            sums[6, 6] += 4.0 / size**2
+            sums[11, 6] -= 4.0 / size**2 * p[6]
+            sums[8, 8] += 4.0 / r**2
+            sums[9, 9] += 4.0 / r**2
+            sums[10, 10] += 1.0
+            sums[11, 10] -= p[10] - blur
+            # Cholesky's factor; then the last row becomes the step
+            for a in range(PARAMETERS + 1):
+                for b in range(min(a + 1, PARAMETERS)):
+                    total = sums[a, b]
+                    for c in range(b):
+                        total -= sums[a, c] * sums[b, c]
+                    if a == b:
+                        good = good and total > 0.0
+                        sums[a, a] = math.sqrt(max(total, 1e-9))
+                    else:
+                        sums[a, b] = total / sums[b, b]
+            step = sums[PARAMETERS]
+            for a in range(PARAMETERS - 1, -1, -1):
+                for b in range(a + 1, PARAMETERS):
+                    step[a] -= sums[b, a] * step[b]
+                step[a] /= sums[a, a]
+            for a in range(PARAMETERS):
+                if not 2 <= a < 7:
+                    most = 0.5 * r if a < 2 else 0.2 * r if a < 10 else 0.4
+                    step[a] = min(max(step[a], -most), most)
+                p[a] += step[a]
+            p[10] = min(max(p[10], 0.7), 1.2 * r)
+            moved = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[7] ** 2)
+            stretched = r + p[7] + abs(p[8])
+            squeezed = r + p[7] - abs(p[8])
+            good = good and p[3] > 0.0 and squeezed > 0.4 * r
+            good = good and stretched < 1.6 * r and abs(p[9]) < 0.5 * r
+            if not good or (turn > 1 and moved < 3e-3):
+                break
+        fine[k] = good
 
 
 def _inverse_form(axes: Floats) -> tuple[Floats, Floats, Floats]:
@@ -181,15 +217,6 @@ def _inverse_form(axes: Floats) -> tuple[Floats, Floats, Floats]:
     a, b, c = xx * xx + xy * xy, xy * (xx + yy), yy * yy + xy * xy
     determinant = np.maximum(a * c - b * b, 1e-6)
     return c / determinant, -b / determinant, a / determinant
-
-
-def _profile(distance: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the covered share at a distance inside the edge, in half widths of the blur, its
-    derivative, and the distance, cut off at 1."""
-    v = np.clip(distance, -1.0, 1.0)
-    v2 = v * v
-    cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
-    return cover, 15 / 16 * (1.0 - v2) ** 2, v
 
 
 STRETCHES = np.array([[1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -392,6 +419,9 @@ def _model(
     squared = ax * dx + ay * dy + 1e-6
     steep = np.sqrt(ax * ax + ay * ay + 1e-8)
     blur = expected.blur[:, None]
-    cover, fall, _ = _profile((np.sqrt(squared) - squared) / steep / blur)
+    v = np.clip((np.sqrt(squared) - squared) / steep / blur, -1.0, 1.0)
+    v2 = v * v
+    cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
+    fall = 15 / 16 * (1.0 - v2) ** 2
     light = 1.0 + slope[:, :1] * dx + slope[:, 1:] * dy + known[:, 5:6] * np.minimum(squared, 1.0)
     return cover, light, light * fall / blur, (ax / steep, ay / steep)
