@@ -141,6 +141,17 @@ def test_half_pitch_motion_is_matched(kind):
     assert np.nanmax(error[clear]) < 0.15
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(("share", "matched"), [(0.3, True), (0.42, False)])
+def test_a_marker_that_leaves_its_lattice_alone_is_lost_beyond_a_third_of_a_pitch(share, matched, axis):
+    shift, odd = np.zeros_like(joined(LAYOUT)), 21
+    shift[odd, axis] = 30.0 * share
+    rest, pressed = (picture(each, seed, diameter=8.0) for seed, each in enumerate((0.0, shift)))
+    found = track(rest, pressed, LAYOUT)
+    assert found.seen[odd] == matched
+    assert np.delete(found.seen, odd).mean() > 0.95
+
+
 def test_layout_may_be_off_by_shift_scale_and_tilt():
     turn, middle = np.deg2rad(1.0), np.array(SIZE) / 2
     map_ = 1.01 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
