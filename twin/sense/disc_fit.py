@@ -438,29 +438,21 @@ class DiscFit(SoftWindow):
         )
         start = fitted[rows, CENTRE]
         part = fit_visible(picture, templates, rows, start, expected)
-        limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part.pixels, 1))
+        limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part[:, PIXELS], 1.0))
         if fine.any():
             worst = _quantile(fitted[fine, MISFIT], WORST_FITS) / templates.usual_misfit
             limit = np.where(cut[rows], np.fmax(limit, worst), limit)
-        moved = np.hypot(*(part.centre_px - start).T)
-        like = part.misfit < limit * templates.usual_misfit
-        hides = like & (cut[rows] | (part.hidden > 0.0)) & (moved < 2.0 * radius[rows])
-        good = hides & (part.edge > LEAST_PART) & (part.sd_px < WORST_PART_PX)
-        good &= part.step_px < 0.05
+        moved = np.hypot(*(part[:, CENTRE] - start).T)
+        like = part[:, MISFIT] < limit * templates.usual_misfit
+        hides = like & (cut[rows] | (part[:, SHORTFALL] > 0.0)) & (moved < 2.0 * radius[rows])
+        good = hides & (part[:, FITTING] > LEAST_PART) & (part[:, STEP] < 0.05)
+        good &= (part[:, VARIANCE] < WORST_PART_PX**2).all(axis=1)
         refused = rows[hides | cut[rows]]
         fitted[refused, SHORTFALL], fitted[refused, FITTING] = 1.0, 0.0
-        rows = rows[good]
-        out = np.full((len(rows), fitted.shape[1]), np.nan)
-        out[:, CENTRE] = part.centre_px[good]
-        out[:, LEVEL], out[:, GROUND] = part.level[good], part.ground[good]
-        out[:, VARIANCE] = part.sd_px[good, None] ** 2
-        out[:, PIXELS], out[:, MISFIT] = part.pixels[good], part.misfit[good]
-        out[:, SQUARES] = part.misfit[good] * part.pixels[good] * templates.noise[0]
-        out[:, STEP], out[:, SHORTFALL] = part.step_px[good], 0.0
-        out[:, [SCALE, FITTING]], out[:, DIFFERENCE] = 1.0, 0.0
-        out[:, EDGE] = np.where(part.covered[good] > 1.0 - WHOLE_EDGE, LEAST_EDGE, 1.0)
-        out[:, RESHAPED] = PART_IN_SIGHT
-        fitted[rows] = out
+        part[:, [SCALE, FITTING]], part[:, [SHORTFALL, DIFFERENCE]] = 1.0, 0.0
+        part[:, EDGE] = np.where(part[:, EDGE] < WHOLE_EDGE, LEAST_EDGE, 1.0)
+        part[:, RESHAPED] = PART_IN_SIGHT
+        fitted[rows[good]] = part[good]
 
     def _from_last(self, picture: Picture, last_px: Pixels) -> Seen | None:
         """Fit around the last places, then once more where the neighbours' motion predicts; None

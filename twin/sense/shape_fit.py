@@ -30,10 +30,22 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Picture, Pixels, Singles
 from twin.compiled import njit
 from twin.sense.template import (
+    CENTRE,
+    COLUMNS,
+    EDGE,
+    FITTING,
+    GROUND,
     IMPERFECT,
+    LEVEL,
+    MISFIT,
     NO_RUNS,
     OUTLIER_SD,
+    PIXELS,
     SHAPE,
+    SHORTFALL,
+    SQUARES,
+    STEP,
+    VARIANCE,
     Templates,
     disc,
     gather,
@@ -267,41 +279,17 @@ class Expected:
     bare: Bools
 
 
-@dataclass(frozen=True, kw_only=True)
-class _VisiblePart:
-    """Fits of the parts in sight.
-
-    Attributes
-    ----------
-    centre_px, sd_px
-        (k, 2) centres; (k,) their standard deviations per axis, px.
-    misfit, pixels
-        (k,) squared residuals over their expected size, and over how many pixels.
-    edge, covered, hidden
-        (k,) share of the edge's information that is used, and that another layer covers; share of
-        the marker that is hidden.
-    level, ground
-        (k,) brightness, counts.
-    step_px
-        (k,) last step.
-    """
-
-    centre_px: Pixels
-    sd_px: Floats
-    misfit: Floats
-    pixels: Ints
-    edge: Floats
-    covered: Floats
-    hidden: Floats
-    level: Floats
-    ground: Floats
-    step_px: Floats
-
-
 def fit_visible(
     picture: Picture, templates: Templates, rows: Ints, start_px: Pixels, expected: Expected
-) -> _VisiblePart:
-    """Fit the parts in sight of the markers ``rows``, from (k, 2) ``start_px`` on."""
+) -> Floats:
+    """Fit the parts in sight of the markers ``rows``, from (k, 2) ``start_px`` on.
+
+    Returns
+    -------
+    (k, `COLUMNS`): as `Templates.fit`, but `EDGE` is the share of the edge's information that no
+    other layer covers, `FITTING` the share that is used, and `SHORTFALL` that of the marker that is
+    hidden; NaN what is not measured.
+    """
     known = templates.shape[rows]
     noise = templates.noise * templates.usual_misfit
     reach = float(np.max(expected.axes[:, [0, 2]].max(axis=1) + expected.blur)) + 2.0
@@ -370,18 +358,18 @@ def fit_visible(
     count = used.sum(axis=1)
     squares = (residual**2 * used / expected_square).sum(axis=1)
     covariance = np.linalg.inv(matrix)
-    return _VisiblePart(
-        centre_px=centre,
-        sd_px=np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])),
-        misfit=templates.usual_misfit * squares / np.maximum(count, 1),
-        pixels=count,
-        edge=(tilt**2 * used).sum(axis=1) / np.maximum((tilt**2).sum(axis=1), 1e-9),
-        covered=(tilt**2 * (inside & ~use)).sum(axis=1) / np.maximum((tilt**2).sum(axis=1), 1e-9),
-        hidden=(cover * (hidden & use)).sum(axis=1) / cover.sum(axis=1),
-        level=level,
-        ground=ground,
-        step_px=np.hypot(step[:, 0], step[:, 1]),
-    )
+    information, every = tilt**2, np.maximum((tilt**2).sum(axis=1), 1e-9)
+    fitted = np.full((len(rows), COLUMNS), np.nan)
+    fitted[:, CENTRE], fitted[:, LEVEL], fitted[:, GROUND] = centre, level, ground
+    fitted[:, VARIANCE] = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])[:, None]
+    fitted[:, PIXELS] = count
+    fitted[:, MISFIT] = templates.usual_misfit * squares / np.maximum(count, 1)
+    fitted[:, SQUARES] = fitted[:, MISFIT] * count * templates.noise[0]
+    fitted[:, STEP] = np.hypot(step[:, 0], step[:, 1])
+    fitted[:, EDGE] = 1.0 - (information * (inside & ~use)).sum(axis=1) / every
+    fitted[:, FITTING] = (information * used).sum(axis=1) / every
+    fitted[:, SHORTFALL] = (cover * (hidden & use)).sum(axis=1) / cover.sum(axis=1)
+    return fitted
 
 
 def _offsets(reach: float) -> Ints:
