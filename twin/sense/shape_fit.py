@@ -207,13 +207,14 @@ def _fit_shapes(
                 for b in range(a + 1, PARAMETERS):
                     step[a] -= sums[b, a] * step[b]
                 step[a] /= sums[a, a]
+            shifted = step[0] ** 2 + step[1] ** 2
             for a in range(PARAMETERS):
                 if not 2 <= a < 7:
                     most = 0.5 * r if a < 2 else 0.2 * r if a < 10 else 0.4
                     step[a] = min(max(step[a], -most), most)
                 p[a] += step[a]
             p[10] = min(max(p[10], 0.7), 1.2 * r)
-            moved = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[7] ** 2)
+            moved = math.sqrt(shifted + step[7] ** 2)
             stretched = r + p[7] + abs(p[8])
             squeezed = r + p[7] - abs(p[8])
             good = good and p[3] > 0.0 and squeezed > 0.4 * r
