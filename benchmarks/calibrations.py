@@ -30,12 +30,11 @@ from twin.sense.calibration import Calibration
 from twin.sense.fit_design import Fit, Presses
 from twin.sense.reconstruct import reconstruct
 from twin.sense.transfer import fill_between, from_presses
-from twin.study.calibrate import FOOTPRINT, calibration_press, optics
+from twin.study.calibrate import FOOTPRINT, calibration_press, hertz_radius, optics
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
 from twin.study.reproduce.reproduction_run import source_hash
 from twin.study.sensor import Sensor, make, on_surface
-from twin.theory.contact import hertz
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.coated import CoveredCompliance
 from twin.world.elasticity.fem import Layer
@@ -57,16 +56,6 @@ EDGE = [(5.0, 1.25), (-5.0, -1.25), (1.25, 5.0)]
 def design() -> Scene:
     """Return the nominal finger: the shipped scene's, with room for lens distortion."""
     return load_scene("sato_press", overrides={"tolerance.distortion": 0.01, "calibration.method": "compliance"})
-
-
-def hertz_radius(scene: Scene, force_n: float) -> float:
-    """Return the nominal contact radius of the calibration sphere, mm."""
-    return hertz(
-        radius_mm=scene.calibration.press_probe_mm / 2,
-        youngs_modulus_mpa=scene.material.youngs_modulus_mpa,
-        poisson_ratio=scene.material.poisson_ratio,
-        force_n=force_n,
-    ).contact_radius_mm
 
 
 def sensors(scene: Scene, count: int = SENSORS) -> list[Any]:

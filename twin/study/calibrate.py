@@ -250,7 +250,7 @@ def calibrate_by_presses(sensor: Sensor) -> Calibration:
     sites, grid = scene.reconstruction.sites, scene.calibration.presses
     if grid is None and scene.calibration.method == "sato":
         grid = sites
-    half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
+    half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
     chart = grid.chart() if grid is not None else np.array(FIVE) * np.array(sites.half_mm)
     places = on_surface(scene.body, chart, half_mm, "calibration.presses")
     presses = _press_everywhere(sensor, places)
@@ -309,7 +309,7 @@ def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     wanted = scene.calibration
     normal = places.frames[index, 2]
     radius = wanted.press_probe_mm / 2
-    contact_radius = min(_hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
+    contact_radius = min(hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
     x, y = places.centre_mm[index, :2] - (radius - contact_radius**2 / radius) * normal[:2]
     shear = SHEAR_SHARE * contact_radius
     return Press(
@@ -324,7 +324,7 @@ def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     )
 
 
-def _hertz_radius(scene: Scene, force_n: float) -> float:
+def hertz_radius(scene: Scene, force_n: float) -> float:
     """Return the nominal contact radius of the calibration sphere, mm."""
     return hertz(
         radius_mm=scene.calibration.press_probe_mm / 2,
@@ -364,7 +364,7 @@ def _fitted_calibration(sensor: Sensor, places: Rectangles, presses: Presses) ->
     # Footprint of each press by Hertz, at most as wide as the probe.
     force = scene.calibration.press_force_n * places.frames[:, 2, 2]
     most = scene.calibration.press_probe_mm / 2
-    radius = np.array([min(_hertz_radius(scene, float(f)), most) for f in force])
+    radius = np.array([min(hertz_radius(scene, float(f)), most) for f in force])
     design = FittedDesign(scene, places, radius, progress=sensor.progress)
     found = Fit.of(design, presses)
     # The transfer matrix of the fitted design, at the scene's sites.
@@ -547,7 +547,7 @@ def _check_forces(scene: Scene, force_n: Floats) -> None:
     low, high = scene.body.bounds_mm
     radius = scene.calibration.press_probe_mm / 2
     most = int(size.argmax())
-    depth = _hertz_radius(scene, float(size[most])) ** 2 / radius if size[most] > 0 else 0.0
+    depth = hertz_radius(scene, float(size[most])) ** 2 / radius if size[most] > 0 else 0.0
     if depth > max((high[2] - low[2]) / 2, radius):
         raise InputError(
             f"{TABLE}: press {most + 1} has {size[most]:.4g} N, which by Hertz' law would press a "
@@ -567,7 +567,7 @@ def _by_presses(sensor: Sensor, places_mm: Points, presses: Presses) -> Calibrat
         raise InputError(f"{TABLE}: some presses miss the body")
     _check_forces(scene, presses.force_n)
     charts = scene.body.chart_of(points)
-    half_mm = FOOTPRINT * _hertz_radius(scene, scene.calibration.press_force_n)
+    half_mm = FOOTPRINT * hertz_radius(scene, scene.calibration.press_force_n)
     # Fitted: any places. Presses nearly at one place share it.
     if scene.calibration.method == "fitted":
         rounded = np.rint(charts / SAME_PLACE_MM).astype(np.int64)
