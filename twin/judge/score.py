@@ -169,30 +169,27 @@ def _tracking_part(shift: Pixels, true: Pixels) -> tuple[Score, dict[str, str]]:
     return result, reasons
 
 
-class _Forces(Protocol):
+class _Totals(Protocol):
+    @property
+    def force_n(self) -> Floats: ...
+    @property
+    def total_force_n(self) -> Floats: ...
+    @property
+    def total_torque_nmm(self) -> Floats: ...
+
+
+class _Forces(_Totals, Protocol):
     """A reconstructed field, or the estimate of a run; its totals are those of the linear solve."""
 
     @property
     def site_mm(self) -> Points: ...
-    @property
-    def force_n(self) -> Floats: ...
-    @property
-    def total_force_n(self) -> Floats: ...
-    @property
-    def total_torque_nmm(self) -> Floats: ...
 
 
-class _Patches(Protocol):
+class _Patches(_Totals, Protocol):
     """What really presses, such as `twin.parts.load.Rectangles`."""
 
     @property
     def centre_mm(self) -> Points: ...
-    @property
-    def force_n(self) -> Floats: ...
-    @property
-    def total_force_n(self) -> Floats: ...
-    @property
-    def total_torque_nmm(self) -> Floats: ...
 
 
 def force_score(field: _Forces, patches: _Patches, frames: Floats | None = None) -> Score:

@@ -133,9 +133,8 @@ class Estimates:
             change = self._change(state, other)
             factor = self._error_over_change(state, other)
             patches = self._cut(state, step, change.times(factor))
-            patches = replace(
-                patches, traction=change.traction
-            )  # these converge with order 1/2 to 1 only
+            # Tractions converge with order 1/2 to 1 only.
+            patches = replace(patches, traction=change.traction)
         if not self._job.friction.any() and self._job.relaxation is None:
             increments = Share()
         elif other is not None and (fewer := _state_of(self._fewer, step)) is not None:
@@ -195,8 +194,12 @@ class Estimates:
             parts = zip(free, (state, *state.also), strict=True)
             sharp = max(_sharpness(one) for own, one in parts if own and len(one.pressure_mpa))
         ratio = max(wider, 1.0 / wider, _ALIKE)
-        flat = any(one.face is not None for one in self._job.setups)
-        known = _NARROWER if wider < 1.0 else _WIDER_FLAT if flat else _WIDER
+        if wider < 1.0:
+            known = _NARROWER
+        elif any(one.face is not None for one in self._job.setups):
+            known = _WIDER_FLAT
+        else:
+            known = _WIDER
         smooth = known * (2.0**_ORDER - 1.0) / (ratio**_ORDER - 1.0)
         first = (ratio if wider < 1.0 else 1.0) / (ratio - 1.0)
         return float(smooth + sharp * max(first - smooth, 0.0))
