@@ -102,8 +102,11 @@ def fit_shapes(
     for k, (column, row) in enumerate(middle):
         gather(picture, colour, others, column, row, offset, NO_RUNS, signal[k], use[k])
     p = np.zeros((len(rows), PARAMETERS))
-    p[:, :2], p[:, 3], p[:, 10] = start, signal[:, offset.shape[1] // 2], blur_px
-    free, fine = (float(free_bulge), float(free_blur)), np.zeros(len(rows), np.bool_)
+    p[:, :2] = start
+    p[:, 3] = signal[:, offset.shape[1] // 2]
+    p[:, 10] = blur_px
+    free = (float(free_bulge), float(free_blur))
+    fine = np.zeros(len(rows), np.bool_)
     work = np.empty((PARAMETERS + 1, offset.shape[1]))
     sums = np.empty((PARAMETERS + 1, PARAMETERS + 1))
     _fit_shapes(
@@ -125,51 +128,79 @@ def _fit_shapes(
     """Fit all `PARAMETERS` of every marker, from ``parameters`` on, and set ``fine`` where that
     went well.
 
-    Pixels (k, m) are at ``middle`` (k, 2) plus ``offset`` (2, m). ``free`` are 1 or 0 for
-    bulge and blur. ``work`` (`PARAMETERS` + 1, m) is room for every pixel's weighted derivatives
-    and residual, ``sums`` for their products: a matrix with the right side as its last row.
+    Pixels' brightness ``signal`` and weights ``use`` (k, m) are at ``middle`` (k, 2) plus
+    ``offset`` (2, m). ``radius`` (k,) is the marker's at the start, ``noise`` a pixel's variance.
+    ``free`` are 1 or 0 for bulge and blur, which else keep their values ``bulge`` and ``blur``.
+    ``work`` (`PARAMETERS` + 1, m) is room for every pixel's weighted derivatives and residual,
+    ``sums`` for their products: a matrix with the right side as its last row.
     """
     free_bulge, free_blur = free
+    fixed = (1.0 - free_bulge) * bulge
     for k in range(len(signal)):
-        pixels, counts, p, r = signal[k], use[k], parameters[k], radius[k]
-        moved, good = 1.0, True
+        pixels = signal[k]
+        counts = use[k]
+        p = parameters[k]
+        r = radius[k]
+        moved = 1.0
+        good = True
         for turn in range(TURNS):
             if free_bulge == 0.0:
                 p[6] = bulge * p[3]
             limit = OUTLIER_SD**2 * (noise + (IMPERFECT * p[3]) ** 2)
             limit += (0.5 * p[3] * min(moved, 2.0)) ** 2
-            axis_x, skew, axis_y = r + p[7] + p[8], p[9], r + p[7] - p[8]
-            xx, yy = axis_y * axis_y + skew * skew, axis_x * axis_x + skew * skew
+            # the inverse square of the semi-axes' matrix: the outline is where its form is 1
+            axis_x = r + p[7] + p[8]
+            axis_y = r + p[7] - p[8]
+            skew = p[9]
+            xx = axis_y * axis_y + skew * skew
             xy = -skew * (axis_x + axis_y)
+            yy = axis_x * axis_x + skew * skew
             determinant = max(xx * yy - xy * xy, 1e-6)
-            xx, xy, yy = xx / determinant, xy / determinant, yy / determinant
-            root, per_blur, fixed = 1e-3 * math.sqrt(xx), 1.0 / p[10], (1.0 - free_bulge) * bulge
-            apart_x, apart_y, ground, level = middle[k, 0] - p[0], middle[k, 1] - p[1], p[2], p[3]
-            slope_x, slope_y, round_part = p[4], p[5], p[6]
+            xx /= determinant
+            xy /= determinant
+            yy /= determinant
+            root = 1e-3 * math.sqrt(xx)
+            per_blur = 1.0 / p[10]
+            apart_x = middle[k, 0] - p[0]
+            apart_y = middle[k, 1] - p[1]
+            ground = p[2]
+            level = p[3]
+            slope_x = p[4]
+            slope_y = p[5]
+            round_part = p[6]
             for i in range(len(pixels)):
-                x, y = offset[0, i] + apart_x, offset[1, i] + apart_y
-                ax, ay = xx * x + xy * y, xy * x + yy * y
+                # the distance to the outline in half widths of the blur, and the covered share
+                x = offset[0, i] + apart_x
+                y = offset[1, i] + apart_y
+                ax = xx * x + xy * y
+                ay = xy * x + yy * y
                 squared = ax * x + ay * y
-                steep, away = math.sqrt(ax * ax + ay * ay) + 1e-9, math.sqrt(squared)
-                v = min(max((1.0 - away) * (away + 1e-3) / (steep + root) * per_blur, -1.0), 1.0)
-                v2 = v * v
-                cover = 0.5 + v * (15 / 16 - v2 * (10 / 16 - v2 * 3 / 16))
+                steep = math.sqrt(ax * ax + ay * ay) + 1e-9
+                away = math.sqrt(squared)
+                inside = (1.0 - away) * (away + 1e-3) / (steep + root) * per_blur
+                inside = min(max(inside, -1.0), 1.0)
+                square = inside * inside
+                cover = 0.5 + inside * (15 / 16 - square * (10 / 16 - square * 3 / 16))
+                # what the model lacks, and the derivatives of its brightness
                 curved = min(squared, 1.0)
                 light = level + slope_x * x + slope_y * y + round_part * curved
                 residual = pixels[i] - ground - light * cover
                 trust = counts[i] / (1.0 + residual * residual / limit)
-                tilt = trust * light * 15 / 16 * (1.0 - v2) * (1.0 - v2) * per_blur
-                nx, ny = ax / steep, ay / steep
+                edge = trust * light * 15 / 16 * (1.0 - square) * (1.0 - square) * per_blur
+                nx = ax / steep
+                ny = ay / steep
                 cover *= trust
-                work[0, i], work[1, i], work[2, i] = tilt * nx, tilt * ny, trust
+                work[0, i] = edge * nx
+                work[1, i] = edge * ny
+                work[2, i] = trust
                 work[3, i] = cover * (1.0 + fixed * curved)
-                work[4, i], work[5, i], work[6, i] = (
-                    cover * x,
-                    cover * y,
-                    free_bulge * cover * curved,
-                )
-                work[7, i], work[8, i] = tilt, tilt * (nx * nx - ny * ny)
-                work[9, i], work[10, i] = tilt * 2.0 * nx * ny, -free_blur * tilt * v
+                work[4, i] = cover * x
+                work[5, i] = cover * y
+                work[6, i] = free_bulge * cover * curved
+                work[7, i] = edge
+                work[8, i] = edge * (nx * nx - ny * ny)
+                work[9, i] = edge * 2.0 * nx * ny
+                work[10, i] = -free_blur * edge * inside
                 work[11, i] = trust * residual
             for a in range(PARAMETERS + 1):
                 for b in range(a + 1):
