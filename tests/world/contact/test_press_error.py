@@ -72,6 +72,29 @@ def test_two_probes_tell_the_larger_error():
     assert state.error.body.indentation == pytest.approx(depth, rel=0.06)
 
 
+@pytest.mark.parametrize(
+    "wanted",
+    [ball(3, force_n=(0, 0, 0.2)), punch(5, force_n=(0, 0, 1))],
+    ids=["sphere", "flat punch"],
+)
+def test_where_no_markers_are_the_points_below_the_contact_count(wanted):
+    """The patches, under a given force, change no total, but how far the rubber moves there."""
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(-3, 3, (800, 2)), rng.uniform(0.3, 2.0, 800)])
+    moved = {}
+    for across in (40, "auto"):
+        scene = load_scene("block_bare", overrides={"accuracy.contact_patches": across})
+        sensor = Sensor(scene)
+        state = sensor.press(wanted)
+        moved[across] = sensor.displacement(points, state)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AccuracyWarning)
+        stated = state.error.markers
+    off = np.linalg.norm(moved["auto"] - moved[40], axis=1).max()
+    most = np.linalg.norm(moved[40], axis=1).max()
+    assert 1.0 <= stated / (off / most) <= 4.5
+
+
 # --- a sphere on a bonded layer, by rings of pressure and a Hankel kernel -------------------------
 
 

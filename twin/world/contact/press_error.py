@@ -82,6 +82,10 @@ _STIFFER = 1.5
 _FELT = 1e-9
 """Least pull, for each newton on a patch, by which a probe feels a motion."""
 
+_BELOW_MM = 0.3
+"""Depth below the patches of the points that count where none are watched: displacement is promised
+from there on."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Watched:
@@ -90,7 +94,7 @@ class Watched:
     Attributes
     ----------
     points
-        (n, 3), mm; if there are none, those of the contact itself count.
+        (n, 3), mm; if there are none, those 0.3 mm below the contact count.
     error
         Returns the estimated error of displacement there under a load, over the largest
         displacement.
@@ -166,7 +170,9 @@ class Estimates:
             if other is None or fewer is None:
                 patches = Share.unknown()
             else:
-                moved, coarse, slow = (self._half_space(s.load) for s in (state, other, fewer))
+                moved, coarse, slow = (
+                    self._half_space(s.load, self._points) for s in (state, other, fewer)
+                )
                 patches = Share(markers=_over(coarse - moved, moved))
                 increments = Share(markers=_over(slow - coarse, moved))
         error = PressError.of(body=body, patches=patches, increments=increments)
@@ -230,15 +236,23 @@ class Estimates:
     def _change(self, one: ContactState, other: ContactState) -> Share:
         """Return what changes from one state to another, over what it is in the first."""
         pairs = list(zip((one, *one.also), (other, *other.also), strict=True))
-        moved = self._half_space(one.load)
+        points = self._counting(one)
+        moved = self._half_space(one.load, points)
         return Share(
             force=max(_over(b.force_n - a.force_n, a.force_n) for a, b in pairs),
             indentation=max(
                 _over(b.indentation_mm - a.indentation_mm, a.indentation_mm) for a, b in pairs
             ),
             traction=max(_traction_change(a, b) for a, b in pairs),
-            markers=_over(self._half_space(other.load) - moved, moved),
+            markers=_over(self._half_space(other.load, points) - moved, moved),
         )
+
+    def _counting(self, state: ContactState) -> Points:
+        """Return (n, 3) the points whose displacement's error counts, mm."""
+        if len(self._points):
+            return self._points
+        patches = _joined(state.load)
+        return patches.centre_mm + _BELOW_MM * patches.frames[:, 2]
 
     def _cut(self, state: ContactState, step: int, changed: Share) -> Share:
         """Return what patches leave: what other patches change, and where they cut the borders of
@@ -262,15 +276,12 @@ class Estimates:
         least = Share(indentation=edge) if by_force else Share(force=edge, markers=edge)
         return changed.plus(cut).at_least(least)
 
-    def _half_space(self, load: Load) -> Points:
-        """Return (n, 3) how far a load moves the watched points of a half-space of E = 1 MPa,
-        mm."""
-        moved = np.zeros_like(self._points)
+    def _half_space(self, load: Load, points: Points) -> Points:
+        """Return (n, 3) how far a load moves points of a half-space of E = 1 MPa, mm."""
+        moved = np.zeros_like(points)
         for term in load.moving.terms:
             assert isinstance(term, Rectangles)
-            moved += halfspace.displacement(
-                self._points, term, 1.0, self._job.setups[0].poisson_ratio
-            )
+            moved += halfspace.displacement(points, term, 1.0, self._job.setups[0].poisson_ratio)
         return moved
 
     def _body(self, state: ContactState, other: ContactState | None, step: int) -> Share:
@@ -292,7 +303,10 @@ class Estimates:
         if len(self._points) and self._watched is not None:
             markers = self._watched.error(state.load)
             markers += sum(
-                _over(self._half_space(Load((load,))), self._half_space(used.load))
+                _over(
+                    self._half_space(Load((load,)), self._points),
+                    self._half_space(used.load, self._points),
+                )
                 for load, _ in found
             )
         return Share(
