@@ -90,7 +90,7 @@ def _stages() -> Iterator[dict[str, float]]:
 
     where: dict[str, tuple[Any, str]] = {
         "contact": (sensor.Sensor, "press"),
-        "displacement": (sensor.Sensor, "motion_of_patches"),
+        "displacement": (sensor.Sensor, "quick_motion"),
         "sites": (sample, "in_cells"),
         "picture": (sensor.Sensor, "seen"),
         "ccd": (exposure, "expose"),

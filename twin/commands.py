@@ -208,6 +208,9 @@ def run(
         bool,
         Parameter(help="Film the press's steps instead, at ccd.frames_per_second.", negative=""),
     ] = False,
+    h264: Annotated[
+        bool, Parameter(help="Film as a video, frames.mp4, not as PNG files.", negative="")
+    ] = False,
     open_: Annotated[
         bool, Parameter(name="--open", help="Open the report in the browser.", negative="")
     ] = False,
@@ -232,7 +235,8 @@ def run(
 
     With --film the folder (default out/<scene>/film) gets frames/000000.png and so on, rest.png,
     and truth.npz: of every frame time, force, contact, slip of every patch, and markers' places.
-    twin reconstruct reads the pictures. Ctrl-C keeps those that are written.
+    With --h264 frames.mp4 holds the frames (pip install imageio-ffmpeg). twin reconstruct reads
+    both. Ctrl-C keeps what is filmed.
 
     Examples:
     twin run kamiyama_pillar
@@ -244,6 +248,8 @@ def run(
     """
     if film and (live or want or open_ or json_):
         raise InputError("--film has pictures and their truth only: leave out other options")
+    if h264 and not film:
+        raise InputError("--h264: belongs to --film")
     if live:
         if open_ or json_:
             raise InputError("--live has no report and no result: leave out --open and --json")
@@ -261,7 +267,7 @@ def run(
         from twin.study.film import film_to_folder
 
         with _scene_named(scene):
-            print(film_to_folder(loaded, out or folder / "film", progress=_progress()))
+            print(film_to_folder(loaded, out or folder / "film", _progress(), h264=h264))
         return
     from twin.study.run import run_to_folder
 

@@ -11,6 +11,7 @@ import atexit
 import contextlib
 import json
 import os
+import re
 import shutil
 import struct
 import sys
@@ -130,9 +131,9 @@ def make_folder(folder: Path) -> None:
         ) from None
     if not os.access(folder, os.W_OK):
         raise InputError(f"{folder}: the output folder can't be written; give another")
-    for part in folder.glob(".*.part"):
-        writer = part.suffixes[-2].removeprefix(".") if len(part.suffixes) > 1 else ""
-        if writer.isdecimal() and not _is_alive(int(writer)):
+    for part in folder.glob(".*.part*"):  # a video's ends in its format
+        named = re.fullmatch(r".*\.(\d+)\.part(\.\w+)?", part.name)
+        if named and not _is_alive(int(named[1])):
             part.unlink(missing_ok=True)
 
 

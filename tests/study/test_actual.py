@@ -64,6 +64,10 @@ def test_a_bright_cover_shows_its_bulge_when_asked_to(monkeypatch: pytest.Monkey
     assert still.motion(load).cover is None
     changed = moving.picture(load).astype(int) - still.picture(load)
     np.testing.assert_array_equal(moving.picture(None), still.picture(None))
+    # Films and datasets show it, too.
+    quick = moving.picture(moving.quick_motion(load)).astype(int)
+    assert np.abs(quick - moving.picture(load)).max() <= 1
+    assert moving.quick_motion(load, pictured=False).cover is None
     # The bulge around the press tilts the cover; far away nothing changes by more than a count.
     assert np.abs(changed[30:90, 50:110]).max() >= 2
     assert np.abs(changed[:5]).max() <= 1

@@ -1,5 +1,6 @@
 """A press's path as an animated picture, and filmed at the camera's frame rate with the truth of every frame."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -8,17 +9,28 @@ from PIL import Image, ImageSequence
 
 import twin
 from twin.cli import main
-from twin.errors import InputError, RecipeError
+from twin.errors import InputError, RecipeError, TwinError
+from twin.files import make_folder
 from twin.parts.press import Step
 from twin.sense.calibration import read_calibration
 from twin.sense.track import Tracker
 from twin.study.calibrate import calibrate_to_file
 from twin.study.film import PARTS, at_frames, film_to_folder, write_film
-from twin.study.recorded import read_picture
+from twin.study.recorded import VideoWriter, read_picture
 from twin.study.sensor import Sensor
 
 QUICK = {"accuracy.contact_patches": 6, "accuracy.centroid_px": 0.1, "camera.width_px": 320, "camera.height_px": 240,
          "camera.focal_px": 907.4, "ccd.noise": False}  # fmt: skip
+
+
+READING = pytest.mark.filterwarnings(  # its package leaves pipes open
+    "ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning"
+)
+
+
+def frames_of(video: Path) -> list[np.ndarray]:
+    facts, *frames = pytest.importorskip("imageio_ffmpeg").read_frames(str(video))
+    return [np.frombuffer(data, np.uint8).reshape(*facts["size"][::-1], 3) for data in frames]
 
 
 def test_a_path_in_parts_comes_to_the_same_ends() -> None:
@@ -49,22 +61,44 @@ def test_the_film_begins_at_rest_and_moves_on(tmp_path: Path) -> None:
     assert np.all(np.diff(changed) > 0), "the further it is pressed, the more the picture differs"
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # ffmpeg's pipes
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@READING
 def test_a_film_as_h264_holds_the_pictures_of_the_animated_one(tmp_path: Path) -> None:
-    package = pytest.importorskip("imageio_ffmpeg")
+    pytest.importorskip("imageio_ffmpeg")
     sensor = Sensor(twin.load_scene("kamiyama_pillar", QUICK | {"camera.width_px": 321}))
     for name in ("press.mp4", "press.png"):
         write_film(sensor, tmp_path / name)
     assert b"avc1" in (tmp_path / "press.mp4").read_bytes(), "H.264"
-    facts, *film = package.read_frames(str(tmp_path / "press.mp4"))
-    film = [np.frombuffer(data, np.uint8).reshape(*facts["size"][::-1], 3) for data in film]
+    film = frames_of(tmp_path / "press.mp4")
     assert len(film) == PARTS + 10, "the last one stays"
     with Image.open(tmp_path / "press.png") as shown:
         for seen, frame in zip(film, ImageSequence.Iterator(shown), strict=False):
             off = seen[:, :321].astype(int) - np.asarray(frame.convert("RGB"))
             assert np.abs(off).mean() < 5  # colours have half the resolution
     assert sorted(path.name for path in tmp_path.iterdir()) == ["press.mp4", "press.png"]
+
+
+def test_a_video_that_fails_leaves_no_file(tmp_path: Path) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    picture = np.zeros((48, 64, 3), np.uint8)
+
+    def write(name: str, interrupt: bool = False) -> None:
+        with VideoWriter(tmp_path / name, (64, 48)) as video:
+            for _ in range(1000):
+                video.add(picture)
+                if interrupt:
+                    raise KeyboardInterrupt
+
+    with pytest.raises(TwinError, match=r"film\.webm: the video can't be written"):
+        write("film.webm")  # a container that takes no H.264
+    with pytest.raises(KeyboardInterrupt):
+        write("film.mp4", interrupt=True)
+    assert list(tmp_path.iterdir()) == []
+    # What a killed process leaves goes with the next that writes there; what a living one writes stays.
+    parts = [tmp_path / f".film.{process}.part.mp4" for process in (2**22 + 1, os.getpid())]
+    for part in parts:
+        part.touch()
+    make_folder(tmp_path)
+    assert list(tmp_path.iterdir()) == parts[1:]
 
 
 def test_what_has_no_film_is_said(tmp_path: Path) -> None:
@@ -110,16 +144,38 @@ def test_a_film_has_the_truth_of_its_frames_and_the_tracker_reads_it_back(tmp_pa
     np.testing.assert_allclose(truth["patch_force_n"][last].sum(axis=0), truth["force_n"][4], atol=1e-7)
     assert truth["patch_slip"][last].mean() == pytest.approx(truth["slip_share"][4], abs=1e-9)
     # What the software sees is where the markers are in the middle of each exposure.
-    tracker = Tracker(read_picture(tmp_path / "film" / "rest.png"), Sensor(scene).layout_px)
     seen = [read_picture(path) for path in sorted((tmp_path / "film" / "frames").iterdir())]
-    assert len(seen) == 5
-    for number, picture in enumerate(seen):
-        shift = tracker.track(picture).shift_px
+    assert worst_rms(scene, tmp_path / "film", seen) < 0.03
+    assert np.abs(truth["marker_outline_px"] - truth["marker_outline_rest_px"])[4].max() > 3
+
+
+def worst_rms(scene, folder: Path, frames: list[np.ndarray]) -> float:
+    """Return the largest root mean square error of tracking, px, over the frames of a film."""
+    truth = np.load(folder / "truth.npz")
+    assert len(frames) == len(truth["time_s"])
+    tracker = Tracker(read_picture(folder / "rest.png"), Sensor(scene).layout_px)
+    worst = 0.0
+    for number, picture in enumerate(frames):
         true = truth["marker_outline_px"][number] - truth["marker_outline_rest_px"]
-        off = (shift - true)[truth["marker_visible"][number] > 0.98]
+        off = (tracker.track(picture).shift_px - true)[truth["marker_visible"][number] > 0.98]
         assert np.isfinite(off).mean() > 0.95
-        assert np.sqrt(np.nanmean(off**2)) < 0.03
-    assert np.abs(true).max() > 3
+        worst = max(worst, float(np.sqrt(np.nanmean(off**2))))
+    return worst
+
+
+@READING
+def test_a_film_as_a_video_has_the_same_truth(tmp_path: Path) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    assert "frames.mp4" in film_to_folder(sliding(), tmp_path, h264=True)
+    assert worst_rms(sliding(), tmp_path, frames_of(tmp_path / "frames.mp4")) < 0.06, "less than by PNG"
+
+    def stop(what: str, _: float) -> None:
+        if what.startswith("picture 4"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        film_to_folder(sliding(), tmp_path, stop, h264=True)
+    assert len(frames_of(tmp_path / "frames.mp4")) == len(np.load(tmp_path / "truth.npz")["time_s"]) == 3
 
 
 def test_forces_on_a_film_of_rubber_that_relaxes_are_the_true_ones(tmp_path: Path) -> None:
@@ -167,8 +223,11 @@ def test_an_interrupted_film_keeps_its_frames_and_their_truth(tmp_path: Path) ->
             assert len(np.load(folder / "truth.npz")["time_s"]) >= 1, "a killed process would keep it"
             raise KeyboardInterrupt
 
+    folder.mkdir()
+    (folder / "frames.mp4").touch()
     with pytest.raises(KeyboardInterrupt):
         film_to_folder(sliding(), folder, stop)
+    assert not (folder / "frames.mp4").exists(), "an older film"
     assert [path.name for path in sorted((folder / "frames").iterdir())] == ["000000.png", "000001.png"]
     assert len(np.load(folder / "truth.npz")["time_s"]) == 2
 

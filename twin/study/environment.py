@@ -16,8 +16,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from twin.arrays import Floats, Picture, Pixels, Points, Progress
 from twin.blas_threads import one_blas_thread
 from twin.errors import ContactError, InputError, RecipeError
@@ -246,13 +244,6 @@ class Environment:
         if seconds is not None and calibration.relaxation is not None:
             if self._history is None:
                 self._history = Hereditary(calibration.relaxation)
-                at_rest = replace(
-                    field,
-                    force_n=np.zeros_like(field.force_n),
-                    total_force_n=np.zeros(3),
-                    total_torque_nmm=np.zeros(3),
-                )
-                at_rest.relaxed(self._history, 0.0)
             field = field.relaxed(self._history, seconds)
         # The truth, and the error against it.
         rest = sensor.actual.markers.points

@@ -294,10 +294,9 @@ def write_film(sensor: Sensor, out: Path) -> str:
         pictures.append(sensor.picture(sensor.motion(one.load), number))
     if kind == "H.264":
         height, width, _ = pictures[0].shape
-        video = VideoWriter(out, (width, height), 1000 / _FRAME_MS)
-        for picture in [*pictures, *[pictures[-1]] * (_LAST_MS // _FRAME_MS - 1)]:
-            video.add(picture)
-        video.close()
+        with VideoWriter(out, (width, height), 1000 / _FRAME_MS) as video:
+            for picture in [*pictures, *[pictures[-1]] * (_LAST_MS // _FRAME_MS - 1)]:
+                video.add(picture)
     else:
         frames = [Image.fromarray(picture) for picture in pictures]
         times = [_FRAME_MS] * (len(frames) - 1) + [_LAST_MS]
@@ -311,15 +310,19 @@ def _silent(_: str, __: float) -> None:
     """Show no progress."""
 
 
-def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None) -> str:
+def film_to_folder(
+    scene: Scene, folder: Path, progress: Progress | None = None, *, h264: bool = False
+) -> str:
     """Film a scene's press; return a few lines about it.
 
-    ``folder`` gets ``rest.png``, ``frames/000000.png`` and so on, their truth in ``truth.npz`` (see
-    `_truth`), and ``scene.toml``. An interrupt keeps the frames so far, and their truth; a
-    killed process keeps the truth of most of them.
+    ``folder`` gets ``rest.png``, ``frames/000000.png`` and so on (with ``h264`` ``frames.mp4``),
+    their truth in ``truth.npz`` (see `_truth`), and ``scene.toml``. An interrupt keeps the frames
+    so far, and their truth; a killed process keeps the truth of most of them, but no video.
 
     Raises
     ------
+    MissingCapability
+        A video, and the extra package is not installed.
     RecipeError
         The scene has no camera, no press, no ``ccd.frames_per_second``, or see `at_frames`.
     InputError
@@ -327,15 +330,20 @@ def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None)
     SomeFailed
         The press has no equilibrium in some step: what is before it is filmed.
     """
+    from twin.study.recorded import VideoWriter
+
     # Refuse what can't be filmed, solve the press at every frame's time, empty the folder.
+    if h264:
+        VideoWriter.require()
     _refuse_filmless(scene)
     rate = scene.ccd.frames_per_second
     if rate is None:
         raise RecipeError("ccd.frames_per_second: a film needs it; give, for example, 30")
     assert scene.press is not None
     pictures = folder / "frames"
+    film = folder / "frames.mp4"
     known = [name for name in ("rest.png", "scene.toml", "truth.npz") if (folder / name).exists()]
-    if known and not pictures.is_dir():
+    if known and not pictures.is_dir() and not film.is_file():
         raise InputError(
             f"--out {folder}: holds {', '.join(known)}, which no film wrote; give another folder"
         )
@@ -344,11 +352,12 @@ def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None)
     sensor = Sensor(scene, progress)
     progress("contact", 0.02)
     state = sensor.press(press)
-    make_folder(pictures)
-    for old in pictures.glob("[0-9]" * 6 + ".png"):
-        old.unlink()
+    make_folder(folder if h264 else pictures)
+    for old in (film, *pictures.glob("[0-9]" * 6 + ".png")):
+        old.unlink(missing_ok=True)
     write_whole(folder / "scene.toml", dump_scene(scene).encode())
-    write_whole(folder / "rest.png", png_bytes(sensor.picture(None)))
+    rest = sensor.picture(None)
+    write_whole(folder / "rest.png", png_bytes(rest))
     # Film it, as far as it goes.
     states = state.path
     exposures = Exposures(
@@ -364,6 +373,7 @@ def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None)
 
     # A killed film keeps its truth up to the last write, which takes a twentieth of the time.
     (folder / "truth.npz").unlink(missing_ok=True)
+    video = VideoWriter(film, (rest.shape[1], rest.shape[0]), rate) if h264 else None
     written = time.monotonic()
     took = 0.0
     try:
@@ -373,7 +383,10 @@ def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None)
             picture = exposures.picture(time_s, number + 1)
             at = exposures.state_at(time_s)
             row = _row(sensor, exposures.motion(time_s), states[at - 1] if at else None)
-            write_whole(pictures / f"{number:06d}.png", png_bytes(picture))
+            if video is not None:
+                video.add(picture)
+            else:
+                write_whole(pictures / f"{number:06d}.png", png_bytes(picture))
             rows.append(row | {"time_s": time_s})
             if (begun := time.monotonic()) - written > _WRITE_EVERY * took:
                 write_truth()
@@ -382,6 +395,8 @@ def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None)
     finally:
         if rows:
             truth = write_truth()
+        if video is not None:
+            video.close()
     progress("done", 1.0)
     if not state.complete:
         raise SomeFailed(f"press: {state.reason}; the {count} pictures before are in {folder}")
@@ -392,7 +407,7 @@ def film_to_folder(scene: Scene, folder: Path, progress: Progress | None = None)
             f"markers move up to {largest:.3g} px",
             f"truth       displacements {np.max(truth['displacement_error']):.1g} of the largest "
             f"off, by linear theory {np.max(truth['linearisation_error']):.1g}",
-            f"written to  {pictures}, with the truth in {folder / 'truth.npz'}",
+            f"written to  {film if h264 else pictures}, with the truth in {folder / 'truth.npz'}",
         ]
     )
 

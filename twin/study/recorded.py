@@ -15,6 +15,7 @@ import json
 import math
 import os
 import re
+import subprocess
 import sys
 import time
 from collections import deque
@@ -254,8 +255,9 @@ def _video_frames(path: Path) -> Iterator[_Frame]:
 
 
 class VideoWriter:
-    """Writes pictures to a video file (H.264 where the name ends in .mp4), which has its name only
-    after `close`.
+    """Writes pictures to a video file as H.264, which has its name only after `close`.
+
+    As a context manager it removes the file if the block fails.
 
     Parameters
     ----------
@@ -269,24 +271,47 @@ class VideoWriter:
 
     def __init__(self, path: Path, size: tuple[int, int], rate: float = 60.0) -> None:
         self._path = path
-        self._part = path.with_name(f".{os.getpid()}.{path.name}")
+        self._part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+        raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "{}x{}".format(*size), "-r", str(rate)]
         even = ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"]
-        keys = {"fps": rate, "macro_block_size": 1, "quality": 8, "output_params": even}
-        self._sink = _ffmpeg().write_frames(str(self._part), size, **keys)
-        self._sink.send(None)
+        h264 = ["-c:v", "libx264", "-crf", "10", "-pix_fmt", "yuv420p", "-v", "error"]
+        self._process = subprocess.Popen(
+            [_ffmpeg().get_ffmpeg_exe(), "-y", *raw, "-i", "-", *even, *h264, f"file:{self._part}"],
+            stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C must not end it before the file is finished
+        )
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self._process.kill()
+            self._process.communicate()
+            self._part.unlink(missing_ok=True)
 
     def add(self, picture: Picture) -> None:
         """Append a picture, or raise `TwinError`."""
+        assert self._process.stdin is not None
         try:
-            self._sink.send(np.ascontiguousarray(picture))
-        except (OSError, StopIteration) as problem:
-            raise TwinError(f"{self._path}: the video can't be written ({problem})") from None
+            self._process.stdin.write(np.ascontiguousarray(picture).data)
+        except OSError:
+            self.close()
 
     def close(self) -> None:
-        """Finish the file."""
-        self._sink.close()
-        if self._part.exists():
+        """Finish the file, or remove it and raise `TwinError`."""
+        if self._process.returncode is not None:
+            return
+        _, said = self._process.communicate()
+        if self._process.returncode == 0:
             os.replace(self._part, self._path)
+            return
+        self._part.unlink(missing_ok=True)
+        why = said.decode(errors="replace").strip().splitlines() or ["ffmpeg ended"]
+        raise TwinError(f"{self._path}: the video can't be written ({why[-1]})")
 
 
 @dataclass(frozen=True, kw_only=True)

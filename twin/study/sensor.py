@@ -385,27 +385,21 @@ class Sensor:
         )
 
     @one_blas_thread()
-    def motion_of_patches(
-        self,
-        *patches: Rectangles,
-        load: Load,
-        strained: bool = True,
-        gather: bool = True,
-    ) -> Motion:
+    def quick_motion(self, load: Load, *, pictured: bool = True, gather: bool = True) -> Motion:
         """Return the motion of the actual markers, on the first level of mesh only.
 
         For many loads: `motion`, but patches far above all markers are gathered into a few point
-        forces (`twin.world.elasticity.discretise`), and no finer mesh is used.
+        forces (`twin.world.elasticity.discretise`), those of every contact by themselves, and no
+        finer mesh is used.
 
         Parameters
         ----------
-        patches
-            Patches with forces; separate contacts separately, as each is gathered by itself.
         load
-            The load that they were cut from.
-        strained
-            Whether gradients are computed, too: without them prints are not strained and beads not
-            turned (no picture shows a bead's turn), and the gradients are zero.
+            The load.
+        pictured
+            Whether a picture will show it: gradients are computed where markers strain, and the
+            motion of a cover that deforms. Without gradients beads are not turned, which no picture
+            shows.
         gather
             Whether patches may be gathered.
         """
@@ -413,28 +407,20 @@ class Sensor:
         from twin.world.elasticity.discretise import gathered
 
         points = self.actual.markers.points
-        if load.crept is not None:
-            patches = tuple(self.rectangles(Load((term,))) for term in load.crept.terms)
+        moving = load.moving
+        patches = [self.rectangles(Load((term,))) for term in moving.terms]
+        patches = patches or [self.rectangles(moving)]
         whole = Rectangles.joined(patches)
         few = Rectangles.joined([gathered(points, group) for group in patches]) if gather else whole
         moved, error = self.compliance.answer(points, few)
         gradient = np.zeros((len(points), 3, 3))
-        if strained or self.stiff_beads is not None:
+        if (pictured and self.markers_strain) or self.stiff_beads is not None:
             gradient = self.compliance.gradient(points, whole)
-        passive = Motion(displacement_mm=moved, gradient=gradient, error=error)
+        cover = self._cover_motion(self.compliance, whole) if pictured else None
+        passive = Motion(displacement_mm=moved, gradient=gradient, error=error, cover=cover)
         return self._with_stiff_beads(
             _with(self._strained(load), points, passive),
             lambda p: self.compliance.displacement(p, gathered(p, whole)),
-        )
-
-    def quick_motion(self, load: Load) -> Motion:
-        """Return the motion of the actual markers on the first level of mesh, with gradients only
-        where a picture shows them; `motion` where the cover deforms."""
-        cover = self.nominal.cover
-        if cover is not None and cover.deforms:
-            return self.motion(load)
-        return self.motion_of_patches(
-            self.rectangles(load), load=load, strained=self.markers_strain
         )
 
     @cached_property

@@ -72,7 +72,7 @@ _FINEST = 12
 class _MadeSensor:
     """One sensor of a dataset, ready to be pressed, with the ``values`` drawn for it by dotted key.
 
-    ``gather``: whether patches may be gathered into point forces (`Sensor.motion_of_patches`).
+    ``gather``: whether patches may be gathered into point forces (`Sensor.quick_motion`).
     """
 
     def __init__(self, plan: Plan, number: int, values: Table, *, gather: bool = True) -> None:
@@ -119,6 +119,11 @@ class _MadeSensor:
             cells = on_surface(body, self.grid.chart(), half_mm, "dataset.sites")
             row["site_mm"] = cells.centre_mm
         return row
+
+    def motion(self, load: Load) -> Motion:
+        """Return the motion of its markers under a load."""
+        pictured = bool(self.plan.needs & {"picture", "outlines"})
+        return self.sensor.quick_motion(load, pictured=pictured, gather=self.gather)
 
     @cached_property
     def compliance(self) -> Compliance:
@@ -185,11 +190,9 @@ def _rows(made: _MadeSensor, sample: int, press: Press) -> list[_Row]:
     if not state.complete:
         raise ContactError(f"press: {state.reason}")
     states = state.path if every and state.path else (state,)
-    film = None
-    if ends_s is not None:
-        film = Exposures(
-            made.sensor, ends_s, lambda number: made.sensor.quick_motion(states[number].load)
-        )
+    # Exposures and truth share the states' motions.
+    motions = lru_cache(maxsize=8)(lambda number: made.motion(states[number].load))
+    film = None if ends_s is None else Exposures(made.sensor, ends_s, motions)
     if len(states) > MOST_STEPS:
         raise RecipeError(f"press.steps: {len(states)} steps; allowed are {MOST_STEPS}")
     rows = []
@@ -216,7 +219,8 @@ def _rows(made: _MadeSensor, sample: int, press: Press) -> list[_Row]:
         if any(column.name == "traction_error" for column in plan.columns) and one.error:
             row["traction_error"] = one.error.traction
         exposure = 1 + sample * MOST_STEPS + number
-        rows.append(row | _truth_of(made, one.load, _slips_of(one), exposure, picture))
+        own = partial(motions, step)
+        rows.append(row | _truth_of(made, one.load, own, _slips_of(one), exposure, picture))
     return rows
 
 
@@ -237,13 +241,15 @@ def _slips_of(state: ContactState) -> list[Bools]:
 def _truth_of(
     made: _MadeSensor,
     load: Load,
+    motion_of: Callable[[], Motion] | None = None,
     slips: list[Bools] | None = None,
     exposure: int | None = None,
     picture: Callable[[int], Picture] | None = None,
 ) -> _Row:
     """Return the columns' values under a load; pictures and outlines only with an exposure.
 
-    ``slips`` are the slipping patches of each of the load's terms; None without a probe.
+    ``motion_of`` computes the markers' motion, where that is done already. ``slips`` are the
+    slipping patches of each of the load's terms; None without a probe.
     ``picture`` makes that of an exposure over motion; None: the load's own.
     """
     from twin.parts.load import Rectangles
@@ -264,8 +270,7 @@ def _truth_of(
     pictured = bool(needs & {"picture", "outlines"})
     if not pictured and "motion" not in needs:
         return row
-    strained = pictured and sensor.markers_strain
-    motion = sensor.motion_of_patches(*groups, load=load, strained=strained, gather=made.gather)
+    motion = made.motion(load) if motion_of is None else motion_of()
     row |= {"marker_displacement_mm": motion.displacement_mm, "displacement_error": motion.error}
     if sensor.nominal.camera is not None:
         moved = sensor.actual.markers.points + motion.displacement_mm
@@ -452,7 +457,7 @@ def _differences(made: _MadeSensor, values: Table) -> dict[str, float]:
             states = states[0].path[hardest], states[1].path[hardest]
         load = states[0].load
         usual, best = (
-            _truth_of(one, state.load, _slips_of(state))
+            _truth_of(one, state.load, slips=_slips_of(state))
             for one, state in zip((made, finer), states, strict=True)
         )
         out["indentation"] = _relative(states[0].indentation_mm, states[1].indentation_mm)
@@ -464,9 +469,7 @@ def _differences(made: _MadeSensor, values: Table) -> dict[str, float]:
         out["displacement"] = float(np.linalg.norm(ours - true, axis=1).max()) / largest
         out["estimate"] = float(usual["displacement_error"])
     if "outlines" in plan.needs:
-        shapes = made.sensor.ellipsoids(
-            made.sensor.motion_of_patches(made.sensor.rectangles(load), load=load)
-        )
+        shapes = made.sensor.ellipsoids(made.sensor.quick_motion(load))
         one = made.renderer.outlines(shapes)
         other = made.renderer.outlines(shapes, _FINEST)
         seen = (one.visible > _WHOLE) & (other.visible > _WHOLE)
