@@ -10,20 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats, Picture, Pixels
+from twin.arrays import Picture, Pixels
 
 _COLUMNS = 2
 """Panels in a row."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Curve:
-    """A line, or dots, through (n,) points; ``style`` as matplotlib has it."""
-
-    label: str
-    x: Floats
-    y: Floats
-    style: str = "-"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,18 +27,22 @@ class Panel:
     def curves(
         cls,
         title: str,
-        curves: Sequence[Curve],
         across: str,
         up: str,
+        curves: Mapping[str, Sequence[Any]],
         *,
         levels: Mapping[str, float] | None = None,
         logarithmic: bool = False,
     ) -> Panel:
-        """Return the drawing of curves over one axis; ``levels`` are horizontal lines by name."""
+        """Return the drawing of curves over one axis.
+
+        ``curves`` have (n,) x, (n,) y and a style as matplotlib has it, by default a line, by name;
+        ``levels`` are horizontal lines by name.
+        """
 
         def draw(axes: Any) -> None:
-            for curve in curves:
-                axes.plot(curve.x, np.asarray(curve.y, float), curve.style, ms=4, label=curve.label)
+            for label, curve in curves.items():
+                axes.plot(*curve, ms=4, label=label)
             for label, value in (levels or {}).items():
                 axes.axhline(value, color=_INK, ls="--", lw=1, label=label)
             if logarithmic:

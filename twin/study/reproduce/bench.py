@@ -22,7 +22,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -128,7 +128,13 @@ APART = 20_000
 PILLAR_N = 3.0
 """Force on the 5 mm pillar, in no paper: the same in every entry."""
 
-PILLAR_PRESS = Press(probe=Cylinder(diameter_mm=5), force_n=(0, 0, PILLAR_N))
+
+def pillar_press(force_n: float, edge_mm: float = 0.0) -> Press:
+    """Return the press of the 5 mm pillar along z at the middle, its rim rounded by ``edge_mm``."""
+    return Press(probe=Cylinder(diameter_mm=5, edge_mm=edge_mm), force_n=(0.0, 0.0, force_n))
+
+
+PILLAR_PRESS = pillar_press(PILLAR_N)
 """Press of Figs. 9 to 13: along z, at the middle."""
 
 PRELOAD_GF = 200.0
@@ -173,6 +179,10 @@ class Quantity:
     near: float | None = None
     timed: bool = False
     ours: bool = False
+
+    def labelled(self, label: str) -> Quantity:
+        """Return the quantity with a label before its name."""
+        return replace(self, name=f"{label}: {self.name}") if label else self
 
 
 Numbers = Mapping[Quantity, float]
@@ -327,11 +337,13 @@ class Record:
         runs: Sequence[Numbers],
         off: Mapping[str, Numbers] | None = None,
         ranges: Mapping[Unprinted, Sequence[Numbers]] | None = None,
+        label: str = "",
     ) -> list[Record]:
         """Return the records of the numbers of several runs.
 
         ``off`` has the numbers with one cause switched off, by name; ``ranges`` those at the values
-        of what isn't printed. Runs in which a quantity is not defined don't count.
+        of what isn't printed; ``label`` begins the name of every quantity. Runs in which a quantity
+        is not defined don't count.
         """
         records = []
         for quantity in runs[0]:
@@ -339,7 +351,7 @@ class Record:
             known = values[np.isfinite(values)]
             records.append(
                 Record(
-                    quantity=quantity,
+                    quantity=quantity.labelled(label),
                     twin=float(known.mean()) if len(known) else float("nan"),
                     spread=float(known.std(ddof=1)) if len(known) > 1 else None,
                     n=len(known),
@@ -724,43 +736,62 @@ class Bench:
 
     def compare(
         self,
-        measure: Callable[[Chain, Trial], T],
+        measure: Measure[T],
         numbers: Callable[[T], Numbers],
         chain: Chain,
-        causes: Mapping[str, Chain],
+        causes: Mapping[str, Chain | Measure[T] | Reading[T]] | None = None,
         trials: Sequence[Trial] | None = None,
-        ranges: Mapping[Unprinted, Callable[[float], Chain | Callable[[Chain, Trial], T]]]
-        | None = None,
+        ranges: Mapping[Unprinted, Callable[[float], Chain | Measure[T]]] | None = None,
+        label: str = "",
     ) -> tuple[list[Record], list[T], dict[str, T]]:
         """Measure a chain in several trials, and once with every cause switched off.
 
-        ``measure`` makes a run, of which ``numbers`` are taken; ``causes`` are the chains in which
-        one cause is switched off, by its name; trials are by default the paper's; ``ranges`` give
-        the chain, or the way to measure, at a value of what isn't printed, over `RANGED` trials.
+        Parameters
+        ----------
+        measure, numbers
+            Make a run, and take the numbers from it.
+        causes
+            What replaces the chain, the measurement or the reading of the runs, by the name of the
+            cause that it switches off.
+        trials
+            By default the paper's.
+        ranges
+            What replaces chain or measurement at a value of what isn't printed, over `RANGED`
+            trials.
+        label
+            Begins the name of every quantity.
 
         Returns
         -------
         The records, the runs, and the runs with causes off by name.
         """
         trials = trials or self.trials(chain.paper)
+
+        def run(way: Chain | Measure[T], trial: Trial) -> T:
+            return measure(way, trial) if isinstance(way, Chain) else way(chain, trial)
+
         runs: list[T] = []
         for trial in trials:
             self.progress(f"run {len(runs) + 1} of {len(trials)}")
             runs.append(measure(chain, trial))
         off: dict[str, T] = {}
-        for name, way in causes.items():
+        without: dict[str, Numbers] = {}
+        for name, way in (causes or {}).items():
             self.progress(name)
-            off[name] = measure(way, ONCE)
-        without = {name: numbers(run) for name, run in off.items()}
+            if isinstance(way, Reading):
+                without[name] = _mean_numbers([way.numbers(found) for found in runs])
+            else:
+                off[name] = run(way, ONCE)
+                without[name] = numbers(off[name])
         ranged: dict[Unprinted, list[Numbers]] = {}
-        for what, given in (ranges or {}).items():
+        for what, at in (ranges or {}).items():
             self.progress(what.name)
-            ranged[what] = []
-            for at in map(given, what.values):
-                way, how = (at, measure) if isinstance(at, Chain) else (chain, at)
-                found = [numbers(how(way, trial)) for trial in trials[:RANGED]]
-                ranged[what].append(_mean_numbers(found))
-        return Record.of_runs([numbers(run) for run in runs], without, ranged), runs, off
+            ranged[what] = [
+                _mean_numbers([numbers(run(way, trial)) for trial in trials[:RANGED]])
+                for way in map(at, what.values)
+            ]
+        records = Record.of_runs([numbers(found) for found in runs], without, ranged, label)
+        return records, runs, off
 
     @staticmethod
     @cache
@@ -829,6 +860,14 @@ class Trial:
 
 
 ONCE = Trial()
+Measure: TypeAlias = "Callable[[Chain, Trial], T]"
+
+
+@dataclass(frozen=True)
+class Reading(Generic[T]):
+    """Another way to take numbers from the same runs."""
+
+    numbers: Callable[[T], Numbers]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,12 +17,11 @@ import numpy as np
 from twin.arrays import Floats, Picture
 from twin.judge.resolution import full_width
 from twin.parts.load import Traction
-from twin.parts.methods import CentreMethod
 from twin.parts.press import Press
 from twin.parts.sweep import GF
 from twin.sense.reconstruct import Field, reconstruct
 from twin.sense.track import track_frame
-from twin.show.figure_panels import Curve, Panel
+from twin.show.figure_panels import Panel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import (
     FEWER,
@@ -73,14 +72,13 @@ FINER: dict[str, Any] = {
     "reconstruction.sites.rows": 11,
 }
 _BETTER = Chain(paper="kamiyama", overrides=FINE_SITES, tracker=OUR_TRACKER, method="smooth")
+_QUIET = FINE_SITES | INDUSTRIAL
 FLAT = {
     "as published": Chain(paper="kamiyama"),
     "better software: tracker, block, smoothness": _BETTER,
-    "and a quiet camera": replace(_BETTER, overrides=FINE_SITES | INDUSTRIAL),
-    "and markers 1 mm apart": replace(_BETTER, overrides=FINE_SITES | INDUSTRIAL | CLOSER),
-    "and markers 1 and 2 mm deep": replace(
-        _BETTER, overrides=FINE_SITES | INDUSTRIAL | CLOSER | SHALLOWER
-    ),
+    "and a quiet camera": replace(_BETTER, overrides=_QUIET),
+    "and markers 1 mm apart": replace(_BETTER, overrides=_QUIET | CLOSER),
+    "and markers 1 and 2 mm deep": replace(_BETTER, overrides=_QUIET | CLOSER | SHALLOWER),
 }
 """Steps from the published sensor to one that resolves 2 mm, each with those before it."""
 
@@ -104,6 +102,11 @@ FINGER_CHANGES: dict[str, dict[str, Any]] = {
 FRAME_S, CALCULATED_US = 0.08, 545.0
 """What the papers print for one sensor: a frame with its capture (Kamiyama), its calculation alone
 (Sato)."""
+
+WIDTH = "full width at half maximum of a narrow force"
+LEAST = "least distance of two narrow forces"
+NOISE = "noise of a shift"
+"""Names of what is measured of every design."""
 
 BEFORE = 0.9
 """Share of the markers' motion that the frame before had shown: a tracker that follows them starts
@@ -162,8 +165,7 @@ def _shift_noise_px(bench: Bench, chain: Chain) -> float:
     """Return the standard deviation of a shift per axis between two pictures at rest, px; robust to
     lost markers."""
     rig = chain.rig(bench)
-    found = rig.track(rig.picture(None, 55), chain.tracker)
-    return found.scatter_px
+    return rig.track(rig.picture(None, 55), chain.tracker).scatter_px
 
 
 def _limit_of(rig: Rig, noise_px: float) -> Limit:
@@ -198,47 +200,47 @@ def _limits(
     )
 
 
-def _limit_numbers(name: str, limit: Limit) -> Numbers:
+def _limit_numbers(limit: Limit) -> Numbers:
     """Return the closed-form limits of a design as numbers of their own: no run, so they explain
     nothing."""
-    limits = {
-        "least distance of two forces": limit.two_point_mm,
-        "width of a narrow force": limit.fwhm_normal_mm,
-    }
     return {
-        Quantity(f"{name}: closed-form limit of the {what}", "mm"): float(value[0])
-        for what, value in limits.items()
+        Quantity("closed-form limit of the least distance of two forces", "mm"): float(
+            limit.two_point_mm[0]
+        ),
+        Quantity("closed-form limit of the width of a narrow force", "mm"): float(
+            limit.fwhm_normal_mm[0]
+        ),
     }
 
 
 def _conclusion(bench: Bench) -> Outcome:
-    numbers: dict[Quantity, float] = {}
+    records: list[Record] = []
     for number, (name, chain) in enumerate(FLAT.items()):
         if bench.quick and number in (1, 2, 3):
             continue
         bench.progress(name, number / len(FLAT))
         noise = _shift_noise_px(bench, chain)
         least = "least distance of two narrow forces with a dip of a fifth (2 mm is wanted)"
-        width = "full width at half maximum of a narrow force"
-        numbers |= {
-            Quantity(f"{name}: {least}", "mm"): _two_points_mm(bench, chain),
-            Quantity(f"{name}: {width}", "mm"): _point_width_mm(bench, chain),
-            Quantity(f"{name}: noise of a shift", "px"): noise,
-            **_limit_numbers(name, _limit_of(chain.rig(bench), noise)),
+        numbers = {
+            Quantity(least, "mm"): _two_points_mm(bench, chain),
+            Quantity(WIDTH, "mm"): _point_width_mm(bench, chain),
+            Quantity(NOISE, "px"): noise,
+            **_limit_numbers(_limit_of(chain.rig(bench), noise)),
         }
+        records += Record.of_runs([numbers], label=name)
     note = (
         "The published sensor doesn't resolve 2 mm, in agreement with the paper; with every step "
         f"taken it comes near. The forces are {FORCE_N:g} N on discs of 0.5 mm radius, the paper's "
         "tracker being the two-pass centroid; the closed form is of a half-space seen straight on."
     )
-    return Outcome(records=Record.of_runs([numbers]), panels=(_limit_curves(),), notes=(note,))
+    return Outcome(records=records, panels=(_limit_curves(),), notes=(note,))
 
 
 def _limit_curves() -> Panel:
     """Draw the closed-form limit against noise for the designs on the way."""
     noise_px = np.geomspace(0.003, 0.3, 25)
     noise_mm = np.repeat(0.05 * noise_px[:, None], 2, axis=1)
-    curves = []
+    curves = {}
     for name, red, blue, pitch in (
         ("6 and 3 mm deep, 1.5 mm apart (published)", 6.0, 3.0, 1.5),
         ("6 and 3 mm deep, 1 mm apart", 6.0, 3.0, 1.0),
@@ -248,12 +250,12 @@ def _limit_curves() -> Panel:
     ):
         depth = np.tile([red, blue], (len(noise_px), 1))
         limit = _limits(depth, np.full(depth.shape, pitch), noise_mm, 1.0, 0.5)
-        curves.append(Curve(label=name, x=np.log10(noise_px), y=limit.two_point_mm))
+        curves[name] = (np.log10(noise_px), limit.two_point_mm)
     return Panel.curves(
-        title="Two-point limit of a design, whatever the software",
-        curves=curves,
-        across="log10 of a shift's noise (px)",
-        up="least distance (mm)",
+        "Two-point limit of a design, whatever the software",
+        "log10 of a shift's noise (px)",
+        "least distance (mm)",
+        curves,
         levels={"2 mm": HUMAN_MM},
     )
 
@@ -269,16 +271,16 @@ def _predicted(bench: Bench, name: str, chain: Chain, printed_mm: float | None) 
             **ways,
             "camera, tracker and inverse": replace(ours, overrides=quiet),
         }
-    noise = _shift_noise_px(bench, chain)
-    width = f"{name}: full width at half maximum"
-    least = f"{name}: least distance of two narrow forces with a dip of a fifth (n exposures)"
+    width = "full width at half maximum"
+    least = "least distance of two narrow forces with a dip of a fifth (n exposures)"
 
     def run(way: Chain, trial: Trial) -> Numbers:
         found = {}
         for force in (200.0,) if bench.quick else (200.0, 20.0):
             under = f"{width} under the 3 mm sphere at {force:g} gf (n exposures)"
             paper = printed_mm if force == 200 else None
-            field = way.shot(bench, sphere_press((0.0, 0.0), force), trial, 80).field
+            press = sphere_press((0.0, 0.0), force)
+            field = way.shot(bench, press, trial, 80).field
             found[Quantity(under, "mm", paper=paper)] = width_mm(*_along_x(field, magnitude=True))
         narrow = Quantity(f"{width} of a narrow force of 1 N (n exposures)", "mm", paper=printed_mm)
         return found | {
@@ -286,24 +288,24 @@ def _predicted(bench: Bench, name: str, chain: Chain, printed_mm: float | None) 
             Quantity(least, "mm"): _two_points_mm(bench, way, trial),
         }
 
-    records = bench.compare(run, dict, chain, ways)[0]
-    limits = _limit_numbers(name, _limit_of(chain.rig(bench), noise))
-    return records + Record.of_runs(
-        [{Quantity(f"{name}: noise of a shift", "px"): noise, **limits}]
-    )
+    noise = _shift_noise_px(bench, chain)
+    records = bench.compare(run, dict, chain, ways, label=name)[0]
+    limits = _limit_numbers(_limit_of(chain.rig(bench), noise))
+    return records + Record.of_runs([{Quantity(NOISE, "px"): noise, **limits}], label=name)
 
 
 def _prediction(bench: Bench) -> Outcome:
     made = Chain(paper="sato", overrides=DRAWN, method="pinv")
-    as_made, as_predicted = (
-        "pitch 2.5 mm, diameter 0.5 mm, as made",
-        "pitch 1.0 mm, diameter 0.2 mm, as predicted",
-    )
-    chains = {as_made: made, as_predicted: replace(made, overrides=FINER)}
+    chains = {
+        "pitch 2.5 mm, diameter 0.5 mm, as made": made,
+        "pitch 1.0 mm, diameter 0.2 mm, as predicted": replace(made, overrides=FINER),
+    }
     records: list[Record] = []
-    for number, (name, chain) in enumerate(chains.items()):
+    for number, ((name, chain), printed) in enumerate(
+        zip(chains.items(), (None, 2.0), strict=True)
+    ):
         bench.progress(name, number / 2)
-        records += _predicted(bench, name, chain, 2.0 if name == as_predicted else None)
+        records += _predicted(bench, name, chain, printed)
     note = (
         "The paper swaps the two numbers (it prints a distance of 0.2 and a diameter of 1 mm). Its "
         "rule is that resolution is twice the pitch; the finger is calibrated from its drawing "
@@ -313,19 +315,13 @@ def _prediction(bench: Bench) -> Outcome:
 
 
 def _narrow_forces(bench: Bench, chains: Mapping[str, Chain]) -> Panel:
-    curves = []
+    curves = {}
     for name, chain in chains.items():
         smooth = replace(chain, method="smooth", tracker=OUR_TRACKER)
         for way, used in (("pseudo-inverse", chain), ("smooth", smooth)):
-            x, push = _along_x(used.narrow(bench, (0.0,), FORCE_N, 60), magnitude=True)
-            label = f"{name.split(',')[0]}, {way}"
-            curves.append(Curve(label=label, x=x, y=push / np.abs(push).max(), style="o-"))
-    return Panel.curves(
-        title="A narrow force of 1 N",
-        curves=curves,
-        across="x (mm)",
-        up="magnitude over its largest",
-    )
+            x, size = _along_x(used.narrow(bench, (0.0,), FORCE_N, 60), magnitude=True)
+            curves[f"{name.split(',')[0]}, {way}"] = (x, size / np.abs(size).max(), "o-")
+    return Panel.curves("A narrow force of 1 N", "x (mm)", "magnitude over its largest", curves)
 
 
 def _half_space(bench: Bench) -> Outcome:
@@ -335,7 +331,7 @@ def _half_space(bench: Bench) -> Outcome:
     markers = rig.sensor.nominal_markers
     points = markers.points
     numbers: dict[Quantity, float] = {}
-    curves = []
+    curves = {}
     for axis, name in enumerate("xyz"):
         x, y, z = np.eye(3)[axis].tolist()
         load = Traction.rectangle((0.0, 0.0), (4.0, 4.0), (x, y, z))
@@ -353,14 +349,12 @@ def _half_space(bench: Bench) -> Outcome:
         row = np.flatnonzero((markers.layer == "blue") & (np.abs(points[:, 1]) < 0.8))
         row = row[np.argsort(points[row, 0])]
         for world, moved, style in (("block", real, "-"), ("half-space", formula, ":")):
-            curve = 1e3 * moved[row, axis]
-            label = f"f{name}: {world}"
-            curves.append(Curve(label=label, x=points[row, 0], y=curve, style=style))
+            curves[f"f{name}: {world}"] = (points[row, 0], 1e3 * moved[row, axis], style)
     panel = Panel.curves(
-        title="Blue layer along the x axis, 1 N on 4 x 4 mm: motion along the force",
-        curves=curves,
-        across="x (mm)",
-        up="motion (µm)",
+        "Blue layer along the x axis, 1 N on 4 x 4 mm: motion along the force",
+        "x (mm)",
+        "motion (µm)",
+        curves,
     )
     note = (
         "No picture here: this is the model itself, the papers' formula against the converged "
@@ -371,7 +365,7 @@ def _half_space(bench: Bench) -> Outcome:
 
 def _limiting_causes(bench: Bench) -> Outcome:
     """Change one thing at a time, with the paper's tracker and inverse."""
-    numbers: dict[Quantity, float] = {}
+    records: list[Record] = []
     panels: list[Panel] = []
     far = {"lens: seen from far away": bench.rig("kamiyama").far_away()}
     for number, (label, own, changes) in enumerate(
@@ -382,37 +376,37 @@ def _limiting_causes(bench: Bench) -> Outcome:
     ):
         width: dict[str, float] = {}
         apart: dict[str, float] = {}
-        limits: dict[str, Limit] = {}
+        limits: list[Limit] = []
         kept = list(changes.items())[: 2 if bench.quick else None]
         for step, (name, overrides) in enumerate(kept):
             what = f"{own.paper}, {name}"
             bench.progress(what, (number + step / len(kept)) / 2)
             chain = replace(own, overrides=overrides)
             noise = max(_shift_noise_px(bench, chain), 1e-3)
-            limits[name] = _limit_of(chain.rig(bench), noise)
+            limits.append(_limit_of(chain.rig(bench), noise))
             width[name] = _point_width_mm(bench, chain)
             apart[name] = _two_points_mm(bench, chain)
-            one = "full width at half maximum of a narrow force"
-            numbers |= {
-                Quantity(f"{what}: {one}", "mm"): width[name],
-                Quantity(f"{what}: least distance of two narrow forces", "mm"): apart[name],
-                Quantity(f"{what}: noise of a shift", "px"): noise,
-                **_limit_numbers(what, limits[name]),
+            numbers = {
+                Quantity(WIDTH, "mm"): width[name],
+                Quantity(LEAST, "mm"): apart[name],
+                Quantity(NOISE, "px"): noise,
+                **_limit_numbers(limits[-1]),
             }
-        drawn = (
-            ("width of a narrow force", "full width at half maximum", width, "fwhm_normal_mm"),
-            ("two forces resolved", "least distance", apart, "two_point_mm"),
-        )
-        for title, across, values, key in drawn:
-            marks = [float(getattr(limit, key)[0]) for limit in limits.values()]
-            panels.append(_bars(f"{label}: {title}", f"{across} (mm)", values, marks))
+            records += Record.of_runs([numbers], label=what)
+        of_width = [float(limit.fwhm_normal_mm[0]) for limit in limits]
+        of_two = [float(limit.two_point_mm[0]) for limit in limits]
+        at_half = "full width at half maximum (mm)"
+        panels += [
+            _bars(f"{label}: width of a narrow force", at_half, width, of_width),
+            _bars(f"{label}: two forces resolved", "least distance (mm)", apart, of_two),
+        ]
     note = (
         "The limits are of a half-space seen straight on, by two layers with noise but no print "
         "errors. The width of one force can come out below: the finger's pseudo-inverse sharpens "
         "it at the price of what stands next to it, so read it with the distance at which two are "
         "resolved."
     )
-    return Outcome(records=Record.of_runs([numbers]), panels=panels, notes=(note,))
+    return Outcome(records=records, panels=panels, notes=(note,))
 
 
 def _bars(title: str, across: str, values: Mapping[str, float], limits: list[float]) -> Panel:
@@ -446,10 +440,18 @@ def _frame_seconds(
 
 
 def _timed(
-    name: str, unit: str, paper: float | None, value: float, n: int, spread: float | None = None
+    name: str, unit: str, paper: float | None, times: Floats, value: float | None = None
 ) -> Record:
+    """Return the record of the mean of times with its spread, or of another number of them."""
     quantity = Quantity(name, unit, paper=paper, timed=True)
-    return Record(quantity=quantity, twin=value, spread=spread, n=n)
+    if value is not None:
+        return Record(quantity=quantity, twin=value, n=len(times))
+    spread = float(times.std(ddof=1))
+    return Record(quantity=quantity, twin=float(times.mean()), spread=spread, n=len(times))
+
+
+def _rate_of(seconds: Floats) -> float:
+    return float(1.0 / np.median(seconds))
 
 
 def _sorted_times(
@@ -458,13 +460,10 @@ def _sorted_times(
     """Draw the sorted times of every way by name."""
     count = len(next(iter(curves.values())))
     return Panel.curves(
-        title=f"{count} {across}s, sorted",
-        curves=[
-            Curve(label=name, x=np.arange(float(count)), y=np.sort(times))
-            for name, times in curves.items()
-        ],
-        across=across,
-        up=f"time ({unit})",
+        f"{count} {across}s, sorted",
+        across,
+        f"time ({unit})",
+        {name: (np.arange(count), np.sort(times)) for name, times in curves.items()},
         logarithmic=True,
         levels=levels,
     )
@@ -475,29 +474,25 @@ def _flat_times(bench: Bench) -> Outcome:
     count = 20 if bench.quick else TRIALS
     picture = rig.picture(rig.motion(rig.press(PILLAR_PRESS).load), 1)
     fixed = reconstruct(rig.track(picture), rig.calibration, method="smooth").weight
-    ways: dict[str, tuple[CentreMethod, dict[str, Any], float]] = {
-        "paper's tracker and linear constraint": ("two-pass", {}, FRAME_S),
-        "paper's tracker, pushes only (quadratic programme)": (
-            "two-pass",
-            {"push_only": True},
-            0.9,
+    theirs = Chain(paper="kamiyama", tracker="two-pass", method="smooth", options={"weight": fixed})
+    pushes = replace(theirs, options={"push_only": True, "weight": fixed})
+    ways = {
+        "paper's tracker and linear constraint": (theirs, FRAME_S),
+        "paper's tracker, pushes only (quadratic programme)": (pushes, 0.9),
+        "this project's tracker and linear constraint": (
+            replace(theirs, tracker=OUR_TRACKER),
+            FRAME_S,
         ),
-        "this project's tracker and linear constraint": (OUR_TRACKER, {}, FRAME_S),
     }
     records = []
     curves: dict[str, Floats] = {}
-    for number, (name, (tracker, options, paper)) in enumerate(ways.items()):
+    for number, (name, (chain, paper)) in enumerate(ways.items()):
         bench.progress(name, number / len(ways))
-        given = {**options, "weight": fixed}
-        chain = Chain(paper="kamiyama", tracker=tracker, method="smooth", options=given)
-        before = BEFORE * rig.track(picture, tracker).shift_px
+        before = BEFORE * rig.track(picture, chain.tracker).shift_px
         seconds = _frame_seconds(rig, [picture], count, chain, before)
-        mean = float(seconds.mean())
-        spread = float(seconds.std(ddof=1))
-        rate = float(1 / np.median(seconds))
         records += [
-            _timed(f"{name}: from the frame to the force field", "s", paper, mean, count, spread),
-            _timed(f"{name}: frames a second (goal 70)", "Hz", None, rate, count),
+            _timed(f"{name}: from the frame to the force field", "s", paper, seconds),
+            _timed(f"{name}: frames a second (goal 70)", "Hz", None, seconds, _rate_of(seconds)),
         ]
         curves[name] = 1e3 * seconds
     panel = _sorted_times(curves, "frame", "ms", {"70 Hz": 1e3 / 70})
@@ -522,12 +517,10 @@ def _finger_times(bench: Bench) -> Outcome:
         bench.progress(f"{sensors} sensors", sensors / 5)
         micros = 1e6 * _frame_seconds(rig, pictures[:sensors], count, chain, before)
         what = "one sensor" if sensors == 1 else f"{sensors} sensors"
-        time_of = f"{what}: average time from frame to force field"
-        mean = float(micros.mean())
-        spread = float(micros.std(ddof=1))
+        name = f"{what}: standard deviation of the time"
         records += [
-            _timed(time_of, "µs", average, mean, count, spread),
-            _timed(f"{what}: standard deviation of the time", "µs", deviation, spread, count),
+            _timed(f"{what}: average time from frame to force field", "µs", average, micros),
+            _timed(name, "µs", deviation, micros, float(micros.std(ddof=1))),
         ]
         curves[what] = micros
     panel = _sorted_times(curves, "trial", "µs", {"60 frames a second": 1e6 / 60})
@@ -619,7 +612,7 @@ def _rate_hz(bench: Bench, press: Callable[[Rig], Press], chain: Chain) -> float
     weight = reconstruct(found, rig.calibration, method=chain.method).weight
     given = replace(chain, options={**chain.options, "weight": weight})
     seconds = _frame_seconds(rig, [picture], RATED, given, BEFORE * found.shift_px)
-    return float(np.median(1.0 / seconds))
+    return _rate_of(seconds)
 
 
 def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
@@ -634,86 +627,90 @@ def _same_hardware(bench: Bench, hardware: _Hardware) -> Outcome:
         DEFAULT: replace(ours, method="smooth"),
         CAMERA: industrial,
     }
-    same_camera = {name: chain for name, chain in others.items() if name != CAMERA}
+    same_camera = {PAPERS: hardware.own, DEFAULT: others[DEFAULT]}
+    trackers = {PAPERS: hardware.own, CAMERA: industrial}
+    made = bench.trials(paper, pressed=False, count=FEWER)
+    trials = bench.trials(paper, count=FEWER)
+    records: list[Record] = []
+
+    def compare(
+        measure: Callable[[Chain, Trial], Numbers],
+        causes: Mapping[str, Chain] = others,
+        trials: Sequence[Trial] = trials,
+        label: str = paper,
+    ) -> None:
+        nonlocal records
+        records += bench.compare(measure, dict, ours, causes, trials, label=label)[0]
 
     bench.progress(f"{paper}, tracking", 0.05)
     printed = float(np.mean([sd for _, sd in shift.paper.values()]))
-    deviation = Quantity(
-        f"{paper}: standard deviation of a shift, re-rendered", "px", paper=printed, ours=True
-    )
 
     def tracked(chain: Chain, trial: Trial) -> Numbers:
         """Return the deviation, mean over layers and axes; neither sites nor inverse matter."""
         camera = INDUSTRIAL if chain == industrial else {}
         found = shift.tracked(bench, "re-rendered", replace(chain, overrides=camera), trial)
         spreads = [Protocol.samples(found, layer).std(axis=0, ddof=1) for layer in ("red", "blue")]
-        return {deviation: float(np.mean(spreads))}
+        name = "standard deviation of a shift, re-rendered"
+        return {Quantity(name, "px", paper=printed, ours=True): float(np.mean(spreads))}
 
-    trackers = {name: chain for name, chain in others.items() if name != DEFAULT}
-    made = bench.trials(paper, pressed=False, count=FEWER)
-    trials = bench.trials(paper, count=FEWER)
-    records = bench.compare(tracked, dict, ours, trackers, made)[0]
+    compare(tracked, trackers, made)
 
     bench.progress(f"{paper}, fields", 0.2)
 
     def fields(chain: Chain, trial: Trial) -> Numbers:
         rig = chain.rig(bench, trial)
         return {
-            Quantity(f"{paper}: field error {where}, on each one's sites", ours=True): chain.shot(
-                bench, made(rig), trial, 90
+            Quantity(f"field error {where}, on each one's sites", ours=True): chain.shot(
+                bench, press_on(rig), trial, 90
             ).score("field_error")
-            for where, made in hardware.presses.items()
+            for where, press_on in hardware.presses.items()
         }
 
-    pushes = {"pushes only": replace(ours, options={"push_only": True})}
-    records += bench.compare(fields, dict, ours, others | pushes, trials)[0]
+    compare(fields, others | {"pushes only": replace(ours, options={"push_only": True})})
 
     def widths(chain: Chain, trial: Trial) -> Numbers:
-        width = f"{paper}: full width at half maximum of a narrow force"
-        least = f"{paper}: least distance of two narrow forces"
         return {
-            Quantity(width, "mm", paper=hardware.width_mm, ours=True): _point_width_mm(
+            Quantity(WIDTH, "mm", paper=hardware.width_mm, ours=True): _point_width_mm(
                 bench, chain, trial
             ),
-            Quantity(least, "mm", ours=True): _two_points_mm(bench, chain, trial),
+            Quantity(LEAST, "mm", ours=True): _two_points_mm(bench, chain, trial),
         }
 
     limit = _limit_of(ours.rig(bench), _shift_noise_px(bench, ours))
-    records += bench.compare(widths, dict, ours, others, trials)[0]
-    records += Record.of_runs([_limit_numbers(paper, limit)])
+    compare(widths)
+    records += Record.of_runs([_limit_numbers(limit)], label=paper)
 
     bench.progress(f"{paper}, magnitude", 0.6)
     least = "smallest difference of force"
 
     def reading(chain: Chain, trial: Trial) -> Numbers:
-        name = f"{paper}, z: {least} two readings of one press resolve at 95 %"
+        name = f"{least} two readings of one press resolve at 95 %"
         resolution = _resolution_gf(bench, press(chain.rig(bench, trial)), chain, trial)
         return {Quantity(name, "gf", ours=True): resolution}
 
     def line(axis: int, chain: Chain, trial: Trial) -> Numbers:
         """Return Fig. 8's resolution along an axis, of two repeats."""
-        name = f"sato, {'xyz'[axis]}: {least} two readings resolve at 95 %"
         first = FIRST_EXPOSURE + 5000 + trial.exposures
         found = ForceLine.of(bench, chain, axis, 10, 2, first)
+        name = f"{least} two readings resolve at 95 %"
         return {Quantity(name, "gf", paper=READ_GF, ours=True): found.resolution_gf}
 
     if paper == "kamiyama":
-        records += bench.compare(reading, dict, ours, others, trials)[0]
+        compare(reading, label="kamiyama, z")
     elif not bench.quick:
         for axis in range(3):
-            records += bench.compare(partial(line, axis), dict, ours, same_camera, trials)[0]
+            compare(partial(line, axis), same_camera, label=f"sato, {'xyz'[axis]}")
 
     rate = Quantity(
-        f"{paper}: frames a second, from the frame to the force field",
+        "frames a second, from the frame to the force field",
         "Hz",
         paper=hardware.rate_hz,
         timed=True,
     )
-    (rated,) = bench.compare(
-        lambda chain, _: {rate: _rate_hz(bench, press, chain)}, dict, ours, same_camera, (ONCE,)
-    )[0]
+    compare(lambda chain, _: {rate: _rate_hz(bench, press, chain)}, same_camera, (ONCE,))
+    records[-1] = replace(records[-1], n=RATED)
     notes = (hardware.note, "The weight of the inverse is given when times are taken.")
-    return Outcome(records=[*records, replace(rated, n=RATED)], notes=notes)
+    return Outcome(records=records, notes=notes)
 
 
 DESIGN_LIMITS = (

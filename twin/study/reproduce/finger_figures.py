@@ -3,7 +3,7 @@ resolution of magnitude (Fig. 8) and place (Fig. 9)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from twin.arrays import Floats, Ints
 from twin.judge.resolution import full_width
 from twin.sense.calibration import Calibration
-from twin.show.figure_panels import Curve, Panel
+from twin.show.figure_panels import Panel
 from twin.study.reproduce.bench import (
     FEWER,
     FIRST_EXPOSURE,
@@ -28,11 +28,14 @@ from twin.study.reproduce.bench import (
     Chain,
     Entry,
     ForceLine,
+    Measure,
     Numbers,
     Outcome,
     Quantity,
+    Reading,
     Record,
     Rig,
+    Shot,
     Trial,
     Unprinted,
     arrow_panel,
@@ -153,14 +156,12 @@ def _calibration(bench: Bench) -> Outcome:
             }
         ]
     )
+    drawn = {"as published": errors, **variants}
     panel = Panel.curves(
-        title="Error of H by site, sorted",
-        curves=[
-            Curve(label=name, x=np.arange(float(len(e))), y=np.sort(e), style="o-")
-            for name, e in {"as published": errors, **variants}.items()
-        ],
-        across="site",
-        up="error over its size",
+        "Error of H by site, sorted",
+        "site",
+        "error over its size",
+        {name: (np.arange(len(e)), np.sort(e), "o-") for name, e in drawn.items()},
         logarithmic=True,
     )
     return Outcome(records=records, panels=(panel,))
@@ -186,34 +187,31 @@ def _figure_6(bench: Bench) -> Outcome:
     return Outcome(records=records, panels=panels, notes=(note,))
 
 
+def _shot_numbers(shot: Shot) -> Numbers:
+    return {
+        Quantity("field error (n exposures)"): shot.score("field_error"),
+        Quantity("error of the total force (n exposures)"): shot.score("total_force_error"),
+        Quantity("error of the centre of pressure (n exposures)", "mm"): shot.score(
+            "centre_error_mm"
+        ),
+    }
+
+
 def _figure_7(bench: Bench) -> Outcome:
-    rig = bench.rig("sato")
     places = {"on a calibrated point": (0.0, 0.0)}
     if not bench.quick:
-        places["between four"] = rig.above((1.25, 1.25))
+        places["between four"] = bench.rig("sato").above((1.25, 1.25))
+    trials = [Trial(exposures=k) for k in range(EXPOSURES)]
     records: list[Record] = []
     panels: list[Panel] = []
     for where, at in places.items():
         bench.progress(where, 0.6)
+        press = bench.pressing(sphere_press(at, 100), 30)
         label = f"3 mm sphere, 100 gf, {where}"
-        wanted = {
-            Quantity(f"{label}: field error (n exposures)"): "field_error",
-            Quantity(f"{label}: error of the total force (n exposures)"): "total_force_error",
-            Quantity(
-                f"{label}: error of the centre of pressure (n exposures)", "mm"
-            ): "centre_error_mm",
-        }
-        found, runs, _ = bench.compare(
-            bench.pressing(sphere_press(at, 100), 30),
-            lambda shot, wanted=wanted: {  # type: ignore[misc]
-                quantity: shot.score(key) for quantity, key in wanted.items()
-            },
-            PAPER,
-            _ways(bench),
-            [Trial(exposures=k) for k in range(EXPOSURES)],
+        found, (first, *_), _ = bench.compare(
+            press, _shot_numbers, PAPER, _ways(bench), trials, label=label
         )
         records += found
-        first = runs[0]
         if not panels:
             panels.append(arrow_panel("Markers under the sphere", first.found, 3.0))
         radius = first.state.contact_radius_mm
@@ -221,8 +219,25 @@ def _figure_7(bench: Bench) -> Outcome:
     return Outcome(records=records, panels=panels)
 
 
+def _line_numbers(repeats: int, run: ForceLine) -> Numbers:
+    scatter = ((run.measured_gf - run.measured_gf.mean()) ** 2).sum()
+    n = f"(n times {repeats} repeats)"
+    return {
+        Quantity(f"slope of measured over applied force {n}"): run.fit[0],
+        Quantity(f"R squared {n}"): 1.0 - run.squares / scatter,
+        _resolution(repeats): run.resolution_gf,
+        Quantity(f"{WIDEST} {n}", "gf"): run.widest_gf,
+    }
+
+
+def _resolution(repeats: int) -> Quantity:
+    what = "resolution: smallest difference two readings resolve at 95 %"
+    return Quantity(f"{what} (n times {repeats} repeats)", "gf", paper=READ_GF)
+
+
 def _figure_8(bench: Bench) -> Outcome:
     steps, repeats = (3, 2) if bench.quick else (10, REPEATS)
+    read = Reading[ForceLine](lambda run: {_resolution(repeats): run.widest_gf})
     records: list[Record] = []
     panels = []
     for axis, name in enumerate(AXES):
@@ -236,56 +251,33 @@ def _figure_8(bench: Bench) -> Outcome:
             first = FIRST_EXPOSURE + trial.exposures
             return ForceLine.of(bench, way, axis, steps, times, first, aside_mm)
 
-        def numbers(run: ForceLine, name: str = name) -> Numbers:
-            scatter = ((run.measured_gf - run.measured_gf.mean()) ** 2).sum()
-            resolution = "resolution: smallest difference two readings resolve at 95 %"
-            n = f"(n times {repeats} repeats)"
-            return {
-                Quantity(f"{name}: slope of measured over applied force {n}"): run.fit[0],
-                Quantity(f"{name}: R squared {n}"): 1.0 - run.squares / scatter,
-                Quantity(f"{name}: {resolution} {n}", "gf", paper=READ_GF): run.resolution_gf,
-                Quantity(f"{name}: {WIDEST} {n}", "gf"): run.widest_gf,
-            }
-
-        def placed(aside: float, line: Any = line) -> Callable[[Chain, Trial], ForceLine]:
+        def placed(aside: float, line: Any = line) -> Measure[ForceLine]:
             return partial(line, aside_mm=aside)
 
         # Compare with the paper, and with each cause off.
-        found, runs, _ = bench.compare(
+        found, (first, *_), _ = bench.compare(
             line,
-            numbers,
+            partial(_line_numbers, repeats),
             PAPER,
-            _ways(bench),
+            {**_ways(bench), READ: read},
             bench.trials("sato", count=FEWER),
             {} if bench.quick else {CELL: _weighed, ASIDE: placed},
+            name,
         )
-        records += [_read(record, runs) for record in found]
+        records += found
         reach = np.array([0.0, PRELOAD_GF])
-        first = runs[0]
-        curves = (
-            Curve(label="readings", x=first.applied_gf, y=first.measured_gf, style="."),
-            Curve(label="line", x=reach, y=np.polyval(first.fit, reach)),
-            Curve(label="as applied", x=reach, y=reach, style=":"),
-        )
-        panels.append(
-            Panel.curves(
-                title=f"Along {name}", across="applied (gf)", up="measured (gf)", curves=curves
-            )
-        )
+        curves = {
+            "readings": (first.applied_gf, first.measured_gf, "."),
+            "line": (reach, np.polyval(first.fit, reach)),
+            "as applied": (reach, reach, ":"),
+        }
+        panels.append(Panel.curves(f"Along {name}", "applied (gf)", "measured (gf)", curves))
     note = (
         f"{repeats} repeats are of one probe path, each level with a picture and a load-cell "
         "reading of its own. Force is read at the moment of the picture, so rubber that relaxes "
         "changes both."
     )
     return Outcome(records=records, panels=panels, notes=(note,))
-
-
-def _read(record: Record, runs: Sequence[ForceLine]) -> Record:
-    """Return the record of a resolution with what another reading of the paper's word gives."""
-    if record.quantity.paper is None:
-        return record
-    widest = float(np.mean([run.widest_gf for run in runs]))
-    return replace(record, explained_by={**record.explained_by, READ: widest})
 
 
 def _curve(distance_mm: Floats, size: Floats) -> tuple[Floats, Floats]:
@@ -339,11 +331,10 @@ def _dip(bench: Bench, chain: Chain, apart_mm: float) -> float:
     """Return how far the magnitude drops between two presses at once along x, over the lower peak;
     their tractions add."""
     rig = chain.rig(bench)
-    motions = []
-    for at in ((apart_mm / 2, 0.0), (-apart_mm / 2, 0.0)):
-        state = rig.press(sphere_press(rig.above(at), FORCE_GF / 2))
-        motions.append(rig.motion(state.load))
-    one, other = motions
+    presses = [
+        sphere_press(rig.above((x, 0.0)), FORCE_GF / 2) for x in (apart_mm / 2, -apart_mm / 2)
+    ]
+    one, other = (rig.motion(rig.press(press).load) for press in presses)
     both = Motion(
         displacement_mm=one.displacement_mm + other.displacement_mm,
         gradient=one.gradient + other.gradient,
@@ -355,6 +346,14 @@ def _dip(bench: Bench, chain: Chain, apart_mm: float) -> float:
     middle = len(size) // 2
     peak = min(float(size[:middle].max()), float(size[middle + 1 :].max()))
     return 1.0 - float(size[middle]) / peak
+
+
+def _spread_numbers(run: tuple[Floats, Floats]) -> Numbers:
+    width = Quantity("full width at half maximum (n exposures)", "mm", paper=5.0)
+    jump = Quantity(
+        "largest jump off a smooth curve near the middle, of the largest magnitude (n exposures)"
+    )
+    return {width: full_width(*_curve(*run)), jump: _jump(*run)}
 
 
 def _figure_9(bench: Bench) -> Outcome:
@@ -369,40 +368,23 @@ def _figure_9(bench: Bench) -> Outcome:
     panels = []
     trials = [Trial(exposures=200 * k) for k in range(1 if bench.quick else MADE)]
     for number, place in enumerate(("centre",) if bench.quick else PLACES):
-        curves = []
+        curves: dict[str, tuple[Any, ...]] = {}
         # A press at each place, read along both axes.
         for along in (0,) if bench.quick else (0, 1):
             label = f"along {AXES[along]}"
             where = f"{place}, {label}"
             bench.progress(where, (2 * number + along) / 4)
-            width = Quantity(f"{where}: full width at half maximum (n exposures)", "mm", paper=5.0)
-            jump = Quantity(
-                f"{where}: largest jump off a smooth curve near the middle, of the largest "
-                "magnitude (n exposures)"
-            )
             measure = partial(_spread, bench, place, along, step)
-
-            def numbers(
-                run: tuple[Floats, Floats], width: Quantity = width, jump: Quantity = jump
-            ) -> Numbers:
-                return {width: full_width(*_curve(*run)), jump: _jump(*run)}
-
             ranges = {} if bench.quick else {CELL: _weighed}
-            found, runs, off = bench.compare(measure, numbers, PAPER, ways, trials, ranges)
-            records += found
-            x, y = _curve(*runs[0])
-            curves.append(Curve(label=label, x=x, y=y, style="o-"))
-            x, y = _curve(*off[SMOOTH])
-            curves.append(Curve(label=f"{label}, smooth inverse", x=x, y=y, style=":"))
-        panels.append(
-            Panel.curves(
-                title=f"{place.capitalize()}: magnitude against distance from the press",
-                curves=curves,
-                across="distance (mm)",
-                up="magnitude over its largest",
-                levels={"half": 0.5},
+            found, runs, off = bench.compare(
+                measure, _spread_numbers, PAPER, ways, trials, ranges, where
             )
-        )
+            records += found
+            curves[label] = (*_curve(*runs[0]), "o-")
+            curves[f"{label}, smooth inverse"] = (*_curve(*off[SMOOTH]), ":")
+        title = f"{place.capitalize()}: magnitude against distance from the press"
+        up = "magnitude over its largest"
+        panels.append(Panel.curves(title, "distance (mm)", up, curves, levels={"half": 0.5}))
     note = _on_the_jump(records)
     # Two presses at once: the dip of the field between them.
     if not bench.quick:

@@ -14,7 +14,7 @@ from twin.parts.load import Load, Traction
 from twin.parts.press import Cylinder, Pillar, Press, Step
 from twin.sense.reconstruct import Field
 from twin.sense.track import Found
-from twin.show.figure_panels import Curve, Panel
+from twin.show.figure_panels import Panel
 from twin.study.reproduce.bench import (
     KNOWN_BLOCK,
     NO_BLOCK,
@@ -29,6 +29,7 @@ from twin.study.reproduce.bench import (
     Bench,
     Chain,
     Entry,
+    Measure,
     Numbers,
     Outcome,
     Quantity,
@@ -39,6 +40,7 @@ from twin.study.reproduce.bench import (
     Unprinted,
     arrow_panel,
     field_panel,
+    pillar_press,
 )
 
 PITCH_MM, BAND_MM, SHAPE_BAND_MM = 1.5, 0.8, 4.0
@@ -56,8 +58,7 @@ AXIS_MM = 1.2
 """Markers nearer to the x axis than this count as on it."""
 
 AXIS = "along the x axis"
-_Compared = tuple[str, str, bool]
-COMPARED: tuple[_Compared, ...] = (
+COMPARED = (
     ("red layer, along the x axis", "red", False),
     ("blue layer, along the x axis", "blue", False),
     (AXIS, "", False),
@@ -66,12 +67,13 @@ COMPARED: tuple[_Compared, ...] = (
 """What Fig. 16 compares: its name, its layer, and whether the whole plane counts."""
 
 IMPULSES = {0: "fx", 2: "fz"}
-DIFFERENCE = Chain(paper="kamiyama", method="smooth")
 NORM = Chain(paper="kamiyama", method="norm")
-PUSHES = Chain(paper="kamiyama", method="smooth", options={"push_only": True})
-BLIND = Chain(paper="kamiyama", method="norm", calibrated_by="no camera")
-FREE = Chain(paper="kamiyama", method="pinv")
+DIFFERENCE = replace(NORM, method="smooth")
+PUSHES = replace(DIFFERENCE, options={"push_only": True})
+BLIND = replace(NORM, calibrated_by="no camera")
+FREE = replace(NORM, method="pinv")
 TRACKED = Chain(paper="kamiyama", tracker=OUR_TRACKER)
+OURS_DIFFERENCE = replace(DIFFERENCE, tracker=OUR_TRACKER, calibrated_by="compliance")
 LOAD = Unprinted(
     "force on the pillar over Young's modulus",
     "N/MPa",
@@ -93,21 +95,20 @@ OURS = "inverse, tracker and block: this project's"
 
 def _impulse(axis: int, at_mm: tuple[float, float] = (0.0, 0.0), sign: float = 1.0) -> Load:
     """Return a narrow traction along one axis, standing for an impulse."""
-    force = [0.0, 0.0, 0.0]
-    force[axis] = sign * IMPULSE_N
-    return Traction.disk(at_mm, SPOT_MM, (force[0], force[1], force[2]))
+    x, y, z = (sign * IMPULSE_N * np.eye(3)[axis]).tolist()
+    return Traction.disk(at_mm, SPOT_MM, (x, y, z))
 
 
 def _causes(bench: Bench, chain: Chain, block: str) -> dict[str, Chain]:
     """Return a chain with one cause switched off, by name: the paper's tracker becomes this
     project's, and this project's the paper's; ``block`` names what becomes of the finite block."""
+    tracker = {OUR_TRACKER_INSTEAD: replace(chain, tracker=OUR_TRACKER)}
+    if chain.tracker == OUR_TRACKER:
+        tracker = {PAPERS_TRACKER: replace(chain, tracker="two-pass")}
     blocks = {
         KNOWN_BLOCK: replace(chain, calibrated_by="compliance"),
         NO_BLOCK: replace(chain, half_space=True),
     }
-    tracker = {OUR_TRACKER_INSTEAD: replace(chain, tracker=OUR_TRACKER)}
-    if chain.tracker == OUR_TRACKER:
-        tracker = {PAPERS_TRACKER: replace(chain, tracker="two-pass")}
     return {
         NO_NOISE: replace(chain, overrides=QUIET),
         **tracker,
@@ -119,16 +120,16 @@ def _causes(bench: Bench, chain: Chain, block: str) -> dict[str, Chain]:
 def _figure_6(bench: Bench) -> Outcome:
     def numbers(rig: Rig) -> Numbers:
         rest = rig.rest(OUR_TRACKER)
-        names = [str(name) for name in np.unique(rest.layer)]
-        steps = [_pitch_px(rig, name, rest.rest_px[rest.layer == name]) for name in names]
+        layers = rig.scene.markers
+        steps = [_pitch_px(rig, name, rest.rest_px[rest.layer == name]) for name in sorted(layers)]
         size = Quantity("size of a pixel in the marker layers", "mm", paper=0.05)
         return {size: PITCH_MM / float(np.mean(steps)), **rig.rest_numbers()}
 
     rigs = [NORM.rig(bench, trial) for trial in bench.trials("kamiyama")]
     picture = rigs[0].picture(None, 0)
-    signal = np.clip(picture[..., 0].astype(int) - picture[..., 2], -255, 255)
-    red = np.clip(signal, 0, 255)
-    blue = np.clip(-signal, 0, 255)
+    signal = picture[..., 0].astype(int) - picture[..., 2]
+    red = np.maximum(signal, 0)
+    blue = np.maximum(-signal, 0)
     split = np.stack([red, np.zeros_like(red), blue], axis=2).astype(np.uint8)
     split_title = "Red minus blue: positive part red, negative part blue"
     panels = (
@@ -171,12 +172,11 @@ def _figure_9(bench: Bench) -> Outcome:
         size = np.linalg.norm(found.shift_px, axis=1)
         return {radial: _radial_share(found), largest: float(np.nanmax(size))}
 
-    def loaded(ratio: float) -> Callable[[Chain, Trial], Found]:
+    def loaded(ratio: float) -> Measure[Found]:
         def measure(chain: Chain, trial: Trial) -> Found:
             # linear theory knows the force over Young's modulus alone
             modulus = chain.rig(bench, trial).scene.material.youngs_modulus_mpa
-            press = Press(probe=Cylinder(diameter_mm=5), force_n=(0.0, 0.0, ratio * modulus))
-            return chain.shot(bench, press, trial).found
+            return chain.shot(bench, pillar_press(ratio * modulus), trial).found
 
         return measure
 
@@ -191,7 +191,7 @@ def _figure_9(bench: Bench) -> Outcome:
         f"largest movement under {ROUNDED_N:g} N, rim rounded by {RIM_MM:g} mm: finite strain over "
         "linear theory"
     )
-    press = Press(probe=Cylinder(diameter_mm=5, edge_mm=RIM_MM), force_n=(0.0, 0.0, ROUNDED_N))
+    press = pillar_press(ROUNDED_N, edge_mm=RIM_MM)
     moved = [
         numbers(replace(TRACKED, overrides={"material.law": law}).shot(bench, press).found)[largest]
         for law in ("neo_hookean", "linear")
@@ -229,27 +229,24 @@ def _push_share(shot: Shot) -> float:
     return float(shot.field.total_force_n[2] / shot.state.force_n[2])
 
 
-def _pillar_field(bench: Bench, label: str, chain: Chain) -> Outcome:
+def _pillar_numbers(shot: Shot) -> Numbers:
+    width = full_width(*_profile(shot.field, BAND_MM))
+    return {
+        Quantity("field error"): shot.score("field_error"),
+        Quantity("total push over the applied one"): _push_share(shot),
+        Quantity("distance of the strongest force from the pillar's axis", "mm"): _strongest_mm(
+            shot.field
+        ),
+        Quantity("full width at half maximum of the push along x", "mm"): width,
+    }
+
+
+def _pillar_field(label: str, chain: Chain, bench: Bench) -> Outcome:
     """Solve the pillar's press by one constraint, and again with causes off."""
-
-    def numbers(shot: Shot) -> Numbers:
-        width = f"{label}: full width at half maximum of the push along x"
-        return {
-            Quantity(f"{label}: field error"): shot.score("field_error"),
-            Quantity(f"{label}: total push over the applied one"): _push_share(shot),
-            Quantity(
-                f"{label}: distance of the strongest force from the pillar's axis", "mm"
-            ): _strongest_mm(shot.field),
-            Quantity(width, "mm"): full_width(*_profile(shot.field, BAND_MM)),
-        }
-
-    ours = replace(PUSHES, tracker=OUR_TRACKER, calibrated_by="compliance")
-    records, runs, _ = bench.compare(
-        bench.pressing(PILLAR_PRESS),
-        numbers,
-        chain,
-        _causes(bench, chain, KNOWN_BLOCK) | {OURS: ours},
-    )
+    ours = replace(OURS_DIFFERENCE, options=PUSHES.options)
+    causes = _causes(bench, chain, KNOWN_BLOCK) | {OURS: ours}
+    press = bench.pressing(PILLAR_PRESS)
+    records, runs, _ = bench.compare(press, _pillar_numbers, chain, causes, label=label)
     panels = [
         field_panel(label, runs[0].field, 2.5),
         field_panel("Truth, summed into the sites' cells", runs[0].truth, 2.5),
@@ -257,49 +254,44 @@ def _pillar_field(bench: Bench, label: str, chain: Chain) -> Outcome:
     return Outcome(records=records, panels=panels)
 
 
+def _free_numbers(shot: Shot) -> Numbers:
+    largest = np.abs(shot.field.force_n).max() / np.abs(shot.truth.force_n).max()
+    return {
+        Quantity("largest force over the true largest (the paper: diverged greatly)"): float(
+            largest
+        ),
+        Quantity(
+            "distance of the strongest force from the pillar's axis (the paper: clearly another)",
+            "mm",
+        ): _strongest_mm(shot.field),
+    }
+
+
 def _figure_10(bench: Bench) -> Outcome:
     """Add the solution without any constraint, which diverged in the paper."""
-    constrained = _pillar_field(bench, "least norm of differences", DIFFERENCE)
-
-    def numbers(shot: Shot) -> Numbers:
-        largest = np.abs(shot.field.force_n).max() / np.abs(shot.truth.force_n).max()
-        return {
-            Quantity(
-                "no constraint: largest force over the true largest (the paper: diverged greatly)"
-            ): float(largest),
-            Quantity(
-                "no constraint: distance of the strongest force from the pillar's axis (the paper: "
-                "clearly another)",
-                "mm",
-            ): _strongest_mm(shot.field),
-        }
-
-    records, free, _ = bench.compare(
-        bench.pressing(PILLAR_PRESS),
-        numbers,
-        FREE,
-        {NO_NOISE: replace(FREE, overrides=QUIET)},
-    )
+    constrained = _pillar_field("least norm of differences", DIFFERENCE, bench)
+    quiet = {NO_NOISE: replace(FREE, overrides=QUIET)}
+    press = bench.pressing(PILLAR_PRESS)
+    records, free, _ = bench.compare(press, _free_numbers, FREE, quiet, label="no constraint")
     panel = field_panel("No constraint", free[0].field, 2.5)
     return Outcome(records=[*constrained.records, *records], panels=[*constrained.panels, panel])
 
 
 def _figure_13(bench: Bench) -> Outcome:
     """Show the field before camera calibration and the one after it."""
-    before = _pillar_field(bench, "least norm, before camera calibration", BLIND)
+    before = _pillar_field("least norm, before camera calibration", BLIND, bench)
     after = NORM.shot(bench, PILLAR_PRESS).field
     panel = field_panel("After camera calibration (Fig. 11)", after, 2.5)
-    return Outcome(records=before.records, panels=[*before.panels, panel])
+    return replace(before, panels=[*before.panels, panel])
 
 
 def _ways(bench: Bench, **options: bool) -> dict[str, Chain]:
     """Return the paper's way with one cause switched off, by name, and all of this project's
     software at last."""
-    ours = replace(DIFFERENCE, tracker=OUR_TRACKER, calibrated_by="compliance", options=options)
     return {
         **_causes(bench, DIFFERENCE, KNOWN_BLOCK),
         "inverse: the least norm instead of the least norm of differences": NORM,
-        OURS: ours,
+        OURS: replace(OURS_DIFFERENCE, options=options),
     }
 
 
@@ -325,27 +317,23 @@ def _figure_14(bench: Bench) -> Outcome:
     records, runs, off = bench.compare(profiles, numbers, DIFFERENCE, _ways(bench, push_only=True))
     applied = np.array(widths)
     published = np.array([record.twin for record in records])
+    recovered = np.array([*numbers(off[OURS]).values()])
     panels = (
         Panel.curves(
-            title="Push along x, each over its largest",
-            curves=[
-                Curve(label=f"{width:g} mm wide", x=x, y=push / push.max())
-                for width, (x, push) in runs[0].items()
-            ],
-            across="x (mm)",
-            up="push",
+            "Push along x, each over its largest",
+            "x (mm)",
+            "push",
+            {f"{width:g} mm wide": (x, push / push.max()) for width, (x, push) in runs[0].items()},
         ),
         Panel.curves(
-            title="Width recovered",
-            curves=[
-                Curve(label="as applied", x=applied, y=applied, style=":"),
-                Curve(label="the paper's way", x=applied, y=published, style="o-"),
-                Curve(
-                    label=OURS, x=applied, y=np.array([*numbers(off[OURS]).values()]), style="s-"
-                ),
-            ],
-            across="applied (mm)",
-            up="full width at half maximum (mm)",
+            "Width recovered",
+            "applied (mm)",
+            "full width at half maximum (mm)",
+            {
+                "as applied": (applied, applied, ":"),
+                "the paper's way": (applied, published, "o-"),
+                OURS: (applied, recovered, "s-"),
+            },
         ),
     )
     return Outcome(records=records, panels=panels)
@@ -370,19 +358,24 @@ def _figure_15(bench: Bench) -> Outcome:
         radius = diameter / 2
         label = f"{diameter:g} mm pillar, {what}"
 
-        def numbers(shot: Shot, label: str = label, radius: float = radius) -> Numbers:
-            torque = shot.field.total_torque_nmm[2] / shot.state.torque_nmm
-            turning = f"{label}: share of the tangential field's energy that turns about z"
-            return {
-                Quantity(f"{label}: torque recovered over the applied one"): torque,
-                Quantity(f"{label}: push recovered over the applied one"): _push_share(shot),
-                Quantity(turning): _turning_share(shot.field, radius),
-            }
-
-        found, runs, _ = bench.compare(bench.pressing(press), numbers, DIFFERENCE, _ways(bench))
+        numbers = partial(_twist_numbers, radius)
+        found, runs, _ = bench.compare(
+            bench.pressing(press), numbers, DIFFERENCE, _ways(bench), label=label
+        )
         records += found
         panels.append(field_panel(label, runs[0].field, radius))
     return Outcome(records=records, panels=panels)
+
+
+def _twist_numbers(radius_mm: float, shot: Shot) -> Numbers:
+    torque = shot.field.total_torque_nmm[2] / shot.state.torque_nmm
+    return {
+        Quantity("torque recovered over the applied one"): torque,
+        Quantity("push recovered over the applied one"): _push_share(shot),
+        Quantity("share of the tangential field's energy that turns about z"): _turning_share(
+            shot.field, radius_mm
+        ),
+    }
 
 
 def _turning_share(found: Field, radius_mm: float) -> float:
@@ -420,7 +413,10 @@ def _figure_16(bench: Bench) -> Outcome:
         return bench.once(("impulses", id(rig), chain.tracker, chain.half_space), work)
 
     def cosines(
-        chain: Chain, trial: Trial, compare: Sequence[_Compared] = COMPARED, reach: float = np.inf
+        chain: Chain,
+        trial: Trial,
+        compare: Sequence[tuple[str, str, bool]] = COMPARED,
+        reach: float = np.inf,
     ) -> dict[str, list[float]]:
         """Return the cosines by what is compared, of every distance of the two impulses; markers
         within ``reach`` of the push along x."""
@@ -447,7 +443,7 @@ def _figure_16(bench: Bench) -> Outcome:
             for what, values in run.items()
         }
 
-    def on_row(reach: float) -> Callable[[Chain, Trial], dict[str, list[float]]]:
+    def on_row(reach: float) -> Measure[dict[str, list[float]]]:
         return partial(cosines, compare=((AXIS, "red", False),), reach=reach)
 
     # Compare with the paper: it calls the two movements the same.
@@ -461,13 +457,10 @@ def _figure_16(bench: Bench) -> Outcome:
     best = Quantity("distance of the two impulses at the largest cosine along the x axis", "mm")
     records += Record.of_runs([{best: apart[int(np.argmax(runs[0][AXIS]))]}])
     panel = Panel.curves(
-        title="Two x-impulses against one z-force",
-        curves=[
-            Curve(label=what, x=np.array(apart), y=np.array(values), style="o-")
-            for what, values in runs[0].items()
-        ],
-        across="distance of the impulses (mm)",
-        up="cosine",
+        "Two x-impulses against one z-force",
+        "distance of the impulses (mm)",
+        "cosine",
+        {what: (apart, values, "o-") for what, values in runs[0].items()},
     )
     note = (
         "According to the paper the two make quite the same movement (a cosine of 1), in a figure "
@@ -522,18 +515,17 @@ def _figure_17(bench: Bench) -> Outcome:
     ways = _causes(bench, TRACKED, NO_BLOCK)
     off = {name: numbers(fields(way, (3.0, 6.0))) for name, way in ways.items()}
     panel = Panel.curves(
-        title="Largest movement against the markers' depth",
-        curves=[
-            Curve(
-                label=f"{name} = {IMPULSE_N:g} N",
-                x=np.array(depths),
-                y=1e3 * np.array([_size(found[axis, depth]) for depth in depths]),
-                style="o-",
+        "Largest movement against the markers' depth",
+        "depth (mm)",
+        "movement (µm)",
+        {
+            f"{name} = {IMPULSE_N:g} N": (
+                depths,
+                [1e3 * _size(found[axis, depth]) for depth in depths],
+                "o-",
             )
             for axis, name in IMPULSES.items()
-        ],
-        across="depth (mm)",
-        up="movement (µm)",
+        },
     )
     return Outcome(records=Record.of_runs([numbers(found)], off), panels=(panel,))
 
@@ -574,14 +566,14 @@ FLAT_FIGURES = (
         title="Force field by the least norm",
         source="Kamiyama, section 4.3.1, Fig. 11, equations 14 and 15",
         protocol=_PROTOCOL,
-        run=lambda bench: _pillar_field(bench, "least norm", NORM),
+        run=partial(_pillar_field, "least norm", NORM),
     ),
     Entry(
         name="kamiyama/fig-12",
         title="Force field with pushes only",
         source="Kamiyama, section 4.3.1, Fig. 12, equation 13 with the differences of equation 11",
         protocol=_PROTOCOL,
-        run=lambda bench: _pillar_field(bench, "Fz >= 0, least norm of differences", PUSHES),
+        run=partial(_pillar_field, "Fz >= 0, least norm of differences", PUSHES),
     ),
     Entry(
         name="kamiyama/fig-13",

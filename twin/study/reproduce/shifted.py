@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from twin.parts.methods import CentreMethod
 from twin.sense.track import Found
 from twin.show.figure_panels import Panel
 from twin.study.reproduce.bench import (
@@ -25,10 +27,12 @@ from twin.study.reproduce.bench import (
     Bench,
     Chain,
     Entry,
+    Measure,
     Numbers,
     Outcome,
     Protocol,
     Quantity,
+    Reading,
     Record,
     Unprinted,
     Way,
@@ -74,24 +78,14 @@ def _causes(protocol: Protocol) -> dict[str, Chain]:
     }
 
 
-def _ranges(
-    bench: Bench, protocol: Protocol, way: Way
-) -> dict[Unprinted, Callable[[float], Chain]]:
-    """Return what of the capture chain isn't printed, with the chain by its value."""
-    own = Chain(paper=protocol.sensor)
+def _balanced(value: float) -> Chain:
+    most = max(value, 1.0)
+    colours = {"ccd.quantum_efficiency": [value / most, value**0.5 / most, 1.0 / most]}
+    return Chain(paper="kamiyama", overrides=colours | {"ccd.read_noise_e": REFITTED[value]})
 
-    def balanced(value: float) -> Chain:
-        most = max(value, 1.0)
-        colours = {"ccd.quantum_efficiency": [value / most, value**0.5 / most, 1.0 / most]}
-        noise = {"ccd.read_noise_e": REFITTED[value]}
-        return replace(own, overrides=colours | noise)
 
-    def compressed(value: float) -> Chain:
-        return replace(own, overrides={"ccd.jpeg_quality": int(value)})
-
-    if bench.quick or (protocol is KAMIYAMA and way == "digital"):
-        return {}  # a picture displaced in the computer holds one frame and its noise twice
-    return {BALANCE: balanced} if protocol is KAMIYAMA else {QUALITY: compressed}
+def _compressed(value: float) -> Chain:
+    return Chain(paper="sato", overrides={"ccd.jpeg_quality": int(value)})
 
 
 def _compared(
@@ -99,58 +93,59 @@ def _compared(
     protocol: Protocol,
     way: Way,
     numbers: Callable[[Found], Numbers],
-    causes: Mapping[str, Chain],
-) -> tuple[list[Record], list[Found], dict[str, Found]]:
-    """Return `Bench.compare` of the test, with the paper's tracker."""
-    return bench.compare(
-        lambda chain, trial: protocol.tracked(bench, way, chain, trial),
+    causes: Mapping[str, Chain | Measure[Found] | Reading[Found]] | None = None,
+    *,
+    tracker: CentreMethod | None = None,
+    label: str = "",
+) -> tuple[list[Record], list[Found]]:
+    """Return records and runs of the test, by default with the paper's tracker; with causes, over
+    what isn't printed of the capture chain too."""
+    ranges = {BALANCE: _balanced} if protocol is KAMIYAMA else {QUALITY: _compressed}
+    # A picture displaced in the computer holds one frame and its noise twice.
+    ranged = causes and not bench.quick and not (protocol is KAMIYAMA and way == "digital")
+    records, runs, _ = bench.compare(
+        partial(protocol.tracked, bench, way),
         numbers,
-        Chain(paper=protocol.sensor),
+        Chain(paper=protocol.sensor, tracker=tracker),
         causes,
         bench.trials(protocol.sensor, pressed=False),
-        _ranges(bench, protocol, way) if causes else {},
+        ranges if ranged else {},
+        f"{way} shift{label}",
     )
+    return records, runs
 
 
-def _moments(found: Found, protocol: Protocol, label: str, *, paper: bool) -> Numbers:
+def _moments(protocol: Protocol, found: Found, *, printed: bool) -> Numbers:
     """Return averages and standard deviations by layer and axis, with the paper's or without."""
     numbers: dict[Quantity, float] = {}
     for (layer, axis), (average, deviation) in protocol.paper.items():
         along = Protocol.samples(found, layer)[:, AXES.index(axis)]
-        name = f"{label} tracker: {layer} {axis}"
-        mean = Quantity(f"{name} average", "px")
-        spread = Quantity(f"{name} standard deviation", "px")
-        if paper:
+        mean = Quantity(f"{layer} {axis} average", "px")
+        spread = Quantity(f"{layer} {axis} standard deviation", "px")
+        if printed:
             mean = replace(mean, paper=average, near=NEAR_PX)
             spread = replace(spread, paper=deviation)
         numbers |= {mean: float(along.mean()), spread: float(along.std(ddof=1))}
     return numbers
 
 
-def _table(bench: Bench, protocol: Protocol) -> Outcome:
+def _table(protocol: Protocol, bench: Bench) -> Outcome:
     """Return averages and standard deviations by layer and axis, both ways, with both trackers."""
-    records: list[Record] = []
-    better: list[Record] = []
-    own = Chain(paper=protocol.sensor)
+    theirs: list[Record] = []
+    ours: list[Record] = []
     for number, way in enumerate(WAYS):
         bench.progress(way, number / len(WAYS))
-
-        def theirs(found: Found, way: Way = way) -> Numbers:
-            return _moments(found, protocol, f"{way} shift, the paper's", paper=True)
-
-        compare, runs, off = _compared(bench, protocol, way, theirs, _causes(protocol))
+        causes: dict[str, Chain | Measure[Found]] = {**_causes(protocol)}
         if way == "digital" and protocol.exposure == 0:
-            off[SECOND] = replace(protocol, exposure=7).tracked(bench, way, own)
-            without = {name: theirs(run) for name, run in off.items()}
-            compare = Record.of_runs([theirs(run) for run in runs], without)
-        records += compare
-        ours = replace(own, tracker=OUR_TRACKER)
-        trials = bench.trials(protocol.sensor, pressed=False)
-        found = [protocol.tracked(bench, way, ours, trial) for trial in trials]
-        label = f"{way} shift, this project's"
-        better += Record.of_runs([_moments(run, protocol, label, paper=False) for run in found])
+            causes[SECOND] = partial(replace(protocol, exposure=7).tracked, bench, way)
+        printed = partial(_moments, protocol, printed=True)
+        label = ", the paper's tracker"
+        theirs += _compared(bench, protocol, way, printed, causes, label=label)[0]
+        measured = partial(_moments, protocol, printed=False)
+        label = ", this project's tracker"
+        ours += _compared(bench, protocol, way, measured, tracker=OUR_TRACKER, label=label)[0]
     panels = _histograms(bench, protocol, "x")
-    return Outcome(records=[*records, *better], panels=panels, notes=(_note(protocol),))
+    return Outcome(records=theirs + ours, panels=panels, notes=(_note(protocol),))
 
 
 def _note(protocol: Protocol) -> str:
@@ -167,66 +162,65 @@ def _note(protocol: Protocol) -> str:
 def _histograms(bench: Bench, protocol: Protocol, axis: str) -> list[Panel]:
     found = {way: protocol.tracked(bench, way, Chain(paper=protocol.sensor)) for way in WAYS}
     middle = protocol.shift_px if axis == "x" else 0.0
-    return [_histogram(protocol, axis, middle, layer, found) for layer in ("red", "blue")]
+
+    def histogram(layer: str) -> Panel:
+        shifts = {way: Protocol.samples(f, layer)[:, AXES.index(axis)] for way, f in found.items()}
+        reach = max(0.1, 1.1 * max(float(np.abs(s - middle).max()) for s in shifts.values()))
+
+        def draw(axes: Any) -> None:
+            ends = (middle - reach, middle + reach)
+            for way, values in shifts.items():
+                axes.hist(values, bins=40, range=ends, histtype="step", label=way)
+            average = protocol.paper[layer, axis][0]
+            axes.axvline(average, color="#1d2126", ls="--", lw=1, label="paper's average")
+            axes.set(xlabel=f"measured {axis} shift (px)", ylabel="markers")
+
+        return Panel(title=f"{layer}, {axis}: the paper's tracker", draw=draw)
+
+    return [histogram("red"), histogram("blue")]
 
 
-def _histogram(
-    protocol: Protocol, axis: str, middle: float, layer: str, found: Mapping[Way, Found]
-) -> Panel:
-    shifts = {way: Protocol.samples(f, layer)[:, AXES.index(axis)] for way, f in found.items()}
-    reach = max(0.1, 1.1 * max(float(np.abs(s - middle).max()) for s in shifts.values()))
-
-    def draw(axes: Any) -> None:
-        ends = (middle - reach, middle + reach)
-        for way, values in shifts.items():
-            axes.hist(values, bins=40, range=ends, histtype="step", label=way)
-        average = protocol.paper[layer, axis][0]
-        axes.axvline(average, color="#1d2126", ls="--", lw=1, label="paper's average")
-        axes.set(xlabel=f"measured {axis} shift (px)", ylabel="markers")
-
-    return Panel(title=f"{layer}, {axis}: the paper's tracker", draw=draw)
+def _vectors(found: Found) -> Numbers:
+    wrong = found.shift_px[found.seen] - (KAMIYAMA.shift_px, 0.0)
+    return {
+        Quantity("share of markers with a vector"): float(found.seen.mean()),
+        Quantity("root mean square error of a vector", "px"): float(
+            np.sqrt((wrong**2).sum(axis=1).mean())
+        ),
+    }
 
 
 def _figure_7(bench: Bench) -> Outcome:
     records: list[Record] = []
     panels = []
     for way in WAYS:
-
-        def numbers(run: Found, way: Way = way) -> Numbers:
-            wrong = run.shift_px[run.seen] - (KAMIYAMA.shift_px, 0.0)
-            return {
-                Quantity(f"{way} shift: share of markers with a vector"): float(run.seen.mean()),
-                Quantity(f"{way} shift: root mean square error of a vector", "px"): float(
-                    np.sqrt((wrong**2).sum(axis=1).mean())
-                ),
-            }
-
-        found, runs, _ = _compared(bench, KAMIYAMA, way, numbers, {})
+        found, runs = _compared(bench, KAMIYAMA, way, _vectors)
         records += found
         panels.append(arrow_panel(f"3 px to the right, {way}", runs[0], 5.0))
     return Outcome(records=records, panels=panels)
 
 
+def _largest(found: Found, share: float = 1.0) -> Numbers:
+    """Return the deviation that a share of the markers doesn't exceed, by layer and axis."""
+    numbers = {}
+    for layer in ("blue", "red"):
+        off = np.abs(Protocol.samples(found, layer) - (KAMIYAMA.shift_px, 0.0))
+        for axis, values in zip(AXES, off.T, strict=True):
+            name = f"largest deviation, {layer} {axis}"
+            numbers[Quantity(name, "px", paper=0.4)] = float(np.quantile(values, share))
+    return numbers
+
+
 def _figure_8(bench: Bench) -> Outcome:
     records: list[Record] = []
     bands = []
+    band = Reading(partial(_largest, share=SHARE))
+    causes: dict[str, Chain | Reading[Found]] = {BAND: band, **_causes(KAMIYAMA)}
     for way in WAYS:
-
-        def numbers(found: Found, way: Way = way, share: float = 1.0) -> Numbers:
-            most = {}
-            for layer in ("blue", "red"):
-                off = np.abs(Protocol.samples(found, layer) - (KAMIYAMA.shift_px, 0.0))
-                for axis, values in zip(AXES, off.T, strict=True):
-                    name = f"{way} shift: largest deviation, {layer} {axis}"
-                    most[Quantity(name, "px", paper=0.4)] = float(np.quantile(values, share))
-            return most
-
-        _, runs, off = _compared(bench, KAMIYAMA, way, numbers, _causes(KAMIYAMA))
-        shares = Record.of_runs([numbers(run, share=SHARE) for run in runs])
-        read = {record.quantity: record.twin for record in shares}
-        bands.append(f"{np.mean([*read.values()]):.2g} px {way}")
-        without = {BAND: read, **{name: numbers(run) for name, run in off.items()}}
-        records += Record.of_runs([numbers(run) for run in runs], without)
+        found, _ = _compared(bench, KAMIYAMA, way, _largest, causes)
+        width = np.mean([record.explained_by[BAND] for record in found])
+        bands.append(f"{width:.2g} px {way}")
+        records += found
     panels = _histograms(bench, KAMIYAMA, "x") + _histograms(bench, KAMIYAMA, "y")
     note = (
         "With standard deviations of 0.19 to 0.25 px no distribution of some 300 markers is likely "
@@ -244,7 +238,7 @@ SHIFTED = (
         source="Kamiyama, section 4.2, Table 1",
         protocol="A picture at rest is displaced by 3 px to the right, and the movement of every "
         "marker is measured between the two; blue and red, x and y.",
-        run=lambda bench: _table(bench, KAMIYAMA),
+        run=partial(_table, KAMIYAMA),
     ),
     Entry(
         name="kamiyama/fig-7",
@@ -267,6 +261,6 @@ SHIFTED = (
         source="Sato, section III A, Table I",
         protocol="Two pictures at rest; the second is displaced by 5 px along x, and the movement "
         "of every marker is measured.",
-        run=lambda bench: _table(bench, SATO),
+        run=partial(_table, SATO),
     ),
 )
