@@ -61,7 +61,7 @@ class Press:
 
 
 @one_thread()
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return a row for every stage of every scene."""
     names = ("kamiyama_pillar",) if quick else SCENES
     rows = []

@@ -4,7 +4,7 @@ Noise: .05 px in every component of a shift, .02 px at rest, 5 mN in every compo
 transfer matrix of a square site, |H^ - H| / |H|; of the total of a distributed load, from the field on the scene's
 sites.
 
-``python -m benchmarks.pages calibrations`` writes the stored results into docs/calibrations.md.
+``python -m benchmarks pages calibrations`` writes the stored results into docs/calibrations.md.
 
 The truth: presses on twenty made fingers, as shifts of their markers. They differ in stiffness, depths, print, camera
 and lens, none of which changes the contact but for the scale of the forces: at equal indentation displacements stay and
@@ -226,7 +226,7 @@ FEWEST = 3
 """Sensors that tell how many presses are needed."""
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return one row a way and truth; the quick form has two sensors, without a cover."""
     if quick:
         return summary(study(range(2), covered=False, counts=(0, 5)))

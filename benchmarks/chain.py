@@ -8,7 +8,7 @@ from twin.study.run import run as run_scene
 SCENES = ("kamiyama_pillar", "kamiyama_shear", "kamiyama_twist", "kamiyama_wide", "sato_press", "sato_shear")
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return one row a scene; the quick form runs one scene of each sensor."""
     rows = []
     for name in ("kamiyama_pillar", "sato_press") if quick else SCENES:

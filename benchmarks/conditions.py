@@ -294,7 +294,7 @@ def textures(diameter: float) -> Iterator[dict[str, Any]]:
     yield row("irregular prints, JPEG 85", diameter, [(track(*lossy, card.layout), shift)], card.bound, every)
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return the rows of all conditions; the quick form has one diameter and fewer pictures."""
     rows: list[dict[str, Any]] = []
     for diameter in (10.0,) if quick else (10.0, 15.0):

@@ -38,7 +38,7 @@ BALL_MM, PUSH_N, SHARE, STUCK_SHARE = 100.0, 0.05, 0.6, 0.7
 
 
 @one_thread()
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return one row for every case, Poisson's ratio and number of patches; the quick form takes coarse grids."""
     return list(_rows(quick))
 

@@ -57,7 +57,7 @@ MANY = 96
 """Without pictures, where samples are quick and alike only on average; by then all sizes of bumps were met."""
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return one row a case; the quick form tries four samples of two cases."""
     if quick:
         return [_case(*case, FEW) for case in CASES[1:3]]

@@ -22,7 +22,7 @@ LEVELS: tuple[Level, ...] = ("nominal", *WORLD)
 QUICK: tuple[Level, ...] = ("nominal", "sketch", "coarse")
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return one row a case and way; the quick form takes three cases of each body and leaves out the slow ways."""
     rows = []
     for body in BODIES:

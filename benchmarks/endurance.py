@@ -1,4 +1,4 @@
-"""Does it last? ``python -m benchmarks.endurance [--minutes 60]``: mixed work in one process, watched for growth.
+"""Does it last? ``python -m benchmarks endurance [--minutes 60]``: mixed work in one process, watched for growth.
 
 Presses, pictures, tracking, force fields, broken recipes and damaged files follow each other; after every round memory,
 threads, open files and child processes are read. The first `WARM` of the rounds fill caches and compile; from then on
@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.fuzz_files import SMALL
 from benchmarks.random_scenes import said
-from benchmarks.record import Row, at_least, parser_of, store, table
+from benchmarks.record import Row, store, table
 
 WARM = 0.3
 """Share of the rounds that may still grow."""
@@ -112,14 +112,17 @@ def problems(states: list[dict[str, float]]) -> list[str]:
     ]  # fmt: skip
 
 
-def main() -> int:
-    """Work, print what became of the process and store it; exit code 1 if something grew."""
-    parser = parser_of("endurance", __doc__)
-    parser.add_argument("--minutes", type=at_least(0, float), default=60.0, help="default 60; shorter is not stored")
-    arguments = parser.parse_args()
+def measure(*, minutes: float = 60.0) -> int:
+    """Work, print what became of the process and store it; exit code 1 if something grew.
+
+    Parameters
+    ----------
+    minutes
+        A run of less than an hour is not stored.
+    """
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        states = list(rounds(Path(folder), arguments.minutes))
+        states = list(rounds(Path(folder), minutes))
     rows: list[Row] = [
         {"what": name, "after warming up": first, "at the end": last, "largest": max(s[name] for s in states)}
         for name, (first, last) in grown(states).items()
@@ -132,7 +135,3 @@ def main() -> int:
     if not found and took >= 60:
         store("endurance", rows, minutes=took, rounds=len(states))
     return int(bool(found))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

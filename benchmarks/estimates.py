@@ -1,4 +1,4 @@
-"""How good estimates of the error are away from the reference: ``python -m benchmarks.estimates``, six minutes.
+"""How good estimates of the error are away from the reference: ``python -m benchmarks estimates``, six minutes.
 
 Disks on the block, against the truth's table, and on the finger bumps, disks and rectangles, against its finest mesh
 with finer quadrature under the load: at given places, axis by axis, and of random width, place and direction. Loads are
@@ -175,7 +175,8 @@ def _row(body: str, loads: str, level: str, found: list[float]) -> Row:
     return {"body": body, "loads": loads, "level": level, **sizes, **shares}
 
 
-if __name__ == "__main__":
+def measure() -> None:
+    """Print the table."""
     rows = [
         _row("block", f"random, nu {nu:g}", "table, truth", of_table(nu))
         for nu in (NUS if find_spec("ngsolve") else ())

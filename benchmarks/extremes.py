@@ -1,6 +1,6 @@
 """Extreme values: every number of a scene at the ends of its range and at the ends of what a float can hold.
 
-``python -m benchmarks.extremes [SCENE ...]`` sets one number at a time, of small scenes that use every table, to its
+``python -m benchmarks extremes [SCENE ...]`` sets one number at a time, of small scenes that use every table, to its
 least and its largest allowed value, to the smallest float there is, and to others that are far from anything of this
 world (`FAR`). Each such scene must be computed, with finite answers and balanced forces, or be refused with a cause: no
 traceback, no warning of numpy, no endless work. Random draws (`benchmarks.random_scenes`) seldom come this far, and
@@ -16,11 +16,10 @@ import typing
 import warnings
 from collections import Counter
 from collections.abc import Collection, Iterator
-from typing import Any
+from typing import Any, Literal
 
 from benchmarks.random_recipes import Table, bounds, nested_rules, put, slots
 from benchmarks.random_scenes import Tally, assert_sound
-from benchmarks.record import names_of, parser_of
 from twin.errors import TwinError
 from twin.parts.scene import Scene
 from twin.study.recipe import dump_scene, load_scene, validate_scene
@@ -165,10 +164,16 @@ def outcome(recipe: Table, most_cpu_s: float = MOST_CPU_S) -> str:
     return "computed" if took < most_cpu_s else f"failed: took {took:.0f} s"
 
 
-def main() -> int:
-    """Try every case of the scenes asked for, print what became of them; exit code 1 if any failed."""
+def measure(*scenes: Literal["block", "finger", "dome", "tractions"]) -> int:
+    """Try every case of the scenes, print what became of them; exit code 1 if any failed.
+
+    Parameters
+    ----------
+    scenes
+        All by default.
+    """
     failed = 0
-    for name in names_of(parser_of("extremes", __doc__), SCENES).names or SCENES:
+    for name in scenes or SCENES:
         became: Counter[str] = Counter()
         for key, value, recipe in cases(name):
             what = outcome(recipe)
@@ -178,7 +183,3 @@ def main() -> int:
         print(f"{name}: {', '.join(f'{count} {what}' for what, count in became.most_common())}")
         failed += became["failed"]
     return int(bool(failed))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

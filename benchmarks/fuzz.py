@@ -1,4 +1,4 @@
-"""Damaged and hostile files, given to every reader: ``python -m benchmarks.fuzz [--rounds N] [--reader NAME]``.
+"""Damaged and hostile files, given to every reader: ``python -m benchmarks fuzz [--rounds N] [--reader NAME]``.
 
 A reader is a command that takes a file of a kind. Each gets a whole file (which must be taken), the same file damaged
 in ways that suit any file (`benchmarks.fuzz_files`), and files that are hostile for its kind: lying headers, bombs,
@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.fuzz_files import READERS, Reader, damaged, make_whole_files
-from benchmarks.record import RESULTS, at_least, machine, parser_of, table
+from benchmarks.record import RESULTS, Natural, machine, table
 
 STORED = RESULTS / "fuzz.json"
 REFUSE_CPU_S, ACCEPT_CPU_S, WALL_S = 10, 60, 120
@@ -201,7 +201,7 @@ def _boxed(reader: Reader, whole: Path, box: Path, spoil: Any, name: str) -> Att
         shutil.rmtree(box)
 
 
-def rows(found: dict[str, Found]) -> list[dict[str, Any]]:
+def rows_of(found: dict[str, Found]) -> list[dict[str, Any]]:
     """Return one row a reader."""
     return [
         {
@@ -213,29 +213,32 @@ def rows(found: dict[str, Found]) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def main() -> int:
-    """Attack the readers, print and store what became of them; exit code 1 if anything failed."""
-    parser = parser_of("fuzz", __doc__)
-    parser.add_argument("--rounds", type=at_least(0), default=40, help="random damages of every file (default 40)")
-    parser.add_argument("--reader", choices=sorted(READERS), help="one reader only; nothing is stored")
-    parser.add_argument("--out", type=Path, default=STORED, help=f"where the table is stored (default {STORED.name})")
-    arguments = parser.parse_args()
-    if not arguments.out.parent.is_dir() or arguments.out.is_dir():
-        parser.error(f"--out {arguments.out}: name a file in a folder that is there")
-    chosen = {k: v for k, v in READERS.items() if arguments.reader in (None, k)}
+def measure(*, rounds: Natural = 40, reader: str = "", out: Path = STORED) -> int:
+    """Attack the readers, print and store what became of them; exit code 1 if anything failed.
+
+    Parameters
+    ----------
+    rounds
+        Random damages of every file.
+    reader
+        One reader only; nothing is stored.
+    out
+        File that the table is stored in.
+    """
+    if reader and reader not in READERS:
+        raise SystemExit(f"--reader {reader}: choose from {', '.join(sorted(READERS))}")
+    if not out.parent.is_dir() or out.is_dir():
+        raise SystemExit(f"--out {out}: name a file in a folder that is there")
+    chosen = {k: v for k, v in READERS.items() if reader in ("", k)}
 
     def tell(name: str, one: Found) -> None:
         print(f"{name}: {one.attempts} attempts, {len(one.failed)} failed", file=sys.stderr)
         for line in one.failed:
             print("   ", line.replace("\n", " "), file=sys.stderr)
 
-    found = survey(chosen, arguments.rounds, tell)
-    print(table(rows(found)))
+    found = survey(chosen, rounds, tell)
+    print(table(rows_of(found)))
     bad = any(one.failed for one in found.values())
-    if not arguments.reader and not bad:
-        arguments.out.write_text(json.dumps({"machine": machine(), "rows": rows(found)}, indent=1) + "\n")
+    if not reader and not bad:
+        out.write_text(json.dumps({"machine": machine(), "rows": rows_of(found)}, indent=1) + "\n")
     return int(bad)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""What hard beads change: ``python -m benchmarks.inclusions`` stores the rows and writes the tables of the page.
+"""What hard beads change: ``python -m benchmarks inclusions`` stores the rows and writes the tables of the page.
 
 Two answers to one question. An independent finite-element program (NGSolve, of the ``peers`` extra) resolves the beads
 next to the load, as rigid bodies, in the whole block; closed forms (`twin.theory.inclusions`) take the same beads, and
@@ -13,7 +13,6 @@ block, and refined against the true matrix until the residual is small. E = 1 MP
 """
 
 import resource
-import sys
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -23,8 +22,6 @@ from scipy import sparse
 
 from benchmarks.bead_motion import BeadMotion, bead_motion
 from benchmarks.clock import Clock, repeated
-from benchmarks.pages import write
-from benchmarks.record import parser_of, store, table
 from twin.arrays import Floats, Points
 from twin.parts.load import Rectangles, Traction
 from twin.sense.reconstruct import reconstruct
@@ -232,7 +229,7 @@ SCENE = {"tolerance.preset": "none", "material.poisson_ratio": 0.5}
 DIRECTIONS = {"along z": (0, 0, 1), "along x": (1, 0, 0)}
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return the rows: resolved beads against closed forms, then all beads; the quick form resolves 4 beads."""
     sensor = Sensor(load_scene("kamiyama_pillar", overrides=SCENE))
     rows = [_resolved_row(sensor, *case) for case in (RESOLVED[:1] if quick else RESOLVED)]
@@ -403,17 +400,3 @@ def _reconstructed(sensor: Sensor, moved: Points) -> Floats:
 
 def _largest(vectors: Floats) -> float:
     return float(np.linalg.norm(vectors, axis=1).max())
-
-
-def main() -> int:
-    """Run, print, store and write the page."""
-    parser_of("inclusions", __doc__).parse_args()
-    rows = run(quick=False)
-    print(table(rows))
-    store("inclusions", rows)
-    write("inclusions")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -48,7 +48,7 @@ APART = np.arange(2.0, 6.1, 0.5)
 
 
 @one_thread()
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return rows of all parts; the quick form has few loads."""
     sensor = Sensor(load_scene("kamiyama_pillar"))
     calibration = calibration_of(sensor)

@@ -1,4 +1,4 @@
-"""Killed at any moment: ``python -m benchmarks.kills [--count 50]``.
+"""Killed at any moment: ``python -m benchmarks kills [--count 50]``.
 
 Run, dataset, sweep and reproduce are started as processes of their own, killed after a random time (all of their group,
 every third time by Ctrl-C's SIGINT, else by SIGKILL), and looked at: every file that is there must be whole. Then the
@@ -24,7 +24,7 @@ from typing import Any
 
 from benchmarks import ROOT
 from benchmarks.fuzz_files import SMALL, SWEEP, VARY
-from benchmarks.record import at_least, machine, parser_of, read, table, write
+from benchmarks.record import Count, machine, read, table, write
 
 WALL_S, ROUND = 600, 12
 
@@ -161,11 +161,8 @@ def added(before: list[dict[str, Any]], rows: list[dict[str, Any]]) -> list[dict
     ]
 
 
-def main() -> int:
-    """Kill, print the rows and store them; exit code 1 if anything was lost or torn."""
-    parser = parser_of("kills", __doc__)
-    parser.add_argument("--count", type=at_least(1), default=50, help="kills in all (default 50)")
-    count = parser.parse_args().count
+def measure(*, count: Count = 50) -> int:
+    """Kill so many jobs in all, print the rows and store them; exit code 1 if anything was lost or torn."""
     found: dict[str, Any] = {"rounds": 0, "rows": [], **read("kills")}
     while sum(row.get("killed", 0) for row in found["rows"]) < count:
         try:
@@ -177,7 +174,3 @@ def main() -> int:
         write("kills", found)
     print(table(found["rows"]))
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

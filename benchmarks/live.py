@@ -26,7 +26,7 @@ FRICTION = 1.2
 
 
 @one_thread()
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return one row a scene; the quick form takes few hands on the flat block."""
     with empty_cache():
         return [_row(name, 4 if quick else HANDS) for name in (SCENES[:1] if quick else SCENES)]

@@ -1,4 +1,4 @@
-"""Planted wrong lines: ``python -m benchmarks.mutation --in FOLDER`` counts how many the quick tests catch.
+"""Planted wrong lines: ``python -m benchmarks mutation FOLDER`` counts how many the quick tests catch.
 
 cosmic-ray changes one operator, number, condition or loop of ``twin`` at a time, in a copy of the checkout with its own
 caches. Tests that import or name what was changed come first, then those of its folder, then all other quick tests; the
@@ -34,7 +34,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from benchmarks import ROOT
-from benchmarks.record import Row, at_least, parser_of, store, stored
+from benchmarks.record import Count, Natural, Row, store, stored
 
 WINGS = {
     "theory": 30,
@@ -361,27 +361,28 @@ def runs(wanted: list[WrongLine], tests: Tests, done: dict[str, Row], own_s: int
                 yield f"{test} fails without a wrong line: {done.pop(key)['file']} is to run again"
 
 
-def main() -> None:
-    """Plant wrong lines, run tests, and store the table."""
-    parser = parser_of("mutation", __doc__)
-    parser.add_argument("--in", dest="folder", type=Path, required=True, help="where the copies of the checkout go")
-    parser.add_argument("--number", type=at_least(1), default=200, help="wrong lines drawn (default 200)")
-    parser.add_argument("--seed", type=at_least(0), default=0, help="of the draw (default 0)")
-    parser.add_argument("--own", type=at_least(1), default=60, help="CPU s of its own tests at first (default 60)")
-    parser.add_argument("--again", action="store_true", help="begin again with those that survived and nobody judged")
-    given = parser.parse_args()
-    wanted = _kept_draw(given.folder, given.number, given.seed)
+def measure(folder: Path, *, number: Count = 200, seed: Natural = 0, own: Count = 60, again: bool = False) -> None:
+    """Plant wrong lines, run tests, and store the table.
+
+    Parameters
+    ----------
+    folder
+        Where the copies of the checkout go.
+    number, seed
+        Wrong lines, and the seed that they are drawn with.
+    own
+        CPU seconds of a line's own tests at first.
+    again
+        Begin again with those that survived and nobody judged.
+    """
+    wanted = _kept_draw(folder, number, seed)
     done = {row["key"]: row for row in stored("mutation")}
-    if given.again:
+    if again:
         done = {key: row for key, row in done.items() if row["caught by"] or row["judgement"]}
-    for line in runs(wanted, Tests(given.folder.resolve()), done, given.own):
+    for line in runs(wanted, Tests(folder.resolve()), done, own):
         # a judgement may have been written meanwhile
         judged = {row["key"]: row["judgement"] for row in stored("mutation")}
         rows = [{**done[w.key], "judgement": judged.get(w.key, "")} for w in wanted if w.key in done]
-        store("mutation", rows, seed=given.seed, drawn=given.number)
+        store("mutation", rows, seed=seed, drawn=number)
         caught = sum(bool(row["caught by"]) for row in rows)
         print(f"{len(rows)} of {len(wanted)} met, {caught} caught. {line}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

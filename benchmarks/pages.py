@@ -1,8 +1,8 @@
-"""The one writer of measured pages: ``python -m benchmarks.pages [PAGE ...]`` puts stored results into docs and README.
+"""The one writer of measured pages: ``python -m benchmarks pages [PAGE ...]`` puts stored results into docs and README.
 
 A page is Markdown with marks; what stands between two marks is the output of a function of the rows stored in
 benchmarks/results. A test compares every page with this output, so nothing here needs the programs that measured.
-``python -m benchmarks.pages reproduction --from DIR`` first stores what ``twin reproduce all --out DIR`` wrote.
+``python -m benchmarks pages reproduction --from DIR`` first stores what ``twin reproduce all --out DIR`` wrote.
 """
 
 import json
@@ -13,12 +13,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from cyclopts import Parameter
 
 from benchmarks import ROOT
-from benchmarks.record import RESULTS, Row, names_of, parser_of, read, store, stored, table
+from benchmarks.record import RESULTS, Row, read, store, stored, table
 
 Run = tuple[float, float]
 """Seconds and error."""
@@ -864,18 +865,19 @@ def write(name: str) -> None:
     page.file.write_text(page.text())
 
 
-def main() -> None:
-    """Write the wanted pages, all by default."""
-    parser = parser_of("pages", __doc__)
-    parser.add_argument("--from", dest="folder", type=Path, help="what twin reproduce wrote, to be stored first")
-    given = names_of(parser, PAGES)
-    if given.folder is not None:
-        if not (given.folder / "results.json").is_file():
-            parser.error(f"{given.folder}: holds no results.json; give the folder that twin reproduce wrote")
-        store_reproduction(given.folder)
-    for name in given.names or PAGES:
+def measure(*pages: str, reproduced: Annotated[Path | None, Parameter(name="--from")] = None) -> None:
+    """Write the wanted pages, all by default.
+
+    Parameters
+    ----------
+    reproduced
+        What ``twin reproduce`` wrote, to be stored first.
+    """
+    if unknown := sorted(set(pages) - set(PAGES)):
+        raise SystemExit(f"unknown {', '.join(unknown)}: choose from {', '.join(PAGES)}")
+    if reproduced is not None:
+        if not (reproduced / "results.json").is_file():
+            raise SystemExit(f"{reproduced}: holds no results.json; give the folder that twin reproduce wrote")
+        store_reproduction(reproduced)
+    for name in pages or PAGES:
         write(name)
-
-
-if __name__ == "__main__":
-    main()

@@ -354,7 +354,7 @@ class Way:
     order: int = 0
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return one row a program, element and mesh; the quick form takes the coarsest meshes and repeats nothing."""
     rows = []
     for body in BODIES:

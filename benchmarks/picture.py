@@ -32,7 +32,7 @@ AT_LEAST_S = 0.25
 FINEST = 12
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return one row a method and setting; the quick form renders the flat sensor with two grids."""
     rows = []
     for name in SCENES[: 1 if quick else None]:

@@ -1,6 +1,6 @@
 """Random presses on both sensors: none may fail to converge, none may leave a NaN.
 
-``python -m benchmarks.presses [--count N] [--body block|finger]`` takes up where it was stopped, and presses again what
+``python -m benchmarks presses [--count N] [--body block|finger]`` takes up where it was stopped, and presses again what
 failed before; what it has found is in benchmarks/results/presses_BODY.json. Every press is drawn from its own number:
 place, probe, size, force, friction and path. A press may be refused, where no answer exists (contact that runs over the
 edge, a side force that friction can't carry), with the cause named; anything else is a failure, printed with its
@@ -23,11 +23,11 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from benchmarks.record import at_least, machine, parser_of, read, table, write
+from benchmarks.record import Count, machine, read, table, write
 from benchmarks.reference import BODIES
 from twin.arrays import Floats
 from twin.errors import ContactError, InputError, NotSettled, TwinError
@@ -269,21 +269,13 @@ def _count(found: dict[str, Any], one: dict[str, Any]) -> None:
         found["slowest"] = sorted([*found["slowest"], one], key=lambda o: -o["cpu_s"])[:SLOWEST]
 
 
-def main() -> int:
-    """Run or take up the presses, print what was found; exit code 1 if any failed."""
-    parser = parser_of("presses", __doc__)
-    parser.add_argument("--count", type=at_least(1), default=COUNT, help=f"presses on each body (default {COUNT})")
-    parser.add_argument("--body", choices=sorted(BODIES), help="one body only")
-    arguments = parser.parse_args()
+def measure(*, count: Count = COUNT, body: Literal["block", "finger"] | None = None) -> int:
+    """Run or take up so many presses on each body, print what was found; exit code 1 if any failed."""
     bad = 0
-    for body in [arguments.body] if arguments.body else sorted(BODIES):
-        found = run(body, arguments.count, read(f"presses_{body}"))
-        print(f"\n{body}: {found['done']} presses, {len(found['failed'])} failed, refused: {found['refused']}\n")
-        print(table([{"probe and friction": name, **group} for name, group in sorted(found["groups"].items())]))
+    for name in [body] if body else sorted(BODIES):
+        found = run(name, count, read(f"presses_{name}"))
+        print(f"\n{name}: {found['done']} presses, {len(found['failed'])} failed, refused: {found['refused']}\n")
+        print(table([{"probe and friction": group, **row} for group, row in sorted(found["groups"].items())]))
         print(f"\nslowest: {found['slowest'][:1]}")
         bad += len(found["failed"])
     return int(bad > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
 """Random bodies under random objects: computed to what is asked, or refused with a cause.
 
-``python -m benchmarks.random_bodies [--count N] [--first K] [--finer]`` draws blocks (1:1 to 60:1), domes, fingers and
+``python -m benchmarks random_bodies [--count N] [--first K] [--finer]`` draws blocks (1:1 to 60:1), domes, fingers and
 closed STL bodies (pads with fillets, caps, wedges, towers, brackets). It presses probes and closed STL objects on them,
 with and without friction. Each case is drawn from its number alone, runs in a process of its own, and is ended after
 `MOST_S`. Exit code 1 if any raises what is no `TwinError`, takes too long, leaves a number that is not finite or pieces
@@ -14,7 +14,6 @@ import json
 import math
 import multiprocessing
 import resource
-import sys
 import tempfile
 import time
 import traceback
@@ -29,7 +28,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from benchmarks.random_recipes import Table
-from benchmarks.record import at_least, parser_of
+from benchmarks.record import Count, Natural
 from twin.arrays import Floats, Points
 from twin.errors import TwinError
 from twin.geometry.objects import object_triangles
@@ -397,26 +396,26 @@ def judged(number: int, finer: bool) -> dict[str, Any]:
     return said | {"wall_s": time.monotonic() - began}
 
 
-def main() -> int:
-    """Try every case, print what became of it; exit code 1 if any failed."""
-    parser = parser_of("random_bodies", __doc__)
-    parser.add_argument("--count", type=at_least(1), default=COUNT, help=f"cases (default {COUNT})")
-    parser.add_argument("--first", type=at_least(0), default=0, help="number of the first case (default 0)")
-    parser.add_argument("--finer", action="store_true", help="solve each case again, finer, and compare")
-    parser.add_argument("--out", help="file that what is found is added to, a line a case")
-    asked = parser.parse_args()
+def measure(*, count: Count = COUNT, first: Natural = 0, finer: bool = False, out: Path | None = None) -> int:
+    """Try cases, print what became of each; exit code 1 if any failed.
+
+    Parameters
+    ----------
+    count, first
+        How many, and the number of the first.
+    finer
+        Solve each again, finer, and compare.
+    out
+        File that what is found is added to, a line a case.
+    """
     became: Counter[str] = Counter()
-    for number in range(asked.first, asked.first + asked.count):
-        said = judged(number, asked.finer)
+    shown = ("number", "what", "result", "why", "reason", "wall_s", "stated", "off")
+    for number in range(first, first + count):
+        said = judged(number, finer)
         became[said["result"]] += 1
-        print({key: said.get(key) for key in ("number", "what", "result", "why", "reason", "wall_s", "stated", "off")
-               if said.get(key)}, flush=True)  # fmt: skip
-        if asked.out:
-            with Path(asked.out).open("a") as file:
+        print({key: said[key] for key in shown if said.get(key)}, flush=True)
+        if out:
+            with out.open("a") as file:
                 file.write(json.dumps(said) + "\n")
     print(dict(became))
     return int(became["failed"] > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
 """Random scenes: what must be true of every answer, and what must be said of every wrong recipe.
 
-``python -m benchmarks.random_scenes [--count N] [--kind valid|invalid]`` draws N of each kind
+``python -m benchmarks random_scenes [--count N] [--kind valid|invalid]`` draws N of each kind
 (`benchmarks.random_recipes`; 2,000 if not said, the tests draw 200), takes up where it was stopped, and stores what
 became of them in benchmarks/results/random_scenes.json; exit code 1 if anything failed, with the smallest recipe that
 does. What is drawn depends on the seed and the descriptions alone (`SeedOnly`), so that a failure met anywhere can be
@@ -28,7 +28,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import tomli_w
@@ -38,7 +38,7 @@ from hypothesis import strategies as st
 from hypothesis.internal.conjecture.providers import AVAILABLE_PROVIDERS, HypothesisProvider
 
 from benchmarks.random_recipes import Spoilt, Table, recipes, spoilt
-from benchmarks.record import at_least, machine, parser_of, read, table, write
+from benchmarks.record import Count, machine, read, table, write
 from twin.errors import ContactError, InputError, MeshError, RecipeError, TwinError
 from twin.parts.load import Traction
 from twin.parts.markers import place
@@ -333,33 +333,34 @@ def add(stored: dict[str, Any], tally: Tally, cpu_s: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def main() -> int:
-    """Draw the scenes, print and store what became of them; exit code 1 if any failed."""
-    parser = parser_of("random_scenes", __doc__)
-    parser.add_argument("--count", type=at_least(1), default=COUNT, help=f"scenes of each kind (default {COUNT})")
-    parser.add_argument("--kind", choices=sorted(KINDS), help="one kind only")
-    parser.add_argument("--again", type=Path, metavar="FILE", help="check this recipe alone, as one that had failed")
-    arguments = parser.parse_args()
-    if arguments.again:
-        print(check_valid(tomllib.loads(arguments.again.read_text()), Tally()))
+def measure(*, count: Count = COUNT, kind: Literal["valid", "invalid"] | None = None, again: Path | None = None) -> int:
+    """Draw the scenes, print and store what became of them; exit code 1 if any failed.
+
+    Parameters
+    ----------
+    count
+        Scenes of each kind.
+    kind
+        One kind only.
+    again
+        Check this recipe alone, as one that had failed.
+    """
+    if again:
+        print(check_valid(tomllib.loads(again.read_text()), Tally()))
         return 0
     bad = False
-    for kind in [arguments.kind] if arguments.kind else sorted(KINDS):
-        strategy, check = KINDS[kind]
-        found = read("random_scenes").get(kind, {})
-        while found.get("drawn", 0) < arguments.count and not bad:
+    for each in [kind] if kind else sorted(KINDS):
+        strategy, check = KINDS[each]
+        found = read("random_scenes").get(each, {})
+        while found.get("drawn", 0) < count and not bad:
             started = time.process_time()
             tally = survey(strategy(), check, CHUNK, seed=found.get("chunks", 0) + 1)
             if bad := bool(tally.outcomes["failed"]):
                 print(f"\nsmallest failure: {tally.smallest_failure}", file=sys.stderr)
                 break
             found = add(found, tally, time.process_time() - started)
-            write("random_scenes", {**read("random_scenes"), kind: found})
-        rows: list[dict[str, object]] = [{kind: what, "count": n} for what, n in found.get("outcomes", {}).items()]
+            write("random_scenes", {**read("random_scenes"), each: found})
+        rows: list[dict[str, object]] = [{each: what, "count": n} for what, n in found.get("outcomes", {}).items()]
         print(f"\n{table(rows)}")
         print(f"\nworst: {found.get('worst')}, {found.get('cpu_s', 0):.4g} CPU s")
     return int(bad)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -36,7 +36,7 @@ TRAINED, TESTED, BY_PATHS = 240, 80, 16
 """Numbers of loads."""
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return a row for each test; the quick form has few presses and no paths."""
     counts = (16, 8, 0) if quick else (TRAINED, TESTED, BY_PATHS)
     with tempfile.TemporaryDirectory(prefix="twin-benchmark-") as folder:

@@ -1,15 +1,20 @@
-"""Results as rows: stored in benchmarks/results, printed as tables; and what command lines take."""
+"""Results as rows: stored in benchmarks/results, printed as tables; and the numbers that options take."""
 
-import argparse
 import json
-import math
 import os
 import platform
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
 
 Row = dict[str, Any]
+Count = Annotated[int, Parameter(validator=Number(gte=1))]
+Natural = Annotated[int, Parameter(validator=Number(gte=0))]
+"""Whole numbers of options: from 1, and from 0."""
+
 RESULTS = Path(__file__).parent / "results"
 
 
@@ -60,35 +65,3 @@ def machine() -> dict[str, Any]:
         "system": platform.platform(),
         "python": platform.python_version(),
     }
-
-
-def at_least(low: float, kind: type[int] | type[float] = int) -> Callable[[str], float]:
-    """Return a reader of finite numbers from ``low``, for `argparse`."""
-
-    def number(text: str) -> float:
-        try:
-            value = kind(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value < math.inf:
-            raise argparse.ArgumentTypeError(f"{text}: allowed are {'whole ' * (kind is int)}numbers from {low:g}")
-        return value
-
-    return number
-
-
-def parser_of(module: str, text: str | None) -> argparse.ArgumentParser:
-    """Return the parser of ``python -m benchmarks.MODULE``."""
-    return argparse.ArgumentParser(
-        prog=f"python -m benchmarks.{module}", description=text, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-
-
-def names_of(parser: argparse.ArgumentParser, known: Iterable[str]) -> argparse.Namespace:
-    """Return the parsed command line with ``names``, all of them known; exit with 2 if one isn't."""
-    known = list(known)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"any of {', '.join(known)} (default all)")
-    given = parser.parse_args()
-    if unknown := sorted(set(given.names) - set(known)):
-        parser.error(f"unknown {', '.join(unknown)}: choose from {', '.join(known)}")
-    return given

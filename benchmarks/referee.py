@@ -48,7 +48,7 @@ SCENES: dict[str, tuple[str, dict[str, Any]]] = {
 SAMPLES_A_PASS = 4096
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return one row a scene: differences of places, px, and of brightness after one scale; needs Mitsuba's LLVM."""
     rows = []
     for name in list(SCENES)[: 1 if quick else None]:

@@ -1,7 +1,7 @@
 """Sweeps: designs a second by fidelity, and how far each fidelity is from the next.
 
 CPU seconds are of one core, numeric libraries held to one thread; ``designs_per_s`` is what two cores make of them.
-``python -m benchmarks.sweep`` makes the stored comparisons of fidelities anew and leaves the stored rates, which want
+``python -m benchmarks sweep`` makes the stored comparisons of fidelities anew and leaves the stored rates, which want
 a machine with nothing else on it.
 """
 
@@ -13,7 +13,6 @@ import numpy as np
 
 import twin
 from benchmarks.clock import Clock
-from benchmarks.record import read, write
 from twin.arrays import Floats
 from twin.blas_threads import one_thread
 from twin.parts.scene import Scene
@@ -65,7 +64,7 @@ NOISE_SE = {"fwhm_mm": "fwhm_noise_se_mm", "total_force_error": "total_force_err
 """Which metric tells the standard error that noise leaves of another."""
 
 
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return the rows of the stage; the quick form has few designs, made sensors and no processes of its own."""
     rows = [
         _closed(2_000 if quick else 200_000),
@@ -180,14 +179,3 @@ def compared(done: Swept, one: str, other: str, metric: str, name: str) -> dict[
     if left is not None:
         row["standard error"] = float(np.median(left[both] / b[both]))
     return row
-
-
-def main() -> None:
-    """Make the stored rows that compare fidelities anew."""
-    found = read("sweep")
-    rates = [row for row in found["rows"] if "designs_per_s" in row]
-    write("sweep", {**found, "rows": [*rates, *comparisons()]})
-
-
-if __name__ == "__main__":
-    main()

@@ -7,7 +7,7 @@ find spots in each layer's own channel, and the nearest to the place before is t
 marker). Errors are of the shift from rest to picture, per axis; the bound is Cramer and Rao's for the shift, all else
 known.
 
-``python -m benchmarks.pages tracking`` writes the stored results into docs/tracking.md.
+``python -m benchmarks pages tracking`` writes the stored results into docs/tracking.md.
 """
 
 import time
@@ -54,7 +54,7 @@ FINGER = Design(name="finger", red=(5, 5), blue=(6, 6), pitch=70.0, diameter=15.
 
 
 @one_thread()
-def run(quick: bool) -> list[dict[str, Any]]:
+def measure(quick: bool) -> list[dict[str, Any]]:
     """Return rows of error and time, then of the whole chain; the quick form draws fewer pictures."""
     rows: list[dict[str, Any]] = []
     for design in (FLAT,) if quick else (FLAT, FINGER):

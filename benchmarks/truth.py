@@ -1,6 +1,6 @@
 """The block's truth: displacements far nearer to it than any mesh of twin's, made by NGSolve and by nothing of twin.
 
-    python -m benchmarks.truth          # makes tests/reference/block_converged.npz anew: the loads of block.npz
+    python -m benchmarks truth          # makes tests/reference/block_converged.npz anew: the loads of block.npz
 
 The field is the half-space's under the load, plus a rest w that the finite block asks for.
 
@@ -222,7 +222,7 @@ def _bricks(ng: Any, shares: tuple[float, ...]) -> tuple[Any, dict[str, str]]:
     return mesh, faces
 
 
-def main() -> None:
+def measure() -> None:
     """Solve all cases of block.npz twice, say how far they are from each other and from block.npz, and store them."""
     with np.load(FOLDER / "block.npz") as file:
         data = {key: file[key] for key in file.files}
@@ -245,7 +245,3 @@ def main() -> None:
     slices = {key: data[key] for key in data if key.startswith("slice_")}
     told = np.array(json.dumps(cases))
     np.savez_compressed(FOLDER / "block_converged.npz", points=points, cases=told, **slices, **fields)
-
-
-if __name__ == "__main__":
-    main()

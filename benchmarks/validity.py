@@ -1,6 +1,6 @@
 """What linearity costs: neo-Hookean rubber under the papers' presses against linear theory on the same elements.
 
-``python -m benchmarks.validity [PART ...]`` presses every probe at an eighth, a quarter, half and all of its load and
+``python -m benchmarks validity [PART ...]`` presses every probe at an eighth, a quarter, half and all of its load and
 stores the rows. Both carry the same total force, so their difference holds everything that linear theory leaves out:
 large strain, the turning of the surface, and the contact that is found on the undeformed surface. Needs felupe, of the
 extra ``peers``.
@@ -11,7 +11,6 @@ load presses; plain elements need them fine there.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.neohooke import Contact, Rubber, press
-from benchmarks.record import names_of, parser_of, store, stored, table
+from benchmarks.record import store, stored, table
 from twin.arrays import Floats, Points
 from twin.parts.press import Cylinder, Probe, Sphere
 from twin.study.recipe import load_scene
@@ -187,17 +186,14 @@ def _strains(at_markers: Places, locator: Locator, contact: Contact, lin: Floats
     return out
 
 
-def main() -> int:
-    """Run the parts named on the command line (all if none), print their rows and put them into the stored file."""
+def measure(*parts: str) -> None:
+    """Run parts, all by default, print their rows and put them into the stored file."""
     known = studies()
-    for name in names_of(parser_of("validity", __doc__), known).names or known:
+    if unknown := sorted(set(parts) - set(known)):
+        raise SystemExit(f"unknown {', '.join(unknown)}: choose from {', '.join(known)}")
+    for name in parts or known:
         rows = list(known[name]())
         print(f"\n{table(rows)}", flush=True)
         order = list(known)
         rows += [row for row in stored("validity") if row["case"] != name]
         store("validity", sorted(rows, key=lambda row: (order.index(row["case"]), row["level"])))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,12 +2,13 @@
 
 import ast
 import importlib.util
+import re
 from types import SimpleNamespace
 
 import pytest
 
 from benchmarks import ROOT
-from benchmarks.__main__ import STAGES, main
+from benchmarks.__main__ import CHECKS, STAGES, STUDIES, main
 
 
 def test_every_stage_is_run_once_and_a_failure_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -34,7 +35,13 @@ def test_what_benchmarks_import_where_they_need_it_exists() -> None:
                 assert not missing, f"{file}: {node.module} has no {missing}"
 
 
-def test_unknown_stages_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.argv", ["benchmarks", "nothing"])
-    with pytest.raises(SystemExit, match="2"):
-        main()
+@pytest.mark.parametrize("words", [["nothing"], ["chain", "--nope"], ["kills", "--count", "0"], ["frozen", "other"]])
+def test_unknown_names_and_options_are_refused(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["benchmarks", *words])
+    assert main() == 2
+
+
+def test_every_benchmark_has_a_function_that_measures() -> None:
+    named = {*STAGES, *STUDIES, *CHECKS}
+    texts = {file.stem: file.read_text() for file in (ROOT / "benchmarks").glob("*.py")}
+    assert named == {name for name, text in texts.items() if re.search(r"^def measure\(", text, re.MULTILINE)}

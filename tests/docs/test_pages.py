@@ -9,7 +9,7 @@ import pytest
 from slabs import slab
 
 from benchmarks import pages
-from benchmarks.inclusions import run as resolved_beads
+from benchmarks.inclusions import measure as resolved_beads
 from benchmarks.pages import PAGES, RESULTS, extrapolated, order, series, stored
 from benchmarks.presses import BODIES, SITES, compliance_of, drawn, outcome
 from benchmarks.random_scenes import COUNT
@@ -21,7 +21,7 @@ from twin.study.reproduce.reproduction_run import ENTRIES
 @pytest.mark.parametrize("name", PAGES)
 def test_page_is_the_writers_output(name: str) -> None:
     page = PAGES[name]
-    assert page.file.read_text() == page.text(), f"run: python -m benchmarks.pages {name}"
+    assert page.file.read_text() == page.text(), f"run: python -m benchmarks pages {name}"
     marks = [mark for mark in page.parts() if f"<!-- {mark} -->\n" not in page.file.read_text()]
     assert not marks, "their tables stand nowhere"
 

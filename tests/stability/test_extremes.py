@@ -1,4 +1,4 @@
-"""Extreme values: what ``python -m benchmarks.extremes`` tries by running is read here; some are run."""
+"""Extreme values: what ``python -m benchmarks extremes`` tries by running is read here; some are run."""
 
 import math
 import warnings

@@ -1,4 +1,4 @@
-"""Hostile files: every reader under ``python -m benchmarks.fuzz``, and what was found by it, one by one."""
+"""Hostile files: every reader under ``python -m benchmarks fuzz``, and what was found by it, one by one."""
 
 import fcntl
 import json
@@ -26,7 +26,7 @@ from twin.study.recorded import read_picture
 @pytest.mark.slow
 def test_no_reader_crashes_hangs_or_writes_elsewhere(tmp_path: Path) -> None:
     """In a process of its own: what is forked beside the threads of other tests would wait for them for ever."""
-    command = [sys.executable, "-m", "benchmarks.fuzz", "--rounds", "1", "--out", str(tmp_path / "fuzz.json")]
+    command = [sys.executable, "-m", "benchmarks", "fuzz", "--rounds", "1", "--out", str(tmp_path / "fuzz.json")]
     done = subprocess.run(command, cwd=Path(fuzz.__file__).parents[1], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     rows = json.loads((tmp_path / "fuzz.json").read_text())["rows"]

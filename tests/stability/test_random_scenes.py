@@ -1,4 +1,4 @@
-"""Random scenes: a few of what ``python -m benchmarks.random_scenes`` draws by the thousand, and what it found."""
+"""Random scenes: a few of what ``python -m benchmarks random_scenes`` draws by the thousand, and what it found."""
 
 import importlib
 import sys
@@ -29,7 +29,7 @@ from twin.study.recipe import dump_scene, load_scene
 from twin.study.sensor import Sensor, make
 
 FOUND = Path(__file__).parent / "found"
-AGAIN = "save the recipe as FILE: python -m benchmarks.random_scenes --again FILE; once mended, keep it in found/"
+AGAIN = "save the recipe as FILE: python -m benchmarks random_scenes --again FILE; once mended, keep it in found/"
 
 
 @pytest.mark.slow
