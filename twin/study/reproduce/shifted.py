@@ -96,13 +96,14 @@ def _compared(
     causes: Mapping[str, Chain | Measure[Found] | Reading[Found]] | None = None,
     *,
     tracker: CentreMethod | None = None,
+    ranged: bool = False,
     label: str = "",
 ) -> tuple[list[Record], list[Found]]:
-    """Return records and runs of the test, by default with the paper's tracker; with causes, over
-    what isn't printed of the capture chain too."""
+    """Return records and runs of the test, by default with the paper's tracker; where ``ranged``,
+    over what isn't printed of the capture chain too."""
     ranges = {BALANCE: _balanced} if protocol is KAMIYAMA else {QUALITY: _compressed}
     # A picture displaced in the computer holds one frame and its noise twice.
-    ranged = causes and not bench.quick and not (protocol is KAMIYAMA and way == "digital")
+    ranged &= not bench.quick and not (protocol is KAMIYAMA and way == "digital")
     records, runs, _ = bench.compare(
         partial(protocol.tracked, bench, way),
         numbers,
@@ -140,7 +141,7 @@ def _table(protocol: Protocol, bench: Bench) -> Outcome:
             causes[SECOND] = partial(replace(protocol, exposure=7).tracked, bench, way)
         printed = partial(_moments, protocol, printed=True)
         label = ", the paper's tracker"
-        theirs += _compared(bench, protocol, way, printed, causes, label=label)[0]
+        theirs += _compared(bench, protocol, way, printed, causes, ranged=True, label=label)[0]
         measured = partial(_moments, protocol, printed=False)
         label = ", this project's tracker"
         ours += _compared(bench, protocol, way, measured, tracker=OUR_TRACKER, label=label)[0]
