@@ -19,6 +19,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from benchmarks import ROOT
+from benchmarks.dark_figures import PALETTE, save_both
 from benchmarks.record import RESULTS, Row, read, store, stored, table
 
 Run = tuple[float, float]
@@ -93,7 +94,7 @@ def folded(title: str, content: str) -> str:
 
 
 def chart(name: str, **kind: Any) -> tuple[Any, Any, Callable[[], None]]:
-    """Return a figure, its panels, and what saves it as docs/NAME."""
+    """Return a figure, its panels, and what saves it as docs/NAME, for light and dark pages."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -102,7 +103,7 @@ def chart(name: str, **kind: Any) -> tuple[Any, Any, Callable[[], None]]:
     figure, panels = plt.subplots(**{"layout": "constrained", **kind})
 
     def save() -> None:
-        figure.savefig(DOCS / name, dpi=100)
+        save_both(figure, DOCS / name, dpi=100)
         plt.close(figure)
 
     return figure, panels, save
@@ -114,10 +115,10 @@ GOAL, COMPARED = 0.003, ("0.5", "0.49")
 """Error at which programs are compared, and Poisson's ratios."""
 
 COLOURS = {
-    "twin": "#c0392b",
-    "twin, table": "#e67e22",
-    "NGSolve": "#2457c5",
-    "CalculiX": "#8e44ad",
+    "twin": "#d55e00",
+    "twin, table": "#e69f00",
+    "NGSolve": "#0072b2",
+    "CalculiX": "#cc79a7",
     "NGSolve, P1": "#999999",
     "NGSolve, P2": "#555555",
 }
@@ -324,7 +325,7 @@ def _draw_contact() -> None:
     )
     for (name, mine), (upper, lower) in zip(groups.items(), panels.T, strict=True):
         labels = [f"{one[-1]['case']}: {one[-1]['quantity']}" for one in mine]
-        colours = dict(zip(dict.fromkeys(labels), ("#0072b2", "#d55e00", "#009e73", "#cc79a7"), strict=False))
+        colours = dict(zip(dict.fromkeys(labels), PALETTE, strict=False))
         for one, label in zip(mine, labels, strict=True):
             line = "-" if one[-1]["nu"] == 0.5 else "--"
             style = {"color": colours[label], "marker": "o", "ls": line, "ms": 4, "lw": 1.2}
@@ -383,9 +384,9 @@ def _draw_picture() -> None:
     _, panels, save = chart("picture.png", nrows=1, ncols=len(scenes), figsize=(10, 4), sharey=True)
     for panel, scene in zip(np.atleast_1d(panels), scenes, strict=True):
         mine = [row for row in rows if row["scene"] == scene]
-        for method in dict.fromkeys(row["method"] for row in mine):
+        for method, colour in zip(dict.fromkeys(row["method"] for row in mine), PALETTE, strict=False):
             runs = sorted((row["cpu_ms"], row["centroid_rms_px"]) for row in mine if row["method"] == method)
-            panel.loglog(*zip(*runs, strict=True), "o-", label=method)
+            panel.loglog(*zip(*runs, strict=True), "o-", color=colour, label=method)
         panel.axhline(GOAL_PX, color="grey", lw=0.8)
         panel.set(title=scene, xlabel="CPU time of a picture, ms")
         shown = [t for t in (5, 10, 20, 50, 100, 200, 500) if panel.get_xlim()[0] <= t <= panel.get_xlim()[1]]
@@ -535,19 +536,16 @@ def _budget() -> dict[str, str]:
 
 def _draw_budget() -> None:
     """Draw every scene's error and time by stage."""
-    import matplotlib as mpl
-
     scenes = by_scene(stored("budget"))
     size = (11, 0.6 + 0.62 * len(scenes))
     figure, (left, right), save = chart("budget.png", nrows=1, ncols=2, figsize=size, sharey=True, layout=None)
-    colours = [mpl.colormaps["tab10"](k) for k in range(len(STAGES))]
     places = np.arange(len(scenes))[::-1]
     for axes, value, name in (
         (left, lambda row: 100 * part_of_error(row), "part of the total force's error, % of the force"),
         (right, lambda row: row["cpu_s"], "CPU seconds of a first press"),
     ):
         edge = np.zeros(len(scenes))
-        for stage, colour in zip(STAGES, colours, strict=True):
+        for stage, colour in zip(STAGES, PALETTE, strict=False):
             width = np.array([value(mine[stage]) if stage in mine else 0.0 for mine in scenes.values()])
             axes.barh(places, width, left=edge, color=colour, label=stage, height=0.7)
             edge += width
@@ -820,16 +818,16 @@ def _draw_chain() -> None:
         row[0].imshow(np.minimum(result.pressed.astype(int) * 3 // 2, 255))
         row[0].set(title="what the CCD sees (brightened)", ylabel=said[name])
         rest, shift = estimate.marker_rest_px, estimate.marker_shift_px
-        for layer, colour in (("red", "#c0392b"), ("blue", "#2457c5")):
+        for layer, colour in (("red", "#c8381e"), ("blue", "#1f5fbf")):
             mine = truth.marker_layer == layer
             row[1].quiver(*rest[mine].T, *shift[mine].T, color=colour, angles="xy", width=0.003)
         row[1].set(xlim=(0, 640), ylim=(480, 0), aspect="equal", title="how the markers moved")
         x, y = estimate.site_mm[:, :2].T
         fx, fy, fz = estimate.force_n.T
-        row[2].scatter(x, y, c=fz, cmap="magma_r", marker="s", s=60)
+        row[2].scatter(x, y, c=fz, cmap="PuOr_r", vmin=-abs(fz).max(), vmax=abs(fz).max(), marker="s", s=60)
         pitch, largest = load_scene(name).reconstruction.sites.pitch_mm, np.hypot(fx, fy).max()
         scale = largest / (1.5 * pitch)
-        row[2].quiver(x, y, fx, fy, color="#0b6", angles="xy", scale_units="xy", scale=scale, width=0.004)
+        row[2].quiver(x, y, fx, fy, angles="xy", scale_units="xy", scale=scale, width=0.004)
         row[2].set(aspect="equal", title="the forces that the sensor reports")
         for panel in row:
             panel.set_xticks([])

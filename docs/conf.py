@@ -7,6 +7,7 @@ from real runs.
 from __future__ import annotations
 
 import importlib.metadata
+import re
 import sys
 from pathlib import Path
 
@@ -26,6 +27,8 @@ myst_heading_anchors = 2
 html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "twin: digital twin of camera-based tactile sensors"
+html_static_path = ["docs_style.css"]
+html_css_files = ["docs_style.css"]
 html_extra_path = ["made/pages"]
 exclude_patterns = ["made/pages", "tutorials"]
 autodoc_typehints = "none"
@@ -40,3 +43,22 @@ make_recipes(HERE / "made" / "recipes.md")
 make_gallery(HERE / "made")
 make_tutorials(HERE / "made" / "tutorials")
 make_commands(HERE / "made" / "commands.md")
+
+PICTURE = re.compile(r"!\[([^\]]*)\]\((\S+)\.png\)")
+
+
+def both_pictures(app, name, text):
+    """Show NAME_dark.png, where it exists, instead of NAME.png on dark pages."""
+    folder = (HERE / name).parent
+
+    def both(found):
+        if not (folder / f"{found[2]}_dark.png").is_file():
+            return found[0]
+        return f"{found[0]}{{.only-light}} ![{found[1]}]({found[2]}_dark.png){{.only-dark}}"
+
+    text[0] = PICTURE.sub(both, text[0])
+
+
+def setup(app):
+    """Let pages have pictures for light and dark."""
+    app.connect("source-read", both_pictures)

@@ -10,6 +10,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 
 import twin
+from benchmarks.dark_figures import save_both
 from twin.errors import MissingCapability
 from twin.files import write_whole
 from twin.study.view import body_view
@@ -222,6 +223,6 @@ def _shown(plate: Plate, folder: Path) -> str:
         except MissingCapability as problem:
             plt.close("all")
             return f"{code}\n\nNot drawn on the machine that built these pages: {problem}"
-        plt.gcf().savefig(folder / f"gallery_{plate.name}.png", bbox_inches="tight")
+        save_both(plt.gcf(), folder / f"gallery_{plate.name}.png", bbox_inches="tight")
         plt.close("all")
     return f"![{plate.said}](gallery_{plate.name}.png)\n\n{code}"

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from twin.parts.part import unit_of
 from twin.parts.scene import Scene
 
-HEAD = """# Recipes
+HEAD = """# Recipes: every table and key of a scene
 
 A recipe is a TOML file. These are all tables and keys; whatever is not given has the default shown. Any key can be
 overridden from the command line (`-s material.poisson_ratio=0.49`) and from Python

@@ -2,7 +2,6 @@
 
 import importlib.util
 import sys
-import warnings
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -112,17 +111,3 @@ def test_torch_loads_pictures_in_batches(monkeypatch: pytest.MonkeyPatch) -> Non
     assert sorted(forces[:, 0].tolist()) == [0, 1, 3, 4, 5]
     for batch in batches:
         np.testing.assert_allclose(np.asarray(batch["picture"])[:, 0, 0, 0] * 5, np.asarray(batch["force_n"])[:, 0])
-
-
-@pytest.mark.slow
-def test_the_notebook_runs(tmp_path: Path) -> None:
-    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
-    pytest.importorskip("ipykernel")
-    notebook = nbformat.read(EXAMPLES / "press.ipynb", as_version=4)
-    nbformat.validate(notebook)
-    assert not any(cell.get("outputs") for cell in notebook.cells), "kept without what it printed once"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the kernel's own
-        nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": tmp_path}}).execute()
-    pictures = [out for cell in notebook.cells for out in cell.get("outputs", []) if "image/png" in out.get("data", {})]
-    assert len(pictures) >= 2

@@ -1,6 +1,7 @@
 """The built wheel alone, without the checkout: it carries recipes and meshes, and passes quick tests."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -17,11 +18,15 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the wheel and unpack it into an empty folder, away from the checkout."""
-    folder = tmp_path_factory.mktemp("wheel")
+    """Build the wheel of what the container file copies, and unpack it away from the checkout."""
+    folder, source = tmp_path_factory.mktemp("wheel"), tmp_path_factory.mktemp("source")
+    for line in re.findall(r"^COPY (.*) /src", (ROOT / "Containerfile").read_text(), re.MULTILINE):
+        for name in line.split():
+            copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+            copy(ROOT / name, source / name)
     subprocess.run(
         [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
-        cwd=ROOT, check=True, capture_output=True,
+        cwd=source, check=True, capture_output=True,
     )  # fmt: skip
     (wheel,) = folder.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
