@@ -244,7 +244,8 @@ class Surface:
         if not size_mm[0] <= size <= size_mm[1]:
             raise InputError(
                 f"{name}: the longest side is {size:.6g} mm (allowed: {size_mm[0]:g} to "
-                f"{size_mm[1]:g} mm); STL files carry no unit: export it in millimetres"
+                f"{size_mm[1]:g} mm); STL files carry no unit: {_units(size, size_mm)}export it in "
+                "millimetres"
             )
         # Join corners that are exactly equal; only if the surface stays open, also those that are
         # nearly equal.
@@ -285,6 +286,17 @@ class Surface:
                 "close it into a solid one"
             )
         return Surface(vertices=frozen(vertices), triangles=frozen(triangles), volume_mm3=volume)
+
+
+def _units(size: float, allowed_mm: tuple[float, float]) -> str:
+    """Say what a size would be in the units that would make it an allowed one."""
+    units = {"metres": 1000.0, "inches": 25.4, "micrometres": 1e-3}
+    fits = [
+        f"if it is in {name}, it is {size * mm:.4g} mm long"
+        for name, mm in units.items()
+        if allowed_mm[0] <= size * mm <= allowed_mm[1]
+    ]
+    return " and ".join(fits) + "; " * bool(fits)
 
 
 @lru_cache(maxsize=8)

@@ -13,6 +13,7 @@ up to h / (2 R).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -70,7 +71,8 @@ class TriangleTree:
         found: Any = reference(0)
         part, squared = reference(0), reference(0.0)
         triangle = np.empty(len(points), np.int64)
-        for row, point in enumerate(points.tolist()):
+        # Tuples that are made one by one spare the garbage collector what lists of all would cost.
+        for row, point in enumerate(zip(*points.T.tolist(), strict=True)):
             self._locator.FindClosestPoint(point, place, cell, found, part, squared)
             triangle[row] = found.get()
         return triangle, *_onto_triangles(points, self._corners[triangle])
@@ -165,6 +167,40 @@ def _onto_triangles(points: Points, corners: Floats) -> tuple[Points, Ints]:
     return a + v[:, None] * ab + w[:, None] * ac, feature
 
 
+@dataclass(frozen=True)
+class _Nearest:
+    """Of points (...): the signed distance from a piece, its gradient (..., 3), the plain distance,
+    the direction (..., 3) from its nearest place, and whether a point is inside of it."""
+
+    distance: Floats
+    normal: Floats
+    plain: Floats
+    towards: Floats
+    within: Bools
+
+    @classmethod
+    def empty(cls, shape: int | tuple[int, int]) -> _Nearest:
+        one = np.empty(shape)
+        way = np.empty((*one.shape, 3))
+        return cls(one, way, np.zeros_like(one), np.zeros_like(way), np.zeros(shape, bool))
+
+    def fill(self, place: Any, found: _Nearest) -> None:
+        """Set some of the points."""
+        for name, array in vars(found).items():
+            getattr(self, name)[place] = array
+
+    def limit(self, depth: Floats) -> None:
+        """Replace what the planes of pieces of a body with dents cut elsewhere.
+
+        Inside the body, and where the plane's distance is less than ``depth``, the signed distance
+        to the whole surface, the plain distance to the piece is used.
+        """
+        far_away = (depth > _TOUCHING_MM) | (self.distance < depth - _TOUCHING_MM)
+        self.distance[far_away] = self.plain[far_away]
+        clear = far_away & (self.plain > _TOUCHING_MM)
+        self.normal[clear] = self.towards[clear]
+
+
 DENT = 1e-5
 """A body is convex if its hull holds at most this share more than itself: corners in a file are
 rounded."""
@@ -244,52 +280,58 @@ class Pieces:
         self._asked = (frozen(points.copy()), frozen(distance), frozen(normal))
         return distance, normal
 
-    def _measured(self, points: Points) -> tuple[Floats, Floats]:
-        shape = (len(points), self.count)
-        distance = np.empty(shape)
-        normal = np.empty((*shape, 3))
-        plain = np.empty(shape)
-        towards = np.empty((*shape, 3))
-        within = np.empty(shape, bool)
-        for k in range(self.count):
-            # A flat piece of a convex solid stands for its whole plane.
-            if self.is_convex and k in self.planes:
-                origin, inward = self.planes[k]
-                distance[:, k], normal[:, k] = (points - origin) @ inward, inward
-                continue
-            # The nearest point of the piece; the normal of that face, edge or corner gives the
-            # side.
-            own, tree = self._trees[k]
-            triangle, foot, feature = tree.nearest(points)
-            triangle = own[triangle]
+    def from_pieces(self, points: Points, piece: Ints) -> tuple[Floats, Floats]:
+        """Return the distances (n,) of points (n, 3) from one piece (n,) each, and their gradients
+        (n, 3)."""
+        found = _Nearest.empty(len(points))
+        for k in np.unique(piece).tolist():
+            found.fill(piece == k, self._nearest(points[piece == k], k))
+        if not self.is_convex:
+            triangle, foot, feature = self._tree.nearest(points)
             away = points - foot
-            plain[:, k] = np.linalg.norm(away, axis=1)
-            outward = self._outward[triangle, feature]
-            within[:, k] = np.einsum("ni,ni->n", away, outward) <= 0.0
-            # Beyond the border of the piece, the face is continued as a plane.
-            side = np.where(within[:, k], 1.0, -1.0)
-            beyond = self._border[triangle, feature]
-            inward = -np.where(beyond[:, None], self._outward[triangle, FACE], outward)
-            on_plane = np.einsum("ni,ni->n", away, inward)
-            distance[:, k] = np.where(beyond, on_plane, side * plain[:, k])
-            # On the surface itself the way to the nearest point has no direction: take the normal.
-            clear = plain[:, k] > _TOUCHING_MM
-            towards[:, k] = away / np.where(clear, plain[:, k], 1.0)[:, None]
-            plain_way = clear & ~beyond
-            normal[:, k] = np.where(plain_way[:, None], side[:, None] * towards[:, k], inward)
-        # The continued plane of a piece may cut a concave solid elsewhere. Inside the solid, and
-        # where the plane's distance is less than the signed distance to the whole surface, use
-        # the plain distance to the piece.
+            within = np.einsum("ni,ni->n", away, self._outward[triangle, feature]) <= 0.0
+            found.limit(np.where(within, 1.0, -1.0) * np.linalg.norm(away, axis=1))
+        return found.distance, found.normal
+
+    def _measured(self, points: Points) -> tuple[Floats, Floats]:
+        found = _Nearest.empty((len(points), self.count))
+        for k in range(self.count):
+            found.fill((slice(None), k), self._nearest(points, k))
         if not self.is_convex:
             row = np.arange(len(points))
-            first = np.argmin(plain, axis=1)
-            depth = np.where(within[row, first], 1.0, -1.0) * plain[row, first]
-            far_away = (depth[:, None] > _TOUCHING_MM) | (distance < depth[:, None] - _TOUCHING_MM)
-            distance = np.where(far_away, plain, distance)
-            normal = np.where(
-                far_away[:, :, None] & (plain > _TOUCHING_MM)[:, :, None], towards, normal
-            )
-        return distance, normal
+            first = np.argmin(found.plain, axis=1)
+            side = np.where(found.within[row, first], 1.0, -1.0)
+            found.limit((side * found.plain[row, first])[:, None])
+        return found.distance, found.normal
+
+    def _nearest(self, points: Points, k: int) -> _Nearest:
+        """Return what is nearest to points (n, 3) on the piece ``k``."""
+        # A flat piece of a convex solid stands for its whole plane.
+        if self.is_convex and k in self.planes:
+            found = _Nearest.empty(len(points))
+            origin, inward = self.planes[k]
+            found.distance[:] = (points - origin) @ inward
+            found.normal[:] = inward
+            return found
+        # The nearest point of the piece; the normal of that face, edge or corner gives the side.
+        own, tree = self._trees[k]
+        triangle, foot, feature = tree.nearest(points)
+        triangle = own[triangle]
+        away = points - foot
+        plain = np.linalg.norm(away, axis=1)
+        outward = self._outward[triangle, feature]
+        within = np.einsum("ni,ni->n", away, outward) <= 0.0
+        # Beyond the border of the piece, the face is continued as a plane.
+        side = np.where(within, 1.0, -1.0)
+        beyond = self._border[triangle, feature]
+        inward = -np.where(beyond[:, None], self._outward[triangle, FACE], outward)
+        distance = np.where(beyond, np.einsum("ni,ni->n", away, inward), side * plain)
+        # On the surface itself the way to the nearest point has no direction: take the normal.
+        clear = plain > _TOUCHING_MM
+        towards = away / np.where(clear, plain, 1.0)[:, None]
+        plain_way = clear & ~beyond
+        normal = np.where(plain_way[:, None], side[:, None] * towards, inward)
+        return _Nearest(distance, normal, plain, towards, within)
 
     def nearest_triangles(self, points: Points, piece: Ints) -> Ints:
         """Return (n,) the triangle of the piece (n,) that is nearest to each of (n, 3) points."""

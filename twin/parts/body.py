@@ -501,6 +501,9 @@ class Solid(StlFile, Body):
     def sheet_normals(self, points: Points) -> Floats:
         return self._sheets.distances_and_normals(points)[1]
 
+    def from_sheets(self, points: Points, sheet: Ints) -> tuple[Floats, Floats]:
+        return self._sheets.from_pieces(points, sheet)
+
     def pieces_on(self, points: Points, sheet: Ints) -> Ints:
         return self._pieces.piece[self._sheets.nearest_triangles(points, sheet)]
 

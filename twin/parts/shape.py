@@ -88,6 +88,12 @@ class Body(Part):
         """Return (n, sheets, 3) unit inward normals: the gradients of `sheet_distances`."""
         return self.piece_normals(points)
 
+    def from_sheets(self, points: Points, sheet: Ints) -> tuple[Floats, Floats]:
+        """Return (n,) distances, mm, of (n, 3) points from one sheet (n,) each, and their gradients
+        (n, 3)."""
+        row = np.arange(len(points))
+        return self.sheet_distances(points)[row, sheet], self.sheet_normals(points)[row, sheet]
+
     def pieces_on(self, points: Points, sheet: Ints) -> Ints:
         """Return (n,) the piece at points (n, 3) of the sheets (n,)."""
         return sheet

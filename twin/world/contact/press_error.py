@@ -297,7 +297,7 @@ class Estimates:
         patches = _joined(used.load)
         moved, errors = errors_of(patches.centre_mm, _joined(state.load))
         response = _Response(self._job, step, used, patches)
-        found = [response.to(part) for part in errors]
+        found = response.to(errors)
         probes = [one for one in (state, *state.also) if len(one.pressure_mpa)]
         markers = sum(_over(part, moved) for part in errors)
         if len(self._points) and self._watched is not None:
@@ -389,23 +389,26 @@ class _Response:
         self._count = count
         self._motions = MOTIONS * probes
 
-    def to(self, moved: Floats) -> tuple[Rectangles, Floats]:
-        """Return the change of the load, and the probes' motions (p, 6), as the surface moves by
-        (n, 3) more, mm."""
-        own = np.einsum("kij,kj->ki", self._patches.frames, moved)
-        right = np.zeros(len(self._matrix))
+    def to(self, moved: Floats) -> list[tuple[Rectangles, Floats]]:
+        """Return the change of the load, and the probes' motions (p, 6), as the surface moves more:
+        for each of (c, n, 3) motions, mm."""
+        own = np.einsum("kij,ckj->kic", self._patches.frames, moved)
+        right = np.zeros((len(self._matrix), len(moved)))
         right[: self._count] = -own[self._unknown, self._axis]
         scale = np.sqrt(np.abs(np.diag(self._matrix)[: self._count]).mean())
         scales = np.concatenate(
             [np.full(self._count, 1.0 / scale), np.full(len(self._free), scale)]
         )
         scaled = self._matrix * scales[:, None] * scales
-        found = scales * np.linalg.lstsq(scaled, scales * right, rcond=1e-12)[0]
-        force = self._force @ found[: self._count]
-        motion = np.zeros(self._motions)
-        motion[self._free] = found[self._count :]
-        change = np.einsum("kij,ki->kj", self._patches.frames, force)
-        return replace(self._patches, force_n=change), motion.reshape(-1, MOTIONS)
+        solution = np.linalg.lstsq(scaled, scales[:, None] * right, rcond=1e-12)[0]
+        found = []
+        for one in (scales[:, None] * solution).T:
+            force = self._force @ one[: self._count]
+            motion = np.zeros(self._motions)
+            motion[self._free] = one[self._count :]
+            change = np.einsum("kij,ki->kj", self._patches.frames, force)
+            found.append((replace(self._patches, force_n=change), motion.reshape(-1, MOTIONS)))
+        return found
 
     def total(self, load: Rectangles) -> Floats:
         """Return (p, 3) the forces of the probes that touch, N."""

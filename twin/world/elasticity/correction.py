@@ -31,6 +31,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -81,15 +83,15 @@ def unbalanced(
 ) -> tuple[Floats, Floats, Floats]:
     """Return what drives w: nodal forces and given displacements (N, 3, m), and dilations (P, m);
     see `correction`."""
-    mesh, top = system.mesh, system.under_load
-    shares = np.array([of.shear_ratio / top.shear_ratio for of in system.made_of])
+    mesh, top, surface = system.mesh, system.under_load, _Skin.of(system, body)
+    shares = _shear_shares(system)
     swelling = (top.softness - shares * [of.softness for of in system.made_of])[mesh.region]
     layer = BondedLayer.of(body, top.poisson_ratio) if len(system.made_of) == 1 else None
     forces, held, swollen = [], [], []
     for load, cases in zip(
         loads, columns or [load.force_n[:, :, None] for load in loads], strict=True
     ):
-        forces.append(_nodal_forces(mesh, body, load, cases, top.poisson_ratio, shares, layer))
+        forces.append(_nodal_forces(surface, load, cases, top.poisson_ratio, layer))
         swollen.append(_dilation(mesh, system.pressure, swelling, load, cases, top.poisson_ratio))
         held.append(np.zeros_like(forces[-1]))
         if layer is None:  # else the known part is zero there
@@ -224,65 +226,117 @@ def _distant(
     return tx, ty, tz
 
 
+_SKINS: WeakKeyDictionary[TaylorHood, _Skin] = WeakKeyDictionary()
+"""The skin of every system that was loaded."""
+
+
 @dataclass(frozen=True)
 class _Skin:
-    """Faces (f, 6) and the true surfaces behind them: the sheet (f,) of the body's surface that
-    each lies on and how far below it, how many times the half-space's traction is out of balance
-    there, and whether each is an interface."""
+    """Faces (f, 6) of a system's mesh and the true surfaces behind them: the sheet (f,) of the
+    body's surface that each lies on and how far below it, how many times the half-space's traction
+    is out of balance there, and whether each is an interface."""
 
     body: Body
+    points: Points
     faces: Ints
     sheet: Ints
     depth_mm: Floats
     weight: Floats
     inside: Bools
 
-    def __getitem__(self, chosen: Bools) -> _Skin:
-        arrays = {key: value[chosen] for key, value in vars(self).items() if key != "body"}
-        return _Skin(self.body, **arrays)
+    @classmethod
+    def of(cls, system: TaylorHood, body: Body) -> _Skin:
+        """Return the free faces, weighted by their region's share of the half-space's stress, and
+        the interfaces."""
+        if system not in _SKINS:
+            _SKINS[system] = cls._made(system, body)
+        return _SKINS[system]
+
+    @classmethod
+    def _made(cls, system: TaylorHood, body: Body) -> _Skin:
+        mesh, shares = system.mesh, _shear_shares(system)
+        outside = ~np.isin(mesh.piece, body.held_pieces)
+        faces = mesh.faces[outside]
+        sheet = body.sheets_of(mesh.points[faces], mesh.piece[outside])
+        weight = shares[mesh.regions_behind(faces)]
+        if not mesh.region.any():
+            none = np.zeros(len(faces))
+            return cls(body, mesh.points, faces, sheet, none, weight, none > 0.0)
+        inner, sides = _interfaces(mesh)
+        depth = body.depth(mesh.points[inner[:, :3].ravel()]).reshape(-1, 3)
+        level = np.ptp(depth, axis=1) < 1e-9
+        below = body.sheets_of(mesh.points[inner], np.where(level, 0, len(body.pieces) - 1))
+        return cls(
+            body,
+            mesh.points,
+            np.concatenate([faces, inner]),
+            np.concatenate([sheet, below]),
+            np.concatenate([np.zeros(len(faces)), np.where(level, depth.mean(axis=1), 0.0)]),
+            np.concatenate([weight, shares[sides[:, 0]] - shares[sides[:, 1]]]),
+            np.arange(len(faces) + len(inner)) >= len(faces),
+        )
 
     def nearest(self, points: Points, face: Ints) -> tuple[Points, Floats]:
         """Return the nearest points (q, 3) on the surfaces of ``face`` (q,), and the inward normals
         (q, 3) there."""
-        row, sheet, depth = np.arange(len(points)), self.sheet[face], self.depth_mm[face]
         for _ in range(2):
-            normal = self.body.sheet_normals(points)[row, sheet]
-            points = (
-                points - (self.body.sheet_distances(points)[row, sheet] - depth)[:, None] * normal
-            )
+            distance, normal = self.body.from_sheets(points, self.sheet[face])
+            points = points - (distance - self.depth_mm[face])[:, None] * normal
         return points, normal
 
+    def surface_points(self, face: Ints, places: Floats) -> Points:
+        """Return (t, c, 3) points on the true surface, c of each face (t,) at ``places`` (t, c,
+        2)."""
+        values = shapes(places.reshape(-1, 2))[0].reshape(*places.shape[:2], 6)
+        flat = np.einsum("tca,tai->tci", values, self.points[self.faces[face]])
+        each = np.repeat(face, places.shape[1])
+        distance, normal = self.body.from_sheets(flat.reshape(-1, 3), self.sheet[each])
+        off = (distance - self.depth_mm[each])[:, None] * normal
+        return np.asarray(flat - off.reshape(flat.shape))
 
-def _skin(mesh: Mesh, body: Body, shares: Floats) -> _Skin:
-    """Return the free faces, weighted by their region's share (regions,) of the half-space's
-    stress, and interfaces."""
-    outside = ~np.isin(mesh.piece, body.held_pieces)
-    faces = mesh.faces[outside]
-    sheet = body.sheets_of(mesh.points[faces], mesh.piece[outside])
-    if not np.any(mesh.region):
-        return _Skin(
-            body,
-            faces,
-            sheet,
-            np.zeros(len(faces)),
-            np.full(len(faces), shares[0]),
-            np.zeros(len(faces), bool),
+    @cached_property
+    def whole_corners(self) -> Points:
+        """(f, 3, 3) those of the whole faces."""
+        return self.surface_points(*_whole(len(self.faces)))
+
+    @cached_property
+    def whole_quadrature(self) -> tuple[Points, Floats, Floats]:
+        """The `quadrature` of the whole faces."""
+        return self.quadrature(*_whole(len(self.faces)))
+
+    def quadrature(self, face: Ints, triangles: Floats) -> tuple[Points, Floats, Floats]:
+        """Return true surface places (t, g, 3), weighted area vectors (t, g, 3) and shape functions
+        (t, g, 6) of pieces of faces."""
+        places, weights = quadrature(2)
+        where = triangles[:, :1] + places[:, :1] * (triangles[:, 1:2] - triangles[:, :1])
+        where = (where + places[:, 1:] * (triangles[:, 2:] - triangles[:, :1])).reshape(-1, 2)
+        each = np.repeat(face, len(places))
+        values, slopes = shapes(where)
+        nodes = self.points[self.faces[each]]
+        tangents = np.einsum("qam,qai->qmi", slopes, nodes)
+        sides = triangles[:, 1:] - triangles[:, :1]
+        share = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+        share = (share * self.weight[face])[:, None] * weights
+        areas = np.cross(tangents[:, 0], tangents[:, 1]) * share.reshape(-1, 1)
+        on_surface, normal = self.nearest(np.einsum("qa,qai->qi", values, nodes), each)
+        areas = np.sum(areas * normal, axis=1, keepdims=True) * normal
+        of_piece = (len(face), len(places))
+        return (
+            on_surface.reshape(*of_piece, 3),
+            areas.reshape(*of_piece, 3),
+            values.reshape(*of_piece, 6),
         )
-    inner, sides = _interfaces(mesh)
-    depth = body.depth(mesh.points[inner[:, :3].ravel()]).reshape(-1, 3)
-    level = np.ptp(depth, axis=1) < 1e-9
-    return _Skin(
-        body,
-        np.concatenate([faces, inner]),
-        np.concatenate(
-            [sheet, body.sheets_of(mesh.points[inner], np.where(level, 0, len(body.pieces) - 1))]
-        ),
-        np.concatenate([np.zeros(len(faces)), np.where(level, depth.mean(axis=1), 0.0)]),
-        np.concatenate(
-            [shares[mesh.regions_behind(faces)], shares[sides[:, 0]] - shares[sides[:, 1]]]
-        ),
-        np.arange(len(faces) + len(inner)) >= len(faces),
-    )
+
+
+def _whole(count: int) -> tuple[Ints, Floats]:
+    """Return ``count`` faces (f,), and the corners (f, 3, 2) of each as its own only piece."""
+    return np.arange(count), np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (count, 1, 1))
+
+
+def _shear_shares(system: TaylorHood) -> Floats:
+    """Return (regions,) the shear modulus of every region over that of the material under the
+    load."""
+    return np.array([of.shear_ratio / system.under_load.shear_ratio for of in system.made_of])
 
 
 def _add_exactly(
@@ -357,49 +411,42 @@ are merged into cells, so many across."""
 
 
 def _nodal_forces(
-    mesh: Mesh,
-    body: Body,
+    surface: _Skin,
     load: Rectangles,
     columns: Floats,
     poisson_ratio: float,
-    shares: Floats | None = None,
-    layer: BondedLayer | None = None,
+    layer: BondedLayer | None,
 ) -> Floats:
     """Return the (N, 3, m) nodal forces in N of the tractions that w must carry on free faces and
     interfaces.
 
     Parameters
     ----------
-    mesh, body
-        Faces of ``body.held_pieces`` are held, all others are free; tractions are read on the
-        body's true surface.
+    surface
+        The free faces and interfaces; tractions are read on the body's true surface.
     load
         (k) rectangles; their own ``force_n`` is ignored.
     columns
         (k, 3, m) force of every rectangle in m load cases, N, global axes.
     poisson_ratio
         nu of the half-space, which is that of the material under the load.
-    shares
-        (regions,) shear modulus of every region of the mesh over that of the material under the
-        load; 1 if not given.
     layer
-        The layer whose correction of the half-space is known too; its traction is as much out of
-        balance.
+        The layer whose correction of the half-space is known too, if any; its traction is as much
+        out of balance.
     """
-    surface = _skin(mesh, body, np.ones(1) if shares is None else shares)
-    surface = surface[~_in_plane(mesh.points[surface.faces], load) & (surface.weight != 0.0)]
-    out = np.zeros((len(mesh.points), 3, columns.shape[2]))
-    if len(surface.faces) == 0 or len(load) == 0:
+    out = np.zeros((len(surface.points), 3, columns.shape[2]))
+    if len(load) == 0:
         return out
+    unbalanced = ~_in_plane(surface.points[surface.faces], load) & (surface.weight != 0.0)
     balls = _balls(load)
     columns = for_kernel(columns)
     coarse, sums = _from_afar(load, columns)
     for inside in (False, True):
-        chosen = surface[surface.inside == inside]
-        if len(chosen.faces) == 0:
+        chosen = np.flatnonzero(unbalanced & (surface.inside == inside))
+        if len(chosen) == 0:
             continue
         points, areas, values, nodes = _quadrature(
-            mesh.points, chosen, *balls, FINEST_INSIDE if inside else FINEST
+            surface, chosen, *balls, FINEST_INSIDE if inside else FINEST
         )
         away = np.min(
             np.linalg.norm(points[:, None] - balls[0], axis=2) / np.maximum(balls[1], 1e-300),
@@ -427,26 +474,18 @@ def _nodal_forces(
 
 
 def _quadrature(
-    points: Points, surface: _Skin, centres: Points, radii: Floats, finest: float
+    surface: _Skin, chosen: Ints, centres: Points, radii: Floats, finest: float
 ) -> tuple[Points, Floats, Floats, Ints]:
     """Return true surface places (q, 3), weighted area vectors (q, 3), shape functions (q, 6), face
-    nodes (q, 6)."""
-    faces = surface.faces
-    face, triangles = _split(points, surface, centres, radii, finest)
-    places, weights = quadrature(2)
-    where = triangles[:, :1] + places[:, :1] * (triangles[:, 1:2] - triangles[:, :1])
-    where = (where + places[:, 1:] * (triangles[:, 2:] - triangles[:, :1])).reshape(-1, 2)
-    face = np.repeat(face, len(places))
-    values, slopes = shapes(where)
-    nodes = points[faces[face]]
-    tangents = np.einsum("qam,qai->qmi", slopes, nodes)
-    sides = triangles[:, 1:] - triangles[:, :1]
-    share = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
-    share = share * surface.weight[face[:: len(places)]]
-    areas = np.cross(tangents[:, 0], tangents[:, 1]) * (share[:, None] * weights).ravel()[:, None]
-    places, normal = surface.nearest(np.einsum("qa,qai->qi", values, nodes), face)
-    areas = np.sum(areas * normal, axis=1, keepdims=True) * normal
-    return places, areas, values, faces[face]
+    nodes (q, 6) of some faces, cut into pieces that are small near the load."""
+    whole, face, triangles = _split(surface, chosen, centres, radii, finest)
+    cut = surface.quadrature(face, triangles)
+    found = [
+        np.concatenate([one[whole], other]).reshape(-1, one.shape[2])
+        for one, other in zip(surface.whole_quadrature, cut, strict=True)
+    ]
+    each = np.repeat(np.concatenate([whole, face]), cut[0].shape[1])
+    return found[0], found[1], found[2], surface.faces[each]
 
 
 def _from_afar(load: Rectangles, columns: Floats) -> tuple[Rectangles, Floats]:
@@ -523,31 +562,41 @@ def _balls(load: Rectangles) -> tuple[Points, Floats]:
 
 
 def _split(
-    points: Points, surface: _Skin, centres: Points, radii: Floats, finest: float
-) -> tuple[Ints, Floats]:
-    """Return the face (t,) and corners (t, 3, 2) of pieces of faces, small near the balls around
-    the load."""
-    faces = surface.faces
-    face = np.arange(len(faces))
-    triangles = np.tile(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (len(faces), 1, 1))
-    done: list[tuple[Ints, Floats]] = []
-    for level in range(LEVELS + 1):
-        values = shapes(triangles.reshape(-1, 2))[0].reshape(-1, 3, 6)
-        corners = np.einsum("tca,tai->tci", values, points[faces[face]])
-        corners = surface.nearest(corners.reshape(-1, 3), np.repeat(face, 3))[0].reshape(-1, 3, 3)
+    surface: _Skin, chosen: Ints, centres: Points, radii: Floats, finest: float
+) -> tuple[Ints, Ints, Floats]:
+    """Return which of the ``chosen`` faces stay whole, and of the others the face (t,) and corners
+    (t, 3, 2) of pieces, small near the balls around the load."""
+
+    def fitting(corners: Points) -> Bools:
         size = np.max(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1)
         away = np.linalg.norm(corners.mean(axis=1)[:, None] - centres, axis=2) - radii
         wanted = np.min(np.maximum(GROWTH * away, finest * radii), axis=1)
-        big = (size > wanted) & (level < LEVELS)
-        done.append((face[~big], triangles[~big]))
-        if not np.any(big):
+        return np.asarray(size <= wanted)
+
+    corners = surface.whole_corners[chosen]
+    fits = fitting(corners)
+    whole, face, corners = chosen[fits], chosen[~fits], corners[~fits]
+    _, triangles = _whole(len(face))
+    done: list[tuple[Ints, Floats]] = []
+    for level in range(LEVELS):
+        middles = (triangles + np.roll(triangles, -1, axis=1)) / 2.0
+        corners = _quarters(corners, surface.surface_points(face, middles))
+        triangles = _quarters(triangles, middles)
+        face = np.tile(face, 4)
+        fits = fitting(corners) | (level == LEVELS - 1)
+        done.append((face[fits], triangles[fits]))
+        face, triangles, corners = face[~fits], triangles[~fits], corners[~fits]
+        if len(face) == 0:
             break
-        a, b, c = (triangles[big, i] for i in range(3))
-        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-        quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-        triangles = np.concatenate([np.stack(q, axis=1) for q in quarters])
-        face = np.tile(face[big], 4)
-    return np.concatenate([f for f, _ in done]), np.concatenate([t for _, t in done])
+    return whole, np.concatenate([f for f, _ in done]), np.concatenate([t for _, t in done])
+
+
+def _quarters(corners: Floats, middles: Floats) -> Floats:
+    """Return the corners (4 t, 3, d) of the quarters of triangles (t, 3, d) by the ``middles`` of
+    their sides 01, 12, 20."""
+    (a, b, c), (ab, bc, ca) = corners.swapaxes(0, 1), middles.swapaxes(0, 1)
+    quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return np.concatenate([np.stack(q, axis=1) for q in quarters])
 
 
 def _add(

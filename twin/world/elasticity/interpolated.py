@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander2d
 from scipy.linalg import qr
-from scipy.spatial import Delaunay
+from scipy.spatial import ConvexHull
 
 from twin.arrays import Bools, Floats, Ints, Points, Progress, grid_points
 from twin.errors import InputError
@@ -44,6 +44,9 @@ MOST = 9
 
 INDEPENDENT = 1e-6
 """Least part of a polynomial that no other makes up on the patches, over the largest."""
+
+INSIDE = 1e-9
+"""How far outside a hull a patch may be that counts as inside, over the hull's size."""
 
 ROOM = 0.3
 """Share of its size by which a region is made larger on every side, for contact that grows or
@@ -161,7 +164,8 @@ class EdgeRegion(Region):
         _, triangle, order = qr(products.T, mode="economic", pivoting=True)
         known = np.abs(np.diag(triangle)) > INDEPENDENT * abs(triangle[0, 0])
         chosen = order[: len(known)][known]
-        self._hull = Delaunay(offsets) if np.linalg.matrix_rank(offsets) == 2 else None
+        flat = np.linalg.matrix_rank(offsets) == 2
+        self._hull = ConvexHull(offsets).equations if flat else None
         self._to_probes = np.linalg.pinv(products[chosen], rcond=INDEPENDENT)
         self._fields = _fields_of(system, body, rectangles[chosen])
 
@@ -175,7 +179,8 @@ class EdgeRegion(Region):
         """Return whether all patches lie in the hull of those that the region was made of."""
         if self._hull is None:
             return False
-        return bool((self._hull.find_simplex(self._offsets(rectangles), tol=1e-9) >= 0).all())
+        out = self._offsets(rectangles) @ self._hull[:, :2].T + self._hull[:, 2]
+        return bool((out <= INSIDE * (self._high - self._low).max()).all())
 
     def _weights(self, offsets: Floats) -> Floats:
         return np.asarray(self._products(offsets) @ self._to_probes)
@@ -199,9 +204,11 @@ def _fields_of(system: TaylorHood, body: Body, probes: Rectangles) -> Floats:
 
 
 def _nodes(size_mm: Floats) -> Ints:
-    """Return (2,) the polynomials along each direction that an `EdgeRegion` of a size (2,) has."""
+    """Return (2,) the polynomials along each direction that an `EdgeRegion` of a size (2,) has:
+    beyond `MOST` half as many."""
     nodes = 3 + np.ceil(size_mm / GRAIN_MM).astype(int)
-    return np.asarray(np.minimum(nodes, MOST if nodes.max() <= 2 * MOST else 2 * MOST))
+    half = np.clip(-(-nodes // 2), MOST, 2 * MOST)
+    return np.asarray(np.minimum(nodes, half))
 
 
 def patch_corrections(
