@@ -37,10 +37,14 @@ signal."""
 
 
 def as_picture(
-    image: NDArray[np.generic], what: str, blocks: tuple[int, int] | None = None
+    image: NDArray[np.generic],
+    what: str,
+    blocks: tuple[int, int] | None = None,
+    bad: tuple[Ints, Ints, Ints] | None = None,
 ) -> Picture:
     """Return ``image`` as a contiguous (h, w, 3) uint8 picture; a grey one is repeated in all
-    channels, colours that are repeated in ``blocks`` (`colour_blocks`) are interpolated.
+    channels, ``bad`` pixels (`bad_pixels`) and colours that are repeated in ``blocks``
+    (`colour_blocks`) are interpolated.
 
     Raises
     ------
@@ -61,6 +65,8 @@ def as_picture(
             "drop the others"
         )
     picture = np.ascontiguousarray(picture)
+    if bad is not None and len(bad[0]):
+        picture = _repaired(picture, bad)
     if blocks is not None:
         return _interpolate_colours(picture, blocks)
     # one type for the compiled kernels
@@ -75,19 +81,78 @@ DOUBLED = 0.1
 """Colours that change within blocks of 2 x 2 pixels by less than this share of what they change
 from block to block, squared, were kept at half the resolution and repeated."""
 
+COLOURLESS = 0.01
+"""Colours that change by less than this share of what the brightness changes by, squared, show
+nothing."""
+
 
 def colour_blocks(picture: Picture) -> tuple[int, int] | None:
     """Return the first (column, row) of the blocks of 2 x 2 pixels in which a film's decoder has
     repeated the colours; None where it has not."""
-    sample = picture[:, :, ::2] - picture.astype(np.float32) @ LUMA[:, None].astype(np.float32)
+    bright = picture.astype(np.float32) @ LUMA[:, None].astype(np.float32)
+    sample = picture[:, :, ::2] - bright
     first = []
     for axis in (1, 0):
         change = np.moveaxis(np.diff(sample, axis=axis) ** 2, axis, 0)
         even, odd = float(change[::2].mean()), float(change[1::2].mean())
-        if min(even, odd) >= DOUBLED * max(even, odd):
+        least = COLOURLESS * float((np.diff(bright, axis=axis) ** 2).mean())
+        if min(even, odd) >= DOUBLED * max(even, odd) or max(even, odd) < least:
             return None
         first.append(int(odd < even))
     return first[0], first[1]
+
+
+STANDS_OUT, LEAST_STAND_DN, PEAK, MOST_BAD = 8.0, 12.0, 3, 0.01
+"""A pixel is bad if it is brighter, or darker, than all but one of its eight neighbours by so many
+standard deviations of the noise, and so many counts, and by so many times what these differ by: a
+lens spreads light over several pixels, and so does a mosaic of colours. If more than this share
+are so, it is the picture's texture."""
+
+
+def bad_pixels(picture: Picture) -> tuple[Ints, Ints, Ints]:
+    """Return row, column and channel of the pixels that are hot or dead."""
+    levels = picture.astype(np.int16)
+    height, width = picture.shape[:2]
+    around = np.pad(levels, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    lowest, low = np.full((2, *levels.shape), 1 << 14, np.int16)
+    highest, high = np.full((2, *levels.shape), -1, np.int16)
+    for row, column in RING:
+        beside = around[1 + row : 1 + row + height, 1 + column : 1 + column + width]
+        low = np.minimum(low, np.maximum(lowest, beside))
+        lowest = np.minimum(lowest, beside)
+        high = np.maximum(high, np.minimum(highest, beside))
+        highest = np.maximum(highest, beside)
+    steps = np.abs(np.diff(levels[::3, ::2], axis=1)) if width > 2 else np.zeros((1, 1, 3))
+    noise = 1.4826 * np.median(steps.reshape(-1, 3), axis=0) / np.sqrt(2.0)
+    least = np.maximum(STANDS_OUT * noise, LEAST_STAND_DN)
+    bad = levels > high + least + PEAK * (high - lowest)
+    bad |= levels < low - least - PEAK * (highest - low)
+    if bad.mean() > MOST_BAD:
+        bad[:] = False
+    rows, columns, channels = np.nonzero(bad)
+    return rows, columns, channels
+
+
+RING = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if (row, column) != (0, 0)]
+"""A pixel's eight neighbours."""
+
+
+def _repaired(picture: Picture, bad: tuple[Ints, Ints, Ints]) -> Picture:
+    """Return the picture with its ``bad`` pixels interpolated cubically along rows and columns."""
+    row, column, channel = bad
+    height, width = picture.shape[:2]
+    out = picture.copy()
+
+    def beside(down: int, right: int) -> Ints:
+        rows, columns = np.clip(row + down, 0, height - 1), np.clip(column + right, 0, width - 1)
+        return np.asarray(out[rows, columns, channel].astype(np.int64))
+
+    # first by the neighbours' median, which other bad pixels do not move
+    out[bad] = np.median([beside(*step) for step in RING], axis=0).astype(np.uint8)
+    near = sum(beside(*step) for step in ((0, 1), (0, -1), (1, 0), (-1, 0)))
+    far = sum(beside(*step) for step in ((0, 2), (0, -2), (2, 0), (-2, 0)))
+    out[bad] = np.clip(np.rint((4 * near - far) / 12), 0, 255).astype(np.uint8)
+    return out
 
 
 def _interpolate_colours(picture: Picture, blocks: tuple[int, int]) -> Picture:

@@ -73,6 +73,7 @@ from twin.sense.template import (
     SCALE,
     SHAPE,
     SHORTFALL,
+    SLOPE,
     SMALLER,
     SQUARES,
     STEP,
@@ -83,6 +84,7 @@ from twin.sense.template import (
     VAR_TILTED,
     VARIANCE,
     Templates,
+    disc,
     gather,
     slope_terms,
 )
@@ -111,6 +113,14 @@ does not."""
 
 QUADRATIC, LINEAR = 30, 12
 """From how many markers on their shared slope is a quadratic, or linear, function of the place."""
+
+RELIT = 5.0
+"""Standard deviations of a marker's slope of brightness by which a change that all markers share
+exceeds chance: then the light may have changed."""
+
+AGREE = 0.25
+"""Share, squared, of the markers' change of slope that may be left by what the change from marker
+to marker explains."""
 
 LEAST_CONTRAST_DN = 5.0
 
@@ -197,6 +207,9 @@ OUTLYING = 3.0
 """A third harmonic of more medians counts as one of so many: under moving shadows up to a quarter
 of a layer may have more."""
 
+PLACES = 1200
+"""About at how many places of a picture the ground is looked at (`_ground_coherence`)."""
+
 LEAST_SCORES = 4
 """From so many numbers on a median is taken."""
 
@@ -225,6 +238,7 @@ class DiscFit(SoftWindow):
     ) -> Sequence[DiscFit]:
         spots = SoftWindow.at_rest(picture, looks, spacing_px, given)
         centres, widths = [s.spot_px for s in spots], [look.diameter_px for look in looks]
+        marks = np.concatenate(centres)
         own = [np.asarray(look.weights) for look in looks]
         colours = [_colour_of(picture, c, w) for c, w in zip(centres, widths, strict=True)]
         visible = all(np.abs(colour).max() >= LEAST_CONTRAST_DN for colour in colours)
@@ -241,8 +255,9 @@ class DiscFit(SoftWindow):
         def fitted(number: int, weights: Floats) -> DiscFit:
             mine = np.array([*weights, np.median(sample @ weights)], np.float32)
             others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
-            made = _make_templates(picture, mine, others, spots[number], widths[number])
-            return cls._fitted(picture, spots[number], *made)
+            made, start = _make_templates(picture, mine, others, spots[number], widths[number])
+            made = replace(made, ground_coherence=_ground_coherence(picture, made, marks))
+            return cls._fitted(picture, spots[number], made, start)
 
         groups = []
         for number, colour in enumerate(colours):
@@ -311,6 +326,11 @@ class DiscFit(SoftWindow):
         the picture's frame cuts."""
         templates = self.templates
         fitted = templates.fit(picture, start_px, lead)
+        change = self._change_of_light(fitted)
+        if change is not None:
+            templates = replace(templates, slopes=templates.slopes + change)
+            fitted = templates.fit(picture, for_kernel(fitted[:, CENTRE]))
+            fitted[:, CENTRE] -= self._moved_by_ground(fitted)
         cut = self._cut(fitted, start_px)
         if not (np.fmax.reduce(fitted[:, DOUBTED]) > 0.0 or cut.any()):
             return fitted  # nearly always
@@ -357,6 +377,43 @@ class DiscFit(SoftWindow):
             fitted[cut & ~near, CENTRE] = start_px[cut & ~near]
             self._fit_parts(picture, templates, fitted, doubted, cut, axes, blur)
         return fitted
+
+    def _change_of_light(self, fitted: Floats) -> Floats | None:
+        """Return (2, 6) by what smooth function of the place, as `Templates.slopes`, the slopes of
+        brightness have changed with the light; None where no more than by chance.
+
+        Light that changes from marker to marker also changes across each of them. Only where both
+        are found, and agree, has it changed: pixels that lie alike on all markers feign slopes.
+        """
+        size, rest = self.look.picture_px, self.templates.rest
+        change = fitted[:, SLOPE] - rest[:, SLOPE]
+        known = np.isfinite(change[:, 0])
+        if known.sum() < LINEAR:
+            return None
+        change, places = change[known], fitted[known, CENTRE]
+        middle = _medians(change, 0)
+        reach = OUTLYING * 1.4826 * _medians(np.abs(change - middle), 0)
+        bounded = np.clip(change, middle - reach, middle + reach)
+        terms = slope_terms(places, size)
+        basis = np.linalg.qr(terms[:, :3])[0]
+        along = basis.T @ bounded
+        scatter = np.sqrt(((bounded - basis @ along) ** 2).mean(axis=0))
+        if (np.abs(along) <= RELIT * scatter).all():
+            return None
+        light = _gradient(np.log(fitted[known, LEVEL] / rest[known, LEVEL]), places, size)
+        left = along - basis.T @ (terms @ light.T)
+        return light if (left**2).sum() < AGREE * (along**2).sum() else None
+
+    def _moved_by_ground(self, fitted: Floats) -> Pixels:
+        """Return (n, 2) how far the ground moves fitted centres, px, by a slope of its brightness
+        that it did not have at rest: by the sum of edge times slope over that of the edge squared.
+        """
+        size, shape = self.look.picture_px, self.templates.shape
+        change, places = fitted[:, GROUND] - self.templates.rest[:, GROUND], fitted[:, CENTRE]
+        known = np.isfinite(change)
+        slope = slope_terms(places, size) @ _gradient(change[known], places[known], size).T
+        edge = 5.0 / 7.0 * fitted[:, LEVEL] * (1.0 + shape[:, 5]) / shape[:, 6]
+        return np.asarray(slope * (np.sqrt(shape[:, 0] * shape[:, 2]) / edge)[:, None])
 
     def _cut(self, fitted: Floats, start_px: Pixels) -> Bools:
         """Return (n,) which markers the picture's frame cuts: less of the edge is in sight, or it
@@ -506,9 +563,9 @@ class DiscFit(SoftWindow):
         )
         sd = np.hypot(_centre_sds(fitted, templates.usual_misfit), rest_sd)
         sd[np.isnan(shift[:, 0])] = np.nan
-        factor = 1.0
+        factor = templates.ground_coherence
         if templates.coherent:
-            factor = max(_coherence(fitted, templates.third, state == SEEN, sd), 1.0)
+            factor = max(_coherence(fitted, templates.third, state == SEEN, sd), factor)
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
         sd = _edge_sds(fitted, templates, rest_sd, sd, factor)
@@ -607,8 +664,72 @@ def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
     counts = seen & np.isfinite(moved[:, 0])
     if 2 * int(counts.sum()) < LEAST_SCORES:
         return 1.0
-    score = moved[counts] / sd[counts, None]
+    return _bounded_rms(moved[counts] / sd[counts, None])
+
+
+def _bounded_rms(score: Floats) -> float:
+    """Return the root mean square of ``score``, of which more than `OUTLYING` medians count as so
+    many."""
+    score = np.abs(score)
     return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * np.median(score)) ** 2)))
+
+
+def _ground_coherence(picture: Picture, templates: Templates, marks: Pixels) -> float:
+    """Return how many times as large as stated from single pixels' noise the errors of centres are
+    that the ground around the markers ``marks`` (q, 2) causes, at least 1.
+
+    The ground's texture, and noise of whole rows, move a fitted centre by a sum of pixels times the
+    edge's slopes, over that of the slopes squared. So that sum is taken where no marker lies: its
+    spread is the error, however the noise hangs together. What varies smoothly over the picture
+    moves markers alike at rest and later.
+    """
+    shape = _medians(templates.shape, 0)
+    radius, blur = float(np.sqrt(shape[0] * shape[2])), float(shape[6])
+    marks = marks[np.isfinite(marks).all(axis=1)]
+    if not np.isfinite(radius) or not len(marks):
+        return 1.0
+    height, width = picture.shape[:2]
+    offset, clear = _disc(radius + blur), _disc(radius + blur + MARGIN_PX)
+    covered = np.zeros((height, width), np.bool_)
+    near = np.rint(marks)[:, None].astype(int) + clear
+    column, row = near[((near >= 0) & (near < [width, height])).all(axis=2)].T
+    covered[row, column] = True
+    # the slopes of the brightness along x, y and the ground, at every pixel of a marker
+    far = np.hypot(*offset.T)
+    fall = 1.0 - np.clip((radius - far) / blur, -1.0, 1.0) ** 2
+    edge = 15 / 16 * shape[7] / blur * fall**2
+    slopes = np.column_stack(
+        [edge[:, None] * offset / np.maximum(far, 0.5)[:, None], 1.0 + 0 * far]
+    )
+    reach = int(np.abs(offset).max())
+    step = max(int(np.sqrt(height * width / PLACES)), 1)
+    places = np.mgrid[reach : width - reach : step, reach : height - reach : step].reshape(2, -1).T
+    free = ~covered[places[:, 1], places[:, 0]]
+    pixels = places[free][:, None] + offset
+    use = ~covered[pixels[:, :, 1], pixels[:, :, 0]]
+    signal = picture[pixels[:, :, 1], pixels[:, :, 0]] @ templates.own[:3].astype(float)
+    products = (slopes[:, :, None] * slopes[:, None, :]).reshape(len(slopes), -1)
+    matrix = (use @ products).reshape(-1, 3, 3)
+    inside = matrix[:, [0, 1], [0, 1]].min(axis=1) > LEAST_EDGE * products[:, 0].sum()
+    if inside.sum() < QUADRATIC:
+        return 1.0
+    middle = np.median(signal[inside])
+    right = ((use * (signal - middle)) @ slopes)[inside]
+    inverse = np.linalg.inv(matrix[inside])
+    moved = (inverse @ right[:, :, None])[:, :2, 0]
+    at = places[free][inside].astype(float)
+    moved -= slope_terms(at, picture.shape) @ _smooth(moved, at, picture.shape).T
+    score = moved / np.sqrt(templates.noise[0] * inverse[:, [0, 1], [0, 1]])
+    square = 0.5 * (_bounded_rms(score[:, 0]) ** 2 + _bounded_rms(score[:, 1]) ** 2)
+    # half of an edge's pixels have the marker's own noise
+    square = 1.0 + (square - 1.0) * templates.noise[0] / templates.noise.mean()
+    return float(np.sqrt(square)) if square > WHITE else 1.0
+
+
+def _disc(radius: float) -> Ints:
+    """Return (m, 2) offsets of the pixels within ``radius``, px."""
+    offset, runs = disc(radius)
+    return np.asarray(offset[:, : int(runs[:, 2].sum())].T)
 
 
 def _edge_sds(
@@ -761,6 +882,7 @@ def _make_templates(
         level=shape[:, 7].copy(),
         reach_px=reach,
         coherent=False,
+        ground_coherence=1.0,
         rest=unknown,
     )
     fitted = templates.fit(picture, places)
@@ -781,25 +903,40 @@ def _share_slopes(
 ) -> Floats:
     """Split the fitted slopes: return the shared part (2, 6), and leave in ``shape`` what is
     clearly a marker's own."""
-    shared = np.zeros((2, 6))
-    count = int(good.sum())
-    terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
-    basis = slope_terms(places[good], size)[:, :terms]
-    for axis in range(2):
-        slope = shape[good, 3 + axis]
-        weight = np.ones(count)
-        for _ in range(5 if terms else 0):
-            shared[axis, :terms] = np.linalg.lstsq(
-                basis * weight[:, None], slope * weight, rcond=None
-            )[0]
-            rest = np.abs(slope - basis @ shared[axis, :terms])
-            weight = np.sqrt(
-                np.minimum(1.0, 1.5 * max(float(np.median(rest)), 1e-9) / np.maximum(rest, 1e-9))
-            )
-        shape[good, 3 + axis] = slope - basis @ shared[axis, :terms]
+    shared = _smooth(shape[good, 3:5], places[good], size)
+    shape[good, 3:5] -= slope_terms(places[good], size) @ shared.T
     own = np.hypot(shape[:, 3], shape[:, 4]) * np.hypot(shape[:, 0], shape[:, 2]) / np.sqrt(2.0)
     shape[~(good & (own > OWN_SLOPE)), 3:5] = 0.0
     return shared
+
+
+def _smooth(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
+    """Return (q, 6) the smooth functions of the place that ``values`` (n, q) follow, robustly: none
+    where there are few."""
+    shared, count = np.zeros((values.shape[1], 6)), len(values)
+    terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
+    basis = slope_terms(places, size)[:, :terms]
+    for axis in range(len(shared)):
+        weight = np.ones(count)
+        for _ in range(5 if terms else 0):
+            shared[axis, :terms] = np.linalg.lstsq(
+                basis * weight[:, None], values[:, axis] * weight, rcond=None
+            )[0]
+            rest = np.abs(values[:, axis] - basis @ shared[axis, :terms])
+            weight = np.sqrt(
+                np.minimum(1.0, 1.5 * max(float(np.median(rest)), 1e-9) / np.maximum(rest, 1e-9))
+            )
+    return shared
+
+
+def _gradient(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
+    """Return (2, 6) the slopes along x and y, 1/px, of the smooth function of the place that
+    ``values`` (n,) follow, by the terms of `slope_terms`."""
+    _, u, v, uu, uv, vv = _smooth(values[:, None], places, size)[0]
+    slopes = np.zeros((2, 6))
+    slopes[0, :3] = np.array([u, 2.0 * uu, uv]) / size[1]
+    slopes[1, :3] = np.array([v, uv, 2.0 * vv]) / size[0]
+    return slopes
 
 
 def _noise_variances(

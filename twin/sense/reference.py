@@ -14,13 +14,14 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.arrays import Floats, Picture, Pixels, frozen
+from twin.arrays import Floats, Ints, Picture, Pixels, frozen
 from twin.errors import InputError, require
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import CentreEstimator, Look
 from twin.sense.colour import (
     Weights,
     as_picture,
+    bad_pixels,
     colour_blocks,
     estimate_channels,
     project,
@@ -64,6 +65,8 @@ class Rest:
         How centres are measured.
     blocks
         `twin.sense.colour.colour_blocks` of the picture.
+    bad
+        `twin.sense.colour.bad_pixels` of it.
     """
 
     layer: NDArray[np.str_]
@@ -74,6 +77,7 @@ class Rest:
     size_px: tuple[int, int]
     method: CentreMethod
     blocks: tuple[int, int] | None
+    bad: tuple[Ints, Ints, Ints]
 
 
 def analyse_rest(
@@ -87,9 +91,8 @@ def analyse_rest(
 ) -> Rest:
     """Find the markers of ``layout`` in the rest picture; parameters as for `twin.track`."""
     picture = as_picture(rest_image, "the rest picture")
-    blocks = colour_blocks(picture)
-    if blocks is not None:
-        picture = as_picture(picture, "the rest picture", blocks)
+    blocks, bad = colour_blocks(picture), bad_pixels(picture)
+    picture = as_picture(picture, "the rest picture", blocks, bad)
     drawn = _checked_layout(layout)
     _check_options(drawn, diameter_px, polarity, channels, method)
     size = min(spacing(p) for p in drawn.values())
@@ -123,6 +126,7 @@ def analyse_rest(
         size_px=(height, width),
         method=method,
         blocks=blocks,
+        bad=bad,
     )
 
 

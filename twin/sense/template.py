@@ -126,9 +126,11 @@ PIXELS, STEP, MISFIT, FITTING, THIRD_X, THIRD_Y, SHORTFALL, ONE_SIDED = range(9,
 DIRECTIONS = 8
 RESHAPED = ONE_SIDED + DIRECTIONS
 DOUBTED, DIFFERENCE, TILTED_X, TILTED_Y, VAR_TILTED = range(RESHAPED + 1, RESHAPED + 6)
-COLUMNS = VAR_TILTED + 1
+SLOPE_X, SLOPE_Y = VAR_TILTED + 1, VAR_TILTED + 2
+COLUMNS = SLOPE_Y + 1
 CENTRE, VARIANCE = slice(CENTRE_X, CENTRE_Y + 1), slice(VAR_X, VAR_Y + 1)
 THIRD, TILTED = slice(THIRD_X, THIRD_Y + 1), slice(TILTED_X, TILTED_Y + 1)
+SLOPE = slice(SLOPE_X, SLOPE_Y + 1)
 """What `Templates.fit` gives for a marker: centre, level, ground, scale against the template;
 variances of the centre; share of the edge in sight; sum of squared residuals over how many pixels;
 last step in px; squared residuals over their expected size; share of the edge in sight that fits;
@@ -139,7 +141,8 @@ as a share of the marker's; along
 less how far it moves back if the other side is, px; what was fitted: 0 the shape at rest,
 `OWN_SHAPE` or `PART_IN_SIGHT`; 1 where the fit, the edge or the size is not as usual, else 0; by
 how much the outline differs from its neighbours', unexplained, px; how far the centre would move
-were the slope of brightness fitted too, and the variance of that by the noise. Two, the light and
+were the slope of brightness fitted too, the variance of that by the noise, and by how much the
+slope would change, 1/px. Two, the light and
 the moves of one side, are 0 and NaN where the edge is not looked at."""
 
 OWN_SHAPE, PART_IN_SIGHT = 1.0, 2.0
@@ -450,6 +453,8 @@ def _fit_centres(
         fit[TILTED_X] = (own_slope * total[18] - both * total[20]) / free
         fit[TILTED_Y] = (own_slope * total[19] - both * total[21]) / free
         fit[VAR_TILTED] = own_slope / free
+        fit[SLOPE_X] = (firm * total[20] - both * total[18]) / (free * level)
+        fit[SLOPE_Y] = (firm * total[21] - both * total[19]) / (free * level)
         uneven = (fit[THIRD_X] - third[k, 0]) ** 2 + (fit[THIRD_Y] - third[k, 1]) ** 2
         uneven /= 2.0 * (fit[VAR_X] + fit[VAR_Y])
         doubted = fit[FITTING] < FITS or fit[MISFIT] > UNUSUAL * usual_misfit
@@ -562,6 +567,8 @@ class Templates:
         Radius of what is looked at around a marker, px.
     coherent
         Whether residuals at rest are those of noise that hangs together over pixels.
+    ground_coherence
+        How many times as large as from single pixels' noise the errors are that the ground causes.
     rest
         (n, `COLUMNS`) `fit` of the rest picture.
     """
@@ -576,6 +583,7 @@ class Templates:
     level: Floats
     reach_px: float
     coherent: bool
+    ground_coherence: float
     rest: Floats
 
     @property
