@@ -30,10 +30,10 @@ from twin.sense.calibration import Calibration
 from twin.sense.fit_design import Fit, Presses
 from twin.sense.reconstruct import reconstruct
 from twin.sense.transfer import fill_between, from_presses
+from twin.study.batch.pool import versions
 from twin.study.calibrate import FOOTPRINT, calibration_press, hertz_radius, optics
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
-from twin.study.reproduce.reproduction_run import source_hash
 from twin.study.sensor import Sensor, make, on_surface
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.coated import CoveredCompliance
@@ -83,7 +83,7 @@ class Truth:
         self.sensor = Sensor(plain)
         self._last: tuple[tuple[float, float], CoveredCompliance] | None = None
         self.points = np.concatenate([one.markers.points for one in made])
-        self.folder = cache_folder() / f"inverse-{source_hash()[:16]}"
+        self.folder = cache_folder() / f"inverse-{versions()['twin']}"
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def rest_px(self) -> Floats:

@@ -12,10 +12,9 @@ from typing import Any
 
 from twin.blas_threads import one_thread
 from twin.study import sensor
-from twin.study.batch.pool import unpacked
 from twin.study.dataset import sample
 from twin.study.dataset.plan import Places, Plan
-from twin.study.dataset.prepare import job_of, prepare
+from twin.study.dataset.prepare import prepare
 from twin.study.recipe import load_scene
 
 TRUTH = ["force_n", "surface_force_n", "site_force_n", "site_contact", "marker_displacement_mm", "marker_pressed_px"]
@@ -70,7 +69,7 @@ def _case(name: str, scene: str, overrides: dict[str, Any], count: int) -> dict[
         places = Places(Path(folder))
         places.meta.mkdir()
         prepare(Plan(loaded, 2 * count), places, None)
-        with unpacked(job_of(places)) as job:
+        with places.job.unpacked() as job:
             sample.make_shard(job, 0)
             with _stages() as spent:
                 started = time.process_time()

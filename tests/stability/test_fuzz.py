@@ -96,7 +96,7 @@ def test_a_picture_in_a_dataset_is_bounded() -> None:
 
 def test_a_lock_is_not_taken_through_a_link(tmp_path: Path) -> None:
     (tmp_path / "writer.lock").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match="can't be written"), only_writer(tmp_path / "writer.lock"):
+    with pytest.raises(InputError, match="can't be written"), only_writer(tmp_path, tmp_path / "writer.lock"):
         pass
     assert not (tmp_path / "elsewhere").exists()
 
@@ -113,7 +113,7 @@ def test_a_lock_is_gone_with_its_holder_and_one_just_removed_is_none(
         taken.append(handle)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with only_writer(path), pytest.raises(InputError, match="another process"), only_writer(path):
+    with only_writer(tmp_path, path), pytest.raises(InputError, match="another process"), only_writer(tmp_path, path):
         pass
     assert len(taken) == 2
     assert not path.exists()

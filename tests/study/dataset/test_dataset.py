@@ -222,9 +222,10 @@ def test_contact_beyond_the_sites_fails_instead_of_losing_force(tmp_path: Path) 
 
 
 def test_two_writers_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "d" / "meta").mkdir(parents=True)
-    with only_writer(tmp_path / "d" / "meta" / "writer.lock"), pytest.raises(InputError, match="another process"):
-        make(tmp_path / "d")
+    folder = tmp_path / "d"
+    lock = only_writer(folder, folder / "meta" / "writer.lock")
+    with lock, pytest.raises(InputError, match="another process"):
+        make(folder)
 
 
 def test_another_scene_columns_or_versions_are_refused(made: Path, tmp_path: Path) -> None:

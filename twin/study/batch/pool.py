@@ -41,7 +41,7 @@ from typing import Any
 
 from twin.blas_threads import one_thread
 from twin.errors import InputError, MissingCapability
-from twin.files import temporary_folder
+from twin.files import make_folder, temporary_folder
 
 Work = Callable[[Path, int], Any]
 """Computes task number n of the job whose files are in a folder."""
@@ -113,6 +113,15 @@ class Job:
             sha.update(path.encode())
             sha.update(hashlib.sha256(self.files[path]).digest())
         return sha.hexdigest()[:32]
+
+    @contextmanager
+    def unpacked(self) -> Iterator[Path]:
+        """Write the files into a temporary folder."""
+        with temporary_folder("twin-job") as folder:
+            for path, data in self.files.items():
+                (folder / path).parent.mkdir(parents=True, exist_ok=True)
+                (folder / path).write_bytes(data)
+            yield folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +197,7 @@ class Pool:
         waiting = deque(numbers)
         if self._cluster is None and waiting:
             if job.name not in self._folders:
-                self._folders[job.name] = self._started.enter_context(unpacked(job))
+                self._folders[job.name] = self._started.enter_context(job.unpacked())
             yield from self._run_on_this_machine(job, waiting)
         if waiting:
             if self._cluster is None:
@@ -320,16 +329,6 @@ def end_if_too_long() -> None:
         raise _TooLong
 
 
-@contextmanager
-def unpacked(job: Job) -> Iterator[Path]:
-    """Write a job's files into a temporary folder."""
-    with temporary_folder("twin-job") as folder:
-        for path, data in job.files.items():
-            (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            (folder / path).write_bytes(data)
-        yield folder
-
-
 def _work_of(place: str) -> Work:
     module, name = place.split(":")
     function: Work = getattr(importlib.import_module(module), name)
@@ -366,7 +365,7 @@ def _unpack_on_worker(job: Job) -> None:
     _unpacked.clear()
     stack = ExitStack()
     stack.enter_context(one_thread())
-    _unpacked[job.name] = (stack, stack.enter_context(unpacked(job)))
+    _unpacked[job.name] = (stack, stack.enter_context(job.unpacked()))
 
 
 @contextmanager
@@ -519,17 +518,23 @@ def _outcome(numbers: list[int], future: Any) -> tuple[list[Done], float | None]
 
 
 @contextmanager
-def only_writer(path: Path) -> Iterator[None]:
-    """Hold an operating system's lock on the empty file ``path``, or raise `InputError`.
+def only_writer(folder: Path, lock: Path) -> Iterator[None]:
+    """Make a folder, and be the only process that writes into it, by an operating system's lock on
+    the empty file ``lock``; what a killed writer left half-written is removed.
 
-    The lock ends with its owner, however that ends.
+    The lock ends with its owner, however that ends. Raises an `InputError` where another process is
+    writing or the folder can't be written.
     """
-    handle = _locked(path)
+    make_folder(folder)
+    make_folder(lock.parent)
+    handle = _locked(lock)
     try:
+        for stale in folder.rglob(".*.part"):
+            stale.unlink(missing_ok=True)
         yield
     finally:
         with suppress(OSError):  # Windows removes no open file
-            path.unlink()
+            lock.unlink()
         os.close(handle)
 
 

@@ -23,11 +23,11 @@ from twin.blas_threads import one_thread
 from twin.errors import InputError
 from twin.files import make_folder, write_json, write_whole
 from twin.parts.scene import Scene
-from twin.study.batch.pool import Done, Job, Pool, Scheduler, counted, only_writer, unpacked
+from twin.study.batch.pool import Done, Job, Pool, Scheduler, counted, only_writer
 from twin.study.dataset.audit import audit, audited
 from twin.study.dataset.export import write_card
 from twin.study.dataset.plan import Places, Plan, sha256
-from twin.study.dataset.prepare import job_of, prepare, resumed
+from twin.study.dataset.prepare import prepare
 from twin.study.dataset.reader import readable
 from twin.study.dataset.sample import audit_sample, make_shard
 
@@ -96,17 +96,9 @@ def create_dataset(
     if scheduler is not None:
         scheduler.reach()
     places = Places(folder)
-    make_folder(folder)
-    make_folder(places.meta)
-    with only_writer(places.meta / "writer.lock"):
-        for stale in folder.rglob(".*.part"):
-            stale.unlink(missing_ok=True)
-        whole: dict[str, str] = {}
-        if places.info.is_file():
-            plan = resumed(plan, places)
-            whole = _resume(places)
-        else:
-            prepare(plan, places, progress)
+    with only_writer(folder, places.meta / "writer.lock"):
+        plan = prepare(plan, places, progress)
+        whole = _undamaged(places)
         for wanted in (places.data, places.sensors):
             make_folder(wanted)
         with Pool(workers, scheduler) as pool:
@@ -117,7 +109,7 @@ def _made(
     plan: Plan, places: Places, whole: dict[str, str], pool: Pool, progress: Progress | None
 ) -> Outcome:
     """Make the missing shards, and finish the dataset if none is missing."""
-    job = job_of(places)
+    job = places.job
     content = json.loads(places.info.read_text())["content"]
     started = time.perf_counter()
     waiting = [n for n in range(plan.shards) if not _is_whole(plan, places, n, content, whole)]
@@ -189,7 +181,7 @@ def _is_whole(
     plan: Plan, places: Places, number: int, content: str, whole: Collection[str]
 ) -> bool:
     """Return whether a shard is there, with all of its samples and sensors and of this dataset;
-    ``whole`` are the undamaged files (`_resume`)."""
+    ``whole`` are the undamaged files (`_undamaged`)."""
     paths = [places.shard(number)] + [places.sensor_shard(number)] * bool(plan.sensors_of(number))
     numbers = plan.of_shard(number)
     there = [_holds(path, content, f"{numbers.start}-{numbers.stop}") for path in paths]
@@ -211,7 +203,7 @@ def _holds(path: Path, content: str, samples: str) -> bool:
     return bool(words.get(b"twin.samples", b"") == samples.encode())
 
 
-def _resume(places: Places) -> dict[str, str]:
+def _undamaged(places: Places) -> dict[str, str]:
     """Remove damaged shards and audits; return the checksums of the undamaged shards.
 
     Why: a damaged file may still open, and its new checksum would then hide the damage.
@@ -302,7 +294,7 @@ def estimate(
         places = Places(Path(name))
         places.meta.mkdir()
         prepare(Plan(tried, 3 * TRIED), places, progress)
-        with unpacked(job_of(places)) as folder:
+        with places.job.unpacked() as folder:
             first, begun = _timed(make_shard, folder, 0)
             shard, made = _timed(make_shard, folder, 1)
             _, again = _timed(audit_sample, folder, TRIED)

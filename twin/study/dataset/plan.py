@@ -22,6 +22,7 @@ from twin.parts.scene import Scene
 from twin.parts.vary import Choice, Distribution, ForceCone, Normal, Uniform
 from twin.streams import Purpose
 from twin.study.batch.draw import Table, draws, plain_table, put_all, with_values
+from twin.study.batch.pool import Job
 from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR, Column, Kind, Need, bare
 
 FORMAT = 1
@@ -41,6 +42,7 @@ _FIXED = (
 """Tables that can't vary inside a dataset: it has one mesh, one accuracy and one format."""
 
 MOST_STEPS = 1024
+_WORK = "twin.study.dataset.sample:make_shard"
 
 P = TypeVar("P", bound=Part)
 
@@ -272,6 +274,16 @@ class Places:
     def sensor_shard(self, number: int) -> Path:
         """File of a shard's sensors."""
         return self.sensors / f"part-{number:05d}.parquet"
+
+    @property
+    def job(self) -> Job:
+        """The job that makes shards: everything a worker needs to know."""
+        kept = [
+            path
+            for path in sorted(self.meta.iterdir())
+            if path.suffix in {".npz", ".toml", ".stl"} or path == self.info
+        ]
+        return Job(files={path.name: path.read_bytes() for path in kept}, work=_WORK)
 
     def read_info(self) -> dict[str, Any]:
         """Return info.json, or raise `InputError` if there is none or it can't be read."""

@@ -18,15 +18,22 @@ from twin.parts.probe import Stl
 from twin.parts.scene import Scene
 from twin.parts.shape import StlFile
 from twin.parts.vary import Choice
-from twin.study.batch.pool import Job, versions
+from twin.study.batch.pool import versions
 from twin.study.dataset.plan import FORMAT, Places, Plan, sha256
 from twin.study.recipe import dump_scene
 
-_WORK = "twin.study.dataset.sample:make_shard"
 
+def prepare(plan: Plan, places: Places, progress: Progress | None) -> Plan:
+    """Write ``meta/``: the resolved scene, the meshes, and last of all info.json. Return the plan;
+    of a dataset that was begun, the one that it has.
 
-def prepare(plan: Plan, places: Places, progress: Progress | None) -> None:
-    """Write ``meta/``: the resolved scene, the meshes, and last of all info.json."""
+    Raises
+    ------
+    InputError
+        The folder holds another dataset, or something else.
+    """
+    if places.info.is_file():
+        return _resumed(plan, places)
     if any(places.folder.glob("data/*")):
         raise InputError(
             f"{places.folder}: has data but no meta/info.json, so it is no dataset; give another "
@@ -37,6 +44,7 @@ def prepare(plan: Plan, places: Places, progress: Progress | None) -> None:
     _pin_meshes(places.meta, progress)
     meshes = {p.name: sha256(p) for p in sorted(places.meta.glob("*.npz"))}
     write_json(places.info, _info(Plan(scene, plan.samples), meshes))
+    return plan
 
 
 def _put_down(scene: Scene, files: Mapping[str, Path], meta: Path) -> None:
@@ -118,7 +126,7 @@ def _renderer(scene: Scene, needs: frozenset[str]) -> str:
     return f"{tracer}{variant.name} {Path(variant.library or '').name}".strip()
 
 
-def resumed(plan: Plan, places: Places) -> Plan:
+def _resumed(plan: Plan, places: Places) -> Plan:
     """Return the plan of a dataset that was begun; `InputError` if it is not the same one."""
     from twin.study.recipe import load_scene
 
@@ -163,16 +171,6 @@ def _difference(old: Any, new: Any) -> str:
         return f"'{old}' then, '{new}' now"
     keys = [k for k in sorted({*old, *new}) if old.get(k) != new.get(k)]
     return ", ".join(f"{k} {old.get(k)} then, {new.get(k)} now" for k in keys)
-
-
-def job_of(places: Places) -> Job:
-    """Return the job: everything a worker needs to know."""
-    kept = [
-        p
-        for p in sorted(places.meta.iterdir())
-        if p.suffix in {".npz", ".toml", ".stl"} or p == places.info
-    ]
-    return Job(files={p.name: p.read_bytes() for p in kept}, work=_WORK)
 
 
 def _portable(scene: Scene) -> tuple[Scene, dict[str, Path]]:

@@ -189,12 +189,12 @@ def _kept(out: Path, entry: Entry, bench: Bench) -> Table | None:
 
 
 def _key(entry: Entry, bench: Bench) -> str:
-    facts = [source_hash(), entry.name, _scenes_hash(), bench.seed, bench.quick]
+    facts = [_source_hash(), entry.name, _scenes_hash(), bench.seed, bench.quick]
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
 @cache
-def source_hash() -> str:
+def _source_hash() -> str:
     """Return the hash of all source files of this package."""
     root = Path(twin.__file__).parent
     digest = hashlib.sha256()

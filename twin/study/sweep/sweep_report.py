@@ -22,7 +22,7 @@ from twin.show.svg_plots import Axes, force_field, path
 from twin.study.recipe import dump_scene
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import closed
-from twin.study.sweep.sweep_run import Store, Swept, agreement, expected, metric
+from twin.study.sweep.sweep_run import Store, Swept, agreement, metric
 
 MOST = 5
 """Designs that get a scene of their own."""
@@ -503,7 +503,7 @@ def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> list[str]:
             )
             parts.append(_field(two, kept["site_mm"], kept["pair_n"]))
         elif done.fidelity[number] == "linear":
-            kept = expected(designs, number)
+            kept = done.expected(number)
             title = "Expected estimate of the push in the middle"
             parts.append(_field(title, kept["site_mm"], kept["middle_n"]))
         cards.append(

@@ -40,7 +40,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Progress
 from twin.blas_threads import one_thread
 from twin.errors import InputError, RecipeError, TwinError
-from twin.files import cache_folder, make_folder, write_json, write_whole
+from twin.files import cache_folder, write_json, write_whole
 from twin.parts.scene import Scene
 from twin.parts.sweep import FIDELITIES, METRICS, Sweep
 from twin.study.batch.draw import plain_table
@@ -51,7 +51,6 @@ from twin.study.batch.pool import (
     Scheduler,
     counted,
     only_writer,
-    unpacked,
     versions,
 )
 from twin.study.doubts import View
@@ -181,13 +180,6 @@ def _job_of(
     }
     files = {"sweep.json": json.dumps(table).encode(), "scene.toml": dump_scene(scene).encode()}
     return Job(files=files, work=f"{__name__}:{make_rows.__name__}")
-
-
-def expected(designs: Designs, number: int) -> Shown:
-    """Return what the page shows of a design by its linear information."""
-    sweep, design = designs.sweep, designs.scene_of(number)
-    pushes = _pushes(sweep, designs.scene, design)
-    return linear(design, View.of(design), sweep, Bodies.of(sweep), pushes)[1]
 
 
 def _designs(sweep: Sweep, scene: Scene, values: Sequence[dict[str, Any]]) -> Designs:
@@ -422,6 +414,13 @@ class Swept:
         """How many designs failed (those that are dropped have not)."""
         return int((self.status == "failed").sum())
 
+    def expected(self, number: int) -> Shown:
+        """Return what the page shows of a design by its linear information."""
+        designs = self.designs
+        design = designs.scene_of(number)
+        pushes = _pushes(designs.sweep, designs.scene, design)
+        return linear(design, View.of(design), designs.sweep, Bodies.of(designs.sweep), pushes)[1]
+
 
 def _check(sweep: Sweep, scene: Scene) -> None:
     """Refuse a sweep that can't be run.
@@ -485,10 +484,7 @@ def run_sweep(
     designs = Designs.of(sweep, scene)
     if scheduler is not None:
         scheduler.reach()
-    make_folder(folder)
-    with only_writer(folder / "writer.lock"):
-        for stale in folder.rglob(".*.part"):
-            stale.unlink(missing_ok=True)
+    with only_writer(folder, folder / "writer.lock"):
         runner = _Runner(
             sweep, scene, folder, workers=workers, scheduler=scheduler, progress=progress
         )
@@ -794,7 +790,7 @@ def _measured(
     with suppress(OSError, ValueError, KeyError):
         found = json.loads(kept.read_text())
         return found["each_s"], found["begin_s"], found["rows"], f"{how}, made before"
-    with one_thread(), unpacked(job) as folder:
+    with one_thread(), job.unpacked() as folder:
         began = time.process_time()
         rows = make_rows(Path(folder), 0).rows
         started = time.process_time()
