@@ -330,15 +330,8 @@ def _rounded(approach: Approach) -> Approach:
 
 def _from_rim(points: Points, approach: Approach) -> Floats:
     """Return (n,) how far points are from the rim of a flat face at first touch, mm."""
-    own = np.abs((points - approach.axis_mm) @ approach.axes.T)
-    half = np.array(half_extent(approach.probe))
-    if isinstance(approach.probe, Cylinder):
-        away = np.hypot(own[:, 0], own[:, 1]) - half[0]
-    else:
-        away = np.max(own[:, :Z] - half, axis=1)
-        out = np.linalg.norm(np.maximum(own[:, :Z] - half, 0.0), axis=1)
-        away = np.where(away > 0.0, out, away)
-    return np.asarray(np.hypot(away, own[:, Z]))
+    height = (points - approach.axis_mm) @ approach.axes[Z]
+    return np.asarray(np.hypot(approach.beyond_face(points), height))
 
 
 def _probes(state: ContactState) -> tuple[ContactState, ...]:
@@ -356,7 +349,7 @@ def _too_slow(press: Press, body: Body) -> str:
     """Return why a press isn't solved for the error of linear theory alone: it takes more than 3 s;
     empty if it is."""
     if press.friction > 0.0:
-        return f"press.friction = {press.friction:g}: such a press takes about 10 s"
+        return f"press.friction = {press.friction:g}: such a press takes about 3 s"
     single = not press.also and isinstance(press.probe, Sphere)
     return "" if single and not isinstance(body, Block) else "such a press takes 3 to 20 s"
 

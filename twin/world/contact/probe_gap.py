@@ -423,6 +423,16 @@ class Approach:
         """Whether the probe touches with a flat face, so that its footprint bounds the contact."""
         return _is_flat(self.probe, self.tilt_deg)
 
+    def beyond_face(self, points: Points) -> Floats:
+        """Return (n,) how far points lie outside the outline of an upright flat face, seen along
+        the approach, mm; inside it, minus the distance."""
+        own = np.abs((points - self.axis_mm) @ self.axes[:Z].T)
+        half = np.array(half_extent(self.probe))
+        if isinstance(self.probe, Cylinder):
+            return np.asarray(np.hypot(own[:, 0], own[:, 1]) - half[0])
+        out = np.linalg.norm(np.maximum(own - half, 0.0), axis=1)
+        return np.asarray(np.where(out > 0.0, out, np.max(own - half, axis=1)))
+
     @cached_property
     def tilt(self) -> Floats:
         """(3, 3) the rotation of the probe before it comes."""

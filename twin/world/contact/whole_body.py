@@ -16,15 +16,19 @@ neighbouring points alternate, and double the error that the mesh leaves. The pr
 unknowns.
 
 **Sticking.** A point that has touched is held by a spring as stiff to its place on the probe, in
-the plane of the probe's surface ; in the linear solution its gap is that of a point that
+the plane of the probe's surface; in the linear solution its gap is that of a point that
 moves with the probe, too.
 
-**Steps.** `RubberContact.settled` takes Newton's, with an active set of points.
+**Steps.** `RubberContact.settled` takes Newton's. In each the rubber is condensed to the nodes that
+may touch: the Schur complement of its tangent. There contact is balanced, by an active set of
+points. The tangent is that of an earlier state, as long as steps shrink fast enough with it; that
+of linear theory never changes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -37,12 +41,13 @@ from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
 from twin.parts.body import Body
 from twin.parts.material import Material
-from twin.world.contact.mixed_rubber import MixedRubber, gathered, newton, summed
+from twin.world.contact.mixed_rubber import MixedRubber, gathered, largest, newton, summed
 from twin.world.contact.probe_gap import (
     ABOUT_X,
     MOTIONS,
     Approach,
     Z,
+    half_extent,
     rotation_of,
     turning_of,
 )
@@ -60,12 +65,18 @@ _CHUNK = 256
 
 _NUDGE_MM = 1e-4
 
+_BESIDE_FACE = 0.1
+"""Points so far outside a flat face's outline, over its smaller half width, may come under it."""
+
 _STEEPEST = 0.05
 """A probe's surface whose normal has a smaller part along its way doesn't touch."""
 
-_KRYLOV = 20
-_KRYLOV_RESIDUAL = 1e-3
-"""Most iterations with a kept factor, and the relative residual at which they end."""
+_SLOW = 0.3
+"""Newton's steps that shrink by less than to this share need the tangent at the present state."""
+
+_MOST_BALANCES = 40
+_BALANCED = 1e-6
+"""Most iterations of a balance of contact, and the relative step at which they end."""
 
 _STRAINED = 0.03
 """Elements with no larger change of F, or pressure over the shear modulus, resist as at rest as far
@@ -91,7 +102,6 @@ class Rubber(MixedRubber):
 
     def __init__(self, mesh: Mesh, body: Body, material: Material) -> None:
         super().__init__(material)
-        self._factors: dict[bool, tuple[Factor, Bools]] = {}
         self.mesh = mesh
         places, weights = quadrature(3)
         slopes = shapes(places)[1]
@@ -112,47 +122,22 @@ class Rubber(MixedRubber):
         nodes = np.arange(len(mesh.points))
         self._node = np.concatenate([np.repeat(nodes, 3), nodes[: mesh.corners]])
 
-    def solved(
-        self,
-        unknowns: Floats,
-        springs: Floats,
-        rows: Ints,
-        motions: Bools,
-        balance: Floats,
-        step: Floats,
-        *,
-        linear: bool,
-    ) -> Floats:
-        """Return Newton's step (n + m,) of the unknowns and the probes' motions (m,), some of which
-        are free, after a ``step`` of the others.
+    def stiffness(self, unknowns: Floats, last: Ints) -> Factor:
+        """Return the tangent's factor, free unknowns only, with the `Factor.schur` of some."""
+        free = self._free
+        tangent = self.tangent(unknowns).tocsr()[free][:, free]
+        scale, node = self._scale[free], self._node[free]
+        return Factor(tangent, scale, node=node, last=np.searchsorted(free, last))
 
-        The last factor, one of linear theory and one at finite strain, is kept as the
-        preconditioner of GMRES. Where that needs too many iterations, the matrix is factored.
-        """
-        size = len(balance)
-        tangent = (self.at_rest if linear else self.tangent(unknowns)).tocsr()
-        pointer = np.concatenate([tangent.indptr, np.full(size - self.size, tangent.nnz)])
-        whole = csr_matrix((tangent.data, tangent.indices, pointer), shape=(size, size))
-        whole = whole + summed(springs, rows, size)
-        right = -(balance + whole @ step)
-        free = np.concatenate([self._free, self.size + np.flatnonzero(motions)])
-        own = whole[free][:, free]
-        kept = self._factors.get(linear)
-        found = None
-        if kept is not None and np.array_equal(kept[1], motions):
-            found = kept[0].solve_near(own, right[free, None], (_KRYLOV_RESIDUAL,), _KRYLOV)
-        if found is None:
-            more = size - self.size
-            scale = np.concatenate([self._scale, np.zeros(more)])[free]
-            node = np.concatenate([self._node, self._node.max() + 1 + np.arange(more)])[free]
-            factor = Factor((own + own.T) / 2.0 if linear else own, scale, node=node)
-            self._factors[linear] = factor, motions
-            found = factor.solve_near(own, right[free, None], (_KRYLOV_RESIDUAL,), _KRYLOV)
-            if found is None:
-                raise NotSettled("contact: at finite strain a Newton step is not solved")
-        out = np.zeros(size)
-        out[free] = found[:, 0]
+    def moved_by(self, stiffness: Factor, force: Floats) -> Floats:
+        """Return the change of the unknowns (n,) under forces (n,)."""
+        out = np.zeros(self.size)
+        out[self._free] = stiffness.solve(force[self._free], 1.0)
         return out
+
+    def are_free(self, unknowns: Ints) -> Bools:
+        """Return which of some unknowns are not held."""
+        return np.isin(unknowns, self._free)
 
     def _gradient(self, moved: Floats, some: Ints) -> Floats:
         own = moved[:, None].reshape(-1, 1, 10, 3)
@@ -276,6 +261,9 @@ class SurfaceTouch:
         used = np.zeros(len(faces), bool)
         for centre, reach_mm in near:
             used |= np.linalg.norm(points - centre, axis=2).min(axis=1) <= reach_mm
+        if approach.is_flat:
+            aside = approach.beyond_face(points.reshape(-1, 3)).reshape(points.shape[:2])
+            used &= aside.min(axis=1) <= _BESIDE_FACE * min(half_extent(approach.probe))
         along = np.einsum("qaj,fai->fqji", slopes, corner[used])
         area = np.linalg.norm(np.cross(along[:, :, 0], along[:, :, 1]), axis=2) * share
         self.rest_mm = points[used].reshape(-1, 3)
@@ -404,13 +392,18 @@ class RubberContact:
         self.rows = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.lift = np.concatenate([touch.lift for touch in touches])
         self._owner = np.repeat(np.arange(len(touches)), counts)
-        self._size = rubber.size + MOTIONS * len(touches)
         self._weight = np.concatenate([touch.weights for touch in touches])
         self._area = np.concatenate([touch.area_mm2 for touch in touches])
-        nodes = np.concatenate([touch.nodes for touch in touches])
-        moved = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), 18)
-        motions = rubber.size + MOTIONS * self._owner[:, None] + np.arange(MOTIONS)
+        # The contact's own unknowns: displacements of its nodes, then the probes' motions.
+        nodes, local = np.unique(
+            np.concatenate([touch.nodes for touch in touches]), return_inverse=True
+        )
+        self._nodal = (3 * nodes[:, None] + np.arange(3)).ravel()
+        self._free = rubber.are_free(self._nodal)
+        moved = (3 * local.reshape(-1, 6)[:, :, None] + np.arange(3)).reshape(-1, 18)
+        motions = len(self._nodal) + MOTIONS * self._owner[:, None] + np.arange(MOTIONS)
         self._row = np.hstack([moved, motions])
+        self._kept: dict[bool, Factor] = {}
 
     def at_rest(self) -> Equilibrated:
         """Return the state in which nothing touches."""
@@ -433,15 +426,16 @@ class RubberContact:
         ``given`` (p, 6) are forces over Young's modulus, mm2, where ``by_force`` (p, 6), else
         places; ``to`` is `LAST_STEP` or `PART_STEP`.
         """
-        taken = 0
+        last = math.inf
 
         def after(one: Equilibrated) -> Equilibrated:
-            nonlocal taken
-            taken += 1
-            if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
-                held = one.anchors.on & (one.pressure > 0.0)
-                one = replace(one, anchors=replace(one.anchors, on=held))
-            return self._step(one, by_force, given, linear=linear)
+            nonlocal last
+            new = self._step(one, by_force, given, linear=linear)
+            step = largest(displacement(new) - displacement(one))
+            if step > _SLOW * last and not linear:
+                self._kept.pop(linear, None)
+            last = step
+            return new
 
         def displacement(one: Equilibrated) -> Points:
             return self.rubber.displacement(one.unknowns)
@@ -471,13 +465,75 @@ class RubberContact:
     def _step(
         self, state: Equilibrated, by_force: Bools, given: Floats, *, linear: bool
     ) -> Equilibrated:
-        """Return the state after one Newton step of rubber, probes and pressures together."""
+        """Return the state after one Newton step of the rubber, in balance with contact."""
+        # The rubber without contact, condensed to the nodes that may touch
+        rubber, nodal = self.rubber, self._nodal
+        if linear not in self._kept:
+            start = np.zeros(rubber.size) if linear else state.unknowns
+            self._kept[linear] = rubber.stiffness(start, nodal[self._free])
+        stiffness = self._kept[linear]
+        internal = rubber.internal(state.unknowns, linear=linear)
+        loose = state.unknowns + rubber.moved_by(stiffness, -internal)
+        # Contact on these, and what its forces move elsewhere
+        pose = np.where(by_force, state.pose, given)
+        now, force = self._balanced(
+            replace(state, pose=pose), loose[nodal], stiffness.schur, by_force, given, linear=linear
+        )
+        push = np.zeros(rubber.size)
+        push[nodal] = force
+        return replace(now, unknowns=loose + rubber.moved_by(stiffness, push))
+
+    def _balanced(
+        self,
+        state: Equilibrated,
+        loose: Floats,
+        schur: Floats,
+        by_force: Bools,
+        given: Floats,
+        *,
+        linear: bool,
+    ) -> tuple[Equilibrated, Floats]:
+        """Return the state in which contact balances a stiffness (m, m) of the contact's nodes,
+        and the forces on these; ``loose`` is where they are without contact."""
+        count = len(loose)
+        moved = self.rubber.displacement(state.unknowns).ravel()[self._nodal]
+        here = np.concatenate([moved, state.pose.ravel()])
+        free = np.concatenate([self._free, by_force.ravel()])
+        body = np.flatnonzero(self._free)
+        for taken in range(_MOST_BALANCES):
+            if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
+                held = state.anchors.on & (state.pressure > 0.0)
+                state = replace(state, anchors=replace(state.anchors, on=held))
+            active, out, matrix, after = self._springs(state, here, linear=linear)
+            out[body] += schur @ (here[body] - loose[body])
+            out[count:] -= np.where(by_force, given, 0.0).ravel()
+            matrix[np.ix_(body, body)] += schur
+            step = np.zeros(len(here))
+            step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], out[free])
+            here = here + step
+            settled = np.array_equal(active, state.active)
+            state = after(step)
+            if settled and np.abs(step).max() < _BALANCED * np.abs(here).max():
+                break
+        else:
+            raise NotSettled("contact: at finite strain the probe does not come to balance")
+        force = np.zeros(count)
+        force[body] = schur @ (here[body] - loose[body])
+        return replace(state, pose=here[count:].reshape(-1, MOTIONS)), force
+
+    def _springs(
+        self, state: Equilibrated, here: Floats, *, linear: bool
+    ) -> tuple[Bools, Floats, Floats, Callable[[Floats], Equilibrated]]:
+        """Return which points touch, what the springs between the contact's nodes and the probes
+        take from either, its slope, and the state after a step."""
         # Which points touch?
-        rubber = self.rubber
-        moved = rubber.displacement(state.unknowns)
+        count = len(self._nodal)
+        moved = self.rubber.displacement(state.unknowns).copy()
+        moved.reshape(-1)[self._nodal] = here[:count]
+        pose = here[count:].reshape(-1, MOTIONS)
         parts = [
-            touch.meet(moved, pose, state.anchors.of(rows), linear=linear)
-            for touch, pose, rows in zip(self.touches, state.pose, self.rows, strict=True)
+            touch.meet(moved, one, state.anchors.of(rows), linear=linear)
+            for touch, one, rows in zip(self.touches, pose, self.rows, strict=True)
         ]
         met = _Met(
             **{name: np.concatenate([vars(one)[name] for one in parts]) for name in vars(parts[0])}
@@ -495,7 +551,6 @@ class RubberContact:
         resistance, rubbed = resistance[on], rubbed[on]
         pressed, area, row = state.pressure[on], self._area[on], self._row[on]
 
-        # Springs between the rubber's nodes and the probes' places: across the gap and in its plane
         def spread(vectors: Floats, motions: Floats) -> Floats:
             at_nodes = (self._weight[on, :, None] * vectors[:, None, :]).reshape(len(on), 18)
             return np.hstack([at_nodes, motions])
@@ -509,32 +564,21 @@ class RubberContact:
         block += across.swapaxes(1, 2) @ ((area[:, None, None] * turning) @ across)
         out = (_SPRING * area * met.gap[on])[:, None] * carried
         out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed)
-        balance = gathered(row, out, self._size)
-        balance[: rubber.size] += rubber.internal(state.unknowns, linear=linear)
-        balance[rubber.size :] -= np.where(by_force, given, 0.0).ravel()
+        size = len(here)
+        matrix = gathered(size * row[:, :, None] + row[:, None, :], block, size * size)
 
-        # The step.
-        step = np.zeros(self._size)
-        step[rubber.size :] = np.where(by_force, 0.0, given - state.pose).ravel()
-        step += rubber.solved(
-            state.unknowns, block, row, by_force.ravel(), balance, step, linear=linear
-        )
-        pressure = np.zeros(len(active))
-        change = np.einsum("qr,qr->q", slope, step[row])
-        pressure[on] = -_SPRING * (met.gap[on] + change)
-        pulled = rubbed - np.einsum("qij,qjr,qr->qi", resistance, across, step[row])
-        forces = area[:, None] * (pressure[on, None] * met.lift[on])
-        forces += area[:, None] * np.einsum("qi,qim->qm", pulled, met.carry[on])
-        total = np.zeros_like(state.pose)
-        np.add.at(total, self._owner[on], forces)
-        return replace(
-            state,
-            unknowns=state.unknowns + step[: rubber.size],
-            pose=state.pose + step[rubber.size :].reshape(-1, MOTIONS),
-            pressure=pressure,
-            active=active,
-            force=total,
-        )
+        def after(step: Floats) -> Equilibrated:
+            pressure = np.zeros(len(active))
+            change = np.einsum("qr,qr->q", slope, step[row])
+            pressure[on] = -_SPRING * (met.gap[on] + change)
+            pulled = rubbed - np.einsum("qij,qjr,qr->qi", resistance, across, step[row])
+            forces = area[:, None] * (pressure[on, None] * met.lift[on])
+            forces += area[:, None] * np.einsum("qi,qim->qm", pulled, met.carry[on])
+            total = np.zeros_like(state.pose)
+            np.add.at(total, self._owner[on], forces)
+            return replace(state, pressure=pressure, active=active, force=total)
+
+        return active, gathered(row, out, size), matrix.reshape(size, size), after
 
     def _anchored(self, before: Equilibrated, free: Equilibrated, *, linear: bool) -> Equilibrated:
         """Return the state ``before`` a part of a step with anchors for the points that touch

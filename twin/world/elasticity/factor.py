@@ -57,6 +57,8 @@ class Factor:
     node
         (n,) node that each unknown belongs to: the order keeps a node's unknowns together. Each its
         own if not given.
+    last
+        Unknowns that are eliminated last, by ``superlu``, for `schur`.
 
     Raises
     ------
@@ -81,6 +83,7 @@ class Factor:
         solver: Solver = "auto",
         *,
         node: Ints | None = None,
+        last: Ints | None = None,
     ) -> None:
         from scipy.sparse import diags
 
@@ -94,15 +97,23 @@ class Factor:
         scaling = diags(self._root)
         self._matrix = (scaling @ matrix @ scaling).tocsr()
         shifted = self._matrix - diags(SHIFT * pressure_scale * self._root**2)
+        if last is not None:
+            solver = "superlu"
         self.solver: Solver = self.solvers()[0] if solver == "auto" else solver
         self.residual = 0.0
         Factor.made += 1
         if self.solver == "pardiso":
             self._apply = _pardiso(shifted)
         else:
-            self._apply = _superlu(
-                shifted, _dissection(shifted, np.arange(len(diagonal)) if node is None else node)
-            )
+            order = _dissection(shifted, np.arange(len(diagonal)) if node is None else node)
+            if last is not None:
+                order = np.concatenate([order[~np.isin(order, last)], last])
+            self._apply, factor = _superlu(shifted, order)
+            if last is not None:
+                self.schur = _last_block(factor, len(last)) / np.outer(
+                    self._root[last], self._root[last]
+                )
+                """(m, m) Stiffness of the ``last`` unknowns while nothing acts on the others."""
 
     def solve(self, right: Floats, goal: float = GOAL) -> Floats:
         """Return the solution (n, m) or (n,) for ``right`` of the same shape; `residual` keeps the
@@ -149,30 +160,6 @@ class Factor:
             )
         result: Floats = (self._root[:, None] * solution * length * size).reshape(right.shape)
         return result
-
-    def solve_near(
-        self, matrix: Any, right: Floats, residuals: tuple[float, ...], iterations: int
-    ) -> Floats | None:
-        """Return the solution (n, m) of a similar matrix by GMRES, this factor its preconditioner;
-        None where a column needs too many iterations to its relative residual.
-
-        Residuals are those after the preconditioner.
-        """
-        from scipy.sparse.linalg import LinearOperator, gmres
-
-        def nearly(one: Floats) -> Floats:
-            return self.solve(one, 1.0)
-
-        operator = LinearOperator(matrix.shape, lambda one: nearly(matrix @ one), dtype=float)
-        begin = nearly(right)
-        found = np.empty_like(right)
-        for column, residual in enumerate(residuals):
-            found[:, column], failed = gmres(
-                operator, begin[:, column], rtol=residual, restart=iterations, maxiter=1
-            )
-            if failed:
-                return None
-        return found
 
 
 def _worst(remainder: Floats, solution: Floats) -> float:
@@ -222,7 +209,7 @@ def _dissection(matrix: Any, node: Ints) -> Ints:
     return np.argsort(np.asarray(place)[group], kind="stable")
 
 
-def _superlu(matrix: Any, order: Ints) -> Apply:
+def _superlu(matrix: Any, order: Ints) -> tuple[Apply, Any]:
     from scipy.sparse.linalg import splu
 
     ordered = matrix[order][:, order].tocsc()
@@ -240,7 +227,18 @@ def _superlu(matrix: Any, order: Ints) -> Apply:
         out[order] = factor.solve(np.ascontiguousarray(right[order]))
         return out
 
-    return apply
+    return apply, factor
+
+
+def _last_block(factor: Any, count: int) -> Floats:
+    """Return the Schur complement (m, m) of the last unknowns, the product of the factors' last
+    blocks."""
+    for moved in (factor.perm_r, factor.perm_c):
+        if not np.array_equal(moved, np.arange(len(moved))):
+            raise SolveError("the elastic system was factored in another order than asked for")
+    lower: Floats = factor.L[-count:, -count:].toarray()
+    upper: Floats = factor.U[-count:, -count:].toarray()
+    return lower @ upper
 
 
 def _pardiso(matrix: Any) -> Apply:
