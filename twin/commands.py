@@ -685,7 +685,8 @@ def calibrate(
 
     A recording is a folder with rest.png (or .jpg, .bmp), a picture of every press, and presses.csv
     with the columns frame, x_mm, y_mm, z_mm (place on the outer surface), fx_n, fy_n, fz_n (load
-    cell). Methods compliance and halfspace need the rest picture only.
+    cell), and of rubber that relaxes held_s (how long the press was held before its picture).
+    Methods compliance and halfspace need the rest picture only.
 
     Method sato presses the simulated sensor at every site in three directions, in pictures with
     noise; fitted presses five and fits the design's parameters to them.
@@ -776,7 +777,12 @@ def reconstruct(
     ] = None,
     frames_per_second: Annotated[
         float | None,
-        Parameter(help="Rate of the frames: takes into account how the calibrated rubber relaxes."),
+        Parameter(
+            help="Rate of the frames: forces of rubber that relaxes (0: each frame by itself)."
+        ),
+    ] = None,
+    times: Annotated[
+        Path | None, Parameter(help="Instead: a CSV file with the columns frame, time_s.")
     ] = None,
 ) -> None:
     """Track the markers of recorded frames and reconstruct the forces.
@@ -787,8 +793,8 @@ def reconstruct(
     code 3). Standard deviations are of the noise alone: errors of the calibration, such as of the
     rubber's modulus, come on top.
 
-    What isn't given from --method to --camera is taken from the [reconstruction] table of the
-    recipe that was calibrated.
+    What isn't given from --method to --frames-per-second is taken from the [reconstruction] table
+    of the recipe that was calibrated.
 
     Examples:
     twin reconstruct rest.png press*.png --calibration flat.npz --out forces.parquet
@@ -812,6 +818,7 @@ def reconstruct(
         robust=robust,
         camera=camera,
         frames_per_second=frames_per_second,
+        times=times,
     )
 
 

@@ -136,6 +136,40 @@ def test_what_can_t_be_is_said_and_the_page_lives_on(page: Loopback) -> None:
     assert step(page, PUSH)[0]["matched"] > 0.99
 
 
+def test_in_time_a_held_press_creeps_slip_stays_and_another_place_begins_anew() -> None:
+    quick = dict(parse_override(text) for text in QUICK)
+    live = LivePress(twin.load_scene("gelpad_creep", quick | {"ccd.noise": False}))
+    hand = {**live.start().question(), "friction": 0.6}
+
+    def ask(seconds: float | None = 0.3, **change: float) -> dict[str, Any]:
+        reply = live.answer({**hand, **change, "seconds": seconds})
+        return json.loads(reply[4 : 4 + struct.unpack("<I", reply[:4])[0]])
+
+    def largest(seen: dict[str, Any]) -> float:
+        return float(np.abs(seen["shift"]).max())
+
+    first, *held = [ask() for _ in range(4)]
+    depths = [seen["contact"]["indentation_mm"] for seen in (first, *held)]
+    assert np.all(np.diff(depths) > 0)
+    assert depths[-1] > 1.04 * depths[0]
+    assert held[-1]["time_s"] == pytest.approx(1.2)
+    assert held[-1]["found_total"][2] == pytest.approx(0.2, abs=0.015)
+    ask(side_x=0.1)
+    after = ask()
+    assert largest(after) > 1.02 * largest(held[-1]), "patches have slipped"
+    lifted = ask(push_n=0.0)
+    assert lifted["contact"] is None
+    assert largest(lifted) > 0.1, "the rubber has not yet recovered"
+    assert lifted["found_total"][2] == pytest.approx(0, abs=0.008)
+    assert ask()["contact"] is not None, "pressed again"
+    moved = ask(x_mm=hand["x_mm"] + 1.0)
+    assert moved["time_s"] == pytest.approx(0.3)
+    assert moved["contact"]["indentation_mm"] == pytest.approx(depths[0], rel=0.02)
+    assert ask(None)["time_s"] == 0
+    with pytest.raises(InputError, match="seconds = 'long'"):
+        live.answer({**hand, "seconds": "long"})
+
+
 def test_a_port_that_can_t_be_had_is_said_before_any_work(page: Loopback, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.study.live.LivePress", None)
     with pytest.raises(InputError, match=f"--port {page.port}"):

@@ -203,12 +203,29 @@ def test_a_recording_in_time(folder):
     assert "they rise while held and remain when gone; give --frames-per-second" in done.stderr
     elastic = [float(row["fz_n"]) for row in rows(folder / "crept.csv")]
     done = twin(*both, "--frames-per-second", "0.01", cwd=folder)
-    assert ", of rubber that relaxes\n" in done.stderr
+    assert ", of rubber that relaxes, 0.01 frames a second\n" in done.stderr
     assert "give --frames" not in done.stderr
     first, second = [float(row["fz_n"]) for row in rows(folder / "crept.csv")]
     assert first == pytest.approx(elastic[0], rel=1e-6)
     assert second == pytest.approx(0.7 * elastic[1], rel=1e-5)
-    for name in ("crept.npz", "crept.csv"):
+    # The same by the recipe's rate, and by the times of frames, of which one more has none.
+    facts = json.loads(CREPT) | {"reconstruction": {"method": "smooth", "frames_per_second": 0.01}}
+    replace(known, provenance=json.dumps(facts)).write(folder / "crept.npz")
+    done = twin(*both, cwd=folder)
+    assert ", of rubber that relaxes, 0.01 frames a second\n" in done.stderr
+    assert [float(row["fz_n"]) for row in rows(folder / "crept.csv")] == [first, second]
+    twin(*both, "--frames-per-second", "0", cwd=folder)
+    assert [float(row["fz_n"]) for row in rows(folder / "crept.csv")] == elastic
+    (folder / "times.csv").write_text("frame,time_s\npress1.png,107\npress4.png,7\n")
+    both[1:3] = ["press4.png", "press1.png", "press2.png", "press4.png"]
+    done = twin(*both, "--times", "times.csv", cwd=folder)
+    assert done.returncode == 3
+    table = rows(folder / "crept.csv")
+    assert float(table[0]["fz_n"]) == pytest.approx(elastic[0], rel=1e-6)
+    assert float(table[1]["fz_n"]) == pytest.approx(0.7 * elastic[0] / 4, rel=0.1), "a quarter of the motion"
+    assert "times.csv has no line for this frame" in table[2]["reason"]
+    assert "its time, 7 s, is before the last frame's" in table[3]["reason"]
+    for name in ("crept.npz", "crept.csv", "times.csv"):
         (folder / name).unlink()
 
 
@@ -313,7 +330,7 @@ def test_overlay_pictures(folder):
         (["press1.png", "press1.png", "--calibration", "flat.npz", "--weight", "much"], 2, "--weight"),
         (["rest.png", "press1.png", "--calibration", "flat.npz", "--method", "best"], 2, "method"),
         (["rest.png", "press1.png", "--calibration", "flat.npz", "--frames-per-second", "30"], 2, "how its rubber"),
-        (["rest.png", "press1.png", "--calibration", "flat.npz", "--frames-per-second", "0"], 2, "above 0"),
+        (["rest.png", "press1.png", "--calibration", "flat.npz", "--frames-per-second", "-1"], 2, "above 0"),
     ],
 )
 def test_what_can_not_be_used_is_said(folder, arguments, code, words):

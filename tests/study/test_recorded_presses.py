@@ -36,12 +36,13 @@ def recording(tmp_path_factory):
     ("text", "words"),
     [
         (None, "there is none"),
-        (HEAD, "no presses"),
+        (HEAD, "holds no frames"),
         ("frame,x_mm\na.png,1\n", "lacks the columns y_mm"),
         (HEAD + "a.png,1,2,,0,0,one\n", "line 2: fz_n = 'one'"),
         (HEAD + "a.png,1,nan,0,0,0,1\n", "y_mm = 'nan'"),
         (HEAD + "a.png,0,0,,0,0,1e300\n", "line 2: fz_n"),
         (HEAD + ",1,2,0,0,0,1\n", "frame is empty"),
+        (HEAD.strip() + ",held_s\na.png,0,0,,0,0,1,-1\n", "line 2: held_s = '-1' must .* s, from 0"),
         (b"\xff\xfe\x00\x01", "can't be read|lacks"),
         # a force in grams, in a table with blanks and without z
         (HEAD + "rest.png, 0, 0, , 0, 0, 200\n", r"press 1 has 200 N.*Forces are in N"),
@@ -107,8 +108,21 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
             lines.append(",".join([name, *(f"{v:g}" for v in (*centre, *force))]))
     (tmp_path / "presses.csv").write_text("\n".join(lines) + "\n")
     assert "sato" in calibrate_to_file(wanted, tmp_path / "c.npz", folder=tmp_path)
-    assert read_calibration(tmp_path / "c.npz").relaxation is None, "how long presses were held isn't known"
-    made = read_calibration(tmp_path / "c.npz").transfer
     nominal = stiffer * transfer
-    share = [float((made[:, k] @ nominal[:, k]) / (nominal[:, k] @ nominal[:, k])) for k in range(made.shape[1])]
-    assert share == pytest.approx([1 / stiffer] * len(share), rel=0.03)
+
+    def softness(made):
+        size = (nominal**2).sum(axis=0)
+        return (made.transfer * nominal).sum(axis=0) / size
+
+    made = read_calibration(tmp_path / "c.npz")
+    assert made.relaxation is None, "how long presses were held isn't known"
+    assert softness(made) == pytest.approx(1 / stiffer, rel=0.03)
+    # Held for 0.5 s, the rubber has crept: at once it would have moved less under these forces.
+    held = [lines[0] + ",held_s", *(f"{line},0.5" for line in lines[1:])]
+    (tmp_path / "presses.csv").write_text("\n".join(held) + "\n")
+    calibrate_to_file(wanted, tmp_path / "held.npz", folder=tmp_path)
+    known = read_calibration(tmp_path / "held.npz")
+    crept = float(sensor.relaxation.creep(0.5))
+    assert crept > 1.07
+    assert softness(known) == pytest.approx(softness(made) / crept, rel=1e-6)
+    assert known.relaxation is not None

@@ -242,6 +242,10 @@ class Reconstruction(Part):
         Leave wrong vectors out.
     camera
         Follow the camera's bend where forces are large (calibration methods compliance and fitted).
+    frames_per_second
+        Rate of pictures that follow each other: forces are found of rubber that relaxes, as
+        `material.relaxation` states. Without it every picture is read by itself, as one of elastic
+        rubber.
     """
 
     sites: Sites
@@ -251,10 +255,11 @@ class Reconstruction(Part):
     friction: float | None = Field(default=None, gt=0, le=100)
     robust: bool = False
     camera: bool = False
+    frames_per_second: float | None = Field(default=None, gt=0, le=1e6)
 
     def options(self) -> dict[str, Any]:
         """Return the options of `twin.sense.reconstruct.reconstruct`, by name."""
-        return self.model_dump(exclude={"sites", "source", "assumed"})
+        return self.model_dump(exclude={"sites", "frames_per_second", "source", "assumed"})
 
 
 class Dataset(Part):
@@ -446,4 +451,11 @@ class Scene(Part):
             raise ValueError(
                 "reconstruction: forces are reconstructed from pictures, add a [camera] table"
             )
+        if self.reconstruction is not None and not self.material.relaxation:
+            rate = self.reconstruction.frames_per_second
+            if rate is not None:
+                raise ValueError(
+                    f"reconstruction.frames_per_second = {rate:g}: this rubber doesn't relax; add "
+                    "[[material.relaxation]], or leave it out"
+                )
         return self

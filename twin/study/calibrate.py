@@ -11,7 +11,6 @@ z and by small motions sideways. docs/own_sensor.md has the files of a real sens
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import sys
@@ -33,7 +32,7 @@ from twin.parts.part import identity
 from twin.parts.press import Press, Sphere, Step
 from twin.parts.scene import Scene
 from twin.streams import Purpose, stream
-from twin.study.recorded import PICTURES, read_picture
+from twin.study.recorded import PICTURES, read_numbers, read_picture
 from twin.study.sensor import Sensor, on_surface
 from twin.theory.contact import hertz
 from twin.theory.optics import project_with_jacobian
@@ -66,8 +65,8 @@ DESIGN_NOISE_PX = 0.03
 TABLE = "presses.csv"
 PLACES = ("x_mm", "y_mm", "z_mm")
 FORCES = ("fx_n", "fy_n", "fz_n")
-LARGEST = 1e6
-"""Of a place, mm, and of a force, N."""
+HELD = "held_s"
+"""How long each press was held before its picture: a column that may be absent."""
 
 SAME_PLACE_MM = 0.01
 OFF_GRID = 0.25
@@ -137,7 +136,10 @@ def calibrate_to_file(
         by_presses = scene.calibration.method in BY_PRESSES
         made = calibrate_by_presses(sensor) if by_presses else _calibrate_by_design(sensor)
         text = f"{len(made.transfer) // 2} markers"
-    facts = made.facts | {"reconstruction": scene.reconstruction.options()}
+    stored = scene.reconstruction.model_dump(exclude={"sites", "source", "assumed"})
+    if made.relaxation is None:
+        stored["frames_per_second"] = None
+    facts = made.facts | {"reconstruction": stored}
     made = replace(made, provenance=json.dumps(facts))
     made.write(out)
     if progress is not None:
@@ -440,57 +442,6 @@ def optics(scene: Scene, camera: Camera) -> str:
     return json.dumps(facts)
 
 
-def _read_presses(folder: Path) -> tuple[list[str], Points, Floats]:
-    """Read presses.csv: (q,) file names, (q, 3) places, mm (z NaN where left out), forces, N.
-
-    An `InputError` names the line that holds what is no number.
-    """
-    path = folder / TABLE
-    wanted = ("frame", *PLACES, *FORCES)
-    if not path.is_file():
-        raise InputError(f"{path}: there is none; it has the columns {', '.join(wanted)}")
-    names, numbers = [], []
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            lacking = [name for name in wanted if name not in (reader.fieldnames or ())]
-            if lacking:
-                raise InputError(
-                    f"{path}: lacks the columns {', '.join(lacking)}; its first line must name "
-                    f"{','.join(wanted)}"
-                )
-            for row in reader:
-                line = reader.line_num
-                names.append((row["frame"] or "").strip())
-                numbers.append([_number(path, line, key, row[key]) for key in (*PLACES, *FORCES)])
-                if not names[-1]:
-                    raise InputError(
-                        f"{path}, line {line}: frame is empty; give the picture's file name"
-                    )
-    except (OSError, UnicodeDecodeError, csv.Error) as problem:
-        raise InputError(f"{path}: can't be read ({problem})") from None
-    if not names:
-        raise InputError(f"{path}: holds no presses")
-    table = np.array(numbers)
-    return names, table[:, :3], table[:, 3:]
-
-
-def _number(path: Path, line: int, key: str, text: str | None) -> float:
-    if key == "z_mm" and not (text or "").strip():
-        return float("nan")
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = float("nan")
-    if not abs(value) <= LARGEST:
-        unit = key.rsplit("_", 1)[1].replace("n", "N")
-        raise InputError(
-            f"{path}, line {line}: {key} = {text!r} must be a finite number, {unit}, from "
-            f"{-LARGEST:g} to {LARGEST:g}"
-        )
-    return value
-
-
 def _rest_picture(folder: Path) -> Path:
     """Return the path of a recording's picture without load."""
     if not folder.is_dir():
@@ -523,7 +474,11 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
     if scene.calibration.method not in BY_PRESSES:
         made = _calibrate_by_design(sensor)
     else:
-        names, places_mm, force_n = _read_presses(folder)
+        columns = (*PLACES, *FORCES, HELD)
+        names, table = read_numbers(folder / TABLE, columns, blank=("z_mm",), absent=(HELD,))
+        places_mm, force_n, held_s = table[:, :3], table[:, 3:6], table[:, 6]
+        if sensor.relaxation is not None and np.isfinite(held_s).all():
+            force_n = force_n * sensor.relaxation.creep(np.maximum(held_s, 0.0))[:, None]
         count = len(names)
         found = []
         for number, name in enumerate(names, start=1):
@@ -533,9 +488,11 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
                 progress(f"tracking, press {number} of {count}", 0.3 * number / count)
         presses = _measured(scene, np.zeros(count, np.int64), force_n, found)
         made = _by_presses(sensor, places_mm, presses)
-        # How long each press was held isn't known, so neither is how far the rubber had relaxed.
-        made = replace(made, provenance=json.dumps(made.facts | {"relaxation": []}))
         text += f", {count} presses"
+        if sensor.relaxation is not None and not np.isfinite(held_s).all():
+            # How far the rubber had relaxed under each press isn't known.
+            made = replace(made, provenance=json.dumps(made.facts | {"relaxation": []}))
+            text += f"; {TABLE} has no {HELD}, so how the rubber relaxes is left out"
     if scene.calibration.method != "fitted":
         made = replace(made, layout_px=np.where(known[:, None], rest_px, made.layout_px))
     return made, text

@@ -111,8 +111,8 @@ def at_frames(press: Press, frames_per_second: float) -> tuple[Press, Floats]:
     frames = np.arange(int(ends_s[-1] * frames_per_second + _SAME_S) + 1) / frames_per_second
     if not 1 < len(frames) <= MOST_FRAMES:
         raise RecipeError(
-            f"press.steps: seconds sum to {ends_s[-1]:g}, which at ccd.frames_per_second = "
-            f"{frames_per_second:g} makes {len(frames)} pictures; 2 to {MOST_FRAMES:,} are filmed"
+            f"press.steps: seconds sum to {ends_s[-1]:g}, which at {frames_per_second:g} frames a "
+            f"second makes {len(frames)} pictures; 2 to {MOST_FRAMES:,} are filmed"
         )
     for one in (press, *press.also):
         for number, (last, step) in enumerate(pairwise(one.path), start=2):

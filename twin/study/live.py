@@ -1,7 +1,9 @@
 """`twin run --live`: a page in which the scene's probe is moved by hand, with picture and forces.
 
 A question holds the probe's place and load; the reply is a short table in JSON and the CCD picture.
-Every question is a press of its own from first touch, in one step (`twin.study.environment`).
+Every question is a press of its own from first touch, in one step (`twin.study.environment`). One
+with ``seconds`` follows those before it at the same place: the rubber relaxes, and patches remember
+where they slipped.
 
 The page is served on the loopback address only; requests without the token are refused, and so are
 pages of another name that points at this machine (DNS rebinding) and other sites' scripts. Why not
@@ -46,6 +48,9 @@ QUICK = (
 change by up to 0.8 % of the largest (measured against 16 patches in 8 parts), centroids by up to
 0.03 px, for a third of the time on a block; on a curved body for a twentieth, after half a minute
 or so for the table of its surface, which is kept."""
+
+MOST_STEPS = 300
+"""Steps of a press in time, which is then begun again: each update solves all of them."""
 
 FRICTIONS = (0.0, 0.3, 0.6, 1.2, math.inf)
 
@@ -106,9 +111,12 @@ class Hand:
             "friction": "inf" if math.isinf(self.friction) else self.friction,
         }
 
-    def step(self) -> Step:
-        """Return the path's one step; `InputError` where no friction carries a side force."""
-        (x, y), push = self.side, self.push_n
+    def step(self, before: Hand | None = None) -> Step:
+        """Return the path's one step, or the one after a hand ``before``; `InputError` where no
+        friction carries a side force."""
+        (x, y), push, twist = self.side, self.push_n, self.twist
+        if push <= 0.0:
+            return Step(force_n=(None, None, 0.0))
         if self.friction == 0.0:
             if x or y or self.twist:
                 raise InputError(
@@ -117,7 +125,9 @@ class Hand:
                 )
             return Step(force_n=(None, None, push))
         if self.by_motion:
-            return Step(force_n=(None, None, push), move_mm=(x, y, None), turn_deg=self.twist)
+            if before is not None:  # motion counts from there
+                x, y, twist = x - before.side[0], y - before.side[1], twist - before.twist
+            return Step(force_n=(None, None, push), move_mm=(x, y, None), turn_deg=twist)
         return Step(force_n=(x, y, push), torque_nmm=self.twist or None)
 
     def press(self, scene: Press) -> Press | None:
@@ -155,6 +165,10 @@ class LivePress:
             )
         self.scene, self.moved = scene, scene.press
         self.rest = self.environment.reset()
+        self._first: Press | None = None
+        self._before: Hand | None = None
+        self._steps = 0
+        self._time_s = 0.0
 
     def start(self) -> Hand:
         """Return where the hand begins: the scene's place, push and friction."""
@@ -215,19 +229,47 @@ class LivePress:
         """
         hand = Hand.of(question, by_motion=not self.scene.body.is_flat)
         started = time.perf_counter()
+        seconds = None
+        if question.get("seconds") is not None:
+            seconds = max(_number(question, "seconds", 1e4, "s"), 0.0)
+        before = self._before_of(hand, seconds)
         try:
             press = hand.press(self.moved)
+            if before is not None and self._first is not None:
+                press = self._first.model_copy(update={"steps": (hand.step(before),)})
         except ValueError as problem:  # the scene's probe comes in a way that can't be loaded so
             raise InputError(f"press: {problem}") from None
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # what they say is in the table
-                seen = self.environment.step(press)
+                seen = self.environment.step(press, seconds if press is not None else None)
         except ContactError as problem:
             raise ContactError(str(problem).removeprefix("press: ")) from None
-        table = self._table(hand, seen) | {"milliseconds": 1e3 * (time.perf_counter() - started)}
+        if press is not None and seconds is not None:
+            self._first, self._before = self._first or press, hand
+            self._steps += 1
+            self._time_s += seconds
+        table = self._table(hand, seen) | {"time_s": self._time_s}
+        table |= {"milliseconds": 1e3 * (time.perf_counter() - started)}
         text = json.dumps(plain(table), allow_nan=False).encode()
         return struct.pack("<I", len(text)) + text + seen.picture.tobytes()
+
+    def _before_of(self, hand: Hand, seconds: float | None) -> Hand | None:
+        """Return the hand that one follows in time; None where a press begins."""
+        before = self._before
+        if (
+            seconds is not None
+            and before is not None
+            and self._steps < MOST_STEPS
+            and (before.at_mm, before.friction) == (hand.at_mm, hand.friction)
+        ):
+            return before
+        if before is not None:
+            self.environment.step(None)
+        self._first = self._before = None
+        self._steps = 0
+        self._time_s = 0.0
+        return None
 
     def _table(self, hand: Hand, seen: Observation) -> dict[str, Any]:
         truth = seen.truth

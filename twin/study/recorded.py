@@ -19,7 +19,7 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -127,6 +127,69 @@ def read_picture(path: str | os.PathLike[str]) -> Picture:
         ) from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as problem:
         raise InputError(f"{path}: can't be read ({problem})") from None
+
+
+_LARGEST = 1e6
+"""Of a number in a table."""
+
+
+def read_numbers(
+    path: Path, columns: Sequence[str], *, blank: Sequence[str] = (), absent: Sequence[str] = ()
+) -> tuple[list[str], Floats]:
+    """Read a CSV file about pictures: their file names (column ``frame``) and (q, c) numbers.
+
+    Cells of ``blank`` columns may be empty, ``absent`` columns may be absent: NaN. An `InputError`
+    names the line that holds what is no number.
+    """
+    needed = ["frame", *(name for name in columns if name not in absent)]
+    if not path.is_file():
+        raise InputError(f"{path}: there is none; it has the columns {', '.join(needed)}")
+    names = []
+    numbers = []
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            there = reader.fieldnames or ()
+            if lacking := [name for name in needed if name not in there]:
+                raise InputError(
+                    f"{path}: lacks the columns {', '.join(lacking)}; its first line must name "
+                    f"{','.join(needed)}"
+                )
+            for row in reader:
+                line = f"{path}, line {reader.line_num}"
+                names.append((row["frame"] or "").strip())
+                if not names[-1]:
+                    raise InputError(f"{line}: frame is empty; give the picture's file name")
+                numbers.append(
+                    [
+                        _number(line, name, row[name], may_be_empty=name in blank)
+                        if name in there
+                        else math.nan
+                        for name in columns
+                    ]
+                )
+    except (OSError, UnicodeDecodeError, csv.Error) as problem:
+        raise InputError(f"{path}: can't be read ({problem})") from None
+    if not names:
+        raise InputError(f"{path}: holds no frames")
+    return names, np.array(numbers)
+
+
+def _number(line: str, key: str, text: str | None, *, may_be_empty: bool) -> float:
+    if may_be_empty and not (text or "").strip():
+        return math.nan
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    least = 0.0 if key.endswith("_s") else -_LARGEST
+    if not least <= value <= _LARGEST:
+        unit = key.rsplit("_", 1)[1].replace("n", "N")
+        raise InputError(
+            f"{line}: {key} = {text!r} must be a finite number, {unit}, from {least:g} to "
+            f"{_LARGEST:g}"
+        )
+    return value
 
 
 def _check_sources(
@@ -367,15 +430,15 @@ def _reconstruct_frames(
     calibration: Calibration,
     sequence: Iterable[_Frame],
     *,
-    frames_per_second: float | None = None,
+    clock: _Clock | None = None,
     **options: Any,
 ) -> Iterator[_FrameResult]:
     """Yield the result of every frame of a sequence.
 
     ``rest`` is the picture without load; ``options`` are those of
-    `twin.sense.reconstruct.reconstruct`. With ``frames_per_second`` forces are those of the
-    calibration's rubber as it relaxes (`twin.sense.reconstruct.Field.relaxed`); over frames that
-    fail, displacements are taken to change linearly.
+    `twin.sense.reconstruct.reconstruct`. With ``clock`` forces are those of the calibration's
+    rubber as it relaxes (`twin.sense.reconstruct.Field.relaxed`); over frames that fail,
+    displacements are taken to change linearly.
 
     Raises
     ------
@@ -393,8 +456,9 @@ def _reconstruct_frames(
         )
     doubt = _other_sensor(tracker.rest.rest_px, calibration)
     before: Field | None = None
-    history = None if frames_per_second is None else _history(calibration, frames_per_second)
-    last: int | None = None
+    rubber = calibration.relaxation
+    history = None if clock is None or rubber is None else Hereditary(rubber)
+    last_s: float | None = None
     # Each frame starts from the field of the one before. After a failure nothing is carried over.
     for number, frame in enumerate(sequence):
         started = time.perf_counter()
@@ -407,9 +471,13 @@ def _reconstruct_frames(
                 found = tracker.track(frame.picture)
                 field = before = reconstruct(found, calibration, previous=before, **options)
                 bump = Bump.of(found, calibration)
-                if history is not None and frames_per_second is not None:
-                    since = 0 if last is None else number - last
-                    field, last = field.relaxed(history, since / frames_per_second), number
+                if history is not None and clock is not None:
+                    time_s = clock(number, frame.name)
+                    since_s = 0.0 if last_s is None else time_s - last_s
+                    if since_s < 0.0:
+                        raise InputError(f"its time, {time_s:g} s, is before the last frame's")
+                    field = field.relaxed(history, since_s)
+                    last_s = time_s
                 doubts = [doubt, *_doubts(found, field, bump, int(known.sum()))]
                 reason = "; ".join(filter(None, doubts))
             except InputError as problem:
@@ -428,19 +496,41 @@ def _reconstruct_frames(
         )
 
 
-def _history(calibration: Calibration, frames_per_second: float) -> Hereditary:
-    """Return what the calibration's rubber remembers before the first frame."""
-    if not 0 < frames_per_second <= 1e6:
+_Clock = Callable[[int, str], float]
+"""Returns the time of a frame, s, from its number and its name."""
+
+
+def _clock_of(
+    known: Calibration, rate: float | None, times: Path | None
+) -> tuple[_Clock | None, str]:
+    """Return when frames were taken, as given or as in the calibration's recipe, and the same in
+    words; None where each is read by itself."""
+    if rate is not None and times is not None:
+        raise InputError("--times and --frames-per-second: give one of them")
+    if rate is None and times is None:
+        rate = _stored_options(known).frames_per_second
+    if rate is not None and not (isinstance(rate, int | float) and 0 <= rate <= 1e6):
+        raise InputError(f"--frames-per-second {rate}: must lie above 0 and up to 1e6, or be 0")
+    if not rate and times is None:
+        return None, ""
+    if known.relaxation is None:
         raise InputError(
-            f"--frames-per-second {frames_per_second:g}: must lie above 0 and up to 1e6"
+            f"--{'times' if times else 'frames-per-second'}: this calibration doesn't say how its "
+            "rubber relaxes. Calibrate a recipe with [[material.relaxation]] (by presses, state "
+            "how long each was held, held_s), or leave the option out"
         )
-    if calibration.relaxation is None:
-        raise InputError(
-            "--frames-per-second: this calibration doesn't say how its rubber relaxes. Calibrate a "
-            "recipe with [[material.relaxation]] by its design (a fit to recorded presses knows "
-            "none), or leave the option out"
-        )
-    return Hereditary(calibration.relaxation)
+    if times is not None:
+        names, table = read_numbers(times, ("time_s",))
+        by_name: dict[str, float] = dict(zip(names, table[:, 0].tolist(), strict=True))
+
+        def looked_up(_: int, name: str) -> float:
+            if name not in by_name:
+                raise InputError(f"{times} has no line for this frame")
+            return by_name[name]
+
+        return looked_up, f", of rubber that relaxes, at the times in {times}"
+    per_s = float(rate or 0.0)
+    return lambda number, _: number / per_s, f", of rubber that relaxes, {rate:g} frames a second"
 
 
 def _other_sensor(rest_px: Pixels, calibration: Calibration) -> str:
@@ -615,6 +705,7 @@ def reconstruct_recording(
     size: str | None = None,
     layout: str | None = None,
     frames_per_second: float | None = None,
+    times: Path | None = None,
     **options: Any,
 ) -> None:
     """Reconstruct recorded frames: print a row of each and a summary, write table and drawings.
@@ -627,8 +718,9 @@ def reconstruct_recording(
         Table, and frames with the motion drawn in; see `_TableFile` and `_OverlayFile`.
     size, layout
         ``WxH`` and format of raw frames.
-    frames_per_second
-        See `_reconstruct_frames`.
+    frames_per_second, times
+        Rate of the frames, or a CSV file with the columns frame, time_s: forces of rubber that
+        relaxes. None is the rate in the calibration's recipe; at 0 each frame is read by itself.
     options
         Of `twin.sense.reconstruct.reconstruct`; None is the value in the calibration's recipe.
 
@@ -653,19 +745,15 @@ def reconstruct_recording(
         options["camera"],
         known,
     )
-    if frames_per_second is not None:
-        _history(known, frames_per_second)
+    clock, in_time = _clock_of(known, frames_per_second, times)
     # Frames come one at a time: results are written as they come, and memory stays bounded.
     table = _TableFile(out, known.site_mm) if out else None
     drawing = _OverlayFile(overlay) if overlay else None
     pictures = _frames(sources, sys.stdin.buffer, size, layout)
-    results = _reconstruct_frames(
-        read_picture(rest), known, pictures, frames_per_second=frames_per_second, **options
-    )
+    results = _reconstruct_frames(read_picture(rest), known, pictures, clock=clock, **options)
     print(f"calibration {_described(known)}", file=sys.stderr)
-    in_time = "" if frames_per_second is None else ", of rubber that relaxes"
     print(f"forces      {_described_options(options)}{in_time}", file=sys.stderr)
-    if known.relaxation is not None and frames_per_second is None:
+    if known.relaxation is not None and clock is None:
         print(
             "twin: the rubber of this calibration relaxes, and forces are found as if it didn't: "
             "they rise while held and remain when gone; give --frames-per-second",
@@ -840,10 +928,15 @@ def _described(known: Calibration) -> str:
     return ", ".join(parts)
 
 
+def _stored_options(known: Calibration) -> Reconstruction:
+    """Return the options in the calibration's recipe."""
+    stored = known.facts.get("reconstruction")
+    return Reconstruction.model_construct(**(stored if isinstance(stored, dict) else {}))
+
+
 def _options(known: Calibration, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options of a reconstruction: as given, else as in the calibration's recipe."""
-    stored = known.facts.get("reconstruction")
-    own = Reconstruction.model_construct(**(stored if isinstance(stored, dict) else {})).options()
+    own = _stored_options(known).options()
     if given["push_only"] is False or given["method"] == "pinv":
         own |= {"push_only": False, "friction": None}
     own["camera"] &= known.has_camera

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.arrays import Floats, Progress
+from twin.arrays import Floats, Picture, Progress
 from twin.blas_threads import one_blas_thread
 from twin.compiled import COMPILING, compiled_ahead
 from twin.errors import ContactError, InputError, RecipeError, SomeFailed
@@ -44,6 +44,7 @@ from twin.study.sensor import Motion, Sensor
 from twin.theory.contact import hertz, largest_strain_and_turn, punch_pressure
 
 if TYPE_CHECKING:
+    from twin.sense.calibration import Calibration
     from twin.sense.reconstruct import Field
     from twin.sense.track import Found
     from twin.world.contact.pressing import ContactState
@@ -73,6 +74,9 @@ _STAGES = {
 """The stages in their order, each with what needs it."""
 
 _CURVE_POINTS = 80
+
+_SAME = 1e-6
+"""A part of a press ends with a frame within this share of the time between two."""
 
 
 def run(
@@ -232,9 +236,11 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
             check_machine(scene)
     # The truth: the load of the press, or given tractions, and the motion of the markers.
     state = None
+    ends_s = None
     with stage("contact"):
         if scene.press is not None and not scene.tractions:
-            state = _pressed(sensor, keep_last)
+            press, ends_s = _at_rate(scene, scene.press)
+            state = _pressed(sensor, press, keep_last)
         load = scene.load if state is None else state.load
     with stage("displacement"):
         motion = sensor.motion(load)
@@ -270,6 +276,8 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
         with stage("reconstruction"):
             try:
                 forces = reconstruct(found, calibration, **scene.reconstruction.options())
+                if state is not None and ends_s is not None and rest is not None:
+                    forces = _relaxed(sensor, forces, rest, state, ends_s, calibration)
             except InputError as problem:
                 failures["force"] = str(problem)
     estimate = _estimate(found, forces)
@@ -295,7 +303,9 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
                 frames = None if calibration is None else calibration.site_frames
                 force = force_score(estimate, patches, frames)
         errors = score(
-            elastic=_elastic_errors(truth, motion, state), tracking=tracking, force=force
+            elastic=_elastic_errors(truth, motion, state, in_time=ends_s is not None),
+            tracking=tracking,
+            force=force,
         )
         errors["reasons"] |= failures
     # What the report and the summary show with them.
@@ -310,14 +320,14 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
     if warned := [*warned, *_tracking_doubt(tracking)]:
         facts["warnings"] = warned
     if state is not None:
-        facts |= _press_facts(state) | _course(scene, state)
+        facts |= _press_facts(state) | _course(scene, state, ends_s)
     if state is not None and forces is not None and "creep_error" in errors["elastic"]:
         notes = facts["validity"]["notes"]
         facts["validity"]["notes"] = (
             *notes,
             "one picture doesn't show what the rubber remembers: forces are found as if it didn't "
-            f"relax, {100 * errors['elastic']['creep_error']:.2g} % off by that alone. twin run "
-            "--film, then twin reconstruct --frames-per-second, takes it into account",
+            f"relax, {100 * errors['elastic']['creep_error']:.2g} % off by that alone. "
+            "reconstruction.frames_per_second follows the press in frames",
         )
     if calibration is not None and forces is not None:
         sites = len(calibration.site_mm)
@@ -340,11 +350,61 @@ def _computed(sensor: Sensor, needed: frozenset[str], keep_last: bool = False) -
     )
 
 
-def _pressed(sensor: Sensor, keep_last: bool) -> ContactState:
+def _at_rate(scene: Scene, press: Press) -> tuple[Press, Floats | None]:
+    """Return the press in parts that end where the software reads a frame, and the parts' times, s;
+    else the press, and None."""
+    rate = None if scene.reconstruction is None else scene.reconstruction.frames_per_second
+    if rate is None:
+        return press, None
+    from twin.study.film import at_frames
+
+    return at_frames(press, rate)
+
+
+def _relaxed(
+    sensor: Sensor,
+    last: Field,
+    rest: Picture,
+    state: ContactState,
+    ends_s: Floats,
+    calibration: Calibration,
+) -> Field:
+    """Return the last frame's field with the forces of rubber that relaxes: the software reads
+    every frame before it, too."""
+    from twin.sense.reconstruct import reconstruct
+    from twin.sense.track import Tracker
+    from twin.theory.relaxation import Hereditary
+
+    scene = sensor.nominal
+    assert scene.reconstruction is not None
+    assert calibration.relaxation is not None
+    rate = scene.reconstruction.frames_per_second
+    tracker = Tracker(rest, sensor.layout_px, method=scene.tracking.method)
+    history = Hereditary(calibration.relaxation)
+    before_s = 0.0
+    for number, (one, end_s) in enumerate(zip(state.path[:-1], ends_s, strict=False)):
+        if abs(end_s * rate - round(end_s * rate)) > _SAME:
+            continue  # a step that ends between two frames
+        if sensor.progress is not None:
+            sensor.progress(f"frame at {end_s:.3g} s", 0.8)
+        picture = sensor.picture(sensor.quick_motion(one.load), 2 + number)
+        try:
+            field = reconstruct(
+                tracker.track(picture), calibration, **scene.reconstruction.options()
+            )
+        except InputError:  # bridged, as in a recording
+            tracker.forget()
+            continue
+        field.relaxed(history, end_s - before_s)
+        before_s = end_s
+    return last.relaxed(history, ends_s[len(state.path) - 1] - before_s)
+
+
+def _pressed(sensor: Sensor, press: Press, keep_last: bool) -> ContactState:
     from twin.world.contact.contact_state import ContactState
 
     try:
-        return sensor.press()
+        return sensor.press(press)
     except ContactError as problem:
         if keep_last and isinstance(problem.last_state, ContactState):
             return problem.last_state
@@ -430,11 +490,12 @@ def _press_facts(state: ContactState) -> dict[str, Any]:
     return facts | {"validity": asdict(state.validity) | texts}
 
 
-def _course(scene: Scene, state: ContactState) -> dict[str, Any]:
-    """Return force and indentation at the end of every step, where steps take time."""
+def _course(scene: Scene, state: ContactState, ends_s: Floats | None) -> dict[str, Any]:
+    """Return force and indentation at the end of every step, or part of one, where these take
+    time."""
     if scene.press is None or not any(step.seconds for step in scene.press.path):
         return {}
-    times = accumulate(step.seconds for step in scene.press.path)
+    times = accumulate(step.seconds for step in scene.press.path) if ends_s is None else ends_s
     rows = [(0.0, 0.0, 0.0, 0.0, 0.0)]
     rows += [
         (time_s, *one.force_n.tolist(), one.indentation_mm)
@@ -445,7 +506,9 @@ def _course(scene: Scene, state: ContactState) -> dict[str, Any]:
     return {"course": course}
 
 
-def _elastic_errors(truth: Truth, motion: Motion, state: ContactState | None) -> dict[str, Any]:
+def _elastic_errors(
+    truth: Truth, motion: Motion, state: ContactState | None, *, in_time: bool
+) -> dict[str, Any]:
     """Return the errors of the truth itself, and the reasons of those that are unknown."""
     moved = np.linalg.norm(truth.marker_displacement_mm, axis=1)
     strain, turn = largest_strain_and_turn(motion.gradient)
@@ -456,7 +519,7 @@ def _elastic_errors(truth: Truth, motion: Motion, state: ContactState | None) ->
         "largest_strain": strain,
         "largest_turn_deg": turn,
     }
-    if state is not None and state.load.crept is not None and state.load.terms:
+    if not in_time and state is not None and state.load.crept is not None and state.load.terms:
         # A total force that takes the motion of rubber that relaxes for elastic.
         true, elastic = (
             sum(term.force_n.sum(axis=0) for term in load.terms if isinstance(term, Rectangles))
@@ -540,10 +603,12 @@ def _closed_form(
 
 def _shared_by_truth_and_estimate(scene: Scene) -> list[str]:
     """Return what the sensor's software knows exactly, as truth and nominal design share it."""
+    relaxes = bool(scene.material.relaxation)
+    in_time = scene.reconstruction is not None and scene.reconstruction.frames_per_second
     shared = [
         "shape of the body, and that it is homogeneous"
         + (", linear" if scene.material.law == "linear" else "")
-        + (" (but not that it relaxes)" if scene.material.relaxation else "")
+        + ((", and how it relaxes" if in_time else " (but not that it relaxes)") if relaxes else "")
         + " and bonded at its base",
         "number, order, pitch and diameter of the markers",
         "refractive indices and thicknesses of the layers in front of the camera",
