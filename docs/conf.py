@@ -44,17 +44,17 @@ make_gallery(HERE / "made")
 make_tutorials(HERE / "made" / "tutorials")
 make_commands(HERE / "made" / "commands.md")
 
-PICTURE = re.compile(r"!\[([^\]]*)\]\((\S+)\.png\)")
+PICTURE = re.compile(r"!\[([^\]]*)\]\((\S+)(\.png|\.webp)\)")
 
 
 def both_pictures(app, name, text):
-    """Show NAME_dark.png, where it exists, instead of NAME.png on dark pages."""
+    """Show NAME_dark.png (or .webp), where it exists, instead of NAME.png on dark pages."""
     folder = (HERE / name).parent
 
     def both(found):
-        if not (folder / f"{found[2]}_dark.png").is_file():
+        if not (folder / f"{found[2]}_dark{found[3]}").is_file():
             return found[0]
-        return f"{found[0]}{{.only-light}} ![{found[1]}]({found[2]}_dark.png){{.only-dark}}"
+        return f"{found[0]}{{.only-light}} ![{found[1]}]({found[2]}_dark{found[3]}){{.only-dark}}"
 
     text[0] = PICTURE.sub(both, text[0])
 

@@ -223,6 +223,6 @@ def _shown(plate: Plate, folder: Path) -> str:
         except MissingCapability as problem:
             plt.close("all")
             return f"{code}\n\nNot drawn on the machine that built these pages: {problem}"
-        save_both(plt.gcf(), folder / f"gallery_{plate.name}.png", bbox_inches="tight")
+        save_both(plt.gcf(), folder / f"gallery_{plate.name}.webp", bbox_inches="tight")
         plt.close("all")
-    return f"![{plate.said}](gallery_{plate.name}.png)\n\n{code}"
+    return f"![{plate.said}](gallery_{plate.name}.webp)\n\n{code}"

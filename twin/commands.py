@@ -8,13 +8,16 @@ Every decision lives elsewhere. Heavy packages are imported inside the functions
 from __future__ import annotations
 
 import hashlib
+import inspect
+import io
 import json
 import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import asdict, dataclass
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
@@ -187,6 +190,47 @@ def _file_name(scene: Path, overrides: Sequence[str]) -> str:
     return f"{scene.stem},{plain}"
 
 
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, indent=1, ensure_ascii=False))
+
+
+def _lines_as_json(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command that takes ``--json`` too: its lines, and what went wrong, as one object."""
+
+    @wraps(command)
+    def with_json(*arguments: Any, json_: bool = False, **options: Any) -> None:
+        if not json_:
+            command(*arguments, **options)
+            return
+        lines = io.StringIO()
+        failure: TwinError | None = None
+        try:
+            with redirect_stdout(lines):
+                command(*arguments, **options)
+        except TwinError as problem:
+            failure = problem
+        _print_json(
+            {
+                "command": command.__name__,
+                "ok": failure is None,
+                "lines": lines.getvalue().splitlines(),
+                "problems": [] if failure is None else str(failure).splitlines(),
+            }
+        )
+        if failure is not None:
+            raise failure
+
+    signature = inspect.signature(command)
+    json_ = inspect.Parameter(
+        "json_", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Json
+    )
+    with_json.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[*signature.parameters.values(), json_]
+    )
+    with_json.__annotations__ = {**command.__annotations__, "json_": Json}
+    return with_json
+
+
 def run(
     scene: SceneName,
     *,
@@ -311,10 +355,6 @@ def _json_of(path: Path) -> Any:
         raise InputError(f"{path}: can't be read as JSON ({problem})") from None
 
 
-def _print_json(value: Any) -> None:
-    print(json.dumps(value, indent=1, ensure_ascii=False))
-
-
 def explain(
     path: Annotated[Path, Parameter(help="score.json of a run, or the run's folder.")],
     /,
@@ -370,6 +410,7 @@ def _wanted(names: Sequence[str]) -> frozenset[str]:
     return frozenset(given or WANTED)
 
 
+@_lines_as_json
 def mesh(
     scene: SceneName,
     *,
@@ -466,6 +507,7 @@ def scenes(
         print("\n".join(f"{row['name']:20s} {row['title']}" for row in rows))
 
 
+@_lines_as_json
 def check(
     file: Annotated[
         str,
@@ -486,7 +528,6 @@ def check(
         bool,
         Parameter(help="Measure the scene's camera chip by EMVA 1288, and compare what it states."),
     ] = False,
-    json_: Json = False,
     set_: Overrides = (),
 ) -> None:
     """Check a file or a folder and print everything that is wrong with it.
@@ -510,32 +551,18 @@ def check(
 
         loaded = _load(scene, set_)
         with _scene_named(scene):
-            _print_checked(file, lambda: check_camera(Path(file), second, loaded), json_)
+            print("\n".join(check_camera(Path(file), second, loaded)))
         return
     if camera:
         from twin.study.photon_transfer import check_chip
 
         loaded = _load(file, set_)
         with _scene_named(file):
-            _print_checked(file, lambda: check_chip(loaded.ccd), json_)
+            print("\n".join(check_chip(loaded.ccd)))
         return
     from twin.study.check import check_path
 
-    _print_checked(file, lambda: check_path(file), json_)
-
-
-def _print_checked(what: str, check: Callable[[], list[str]], as_json: bool) -> None:
-    """Print the lines of a check; as JSON also those of one that fails."""
-    try:
-        lines = check()
-    except TwinError as problem:
-        if as_json:
-            _print_json({"path": what, "ok": False, "lines": str(problem).splitlines()})
-        raise
-    if as_json:
-        _print_json({"path": what, "ok": True, "lines": lines})
-    else:
-        print("\n".join(lines))
+    print("\n".join(check_path(file)))
 
 
 def doctor(*, json_: Json = False) -> None:
@@ -555,6 +582,7 @@ def doctor(*, json_: Json = False) -> None:
         raise MissingCapability("the main job can't run: " + "; ".join(missing))
 
 
+@_lines_as_json
 def view(
     path: Annotated[
         str,
@@ -649,6 +677,7 @@ def view(
         bar("done", 1.0)
 
 
+@_lines_as_json
 def calibrate(
     folder: Annotated[
         Path | None,
@@ -735,6 +764,7 @@ def calibrate(
         print(calibrate_to_file(loaded, out, _progress(), folder))
 
 
+@_lines_as_json
 def reconstruct(
     rest: Annotated[Path, Parameter(help="Picture without load: PNG, BMP or JPEG.")],
     frames: Annotated[
@@ -839,6 +869,7 @@ def _weight(text: str) -> float | WeightRule:
 _DEFAULT = _Batch()
 
 
+@_lines_as_json
 def dataset(
     scene: SceneName,
     *,
@@ -899,6 +930,7 @@ def dataset(
         )
 
 
+@_lines_as_json
 def export(
     source: Annotated[str, Parameter(help="Folder of a dataset, or a scene for mitsuba.")],
     *,
@@ -931,6 +963,7 @@ def export(
     print(f"{files[0] if files else out}: {len(files)} file{'s' if len(files) != 1 else ''}")
 
 
+@_lines_as_json
 def sweep(
     sweep: Annotated[str, Parameter(help="Path of a sweep file, or the name of a shipped sweep.")],
     *,
@@ -996,6 +1029,7 @@ def sweep(
         )
 
 
+@_lines_as_json
 def reproduce(
     *names: Annotated[
         str, Parameter(help="Entries (kamiyama/table-1), papers (sato), or all (default).")

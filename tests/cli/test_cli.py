@@ -1,6 +1,7 @@
 """The command line: exit codes, messages that help, nothing heavy for help, nothing lost."""
 
 import ctypes.util
+import inspect
 import json
 import os
 import re
@@ -303,3 +304,18 @@ def test_check_scenes_and_doctor_print_json(tmp_path: Path) -> None:
     assert {"name", "title", "path"} == set(scenes[0])
     assert "kamiyama_pillar" in {scene["name"] for scene in scenes}
     assert json.loads(twin("doctor", "--json").stdout)["facts"]["numpy"]
+
+
+def test_every_command_takes_json(capsys: pytest.CaptureFixture[str]) -> None:
+    commands = [app[name].default_command for name in app if not name.startswith("-")]
+    assert len(commands) > 10
+    assert not [c.__name__ for c in commands if "json_" not in inspect.signature(c).parameters]
+    app["mesh"].default_command("block_bare", json_=True)
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["ok"]
+    assert "tetrahedra" in printed["lines"][0]
+    with pytest.raises(InputError):
+        app["export"].default_command("nowhere", format="coco", out=Path("o"), json_=True)
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["command"], printed["ok"]) == ("export", False)
+    assert "nowhere" in printed["problems"][0]

@@ -223,10 +223,11 @@ def write_report(done: Swept, folder: Path) -> list[str]:
     title = sweep.title or f"Sweep of {sweep.scene}"
     text = page(title, _verdict(done), alarms, sections, tomli_w.dumps(recipe))
     write_whole(folder / "report.html", text.encode())
-    widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+    # a design a column: five of them fit a terminal, however many axes there are
+    name, cell = max(map(len, heads)), max([8, *(len(c) for row in rows for c in row)])
     lines = [
-        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-        for row in (heads, *rows)
+        head.ljust(name) + "".join(value.rjust(cell) for value in values)
+        for head, *values in zip(heads, *rows, strict=True)
     ]
     return [_verdict(done), *(lines if rows else []), *(f"({meaning})" for meaning in meanings)]
 
@@ -521,7 +522,7 @@ def _field(name: str, sites: Points, force: Floats) -> str:
     largest = float(np.abs(force[:, 2]).max()) or 1.0
     axes, colours, pushed = force_field(sites[:, :2], force, side, largest, largest / 1.5)
     svg = axes.drawing(colours + pushed, "x (mm)", "y (mm)", f"Force field, {name}")
-    return figure(svg, f"{escape(name)}; darkest is {digits(largest)} N a site")
+    return figure(svg, f"{escape(name)}; the strongest is {digits(largest)} N a site")
 
 
 def _sensitivity_table(rows: Sequence[tuple[str, str, float, float, float]]) -> str:
