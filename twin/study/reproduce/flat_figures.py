@@ -16,13 +16,9 @@ from twin.sense.reconstruct import Field
 from twin.sense.track import Found
 from twin.show.figure_panels import Panel
 from twin.study.reproduce.bench import (
-    KNOWN_BLOCK,
-    NO_BLOCK,
-    NO_LENS,
     NO_NOISE,
     OUR_TRACKER,
     OUR_TRACKER_INSTEAD,
-    PAPERS_TRACKER,
     PILLAR_N,
     PILLAR_PRESS,
     QUIET,
@@ -91,6 +87,11 @@ ROW = Unprinted(
     "from three markers on each side to the width of the view; the figure's range isn't printed",
 )
 OURS = "inverse, tracker and block: this project's"
+PAPERS_TRACKER = "tracker: the paper's instead of this project's"
+NO_LENS = "lens: seen from far away"
+NO_BLOCK = "finite block: a half-space is filmed instead"
+KNOWN_BLOCK = "finite block: the sensor knows the real block instead of a half-space"
+"""Causes, in the words of the page."""
 
 
 def _impulse(axis: int, at_mm: tuple[float, float] = (0.0, 0.0), sign: float = 1.0) -> Load:
