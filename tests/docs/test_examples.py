@@ -88,6 +88,14 @@ def torch(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, name, module)
 
 
+class Rows(list[dict[str, Any]]):
+    """Stands in for an opened dataset."""
+
+    @property
+    def columns(self) -> list[str]:
+        return list(self[0])
+
+
 @pytest.mark.usefixtures("torch")
 def test_torch_loads_pictures_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [
@@ -102,7 +110,8 @@ def test_torch_loads_pictures_in_batches(monkeypatch: pytest.MonkeyPatch) -> Non
     ]
     rows[2] = {"status": "failed", "picture": None, "force_n": None, "slip_share": None, "split": "train"}
     torch_loader = example("torch_loader")
-    monkeypatch.setattr(torch_loader.twin, "open_dataset", lambda folder, columns: rows, raising=False)
+    opened = Rows(rows)
+    monkeypatch.setattr(torch_loader.twin, "open_dataset", lambda *_: opened, raising=False)
     (last,) = torch_loader.loader("anywhere", ["slip_share"], "test", workers=0)
     assert np.asarray(last["slip_share"]).tolist() == [np.float32(5 / 6)]
     batches = list(torch_loader.loader("anywhere", batch_size=2, workers=0))
@@ -111,3 +120,10 @@ def test_torch_loads_pictures_in_batches(monkeypatch: pytest.MonkeyPatch) -> Non
     assert sorted(forces[:, 0].tolist()) == [0, 1, 3, 4, 5]
     for batch in batches:
         np.testing.assert_allclose(np.asarray(batch["picture"])[:, 0, 0, 0] * 5, np.asarray(batch["force_n"])[:, 0])
+    for number, row in enumerate(rows):
+        del row["split"]
+        row["sensor"] = number
+    (test,) = torch_loader.loader("anywhere", ["force_n"], "test", workers=0)
+    train = list(torch_loader.loader("anywhere", ["force_n"], "train", batch_size=1, workers=0))
+    assert np.asarray(test["force_n"])[:, 0].tolist() == [4.0]
+    assert len(train) == 4, "every fifth sensor is for tests; one sample failed"

@@ -78,7 +78,7 @@ def test_the_contact_sheet_shows_pictures_truth_and_failures(made: Path, tmp_pat
     page = (tmp_path / "sheet.html").read_text()
     good = sum(row["status"] == "ok" for row in twin.open_dataset(made))
     assert "6 of 6 samples" in told
-    assert page.count("data:image/png;base64") == good
+    assert page.count("data:image/webp;base64") == good
     assert page.count("failed") == 6 - good
     assert page.count(", force (") == good
     assert '<path d="M' in page

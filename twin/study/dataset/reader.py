@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import bisect
 import io
 import json
@@ -20,7 +19,7 @@ from twin.errors import InputError, did_you_mean
 from twin.files import LARGEST_PX, write_whole
 from twin.parts.camera import Camera
 from twin.show import html_page
-from twin.show.html_page import two_columns
+from twin.show.html_page import small_picture, two_columns
 from twin.study.dataset.plan import Places
 from twin.theory.optics import project
 
@@ -285,7 +284,7 @@ def view_dataset(folder: Path, page: Path) -> str:
     InputError
         It is no dataset, or holds no samples yet, or no pixels to draw.
     """
-    reader = DatasetReader(folder, decode=False)
+    reader = DatasetReader(folder)
     if len(reader) == 0:
         raise InputError(f"{folder}: holds no samples yet")
     if "marker_pressed_px" not in reader.columns:
@@ -314,8 +313,7 @@ def _figure(reader: DatasetReader, sample: dict[str, Any]) -> str:
     size = f'width="{camera["width_px"]}" height="{camera["height_px"]}"'
     parts = []
     if sample.get("picture") is not None:
-        data = base64.b64encode(sample["picture"]).decode()
-        parts.append(f'<image href="data:image/png;base64,{data}" {size}/>')
+        parts.append(f'<image href="{small_picture(sample["picture"])}" {size}/>')
     if sample.get("surface_mm") is not None:
         parts += [
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" fill="#fd0" opacity=".55"/>'

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -13,11 +12,11 @@ import numpy as np
 from scipy.stats import binned_statistic_2d
 
 from twin.arrays import Bools, Floats, Points
-from twin.files import make_folder, png_bytes, write_whole
+from twin.files import make_folder, write_whole
 from twin.parts.part import Part, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import METRICS
-from twin.show.html_page import digits, figure, page, table, two_columns
+from twin.show.html_page import digits, figure, page, small_picture, table, two_columns
 from twin.show.svg_plots import Axes, force_field, path
 from twin.study.recipe import dump_scene
 from twin.study.sweep.designs import Designs
@@ -493,9 +492,8 @@ def _cards(done: Swept, best: Mapping[int, Path], folder: Path) -> list[str]:
         key = done.keys.get(number)
         kept = store.pictures(key) if key is not None else None
         if kept is not None:
-            data = base64.b64encode(png_bytes(kept["picture"])).decode()
             image = (
-                f'<img src="data:image/png;base64,{data}" alt="CCD picture of Design {number} '
+                f'<img src="{small_picture(kept["picture"])}" alt="CCD picture of Design {number} '
                 'under the push in the middle">'
             )
             parts.append(figure(image, "Picture under the push in the middle"))
