@@ -13,8 +13,8 @@ from small_dataset import make, small_scene
 
 import twin
 from twin.errors import InputError
-from twin.study.dataset.audit import audited
 from twin.study.dataset.export import export_dataset
+from twin.study.dataset.plan import Plan
 from twin.study.dataset.reader import view_dataset
 
 SEEN = ("force_n", "torque_nmm", "surface_mm", "marker_displacement_mm", "marker_pressed_px", "picture")
@@ -88,8 +88,8 @@ def test_the_contact_sheet_shows_pictures_truth_and_failures(made: Path, tmp_pat
 def test_the_card_tells_errors_and_croissant_names_every_column(made: Path) -> None:
     card = (made / "README.md").read_text()
     assert "marker displacement, over the largest" in card
-    assert audited(6, {0, 1, 4}) == [2]
-    assert audited(500, {0, 499}) == [1, 125, 249, 373, 498]
+    assert Plan(small_scene(), 6).audited({0, 1, 4}) == [2]
+    assert Plan(small_scene(), 500).audited({0, 499}) == [1, 125, 249, 373, 498]
     audit = json.loads((made / "meta" / "audit.json").read_text())
     assert 0 < audit["displacement"]["largest"] < 0.02
     told = json.loads((made / "croissant.json").read_text())

@@ -16,9 +16,6 @@ from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.reader import DatasetReader, readable
 
 WORK = "twin.study.dataset.sample:audit_sample"
-MOST, EVERY = 100, 100
-"""One sample in a hundred is computed again, a hundred at most, one at least."""
-
 FIGURES = {
     "displacement": "marker displacement, over the largest of the sample",
     "site_force": "tractions on the sites, norm of the difference over the norm",
@@ -28,22 +25,12 @@ FIGURES = {
 }
 
 
-def audited(samples: int, failed: Collection[int]) -> list[int]:
-    """Return which samples are computed again: spread over those that did not fail."""
-    count = min(MOST, max(1, samples // EVERY), samples - len(failed))
-    bad = np.array(sorted(failed), int)
-    good = np.linspace(0, samples - len(bad) - 1, count).astype(int)
-    for index in bad:  # the n-th good sample's number is n plus the failed ones before it
-        good[good >= index] += 1
-    return [int(number) for number in good]
-
-
 def audit(
     plan: Plan, job: Job, failed: Collection[int], pool: Pool, progress: Progress | None
 ) -> dict[str, Any]:
     """Return the differences: for every figure median and largest, and how many samples they are
     of."""
-    numbers = audited(plan.samples, failed)
+    numbers = plan.audited(failed)
     found: dict[int, dict[str, float]] = {}
     again = replace(job, work=WORK)
     for done in pool.run(again, numbers):
@@ -138,11 +125,11 @@ def _checksums(places: Places) -> list[str]:
 def _schema(reader: DatasetReader, info: dict[str, object]) -> list[str]:
     import pyarrow.parquet as pq
 
-    from twin.study.dataset.columns import arrow_type
+    from twin.study.dataset.columns import Column
 
     problems = []
     columns = info["columns"]
-    wanted = {c["name"]: arrow_type(c["kind"]) for c in columns}  # type: ignore[attr-defined]
+    wanted = {c["name"]: Column.arrow_type(c["kind"]) for c in columns}  # type: ignore[attr-defined]
     for file in sorted(reader.places.data.glob("part-*.parquet")):
         with readable(file):
             found = pq.read_schema(file)

@@ -53,6 +53,23 @@ class Column:
         unit = unit_of(self.name)
         return {"name": name, "kind": self.kind, "unit": unit, "what": self.what}
 
+    @staticmethod
+    def arrow_type(kind: Kind) -> pa.DataType:
+        """Return the Arrow type of values of a kind."""
+        import pyarrow as pa
+
+        types = {
+            "integer": pa.int64(),
+            "number": pa.float64(),
+            "text": pa.string(),
+            "png": pa.binary(),
+            "numbers": pa.list_(pa.float64()),
+            "flags": pa.list_(pa.bool_()),
+            "vectors": pa.list_(pa.list_(pa.float64(), 3)),
+            "pixels": pa.list_(pa.list_(pa.float64(), 2)),
+        }
+        return types[kind]
+
 
 def _columns(*rows: tuple[str, Kind, str, str]) -> tuple[Column, ...]:
     """Return columns of (name, kind, needs, what)."""
@@ -138,23 +155,6 @@ def bare(value: Any) -> Any:
     return StlFile.renamed(value, lambda file: Path(file).name)
 
 
-def arrow_type(kind: Kind) -> pa.DataType:
-    """Return the Arrow type of a column's values."""
-    import pyarrow as pa
-
-    types = {
-        "integer": pa.int64(),
-        "number": pa.float64(),
-        "text": pa.string(),
-        "png": pa.binary(),
-        "numbers": pa.list_(pa.float64()),
-        "flags": pa.list_(pa.bool_()),
-        "vectors": pa.list_(pa.list_(pa.float64(), 3)),
-        "pixels": pa.list_(pa.list_(pa.float64(), 2)),
-    }
-    return types[kind]
-
-
 def parquet(
     rows: list[dict[str, Any]], columns: Sequence[Column], words: Mapping[str, str]
 ) -> bytes:
@@ -186,7 +186,7 @@ def _to_arrow(
     """Return rows as an Arrow table with a line about every column; missing values are null."""
     import pyarrow as pa
 
-    fields = [pa.field(c.name, arrow_type(c.kind), metadata={"what": c.what}) for c in columns]
+    fields = [pa.field(c.name, c.arrow_type(c.kind), metadata={"what": c.what}) for c in columns]
     schema = pa.schema(fields, metadata=dict(metadata))
     arrays = [_array([row.get(field.name) for row in rows], field.type) for field in schema]
     return pa.Table.from_arrays(arrays, schema=schema)

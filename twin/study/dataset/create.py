@@ -24,7 +24,7 @@ from twin.errors import InputError
 from twin.files import make_folder, write_json, write_whole
 from twin.parts.scene import Scene
 from twin.study.batch.pool import Done, Job, Pool, Scheduler, counted, only_writer
-from twin.study.dataset.audit import audit, audited
+from twin.study.dataset.audit import audit
 from twin.study.dataset.export import write_card
 from twin.study.dataset.plan import Places, Plan, sha256
 from twin.study.dataset.prepare import prepare
@@ -287,7 +287,7 @@ def estimate(
     plan = Plan(scene, samples)
     plan.check()
     sensors = plan.sensor_of(samples - 1) + 1
-    audits = len(audited(samples, ()))
+    audits = len(plan.audited())
     cut = {"samples_per_shard": TRIED, "samples_per_sensor": 2 * TRIED}
     tried = scene.model_copy(update={"dataset": scene.dataset.model_copy(update=cut)})
     with tempfile.TemporaryDirectory(prefix="twin-estimate-") as name, one_thread():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,6 +42,10 @@ _FIXED = (
 """Tables that can't vary inside a dataset: it has one mesh, one accuracy and one format."""
 
 MOST_STEPS = 1024
+
+AUDITS, AUDIT_EVERY = 100, 100
+"""One sample in a hundred is computed again, a hundred at most, one at least."""
+
 _WORK = "twin.study.dataset.sample:make_shard"
 
 P = TypeVar("P", bound=Part)
@@ -115,6 +119,15 @@ class Plan:
         needs = {need for column in self.columns for need in column.needs}
         found = (column for column in SENSOR if _available(column, self.scene, needs))
         return (*found, *_drawn_columns(self.sensor_axes))
+
+    def audited(self, failed: Collection[int] = ()) -> list[int]:
+        """Return which samples are computed again: spread over those that did not fail."""
+        count = min(AUDITS, max(1, self.samples // AUDIT_EVERY), self.samples - len(failed))
+        bad = np.array(sorted(failed), int)
+        good = np.linspace(0, self.samples - len(bad) - 1, count).astype(int)
+        for index in bad:  # the n-th good sample's number is n plus the failed ones before it
+            good[good >= index] += 1
+        return [int(number) for number in good]
 
     @property
     def alike(self) -> str:

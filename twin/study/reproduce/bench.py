@@ -114,14 +114,7 @@ APART = 20_000
 
 PILLAR_N = 3.0
 """Force on the 5 mm pillar, in no paper: the same in every entry."""
-
-
-def pillar_press(force_n: float, edge_mm: float = 0.0) -> Press:
-    """Return the press of the 5 mm pillar along z at the middle, its rim rounded by ``edge_mm``."""
-    return Press(probe=Cylinder(diameter_mm=5, edge_mm=edge_mm), force_n=(0.0, 0.0, force_n))
-
-
-PILLAR_PRESS = pillar_press(PILLAR_N)
+PILLAR_PRESS = Press(probe=Cylinder(diameter_mm=5), force_n=(0.0, 0.0, PILLAR_N))
 """Press of Figs. 9 to 13: along z, at the middle."""
 
 

@@ -36,7 +36,6 @@ from twin.study.reproduce.bench import (
     Unprinted,
     arrow_panel,
     field_panel,
-    pillar_press,
 )
 
 PITCH_MM, BAND_MM, SHAPE_BAND_MM = 1.5, 0.8, 4.0
@@ -98,6 +97,11 @@ def _impulse(axis: int, at_mm: tuple[float, float] = (0.0, 0.0), sign: float = 1
     """Return a narrow traction along one axis, standing for an impulse."""
     x, y, z = (sign * IMPULSE_N * np.eye(3)[axis]).tolist()
     return Traction.disk(at_mm, SPOT_MM, (x, y, z))
+
+
+def _pillar_press(force_n: float, edge_mm: float = 0.0) -> Press:
+    """Return the press of the 5 mm pillar with another force, its rim rounded by ``edge_mm``."""
+    return Press(probe=Cylinder(diameter_mm=5, edge_mm=edge_mm), force_n=(0.0, 0.0, force_n))
 
 
 def _causes(bench: Bench, chain: Chain, block: str) -> dict[str, Chain]:
@@ -177,7 +181,7 @@ def _figure_9(bench: Bench) -> Outcome:
         def measure(chain: Chain, trial: Trial) -> Found:
             # linear theory knows the force over Young's modulus alone
             modulus = chain.rig(bench, trial).scene.material.youngs_modulus_mpa
-            return chain.shot(bench, pillar_press(ratio * modulus), trial).found
+            return chain.shot(bench, _pillar_press(ratio * modulus), trial).found
 
         return measure
 
@@ -192,7 +196,7 @@ def _figure_9(bench: Bench) -> Outcome:
         f"largest movement under {ROUNDED_N:g} N, rim rounded by {RIM_MM:g} mm: finite strain over "
         "linear theory"
     )
-    press = pillar_press(ROUNDED_N, edge_mm=RIM_MM)
+    press = _pillar_press(ROUNDED_N, edge_mm=RIM_MM)
     moved = [
         numbers(replace(TRACKED, overrides={"material.law": law}).shot(bench, press).found)[largest]
         for law in ("neo_hookean", "linear")
