@@ -19,9 +19,11 @@ from twin.parts.load import Traction
 from twin.sense.track import track_frame
 from twin.show.reproduction_page import reproduction
 from twin.study.reproduce.bench import (
+    KAMIYAMA,
     MADE,
     OUR_TRACKER,
     PILLAR_PRESS,
+    WAYS,
     Bench,
     Chain,
     Outcome,
@@ -29,11 +31,11 @@ from twin.study.reproduce.bench import (
     Record,
     Trial,
     Unprinted,
+    Way,
     settled,
 )
 from twin.study.reproduce.design_limits import width_mm
 from twin.study.reproduce.reproduction_run import ENTRIES, reproduce
-from twin.study.reproduce.shifted import KAMIYAMA, WAYS, Way
 
 FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
 

@@ -129,7 +129,10 @@ def _schema(reader: DatasetReader, info: dict[str, object]) -> list[str]:
 
     problems = []
     columns = info["columns"]
-    wanted = {c["name"]: Column.arrow_type(c["kind"]) for c in columns}  # type: ignore[attr-defined]
+    wanted = {
+        each["name"]: Column.arrow_type(each["kind"])
+        for each in columns  # type: ignore[attr-defined]
+    }
     for file in sorted(reader.places.data.glob("part-*.parquet")):
         with readable(file):
             found = pq.read_schema(file)

@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -27,13 +27,14 @@ from twin.judge.score import force_score, into_cells
 from twin.parts.load import Load, Traction
 from twin.parts.methods import CentreMethod, Method
 from twin.parts.part import identity
-from twin.parts.press import Cylinder, Press, Sphere
+from twin.parts.press import Cylinder, Press, Sphere, Step
 from twin.parts.scene import Scene
 from twin.parts.sweep import GF
 from twin.sense.calibration import Calibration
 from twin.sense.reconstruct import Field, reconstruct
 from twin.sense.track import Found
 from twin.show.figure_panels import Panel
+from twin.streams import Purpose, stream
 from twin.study.calibrate import calibrate_by_presses, calibration_of, half_space_compliance
 from twin.study.recipe import load_scene
 from twin.study.sensor import Motion, Sensor
@@ -116,6 +117,22 @@ PILLAR_N = 3.0
 """Force on the 5 mm pillar, in no paper: the same in every entry."""
 PILLAR_PRESS = Press(probe=Cylinder(diameter_mm=5), force_n=(0.0, 0.0, PILLAR_N))
 """Press of Figs. 9 to 13: along z, at the middle."""
+
+
+PRELOAD_GF = 200.0
+"""Largest force of Sato's Fig. 8, along every axis."""
+
+READ_GF = 30.0
+"""The resolution of the magnitude that Sato prints."""
+
+RESOLVED = 1.96 * 2**0.5
+"""Differences of two readings above this many standard deviations of one are real at 95 %."""
+
+FIRST_EXPOSURE = 2000
+"""Of Sato's Fig. 8."""
+
+Way = Literal["digital", "re-rendered"]
+WAYS: tuple[Way, ...] = ("digital", "re-rendered")
 
 
 @dataclass(frozen=True)
@@ -980,3 +997,145 @@ def sphere_press(place_mm: tuple[float, float], gram_force: float) -> Press:
     """Return a press of the 3 mm sphere along z at a place (x, y) above the surface, sticking."""
     force = (None, None, gram_force * GF)
     return Press(probe=Sphere(diameter_mm=3), at_mm=place_mm, force_n=force, friction=np.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """One paper's test.
+
+    Attributes
+    ----------
+    sensor
+        The paper.
+    shift_px
+        Displacement along x, px.
+    exposure
+        Which exposure is displaced digitally: 0 is the rest picture itself.
+    paper
+        (average, standard deviation) by layer and axis, px.
+    """
+
+    sensor: str
+    shift_px: int
+    exposure: int
+    paper: Mapping[tuple[str, str], tuple[float, float]]
+
+    def tracked(self, bench: Bench, way: Way, chain: Chain, trial: Trial = ONCE) -> Found:
+        """Shift the markers and track them, once for all entries."""
+        rig = chain.rig(bench, trial)
+
+        def work() -> Found:
+            if way == "re-rendered":
+                picture = rig.picture(rig.shifted((self.shift_px, 0.0)), 8)
+            else:  # moved to the right by whole pixels; the left edge is drawn out
+                kept = rig.picture(None, self.exposure)[:, : -self.shift_px]
+                picture = np.pad(kept, ((0, 0), (self.shift_px, 0), (0, 0)), mode="edge")
+            return rig.track(picture, chain.tracker)
+
+        key = ("shifted", id(rig), way, self.exposure, chain.tracker)
+        return bench.once(key, work)
+
+    @staticmethod
+    def samples(found: Found, layer: str) -> Floats:
+        """Return (m, 2) the shifts of a layer's tracked markers, px, x to the right and y up."""
+        shift = found.shift_px[found.layer == layer]
+        return np.asarray(shift[np.isfinite(shift).all(axis=1)] * (1, -1))
+
+
+KAMIYAMA = Protocol(
+    sensor="kamiyama",
+    shift_px=3,
+    exposure=0,
+    paper={
+        ("blue", "x"): (3.09, 0.19),
+        ("blue", "y"): (0.05, 0.22),
+        ("red", "x"): (3.02, 0.25),
+        ("red", "y"): (0.06, 0.19),
+    },
+)
+SATO = Protocol(
+    sensor="sato",
+    shift_px=5,
+    exposure=7,
+    paper={
+        ("red", "x"): (4.87, 0.14),
+        ("red", "y"): (0.03, 0.14),
+        ("blue", "x"): (4.95, 0.13),
+        ("blue", "y"): (0.00, 0.10),
+    },
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceLine:
+    """Readings against applied forces, gf, and the straight line through them."""
+
+    applied_gf: Floats
+    measured_gf: Floats
+
+    @property
+    def fit(self) -> Floats:
+        """(2,) slope and offset of the least-squares line."""
+        return np.polyfit(self.applied_gf, self.measured_gf, 1)
+
+    @property
+    def squares(self) -> float:
+        """Sum of the squared differences from the line, gf^2."""
+        return float(((self.measured_gf - np.polyval(self.fit, self.applied_gf)) ** 2).sum())
+
+    @property
+    def resolution_gf(self) -> float:
+        """Smallest difference of applied force that two single readings resolve at 95 %."""
+        deviation = np.sqrt(self.squares / (len(self.applied_gf) - 2))
+        return float(RESOLVED * deviation / abs(self.fit[0]))
+
+    @property
+    def widest_gf(self) -> float:
+        """Largest difference of a reading from the applied force."""
+        return float(np.abs(self.measured_gf - self.applied_gf).max())
+
+    @classmethod
+    def of(
+        cls,
+        bench: Bench,
+        chain: Chain,
+        axis: int,
+        steps: int,
+        repeats: int,
+        first: int = FIRST_EXPOSURE,
+        aside_mm: float = 0.0,
+    ) -> ForceLine:
+        """Take the 10 mm cylinder's path through pictures and the inverse, ``repeats`` times.
+
+        Each has noise of its own: 200 gf down and then sideways, or down in steps; it sticks.
+
+        The first repeat is at the apex, the others ``aside_mm`` from it, each to another side.
+        """
+        levels = [PRELOAD_GF * (k + 1) / steps * GF for k in range(steps)]
+        down = PRELOAD_GF * GF
+        if axis == 2:
+            path = [Step(force_n=(None, None, level)) for level in levels]
+        else:
+            path = [Step(force_n=(None, None, down))]
+            for level in levels:
+                x, y = (level if k == axis else None for k in range(2))
+                path.append(Step(force_n=(x, y, down)))
+        rig = chain.rig(bench)
+        sides = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
+        places = [(x * aside_mm, y * aside_mm) for x, y in sides]
+        press = Press(probe=Cylinder(diameter_mm=10), friction=np.inf, steps=tuple(path))
+        pressed = {
+            place: rig.press(press.model_copy(update={"at_mm": place})).path[-steps:]
+            for place in dict.fromkeys(places[:repeats])
+        }
+        applied, measured = [], []
+        for repeat in range(repeats):
+            for number, state in enumerate(pressed[places[repeat % len(places)]]):
+                exposure = first + 1000 * axis + 100 * repeat + number
+                rig.motion(state.load)  # kept; its error is noted
+                field = chain.solved(bench, rig, chain.film(rig, state.load, exposure))
+                noise = stream(rig.scene.seed, Purpose.LOAD_CELL, exposure).standard_normal()
+                cell = rig.scene.calibration.load_cell_n * noise
+                applied.append((state.force_n[axis] + cell) / GF)
+                measured.append(field.total_force_n[axis] / GF)
+        return cls(applied_gf=np.array(applied), measured_gf=np.array(measured))

@@ -25,23 +25,28 @@ from twin.show.figure_panels import Panel
 from twin.study.calibrate import half_space_compliance
 from twin.study.reproduce.bench import (
     FEWER,
+    FIRST_EXPOSURE,
+    KAMIYAMA,
     ONCE,
     OUR_TRACKER,
     PILLAR_PRESS,
+    READ_GF,
+    RESOLVED,
+    SATO,
     SCENES,
     Bench,
     Chain,
     Entry,
+    ForceLine,
     Numbers,
     Outcome,
+    Protocol,
     Quantity,
     Record,
     Rig,
     Trial,
     sphere_press,
 )
-from twin.study.reproduce.finger_figures import FIRST_EXPOSURE, READ_GF, RESOLVED, ForceLine
-from twin.study.reproduce.shifted import KAMIYAMA, SATO, Protocol
 from twin.theory.limit import DIP, Limit, design_limit
 
 FORCE_N, HUMAN_MM = 1.0, 2.0

@@ -4,7 +4,7 @@ resolution of magnitude (Fig. 8) and place (Fig. 9)."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -12,20 +12,21 @@ import numpy as np
 
 from twin.arrays import Floats, Ints
 from twin.judge.resolution import full_width
-from twin.parts.press import Cylinder, Press, Step
-from twin.parts.sweep import GF
 from twin.sense.calibration import Calibration
 from twin.show.figure_panels import Panel
-from twin.streams import Purpose, stream
 from twin.study.reproduce.bench import (
     FEWER,
+    FIRST_EXPOSURE,
     MADE,
     OUR_TRACKER,
     OUR_TRACKER_INSTEAD,
+    PRELOAD_GF,
     QUIET,
+    READ_GF,
     Bench,
     Chain,
     Entry,
+    ForceLine,
     Measure,
     Numbers,
     Outcome,
@@ -78,95 +79,8 @@ SMOOTH = "inverse: smooth instead of the pseudo-inverse"
 WIDEST = "largest difference of measured and applied force"
 READ = "reading: the largest difference of measured and applied force instead of the scatter"
 
-PRELOAD_GF = 200.0
-"""Largest force of Sato's Fig. 8, along every axis."""
-
-READ_GF = 30.0
-"""The resolution of the magnitude that Sato prints."""
-
-RESOLVED = 1.96 * 2**0.5
-"""Differences of two readings above this many standard deviations of one are real at 95 %."""
-
-FIRST_EXPOSURE = 2000
-"""Of Sato's Fig. 8."""
-
 PAPER = Chain(paper="sato", method="pinv")
 """The paper's tracker, calibration and inverse."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ForceLine:
-    """Readings against applied forces, gf, and the straight line through them."""
-
-    applied_gf: Floats
-    measured_gf: Floats
-
-    @property
-    def fit(self) -> Floats:
-        """(2,) slope and offset of the least-squares line."""
-        return np.polyfit(self.applied_gf, self.measured_gf, 1)
-
-    @property
-    def squares(self) -> float:
-        """Sum of the squared differences from the line, gf^2."""
-        return float(((self.measured_gf - np.polyval(self.fit, self.applied_gf)) ** 2).sum())
-
-    @property
-    def resolution_gf(self) -> float:
-        """Smallest difference of applied force that two single readings resolve at 95 %."""
-        deviation = np.sqrt(self.squares / (len(self.applied_gf) - 2))
-        return float(RESOLVED * deviation / abs(self.fit[0]))
-
-    @property
-    def widest_gf(self) -> float:
-        """Largest difference of a reading from the applied force."""
-        return float(np.abs(self.measured_gf - self.applied_gf).max())
-
-    @classmethod
-    def of(
-        cls,
-        bench: Bench,
-        chain: Chain,
-        axis: int,
-        steps: int,
-        repeats: int,
-        first: int = FIRST_EXPOSURE,
-        aside_mm: float = 0.0,
-    ) -> ForceLine:
-        """Take the 10 mm cylinder's path through pictures and the inverse, ``repeats`` times.
-
-        Each has noise of its own: 200 gf down and then sideways, or down in steps; it sticks.
-
-        The first repeat is at the apex, the others ``aside_mm`` from it, each to another side.
-        """
-        levels = [PRELOAD_GF * (k + 1) / steps * GF for k in range(steps)]
-        down = PRELOAD_GF * GF
-        if axis == 2:
-            path = [Step(force_n=(None, None, level)) for level in levels]
-        else:
-            path = [Step(force_n=(None, None, down))]
-            for level in levels:
-                x, y = (level if k == axis else None for k in range(2))
-                path.append(Step(force_n=(x, y, down)))
-        rig = chain.rig(bench)
-        sides = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
-        places = [(x * aside_mm, y * aside_mm) for x, y in sides]
-        press = Press(probe=Cylinder(diameter_mm=10), friction=np.inf, steps=tuple(path))
-        pressed = {
-            place: rig.press(press.model_copy(update={"at_mm": place})).path[-steps:]
-            for place in dict.fromkeys(places[:repeats])
-        }
-        applied, measured = [], []
-        for repeat in range(repeats):
-            for number, state in enumerate(pressed[places[repeat % len(places)]]):
-                exposure = first + 1000 * axis + 100 * repeat + number
-                rig.motion(state.load)  # kept; its error is noted
-                field = chain.solved(bench, rig, chain.film(rig, state.load, exposure))
-                noise = stream(rig.scene.seed, Purpose.LOAD_CELL, exposure).standard_normal()
-                cell = rig.scene.calibration.load_cell_n * noise
-                applied.append((state.force_n[axis] + cell) / GF)
-                measured.append(field.total_force_n[axis] / GF)
-        return cls(applied_gf=np.array(applied), measured_gf=np.array(measured))
 
 
 def _ways(bench: Bench) -> dict[str, Chain]:

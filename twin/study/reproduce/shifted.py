@@ -7,33 +7,35 @@ also the markers are moved and filmed again, which is what a shift in use looks 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from twin.arrays import Floats
 from twin.parts.methods import CentreMethod
 from twin.sense.track import Found
 from twin.show.figure_panels import Panel
 from twin.study.reproduce.bench import (
+    KAMIYAMA,
     NO_NOISE,
-    ONCE,
     OUR_TRACKER,
     OUR_TRACKER_INSTEAD,
     QUIET,
+    SATO,
+    WAYS,
     Bench,
     Chain,
     Entry,
     Measure,
     Numbers,
     Outcome,
+    Protocol,
     Quantity,
     Reading,
     Record,
-    Trial,
     Unprinted,
+    Way,
     arrow_panel,
 )
 
@@ -61,79 +63,9 @@ QUALITY = Unprinted(
     (70.0, 85.0, 96.0, 98.0, 99.0, 100.0),
     "from what is visible to the least loss; the paper names a compression unit alone",
 )
-Way = Literal["digital", "re-rendered"]
-WAYS: tuple[Way, ...] = ("digital", "re-rendered")
-
 AXES = ("x", "y")
 NEAR_PX = 0.1
 """Averages agree within this, px: half a standard deviation of the papers' single markers."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Protocol:
-    """One paper's test.
-
-    Attributes
-    ----------
-    sensor
-        The paper.
-    shift_px
-        Displacement along x, px.
-    exposure
-        Which exposure is displaced digitally: 0 is the rest picture itself.
-    paper
-        (average, standard deviation) by layer and axis, px.
-    """
-
-    sensor: str
-    shift_px: int
-    exposure: int
-    paper: Mapping[tuple[str, str], tuple[float, float]]
-
-    def tracked(self, bench: Bench, way: Way, chain: Chain, trial: Trial = ONCE) -> Found:
-        """Shift the markers and track them, once for all entries."""
-        rig = chain.rig(bench, trial)
-
-        def work() -> Found:
-            if way == "re-rendered":
-                picture = rig.picture(rig.shifted((self.shift_px, 0.0)), 8)
-            else:  # moved to the right by whole pixels; the left edge is drawn out
-                kept = rig.picture(None, self.exposure)[:, : -self.shift_px]
-                picture = np.pad(kept, ((0, 0), (self.shift_px, 0), (0, 0)), mode="edge")
-            return rig.track(picture, chain.tracker)
-
-        key = ("shifted", id(rig), way, self.exposure, chain.tracker)
-        return bench.once(key, work)
-
-    @staticmethod
-    def samples(found: Found, layer: str) -> Floats:
-        """Return (m, 2) the shifts of a layer's tracked markers, px, x to the right and y up."""
-        shift = found.shift_px[found.layer == layer]
-        return np.asarray(shift[np.isfinite(shift).all(axis=1)] * (1, -1))
-
-
-KAMIYAMA = Protocol(
-    sensor="kamiyama",
-    shift_px=3,
-    exposure=0,
-    paper={
-        ("blue", "x"): (3.09, 0.19),
-        ("blue", "y"): (0.05, 0.22),
-        ("red", "x"): (3.02, 0.25),
-        ("red", "y"): (0.06, 0.19),
-    },
-)
-SATO = Protocol(
-    sensor="sato",
-    shift_px=5,
-    exposure=7,
-    paper={
-        ("red", "x"): (4.87, 0.14),
-        ("red", "y"): (0.03, 0.14),
-        ("blue", "x"): (4.95, 0.13),
-        ("blue", "y"): (0.00, 0.10),
-    },
-)
 
 
 def _causes(protocol: Protocol) -> dict[str, Chain]:
