@@ -82,6 +82,33 @@ CONTACTS = Room(
             """,
         ),
         Plate(
+            "shapes",
+            "Flat faces press most at their sharp rims; a cone presses most at its tip.",
+            """
+            shapes = {
+                "cylinder": {"kind": "cylinder", "diameter_mm": 4},
+                "cylinder with a rounded rim": {"kind": "cylinder", "diameter_mm": 4, "edge_mm": 0.8},
+                "pillar": {"kind": "pillar", "width_mm": 3, "length_mm": 5},
+                "cone": {"kind": "cone", "apex_deg": 120, "diameter_mm": 5},
+            }
+            figure, axes = plt.subplots(1, 4, figsize=(13, 2.8), layout="constrained")
+            for ax, (name, probe) in zip(axes, shapes.items()):
+                twin.Sensor(twin.load_scene("gelpad_press", {"press.probe": probe})).press().plot(ax)
+                ax.set_title(name)
+            """,
+        ),
+        Plate(
+            "friction",
+            "The same sphere pulled aside, with little and with much friction: the rim slips, the middle sticks.",
+            """
+            figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+            for ax, friction in zip(axes, (0.4, 0.6, 1.0)):
+                sheared = {"press.friction": friction, "press.force_n": {"x": 0.07, "y": 0, "z": 0.2}}
+                twin.Sensor(twin.load_scene("gelpad_press", sheared)).press().plot(ax)
+                ax.set_title(f"friction {friction:g}")
+            """,
+        ),
+        Plate(
             "objects",
             "Everyday objects on a flat gel. `dataset_objects` presses all of them.",
             f"""
@@ -89,6 +116,44 @@ CONTACTS = Room(
             for ax, name in zip(axes.flat, {OBJECTS}):
                 twin.Sensor(twin.load_scene("object_" + name)).press().plot(ax)
                 ax.set_title(name)
+            """,
+        ),
+    ),
+)
+
+
+RUBBER = Room(
+    "Rubber: stiffness and finite strain",
+    "A 6 mm sphere on a gel pad 4 mm thick.",
+    (
+        Plate(
+            "stiffness",
+            "Twice the modulus, about two thirds of the indentation.",
+            """
+            figure, ax = plt.subplots(figsize=(6, 3.6), layout="constrained")
+            forces_n = (0.05, 0.1, 0.2, 0.3, 0.4)
+            for modulus in (0.1, 0.2, 0.4):
+                sensor = twin.Sensor(twin.load_scene("gelpad_press", {"material.youngs_modulus_mpa": modulus}))
+                presses = [twin.Press(probe=twin.Sphere(diameter_mm=6), force_n=(0, 0, f)) for f in forces_n]
+                deep = [sensor.press(press).indentation_mm for press in presses]
+                ax.plot(deep, forces_n, "o-", label=f"{modulus:g} MPa")
+            ax.set(xlabel="indentation (mm)", ylabel="force into the pad (N)")
+            ax.legend()
+            """,
+        ),
+        Plate(
+            "laws",
+            "Linear theory and a neo-Hookean law: the same force goes a little deeper at finite strain.",
+            """
+            figure, ax = plt.subplots(figsize=(6, 3.6), layout="constrained")
+            forces_n = (0.1, 0.2, 0.4)
+            for law, name in (("linear", "linear"), ("neo_hookean", "neo-Hookean")):
+                sensor = twin.Sensor(twin.load_scene("gelpad_press", {"material.law": law}))
+                presses = [twin.Press(probe=twin.Sphere(diameter_mm=6), force_n=(0, 0, f)) for f in forces_n]
+                deep = [sensor.press(press).indentation_mm for press in presses]
+                ax.plot(deep, forces_n, "o-", label=name)
+            ax.set(xlabel="indentation (mm)", ylabel="force into the pad (N)")
+            ax.legend()
             """,
         ),
     ),
@@ -175,6 +240,20 @@ FIELDS = Room(
             """,
         ),
         Plate(
+            "errors",
+            "Tracked minus true motion of every marker: random is noise, ordered is bias.",
+            """
+            result = twin.run("kamiyama_pillar")
+            truth, found = result.truth, result.estimate
+            moved = truth.marker_outline_pressed_px - truth.marker_outline_rest_px
+            figure, ax = plt.subplots(figsize=(7, 5), layout="constrained")
+            error = found.marker_shift_px - moved
+            ax.quiver(*found.marker_rest_px.T, *error.T, angles="xy", scale_units="xy", scale=1e-3, width=0.003)
+            ax.set(xlabel="column (px)", ylabel="row (px)", title="error, drawn 1000 times as long", aspect="equal")
+            ax.invert_yaxis()
+            """,
+        ),
+        Plate(
             "inverses",
             "Two balls 6 mm apart, reconstructed by each inverse from the same picture.",
             """
@@ -191,7 +270,13 @@ FIELDS = Room(
     ),
 )
 
-ROOMS = (SENSORS, CONTACTS, CAMERAS, FIELDS)
+ROOMS = (SENSORS, CONTACTS, RUBBER, CAMERAS, FIELDS)
+
+PAPERS = {
+    "reproduction_limits": "What limits each sensor: the width of a narrow force, with one thing changed at a time.",
+    "reproduction_half_space": "The papers' half-space against the real block: motion of the blue layer.",
+}
+"""Figures of `twin reproduce all` that are stored with the documentation."""
 
 BODIES = ("kamiyama_pillar", "sato_press", "gelpad_press")
 
@@ -205,6 +290,8 @@ def make_gallery(folder: Path) -> None:
         text += [f"## {room.title}", room.said]
         for plate in room.plates:
             text += [plate.said, _shown(plate, folder)]
+    text += ["## Papers", "`twin reproduce all` makes these and all others ([Reproduction](../reproduction.md))."]
+    text += [f"{said}\n\n![{said}](../{name}.svg)" for name, said in PAPERS.items()]
     text += ["## Bodies", "Turn them in the browser:"]
     for scene in BODIES:
         page = body_view(twin.Sensor(twin.load_scene(scene))).page()

@@ -63,7 +63,7 @@ SceneName = Annotated[
 ]
 Json = Annotated[
     bool,
-    Parameter(name="--json", help="Print the result as JSON, for other programs.", negative=""),
+    Parameter(name="--json", help="Print the result as JSON, for other programs."),
 ]
 Overrides = Annotated[
     tuple[str, ...],
@@ -71,7 +71,6 @@ Overrides = Annotated[
         name=["-s", "--set"],
         help="Override any scene key: -s material.poisson_ratio=0.49",
         show_default=False,
-        negative_iterable="",
     ),
 ]
 
@@ -103,9 +102,9 @@ class _Batch:
         Path | None, Parameter(help="PEM file of a certificate for this process.")
     ] = None
     tls_key: Annotated[Path | None, Parameter(help="PEM file of that certificate's key.")] = None
-    dry_run: Annotated[
-        bool, Parameter(help="Only print the job's size and the time it takes.", negative="")
-    ] = False
+    dry_run: Annotated[bool, Parameter(help="Only print the job's size and the time it takes.")] = (
+        False
+    )
 
     def workers_and_scheduler(self) -> tuple[int, Scheduler | None]:
         """Return the number of processes, and the scheduler; None without an address.
@@ -242,21 +241,19 @@ def run(
     ] = None,
     want: Annotated[
         tuple[str, ...],
-        Parameter(help="What to compute (default all).", show_default=False, negative_iterable=""),
+        Parameter(help="What to compute (default all).", show_default=False),
     ] = (),
     live: Annotated[
         bool,
-        Parameter(help="Move the probe by hand in a page on this machine instead.", negative=""),
+        Parameter(help="Move the probe by hand in a page on this machine instead."),
     ] = False,
     film: Annotated[
         bool,
-        Parameter(help="Film the press's steps instead, at ccd.frames_per_second.", negative=""),
+        Parameter(help="Film the press's steps instead, at ccd.frames_per_second."),
     ] = False,
-    h264: Annotated[
-        bool, Parameter(help="Film as a video, frames.mp4, not as PNG files.", negative="")
-    ] = False,
+    h264: Annotated[bool, Parameter(help="Film as a video, frames.mp4, not as PNG files.")] = False,
     open_: Annotated[
-        bool, Parameter(name="--open", help="Open the report in the browser.", negative="")
+        bool, Parameter(name="--open", help="Open the report in the browser.")
     ] = False,
     json_: Json = False,
     port: Annotated[
@@ -415,7 +412,7 @@ def mesh(
     scene: SceneName,
     *,
     rebuild: Annotated[
-        bool, Parameter(help="Make the meshes again, even if shipped or cached.", negative="")
+        bool, Parameter(help="Make the meshes again, even if shipped or cached.")
     ] = False,
     export: Annotated[
         Path | None, Parameter(help="Write the truth's mesh as .vtu for other programs.")
@@ -437,9 +434,7 @@ def mesh(
 
 _Layers = Annotated[
     tuple[float, ...],
-    Parameter(
-        help="Of the dots, mm; twice for two layers.", show_default=False, negative_iterable=""
-    ),
+    Parameter(help="Of the dots, mm; twice for two layers.", show_default=False),
 ]
 
 
@@ -596,9 +591,7 @@ def view(
             "DATASET.html here), or a film: .gif, .png or .mp4."
         ),
     ] = None,
-    window: Annotated[
-        bool, Parameter(negative="", help="Open a window (needs a display and OpenGL).")
-    ] = False,
+    window: Annotated[bool, Parameter(help="Open a window (needs a display and OpenGL).")] = False,
     set_: Overrides = (),
 ) -> None:
     """Write a page that shows a body under its press and turns in the browser, without a server.
@@ -772,7 +765,6 @@ def reconstruct(
         Parameter(
             help="Pictures, folders of them, videos; or - for raw frames from stdin.",
             allow_leading_hyphen=True,
-            negative_iterable="",
         ),
     ],
     /,
@@ -796,14 +788,20 @@ def reconstruct(
         str | None, Parameter(help="The papers' omega, px2/N2, or auto, likelihood, gcv.")
     ] = None,
     push_only: Annotated[
-        bool | None, Parameter(help="No site pulls; or they may, without bounds.")
+        bool | None,
+        Parameter(help="No site pulls; or they may, without bounds.", negative="--no-push-only"),
     ] = None,
     friction: Annotated[
         float | None, Parameter(help="Friction coefficient that bounds every site's force.")
     ] = None,
-    robust: Annotated[bool | None, Parameter(help="Leave wrong vectors out.")] = None,
+    robust: Annotated[
+        bool | None, Parameter(help="Leave wrong vectors out.", negative="--no-robust")
+    ] = None,
     camera: Annotated[
-        bool | None, Parameter(help="Follow the camera's bend (needed for large motion).")
+        bool | None,
+        Parameter(
+            help="Follow the camera's bend (needed for large motion).", negative="--no-camera"
+        ),
     ] = None,
     frames_per_second: Annotated[
         float | None,
@@ -879,7 +877,6 @@ def dataset(
         Parameter(
             help="What to keep, separated by commas (default all).",
             show_default=False,
-            negative_iterable="",
         ),
     ] = (),
     batch: _Batch = _DEFAULT,
@@ -971,7 +968,6 @@ def sweep(
         bool,
         Parameter(
             help="Search the best design between the axes' ends instead of sampling them.",
-            negative="",
         ),
     ] = False,
     batch: _Batch = _DEFAULT,
@@ -1038,7 +1034,7 @@ def reproduce(
         Path, Parameter(help="Folder for the page, the records and the pictures.")
     ] = Path("reproduce"),
     quick: Annotated[
-        bool, Parameter(help="One made sensor, fewer steps, no long entries.", negative="")
+        bool, Parameter(help="One made sensor, fewer steps, no long entries.")
     ] = False,
     seed: Annotated[Whole, Parameter(help="Root seed of sensors and noise.")] = 1,
 ) -> None:

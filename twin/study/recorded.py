@@ -1052,7 +1052,9 @@ def _overlay(picture: Picture, found: Found | None, text: str, times: float) -> 
             continue
         colour = _BY_STATE.get(str(state), _LOST)
         if fine:
-            draw.line((x, y, x + times * dx, y + times * dy), fill=colour)
+            motion = (x, y, x + times * dx, y + times * dy)
+            draw.line(motion, fill=(0, 0, 0), width=4)  # so that it shows on bright grounds too
+            draw.line(motion, fill=colour, width=2)
             draw.point((x, y), fill=_TEXT)
         else:
             draw.ellipse((x - 4, y - 4, x + 4, y + 4), outline=colour)
