@@ -404,6 +404,7 @@ def _tracking() -> dict[str, str]:
     return {
         "results": f"{table(errors)}\n\n{measured_on('tracking')}\n",
         "chain": f"{table(chains)}\n",
+        "fingers": f"{table(stored('fingers'))}\n",
     }
 
 

@@ -356,6 +356,19 @@ class VideoWriter:
             self._process.communicate()
             self._part.unlink(missing_ok=True)
 
+    @classmethod
+    def encoded(cls, picture: Picture, path: Path) -> Picture:
+        """Return a picture as a video of it alone shows it; ``path`` is written for it, and
+        removed."""
+        height, width = picture.shape[:2]
+        with cls(path, (width, height)) as video:
+            video.add(picture)
+        (frame,) = _video_frames(path)
+        path.unlink()
+        if frame.picture is None:
+            raise TwinError(f"{path}: {frame.problem}")
+        return frame.picture
+
     def add(self, picture: Picture) -> None:
         """Append a picture, or raise `TwinError`."""
         assert self._process.stdin is not None
