@@ -361,15 +361,21 @@ def test_a_marker_partly_hidden_in_the_grounds_colour_is_measured_by_the_part_in
 
 
 @pytest.mark.parametrize(
-    ("diameter", "psf", "area", "camera"), [(15.0, 1.6, 0.01, np.asarray), (8.0, 0.7, 0.14, partial(jpeg, quality=60))]
+    ("diameter", "psf", "area", "camera", "largest"),
+    [
+        (15.0, 1.6, 0.01, np.asarray, 1.5),
+        (10.0, 1.6, 0.02, np.asarray, 1.3),
+        (8.0, 1.6, 0.02, np.asarray, 1.8),
+        (8.0, 0.7, 0.14, partial(jpeg, quality=60), 2.2),
+    ],
 )
-def test_what_hides_a_part_unfound_is_stated(diameter, psf, area, camera):
+def test_what_hides_a_part_unfound_is_stated(diameter, psf, area, camera, largest):
     """Strips of blurred markers were off by 3.7 stated deviations, hidden parts under JPEG 60 by 2.5."""
     card, some = Card(diameter), np.arange(0, 143, 5)
     shift = card.shifts(10)
     drawn = hidden(card, card.draw(shift, psf), shift, some, area, 0, psf)
     found = track(camera(expose(card.draw(psf=psf), 1)), camera(expose(drawn, 20)), card.layout)
-    assert np.sqrt(np.nanmean(((found.shift_px - shift) / found.sd_px[:, None])[some] ** 2)) < 2.2
+    assert np.sqrt(np.nanmean(((found.shift_px - shift) / found.sd_px[:, None])[some] ** 2)) < largest
 
 
 def test_a_shadow_that_moves_over_a_marker_is_stated():
@@ -561,6 +567,26 @@ def test_an_h264_film_states_a_true_deviation(crop):
         assert np.sqrt(np.nanmean(error**2)) < 0.08
         assert 0.35 < np.sqrt(np.nanmean((error / found.sd_px[:, None]) ** 2)) < 1.4
         assert not (np.abs(error) > np.maximum(5 * found.sd_px[:, None], 0.05)).any()
+
+
+def test_a_grey_film_is_known_by_the_blocks_that_it_repeats():
+    """Errors were 3.5 times those stated; pictures under JPEG by themselves, and a still one, are no film."""
+    card = Card(10.0)
+    shifts = [
+        0.3 * n * np.stack([np.sin(card.marks[:, 1] / 80.0), np.cos(card.marks[:, 0] / 90.0)], -1) for n in range(5)
+    ]
+    white = [np.repeat(expose(card.draw(s), i).max(axis=2, keepdims=True), 3, axis=2) for i, s in enumerate(shifts)]
+    frames = [np.repeat(p[:, :, 1:2], 3, axis=2) for p in film(white, "2M")]
+    tracker = Tracker(frames[0], {"white": card.marks})
+    found = [tracker.track(frame) for frame in frames[1:]]
+    assert tracker.rest.film
+    score = np.concatenate([(f.shift_px - s) / f.sd_px[:, None] for f, s in zip(found[1:], shifts[2:], strict=True)])
+    assert 0.4 < np.sqrt(np.nanmean(score**2)) < 1.6
+    for pictures in ([jpeg(p) for p in white], [white[0]] * 3):
+        alone = Tracker(pictures[0], {"white": card.marks})
+        for picture_ in pictures[1:]:
+            alone.track(picture_)
+        assert not alone.rest.film
 
 
 @pytest.mark.parametrize("diameter", WIDTHS)

@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +74,7 @@ from twin.sense.template import (
     SCALE,
     SHAPE,
     SHORTFALL,
-    SLOPE,
+    SLOPE_X,
     SMALLER,
     SQUARES,
     STEP,
@@ -191,6 +192,9 @@ CHANCE = 4.0
 EVEN, LEVEL_TILT = 2.8, 3.0
 """Standard deviations up to which an edge's third harmonic, and the motion by a changed slope of
 brightness, change by chance (49 of 50, 89 of 90). What exceeds this is stated."""
+
+SHRINKS = 1.5
+"""Standard deviations of a radius up to which a marker has become smaller by chance."""
 
 TILTS = 0.5
 """Share of the motion by a changed slope of brightness that is an error of the centre: of beads in
@@ -386,23 +390,24 @@ class DiscFit(SoftWindow):
         are found, and agree, has it changed: pixels that lie alike on all markers feign slopes.
         """
         size, rest = self.look.picture_px, self.templates.rest
-        change = fitted[:, SLOPE] - rest[:, SLOPE]
-        known = np.isfinite(change[:, 0])
-        if known.sum() < LINEAR:
+        along = np.zeros((3, 2))
+        if not _sums_of_slopes(fitted, rest, self._evenly, along):
             return None
-        change, places = change[known], fitted[known, CENTRE]
-        middle = _medians(change, 0)
-        reach = OUTLYING * 1.4826 * _medians(np.abs(change - middle), 0)
-        bounded = np.clip(change, middle - reach, middle + reach)
-        terms = slope_terms(places, size)
-        basis = np.linalg.qr(terms[:, :3])[0]
-        along = basis.T @ bounded
-        scatter = np.sqrt(((bounded - basis @ along) ** 2).mean(axis=0))
-        if (np.abs(along) <= RELIT * scatter).all():
-            return None
+        known = np.isfinite(fitted[:, LEVEL] / rest[:, LEVEL])
+        places = fitted[known, CENTRE]
         light = _gradient(np.log(fitted[known, LEVEL] / rest[known, LEVEL]), places, size)
-        left = along - basis.T @ (terms @ light.T)
+        left = along - self._evenly[known].T @ (slope_terms(places, size) @ light.T)
         return light if (left**2).sum() < AGREE * (along**2).sum() else None
+
+    @cached_property
+    def _evenly(self) -> Floats:
+        """(n, 3) a constant and two slopes over the picture, orthonormal over the markers; 0 where
+        there is none."""
+        known = np.isfinite(self.around.rest_px[:, 0])
+        basis = np.zeros((len(known), 3))
+        terms = slope_terms(self.around.rest_px[known], self.look.picture_px)
+        basis[known] = np.linalg.qr(np.pad(terms[:, :3], ((0, 3), (0, 0))))[0][: known.sum()]
+        return basis
 
     def _moved_by_ground(self, fitted: Floats) -> Pixels:
         """Return (n, 2) how far the ground moves fitted centres, px, by a slope of its brightness
@@ -568,8 +573,34 @@ class DiscFit(SoftWindow):
             factor = max(_coherence(fitted, templates.third, state == SEEN, sd), factor)
         state[(state == SEEN) & (fitted[:, RESHAPED] == OWN_SHAPE)] = STRAINED
         state[(state == SEEN) & (fitted[:, RESHAPED] == PART_IN_SIGHT)] = PARTLY_HIDDEN
-        sd = _edge_sds(fitted, templates, rest_sd, sd, factor)
+        cut = self._unseen_cut(fitted, factor * sd)
+        sd = np.sqrt(_edge_sds(fitted, templates, rest_sd, sd, factor) ** 2 + cut)
         return Seen(shift_px=shift, sd_px=sd, state=state, coherence=factor)
+
+    def _unseen_cut(self, fitted: Floats, sd: Floats) -> Floats:
+        """Return (n,) the variance of shifts, per axis, px^2, of a cut that looks like less size.
+
+        What hides a narrow part on one side moves a fitted centre by twice as much as it makes the
+        mean radius smaller: the edge's displacement there has twice the first harmonic that it has
+        of the mean. Where blur hides that the edge is uneven, nothing else shows. So a marker that
+        has shrunk more than its neighbours, beyond what the noise ``sd`` (n,) of the shifts does to
+        a radius, may have moved less than measured.
+        """
+        shape, rest = self.templates.shape, self.templates.rest
+        shrunk = fitted[:, SCALE] / rest[:, SCALE]
+        shrunk = np.sqrt(shape[:, 0] * shape[:, 2]) * (1.0 - shrunk)
+        shrunk[~np.isfinite(sd)] = np.nan
+        low, middle, high = (_quantile(shrunk, share) for share in (0.25, 0.5, 0.75))
+        limit = np.fmax(NORMAL * (high - low), sd / np.sqrt(2.0))
+        away = shrunk - middle
+        if NORMAL * (high - low) > np.sqrt(2.0) * _quantile(sd, 0.5):  # not by noise alone
+            rows = np.flatnonzero(away > SHRINKS * sd / np.sqrt(2.0))
+            usual, spread = _of_neighbours(away[:, None], np.isfinite(away), self.around, rows)
+            away[rows] -= usual[:, 0]
+            limit[rows] = np.fmax(spread[:, 0], sd[rows] / np.sqrt(2.0))
+        away[fitted[:, RESHAPED] == PART_IN_SIGHT] = 0.0
+        beyond = np.fmax(away, 0.0) ** 2 - (SHRINKS * limit) ** 2
+        return np.asarray(2.0 * np.fmax(beyond, 0.0))
 
 
 def _quantile(values: Floats, share: float) -> float:
@@ -598,7 +629,7 @@ def _of_neighbours(
     near = np.where((around.fit_weight[rows] > 0.0)[:, :, None], known[around.near[rows]], np.nan)
     near[np.isfinite(near[:, :, 0]).sum(axis=1) < LEAST_SCORES] = np.nan
     if fine.sum() < LEAST_SCORES:
-        known = np.array([[0.0, 0.0, 0.0, 1.0, 1.0]])
+        known = np.array([[0.0, 0.0, 0.0, 1.0, 1.0]])[:, : measured.shape[1]]
     overall = _medians(known, 0)
     apart = 1.4826 * _medians(np.abs(known - overall), 0)
     usual, spread = np.tile(overall, (len(rows), 1)), np.tile(apart, (len(rows), 1))
@@ -769,6 +800,30 @@ def _edge_sds(
         beyond += np.fmax(fitted[:, DIFFERENCE], 0.0) ** 2
     covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
     return np.asarray(np.sqrt(sd**2 + covered**2 + beyond))
+
+
+@njit(cache=True)
+def _sums_of_slopes(fitted, rest, evenly, along):
+    """Fill ``along`` (3, 2) with the sums of the changed slopes times ``evenly`` (n, 3), outliers
+    bounded, and return whether one exceeds chance."""
+    exceeds = False
+    for axis in range(2):
+        change = fitted[:, SLOPE_X + axis] - rest[:, SLOPE_X + axis]
+        known = np.flatnonzero(np.isfinite(change))
+        if len(known) < LINEAR:
+            return False
+        middle = np.median(change[known])
+        reach = OUTLYING * 1.4826 * np.median(np.abs(change[known] - middle))
+        squares = 0.0
+        for k in known:
+            bounded = min(max(change[k], middle - reach), middle + reach)
+            squares += bounded * bounded
+            for term in range(3):
+                along[term, axis] += evenly[k, term] * bounded
+        explained = (along[:, axis] ** 2).sum()
+        scatter = math.sqrt(max(squares - explained, 0.0) / len(known))
+        exceeds = exceeds or np.abs(along[:, axis]).max() > RELIT * scatter
+    return exceeds
 
 
 @njit(cache=True)

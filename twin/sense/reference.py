@@ -67,6 +67,8 @@ class Rest:
         `twin.sense.colour.colour_blocks` of the picture.
     bad
         `twin.sense.colour.bad_pixels` of it.
+    film
+        Whether a film's codec has been found since (`twin.sense.colour.repeats_blocks`).
     """
 
     layer: NDArray[np.str_]
@@ -78,6 +80,7 @@ class Rest:
     method: CentreMethod
     blocks: tuple[int, int] | None
     bad: tuple[Ints, Ints, Ints]
+    film: bool = False
 
 
 def analyse_rest(

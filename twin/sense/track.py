@@ -8,7 +8,7 @@ rows; one that can't be measured is NaN, with a state that names the reason.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,18 +21,21 @@ from twin.display import Table, html_table, new_axes, one_line, plot_shifts
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
 from twin.sense.centre import MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
-from twin.sense.colour import Weights, as_picture
+from twin.sense.colour import Weights, as_picture, repeats_blocks
 from twin.sense.reference import Rest, analyse_rest
 
 CACHE_LINE = 64
 """Bytes that memory hands over at once. Reading a picture once in order before markers are fitted
 here and there takes a third of the time that it saves."""
 
-FILM = 3.0
+FILM, REPEATING = 3.0, 4.0
 """Errors of a film over those that the shape of its markers shows: its codec moves blocks of the
 picture before by motion vectors in steps of a quarter of a pixel, and drops small corrections. That
 moves a marker as a whole, in steps that no single picture shows. Measured: 1.1 to 4 (H.264 and
-MPEG-4, .8 to 8 bits a pixel)."""
+MPEG-4, .8 to 8 bits a pixel); the second where it repeats blocks (grey ones: 1.7 to 5)."""
+
+COMPARED = 50
+"""So many of a sequence's first pictures are compared with the one before, to find a codec."""
 
 __all__ = ["STATES", "Found", "Tracker", "analyse_rest", "track", "track_frame"]
 
@@ -139,7 +142,6 @@ class Found(Table):
         return float(1.4826 * np.median(np.abs(shift - np.median(shift, axis=0))))
 
 
-@one_blas_thread()
 def track(
     rest_image: Picture,
     image: Picture,
@@ -189,7 +191,7 @@ def track(
     >>> round(float(np.median(found.shift_px[:, 0])), 1)
     1.5
     """
-    rest = analyse_rest(
+    tracker = Tracker(
         rest_image,
         layout,
         diameter_px=diameter_px,
@@ -197,7 +199,7 @@ def track(
         channels=channels,
         method=method,
     )
-    return track_frame(rest, image)
+    return tracker.track(image)
 
 
 class Tracker:
@@ -257,10 +259,18 @@ class Tracker:
             method=method,
         )
         self._last_px: Pixels | None = None
+        self._before = as_picture(rest_image, "the rest picture").copy()
+        self._compared = 0
 
     @one_blas_thread()
     def track(self, image: Picture) -> Found:
         """Measure the motion between rest and the next picture of the sequence."""
+        if self._compared < COMPARED and not self.rest.film:
+            picture = as_picture(image, "the picture")
+            if picture.shape == self._before.shape:
+                self.rest = replace(self.rest, film=repeats_blocks(self._before, picture))
+                self._before[:] = picture
+            self._compared += 1
         found = track_frame(self.rest, image, self._last_px)
         if found.seen.any():
             before = np.nan if self._last_px is None else self._last_px
@@ -307,7 +317,8 @@ def track_frame(rest: Rest, image: Picture, start_px: Pixels | None = None) -> F
         rows = group.look.rows
         start = None if start_px is None else np.asarray(start_px, float)[rows]
         seen = group.measure(picture, start)
-        film = FILM if rest.blocks is not None and seen.coherence > 1.0 else 1.0
+        halved = rest.blocks is not None and seen.coherence > 1.0
+        film = REPEATING if rest.film else FILM if halved else 1.0
         shift[rows], sd[rows], state[rows] = seen.shift_px, film * seen.sd_px, seen.state
         usual[rows] *= film * seen.coherence
         spurious = (
