@@ -10,7 +10,10 @@ from stl_shapes import HELD_ABOVE, SENSING_BELOW, box, bracket, solid_box, solid
 
 from twin.errors import RecipeError
 from twin.parts.body import Solid
+from twin.parts.load import Traction
 from twin.study.recipe import dump_scene, load_scene, validate_scene
+from twin.world.elasticity.discretise import tile
+from twin.world.elasticity.error_law import error_shares
 from twin.world.mesh.body_mesh import mesh_key
 from twin.world.mesh.sizing import Sizing, WantedEdge
 
@@ -155,6 +158,16 @@ def test_only_the_sensing_surface_is_met_from_above(tmp_path):
     upside_down = Solid(file=str(file), origin_mm=(-3, 0, 0), held=leg, sensing=SENSING_BELOW)
     heights = upside_down.surface_from_above(np.array([[0.0, 0], [8, 0]]))[:, 2]
     assert_allclose(heights, [0, 8], atol=1e-12)
+
+
+def test_more_of_two_levels_difference_is_error_where_a_flat_body_has_dents(tmp_path):
+    """Under a 2.2 mm pillar below a leg (nu 0.5) ``coarse`` is 0.021 off ``fine``, and 0.0138 off ``sketch``."""
+    pad = solid_box(tmp_path, 12.0, 10.0, 8.0)
+    load = tile(Traction.disk((0.2, -0.4), 1.0, (0.0, 0.0, 1.0)), pad)
+    trust, *others = error_shares(solid_bracket(tmp_path), "coarse", load, 1.0)
+    level_trust, *level_others = error_shares(pad, "coarse", load, 1.0)
+    assert trust * 0.0138 > 0.021 > level_trust * 0.0138
+    assert others == level_others
 
 
 def test_a_camera_needs_something_held_at_the_largest_z(scene_file):

@@ -68,7 +68,8 @@ SHAPES = {
     "one turned": (changed(5, BOX[5][::-1]), "wound against each other"),
     "sheet": (box(12, 10, 0.1), "mean thickness .* is 0.0982 mm .allowed: at least 0.5"),
     "no thickness": (np.concatenate([BOX[:2], BOX[:2, ::-1]]), "not watertight|no area|thickness|separate"),
-    "one mm": (box(1, 1, 1), "longest side is 1 mm .allowed: 5 to 500 mm"),
+    "one mm": (box(1, 1, 1), "longest side is 1 mm .allowed: 5 to 500 mm.*if it is in inches, it is 25.4 mm"),
+    "metres": (box(0.03, 0.02, 0.008), "if it is in metres, it is 30 mm long; export it in millimetres"),
     "ten metres": (box(10_000, 10, 8), "longest side is 10000 mm"),
     "needle": (with_a_needle(), "no area|not watertight"),
 }

@@ -32,6 +32,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -339,25 +340,20 @@ def _shear_shares(system: TaylorHood) -> Floats:
     return np.array([of.shear_ratio / system.under_load.shear_ratio for of in system.made_of])
 
 
+_Quadrature: TypeAlias = tuple[Points, Floats, Floats, Ints]
+"""True surface places (q, 3), weighted area vectors (q, 3), shape functions (q, 6), face nodes (q,
+6)."""
+
+
 def _add_exactly(
-    points: Points,
-    areas: Floats,
-    values: Floats,
-    nodes: Ints,
-    centre: Points,
-    frames: Floats,
-    half: Floats,
-    columns: Floats,
-    poisson_ratio: float,
-    out: Floats,
+    at: _Quadrature, load: Rectangles, columns: Floats, poisson_ratio: float, out: Floats
 ) -> None:
     """Add every point's traction -sigma n to the nodal forces (N, 3, m) in closed form: under a
     load an interface carries all of it, where a free face carries next to nothing."""
+    points, areas, values, nodes = at
     for case in range(columns.shape[2]):
-        load = Rectangles(
-            centre_mm=centre, frames=frames, half_mm=half, force_n=columns[:, :, case]
-        )
-        traction = -np.einsum("qij,qj->qi", halfspace.stress(points, load, poisson_ratio), areas)
+        one = replace(load, force_n=columns[:, :, case])
+        traction = -np.einsum("qij,qj->qi", halfspace.stress(points, one, poisson_ratio), areas)
         np.add.at(out[:, :, case], nodes, values[:, :, None] * traction[:, None])
 
 
@@ -445,9 +441,8 @@ def _nodal_forces(
         chosen = np.flatnonzero(unbalanced & (surface.inside == inside))
         if len(chosen) == 0:
             continue
-        points, areas, values, nodes = _quadrature(
-            surface, chosen, *balls, FINEST_INSIDE if inside else FINEST
-        )
+        at = _quadrature(surface, chosen, *balls, FINEST_INSIDE if inside else FINEST)
+        points, areas, values, nodes = at
         away = np.min(
             np.linalg.norm(points[:, None] - balls[0], axis=2) / np.maximum(balls[1], 1e-300),
             axis=1,
@@ -455,18 +450,8 @@ def _nodal_forces(
         far = away > DISTANT
         for part, forces, loads in ((~far, columns, load), (far, sums, coarse)):
             add = _add_exactly if inside else _add
-            add(
-                points[part],
-                areas[part],
-                values[part],
-                nodes[part],
-                loads.centre_mm,
-                loads.frames,
-                loads.half_mm,
-                forces,
-                poisson_ratio,
-                out,
-            )
+            some = points[part], areas[part], values[part], nodes[part]
+            add(some, loads, forces, poisson_ratio, out)
         if layer is not None:
             forces = layer.tractions(points, areas, load, columns)
             np.subtract.at(out, nodes, values[:, :, None, None] * forces[:, None])
@@ -475,17 +460,16 @@ def _nodal_forces(
 
 def _quadrature(
     surface: _Skin, chosen: Ints, centres: Points, radii: Floats, finest: float
-) -> tuple[Points, Floats, Floats, Ints]:
-    """Return true surface places (q, 3), weighted area vectors (q, 3), shape functions (q, 6), face
-    nodes (q, 6) of some faces, cut into pieces that are small near the load."""
+) -> _Quadrature:
+    """Return the quadrature of some faces, cut into pieces that are small near the load."""
     whole, face, triangles = _split(surface, chosen, centres, radii, finest)
     cut = surface.quadrature(face, triangles)
-    found = [
+    points, areas, values = (
         np.concatenate([one[whole], other]).reshape(-1, one.shape[2])
         for one, other in zip(surface.whole_quadrature, cut, strict=True)
-    ]
+    )
     each = np.repeat(np.concatenate([whole, face]), cut[0].shape[1])
-    return found[0], found[1], found[2], surface.faces[each]
+    return points, areas, values, surface.faces[each]
 
 
 def _from_afar(load: Rectangles, columns: Floats) -> tuple[Rectangles, Floats]:
@@ -599,24 +583,16 @@ def _quarters(corners: Floats, middles: Floats) -> Floats:
     return np.concatenate([np.stack(q, axis=1) for q in quarters])
 
 
-def _add(
-    points: Floats,
-    areas: Floats,
-    values: Floats,
-    nodes: Ints,
-    centre: Floats,
-    frames: Floats,
-    half: Floats,
-    columns: Floats,
-    nu: float,
-    out: Floats,
-) -> None:
+def _add(at: _Quadrature, load: Rectangles, columns: Floats, nu: float, out: Floats) -> None:
     """Add every point's traction, spread by the shape functions, to the nodal forces."""
-    half, columns = for_kernel(half), for_kernel(columns)
+    half, columns = for_kernel(load.half_mm), for_kernel(columns)
     rows = np.stack(
-        [_distant_rows(centre, frames, half, case) for case in np.moveaxis(columns, 2, 0)]
+        [
+            _distant_rows(load.centre_mm, load.frames, half, case)
+            for case in np.moveaxis(columns, 2, 0)
+        ]
     )
-    _add_rows(points, areas, values, nodes, centre, frames, half, columns, rows, nu, out)
+    _add_rows(*at, load.centre_mm, load.frames, half, columns, rows, nu, out)
 
 
 @njit(cache=True)
