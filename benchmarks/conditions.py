@@ -270,7 +270,7 @@ def over_layers(diameter: float, repeats: int) -> dict[str, Any]:
         tracker = Tracker(rest, card.layout)
         for part in (0.3, 0.6, 1.0):
             half = card.draw(part * shift) if part < 1 else drawn
-            seen = tracker.track(expose(half, 20 + i))
+            seen = tracker.track(expose(half, 20 + i + round(100 * (1 - part))))
         found.append((seen, shift))
     return row("layers that overlap", diameter, found, card.bound, np.arange(len(card.marks)))
 
