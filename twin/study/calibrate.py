@@ -179,7 +179,7 @@ def _sensor_digest(scene: Scene) -> str:
 
 def _by_linear_theory(scene: Scene) -> Scene:
     """Return the scene with the law by which calibration presses are solved: the sensor's software
-    is linear, and sticking probes at finite strain take 10 s each."""
+    is linear, and sticking probes at finite strain take 3 s each."""
     material = scene.material.model_copy(update={"law": "linear", "law_ratios": ()})
     return scene.model_copy(update={"material": material})
 

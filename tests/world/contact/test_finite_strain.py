@@ -310,9 +310,57 @@ def test_sphere_that_sticks_and_is_sheared_is_another_codes():
         assert found == pytest.approx(wanted, abs=1.5e-2)
 
 
+def sheared(friction, *side, push=1.5, diameter=6.0, name="block_bare"):
+    """Return the path of a sphere that is pressed, then pulled along x, by linear theory and with large strain."""
+    steps = tuple(twin.Step(force_n=(x, 0.0, push)) for x in (0.0, *side))
+    press = twin.Press(probe=Sphere(diameter_mm=diameter), friction=friction, steps=steps)
+    return made("linear", name).press(press).path, made(name=name).press(press).path
+
+
+@pytest.mark.slow
+def test_coulomb_friction_lies_between_sliding_freely_and_sticking():
+    straight = twin.Press(probe=BALL, steps=(twin.Step(force_n=(None, None, 1.5)),))
+    body, material = made().nominal.body, made().nominal.material
+    state = made("linear").press(straight)
+    free = BodyStrain(straight, body, material, state, PLACES).displacement(PLACES)
+    size = largest(made("linear").displacement(PLACES, state))
+    little = made().press(straight.model_copy(update={"friction": 1e-4})).load.strained.displacement(PLACES)
+    assert largest(little - free) < 2e-3 * size
+    much, stuck = (sheared(friction, 0.3)[1][1].load.strained for friction in (200.0, STICKY))
+    assert largest(much.displacement(PLACES) - stuck.displacement(PLACES)) < 1e-3 * size
+    assert largest(little - stuck.displacement(PLACES)) > 5e-3 * size
+
+
+@pytest.mark.slow
+def test_what_large_strain_adds_to_partial_slip_vanishes_with_the_strain():
+    """An eighth of the forces is half the contact's radius, so half the strain."""
+    added = []
+    for share in (1.0, 1.0 / 8.0, 1.0 / 64.0):
+        linear, bent = (path[1] for path in sheared(0.5, 0.6 * share, push=1.5 * share))
+        assert 0.5 < linear.slip.mean() < 0.8
+        added.append(1.0 - bent.move_mm[0] / linear.move_mm[0])
+        assert bent.force_n == pytest.approx(linear.force_n, abs=1e-9)
+    assert added[0] > 0.08
+    assert added[1] < 0.65 * added[0]
+    assert added[2] < 0.65 * added[1]
+
+
+@pytest.mark.slow
+def test_closed_path_with_friction_loses_work_as_by_linear_theory():
+    """The side force goes to and fro; its work is what friction takes, at small strain as much as by linear theory."""
+    push = 1.5 / 64.0
+    side = push / 3.0 * np.array([1, 0.5, 0, -0.5, -1, -0.5, 0, 0.5, 1])
+    work = []
+    for path in sheared(0.5, *side, push=push):
+        moved = np.array([state.move_mm[0] for state in path[1:]])
+        work.append(np.sum((side[1:] + side[:-1]) / 2.0 * np.diff(moved)))
+        assert moved[-1] == pytest.approx(moved[0], rel=0.02)
+    assert 0.0 < work[1] == pytest.approx(work[0], rel=0.15)
+
+
 FINGER = Finger(radius_mm=8, barrel_mm=8, skirt_mm=2)
 RUBBER = Material(law="neo_hookean")
-SHEARED = (twin.Step(force_n=(None, None, 0.5)), twin.Step(force_n=(None, None, 0.5), move_mm=(0.1, None, None)))
+ROLLED = (twin.Step(force_n=(None, None, 0.5)), twin.Step(force_n=(None, None, 0.5), turn_deg=(0.0, 1.0, 0.0)))
 GUIDED = {"steps": (twin.Step(force_n=(None, None, 0.5), torque_nmm=0.0),), "force_n": None}
 
 
@@ -325,11 +373,10 @@ def somewhere():
 @pytest.mark.parametrize(
     ("press", "rubber", "words"),
     [
-        ({"friction": 0.5}, {}, "friction = 0.5: 0, and inf under a sphere on a block, are"),
+        ({"friction": 0.5, "probe": Cylinder(diameter_mm=3)}, {}, "friction = 0.5: 0, and any under a sphere"),
         ({"friction": STICKY, "force_n": None, "indentation_mm": 0.1}, {}, "where a force presses it"),
-        ({"friction": STICKY, "steps": SHEARED, "force_n": None}, {}, "forces and torques move it"),
+        ({"friction": 0.5, "steps": ROLLED, "force_n": None}, {}, "doesn't roll"),
         ({"probe": Cylinder(diameter_mm=3), "tilt_deg": (3.0, 0.0, 0.0)}, {}, "upright probes"),
-        ({"friction": STICKY}, {}, "a sphere that sticks to a block is solved"),
         (GUIDED, {}, "guided along their way"),
         ({}, {"poisson_ratio": 0.4}, "poisson_ratio"),
     ],
@@ -343,7 +390,7 @@ def test_what_is_not_solved_on_a_whole_body_is_refused_with_its_cause(press, rub
 @pytest.mark.parametrize(
     ("press", "words"),
     [
-        ({"friction": 0.5}, "friction"),
+        ({"friction": 0.5, "probe": Cylinder(diameter_mm=5)}, "friction"),
         ({"probe": Pillar(width_mm=4), "tilt_deg": (3.0, 0.0, 0.0)}, "upright probes"),
         ({"probe": Cylinder(diameter_mm=5), "force_n": (0, 0, 9.0)}, "did not converge"),
         ({"probe": Object(shape="ring", width_mm=8.0)}, "press.probe.kind = object"),

@@ -1,6 +1,7 @@
-"""Rubber at finite strain: closed forms of the laws, homogeneous stretch of both meshes, and slopes."""
+"""Rubber at finite strain: closed forms of the laws, homogeneous stretch of both meshes, slopes, a sliding sphere."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from twin.parts.body import Block, Finger
 from twin.parts.material import Material
 from twin.world.contact.probe_gap import approach_of
 from twin.world.contact.round_slab import Grid, Slab
-from twin.world.contact.whole_body import Rubber, SurfaceTouch
+from twin.world.contact.whole_body import LAST_STEP, Rubber, RubberContact, SurfaceTouch
 from twin.world.elasticity.strain_law import cofactor_slope, cofactors, strain_law
+from twin.world.mesh.bisection import refined
 from twin.world.mesh.body_mesh import body_mesh
 
 LAWS = [
@@ -211,3 +213,45 @@ def test_gap_and_push_have_their_slopes(direction, linear):
         around = meet(nudge), meet(-nudge)
         assert here.push[some, axis] == pytest.approx(slope_of("gap", *around), abs=1e-6)
         assert here.bend[some][:, :, axis] == pytest.approx(slope_of("push", *around), abs=1e-4)
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.8])
+def test_sphere_that_slides_is_rubbed_by_the_coefficient_times_its_pressure_along_the_deformed_surface(friction):
+    """What the rubber resists with, less the pressure along the present normals, is friction: at its bound
+    once the points slide, and on the way there below it."""
+    deep, steps = 0.3, 5
+    body = Block(width_mm=10, length_mm=10, thickness_mm=5)
+    press = twin.Press(probe=twin.Sphere(diameter_mm=6), indentation_mm=deep)
+    approach = approach_of(press, body)
+    mesh = refined(
+        body_mesh(body, "sketch"),
+        body,
+        lambda points: 0.6 + 0.8 * np.maximum(np.linalg.norm(points - approach.touch_mm, axis=1) - 1.2, 0.0),
+        local=True,
+    )
+    rubber = Rubber(mesh, body, LAWS[0])
+    touch = SurfaceTouch(mesh, body, approach, True, [(approach.touch_mm, 2.5)])
+    contact = RubberContact(rubber, [touch], friction)
+    by_motion = np.zeros((1, 6), bool)
+    place = deep * np.eye(6)[2][None]
+    guess = replace(contact.at_rest(), pose=place, active=touch.rest_gap(np.zeros(6))[0] < deep / 2)
+    state = contact.rubbed(contact.at_rest(), guess, by_motion, place, LAST_STEP, linear=False)
+    shares = []
+    for step in range(1, steps + 1):
+        place = np.array([[2.5 * friction * deep * step / steps, 0.0, deep, 0.0, 0.0, 0.0]])
+        state = contact.rubbed(state, state, by_motion, place, LAST_STEP, linear=False)
+        moved = rubber.displacement(state.unknowns)
+        on_body = rubber.displacement(rubber.resistance(state.unknowns))[np.unique(touch.nodes)].sum(axis=0)
+        met = touch.meet(moved, state.pose[0], linear=False)
+        on = state.pressure > 0.0
+        push = (state.pressure * touch.area_mm2)[on, None] * met.push[on]
+        normal = met.normal[on]
+        way = np.array([1.0, 0.0, 0.0]) - normal[:, :1] * normal
+        way /= np.linalg.norm(way, axis=1)[:, None]
+        most = friction * np.linalg.norm(push, axis=1) @ way[:, 0]
+        shares.append((on_body - push.sum(axis=0))[0] / most)
+    assert state.slips[on].mean() > 0.95
+    assert shares[-1] == pytest.approx(1.0, abs=1e-2)
+    assert np.all(np.diff(shares) > -1e-3)
+    assert shares[0] < 0.7
+    assert state.force[0, :3] == pytest.approx(on_body, abs=2e-3 * state.force[0, 2])

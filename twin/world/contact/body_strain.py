@@ -1,21 +1,22 @@
 """What linear theory leaves out of presses on a curved body, of square pillars, of several probes
-and of a sphere that sticks to a block, on a mesh of the whole body.
+and of a sphere with friction on a block or a finger, on a mesh of the whole body.
 
 The mesh is the body's coarsest one, refined under the probes and at the rims of flat faces. The
 linear solution's Newton steps begin at the contact of `pressing`, those of the other one at the
 linear solution.
 
-A probe that sticks takes both solutions along its path, in the same few parts of every step: what
-this division leaves is in both, too. In a part what touches first slides freely; then it is held
+A probe with friction takes both solutions along its path, in the same few parts of every step: what
+this division leaves is in both, too. In a part what touches first slides freely; then friction acts
 from where it touched (`twin.world.contact.whole_body`), and the part is solved again.
 
 A flat face's rim is rounded by a tenth of its half width at least, on which the difference hardly
 depends.
 
 Validity: rigid spheres, upright cylinders, pillars and cones, pressed along their ways without
-friction on a block, a finger or a dome, several of them by forces; one sphere that sticks to a
-block, pressed and moved by forces and torques; nu from 0.45. Where that sphere is guided it keeps
-the force of linear theory, and `BodyStrain.error` states what is amiss with it.
+friction on a block, a finger or a dome, several of them by forces; one sphere with friction, which
+sticks or slips, on a block or a finger, pressed by a force, moved sideways and turned about its way
+by forces, a torque or motions; nu from 0.45. Where that sphere is guided it keeps the force of
+linear theory, and `BodyStrain.error` states what is amiss with it.
 """
 
 from __future__ import annotations
@@ -27,15 +28,22 @@ from functools import cached_property
 import numpy as np
 
 from twin.arrays import Bools, Floats, Points
-from twin.errors import InputError
+from twin.errors import InputError, NotSettled
 from twin.parts.body import Block, Body, Dome, Finger
 from twin.parts.material import Material
 from twin.parts.press import Press
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
 from twin.world.contact.contact_state import ContactState, Share
-from twin.world.contact.friction_law import STICKS_FROM
 from twin.world.contact.mixed_rubber import check_reach, with_edge
-from twin.world.contact.probe_gap import MOTIONS, Approach, Z, approach_of, half_extent
+from twin.world.contact.probe_gap import (
+    ABOUT_X,
+    MOTIONS,
+    TURN,
+    Approach,
+    Z,
+    approach_of,
+    half_extent,
+)
 from twin.world.contact.round_slab import FiniteStrain, Solutions
 from twin.world.contact.whole_body import (
     LAST_STEP,
@@ -95,8 +103,8 @@ class BodyStrain(FiniteStrain):
     Parameters and errors are those of `twin.world.contact.round_slab.SlabStrain`. It takes about 2
     s under a sphere, 3 to 20 s under others; with ``coarse`` the others are refused. With ``like``
     the mesh is that of a nearly equal press, so that the solutions differ by the press alone, and
-    the steps begin at its solutions. A probe that sticks needs ``path``, all its states, and takes
-    ``like`` from the state before.
+    the steps begin at its solutions. A probe with friction needs ``path``, all its states, and
+    takes ``like`` from the state before.
 
     Raises
     ------
@@ -134,12 +142,13 @@ class BodyStrain(FiniteStrain):
         self._material = material
         self._path = tuple(path) or (state,)
         self._number = next(n for n, one in enumerate(self._path) if one is state)
-        self._sticks = press.friction > 0.0
+        self._friction = press.friction
+        self._rubs = press.friction > 0.0
         self._controls = [one.in_own_axes(own) for one, own in zip(presses, axes, strict=True)]
         if not path:
             self._controls = [steps[-1:] for steps in self._controls]
         self._like = like
-        touching = [one for one in self._path if one.load.terms] if self._sticks else [state]
+        touching = [one for one in self._path if one.load.terms] if self._rubs else [state]
         self._contacts: list[tuple[Approach, list[tuple[Floats, float]]]] = [
             (approach, [_place(_probes(there)[number]) for there in touching])
             for number, approach in enumerate(approaches)
@@ -157,9 +166,9 @@ class BodyStrain(FiniteStrain):
 
     @cached_property
     def error(self) -> Share:
-        """How far this may be off; where a probe that sticks is guided, it keeps the force of
+        """How far this may be off; where a probe with friction is guided, it keeps the force of
         linear theory."""
-        if not self._sticks:
+        if not self._rubs:
             return super().error
         along = slice(0, Z + 1)
         force = self._pair.linear.force[0, along]
@@ -191,15 +200,17 @@ class BodyStrain(FiniteStrain):
                     mesh,
                     self._body,
                     approach,
-                    self._sticks,
+                    self._rubs,
                     [(centre, _REACH * size) for centre, size in near],
                 )
                 for approach, near in self._contacts
             ]
-            contact = RubberContact(Rubber(mesh, self._body, self._material), touches)
+            rubber = Rubber(mesh, self._body, self._material)
+            modulus = self._material.youngs_modulus_mpa
+            contact = RubberContact(rubber, touches, self._friction, modulus)
         else:
             contact = like.contact
-        if self._sticks:
+        if self._rubs:
             linear, finite = self._along(contact, fineness, like)
         else:
             linear, finite = self._at_once(contact, like)
@@ -243,7 +254,7 @@ class BodyStrain(FiniteStrain):
             held = np.array(forces)
             forced = np.array(values) / self._material.youngs_modulus_mpa
             pose = np.concatenate([axes @ there.move_mm, axes @ np.radians(there.turns_deg)])
-            if not self._sticks:  # under the same force, whatever holds the probe
+            if not self._rubs:  # under the same force, whatever holds the probe
                 held[Z] = True
                 forced[Z] = axes[Z] @ there.force_n / self._material.youngs_modulus_mpa
             by_force.append(held)
@@ -253,31 +264,46 @@ class BodyStrain(FiniteStrain):
     def _along(
         self, contact: RubberContact, fineness: _Fineness, like: _Pair | None
     ) -> tuple[Equilibrated, Equilibrated]:
-        """Return both solutions at the end of the path so far of a probe that sticks."""
+        """Return both solutions at the end of the path so far of a probe with friction."""
         linear = finite = contact.at_rest()
         first = 0
         if like is not None:
             linear, finite, first = like.linear, like.finite, self._number
         for number in range(first, self._number + 1):
-            by_force, given = self._given(number)
             parts = fineness.parts[min(number, 1)]
-            begin = np.where(by_force, linear.force, linear.pose)
-            for part in range(1, parts + 1):
-                # Parts of the first step are equal in the contact's radius.
-                share = (part / parts) ** (np.where(by_force, 3.0, 2.0) if number == 0 else 1.0)
-                now = begin + share * (given - begin)
-                last = linear
-                guess = self._grown(contact, linear, share) if number == 0 else linear
-                to = LAST_STEP if part == parts else PART_STEP
-                linear = contact.stuck(linear, guess, by_force, now, to, linear=True)
-                pressure = finite.pressure + (linear.pressure - last.pressure) * contact.lift
-                guess = replace(
-                    finite,
-                    unknowns=finite.unknowns + linear.unknowns - last.unknowns,
-                    pose=finite.pose + linear.pose - last.pose,
-                    pressure=np.maximum(pressure, 0.0),
-                )
-                finite = contact.stuck(finite, guess, by_force, now, to, linear=False)
+            try:
+                linear, finite = self._one_step(contact, number, parts, linear, finite)
+            except NotSettled:
+                linear, finite = self._one_step(contact, number, 3 * parts, linear, finite)
+        return linear, finite
+
+    def _one_step(
+        self,
+        contact: RubberContact,
+        number: int,
+        parts: int,
+        linear: Equilibrated,
+        finite: Equilibrated,
+    ) -> tuple[Equilibrated, Equilibrated]:
+        """Return both solutions after a step of a path with friction, taken in parts."""
+        by_force, given = self._given(number)
+        begin = np.where(by_force, linear.force, linear.pose)
+        for part in range(1, parts + 1):
+            # Parts of the first step are equal in the contact's radius.
+            share = (part / parts) ** (np.where(by_force, 3.0, 2.0) if number == 0 else 1.0)
+            now = begin + share * (given - begin)
+            last = linear
+            guess = self._grown(contact, linear, share) if number == 0 else linear
+            to = LAST_STEP if part == parts else PART_STEP
+            linear = contact.rubbed(linear, guess, by_force, now, to, linear=True)
+            pressure = finite.pressure + (linear.pressure - last.pressure) * contact.lift
+            guess = replace(
+                finite,
+                unknowns=finite.unknowns + linear.unknowns - last.unknowns,
+                pose=finite.pose + linear.pose - last.pose,
+                pressure=np.maximum(pressure, 0.0),
+            )
+            finite = contact.rubbed(finite, guess, by_force, now, to, linear=False)
         return linear, finite
 
     def _grown(self, contact: RubberContact, before: Equilibrated, share: Floats) -> Equilibrated:
@@ -380,21 +406,19 @@ def _unsolved(
         if one.friction > 0.0:
             if press.also:
                 return "press.also: several probes are solved without friction"
-            if one.friction < STICKS_FROM:
+            if not (isinstance(body, Block | Finger) and isinstance(one.probe, Sphere)):
                 return (
-                    f"press.friction = {one.friction:g}: 0, and inf under a sphere on a block, are "
-                    "solved"
+                    f"press.friction = {one.friction:g}: 0, and any under a sphere on a block or a "
+                    "finger, are solved"
                 )
             if not held[:, Z].all():
-                return "press: a probe that sticks is solved where a force presses it"
+                return "press: a probe with friction is solved where a force presses it"
             given = [np.where(held, 0.0, value) for held, value in one.in_own_axes(own)]
-            if np.any(given):
-                return "press.steps: a probe that sticks is solved where forces and torques move it"
-            if not (isinstance(body, Block) and isinstance(one.probe, Sphere)):
-                return "press.friction = inf: a sphere that sticks to a block is solved"
+            if np.any(np.array(given)[:, ABOUT_X:TURN]):
+                return "press.steps: a probe with friction that doesn't roll is solved"
             before = path[: next((n for n, other in enumerate(path) if other is state), 0)]
             if not all(other.load.terms for other in before):
-                return "press.steps: a probe that sticks is solved until it is lifted"
+                return "press.steps: a probe with friction is solved until it is lifted"
         elif np.any(there.turns_deg) or held[:, np.arange(MOTIONS) != Z].any():
             return "press: probes that are guided along their way and don't turn are solved"
         if press.also and not held[:, Z].all():

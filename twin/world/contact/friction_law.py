@@ -2,7 +2,8 @@
 
 To change the law, change this file: another class with the two methods of `FrictionLaw`, as `LAW`
 (docs/add_friction_law.md). The solver (`twin.world.contact.coulomb`) projects tangential forces on
-the disc whose radius is the law's bound, and takes the slope of the bound for its Jacobian. What
+the disc whose radius is the law's bound, and takes the slope of the bound for its Jacobian; at
+finite strain `twin.world.contact.whole_body` does so at points of the surface. What
 the normal force is, whether a patch sticks or slips and how the probe is balanced does not depend
 on the law.
 

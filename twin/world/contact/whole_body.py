@@ -15,9 +15,11 @@ film of rubber 10 um thick on the probe, in both: stiffer ones make the pressure
 neighbouring points alternate, and double the error that the mesh leaves. The probes' places are
 unknowns.
 
-**Sticking.** A point that has touched is held by a spring as stiff to its place on the probe, in
-the plane of the probe's surface; in the linear solution its gap is that of a point that
-moves with the probe, too.
+**Friction.** A point that has touched is held by a spring as stiff to its place on the probe, in
+the plane of the probe's surface, up to the bound of the law of friction; what it slips beyond, its
+place on the probe follows at the end of a part of a step. In the linear solution its gap is that of
+a point that moves with the probe, too; what all points slip in common is a slide of the probe, and
+gaps are taken where it slid to, as in `twin.world.contact.contact_problem`.
 
 **Steps.** `RubberContact.settled` takes Newton's. In each the rubber is condensed to the nodes that
 may touch: the Schur complement of its tangent. There contact is balanced, by an active set of
@@ -41,6 +43,7 @@ from twin.arrays import Bools, Floats, Ints, Points
 from twin.errors import NotSettled
 from twin.parts.body import Body
 from twin.parts.material import Material
+from twin.world.contact.friction_law import LAW, STICKS_FROM
 from twin.world.contact.mixed_rubber import MixedRubber, gathered, largest, newton, summed
 from twin.world.contact.probe_gap import (
     ABOUT_X,
@@ -68,15 +71,21 @@ _NUDGE_MM = 1e-4
 _BESIDE_FACE = 0.1
 """Points so far outside a flat face's outline, over its smaller half width, may come under it."""
 
+_SLIDES = 8
+_SLID_MM = 1e-4
+"""How often a slide of a probe as a whole is corrected, and how well it is known then."""
+
 _STEEPEST = 0.05
 """A probe's surface whose normal has a smaller part along its way doesn't touch."""
 
 _SLOW = 0.3
 """Newton's steps that shrink by less than to this share need the tangent at the present state."""
 
-_MOST_BALANCES = 40
+_MOST_BALANCES = 100
 _BALANCED = 1e-6
-"""Most iterations of a balance of contact, and the relative step at which they end."""
+_FULL_STEPS = 15
+"""Most iterations of a balance of contact, the relative step at which they end, and after how many
+steps are shortened."""
 
 _STRAINED = 0.03
 """Elements with no larger change of F, or pressure over the shear modulus, resist as at rest as far
@@ -215,6 +224,18 @@ class _Met:
 
 
 @dataclass(frozen=True)
+class _Rub:
+    """Friction on the points (q,) of a surface."""
+
+    force: Floats  # (q, 3) on the body, over Young's modulus, per area
+    resistance: Floats  # (q, 3, 3) it over the way to the anchors, 1/mm
+    along: Floats  # (q, 3) a root of what its slope lacks of that where points slip
+    grip: Floats  # (q, 3) its slope by the pressure
+    slips: Bools  # (q,) whether it is at its bound
+    slipped: Floats  # (q, 3) how far the points slipped over the probe, mm
+
+
+@dataclass(frozen=True)
 class _Anchors:
     """Where the points (q,) of a surface hold on to the probe."""
 
@@ -239,8 +260,8 @@ class SurfaceTouch:
         The body and its mesh.
     approach
         The probe at first touch; ``lift`` (q,) is the force along its way per pressure.
-    sticks
-        Whether points that touch it move with it from then on.
+    rubs
+        Whether friction acts on points that touch it.
     near
         Centres (3,) and reaches, mm: faces with points so near to one of them may touch.
     """
@@ -250,7 +271,7 @@ class SurfaceTouch:
         mesh: Mesh,
         body: Body,
         approach: Approach,
-        sticks: bool,
+        rubs: bool,
         near: Sequence[tuple[Floats, float]],
     ) -> None:
         faces = mesh.faces[mesh.piece == 0]
@@ -271,8 +292,9 @@ class SurfaceTouch:
         self.nodes = np.repeat(faces[used], len(places), axis=0)
         self.weights = np.tile(values, (int(used.sum()), 1))
         self.inward = body.piece_normals(self.rest_mm)[:, 0]
-        self._sticks = sticks
+        self._rubs = rubs
         self._approach = approach
+        self.axes = approach.axes
         self.lift = self.inward @ approach.axes[Z]
         self._frames = np.broadcast_to(np.eye(3), (len(self.inward), 3, 3))
         self._carry = approach.jacobian(self.rest_mm, self._frames, np.zeros(3))
@@ -291,33 +313,61 @@ class SurfaceTouch:
         own = (self.rest_mm + shift - self._approach.axis_mm) @ self._approach.axes.T
         return np.asarray((own - pose[: Z + 1]) @ rotation_of(pose[ABOUT_X:]))
 
-    def rest_gap(self, pose: Floats) -> tuple[Floats, Floats]:
+    def own(self, ways: Floats, pose: Floats, *, linear: bool) -> Floats:
+        """Return ways (q, 3) of points in the axes of `place`."""
+        if linear:
+            return ways
+        return np.asarray(ways @ self.axes.T @ rotation_of(pose[ABOUT_X:]))
+
+    def rest_gap(self, pose: Floats, slid_mm: Floats | None = None) -> tuple[Floats, Floats]:
         """Return the undeformed surface's gaps (q,) in the linear solution, and slopes (q, 6).
 
         With friction the surface near a probe moves sideways with it.
         """
-        if not self._sticks:
+        if not self._rubs:
             return self._approach.gap(self.rest_mm, self.inward, pose)
         lowered = np.where(np.arange(MOTIONS) == Z, pose, 0.0)
+        if slid_mm is not None:
+            lowered[:Z] = slid_mm
         gap, slope = self._approach.gap(self.rest_mm, self.inward, lowered)
         slope = np.where(np.arange(MOTIONS) == Z, slope, -self._along)
         return gap - self._along @ (pose - lowered), slope
 
-    def anchored_gap(self, pose: Floats) -> Floats:
-        """Return the gap at place 0 of points that touch at a place and move with the probe."""
-        return np.asarray(self.rest_gap(pose)[0] + self._along @ pose)
+    def anchored_gap(self, pose: Floats, slid_mm: Floats) -> Floats:
+        """Return the gap at place 0 of points that touch at a place and move with the probe, less
+        what its slide as a whole changed."""
+        gap = self.rest_gap(pose, slid_mm)[0] + self._along @ pose
+        return np.asarray(gap - self._slid_gap(slid_mm))
+
+    def _slid_gap(self, slid_mm: Floats) -> Floats:
+        """Return (q,) by how much a slide as a whole changes the gaps."""
+        if not slid_mm.any():
+            return np.zeros(len(self.rest_mm))
+        none = np.zeros(MOTIONS)
+        first, after = self.rest_gap(none)[0], self.rest_gap(none, slid_mm)[0]
+        finite = np.isfinite(first)
+        return np.where(finite, after - np.where(finite, first, 0.0), 0.0)
 
     def meet(
-        self, displacement: Floats, pose: Floats, anchors: _Anchors | None = None, *, linear: bool
+        self,
+        displacement: Floats,
+        pose: Floats,
+        anchors: _Anchors | None = None,
+        slid_mm: Floats | None = None,
+        *,
+        linear: bool,
     ) -> _Met:
-        """Return how the points meet the probe at a place (6,), by default without anchors."""
+        """Return how the points meet the probe at a place (6,), by default without anchors; in the
+        linear solution it slid as a whole."""
+        slid_mm = np.zeros(Z) if slid_mm is None else slid_mm
         anchors = _Anchors.none(len(self.rest_mm)) if anchors is None else anchors
         shift = self._shift(displacement)
         axes = self._approach.axes
         none = np.zeros((len(shift), 3, 3))
         if linear:
-            gap, slope = self.rest_gap(pose)
-            gap = np.where(anchors.on, anchors.closed - self._along @ pose, gap)
+            gap, slope = self.rest_gap(pose, slid_mm)
+            closed = anchors.closed + self._slid_gap(slid_mm)
+            gap = np.where(anchors.on, closed - self._along @ pose, gap)
             slope = np.where(anchors.on[:, None], -self._along, slope)
             return _Met(
                 gap=gap + np.einsum("qi,qi->q", self.inward, shift),
@@ -379,13 +429,24 @@ class Equilibrated:
     active: Bools  # (q,) whether they were sought
     anchors: _Anchors  # where these hold on to the probes
     force: Floats  # (p, 6) forces and torques on the body, over Young's modulus
+    slips: Bools  # (q,) points whose friction is at its bound
+    slid_mm: Floats  # (p, 2) how far the probes slid as a whole, in the linear solution
 
 
 class RubberContact:
-    """Rubber and the points of its surface that each of the probes (p,) may touch."""
+    """Rubber and the points of its surface that each of the probes (p,) may touch; they have one
+    coefficient of friction, and the rubber's true modulus matters for its law alone."""
 
-    def __init__(self, rubber: Rubber, touches: Sequence[SurfaceTouch]) -> None:
+    def __init__(
+        self,
+        rubber: Rubber,
+        touches: Sequence[SurfaceTouch],
+        friction: float = 0.0,
+        youngs_modulus_mpa: float = 1.0,
+    ) -> None:
         self.rubber = rubber
+        self._friction = friction
+        self._modulus_mpa = youngs_modulus_mpa
         self.touches = touches
         counts = [len(touch.rest_mm) for touch in touches]
         ends = np.cumsum([0, *counts])
@@ -416,6 +477,8 @@ class RubberContact:
             active=np.zeros(points, bool),
             anchors=_Anchors.none(points),
             force=none,
+            slips=np.zeros(points, bool),
+            slid_mm=none[:, :Z],
         )
 
     def settled(
@@ -442,7 +505,7 @@ class RubberContact:
 
         return newton(after, displacement, state, MOST_STEPS, to, self.rubber.law_name)
 
-    def stuck(
+    def rubbed(
         self,
         before: Equilibrated,
         guess: Equilibrated,
@@ -453,14 +516,51 @@ class RubberContact:
         linear: bool,
     ) -> Equilibrated:
         """Return the end of a part of a step: first what touches in it slides freely, from a
-        ``guess``, then friction holds it from where it touched."""
-        held, wanted = by_force, given
-        if not before.anchors.on.any():
-            held = by_force & (np.arange(MOTIONS) == Z)
-            wanted = np.where(by_force & ~held, guess.pose, given)
-        free = self.settled(guess, held, wanted, PART_STEP, linear=linear)
+        ``guess``, then friction acts on it from where it touched."""
+        pushed = by_force & (np.arange(MOTIONS) == Z)
+        upright = pushed, np.where(by_force & ~pushed, guess.pose, given)
+        first = not before.anchors.on.any()
+        held, wanted = upright if first else (by_force, given)
+        try:
+            free = self.settled(guess, held, wanted, PART_STEP, linear=linear)
+        except NotSettled:  # friction of what touched before doesn't hold the probe alone
+            free = self.settled(guess, *upright, PART_STEP, linear=linear)
         start = self._anchored(before, free, linear=linear)
-        return self.settled(start, by_force, given, to, linear=linear)
+        # The friction of the first few points doesn't hold it either.
+        held, wanted = upright if first and to == PART_STEP else (by_force, given)
+        after = self.settled(start, held, wanted, to, linear=linear)
+        for _ in range(_SLIDES):
+            slid = self._common_slide(before, after) if linear else np.zeros((1, Z))
+            if not slid.any() or np.abs(slid).max() < _SLID_MM:
+                break
+            start = replace(after, anchors=start.anchors, slid_mm=before.slid_mm + slid)
+            after = self.settled(start, held, wanted, to, linear=linear)
+        return self._dragged(after, linear=linear)
+
+    def _common_slide(self, before: Equilibrated, after: Equilibrated) -> Floats:
+        """Return (p, 2) how far a linear solution's probes slid as a whole in a part of a step: not
+        at all where a point sticks that touched before."""
+        slides = np.zeros_like(before.slid_mm)
+        moved = self.rubber.displacement(after.unknowns)
+        rub = self._rub(self._meet(moved, after.pose, after, linear=True), after.anchors)
+        for number, (touch, rows) in enumerate(zip(self.touches, self.rows, strict=True)):
+            on = before.anchors.on[rows] & (after.pressure[rows] > 0.0)
+            if on.any() and after.slips[rows][on].all():
+                slip = rub.slipped[rows][on] @ touch.axes[:Z].T
+                size = np.hypot(slip[:, 0], slip[:, 1])
+                slides[number] = -slip[size <= 1.1 * size.min()].mean(axis=0)
+        return slides
+
+    def _dragged(self, state: Equilibrated, *, linear: bool) -> Equilibrated:
+        """Return a state whose slipping points are anchored where they slipped to."""
+        if not state.slips.any():
+            return state
+        moved = self.rubber.displacement(state.unknowns)
+        rub = self._rub(self._meet(moved, state.pose, state, linear=linear), state.anchors)
+        place = state.anchors.place.copy()
+        for touch, rows, pose in zip(self.touches, self.rows, state.pose, strict=True):
+            place[rows] += touch.own(rub.slipped[rows], pose, linear=linear)
+        return replace(state, anchors=replace(state.anchors, place=place))
 
     def _step(
         self, state: Equilibrated, by_force: Bools, given: Floats, *, linear: bool
@@ -500,19 +600,31 @@ class RubberContact:
         here = np.concatenate([moved, state.pose.ravel()])
         free = np.concatenate([self._free, by_force.ravel()])
         body = np.flatnonzero(self._free)
+        trust, last, settled = 0.0, math.inf, False
         for taken in range(_MOST_BALANCES):
             if taken > _LET_GO:  # a point that its own anchor pulls off comes and goes
                 held = state.anchors.on & (state.pressure > 0.0)
                 state = replace(state, anchors=replace(state.anchors, on=held))
-            active, out, matrix, after = self._springs(state, here, linear=linear)
+            out, matrix, lacks, after = self._springs(state, here, linear=linear)
             out[body] += schur @ (here[body] - loose[body])
             out[count:] -= np.where(by_force, given, 0.0).ravel()
             matrix[np.ix_(body, body)] += schur
+            # Where slip swings, friction keeps the resistance of its springs' secant for a step.
+            size = float(np.linalg.norm(out[free]))
+            trust = min(1.0, trust + 0.5) if size < 0.7 * last else 0.0
+            last = size
+            matrix -= trust * lacks
             step = np.zeros(len(here))
-            step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], out[free])
+            try:
+                step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], out[free])
+            except np.linalg.LinAlgError as problem:
+                raise NotSettled("contact: nothing holds the probe at finite strain") from problem
+            if not settled and taken > _FULL_STEPS:  # points that come and go
+                step *= 0.5 if taken < 2 * _FULL_STEPS else 0.25
             here = here + step
-            settled = np.array_equal(active, state.active)
-            state = after(step)
+            before, state = state, after(step)
+            settled = np.array_equal(before.active, state.active)
+            settled = settled and np.array_equal(before.slips, state.slips)
             if settled and np.abs(step).max() < _BALANCED * np.abs(here).max():
                 break
         else:
@@ -521,34 +633,67 @@ class RubberContact:
         force[body] = schur @ (here[body] - loose[body])
         return replace(state, pose=here[count:].reshape(-1, MOTIONS)), force
 
+    def _meet(self, moved: Points, pose: Floats, state: Equilibrated, *, linear: bool) -> _Met:
+        """Return how the points of all probes meet these."""
+        parts = [
+            touch.meet(moved, one, state.anchors.of(rows), slid, linear=linear)
+            for touch, one, rows, slid in zip(
+                self.touches, pose, self.rows, state.slid_mm, strict=True
+            )
+        ]
+        return _Met(
+            **{name: np.concatenate([vars(one)[name] for one in parts]) for name in vars(parts[0])}
+        )
+
+    def _rub(self, met: _Met, anchors: _Anchors) -> _Rub:
+        """Return the friction on anchored points: that of springs in the plane of the probe's
+        surface, up to Coulomb's bound."""
+        plane = np.eye(3) - met.normal[:, :, None] * met.normal[:, None, :]
+        stiff = np.where(anchors.on, _SPRING, 0.0)
+        held = -stiff[:, None] * np.einsum("qij,qj->qi", plane, met.away)
+        resistance = stiff[:, None, None] * plane
+        if self._friction >= STICKS_FROM:
+            none = np.zeros_like(held)
+            return _Rub(held, resistance, none, none, np.zeros(len(held), bool), none)
+        size = np.linalg.norm(held, axis=1)
+        # The law is one of forces in N.
+        steep = np.linalg.norm(met.push, axis=1)
+        scale = self._modulus_mpa * self._area
+        pressed = np.where(np.isfinite(met.gap), _SPRING * np.maximum(-met.gap, 0.0), 0.0) * steep
+        friction = np.full(len(size), self._friction)
+        bound = LAW.bound(friction, scale * pressed, self._area) / scale
+        steep = steep * LAW.slope(friction, scale * pressed, self._area)
+        slips = size > bound
+        way = held / np.maximum(size, 1e-300)[:, None]
+        share = np.where(slips, bound / np.maximum(size, 1e-300), 1.0)
+        return _Rub(
+            force=share[:, None] * held,
+            resistance=share[:, None, None] * resistance,
+            along=np.where(slips, np.sqrt(share * stiff), 0.0)[:, None] * way,
+            grip=np.where(slips & (met.gap < 0.0), steep, 0.0)[:, None] * way,
+            slips=slips,
+            slipped=(share - 1.0)[:, None] * held / _SPRING,
+        )
+
     def _springs(
         self, state: Equilibrated, here: Floats, *, linear: bool
-    ) -> tuple[Bools, Floats, Floats, Callable[[Floats], Equilibrated]]:
-        """Return which points touch, what the springs between the contact's nodes and the probes
+    ) -> tuple[Floats, Floats, Floats, Callable[[Floats], Equilibrated]]:
+        """Return what the springs between the contact's nodes and the probes
         take from either, its slope, and the state after a step."""
         # Which points touch?
         count = len(self._nodal)
         moved = self.rubber.displacement(state.unknowns).copy()
         moved.reshape(-1)[self._nodal] = here[:count]
         pose = here[count:].reshape(-1, MOTIONS)
-        parts = [
-            touch.meet(moved, one, state.anchors.of(rows), linear=linear)
-            for touch, one, rows in zip(self.touches, pose, self.rows, strict=True)
-        ]
-        met = _Met(
-            **{name: np.concatenate([vars(one)[name] for one in parts]) for name in vars(parts[0])}
-        )
+        met = self._meet(moved, pose, state, linear=linear)
         weighed = state.pressure - _GAP_WEIGHT * (met.gap + state.pressure / _SPRING)
         active = weighed > 0.0 if state.pressure.any() else state.active
         active = active & np.isfinite(met.gap)
         if not all(active[rows].any() for rows in self.rows):
             raise NotSettled("contact: at finite strain the probe touches nothing: press further")
         on = np.flatnonzero(active)
-        # Springs in the plane of the probe's surface hold anchored points.
-        across = np.eye(3) - met.normal[:, :, None] * met.normal[:, None, :]
-        resistance = np.where(state.anchors.on, _SPRING, 0.0)[:, None, None] * across
-        rubbed = -np.einsum("qij,qj->qi", resistance, met.away)
-        resistance, rubbed = resistance[on], rubbed[on]
+        rub = self._rub(met, state.anchors)
+        resistance, rubbed, grip = rub.resistance[on], rub.force[on], rub.grip[on]
         pressed, area, row = state.pressure[on], self._area[on], self._row[on]
 
         def spread(vectors: Floats, motions: Floats) -> Floats:
@@ -562,6 +707,8 @@ class RubberContact:
         across = np.stack([spread(axes[:, i], -met.carry[on, i]) for i in range(3)], axis=1)
         turning = resistance - pressed[:, None, None] * met.bend[on]
         block += across.swapaxes(1, 2) @ ((area[:, None, None] * turning) @ across)
+        gripped = np.einsum("qkr,qk->qr", across, grip)
+        block += (_SPRING * area)[:, None, None] * gripped[:, :, None] * slope[:, None, :]
         out = (_SPRING * area * met.gap[on])[:, None] * carried
         out -= np.einsum("qkr,qk->qr", across, area[:, None] * rubbed)
         size = len(here)
@@ -572,13 +719,25 @@ class RubberContact:
             change = np.einsum("qr,qr->q", slope, step[row])
             pressure[on] = -_SPRING * (met.gap[on] + change)
             pulled = rubbed - np.einsum("qij,qjr,qr->qi", resistance, across, step[row])
+            pulled -= _SPRING * change[:, None] * grip
             forces = area[:, None] * (pressure[on, None] * met.lift[on])
             forces += area[:, None] * np.einsum("qi,qim->qm", pulled, met.carry[on])
             total = np.zeros_like(state.pose)
             np.add.at(total, self._owner[on], forces)
-            return replace(state, pressure=pressure, active=active, force=total)
+            slips = rub.slips & active
+            return replace(state, pressure=pressure, active=active, slips=slips, force=total)
 
-        return active, gathered(row, out, size), matrix.reshape(size, size), after
+        lacks = np.zeros((size, size))
+        if rub.slips[on].any():
+            along = np.einsum("qkr,qk->qr", across, rub.along[on])
+            block = area[:, None, None] * along[:, :, None] * along[:, None, :]
+            lacks = gathered(size * row[:, :, None] + row[:, None, :], block, size * size)
+        return (
+            gathered(row, out, size),
+            matrix.reshape(size, size),
+            lacks.reshape(size, size),
+            after,
+        )
 
     def _anchored(self, before: Equilibrated, free: Equilibrated, *, linear: bool) -> Equilibrated:
         """Return the state ``before`` a part of a step with anchors for the points that touch
@@ -596,7 +755,9 @@ class RubberContact:
             new = (free.pressure[rows] > 0.0) & ~before.anchors.on[rows]
             if not new.any():
                 continue
-            met = touch.meet(first, before.pose[number], before.anchors.of(rows), linear=linear)
+            slid = before.slid_mm[number]
+            anchors = before.anchors.of(rows)
+            met = touch.meet(first, before.pose[number], anchors, slid, linear=linear)
             gap = np.maximum(met.gap, 0.0)
             finite = new & np.isfinite(gap)
             most = max(float(gap[finite].max(initial=0.0)), 1e-300)
@@ -607,6 +768,6 @@ class RubberContact:
             end = touch.place(last, free.pose[number], linear=linear)
             held = start + way[:, None] * (end - start)
             place[rows] = np.where(new[:, None], held, place[rows])
-            closed[rows] = np.where(new, touch.anchored_gap(free.pose[number]), closed[rows])
+            closed[rows] = np.where(new, touch.anchored_gap(free.pose[number], slid), closed[rows])
             on[rows] |= new
         return replace(free, anchors=_Anchors(on, place, closed))
