@@ -28,6 +28,8 @@ from benchmarks import flat
 from benchmarks.contact_theory import bonded_punch_stiffness, oblique_motion, sheared_motion, stick_radius, twisted
 from twin.errors import ContactError, NotSettled
 from twin.parts.press import Cone, Cylinder, Pillar, Press, Sphere, Step
+from twin.study.recipe import load_scene
+from twin.study.sensor import Sensor
 from twin.theory.contact import hertz
 from twin.world.contact import load_step
 from twin.world.contact.contact_problem import FrictionalContact
@@ -45,9 +47,9 @@ class Yielding(HalfSpace):
         return super().surface(rectangles) + 0.5 * np.outer(give, give)
 
 
-def rubbed(*steps, probe=BALL, friction=MU, increments=3, **more):
+def rubbed(*steps, probe=BALL, friction=MU, increments=3, at_mm=(0, 0), **more):
     """Few increments: these loads grow without turning."""
-    wanted = Press(probe=probe, friction=friction, steps=steps)
+    wanted = Press(probe=probe, at_mm=at_mm, friction=friction, steps=steps)
     return pressed(wanted, increments=increments, **more).path
 
 
@@ -242,27 +244,29 @@ DRAG = push(PUSH, move_mm=(0.4, None, None))
 @pytest.mark.parametrize(("jump", "settles"), [(6e-3, True), (6e-2, False)])
 def test_a_slide_that_jumps_as_a_patch_comes_and_goes(jump, settles, monkeypatch):
     """Over half a patch: where a slide jumps less than the model resolves, either end will do."""
-    there, slide = [False], FrictionalContact.common_slide
+    there, slide = [False], FrictionalContact.slid
 
     def jumping(grid, *given):
         there[0] = not there[0]
         return slide(grid, *given) + there[0] * jump * float(grid.patches.half_mm.min())
 
-    monkeypatch.setattr(FrictionalContact, "common_slide", jumping)
+    monkeypatch.setattr(FrictionalContact, "slid", jumping)
     with nullcontext() if settles else pytest.raises(NotSettled, match="does not settle"):
         rubbed(DRAG, across=8, increments=1)
 
 
 def test_a_slide_that_jumps_where_it_ends_is_met_in_between(monkeypatch):
     """By 1.6 % of half a patch, down where the probe slid far and up where not: 0.8 % off both."""
-    slide = FrictionalContact.common_slide
+    slide = FrictionalContact.slid
+    last = [np.zeros((1, 2))]
 
-    def jumping(grid, memory, *given):
-        moved = slide(grid, memory, *given)
+    def jumping(grid, *given):
+        moved = slide(grid, *given)
         jump = 1.6e-2 * float(grid.patches.half_mm.min())
-        return moved + jump * (memory.slid_mm < moved + 0.5 * jump)
+        last[0] = moved + jump * (last[0] < moved + 0.5 * jump)
+        return last[0]
 
-    monkeypatch.setattr(FrictionalContact, "common_slide", jumping)
+    monkeypatch.setattr(FrictionalContact, "slid", jumping)
     (state,) = rubbed(DRAG, across=8, increments=1)
     assert state.slip.any()
     assert state.residual <= 1e-8
@@ -306,14 +310,57 @@ CARRY = "times what friction 0.5 can carry"
         (CARRY, BALL, (pushed(), pushed(torque=0.3))),
         (CARRY, BALL, (pushed(), pushed(0.2, torque=0.15))),
         (CARRY, BALL, (down(0.1), Step(force_n=(0.5, None, None)))),
-        ("slides", FACE, (push(0.5), sideways(0.6))),
-        ("slides", BALL, (push(0.5), Step(move_mm=(None, 8, None)))),
-        ("lifted", FACE, (down(0.1), Step(move_mm=(3, None, -1)), down(1))),
+        ("is not level", FACE, (push(0.5), sideways(60))),
+        ("8 times the contact's width", BALL, (push(0.5), Step(move_mm=(None, 40, None)))),
     ],
 )
 def test_refusals(words, probe, steps):
     with pytest.raises(ContactError, match=words):
         rubbed(*steps, probe=probe)
+
+
+# --- slides of many contact widths ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("probe", "near"), [(BALL, 8e-3), (FACE, 1e-9)])
+def test_a_long_slide_ends_like_a_short_one_further_on(probe, near):
+    """Once all slips, what presses is the same wherever it slid to, by friction times the push."""
+    short, far = (rubbed(down(0.1), sideways(x), probe=probe, across=8, increments=8)[-1] for x in (1.0, 7.0))
+    assert far.slip.all()
+    assert_allclose(far.force_n, short.force_n, atol=near * short.force_n[2])
+    assert_allclose(far.force_n[0], MU * far.force_n[2], rtol=2e-3)
+    assert_allclose(centre_of(far) - centre_of(short), [6.0, 0.0, 0.0], atol=0.03)
+    assert far.peak_pressure_mpa == pytest.approx(short.peak_pressure_mpa, rel=10 * near)
+
+
+def test_a_face_that_slides_is_pressed_by_the_rubber_that_it_is_on():
+    """On a block with free sides, towards one of which the rubber is softer."""
+    coarse = {"accuracy.contact_patches": 10, "accuracy.displacement": 0.1}
+    sensor = Sensor(load_scene("block_bare", overrides=coarse))
+    slide = Press(probe=FACE, friction=MU, steps=(down(0.1), sideways(36)))
+    slid = sensor.press(slide)
+    there, middle = (
+        sensor.press(Press(probe=FACE, at_mm=at, friction=MU, steps=(down(0.1), sideways(0.2))))
+        for at in (tuple(centre_of(slid)[:2]), (0, 0))
+    )
+    assert_allclose(slid.force_n, there.force_n, atol=1e-3 * slid.force_n[2])
+    assert slid.force_n[2] < 0.99 * middle.force_n[2]
+
+
+def test_a_face_that_is_lifted_over_presses_where_it_comes_down():
+    over = Step(move_mm=(3, None, -1))
+    moved = rubbed(down(0.1), over, down(1), probe=FACE)[-1]
+    there = rubbed(down(0.1), probe=FACE, at_mm=(3, 0))[-1]
+    assert_allclose(moved.force_n, there.force_n, atol=1e-9)
+    assert_allclose(centre_of(moved), [3, 0, 0], atol=1e-9)
+
+
+def test_a_slide_there_and_back_takes_friction_times_the_way():
+    there, back = rubbed(down(0.1), sideways(6), sideways(-6), probe=FACE, across=10, increments=8)[1:]
+    carried = 6.0 - centre_of(there)[0]  # the rubber goes along so far before all slips, and back twice
+    way = 2 * 6.0 - 3 * carried
+    assert back.dissipated_nmm == pytest.approx(MU * back.force_n[2] * way, rel=1e-4)
+    assert_allclose(back.force_n, there.force_n * [-1, 1, 1], atol=1e-9)
 
 
 def carried_share(torque, x=0.0):

@@ -12,6 +12,7 @@ slid to.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -40,6 +41,9 @@ from twin.world.contact.probe_gap import (
     rotation_of,
 )
 from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
+
+STAYS = 0.05
+"""How far a flat face slides before its patches go along, over its smaller width."""
 
 
 class SurfaceCompliance(Protocol):
@@ -130,6 +134,27 @@ class ProbeSetup:
                 "away from the edge"
             )
         return found
+
+    def carried(self, patches: Patches, by_mm: Floats) -> Patches:
+        """Return the patches of a level surface, carried along by (2,), along the probe's x and y.
+
+        Raises
+        ------
+        ContactError
+            The surface is not level there.
+        """
+        if not by_mm.any():
+            return patches
+        centre = patches.centre_mm + by_mm @ self.first.axes[:Z]
+        x, y, z = ((centre.max(axis=0) + centre.min(axis=0)) / 2.0).tolist()
+        reach = float(np.abs(centre - (x, y, z)).max() + patches.half_mm.max())
+        if z != 0.0 or np.ptp(centre[:, 2]) or not self.body.is_level_around(x, y, reach):
+            raise ContactError(
+                f"contact: the {self.probe.kind} slides to ({x:.3g}, {y:.3g}) mm, where the "
+                f"sensing surface is not level for {reach:.3g} mm around: move it less, or raise "
+                "press.friction"
+            )
+        return replace(patches, centre_mm=centre)
 
     def compliance_between(self, loads: Sequence[Rectangles], frames: Floats) -> Floats:
         """Return the compliance (k, 3, k, 3) between the patches under several probes, in their
@@ -427,7 +452,8 @@ class ContactHistory:
     touched, slipping
         (k,) patches in contact, and which of them slipped last.
     closed_mm
-        (k,) gap of those at place 0, had they always moved with the probe.
+        (k,) by how much the gap of those, had they always moved with the probe, would differ at
+        place 0 from that of the probe's shape.
     offset_mm
         (k, 2) tangential displacement of those at place 0, likewise.
     pose
@@ -477,11 +503,47 @@ class FrictionalContact:
     contacts: ContactProblem
     friction: Floats
     relaxation: Relaxation | None = None
+    carried_mm: Floats | None = None
+    """(p, 2) how far the patches under flat faces were carried along, along each probe's x and
+    y."""
 
     @property
     def patches(self) -> Patches:
         """The patches of all probes."""
         return self.contacts.patches
+
+    def carried(self, slid_mm: Floats) -> FrictionalContact:
+        """Return the patches where probes slid to (p, 2): those under a flat face go along once it
+        slid by more than a twentieth of its width.
+
+        The patches that a sliding face presses on have no history. On relaxing rubber they have,
+        and stay where they are.
+
+        Raises
+        ------
+        ContactError
+            The surface is not level around a face's new place.
+        """
+        away = np.zeros_like(slid_mm)
+        for number, setup in enumerate(self.contacts.setups):
+            if setup.face is not None and self.relaxation is None:
+                least = STAYS * 2.0 * min(setup.face.half_mm)
+                away[number] = slid_mm[number] * (math.hypot(*slid_mm[number]) > least)
+        if not away.any():
+            return self
+        if away.tobytes() not in self._places:
+            self._places.clear()
+            pairs = zip(self.contacts.setups, self.contacts.grids, away, strict=True)
+            grids = tuple(setup.carried(grid, moved) for setup, grid, moved in pairs)
+            self._places[away.tobytes()] = replace(
+                self, contacts=ContactProblem(self.contacts.setups, grids), carried_mm=away
+            )
+        return self._places[away.tobytes()]
+
+    @cached_property
+    def _places(self) -> dict[bytes, FrictionalContact]:
+        """The patches at the last place that they were carried to."""
+        return {}
 
     @cached_property
     def influence(self) -> Influence:
@@ -500,8 +562,11 @@ class FrictionalContact:
     @cached_property
     def contact_jacobian(self) -> Floats:
         """(k, 3, 6 p) motion of the probes' points at the patches per unit of the place, about
-        first touch."""
-        return self.contacts.contact_jacobian(np.zeros(MOTIONS * len(self.friction)))
+        first touch, or where the patches were carried to."""
+        place = np.zeros((len(self.friction), MOTIONS))
+        if self.carried_mm is not None:
+            place[:, :Z] = self.carried_mm
+        return self.contacts.contact_jacobian(place.ravel())
 
     def untouched(self, history: ContactHistory) -> Bools:
         """Return (k,) which patches belong to a probe that touches nothing."""
@@ -524,6 +589,8 @@ class FrictionalContact:
             lowered[Z] = along_z[number]
             if setup.face is None:
                 lowered[:Z] = slid_mm[number]
+            elif self.carried_mm is not None:
+                lowered[:Z] = self.carried_mm[number]
             gap[rows], slope[rows, motions] = self.contacts.gap_under(number, lowered)
             gap[rows] += grid.frames[:, 2] @ (slid_mm[number] @ first.axes[:Z])
         return gap, slope
@@ -536,7 +603,9 @@ class FrictionalContact:
         gap = gap - normal @ self.sideways(pose)
         stuck = history.touched & (self.friction[self.contacts.owner] > 0.0)
         gap[stuck] = (
-            history.closed_mm[stuck] + self.moved_gap(history.slid_mm)[stuck] - normal[stuck] @ pose
+            history.closed_mm[stuck]
+            + self.gap_at_touch(history.slid_mm)[stuck]
+            - normal[stuck] @ pose
         )
         slope[stuck] = -normal[stuck]
         if history.moved_mm is not None:
@@ -544,16 +613,10 @@ class FrictionalContact:
         gap[history.lifted[self.contacts.owner]] = np.inf
         return gap, slope
 
-    def moved_gap(self, slid_mm: Floats) -> Floats:
-        """Return (k,) by how much a slide changes the gaps; inf where the probe slid away."""
-        if not slid_mm.any():
-            return np.zeros(len(self.patches))
-        still = np.zeros(len(self.friction))
-        before = self._slid_gap(np.zeros_like(slid_mm), still)[0]
-        after = self._slid_gap(slid_mm, still)[0]
-        return np.where(
-            np.isfinite(before), after - np.where(np.isfinite(before), before, 0.0), 0.0
-        )
+    def gap_at_touch(self, slid_mm: Floats) -> Floats:
+        """Return (k,) the gaps of probes at the height of first touch that slid there; inf where
+        they slid away."""
+        return self._slid_gap(slid_mm, np.zeros(len(self.friction)))[0]
 
     def offset(self, history: ContactHistory) -> Floats:
         """Return (k, 2) from where each patch's slip counts.
@@ -610,7 +673,7 @@ class FrictionalContact:
         touched = gap <= 1e-9
         for _, rows, _ in self.contacts.rows:
             touched[rows] &= np.count_nonzero(touched[rows]) > 1
-        return replace(nothing, touched=touched, closed_mm=np.where(touched, gap, 0.0))
+        return replace(nothing, touched=touched)
 
     def release(self, history: ContactHistory, lifted: Bools) -> ContactHistory:
         """Return the history of probes (p,) that have been lifted off: they touch again where they
@@ -631,33 +694,31 @@ class FrictionalContact:
             ),
         )
 
-    def common_slide(
-        self, history: ContactHistory, problem: UnilateralProblem, found: Equilibrium
-    ) -> Floats:
-        """Return (p, 2) mm by which all patches of a probe slipped in common, along its x and y; 0
-        where one sticks.
+    def slid(self, start: Floats, problem: UnilateralProblem, found: Equilibrium) -> Floats:
+        """Return (p, 2) mm how far each probe slid as a whole so far, along its x and y: where all
+        its patches slip, as far as it came ahead of those that it carries along furthest, else as
+        far as at the ``start`` (p, 2).
 
-        The mean of the least slips, as the least one alone may jump between patches that mirror
-        each other; patches that touched within the part slipped for a part of it only and do not
-        count.
+        The mean over a tenth of that distance, as the least one alone may jump between patches that
+        mirror each other. A patch stays where it is in the body, so that slips of patches, which
+        come and go under a probe, don't add up to its slide.
         """
-        slides = np.zeros_like(history.slid_mm)
-        counted = found.active & (history.touched | self.untouched(history))
+        whole = start.copy()
         for number, (setup, rows, _) in enumerate(self.contacts.rows):
-            active = np.flatnonzero(counted[rows]) + rows.start
+            active = np.flatnonzero(found.active[rows]) + rows.start
             if len(active) == 0 or not found.slipping[active].all():
                 continue
-            slip = (
+            behind = (
                 found.displacement_mm[active, :2]
                 - problem.contact_jacobian[active, :2] @ found.pose
-                - problem.offset[active]
             )
-            length = np.hypot(slip[:, 0], slip[:, 1])
+            length = np.hypot(behind[:, 0], behind[:, 1])
             least = length <= 1.1 * length.min()
             frames = self.patches.frames[active[least], :2]
-            back = np.einsum("ka,kai->ki", slip[least], frames).mean(axis=0)
-            slides[number] = -setup.first.axes[:Z] @ back
-        return slides
+            whole[number] = -setup.first.axes[:Z] @ np.einsum(
+                "ka,kai->ki", behind[least], frames
+            ).mean(axis=0)
+        return whole
 
     def lost_nmm(
         self, history: ContactHistory, slipped: Bools, force_n: Floats, away: Floats
@@ -671,13 +732,15 @@ class FrictionalContact:
         Notes
         -----
         The mean of the tangential forces before and after times the slip. A patch that stuck slips
-        only once its force has grown to its bound, so that a greater force counts from the start.
-        One that lifts off loses its force on the way. What touched in between has slipped from
-        where it was held; where it slid before that, nothing pressed on it.
+        only once its force has grown to its bound, so that a greater force counts from the start,
+        as does one that has turned round. One that lifts off loses its force on the way. What
+        touched in between has slipped from where it was held; where it slid before that, nothing
+        pressed on it.
         """
         before = history.force_n[:, :2]
         after = force_n[:, :2]
         grown = ~history.slipping & (np.hypot(*before.T) < np.hypot(*after.T))
+        grown |= np.sum(before * after, axis=1) < 0.0
         mean = np.where(grown[:, None], after, (before + after) / 2.0)
         return -float(np.sum((mean * (away[:, :2] - self.offset(history)))[slipped]))
 

@@ -16,8 +16,7 @@ mu f_n |v| (upper bound of limit analysis; S. Goyal, A. Ruina and J. Papadopoulo
 307). It explains why there is no equilibrium; it uses the frictionless pressure, which is a few per
 cent off at nu < 0.5 or on a slope, and refuses nothing by itself.
 
-Validity: friction is the same at rest and in motion; one slide for all patches of a probe. A flat
-face keeps the patches of first touch, so it may slide by a small part of its width only.
+Validity: friction is the same at rest and in motion; one slide for all patches of a probe.
 """
 
 from __future__ import annotations
@@ -33,7 +32,13 @@ from twin.errors import ContactError, NotSettled
 from twin.parts.press import INCREMENTS
 from twin.parts.probe import Cone
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
-from twin.world.contact.contact_problem import ContactHistory, Control, FrictionalContact, Trend
+from twin.world.contact.contact_problem import (
+    STAYS,
+    ContactHistory,
+    Control,
+    FrictionalContact,
+    Trend,
+)
 from twin.world.contact.coulomb import solve_coulomb
 from twin.world.contact.friction_law import LAW
 from twin.world.contact.probe_gap import MOTIONS, TURN, X, Y, Z
@@ -227,9 +232,6 @@ def _limit_load_share(
     return float(np.max(motion @ asked / np.maximum(taken, 1e-300)))
 
 
-_SLIDE_LIMIT = 0.05
-"""How far a flat face may slide as a whole, over its smaller width."""
-
 _KNOWN_TO = 0.05
 """How well the limit load is known, over the whole."""
 
@@ -273,9 +275,10 @@ def _refuse_slide(grid: FrictionalContact, history: ContactHistory) -> None:
     patches."""
     from scipy.spatial import cKDTree
 
-    for (setup, _, _), patches, moved in zip(
-        grid.contacts.rows, grid.contacts.grids, history.slid_mm, strict=True
-    ):
+    grid = grid.carried(history.slid_mm)
+    for number, (setup, _, _) in enumerate(grid.contacts.rows):
+        patches = grid.contacts.grids[number]
+        moved = history.slid_mm[number]
         slid = float(np.hypot(*moved))
         if setup.face is None:
             flat = patches.centre_mm @ setup.first.axes[:Z].T
@@ -283,9 +286,10 @@ def _refuse_slide(grid: FrictionalContact, history: ContactHistory) -> None:
             allowed = 4.0 * float(patches.half_mm.max())
             what = "beyond the patches, which lie around where it touched first"
         else:
-            off = slid
-            allowed = _SLIDE_LIMIT * 2 * min(setup.face.half_mm)
-            what = "as a whole, while the patches under a flat face stay where they are"
+            carried = 0.0 if grid.carried_mm is None else grid.carried_mm[number]
+            off = float(np.hypot(*(moved - carried)))
+            allowed = STAYS * 2 * min(setup.face.half_mm)
+            what = "as a whole, on rubber that remembers what pressed on it"
         if off > allowed:
             raise ContactError(
                 f"contact: the {setup.probe.kind} slides (or is lifted) by {slid:.3g} mm, {what} "
@@ -345,28 +349,40 @@ def _elastic_part(
     held: Bools | None,
 ) -> tuple[ContactHistory, Equilibrium]:
     """Solve one part as `_part`, of elastic rubber."""
-    problem = grid.problem(history, control, held)
+    here = grid.carried(history.slid_mm)
+    problem = here.problem(history, control, held)
     if grid.sticks:
         pose = np.where(control.by_force, history.pose, control.given)
         return history, solve(problem, _predict_active(grid, history, pose, guess), pose)
-    found = _from_guess(problem, _predict(grid, problem, history, control, guess))
     start = history.slid_mm
+    faces = all(setup.face is not None for setup in grid.contacts.setups)
+    predicted = _predict(here, problem, history, control, guess)
+    if faces and start.any():  # the displacement may be that of patches elsewhere
+        predicted = _Prediction(
+            force_n=predicted.force_n, pose=predicted.pose, active=predicted.active
+        )
+    found = _from_guess(problem, predicted)
     share = 1.0
-    before = np.zeros_like(history.slid_mm)
+    before = np.zeros_like(start)
+    half_mm = float(here.patches.half_mm.max() if faces else here.patches.half_mm.min())
     for turn in range(_SLIDE_ROUNDS):
-        slid = start + grid.common_slide(history, problem, found)
+        slid = grid.slid(start, problem, found)
         off = slid - history.slid_mm
         late = 2 * turn >= _SLIDE_ROUNDS
-        flat = all(setup.face is not None for setup in grid.contacts.setups)
         known = _SLID_AT_LAST if late else _SLID
-        if float(np.abs(off).max()) <= known * float(grid.patches.half_mm.min()) or flat:
+        there = grid.carried(slid)
+        stays = faces and there is here  # nothing depends on how far it slid
+        if stays or float(np.abs(off).max()) <= known * half_mm:
             return replace(history, slid_mm=slid), found
         if late and float(np.sum(off * before)) < 0.0:
             share /= 2  # to and fro: where a patch comes and goes lies between
         history = replace(history, slid_mm=slid - (1.0 - share) * off)
         before = off
-        problem = grid.problem(history, control, held)
-        found = solve_coulomb(problem, found.force_n, found.pose, found.displacement_mm)
+        there = grid.carried(history.slid_mm)
+        problem = there.problem(history, control, held)
+        moved_mm = found.displacement_mm if there is here else None
+        found = solve_coulomb(problem, found.force_n, found.pose, moved_mm)
+        here = there
     raise NotSettled(
         "contact: the probe slides, and where it slides to does not settle: take smaller steps"
     )
@@ -405,7 +421,7 @@ def _remember(
         slipping=found.slipping & found.active,
         closed_mm=np.where(
             new,
-            -away[:, 2] - np.where(new, grid.moved_gap(history.slid_mm), 0.0),
+            -away[:, 2] - np.where(new, grid.gap_at_touch(history.slid_mm), 0.0),
             history.closed_mm,
         ),
         offset_mm=np.where(new[:, None], away[:, :2], history.offset_mm),
@@ -534,6 +550,24 @@ def _parts(history: ContactHistory, found: Equilibrium, control: Control, most: 
     return min(most, max(1, math.ceil(2.0 * most * max(patches, forces, relaxed))))
 
 
+def _slide_parts(
+    grid: FrictionalContact, history: ContactHistory, way: Floats, increments: int
+) -> int:
+    """Return in how many parts to take a step whose motions by (6 p,) are given, at least
+    ``increments``: in the usual number a smooth probe moves by up to its contact's radius in each.
+
+    Patches that touch within a part are held from where they touched, so that they may not have
+    turned yet to where the probe slides.
+    """
+    parts = increments
+    for setup, rows, motions in grid.contacts.rows:
+        area = float(grid.patches.area_mm2[rows][history.touched[rows]].sum())
+        if setup.face is None and area > 0.0 and not grid.sticks:
+            radii = float(np.hypot(*way[motions][:Z])) / math.sqrt(area / math.pi)
+            parts = max(parts, math.ceil(increments * radii / INCREMENTS))
+    return parts
+
+
 def load_step(
     grid: FrictionalContact, history: ContactHistory, control: Control, increments: int = INCREMENTS
 ) -> tuple[ContactHistory, Equilibrium, str]:
@@ -556,7 +590,7 @@ def load_step(
     Raises
     ------
     ContactError
-        A part has no equilibrium, or a flat face slides too far; `NotSettled` when the first part
+        A part has no equilibrium, or a probe slides too far; `NotSettled` when the first part
         doesn't converge.
     """
     before = None
@@ -586,6 +620,8 @@ def load_step(
                 return with_trend(_remember(grid, history, found, control.time_s)), found, ""
             increments = _parts(history, found, control, increments)
             previous = found if increments == 1 else None
+    way = np.where(control.by_force, 0.0, control.given - start)
+    increments = _slide_parts(grid, history, way, increments)
     powers = np.ones(len(start))
     for setup, rows, motions in grid.contacts.rows:
         if setup.face is None and history.touched[rows].sum() <= 1:

@@ -172,7 +172,7 @@ def _grid_error(setup: ProbeSetup, contact: Box) -> ContactError:
     )
 
 
-_SLIDE_WIDTHS = 1.0
+_SLIDE_WIDTHS = 8.0
 
 
 def _largest_contact(
@@ -266,7 +266,14 @@ def _slid(setup: ProbeSetup, contact: Box, sideways: Floats, grip_mm: float, pla
             "whole path: move it less, or press it again further on"
         )
     u, v = plane.axes[:2] @ (slide / length * sideways @ setup.first.axes[:Z])
-    return Box(u0=contact.u0 + u, u1=contact.u1 + u, v0=contact.v0 + v, v1=contact.v1 + v)
+    width = min(contact.size) if slide > max(contact.size) else math.inf
+    return Box(
+        u0=contact.u0 + u,
+        u1=contact.u1 + u,
+        v0=contact.v0 + v,
+        v1=contact.v1 + v,
+        width_mm=width,
+    )
 
 
 def _frictional_path(programme: LoadProgramme, increments: int) -> tuple[list[ContactState], str]:
@@ -353,7 +360,7 @@ def _frictional_step(
     else:
         _refuse_drag(grid, control, count)
         history, found, stopped = load_step(grid, history, control, increments)
-        _refuse_overlap(grid.contacts, found)
+        _refuse_overlap(grid.carried(history.slid_mm).contacts, found)
         apart = np.array([not found.active[rows].any() for _, rows, _ in grid.contacts.rows])
         if apart.any():
             history = grid.release(history, apart)
@@ -376,6 +383,7 @@ def _states(
     lifted: Bools,
 ) -> list[ContactState]:
     """Return the state of every probe after a step; ``asked`` (p,) are the coefficients given."""
+    grid = grid.carried(history.slid_mm)
     states = []
     for number, (setup, rows, motions) in enumerate(grid.contacts.rows):
         friction = float(asked[number])
