@@ -100,7 +100,7 @@ def meshed(parts):
             edge.name = "touched"
         elif max(abs(low.x), abs(high.x)) < 1e-3:
             edge.name = "axis"
-        elif min(abs(low.y - THICK), abs(high.y - THICK)) < 1e-3:
+        elif abs(low.y - THICK) < 1e-3 and abs(high.y - THICK) < 1e-3:
             edge.name = "held"
     return ng.Mesh(OCCGeometry(glued, dim=2).GenerateMesh(maxh=6.0, grading=0.4))
 
@@ -167,16 +167,23 @@ def solve(case, mesh, order, linear, start):
 
 
 def contact_radius(case, mesh, u, depth, linear):
-    """Return how far from the axis the surface that touches reaches, deformed (linear: at rest), mm."""
+    """Return how far from the axis the surface that touches reaches, deformed (linear: at rest), mm.
+
+    Where pressure falls to 0 as a square root, the force beyond r does so as the power 3/2 of the distance to the end.
+    The force smooths what the penalty leaves in the pressure, so a parabola through its power 2/3 over r^2 ends there.
+    """
     rest = np.linspace(1e-6, case["reach"], 4001)
     moved = np.array([u(mesh(r, 0.0)) for r in rest])
     at = rest if linear else rest + moved[:, 0]
     surface = ng.Mesh(ng.unit_square.GenerateMesh(maxh=2.0))
     above = height(case, 1.2 * case["reach"] * ng.x)
     gap = np.array([above(surface(r / (1.2 * case["reach"]), 0.5)) for r in at]) + moved[:, 1] - depth
-    last = np.flatnonzero(gap < 0.0).max()
-    share = gap[last] / (gap[last] - gap[last + 1])
-    return float(at[last] + share * (at[last + 1] - at[last]))
+    beyond = np.cumsum((np.maximum(-gap, 0.0) * rest)[::-1])[::-1]
+    share = beyond / beyond[0]
+    near = (share > 0.01) & (share < 0.5)
+    ends = np.polynomial.Polynomial.fit(rest[near] ** 2, share[near] ** (2 / 3), 2).roots()
+    end = ends[np.argmin(np.abs(ends - rest[near][-1] ** 2))].real
+    return float(np.interp(math.sqrt(end), rest, at))
 
 
 def pair(case, order, mesh):

@@ -220,7 +220,7 @@ class Sensor:
     >>> ball = twin.Sphere(diameter_mm=6)
     >>> state = sensor.press(twin.Press(probe=ball, force_n=(0, 0, 1)))
     >>> round(state.contact_radius_mm, 1)
-    1.5
+    1.4
     """
 
     def __init__(self, scene: Scene, progress: Progress | None = None) -> None:

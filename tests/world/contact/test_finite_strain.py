@@ -1,6 +1,7 @@
 """Presses at finite strain, on a slab of revolution and on whole bodies: against another code, and what is refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,22 +70,44 @@ def deeper(case):
     ],
 )
 def test_difference_to_linear_theory_is_that_of_another_code(case):
-    """The slab is round and ends 47.5 mm away, the block 45 and 50: that is part of the 0.1 %."""
+    """The slab is round and ends 47.5 mm away, the block 45 and 50: that is part of the 0.04 %."""
     size = {key: case[key] for key in ("diameter_mm", "edge_mm", "apex_deg", "tip_mm") if key in case}
     press = twin.Press(probe=PROBES[case["kind"]](**size), force_n=(0, 0, case["force_n"]))
     straight = made("linear").press(press)
     sensor = made(case.get("law", "neo_hookean"), **{"material.law_ratios": case.get("ratios", ())})
     state = sensor.press(press)
     left, missed = off(case, state.load.strained, PLACES)
-    assert left < 1e-3 < missed / 5
-    assert left < state.error.strain.markers + case["own_error"] < 1e-2
+    rounded = 4e-4 if case.get("edge_mm") == 0.05 else 0.0  # solved with a rim of 0.1 mm
+    assert left < 2.5e-4 + case["own_error"] + rounded < missed / 10
+    assert left < state.error.strain.markers + case["own_error"] < 1e-3
     assert state.indentation_mm / straight.indentation_mm - 1.0 == pytest.approx(deeper(case), abs=2e-3)
-    if "contact_mm" in case:
-        assert state.contact_radius_mm == pytest.approx(case["contact_mm"], rel=1.5e-2)
+    counted_in_patches = case["kind"] == "cylinder"
+    assert state.contact_radius_mm == pytest.approx(case["contact_mm"], rel=2e-2 if counted_in_patches else 1e-2)
     assert state.force_n == pytest.approx([0.0, 0.0, case["force_n"]], abs=1e-9)
     assert state.move_mm[2] == pytest.approx(state.indentation_mm, rel=1e-9)
     added = sensor.displacement(PLACES, state) - made("linear").displacement(PLACES, straight)
     assert added == pytest.approx(state.load.strained.displacement(PLACES), abs=1e-9)
+
+
+@pytest.mark.parametrize("force", [3.0, 6.0])
+def test_stated_error_holds_wherever_in_an_element_the_contact_ends(force):
+    """The mesh is made for another radius than the contact's; elements of equal size leave 0.02 to 0.17 %."""
+    case = next(one for one in TRUTH["cases"] if one["kind"] == "sphere" and one["force_n"] == force)
+    press = twin.Press(probe=BALL, force_n=(0, 0, force))
+    linear, nominal = made("linear"), made().nominal
+    state = linear.press(press)
+    size = largest(linear.displacement(PLACES, state))
+    rows = []
+    for shift in (0.97, 0.99, 1.01, 1.03, 1.045):
+        other = replace(state, contact_radius_mm=shift * state.contact_radius_mm)
+        more = round_slab.SlabStrain(press, nominal.body, nominal.material, other, PLACES)
+        left, _ = off(case, more, PLACES)
+        assert left < more.error.markers + case["own_error"]
+        assert more.error.markers < 4e-4
+        rows.append((more.displacement(PLACES), more.error.markers, more.wider[0]))
+    for field, stated, wider in rows[1:]:
+        assert largest(field - rows[0][0]) < min(stated + rows[0][1], 1.5e-4) * size
+        assert wider == pytest.approx(rows[0][2], rel=5e-3)
 
 
 def test_sharp_rim_is_the_limit_of_sharper_and_sharper_ones():

@@ -147,6 +147,14 @@ def axisymmetric(slope_at, force, largest):
     return radius, depth(radius)
 
 
+@pytest.mark.parametrize("depth", [0.5, 1.0, 1.5, 2.4])
+def test_deep_sphere_is_as_wide_as_sneddons(depth):
+    """a/R = 0.31 to 0.64, where the squared pressure is no quadratic of the place: that would be 0.7 to 4 % off."""
+    radius = brentq(lambda a: a / 2 * math.log((5 + a) / (5 - a)) - depth, 0.1, 4.9)
+    state = pressed(Press(probe=Sphere(diameter_mm=10), indentation_mm=depth))
+    assert state.contact_radius_mm == pytest.approx(radius, rel=0.01)
+
+
 @pytest.mark.parametrize("edge", [0.3, 1.0])
 def test_rounded_punch(edge):
     """A flat middle and a rim that is a quarter of a torus."""

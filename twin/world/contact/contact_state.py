@@ -56,14 +56,11 @@ def _contact_area(
     Notes
     -----
     Under any smooth probe the squared pressure vanishes linearly at the contact's border. Hertz's
-    is a quadratic of the place everywhere, a cone's is near the border, with a fourth-order term,
-    and so is a sphere's on compressible rubber that sticks to it (D. A. Spence 1968); where the fit
-    vanishes, the contact ends. Validity: contacts near an ellipse. Radius at 16 patches across:
-    0.3 % off for a sphere with a/R below 0.25, a cone 0.5 %. A deeper sphere's squared pressure is
-    no quadratic: against Sneddon's exact sphere the radius is 0.7, 1.5, 2.1, 3.2 and 4.0 % too
-    large at a/R = 0.31, 0.43, 0.52, 0.59 and 0.64. The fit is dropped for the sum of the patches,
-    which is 1 to 4 % off, where the two differ by more than 15 %, below 12 patches, and under any
-    other probe.
+    is a quadratic of the place; a deep sphere's has a fourth-order term, too, and near the border
+    so have a cone's and that of a sphere that sticks to compressible rubber (D. A. Spence 1968).
+    Where the fit vanishes, the contact ends. Validity: contacts near an ellipse. The fit is dropped
+    for the sum of the patches, which is 1 to 4 % off, where the two differ by more than 15 %, below
+    12 patches, and under any other probe.
     """
     nu = setup.poisson_ratio
     cone = isinstance(setup.probe, Cone)
@@ -77,25 +74,23 @@ def _contact_area(
     pressure = equilibrium.force_n[rows, 2] / area
     used = pressure <= _EVEN * np.median(pressure) if bent else np.ones(len(rows), bool)
     flat = float(4.0 * np.prod(patches.cell_mm[rows], axis=1).sum())
-    fitted = _area_under(patches.middle_mm[rows], pressure, used, fourth=bent) * counted / flat
+    fitted = _area_under(patches.middle_mm[rows], pressure, used) * counted / flat
     return fitted if abs(fitted / counted - 1.0) < _APART else counted
 
 
-def _area_under(place: Floats, pressure: Floats, used: Bools, *, fourth: bool) -> float:
+def _area_under(place: Floats, pressure: Floats, used: Bools) -> float:
     """Return the area of a contact from its (k,) pressures at places (k, 2), mm2.
 
     The squared pressures that are ``used`` are fitted by least squares with a polynomial of 1, u,
-    v, u^2, u v, v^2 and, with ``fourth``, (u^2 + v^2)^2, where (u, v) is the place from the mean of
-    all places. The contact ends where the polynomial first vanishes on a ray from there; inf where
-    a ray has no end between 0.3 and 1.5 of the largest distance from the mean.
+    v, u^2, u v, v^2 and (u^2 + v^2)^2, where (u, v) is the place from the mean of all places. The
+    contact ends where it first vanishes on a ray from there; inf where a ray has no end between 0.3
+    and 1.5 of the largest distance from the mean.
     """
     away = place - place.mean(axis=0)
     size = float(np.abs(away).max())
     u, v = away[used].T / size
     squared = u * u + v * v
-    terms = np.column_stack(
-        [np.ones(len(u)), u, v, u * u, u * v, v * v, squared**2 if fourth else 0.0 * u]
-    )
+    terms = np.column_stack([np.ones(len(u)), u, v, u * u, u * v, v * v, squared**2])
     wanted = (pressure[used] / pressure.max()) ** 2
     found = np.linalg.lstsq(terms, wanted, rcond=_OWN)[0]
     angle = 2.0 * math.pi / _RAYS * np.arange(_RAYS)
