@@ -319,6 +319,18 @@ def test_refusals(words, probe, steps):
         rubbed(*steps, probe=probe)
 
 
+@pytest.mark.parametrize("probe", [Sphere(diameter_mm=3.5), Cylinder(diameter_mm=8)])
+def test_hardly_any_friction_on_a_slope_is_like_none(probe):
+    """All patches slip down the finger's flank; some can't be met along their normals at the height of first touch."""
+    steps = (push(0.1), push(0.1, move_mm=(0, 0.05, None)))
+    free, little = (
+        pressed(Press(probe=probe, at_mm=(0.4, 2.6), friction=mu, steps=steps), FINGER, across=10, increments=3)
+        for mu in (0.0, 1e-6)
+    )
+    assert little.indentation_mm == pytest.approx(free.indentation_mm, rel=0.02)
+    assert_allclose(little.force_n, free.force_n, atol=0.01 * free.force_n[2])
+
+
 # --- slides of many contact widths ----------------------------------------------------------------
 
 

@@ -452,8 +452,10 @@ class ContactHistory:
     touched, slipping
         (k,) patches in contact, and which of them slipped last.
     closed_mm
-        (k,) by how much the gap of those, had they always moved with the probe, would differ at
-        place 0 from that of the probe's shape.
+        (k,) gap of those at place 0, had they always moved with the probe.
+    shape_mm
+        (k,) gap of the probe's shape at the height of first touch, where it slid to when they
+        touched or slipped last.
     offset_mm
         (k, 2) tangential displacement of those at place 0, likewise.
     pose
@@ -481,6 +483,7 @@ class ContactHistory:
     touched: Bools
     slipping: Bools
     closed_mm: Floats
+    shape_mm: Floats
     offset_mm: Floats
     pose: Floats
     total: Floats
@@ -603,9 +606,7 @@ class FrictionalContact:
         gap = gap - normal @ self.sideways(pose)
         stuck = history.touched & (self.friction[self.contacts.owner] > 0.0)
         gap[stuck] = (
-            history.closed_mm[stuck]
-            + self.gap_at_touch(history.slid_mm)[stuck]
-            - normal[stuck] @ pose
+            history.closed_mm[stuck] + self._slid_since(history)[stuck] - normal[stuck] @ pose
         )
         slope[stuck] = -normal[stuck]
         if history.moved_mm is not None:
@@ -615,8 +616,25 @@ class FrictionalContact:
 
     def gap_at_touch(self, slid_mm: Floats) -> Floats:
         """Return (k,) the gaps of probes at the height of first touch that slid there; inf where
-        they slid away."""
-        return self._slid_gap(slid_mm, np.zeros(len(self.friction)))[0]
+        they can't be met along a patch's normal."""
+        key = slid_mm.tobytes()
+        if key not in self._gaps:
+            self._gaps.clear()
+            self._gaps[key] = self._slid_gap(slid_mm, np.zeros(len(self.friction)))[0]
+        return self._gaps[key]
+
+    @cached_property
+    def _gaps(self) -> dict[bytes, Floats]:
+        """The gaps at touch where the probes slid last."""
+        return {}
+
+    def _slid_since(self, history: ContactHistory) -> Floats:
+        """Return (k,) by how much slides have changed the gaps of patches since they touched or
+        slipped; inf where the probe slid away."""
+        now = self.gap_at_touch(history.slid_mm)
+        known = np.isfinite(history.shape_mm)
+        then = np.where(known, history.shape_mm, 0.0)
+        return np.where(known, now - then, 0.0)
 
     def offset(self, history: ContactHistory) -> Floats:
         """Return (k, 2) from where each patch's slip counts.
@@ -660,6 +678,7 @@ class FrictionalContact:
             touched=np.zeros(k, bool),
             slipping=np.zeros(k, bool),
             closed_mm=np.zeros(k),
+            shape_mm=np.zeros(k),
             offset_mm=np.zeros((k, 2)),
             pose=np.zeros(MOTIONS * p),
             total=np.zeros(MOTIONS * p),
@@ -673,7 +692,10 @@ class FrictionalContact:
         touched = gap <= 1e-9
         for _, rows, _ in self.contacts.rows:
             touched[rows] &= np.count_nonzero(touched[rows]) > 1
-        return replace(nothing, touched=touched)
+        closed = np.where(touched, gap, 0.0)
+        return replace(
+            nothing, touched=touched, closed_mm=closed, shape_mm=self.gap_at_touch(nothing.slid_mm)
+        )
 
     def release(self, history: ContactHistory, lifted: Bools) -> ContactHistory:
         """Return the history of probes (p,) that have been lifted off: they touch again where they

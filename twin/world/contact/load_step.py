@@ -419,11 +419,8 @@ def _remember(
         memory=memory,
         touched=found.active.copy(),
         slipping=found.slipping & found.active,
-        closed_mm=np.where(
-            new,
-            -away[:, 2] - np.where(new, grid.gap_at_touch(history.slid_mm), 0.0),
-            history.closed_mm,
-        ),
+        closed_mm=np.where(new, -away[:, 2], history.closed_mm),
+        shape_mm=np.where(new, grid.gap_at_touch(history.slid_mm), history.shape_mm),
         offset_mm=np.where(new[:, None], away[:, :2], history.offset_mm),
         pose=found.pose.copy(),
         total=found.total.copy(),

@@ -400,7 +400,7 @@ def _states(
             continue
         patches = grid.contacts.grids[number]
         own = found.part(rows, motions)
-        touch_z = _touch_z(setup, history, number)
+        touch_z = _touch_z(setup, history.slid_mm[number], own.pose)
         setup.check_inside(patches, own, float(own.pose[Z]) - touch_z)
         states.append(
             ContactState.touching(
@@ -425,11 +425,11 @@ def _lifted_by_force(control: Control) -> bool:
     return bool(control.by_force[Z] and control.given[Z] == 0.0)
 
 
-def _touch_z(setup: ProbeSetup, history: ContactHistory, number: int) -> float:
-    """Return the z of first touch where a probe slid to."""
-    if not history.slid_mm[number].any():
+def _touch_z(setup: ProbeSetup, slid_mm: Floats, pose: Floats) -> float:
+    """Return the z of first touch of a probe at its place (6,), if it slid there."""
+    if not slid_mm.any():
         return 0.0
-    return setup.touch_z(np.array([*history.slid_mm[number], *np.zeros(MOTIONS - 2)]))
+    return setup.touch_z(np.array([*pose[:Z], *np.zeros(MOTIONS - Z)]))
 
 
 def _refuse_drag(grid: FrictionalContact, control: Control, count: int) -> None:
