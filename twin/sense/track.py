@@ -142,6 +142,7 @@ class Found(Table):
         return float(1.4826 * np.median(np.abs(shift - np.median(shift, axis=0))))
 
 
+@one_blas_thread()
 def track(
     rest_image: Picture,
     image: Picture,
