@@ -102,11 +102,12 @@ def colour_blocks(picture: Picture) -> tuple[int, int] | None:
     return first[0], first[1]
 
 
-BLOCK, REPEATED, SAME_PICTURE = 8, 0.01, 0.9
-"""A film's codec repeats blocks of the picture before: it has if of those that are not all of one
-colour more than the second share are the same to the last count, and less than the third. No
-camera's noise repeats one. JPEG by itself may repeat blocks of its own grid (3 in 100 at quality
-60), but hardly any that lie across (.8 in 100), so both are looked at."""
+BLOCK, DARK_DN, REPEATED, SAME_PICTURE = 8, 24, 0.01, 0.9
+"""A film's codec repeats blocks of the picture before: it has if of those that are not dark all
+over, or all of one level, more than the third share are the same to the last count, and less than
+the last. No camera's noise repeats one, but compression rounds that of dark ground away. JPEG by
+itself may repeat blocks of its own grid (3 in 100 at quality 60), but hardly any that lie across
+(.8 in 100), so both are looked at."""
 
 
 def repeats_blocks(before: Picture, picture: Picture) -> bool:
@@ -119,23 +120,24 @@ def repeats_blocks(before: Picture, picture: Picture) -> bool:
 
 @njit(cache=True)
 def _share_repeated(before, picture):
-    """Return the share of the blocks of more than one colour that are the same in both pictures."""
+    """Return the share of the blocks, but dark and even ones, that are the same in both
+    pictures."""
     same, other = 0, 0
     for row in range(0, picture.shape[0] - BLOCK + 1, BLOCK):
         for column in range(0, picture.shape[1] - BLOCK + 1, BLOCK):
-            alike, plain = True, True
+            alike, even, highest = True, True, 0
             for y in range(row, row + BLOCK):
                 for x in range(column, column + BLOCK):
                     for channel in range(3):
                         value = picture[y, x, channel]
-                        plain = plain and value == picture[row, column, channel]
+                        highest = max(highest, value)
+                        even = even and value == picture[row, column, channel]
                         alike = alike and value == before[y, x, channel]
-                if not alike:
+                if not alike and highest > DARK_DN:
                     break
-            if not alike:
-                other += 1
-            elif not plain:
-                same += 1
+            if highest > DARK_DN:
+                same += alike and not even
+                other += not alike
     return same / max(same + other, 1)
 
 
