@@ -5,9 +5,9 @@ them. So two probes are no special case: the solvers see more patches and more m
 
 **History.** One grid of patches serves a whole path with friction. A patch stores where it touched
 or last slipped to, and moves with the probe from there. The gap of one that has not touched follows
-the exact shape of the probe as it is lowered; sideways the surface near a probe moves with it. What
-all patches of a probe slip in common is a slide of the whole probe, and gaps are taken where it
-slid to.
+the exact shape of the probe as it comes along the normal; sideways the surface near a probe moves
+with it. What all patches of a probe slip in common is a slide of the whole probe, and gaps are
+taken where it slid to.
 """
 
 from __future__ import annotations
@@ -580,29 +580,51 @@ class FrictionalContact:
         """Return a place without its motions along the directions of approach."""
         return np.where(self.contacts.along_z, 0.0, pose)
 
-    def _slid_gap(self, slid_mm: Floats, along_z: Floats) -> tuple[Floats, Floats]:
-        """Return gaps and slopes of probes that were lowered, and slid but not carried the surface
-        along."""
+    def _slid_gap(self, slid_mm: Floats, lowered_mm: Floats) -> tuple[Floats, Floats]:
+        """Return gaps, and slopes, of probes that slid by (p, 2) but not carried the surface along,
+        and then moved by (p, 3) along their own axes."""
         gap = np.zeros(len(self.patches))
         slope = np.zeros((len(self.patches), len(self.contacts.along_z)))
         for number, (setup, rows, motions) in enumerate(self.contacts.rows):
             grid = self.contacts.grids[number]
-            first = setup.first
-            lowered = np.zeros(MOTIONS)
-            lowered[Z] = along_z[number]
+            place = np.zeros(MOTIONS)
+            place[: Z + 1] = lowered_mm[number]
             if setup.face is None:
-                lowered[:Z] = slid_mm[number]
+                place[:Z] += slid_mm[number]
             elif self.carried_mm is not None:
-                lowered[:Z] = self.carried_mm[number]
-            gap[rows], slope[rows, motions] = self.contacts.gap_under(number, lowered)
-            gap[rows] += grid.frames[:, 2] @ (slid_mm[number] @ first.axes[:Z])
+                place[:Z] += self.carried_mm[number]
+            gap[rows], slope[rows, motions] = self.contacts.gap_under(number, place)
+            gap[rows] += grid.frames[:, 2] @ (slid_mm[number] @ setup.first.axes[:Z])
         return gap, slope
+
+    def _normal_motion(self, history: ContactHistory) -> Floats:
+        """Return (p, 3) how far a motion by 1 along a probe's z brings it towards the surface that
+        it touches, along its own axes: its part along the mean normal there, and all of it where
+        the surface isn't carried along."""
+        near = self.gap_at_touch(history.slid_mm)
+        normals = self.patches.frames[:, 2]
+        found = np.tile([0.0, 0.0, 1.0], (len(self.friction), 1))
+        for number, (setup, rows, _) in enumerate(self.contacts.rows):
+            if self.friction[number] == 0.0:
+                continue
+            touched = np.flatnonzero(history.touched[rows]) + rows.start
+            if len(touched) == 0:
+                touched = np.array([rows.start + np.argmin(near[rows])])
+            normal = setup.first.axes @ normals[touched].mean(axis=0)
+            normal /= np.linalg.norm(normal)
+            found[number] = normal[Z] * normal
+        return found
 
     def gap(self, history: ContactHistory, pose: Floats) -> tuple[Floats, Floats]:
         """Return (k,) gaps and (k, 6 p) slopes at a place."""
-        gap, slope = self._slid_gap(history.slid_mm, pose[self.contacts.along_z])
+        towards = self._normal_motion(history)
+        lowered = towards * pose[self.contacts.along_z][:, None]
+        gap, slope = self._slid_gap(history.slid_mm, lowered)
+        own = slope.reshape(len(gap), -1, MOTIONS)[:, :, : Z + 1]
+        along_z = np.zeros_like(slope)
+        along_z[:, self.contacts.along_z] = np.einsum("kpi,pi->kp", own, towards)
         normal = self.contact_jacobian[:, 2]
-        slope = np.where(self.contacts.along_z, slope, -normal)
+        slope = np.where(self.contacts.along_z, along_z, -normal)
         gap = gap - normal @ self.sideways(pose)
         stuck = history.touched & (self.friction[self.contacts.owner] > 0.0)
         gap[stuck] = (
@@ -620,7 +642,7 @@ class FrictionalContact:
         key = slid_mm.tobytes()
         if key not in self._gaps:
             self._gaps.clear()
-            self._gaps[key] = self._slid_gap(slid_mm, np.zeros(len(self.friction)))[0]
+            self._gaps[key] = self._slid_gap(slid_mm, np.zeros((len(self.friction), 3)))[0]
         return self._gaps[key]
 
     @cached_property
