@@ -46,6 +46,7 @@ NARROW: dict[tuple[str, str], Strategy] = {
     ("Light", "colours"): st.just(()),  # as many as LEDs, which are drawn apart
     ("Ccd", "frames_per_second"): st.none(),  # exposure and readout must fit a frame
     ("Ccd", "readout_ms"): st.just(0.0),
+    ("Reconstruction", "frames_per_second"): st.none(),  # for rubber that relaxes
     ("Cover", "thickness_mm"): st.floats(0.05, 0.4),
     ("Cover", "youngs_modulus_mpa"): st.none(),
     ("Cover", "poisson_ratio"): st.none(),

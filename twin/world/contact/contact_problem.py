@@ -743,9 +743,9 @@ class FrictionalContact:
         its patches slip, as far as it came ahead of those that it carries along furthest, else as
         far as at the ``start`` (p, 2).
 
-        The mean over a tenth of that distance, as the least one alone may jump between patches that
-        mirror each other. A patch stays where it is in the body, so that slips of patches, which
-        come and go under a probe, don't add up to its slide.
+        The mean over those in the first tenth of all distances, as the least one alone may jump
+        between patches that mirror each other. A patch stays where it is in the body, so that slips
+        of patches, which come and go under a probe, don't add up to its slide.
         """
         whole = start.copy()
         for number, (setup, rows, _) in enumerate(self.contacts.rows):
@@ -757,7 +757,7 @@ class FrictionalContact:
                 - problem.contact_jacobian[active, :2] @ found.pose
             )
             length = np.hypot(behind[:, 0], behind[:, 1])
-            least = length <= 1.1 * length.min()
+            least = length <= length.min() + 0.1 * np.ptp(length)
             frames = self.patches.frames[active[least], :2]
             whole[number] = -setup.first.axes[:Z] @ np.einsum(
                 "ka,kai->ki", behind[least], frames
