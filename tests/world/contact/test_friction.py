@@ -390,7 +390,7 @@ def test_a_slide_there_and_back_takes_friction_times_the_way():
     there, back = rubbed(down(0.1), sideways(6), sideways(-6), probe=FACE, across=10, increments=8)[1:]
     carried = 6.0 - centre_of(there)[0]  # the rubber goes along so far before all slips, and back twice
     way = 2 * 6.0 - 3 * carried
-    assert back.dissipated_nmm == pytest.approx(MU * back.force_n[2] * way, rel=1e-4)
+    assert back.dissipated_nmm == pytest.approx(MU * back.force_n[2] * way, rel=2e-3)
     assert_allclose(back.force_n, there.force_n * [-1, 1, 1], atol=1e-9)
 
 
