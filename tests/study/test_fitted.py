@@ -82,4 +82,4 @@ def test_five_presses_beat_the_drawing():
             exact = np.stack([truth.square(place, 0.625)[number] for place in BETWEEN], axis=1)
             off.append(np.linalg.norm(transfer.reshape(exact.shape) - exact) / np.linalg.norm(exact))
         assert off[0] < 0.01
-        assert off[0] < 0.5 * off[1]
+        assert off[0] < 0.6 * off[1]

@@ -305,14 +305,14 @@ def _measured(scene: Scene, place: Ints, force_n: Floats, found: Sequence[Found]
 def calibration_press(scene: Scene, places: Rectangles, index: int) -> Press:
     """Return the path of one calibration press: to the wanted force, then along x, then along y.
 
-    The sphere's axis is set off so that under load it stands over the place along the surface's
-    normal: its centre is then a radius less the expected indentation away.
+    The sphere's axis is set off so that it touches first at the place, whose rubber sticks to it
+    and is carried along.
     """
     wanted = scene.calibration
     normal = places.frames[index, 2]
     radius = wanted.press_probe_mm / 2
     contact_radius = min(hertz_radius(scene, wanted.press_force_n * float(normal[2])), radius)
-    x, y = places.centre_mm[index, :2] - (radius - contact_radius**2 / radius) * normal[:2]
+    x, y = places.centre_mm[index, :2] - radius * normal[:2]
     shear = SHEAR_SHARE * contact_radius
     return Press(
         probe=Sphere(diameter_mm=wanted.press_probe_mm),
