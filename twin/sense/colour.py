@@ -102,12 +102,21 @@ def colour_blocks(picture: Picture) -> tuple[int, int] | None:
     return first[0], first[1]
 
 
-BLOCK, DARK_DN, REPEATED, SAME_PICTURE = 8, 24, 0.01, 0.9
-"""A film's codec repeats blocks of the picture before: it has if of those that are not dark all
-over, or all of one level, more than the third share are the same to the last count, and less than
-the last. No camera's noise repeats one, but compression rounds that of dark ground away. JPEG by
-itself may repeat blocks of its own grid (3 in 100 at quality 60), but hardly any that lie across
-(.8 in 100), so both are looked at."""
+BLOCK = 8
+"""Side of the blocks by which a film's codec is known, px."""
+
+REPEATED = 0.01
+"""A film's codec repeats blocks of the picture before. It has if more than this share of them are
+the same to the last count: no camera's noise repeats one. JPEG by itself may repeat blocks of its
+own grid (3 in 100 at quality 60), but hardly any that lie across (.8 in 100), so both are looked
+at."""
+
+SAME_PICTURE = 0.9
+"""If as many are the same, it is the same picture twice."""
+
+DARK_DN = 24
+"""Blocks that are nowhere brighter do not count: compression rounds the noise of dark ground away.
+Nor do those that are all of one level."""
 
 
 def repeats_blocks(before: Picture, picture: Picture) -> bool:
@@ -141,11 +150,19 @@ def _share_repeated(before, picture):
     return same / max(same + other, 1)
 
 
-STANDS_OUT, LEAST_STAND_DN, PEAK, MOST_BAD = 8.0, 12.0, 3, 0.01
+STANDS_OUT, LEAST_STAND_DN = 8.0, 12.0
 """A pixel is bad if it is brighter, or darker, than all but one of its eight neighbours by so many
-standard deviations of the noise, and so many counts, and by so many times what these differ by: a
-lens spreads light over several pixels, and so does a mosaic of colours. If more than this share
-are so, it is the picture's texture."""
+standard deviations of the noise, at least so many counts."""
+
+PEAK = 3
+"""And more, by so many times what these neighbours differ by: a lens spreads light over several
+pixels, and so does a mosaic of colours."""
+
+MOST_BAD = 0.01
+"""If more than this share of the pixels are so, it is the picture's texture."""
+
+RING = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if (row, column) != (0, 0)]
+"""A pixel's eight neighbours."""
 
 
 def bad_pixels(picture: Picture) -> tuple[Ints, Ints, Ints]:
@@ -170,10 +187,6 @@ def bad_pixels(picture: Picture) -> tuple[Ints, Ints, Ints]:
         bad[:] = False
     rows, columns, channels = np.nonzero(bad)
     return rows, columns, channels
-
-
-RING = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if (row, column) != (0, 0)]
-"""A pixel's eight neighbours."""
 
 
 def _repaired(picture: Picture, bad: tuple[Ints, Ints, Ints]) -> Picture:

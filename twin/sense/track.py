@@ -28,11 +28,14 @@ CACHE_LINE = 64
 """Bytes that memory hands over at once. Reading a picture once in order before markers are fitted
 here and there takes a third of the time that it saves."""
 
-FILM, REPEATING = 3.0, 4.0
+FILM = 3.0
 """Errors of a film over those that the shape of its markers shows: its codec moves blocks of the
 picture before by motion vectors in steps of a quarter of a pixel, and drops small corrections. That
 moves a marker as a whole, in steps that no single picture shows. Measured: 1.1 to 4 (H.264 and
-MPEG-4, .8 to 8 bits a pixel); the second where it repeats blocks (grey ones: 1.7 to 5)."""
+MPEG-4, .8 to 8 bits a pixel)."""
+
+REPEATING = 4.0
+"""The same of a film that repeats blocks of the picture before. Measured in grey ones: 1.7 to 5."""
 
 COMPARED = 50
 """So many of a sequence's first pictures are compared with the one before, to find a codec."""

@@ -42,7 +42,7 @@ from twin.world.contact.probe_gap import (
 )
 from twin.world.contact.surface_patches import Box, Footprint, Patches, Plane
 
-STAYS = 0.05
+_STAYS = 0.05
 """How far a flat face slides before its patches go along, over its smaller width."""
 
 
@@ -108,6 +108,11 @@ class ProbeSetup:
         a, b = half_extent(probe)
         half = (edge + (a - edge) * first, edge + (b - edge) * upright / first)
         return Footprint(half_mm=half, is_round=is_round, edge_mm=edge)
+
+    @property
+    def stays_mm(self) -> float:
+        """How far its flat face slides before the patches under it go along, mm."""
+        return 0.0 if self.face is None else _STAYS * 2.0 * min(self.face.half_mm)
 
     @property
     def is_free_form(self) -> bool:
@@ -530,8 +535,7 @@ class FrictionalContact:
         away = np.zeros_like(slid_mm)
         for number, setup in enumerate(self.contacts.setups):
             if setup.face is not None and self.relaxation is None:
-                least = STAYS * 2.0 * min(setup.face.half_mm)
-                away[number] = slid_mm[number] * (math.hypot(*slid_mm[number]) > least)
+                away[number] = slid_mm[number] * (math.hypot(*slid_mm[number]) > setup.stays_mm)
         if not away.any():
             return self
         if away.tobytes() not in self._places:

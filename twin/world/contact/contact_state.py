@@ -178,8 +178,8 @@ class Share:
     traction
         Root mean square error of the tractions over their root mean square.
     markers
-        Largest error of the markers' displacement over the largest displacement; of the surface in
-        contact where there are no markers.
+        Largest error of the markers' displacement over the largest displacement; where there are
+        no markers, of points 0.3 mm below the contact.
     """
 
     force: float = 0.0
@@ -271,7 +271,7 @@ class ContactState(Table):
         Total torque about the probe's axis, positive from x to y.
     torques_nmm
         (3,) total torque about the place of the probe's lowest point at first touch, moved along
-        its x and y if there is no friction; global axes.
+        its x and y if there is no friction, or by how far a flat face slid; global axes.
     contact_radius_mm
         Radius of the disc of the contact's area; of a deep sphere too large, by 1.5 % at 0.43 of
         its radius and 4 % at 0.64.

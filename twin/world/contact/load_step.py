@@ -32,13 +32,7 @@ from twin.errors import ContactError, NotSettled
 from twin.parts.press import INCREMENTS
 from twin.parts.probe import Cone
 from twin.world.contact.active_set import Equilibrium, UnilateralProblem, solve
-from twin.world.contact.contact_problem import (
-    STAYS,
-    ContactHistory,
-    Control,
-    FrictionalContact,
-    Trend,
-)
+from twin.world.contact.contact_problem import ContactHistory, Control, FrictionalContact, Trend
 from twin.world.contact.coulomb import solve_coulomb
 from twin.world.contact.friction_law import LAW
 from twin.world.contact.probe_gap import MOTIONS, TURN, X, Y, Z
@@ -288,7 +282,7 @@ def _refuse_slide(grid: FrictionalContact, history: ContactHistory) -> None:
         else:
             carried = 0.0 if grid.carried_mm is None else grid.carried_mm[number]
             off = float(np.hypot(*(moved - carried)))
-            allowed = STAYS * 2 * min(setup.face.half_mm)
+            allowed = setup.stays_mm
             what = "as a whole, on rubber that remembers what pressed on it"
         if off > allowed:
             raise ContactError(

@@ -2,7 +2,7 @@
 
 `press` checks the description and takes the path. Without friction every state depends on the
 poses alone, and each step has grids of its own. With friction one grid serves the whole path
-(`twin.world.contact.load_step`).
+(`twin.world.contact.load_step`); under a flat face that slides it goes along.
 
 Validity: linear elasticity, small turns and slopes; forces act along the normals of the undeformed
 surface. Every state has a measure of how far it strains that.
@@ -173,6 +173,7 @@ def _grid_error(setup: ProbeSetup, contact: Box) -> ContactError:
 
 
 _SLIDE_WIDTHS = 8.0
+"""How far a round probe may slide, over its contact's width: one grid holds its whole path."""
 
 
 def _largest_contact(
