@@ -2,21 +2,18 @@
 
 Why a template: brightness that falls off to one side looks much like motion. Fitted in every
 picture, that slope would cost half of the information in an 8 px marker. So all parameters are
-fitted to the rest picture, and centre, level, ground and scale alone to the others
-(`twin.sense.template`). An error of the slope is then the same in both pictures and cancels in the
-shift.
+fitted to the rest picture (`twin.sense.rest_templates`), and centre, level, ground and scale alone
+to the others (`twin.sense.template`). An error of the slope is then the same in both pictures and
+cancels in the shift.
 
-**Slope of brightness.** The slope across a marker has two parts. One follows from the lamps and is
-a smooth function of the place in the picture (a quadratic); it changes as a marker moves. The other
-belongs to the marker and moves with it; it is used where it is large.
-
-**Projection.** A layer's projection removes the other layers' colours and otherwise has the least
-noise: for pure dyes it is the one channel that shows the marker. The paper's difference of red and
-blue has the noise of two channels. It is used to find spots, not to measure centres.
+A picture is measured in three steps. `DiscFit._fit` fits all markers; one that no longer looks as
+at rest is fitted with an outline and blur of its own, or by the part of it that is in sight
+(`twin.sense.shape_fit`). `_judge` refuses fits that don't look like the marker. `DiscFit._judged`
+states the standard deviations: that of the noise, also where it hangs together over pixels, and
+what the edge, the slope of brightness and the size add that the model lacks.
 
 After a first picture fits start where the last ones ended; where too many of them fail the whole
-picture is searched. Fits that don't look like the marker are refused, and the standard deviation
-of the others grows where their edge does not fit.
+picture is searched.
 """
 
 from __future__ import annotations
@@ -46,15 +43,23 @@ from twin.sense.centre import (
     Look,
     Seen,
 )
-from twin.sense.colour import LUMA
 from twin.sense.match import GATE, TRUST, Neighbourhood
+from twin.sense.rest_templates import (
+    LINEAR,
+    OUTLYING,
+    USUAL,
+    bounded_rms,
+    layer_signals,
+    make_templates,
+    noise_now,
+    smooth_gradient,
+)
 from twin.sense.shape_fit import Expected, fit_shapes, fit_visible
 from twin.sense.soft_window import SoftWindow
 from twin.sense.template import (
     CENTRE,
     CENTRE_X,
     CENTRE_Y,
-    COLUMNS,
     DIFFERENCE,
     DOUBTED,
     EDGE,
@@ -65,7 +70,6 @@ from twin.sense.template import (
     LEVEL,
     MARGIN_PX,
     MISFIT,
-    NO_RUNS,
     ONE_SIDED,
     OWN_SHAPE,
     PART_IN_SIGHT,
@@ -85,35 +89,12 @@ from twin.sense.template import (
     VAR_TILTED,
     VARIANCE,
     Templates,
-    disc,
-    gather,
     slope_terms,
 )
 
-USUAL_BLUR_PX = 2.0
-"""Half width of a sharp lens' blur with the pixel's, px (.75 px standard deviation): where the
-search starts."""
-
-SMOOTHER, LEAST_LUMA = 0.8, 0.2
-"""Brightness replaces a layer's colour where it has this share of the contrast (blue's has not),
-and third harmonics of edges at rest (`_coherence`) are smaller by this factor."""
-
-SHOWS = 0.3
-"""Another layer shows where it has this share of its usual level."""
-
-OWN_SLOPE = 0.3
-"""A marker's own slope, over its radius, counts above this: a neighbour's shadow feigns smaller
-ones, and then moves."""
-
-SAMPLE = 40
-"""About how many markers give the layer's blur and bulge."""
-
-WHITE = 1.3
-"""Noise that leaves residuals up to so many times as large, squared, as it has in single pixels
-does not."""
-
-QUADRATIC, LINEAR = 30, 12
-"""From how many markers on their shared slope is a quadratic, or linear, function of the place."""
+SMOOTHER = 0.8
+"""Brightness replaces a layer's colour where third harmonics of edges at rest (`_coherence`) are
+smaller by this factor."""
 
 RELIT = 5.0
 """Standard deviations of a marker's slope of brightness by which a change that all markers share
@@ -122,8 +103,6 @@ exceeds chance: then the light may have changed."""
 AGREE = 0.25
 """Share, squared, of the markers' change of slope that may be left by what the change from marker
 to marker explains."""
-
-LEAST_CONTRAST_DN = 5.0
 
 LEAST_EDGE = 0.5
 """Share of its edge by which a marker is measured; with less in sight it counts as hidden."""
@@ -162,9 +141,9 @@ than this factor times what they did at rest: a shadow that moves is missed twic
 DIFFERS = 2.5
 """Standard deviations from its neighbours' beyond which an outline is not their common strain."""
 
-LEAST_PART, WORST_PART_PX = 0.2, 0.1
+LEAST_PART, WORST_PART_PX, PART_SETTLED_PX = 0.2, 0.1, 0.05
 """A partly hidden marker is measured by at least this share of its edge's information, to at least
-this standard deviation."""
+this standard deviation, by a fit whose last step was smaller than the last."""
 
 UNSETTLED_PX = 0.3
 """A fit whose last step was larger has found nothing."""
@@ -200,19 +179,9 @@ TILTS = 0.5
 """Share of the motion by a changed slope of brightness that is an error of the centre: of beads in
 a block .25, of prints in shadow on the finger .6 to .85."""
 
-USUAL = 0.25
-"""Share of the markers that fit better than what is called usual."""
-
 MORE_UNUSUAL = 1.12
 """Largest factor by which residuals are usual where most markers have changed their shape: larger
 outlines reach over more of the ground's texture."""
-
-OUTLYING = 3.0
-"""A third harmonic of more medians counts as one of so many: under moving shadows up to a quarter
-of a layer may have more."""
-
-PLACES = 1200
-"""About at how many places of a picture the ground is looked at (`_ground_coherence`)."""
 
 LEAST_SCORES = 4
 """From so many numbers on a median is taken."""
@@ -241,35 +210,14 @@ class DiscFit(SoftWindow):
         cls, picture: Picture, looks: list[Look], spacing_px: float, given: bool
     ) -> Sequence[DiscFit]:
         spots = SoftWindow.at_rest(picture, looks, spacing_px, given)
-        centres, widths = [s.spot_px for s in spots], [look.diameter_px for look in looks]
-        marks = np.concatenate(centres)
-        own = [np.asarray(look.weights) for look in looks]
-        colours = [_colour_of(picture, c, w) for c, w in zip(centres, widths, strict=True)]
-        visible = all(np.abs(colour).max() >= LEAST_CONTRAST_DN for colour in colours)
-        if not given and len(looks) > 1 and visible:
-            inverse = np.linalg.pinv(np.array(colours), rcond=0.05).T
-            own = [row / max(float(np.abs(row).max()), 1e-12) for row in inverse]
-        sample = picture[::4, ::4].reshape(-1, 3).astype(float)
-        ground = [float(np.median(sample @ weights)) for weights in own]
-        shows = [
-            [*weights, dark + max(SHOWS * float(weights @ colour), 4.0)]
-            for weights, dark, colour in zip(own, ground, colours, strict=True)
-        ]
-
-        def fitted(number: int, weights: Floats) -> DiscFit:
-            mine = np.array([*weights, np.median(sample @ weights)], np.float32)
-            others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
-            made, start = _make_templates(picture, mine, others, spots[number], widths[number])
-            made = replace(made, ground_coherence=_ground_coherence(picture, made, marks))
-            return cls._fitted(picture, spots[number], made, start)
-
+        places = [spot.spot_px for spot in spots]
+        marks = np.concatenate(places)
         groups = []
-        for number, colour in enumerate(colours):
-            group = fitted(number, own[number])
-            bright = float(LUMA @ colour)
-            shows_in_luma = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())
-            if not given and group.templates.coherent and shows_in_luma:
-                rival = fitted(number, np.sign(bright) * LUMA / LUMA.max())
+        for spot, signal in zip(spots, layer_signals(picture, looks, places, given), strict=True):
+            group = cls._by(picture, spot, signal.own, signal.others, marks)
+            # Compression keeps more of the brightness than of the colours: is that the better one?
+            if signal.brightness is not None and group.templates.coherent:
+                rival = cls._by(picture, spot, signal.brightness, signal.others, marks)
                 if rival.roughness_px < SMOOTHER * group.roughness_px:
                     group = replace(rival, templates=replace(rival.templates, coherent=True))
             groups.append(group)
@@ -282,18 +230,24 @@ class DiscFit(SoftWindow):
         return float(np.nanmedian(third)) if np.isfinite(third).any() else np.inf
 
     @classmethod
-    def _fitted(
-        cls, picture: Picture, spots: SoftWindow, templates: Templates, start: Pixels
+    def _by(
+        cls, picture: Picture, spots: SoftWindow, own: Singles, others: Singles, marks: Pixels
     ) -> DiscFit:
-        """Take the fits' centres for the rest positions."""
+        """Make the templates of one layer's ``spots`` by the projection ``own``, and take the
+        centres of their fits for the rest positions."""
+        templates, start = make_templates(
+            picture, own, others, spots.spot_px, spots.cut, spots.look.diameter_px, marks
+        )
         around = Neighbourhood.of(start, spots.around.spacing_px)
         known = vars(spots) | {"around": around, "start_px": start}
+        # Markers that the frame cuts are fitted by their part in sight.
         fitted = templates.fit(picture, start, around.lead)
         here = cls(**known | {"templates": templates})
         cut = here._cut(fitted, start)
         if cut.any():
             fitted[cut] = here._fit(picture, start, around.lead)[cut]
         templates = replace(templates, rest=fitted.copy())
+        # Rest positions, their standard deviations, and those of shifts to a picture alike.
         good = (fitted[:, EDGE] > LEAST_EDGE) & (fitted[:, LEVEL] >= spots.look.contrast_dn)
         good &= ~cut | (fitted[:, RESHAPED] == PART_IN_SIGHT)
         sd = np.where(good, _centre_sds(fitted, templates.usual_misfit), np.nan)
@@ -325,11 +279,10 @@ class DiscFit(SoftWindow):
         return replace(self._judged(fitted, state), spurious_px=spurious)
 
     def _fit(self, picture: Picture, start_px: Pixels, lead: Ints | None = None) -> Floats:
-        """Fit the templates; those that no longer look as at rest with a shape of their own,
-        outline and blur; and by the part in sight those that differ from their neighbours, or that
-        the picture's frame cuts."""
+        """Return (n, `COLUMNS`) fits of all markers, also of those that don't look as at rest."""
         templates = self.templates
         fitted = templates.fit(picture, start_px, lead)
+        # Where the light has changed over the picture, slopes of brightness follow it.
         change = self._change_of_light(fitted)
         if change is not None:
             templates = replace(templates, slopes=templates.slopes + change)
@@ -338,49 +291,94 @@ class DiscFit(SoftWindow):
         cut = self._cut(fitted, start_px)
         if not (np.fmax.reduce(fitted[:, DOUBTED]) > 0.0 or cut.any()):
             return fitted  # nearly always
+        return self._refit(picture, templates, fitted, cut, start_px)
+
+    def _refit(
+        self, picture: Picture, templates: Templates, fitted: Floats, cut: Bools, start_px: Pixels
+    ) -> Floats:
+        """Return the fits with those replaced that no longer look as at rest: by ones with a shape
+        of their own, or of the part in sight for markers that differ from their neighbours or that
+        the picture's frame ``cut`` (n,)."""
         fitted[cut, MISFIT] = np.nan
         odd, doubted = self._unusual(fitted, fitted[:, MISFIT], templates.usual_misfit)
         doubted |= cut
         if not (odd | doubted).any():
             return fitted
+        # If most markers are unusual, the noise may have grown: then they are fitted again.
         places = for_kernel(fitted[:, CENTRE])
         if 2 * odd.sum() > np.isfinite(places[:, 0]).sum():
-            templates = replace(templates, noise=_noise_now(picture, templates, places))
+            templates = replace(templates, noise=noise_now(picture, templates, places))
             fitted = templates.fit(picture, places)
             odd, doubted = self._unusual(fitted, fitted[:, MISFIT], templates.usual_misfit)
+        # Outlines as they are now: those at rest, grown, or a shape of their own.
         radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
         growth = (fitted[:, SCALE] - 1.0) * radius
-        axes = templates.shape[:, :3] + growth[:, None] * [1.0, 0.0, 1.0]
-        blur, taken = templates.shape[:, 6].copy(), np.zeros(len(fitted), np.bool_)
+        outline = templates.shape[:, [0, 1, 2, 6]].copy()
+        outline[:, :3] += growth[:, None] * [1.0, 0.0, 1.0]
         misfit = fitted[:, MISFIT].copy()
         if odd.any():
-            rows = np.flatnonzero(odd)
-            spacing_px = self.around.spacing_px
-            shape, pixels = _own_shapes(picture, templates, rows, places, spacing_px)
-            own = for_kernel(shape[:, :SHAPE])
-            reshaped = replace(templates, shape=own, reach_px=pixels)
-            again = reshaped.fit(picture, for_kernel(shape[:, SHAPE : SHAPE + 2]))
-            if 2 * len(rows) > np.isfinite(places[:, 0]).sum():
-                usual = float(np.nanquantile(again[rows, MISFIT], USUAL))
-                least = templates.usual_misfit
-                usual = min(max(usual, least), MORE_UNUSUAL * least)
-                templates = replace(templates, usual_misfit=usual)
-            misfit = np.fmin(misfit, again[:, MISFIT])
-            taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
-            area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, templates.shape))
-            fitted[taken] = again[taken]
-            fitted[taken, SCALE] *= np.sqrt(area / before)[taken]
-            fitted[taken, RESHAPED] = OWN_SHAPE
-            axes[taken], blur[taken] = shape[taken, :3], shape[taken, 6]
-        # what most markers of this picture lack of the model hides none of them
+            templates, misfit = self._fit_own_shapes(
+                picture, templates, fitted, odd, places, outline
+            )
+        taken = fitted[:, RESHAPED] == OWN_SHAPE
+        # What most markers of this picture lack of the model hides none of them.
         now = max(_quantile(misfit, USUAL), templates.usual_misfit)
         templates = replace(templates, usual_misfit=now)
         doubted &= taken | cut | self._unusual(fitted, misfit, now)[1]
         if doubted.any():
             near = np.hypot(*(fitted[:, CENTRE] - start_px).T) < radius
             fitted[cut & ~near, CENTRE] = start_px[cut & ~near]
-            self._fit_parts(picture, templates, fitted, doubted, cut, axes, blur)
+            self._fit_parts(picture, templates, fitted, doubted, cut, outline)
         return fitted
+
+    def _fit_own_shapes(
+        self,
+        picture: Picture,
+        templates: Templates,
+        fitted: Floats,
+        odd: Bools,
+        places: Pixels,
+        outline: Floats,
+    ) -> tuple[Templates, Floats]:
+        """Fit ``odd`` markers at ``places`` (n, 2) with an outline and blur of their own; where
+        that leaves no more than the noise it replaces what ``fitted`` and ``outline`` hold.
+
+        Blur and outline are even about the centre, and brightness that falls off to one side is
+        odd: so the slopes are those at rest.
+
+        Returns
+        -------
+        The templates with what is usual in this picture, and (n,) the least that a fit has left.
+        """
+        # Outline, blur and centre of every odd marker, looked at as far as its neighbours allow.
+        known, rows = templates.shape, np.flatnonzero(odd)
+        radius = np.full(len(known), np.nan)
+        radius[rows] = np.sqrt(known[rows, 0] * known[rows, 2] - known[rows, 1] ** 2)
+        blur, largest = float(np.nanmedian(known[:, 6])), float(np.nanmax(radius))
+        clear = max(self.around.spacing_px - largest - blur, largest + blur)
+        reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
+        seen = (picture, templates.own, templates.others, places)
+        bulge = float(np.nanmedian(known[:, 5]))
+        shape = fit_shapes(*seen, radius, reach, templates.noise, blur, bulge, free_blur=True)
+        shape[:, 3:6] = known[:, 3:6]
+        # These shapes are templates of a fit like all others.
+        own = for_kernel(shape[:, :SHAPE])
+        reshaped = replace(templates, shape=own, reach_px=reach)
+        again = reshaped.fit(picture, for_kernel(shape[:, SHAPE : SHAPE + 2]))
+        if 2 * len(rows) > np.isfinite(places[:, 0]).sum():
+            usual = float(np.nanquantile(again[rows, MISFIT], USUAL))
+            least = templates.usual_misfit
+            usual = min(max(usual, least), MORE_UNUSUAL * least)
+            templates = replace(templates, usual_misfit=usual)
+        misfit = np.fmin(fitted[:, MISFIT], again[:, MISFIT])
+        # Sizes stay relative to the shape at rest.
+        taken = again[:, MISFIT] < RESHAPES * templates.usual_misfit
+        area, before = (t[:, 0] * t[:, 2] - t[:, 1] ** 2 for t in (shape, known))
+        fitted[taken] = again[taken]
+        fitted[taken, SCALE] *= np.sqrt(area / before)[taken]
+        fitted[taken, RESHAPED] = OWN_SHAPE
+        outline[taken] = shape[taken][:, [0, 1, 2, 6]]
+        return templates, misfit
 
     def _change_of_light(self, fitted: Floats) -> Floats | None:
         """Return (2, 6) by what smooth function of the place, as `Templates.slopes`, the slopes of
@@ -395,7 +393,7 @@ class DiscFit(SoftWindow):
             return None
         known = np.isfinite(fitted[:, LEVEL] / rest[:, LEVEL])
         places = fitted[known, CENTRE]
-        light = _gradient(np.log(fitted[known, LEVEL] / rest[known, LEVEL]), places, size)
+        light = smooth_gradient(np.log(fitted[known, LEVEL] / rest[known, LEVEL]), places, size)
         left = along - self._evenly[known].T @ (slope_terms(places, size) @ light.T)
         return light if (left**2).sum() < AGREE * (along**2).sum() else None
 
@@ -416,7 +414,7 @@ class DiscFit(SoftWindow):
         size, shape = self.look.picture_px, self.templates.shape
         change, places = fitted[:, GROUND] - self.templates.rest[:, GROUND], fitted[:, CENTRE]
         known = np.isfinite(change)
-        slope = slope_terms(places, size) @ _gradient(change[known], places[known], size).T
+        slope = slope_terms(places, size) @ smooth_gradient(change[known], places[known], size).T
         edge = 5.0 / 7.0 * fitted[:, LEVEL] * (1.0 + shape[:, 5]) / shape[:, 6]
         return np.asarray(slope * (np.sqrt(shape[:, 0] * shape[:, 2]) / edge)[:, None])
 
@@ -457,21 +455,21 @@ class DiscFit(SoftWindow):
         fitted: Floats,
         doubted: Bools,
         cut: Bools,
-        axes: Floats,
-        blur: Floats,
+        outline: Floats,
     ) -> None:
-        """Fit ``doubted`` markers by the part in sight where they differ from their neighbours, by
-        outlines ``axes`` (n, 3) and ``blur`` (n,), px, and a part is hidden, or ``cut`` off; in
-        place."""
+        """Fit by the part in sight, in place, ``doubted`` markers that differ from their neighbours
+        and of which a part is hidden, and those ``cut`` off; ``outline`` (n, 4) are semi-axes and
+        blur, px."""
+        # Which markers have another outline than their neighbours, as shares of the one at rest?
         taken, known = fitted[:, RESHAPED] == OWN_SHAPE, np.isfinite(fitted[:, LEVEL])
         fine = known & (taken | ~doubted)
         rows = np.flatnonzero((known if templates.coherent else known & doubted) | cut)
         radius = np.sqrt(templates.shape[:, 0] * templates.shape[:, 2])
         measured = np.column_stack(
             [
-                (axes - templates.shape[:, :3]) / radius[:, None],
+                (outline[:, :3] - templates.shape[:, :3]) / radius[:, None],
                 fitted[:, LEVEL] / templates.level,
-                blur / templates.shape[:, 6],
+                outline[:, 3] / templates.shape[:, 6],
             ]
         )
         usual, spread = _of_neighbours(measured, fine, self.around, rows)
@@ -483,6 +481,7 @@ class DiscFit(SoftWindow):
         few = doubted[rows] & ((beyond > 0.0) | ~taken[rows]) | cut[rows]
         if not few.any():
             return
+        # Fit these with the outline, brightness and blur that their neighbours lead to expect.
         rows, usual, axes_sd, spread = rows[few], usual[few], axes_sd[few], spread[few]
         unknown = self.cut[rows]
         if unknown.any():
@@ -500,6 +499,7 @@ class DiscFit(SoftWindow):
         )
         start = fitted[rows, CENTRE]
         part = fit_visible(picture, templates, rows, start, expected)
+        # A fit that leaves no more than the noise, finds something hidden, and is certain, is good.
         limit = RESHAPES + 3.0 * np.sqrt(2.0 / np.maximum(part[:, PIXELS], 1.0))
         if fine.any():
             worst = _quantile(fitted[fine, MISFIT], WORST_FITS) / templates.usual_misfit
@@ -507,8 +507,9 @@ class DiscFit(SoftWindow):
         moved = np.hypot(*(part[:, CENTRE] - start).T)
         like = part[:, MISFIT] < limit * templates.usual_misfit
         hides = like & (cut[rows] | (part[:, SHORTFALL] > 0.0)) & (moved < 2.0 * radius[rows])
-        good = hides & (part[:, FITTING] > LEAST_PART) & (part[:, STEP] < 0.05)
+        good = hides & (part[:, FITTING] > LEAST_PART) & (part[:, STEP] < PART_SETTLED_PX)
         good &= (part[:, VARIANCE] < WORST_PART_PX**2).all(axis=1)
+        # `_judge` refuses what hides too much; good fits it takes for whole ones.
         refused = rows[hides | cut[rows]]
         fitted[refused, SHORTFALL], fitted[refused, FITTING] = 1.0, 0.0
         part[:, [SCALE, FITTING]], part[:, [SHORTFALL, DIFFERENCE]] = 1.0, 0.0
@@ -639,37 +640,6 @@ def _of_neighbours(
     return usual, spread
 
 
-def _noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
-    """Return (2,) the noise's variances in another picture than that at rest: never less, and more
-    as the ground around the markers has more."""
-    radius = float(np.sqrt(np.nanmedian(templates.shape[:, 0] * templates.shape[:, 2])))
-    variances = _noise_variances(picture, templates.own, places, radius, 2.0 * USUAL_BLUR_PX)
-    now = float(np.nanmedian(variances[:, 0])) if np.isfinite(variances[:, 0]).any() else 0.0
-    return np.asarray(templates.noise * max(now / templates.noise[0], 1.0))
-
-
-def _own_shapes(
-    picture: Picture, templates: Templates, rows: Ints, places: Pixels, spacing_px: float
-) -> tuple[Floats, float]:
-    """Return the shapes of the markers ``rows`` in another picture than that at rest, and centres,
-    px, as rows of `fit_shapes`, NaN for others; and the radius that their fits need, px.
-
-    Blur and outline are even about the centre, and brightness that falls off to one side is odd:
-    these keep the slopes that they have at rest.
-    """
-    known = templates.shape
-    radius = np.full(len(known), np.nan)
-    radius[rows] = np.sqrt(known[rows, 0] * known[rows, 2] - known[rows, 1] ** 2)
-    blur, largest = float(np.nanmedian(known[:, 6])), float(np.nanmax(radius))
-    clear = max(spacing_px - largest - blur, largest + blur)
-    reach = min(STRETCHED * largest + BLURRED * blur, clear) + MARGIN_PX
-    seen = (picture, templates.own, templates.others, places)
-    bulge = float(np.nanmedian(known[:, 5]))
-    shape = fit_shapes(*seen, radius, reach, templates.noise, blur, bulge, free_blur=True)
-    shape[:, 3:6] = known[:, 3:6]
-    return shape, reach
-
-
 def _centre_sds(fitted: Floats, usual_misfit: float) -> Floats:
     """Return (n,) standard deviations of fitted centres, per axis, px: the noise's, more where the
     fit is bad; NaN where there was none."""
@@ -695,72 +665,7 @@ def _coherence(fitted: Floats, third: Floats, seen: Bools, sd: Floats) -> float:
     counts = seen & np.isfinite(moved[:, 0])
     if 2 * int(counts.sum()) < LEAST_SCORES:
         return 1.0
-    return _bounded_rms(moved[counts] / sd[counts, None])
-
-
-def _bounded_rms(score: Floats) -> float:
-    """Return the root mean square of ``score``, of which more than `OUTLYING` medians count as so
-    many."""
-    score = np.abs(score)
-    return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * np.median(score)) ** 2)))
-
-
-def _ground_coherence(picture: Picture, templates: Templates, marks: Pixels) -> float:
-    """Return how many times as large as stated from single pixels' noise the errors of centres are
-    that the ground around the markers ``marks`` (q, 2) causes, at least 1.
-
-    The ground's texture, and noise of whole rows, move a fitted centre by a sum of pixels times the
-    edge's slopes, over that of the slopes squared. So that sum is taken where no marker lies: its
-    spread is the error, however the noise hangs together. What varies smoothly over the picture
-    moves markers alike at rest and later.
-    """
-    shape = _medians(templates.shape, 0)
-    radius, blur = float(np.sqrt(shape[0] * shape[2])), float(shape[6])
-    marks = marks[np.isfinite(marks).all(axis=1)]
-    if not np.isfinite(radius) or not len(marks):
-        return 1.0
-    height, width = picture.shape[:2]
-    offset, clear = _disc(radius + blur), _disc(radius + blur + MARGIN_PX)
-    covered = np.zeros((height, width), np.bool_)
-    near = np.rint(marks)[:, None].astype(int) + clear
-    column, row = near[((near >= 0) & (near < [width, height])).all(axis=2)].T
-    covered[row, column] = True
-    # the slopes of the brightness along x, y and the ground, at every pixel of a marker
-    far = np.hypot(*offset.T)
-    fall = 1.0 - np.clip((radius - far) / blur, -1.0, 1.0) ** 2
-    edge = 15 / 16 * shape[7] / blur * fall**2
-    slopes = np.column_stack(
-        [edge[:, None] * offset / np.maximum(far, 0.5)[:, None], 1.0 + 0 * far]
-    )
-    reach = int(np.abs(offset).max())
-    step = max(int(np.sqrt(height * width / PLACES)), 1)
-    places = np.mgrid[reach : width - reach : step, reach : height - reach : step].reshape(2, -1).T
-    free = ~covered[places[:, 1], places[:, 0]]
-    pixels = places[free][:, None] + offset
-    use = ~covered[pixels[:, :, 1], pixels[:, :, 0]]
-    signal = picture[pixels[:, :, 1], pixels[:, :, 0]] @ templates.own[:3].astype(float)
-    products = (slopes[:, :, None] * slopes[:, None, :]).reshape(len(slopes), -1)
-    matrix = (use @ products).reshape(-1, 3, 3)
-    inside = matrix[:, [0, 1], [0, 1]].min(axis=1) > LEAST_EDGE * products[:, 0].sum()
-    if inside.sum() < QUADRATIC:
-        return 1.0
-    middle = np.median(signal[inside])
-    right = ((use * (signal - middle)) @ slopes)[inside]
-    inverse = np.linalg.inv(matrix[inside])
-    moved = (inverse @ right[:, :, None])[:, :2, 0]
-    at = places[free][inside].astype(float)
-    moved -= slope_terms(at, picture.shape) @ _smooth(moved, at, picture.shape).T
-    score = moved / np.sqrt(templates.noise[0] * inverse[:, [0, 1], [0, 1]])
-    square = 0.5 * (_bounded_rms(score[:, 0]) ** 2 + _bounded_rms(score[:, 1]) ** 2)
-    # half of an edge's pixels have the marker's own noise
-    square = 1.0 + (square - 1.0) * templates.noise[0] / templates.noise.mean()
-    return float(np.sqrt(square)) if square > WHITE else 1.0
-
-
-def _disc(radius: float) -> Ints:
-    """Return (m, 2) offsets of the pixels within ``radius``, px."""
-    offset, runs = disc(radius)
-    return np.asarray(offset[:, : int(runs[:, 2].sum())].T)
+    return bounded_rms(moved[counts] / sd[counts, None])
 
 
 def _edge_sds(
@@ -768,34 +673,35 @@ def _edge_sds(
 ) -> Floats:
     """Return (n,) standard deviations of shifts, px, with what a covered or shadowed edge adds.
 
-    Residuals of a part in sight count in its deviation already, and are not to count twice.
     ``rest_sd`` and ``sd`` are those of the rest positions and of the shifts from the noise, without
     its coherence ``factor``.
     """
-    limit = factor if factor > COHERENT else 1.0
+    rest, limit = templates.rest, factor if factor > COHERENT else 1.0
+    # How far the centre moves when one side of its edge is left out, beyond chance.
     moved = np.zeros(len(fitted))
     looked = np.flatnonzero(np.isfinite(fitted[:, ONE_SIDED]))
-    rest = templates.rest
     change = np.abs(fitted - rest)[looked, ONE_SIDED:RESHAPED]
     moved[looked] = np.where(np.isfinite(change), change, 0.0).max(axis=1)
     beyond = np.maximum(moved**2 - 2.0 * (CHANCE * limit * rest_sd) ** 2, 0.0)
     part = fitted[:, RESHAPED] == PART_IN_SIGHT
     if part.any():
+        # residuals of a part in sight count in its deviation already, and not twice
         sd = np.where(part, sd / min(factor, max(np.sqrt(templates.usual_misfit), 1.0)), sd)
         # an outline that is irregular at rest misleads where only a part of it is in sight
         beyond[part] = np.nan_to_num(np.abs(rest[part, ONE_SIDED:RESHAPED])).max(axis=1) ** 2
     sd = factor * sd
+    # A third harmonic of the edge that it did not have at rest: something hidden.
     uneven = ((fitted[:, THIRD] - templates.third) ** 2).sum(axis=1)
     beyond += np.fmax(uneven - (EVEN * sd) ** 2, 0.0) * templates.third_weakened**2
-    # a shadow that moves over a marker is a slope of brightness that it did not have at rest
+    # A slope of brightness that it did not have at rest: a shadow that moves over the marker.
     tilted = ((fitted - rest)[:, TILTED] ** 2).sum(axis=1)
     noisier = _quantile(fitted[:, MISFIT], USUAL) / templates.usual_misfit
     chance = fitted[:, VAR_TILTED] * max(noisier, 1.0) + rest[:, VAR_TILTED]
-    chance *= (LEVEL_TILT * limit) ** 2
-    tilted = np.fmax(tilted - chance, 0.0)
+    tilted = np.fmax(tilted - chance * (LEVEL_TILT * limit) ** 2, 0.0)
     if not templates.coherent:  # a shape of its own, of another noise: maybe compressed since
         tilted[fitted[:, RESHAPED] == OWN_SHAPE] = 0.0
     beyond += TILTS**2 * tilted
+    # Where noise hangs together nothing hidden can be told from it: what differs is stated.
     if templates.coherent:
         beyond += np.fmax(fitted[:, DIFFERENCE], 0.0) ** 2
     covered = np.where(fitted[:, EDGE] < WHOLE_EDGE, COVERED_SD_PX, 0.0)
@@ -874,153 +780,3 @@ def _judge(fitted, rest, level, usual_misfit, fitting, diameter, contrast, size,
             state[k] = MERGED
             continue
         shift[k, 0], shift[k, 1] = place_x[i] - rest[k, 0], place_y[i] - rest[k, 1]
-
-
-def _colour_of(picture: Picture, centres: Pixels, diameter: float) -> Floats:
-    """Return (3,) how markers differ from their ground, counts: the median over them; zeros if
-    there are none."""
-    middle = np.rint(centres[np.isfinite(centres).all(axis=1)]).astype(int)
-    far = int(np.ceil(0.5 * diameter)) + 4
-    height, width = picture.shape[:2]
-    inside = ((middle >= far) & (middle < [width - far, height - far])).all(axis=1)
-    if not inside.any():
-        return np.zeros(3)
-    column, row = middle[inside].T
-    near = range(-max(int(0.2 * diameter), 0), max(int(0.2 * diameter), 0) + 1)
-    spot = np.mean([picture[row + j, column + i] for j in near for i in near], axis=0)
-    ring = [picture[row + j, column + i] for i, j in ((far, 0), (-far, 0), (0, far), (0, -far))]
-    return np.asarray(np.median(spot - np.median(ring, axis=0), axis=0), float)
-
-
-def _make_templates(
-    picture: Picture, own: Singles, others: Singles, spots: SoftWindow, diameter: float
-) -> tuple[Templates, Pixels]:
-    """Return the templates of markers about ``diameter`` wide at ``spots``; and (n, 2) where their
-    fits start at rest, px. Markers that the picture's frame cuts have the others' outline."""
-    centres = spots.spot_px
-    count, wanted = len(centres), np.isfinite(centres).all(axis=1)
-    radius = np.where(wanted & ~spots.cut, 0.5 * diameter, np.nan)
-    variances = _noise_variances(picture, own, centres, 0.5 * diameter, USUAL_BLUR_PX)
-    around, inside = variances.T
-    ground = float(np.nanmedian(around)) if np.isfinite(around).any() else 1.0
-    marker = float(np.nanmedian(inside)) if np.isfinite(inside).any() else ground
-    noise = np.maximum([ground, max(marker, ground)], 1 / 12)
-    shape = np.full((count, SHAPE + 3), np.nan)
-    if wanted.any():
-        every = max(1, int(np.isfinite(radius).sum()) // SAMPLE)
-        few = np.where(np.cumsum(np.isfinite(radius)) % every == 0, radius, np.nan)
-        reach = 0.65 * diameter + 2.0 * USUAL_BLUR_PX + MARGIN_PX
-        seen = (picture, own, others, centres)
-        first = fit_shapes(*seen, few, reach, noise, USUAL_BLUR_PX, free_bulge=True, free_blur=True)
-        good = np.isfinite(first[:, 0])
-        blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
-        bulge = float(np.median(first[good, 5])) if good.any() else 0.0
-        reach = 0.65 * diameter + 2.0 * blur + MARGIN_PX
-        shape = fit_shapes(*seen, radius, reach, noise, blur, bulge)
-    good = np.isfinite(shape[:, 0])
-    if good.any():
-        shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
-    places = np.where(good[:, None], shape[:, SHAPE : SHAPE + 2], centres)
-    slopes = _share_slopes(shape, places, good, picture.shape)
-    axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1) + shape[:, 6]
-    reach = float(np.nanmax(axes, initial=3.0)) + MARGIN_PX
-    unknown = np.zeros((count, COLUMNS))
-    unknown[:, [MISFIT, FITTING]] = 1.0
-    templates = Templates(
-        own=own,
-        others=others,
-        shape=for_kernel(shape[:, :SHAPE]),
-        ground=np.where(np.abs(shape[:, SHAPE + 2]) > 0.5 * shape[:, 7], shape[:, SHAPE + 2], 0.0),
-        noise=noise,
-        slopes=slopes,
-        usual_misfit=1.0,
-        level=shape[:, 7].copy(),
-        reach_px=reach,
-        coherent=False,
-        ground_coherence=1.0,
-        rest=unknown,
-    )
-    fitted = templates.fit(picture, places)
-    misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
-    usual = float(np.quantile(misfit, USUAL)) if len(misfit) else 1.0
-    settled = replace(
-        templates,
-        ground=np.nan_to_num(fitted[:, GROUND]),
-        usual_misfit=max(usual, 1.0),
-        level=fitted[:, LEVEL],
-        coherent=usual > WHITE,
-    )
-    return settled, np.ascontiguousarray(fitted[:, CENTRE])
-
-
-def _share_slopes(
-    shape: Floats, places: Pixels, good: NDArray[np.bool_], size: Sequence[int]
-) -> Floats:
-    """Split the fitted slopes: return the shared part (2, 6), and leave in ``shape`` what is
-    clearly a marker's own."""
-    shared = _smooth(shape[good, 3:5], places[good], size)
-    shape[good, 3:5] -= slope_terms(places[good], size) @ shared.T
-    own = np.hypot(shape[:, 3], shape[:, 4]) * np.hypot(shape[:, 0], shape[:, 2]) / np.sqrt(2.0)
-    shape[~(good & (own > OWN_SLOPE)), 3:5] = 0.0
-    return shared
-
-
-def _smooth(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
-    """Return (q, 6) the smooth functions of the place that ``values`` (n, q) follow, robustly: none
-    where there are few."""
-    shared, count = np.zeros((values.shape[1], 6)), len(values)
-    terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
-    basis = slope_terms(places, size)[:, :terms]
-    for axis in range(len(shared)):
-        weight = np.ones(count)
-        for _ in range(5 if terms else 0):
-            shared[axis, :terms] = np.linalg.lstsq(
-                basis * weight[:, None], values[:, axis] * weight, rcond=None
-            )[0]
-            rest = np.abs(values[:, axis] - basis @ shared[axis, :terms])
-            weight = np.sqrt(
-                np.minimum(1.0, 1.5 * max(float(np.median(rest)), 1e-9) / np.maximum(rest, 1e-9))
-            )
-    return shared
-
-
-def _gradient(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
-    """Return (2, 6) the slopes along x and y, 1/px, of the smooth function of the place that
-    ``values`` (n,) follow, by the terms of `slope_terms`."""
-    _, u, v, uu, uv, vv = _smooth(values[:, None], places, size)[0]
-    slopes = np.zeros((2, 6))
-    slopes[0, :3] = np.array([u, 2.0 * uu, uv]) / size[1]
-    slopes[1, :3] = np.array([v, uv, 2.0 * vv]) / size[0]
-    return slopes
-
-
-def _noise_variances(
-    picture: Picture, own: Singles, centres: Pixels, radius: float, blur: float
-) -> Floats:
-    """Return (n, 2): variance of the noise around, and inside, every marker, from 2 x 2
-    differences; NaN if none.
-
-    Neither a slope nor a marker's round shading changes a 2 x 2 difference.
-    """
-    reach = int(np.ceil(1.3 * radius + blur + 4.0))
-    inner = (1.0 - blur / radius) ** 2 if radius > blur else 0.0
-    outer = (1.0 + (blur + 0.5) / radius) ** 2
-    side = np.arange(-reach, reach + 2)
-    offset = np.stack(np.meshgrid(side, side)).reshape(2, -1)
-    signal, use = np.empty((2, offset.shape[1]), np.float32)
-    nothing = np.zeros((0, 4), np.float32)
-    variances = np.full((len(centres), 2), np.nan)
-    for k in np.flatnonzero(np.isfinite(centres).all(axis=1)):
-        column, row = (int(v) for v in np.rint(centres[k]))
-        gather(picture, tuple(own), nothing, column, row, offset, NO_RUNS, signal, use)
-        away = np.square(offset.T - (centres[k] - (column, row))).sum(axis=1)
-        here, away, use_ = (v.reshape(len(side), -1) for v in (signal, away / radius**2, use))
-        twist = here[:-1, :-1] - here[:-1, 1:] - here[1:, :-1] + here[1:, 1:]
-        corners = [away[:-1, :-1], away[:-1, 1:], away[1:, :-1], away[1:, 1:]]
-        inside = np.maximum.reduce(corners) < inner
-        around = (np.minimum.reduce(corners) > outer) & ~inside
-        seen = (use_[:-1, :-1] > 0) & (use_[1:, 1:] > 0)
-        for which, part in enumerate((around & seen, inside & seen)):
-            if np.count_nonzero(part) > 2:
-                variances[k, which] = (0.25 * twist[part].astype(float) ** 2).mean()
-    return variances

@@ -27,9 +27,10 @@ from twin.sense.colour import (
     project,
 )
 from twin.sense.detect import Blobs, find_blobs
-from twin.sense.disc_fit import LEAST_CONTRAST_DN, DiscFit
+from twin.sense.disc_fit import DiscFit
 from twin.sense.match import spacing
 from twin.sense.paper_centroid import PaperCentroid
+from twin.sense.rest_templates import LEAST_CONTRAST_DN
 from twin.sense.soft_window import SoftWindow
 
 METHODS: dict[CentreMethod, type[CentreEstimator]] = {

@@ -48,6 +48,7 @@ from twin.sense.template import (
     VARIANCE,
     Templates,
     disc,
+    disc_offsets,
     gather,
     slope_terms,
 )
@@ -325,7 +326,7 @@ def fit_visible(
     known = templates.shape[rows]
     noise = templates.noise * templates.usual_misfit
     reach = float(np.max(expected.axes[:, [0, 2]].max(axis=1) + expected.blur)) + 2.0
-    offset = _offsets(reach)
+    offset = disc_offsets(reach)
     middle = np.rint(start_px).astype(np.int64)
     place = middle[:, None] + offset
     signal, use, inside = _signal(picture, templates, place)
@@ -402,12 +403,6 @@ def fit_visible(
     fitted[:, FITTING] = (information * used).sum(axis=1) / every
     fitted[:, SHORTFALL] = (cover * (hidden & use)).sum(axis=1) / cover.sum(axis=1)
     return fitted
-
-
-def _offsets(reach: float) -> Ints:
-    """Return (m, 2) offsets of the pixels within ``reach``."""
-    offset, runs = disc(reach)
-    return np.asarray(offset[:, : int(runs[:, 2].sum())].T)
 
 
 def _median(values: Floats) -> float:

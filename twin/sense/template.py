@@ -51,6 +51,12 @@ def disc(radius: float) -> tuple[Ints, Ints]:
     return np.pad(offset, padding, constant_values=1 << 30), runs
 
 
+def disc_offsets(radius: float) -> Ints:
+    """Return (m, 2) offsets of the pixels within ``radius``, px, without those that fill up."""
+    offset, runs = disc(radius)
+    return np.asarray(offset[:, : int(runs[:, 2].sum())].T)
+
+
 @njit(cache=True, fastmath=True)
 def gather(image, own, others, column, row, offset, runs, signal, use):
     """Project the pixels at ``offset`` (2, m); those outside, or where one of ``others`` shows,

@@ -1,0 +1,406 @@
+"""The templates of the markers, made from the rest picture.
+
+`layer_signals` chooses the projection by which each layer is measured. `make_templates` fits every
+marker at rest, and measures the noise that later fits are judged by: in single pixels, and as far
+as it hangs together over the ground around the markers.
+
+**Projection.** A layer's projection removes the other layers' colours and otherwise has the least
+noise: for pure dyes it is the one channel that shows the marker. The paper's difference of red and
+blue has the noise of two channels. It is used to find spots, not to measure centres.
+
+**Slope of brightness.** The slope across a marker has two parts. One follows from the lamps and is
+a smooth function of the place in the picture (a quadratic); it changes as a marker moves. The other
+belongs to the marker and moves with it; it is used where it is large.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.arrays import Bools, Floats, Picture, Pixels, Singles, for_kernel
+from twin.sense.centre import Look
+from twin.sense.colour import LUMA
+from twin.sense.shape_fit import fit_shapes
+from twin.sense.template import (
+    CENTRE,
+    COLUMNS,
+    FITTING,
+    GROUND,
+    LEVEL,
+    MARGIN_PX,
+    MISFIT,
+    NO_RUNS,
+    SHAPE,
+    Templates,
+    disc_offsets,
+    gather,
+    slope_terms,
+)
+
+LEAST_CONTRAST_DN = 5.0
+
+LEAST_LUMA = 0.2
+"""Brightness shows a layer that has this share of its contrast in it: red has, blue has not."""
+
+SHOWS, SHOWS_DN = 0.3, 4.0
+"""Another layer shows where it has this share of its usual level, at least so many counts."""
+
+USUAL_BLUR_PX = 2.0
+"""Half width of a sharp lens' blur with the pixel's, px (.75 px standard deviation): where the
+search starts."""
+
+SAMPLE = 40
+"""About how many markers give the layer's blur and bulge."""
+
+QUANTISED = 1 / 12
+"""Variance of rounding to whole counts: no noise is less."""
+
+OWN_SLOPE = 0.3
+"""A marker's own slope, over its radius, counts above this: a neighbour's shadow feigns smaller
+ones, and then moves."""
+
+QUADRATIC, LINEAR = 30, 12
+"""From how many markers on their shared slope is a quadratic, or linear, function of the place."""
+
+USUAL = 0.25
+"""Share of the markers that fit better than what is called usual."""
+
+WHITE = 1.3
+"""Noise that leaves residuals up to so many times as large, squared, as it has in single pixels
+does not hang together over pixels."""
+
+PLACES = 1200
+"""About at how many places of a picture the ground is looked at (`_ground_coherence`)."""
+
+LEAST_FREE = 0.5
+"""A place counts where so much of the edge's information is over ground that no marker covers."""
+
+OUTLYING = 3.0
+"""A score of more medians counts as one of so many: under moving shadows up to a quarter of a layer
+may have more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayerSignal:
+    """How one layer shows in the picture.
+
+    Attributes
+    ----------
+    own
+        (4,) its projection (r, g, b) and the ground's level in it.
+    others
+        (m, 4) the other layers' projections and the counts above which they show.
+    brightness
+        As ``own``, of the brightness, in which compression keeps more than in colours; None where
+        the layer hardly shows in it, or the projection was given.
+    """
+
+    own: Singles
+    others: Singles
+    brightness: Singles | None
+
+
+def layer_signals(
+    picture: Picture, looks: Sequence[Look], spots_px: Sequence[Pixels], given: bool
+) -> list[LayerSignal]:
+    """Return the signal of every layer.
+
+    Parameters
+    ----------
+    picture
+        (h, w, 3) counts at rest.
+    looks, spots_px
+        First look at every layer, and (n, 2) centres of its spots, px; NaN where there is none.
+    given
+        Whether the projections of ``looks`` are to be used as they are.
+    """
+    # Colours of the markers, less the ground's; each projection is blind to the other colours.
+    own = [np.asarray(look.weights) for look in looks]
+    colours = [
+        _marker_colour(picture, spots, look.diameter_px)
+        for spots, look in zip(spots_px, looks, strict=True)
+    ]
+    visible = all(np.abs(colour).max() >= LEAST_CONTRAST_DN for colour in colours)
+    if not given and len(looks) > 1 and visible:
+        inverse = np.linalg.pinv(np.array(colours), rcond=0.05).T
+        own = [row / max(float(np.abs(row).max()), 1e-12) for row in inverse]
+    # The ground's level in each of them, and the level from which on another layer shows.
+    sample = picture[::4, ::4].reshape(-1, 3).astype(float)
+
+    def with_ground(weights: Floats) -> Singles:
+        return np.array([*weights, np.median(sample @ weights)], np.float32)
+
+    shows = [
+        [
+            *weights,
+            float(np.median(sample @ weights)) + max(SHOWS * float(weights @ colour), SHOWS_DN),
+        ]
+        for weights, colour in zip(own, colours, strict=True)
+    ]
+    signals = []
+    for number, (weights, colour) in enumerate(zip(own, colours, strict=True)):
+        bright = float(LUMA @ colour)
+        in_brightness = abs(bright) > LEAST_LUMA * float(np.abs(colour).max())
+        brightness = None
+        if in_brightness and not given:
+            brightness = with_ground(np.sign(bright) * LUMA / LUMA.max())
+        others = np.array(shows[:number] + shows[number + 1 :], np.float32).reshape(-1, 4)
+        signals.append(LayerSignal(own=with_ground(weights), others=others, brightness=brightness))
+    return signals
+
+
+def _marker_colour(picture: Picture, centres: Pixels, diameter: float) -> Floats:
+    """Return (3,) how markers differ from their ground, counts: the median over them; zeros if
+    there are none."""
+    middle = np.rint(centres[np.isfinite(centres).all(axis=1)]).astype(int)
+    far = int(np.ceil(0.5 * diameter)) + 4
+    height, width = picture.shape[:2]
+    inside = ((middle >= far) & (middle < [width - far, height - far])).all(axis=1)
+    if not inside.any():
+        return np.zeros(3)
+    column, row = middle[inside].T
+    half = int(0.2 * diameter)
+    near = range(-half, half + 1)
+    spot = np.mean([picture[row + j, column + i] for j in near for i in near], axis=0)
+    ring = [picture[row + j, column + i] for i, j in ((far, 0), (-far, 0), (0, far), (0, -far))]
+    return np.asarray(np.median(spot - np.median(ring, axis=0), axis=0), float)
+
+
+def make_templates(
+    picture: Picture,
+    own: Singles,
+    others: Singles,
+    spots_px: Pixels,
+    cut: Bools,
+    diameter_px: float,
+    marks_px: Pixels,
+) -> tuple[Templates, Pixels]:
+    """Make the templates of one layer's markers.
+
+    Parameters
+    ----------
+    picture
+        (h, w, 3) counts at rest.
+    own, others
+        See `Templates`.
+    spots_px, cut
+        (n, 2) centres of the spots, px; (n,) which the picture's frame cuts: these have the others'
+        outline.
+    diameter_px
+        About how wide they are.
+    marks_px
+        (q, 2) centres of the markers of all layers, px.
+
+    Returns
+    -------
+    templates
+        `Templates.rest` is not known yet.
+    start_px
+        (n, 2) where their fits start at rest, px.
+    """
+    count, wanted = len(spots_px), np.isfinite(spots_px).all(axis=1)
+    radius = np.where(wanted & ~cut, 0.5 * diameter_px, np.nan)
+    # The noise in single pixels: a full marker's is never taken for less than the ground's.
+    variances = _noise_variances(picture, own, spots_px, 0.5 * diameter_px, USUAL_BLUR_PX)
+    around, inside = variances.T
+    ground = float(np.nanmedian(around)) if np.isfinite(around).any() else 1.0
+    marker = float(np.nanmedian(inside)) if np.isfinite(inside).any() else ground
+    noise = np.maximum([ground, max(marker, ground)], QUANTISED)
+    # Blur and bulge are the layer's, by a sample of its markers; then every marker is fitted.
+    shape = np.full((count, SHAPE + 3), np.nan)
+    if wanted.any():
+        every = max(1, int(np.isfinite(radius).sum()) // SAMPLE)
+        few = np.where(np.cumsum(np.isfinite(radius)) % every == 0, radius, np.nan)
+        reach = 0.65 * diameter_px + 2.0 * USUAL_BLUR_PX + MARGIN_PX
+        seen = (picture, own, others, spots_px)
+        first = fit_shapes(*seen, few, reach, noise, USUAL_BLUR_PX, free_bulge=True, free_blur=True)
+        good = np.isfinite(first[:, 0])
+        blur = float(np.median(first[good, 6])) if good.any() else USUAL_BLUR_PX
+        bulge = float(np.median(first[good, 5])) if good.any() else 0.0
+        reach = 0.65 * diameter_px + 2.0 * blur + MARGIN_PX
+        shape = fit_shapes(*seen, radius, reach, noise, blur, bulge)
+    # Markers that could not be fitted have the median shape.
+    good = np.isfinite(shape[:, 0])
+    if good.any():
+        shape[wanted & ~good, :SHAPE] = np.median(shape[good, :SHAPE], axis=0)
+    places = np.where(good[:, None], shape[:, SHAPE : SHAPE + 2], spots_px)
+    slopes = _share_slopes(shape, places, good, picture.shape)
+    axes = np.hypot(shape[:, [0, 2]], shape[:, [1]]).max(axis=1) + shape[:, 6]
+    reach = float(np.nanmax(axes, initial=3.0)) + MARGIN_PX
+    unknown = np.zeros((count, COLUMNS))
+    unknown[:, [MISFIT, FITTING]] = 1.0
+    templates = Templates(
+        own=own,
+        others=others,
+        shape=for_kernel(shape[:, :SHAPE]),
+        ground=np.where(np.abs(shape[:, SHAPE + 2]) > 0.5 * shape[:, 7], shape[:, SHAPE + 2], 0.0),
+        noise=noise,
+        slopes=slopes,
+        usual_misfit=1.0,
+        level=shape[:, 7].copy(),
+        reach_px=reach,
+        coherent=False,
+        ground_coherence=1.0,
+        rest=unknown,
+    )
+    # The rest picture fitted by its own templates gives ground, level and the usual misfit.
+    fitted = templates.fit(picture, places)
+    misfit = fitted[np.isfinite(fitted[:, MISFIT]), MISFIT]
+    usual = float(np.quantile(misfit, USUAL)) if len(misfit) else 1.0
+    settled = replace(
+        templates,
+        ground=np.nan_to_num(fitted[:, GROUND]),
+        usual_misfit=max(usual, 1.0),
+        level=fitted[:, LEVEL],
+        coherent=usual > WHITE,
+        ground_coherence=_ground_coherence(picture, templates, marks_px),
+    )
+    return settled, np.ascontiguousarray(fitted[:, CENTRE])
+
+
+def _share_slopes(shape: Floats, places: Pixels, good: Bools, size: Sequence[int]) -> Floats:
+    """Split the fitted slopes: return the shared part (2, 6), and leave in ``shape`` what is
+    clearly a marker's own."""
+    shared = _smooth(shape[good, 3:5], places[good], size)
+    shape[good, 3:5] -= slope_terms(places[good], size) @ shared.T
+    own = np.hypot(shape[:, 3], shape[:, 4]) * np.hypot(shape[:, 0], shape[:, 2]) / np.sqrt(2.0)
+    shape[~(good & (own > OWN_SLOPE)), 3:5] = 0.0
+    return shared
+
+
+def _smooth(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
+    """Return (q, 6) the smooth functions of the place that ``values`` (n, q) follow, by the terms
+    of `slope_terms`: least squares, reweighted so that outliers count less (Huber); zeros where
+    there are few."""
+    shared, count = np.zeros((values.shape[1], 6)), len(values)
+    terms = 6 if count >= QUADRATIC else 3 if count >= LINEAR else 0
+    basis = slope_terms(places, size)[:, :terms]
+    for axis in range(len(shared)):
+        weight = np.ones(count)
+        for _ in range(5 if terms else 0):
+            shared[axis, :terms] = np.linalg.lstsq(
+                basis * weight[:, None], values[:, axis] * weight, rcond=None
+            )[0]
+            rest = np.abs(values[:, axis] - basis @ shared[axis, :terms])
+            weight = np.sqrt(
+                np.minimum(1.0, 1.5 * max(float(np.median(rest)), 1e-9) / np.maximum(rest, 1e-9))
+            )
+    return shared
+
+
+def smooth_gradient(values: Floats, places: Pixels, size: Sequence[int]) -> Floats:
+    """Return (2, 6) the slopes along x and y, 1/px, of the smooth function of the place that
+    ``values`` (n,) follow, by the terms of `slope_terms`."""
+    _, u, v, uu, uv, vv = _smooth(values[:, None], places, size)[0]
+    slopes = np.zeros((2, 6))
+    slopes[0, :3] = np.array([u, 2.0 * uu, uv]) / size[1]
+    slopes[1, :3] = np.array([v, uv, 2.0 * vv]) / size[0]
+    return slopes
+
+
+def _noise_variances(
+    picture: Picture, own: Singles, centres: Pixels, radius: float, blur: float
+) -> Floats:
+    """Return (n, 2): variance of the noise around, and inside, every marker, from 2 x 2
+    differences; NaN if none.
+
+    Neither a slope nor a marker's round shading changes a 2 x 2 difference.
+    """
+    reach = int(np.ceil(1.3 * radius + blur + 4.0))
+    inner = (1.0 - blur / radius) ** 2 if radius > blur else 0.0
+    outer = (1.0 + (blur + 0.5) / radius) ** 2
+    side = np.arange(-reach, reach + 2)
+    offset = np.stack(np.meshgrid(side, side)).reshape(2, -1)
+    signal, use = np.empty((2, offset.shape[1]), np.float32)
+    nothing = np.zeros((0, 4), np.float32)
+    variances = np.full((len(centres), 2), np.nan)
+    for k in np.flatnonzero(np.isfinite(centres).all(axis=1)):
+        column, row = (int(v) for v in np.rint(centres[k]))
+        gather(picture, tuple(own), nothing, column, row, offset, NO_RUNS, signal, use)
+        away = np.square(offset.T - (centres[k] - (column, row))).sum(axis=1)
+        here, away, use_ = (v.reshape(len(side), -1) for v in (signal, away / radius**2, use))
+        twist = here[:-1, :-1] - here[:-1, 1:] - here[1:, :-1] + here[1:, 1:]
+        # a difference belongs to the marker, or to the ground, with all four of its pixels
+        corners = [away[:-1, :-1], away[:-1, 1:], away[1:, :-1], away[1:, 1:]]
+        inside = np.maximum.reduce(corners) < inner
+        around = (np.minimum.reduce(corners) > outer) & ~inside
+        seen = (use_[:-1, :-1] > 0) & (use_[1:, 1:] > 0)
+        for which, part in enumerate((around & seen, inside & seen)):
+            if np.count_nonzero(part) > 2:
+                variances[k, which] = (0.25 * twist[part].astype(float) ** 2).mean()
+    return variances
+
+
+def noise_now(picture: Picture, templates: Templates, places: Pixels) -> Floats:
+    """Return (2,) the noise's variances in another picture than that at rest: never less, and more
+    as the ground around the markers at ``places`` (n, 2), px, has more."""
+    radius = float(np.sqrt(np.nanmedian(templates.shape[:, 0] * templates.shape[:, 2])))
+    variances = _noise_variances(picture, templates.own, places, radius, 2.0 * USUAL_BLUR_PX)
+    now = float(np.nanmedian(variances[:, 0])) if np.isfinite(variances[:, 0]).any() else 0.0
+    return np.asarray(templates.noise * max(now / templates.noise[0], 1.0))
+
+
+def bounded_rms(score: Floats) -> float:
+    """Return the root mean square of ``score``, of which more than `OUTLYING` medians count as so
+    many."""
+    score = np.abs(score)
+    return float(np.sqrt(np.mean(np.minimum(score, OUTLYING * np.median(score)) ** 2)))
+
+
+def _ground_coherence(picture: Picture, templates: Templates, marks: Pixels) -> float:
+    """Return how many times as large as stated from single pixels' noise the errors of centres are
+    that the ground around the markers ``marks`` (q, 2) causes, at least 1.
+
+    The ground's texture, and noise of whole rows, move a fitted centre by a sum of pixels times the
+    edge's slopes, over that of the slopes squared. So that sum is taken where no marker lies: its
+    spread is the error, however the noise hangs together. What varies smoothly over the picture
+    moves markers alike at rest and later.
+    """
+    known = templates.shape[np.isfinite(templates.shape[:, 0])]
+    marks = marks[np.isfinite(marks).all(axis=1)]
+    if not len(known) or not len(marks):
+        return 1.0
+    shape = np.median(known, axis=0)
+    radius, blur = float(np.sqrt(shape[0] * shape[2])), float(shape[6])
+    # Pixels that a marker covers.
+    height, width = picture.shape[:2]
+    offset, clear = disc_offsets(radius + blur), disc_offsets(radius + blur + MARGIN_PX)
+    covered = np.zeros((height, width), np.bool_)
+    near = np.rint(marks)[:, None].astype(int) + clear
+    column, row = near[((near >= 0) & (near < [width, height])).all(axis=2)].T
+    covered[row, column] = True
+    # The slopes of the brightness along x, y and the ground, at every pixel of a marker.
+    far = np.hypot(*offset.T)
+    fall = 1.0 - np.clip((radius - far) / blur, -1.0, 1.0) ** 2
+    edge = 15 / 16 * shape[7] / blur * fall**2
+    slopes = np.column_stack(
+        [edge[:, None] * offset / np.maximum(far, 0.5)[:, None], 1.0 + 0 * far]
+    )
+    # Places between the markers, and the signal there.
+    reach = int(np.abs(offset).max())
+    step = max(int(np.sqrt(height * width / PLACES)), 1)
+    places = np.mgrid[reach : width - reach : step, reach : height - reach : step].reshape(2, -1).T
+    places = places[~covered[places[:, 1], places[:, 0]]]
+    pixels = places[:, None] + offset
+    use = ~covered[pixels[:, :, 1], pixels[:, :, 0]]
+    signal = picture[pixels[:, :, 1], pixels[:, :, 0]] @ templates.own[:3].astype(float)
+    # Least squares at every place: what a marker there would have moved by.
+    products = (slopes[:, :, None] * slopes[:, None, :]).reshape(len(slopes), -1)
+    matrix = (use @ products).reshape(-1, 3, 3)
+    inside = matrix[:, [0, 1], [0, 1]].min(axis=1) > LEAST_FREE * products[:, 0].sum()
+    if inside.sum() < QUADRATIC:
+        return 1.0
+    middle = np.median(signal[inside])
+    right = ((use * (signal - middle)) @ slopes)[inside]
+    inverse = np.linalg.inv(matrix[inside])
+    moved = (inverse @ right[:, :, None])[:, :2, 0]
+    at = places[inside].astype(float)
+    moved -= slope_terms(at, picture.shape) @ _smooth(moved, at, picture.shape).T
+    score = moved / np.sqrt(templates.noise[0] * inverse[:, [0, 1], [0, 1]])
+    square = 0.5 * (bounded_rms(score[:, 0]) ** 2 + bounded_rms(score[:, 1]) ** 2)
+    # half of an edge's pixels have the marker's own noise
+    square = 1.0 + (square - 1.0) * templates.noise[0] / templates.noise.mean()
+    return float(np.sqrt(square)) if square > WHITE else 1.0
