@@ -7,6 +7,7 @@ Every decision lives elsewhere. Heavy packages are imported inside the functions
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import inspect
 import io
@@ -298,6 +299,9 @@ def run(
         return
     if port:
         raise InputError("--port: belongs to --live")
+    # Loading the libraries makes a million objects that all stay: looking for garbage among them
+    # takes a twentieth of a run.
+    gc.set_threshold(10_000, 50, 10)
     from twin.study.recipe import find_scene
 
     wanted = _wanted(want)

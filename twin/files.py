@@ -265,7 +265,8 @@ def read_arrays(
 
 
 def png_bytes(picture: Picture) -> bytes:
-    """Return a (height, width, 3) uint8 picture as a PNG file (W3C, PNG 3rd edition, 8-bit RGB).
+    """Return a uint8 picture, (height, width, 3) or grey (height, width), as a PNG file (W3C, PNG
+    3rd edition, 8 bits).
 
     Notes
     -----
@@ -277,14 +278,16 @@ def png_bytes(picture: Picture) -> bytes:
     import deflate
     import numpy as np
 
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+    is_grey = picture.ndim == 2
+    if (not is_grey and picture.shape[2:] != (3,)) or picture.dtype != np.uint8:
         raise InputError(
             f"a picture must be (height, width, 3) uint8, got {picture.shape} {picture.dtype}"
         )
-    height, width, _ = picture.shape
-    lines = np.zeros((height, 1 + 3 * width), np.uint8)
-    lines[:, 1:] = picture.reshape(height, -1)
-    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    height, width = picture.shape[:2]
+    row = picture.reshape(height, -1)
+    lines = np.zeros((height, 1 + row.shape[1]), np.uint8)
+    lines[:, 1:] = row
+    head = struct.pack(">IIBBBBB", width, height, 8, 0 if is_grey else 2, 0, 0, 0)
     packed = deflate.zlib_compress(lines.tobytes(), 1)
     chunks = [_chunk(b"IHDR", head), _chunk(b"IDAT", packed), _chunk(b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
