@@ -20,6 +20,9 @@ class Drawing:
     names = ("modulus", "red depth", "focal")
     print_mm = 0.03
 
+    def __init__(self, aside_mm=(0.0, 0.0)):
+        self.places = PLACES + [*aside_mm, 0.0]
+
     def markers(self, scaled, prints):
         found = DRAWN.copy()
         found[:, :2] += prints
@@ -37,20 +40,22 @@ class Drawing:
         markers = self.markers(scaled, prints)
         shifts, slopes = [], []
         for where, force in zip(place, force_n, strict=True):
-            by_force = compliance(markers, PLACES[where : where + 1]) / (1 + SIZES[0] * scaled[0])
 
-            def shift(f, by_force=by_force):
+            def shift(f, aside, at=self.places[where]):
+                by_force = compliance(markers, (at + aside)[None]) / (1 + SIZES[0] * scaled[0])
                 return self.seen(markers + (by_force @ f).reshape(-1, 3), scaled) - self.seen(markers, scaled)
 
-            here = shift(force)
+            here = shift(force, np.zeros(3))
             shifts.append(here)
-            slopes.append(np.stack([(shift(force + 1e-5 * d) - here) / 1e-5 for d in np.eye(3)], axis=2))
+            by_force = [(shift(force + 1e-5 * d, np.zeros(3)) - here) / 1e-5 for d in np.eye(3)]
+            by_place = [(shift(force, 1e-5 * d) - here) / 1e-5 for d in np.eye(3)[:2]]
+            slopes.append(np.stack([*by_force, np.zeros_like(here), *by_place], axis=2))
         return prints, np.stack(shifts), np.stack(slopes)
 
 
-def measured(truth, seed, noise=0.05, cell=0.005, places=range(5)):
+def measured(truth, seed, noise=0.05, cell=0.005, places=range(5), aside_mm=(0.0, 0.0)):
     random = np.random.default_rng(seed)
-    design = Drawing()
+    design = Drawing(aside_mm)
     prints = random.normal(0, design.print_mm, (61, 2))
     rest = design.seen(design.markers(truth, prints), truth)
     place = np.repeat(list(places), 3)
@@ -75,6 +80,16 @@ def test_parameters_are_found_within_their_stated_deviations():
         assert found.residual_px == pytest.approx(0.05, rel=0.1)
         assert found.model_px < 0.03
     assert 0.6 < np.std(off) < 1.5
+
+
+def test_presses_beside_their_places_do_not_count_as_another_rubber():
+    """A stage that is .02 mm off leaves no error of the model, and the rubber as it is."""
+    truth = np.array([1.0, -0.7, 0.4])
+    quiet = {"noise": 1e-3, "cell": 0.0}
+    aside = dataclasses.replace(measured(truth, 3, aside_mm=(0.02, -0.02), **quiet), noise_px=1e-3)
+    found = Fit.of(Drawing(), aside)
+    assert found.scaled == pytest.approx(truth, abs=0.03)
+    assert found.model_px < 2e-3
 
 
 def test_no_noise_no_error_and_what_the_design_cannot_express_is_model_error():

@@ -53,10 +53,11 @@ def test_nothing_is_fitted_that_the_tolerances_give_no_room():
     assert not any(name.startswith("tilt") for name in twin.names)
 
 
-def test_footprint_has_the_second_moment_of_hertz():
-    offsets, shares = FittedDesign.hertz_shares()
-    assert shares.sum() == pytest.approx(1.0)
-    assert shares @ offsets**2 == pytest.approx([0.2, 0.2], abs=0.01)
+def test_footprints_have_the_second_moments_of_hertz_and_of_a_stuck_disc():
+    offsets, shares = FittedDesign.shares()
+    assert shares.sum(axis=1) == pytest.approx([1.0, 1.0])
+    assert shares[0] @ offsets**2 == pytest.approx([1 / 5, 1 / 5], abs=0.01)
+    assert shares[1] @ offsets**2 == pytest.approx([1 / 3, 1 / 3], abs=0.012)
 
 
 @pytest.mark.slow
@@ -82,4 +83,4 @@ def test_five_presses_beat_the_drawing():
             exact = np.stack([truth.square(place, 0.625)[number] for place in BETWEEN], axis=1)
             off.append(np.linalg.norm(transfer.reshape(exact.shape) - exact) / np.linalg.norm(exact))
         assert off[0] < 0.01
-        assert off[0] < 0.6 * off[1]
+        assert off[0] < 0.5 * off[1]

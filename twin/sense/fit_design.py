@@ -3,8 +3,9 @@
 The unknowns are a handful of numbers that a maker doesn't control (stiffness, depths, camera,
 footprint), each with the standard deviation that its drawing allows. Where every marker was printed
 follows from the rest picture and them, so it is no unknown of its own: it only has to be as likely
-as the print's tolerance states. The load cell's errors are unknown as well, but linear, so they are
-eliminated press by press. What is left is whitened least squares by Gauss-Newton.
+as the print's tolerance states. The load cell's errors, and where and how widely the force acts,
+are unknown as well, but nearly linear, so they are eliminated press by press. What is left is
+whitened least squares by Gauss-Newton.
 
 The design comes in as something to ask (`Design`): this module knows neither body nor mesh.
 
@@ -30,6 +31,14 @@ ITERATIONS, ROUNDS = 12, 3
 
 FIRST_MODEL_PX = 0.05
 """Error of the model that is assumed until it is estimated, px."""
+
+PLACE_MM = 0.02
+"""Standard deviation of where a press acts along the surface, mm: a stage's, and how far pressure
+and shear of a stuck sphere lie from where it touched first (.003 to .06 mm)."""
+
+UNKNOWN = 6
+"""Numbers that are unknown of each press: the load cell's three errors, how widely the shear is
+spread, and where the force acts along two axes."""
 
 LONGEST = 3.0
 """Longest Gauss-Newton step in standard deviations."""
@@ -96,7 +105,8 @@ class Design(Protocol):
         shift_px
             (q, n, 2) motion, px.
         slope
-            (q, n, 2, 3) its derivative by the force, px/N.
+            (q, n, 2, 6) its derivative by the force, px/N; by how widely its shear is spread, px a
+            standard deviation; by where the force acts along the surface's two axes, px/mm.
         """
         ...
 
@@ -194,28 +204,26 @@ class _Residuals:
         return np.asarray(np.isfinite(self.presses.shift_px).all(axis=2) & at_rest)
 
     def _predicted(self, scaled: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return print errors, (q, n, 2) what is left of the shifts, 0 where lost, and (q, 3) load
-        cell errors."""
+        """Return print errors, (q, n, 2) what is left of the shifts, 0 where lost, and (q, 6) what
+        is unknown of every press in its standard deviations."""
         presses = self.presses
         prints, shift, slope = self.design.predict(
             scaled, presses.rest_px, presses.place, presses.force_n
         )
         seen = self.seen
         left = np.where(seen[:, :, None], presses.shift_px - shift, 0.0)
-        slope = np.where(seen[:, :, None, None], slope, 0.0)
-        cell: Floats = np.zeros((len(left), 3))
-        if presses.load_cell_n > 0:
-            rows = slope.reshape(len(left), -1, 3) / self.noise_px
-            gram = rows.transpose(0, 2, 1) @ rows + np.eye(3) / presses.load_cell_n**2
-            pull = rows.transpose(0, 2, 1) @ (left.reshape(len(left), -1, 1) / self.noise_px)
-            cell = np.asarray(np.linalg.solve(gram, pull)[:, :, 0], float)
-            left = left - np.einsum("qnij,qj->qni", slope, cell)
-        return prints, left, cell
+        spread = np.array([presses.load_cell_n] * 3 + [1.0] + [PLACE_MM] * 2)
+        slope = np.where(seen[:, :, None, None], slope * spread, 0.0)
+        rows = slope.reshape(len(left), -1, UNKNOWN) / self.noise_px
+        across = rows.transpose(0, 2, 1)
+        pull = across @ (left.reshape(len(left), -1, 1) / self.noise_px)
+        unknown = np.linalg.solve(across @ rows + np.eye(UNKNOWN), pull)[:, :, 0]
+        left = left - np.einsum("qnij,qj->qni", slope, unknown)
+        return prints, left, np.asarray(unknown, float)
 
     def __call__(self, scaled: Floats) -> Floats:
-        prints, left, cell = self._predicted(scaled)
-        weight = 1.0 / self.presses.load_cell_n if self.presses.load_cell_n > 0 else 0.0
-        parts = (scaled, prints / self.design.print_mm, left / self.noise_px, cell * weight)
+        prints, left, unknown = self._predicted(scaled)
+        parts = (scaled, prints / self.design.print_mm, left / self.noise_px, unknown)
         return np.concatenate([part.ravel() for part in parts])
 
     def press_residual_px(self, scaled: Floats) -> Floats:
@@ -228,7 +236,7 @@ class _Residuals:
         mine = presses.place == place
         shifts = np.repeat(mine, presses.shift_px[0].size)
         before = np.zeros(len(self.design.names) + presses.rest_px.size, np.bool_)
-        return np.concatenate([before, shifts, np.repeat(mine, 3)])
+        return np.concatenate([before, shifts, np.repeat(mine, UNKNOWN)])
 
 
 def _gauss_newton(residuals: _Residuals, start: Floats) -> tuple[Floats, Floats]:

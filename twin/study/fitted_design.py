@@ -4,9 +4,11 @@ It is the nominal body on the nominal mesh, never the truth. Displacements scale
 moved markers are interpolated in the same fields, and Poisson's ratio between two bodies, so a set
 of parameters costs milliseconds.
 
-A probe's footprint is Hertz's pressure on the nominal contact radius times a fitted factor. Its
-half-space part is summed over small squares; the smooth rest of the finite body over five places
-only, which have the same second moment.
+A probe's footprint is Hertz's pressure on the nominal contact radius times a fitted factor. The
+shear of a contact that sticks lies between Hertz's spread (pressed down a slope) and a stuck disc's
+(moved sideways): the middle of both, with half their difference as a standard deviation of each
+press. The half-space part is summed over small squares; the smooth rest of the finite body over
+five places only, which have the same second moments.
 """
 
 from __future__ import annotations
@@ -36,6 +38,12 @@ ratio."""
 NU_STEP = 0.005
 """How far below the nominal Poisson's ratio the second body is, between which it is
 interpolated."""
+
+STEP_MM = 0.02
+"""Step of the slope along the surface, mm."""
+
+REACH = 0.7
+"""Distance of the five squares of a footprint from its middle, over its radius."""
 
 CUTS = 8
 """Squares across a footprint."""
@@ -148,9 +156,12 @@ class FittedDesign:
         rest = self.seen(markers, camera)
         shifts, slopes = [], []
         for where, force in zip(place, force_n, strict=True):
-            moved = markers + (by_place[where] @ force).reshape(-1, 3)
+            here, *others = by_place[where]
+            moved = markers + (here @ force).reshape(-1, 3)
             shifts.append(self.seen(moved, camera) - rest)
-            slopes.append(self._seen_slope(moved, camera) @ by_place[where].reshape(-1, 3, 3))
+            by_others = np.stack([(slope @ force).reshape(-1, 3) for slope in others], axis=2)
+            columns = np.concatenate([here.reshape(-1, 3, 3), by_others], axis=2)
+            slopes.append(self._seen_slope(moved, camera) @ columns)
         return prints, np.stack(shifts), np.stack(slopes)
 
     def compliance(self, scaled: Floats, markers: Points, sites: Rectangles) -> Floats:
@@ -192,7 +203,9 @@ class FittedDesign:
         }
 
     def _footprints(self, scaled: Floats, markers: Points) -> list[Floats]:
-        """Return (3n, 3) mm/N for every place, under its footprint."""
+        """Return (4, 3n, 3) for every place: mm/N under its footprint, how that changes by a
+        standard deviation of the shear's spread, and its slopes along the surface's two axes, 1/N.
+        """
         found = self._values(scaled)
         material = self.scene.material
         modulus, nu = material.youngs_modulus_mpa, material.poisson_ratio
@@ -201,60 +214,76 @@ class FittedDesign:
         rest = self.compliance(np.where(stiffness, 0.0, scaled), markers, coarse)
         nu_now = nu + found["poisson_ratio"]
         rest = rest - halfspace.compliance(markers, coarse, modulus, nu_now)
-        rest = np.einsum("mpri,r->pmi", rest.reshape(len(rest), len(self.places), -1, 3), weights)
+        rest = rest.reshape(len(rest), len(self.places), -1, 3)
         out = []
-        for index, radius in enumerate(self.radius_mm):
-            fine, share = self._squares(
-                index, radius * (1 + found["footprint"]), self.hertz_shares()
+        squares, shares = self.shares()
+        for index, nominal in enumerate(self.radius_mm):
+            radius = nominal * (1 + found["footprint"])
+            normal = self.places.frames[index, 2]
+            # Under both spreads of the force: the half-space part, and the rest of the body.
+            near = []
+            for aside in np.array([(0.0, 0.0), (STEP_MM, 0.0), (0.0, STEP_MM)]) / radius:
+                fine = self._squares(index, radius, squares + aside)
+                each = halfspace.compliance(markers, fine, modulus, nu_now)
+                near.append(each.reshape(3 * len(markers), -1, 3))
+            hertz, stuck = np.einsum("mri,kr->kmi", near[0], shares) + np.einsum(
+                "mri,kr->kmi", rest[:, index], weights
             )
-            near = halfspace.compliance(markers, fine, modulus, nu_now)
-            near = np.einsum("mri,r->mi", near.reshape(3 * len(markers), -1, 3), share)
-            out.append((near + rest[index]) / (1 + found["youngs_modulus"]))
+            wider = 0.5 * (stuck - hertz) @ (np.eye(3) - np.outer(normal, normal))
+            # Where it acts: along each axis by a step, and by opposite squares of the five.
+            along = [
+                np.einsum("mri,r->mi", near[1 + axis] - near[0], shares[0]) / STEP_MM
+                + (rest[:, index, 1 + 2 * axis] - rest[:, index, 2 + 2 * axis])
+                / (2 * REACH * nominal)
+                for axis in range(2)
+            ]
+            parts = np.stack([hertz + wider, wider, *along])
+            out.append(parts / (1 + found["youngs_modulus"]))
         return out
 
     @cached_property
     def _few(self) -> tuple[Rectangles, Floats]:
-        """Five squares a place, and weights of Hertz's second moment, radius^2 / 5 per axis."""
-        reach = 0.7
-        offsets = reach * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float)
-        outer = 0.2 / (2 * reach**2)
-        weights = np.array([1 - 4 * outer, *[outer] * 4])
-        parts = [self._squares(i, r, (offsets, weights))[0] for i, r in enumerate(self.radius_mm)]
+        """Five squares a place, and (2, 5) weights of the second moments of Hertz's pressure and of
+        a stuck disc's shear, radius^2 / 5 and / 3 per axis."""
+        offsets = REACH * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], float)
+        outer = np.array([1 / 5, 1 / 3]) / (2 * REACH**2)
+        weights = np.stack([1 - 4 * outer, *[outer] * 4], axis=1)
+        parts = [self._squares(i, r, offsets) for i, r in enumerate(self.radius_mm)]
         joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in FIELDS}
         return Rectangles(**joined), weights
 
-    def _squares(
-        self, index: int, radius: float, shares: tuple[Floats, Floats]
-    ) -> tuple[Rectangles, Floats]:
-        """Return squares on the surface around a place, at offsets in radii, and their shares."""
-        offsets, share = shares
+    def _squares(self, index: int, radius: float, offsets: Floats) -> Rectangles:
+        """Return squares on the surface around a place, at offsets in radii."""
         body = self.scene.body
         centre = self.places.centre_mm[index]
         points = body.chart_points(body.chart_of(centre[None]) + radius * offsets)
-        half = np.full((len(points), 2), radius / CUTS)
-        force = np.zeros_like(points)
-        squares = Rectangles(
-            centre_mm=points, frames=body.frames(points), half_mm=half, force_n=force
+        return Rectangles(
+            centre_mm=points,
+            frames=body.frames(points),
+            half_mm=np.full((len(points), 2), radius / CUTS),
+            force_n=np.zeros_like(points),
         )
-        return squares, share
 
     @staticmethod
-    def hertz_shares() -> tuple[Floats, Floats]:
-        """Return Hertz's pressure on a disc as shares of squares.
+    def shares() -> tuple[Floats, Floats]:
+        """Return a contact's tractions on a disc as shares of squares.
 
         Returns
         -------
-        Offsets (s, 2) of the squares' centres from the disc's, in its radii, and the shares (s,) of
-        the force on them, whose sum is 1. The squares are `CUTS` to the disc's diameter.
+        Offsets (s, 2) of the squares' centres from the disc's, in its radii, and the shares (2, s)
+        of the force on them, whose sums are 1: Hertz's pressure, and the shear of a disc that
+        sticks. The squares are `CUTS` to the disc's diameter.
         """
-        sub = 6
+        sub = 12
         fine = (np.arange(CUTS * sub) + 0.5) / (CUTS * sub) * 2 - 1
-        pressure = np.sqrt(np.maximum(1 - fine[:, None] ** 2 - fine[None, :] ** 2, 0.0))
-        cells = pressure.reshape(CUTS, sub, CUTS, sub).sum(axis=(1, 3))
+        inside = np.maximum(1 - fine[:, None] ** 2 - fine[None, :] ** 2, 0.0)
+        stuck = np.divide(1.0, np.sqrt(inside), out=np.zeros_like(inside), where=inside > 0)
+        cells = np.stack([np.sqrt(inside), stuck]).reshape(2, CUTS, sub, CUTS, sub)
+        cells = cells.sum(axis=(2, 4)).reshape(2, -1)
         axis = (np.arange(CUTS) + 0.5) / CUTS * 2 - 1
         offsets = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-        keep = cells.ravel() > 0
-        return offsets[keep], cells.ravel()[keep] / cells.sum()
+        keep = cells[0] > 0
+        return offsets[keep], cells[:, keep] / cells.sum(axis=1, keepdims=True)
 
     def _seen_slope(self, points: Points, camera: Camera) -> Floats:
         scene = self.scene
