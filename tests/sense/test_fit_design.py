@@ -21,7 +21,7 @@ class Drawing:
     print_mm = 0.03
 
     def __init__(self, aside_mm=(0.0, 0.0)):
-        self.places = PLACES + [*aside_mm, 0.0]
+        self.places = np.add(PLACES, [*aside_mm, 0.0])
 
     def markers(self, scaled, prints):
         found = DRAWN.copy()
