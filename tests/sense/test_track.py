@@ -268,14 +268,14 @@ def test_unusable_arguments():
             track(rest, rest, LAYOUT, **options)
 
 
-def moved_inside(shift):
+def moved_inside(shift, layout=LAYOUT, size=SIZE):
     """Return the shift, NaN for markers that it takes out of the picture."""
-    place = joined(LAYOUT) + shift
-    inside = ((place > -5.0) & (place < np.array(SIZE) + 4.0)).all(axis=1)
+    place = joined(layout) + shift
+    inside = ((place > -5.0) & (place < np.array(size) + 4.0)).all(axis=1)
     return np.where(inside[:, None], shift, np.nan)
 
 
-@pytest.mark.parametrize("pitches", [(1.0, 0.0), (0.0, -1.5), (1.5, 0.7), (-2.5, 0.0)])
+@pytest.mark.parametrize("pitches", [(1.0, 0.0), (0.0, -1.5), (1.5, 0.7), (2.0, 0.0), (-2.5, 0.0)])
 def test_a_cold_jump_by_a_lattice_step_is_found_or_ambiguous(pitches):
     shift = moved_inside(np.tile(30.0 * np.array(pitches), (len(joined(LAYOUT)), 1)))
     found = track(picture(0.0, 1), picture(shift, 2), LAYOUT)
@@ -515,6 +515,18 @@ def test_a_sequence_goes_anywhere():
     assert found.seen.mean() > 0.9
     assert np.nanmax(np.abs(found.shift_px - jump)) < 0.15
     assert found.spurious_px is not None
+
+
+def test_fast_steps_are_followed_out_of_the_picture():
+    """Half a pitch a frame: where markers leave, the grid looks alike a pitch off, and was taken for that."""
+    size, layout = (240, 180), flat_layout(8, 6, 30.0, (15.0, 15.0))
+    tracker = Tracker(picture(0.0, 1, layout, size), layout)
+    for number in range(1, 8):
+        shift = moved_inside(np.tile([14.0 * number - 8.0, 0.0], (len(joined(layout)), 1)), layout, size)
+        found = tracker.track(picture(shift, 1 + number, layout, size))
+        whole = (joined(layout) + shift < np.array(size) - 7.0).all(axis=1)
+        assert found.seen[whole].all() or number == 2
+        assert np.nanmax(np.abs(found.shift_px - shift)) < 0.15
 
 
 def test_warm_and_cold_agree():

@@ -365,8 +365,9 @@ class DiscFit(SoftWindow):
         own = for_kernel(shape[:, :SHAPE])
         reshaped = replace(templates, shape=own, reach_px=reach)
         again = reshaped.fit(picture, for_kernel(shape[:, SHAPE : SHAPE + 2]))
-        if 2 * len(rows) > np.isfinite(places[:, 0]).sum():
-            usual = float(np.nanquantile(again[rows, MISFIT], USUAL))
+        left = again[rows, MISFIT]
+        if 2 * len(rows) > np.isfinite(places[:, 0]).sum() and np.isfinite(left).any():
+            usual = float(np.nanquantile(left, USUAL))
             least = templates.usual_misfit
             usual = min(max(usual, least), MORE_UNUSUAL * least)
             templates = replace(templates, usual_misfit=usual)

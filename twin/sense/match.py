@@ -267,7 +267,7 @@ class Neighbourhood:
         count = len(self.rest_px)
         if not count or not len(spots):
             return np.full(count, -1, np.int64), False
-        search = _Search(self, spots, alike, size_px)
+        search = _Search(self, spots, alike, size_px, start_px)
         if start_px is not None:
             warm = search.grow(start_px, whole=True)
             allowed = TRUST * float(np.isfinite(self.rest_px).all(axis=1).sum())
@@ -277,6 +277,8 @@ class Neighbourhood:
         if start_px is None and search.plain(still):
             return still.spot, False
         grown = [still, *(search.grow(guess) for guess in search.common_motion())]
+        if start_px is not None:
+            grown.append(search.grow(start_px))
         best = min(grown, key=lambda p: p.cost)
         if start_px is not None and search.lost(warm) - allowed < search.lost(best):
             return warm.spot, False
@@ -323,9 +325,9 @@ def _partners(rest_px: Pixels, near: Ints, real: Bools, spacing_px: float) -> In
 
 @dataclass(frozen=True, kw_only=True)
 class _Pairing:
-    """Which spot every marker is taken for: (n,) spots, -1 for none, (n, 2) motion; its mean length
-    in spacings; how much that leaves over, how many of these are markers that have moved unlike
-    their neighbours, and what speaks against it in all."""
+    """Which spot every marker is taken for: (n,) spots, -1 for none, (n, 2) motion; its mean
+    length in spacings; how much that leaves over, how many of these are markers that have moved
+    unlike their neighbours, and what speaks against it in all."""
 
     spot: Ints
     motion: Pixels
@@ -339,9 +341,14 @@ class _Search:
     """Pairings of the markers of a neighbourhood with the spots of a picture."""
 
     def __init__(
-        self, around: Neighbourhood, spots: Pixels, alike: Bools, size_px: tuple[int, int] | None
+        self,
+        around: Neighbourhood,
+        spots: Pixels,
+        alike: Bools,
+        size_px: tuple[int, int] | None,
+        start_px: Pixels | None,
     ) -> None:
-        self.around, self.spots, self.alike = around, spots, alike
+        self.around, self.spots, self.alike, self.start_px = around, spots, alike, start_px
         self.known: Bools = np.asarray(np.isfinite(around.rest_px).all(axis=1))
         self.usable = alike.any(axis=0)
         self.tree = cKDTree(spots)
@@ -358,23 +365,36 @@ class _Search:
         size = self.around.spacing_px
         motion = self._motion(spot)
         expected, certain = self.around.predict(motion)
+        if not certain.all() and (spot >= 0).any():
+            expected[~certain] = np.median(motion[spot >= 0], axis=0)
         place = self.around.rest_px + expected
         with np.errstate(invalid="ignore"):
             margin = GATE * size if np.isfinite(self.border).all() else -np.inf
             inside = ((place > margin) & (place < self.border - margin)).all(axis=1)
-        lost = int((self.known & (spot < 0) & (inside | ~certain)).sum())
+        lost = int((self.known & (spot < 0) & inside).sum())
         strange = self._strange(spot, motion, margin)
         found = certain & (spot >= 0)
         astray = int(
             (np.linalg.norm(motion[found] - expected[found], axis=1) > 0.5 * GATE * size).sum()
         )
-        length = np.linalg.norm(motion[spot >= 0], axis=1)
-        mean = float(length.mean()) / size if len(length) else 0.0
+        mean = self._mean_length(motion) / size
         left_over = lost + strange + astray
-        cost = 2.0 * np.sqrt(left_over) + PRIOR * mean
         return _Pairing(
-            spot=spot, motion=motion, length=mean, left_over=left_over, astray=astray, cost=cost
+            spot=spot,
+            motion=motion,
+            length=mean,
+            left_over=left_over,
+            astray=astray,
+            cost=2.0 * np.sqrt(left_over) + PRIOR * mean,
         )
+
+    def _mean_length(self, motion: Pixels) -> float:
+        """Return how far markers have moved on average, px: since rest; in a sequence the mean of
+        this and of how far since the last picture."""
+        starts = [np.zeros(2)] if self.start_px is None else [np.zeros(2), self.start_px]
+        lengths = [np.linalg.norm(motion - start, axis=1) for start in starts]
+        known = [length[np.isfinite(length)] for length in lengths]
+        return float(np.mean([one.mean() if len(one) else 0.0 for one in known]))
 
     def _strange(self, spot: Ints, motion: Pixels, margin: float) -> int:
         """Return how many spots are no marker's, though at rest they would have been well inside

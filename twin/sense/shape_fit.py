@@ -401,7 +401,9 @@ def fit_visible(
     fitted[:, STEP] = np.hypot(step[:, 0], step[:, 1])
     fitted[:, EDGE] = 1.0 - (information * (inside & ~use)).sum(axis=1) / every
     fitted[:, FITTING] = (information * used).sum(axis=1) / every
-    fitted[:, SHORTFALL] = (cover * (hidden & use)).sum(axis=1) / cover.sum(axis=1)
+    fitted[:, SHORTFALL] = (cover * (hidden & use)).sum(axis=1) / np.maximum(
+        cover.sum(axis=1), 1e-9
+    )
     return fitted
 
 

@@ -14,14 +14,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from twin.arrays import Bools, Floats, Picture, Pixels, frozen
 from twin.blas_threads import one_blas_thread
 from twin.display import Table, html_table, new_axes, one_line, plot_shifts
 from twin.errors import InputError
 from twin.parts.methods import CentreMethod
-from twin.sense.centre import MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
+from twin.sense.centre import AMBIGUOUS, MISSING, PARTLY_HIDDEN, SEEN, STATES, STRAINED
 from twin.sense.colour import Weights, as_picture, repeats_blocks
+from twin.sense.match import GATE
 from twin.sense.reference import Rest, analyse_rest
 
 CACHE_LINE = 64
@@ -276,10 +278,27 @@ class Tracker:
                 self._before[:] = picture
             self._compared += 1
         found = track_frame(self.rest, image, self._last_px)
-        if found.seen.any():
-            before = np.nan if self._last_px is None else self._last_px
-            self._last_px = np.where(found.seen[:, None], found.shift_px, before)
+        self._last_px = found.shift_px if found.seen.all() else self._starts(found)
         return found
+
+    def _starts(self, found: Found) -> Pixels | None:
+        """Return (N, 2) shifts to start from in the next picture, px: for lost markers the last
+        known ones, but those of the nearest marker, of any layer, where this has moved on. None
+        where all are ambiguous, as these could be a pitch off."""
+        seen = found.seen
+        if not seen.any():
+            return None if np.any(found.state == AMBIGUOUS) else self._last_px
+        last = np.full_like(found.shift_px, np.nan) if self._last_px is None else self._last_px
+        last = np.where(seen[:, None], found.shift_px, last)
+        for group in self.rest.groups:
+            rows = group.look.rows[~seen[group.look.rows]]
+            rows = rows[np.isfinite(found.rest_px[rows, 0])]
+            _, near = cKDTree(found.rest_px[seen]).query(found.rest_px[rows])
+            expected = found.shift_px[seen][near]
+            away = np.hypot(*(last[rows] - expected).T)
+            moved = ~(away < GATE * group.around.spacing_px)
+            last[rows[moved]] = expected[moved]
+        return last
 
     def forget(self) -> None:
         """Search the whole next picture, as after a cut in the sequence."""
