@@ -34,7 +34,7 @@ from twin.study.batch.pool import versions
 from twin.study.calibrate import FOOTPRINT, calibration_press, hertz_radius, optics
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
-from twin.study.sensor import Sensor, make, on_surface
+from twin.study.sensor import Sensor, on_surface
 from twin.theory.optics import project, project_with_jacobian
 from twin.world.elasticity.coated import CoveredCompliance
 from twin.world.elasticity.fem import Layer
@@ -60,7 +60,7 @@ def design() -> Scene:
 
 def sensors(scene: Scene, count: int = SENSORS) -> list[Any]:
     """Return made sensors."""
-    return [make(scene.model_copy(update={"seed": 100 + number})) for number in range(count)]
+    return [Sensor(scene.model_copy(update={"seed": 100 + number})).actual for number in range(count)]
 
 
 @dataclass(frozen=True)

@@ -655,9 +655,9 @@ def view(
     bar = _progress()
     sensor = Sensor(scene, bar)
     if window:
-        from twin.show.body_view import require_window
+        from twin.show.body_view import BodyView
 
-        require_window()
+        BodyView.require_window()
         shown = body_view(sensor)
         if bar is not None:
             bar("done", 1.0)

@@ -40,3 +40,10 @@ def test_the_least_distance_is_interpolated_and_never_optimistic() -> None:
     assert two_point_distance(apart, np.array([0.3, 0.1, 0.3, 0.5])) == pytest.approx(2.5), "a stray dip does not count"
     assert two_point_distance(apart, np.array([0.3, 0.4, 0.5, 0.6])) == 1.0
     assert two_point_distance(apart, np.zeros(4)) == np.inf
+
+
+def test_a_width_that_is_wanted_at_least_is_never_missing():
+    x = np.linspace(-4.0, 4.0, 9)
+    assert full_width(x, np.maximum(0.0, 1.0 - np.abs(x) / 3.0), at_least=True) == pytest.approx(3.0)
+    assert full_width(x, np.ones(9), at_least=True) == pytest.approx(8.0), "as wide as its samples"
+    assert np.isnan(full_width(x, np.ones(9)))

@@ -41,13 +41,13 @@ def test_without_a_display_or_opengl_the_page_is_named_instead(monkeypatch: pyte
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(MissingCapability, match=r"DISPLAY is not set.*without --window a page is written"):
-        body_view.require_window()
+        body_view.BodyView.require_window()
     monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.setattr(body_view, "TRIAL", "import os; os.abort()")
     with pytest.raises(MissingCapability, match="OpenGL, which does not draw here"):
-        body_view.require_window()
+        body_view.BodyView.require_window()
     monkeypatch.setattr(body_view, "TRIAL", "")
-    body_view.require_window()
+    body_view.BodyView.require_window()
 
 
 @pytest.mark.slow

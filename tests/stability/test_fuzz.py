@@ -18,7 +18,7 @@ from twin.files import read_arrays, write_json
 from twin.study.batch.pool import only_writer
 from twin.study.check import check_path
 from twin.study.dataset.plan import FORMAT
-from twin.study.dataset.reader import DatasetReader, decoded, open_dataset
+from twin.study.dataset.reader import DatasetReader, open_dataset
 from twin.study.intrinsics import read_intrinsics
 from twin.study.recorded import read_picture
 
@@ -89,9 +89,9 @@ def test_yaml_that_multiplies_itself_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_picture_in_a_dataset_is_bounded() -> None:
-    assert decoded(png_bomb(20)).shape == (20, 20, 3)
+    assert DatasetReader.decoded(png_bomb(20)).shape == (20, 20, 3)
     with pytest.raises(ValueError, match=r"more than|decompression bomb"):
-        decoded(png(9000, 9000))
+        DatasetReader.decoded(png(9000, 9000))
 
 
 def test_a_lock_is_not_taken_through_a_link(tmp_path: Path) -> None:

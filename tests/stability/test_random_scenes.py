@@ -26,7 +26,7 @@ from twin.errors import ContactError, RecipeError
 from twin.parts.press import Cone, Press
 from twin.study.doubts import noise_bound
 from twin.study.recipe import dump_scene, load_scene
-from twin.study.sensor import Sensor, make
+from twin.study.sensor import Sensor
 
 FOUND = Path(__file__).parent / "found"
 AGAIN = "save the recipe as FILE: python -m benchmarks random_scenes --again FILE; once mended, keep it in found/"
@@ -121,7 +121,7 @@ def test_every_table_of_a_scene_is_spoilt() -> None:
 @pytest.mark.parametrize("distortion", [[0.01, 0.0, 1e-3, 0.0], [0.01, 0.0, 0.0, 0.0, 1e-3], []])
 def test_a_camera_of_any_distortion_can_be_made_with_tolerances(distortion: list[float]) -> None:
     scene = load_scene("kamiyama_pillar", {"camera.distortion": distortion, "tolerance.distortion": 0.01})
-    made = make(scene).scene.camera
+    made = Sensor(scene).actual.scene.camera
     assert made.distortion[0] != (distortion or [0.0])[0]
     assert list(made.distortion[1:]) == (distortion or [0.0, 0.0])[1:]
 

@@ -10,13 +10,13 @@ from twin.parts.load import Traction
 from twin.parts.scene import Tolerance
 from twin.parts.vary import CUT
 from twin.study.recipe import load_scene
-from twin.study.sensor import Sensor, make
+from twin.study.sensor import Sensor
 
 DRAWN = {"tolerance.print_diameter_pct": 5.0, "tolerance.print_shade_pct": 8.0, "tolerance.missing": 0.1}
 
 
 def test_prints_vary_as_told_and_change_no_other_draw() -> None:
-    plain, drawn = make(load_scene("kamiyama_pillar")), make(load_scene("kamiyama_pillar", DRAWN))
+    plain, drawn = (Sensor(load_scene("kamiyama_pillar", keys)).actual for keys in ({}, DRAWN))
     assert plain.prints is None
     np.testing.assert_array_equal(plain.jitter_mm, drawn.jitter_mm)
     assert plain.scene.camera == drawn.scene.camera
@@ -26,9 +26,9 @@ def test_prints_vary_as_told_and_change_no_other_draw() -> None:
     assert prints.shade.std() == pytest.approx(0.08, rel=0.1)
     assert np.abs(prints.size - 1).max() <= 0.05 * 2.5 + 1e-12
     assert prints.missing.mean() == pytest.approx(0.1, abs=0.04)
-    again = make(load_scene("kamiyama_pillar", DRAWN)).prints
+    again = Sensor(load_scene("kamiyama_pillar", DRAWN)).actual.prints
     np.testing.assert_array_equal(again.missing, prints.missing)
-    assert make(load_scene("kamiyama_pillar", {**DRAWN, "tolerance.preset": "none"})).prints is None
+    assert Sensor(load_scene("kamiyama_pillar", {**DRAWN, "tolerance.preset": "none"})).actual.prints is None
 
 
 @pytest.mark.parametrize("key", [key for key in Tolerance.model_fields if key.endswith("_pct")])
@@ -37,7 +37,7 @@ def test_no_tolerance_takes_what_is_positive_below_zero(key: str, monkeypatch: p
     worst = bounds(Tolerance.model_fields[key].metadata)[1]
     lowest = SimpleNamespace(standard_normal=lambda size=(): np.full(size, -2 * CUT), random=np.zeros)
     monkeypatch.setattr("twin.study.sensor.stream", lambda *_: lowest)
-    made = make(load_scene("kamiyama_pillar", {f"tolerance.{key}": worst}))
+    made = Sensor(load_scene("kamiyama_pillar", {f"tolerance.{key}": worst})).actual
     assert min(made.scene.material.youngs_modulus_mpa, made.scene.camera.focal_px) > 0
     assert made.prints is None or min(made.prints.size.min(), made.prints.shade.min()) > 0
 

@@ -9,7 +9,7 @@ from twin.cli import main
 from twin.errors import RecipeError
 from twin.study.doubts import doubts, noise_bound
 from twin.study.recipe import load_scene, shipped_scenes
-from twin.study.sensor import make
+from twin.study.sensor import Sensor
 
 FLAT = "kamiyama_pillar"
 
@@ -45,7 +45,7 @@ def test_shipped_scenes_are_not_doubted():
 
 def test_beads_wider_than_their_pitch_are_refused():
     with pytest.raises(RecipeError, match=r"markers.red.diameter_mm = 2 mm: beads can't be wider .* pitch_mm = 1.5 mm"):
-        make(load_scene(FLAT, {"markers.red.diameter_mm": 2.0}))
+        Sensor(load_scene(FLAT, {"markers.red.diameter_mm": 2.0})).picture(None)
 
 
 def test_the_noise_of_a_mosaic_video_or_compression_has_no_closed_form():

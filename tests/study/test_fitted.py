@@ -4,7 +4,7 @@ import pytest
 from twin.sense.fit_design import Fit
 from twin.study.fitted_design import FittedDesign
 from twin.study.recipe import load_scene
-from twin.study.sensor import make, on_surface
+from twin.study.sensor import Sensor, on_surface
 from twin.theory.optics import project
 
 SCENE = load_scene("sato_press", overrides={"tolerance.distortion": 0.01})
@@ -22,7 +22,7 @@ def rest_px(actual):
 
 def test_markers_stand_where_they_are_seen():
     """With the made sensor's own camera and depths the print errors come out exactly, NaN markers as drawn."""
-    actual, twin = make(SCENE), design()
+    actual, twin = Sensor(SCENE).actual, design()
     camera, nominal = actual.scene.camera, SCENE.camera
     room = SCENE.tolerance
     told = {

@@ -22,7 +22,7 @@ import pytest
 import twin
 from twin.errors import InputError
 from twin.show.body_view import hand_page
-from twin.study.live import LARGEST_QUESTION, QUICK, Hand, LivePress, Loopback, run_live
+from twin.study.live import LARGEST_QUESTION, QUICK, Hand, LivePress, run_live
 from twin.study.recipe import parse_override
 
 PUSH = {"x_mm": 1.0, "y_mm": -0.5, "push_n": 2.0, "side_x": 0.2, "side_y": 0.0, "twist": 0.5, "friction": 1.2}
@@ -34,14 +34,14 @@ def live() -> LivePress:
 
 
 @pytest.fixture(scope="module")
-def page(live: LivePress) -> Iterator[Loopback]:
-    page = Loopback("<p>the page</p>", live.answer)
+def page(live: LivePress) -> Iterator[Any]:
+    page = live.served("<p>the page</p>")
     threading.Thread(target=page.serve, daemon=True).start()
     return page
 
 
 def asked(
-    page: Loopback, method: str, path: str, body: bytes | None = None, **headers: str
+    page: Any, method: str, path: str, body: bytes | None = None, **headers: str
 ) -> tuple[int, bytes, dict[str, str]]:
     connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=60)
     try:
@@ -52,14 +52,14 @@ def asked(
         connection.close()
 
 
-def step(page: Loopback, hand: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray]:
+def step(page: Any, hand: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray]:
     status, body, _ = asked(page, "POST", f"/ask?token={page.token}", json.dumps(hand).encode())
     assert status == 200, body
     (size,) = struct.unpack("<I", body[:4])
     return json.loads(body[4 : 4 + size]), np.frombuffer(body[4 + size :], np.uint8).reshape(480, 640, 3)
 
 
-def test_without_the_token_everything_is_refused(page: Loopback) -> None:
+def test_without_the_token_everything_is_refused(page: Any) -> None:
     for path in (
         "/",
         "/ask",
@@ -76,7 +76,7 @@ def test_without_the_token_everything_is_refused(page: Loopback) -> None:
             assert b"the page" not in body
 
 
-def test_with_it_the_page_comes_with_its_guard(page: Loopback) -> None:
+def test_with_it_the_page_comes_with_its_guard(page: Any) -> None:
     status, body, headers = asked(page, "GET", f"/?token={page.token}")
     assert (status, body) == (200, b"<p>the page</p>")
     assert "default-src 'none'" in headers["Content-Security-Policy"]
@@ -84,14 +84,14 @@ def test_with_it_the_page_comes_with_its_guard(page: Loopback) -> None:
     assert asked(page, "GET", f"/other?token={page.token}")[0] == 404
 
 
-def test_another_name_or_another_site_is_refused_even_with_the_token(page: Loopback) -> None:
+def test_another_name_or_another_site_is_refused_even_with_the_token(page: Any) -> None:
     path = f"/?token={page.token}"
     assert asked(page, "GET", path, Host="evil.example")[0] == 403
     assert asked(page, "POST", f"/ask?token={page.token}", b"{}", Origin="http://evil.example")[0] == 403
     assert asked(page, "GET", path, Host=f"localhost:{page.port}")[0] == 200
 
 
-def test_it_listens_on_loopback_alone(page: Loopback) -> None:
+def test_it_listens_on_loopback_alone(page: Any) -> None:
     assert page.address.startswith("http://127.0.0.1:")
     with pytest.raises(OSError, match=r"refused|unreachable|timed out"):  # any other address of loopback
         socket.create_connection(("127.0.0.2", page.port), timeout=2)
@@ -107,7 +107,7 @@ def test_it_listens_on_loopback_alone(page: Loopback) -> None:
         socket.create_connection((own, page.port), timeout=2)
 
 
-def test_a_step_changes_the_picture_and_tells_the_forces(page: Loopback) -> None:
+def test_a_step_changes_the_picture_and_tells_the_forces(page: Any) -> None:
     lifted, rest = step(page, {**PUSH, "push_n": 0.0})
     told, pressed = step(page, PUSH)
     assert lifted["contact"] is None
@@ -119,7 +119,7 @@ def test_a_step_changes_the_picture_and_tells_the_forces(page: Loopback) -> None
     assert told["contact"]["place"] == pytest.approx([1.0, -0.5], abs=0.1)
 
 
-def test_what_can_t_be_is_said_and_the_page_lives_on(page: Loopback) -> None:
+def test_what_can_t_be_is_said_and_the_page_lives_on(page: Any) -> None:
     path = f"/ask?token={page.token}"
     for question, said in (
         ({**PUSH, "x_mm": 49.5}, b"edge"),
@@ -170,7 +170,7 @@ def test_in_time_a_held_press_creeps_slip_stays_and_another_place_begins_anew() 
         live.answer({**hand, "seconds": "long"})
 
 
-def test_a_port_that_can_t_be_had_is_said_before_any_work(page: Loopback, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_that_can_t_be_had_is_said_before_any_work(page: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.study.live.LivePress", None)
     with pytest.raises(InputError, match=f"--port {page.port}"):
         run_live(twin.load_scene("kamiyama_pillar"), page.port)

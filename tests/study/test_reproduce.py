@@ -34,7 +34,6 @@ from twin.study.reproduce.bench import (
     Way,
     settled,
 )
-from twin.study.reproduce.design_limits import width_mm
 from twin.study.reproduce.reproduction_run import ENTRIES, reproduce
 
 FAST = ("kamiyama/fig-6", "kamiyama/fig-7")
@@ -318,9 +317,3 @@ def test_a_page_says_first_what_nothing_explains() -> None:
     assert "share: paper 1, twin 2 ± 0.1 px" in page
     fine = {**table, "records": [{**row, "verdict": "agrees"}]}
     assert "What no modelled cause explains" not in reproduction([fine], {}, {}, {}, {}, [], seed=1, quick=True)
-
-
-def test_a_width_is_never_missing() -> None:
-    x = np.linspace(-4.0, 4.0, 9)
-    assert width_mm(x, np.maximum(0.0, 1.0 - np.abs(x) / 3.0)) == pytest.approx(3.0)
-    assert width_mm(x, np.ones(9)) == pytest.approx(8.0), "a peak that never falls is at least as wide as its samples"

@@ -12,17 +12,18 @@ from twin.arrays import Floats
 from twin.theory.limit import DIP
 
 
-def full_width(x: Floats, y: Floats) -> float:
+def full_width(x: Floats, y: Floats, *, at_least: bool = False) -> float:
     """Return the full width at half of the maximum of a sampled peak, crossings interpolated
-    linearly; NaN if open."""
+    linearly; NaN if open, or with ``at_least`` the length of the row."""
     top = int(np.argmax(y))
     half = 0.5 * float(y[top])
+    open_width = float(x[-1] - x[0]) if at_least else float("nan")
     if half <= 0:
-        return float("nan")
+        return open_width
     left = next((k for k in range(top, 0, -1) if y[k - 1] < half), None)
     right = next((k for k in range(top, len(y) - 1) if y[k + 1] < half), None)
     if left is None or right is None:
-        return float("nan")
+        return open_width
     low = x[left] - (x[left] - x[left - 1]) * (y[left] - half) / (y[left] - y[left - 1])
     high = x[right] + (x[right + 1] - x[right]) * (y[right] - half) / (y[right] - y[right + 1])
     return float(high - low)

@@ -2,8 +2,8 @@
 
 `BodyView.page` is the page of ``twin view``, `hand_page` that of ``twin run --live``, in which the
 probe is moved by hand. Both draw on a plain canvas, far triangles first, and load nothing from
-elsewhere. `BodyView.show` opens a window; `require_window` tests for display and OpenGL in a child
-process, because a broken OpenGL ends the process that calls it.
+elsewhere. `BodyView.show` opens a window; `BodyView.require_window` tests for display and OpenGL in
+a child process, because a broken OpenGL ends the process that calls it.
 """
 
 from __future__ import annotations
@@ -85,6 +85,32 @@ class BodyView:
             "frames": [_frame(frame) for frame in self.frames],
         }
         return _filled("body_view.html", self.title, data)
+
+    @staticmethod
+    def require_window() -> None:
+        """Raise `MissingCapability` where no window can be opened: without a display, or an OpenGL
+        that draws."""
+        instead = "without --window a page is written that turns in any browser"
+        if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+            raise MissingCapability(
+                f"--window needs a display (the environment variable DISPLAY is not set): {instead}"
+            )
+        try:
+            wanted = (
+                [X11] if sys.platform == "linux" else []
+            )  # else a picture without a window is drawn, if a display fails
+            tried = subprocess.run(
+                [sys.executable, "-c", TRIAL, *wanted], capture_output=True, timeout=TRIAL_S
+            )
+        except subprocess.TimeoutExpired:
+            raise MissingCapability(
+                f"--window: OpenGL does not answer within {TRIAL_S:g} s: {instead}"
+            ) from None
+        if tried.returncode:
+            raise MissingCapability(
+                "--window needs a display that works and OpenGL, which does not draw here (on "
+                f"Debian: apt install libgl1 libglx-mesa0): {instead}"
+            )
 
     def show(self, picture: Path | None = None) -> None:
         """Show a body until its window is closed, or draw its last step to a file ``picture``.
@@ -209,32 +235,6 @@ sys.exit(sys.argv[1:] not in ([], [window.GetClassName()]))
 """Ends with 0 if OpenGL draws, by the kind of window that is named, if one is."""
 
 X11 = "vtkXOpenGLRenderWindow"
-
-
-def require_window() -> None:
-    """Raise `MissingCapability` where no window can be opened: without a display, or an OpenGL that
-    draws."""
-    instead = "without --window a page is written that turns in any browser"
-    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        raise MissingCapability(
-            f"--window needs a display (the environment variable DISPLAY is not set): {instead}"
-        )
-    try:
-        wanted = (
-            [X11] if sys.platform == "linux" else []
-        )  # else a picture without a window is drawn, if a display fails
-        tried = subprocess.run(
-            [sys.executable, "-c", TRIAL, *wanted], capture_output=True, timeout=TRIAL_S
-        )
-    except subprocess.TimeoutExpired:
-        raise MissingCapability(
-            f"--window: OpenGL does not answer within {TRIAL_S:g} s: {instead}"
-        ) from None
-    if tried.returncode:
-        raise MissingCapability(
-            "--window needs a display that works and OpenGL, which does not draw here (on Debian: "
-            f"apt install libgl1 libglx-mesa0): {instead}"
-        )
 
 
 def _draw(plotter: Any, pyvista: Any, view: BodyView, frame: BodyFrame, times: float) -> None:

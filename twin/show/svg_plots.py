@@ -144,7 +144,7 @@ class Axes:
                 f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}m{-a - 0.36 * b:.1f} "
                 f"{-b + 0.36 * a:.1f}L{x1:.1f} {y1:.1f}l{-a + 0.36 * b:.1f} {-b - 0.36 * a:.1f}"
             )
-        return path(steps, style)
+        return _path(steps, style)
 
     def crosses(self, points: Floats) -> str:
         """Return one path with an x at each of the (n, 2) ``points``, which were lost."""
@@ -152,7 +152,7 @@ class Axes:
             f"M{x - 3.0:.1f} {y - 3.0:.1f}l6 6m0 -6l-6 6"
             for x, y in self.place(points[np.isfinite(points).all(axis=1)]).tolist()
         ]
-        return path(steps, "lost")
+        return _path(steps, "lost")
 
     def dots(self, points: Floats, style: str, radius: float) -> str:
         """Return one path with a filled circle at each of the (n, 2) ``points``."""
@@ -161,7 +161,15 @@ class Axes:
             f"a{radius:g} {radius:g} 0 1 0 {-2 * radius:g} 0"
             for x, y in self.place(points[np.isfinite(points).all(axis=1)]).tolist()
         ]
-        return path(steps, style)
+        return _path(steps, style)
+
+    def segments(self, ends: Sequence[list[list[float]]], style: str) -> str:
+        """Return one path with a line between each of the (n, 2, 2) pairs of points."""
+        steps = []
+        for pair in ends:
+            (x0, y0), (x1, y1) = self.place(np.array(pair)).tolist()
+            steps.append(f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}")
+        return _path(steps, style)
 
     def line(self, points: Floats, style: str) -> str:
         """Return a polyline through the (n, 2) ``points``."""
@@ -196,7 +204,7 @@ def _ticks(low: float, high: float, about: int = 6) -> list[float]:
     return [round(k * step, 12) for k in range(first, last + 1)]
 
 
-def path(steps: Sequence[str], style: str) -> str:
+def _path(steps: Sequence[str], style: str) -> str:
     """Return one path of SVG steps, of a class; empty without steps."""
     return f'<path class="{style}" d="{"".join(steps)}"/>' if steps else ""
 

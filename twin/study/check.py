@@ -56,7 +56,7 @@ def check_path(name: str) -> list[str]:
             f"{path}: calibration of {len(calibration.site_mm)} sites, "
             f"{len(calibration.transfer) // 2} markers: ok"
         ]
-    from twin.study.sensor import make
+    from twin.study.sensor import Sensor
 
     file = find_scene(name)
     if file.suffix == ".toml" and "axes" in read_recipe(file):
@@ -64,7 +64,7 @@ def check_path(name: str) -> list[str]:
 
         return looked_over(file)
     scene = load_scene(name)
-    make(scene)
+    Sensor(scene).actual  # noqa: B018  refuses a marker outside the body
     _mesh_own_body(scene)
     lines = [f"{file}: ok"]
     lines += [f"warning: {doubt}" for doubt in doubts(scene)]

@@ -254,6 +254,11 @@ class LivePress:
         text = json.dumps(plain(table), allow_nan=False).encode()
         return struct.pack("<I", len(text)) + text + seen.picture.tobytes()
 
+    def served(self, page: str, port: int = 0) -> _Loopback:
+        """Return a page (HTML) on the loopback address, which replies by `answer`; port 0 is any
+        that is free. `InputError` where the port can't be had."""
+        return _Loopback(page, self.answer, port)
+
     def _before_of(self, hand: Hand, seconds: float | None) -> Hand | None:
         """Return the hand that one follows in time; None where a press begins."""
         before = self._before
@@ -323,7 +328,7 @@ def run_live(scene: Scene, port: int = 0, progress: Progress | None = None) -> N
     with one_thread():  # the steps' small products lose more than they gain by a second thread
         live = LivePress(scene, progress)
         live.answer(live.start().question())
-        page = Loopback(hand_page(live.facts()), live.answer, port)
+        page = live.served(hand_page(live.facts()), port)
         if progress is not None:
             progress("done", 1.0)
         print(f"open {page.address}\nCtrl-C ends it", flush=True)
@@ -362,7 +367,7 @@ def _listening(port: int) -> _Server:
         ) from None
 
 
-class Loopback:
+class _Loopback:
     """Serves one page (HTML) at ``/``, and replies to questions at ``/ask``.
 
     ``answer`` turns a question (a JSON object) into the bytes of the reply; a `TwinError` is sent

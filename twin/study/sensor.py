@@ -1,7 +1,7 @@
 """A made sensor: its body, its markers, its camera, each computed at first use and then kept.
 
 `Sensor` connects `twin.world` and `twin.sense`. The truth is computed from the actual sensor, drawn
-from the tolerances (`make`). The sensor's software gets the nominal design only, on a mesh of its
+from the tolerances (`_make`). The sensor's software gets the nominal design only, on a mesh of its
 own.
 """
 
@@ -99,7 +99,7 @@ class Motion:
     cover: CoverMotion | None = None
 
 
-def make(nominal: Scene) -> _Actual:
+def _make(nominal: Scene) -> _Actual:
     """Draw the actual sensor of ``nominal`` from its tolerances and seed."""
     tolerance = nominal.tolerance
     count = sum(layer.columns * layer.rows for layer in nominal.markers.values())
@@ -240,7 +240,7 @@ class Sensor:
     @cached_property
     def actual(self) -> _Actual:
         """The sensor as it was made."""
-        return make(self.nominal)
+        return _make(self.nominal)
 
     @cached_property
     def ladder(self) -> Ladder:

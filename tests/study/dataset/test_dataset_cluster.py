@@ -20,7 +20,7 @@ from small_dataset import contents, make
 import twin
 from twin.errors import InputError, MissingCapability
 from twin.study.batch import pool
-from twin.study.batch.pool import Done, Job, Scheduler, connected, workers_here
+from twin.study.batch.pool import Done, Job, Pool, Scheduler
 from twin.study.dataset.sample import ShardBytes
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(twin.__file__).parent.parent)}
@@ -74,8 +74,9 @@ for address, security in ((f"tcp://{host}", None), (f"tls://{host}", Security.te
 def test_no_other_account_runs_code_by_the_workers_of_this_machine() -> None:
     """A stranger without this cluster's key is refused, every port is this machine's own, and none serves a page."""
     import psutil
+    from distributed import Client
 
-    with workers_here(1) as cluster:
+    with Pool.workers_here(1) as cluster:
         told = subprocess.run(
             [sys.executable, "-c", STRANGER, cluster.scheduler_address], capture_output=True, text=True, timeout=60
         )
@@ -88,7 +89,7 @@ def test_no_other_account_runs_code_by_the_workers_of_this_machine() -> None:
             if place.status == psutil.CONN_LISTEN
         }
         assert {place.ip for place in listening} == {"127.0.0.1"}
-        with connected(cluster) as client:
+        with Client(cluster, timeout=20) as client:
             assert client.submit(os.getuid).result(30) == os.getuid()
         for place in listening:
             with pytest.raises((OSError, http.client.HTTPException)):
@@ -97,7 +98,7 @@ def test_no_other_account_runs_code_by_the_workers_of_this_machine() -> None:
 
 def test_several_workers_need_a_loopback(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "LOOPBACK", "192.0.2.1")  # an address for documentation: no machine's own
-    with pytest.raises(MissingCapability, match="--workers 1"), workers_here(2):
+    with pytest.raises(MissingCapability, match="--workers 1"), Pool.workers_here(2):
         pass
 
 
@@ -114,7 +115,7 @@ def test_workers_that_can_not_be_started_are_told_with_the_cause(
         raise RuntimeError("Nanny failed to start.") from problem
 
     monkeypatch.setattr(distributed, "LocalCluster", failing)
-    with pytest.raises(MissingCapability, match=f"2 worker processes .*{said}.*--workers 1"), workers_here(2):
+    with pytest.raises(MissingCapability, match=f"2 worker processes .*{said}.*--workers 1"), Pool.workers_here(2):
         pass
 
 
@@ -127,7 +128,7 @@ def test_workers_start_only_where_the_job_takes_longer_than_their_start(
         started.append(count)
         raise MissingCapability("started")
 
-    monkeypatch.setattr(pool, "workers_here", refused)
+    monkeypatch.setattr(Pool, "workers_here", staticmethod(refused))
     monkeypatch.setattr(pool, "FORKS", False)
     assert make(tmp_path / "small", 4, workers=2).made == 4
     monkeypatch.setattr(pool, "START_S", 0.0)
@@ -150,7 +151,7 @@ def test_two_local_workers_make_the_same_bytes_as_one(
     make(tmp_path / "two", 8, workers=2)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
     if forks:
-        with pool.Pool(2) as copies:
+        with Pool(2) as copies:
             for _ in range(2):
                 processes |= {
                     done.result for done in copies.run(Job(files={}, work=f"{__name__}:own_number"), range(8))
@@ -172,7 +173,7 @@ def only_some_return(folder: Path, number: int) -> int:
 
 
 def ran(job: Job, numbers: Iterable[int]) -> Iterator[Done]:
-    with pool.Pool(2) as both:
+    with Pool(2) as both:
         yield from both.run(job, numbers)
 
 
@@ -186,8 +187,8 @@ def test_what_a_killed_copy_leaves_is_done_by_others(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(pool, "FORKS", True)
     monkeypatch.setattr(pool, "COPY_S", 0.0)
     monkeypatch.delitem(sys.modules, "drjit", raising=False)
-    monkeypatch.setattr(pool, "workers_here", nullcontext)
-    monkeypatch.setattr(pool, "tasks_on_cluster", others)
+    monkeypatch.setattr(Pool, "workers_here", staticmethod(nullcontext))
+    monkeypatch.setattr(Pool, "tasks_on_cluster", staticmethod(others))
     job = Job(files={}, work=f"{__name__}:only_some_return")
     done = {one.number: one for one in ran(job, range(20))}
     assert sorted(done) == [*range(20)]

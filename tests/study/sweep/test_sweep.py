@@ -19,8 +19,8 @@ from small_sweep import TABLE, small
 import twin
 from benchmarks.sweep import ranked
 from twin.study.sweep import sweep_run
-from twin.study.sweep.sweep_report import pareto, write_report
-from twin.study.sweep.sweep_run import Store, agreement, run_sweep
+from twin.study.sweep.sweep_report import write_report
+from twin.study.sweep.sweep_run import Store, Swept, run_sweep
 
 
 def table(folder: Path) -> dict[str, list[object]]:
@@ -182,9 +182,9 @@ def test_what_is_over_its_target_counts_ten_times_what_is_under_it(tmp_path: Pat
 
 
 def test_fronts_and_the_agreement_of_fidelities() -> None:
-    front = pareto([np.array([1.0, 2.0, 3.0, np.nan]), np.array([3.0, 1.0, 2.0, 0.0])])
+    front = Swept.front([np.array([1.0, 2.0, 3.0, np.nan]), np.array([3.0, 1.0, 2.0, 0.0])])
     assert front.tolist() == [True, True, False, False]
-    rank, ratio, count = agreement(np.array([1.0, 2.0, 4.0, np.nan]), np.array([2.0, 4.0, 8.0, 1.0]))
+    rank, ratio, count = Swept.agreement(np.array([1.0, 2.0, 4.0, np.nan]), np.array([2.0, 4.0, 8.0, 1.0]))
     assert (rank, ratio, count) == (pytest.approx(1.0), 2.0, 3)
 
 
@@ -233,12 +233,16 @@ def test_time_is_estimated_once_from_cpu_seconds_of_several_designs(
 ) -> None:
     cpu = [0.0]
 
-    def rows(folder: Path, task: int) -> SimpleNamespace:
-        cpu[0] += 5.0 if task == 0 else 2.0  # the first begins
-        return SimpleNamespace(rows=[{"status": "ok", "error": ""}])
+    folders = set()
 
-    monkeypatch.setattr(sweep_run, "time", SimpleNamespace(process_time=lambda: cpu[0]))
-    monkeypatch.setattr(sweep_run, "make_rows", rows)
+    def row(scene: Any, view: Any, sweep: Any, bodies: Any, pushes: Any) -> tuple[dict[str, float], None]:
+        cpu[0] += 2.0 if id(bodies) in folders else 5.0  # the first begins
+        folders.add(id(bodies))
+        return {}, None
+
+    clock = SimpleNamespace(process_time=lambda: cpu[0], perf_counter=lambda: 0.0)
+    monkeypatch.setattr(sweep_run, "time", clock)
+    monkeypatch.setattr(sweep_run, "linear", row)
     monkeypatch.setattr(sweep_run, "cache_folder", lambda: tmp_path)
     told = sweep_run.estimate(*small(), workers=2)[-1]
     assert "6 designs, about 9 s with 2 workers" in told

@@ -93,7 +93,7 @@ def with_values(
         A key is not there, or a value is not allowed.
     """
     table = plain_table(scene)
-    put_all(table, values, follows or {})
+    put(table, values, follows)
     made = validate_scene(table, "drawn scene")
     return made.model_copy(update={"vary": scene.vary, "dataset": scene.dataset})
 
@@ -104,22 +104,26 @@ def plain_table(scene: Scene) -> Table:
     return table
 
 
-def put_all(table: Table, values: Mapping[str, Any], follows: Mapping[str, Distribution]) -> None:
-    """Put values into a table at dotted keys, then those that follow others."""
+def put(
+    table: Table, values: Mapping[str, Any], follows: Mapping[str, Distribution] | None = None
+) -> None:
+    """Put values into a table at dotted keys, then those that follow others.
+
+    A path given to a press replaces the one it had.
+    """
     for key, value in values.items():
-        put(table, key, value)
-    for key, axis in follows.items():
+        _put(table, key, value)
+    for key, axis in (follows or {}).items():
         if isinstance(axis, Follows):
             value_of = look_up(table, axis.follows)
             if isinstance(value_of, bool) or not isinstance(value_of, int | float):
                 raise RecipeError(
                     f"vary.{key}: follows '{axis.follows}', which is not a number but {value_of!r}"
                 )
-            put(table, key, axis.times * value_of + axis.plus)
+            _put(table, key, axis.times * value_of + axis.plus)
 
 
-def put(table: Table, dotted: str, value: Any) -> None:
-    """Put a value at a dotted key; a path given to a press replaces the one it had."""
+def _put(table: Table, dotted: str, value: Any) -> None:
     *parents, last = dotted.split(".")
     here: Any = table
     for name in parents:

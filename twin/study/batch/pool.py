@@ -162,7 +162,7 @@ class Scheduler:
 
     def reach(self) -> None:
         """Connect to it, before anything is written for it; `InputError` where that fails."""
-        connected(self).close()
+        _connected(self).close()
 
 
 class Pool:
@@ -202,8 +202,15 @@ class Pool:
         if waiting:
             if self._cluster is None:
                 workers = min(self._workers, len(waiting))
-                self._cluster = self._started.enter_context(workers_here(workers))
-            yield from tasks_on_cluster(job, waiting, self._cluster)
+                self._cluster = self._started.enter_context(self.workers_here(workers))
+            yield from self.tasks_on_cluster(job, waiting, self._cluster)
+
+    @staticmethod
+    def end_if_too_long() -> None:
+        """Give up a first task in this process that takes long; tasks call it between their
+        parts."""
+        if time.process_time() > _limit_s[0]:
+            raise _TooLong
 
     def _run_on_this_machine(self, job: Job, waiting: deque[int]) -> Iterator[Done]:
         """Compute tasks in this process and its copies, and take them off the list; what is left is
@@ -257,6 +264,85 @@ class Pool:
                 left_s = len(waiting) * (time.process_time() - started) / done
                 if left_s * gain > start_s:
                     return
+
+    @staticmethod
+    @contextmanager
+    def workers_here(count: int) -> Iterator[Any]:
+        """Start worker processes, which only peers with the key of this cluster reach, and stop
+        them in the end; `MissingCapability` where 127.0.0.1 can't be reached or there is no room
+        for them."""
+        import dask
+        from distributed import LocalCluster
+        from distributed.security import Security
+
+        _check_loopback()
+        _silence()
+        with dask.config.set(_LOCAL_SETTINGS):
+            try:
+                started = LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    host=LOOPBACK,
+                    security=Security.temporary(),
+                    dashboard_address=f"{LOOPBACK}:0",
+                    scheduler_kwargs={"dashboard": False},
+                    memory_limit=0,
+                    silence_logs=logging.CRITICAL,
+                )
+            except (OSError, RuntimeError, TimeoutError) as problem:
+                raise MissingCapability(
+                    f"{count} worker processes could not be started here ({_cause(problem)}): see "
+                    "that there are enough processes, memory, open files and room for temporary "
+                    "files, or take --workers 1"
+                ) from None
+            with started as cluster:
+                yield cluster
+
+    @staticmethod
+    def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator[Done]:
+        """Compute tasks on `workers_here`, or a scheduler's workers; yield them as they finish."""
+        from distributed import as_completed
+        from distributed.diagnostics.plugin import WorkerPlugin
+
+        class JobFiles(WorkerPlugin):  # type: ignore[misc]
+            """Sends every worker, also a later one, the job's files before its first task."""
+
+            name = f"twin-{job.name}"
+            idempotent = True
+
+            def setup(self, worker: Any) -> None:
+                _unpack_on_worker(job)
+
+        with _connected(cluster) as client:
+            client.register_plugin(JobFiles())
+            waiting = deque(numbers)
+            alone = deque[int]()
+            given: dict[str, list[int]] = {}
+            ahead = AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+
+            def hand_out(many: int) -> Any:
+                batch = [alone.popleft()] if alone else [waiting.popleft() for _ in range(many)]
+                key = f"{job.work}-{batch[0]}-{len(batch)}"
+                given[key] = batch
+                return client.submit(
+                    _tasks_on_worker, job.name, job.work, batch, pure=False, key=key
+                )
+
+            pool = as_completed([hand_out(1) for _ in range(min(ahead, len(waiting)))])
+            many = 1
+            for future in pool:
+                batch = given.pop(future.key)
+                found, seconds = _outcome(batch, future)
+                future.release()
+                if seconds is None and len(batch) > 1:  # find out which task kills workers
+                    alone.extend(batch)
+                    found = []
+                elif seconds is not None:
+                    many = max(1, int(BATCH_S * len(batch) / max(seconds, 1e-6)))
+                if alone or waiting:
+                    pool.add(hand_out(min(many, -(-len(waiting) // ahead))))
+                yield from found
 
 
 def _can_be_copied() -> bool:
@@ -323,12 +409,6 @@ def _limited(end_s: float) -> Iterator[None]:
         _limit_s[0] = math.inf
 
 
-def end_if_too_long() -> None:
-    """Give up a first task in this process that takes long; tasks call it between their parts."""
-    if time.process_time() > _limit_s[0]:
-        raise _TooLong
-
-
 def _work_of(place: str) -> Work:
     module, name = place.split(":")
     function: Work = getattr(importlib.import_module(module), name)
@@ -368,40 +448,6 @@ def _unpack_on_worker(job: Job) -> None:
     _unpacked[job.name] = (stack, stack.enter_context(job.unpacked()))
 
 
-@contextmanager
-def workers_here(count: int) -> Iterator[Any]:
-    """Start worker processes, which only peers with the key of this cluster reach, and stop them in
-    the end; `MissingCapability` where 127.0.0.1 can't be reached or there is no room for them.
-    """
-    import dask
-    from distributed import LocalCluster
-    from distributed.security import Security
-
-    _check_loopback()
-    _silence()
-    with dask.config.set(_LOCAL_SETTINGS):
-        try:
-            started = LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                processes=True,
-                host=LOOPBACK,
-                security=Security.temporary(),
-                dashboard_address=f"{LOOPBACK}:0",
-                scheduler_kwargs={"dashboard": False},
-                memory_limit=0,
-                silence_logs=logging.CRITICAL,
-            )
-        except (OSError, RuntimeError, TimeoutError) as problem:
-            raise MissingCapability(
-                f"{count} worker processes could not be started here ({_cause(problem)}): see that "
-                "there are enough processes, memory, open files and room for temporary files, or "
-                "take --workers 1"
-            ) from None
-        with started as cluster:
-            yield cluster
-
-
 def _cause(problem: BaseException) -> str:
     """Return the operating system's message under an error, else the error's own."""
     under: BaseException | None = problem
@@ -429,8 +475,8 @@ def _silence() -> None:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
-def connected(cluster: Any) -> Any:
-    """Return a client of `workers_here`, or of a `Scheduler`.
+def _connected(cluster: Any) -> Any:
+    """Return a client of `Pool.workers_here`, or of a `Scheduler`.
 
     Raises an `InputError` where the scheduler can't be reached, or doesn't accept the certificate.
     """
@@ -459,49 +505,6 @@ def connected(cluster: Any) -> Any:
             f"({type(problem).__name__}); start one with dask scheduler, or leave the option out "
             "to work on this machine"
         ) from None
-
-
-def tasks_on_cluster(job: Job, numbers: Iterable[int], cluster: Any) -> Iterator[Done]:
-    """Compute tasks on `workers_here`, or a scheduler's workers; yield them as they finish."""
-    from distributed import as_completed
-    from distributed.diagnostics.plugin import WorkerPlugin
-
-    class JobFiles(WorkerPlugin):  # type: ignore[misc]
-        """Sends every worker, also a later one, the job's files before its first task."""
-
-        name = f"twin-{job.name}"
-        idempotent = True
-
-        def setup(self, worker: Any) -> None:
-            _unpack_on_worker(job)
-
-    with connected(cluster) as client:
-        client.register_plugin(JobFiles())
-        waiting = deque(numbers)
-        alone = deque[int]()
-        given: dict[str, list[int]] = {}
-        ahead = AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-
-        def hand_out(many: int) -> Any:
-            batch = [alone.popleft()] if alone else [waiting.popleft() for _ in range(many)]
-            key = f"{job.work}-{batch[0]}-{len(batch)}"
-            given[key] = batch
-            return client.submit(_tasks_on_worker, job.name, job.work, batch, pure=False, key=key)
-
-        pool = as_completed([hand_out(1) for _ in range(min(ahead, len(waiting)))])
-        many = 1
-        for future in pool:
-            batch = given.pop(future.key)
-            found, seconds = _outcome(batch, future)
-            future.release()
-            if seconds is None and len(batch) > 1:  # find out which task kills workers
-                alone.extend(batch)
-                found = []
-            elif seconds is not None:
-                many = max(1, int(BATCH_S * len(batch) / max(seconds, 1e-6)))
-            if alone or waiting:
-                pool.add(hand_out(min(many, -(-len(waiting) // ahead))))
-            yield from found
 
 
 def _outcome(numbers: list[int], future: Any) -> tuple[list[Done], float | None]:

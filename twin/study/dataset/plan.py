@@ -21,7 +21,7 @@ from twin.parts.press import Press
 from twin.parts.scene import Scene
 from twin.parts.vary import Choice, Distribution, ForceCone, Normal, Uniform
 from twin.streams import Purpose
-from twin.study.batch.draw import Table, draws, plain_table, put_all, with_values
+from twin.study.batch.draw import Table, draws, plain_table, put, with_values
 from twin.study.batch.pool import Job
 from twin.study.dataset.columns import ALWAYS, SAMPLE, SENSOR, Column, Kind, Need, bare
 
@@ -163,7 +163,7 @@ class Plan:
     def press_table(self, values: Table) -> Any:
         """Return the plain table of a press, or the tables of tractions, with drawn values."""
         table = {self.load_table: deepcopy(self._plain.get(self.load_table, {}))}
-        put_all(table, values, self.press_axes)
+        put(table, values, self.press_axes)
         return table[self.load_table]
 
     def press_of(self, table: Any) -> Press | Load:

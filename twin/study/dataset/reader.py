@@ -74,6 +74,22 @@ class DatasetReader:
     def __repr__(self) -> str:
         return f"DatasetReader({self.places.folder}, {len(self)} rows of {', '.join(self.columns)})"
 
+    @staticmethod
+    def decoded(data: bytes) -> Picture:
+        """Return the (height, width, 3) picture in PNG bytes.
+
+        Raises
+        ------
+        ValueError
+            They are none, or larger than any picture of this program.
+        """
+        from PIL import Image
+
+        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+            if image.width * image.height > LARGEST_PX:
+                raise ValueError(f"{image.width}x{image.height} px are more than {LARGEST_PX:,}")
+            return np.array(image)
+
     def __len__(self) -> int:
         return self._starts[-1]
 
@@ -240,27 +256,11 @@ def open_dataset(folder: Path | str, columns: Sequence[str] | None = None) -> Da
     return DatasetReader(folder, columns)
 
 
-def decoded(data: bytes) -> Picture:
-    """Return the (height, width, 3) picture in PNG bytes.
-
-    Raises
-    ------
-    ValueError
-        They are none, or larger than any picture of this program.
-    """
-    from PIL import Image
-
-    with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
-        if image.width * image.height > LARGEST_PX:
-            raise ValueError(f"{image.width}x{image.height} px are more than {LARGEST_PX:,}")
-        return np.array(image)
-
-
 def _value(scalar: Any, kind: str, decode: bool = True) -> Any:
     if not scalar.is_valid:
         return None
     if kind == "png":
-        return decoded(scalar.as_py()) if decode else scalar.as_py()
+        return DatasetReader.decoded(scalar.as_py()) if decode else scalar.as_py()
     if kind in _SHAPES:
         flat = scalar.values.flatten().to_numpy(zero_copy_only=False, writable=True)
         return flat.reshape(-1, _SHAPES[kind])

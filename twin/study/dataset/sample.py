@@ -33,7 +33,7 @@ from twin.parts.part import Part
 from twin.parts.scene import Scene, Sites
 from twin.streams import Purpose
 from twin.study.batch.draw import Table, with_values
-from twin.study.batch.pool import end_if_too_long
+from twin.study.batch.pool import Pool
 from twin.study.dataset.columns import bare, in_cells, parquet
 from twin.study.dataset.plan import MOST_STEPS, Plan
 from twin.study.film import Exposures, at_frames
@@ -397,7 +397,7 @@ def make_shard(folder: Path, shard: int) -> ShardBytes:
         sensors: dict[int, _Row] = {}
         failed, reason = 0, ""
         for sample, values in zip(numbers, plan.press_values(numbers), strict=True):
-            end_if_too_long()
+            Pool.end_if_too_long()
             number = plan.sensor_of(sample)
             try:
                 made = shop.sensor(number)

@@ -132,13 +132,6 @@ def _along_x(found: Field, *, magnitude: bool = False) -> tuple[Floats, Floats]:
     return x, np.array([float(size[mine].mean()) for mine in near])
 
 
-def width_mm(x: Floats, size: Floats) -> float:
-    """Return the full width at half maximum; the row's length, which it is at least, where it
-    doesn't fall to half."""
-    width = full_width(x, size)
-    return width if np.isfinite(width) else float(x[-1] - x[0])
-
-
 def _point_width_mm(bench: Bench, chain: Chain, trial: Trial = ONCE) -> float:
     """Return the full width at half maximum of the estimate of a narrow force, mm: of the
     magnitude, as Sato has it.
@@ -146,7 +139,7 @@ def _point_width_mm(bench: Bench, chain: Chain, trial: Trial = ONCE) -> float:
     Of the push alone it would flatter an inverse that swings from site to site.
     """
     found = chain.narrow(bench, (0.0,), FORCE_N, 60, trial)
-    return width_mm(*_along_x(found, magnitude=True))
+    return full_width(*_along_x(found, magnitude=True), at_least=True)
 
 
 def _two_points_mm(bench: Bench, chain: Chain, trial: Trial = ONCE) -> float:
@@ -281,7 +274,9 @@ def _predicted(bench: Bench, name: str, chain: Chain, printed_mm: float | None) 
             paper = printed_mm if force == 200 else None
             press = sphere_press((0.0, 0.0), force)
             field = way.shot(bench, press, trial, 80).field
-            found[Quantity(under, "mm", paper=paper)] = width_mm(*_along_x(field, magnitude=True))
+            found[Quantity(under, "mm", paper=paper)] = full_width(
+                *_along_x(field, magnitude=True), at_least=True
+            )
         narrow = Quantity(f"{width} of a narrow force of 1 N (n exposures)", "mm", paper=printed_mm)
         return found | {
             narrow: _point_width_mm(bench, way, trial),

@@ -118,7 +118,7 @@ class Designs:
         table = copy.deepcopy(base)
         for name, column in self.columns.items():
             for key in _spelt_out(name, table):
-                put(table, key, column[number])
+                put(table, {key: column[number]})
         for name, layer in table.get("markers", {}).items() if self.sweep.keep_extent else ():
             was = base["markers"][name]
             pitch = float(layer["pitch_mm"])
@@ -194,7 +194,8 @@ def _check_keys(sweep: Sweep, scene: Scene, where: str | None = None) -> None:
             try:
                 for key in _spelt_out(name, table):
                     look_up(table, key.rpartition(".")[0] or key)
-                    put(filled, key, sweep.axes[name].at(np.zeros(1))[0] if part == "axes" else 1.0)
+                    value = sweep.axes[name].at(np.zeros(1))[0] if part == "axes" else 1.0
+                    put(filled, {key: value})
                     problems += _wrong_words(sweep, table, name, key)
             except RecipeError as problem:
                 problems.append(f"{part}.{name}: {str(problem).split(': ', 1)[-1]}")
@@ -224,7 +225,7 @@ def _wrong_words(sweep: Sweep, table: Table, name: str, key: str) -> list[str]:
     for value in axis.values if isinstance(axis, Values) else ():
         if not isinstance(value, int | float):
             changed = copy.deepcopy(table)
-            put(changed, key, value)
+            put(changed, {key: value})
             try:
                 validate_scene(changed, "design")
             except RecipeError as problem:

@@ -47,7 +47,7 @@ from twin.sense.regularisation import RULES, Spectrum
 from twin.streams import Purpose, stream
 from twin.study.calibrate import half_space_compliance, nominal_calibration
 from twin.study.doubts import View, shift_sd
-from twin.study.sensor import Motion, Sensor, make, on_surface
+from twin.study.sensor import Motion, Sensor, on_surface
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.loads import PAIRS, Bodies, Pushes
 from twin.theory.limit import design_limit
@@ -475,7 +475,7 @@ def _weight(wanted: Reconstruction, spectrum: Spectrum, mean_noise: float) -> fl
 
 def _shifts(scene: Scene, number: int, bodies: Bodies, pushes: Pushes) -> Floats:
     """Return (n, 2, loads) noise-free shifts of a made sensor's markers, px."""
-    actual = make(_seeded(scene, number))
+    actual = Sensor(_seeded(scene, number)).actual
     points, camera = actual.markers.points, actual.scene.camera
     assert camera is not None
     moved = (

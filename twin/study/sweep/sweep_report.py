@@ -17,11 +17,11 @@ from twin.parts.part import Part, unit_of
 from twin.parts.scene import Scene
 from twin.parts.sweep import METRICS
 from twin.show.html_page import digits, figure, page, small_picture, table, two_columns
-from twin.show.svg_plots import Axes, force_field, path
+from twin.show.svg_plots import Axes, force_field
 from twin.study.recipe import dump_scene
 from twin.study.sweep.designs import Designs
 from twin.study.sweep.fidelities import closed
-from twin.study.sweep.sweep_run import Store, Swept, agreement, metric
+from twin.study.sweep.sweep_run import Store, Swept
 
 MOST = 5
 """Designs that get a scene of their own."""
@@ -83,7 +83,7 @@ def _best_table(done: Swept) -> tuple[list[str], list[list[str]]]:
     """Return heads and rows of the best designs: number, swept values, figures at their best
     fidelity, and the last fidelity."""
     numbers = done.order[:MOST].tolist()
-    found = {name: metric(done.columns, name) for name in FIGURES}
+    found = {name: done.metric(name) for name in FIGURES}
     heads = ["design", *map(_axis_name, done.designs.columns)]
     rows = [
         [str(number), *(_short(value) for value in done.designs.values(number).values())]
@@ -157,7 +157,7 @@ def _sensitivities(done: Swept) -> list[tuple[str, str, float, float, float]]:
         deepest = done.columns.get(f"linear_{explained}", closed_form)
         for column, axis in enumerate(axes):
             values = _numbers(done.designs.columns[axis])
-            rank = float("nan") if values is None else agreement(values, deepest)[0]
+            rank = float("nan") if values is None else done.agreement(values, deepest)[0]
             indices = float(first[row, column]), float(total[row, column])
             found.append((explained, axis, *indices, rank))
     return found
@@ -244,7 +244,7 @@ def _verdict(done: Swept) -> str:
     ]
     reached, missed = [], []
     for name, target in done.designs.sweep.targets.items():
-        found = metric(done.columns, name)
+        found = done.metric(name)
         if found is None or not np.isfinite(found[best]):
             continue
         reached.append(_as_asked(name, float(found[best]), target))
@@ -291,14 +291,14 @@ def _fronts(done: Swept) -> list[str]:
     ok = done.status == "ok"
     targets = done.designs.sweep.targets
     for x_name, y_name in FRONTS:
-        x, y = metric(done.columns, x_name, "linear"), metric(done.columns, y_name, "linear")
+        x, y = done.metric(x_name, "linear"), done.metric(y_name, "linear")
         if x is None or y is None:
             continue
         x, y = np.where(ok, x, np.nan), np.where(ok, y, np.nan)
         known = np.isfinite(x) & np.isfinite(y)
         if known.sum() < 2 or min(np.ptp(v[known]) for v in (x, y)) == 0:
             continue
-        on_front = pareto([x, -y if y_name in MORE else y])[known]
+        on_front = done.front([x, -y if y_name in MORE else y])[known]
         target = (targets.get(x_name, np.nan), targets.get(y_name, np.nan))
         names = (_named(x_name), _named(y_name))
         fronts.append(_front(names, x[known], y[known], on_front, target))
@@ -352,21 +352,6 @@ def _said(names: tuple[str, str], targets: tuple[float, float], drawn: Sequence[
     return " ".join(words)
 
 
-def pareto(columns: Sequence[Floats]) -> Bools:
-    """Return (m,) whether no other design is at least as good in all columns and better in one;
-    less is better."""
-    table = np.column_stack(columns)
-    front: Bools = np.array(np.isfinite(table).all(axis=1), np.bool_)
-    candidates = np.flatnonzero(front)
-    kept: list[int] = []
-    for number in candidates[np.lexsort(table[candidates].T[::-1])]:
-        row = table[number]
-        front[number] = not any((table[k] <= row).all() and (table[k] < row).any() for k in kept)
-        if front[number]:
-            kept.append(int(number))
-    return front
-
-
 BINS = 14
 """Bins of a map along an axis at most."""
 
@@ -379,7 +364,7 @@ def _maps(done: Swept) -> list[str]:
         return []
     found = []
     for name in ("two_point_mm", "fwhm_mm"):
-        value = metric(done.columns, name, "linear")
+        value = done.metric(name, "linear")
         limit = done.columns.get(f"closed_{name}")
         if value is None:
             continue
@@ -470,11 +455,7 @@ def _border(axes: Axes, edges: Sequence[Floats], inside: np.ndarray, style: str)
     sides += [
         [[across[i - 1], up[j]], [across[i], up[j]]] for i, j in np.argwhere(np.diff(wide, axis=1))
     ]
-    steps = []
-    for side in sides:
-        (x0, y0), (x1, y1) = axes.place(np.array(side)).tolist()
-        steps.append(f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}")
-    return path(steps, style)
+    return axes.segments(sides, style)
 
 
 def _numbers(values: Sequence[object]) -> Floats | None:

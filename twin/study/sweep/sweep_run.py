@@ -159,7 +159,7 @@ class _Workshop:
 _workshop = lru_cache(maxsize=1)(_Workshop)
 
 
-def make_rows(folder: Path, task: int) -> _Rows:
+def _make_rows(folder: Path, task: int) -> _Rows:
     """Return the rows of a task of the job whose files are in ``folder``."""
     shop = _workshop(folder)
     before = shop.bodies.asked, shop.bodies.made
@@ -179,7 +179,7 @@ def _job_of(
         "designs": list(designs),
     }
     files = {"sweep.json": json.dumps(table).encode(), "scene.toml": dump_scene(scene).encode()}
-    return Job(files=files, work=f"{__name__}:{make_rows.__name__}")
+    return Job(files=files, work=f"{__name__}:{_make_rows.__name__}")
 
 
 def _designs(sweep: Sweep, scene: Scene, values: Sequence[dict[str, Any]]) -> Designs:
@@ -414,6 +414,45 @@ class Swept:
         """How many designs failed (those that are dropped have not)."""
         return int((self.status == "failed").sum())
 
+    def metric(self, name: str, upto: str = "full") -> Floats | None:
+        """Return a metric at the best fidelity, ``upto`` at most, that each design has it at; None
+        if none has."""
+        return _metric(self.columns, name, upto)
+
+    @staticmethod
+    def agreement(one: Floats, other: Floats) -> tuple[float, float, int]:
+        """Return Spearman's rank correlation of two fidelities, the median ratio of the second to
+        the first (NaN where one of the first is zero), and how many designs have both."""
+        from scipy.stats import spearmanr
+
+        both = np.isfinite(one) & np.isfinite(other)
+        count = int(both.sum())
+        if count == 0:
+            return float("nan"), float("nan"), 0
+        divided = np.full(count, np.nan)
+        np.divide(other[both], one[both], out=divided, where=one[both] != 0)
+        ratio = float(np.median(divided)) if np.isfinite(divided).all() else float("nan")
+        if count < 3 or np.ptp(one[both]) == 0 or np.ptp(other[both]) == 0:
+            return float("nan"), ratio, count
+        return float(spearmanr(one[both], other[both]).statistic), ratio, count
+
+    @staticmethod
+    def front(columns: Sequence[Floats]) -> Bools:
+        """Return (m,) whether no other design is at least as good in all columns and better in one;
+        less is better."""
+        table = np.column_stack(columns)
+        front: Bools = np.array(np.isfinite(table).all(axis=1), np.bool_)
+        candidates = np.flatnonzero(front)
+        kept: list[int] = []
+        for number in candidates[np.lexsort(table[candidates].T[::-1])]:
+            row = table[number]
+            front[number] = not any(
+                (table[k] <= row).all() and (table[k] < row).any() for k in kept
+            )
+            if front[number]:
+                kept.append(int(number))
+        return front
+
     def expected(self, number: int) -> Shown:
         """Return what the page shows of a design by its linear information."""
         designs = self.designs
@@ -586,7 +625,7 @@ def _notes(done: Swept, runner: _Runner, coarse: Bools) -> list[str]:
             continue
         if name in ("two_point_mm", "fwhm_mm"):
             a = np.where(coarse, np.nan, a)
-        rank, ratio, count = agreement(a, b)
+        rank, ratio, count = done.agreement(a, b)
         if count:
             ranks = f"rank correlation {rank:.2f}"
             if not np.isfinite(rank):
@@ -618,7 +657,7 @@ def _advice(sites_mm: float, wanted_mm: float) -> str:
     )
 
 
-def metric(columns: Mapping[str, Floats], name: str, upto: str = "full") -> Floats | None:
+def _metric(columns: Mapping[str, Floats], name: str, upto: str = "full") -> Floats | None:
     """Return a metric at the best fidelity, ``upto`` at most, that each design has it at; None if
     none has.
 
@@ -643,7 +682,7 @@ def _scores(sweep: Sweep, columns: Mapping[str, Floats]) -> Floats:
     """
     total: Floats | None = None
     for name, target in sweep.targets.items():
-        values = metric(columns, name)
+        values = _metric(columns, name)
         if values is None:
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -659,23 +698,6 @@ def _best_first(score: Floats, allowed: Bools, at_most: int | None) -> Ints:
     """Return the numbers of the allowed designs, the best first; equal ones in their order."""
     order = np.argsort(score, kind="stable")
     return order[allowed[order]][:at_most]
-
-
-def agreement(one: Floats, other: Floats) -> tuple[float, float, int]:
-    """Return Spearman's rank correlation of two fidelities, the median ratio of the second to the
-    first (NaN where one of the first is zero), and how many designs have both."""
-    from scipy.stats import spearmanr
-
-    both = np.isfinite(one) & np.isfinite(other)
-    count = int(both.sum())
-    if count == 0:
-        return float("nan"), float("nan"), 0
-    divided = np.full(count, np.nan)
-    np.divide(other[both], one[both], out=divided, where=one[both] != 0)
-    ratio = float(np.median(divided)) if np.isfinite(divided).all() else float("nan")
-    if count < 3 or np.ptp(one[both]) == 0 or np.ptp(other[both]) == 0:
-        return float("nan"), ratio, count
-    return float(spearmanr(one[both], other[both]).statistic), ratio, count
 
 
 def _optimised(designs: Designs, runner: _Runner) -> Designs:
@@ -792,13 +814,13 @@ def _measured(
         return found["each_s"], found["begin_s"], found["rows"], f"{how}, made before"
     with one_thread(), job.unpacked() as folder:
         began = time.process_time()
-        rows = make_rows(Path(folder), 0).rows
+        rows = _make_rows(Path(folder), 0).rows
         started = time.process_time()
         if full:
             each = rows[0].get("cpu_s", started - began)
             begin = rows[0].get("begin_s", 0.0)
         else:
-            rows = [make_rows(Path(folder), k).rows[0] for k in range(1, 1 + len(tried))]
+            rows = [_make_rows(Path(folder), k).rows[0] for k in range(1, 1 + len(tried))]
             each = (time.process_time() - started) / len(rows)
             begin = max(started - began - each, 0.0)
     if all(row["status"] == "ok" for row in rows):
