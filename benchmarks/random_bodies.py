@@ -19,6 +19,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +39,8 @@ from twin.study.recipe import validate_scene
 from twin.study.sensor import Sensor
 from twin.world.contact.contact_state import ContactState
 
-COUNT, MOST_S = 60, 60
-"""Cases unless said, and CPU seconds that one may take."""
+COUNT, MOST_S, FINER_S = 60, 60, 60
+"""Cases unless said; CPU seconds that one may take, and that its finer solution may take."""
 
 LEAST = 1e-5
 """Least `accuracy.displacement` that a recipe may ask for."""
@@ -347,8 +348,8 @@ def finer_recipe(recipe: Table, stated: float) -> Table:
                                    "contact_patches": 2 * accuracy["contact_patches"]}}  # fmt: skip
 
 
-def outcome(number: int, finer: bool) -> dict[str, Any]:
-    """Return what became of a case."""
+def outcome(number: int, finer: bool) -> Iterator[dict[str, Any]]:
+    """Yield what became of a case; then, where it is to be solved ``finer``, the same with how far it was off."""
     with tempfile.TemporaryDirectory() as folder:
         said: dict[str, Any] = {"number": number}
         try:
@@ -356,7 +357,9 @@ def outcome(number: int, finer: bool) -> dict[str, Any]:
             said |= {"body": recipe["body"], "press": recipe["press"], "material": recipe["material"]}
             one, load, points = solved(recipe)
             said |= {"result": "computed" if one["complete"] else "stopped"} | one | {"asked": recipe["accuracy"]}
-            if finer:
+            if finer and one["complete"]:
+                yield said
+                resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time()) + FINER_S,) * 2)
                 other, finer_load, _ = solved(finer_recipe(recipe, one["stated"][3]), (load, points))
                 u, v = np.array(one["moved_mm"]), np.array(other["moved_mm"])
                 force = np.array(other["force_n"])
@@ -372,13 +375,13 @@ def outcome(number: int, finer: bool) -> dict[str, Any]:
         except Exception as problem:
             said |= {"result": "failed", "why": f"{type(problem).__name__}: {problem}",
                      "trace": traceback.format_exc()}  # fmt: skip
-        return said
+        yield said
 
 
 def _child(number: int, finer: bool, pipe: Any) -> None:
-    resource.setrlimit(resource.RLIMIT_CPU, (MOST_S * (5 if finer else 1),) * 2)
-    with contextlib.suppress(BrokenPipeError):
-        pipe.send(outcome(number, finer))
+    resource.setrlimit(resource.RLIMIT_CPU, (MOST_S, resource.RLIM_INFINITY))
+    for said in outcome(number, finer):
+        pipe.send(said)
 
 
 def judged(number: int, finer: bool) -> dict[str, Any]:
@@ -388,10 +391,10 @@ def judged(number: int, finer: bool) -> dict[str, Any]:
     began = time.monotonic()
     process.start()
     theirs.close()
-    try:
-        said: dict[str, Any] = ours.recv()
-    except EOFError:
-        said = {"number": number, "result": "failed", "why": f"died, or took over {MOST_S} CPU s"}
+    said: dict[str, Any] = {"number": number, "result": "failed", "why": f"died, or took over {MOST_S} CPU s"}
+    with contextlib.suppress(EOFError):
+        while True:
+            said = ours.recv()
     process.join()
     return said | {"wall_s": time.monotonic() - began}
 

@@ -62,6 +62,16 @@ def test_an_error_of_the_body_becomes_one_of_the_press(name):
     assert max(force, depth) > 5e-3
 
 
+@pytest.mark.parametrize("across", [9, 12, 15])
+def test_patches_that_stick_as_a_whole_leave_an_error_sideways(across):
+    """Against Mindlin: 8 a G / (2 - nu) times the way, a^2 = R times the depth."""
+    wanted = ball(20, friction=STUCK, steps=(down(0.05), Step(move_mm=(0.02, 0.0, 0.0))))
+    state = pressed(wanted, across=across)
+    sideways = 8.0 * math.sqrt(10 * 0.05) / 3.0 * 0.02 / 1.5
+    off = abs(state.force_n[0] - sideways) / np.linalg.norm(state.force_n)
+    assert off < state.error.patches.force < 5.0 * off
+
+
 def test_two_probes_tell_the_larger_error():
     far = ball(10, at_mm=(20, 0), indentation_mm=0.1)
     both = ball(10, at_mm=(-20, 0), force_n=(0, 0, 0.2), also=(far,))

@@ -28,14 +28,14 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.arrays import Floats, Points
+from twin.arrays import Bools, Floats, Points
 from twin.errors import ContactError
 from twin.parts.load import Load, Rectangles
 from twin.parts.probe import Cone, Cylinder, Pillar, Sphere
 from twin.theory import halfspace
 from twin.world.contact.contact_problem import LoadProgramme
 from twin.world.contact.contact_state import ContactState, PressError, Share
-from twin.world.contact.probe_gap import MOTIONS, Z
+from twin.world.contact.probe_gap import MOTIONS, X, Y, Z
 
 _Solve = Callable[[LoadProgramme, int], tuple[list[ContactState], str]]
 """Takes a programme's path in so many parts a step; returns the states, and why it stopped."""
@@ -62,6 +62,14 @@ _CUT = 0.26
 """Error of a smooth probe's force at a given depth, times the square of the patches across.
 Measured against 40 patches across: 0.0004 to 0.00105 at 16, for spheres of 3 to 20 mm radius and a
 cone."""
+
+_WHOLE = 0.75
+"""Error of the force sideways where patches stick as a whole, over what their area is too large by:
+about half on a half-space, where it grows with the radius, and all on a thin layer."""
+
+_CUT_STUCK = 0.25
+"""Least error of the force sideways where patches stick up to the border of a smooth contact, times
+the patches across. Measured against Mindlin's: 0.0 to 0.35, 0.3 of it where areas tell nothing."""
 
 _EDGE = 0.4
 """Error of the force under sharp edges that patches cut anywhere, over the patches' width in radii
@@ -126,6 +134,7 @@ class Estimates:
         self._solve = solve
         self._watched = watched
         self._points = np.zeros((0, 3)) if watched is None else watched.points
+        self._other_across = 0
 
     def of(self, state: ContactState, step: int) -> PressError:
         """Return the error of the state at the end of a step."""
@@ -180,20 +189,15 @@ class Estimates:
             self._watched.judge(error)
         return error
 
-    @cached_property
-    def _other_across(self) -> int:
-        across = self._job.setups[0].across
-        return across // 2 if across // 2 >= _FEWEST_COMPARED else 2 * across
-
     def _error_over_change(self, state: ContactState, other: ContactState) -> float:
-        """Return the error over the change with the other patches: twice or half as wide, but
-        under objects, whose largest number of patches may end both alike.
+        """Return the error over the change with the other patches: as much wider as fewer are
+        across, but under objects, whose largest number of patches may end both alike.
 
         A power law goes through what is known of twice and half the width. Under objects it is the
         less steep, down to first order, the sharper their edges are.
         """
         free = [one.is_free_form for one in self._job.setups]
-        wider = 2.0 if self._other_across < self._job.setups[0].across else 0.5
+        wider = self._job.setups[0].across / self._other_across
         sharp = 0.0
         if any(free):
             wider = _patch_mm(other) / _patch_mm(state)
@@ -212,21 +216,27 @@ class Estimates:
 
     @cached_property
     def _other(self) -> list[ContactState]:
-        """The states on other patches."""
-        return self._on_other_patches(self._increments)
+        """The states on other patches: twice as wide, or narrower where there are too few of those
+        or where they don't fit on the body."""
+        across = self._job.setups[0].across
+        enough = [n for n in (across // 2, 3 * across // 4, 2 * across) if n >= _FEWEST_COMPARED]
+        for self._other_across in enough[:2]:
+            if found := self._on_other_patches(self._increments, self._other_across):
+                return found
+        return []
 
     @cached_property
     def _fewer(self) -> list[ContactState]:
         """The same in half as many parts; in twice as many where there is one only."""
-        return self._on_other_patches(self._increments // 2 if self._increments > 1 else 2)
+        increments = self._increments // 2 if self._increments > 1 else 2
+        return self._on_other_patches(increments, self._other_across)
 
     @cached_property
     def _few(self) -> list[ContactState]:
         """The states on as few patches as can be compared."""
         return self._on_other_patches(self._increments, _FEWEST_COMPARED)
 
-    def _on_other_patches(self, increments: int, across: int = 0) -> list[ContactState]:
-        across = across or self._other_across
+    def _on_other_patches(self, increments: int, across: int) -> list[ContactState]:
         others = tuple(replace(one, across=across) for one in self._job.setups)
         try:
             return self._solve(replace(self._job, setups=others), increments)[0]
@@ -274,7 +284,25 @@ class Estimates:
         ]
         edge = max(edges, default=0.0)
         least = Share(indentation=edge) if by_force else Share(force=edge, markers=edge)
-        return changed.plus(cut).at_least(least)
+        sideways = max(
+            self._stuck_border(number, one, step) for number, one in enumerate((state, *state.also))
+        )
+        return changed.plus(cut).at_least(least).plus(Share(force=sideways, markers=sideways))
+
+    def _stuck_border(self, number: int, state: ContactState, step: int) -> float:
+        """Return the error of the force sideways as patches that a smooth probe's border cuts stick
+        as a whole, over the force: what their area is too large by."""
+        smooth = isinstance(self._job.setups[number].probe, Sphere | Cone)
+        held = self._job.steps[step].by_force[MOTIONS * number :]
+        if not smooth or len(state.pressure_mpa) == 0 or (held[X] and held[Y]):
+            return 0.0
+        counted = float(_areas(_joined(Load(state.load.terms[:1]))).sum())
+        stuck = float((~state.slip[_at_border(state)]).mean()) if state.friction > 0.0 else 0.0
+        normal = self._job.setups[number].first.axes[Z]
+        sideways = state.force_n - (state.force_n @ normal) * normal
+        excess = _WHOLE * abs(counted / state.area_mm2 - 1.0)
+        least = _CUT_STUCK / self._job.setups[0].across
+        return stuck * max(excess, least) * _over(sideways, state.force_n)
 
     def _half_space(self, load: Load, points: Points) -> Points:
         """Return (n, 3) how far a load moves points of a half-space of E = 1 MPa, mm."""
@@ -433,14 +461,20 @@ def _edge_error(state: ContactState) -> float:
 def _sharpness(state: ContactState) -> float:
     """Return how sharp the edges of a contact are by its pressure there: 0 where that vanishes, 1
     where it is no less than elsewhere."""
+    border = _at_border(state)
+    if not border.any():
+        return 0.0
+    return min(1.0, float(state.pressure_mpa[border].mean() / state.pressure_mpa.mean()) ** 4)
+
+
+def _at_border(state: ContactState) -> Bools:
+    """Return (k,) whether patches in contact lack one of their four neighbours."""
     from scipy.spatial import cKDTree
 
     load = _joined(Load(state.load.terms[:1]))
     flat = _flattened(load, load) / (2.0 * load.half_mm.mean(axis=0).max())
-    inner = np.array([len(near) for near in cKDTree(flat).query_ball_point(flat, 1.1)]) == 5
-    if inner.all():
-        return 0.0
-    return min(1.0, float(state.pressure_mpa[~inner].mean() / state.pressure_mpa.mean()) ** 4)
+    near = cKDTree(flat).query_ball_point(flat, 1.1, return_length=True)
+    return np.asarray(near != 5)
 
 
 def _alike(one: ContactState, other: ContactState) -> bool:
@@ -460,9 +494,14 @@ def _over(change: Floats | float, whole: Floats | float) -> float:
     return most / (float(np.linalg.norm(np.atleast_2d(whole), axis=1).max(initial=0.0)) or 1.0)
 
 
+def _areas(load: Rectangles) -> Floats:
+    """Return (n,) the areas of patches, mm2."""
+    return np.asarray(4.0 * np.prod(load.half_mm, axis=1))
+
+
 def _rms_traction(load: Rectangles) -> float:
     """Return the root mean square traction of patches, weighted with their areas, MPa."""
-    area = 4.0 * np.prod(load.half_mm, axis=1)
+    area = _areas(load)
     return float(np.sqrt(np.sum(np.sum(load.force_n**2, axis=1) / area) / area.sum()))
 
 
