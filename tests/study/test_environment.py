@@ -144,3 +144,21 @@ def test_in_time_rubber_creeps_from_step_to_step() -> None:
     assert later.force_n[2] == pytest.approx(fallen * first.force_n[2], rel=1e-6)
     with pytest.raises(InputError, match="reset"):
         environment.step(press.model_copy(update={"friction": 0.5}), 0.1)
+
+
+def test_a_step_moves_the_probe_of_the_press_before_on(environment: twin.Environment) -> None:
+    """Step by step the sensor feels what it feels after the whole path, slip and all."""
+    down = twin.Press(probe=twin.Sphere(diameter_mm=6), friction=0.4, indentation_mm=0.3)
+    aside = [twin.Step(move_mm={"x": 0.1}), twin.Step(move_mm={"x": -0.05})]
+    environment.reset()
+    environment.step(down)
+    for step in aside:
+        seen = environment.step(step)
+    path = (twin.Step(move_mm={"z": 0.3}), *aside)
+    whole = environment.step(twin.Press(probe=down.probe, friction=0.4, steps=path))
+    assert seen.truth.total_force_n == pytest.approx(whole.truth.total_force_n, rel=1e-9, abs=1e-12)
+    from_rest = environment.step(twin.Press(probe=down.probe, friction=0.4, steps=(path[0], path[1])))
+    assert abs(seen.truth.total_force_n[0] - from_rest.truth.total_force_n[0]) > 0.02
+    environment.step(None)
+    with pytest.raises(InputError, match="follows a press"):
+        environment.step(aside[0])

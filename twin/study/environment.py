@@ -4,10 +4,11 @@ Control, learning (`twin.study.gym`) and the live page (`twin.study.live`) use i
 and rest picture are made once for the sensor. A step then costs the contact, two products, a
 picture and its tracking.
 
-A step starts from the rest state, at once, unless it is given ``seconds``: it then follows the
-steps before, and rubber that relaxes remembers these, in the truth and in the recovered forces. The
-result of any other step depends only on its load and on the number of its exposure. A path with
-friction is one press of several steps.
+A load or a press starts from the rest state, at once, unless it is given ``seconds``: it then
+follows those before, and rubber that relaxes remembers these, in the truth and in the recovered
+forces. A `twin.Step` always follows: it moves the probe of the press before on, and patches
+remember where they slipped. The result of anything else depends only on its load and on the number
+of its exposure.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from twin.arrays import Floats, Picture, Pixels, Points, Progress
 from twin.blas_threads import one_blas_thread
 from twin.errors import ContactError, InputError, RecipeError
 from twin.parts.load import Load
-from twin.parts.press import Press
+from twin.parts.press import Press, Step
 from twin.parts.scene import Scene
 from twin.study.sensor import Sensor
 from twin.theory.relaxation import Hereditary
@@ -118,9 +119,18 @@ class Environment:
     >>> bool(0.9 < observation.total_force_n[2] < 1.1)  # N
     True
 
+    A probe is pressed on, then moved on sideways from where it is:
+
+    >>> push = twin.Step(move_mm={"z": 0.2})
+    >>> press = twin.Press(probe=twin.Sphere(diameter_mm=6), friction=0.5, steps=[push])
+    >>> _ = environment.step(press)
+    >>> moved = environment.step(twin.Step(move_mm={"x": 0.05}))
+    >>> bool(moved.truth.total_force_n[0] > 0.01)  # N
+    True
+
     Notes
     -----
-    Steps without seconds are independent: each starts from the rest state.
+    Loads and presses without seconds are independent: each starts from the rest state.
     """
 
     def __init__(self, scene: Scene, progress: Progress | None = None) -> None:
@@ -130,7 +140,8 @@ class Environment:
                 raise RecipeError(f"this scene has no [{table}] table, so its sensor feels nothing")
         self._exposure = 0
         self._loads: list[tuple[Load, float]] = []
-        self._press: Press | None = None
+        self._press: Press | None = None  # in time, with all its steps since rest
+        self._last: Press | None = None  # at once or in time, which a step follows
         self._made: tuple[Calibration, Tracker] | None = None
         self._history: Hereditary | None = None
 
@@ -143,26 +154,33 @@ class Environment:
         return self.step(None)
 
     @one_blas_thread()
-    def step(self, load: Load | Press | None, seconds: float | None = None) -> Observation:
+    def step(self, load: Load | Press | Step | None, seconds: float | None = None) -> Observation:
         """Return what the sensor feels under a load, a press, or nothing.
 
         Parameters
         ----------
         load
-            The load that is reached, or a press. With seconds, a press's steps follow those of the
-            press before, which is solved again from its beginning.
+            The load that is reached, or a press, or a step that follows those of the press before.
+            With seconds, a press's steps do so, too. What is followed is solved again from its
+            beginning.
         seconds
             Time in which the load changes linearly from the one before, or which the steps of the
-            press share evenly; the steps since the one without seconds, or `reset`, count. None
-            starts from rest, at once.
+            press share evenly; what came since the last without seconds, or `reset`, counts. None
+            starts from rest, at once; a step then takes its own seconds.
 
         Raises
         ------
         InputError
-            The load misses the sensing surface, or the picture shows too few markers.
+            The load misses the sensing surface, the picture shows too few markers, or what should
+            follow a press follows none of its kind.
         ContactError
             The press has no equilibrium, or did not come to its end.
         """
+        if isinstance(load, Step):
+            seconds = load.seconds if seconds is None else seconds
+            load = self._moved_on(load)
+        else:
+            self._last = None
         if seconds is None:
             self._loads = []
             self._press = None
@@ -178,14 +196,27 @@ class Environment:
             state = self.sensor.press(load)
             if not state.complete:
                 raise ContactError(f"press: {state.reason}")
+            self._last = load
             self._press = load if seconds is not None else None
             load = state.load
         return self._feel(load if load is not None else Load(), state, seconds)
 
+    def _moved_on(self, step: Step) -> Press:
+        """Return the press before with this step alone, which then follows it."""
+        if self._last is None:
+            raise InputError("step: a twin.Step follows a press; give one with its probe first")
+        by_steps = {"steps": self._last.path, "force_n": None, "indentation_mm": None}
+        self._press = self._last.model_copy(update=by_steps)
+        self._loads = []
+        return self._press.model_copy(update={"steps": (step,)})
+
     def _followed(self, press: Press, seconds: float) -> Press:
         """Return the press before with the steps of one that follows in some seconds."""
         if press.also or not press.steps:
-            raise InputError("step: with seconds give a press of one probe by its steps")
+            raise InputError(
+                "step: only a press of one probe, given by its steps, follows another; one of "
+                "several probes, or by force_n or indentation_mm, starts from rest, without seconds"
+            )
         before = press if self._press is None else self._press
         if self._loads or press.model_copy(update={"steps": before.steps}) != before:
             raise InputError(
