@@ -192,7 +192,9 @@ def _unexpected(problem: Exception, heard: bool) -> int:
     if isinstance(problem, OSError) and problem.errno in FULL:
         # of standard output, a temporary file, or a library's own
         _drop_output()
-        where = problem.filename or f"standard output, or a file in {tempfile.gettempdir()}"
+        where = (
+            problem.filename or f"standard output, or a file in --out or {tempfile.gettempdir()}"
+        )
         print(
             f"twin: {where}: can't be written ({problem.strerror}); files written so far are "
             "whole. Make room or name another folder (--out, TWIN_CACHE, TMPDIR), and run again.",

@@ -511,8 +511,8 @@ def check(
     file: Annotated[
         str,
         Parameter(
-            help="Scene or sweep file, calibration (.npz), result folder or dataset; or a rest "
-            "picture."
+            help="Scene or sweep file, calibration (.npz), OpenCV's camera file (.yaml, .json), "
+            "result folder or dataset; or a rest picture."
         ),
     ],
     second: Annotated[
@@ -539,6 +539,7 @@ def check(
     twin check out/kamiyama_pillar
     twin check rest1.png rest2.png --scene my_scene.toml
     twin check my_scene.toml --camera
+    twin check camera.yaml
     """
     if (second is None) != (scene is None):
         raise InputError(
@@ -1018,10 +1019,8 @@ def sweep(
     print(f"designs     {len(done.designs)}: {counts}")
     for warning in done.warnings:
         print(f"warning     {warning}")
-    for note in done.notes:
-        print(f"            {note}")
     print("\n".join(best))
-    print(f"written to  {folder}")
+    print(f"written to  {folder}: report.html, where 'Fidelities and reuse' says how far to trust")
     if done.failed:
         reason = next(str(e) for e, s in zip(done.error, done.status, strict=True) if s == "failed")
         raise SomeFailed(

@@ -62,6 +62,7 @@ _UNREADABLE = (
 """Exceptions of numpy and zipfile on damaged archives."""
 
 _pinned: list[Path] = []
+_unkept: list[Exception] = []
 
 
 @cache
@@ -85,6 +86,22 @@ def cache_folder() -> Path:
     temporary = Path(tempfile.mkdtemp(prefix="twin-cache-"))
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
     return temporary
+
+
+@contextmanager
+def kept_if_possible() -> Iterator[None]:
+    """Write to the cache within this: a failure costs time only, and is printed once."""
+    try:
+        yield
+    except (OSError, TwinError) as problem:
+        if not _unkept:
+            reason = str(problem).partition("; files")[0]
+            print(
+                f"twin: {reason}, so results are computed again in the next run. Make room, or "
+                "set TWIN_CACHE to another folder.",
+                file=sys.stderr,
+            )
+        _unkept.append(problem)
 
 
 def pinned(name: str) -> Path | None:

@@ -249,9 +249,10 @@ class RunResult:
                 sites = self.estimate.force_n.sum(axis=0)
                 total = self.estimate.total_force_n
                 if not np.allclose(sites, total, rtol=1e-6, atol=1e-9):
+                    lines[-1] += f": Fz {total[2]:.4g} N, solved without bounds"
                     lines.append(
                         f"sites' sum  {100 * force['sites_force_error']:.1f} % off: Fz "
-                        f"{sites[2]:.4g} N, the total of the unbounded solve {total[2]:.4g} N"
+                        f"{sites[2]:.4g} N, of sites that only push or obey friction"
                     )
         if force["centre_error_mm"] is not None:
             lines.append(f"centre      {force['centre_error_mm']:.3g} mm off")

@@ -105,6 +105,14 @@ def test_a_scene_gives_the_scale_and_the_names(rest, tmp_path, capsys):
     focal_px = float(said.split("equal with focal_px = ")[1].split()[0])
     assert f"pitch {table['pitch_mm']:g} mm by the scene's camera, drawn 1.25 mm" in said
     assert focal_px == pytest.approx(900 * table["pitch_mm"] / 1.25, rel=1e-3)
+    # A lens that the recipe has 6 mm too near: where it is instead, if its focal length is measured.
+    place_mm = twin.load_scene("gelpad_press").camera.pupil_mm[2]
+    near = tmp_path / "near.toml"
+    near.write_text(f'base = "gelpad_press"\ncamera.pupil_mm = [0, 0, {place_mm - 6}]\n')
+    with pytest.raises(SystemExit):
+        main(["calibrate", "--layout-from", str(rest), "--scene", str(near), "--out", str(tmp_path / "m.toml")])
+    said = capsys.readouterr().out
+    assert float(said.split("z of about ")[1].split()[0]) == pytest.approx(place_mm, abs=0.3)
 
 
 @pytest.mark.parametrize(

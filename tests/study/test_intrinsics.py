@@ -1,11 +1,13 @@
 """Intrinsics in OpenCV's files, against files that OpenCV wrote."""
 
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from twin.errors import InputError
 from twin.parts.camera import Camera
+from twin.study.check import check_path
 from twin.study.intrinsics import read_intrinsics, write_intrinsics
 from twin.study.recipe import load_scene
 
@@ -60,6 +62,9 @@ def test_a_scene_takes_its_camera_from_a_file() -> None:
     assert scene.camera.distortion == KNOWN["distortion"]
     assert scene.camera.pupil_mm == (0, 0, 108.85)
     assert scene.camera.source["focal_px"] == "file opencv_camera.yml"  # type: ignore[index]
+    head, *lines = check_path(str(REFERENCE / "opencv_camera.yml"))
+    assert '[camera] intrinsics = "opencv_camera.yml"' in head
+    assert tomllib.loads("\n".join(lines))["focal_px"] == 500
 
 
 @pytest.mark.parametrize(("text", "named"), [

@@ -126,3 +126,12 @@ def test_recorded_presses_tell_how_stiff_the_sensor_is(tmp_path):
     assert crept > 1.07
     assert softness(known) == pytest.approx(softness(made) / crept, rel=1e-6)
     assert known.relaxation is not None
+    # The fit states how it predicts presses that it hasn't seen, and warns where it can't: forces of the wrong sign.
+    design = {**sites, "calibration.method": "fitted", "calibration.press_force_n": 3.0}
+    fitted = load_scene("kamiyama_pillar", design)
+    assert "warning" not in calibrate_to_file(fitted, tmp_path / "f.npz", folder=tmp_path)
+    pulled = [lines[0], *(",".join([*row.split(",")[:6], "-3"]) for row in lines[1:])]
+    (tmp_path / "presses.csv").write_text("\n".join(pulled) + "\n")
+    said = calibrate_to_file(fitted, tmp_path / "f.npz", folder=tmp_path)
+    assert "predicted from the other presses: 1" in said
+    assert "the presses do not fit this sensor" in said

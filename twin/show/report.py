@@ -770,6 +770,7 @@ def _profile(sites: Points, fields: list[tuple[str, Floats]]) -> str:
 
 def _resultants(result: RunResult) -> str:
     totals: list[tuple[str, Floats, Floats]] = []
+    note = ""
     for name, arrays in (("truth", result.truth), ("estimate", result.estimate)):
         if arrays and len(arrays.total_force_n) == len(arrays.total_torque_nmm) == 3:
             totals.append((name, arrays.total_force_n, arrays.total_torque_nmm))
@@ -778,7 +779,8 @@ def _resultants(result: RunResult) -> str:
         total = estimate.force_n.sum(axis=0)
         if not np.allclose(total, estimate.total_force_n, rtol=1e-6, atol=1e-9):
             torque = np.cross(estimate.site_mm, estimate.force_n).sum(axis=0)
-            totals.append(("sum of the estimate's sites, held to bounds", total, torque))
+            totals.append(("estimate, sum of the sites", total, torque))
+            note = f'<p class="note">{_TWO_TOTALS}</p>'
     if not totals:
         return ""
     heads, columns = [], []
@@ -789,7 +791,15 @@ def _resultants(result: RunResult) -> str:
         heads.append(head)
         columns.append([f'<data value="{n!r}">{digits(n)}</data>' for n in numbers])
     names = [f"force along {a}, N" for a in "xyz"] + [f"torque about {a}, N mm" for a in "xyz"]
-    return _by_column("Total force, and torque about the origin", heads, names, columns)
+    return _by_column("Total force, and torque about the origin", heads, names, columns) + note
+
+
+_TWO_TOTALS = (
+    "There are two estimates of the total. <b>Estimate</b> is solved without bounds: it has "
+    "hardly a bias, but some sites may pull. <b>Sum of the sites</b> adds the forces drawn below, "
+    "which only push or obey friction; bounds pull it to one side. How far the two differ shows "
+    "how uncertain the force is."
+)
 
 
 def _by_column(caption: str, heads: list[str], names: list[str], columns: list[list[str]]) -> str:

@@ -15,7 +15,6 @@ import hashlib
 import json
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +24,7 @@ import numpy as np
 from twin.arrays import Floats, Ints, Points, Progress
 from twin.blas_threads import one_blas_thread
 from twin.errors import ContactError, InputError, RecipeError
-from twin.files import cache_folder, make_folder
+from twin.files import cache_folder, kept_if_possible, make_folder
 from twin.parts.body import Block
 from twin.parts.camera import Camera
 from twin.parts.part import identity
@@ -75,6 +74,9 @@ OFF_GRID = 0.25
 SMALLEST_SHARE = 0.5
 """Share of the markers that the rest picture must show."""
 
+DISAGREE = 0.5
+"""Median error of presses predicted from the others, over their motion, from which to warn."""
+
 
 @one_blas_thread()
 def calibration_of(sensor: Sensor) -> Calibration:
@@ -99,7 +101,7 @@ def calibration_of(sensor: Sensor) -> Calibration:
             file=sys.stderr,
         )
     made = calibrate_by_presses(sensor)
-    with suppress(InputError):  # a full disk costs the time to calibrate again
+    with kept_if_possible():
         made.write(cached)
     return made
 
@@ -145,7 +147,26 @@ def calibrate_to_file(
     if progress is not None:
         progress("done", 1.0)
     line = f"{out}: {scene.calibration.method}, {len(made.site_mm)} sites, {text}"
-    return "\n".join([line, *_fitted_numbers(scene, json.loads(made.provenance))])
+    lines = [line, *_fitted_numbers(scene, json.loads(made.provenance))]
+    if scene.calibration.method == "fitted" and len(made.left_out) > 1:
+        lines += _agreement(made.left_out)
+    return "\n".join(lines)
+
+
+def _agreement(left_out: Floats) -> list[str]:
+    """Return how well each press is predicted from the others, and what to check if it is not."""
+    usual, worst = float(np.median(left_out)), float(np.max(left_out))
+    lines = [
+        f"fitted  motion under a press, predicted from the other presses: {100 * usual:.0f} % off "
+        f"(median), {100 * worst:.0f} % at worst (place {int(left_out.argmax()) + 1})"
+    ]
+    if usual > DISAGREE:
+        lines.append(
+            "warning the presses do not fit this sensor, so its forces will be wrong: check "
+            f"{TABLE} (N, mm, +z into the rubber, x along the picture's columns, y against its "
+            "rows), the body's size, the depth of the markers, and press_probe_mm"
+        )
+    return lines
 
 
 def _fitted_numbers(scene: Scene, facts: dict[str, Any]) -> list[str]:
@@ -467,7 +488,8 @@ def _calibrate_from_folder(sensor: Sensor, folder: Path) -> tuple[Calibration, s
     if known.mean() < SMALLEST_SHARE:
         raise InputError(
             f"{rest}: shows {int(known.sum())} of the design's {len(known)} markers; is it this "
-            "scene's sensor, upright and of its camera's size?"
+            "scene's sensor, upright and of its camera's size? twin calibrate --layout-from "
+            f"{rest} --scene SCENE states which focal length or distance of the lens fits it"
         )
     # Without presses the design itself gives the transfer; otherwise every press is tracked from
     # rest.

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes.util
 import importlib.metadata
 import importlib.util
+import json
 import os
 import platform
 import subprocess
@@ -33,8 +34,8 @@ if TYPE_CHECKING:
 
 
 def check_path(name: str) -> list[str]:
-    """Check a scene or a sweep (path or shipped name), a calibration file, a result folder or a
-    dataset.
+    """Check a scene or a sweep (path or shipped name), a calibration file, OpenCV's file of a
+    camera, a result folder or a dataset.
 
     Raises
     ------
@@ -56,6 +57,13 @@ def check_path(name: str) -> list[str]:
             f"{path}: calibration of {len(calibration.site_mm)} sites, "
             f"{len(calibration.transfer) // 2} markers: ok"
         ]
+    if path.suffix.lower() in (".yaml", ".yml", ".json"):
+        from twin.study.intrinsics import read_intrinsics
+
+        keys = read_intrinsics(path).items()
+        values = {key: list(value) if isinstance(value, tuple) else value for key, value in keys}
+        lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]
+        return [f'{path}: ok; [camera] intrinsics = "{path.name}" in a recipe means', *lines]
     from twin.study.sensor import Sensor
 
     file = find_scene(name)
@@ -346,12 +354,15 @@ def check_camera(first: Path, second: Path, scene: Scene) -> list[str]:
     # Compare each with its limit.
     problems = []
     if seen.mean() < FEW:
-        problems.append(f"only {100 * seen.mean():.3g} % of the markers are found")
+        problems.append(
+            f"only {100 * seen.mean():.3g} % of the markers are found: twin calibrate "
+            f"--layout-from {first} --scene SCENE states which camera fits the picture"
+        )
     if full > SATURATED:
         problems.append(f"{100 * full:.2g} % of the pixels are saturated: expose less")
     if blur > BLURRED * width:
         problems.append(f"edges are blurred by {blur:.2g} px in markers {width:.3g} px wide: focus")
-    if coherence > COHERENT:
+    if coherence > COHERENT and seen.mean() >= FEW:  # else markers may be taken for others
         problems.append(
             f"compression or a colour mosaic makes errors {coherence:.2g} times as large as the "
             "noise of single pixels would: record without compression"

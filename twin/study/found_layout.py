@@ -104,13 +104,15 @@ def layout_to_files(
         for name, layer in found.layers.items()
     ]
     if scene is not None and scene.camera is not None:
-        for own in drawn:
+        for layer, own in zip(found.layers.values(), drawn, strict=True):
             wanted = scene.markers[own.name].pitch_mm
             assert own.pitch_mm is not None
+            further_mm = scene.camera.focal_px * (wanted - own.pitch_mm) / layer.pitch_px
             lines.append(
                 f"{own.name:11s} pitch {own.pitch_mm:.4g} mm by the scene's camera, drawn "
                 f"{wanted:g} mm: equal with focal_px = "
-                f"{scene.camera.focal_px * own.pitch_mm / wanted:.4g}"
+                f"{scene.camera.focal_px * own.pitch_mm / wanted:.4g} or, if focal_px is measured, "
+                f"with the lens at pupil_mm z of about {scene.camera.pupil_mm[2] + further_mm:.4g}"
             )
     stray = len(found.stray_px)
     if stray:

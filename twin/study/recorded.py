@@ -866,8 +866,8 @@ class _Summary:
         if bounded:
             parts = [f"F{a} {row[f'sum_f{a}_n']:.4g}" for a in "xyz"]
             lines.append(
-                f"sites' sum  {', '.join(parts)} N there; the total above is that of the "
-                "unbounded solve"
+                f"sites' sum  {', '.join(parts)} N there, of sites that only push or obey "
+                "friction; the total above is solved without these bounds"
             )
         return lines
 

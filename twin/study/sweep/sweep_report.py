@@ -72,7 +72,7 @@ FIGURES = {
     "dip": (
         "dip (%)",
         "how far the force falls between two pushes {pair:g} mm apart: 0 is one "
-        "peak, 100 is two apart",
+        "peak, 100 or more is two apart",
         100,
     ),
 }
@@ -95,7 +95,7 @@ def _best_table(done: Swept) -> tuple[list[str], list[list[str]]]:
             heads.append(head)
             for row, number in zip(rows, numbers, strict=True):
                 row.append(_short(float(scale * values[number])))
-    heads.append("by")
+    heads.append("fidelity")
     for row, number in zip(rows, numbers, strict=True):
         row.append(str(done.fidelity[number]))
     return heads, rows
@@ -207,8 +207,10 @@ def write_report(done: Swept, folder: Path) -> list[str]:
         for head, meaning, _ in FIGURES.values()
         if head in heads
     ]
+    if rows:
+        meanings.append("fidelity: full by pictures and tracking, linear and closed without")
     shown = [(escape(row[0]), [escape(cell) for cell in row[1:]]) for row in rows]
-    said = f'<p class="note">{escape("; ".join(meanings))}; by: the last fidelity.</p>'
+    said = f'<p class="note">{escape("; ".join(meanings))}.</p>'
     sections = [
         ("The best", table("Designs", list(map(escape, heads[1:])), shown) + said if rows else ""),
         ("Each of them", "".join(_cards(done, best, folder))),

@@ -40,7 +40,7 @@ import numpy as np
 from twin.arrays import Bools, Floats, Ints, Progress
 from twin.blas_threads import one_thread
 from twin.errors import InputError, RecipeError, TwinError
-from twin.files import cache_folder, write_json, write_whole
+from twin.files import cache_folder, kept_if_possible, write_json, write_whole
 from twin.parts.scene import Scene
 from twin.parts.sweep import FIDELITIES, METRICS, Sweep
 from twin.study.batch.draw import plain_table
@@ -824,7 +824,7 @@ def _measured(
             each = (time.process_time() - started) / len(rows)
             begin = max(started - began - each, 0.0)
     if all(row["status"] == "ok" for row in rows):
-        with suppress(TwinError):  # a full disk is no error here
+        with kept_if_possible():
             write_json(kept, {"each_s": each, "begin_s": begin, "rows": rows})
     return each, begin, rows, how
 

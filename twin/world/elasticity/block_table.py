@@ -25,7 +25,6 @@ import json
 import math
 import sys
 import warnings
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -35,8 +34,16 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
 from twin.arrays import Bools, Floats, Points, Progress, frozen, grid_points
-from twin.errors import InputError, TwinError
-from twin.files import MESHES, cache_folder, is_pinned, pinned, read_arrays, write_whole
+from twin.errors import InputError
+from twin.files import (
+    MESHES,
+    cache_folder,
+    is_pinned,
+    kept_if_possible,
+    pinned,
+    read_arrays,
+    write_whole,
+)
 from twin.parts.body import Block, Body
 from twin.parts.load import Rectangles
 from twin.theory import halfspace
@@ -441,7 +448,7 @@ def find_table(
     if make and not path.exists() and not _is_standard(body):
         mesh = drawn_to_rim(body_mesh(body, MADE[role], progress=progress), body)
         table = Table.make(body, mesh, progress, poisson_ratio)
-        with suppress(TwinError):  # a full disk costs the table, for which solves stand in
+        with kept_if_possible():  # without the table solves stand in
             table.write(path)
     return _usable(path, usable)
 

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from twin.arrays import Floats, Points, frozen
-from twin.errors import InputError, TwinError
-from twin.files import cache_folder, write_whole
+from twin.errors import InputError
+from twin.files import cache_folder, kept_if_possible, write_whole
 from twin.parts.body import Body
 from twin.theory import halfspace
 from twin.world.elasticity.fem import TaylorHood
@@ -96,13 +96,11 @@ def cached_field(
     made = make()
     if single:
         made = made.astype(np.float32)
-    try:
+    with kept_if_possible():
         write_whole(path, lambda file: np.save(file, made, allow_pickle=False))
         if _written["fields"] % EVERY == 0:
             _prune(path.parent)
         _written["fields"] += 1
-    except (OSError, TwinError):
-        pass
     return made
 
 

@@ -18,7 +18,6 @@ import hashlib
 import json
 import math
 import os
-from contextlib import suppress
 from dataclasses import asdict, replace
 from itertools import combinations
 from pathlib import Path
@@ -27,8 +26,8 @@ from typing import Any
 import numpy as np
 
 from twin.arrays import Ints, Points, Progress, coordinates, frozen
-from twin.errors import InputError, MeshError, TwinError
-from twin.files import MESHES, cache_folder, is_pinned, pinned
+from twin.errors import InputError, MeshError
+from twin.files import MESHES, cache_folder, is_pinned, kept_if_possible, pinned
 from twin.geometry.pieces import TriangleTree, sharpest_edge
 from twin.parts.body import Block, Body
 from twin.parts.part import identity
@@ -92,7 +91,7 @@ def body_mesh(
         "sizing": asdict(sizing),
         "quality": asdict(measured),
     }
-    with suppress(TwinError):  # a full disk costs the time to make it again
+    with kept_if_possible():
         mesh.write(cached, provenance, first=not (rebuild or damaged))
     # another process may have been first: all that is made of this body is then made of that one's
     # mesh

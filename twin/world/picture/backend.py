@@ -13,7 +13,6 @@ tracking: 127 to 144 bytes a pixel through a point, 577 through a pupil.
 
 from __future__ import annotations
 
-import contextlib
 import glob
 import json
 import os
@@ -25,8 +24,8 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from twin.errors import InputError, MissingCapability, TwinError
-from twin.files import cache_folder, write_whole
+from twin.errors import InputError, MissingCapability
+from twin.files import cache_folder, kept_if_possible, write_whole
 from twin.parts.scene import Scene
 
 FORCE = "TWIN_VARIANT"
@@ -271,7 +270,7 @@ def _verdict(library: str, variant: str = "llvm_ad_rgb") -> str:
         # A child may also end because something outside stopped it: stored only if it repeats.
         verdict = _try(library, variant)
     if not verdict.startswith(_UNTRIED):
-        with contextlib.suppress(TwinError):  # a full disk is no error
+        with kept_if_possible():
             write_whole(store, json.dumps({**_stored(store), key: verdict}, indent=1).encode())
     return verdict
 
