@@ -676,7 +676,7 @@ def store_reproduction(folder: Path) -> None:
 
 
 def _reproduction() -> dict[str, str]:
-    from twin.study.reproduce.bench import FITTED, settled
+    from twin.study.reproduce.bench import FITTED, Record
     from twin.study.reproduce.design_limits import in_short
 
     rows = stored("reproduction")
@@ -686,7 +686,7 @@ def _reproduction() -> dict[str, str]:
     parts = {"counts": f"Of {sum(said.values())} numbers that the papers print: {counts}.\n"}
     sections = (f"**{title}.** {' '.join(lines)}" for title, lines in in_short(records).items())
     parts["short"] = "\n\n".join(sections) + "\n"
-    unprinted = [_unprinted(row) for row in settled(records)[1]]
+    unprinted = [_unprinted(row) for row in Record.settled(records)[1]]
     for paper in ("kamiyama", "sato"):
         mine = [_printed(r) for r in records if r["name"].startswith(paper) and r["paper"] is not None]
         parts[paper] = f"Fitted: {'; '.join(FITTED[paper])}.\n\n{table(mine)}\n"

@@ -554,11 +554,11 @@ def check(
             print("\n".join(check_camera(Path(file), second, loaded)))
         return
     if camera:
-        from twin.study.photon_transfer import check_chip
+        from twin.study.photon_transfer import photon_transfer
 
         loaded = _load(file, set_)
         with _scene_named(file):
-            print("\n".join(check_chip(loaded.ccd)))
+            print("\n".join(photon_transfer(loaded.ccd).lines(loaded.ccd)))
         return
     from twin.study.check import check_path
 

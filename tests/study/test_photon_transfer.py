@@ -5,7 +5,7 @@ import pytest
 
 from twin.errors import RecipeError
 from twin.parts.camera import PRESETS, Ccd
-from twin.study.photon_transfer import check_chip, photon_transfer
+from twin.study.photon_transfer import photon_transfer
 
 
 @pytest.mark.parametrize("preset", [name for name, values in PRESETS.items() if values["noise"]])
@@ -34,10 +34,12 @@ def test_what_a_recipe_adds_to_a_chip_is_found():
 
 
 def test_noise_that_eight_bits_hide_is_said_to_be_hidden():
-    lines = {line.split()[0]: line for line in check_chip(Ccd(full_well_e=60000.0))}
+    hidden = Ccd(full_well_e=60000.0)
+    found = photon_transfer(hidden)
+    lines = {line.split()[0]: line for line in found.lines(hidden)}
     assert "unknown electrons, stated 32; variance" in lines["dark"]
     assert "too little, hidden by 8 bits" in lines["dark"]
-    assert np.isnan(photon_transfer(Ccd(full_well_e=60000.0)).dark_noise_e)
+    assert np.isnan(found.dark_noise_e)
 
 
 def test_a_camera_without_noise_is_refused():

@@ -32,7 +32,6 @@ from twin.study.reproduce.bench import (
     Trial,
     Unprinted,
     Way,
-    settled,
 )
 from twin.study.reproduce.reproduction_run import ENTRIES, reproduce
 
@@ -105,10 +104,10 @@ def test_numbers_that_want_other_values_of_one_quantity_are_explained_in_part() 
         record = Record(quantity=Quantity("q", paper=paper), twin=0.1, ranges={load: (0.0, 10.0)})
         return {"name": name, **record.row()}
 
-    (one, _), (joint,) = settled([row(5.0), row(5.5)])
+    (one, _), (joint,) = Record.settled([row(5.0), row(5.5)])
     assert joint["at_once"] == [pytest.approx((4.675, 5.75))]
     assert one["verdict"].startswith("explained by: load")
-    rows, joints = settled([row(3.0), row(7.0), row(3.0, "sato/fig-9")])
+    rows, joints = Record.settled([row(3.0), row(7.0), row(3.0, "sato/fig-9")])
     assert [r["verdict"].startswith("partly explained by: load") for r in rows] == [True, True, False]
     assert [j["at_once"] == [] for j in joints] == [True, False], "another paper's load is another one"
 

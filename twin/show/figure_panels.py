@@ -6,14 +6,38 @@ import io
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from twin.arrays import Picture, Pixels
+from twin.arrays import Picture, Pixels, Points
+from twin.display import plot_forces, plot_shifts
 
 _COLUMNS = 2
 """Panels in a row."""
+
+
+class _Shifts(Protocol):
+    """Tracked markers, such as `twin.sense.track.Found`."""
+
+    @property
+    def layer(self) -> np.ndarray: ...
+
+    @property
+    def rest_px(self) -> Pixels: ...
+
+    @property
+    def shift_px(self) -> Pixels: ...
+
+
+class _Forces(Protocol):
+    """A force field, such as `twin.sense.reconstruct.Field`."""
+
+    @property
+    def site_mm(self) -> Points: ...
+
+    @property
+    def force_n(self) -> Points: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +87,55 @@ class Panel:
 
         return cls(title=title, draw=draw)
 
+    @classmethod
+    def shifts(cls, title: str, found: _Shifts, magnified: float, layer: str = "") -> Panel:
+        """Return the drawing of a layer's tracked shifts; of all layers' by default."""
+        rows = (found.layer == layer) | (layer == "")
+        drawn = found.rest_px[rows], found.shift_px[rows], found.layer[rows]
+        return cls(
+            title=f"{title}, {magnified:g} times as long",
+            draw=lambda axes: plot_shifts(axes, *drawn, factor=magnified),
+        )
+
+    @classmethod
+    def field(
+        cls,
+        title: str,
+        found: _Forces,
+        radius_mm: float,
+        at_mm: tuple[float, float] = (0.0, 0.0),
+    ) -> Panel:
+        """Return the drawing of a field, with the circle that is the true contact's border."""
+        turn = np.linspace(0.0, 2.0 * np.pi, 60)
+        x, y = at_mm
+
+        def draw(axes: Any) -> None:
+            plot_forces(axes, found.site_mm, found.force_n, title)
+            axes.plot(x + radius_mm * np.cos(turn), y + radius_mm * np.sin(turn), "k--", lw=1)
+
+        return cls(title=title, draw=draw)
+
+    @staticmethod
+    def svg(panels: Sequence[Panel]) -> bytes:
+        """Return an SVG file of an entry's panels, for light and dark screens; the same panels give
+        the same bytes."""
+        import matplotlib
+        from matplotlib.figure import Figure
+
+        columns = min(len(panels), _COLUMNS)
+        rows = -(-len(panels) // _COLUMNS)
+        file = io.BytesIO()
+        with matplotlib.rc_context(_STYLE):
+            figure = Figure(figsize=(6.4 * columns, 4.6 * rows), layout="constrained")
+            for number, panel in enumerate(panels, start=1):
+                axes = figure.add_subplot(rows, columns, number)
+                panel.draw(axes)
+                axes.set_title("\n".join(textwrap.wrap(panel.title, 56)), loc="left")
+                if axes.get_legend_handles_labels()[1]:
+                    axes.legend()
+            figure.savefig(file, format="svg", metadata={"Date": None})
+        return file.getvalue().replace(b"<defs>", _DARK.encode() + b"<defs>", 1)
+
 
 _INK, _PAPER = "#1d2126", "#fcfcfa"
 _STYLE = {
@@ -89,24 +162,3 @@ _DARK = (
     f"!important }} [style*='fill: {_PAPER}'] {{ fill: #14171a !important }} "
     f"[style*='stroke: {_INK}'] {{ stroke: #e6e8ea !important }} }}</style>"
 )
-
-
-def drawn(panels: Sequence[Panel]) -> bytes:
-    """Return an SVG file of an entry's panels, for light and dark screens; the same panels give the
-    same bytes."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    columns = min(len(panels), _COLUMNS)
-    rows = -(-len(panels) // _COLUMNS)
-    file = io.BytesIO()
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(6.4 * columns, 4.6 * rows), layout="constrained")
-        for number, panel in enumerate(panels, start=1):
-            axes = figure.add_subplot(rows, columns, number)
-            panel.draw(axes)
-            axes.set_title("\n".join(textwrap.wrap(panel.title, 56)), loc="left")
-            if axes.get_legend_handles_labels()[1]:
-                axes.legend()
-        figure.savefig(file, format="svg", metadata={"Date": None})
-    return file.getvalue().replace(b"<defs>", _DARK.encode() + b"<defs>", 1)

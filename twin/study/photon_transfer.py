@@ -87,6 +87,34 @@ class _PhotonTransfer:
         least = np.sqrt(self.dark_noise_e**2 + _ROUNDING_DN2 / self.gain_dn_e**2 + 0.25) + 0.5
         return float(self.saturation_e / least)
 
+    def lines(self, ccd: Ccd) -> list[str]:
+        """Return what was found of a CCD, and what the recipe states of it, a line each."""
+        full = ccd.spelt_out()
+        assert full.full_well_e is not None
+        black = _black_dn(ccd)
+        gain = (255 - black) / full.full_well_e
+        spread = np.hypot(full.dsnu_e or 0.0, full.column_noise_e)
+        enough = self.dark_variance_dn2 >= LEAST_DARK_DN2
+        measured = f"{self.dark_noise_e:.3g}" if enough else "unknown"
+        below = (
+            f"{20 * np.log10(self.dynamic_range):.3g} dB" if enough else "unknown, as dark noise is"
+        )
+        return [
+            f"chip        {full.preset}, by EMVA 1288: without lens, mosaic, gamma, video, "
+            "compression",
+            f"gain        {self.gain_dn_e:.4g} counts an electron, stated {gain:.4g} "
+            f"at black level {black:g}",
+            f"dark noise  {measured} electrons, stated {_dark_e(ccd):.3g}; variance "
+            f"{self.dark_variance_dn2:.3g} counts^2 with rounding, needed {LEAST_DARK_DN2:g}: "
+            f"{'enough' if enough else 'too little, hidden by 8 bits'}",
+            f"saturation  {self.saturation_e:.4g} electrons, stated {full.full_well_e:.4g}",
+            f"SNR         {self.snr_max:.3g} at most ({20 * np.log10(self.snr_max):.3g} dB)",
+            f"dynamic range {below}",
+            f"linearity   {self.linearity_pct:.2g} % mean deviation from a line",
+            f"pattern     PRNU {self.prnu_pct:.2g} %, stated {full.prnu_pct:.2g}; "
+            f"DSNU {self.dsnu_e:.2g} electrons, stated {spread:.2g}",
+        ]
+
 
 def photon_transfer(ccd: Ccd, seed: int = 1) -> _PhotonTransfer:
     """Measure a chip by EMVA 1288.
@@ -170,37 +198,3 @@ def _black_dn(ccd: Ccd) -> float:
     assert full.full_well_e is not None
     spread = np.hypot(full.dsnu_e or 0.0, full.column_noise_e)
     return float(np.ceil(6 * 255 * np.hypot(_dark_e(ccd), spread) / full.full_well_e) + 0.25)
-
-
-def check_chip(ccd: Ccd) -> list[str]:
-    """Return what `photon_transfer` finds, and what the recipe states, a line each.
-
-    Raises
-    ------
-    RecipeError
-        The CCD has no noise.
-    """
-    found, full = photon_transfer(ccd), ccd.spelt_out()
-    assert full.full_well_e is not None
-    black = _black_dn(ccd)
-    gain = (255 - black) / full.full_well_e
-    spread = np.hypot(full.dsnu_e or 0.0, full.column_noise_e)
-    enough = found.dark_variance_dn2 >= LEAST_DARK_DN2
-    measured = f"{found.dark_noise_e:.3g}" if enough else "unknown"
-    below = (
-        f"{20 * np.log10(found.dynamic_range):.3g} dB" if enough else "unknown, as dark noise is"
-    )
-    return [
-        f"chip        {full.preset}, by EMVA 1288: without lens, mosaic, gamma, video, compression",
-        f"gain        {found.gain_dn_e:.4g} counts an electron, stated {gain:.4g} "
-        f"at black level {black:g}",
-        f"dark noise  {measured} electrons, stated {_dark_e(ccd):.3g}; variance "
-        f"{found.dark_variance_dn2:.3g} counts^2 with rounding, needed {LEAST_DARK_DN2:g}: "
-        f"{'enough' if enough else 'too little, hidden by 8 bits'}",
-        f"saturation  {found.saturation_e:.4g} electrons, stated {full.full_well_e:.4g}",
-        f"SNR         {found.snr_max:.3g} at most ({20 * np.log10(found.snr_max):.3g} dB)",
-        f"dynamic range {below}",
-        f"linearity   {found.linearity_pct:.2g} % mean deviation from a line",
-        f"pattern     PRNU {found.prnu_pct:.2g} %, stated {full.prnu_pct:.2g}; "
-        f"DSNU {found.dsnu_e:.2g} electrons, stated {spread:.2g}",
-    ]

@@ -6,6 +6,10 @@ its own when closed, also after an interrupt; a killed program leaves the tempor
 
 Why imageio-ffmpeg for videos: it carries a whole ffmpeg (all codecs) that runs in a process of its
 own, both to read and to write, behind two generators.
+
+The file's order: `reconstruct_recording`; reading pictures, tables of numbers, pipes and videos,
+and writing videos; the result of a frame, its time and its doubts; and what is written: the table,
+the summary, the rows on screen, the options in words, the drawings.
 """
 
 from __future__ import annotations
@@ -92,6 +96,104 @@ class _Frame:
     name: str
     picture: Picture | None = None
     problem: str = ""
+
+
+def reconstruct_recording(
+    rest: Path,
+    sources: Sequence[str],
+    calibration: Path,
+    *,
+    out: Path | None = None,
+    overlay: Path | None = None,
+    size: str | None = None,
+    layout: str | None = None,
+    frames_per_second: float | None = None,
+    times: Path | None = None,
+    **options: Any,
+) -> None:
+    """Reconstruct recorded frames: print a row of each and a summary, write table and drawings.
+
+    Parameters
+    ----------
+    rest, sources, calibration
+        The picture without load, files, folders, videos, or "-" for a pipe, and the calibration's
+        file.
+    out, overlay
+        Table (its suffix is one of `TABLES`), and frames with the motion drawn in (a .png, a folder
+        of them, or a video).
+    size, layout
+        ``WxH`` and format of raw frames.
+    frames_per_second, times
+        Rate of the frames, or a CSV file with the columns frame, time_s: forces of rubber that
+        relaxes. None is the rate in the calibration's recipe; at 0 each frame is read by itself.
+    options
+        Of `twin.sense.reconstruct.reconstruct`; None is the value in the calibration's recipe.
+
+    Raises
+    ------
+    InputError
+        Something is given that can't be used, or there are no frames.
+    SomeFailed
+        Frames failed; the others are written.
+    """
+    # Check everything before the first frame is read, so that a wrong option costs nothing.
+    pictures = _frames(sources, sys.stdin.buffer, size, layout)
+    _keep_inputs((rest, calibration, *map(Path, sources)), out=out, overlay=overlay)
+    known = read_calibration(calibration)
+    options = _options(known, options)
+    bounded = options["push_only"] or options["friction"] is not None
+    check_options(
+        options["method"],
+        options["weight"],
+        options["push_only"],
+        options["friction"],
+        options["camera"],
+        known,
+    )
+    clock, in_time = _clock_of(known, frames_per_second, times)
+    # Frames come one at a time: results are written as they come, and memory stays bounded.
+    table = _TableFile(out, known.site_mm) if out else None
+    drawing = _OverlayFile(overlay) if overlay else None
+    results = _reconstruct_frames(read_picture(rest), known, pictures, clock=clock, **options)
+    print(f"calibration {_described(known)}", file=sys.stderr)
+    print(f"forces      {_described_options(options)}{in_time}", file=sys.stderr)
+    if known.relaxation is not None and clock is None:
+        print(
+            "twin: the rubber of this calibration relaxes, and forces are found as if it didn't: "
+            "they rise while held and remain when gone; give --frames-per-second",
+            file=sys.stderr,
+        )
+    if len(known.layout) == 1 and not METHODS[options["method"]].local:
+        print(
+            f"twin: one layer of markers and method {options['method']}: forces into the surface "
+            "come out far too small, beyond the stated deviations; take --method local",
+            file=sys.stderr,
+        )
+    summary = _Summary()
+    try:
+        with _LiveTable() as live:
+            for result in results:
+                row = result.row(len(known.site_mm))
+                live.add(row)
+                summary.add(result, row)
+                if table:
+                    table.add(row)
+                if drawing:
+                    drawing.add(summary.count, result)
+    finally:
+        for sink in (table, drawing):
+            if sink:
+                sink.close()
+    # What became of the frames in all.
+    if not summary.count:
+        raise InputError("there were no frames")
+    print("\n".join(summary.lines(bounded)), file=sys.stdout if out else sys.stderr)
+    if out:
+        print(f"written to  {out}")
+    if summary.failed:
+        raise SomeFailed(
+            f"{summary.failed} of {summary.count} frames failed, the first trouble: {summary.first}"
+        )
 
 
 def read_picture(path: str | os.PathLike[str]) -> Picture:
@@ -192,45 +294,33 @@ def _number(line: str, key: str, text: str | None, *, may_be_empty: bool) -> flo
     return value
 
 
-def _check_sources(
-    sources: Sequence[str], overlay: Path | None, size: str | None, layout: str | None
-) -> None:
-    """Refuse, before any work, what `_frames` or `_OverlayFile` would refuse later.
-
-    Raises
-    ------
-    InputError
-        Raw frames without size and format, or these without raw frames.
-    MissingCapability
-        A video, and the extra package is not installed.
-    """
-    if any(Path(source).suffix.lower() in VIDEOS for source in (*sources, str(overlay or ""))):
-        _ffmpeg()
-    if "-" in sources:
-        _raw_layout(size, layout)
-    elif size is not None or layout is not None:
-        raise InputError(
-            "--size and --format belong to raw frames: give - in place of the pictures"
-        )
-
-
 def _frames(
     sources: Sequence[str], stream: IO[bytes], size: str | None, layout: str | None
 ) -> Iterator[_Frame]:
-    """Yield the frames of files, folders and videos, in order; ``-`` is raw frames from ``stream``.
+    """Return the frames of files, folders and videos in order; ``-``: raw frames from ``stream``.
 
-    Raises `InputError` without frames, or for ``-`` without its size and format, and
-    `MissingCapability` for a video where the extra package is not installed.
+    Before any is read, raises `InputError` without frames, or where size and format are missing or
+    belong to no raw frames, and `MissingCapability` for a video where the extra package is not
+    installed.
     """
     if not sources:
         raise InputError(
             "no frames: give pictures, folders of pictures, videos, or - for raw frames from a pipe"
         )
+    if any(Path(source).suffix.lower() in VIDEOS for source in sources):
+        _ffmpeg()
     if "-" in sources:
         if len(sources) > 1:
             raise InputError("- (frames from a pipe) can't be mixed with files")
-        yield from _raw_frames(stream, *_raw_layout(size, layout))
-        return
+        return _raw_frames(stream, *_raw_layout(size, layout))
+    if size is not None or layout is not None:
+        raise InputError(
+            "--size and --format belong to raw frames: give - in place of the pictures"
+        )
+    return _of_sources(sources)
+
+
+def _of_sources(sources: Sequence[str]) -> Iterator[_Frame]:
     for source in sources:
         path = Path(source)
         if not path.is_dir():
@@ -708,103 +798,6 @@ _SHOWN = 5
 """Frames whose trouble is printed one by one; the table has all."""
 
 
-def reconstruct_recording(
-    rest: Path,
-    sources: Sequence[str],
-    calibration: Path,
-    *,
-    out: Path | None = None,
-    overlay: Path | None = None,
-    size: str | None = None,
-    layout: str | None = None,
-    frames_per_second: float | None = None,
-    times: Path | None = None,
-    **options: Any,
-) -> None:
-    """Reconstruct recorded frames: print a row of each and a summary, write table and drawings.
-
-    Parameters
-    ----------
-    rest, sources, calibration
-        The picture without load, see `_frames`, and the calibration's file.
-    out, overlay
-        Table, and frames with the motion drawn in; see `_TableFile` and `_OverlayFile`.
-    size, layout
-        ``WxH`` and format of raw frames.
-    frames_per_second, times
-        Rate of the frames, or a CSV file with the columns frame, time_s: forces of rubber that
-        relaxes. None is the rate in the calibration's recipe; at 0 each frame is read by itself.
-    options
-        Of `twin.sense.reconstruct.reconstruct`; None is the value in the calibration's recipe.
-
-    Raises
-    ------
-    InputError
-        Something is given that can't be used, or there are no frames.
-    SomeFailed
-        Frames failed; the others are written.
-    """
-    # Check everything before the first frame is read, so that a wrong option costs nothing.
-    _check_sources(sources, overlay, size, layout)
-    _keep_inputs((rest, calibration, *map(Path, sources)), out=out, overlay=overlay)
-    known = read_calibration(calibration)
-    options = _options(known, options)
-    bounded = options["push_only"] or options["friction"] is not None
-    check_options(
-        options["method"],
-        options["weight"],
-        options["push_only"],
-        options["friction"],
-        options["camera"],
-        known,
-    )
-    clock, in_time = _clock_of(known, frames_per_second, times)
-    # Frames come one at a time: results are written as they come, and memory stays bounded.
-    table = _TableFile(out, known.site_mm) if out else None
-    drawing = _OverlayFile(overlay) if overlay else None
-    pictures = _frames(sources, sys.stdin.buffer, size, layout)
-    results = _reconstruct_frames(read_picture(rest), known, pictures, clock=clock, **options)
-    print(f"calibration {_described(known)}", file=sys.stderr)
-    print(f"forces      {_described_options(options)}{in_time}", file=sys.stderr)
-    if known.relaxation is not None and clock is None:
-        print(
-            "twin: the rubber of this calibration relaxes, and forces are found as if it didn't: "
-            "they rise while held and remain when gone; give --frames-per-second",
-            file=sys.stderr,
-        )
-    if len(known.layout) == 1 and not METHODS[options["method"]].local:
-        print(
-            f"twin: one layer of markers and method {options['method']}: forces into the surface "
-            "come out far too small, beyond the stated deviations; take --method local",
-            file=sys.stderr,
-        )
-    summary = _Summary()
-    try:
-        with _LiveTable() as live:
-            for result in results:
-                row = result.row(len(known.site_mm))
-                live.add(row)
-                summary.add(result, row)
-                if table:
-                    table.add(row)
-                if drawing:
-                    drawing.add(summary.count, result)
-    finally:
-        for sink in (table, drawing):
-            if sink:
-                sink.close()
-    # What became of the frames in all.
-    if not summary.count:
-        raise InputError("there were no frames")
-    print("\n".join(summary.lines(bounded)), file=sys.stdout if out else sys.stderr)
-    if out:
-        print(f"written to  {out}")
-    if summary.failed:
-        raise SomeFailed(
-            f"{summary.failed} of {summary.count} frames failed, the first trouble: {summary.first}"
-        )
-
-
 class _Summary:
     """What became of the frames and their markers, and the force error that follows.
 
@@ -1015,6 +1008,8 @@ class _OverlayFile:
                 f"--overlay {target}: pictures are drawn as .png; give that, a folder, or a video "
                 "(.mp4)"
             )
+        if self._film:
+            _ffmpeg()
         make_folder(target.parent if self._film or self._one else target)
         self._writer: VideoWriter | None = None
         self._times = _MOST_TIMES

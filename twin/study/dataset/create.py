@@ -26,7 +26,7 @@ from twin.parts.scene import Scene
 from twin.study.batch.pool import Done, Job, Pool, Scheduler, counted, only_writer
 from twin.study.dataset.audit import audit
 from twin.study.dataset.export import write_card
-from twin.study.dataset.plan import Places, Plan, sha256
+from twin.study.dataset.plan import Places, Plan
 from twin.study.dataset.prepare import prepare
 from twin.study.dataset.reader import readable
 from twin.study.dataset.sample import audit_sample, make_shard
@@ -215,7 +215,7 @@ def _undamaged(places: Places) -> dict[str, str]:
         shard = path.parent in (places.data, places.sensors)
         if not (shard or path == places.meta / "audit.json") or not path.is_file():
             continue
-        if sha256(path) != digest:
+        if places.sha256(path) != digest:
             path.unlink()
         elif shard:
             whole[name] = digest

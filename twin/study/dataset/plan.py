@@ -332,8 +332,14 @@ class Places:
                 "meta/writer.lock",
                 "meta/written.sha256",
             ):
-                found[name] = (known or {}).get(name) or sha256(path)
+                found[name] = (known or {}).get(name) or self.sha256(path)
         return found
+
+    @staticmethod
+    def sha256(path: Path) -> str:
+        """Return the SHA-256 of a file's contents."""
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
 
     @staticmethod
     def listed(file: Path) -> dict[str, str]:
@@ -354,12 +360,6 @@ def _is_column(entry: Any) -> bool:
         and isinstance(entry.get("name"), str)
         and entry.get("kind") in get_args(Kind)
     )
-
-
-def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's contents."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _chosen_columns(scene: Scene, names: Iterable[str]) -> tuple[Column, ...]:

@@ -19,7 +19,7 @@ from twin.parts.scene import Scene
 from twin.parts.shape import StlFile
 from twin.parts.vary import Choice
 from twin.study.batch.pool import versions
-from twin.study.dataset.plan import FORMAT, Places, Plan, sha256
+from twin.study.dataset.plan import FORMAT, Places, Plan
 from twin.study.recipe import dump_scene
 
 
@@ -42,7 +42,7 @@ def prepare(plan: Plan, places: Places, progress: Progress | None) -> Plan:
     scene, files = _portable(plan.scene)
     _put_down(scene, files, places.meta)
     _pin_meshes(places.meta, progress)
-    meshes = {p.name: sha256(p) for p in sorted(places.meta.glob("*.npz"))}
+    meshes = {p.name: places.sha256(p) for p in sorted(places.meta.glob("*.npz"))}
     write_json(places.info, _info(Plan(scene, plan.samples), meshes))
     return plan
 
@@ -154,7 +154,7 @@ def _resumed(plan: Plan, places: Places) -> Plan:
         )
     for name, digest in facts["meshes"].items():
         path = places.meta / name
-        if not path.is_file() or sha256(path) != digest:
+        if not path.is_file() or places.sha256(path) != digest:
             what = "changed since" if path.is_file() else "missing, with which"
             raise InputError(
                 f"{path}: {what} the dataset was begun, and no other mesh makes the same bytes; "

@@ -6,7 +6,11 @@ calibrations are kept; variants that differ in camera or software alone share th
 body, because the press is most of the work on the finger.
 
 An entry declares what it measures, the numbers that it takes from that, its causes and its ranges.
-`Bench.compare` makes the runs and their records, `settled` compares the ranges of all of them.
+`Bench.compare` makes the runs and their records, `Record.settled` compares the ranges of all.
+
+The file's order: constants; numbers and their verdicts (`Quantity`, `Unprinted`, `Record`);
+entries (`Entry`, `Outcome`); made sensors (`Rig`, kept by `Bench`); sensors with software (`Chain`,
+`Shot`); the tests that several entries share (`Protocol`, `ForceLine`).
 """
 
 from __future__ import annotations
@@ -22,7 +26,6 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeAlias, TypeVar
 import numpy as np
 
 from twin.arrays import Floats, Picture, Progress
-from twin.display import plot_forces, plot_shifts
 from twin.judge.score import force_score, into_cells
 from twin.parts.load import Load, Traction
 from twin.parts.methods import CentreMethod, Method
@@ -382,57 +385,58 @@ class Record:
             "verdict": self.verdict,
         }
 
+    @staticmethod
+    def settled(
+        rows: Sequence[Mapping[str, Any]],
+    ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+        """Compare what isn't printed over all numbers of a paper.
+
+        Parameters
+        ----------
+        rows
+            Records as `row` has them, with the entry's name.
+
+        Returns
+        -------
+        The records, where a number that is explained by a quantity of which others want another
+        value is explained in part only; and a row for each such quantity: its paper, name, unit,
+        reason and plausible range, the intervals that each number allows, and those that all allow
+        at once.
+        Numbers that no value gives allow any.
+        """
+        found: dict[tuple[str, str], dict[str, Any]] = {}
+        for row in rows:
+            for what in row["ranges"]:
+                if not what["intervals"]:
+                    continue
+                paper, entry = row["name"].split("/")
+                start = {
+                    "paper": paper,
+                    **{key: what[key] for key in ("name", "unit", "why")},
+                    "plausible": [what["values"][0], what["values"][-1]],
+                    "at_once": [(what["values"][0], what["values"][-1])],
+                    "allowed": [],
+                }
+                kept = found.setdefault((paper, what["name"]), start)
+                number = f"{entry}, {row['quantity']}"
+                kept["allowed"].append({"number": number, "intervals": what["intervals"]})
+                kept["at_once"] = _common(kept["at_once"], what["intervals"])
+        apart = {key for key, kept in found.items() if not kept["at_once"]}
+        out = []
+        for row in rows:
+            verdict = str(row["verdict"])
+            names = [name for paper, name in apart if row["name"].startswith(paper)]
+            if any(verdict.startswith(f"explained by: {name}") for name in names):
+                verdict = f"partly {verdict}, but not all numbers that depend on it at once"
+            out.append({**row, "verdict": verdict})
+        return out, list(found.values())
+
 
 def _rounded(value: float | None) -> float | None:
     """Return a number with `DIGITS` significant digits; None for what is not finite."""
     if value is None or not np.isfinite(value):
         return None
     return 0.0 if abs(value) < ROUND_OFF else float(f"{value:.{DIGITS}g}")
-
-
-def settled(
-    rows: Sequence[Mapping[str, Any]],
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Compare what isn't printed over all numbers of a paper.
-
-    Parameters
-    ----------
-    rows
-        Records as `Record.row` has them, with the entry's name.
-
-    Returns
-    -------
-    The records, where a number that is explained by a quantity of which others want another value
-    is explained in part only; and a row for each such quantity: its paper, name, unit, reason and
-    plausible range, the intervals that each number allows, and those that all allow at once.
-    Numbers that no value gives allow any.
-    """
-    found: dict[tuple[str, str], dict[str, Any]] = {}
-    for row in rows:
-        for what in row["ranges"]:
-            if not what["intervals"]:
-                continue
-            paper, entry = row["name"].split("/")
-            start = {
-                "paper": paper,
-                **{key: what[key] for key in ("name", "unit", "why")},
-                "plausible": [what["values"][0], what["values"][-1]],
-                "at_once": [(what["values"][0], what["values"][-1])],
-                "allowed": [],
-            }
-            kept = found.setdefault((paper, what["name"]), start)
-            number = f"{entry}, {row['quantity']}"
-            kept["allowed"].append({"number": number, "intervals": what["intervals"]})
-            kept["at_once"] = _common(kept["at_once"], what["intervals"])
-    apart = {key for key, kept in found.items() if not kept["at_once"]}
-    out = []
-    for row in rows:
-        verdict = str(row["verdict"])
-        names = [name for paper, name in apart if row["name"].startswith(paper)]
-        if any(verdict.startswith(f"explained by: {name}") for name in names):
-            verdict = f"partly {verdict}, but not all numbers that depend on it at once"
-        out.append({**row, "verdict": verdict})
-    return out, list(found.values())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -967,30 +971,6 @@ def _without_depth(rig: Rig) -> Calibration:
     flat = _image_scale(scene, points) * (1.0, 1.0, 0.0)
     compliance = half_space_compliance(scene, points, rig.sensor.sites)
     return replace(rig.calibration, transfer=from_compliance(compliance, flat))
-
-
-def arrow_panel(title: str, found: Found, magnified: float, layer: str = "") -> Panel:
-    """Return the drawing of a layer's tracked shifts; of all layers' by default."""
-    rows = (found.layer == layer) | (layer == "")
-    drawn = found.rest_px[rows], found.shift_px[rows], found.layer[rows]
-    return Panel(
-        title=f"{title}, {magnified:g} times as long",
-        draw=lambda axes: plot_shifts(axes, *drawn, factor=magnified),
-    )
-
-
-def field_panel(
-    title: str, found: Field, radius_mm: float, at_mm: tuple[float, float] = (0.0, 0.0)
-) -> Panel:
-    """Return the drawing of a field, with the circle that is the true contact's border."""
-    turn = np.linspace(0.0, 2.0 * np.pi, 60)
-    x, y = at_mm
-
-    def draw(axes: Any) -> None:
-        plot_forces(axes, found.site_mm, found.force_n, title)
-        axes.plot(x + radius_mm * np.cos(turn), y + radius_mm * np.sin(turn), "k--", lw=1)
-
-    return Panel(title=title, draw=draw)
 
 
 def sphere_press(place_mm: tuple[float, float], gram_force: float) -> Press:

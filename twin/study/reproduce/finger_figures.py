@@ -37,8 +37,6 @@ from twin.study.reproduce.bench import (
     Shot,
     Trial,
     Unprinted,
-    arrow_panel,
-    field_panel,
     sphere_press,
 )
 from twin.study.sensor import Motion
@@ -213,9 +211,9 @@ def _figure_7(bench: Bench) -> Outcome:
         )
         records += found
         if not panels:
-            panels.append(arrow_panel("Markers under the sphere", first.found, 3.0))
+            panels.append(Panel.shifts("Markers under the sphere", first.found, 3.0))
         radius = first.state.contact_radius_mm
-        panels.append(field_panel(f"Force field, sphere {where}", first.field, radius, at))
+        panels.append(Panel.field(f"Force field, sphere {where}", first.field, radius, at))
     return Outcome(records=records, panels=panels)
 
 

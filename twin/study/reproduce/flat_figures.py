@@ -34,8 +34,6 @@ from twin.study.reproduce.bench import (
     Shot,
     Trial,
     Unprinted,
-    arrow_panel,
-    field_panel,
 )
 
 PITCH_MM, BAND_MM, SHAPE_BAND_MM = 1.5, 0.8, 4.0
@@ -201,7 +199,7 @@ def _figure_9(bench: Bench) -> Outcome:
         numbers(replace(TRACKED, overrides={"material.law": law}).shot(bench, press).found)[largest]
         for law in ("neo_hookean", "linear")
     ]
-    panel = arrow_panel("Red layer, 5 mm pillar along z", runs[0], 20.0, "red")
+    panel = Panel.shifts("Red layer, 5 mm pillar along z", runs[0], 20.0, "red")
     note = (
         "Two numbers depend on one load that isn't printed: 10 px, and a field that looks radial. "
         "At the load that gives 10 px both hold. Linear theory is far from its bounds there; "
@@ -253,8 +251,8 @@ def _pillar_field(label: str, chain: Chain, bench: Bench) -> Outcome:
     press = bench.pressing(PILLAR_PRESS)
     records, runs, _ = bench.compare(press, _pillar_numbers, chain, causes, label=label)
     panels = [
-        field_panel(label, runs[0].field, 2.5),
-        field_panel("Truth, summed into the sites' cells", runs[0].truth, 2.5),
+        Panel.field(label, runs[0].field, 2.5),
+        Panel.field("Truth, summed into the sites' cells", runs[0].truth, 2.5),
     ]
     return Outcome(records=records, panels=panels)
 
@@ -278,7 +276,7 @@ def _figure_10(bench: Bench) -> Outcome:
     quiet = {NO_NOISE: replace(FREE, overrides=QUIET)}
     press = bench.pressing(PILLAR_PRESS)
     records, free, _ = bench.compare(press, _free_numbers, FREE, quiet, label="no constraint")
-    panel = field_panel("No constraint", free[0].field, 2.5)
+    panel = Panel.field("No constraint", free[0].field, 2.5)
     return Outcome(records=[*constrained.records, *records], panels=[*constrained.panels, panel])
 
 
@@ -286,7 +284,7 @@ def _figure_13(bench: Bench) -> Outcome:
     """Show the field before camera calibration and the one after it."""
     before = _pillar_field("least norm, before camera calibration", BLIND, bench)
     after = NORM.shot(bench, PILLAR_PRESS).field
-    panel = field_panel("After camera calibration (Fig. 11)", after, 2.5)
+    panel = Panel.field("After camera calibration (Fig. 11)", after, 2.5)
     return replace(before, panels=[*before.panels, panel])
 
 
@@ -368,7 +366,7 @@ def _figure_15(bench: Bench) -> Outcome:
             bench.pressing(press), numbers, DIFFERENCE, _ways(bench), label=label
         )
         records += found
-        panels.append(field_panel(label, runs[0].field, radius))
+        panels.append(Panel.field(label, runs[0].field, radius))
     return Outcome(records=records, panels=panels)
 
 

@@ -27,7 +27,7 @@ from twin.blas_threads import one_thread
 from twin.errors import InputError, TwinError, did_you_mean
 from twin.files import make_folder, write_whole
 from twin.study.recipe import load_scene
-from twin.study.reproduce.bench import FITTED, SCENES, Bench, Entry, settled
+from twin.study.reproduce.bench import FITTED, SCENES, Bench, Entry, Record
 from twin.study.reproduce.design_limits import DESIGN_LIMITS, in_short
 from twin.study.reproduce.finger_figures import FINGER_FIGURES
 from twin.study.reproduce.flat_figures import FLAT_FIGURES
@@ -144,7 +144,7 @@ def _run_all(out: Path, wanted: Sequence[Entry], bench: Bench) -> dict[str, str]
 
 
 def _run(out: Path, entry: Entry, bench: Bench) -> None:
-    from twin.show.figure_panels import drawn
+    from twin.show.figure_panels import Panel
 
     started, worked = time.perf_counter(), time.process_time()
     outcome = entry.run(bench)
@@ -153,7 +153,7 @@ def _run(out: Path, entry: Entry, bench: Bench) -> None:
         "sensor": entry.name.split("/")[0],
         "sensor_hash": {name: Bench.sensor_hash(name) for name in sorted(bench.used)},
     }
-    picture = drawn(outcome.panels) if outcome.panels else b""
+    picture = Panel.svg(outcome.panels) if outcome.panels else b""
     table = {
         "key": _key(entry, bench),
         "name": entry.name,
@@ -219,7 +219,7 @@ def _publish(out: Path, bench: Bench, failed: dict[str, str]) -> None:
     from twin.show.reproduction_page import reproduction
 
     tables = [t for entry in ENTRIES.values() if (t := _kept(out, entry, bench)) is not None]
-    records, unprinted = settled([record for table in tables for record in table["records"]])
+    records, unprinted = Record.settled([record for table in tables for record in table["records"]])
     for table in tables:
         table["records"] = [record for record in records if record["name"] == table["name"]]
     text = json.dumps(records, indent=1) + "\n"

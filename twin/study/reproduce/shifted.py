@@ -36,7 +36,6 @@ from twin.study.reproduce.bench import (
     Record,
     Unprinted,
     Way,
-    arrow_panel,
 )
 
 SECOND = (
@@ -197,7 +196,7 @@ def _figure_7(bench: Bench) -> Outcome:
     for way in WAYS:
         found, runs = _compared(bench, KAMIYAMA, way, _vectors)
         records += found
-        panels.append(arrow_panel(f"3 px to the right, {way}", runs[0], 5.0))
+        panels.append(Panel.shifts(f"3 px to the right, {way}", runs[0], 5.0))
     return Outcome(records=records, panels=panels)
 
 
